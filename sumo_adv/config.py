@@ -79,6 +79,8 @@ class Settings(ModelSettings, BaseSettings):
     ego: str = "idm"
     ego_id: str | None = None
     ego_parameters: dict[str, float] = Field(default_factory=dict)
+    ego_deadline: float = Field(60.0, ge=0, le=86_400)  # real s in which its driver must answer; 0: none
+    attempt_memory: float = Field(4096.0, ge=0, le=1_048_576)  # MiB of a fork beyond what it begins with; 0: no bound
     adversary: str | None = None
     adversaries: int = Field(1, ge=1, le=MOST_ADVERSARIES)  # of an attack at most: a collider and supports
     trigger: float | None = Field(None, ge=0)

@@ -3,6 +3,7 @@
 SumoAdvError                 one sentence: what is wrong and what to do; exit status 1
 ├── UsageError               wrong use or bad input; exit status 2
 ├── SimulationError          SUMO failed, or the engine process died
+│   └── DriverError          the ego's driver hung, ended its process or used up an attempt's memory
 ├── SandboxError             planner code failed inside its limits
 │   ├── PlannerSyntaxError   not in the sandbox's subset, or does not parse
 │   ├── PlannerRuntimeError  raised while running
@@ -36,6 +37,10 @@ class UsageError(SumoAdvError):
 
 class SimulationError(SumoAdvError):
     """SUMO refused, failed or vanished."""
+
+
+class DriverError(SimulationError):
+    """The ego's driver hung, ended its process or used up an attempt's memory: that attempt alone is lost."""
 
 
 class SandboxError(SumoAdvError):

@@ -17,7 +17,7 @@ from sumo_adv.metrics.cut_ins import COLUMNS, judge_cut_ins
 from sumo_adv.metrics.levels import preventability, with_level
 from sumo_adv.metrics.paths import EgoPaths
 from sumo_adv.metrics.reference import BRAKERS, REFERENCE_DRIVERS, SAME_DIRECTION_ONLY
-from sumo_adv.metrics.reference.cc_human import FULL_BRAKING, speed_lost
+from sumo_adv.metrics.reference.brakers import FULL_BRAKING, speed_lost
 from sumo_adv.metrics.reference.counterfactual import Counterfactual, Encounters
 from sumo_adv.metrics.reference.fsm import critical, proactive
 from sumo_adv.metrics.validity import judge
@@ -224,6 +224,16 @@ def test_cut_ins_with_known_answers() -> None:
     assert near["unchanged"] != "none" and near["cc_human"] == near["unchanged"]
     assert far == {"unchanged": "front_to_rear"} | dict.fromkeys(REFERENCE_DRIVERS, "none")
     assert len(COLUMNS) == cases.shape[1]
+
+
+SLOW = np.array([[58.0, 24.0, 33.0, 0.4], [37.0, 5.0, 29.0, 0.5], [58.0, 11.0, 47.0, 0.4], [25.0, 8.0, 12.0, 0.6]])
+NEAR = np.array([[33.0, 6.0, 13.0, 1.3], [47.0, 24.0, 11.0, 0.9], [58.0, 24.0, 33.0, 0.4], [31.0, 7.0, 13.0, 0.8]])
+
+
+def test_cut_ins_as_the_public_implementation_answers_them() -> None:
+    """ec-jrc/JRC-FSM: its careful driver perceives a slow drift too late, its RSS driver brakes in time."""
+    assert all(row["cc_human"] != "none" for row in judge_cut_ins(SLOW))
+    assert all(row["rss"] == "none" for row in judge_cut_ins(NEAR))
 
 
 # ---- blindness

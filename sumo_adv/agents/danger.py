@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sumo_adv.agents.prompts import Prompts
-from sumo_adv.metrics.reference import cc_human
+from sumo_adv.metrics.reference import brakers, cc_human
 from sumo_adv.metrics.reference.manoeuvre import DELAY
 
 
@@ -14,7 +14,7 @@ def danger_words(prompts: Prompts) -> str:
         "hard": cc_human.HARD_BRAKING, "following": cc_human.FOLLOWING, "own": cc_human.OWN_BRAKING,
         "reaction": cc_human.REACTION, "facing": cc_human.FACING_SIGHT, "facing_margin": cc_human.FACING_MARGIN,
         "alarm": cc_human.ALARM_BRAKING, "short": cc_human.STOPPING_SHORT, "crossing": cc_human.CROSSING_SIGHT,
-        "crossing_margin": cc_human.CROSSING_MARGIN, "ramp": cc_human.RAMP, "full": round(cc_human.FULL_BRAKING, 1),
+        "crossing_margin": cc_human.CROSSING_MARGIN, "ramp": brakers.RAMP, "full": round(brakers.FULL_BRAKING, 1),
         "steers": round(DELAY - cc_human.PERCEPTION, 2),
     }  # fmt: skip
     return prompts.piece("danger", **{name: f"{number:g}" for name, number in numbers.items()})

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from sumo_adv.agents.prompts import sanitize
 from sumo_adv.datatypes import Attempt, Diagnosis, Level, LibraryEntry, Verdict
 from sumo_adv.metrics.levels import SERIOUS_RISK
-from sumo_adv.metrics.reference.cc_human import FULL_BRAKING, REACTION
+from sumo_adv.metrics.reference.brakers import FULL_BRAKING
+from sumo_adv.metrics.reference.cc_human import REACTION
 from sumo_adv.metrics.severity import SERIOUS_DELTA_V
 
 MAX_EARLIER = 10  # attempts of a line each

@@ -16,9 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv.campaigns.nouns import Done, Job
-from sumo_adv.episode.warm import how
 from sumo_adv.errors import SumoAdvError
-from sumo_adv.simulation.engine import QUIET_VARIABLES, deaf
+from sumo_adv.simulation.engine import QUIET_VARIABLES, deaf, how
 
 TRIES = 2  # of an episode if its worker crashes or hangs, or its simulation fails
 STARTS = 3  # workers in a row that may die before they are ready

@@ -114,7 +114,8 @@ def line(what: str, value: Any) -> str:
         near = ", ".join(f"{i} ({r})" for i, r, _ in value.ranking)
         earlier = len(value.passed_over)
         passed = f" after passing over {earlier} earlier encounter{'s' * (earlier != 1)}" if earlier else ""
-        return f"Encounter at {value.time:.1f} s{passed}: ego {value.ego}; near it {near}"
+        left_out = f"; SUMO crashes on {', '.join(value.beside)}, so it does not drive there" if value.beside else ""
+        return f"Encounter at {value.time:.1f} s{passed}: ego {value.ego}; near it {near}{left_out}"
     if what == "intents":
         top = value[0]
         return f"Most dangerous: {top.bv} — {top.label} (risk {top.risk}; {top.reason})"

@@ -39,6 +39,12 @@ Ego = Annotated[
         default="as the input says, else idm",
     ),
 ]  # fmt: skip
+EgoDeadline = Annotated[
+    float | None,
+    option(
+        EGO, "Seconds in which its driver must answer in a step; 0: any time, for a debugger.", setting="ego_deadline"
+    ),
+]
 EgoId = Annotated[str | None, option(EGO, "The vehicle under test.", default="chosen")]
 Ask = Annotated[
     str | None, option(ATTACK, "The attack that is wanted, in words; needs --llm.", metavar="WORDS", default="none")

@@ -112,6 +112,7 @@ class CarefulEgo:
     """The controller. It remembers the vehicles it watches, their past poses, and its decisions."""
 
     name = "careful"
+    reference = "cc_human"  # the reference driver that it is
     forkable = True
     needs_observation = True
 

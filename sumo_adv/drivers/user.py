@@ -23,7 +23,7 @@ from sumo_adv.datatypes import DriverModel
 from sumo_adv.drivers.protocol import Action, LaneSpeed, Observation, Pose, Steer, model_of
 from sumo_adv.drivers.sumo_driven import sumo_type
 from sumo_adv.drivers.wishes import read_wishes
-from sumo_adv.errors import SimulationError, UsageError
+from sumo_adv.errors import SimulationError, UsageError, ran_out_of_memory
 
 T = TypeVar("T")
 METHODS = {"reset": "reset(seed)", "act": "act(observation)"}  # of a driver
@@ -74,6 +74,8 @@ class UserEgo:
         try:
             return call()
         except Exception as error:  # user code
+            if ran_out_of_memory(error):
+                raise
             raise SimulationError(f"The ego {self._spec!r} {failure}: {in_one_line(error)}{_place(error)}.") from error
 
 
@@ -105,7 +107,7 @@ def find_class(kind: str, spec: str) -> type:
         sys.path.append(here)  # last, so that no file of the user hides an installed package
     try:
         module = importlib.import_module(module_name)
-    except Exception as error:  # user code runs on import
+    except (Exception, SystemExit) as error:  # user code runs on import
         reason = in_one_line(error)
         raise UsageError(
             f"The module of the {kind} {spec!r} could not be imported from {here} or Python's path: {reason}."
@@ -132,7 +134,7 @@ def make_object(kind: str, spec: str, parameters: Mapping[str, Any], methods: Ma
         raise UsageError(f"The {kind} {spec!r} has no method {missing!r}; it needs {' and '.join(methods.values())}.")
     try:
         return user_class(**parameters)
-    except Exception as error:  # user code
+    except (Exception, SystemExit) as error:  # user code
         raise UsageError(f"The {kind} {spec!r} could not be made: {in_one_line(error)}.") from error
 
 
@@ -141,7 +143,7 @@ def lacking(thing: Any, methods: Mapping[str, str]) -> str | None:
     return next((name for name in methods if not callable(getattr(thing, name, None))), None)
 
 
-def in_one_line(error: Exception) -> str:
+def in_one_line(error: BaseException) -> str:
     """Exception type and message on one line, without a full stop at the end."""
     message = " ".join(str(error).split()).rstrip(".")
     return f"{type(error).__name__}: {message}" if message else type(error).__name__

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -13,6 +14,7 @@ from sumo_adv.drivers import Action, EgoController, LaneSpeed, Observation, Repl
 from sumo_adv.drivers.vehicle import Senses
 from sumo_adv.drivers.wishes import wishes_of
 from sumo_adv.episode.ego_actions import ActionCount
+from sumo_adv.errors import DriverError
 from sumo_adv.geometry import Pose
 from sumo_adv.simulation.lights import LightsNear
 from sumo_adv.simulation.playback import Playback
@@ -20,6 +22,7 @@ from sumo_adv.simulation.recording import Recording
 from sumo_adv.simulation.remote import Remote
 from sumo_adv.simulation.simulation import Simulation, SimulationSpec, Snapshot, pose_of
 from sumo_adv.simulation.stage import LOGGED_TYPE_XML
+from sumo_adv.simulation.watch import Call, OutOfTimeError, watched
 
 EGO_TYPE = "sumo_adv_ego"
 Observe = Callable[[VehicleState, Sequence[str]], Observation]
@@ -45,9 +48,12 @@ class Drive:
         seed: int,
         remote: Remote | None = None,
         playback: Playback | None = None,
+        deadline: float = 0.0,
     ) -> None:
+        """``deadline``: in which the ego's driver must return [s]; 0: it may take any time."""
         self.simulation = Simulation(spec, remote)
         self.controller = controller
+        self._deadline = deadline
         self.seed = seed
         self.ego: str | None = None
         self.recording = Recording(spec.step_length)
@@ -109,7 +115,8 @@ class Drive:
             factor = float(self.controller.sumo_type.get("speedFactor", 1.0))
             speed = self.snapshot.raw[vehicle][3]
             self.playback.take(vehicle, speed, factor, replayed=isinstance(self.controller, ReplayEgo))
-        self.controller.reset(self.seed)
+        with self._driver("reset"):
+            self.controller.reset(self.seed)
         self.actions = ActionCount()
         self.ego = vehicle
         self._takeovers.append((len(self.recording.snapshots), vehicle))
@@ -250,7 +257,8 @@ class Drive:
             if waits or not self.controller.needs_observation:
                 return
             observation = self.observation()
-            action = self.controller.act(observation)
+            with self._driver("act"):
+                action = self.controller.act(observation)
             heeds = wishes.needs_road and observation.road is not None
         self.steered = isinstance(action, Steer | Pose)
         self.heeding = isinstance(action, Steer) and heeds
@@ -268,6 +276,23 @@ class Drive:
         else:
             self.simulation.set_speed(self.ego, None)
         self.actions.answered(action, reachable)
+
+    def where(self) -> str:
+        """Where the ego's driver is: its step, counted from 1 where it took over, and the time."""
+        first = self._takeovers[-1][0] if self.ego is not None and self._takeovers else len(self.recording.snapshots)
+        return f"its step {len(self.recording.snapshots) - first + 1}, at {self.now:.1f} s"
+
+    @contextmanager
+    def _driver(self, method: str) -> Iterator[None]:
+        """Code of the ego's driver. Raises DriverError if it does not return in time, or ends its process."""
+        call = Call(f"The ego's driver {self.controller.name!r}", f"in {method} ({self.where()})", self._deadline)
+        try:
+            with watched(call):
+                yield
+        except OutOfTimeError:
+            raise DriverError(call.late()) from None
+        except SystemExit as error:
+            raise DriverError(call.ended(f"SystemExit: {error.code}")) from error
 
     def observation(self) -> Observation:
         """What the ego's driver sees now."""

@@ -74,6 +74,7 @@ class FoundEncounter:
     place: Place | None = None  # what surrounds the ego
     below_threshold: float | None = None  # the highest risk, where no moment of a recording reaches the threshold
     driven_from: float | None = None  # when the ego's driver took over [s]; None where a program of its own drives
+    beside: tuple[str, ...] = ()  # recorded vehicles that SUMO crashes on: boxes beside it
 
     @property
     def first(self) -> Situation:

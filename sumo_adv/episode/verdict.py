@@ -10,7 +10,7 @@ from sumo_adv.episode.attempt import Driven
 from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.metrics.case import make_case
-from sumo_adv.metrics.levels import with_level
+from sumo_adv.metrics.levels import AVOIDS, COLLIDES, judged, with_level
 from sumo_adv.metrics.validity import judge
 from sumo_adv.simulation.recording import tracks_of
 
@@ -37,10 +37,22 @@ def gate_verdict(
         supports=case.supports,
     )  # fmt: skip
     verdict = replace(verdict, log_gates=case.log_gates)
-    return with_level(
+    itself = own_reference(drive)
+    verdict = with_level(
         verdict, case.ego, case.adversary, case.others, trigger_time=start, on_road=found.drivable,
-        lane_half_width=half, unattacked=unattacked(found, settings), only_level=settings.player("modifier") is None,
+        lane_half_width=half, unattacked=unattacked(found, settings),
+        only_level=settings.player("modifier") is None and itself is None,
     )  # fmt: skip
+    prevention = verdict.preventability
+    if itself is None or prevention is None or prevention.answers.get(itself) != AVOIDS:
+        return verdict
+    answers = {**prevention.answers, itself: COLLIDES}
+    return judged(replace(verdict, preventability=replace(prevention, answers=answers)))
+
+
+def own_reference(drive: Drive) -> str | None:
+    """The reference driver that drives the ego itself: in a collision of the ego it has not avoided it."""
+    return getattr(drive.controller, "reference", None)
 
 
 def first_judged(found: FoundEncounter, settings: Settings, trigger_step: int, start: float) -> int:

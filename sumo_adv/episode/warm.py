@@ -21,10 +21,11 @@ from types import TracebackType
 from typing import Any, Self
 
 from sumo_adv.config import Settings
-from sumo_adv.errors import SimulationError
+from sumo_adv.errors import DriverError, SimulationError
 from sumo_adv.planners.sandbox import Sandbox
-from sumo_adv.simulation.engine import Engine, can_fork
+from sumo_adv.simulation.engine import Engine, can_fork, how
 from sumo_adv.simulation.library import load_libsumo
+from sumo_adv.simulation.watch import died_in
 
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
@@ -111,9 +112,10 @@ class _Nursery:
         _, status = os.waitpid(pid, 0)
         shutil.rmtree(folder, ignore_errors=True)
         if status != 0:
-            raise SimulationError(
-                f"The simulation process ended unexpectedly ({how(os.waitstatus_to_exitcode(status))})."
-            )
+            exitcode = how(os.waitstatus_to_exitcode(status))
+            if (call := died_in()) is not None:
+                raise DriverError(call.ended(exitcode))
+            raise SimulationError(f"The simulation process ended unexpectedly ({exitcode}).")
 
     def end(self) -> None:
         """End the fork. Its parent answers."""
@@ -145,13 +147,3 @@ def die_with_parent() -> None:
     """On Linux: have this process killed when its parent ends."""
     if sys.platform.startswith("linux"):
         ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
-
-
-def how(exitcode: int | None) -> str:
-    """An exit code in words."""
-    if exitcode is None or exitcode >= 0:
-        return f"exit status {exitcode}"
-    try:
-        return f"killed by {signal.Signals(-exitcode).name}"
-    except ValueError:
-        return f"killed by signal {-exitcode}"

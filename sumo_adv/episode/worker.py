@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 import shutil
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from multiprocessing.connection import Connection
@@ -30,8 +31,8 @@ from sumo_adv.episode.encounter_search import EncounterSearch
 from sumo_adv.episode.open_encounter import OpenEncounter
 from sumo_adv.episode.references import Order, ReferenceEgo, avoids, order_of
 from sumo_adv.episode.task import AttemptResult, FoundEncounter, NoEncounter, Prefix, Task
-from sumo_adv.episode.verdict import first_judged, gate_verdict, unattacked
-from sumo_adv.errors import SimulationError
+from sumo_adv.episode.verdict import first_judged, gate_verdict, own_reference, unattacked
+from sumo_adv.errors import DriverError, SimulationError, ran_out_of_memory
 from sumo_adv.metrics.case import Case, make_case
 from sumo_adv.metrics.levels import NOT_APPLICABLE
 from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, Braker
@@ -45,6 +46,7 @@ from sumo_adv.simulation.recording import tracks_of
 from sumo_adv.simulation.simulation import Snapshot
 from sumo_adv.situation import Situation
 
+MOST_BESIDE = 3  # recorded vehicles on which SUMO crashes
 COOL_DOWN = 2.0  # s without an encounter after an encounter that was passed over
 
 
@@ -72,10 +74,13 @@ class Worker:
         folder = Path(self._folder.name)
         additional = (*_copied(task.spec.additional, folder), ego_type_file(controller, folder))
         spec = replace(task.spec, additional=additional)
-        self._drive = Drive(spec, controller, task.settings.seed, playback=self._playback(task))
+        self._drive = Drive(
+            spec, controller, task.settings.seed, playback=self._playback(task), deadline=task.settings.ego_deadline
+        )
         lights = LightsNear(self._road)
         self._drive.lights = lights if len(lights) else None
         self._forks = task.settings.fork and can_fork() and controller.forkable
+        self._put_beside_what_sumo_crashes_on()
         self._search = EncounterSearch(self._drive, self._road, task)
 
     def _playback(self, task: Task) -> Playback | None:
@@ -85,6 +90,38 @@ class Worker:
         return Playback(
             task.playback, self._map, begin=task.spec.begin, step=task.spec.step_length, ego=ego, warm_up=task.warm_up
         )
+
+    def _put_beside_what_sumo_crashes_on(self) -> None:
+        """Rehearse a log in forks; a recorded vehicle on which SUMO crashes is a box beside SUMO from then on."""
+        log = self._drive.playback
+        if log is None or not self._drive.recorded() or not (self._task.settings.fork and can_fork()):
+            return
+        beside: list[str] = []
+        while len(beside) < MOST_BESIDE and not self._survives(log, beside):
+            suspects = [name for name in log.recorded if name != self._task.ego]
+            while len(suspects) > 1:
+                half = suspects[: len(suspects) // 2]
+                suspects = half if self._survives(log, [*beside, *half]) else suspects[len(half) :]
+            beside += suspects
+        log.put_beside(beside)
+        if beside:
+            self._drive.rewind(0)
+
+    def _survives(self, log: Playback, beside: Sequence[str]) -> bool:
+        """Whether SUMO lives through the log with these vehicles beside it."""
+
+        def rehearse() -> bool:
+            log.put_beside(beside)
+            try:
+                self._drive.rewind(0)
+                while self._drive.now < log.spec.end:
+                    self._drive.tick()
+            except SimulationError:
+                return False
+            return True
+
+        log.put_beside(())
+        return in_forks([rehearse], lost=lambda why: False) == [True]
 
     def forks(self) -> bool:
         """Whether attempts are forked."""
@@ -152,7 +189,8 @@ class Worker:
     def attempts(self, plans: Sequence[Proposal]) -> list[AttemptResult]:
         """The results of attempts from the trigger. As many run at the same time as there are slots.
 
-        An attempt in which SUMO dies, also when it is repeated, has the ending ``crashed``.
+        An attempt in which SUMO dies, also when it is repeated, or which the ego's driver does not let end, has the
+        ending ``crashed``.
         """
         results: list[AttemptResult] = []
         for first in range(0, len(plans), len(self._slots)):
@@ -189,6 +227,8 @@ class Worker:
         answers = dict(zip(works, self._branch(list(works.values()), lambda why: None), strict=True))
         if None in answers.values():  # SUMO died: it cannot say what these drivers do
             return {}
+        if (itself := own_reference(self._drive)) in answers:
+            answers[itself] = False
         return answers if order.plan is not None else {**answers, MANOEUVRE: False}
 
     def converse(self, prepare: Callable[[OpenEncounter], Callable[[], None]]) -> None:
@@ -206,7 +246,7 @@ class Worker:
             self._drive, self._encounter, self._settings, self._map, self._trigger_step, dialogue, ask_front
         )
         if self._forks:
-            in_forks([prepare(here)])  # not repeated: the front has spoken already
+            in_forks([prepare(here)], memory=self._settings.attempt_memory)  # not repeated: the front has spoken
         else:
             self._branch([prepare(here)])
 
@@ -246,7 +286,7 @@ class Worker:
     def _branch(self, works: Sequence[Callable[[], Any]], lost: Callable[[str], Any] | None = None) -> list[Any]:
         """The results of the works, each from the trigger on; ``lost``: see ``in_forks``."""
         if self._forks:
-            return in_forks(works, self._reloaded, lost)
+            return in_forks(works, self._reloaded, lost, self._settings.attempt_memory)
         results = []
         for work in works:
             self._at_trigger()
@@ -282,7 +322,8 @@ class Worker:
         if isinstance(built, str):
             return built
         encounter, baseline = built
-        self._encounter = replace(encounter, driven_from=self._drive.driven_from)
+        beside = () if self._drive.playback is None else self._drive.playback.beside
+        self._encounter = replace(encounter, driven_from=self._drive.driven_from, beside=beside)
         self._baseline_ego = baseline.tracks[self._encounter.ego]
         return ""
 
@@ -295,9 +336,24 @@ class Worker:
 
     def _unattacked(self, steps: int) -> tuple[list[Snapshot], dict[str, tuple[float, float]]]:
         drive = self._drive
-        for _ in range(drive.within(steps)):
-            drive.tick()
+        with self._within_memory():
+            for _ in range(drive.within(steps)):
+                drive.tick()
         return drive.recording.snapshots[self._trigger_step :], dict(drive.simulation.fleet.sizes)
+
+    @contextmanager
+    def _within_memory(self) -> Iterator[None]:
+        """Raises DriverError where a fork has used up its memory."""
+        try:
+            yield
+        except Exception as error:
+            if not (self._forks and self._settings.attempt_memory and ran_out_of_memory(error)):
+                raise
+            raise DriverError(
+                f"The memory of an attempt, {self._settings.attempt_memory:g} MiB, was used up with the ego's driver "
+                f"{self._drive.controller.name!r} in {self._drive.where()}: look for a leak in it, or raise the "
+                "setting attempt_memory."
+            ) from error
 
     # -- attempts -----------------------------------------------------------------------------------------------
 
@@ -310,7 +366,15 @@ class Worker:
         asks = [  # before the fork: a planner's text is read once
             ask_trusted(p, situation, partial(ask_front, member)) for member, p in enumerate(proposal.members)
         ]
-        return partial(self._attempt, proposal, asks)
+        return partial(self._try, proposal, asks)
+
+    def _try(self, proposal: Proposal, asks: Sequence[AskOne]) -> AttemptResult:
+        """An attempt; it alone is lost where the ego's driver hangs, ends its process or uses up the memory."""
+        try:
+            with self._within_memory():
+                return self._attempt(proposal, asks)
+        except DriverError as error:
+            return self._crashed(str(error))
 
     def _attempt(self, proposal: Proposal, asks: Sequence[AskOne]) -> AttemptResult:
         drive, settings = self._drive, self._settings

@@ -96,11 +96,13 @@ def longitudinal_safe_distance(rear: Floats, front: Floats, rss: Rss = DEFAULT_R
 
 def lateral_safe_distance(own: Floats, other: Floats, rss: Rss = DEFAULT_RSS) -> Floats:
     """RSS's least lateral gap [m]; speeds [m/s] positive towards one another."""
-    needed = np.zeros(())
-    for speed in (own, other):
-        after = speed + rss.response * rss.lateral_acceleration
-        needed = needed + (speed + after) / 2 * rss.response + np.sign(after) * after**2 / (2 * rss.lateral_braking)
-    return np.maximum(needed, 0.0)
+    return np.maximum(lateral_way(own, rss) + lateral_way(other, rss), 0.0)
+
+
+def lateral_way(speed: Floats, rss: Rss) -> Floats:
+    """How far a vehicle at a lateral speed [m/s] comes sideways at most until it has none [m]; negative: away."""
+    after = speed + rss.response * rss.lateral_acceleration
+    return (speed + after) / 2 * rss.response + np.sign(after) * after**2 / (2 * rss.lateral_braking)
 
 
 @dataclass(frozen=True, slots=True)

@@ -70,7 +70,7 @@ class BlockRunner:
         types = ego_type_file(controller, folder)
         spec = task.spec
         spec = replace(spec, additional=(*spec.additional, types), seed=0)
-        self._drive = Drive(spec, controller, 0)
+        self._drive = Drive(spec, controller, 0, deadline=task.settings.ego_deadline)
         EncounterSearch(self._drive, read_network(spec.network), task)  # what the driver sees; an ego with a route
 
     def __enter__(self) -> Self:

@@ -99,6 +99,7 @@ def _encounter(encounter: FoundEncounter) -> dict[str, Any]:
     place = encounter.place
     return {
         "time": number(encounter.time), "passed_over": list(encounter.passed_over),
+        "beside": list(encounter.beside),
         "ranking": [{"id": i, "relation": r, "risk": k} for i, r, k in encounter.ranking],
         "driven_from": number(encounter.driven_from),
         "road": None if place is None or place.road is None else str(place.road),

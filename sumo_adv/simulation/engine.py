@@ -16,11 +16,13 @@ import tempfile
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.errors import OUT_OF_MEMORY, SimulationError, SumoAdvError, ran_out_of_memory
+from sumo_adv.errors import OUT_OF_MEMORY, DriverError, SimulationError, SumoAdvError, ran_out_of_memory
+from sumo_adv.simulation.watch import LOOK, SIZE, Call, Watch, keep
 
 SLOTS = 2  # forks that run at once, unless told otherwise
 QUIET_VARIABLES = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
@@ -40,6 +42,9 @@ class Engine:
         self._folder = tempfile.TemporaryDirectory(prefix="sumo_adv-engine-")  # the process may be killed: not its own
         self._log = Path(self._folder.name) / "log"
         self._log.touch()
+        note = Path(self._folder.name) / "calls"
+        note.write_bytes(bytes(SIZE))
+        self._watch = Watch(note)
         self._control, control = context.Pipe()
         pairs = [context.Pipe() for _ in range(slots)]
         self._slots = [p[0] for p in pairs]
@@ -48,7 +53,7 @@ class Engine:
         os.environ.update(variables)
         try:
             self._process = context.Process(
-                target=_serve, args=(body, control, [p[1] for p in pairs], str(self._log)), daemon=True
+                target=_serve, args=(body, control, [p[1] for p in pairs], str(self._log), note), daemon=True
             )
             with _allowed_to_start():
                 self._process.start()
@@ -68,8 +73,7 @@ class Engine:
         with self._alive():
             self._control.send((command, arguments))
             while True:
-                for ready in wait([self._control, *self._slots]):
-                    assert isinstance(ready, Connection)
+                for ready in self._ready(self._control, *self._slots):
                     if ready is self._control:
                         return self._reply()
                     question = ready.recv()
@@ -97,7 +101,23 @@ class Engine:
             yield
         except (EOFError, BrokenPipeError, ConnectionResetError) as error:
             self.lost = True
+            call = self._watch.running()
+            if call is not None:
+                self._process.join(LOOK)
+                raise DriverError(call.ended(how(self._process.exitcode))) from error
             raise SimulationError(f"The simulation process ended unexpectedly{self._last_words()}.") from error
+
+    def _ready(self, *connections: Connection) -> list[Connection]:
+        """Those of the connections that can be read, as soon as there is one.
+
+        Raises DriverError if code of others in the process is overdue; the process is killed then.
+        """
+        while not (ready := wait(connections, LOOK)):
+            if (call := self._watch.overdue()) is not None:
+                self._process.kill()
+                self.lost = True
+                raise DriverError(call.late())
+        return [each for each in ready if isinstance(each, Connection)]
 
     def said(self) -> str:
         """What its process printed: SUMO's words, tracebacks."""
@@ -152,7 +172,7 @@ class Conversation:
         first, *others = engine._slots
         with engine._alive():
             while True:
-                ready = wait([first, *others, engine._control])
+                ready = engine._ready(first, *others, engine._control)
                 if first in ready:
                     return first.recv()
                 if engine._control in ready:
@@ -173,7 +193,7 @@ class Conversation:
         self._over, engine = True, self._engine
         with engine._alive():
             engine._slots[0].send(None)
-            wait([engine._control])
+            engine._ready(engine._control)
             while engine._slots[0].poll():  # a reply that was not read: asking was interrupted
                 engine._slots[0].recv()
             engine._reply()
@@ -197,12 +217,13 @@ def _allowed_to_start() -> Iterator[None]:
             me.daemon = True
 
 
-def _serve(body: Body, control: Connection, slots: list[Connection], log: str) -> None:
+def _serve(body: Body, control: Connection, slots: list[Connection], log: str, note: Path) -> None:
     """The engine process: SUMO's words go into a file, Ctrl-C and SIGTERM are the front's business."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     try:
         words = os.open(log, os.O_WRONLY | os.O_APPEND)
+        keep(Watch(note))
     except FileNotFoundError:  # the front was interrupted and has removed it
         os._exit(0)
     sys.stdout.flush()
@@ -277,48 +298,107 @@ def in_forks(
     works: Sequence[Callable[[], Any]],
     reloaded: Callable[[Callable[[], Any]], Callable[[], Any]] | None = None,
     lost: Callable[[str], Any] | None = None,
+    memory: float = 0.0,
 ) -> list[Any]:
     """Do each piece of work in a fork of its own, at the same time; results in order.
 
     reloaded: adds to a piece of work that it loads the simulation again first. A fork that dies is repeated with it.
+        A fork is not repeated if it was killed because code of others did not return in time.
     lost: makes a result of the sentence that says why a fork died, if it dies again when it is repeated.
+    memory: what a fork may use beyond what it begins with [MiB]; 0: without bound.
 
     Raises:
         SimulationError: a fork died, and again when it was repeated, and there is no ``lost``; or its work failed.
+            DriverError if code of others ran in it then.
     """
-    results = _forked(works)
+    ends = _forked(works, memory)
     if reloaded is not None:
-        for k, (data, _) in enumerate(results):
-            if not data:
-                results[k] = _forked([reloaded(works[k])])[0]
-    return [_result(data, _death(status, repeated=reloaded is not None), lost) for data, status in results]
+        for k, end in enumerate(ends):
+            if not end.data and not end.late:
+                ends[k] = _forked([reloaded(works[k])], memory)[0]
+    return [_result(end, lost, repeated=reloaded is not None) for end in ends]
 
 
-def _forked(works: Sequence[Callable[[], Any]]) -> list[tuple[bytes, int]]:
-    """What each fork wrote, nothing if it died, and its exit code: negative for the signal that killed it."""
+@dataclass(frozen=True, slots=True)
+class _End:
+    """What a fork wrote, nothing if it died; its exit code, negative for the signal that killed it; the call of code of
+    others that it died in, and whether it was killed because that was late."""
+
+    data: bytes
+    status: int
+    call: Call | None
+    late: bool
+
+
+def _forked(works: Sequence[Callable[[], Any]], memory: float) -> list[_End]:
     children = []
     gc.freeze()  # a collection in a child would write to every object's page, which the system then copies
     for work in works:
+        watch = Watch()
         inlet, outlet = os.pipe()
         pid = os.fork()
         if pid == 0:
             os.close(inlet)
-            _child(work, outlet)
+            keep(watch)
+            _child(work, outlet, memory)
         os.close(outlet)
-        children.append((pid, inlet))
-    results = []
-    for pid, inlet in children:
-        with os.fdopen(inlet, "rb") as pipe:
-            data = pipe.read()
-        results.append((data, os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])))
-    return results
+        children.append((pid, inlet, watch))
+    late: set[int] = set()
+    written = _all_written({inlet: (pid, watch) for pid, inlet, watch in children}, late)
+    ends = []
+    for pid, inlet, watch in children:
+        status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+        ends.append(_End(written[inlet], status, watch.running(), pid in late))
+    return ends
 
 
-def _child(work: Callable[[], Any], outlet: int) -> None:
+def _all_written(children: Mapping[int, tuple[int, Watch]], late: set[int]) -> dict[int, bytes]:
+    """What comes out of each pipe until its child closes it. A child whose call is overdue is killed, and noted."""
+    parts: dict[int, list[bytes]] = {inlet: [] for inlet in children}
+    open_ones = set(children)
+    while open_ones:
+        for inlet in wait(open_ones, LOOK):
+            assert isinstance(inlet, int)
+            part = os.read(inlet, 1 << 20)
+            if part:
+                parts[inlet].append(part)
+            else:
+                os.close(inlet)
+                open_ones.discard(inlet)
+        for inlet in open_ones:
+            pid, watch = children[inlet]
+            if pid not in late and watch.overdue() is not None:
+                late.add(pid)
+                os.kill(pid, signal.SIGKILL)
+    return {inlet: b"".join(each) for inlet, each in parts.items()}
+
+
+@contextmanager
+def _bounded(memory: float) -> Iterator[None]:
+    """Bound what this process may allocate beyond what it has [MiB], where the system can; 0: do not."""
+    status = Path("/proc/self/status")
+    if not memory or not status.is_file():
+        yield
+        return
+    import resource
+
+    words = dict(line.split(":", 1) for line in status.read_text().splitlines() if ":" in line)
+    before = resource.getrlimit(resource.RLIMIT_DATA)
+    bound = int(words["VmData"].split()[0]) * 1024 + int(memory * 2**20)
+    resource.setrlimit(resource.RLIMIT_DATA, (bound, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_DATA, before)
+
+
+def _child(work: Callable[[], Any], outlet: int, memory: float) -> None:
     """Never returns: whatever goes wrong, a fork must not go on as a second engine."""
     try:
         try:
-            data = pickle.dumps(("value", work()), protocol=pickle.HIGHEST_PROTOCOL)
+            with _bounded(memory):
+                value = work()
+            data = pickle.dumps(("value", value), protocol=pickle.HIGHEST_PROTOCOL)
         except SumoAdvError as error:
             data = pickle.dumps(("error", error))
         except BaseException as error:
@@ -329,20 +409,37 @@ def _child(work: Callable[[], Any], outlet: int) -> None:
         os._exit(0)
 
 
-def _result(data: bytes, death: str, lost: Callable[[str], Any] | None) -> Any:
-    if not data:
+def _result(end: _End, lost: Callable[[str], Any] | None, *, repeated: bool) -> Any:
+    if not end.data:
+        error = _death(end, repeated=repeated)
         if lost is None:
-            raise SimulationError(death)
-        return lost(death)
-    kind, value = pickle.loads(data)
+            raise error
+        return lost(str(error))
+    kind, value = pickle.loads(end.data)
     if kind == "error":
         raise value
     return value
 
 
-def _death(status: int, *, repeated: bool) -> str:
-    """Why a fork ended without a result, from its exit code."""
+def how(exitcode: int | None) -> str:
+    """An exit code in words."""
+    if exitcode is None or exitcode >= 0:
+        return f"exit status {exitcode}"
+    try:
+        return f"killed by {signal.Signals(-exitcode).name}"
+    except ValueError:
+        return f"killed by signal {-exitcode}"
+
+
+def _death(end: _End, *, repeated: bool) -> SimulationError:
+    """Why a fork ended without a result."""
     again = ", also when the simulation was loaded again and the attempt repeated" if repeated else ""
+    if end.call is not None:
+        return DriverError(end.call.late() if end.late else end.call.ended(f"{how(end.status)}{again}"))
+    return SimulationError(_death_of_sumo(end.status, again))
+
+
+def _death_of_sumo(status: int, again: str) -> str:
     if status >= 0:
         return f"A forked attempt ended without a result (exit status {status}){again}."
     name = signal.Signals(-status).name

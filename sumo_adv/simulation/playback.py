@@ -14,7 +14,7 @@ so that SUMO's drivers see it.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import numpy as np
 
@@ -52,6 +52,7 @@ class Playback:
         self._standing = {p.id: (p, road.lanes[at[0]].edge) for p in spec.props if (at := under.get(p.id))}
         others = {name: r for name, r in recorded.items() if name not in self._vehicles}
         self._boxes = {n: p for n, p in {**props, **others}.items() if n not in self._standing}
+        self._beside = frozenset[str]()
         self._placed = {p.id: p.kind for p in spec.props}
         self._lanes = road.lanes
         self._signals: SignalLog | None = read_signals(spec.signals) if spec.signals is not None else None
@@ -74,8 +75,27 @@ class Playback:
 
     @property
     def obstacles(self) -> frozenset[str]:
-        """Ids of all that is no vehicle."""
-        return self.spec.obstacles
+        """Ids of all that is no vehicle in SUMO."""
+        return self.spec.obstacles | self._beside
+
+    @property
+    def recorded(self) -> list[str]:
+        """Ids of the recorded vehicles that the log moves in SUMO."""
+        return list(self._vehicles)
+
+    @property
+    def beside(self) -> tuple[str, ...]:
+        """Ids of the recorded vehicles that are boxes beside SUMO."""
+        return tuple(sorted(self._beside))
+
+    def put_beside(self, vehicles: Collection[str]) -> None:
+        """Play these recorded vehicles, and no others, as boxes beside SUMO: it crashes on one of them. Before
+        ``start``."""
+        recorded = {**self._vehicles, **{name: self._boxes[name] for name in self._beside}}
+        boxes = {name: box for name, box in self._boxes.items() if name not in self._beside}
+        self._beside = frozenset(vehicles)
+        self._vehicles = {n: r for n, r in recorded.items() if n not in self._beside and isinstance(r, Recorded)}
+        self._boxes = {**boxes, **{name: recorded[name] for name in vehicles}}
 
     def kind(self, obstacle: str) -> str:
         """What an object that is no vehicle is: ``pedestrian``, ``bicycle`` or ``obstacle``."""

@@ -9,6 +9,16 @@ import numpy as np
 from sumo_adv.datatypes import Bools, Floats
 from sumo_adv.metrics.reference.view import View
 
+RAMP = 0.6  # s until full braking, UN R157
+FULL_BRAKING = 0.774 * 9.81  # m/s2, UN R157
+
+
+def speed_lost(pressed: Floats) -> Floats:
+    """What braking has taken [m/s] ``pressed`` [s] after it began; 0 before."""
+    pressed = np.maximum(pressed, 0.0)
+    rising = np.minimum(pressed, RAMP)
+    return np.asarray(FULL_BRAKING * (rising**2 / (2.0 * RAMP) + pressed - rising))
+
 
 class Braker(Protocol):
     """N drivers that watch M vehicles each, in steps of ``dt`` [s]; their state is what they have seen."""

@@ -1,0 +1,127 @@
+"""Code of others that runs in this process: whose it is, where it is, and since when.
+
+What is noted lies in memory that the waiting process reads. It can so name the code that hangs or has ended its
+process. A process has one watch, as it has one alarm.
+"""
+
+from __future__ import annotations
+
+import mmap
+import signal
+import struct
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+
+SIZE = 1024  # bytes of a note
+HEAD = struct.Struct("=ddHH")  # begin and limit [s], lengths of who and where [bytes]
+LONGEST = 400  # bytes of who and of where
+GRACE = 2.0  # s after the limit in which code that catches the alarm, or does not return to Python, may still end
+LOOK = 0.5  # s between two looks of a process that waits
+
+
+class OutOfTimeError(BaseException):
+    """The alarm. No subclass of Exception, so that code that catches those does not catch it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Call:
+    """A call of code of others. who: begins a sentence. where: such as "in act, its step 3, at 0.3 s". limit: s."""
+
+    who: str
+    where: str
+    limit: float
+
+    def late(self) -> str:
+        """The sentence where it did not return in time."""
+        return (
+            f"{self.who} did not return within {self.limit:g} s {self.where}: raise its deadline (--ego-deadline), "
+            "or give 0 for a debugger."
+        )
+
+    def ended(self, how: str) -> str:
+        """The sentence where its process ended. how: such as "SIGSEGV" or "exit status 3"."""
+        return f"{self.who} ended the simulation process ({how}) {self.where}."
+
+
+class Watch:
+    """The note of one process. Its forks write into the same note unless ``keep`` gives them another."""
+
+    def __init__(self, file: Path | None = None) -> None:
+        """``file``: of SIZE bytes, for processes that are not forked."""
+        if file is None:
+            self._note = mmap.mmap(-1, SIZE)
+        else:
+            with file.open("r+b") as opened:
+                self._note = mmap.mmap(opened.fileno(), SIZE)
+
+    def begin(self, call: Call) -> None:
+        """A call begins."""
+        who, where = call.who.encode()[:LONGEST], call.where.encode()[:LONGEST]
+        self._note[HEAD.size : HEAD.size + len(who) + len(where)] = who + where
+        self._note[: HEAD.size] = HEAD.pack(time.monotonic(), call.limit, len(who), len(where))
+
+    def end(self) -> None:
+        """It has returned."""
+        self._note[: HEAD.size] = bytes(HEAD.size)
+
+    def running(self) -> Call | None:
+        """The call that has not returned."""
+        return self._read()[1]
+
+    def overdue(self) -> Call | None:
+        """The call that has not returned, if its time and the grace are over."""
+        began, call = self._read()
+        late = call is not None and call.limit > 0 and time.monotonic() > began + call.limit + GRACE
+        return call if late else None
+
+    def _read(self) -> tuple[float, Call | None]:
+        began, limit, who, where = HEAD.unpack(self._note[: HEAD.size])
+        if not began:
+            return 0.0, None
+        text = self._note[HEAD.size : HEAD.size + who + where]
+        return began, Call(text[:who].decode(errors="replace"), text[who:].decode(errors="replace"), limit)
+
+
+_mine = [Watch()]
+
+
+def keep(watch: Watch) -> None:
+    """Note this process's calls in ``watch`` from now on."""
+    _mine[0] = watch
+
+
+def died_in() -> Call | None:
+    """The call in which a fork that wrote into this process's note has died. It is forgotten then."""
+    call = _mine[0].running()
+    _mine[0].end()
+    return call
+
+
+@contextmanager
+def watched(call: Call) -> Iterator[None]:
+    """Note a call while it runs, and interrupt it after ``call.limit`` s (0: never) where alarms can do so.
+
+    Raises OutOfTimeError within it: again and again, in case the code catches it.
+    """
+    alarm = call.limit > 0 and hasattr(signal, "setitimer")
+    alarm = alarm and threading.current_thread() is threading.main_thread()
+    _mine[0].begin(call)
+    before = signal.signal(signal.SIGALRM, _out_of_time) if alarm else None
+    try:
+        if alarm:
+            signal.setitimer(signal.ITIMER_REAL, call.limit, GRACE / 4)
+        yield
+    finally:
+        if alarm:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            signal.signal(signal.SIGALRM, before)
+        _mine[0].end()
+
+
+def _out_of_time(number: int, frame: FrameType | None) -> None:
+    raise OutOfTimeError
