@@ -41,7 +41,8 @@ from sumo_adv.datatypes import Floats, Track, Verdict
 from sumo_adv.metrics.levels import encounter_of
 from sumo_adv.metrics.reaction import braking_of, missed_on_its_way, steering_of
 from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, SAME_DIRECTION_ONLY, Braker, fsm, manoeuvre, reg157, rss
-from sumo_adv.metrics.reference.cc_human import FULL_BRAKING, PERCEPTION, REACTION, CcHuman
+from sumo_adv.metrics.reference.brakers import FULL_BRAKING
+from sumo_adv.metrics.reference.cc_human import PERCEPTION, REACTION, CcHuman
 from sumo_adv.metrics.reference.counterfactual import Counterfactual
 from sumo_adv.metrics.reference.view import View
 
