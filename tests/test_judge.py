@@ -14,9 +14,11 @@ from metrics_tracks import TIME, car, cruise, drift
 from run_samples import run_folder
 
 import sumo_adv
-from sumo_adv.datatypes import Level, Track
+from sumo_adv.datatypes import Level, Preventability, Track, Verdict
+from sumo_adv.episode.verdict import shown_to_collide
 from sumo_adv.errors import UsageError
 from sumo_adv.metrics.fault import fault, nuplan_fault
+from sumo_adv.metrics.levels import judged
 from sumo_adv.report.judging import judge_files
 
 HEAD = "ego_kmh,other_kmh,gap_m,lateral_ms\n"
@@ -156,6 +158,14 @@ def test_an_id_that_is_not_in_the_table_is_named() -> None:
 def test_strict_is_refused_against_the_driver_that_it_is_judged_by(program: Program) -> None:
     done = program("run", "motorway_cut_in_left", "--ego", "careful", "--until", "strict")
     assert done.status == 2 and "--until strict cannot be reached against the ego 'careful'" in done.err
+
+
+def test_a_collision_of_the_careful_driver_itself_is_not_strict() -> None:
+    """Its path and lane are not those of the counterfactual, in which it avoids the collision."""
+    avoided = Preventability({"cc_human": "avoids", "manoeuvre": "avoids"}, {})
+    hit = Verdict(0.0, 0.0, True, True, True, False, None, None, None, (), contact_time=5.0, preventability=avoided)
+    assert judged(hit).level >= Level.STRICT
+    assert shown_to_collide(hit, "cc_human").level is Level.VALID
 
 
 def test_head_on_the_vehicle_that_left_its_side_is_at_fault() -> None:

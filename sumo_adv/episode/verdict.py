@@ -43,10 +43,15 @@ def gate_verdict(
         lane_half_width=half, unattacked=unattacked(found, settings),
         only_level=settings.player("modifier") is None and itself is None,
     )  # fmt: skip
+    return verdict if itself is None else shown_to_collide(verdict, itself)
+
+
+def shown_to_collide(verdict: Verdict, driver: str) -> Verdict:
+    """The verdict on a collision of an ego that this reference driver drove: it does not avoid the collision."""
     prevention = verdict.preventability
-    if itself is None or prevention is None or prevention.answers.get(itself) != AVOIDS:
+    if prevention is None or prevention.answers.get(driver) != AVOIDS:
         return verdict
-    answers = {**prevention.answers, itself: COLLIDES}
+    answers = {**prevention.answers, driver: COLLIDES}
     return judged(replace(verdict, preventability=replace(prevention, answers=answers)))
 
 
