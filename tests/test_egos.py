@@ -216,15 +216,16 @@ def test_following_and_overtaking_do_not_alarm() -> None:
     assert drive(CarefulEgo(), passing) == [None] * 40
 
 
-def test_a_cut_in_is_a_danger_0_4_s_after_0_375_m() -> None:
-    """1 m/s sideways, 10 m/s slower, 20 m ahead: 0.1 m a step, past 0.375 m at 0.4 s, reached in 1.5 s."""
+def test_a_cut_in_is_a_danger_half_a_metre_after_0_375_m() -> None:
+    """1 m/s sideways, 10 m/s slower, 20 m ahead: 0.1 m a step, past 0.375 m at 0.4 s and 0.5 m
+    beyond that at 0.9 s, reached in 1.5 s."""
     ego, dangers = CarefulEgo(), []
     for step in range(12):
         others = [car("bv", 20 + 1.0 * step, 3.2 - 0.1 * step, heading=-0.1, speed=10.0)]
         ego.act(Observation(step / 10, 0.1, car("ego", 2.0 * step, 0, speed=20.0), others))
         dangers.append(ego.dangers)
-    assert dangers.index(frozenset({"bv"})) == 8
-    assert dangers[8:] == [frozenset({"bv"})] * 4
+    assert dangers.index(frozenset({"bv"})) == 9
+    assert dangers[9:] == [frozenset({"bv"})] * 3
 
 
 @pytest.mark.parametrize(("sideways", "alarmed"), [(0.0, False), (1.5, True)])

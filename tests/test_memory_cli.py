@@ -104,7 +104,7 @@ def test_a_run_teaches_its_own_bank_and_never_the_shipped_one(runs: Runs) -> Non
     with MemoryBank.open(taught, read_only=True) as bank:
         evidence = bank.evidence()
         tried = {(a["intent"], a["planner"]["hash"]) for a in first.outcome["attempts"]}
-        assert {(e.label, e.planner_hash) for e in evidence} == tried and len(evidence) == len(tried)
+        assert {(e.label, e.planner_hash) for e in evidence} >= tried  # and what earlier encounters tried
         won = {(e.label, e.planner_hash) for e in evidence if e.success}
         best = first.outcome["attempts"][first.outcome["best"]]
         assert first.outcome["learnt"] and (best["intent"], best["planner"]["hash"]) in won

@@ -36,12 +36,12 @@ def test_a_model_invents_the_drift_out_of_the_blind_side(tmp_path: Path) -> None
     assert program("memory", "new", "small.sqlite", "--only", labels).status == 0
     recording = ROOT / "examples" / "blind_side" / "recording.jsonl"
     done = program(
-        "run", "dual_left_turn_blind_side", "--llm", f"replay:{recording}", "--tuner", "off", "--until", "valid",
+        "run", "dual_left_turn_blind_side", "--llm", f"replay:{recording}", "--tuner", "off", "--until", "collision",
         "--memory", "small.sqlite", "--out", "out",
     )  # fmt: skip
     assert done.status == 0, done.err
     (attempt,) = done.outcome["attempts"]
-    assert attempt["intent"] == "Catch-up Lateral Drift Sideswipe" and attempt["valid"]
+    assert attempt["intent"] == "Catch-up Lateral Drift Sideswipe" and attempt["collided"]
     assert done.outcome["llm"]["calls"] == 6
 
 
