@@ -73,7 +73,7 @@ def test_its_coverage_counts_both_encounters(folder: Path) -> None:
     covered = sumo_adv.Campaign(folder / "out").coverage()
     assert covered.unplaced == 0
     met = [row for row in covered.rows["all"] if row.encounters]
-    assert sum(row.encounters for row in met) == 2 and {row.cell.road for row in met} == {"motorway", "junction"}
+    assert sum(row.encounters for row in met) == 2 and {row.cell.road for row in met} == {"motorway", "urban"}
 
 
 def test_states_of_all_runs_as_parquet(folder: Path, tmp_path: Path) -> None:
