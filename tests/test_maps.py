@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,7 @@ from cli_samples import Program
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.inputs import load_input
 from sumo_adv.simulation.maps import convert_map
-from sumo_adv.simulation.programs import find_netconvert
+from sumo_adv.simulation.programs import find_netconvert, find_type_maps
 from sumo_adv.simulation.scan import scan_network
 
 NODES = {1: (48.0, 11.0), 2: (48.0, 11.004), 3: (48.0, 11.008), 4: (48.003, 11.004), 5: (47.997, 11.004)}
@@ -96,3 +97,23 @@ def test_an_exported_road_comes_back_as_an_input(program: Program) -> None:
     done = program("run", road, *options, "out")
     assert done.status == 0, done.err
     assert "Converted road.xodr with netconvert: 8 edges" in done.out
+
+
+@pytest.mark.parametrize("place", ["data/typemap", "share/sumo/data/typemap"])
+def test_type_maps_are_found_beside_netconvert(tmp_path: Path, place: str) -> None:
+    """As the wheel has them, and as a system's package has them."""
+    (tmp_path / place).mkdir(parents=True)
+    assert find_type_maps(tmp_path / "bin" / "netconvert") == tmp_path / place
+
+
+def test_a_network_without_internal_links_runs(program: Program) -> None:
+    """Two ways that meet, written by netconvert without lanes inside the junction."""
+    (program.folder / "town.osm").write_text(osm(*CROSSING))
+    made = program.folder / "town.net.xml"
+    subprocess.run(
+        [find_netconvert(), "--osm-files", program.folder / "town.osm", "--no-internal-links", "-o", made], check=True
+    )
+    assert 'function="internal"' not in made.read_text()
+    done = program("run", made, "--until", "collision", "--learn", "off", "--attempts", "3", "--out", "out")
+    assert done.status == 0, done.err
+    assert "attempt  1" in done.out

@@ -43,7 +43,8 @@ app = typer.Typer(
 
 
 Given = Annotated[
-    list[str], typer.Argument(metavar="PLAN | INPUT...", help="A plan .toml; or networks, scenarios, records, folders.")
+    list[str],
+    typer.Argument(metavar="PLAN | INPUT...", help="A plan .toml; or networks, maps, scenarios, records, folders."),
 ]
 Seeds = Annotated[str | None, option(INPUT, "How many, from 0; or a list: 3,7,11.", default="1")]
 Egos = Annotated[str | None, option(INPUT, "krauss,idm,module:Class ...", default="the input's")]

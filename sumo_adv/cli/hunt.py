@@ -20,7 +20,8 @@ EXAMPLE = "Example: sumo-adv hunt motorway priority_crossing --ego my_package.dr
 SHOWN = 20  # failures in the table on the screen
 
 Given = Annotated[
-    list[str], typer.Argument(metavar="INPUT...", help="Networks, .sumocfg files, scenarios, records, folders, names.")
+    list[str],
+    typer.Argument(metavar="INPUT...", help="Networks, maps, .sumocfg files, scenarios, records, folders, names."),
 ]
 Ego = Annotated[str | None, option(INPUT, "Driver under test: idm, module:Class ...", default="the inputs'")]
 Minutes = Annotated[float, option(ATTACK, "Of the whole hunt, several calls together.", default="30", min=0.1)]

@@ -12,7 +12,8 @@ from sumo_adv.cli.options import ATTACK, EGO, INPUT, MODEL, OUTPUT, SEARCH, opti
 Source = Annotated[
     Path | None,
     typer.Argument(
-        metavar="INPUT", help="net.xml(.gz), .sumocfg, scenario .toml, .tfrecord, CommonRoad .xml, or a shipped name."
+        metavar="INPUT",
+        help="net.xml(.gz), .sumocfg, scenario .toml, .osm(.gz), .xodr, .tfrecord, CommonRoad .xml, or a shipped name.",
     ),
 ]
 Record = Annotated[str | None, option(INPUT, "Record of a .tfrecord: its id, or its place from 0.", default="0")]

@@ -34,7 +34,10 @@ LONG = 3600.0  # s of simulation in continuous mode, where nothing else says how
 
 def serve(
     source: Annotated[
-        Path, typer.Argument(metavar="INPUT", help="net.xml(.gz), .sumocfg, scenario .toml, or a shipped name.")
+        Path,
+        typer.Argument(
+            metavar="INPUT", help="net.xml(.gz), .sumocfg, scenario .toml, .osm(.gz), .xodr, or a shipped name."
+        ),
     ],
     mode: Annotated[
         Mode, typer.Option(help="continuous: encounter after encounter; episodes: each again, refined.")

@@ -25,7 +25,7 @@ from pathlib import Path
 from sumo_adv.errors import UsageError
 from sumo_adv.files import user_folder
 from sumo_adv.parsing import parse_json
-from sumo_adv.simulation.programs import find_netconvert
+from sumo_adv.simulation.programs import find_netconvert, find_type_maps
 from sumo_adv.simulation.scan import allows_passenger, parse
 
 OPENDRIVE = (".xodr", ".xodr.gz")
@@ -220,7 +220,8 @@ def _read_opendrive(path: Path) -> _Content:
 
 def _netconvert(program: Path, form: str, path: Path, target: Path, options: Sequence[str]) -> None:
     """Write the network, without the comment that holds paths and the time."""
-    types = ",".join(str(program.parent.parent / "data" / "typemap" / name) for name in TYPES[form])
+    folder = find_type_maps(program)
+    types = ",".join(str(folder / name) for name in TYPES[form])
     command = [str(program), f"--{form}-files", str(path.resolve()), "--type-files", types, *options]
     try:
         done = subprocess.run(

@@ -27,6 +27,20 @@ def find_netconvert() -> Path:
     raise UsageError("Converting needs netconvert, which is not installed: pip install 'sumo-adv[sumo]'.")
 
 
+def find_type_maps(netconvert: Path) -> Path:
+    """The folder of SUMO's type maps (how wide and fast a kind of road is), which come with ``netconvert``.
+
+    Raises UsageError if there is none.
+    """
+    homes = [netconvert.resolve().parent.parent, netconvert.resolve().parent.parent / "share" / "sumo"]
+    if home := os.environ.get("SUMO_HOME"):
+        homes.append(Path(home))
+    for folder in homes:
+        if (folder / "data" / "typemap").is_dir():
+            return folder / "data" / "typemap"
+    raise UsageError(f"SUMO's folder data/typemap was not found beside {netconvert}: set SUMO_HOME to where it is.")
+
+
 def _find(program: str) -> Path | None:
     name = f"{program}.exe" if sys.platform == "win32" else program
     wheel = find_spec("sumo")
