@@ -8,7 +8,7 @@ child writes to.  The third line has two forks at once, as a run has them after 
 the same states: else status 1.
 
 At the end the first attempts of a search that predicts nothing, one after the other, on a road with about 20 vehicles:
-those without a contact and those with one whose level is wanted must cost no more than ``BOUNDS`` each, in the median.
+attempts without a contact, and attempts with a contact and its level, must cost no more than ``BOUNDS`` in the median.
 """
 
 from __future__ import annotations

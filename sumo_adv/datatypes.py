@@ -437,11 +437,11 @@ class Prediction:
 
     failure: why the planner failed; the other fields then mean nothing. hit: whether ego and adversary touch.
     min_ttc, gap: least time to collision and least distance of the boxes up to the contact. time: until the contact, or
-    until the end; spare: from then to the end; closest: until the contact or the closest approach. warning: from the
-    alarm of ``cc_human`` to the contact. braking: share of the steps up to the contact in which the adversary brakes.
-    level: that the collision reaches, by the reference drivers ``careful`` (cc_human) and ``manoeuvre``, which avoid it
-    or not; delta_v: of the ego [m/s]; acceleration: the adversary's largest [m/s2]; human: it stays within the human
-    envelope; side: of the ego that is hit. third_party, off_road, beyond_limits: why the contact does not count.
+    until the end. warning: from the alarm of ``cc_human`` to the contact. braking: share of the steps up to the contact
+    in which the adversary brakes. level: that the collision reaches, by the reference drivers ``careful`` (cc_human)
+    and ``manoeuvre``, which avoid it or not; delta_v: of the ego [m/s]; acceleration: the adversary's largest [m/s2];
+    human: it stays within the human envelope; side: of the ego that is hit. third_party, off_road, beyond_limits: why
+    the contact does not count.
     """
 
     failure: str = ""
@@ -449,8 +449,6 @@ class Prediction:
     min_ttc: float = math.inf
     gap: float = math.inf
     time: float = 0.0
-    spare: float = math.inf
-    closest: float = 0.0
     warning: float = 0.0
     braking: float = 0.0
     level: Level = Level.NONE

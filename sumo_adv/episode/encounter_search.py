@@ -70,7 +70,7 @@ class EncounterSearch:
             drive.release()
 
     def _is_another(self, ranking: Sequence[RankedVehicle]) -> bool:
-        """Whether an encounter is not the one that was left."""
+        """Whether an encounter differs from that which was left: other vehicles, or ``SAME`` s later."""
         later = self.drive.now >= self._left_at + SAME or self.drive.recorded()
         return later or not self._left_vehicles.issuperset(c.id for c in ranking)
 

@@ -67,7 +67,8 @@ def _run(episode: Episode, engine: Engine, agents: Agents, bank: MemoryBank, tel
     began, best = time.perf_counter(), None
     try:
         while True:
-            planned = find_attackable(episode, engine, agents.sandbox, bank, tell)
+            ask = episode.settings.tuner == "builtin" and episode.settings.total_seconds > 0
+            planned = find_attackable(episode, engine, agents.sandbox, bank, tell, ask=ask)
             entries = None if planned is None else decide(episode, planned, agents, bank)
             if entries is None and episode.declined and _may_decline(episode, agents):
                 episode.skips += 1

@@ -13,6 +13,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Attempt, Floats, PrescribedMotion, Proposal
 from sumo_adv.episode.task import AttemptResult
+from sumo_adv.search.sampling import moved
 from sumo_adv.simulation.recording import tracks_of
 
 NUMBERS, SPREAD = 4, 0.05  # neighbours with other numbers, and by which share of their ranges at most
@@ -35,26 +36,16 @@ class Robustness:
 
 
 def neighbours(attempt: Attempt, result: AttemptResult, random: Random, dt: float) -> list[Proposal]:
-    """Some with other numbers, whose planners drive; then one that is earlier and one later, along the recorded motion.
+    """Some with other numbers, led by their planners; then an earlier and a later one, along the recorded motion.
 
     ``dt``: step of the simulation [s].
     """
     p, contact = attempt.proposal, attempt.verdict.contact_time
-    near = [_near(p, random) for _ in range(NUMBERS)]
+    near = [moved(p, lambda: random.uniform(-SPREAD, SPREAD)) for _ in range(NUMBERS)]
     if contact is None or contact - result.start <= SHIFT:
         return near
     course, left = recorded_course(attempt, result, dt), contact - result.start
     return near + [replace(p, course=retimed(course, left / (left + late), dt)) for late in (-SHIFT, SHIFT)]
-
-
-def _near(p: Proposal, random: Random) -> Proposal:
-    """The candidate with other numbers, uniform within ``SPREAD`` of their ranges; so have its supports."""
-    numbers = {}
-    for q in p.planner.parameters:
-        value = p.parameters.get(q.name, q.default) + random.uniform(-SPREAD, SPREAD) * (q.high - q.low)
-        numbers[q.name] = round(min(max(value, q.low), q.high), 4)
-    supports = tuple(_near(support, random) for support in p.supports)
-    return replace(p.unscored(), parameters=numbers, by="tuner", supports=supports)
 
 
 def recorded_course(attempt: Attempt, result: AttemptResult, dt: float) -> PrescribedMotion:

@@ -56,11 +56,12 @@ class PlannedEncounter:
 
 
 def find_attackable(
-    episode: Episode, engine: Engine, sandbox: Sandbox, bank: MemoryBank, tell: Tell
+    episode: Episode, engine: Engine, sandbox: Sandbox, bank: MemoryBank, tell: Tell, *, ask: bool = False
 ) -> PlannedEncounter | None:
     """The first encounter in which some candidate is predicted to collide; None if there is none.
 
-    The episode says why there is none. Raises UsageError for intents in the settings that the bank does not know.
+    ask: any candidate is enough, because attempts will tell. The episode says why there is no encounter. Raises
+    UsageError for intents in the settings that the bank does not know.
     """
     selection_of(episode, bank)  # refuses misspelt names before anything is simulated
     while True:
@@ -69,7 +70,8 @@ def find_attackable(
             return None
         planned = with_predictions(episode, encounter, sandbox, bank)
         episode.stopped = planned.predictor.stopped
-        if planned.reaches or planned.found.last or episode.task.trigger is not None or episode.skips >= MOST_SKIPS:
+        reaches = planned.reaches or (ask and bool(planned.search))
+        if reaches or planned.found.last or episode.task.trigger is not None or episode.skips >= MOST_SKIPS:
             return planned
         episode.skips += 1
 

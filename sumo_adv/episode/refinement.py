@@ -29,9 +29,9 @@ from sumo_adv.search.search import AttackSearch
 GENERATION = 8  # attempts that are chosen at a time: fixed, so that results do not depend on the number of cores
 ALONE = 2 * GENERATION  # attempts before which fewer are made at a time: most searches end early
 HOPEFUL = 120  # attempts without a higher level after which an encounter is left, if another one may come;
-HOPELESS = 40  # so many where no attempt has been critical
+HOPELESS = 40  # the same number where no attempt has been critical
 REMEMBERED, KEPT = 25, 10  # the first and the best attempts keep their recorded states
-POLISHED = 3  # attempts at most whose neighbours are simulated, once the goal is reached
+POLISHED = 3  # attempts at most that get neighbours, once the goal is reached
 FAVOURITES = 2  # intents that are tried first where a model's answers disagree
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from random import Random
 
@@ -68,12 +68,18 @@ def elites(ordered: Sequence[Proposal]) -> list[Proposal]:
 
 def varied(p: Proposal, random: Random, spread: float) -> Proposal:
     """A candidate with other parameters: normal around its own with a standard deviation of ``spread`` times the
-    range, within the bounds; so have its supports. It counts as proposed by the search."""
+    range, within the bounds; so have its supports."""
+    return moved(p, lambda: random.gauss(0.0, spread))
+
+
+def moved(p: Proposal, step: Callable[[], float]) -> Proposal:
+    """A candidate with each parameter moved by a ``step``, a share of its range, and kept within its bounds; so are
+    those of its supports. It counts as proposed by the search."""
     numbers = {}
     for q in p.planner.parameters:
-        value = p.parameters.get(q.name, q.default) + random.gauss(0.0, spread * (q.high - q.low))
+        value = p.parameters.get(q.name, q.default) + step() * (q.high - q.low)
         numbers[q.name] = round(min(max(value, q.low), q.high), 4)
-    supports = tuple(varied(support, random, spread) for support in p.supports)
+    supports = tuple(moved(support, step) for support in p.supports)
     return replace(p.unscored(), parameters=numbers, by="tuner", supports=supports)
 
 

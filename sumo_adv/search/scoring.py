@@ -63,9 +63,8 @@ def judge_all(
 class _Seen:
     """What rollouts come to, row by row.
 
-    contact: the step of the first contact with the collider; last: that step, or the last judged step; end: the last
-    step that may be judged. least: TTC [s]; nearest: distance [m]; nearest_step: when the centres are nearest. third,
-    leaves, beyond, rear: what rules a row out; the first three also by a support.
+    contact: the step of the first contact with the collider; last: that step, or the last judged step. least: TTC [s];
+    nearest: distance [m]. third, leaves, beyond, rear: what rules a row out; the first three also by a support.
     """
 
     ego: Boxes
@@ -73,7 +72,6 @@ class _Seen:
     dt: float
     contact: Ints
     hit: Bools
-    end: Ints
     last: Ints
     at_contact: tuple[Boxes, Boxes]
     third: Bools
@@ -82,7 +80,6 @@ class _Seen:
     rear: Bools
     least: Floats
     nearest: Floats
-    nearest_step: Ints
     supports: tuple[Boxes, ...] = ()
 
     @property
@@ -120,10 +117,10 @@ def _look_at(
     for first, second in combinations((ego, adversary, *supports), 2):
         if second is not adversary:
             third |= _touch(first, second, time, end_time)
-    least, nearest, nearest_step = _least(ego, adversary, last)
+    least, nearest = _least(ego, adversary, last)
     return _Seen(
-        ego, adversary, dt, contact, hit, end, last, at_contact, third, leaves, beyond, hit & rear_end(*at_contact),
-        least, nearest, nearest_step, supports,
+        ego, adversary, dt, contact, hit, last, at_contact, third, leaves, beyond, hit & rear_end(*at_contact),
+        least, nearest, supports,
     )  # fmt: skip
 
 
@@ -155,14 +152,12 @@ def _touch(one: Boxes, other: Boxes, time: Floats, end: Floats) -> Bools:
 def _prediction(seen: _Seen, k: int) -> Prediction:
     """The prediction of row ``k``, without what ``danger_of`` adds."""
     hit, last, dt = bool(seen.hit[k]), int(seen.last[k]), seen.dt
-    closest = last if hit else int(seen.nearest_step[k])
     braking_share = (np.diff(seen.adversary.speed[k, : max(last, 1) + 1]) / dt < -GENTLY).mean()
     return Prediction(
         hit=hit, min_ttc=0.0 if hit else float(seen.least[k]), gap=float(seen.nearest[k]), time=last * dt,
-        spare=float(seen.end[k] - last) * dt, braking=float(braking_share), third_party=bool(seen.third[k]),
+        braking=float(braking_share), third_party=bool(seen.third[k]),
         off_road=bool(seen.leaves[k]), beyond_limits=bool(seen.beyond[k]),
         level=Level.COLLISION if seen.counts[k] else Level.NONE,
-        closest=closest * dt,
     )  # fmt: skip
 
 
@@ -226,9 +221,8 @@ def _ends(ego: Boxes, adversary: Boxes, last: Any, hit: Bools, time: Floats) -> 
     return time[before] + share * (time[last] - time[before]), at_contact
 
 
-def _least(ego: Boxes, adversary: Boxes, last: Any) -> tuple[Floats, Floats, Any]:
-    """Least TTC [s], least box distance [m] up to the contact, and the step at which the centres are nearest; every
-    third step."""
+def _least(ego: Boxes, adversary: Boxes, last: Any) -> tuple[Floats, Floats]:
+    """Least TTC [s] and least box distance [m] up to the contact, at every third step."""
     steps = np.arange(0, ego.x.shape[1], 3)
     shown = (np.arange(len(last))[:, None], steps[None, :])
     a, b = pick(ego, shown), pick(adversary, shown)
@@ -236,14 +230,14 @@ def _least(ego: Boxes, adversary: Boxes, last: Any) -> tuple[Floats, Floats, Any
     centres = np.where(before, np.hypot(a.x - b.x, a.y - b.y), np.inf)
     at = (np.arange(len(last)), centres.argmin(axis=1))
     least = np.where(before, ttc(a, b), np.inf).min(axis=1)
-    return least, np.asarray(gap(pick(a, at), pick(b, at))), steps[at[1]]
+    return least, np.asarray(gap(pick(a, at), pick(b, at)))
 
 
 def _third_party(
     begun: Sequence[Situation], bvs: Sequence[tuple[str, ...]], adversary: Boxes, time: Floats, end: Floats
 ) -> Bools:
-    """Whether the adversary touches another vehicle before ``end`` ``(n,)`` [s]. One that reacts and is behind it at
-    first is taken to brake in time.
+    """Whether the adversary touches another vehicle before ``end`` ``(n,)`` [s]. A vehicle that reacts
+    and is behind it at first is taken to brake in time.
 
     begun: the situation of each row; bvs: all adversaries of a row, which are no third parties.
     """

@@ -96,8 +96,8 @@ class AttackSearch:
 
     @property
     def reaches(self) -> bool:
-        """Whether there is a candidate: what is predicted to miss may hit all the same, so attempts are asked."""
-        return bool(self)
+        """Whether some candidate is predicted to collide, or succeeded in a similar scene, or nothing is predicted."""
+        return (bool(self) and not self._predicts) or any(p.score < self._settings.reaches for p in self.pool)
 
     def extend(self, library: Sequence[LibraryEntry]) -> None:
         """Predict candidates of whatever the library has and the pool has not; more while none is good."""

@@ -95,10 +95,9 @@ class SearchSettings:
 
     proposals: candidates drawn before the first ranking. share: attempts for the versions of a mode together, where a
     modifier may write new ones. reaches, avoidable: lower scores mean a contact that counts, and an avoidable one.
-    spare: what a candidate's score must be below that of its level, so that no better one is looked for.
-    few: with fewer avoidable candidates, intents that the
-    library lacks are composed. predicted, predicted_together: attempts at most that are chosen by prediction, with one
-    adversary and with several; later ones vary attempts.
+    spare: what a candidate's score must be below that of its level, so that no better one is looked for. few: with
+    fewer avoidable candidates, intents that the library lacks are composed. predicted, predicted_together: attempts at
+    most that are chosen by prediction, with one adversary and with several; later ones vary attempts.
     """
 
     proposals: int = 80

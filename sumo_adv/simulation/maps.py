@@ -1,7 +1,8 @@
 """Maps of other formats as SUMO networks: OpenDRIVE and OpenStreetMap, converted by SUMO's ``netconvert``.
 
 A conversion is kept in the user's cache under the map's content, so that nothing is converted twice; a run's folder
-holds a copy of the network like that of any other input. ``Conversion`` says what was converted and what was lost.
+holds a copy of the network like that of any other input. ``Conversion`` counts what the network has, and names what it
+lacks.
 """
 
 from __future__ import annotations
