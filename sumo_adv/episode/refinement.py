@@ -31,7 +31,6 @@ ALONE = 2 * GENERATION  # attempts before which fewer are made at a time: most s
 HOPEFUL = 120  # attempts without a higher level after which an encounter is left, if another one may come;
 HOPELESS = 40  # the same number where no attempt has been critical
 REMEMBERED, KEPT = 25, 10  # the first and the best attempts keep their recorded states
-POLISHED = 3  # attempts at most that get neighbours, once the goal is reached
 FAVOURITES = 2  # intents that are tried first where a model's answers disagree
 
 
@@ -40,9 +39,8 @@ class Refinement:
     """The attempts so far; ``results[k]`` belongs to ``attempts[k]``.
 
     goal: what an attempt must come to. successes: indices of the attempts that reached it, one of each kind. chosen:
-    the attempt that counts, if it is not the best. polished: the attempt that took the best one's place, because more
-    of its neighbours succeed or it is gentler; robustness: of the attempt that counts, None if no neighbour was tried.
-    fitting: compares attempts with the request, None without a request.
+    the attempt that counts, if it is not the best. robustness: of the attempt that counts, None if no neighbour was
+    tried. fitting: compares attempts with the request, None without a request.
     """
 
     goal: Goal = field(default_factory=Goal)
@@ -54,7 +52,6 @@ class Refinement:
     first_success_seconds: float | None = None
     successes: list[int] = field(default_factory=list)
     chosen: int | None = None
-    polished: int | None = None
     robustness: Robustness | None = None
     fitting: Fitting | None = None
 
@@ -63,8 +60,6 @@ class Refinement:
         """Index of the attempt that counts, None without attempts."""
         if self.chosen is not None or not self.attempts:
             return self.chosen
-        if self.polished is not None:
-            return self.polished
         return min(range(len(self.attempts)), key=lambda k: (*self.worth(self.attempts[k]), k))
 
     def worth(self, attempt: Attempt) -> tuple[float, ...]:
@@ -130,7 +125,7 @@ class Refiner:
         if found.attempts and all(a.ending == "crashed" for a in found.attempts):
             found.ending, found.reason = Ending.SIMULATION_FAILED, found.attempts[-1].message
         settle_best(found, self._runner)
-        self._polish(found, began)
+        self._measure_robustness(found, began)
         found.seconds = time.perf_counter() - began
 
     def optimizer(self, intents: Sequence[Intent]) -> AttackSearch | FixedOrder:
@@ -183,43 +178,18 @@ class Refiner:
             if k >= REMEMBERED and k not in kept and len(result.snapshots):
                 found.results[k] = replace(result, snapshots=(), sizes={})
 
-    def _polish(self, found: Refinement, began: float) -> None:
-        """Simulate neighbours of the success that counts. A neighbour takes its place if it holds in more of its own,
-        or if it is gentler."""
-        tested: dict[int, Robustness] = {}
-        now, random = found.best if found.successes else None, Random(self._settings.seed)
-        if self._settings.tuner == "off":  # the paper's loop
+    def _measure_robustness(self, found: Refinement, began: float) -> None:
+        """Simulate neighbours of the success that counts, if attempts and seconds are left."""
+        best = found.best if found.successes else None
+        if best is None or self._settings.tuner == "off" or not self._has_left(found, began):  # off: the paper's loop
             return
-        while now is not None and len(tested) < POLISHED and self._has_left(found, began):
-            attempt = found.attempts[now]
-            near = neighbours(attempt, found.results[now], random, self._settings.step_length)
-            tried = [
-                (_fitted(found, self._attempt(len(found.attempts), p, result), result, read=False), result)
-                for p, result in zip(near, self._runner.attempt(near), strict=True)
-            ]
-            held = [(a, result) for a, result in tried if found.goal.met(a.verdict)]
-            tested[now] = Robustness(len(held), len(tried))
-            if tested[now].enough and attempt.verdict.humanlike:
-                break
-            same = [each for each in held if each[0].proposal.course is None and each[0].kind == attempt.kind]
-            now = self._next_winner(same, found)
-        if tested:
-            best = max(tested, key=lambda k: _worth(tested[k], found.attempts[k]))
-            found.robustness = tested[best]
-            if best != found.best:
-                before, found.polished = found.best, best
-                found.successes = [best if k == before else k for k in found.successes]
-
-    def _next_winner(self, held: Sequence[tuple[Attempt, AttemptResult]], found: Refinement) -> int | None:
-        """The index of the neighbour that is looked at next, the gentlest one; it joins the attempts."""
-        for attempt, result in sorted(held, key=lambda each: (not each[0].verdict.humanlike, *rank(each[0].verdict))):
-            again = _fitted(found, checked(attempt, result, self._runner, found.goal), result)
-            if found.goal.met(again.verdict):
-                found.attempts.append(replace(again, index=len(found.attempts), phase="polish"))
-                found.results.append(result)
-                self._tell("attempt", found.attempts[-1])
-                return len(found.attempts) - 1
-        return None
+        random, dt = Random(self._settings.seed), self._settings.step_length
+        near = neighbours(found.attempts[best], found.results[best], random, dt)
+        tried = [
+            _fitted(found, self._attempt(len(found.attempts), p, result), result, read=False)
+            for p, result in zip(near, self._runner.attempt(near), strict=True)
+        ]
+        found.robustness = Robustness(sum(found.goal.met(a.verdict) for a in tried), len(tried))
 
     def _has_left(self, found: Refinement, began: float) -> bool:
         """Whether attempts and seconds are left for neighbours."""
@@ -279,12 +249,6 @@ class Refiner:
 def _fitted(found: Refinement, attempt: Attempt, result: AttemptResult, *, read: bool = True) -> Attempt:
     """The attempt, compared with the request if there is one."""
     return attempt if found.fitting is None else found.fitting.judged(attempt, result, found.goal, read=read)
-
-
-def _worth(robustness: Robustness, attempt: Attempt) -> tuple[bool, bool, int, int]:
-    """Sorts successes, the best last: robust ones, then what a person could drive, then those that hold in more of
-    their neighbours."""
-    return robustness.enough, bool(attempt.verdict.humanlike), robustness.held, -attempt.index
 
 
 def _in_vain(found: Refinement) -> int:
