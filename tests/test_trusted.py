@@ -24,6 +24,7 @@ from sumo_adv.planners.session import Call
 from sumo_adv.planners.sessions import Roads, Sessions
 from sumo_adv.planners.source import make_planner
 from sumo_adv.planners.trusted import TRUSTED, InProcessSession, ask_trusted, fingerprint, is_trusted
+from sumo_adv.search.free_motion import FREE
 from sumo_adv.search.support_intents import SUPPORT_INTENTS
 
 SHIPPED = [*shipped_planners().values(), *(p for entry in unprotected_library() for p in entry.planners)]
@@ -48,7 +49,7 @@ def test_every_planner_of_the_shipped_bank_is_trusted(p: Planner) -> None:
 
 def test_no_text_is_trusted_that_the_bank_does_not_have() -> None:
     supports = [p for those in SUPPORT_INTENTS.values() for entry in those for p in entry.planners]
-    assert {fingerprint(p.source) for p in (*SHIPPED, *supports)} == TRUSTED
+    assert {fingerprint(p.source) for p in (*SHIPPED, *supports, *FREE.planners)} == TRUSTED
 
 
 def test_a_text_with_other_numbers_and_another_movement_is_trusted() -> None:

@@ -15,6 +15,7 @@ from sumo_adv.episode.references import simulated
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.goal import Goal
 from sumo_adv.metrics.levels import judged
+from sumo_adv.search.free_motion import named
 from sumo_adv.search.templates import kind_of
 from sumo_adv.simulation.recording import tracks_of
 
@@ -40,7 +41,10 @@ def attempt_of(
     target = found.situations[proposal.delay].targets.get(proposal.bv)
     limits = settings.limits.limits() if target is None else settings.limits.of(target.state)
     diagnosis = diagnose(result, found.ego, proposal.bv, path, limits, settings.step_length)
-    kind = "" if target is None else kind_of(proposal.label, target.relation, verdict.contact_side)
+    kind = ""
+    if target is not None:
+        proposal = named(proposal, target, verdict)
+        kind = kind_of(proposal.label, target.relation, verdict.contact_side)
     return Attempt(
         index, phase, proposal, result.start, verdict, result.driven.ending, result.driven.message, diagnosis, kind
     )

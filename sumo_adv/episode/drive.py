@@ -66,6 +66,7 @@ class Drive:
         self.on_load: Callable[[], None] | None = None  # called when the simulation was loaded again
         self.lights: LightsNear | None = None  # set if the states of traffic lights are recorded
         self.playback = playback
+        self.until = math.inf  # s, from which on a log is dangerous by itself: attempts end before
         if playback is not None:
             playback.start(self.simulation)
 
@@ -88,8 +89,8 @@ class Drive:
         return self.recording.snapshots[step - 1].time if step else self.now
 
     def left(self) -> int | None:
-        """Steps until the log that is played back ends; None without a log."""
-        last = math.inf if self.playback is None else self.playback.last(self.ego)
+        """Steps until the log that is played back ends, or ``until``; None without a log."""
+        last = min(self.until, math.inf if self.playback is None else self.playback.last(self.ego))
         return None if math.isinf(last) else max(0, round((last - self.now) / self.recording.step_length))
 
     def within(self, steps: int) -> int:

@@ -2,7 +2,8 @@
 
 Every half second the vehicles near the ego are placed relative to its path: ahead, behind, beside, oncoming, crossing
 or merging.  Vehicles that cannot meet the ego in time are dropped.  The others get a risk in [0, 1].  An encounter
-begins when the highest risk is at least ``ON`` and the next look finds at least ``OFF``.
+begins when the highest risk is at least ``ON`` and the next look finds at least ``OFF``. In a recording each later
+look tells which vehicles could begin an attack then, whatever their risk.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ LOOK_EVERY = 0.5  # s
 NEAR, ONCOMING_NEAR = 70.0, 320.0  # m
 REACH = 330.0  # m of the ways ahead
 SLOWEST_EGO = 4.0  # m/s: an ego that stands has no encounter
-ON_RECORDED, SLOWEST_RECORDED = 0.20, 1.0  # a recording lasts a few seconds: one look at a lower risk is enough
+SLOWEST_SAME_WAY = 2.0  # m/s: of a vehicle that drives the ego's way
 FASTEST_START = 3.0  # m/s2: acceleration of a BV that hurries to a conflict
 LATEST = 0.2  # s: how much later than the ego a BV may arrive at a conflict
 CONFLICT_TIMES = (1.5, 12.0)  # s from now until the ego is at the conflict
@@ -82,10 +83,8 @@ class EncounterDetector:
         self.only, self.kinds = only, kinds
         self.odd = odd
         self.best = 0.0
-        self.moments: list[tuple[float, int]] = []  # of a recording, below the threshold: risk, step
         self._looks, self._recorded = 0, recorded
-        self._on, self._needed = (ON_RECORDED, 1) if recorded else (ON, LOOKS)
-        self._slowest = SLOWEST_RECORDED if recorded else SLOWEST_EGO
+        self._slowest = 0.0 if recorded else SLOWEST_EGO
         self._seen = _Seen()
 
     def look(self, drive: Drive) -> list[RankedVehicle] | None:
@@ -93,27 +92,21 @@ class EncounterDetector:
         ranking = self.rank(drive)
         top = ranking[0].risk if ranking else 0.0
         self.best = max(self.best, top)
-        if self._recorded and top < self._on:
-            slow = ranking or self.rank(drive, slow_too=True)
-            if slow:
-                self.moments.append((slow[0].risk, len(drive.recording.snapshots)))
-        if top >= self._on or (self._looks and top >= OFF):
+        if top >= ON or (self._looks and top >= OFF):
             self._looks += 1
         else:
             self._looks = 0
-        return ranking if self._looks >= self._needed else None
+        return ranking if self._looks >= LOOKS else None
 
-    def rank(self, drive: Drive, *, slow_too: bool = False) -> list[RankedVehicle]:
-        """The vehicles that could attack, highest risk first. Empty if the ego is off the road or too slow.
-
-        slow_too: also for an ego that stands.
-        """
+    def rank(self, drive: Drive) -> list[RankedVehicle]:
+        """The vehicles that could attack, highest risk first. Empty if the ego is off the road or too slow; an ego of a
+        recording may stand."""
         assert drive.ego is not None
         ego = drive.state(drive.ego)
         path = ego_path(self.road, drive)
         self._seen.path |= path is not None
         self._seen.moved |= ego.speed >= self._slowest
-        if path is None or (ego.speed < self._slowest and not slow_too):
+        if path is None or ego.speed < self._slowest:
             return []
         names = self._near(drive, ego)
         self._seen.near |= bool(names)
@@ -132,11 +125,11 @@ class EncounterDetector:
     @property
     def needed(self) -> str:
         """What was missing for an encounter, in words."""
-        if self.best >= self._on:
+        if self.best >= ON:
             return (
                 f"a risk of {self.best:.2f} was seen, but it did not last until the next look, {LOOK_EVERY:g} s later"
             )
-        return f"highest risk seen {self.best:.2f}, {self._on:.2f} is needed"
+        return f"highest risk seen {self.best:.2f}, {ON:.2f} is needed"
 
     @property
     def outside(self) -> str:
@@ -215,7 +208,7 @@ class EncounterDetector:
 
     def _same_way_risk(self, relation: str, s: float, d: float, bv: VehicleState, ego: VehicleState) -> float:
         """Risk of a vehicle that drives the ego's way. It is lower if the vehicle has no lane beside its own."""
-        if bv.speed < 2.0:
+        if bv.speed < SLOWEST_SAME_WAY and not self._recorded:
             return 0.0
         best_gap = {"leader": 12.0, "follower": -10.0, "neighbour": 3.0}[relation]
         closing = 0.5 * (bv.speed - ego.speed)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,10 +19,17 @@ REACH = 30.0  # m between centres
 AS_LOGGED = 0.1  # m: largest sum of the distances of ego and vehicle from their logged positions
 
 
-def danger(
-    tracks: Mapping[str, Track], drive: Drive, time: float, limit: float, candidates: Collection[str]
-) -> tuple[str, frozenset[str]]:
-    """Why the encounter at ``time`` [s] is passed over, or empty; and the vehicles that are critical without an attack.
+class Danger(NamedTuple):
+    """Why an encounter is passed over, or empty; the vehicles that are critical without an attack; since when [s] a
+    vehicle is critical or collides."""
+
+    why: str
+    critical: frozenset[str]
+    since: float = math.inf
+
+
+def danger(tracks: Mapping[str, Track], drive: Drive, time: float, limit: float, candidates: Collection[str]) -> Danger:
+    """Whether the encounter at ``time`` [s] is dangerous without an attack.
 
     tracks: the baseline; limit: the min TTC [s] from which a vehicle is critical; candidates: the ranked vehicles.
 
@@ -32,26 +40,28 @@ def danger(
     """
     ego = tracks[str(drive.ego)]
     if ego.time[-1] < time + LEAST:
-        return "the ego leaves the network at once", frozenset()
+        return Danger("the ego leaves the network at once", frozenset())
     grid = ego.time[ego.time >= time - 1e-6]
     near = [t for n, t in tracks.items() if n != ego.id and len(t.time) > 1 and closest(ego, t, time) < REACH]
     overlapping = _overlapping(drive, tracks, ego, grid)
     others = [t for t in near if t.id not in overlapping]
     if overlapping and overlapping.issuperset(candidates):
-        return "in the log itself it overlaps the ego", overlapping
+        return Danger("in the log itself it overlaps the ego", overlapping)
     if not others:
-        return "", overlapping
+        return Danger("", overlapping)
     me = on_grid([ego], grid)
-    if np.isfinite(first_contact(me, on_grid(others, grid), grid)).any():
-        return "the ego collides unattacked", overlapping
+    contact = float(np.nanmin(first_contact(me, on_grid(others, grid), grid), initial=math.inf))
     vehicles = [t for t in others if t.role is not Role.OBSTACLE]
-    if not vehicles:
-        return "", overlapping
-    least = np.nanmin(ttc(me, on_grid(vehicles, grid)), axis=-1, initial=math.inf)
+    by_step = ttc(me, on_grid(vehicles, grid)) if vehicles else np.full((0, len(grid)), np.inf)
+    least = np.nanmin(by_step, axis=-1, initial=math.inf)
     critical = overlapping | frozenset(t.id for t, value in zip(vehicles, least, strict=True) if value <= limit)
+    close = np.flatnonzero((by_step <= limit).any(axis=0))
+    since = min(contact, float(grid[close[0]]) if len(close) else math.inf)
+    if math.isfinite(contact):
+        return Danger("the ego collides unattacked", critical, since)
     if critical and (not drive.recorded() or critical.issuperset(candidates)):
-        return f"critical unattacked: min TTC {float(least.min()):.2f} s", critical
-    return "", critical
+        return Danger(f"critical unattacked: min TTC {float(least.min(initial=math.inf)):.2f} s", critical, since)
+    return Danger("", critical)
 
 
 def _overlapping(drive: Drive, tracks: Mapping[str, Track], ego: Track, grid: Floats) -> frozenset[str]:

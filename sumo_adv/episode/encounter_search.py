@@ -24,6 +24,7 @@ from sumo_adv.simulation.network import RoadMap
 
 PATIENCE = 15.0  # s after which a chosen ego without an encounter is replaced by another
 SAME = 15.0  # s after an encounter that was left, in which the same vehicles make no other one
+WHOLE = 10.0  # s: a recording that is no longer than this, or what is left of one, is one encounter
 INSERTED_EGO = "ego"
 MOVING, CROWD, LEFT = 5.0, 60.0, 150.0  # a chosen ego: least speed [m/s], radius of counted traffic, least route [m]
 
@@ -33,21 +34,11 @@ class EncounterSearch:
 
     def __init__(self, drive: Drive, road: RoadMap, task: Task) -> None:
         self.drive, self.road, self.task = drive, road, task
-        self._moments: list[tuple[float, int]] = []
         self._meetings = Meetings(road)
         self._left_egos = set[str]()
         self._left_vehicles, self._left_at = frozenset[str](), -math.inf
         drive.on_load = self.begin
         self.begin()
-
-    @property
-    def moments(self) -> list[tuple[float, int]]:
-        """Risk and step of the moments of a recording that no encounter began at, highest risk first."""
-        return sorted(self._moments, key=lambda m: (-m[0], m[1]))
-
-    def rank_now(self) -> list[RankedVehicle]:
-        """The ranking of this moment, whatever its risk."""
-        return self._watch().rank(self.drive, slow_too=True)
 
     def begin(self) -> None:
         """Prepare a simulation that was just loaded: forget the road ahead, and insert the ego if it has a route."""
@@ -71,14 +62,14 @@ class EncounterSearch:
 
     def _is_another(self, ranking: Sequence[RankedVehicle]) -> bool:
         """Whether an encounter differs from that which was left: other vehicles, or ``SAME`` s later."""
-        later = self.drive.now >= self._left_at + SAME or self.drive.recorded()
-        return later or not self._left_vehicles.issuperset(c.id for c in ranking)
+        return self.drive.now >= self._left_at + SAME or not self._left_vehicles.issuperset(c.id for c in ranking)
 
     def until_encounter(self) -> list[RankedVehicle] | NoEncounter:
-        """Step until an encounter begins. The ranking, highest risk first; at a given trigger it may be empty."""
+        """Step until an encounter begins. The ranking, highest risk first; it may be empty at a given trigger, and in
+        the last ``WHOLE`` s of a recording, which are one encounter as soon as the ego's history is known."""
         task, drive, every = self.task, self.drive, self.task.settings.steps(LOOK_EVERY)
         requested = INSERTED_EGO if isinstance(task.ego, EgoRoute) else task.ego
-        detector = self._watch()
+        detector = self.watch()
         since, tried = -math.inf, set(self._left_egos)
         if drive.ego is not None:
             since = drive.now - task.warm_up
@@ -94,7 +85,7 @@ class EncounterSearch:
                 if name is not None:
                     drive.take_over(name)
                     since = drive.now if requested is None else self._inserted(name)
-                    detector = self._watch()
+                    detector = self.watch()
             elif drive.ego not in snapshot.raw:
                 if requested is not None:
                     self._refuse_unknown()
@@ -108,6 +99,8 @@ class EncounterSearch:
                 if drive.now >= task.trigger - 1e-6:
                     self._refuse_unknown()
                     return detector.rank(drive)
+            elif self.nearly_over() and drive.now - since >= task.settings.history - 1e-6:
+                return detector.rank(drive)
             elif step % every == 0 and drive.now - since >= self._wait(requested):
                 ranking = detector.look(drive)
                 if ranking and self._is_another(ranking):
@@ -117,7 +110,6 @@ class EncounterSearch:
                     drive.release()
             if not drive.to_come():
                 break
-        self._moments += detector.moments
         return self._nothing(requested, detector)
 
     def _may_begin(self, requested: str) -> bool:
@@ -126,7 +118,13 @@ class EncounterSearch:
         there = requested in drive.snapshot.raw and drive.may_take_over(requested)
         return there and (earliest is None or drive.now >= earliest - 1e-6)
 
-    def _watch(self) -> EncounterDetector:
+    def nearly_over(self) -> bool:
+        """Whether what is left of a recording is attacked as a whole."""
+        log = self.drive.playback if self.drive.recorded() else None
+        return log is not None and log.spec.end - self.drive.now <= WHOLE
+
+    def watch(self) -> EncounterDetector:
+        """A new detector for the present ego."""
         return EncounterDetector(
             self.road, self.task.settings.shortlist, self.task.only, self.task.settings.kind,
             recorded=self.drive.recorded(), odd=self.task.settings.odd,

@@ -25,6 +25,7 @@ from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature, cano
 from sumo_adv.search.composed_attacks import ANY, Cast, description_of
 from sumo_adv.search.composed_intents import COMPOSED, applies_of
 from sumo_adv.search.composed_intents import NAME as EXPERT
+from sumo_adv.search.free_motion import FREE
 from sumo_adv.search.selection import Selection, select
 from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.situation import Situation
@@ -90,7 +91,7 @@ def selected(settings: Settings, bank: MemoryBank, scenario: Sequence[str] = ())
     labels = [record.label for record in bank.intents() if record.status == "active"]
     labels += [entry.label for entry in unprotected_library()]
     if not settings.intents:
-        allowed = {canonical(label) for label in (*COMPOSED, *labels)}
+        allowed = {canonical(label) for label in (FREE.label, *COMPOSED, *labels)}
         unknown = [n for n in scenario if canonical(n) not in allowed and bank.intent(n) is None]
         if unknown:
             select(labels, [n for n in unknown if canonical(n) not in shipped_labels()])
@@ -276,7 +277,10 @@ def _learn_one(episode: Episode, bank: MemoryBank, entries: Sequence[LibraryEntr
     movement, and no planner is generated for an intent that the bank already has.
     """
     evidence = _evidence(episode, attempt)
-    entry = next(e for e in entries if e.label == attempt.proposal.label)
+    label = attempt.proposal.label
+    entry = next((e for e in entries if e.label == label), None)
+    if entry is None:  # a free motion that was named after an intent that was not composed here
+        return False
     planner = attempt.proposal.planner
     in_bank = planner.hash in {p.hash for p in bank.planners(entry.label)}
     if not evidence.success and not in_bank:

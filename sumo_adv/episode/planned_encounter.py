@@ -10,7 +10,6 @@ from typing import Any
 from sumo_adv.agents.agents import Agents
 from sumo_adv.agents.teams import Teamwork
 from sumo_adv.datatypes import Intent, LibraryEntry
-from sumo_adv.episode.encounter_detector import ON_RECORDED
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.memory_access import (
     known_casts,
@@ -27,6 +26,7 @@ from sumo_adv.memory.compositions import compositions
 from sumo_adv.memory.records import SceneSignature
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.search.composed_intents import composed
+from sumo_adv.search.free_motion import FREE
 from sumo_adv.search.prediction import Predictor
 from sumo_adv.search.search import AttackSearch
 from sumo_adv.search.settings import SearchSettings
@@ -88,6 +88,9 @@ def with_predictions(
     predictor = Predictor(sandbox, settings, found.drivable, found.situations, weights.score, episode.stopped)
     scene = signature(found.first, found.first.target_list()[0].state.id, episode.task.ego_driver)
     library, episode.bandit = read_library(bank, scene, settings.seed, found.situations)
+    log = episode.task.playback
+    if log is not None and log.tracks is not None and settings.tuner == "builtin":
+        library = [*library, FREE]
     search, recalled = searched(episode, found, predictor, library, bank, weights, forecast)
     return PlannedEncounter(found, predictor, library, scene, search, recalled)
 
@@ -193,10 +196,5 @@ def seek(episode: Episode, engine: Engine, tell: Tell) -> FoundEncounter | None:
         return None
     episode.found, episode.prefix = encounter, engine.request("prefix")
     episode.lanes = engine.request("lanes", *encounter.area)
-    if encounter.below_threshold is not None:
-        episode.notes.append(
-            f"No moment of the recording reaches the risk {ON_RECORDED:.2f}, at which an encounter begins; "
-            f"the best one ({encounter.below_threshold:.2f}, at {encounter.time:.1f} s) is attacked."
-        )
     tell("encounter", encounter)
     return encounter

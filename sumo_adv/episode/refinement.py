@@ -118,7 +118,7 @@ class Refiner:
                 break
             if self._try(plans, found, began):
                 break
-            self._observe(optimizer, found, len(plans))
+            self._observe(optimizer, found, plans)
             self._forget(found)
         if found.attempts and all(a.ending == "planner_failed" for a in found.attempts):
             found.ending, found.reason = Ending.PLANNER_FAILED, found.attempts[-1].message
@@ -206,11 +206,12 @@ class Refiner:
             self._search.succeeded(attempt.kind)
         return len(found.successes) >= self._settings.diverse
 
-    def _observe(self, optimizer: Optimizer, found: Refinement, count: int) -> None:
-        """Give the optimizer the ego's motions in the last ``count`` attempts."""
-        for attempt, result in zip(found.attempts[-count:], found.results[-count:], strict=True):
-            motion = observed_motion(result, self._found, attempt.proposal.delay, self._settings)
-            optimizer.observe(attempt.proposal, motion, attempt.verdict)
+    def _observe(self, optimizer: Optimizer, found: Refinement, plans: Sequence[Proposal]) -> None:
+        """Give the optimizer the ego's motions in the attempts of its last candidates."""
+        count = len(plans)
+        for plan, attempt, result in zip(plans, found.attempts[-count:], found.results[-count:], strict=True):
+            motion = observed_motion(result, self._found, plan.delay, self._settings)
+            optimizer.observe(plan, motion, attempt.verdict)
 
     def _why_ended(self, optimizer: AttackSearch | FixedOrder, found: Refinement) -> str:
         if isinstance(optimizer, AttackSearch):

@@ -39,6 +39,7 @@ OTHERS_NEAR = 90.0  # m: a situation keeps the motion of vehicles that come this
 ANOTHER = 1.0  # m beyond the start of a junction: what begins there is another junction
 FULL_LANE = 3.2  # m, where the ego's lane is unknown
 FARTHEST_TIME = 20.0  # s at a BV's highest speed: covers an attempt and the plan made at its end
+LEAST_ATTACK = 1.5  # s from the start of an attack to the end of a recording
 IN_SIGHT = 120.0  # m
 HISTORY = 1.1  # s before the trigger of which a situation keeps the states (the paper's)
 
@@ -68,7 +69,8 @@ def trigger_state(drive: Drive, ranking: Sequence[RankedVehicle]) -> TriggerStat
     assert drive.ego is not None
     simulation, left = drive.simulation, drive.left()
     model = model_of(drive.controller, simulation.model(drive.ego))
-    driving = [c.id for c in ranking if c.id not in drive.obstacles]
+    here = drive.snapshot.raw.keys() - drive.obstacles  # in a recording a vehicle may come later
+    driving = [c.id for c in ranking if c.id in here]
     return TriggerState(
         drive.ego, drive.now, model, drive.route(),
         {name: simulation.route(name)[0] for name in driving},
@@ -102,6 +104,27 @@ def build_situations(
     if all(spent(target, lateral) for situation in situations.values() for target in situation.targets.values()):
         situations = at(delays(ranking, ahead, trigger.ego, settings, both=True)) or situations
     return situations
+
+
+def recorded_situations(
+    road: RoadMap,
+    tracks: Mapping[str, Track],
+    trigger: TriggerState,
+    looks: Mapping[float, Sequence[RankedVehicle]],
+    settings: Settings,
+    delay: float | None = None,
+) -> dict[float, Situation]:
+    """A situation for each look at a recording [s after the trigger] from which enough of it is left to be attacked.
+
+    looks: the vehicles that could attack then; delay: the only delay to try, with the vehicles of the nearest look.
+    """
+    if delay is not None:
+        looks = {delay: looks[min(looks, key=lambda d: abs(d - delay))]}
+    built = {
+        d: build_situation(road, tracks, trigger, ranking, settings, d) for d, ranking in looks.items()
+        if ranking and (trigger.left - settings.steps(d)) * settings.step_length >= LEAST_ATTACK
+    }  # fmt: skip
+    return {d: situation for d, situation in built.items() if situation is not None}
 
 
 def build_situation(

@@ -72,7 +72,6 @@ class FoundEncounter:
     area: tuple[float, float, float]  # x, y, radius [m] of the circle in which ``drivable`` is known
     last: bool = False  # no other encounter comes
     place: Place | None = None  # what surrounds the ego
-    below_threshold: float | None = None  # the highest risk, where no moment of a recording reaches the threshold
     driven_from: float | None = None  # when the ego's driver took over [s]; None where a program of its own drives
     beside: tuple[str, ...] = ()  # recorded vehicles that SUMO crashes on: boxes beside it
 

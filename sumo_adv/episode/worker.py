@@ -25,7 +25,7 @@ from sumo_adv.episode.attempt import Driven, attack
 from sumo_adv.episode.controllers import PrescribedAdversary, controller_of
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.encounter_builder import UnattackedMotion, build_encounter
-from sumo_adv.episode.encounter_detector import RankedVehicle
+from sumo_adv.episode.encounter_detector import LOOK_EVERY, RankedVehicle
 from sumo_adv.episode.encounter_filter import LEAST
 from sumo_adv.episode.encounter_search import EncounterSearch
 from sumo_adv.episode.open_encounter import OpenEncounter
@@ -50,6 +50,9 @@ MOST_BESIDE = 3  # recorded vehicles on which SUMO crashes
 COOL_DOWN = 2.0  # s without an encounter after an encounter that was passed over
 
 
+Looks = dict[float, list[RankedVehicle]]
+
+
 class Worker:
     """Holds one episode's simulation. All public methods are commands of the engine."""
 
@@ -60,7 +63,6 @@ class Worker:
         self._passed: list[str] = []
         self._encounter: FoundEncounter
         self._baseline_ego: Track  # of the encounter
-        self._unreached: tuple[FoundEncounter, int, Track] | None = None
         self._moved = False  # a branch ran in place: load the simulation again before anything else
 
     # -- commands -----------------------------------------------------------------------------------------------
@@ -135,17 +137,12 @@ class Worker:
         passed = self._passed
         if passed_over:
             passed.append(f"{self._encounter.time:.1f} s ({passed_over})")
-            self._unreached = self._unreached or (self._encounter, self._trigger_step, self._baseline_ego)
             self._at_trigger()
             self._search.leave([name for name, _, _ in self._encounter.ranking])
             self._cool_down()
         while True:
             ranking = self._search.until_encounter()
             if isinstance(ranking, NoEncounter):
-                if self._unreached is not None and self._drive.recorded():
-                    return self._back(*self._unreached)
-                if self._drive.recorded() and self._best_moment():
-                    return self._encounter
                 if passed:
                     return NoEncounter(ranking.ending, f"{ranking.reason} Passed over: {'; '.join(passed)}.")
                 return ranking
@@ -156,22 +153,6 @@ class Worker:
             if self._task.trigger is not None:
                 return NoEncounter(Ending.NO_ENCOUNTER, f"At the trigger given, {self._task.trigger:g} s, {why}.")
             self._cool_down()
-
-    def _back(self, encounter: FoundEncounter, step: int, baseline_ego: Track) -> FoundEncounter:
-        """Return to an encounter that was passed over because no intent reaches the ego: the recording has no other."""
-        self._encounter = replace(encounter, passed_over=tuple(self._passed), last=True)
-        self._trigger_step, self._baseline_ego, self._moved = step, baseline_ego, False
-        self._drive.rewind(step)
-        return self._encounter
-
-    def _best_moment(self) -> bool:
-        """Go to the moment of a recording with the highest risk below the threshold; False if none can be attacked."""
-        for risk, step in self._search.moments:
-            self._drive.rewind(step)
-            if not self._survey(self._search.rank_now()):
-                self._encounter = replace(self._encounter, below_threshold=risk, last=True)
-                return True
-        return False
 
     def _cool_down(self) -> None:
         for _ in range(self._drive.within(self._settings.steps(COOL_DOWN))):
@@ -313,7 +294,7 @@ class Worker:
 
     def _survey(self, ranking: Sequence[RankedVehicle]) -> str:
         """Run on unattacked and describe the encounter. Why it is passed over, or empty."""
-        self._trigger_step = len(self._drive.recording.snapshots)
+        self._trigger_step, self._drive.until = len(self._drive.recording.snapshots), math.inf
         given = self._task.delay is not None  # a given attack: later danger is left to its verdict
         built = build_encounter(
             self._drive, self._map, self._settings, ranking, self._baseline, passed_over=self._passed,
@@ -323,23 +304,28 @@ class Worker:
             return built
         encounter, baseline = built
         beside = () if self._drive.playback is None else self._drive.playback.beside
-        self._encounter = replace(encounter, driven_from=self._drive.driven_from, beside=beside)
+        last = self._search.nearly_over()
+        self._encounter = replace(encounter, driven_from=self._drive.driven_from, beside=beside, last=last)
         self._baseline_ego = baseline.tracks[self._encounter.ego]
         return ""
 
     def _baseline(self, seconds: float) -> UnattackedMotion:
         drive, settings = self._drive, self._settings
         before = drive.recording.snapshots[-settings.steps(settings.history) - 1 :]
-        snapshots, sizes = self._branch([partial(self._unattacked, settings.steps(seconds))])[0]
+        snapshots, sizes, looks = self._branch([partial(self._unattacked, settings.steps(seconds))])[0]
         tracks = tracks_of([*before, *snapshots], sizes, drive.roles(), settings.step_length)
-        return UnattackedMotion({t.id: t for t in tracks}, snapshots, sizes)
+        return UnattackedMotion({t.id: t for t in tracks}, snapshots, sizes, looks)
 
-    def _unattacked(self, steps: int) -> tuple[list[Snapshot], dict[str, tuple[float, float]]]:
-        drive = self._drive
+    def _unattacked(self, steps: int) -> tuple[list[Snapshot], dict[str, tuple[float, float]], Looks]:
+        """The states and sizes, and in a recording the vehicles that could attack, every ``LOOK_EVERY`` s."""
+        drive, settings, looks = self._drive, self._settings, dict[float, list[RankedVehicle]]()
+        detector, every = self._search.watch(), settings.steps(LOOK_EVERY)
         with self._within_memory():
-            for _ in range(drive.within(steps)):
+            for step in range(drive.within(steps)):
+                if drive.recorded() and self._task.trigger is None and step % every == 0:
+                    looks[round(step * settings.step_length, 6)] = detector.rank(drive)
                 drive.tick()
-        return drive.recording.snapshots[self._trigger_step :], dict(drive.simulation.fleet.sizes)
+        return drive.recording.snapshots[self._trigger_step :], dict(drive.simulation.fleet.sizes), looks
 
     @contextmanager
     def _within_memory(self) -> Iterator[None]:

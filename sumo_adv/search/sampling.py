@@ -45,8 +45,11 @@ class Sampler:
         return candidates + self.variations(best[: self.settings.nearest], count - len(candidates))
 
     def uniform(self, templates: Sequence[AttackTemplate], count: int) -> list[Proposal]:
-        """``count`` candidates of the templates in turn, uniform within the bounds."""
-        return [templates[k % len(templates)].proposal(self.random) for k in range(count if templates else 0)]
+        """``count`` candidates of the templates in turn, uniform within the bounds; where there are more templates, of
+        some that are evenly spread."""
+        every = max(len(templates) / count, 1.0) if count > 0 else 1.0
+        rows = (int(k * every) % len(templates) for k in range(count if templates else 0))
+        return [templates[k].proposal(self.random) for k in rows]
 
     def variations(self, proposals: Sequence[Proposal], count: int) -> list[Proposal]:
         """``count`` candidates with parameters near those of the given ones, in turn."""

@@ -9,6 +9,7 @@ from sumo_adv.datatypes import LibraryEntry
 from sumo_adv.errors import UsageError, nearest
 from sumo_adv.memory.records import canonical
 from sumo_adv.search.composed_intents import COMPOSED
+from sumo_adv.search.free_motion import LABEL as FREE_MOTION
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,13 +43,14 @@ def select(
     """What the settings ``intents`` and ``exclude`` and the intents of a scenario come to; each is empty for none. The
     setting ``intents`` goes before the scenario's.
 
-    known: labels of the memory bank; those that the expert composes are known as well. Case and signs do not count.
+    known: labels of the memory bank; those that the expert composes, and free motions, are known as well. Case and
+    signs do not count.
     An intent of the scenario that is not known is no error: a bank with fewer intents may run any scenario.
 
     Raises:
         UsageError: a setting names an intent that is not known, or no intent is left.
     """
-    labels = {canonical(label): label for label in (*COMPOSED, *known)}
+    labels = {canonical(label): label for label in (FREE_MOTION, *COMPOSED, *known)}
     chosen, without = (frozenset(_label(name, labels) for name in names) for names in (intents, exclude))
     only = chosen or frozenset(labels.get(canonical(name), name) for name in scenario) or None
     if not (frozenset(labels.values()) if only is None else only) - without:
