@@ -53,8 +53,7 @@ def load(source: Path, record: str | None) -> RunInput:
     record: the id, or the place from 0, of the record to take from such a file (default: the first).
     Raises SumoAdvError for what cannot be read or converted.
     """
-    from sumo_adv.simulation.inputs import load_input
-    from sumo_adv.womd.commonroad import is_commonroad, read_commonroad
+    from sumo_adv.simulation.inputs import WaymoSource, is_commonroad, load_input
 
     commonroad = is_commonroad(source)
     waymo = ".tfrecord" in source.name.lower() and source.is_file()
@@ -62,6 +61,7 @@ def load(source: Path, record: str | None) -> RunInput:
         raise UsageError(f"--record chooses among the records of a TFRecord file, which {source} is not.")
     if not waymo and not commonroad:
         return load_input(source)
+    from sumo_adv.womd.commonroad import read_commonroad
     from sumo_adv.womd.convert import conversion
     from sumo_adv.womd.reader import choice_of, find_record
 
@@ -69,7 +69,8 @@ def load(source: Path, record: str | None) -> RunInput:
     stack = ExitStack()  # a conversion that cannot be cached is removed at exit
     atexit.register(stack.close)
     made = stack.enter_context(conversion(chosen, traffic=False))
-    return replace(load_input(made.scenario), name=chosen.scenario_id)
+    origin = WaymoSource(source.absolute(), chosen.scenario_id, chosen.content) if waymo else None
+    return replace(load_input(made.scenario), name=chosen.scenario_id, waymo=origin)
 
 
 def shipped_bank() -> Path:

@@ -12,7 +12,8 @@ import sumo_adv
 from sumo_adv.errors import UsageError
 from sumo_adv.report.export.commonroad import SCENARIO, write_commonroad
 from sumo_adv.report.export.piece import read_piece
-from sumo_adv.womd.commonroad import is_commonroad, read_commonroad
+from sumo_adv.simulation.inputs import is_commonroad
+from sumo_adv.womd.commonroad import read_commonroad
 
 HEAD = '<commonRoad commonRoadVersion="2020a" benchmarkID="ZAM_Hand-1_1_T-1" timeStepSize="0.1">'
 

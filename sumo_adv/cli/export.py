@@ -69,7 +69,9 @@ def export(
         for each in formats:
             target = out if one and out is not None else place / f"{run.resolve().name}{FORMATS[each].ending}"
             with reading(run):
-                write_export(target, piece, each, variant, force=force)
+                lost = write_export(target, piece, each, variant, force=force)
+            if lost is not None:
+                typer.echo(lost, err=True)
             _say(target, piece, each, as_json=as_json)
             made += 1
     if not made:

@@ -23,7 +23,6 @@ from sumo_adv.womd.bounds import check_bounds
 from sumo_adv.womd.outline import road_outline
 from sumo_adv.womd.record import LaneFeature, LineFeature, Neighbour, ObjectTrack, Record
 
-HEAD = 4096  # bytes in which the root element begins
 SPACING = 0.5  # m between points of a centre line
 EGO_SIZE = 4.508, 1.610  # m: CommonRoad's vehicle 2, BMW 320i; a planning problem names no size
 HEIGHT = 1.5  # m
@@ -31,14 +30,6 @@ KINDS = {"pedestrian": 2, "bicycle": 3}  # index of TRACK_KINDS; all others are 
 VEHICLE, OTHER, SURFACE, EDGE_BOUNDARY = 1, 4, 2, 1
 SPEED_LIMIT = "274"  # the sign, in Germany and in CommonRoad's Zamunda
 Place = tuple[float, float, float, float]  # x, y [m], heading [rad], speed [m/s]
-
-
-def is_commonroad(path: Path) -> bool:
-    """Whether an XML file begins as a CommonRoad scenario does."""
-    if path.suffix.lower() != ".xml" or not path.is_file():
-        return False
-    with path.open("rb") as file:
-        return b"<commonRoad" in file.read(HEAD)
 
 
 def read_commonroad(path: Path) -> Record:

@@ -53,8 +53,8 @@ def runs_in(folder: Path) -> list[Path]:
     return runs
 
 
-def write_export(target: Path, piece: Piece, format: Format, variant: Variant, *, force: bool) -> None:
-    """Write a run in one format: the whole file or folder, or nothing.
+def write_export(target: Path, piece: Piece, format: Format, variant: Variant, *, force: bool) -> str | None:
+    """Write a run in one format: the whole file or folder, or nothing. Gives a sentence if something is lost.
 
     Raises UsageError: ``target`` exists, a package of the format is missing, or an error of the format.
     """
@@ -62,15 +62,17 @@ def write_export(target: Path, piece: Piece, format: Format, variant: Variant, *
     entry.need(format)
     if entry.marker:
         with staged(target, force=force, marker=entry.marker) as folder:
-            entry.write(folder.stage, piece, variant)
+            lost = entry.write(folder.stage, piece, variant)
             folder.keep(force=force)
-    else:
-        _file(target, piece, entry, variant, force=force)
+        return lost
+    return _file(target, piece, entry, variant, force=force)
 
 
-def _file(target: Path, piece: Piece, entry: Entry, variant: Variant, *, force: bool) -> None:
+def _file(target: Path, piece: Piece, entry: Entry, variant: Variant, *, force: bool) -> str | None:
     if target.is_dir() or (target.exists() and not force):
         raise UsageError(f"{target} is there already; give another --out, or --force to replace a file.")
     with sentences(target):
         target.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(target, lambda part: entry.write(part, piece, variant))
+        lost: list[str | None] = []
+        write_whole(target, lambda part: lost.append(entry.write(part, piece, variant)))
+        return lost[0]
