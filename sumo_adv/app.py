@@ -70,7 +70,9 @@ def load(source: Path, record: str | None) -> RunInput:
     atexit.register(stack.close)
     made = stack.enter_context(conversion(chosen, traffic=False))
     origin = WaymoSource(source.absolute(), chosen.scenario_id, chosen.content) if waymo else None
-    return replace(load_input(made.scenario), name=chosen.scenario_id, waymo=origin)
+    given = load_input(made.scenario)
+    files = (source.absolute(),) if commonroad else given.files
+    return replace(given, name=chosen.scenario_id, files=files, waymo=origin)
 
 
 def shipped_bank() -> Path:

@@ -1,7 +1,7 @@
 """A CommonRoad scenario (XML, format 2020a) as a record that the converter takes.
 
 Lanelets become lanes with their centre lines, obstacles become tracks from time step 0 on; the planning problem's
-initial state is the ego. Its track ends one step later. Signs other than speed limits, lights and
+initial state is the ego, at its own time step. Its track ends one step later. Signs other than speed limits, lights and
 occupancy sets are left out.
 """
 
@@ -53,9 +53,11 @@ def _record(root: Element, path: Path, content: str) -> Record:
     if not lanelets or problem is None:
         raise UsageError(f"{path} has no {'planning problem' if lanelets else 'lanelets'}, so there is nothing to run.")
     states = {o: _states(o) for o in (*root.findall("dynamicObstacle"), *root.findall("staticObstacle"))}
-    count = max([2, *(max(of) + 1 for of in states.values())])
-    ego = _place(_child(problem, "initialState"))
-    tracks = [_track(int(problem.attrib["id"]), VEHICLE, EGO_SIZE, {0: ego, 1: _onward(ego, _step(root))}, count)]
+    initial = _child(problem, "initialState")
+    ego, first = _place(initial), round(_number(initial, "time", 0.0))
+    count = max([first + 2, *(max(of) + 1 for of in states.values())])
+    onward = {first: ego, first + 1: _onward(ego, _step(root))}
+    tracks = [_track(int(problem.attrib["id"]), VEHICLE, EGO_SIZE, onward, count)]
     for obstacle, of in states.items():
         still = obstacle.tag == "staticObstacle"
         places = dict.fromkeys(range(count), of[min(of)]) if still else of
@@ -64,7 +66,7 @@ def _record(root: Element, path: Path, content: str) -> Record:
     lanes = _lanes(root, lanelets)
     return Record(
         scenario_id=re.sub(r"[^A-Za-z0-9_.-]", "_", root.attrib["benchmarkID"])[:100] or "scenario",
-        time=_step(root) * np.arange(count, dtype=np.float64), current=0, sdc=0, tracks=tracks,
+        time=_step(root) * np.arange(count, dtype=np.float64), current=first, sdc=0, tracks=tracks,
         objects_of_interest=(), to_predict=(), lanes=lanes, lines=_edges(lanelets, max(lanes)), stop_signs=(),
         areas=(), signals=[()] * count, content=content,
     )  # fmt: skip
