@@ -11,7 +11,7 @@ import atexit
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -363,21 +363,26 @@ def run_campaign(plan: Plan, orders: Orders, watcher: Watcher, *, states: bool =
 
 def _write_states(folder: Path, names: Sequence[str]) -> None:
     """Write ``states.parquet`` of a batch; packed runs are unpacked for it, one at a time."""
-    from sumo_adv.campaigns.pack import unpack
     from sumo_adv.files import sentences
-    from sumo_adv.report.staging import staged
     from sumo_adv.report.states_parquet import write_states_parquet
 
     def runs() -> Iterator[tuple[str, Path]]:
         for name in names:
-            if (folder / "runs" / name).is_dir():
-                yield name, folder / "runs" / name
-                continue
-            with tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
-                yield name, unpack(folder, [name], Path(scratch), staged)[0]
+            there = folder / "runs" / name
+            yield from ((name, run) for run in ([there] if there.is_dir() else unpacked(folder, [name])))
 
     with sentences(folder):
         write_states_parquet(folder / "states.parquet", runs())
+
+
+def unpacked(folder: Path, names: Iterable[str]) -> Iterator[Path]:
+    """Packed runs of a batch, each in a folder that is there until the next one. Raises UsageError or SumoAdvError."""
+    from sumo_adv.campaigns.pack import unpack
+    from sumo_adv.report.staging import staged
+
+    for name in names:
+        with tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
+            yield unpack(folder, [name], Path(scratch), staged)[0]
 
 
 def estimate_rate(

@@ -37,20 +37,11 @@ def left_out() -> Iterator[str]:
 
 
 def runs_in(folder: Path) -> list[Path]:
-    """``folder`` itself if it is a run's, else the runs of a hunt, a regression suite or a campaign.
-
-    Raises UsageError: there is no run.
-    """
+    """``folder`` itself if it is a run's, or none at all; else the runs of a hunt, a regression suite or a campaign."""
     if (folder / OUTCOME).is_file() or not folder.is_dir():
         return [folder]
     places = [folder / holder for holder in HOLDERS if (folder / holder).is_dir()]
-    runs = [run for place in places for run in sorted(place.iterdir()) if (run / OUTCOME).is_file()]
-    if not runs:
-        raise UsageError(
-            f"{folder} holds no {OUTCOME} and no runs; give the folder of a run, a hunt, a regression suite or a "
-            "campaign (unpack a packed one first)."
-        )
-    return runs
+    return [run for place in places for run in sorted(place.iterdir()) if (run / OUTCOME).is_file()]
 
 
 def write_export(target: Path, piece: Piece, format: Format, variant: Variant, *, force: bool) -> str | None:
