@@ -30,6 +30,7 @@ _SUFFIXES = (
     *sorted(MAPS, key=len, reverse=True),
     ".net.xml.gz", ".net.xml", ".xml.gz", ".xml", ".sumocfg", ".sumo.cfg", ".toml",
 )  # fmt: skip
+HEAD = 4096  # bytes in which the root element of a CommonRoad scenario begins
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +46,15 @@ class EgoRoute:
 
 
 @dataclass(frozen=True, slots=True)
+class WaymoSource:
+    """The Waymo record that an input was made of: its file, its id, the SHA-256 of its bytes in hex."""
+
+    file: Path
+    id: str
+    content: str
+
+
+@dataclass(frozen=True, slots=True)
 class RunInput:
     """Everything a run needs to know about its input. Times are simulation times [s]; paths exist.
 
@@ -54,7 +64,7 @@ class RunInput:
     candidates, supports, intents: empty = no restriction. files: all that a manifest must copy. playback: what a log
     moves. seed, step_length [s], options: of the user's own simulation, None = this program's. notes: sentences about
     what of it is not kept, or was converted. asked: what must be true of the attack; words: those that the scenario was
-    made of. conversion: of a map that was no SUMO network.
+    made of. conversion: of a map that was no SUMO network. waymo: the record that was converted.
     """
 
     name: str
@@ -86,6 +96,7 @@ class RunInput:
     asked: Asked | None = None
     words: str = ""
     conversion: Conversion | None = None
+    waymo: WaymoSource | None = None
 
     def settings(self, named: Collection[str] = ()) -> dict[str, Any]:
         """Settings that the input brings: the horizon, and level and number of adversaries of the attack that it asks
@@ -117,10 +128,23 @@ def load_input(path: Path) -> RunInput:
             name=input_name(file), source=file, network=made.network, files=(file, made.network),
             notes=made.said, conversion=made,
         )  # fmt: skip
+    if is_commonroad(file):
+        raise UsageError(f"{file} is a CommonRoad scenario: convert it to a scenario first (sumo-adv convert).")
     if lower.endswith(_NETWORK_SUFFIXES):
         scan_network(file)
         return RunInput(name=input_name(file), source=file, network=file, files=(file,))
     raise UsageError(f"{file} is no input: give a .net.xml, .net.xml.gz, .sumocfg, scenario .toml, .xodr or .osm.")
+
+
+def is_commonroad(path: Path) -> bool:
+    """Whether an XML file begins as a CommonRoad scenario does."""
+    if path.suffix.lower() != ".xml":
+        return False
+    try:
+        with path.open("rb") as file:
+            return b"<commonRoad" in file.read(HEAD)
+    except OSError:  # whoever reads it says why
+        return False
 
 
 def own_simulation(given: RunInput) -> dict[str, float | int]:
