@@ -11,6 +11,7 @@ import pytest
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.inputs import EgoRoute, data_folder, input_name, load_input, own_simulation, shipped_names
 from sumo_adv.simulation.scan import scan_demand
+from sumo_adv.simulation.simulation import SimulationSpec
 from sumo_adv.simulation.sumo_options import parse, refuse
 
 NET = """<net version="1.20">
@@ -247,6 +248,24 @@ def test_a_sumocfg_keeps_its_options_and_names_those_that_it_cannot_keep(tmp_pat
     assert loaded.notes == (
         "Not kept of own.sumocfg, as this program sets them itself: collision.action=teleport, fcd-output=fcd.xml.",
     )
+
+
+def test_of_collisions_only_what_moves_vehicles_is_not_kept(tmp_path: Path) -> None:
+    """``warn`` is this program's own action, so nothing is lost; a stop after a collision is."""
+    network(tmp_path)
+    configured = write(
+        tmp_path / "own.sumocfg",
+        '<configuration><input><net-file value="small.net.xml"/></input><time><step-length value="0.1"/></time>'
+        '<processing><collision.action value="warn"/><collision.stoptime value="3"/>'
+        '<collision.mingap-factor value="1"/><collision.check-junctions value="false"/></processing></configuration>',
+    )
+    loaded = load_input(configured)
+    assert loaded.options == {"collision.mingap-factor": "1", "collision.check-junctions": "false"}
+    assert loaded.notes == ("Not kept of own.sumocfg, as this program sets them itself: collision.stoptime=3.",)
+    spec = SimulationSpec(loaded.network, (), (), 0.0, 1, options=loaded.options)
+    assert spec.all_options["collision.action"] == "warn"
+    assert spec.all_options["collision.stoptime"] == "0"
+    assert spec.all_options["collision.mingap-factor"] == "1"
 
 
 @pytest.mark.parametrize(("given", "said"), [("2", "2 s"), (None, "SUMO's default of 1 s")])

@@ -294,7 +294,7 @@ def manifest(episode: Episode, inputs: Mapping[Path, str]) -> dict[str, Any]:
         "settings": episode.settings.model_dump(mode="json", exclude={"memory"}),
         "network": inputs[spec.network], "routes": [inputs[p] for p in spec.routes],
         "additional": [inputs[p] for p in spec.additional], "begin": spec.begin, "end": task.end,
-        "seed": spec.seed, "step_length": spec.step_length, "sumo_options": dict(spec.options),
+        "seed": spec.seed, "step_length": spec.step_length, "sumo_options": spec.all_options,
         "trigger": task.trigger, "warm_up": task.warm_up, "only": list(task.only),
         "playback": _playback(task.playback, inputs), "conversion": _conversion(episode.source.conversion),
         "ego": _ego(task.ego), "ego_base_type": task.ego_base_type, "ego_driver": task.ego_driver,

@@ -6,7 +6,7 @@ wrong with the files it names is found by ``scan.py``.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -188,7 +188,7 @@ def _from_configuration(path: Path) -> RunInput:
         raise UsageError(f"{path} names no network: it needs a net-file.")
     network = networks[0]
     routes, additional = (_paths(path, options.get(key, "")) for key in ("routes", "additional"))
-    _scan_all(path, network, (*routes, *additional))
+    _, scans = _scan_all(path, network, (*routes, *additional))
     begin, end = (seconds(path, key, options.get(key)) for key in ("begin", "end"))
     if end is not None and end <= (begin or 0.0):
         raise UsageError(f"{path} ends at {end:g} s, which is not after its begin: correct one of the two.")
@@ -200,7 +200,7 @@ def _from_configuration(path: Path) -> RunInput:
         notes = (*notes, f"Not kept of {path.name}, as this program sets them itself: {', '.join(left)}.")
     return RunInput(
         name=input_name(path), source=path, network=network, routes=routes, additional=additional, begin=begin,
-        end=end, files=(path, network, *routes, *additional), seed=None if seed is None else int(seed),
+        end=end, files=(path, network, *routes, *additional, *_named(scans)), seed=None if seed is None else int(seed),
         step_length=step, options=chosen, notes=notes,
     )  # fmt: skip
 
@@ -261,8 +261,8 @@ def _from_scenario(path: Path) -> RunInput:
         trigger=scenario.window.trigger, warm_up=scenario.window.warm_up, horizon=scenario.window.horizon,
         candidates=scenario.adversary.candidates, supports=scenario.adversary.supports,
         intents=scenario.adversary.intents, label=scenario.label,
-        files=(path, network, *routes, *additional, *(playback.files if playback else ())), playback=playback,
-        asked=scenario.asked, words=scenario.written.words if scenario.written else "",
+        files=(path, network, *routes, *additional, *_named(scans), *(playback.files if playback else ())),
+        playback=playback, asked=scenario.asked, words=scenario.written.words if scenario.written else "",
     )  # fmt: skip
 
 
@@ -271,6 +271,10 @@ def _named_network(path: Path, network: Path) -> Path:
     shipped = data_folder("networks") / f"{network.name}.net.xml"
     named = network.parent == path.parent and not network.suffix
     return shipped if named and not network.exists() and shipped.is_file() else network
+
+
+def _named(scans: Sequence[DemandScan]) -> tuple[Path, ...]:
+    return tuple(file for scan in scans for file in scan.files)
 
 
 def _or(value: float | None, default: float | None) -> float | None:
