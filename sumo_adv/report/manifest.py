@@ -81,7 +81,7 @@ def _recorded(folder: Path, m: dict[str, Any]) -> Recorded:
     source = RunInput(
         name=m["name"], source=folder, network=spec.network, intents=tuple(m["intents_allowed"]),
         asked=None if asked is None else Asked.model_validate(asked), words=m.get("words") or "",
-        conversion=_conversion(m.get("conversion"), spec.network),
+        conversion=_conversion(m.get("conversion"), spec.network), notes=tuple(m.get("notes", ())),
     )  # fmt: skip
     return Recorded(source, settings, task, proposal, m["skips"])
 

@@ -17,7 +17,7 @@ from sumo_adv.simulation.maps import MAPS, Conversion, convert_map, is_map
 from sumo_adv.simulation.playback_spec import PlaybackSpec, scenario_playback
 from sumo_adv.simulation.scan import DemandScan, NetworkScan, parse, scan_demand, scan_network, seconds
 from sumo_adv.simulation.scenario import DEFAULT_WARM_UP, Ego, Label, Scenario, load_scenario
-from sumo_adv.simulation.sumo_options import LONGEST_STEP, SHORTEST_STEP, kept
+from sumo_adv.simulation.sumo_options import LONGEST_STEP, SHORTEST_STEP, SUMO_STEP, kept, part_of
 
 _OPTIONS = {
     "net-file": "net", "net": "net", "n": "net",
@@ -206,14 +206,18 @@ def _from_configuration(path: Path) -> RunInput:
 
 
 def _step_length(path: Path, given: str | None) -> tuple[float | None, tuple[str, ...]]:
-    """The step of a .sumocfg [s] and no note; None and a note where this program's own is taken."""
+    """The step of a .sumocfg [s] and no note; a part of it, or None for this program's own, and a note."""
     step = seconds(path, "step-length", given)
     if step is not None and SHORTEST_STEP <= step <= LONGEST_STEP:
         return step, ()
+    taken = part_of(SUMO_STEP if step is None else step)
     said = "SUMO's default of 1 s" if step is None else f"{step:g} s"
-    return None, (
-        f"The step-length of {path.name}, {said}, is not kept: this program takes steps of {SHORTEST_STEP:g} to "
-        f"{LONGEST_STEP:g} s, by default of 0.1 s.",
+    why = f"this program takes steps of {SHORTEST_STEP:g} to {LONGEST_STEP:g} s"
+    if taken is None:
+        return None, (f"The step-length of {path.name}, {said}, is not kept: {why}, here of its own.",)
+    whole = round((SUMO_STEP if step is None else step) / taken)
+    return taken, (
+        f"The step-length of {path.name}, {said}, is not kept: {why}, here of {taken:g} s, of which {whole} make one.",
     )
 
 

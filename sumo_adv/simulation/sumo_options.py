@@ -23,6 +23,7 @@ FORCED = {
 collisions by geometry. The other options of collisions change SUMO's own list alone. A vehicle may have an SSM device
 of its own, which would write a file in the working folder."""
 SHORTEST_STEP, LONGEST_STEP = 0.01, 0.5  # s
+SUMO_STEP, FINE_STEP = 1.0, 0.1  # s: SUMO's default, and the longest part of a step that is too long
 ELSEWHERE = {
     "net-file": "give the network as the INPUT", "route-files": "name it in a .sumocfg",
     "additional-files": "name it in a .sumocfg", "begin": "use --begin", "end": "use --end", "seed": "use --seed",
@@ -61,6 +62,15 @@ def kept(configuration: Path, given: Mapping[str, str]) -> tuple[dict[str, str],
 
 def _is_file(configuration: Path, value: str) -> bool:
     return any((configuration.parent / part.strip()).is_file() for part in value.split(",") if part.strip())
+
+
+def part_of(step: float) -> float | None:
+    """The longest step [s] up to ``FINE_STEP`` of which ``step`` is a multiple, so that what SUMO does at the times of
+    the long steps is done; None if there is none. SUMO counts in whole ms.
+    """
+    whole = round(1000 * step)
+    shortest, longest = round(1000 * SHORTEST_STEP), round(1000 * FINE_STEP)
+    return next((part / 1000 for part in range(longest, shortest - 1, -1) if whole >= part and whole % part == 0), None)
 
 
 def parse(given: Sequence[str]) -> dict[str, str]:
