@@ -172,7 +172,7 @@ def parse(path: Path, start: _Handler, end: Callable[[str], None] | None = None)
     """Feeds the start and the end of every element to ``start`` and ``end``, and returns the other files that it read.
 
     Those are the files that SUMO reads because this one names them (``READ``). The elements below their roots come
-    where the file is named. Raises UsageError for a damaged or missing file, and for one that includes itself.
+    where the file is named. Raises UsageError for a file that is damaged, missing, or includes itself.
     """
     others: dict[Path, None] = {}
     _parse(path, start, end, (), others)

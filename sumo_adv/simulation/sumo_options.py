@@ -52,8 +52,8 @@ def is_own(name: str) -> bool:
 def kept(configuration: Path, given: Mapping[str, str]) -> tuple[dict[str, str], tuple[str, ...]]:
     """The options of a .sumocfg that are kept, and ``NAME=VALUE`` of those that are not.
 
-    An option that names a file is not kept: a run copies its network, demand and additional files alone. One that this
-    program sets to the same value is in neither.
+    An option that names a file is not kept: a run copies its network, demand and additional files alone. An option
+    that this program sets to the same value is in neither.
     """
     own = {name for name, value in given.items() if is_own(name) or _is_file(configuration, value)}
     left = tuple(f"{name}={given[name]}" for name in given if name in own and FORCED.get(name) != given[name])
