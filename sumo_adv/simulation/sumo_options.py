@@ -15,6 +15,11 @@ DEFAULTS = {
     "time-to-teleport": "-1", "lateral-resolution": "0.8", "default.speeddev": "0", "collision.mingap-factor": "0",
     "collision.check-junctions": "true",
 }  # fmt: skip
+SUMOS = {
+    "time-to-teleport": "300", "lateral-resolution": "-1", "default.speeddev": "-1", "collision.mingap-factor": "-1",
+    "collision.check-junctions": "false",
+}  # fmt: skip
+"""SUMO's own values of ``DEFAULTS``."""
 FORCED = {
     "collision.action": "warn", "collision.stoptime": "0", "device.ssm.file": "NUL", "xml-validation": "never",
     "no-step-log": "true", "no-warnings": "true", "duration-log.disable": "true",
@@ -71,6 +76,12 @@ def part_of(step: float) -> float | None:
     whole = round(1000 * step)
     shortest, longest = round(1000 * SHORTEST_STEP), round(1000 * FINE_STEP)
     return next((part / 1000 for part in range(longest, shortest - 1, -1) if whole >= part and whole % part == 0), None)
+
+
+def differing(options: Mapping[str, str]) -> dict[str, str]:
+    """What a scenario needs of its own, beside ``DEFAULTS``, to run with these options."""
+    wanted = {name: value for name, value in {**SUMOS, **options}.items() if name not in FORCED}
+    return {name: value for name, value in wanted.items() if DEFAULTS.get(name) != value}
 
 
 def parse(given: Sequence[str]) -> dict[str, str]:
