@@ -84,7 +84,7 @@ def _plain(source: Path, density: float | None, parts: Parts) -> Input:
     try:
         content = hash_of(given.files)
         place = source.absolute() if source.is_file() else source  # a shipped one is found by its name anywhere
-        return Input(given.name, place, None, content)
+        return Input(given.name, place, None, content, notes=given.notes)
     except (SumoAdvError, OSError) as error:
         return broken(source, None, str(error))
 

@@ -81,7 +81,8 @@ def _recorded(folder: Path, m: dict[str, Any]) -> Recorded:
     source = RunInput(
         name=m["name"], source=folder, network=spec.network, intents=tuple(m["intents_allowed"]),
         asked=None if asked is None else Asked.model_validate(asked), words=m.get("words") or "",
-        conversion=_conversion(m.get("conversion"), spec.network), waymo=waymo_source(m),
+        conversion=_conversion(m.get("conversion"), spec.network), notes=tuple(m.get("notes", ())),
+        waymo=waymo_source(m),
     )  # fmt: skip
     return Recorded(source, settings, task, proposal, m["skips"])
 

@@ -73,7 +73,8 @@ def outcome(
         "ego_actions": _ego_actions(episode), "realism": dict(realism or {}), "timing": _timing(episode),
         "llm": _llm(episode),
         "sandbox": episode.isolation, "forked": episode.forked, "learnt": episode.learnt,
-        "bank_change": episode.bank_change or None, "notes": episode.notes, "asked": _asked(episode),
+        "bank_change": episode.bank_change or None, "notes": [*episode.source.notes, *episode.notes],
+        "asked": _asked(episode),
     }  # fmt: skip
 
 
@@ -295,10 +296,11 @@ def manifest(episode: Episode, inputs: Mapping[Path, str]) -> dict[str, Any]:
         "settings": episode.settings.model_dump(mode="json", exclude={"memory"}),
         "network": inputs[spec.network], "routes": [inputs[p] for p in spec.routes],
         "additional": [inputs[p] for p in spec.additional], "begin": spec.begin, "end": task.end,
-        "seed": spec.seed, "step_length": spec.step_length, "sumo_options": dict(spec.options),
+        "seed": spec.seed, "step_length": spec.step_length, "sumo_options": spec.all_options,
         "trigger": task.trigger, "warm_up": task.warm_up, "only": list(task.only),
         "playback": _playback(task.playback, inputs), "conversion": _conversion(episode.source.conversion),
         "waymo": _waymo(episode.source.waymo),
+        "notes": list(episode.source.notes),
         "ego": _ego(task.ego), "ego_base_type": task.ego_base_type, "ego_driver": task.ego_driver,
         "ego_parameters": dict(task.ego_parameters), "driven_from": task.driven_from, "delay": task.delay,
         "skips": episode.skips,

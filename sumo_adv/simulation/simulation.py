@@ -68,11 +68,16 @@ class SimulationSpec:
     step_length: float = 0.1
     options: Mapping[str, str] = field(default_factory=lambda: dict(DEFAULTS))
 
+    @property
+    def all_options(self) -> dict[str, str]:
+        """The options of SUMO, with those that this program forces."""
+        return {**self.options, **FORCED}
+
     def arguments(self) -> list[str]:
         """The command line without the program's name."""
         args = ["-n", str(self.network), "--begin", repr(self.begin), "--step-length", repr(self.step_length)]
-        args += ["--seed", str(self.seed), *FORCED]
-        for name, value in self.options.items():
+        args += ["--seed", str(self.seed)]
+        for name, value in self.all_options.items():
             args += [f"--{name}", value]
         if self.routes:
             args += ["-r", ",".join(map(str, self.routes))]
