@@ -12,6 +12,7 @@ from typing import BinaryIO, cast
 from xml.parsers import expat
 
 from sumo_adv.errors import UsageError
+from sumo_adv.simulation.simulation import PERSON
 
 LONGEST_LANE = 1e6  # m, and m/s: beyond any
 FARTHEST = 1e9  # m from the origin
@@ -30,15 +31,20 @@ class NetworkScan:
 
 @dataclass(frozen=True, slots=True)
 class DemandScan:
-    """Edges in order of first use, ids of vehicles and trips, ids of flows (their vehicles are ``flow.0``, ...)."""
+    """Edges in order of first use, ids of vehicles and trips, ids of flows (their vehicles are ``flow.0``, ...).
+
+    persons: ``person:ID`` of persons and of flows of them.
+    """
 
     edges: tuple[str, ...]
     vehicles: frozenset[str]
     flows: frozenset[str]
+    persons: frozenset[str]
 
     def has(self, vehicle: str) -> bool:
-        """Whether a vehicle of this id can come from the file."""
-        return vehicle in self.vehicles or vehicle.rpartition(".")[0] in self.flows
+        """Whether a vehicle of this id, or a person with ``person:`` before its id, can come from the file."""
+        flow = vehicle.rpartition(".")[0]
+        return vehicle in self.vehicles | self.persons or flow in self.flows | self.persons
 
 
 def scan_network(path: Path) -> NetworkScan:
@@ -108,6 +114,7 @@ def scan_demand(path: Path) -> DemandScan:
     edges: dict[str, None] = {}
     vehicles: set[str] = set()
     flows: set[str] = set()
+    persons: set[str] = set()
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         if tag == "route":
@@ -117,9 +124,11 @@ def scan_demand(path: Path) -> DemandScan:
             for key in ("from", "via", "to"):
                 if key in attributes:
                     edges.update(dict.fromkeys(attributes[key].split()))
+        elif tag in ("person", "personFlow"):
+            persons.add(PERSON + attributes.get("id", ""))
 
     parse(path, start)
-    return DemandScan(tuple(edges), frozenset(vehicles), frozenset(flows))
+    return DemandScan(tuple(edges), frozenset(vehicles), frozenset(flows), frozenset(persons))
 
 
 def scan_routes(files: Sequence[Path]) -> dict[str, tuple[str, ...]]:

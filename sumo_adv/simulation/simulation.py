@@ -23,6 +23,8 @@ from sumo_adv.simulation.sumo_options import DEFAULTS, FORCED
 
 S = TypeVar("S", bound=VehicleState)
 KEEP_ROUTE = 2  # moveToXY places exactly and rewrites the route where it must
+PERSON = "person:"
+"""Before the id of a ``<person>``: SUMO lets a person and a vehicle have one id."""
 LANELESS = ("bicycle", "pedestrian")
 """Classes that many lanes of cars do not allow. SUMO has a moved vehicle on no lane where its class may not be, and its
 drivers then drive through it (measured). So a moved one gets the class of a car; ``vehicle_class`` tells its own. In
@@ -83,7 +85,8 @@ class SimulationSpec:
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """Everything SUMO said after one step. ``raw``: vehicle id -> bumper pose, speed, lane.
+    """Everything SUMO said after one step. ``raw``: vehicle id -> bumper pose, speed, lane; also ``person:ID`` of each
+    person on foot: the middle of its front, its speed, and no lane.
 
     lights: by id the states of the traffic lights near the ego, where they are recorded.
     """
@@ -95,15 +98,20 @@ class Snapshot:
 
 @dataclass(slots=True)
 class Fleet:
-    """Sizes (length, width in m) and vClasses of the vehicles seen, asked of SUMO once each."""
+    """Sizes (length, width in m) and vClasses of the vehicles and persons seen, asked of SUMO once each.
+
+    persons: those of them that are SUMO's persons, and no vehicles.
+    """
 
     sizes: dict[str, tuple[float, float]] = field(default_factory=dict)
     classes: dict[str, str] = field(default_factory=dict)
+    persons: set[str] = field(default_factory=set)
 
     def forget(self, keep: Collection[str]) -> None:
-        """Drop all vehicles but these: what a simulation that goes on for hours needs."""
+        """Drop all but these: what a simulation that goes on for hours needs."""
         self.sizes = {name: size for name, size in self.sizes.items() if name in keep}
         self.classes = {name: kind for name, kind in self.classes.items() if name in keep}
+        self.persons.intersection_update(keep)
 
 
 class Simulation:
@@ -223,7 +231,7 @@ class Simulation:
             raise SimulationError(f"SUMO failed in a step ({' '.join(str(error).split())}).") from error
 
     def read(self) -> Snapshot:
-        """The present states of all vehicles."""
+        """The present states of all vehicles and persons."""
         if self._remote is not None:
             return self._read_remote(self._remote)
         position, angle, speed, lane = self._position, self._angle, self._speed, self._lane
@@ -236,6 +244,11 @@ class Simulation:
             if x > INVALID:
                 raw[v] = (x, y, angle(v), speed(v), lane(v))
         self._moved.correct(raw)
+        person = self._sumo.person
+        self._add_persons(raw, {
+            p: (*person.getPosition(p), person.getAngle(p), person.getSpeed(p), person.getVehicle(p))
+            for p in person.getIDList()
+        })  # fmt: skip
         return Snapshot(self.time, raw)
 
     def _read_remote(self, remote: Remote) -> Snapshot:
@@ -243,7 +256,21 @@ class Simulation:
         for name in raw.keys() - self.fleet.sizes.keys():
             self._measure(name)
         self._moved.correct(raw)
+        self._add_persons(raw, remote.persons)
         return Snapshot(remote.time, raw)
+
+    def _add_persons(self, raw: dict[str, RawState], persons: Mapping[str, RawState]) -> None:
+        """Add the persons on foot. ``persons``: by SUMO's id, with the vehicle that they ride in instead of a lane."""
+        for person, (x, y, angle, speed, ride) in persons.items():
+            name = PERSON + person
+            if ride or x <= INVALID or name in raw:  # in ``raw``: it attacks as a vehicle since this step
+                continue
+            if name not in self.fleet.sizes:
+                p = self._sumo.person
+                self.fleet.sizes[name] = (p.getLength(person), p.getWidth(person))
+                self.fleet.classes[name] = "pedestrian"
+                self.fleet.persons.add(name)
+            raw[name] = (x, y, angle, speed, "")
 
     def _measure(self, vehicle: str) -> None:
         """Ask for a vehicle's size."""
