@@ -98,7 +98,9 @@ class Remote:
             question = self._questions[command, name] = b"".join(getter(command, v, name) for v in variables)
         return question
 
-    def _states(self, names: Sequence[str], answer: bytes, at: int) -> tuple[dict[str, RawState], dict[str, float], int]:
+    def _states(
+        self, names: Sequence[str], answer: bytes, at: int
+    ) -> tuple[dict[str, RawState], dict[str, float], int]:
         """States and positions on lanes [m] that begin at ``at``, and where they end."""
         states: dict[str, RawState] = {}
         positions: dict[str, float] = {}

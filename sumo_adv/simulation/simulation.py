@@ -25,6 +25,7 @@ S = TypeVar("S", bound=VehicleState)
 KEEP_ROUTE = 2  # moveToXY places exactly and rewrites the route where it must
 PERSON = "person:"
 """Before the id of a ``<person>``: SUMO lets a person and a vehicle have one id."""
+FASTEST_PERSON, PERSON_JUMPS = 10.5, 1.0  # m/s, SUMO's highest speed of a person; m beyond it that are a jump
 LANELESS = ("bicycle", "pedestrian")
 """Classes that many lanes of cars do not allow. SUMO has a moved vehicle on no lane where its class may not be, and its
 drivers then drive through it (measured). So a moved one gets the class of a car; ``vehicle_class`` tells its own. In
@@ -126,6 +127,7 @@ class Simulation:
         self.unrouted: frozenset[str] = frozenset()  # vehicles that another program moves freely
         self._remote = remote
         self._moved = MovedSpeeds()
+        self._walked: dict[str, tuple[float, float]] = {}  # where the persons on foot are
         self._as_cars: set[str] = set()  # moved pedestrians and cyclists, which SUMO takes for cars
         self._errors: tuple[type[Exception], ...]
         self._sumo: Any
@@ -177,7 +179,7 @@ class Simulation:
         if self._remote is not None:
             raise SimulationError("A SUMO that others are connected to cannot be loaded again: start another.")
         self.fleet.forget(())
-        self._moved, self._as_cars = MovedSpeeds(), set()
+        self._moved, self._as_cars, self._walked = MovedSpeeds(), set(), {}
         try:
             self._sumo.load(self.spec.arguments())
         except self._errors as error:
@@ -260,7 +262,12 @@ class Simulation:
         return Snapshot(remote.time, raw)
 
     def _add_persons(self, raw: dict[str, RawState], persons: Mapping[str, RawState]) -> None:
-        """Add the persons on foot. ``persons``: by SUMO's id, with the vehicle that they ride in instead of a lane."""
+        """Add the persons on foot. ``persons``: by SUMO's id, with the vehicle that they ride in instead of a lane.
+
+        A person that has jumped over a junction is left out for this step: it has touched nothing on its way.
+        """
+        before, self._walked = self._walked, {}
+        reach = PERSON_JUMPS + FASTEST_PERSON * self.spec.step_length
         for person, (x, y, angle, speed, ride) in persons.items():
             name = PERSON + person
             if ride or x <= INVALID or name in raw:  # in ``raw``: it attacks as a vehicle since this step
@@ -270,7 +277,9 @@ class Simulation:
                 self.fleet.sizes[name] = (p.getLength(person), p.getWidth(person))
                 self.fleet.classes[name] = "pedestrian"
                 self.fleet.persons.add(name)
-            raw[name] = (x, y, angle, speed, "")
+            self._walked[name] = (x, y)
+            if math.dist((x, y), before.get(name, (x, y))) < reach:
+                raw[name] = (x, y, angle, speed, "")
 
     def _measure(self, vehicle: str) -> None:
         """Ask for a vehicle's size."""
