@@ -45,7 +45,7 @@ def make_street(folder: Path) -> Path:
     for name, text in (("nod", NODES), ("edg", EDGES), ("con", CONNECTIONS)):
         (folder / f"street.{name}.xml").write_text(text)
     street = folder / "street.net.xml"
-    command = [find_netconvert(), "-n", folder / "street.nod.xml", "-e", folder / "street.edg.xml"]
+    command: list[str | Path] = [find_netconvert(), "-n", folder / "street.nod.xml", "-e", folder / "street.edg.xml"]
     command += ["-x", folder / "street.con.xml", "-o", street, "--no-turnarounds"]
     subprocess.run(command, check=True, capture_output=True)
     return street
