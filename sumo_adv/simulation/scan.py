@@ -12,6 +12,7 @@ from typing import BinaryIO, cast
 from xml.parsers import expat
 
 from sumo_adv.errors import UsageError
+from sumo_adv.simulation.simulation import PERSON
 
 LONGEST_LANE = 1e6  # m, and m/s: beyond any
 FARTHEST = 1e9  # m from the origin
@@ -32,17 +33,21 @@ class NetworkScan:
 
 @dataclass(frozen=True, slots=True)
 class DemandScan:
-    """Edges in order of first use, ids of vehicles and trips, ids of flows (their vehicles are ``flow.0``, ...), and
-    the other files that it names."""
+    """Edges in order of first use, ids of vehicles and trips, ids of flows (their vehicles are ``flow.0``, ...).
+
+    persons: ``person:ID`` of persons and of flows of them; files: the other files that it names.
+    """
 
     edges: tuple[str, ...]
     vehicles: frozenset[str]
     flows: frozenset[str]
+    persons: frozenset[str]
     files: tuple[Path, ...] = ()
 
     def has(self, vehicle: str) -> bool:
-        """Whether a vehicle of this id can come from the file."""
-        return vehicle in self.vehicles or vehicle.rpartition(".")[0] in self.flows
+        """Whether a vehicle of this id, or a person with ``person:`` before its id, can come from the file."""
+        flow = vehicle.rpartition(".")[0]
+        return vehicle in self.vehicles | self.persons or flow in self.flows | self.persons
 
 
 def scan_network(path: Path) -> NetworkScan:
@@ -112,6 +117,7 @@ def scan_demand(path: Path) -> DemandScan:
     edges: dict[str, None] = {}
     vehicles: set[str] = set()
     flows: set[str] = set()
+    persons: set[str] = set()
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         if tag == "route":
@@ -121,9 +127,11 @@ def scan_demand(path: Path) -> DemandScan:
             for key in ("from", "via", "to"):
                 if key in attributes:
                     edges.update(dict.fromkeys(attributes[key].split()))
+        elif tag in ("person", "personFlow"):
+            persons.add(PERSON + attributes.get("id", ""))
 
     files = parse(path, start)
-    return DemandScan(tuple(edges), frozenset(vehicles), frozenset(flows), files)
+    return DemandScan(tuple(edges), frozenset(vehicles), frozenset(flows), frozenset(persons), files)
 
 
 def scan_routes(files: Sequence[Path]) -> dict[str, tuple[str, ...]]:
