@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +13,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from sumo_adv.api import Table
-    from sumo_adv.campaigns.campaign import Orders, Summary
+    from sumo_adv.campaigns.campaign import Orders, Summary, Watcher
     from sumo_adv.campaigns.plan import Plan
     from sumo_adv.hunting.hunt import Found, HuntProgress
 
@@ -56,6 +57,7 @@ def hunt(
     settings_file: str | Path | None = None,
     pages: bool = True,
     tell: Callable[[HuntProgress], None] | None = None,
+    stopping: Callable[[bool], None] | None = None,
     **settings: Any,
 ) -> HuntResult:
     """The worst distinct failures that ``minutes`` are enough for, as ``sumo-adv hunt``. The same call again goes on.
@@ -63,7 +65,7 @@ def hunt(
     inputs: networks, .sumocfg files, scenarios, records, folders and shipped names. distinct: end sooner with this many
     failures. until: the level at which an encounter ends, ``serious`` by default (``valid`` for the ego careful).
     deadline: seconds after which an episode is stuck. pages: make an index page with replays. tell: called after each
-    round.
+    round. stopping: called when Ctrl-C is pressed, with True where it is pressed again.
 
     Raises:
         UsageError: bad input or settings, or the folder ``out`` holds something else.
@@ -86,19 +88,22 @@ def hunt(
     plan = make_plan(given, Path(), "The hunt", batch_parts(), None if settings_file is None else Path(settings_file))
     pace = Pace(workers or os.cpu_count() or 1, deadline, RECYCLE)
     orders = Orders(Path(out), plan.memory or default_bank_path(), versions(), pace, ray=cluster)
-    found = Hunt(plan, orders, _campaign, minutes, distinct).run(tell or (lambda _: None))
+    found = Hunt(plan, orders, partial(_campaign, _Unseen(stopping)), minutes, distinct).run(tell or (lambda _: None))
     rows = table(found.failures, found.folder)
     return HuntResult(found, rows, _index(found, pace.workers) if pages and rows else None)
 
 
-def _campaign(plan: Plan, orders: Orders) -> Summary:
+def _campaign(watcher: Watcher, plan: Plan, orders: Orders) -> Summary:
     from sumo_adv.app import run_campaign
 
-    return run_campaign(plan, orders, _Nothing())
+    return run_campaign(plan, orders, watcher)
 
 
-class _Nothing:
-    """Shows nothing of a round; failed episodes are in its table."""
+@dataclass(frozen=True)
+class _Unseen:
+    """Shows nothing of a round but Ctrl-C."""
+
+    tell: Callable[[bool], None] | None
 
     def begin(self, total: int, before: Sequence[Any]) -> None:
         """Nothing."""
@@ -107,7 +112,9 @@ class _Nothing:
         """Nothing."""
 
     def stopping(self, now: bool) -> None:
-        """Nothing: the hunt says so at the end."""
+        """Say that Ctrl-C was pressed."""
+        if self.tell is not None:
+            self.tell(now)
 
 
 def _index(found: Found, workers: int) -> Path:

@@ -11,7 +11,7 @@ import atexit
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -53,8 +53,7 @@ def load(source: Path, record: str | None) -> RunInput:
     record: the id, or the place from 0, of the record to take from such a file (default: the first).
     Raises SumoAdvError for what cannot be read or converted.
     """
-    from sumo_adv.simulation.inputs import load_input
-    from sumo_adv.womd.commonroad import is_commonroad, read_commonroad
+    from sumo_adv.simulation.inputs import WaymoSource, is_commonroad, load_input
 
     commonroad = is_commonroad(source)
     waymo = ".tfrecord" in source.name.lower() and source.is_file()
@@ -62,6 +61,7 @@ def load(source: Path, record: str | None) -> RunInput:
         raise UsageError(f"--record chooses among the records of a TFRecord file, which {source} is not.")
     if not waymo and not commonroad:
         return load_input(source)
+    from sumo_adv.womd.commonroad import read_commonroad
     from sumo_adv.womd.convert import conversion
     from sumo_adv.womd.reader import choice_of, find_record
 
@@ -69,7 +69,10 @@ def load(source: Path, record: str | None) -> RunInput:
     stack = ExitStack()  # a conversion that cannot be cached is removed at exit
     atexit.register(stack.close)
     made = stack.enter_context(conversion(chosen, traffic=False))
-    return replace(load_input(made.scenario), name=chosen.scenario_id)
+    origin = WaymoSource(source.absolute(), chosen.scenario_id, chosen.content) if waymo else None
+    given = load_input(made.scenario)
+    files = (source.absolute(),) if commonroad else given.files
+    return replace(given, name=chosen.scenario_id, files=files, waymo=origin)
 
 
 def shipped_bank() -> Path:
@@ -360,21 +363,26 @@ def run_campaign(plan: Plan, orders: Orders, watcher: Watcher, *, states: bool =
 
 def _write_states(folder: Path, names: Sequence[str]) -> None:
     """Write ``states.parquet`` of a batch; packed runs are unpacked for it, one at a time."""
-    from sumo_adv.campaigns.pack import unpack
     from sumo_adv.files import sentences
-    from sumo_adv.report.staging import staged
     from sumo_adv.report.states_parquet import write_states_parquet
 
     def runs() -> Iterator[tuple[str, Path]]:
         for name in names:
-            if (folder / "runs" / name).is_dir():
-                yield name, folder / "runs" / name
-                continue
-            with tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
-                yield name, unpack(folder, [name], Path(scratch), staged)[0]
+            there = folder / "runs" / name
+            yield from ((name, run) for run in ([there] if there.is_dir() else unpacked(folder, [name])))
 
     with sentences(folder):
         write_states_parquet(folder / "states.parquet", runs())
+
+
+def unpacked(folder: Path, names: Iterable[str]) -> Iterator[Path]:
+    """Packed runs of a batch, each in a folder that is there until the next one. Raises UsageError or SumoAdvError."""
+    from sumo_adv.campaigns.pack import unpack
+    from sumo_adv.report.staging import staged
+
+    for name in names:
+        with tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
+            yield unpack(folder, [name], Path(scratch), staged)[0]
 
 
 def estimate_rate(

@@ -6,7 +6,7 @@ import os
 import signal
 from pathlib import Path
 
-from sumo_adv.drivers import LaneSpeed, Observation
+from sumo_adv.drivers import Action, LaneSpeed, Observation, Steer
 
 BRAKES_AT = 6.0  # s: one second after the trigger of the scenario motorway_cut_in_left
 BRAKING = 5.0  # m/s2
@@ -21,7 +21,7 @@ class CalmEgo:
     def reset(self, seed: int) -> None:
         """There is nothing to forget."""
 
-    def act(self, seen: Observation) -> LaneSpeed | None:
+    def act(self, seen: Observation) -> Action:
         """As SUMO would."""
         return None
 
@@ -39,6 +39,16 @@ class BrakingEgo:
         if seen.time < BRAKES_AT - 1e-6:
             return None
         return LaneSpeed(lane=None, speed=max(0.0, seen.ego.speed - BRAKING * seen.dt))
+
+
+class OnwardEgo(CalmEgo):
+    """Keeps its speed and its heading, whatever is ahead."""
+
+    name = "onward"
+
+    def act(self, seen: Observation) -> Steer:
+        """Neither pedal nor wheel."""
+        return Steer(0.0, 0.0)
 
 
 class FailingEgo(CalmEgo):

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from batch_samples import QUICK, table
+from cli_samples import Program
 from run_samples import GEOMETRIES, run_folder
 
 import sumo_adv
+from sumo_adv.campaigns.cluster import wrong_content
+from sumo_adv.campaigns.inputs import hash_of
 from sumo_adv.errors import UsageError
 from sumo_adv.report.export.commonroad import SCENARIO, write_commonroad
 from sumo_adv.report.export.piece import read_piece
-from sumo_adv.womd.commonroad import is_commonroad, read_commonroad
+from sumo_adv.report.export.road import map_lanes
+from sumo_adv.simulation.inputs import is_commonroad, load_input
+from sumo_adv.womd.commonroad import read_commonroad
 
 HEAD = '<commonRoad commonRoadVersion="2020a" benchmarkID="ZAM_Hand-1_1_T-1" timeStepSize="0.1">'
 
@@ -100,6 +107,58 @@ def test_our_export_comes_back(geometry: str, tmp_path: Path) -> None:
         assert np.abs(back.x[back.valid] - track.x).max() < 0.001
         assert np.abs(back.y[back.valid] - track.y).max() < 0.001
         assert back.length[0] == pytest.approx(track.length)
+    lanes = map_lanes(piece)
+    assert [record.lanes[each.number].speed_limit for each in lanes] == pytest.approx(
+        [each.lane.speed for each in lanes]
+    )
+
+
+def test_an_ego_that_comes_later_begins_at_its_own_step(tmp_path: Path) -> None:
+    """Its first 8 states are left out: the planning problem begins at time step 8, where the ego was 0.8 s later."""
+    piece = read_piece(run_folder("straight"))
+    ego = piece.track(piece.ego)
+    late = ego.between(float(ego.time[8]), float(ego.time[-1]))
+    write_commonroad(tmp_path, replace(piece, tracks=tuple(late if t is ego else t for t in piece.tracks)))
+    record = read_commonroad(tmp_path / SCENARIO)
+    own = record.tracks[record.sdc]
+    assert (record.current, own.valid.nonzero()[0].tolist()) == (8, [8, 9])
+    assert own.x[8] == pytest.approx(ego.x[8], abs=1e-3)
+    said = f"ego, {ego.length:.4f} m long, {ego.width:.4f} m wide"
+    assert said in (tmp_path / SCENARIO).read_text(encoding="utf-8")
+
+
+# -- the other commands
+
+
+def test_convert_takes_it(program: Program) -> None:
+    write(program.folder, *LANES, CAR, PROBLEM)
+    done = program("convert", "hand.xml", "--out", "made", "--no-traffic")
+    assert done.status == 0, done.err
+    given = load_input(program.folder / "made" / "ZAM_Hand-1_1_T-1" / "scenario.toml")
+    assert given.ego == "7" and given.playback is not None and given.playback.vehicles == {"5", "7"}
+    refused = program("convert", "hand.xml", "--out", "made", "--first", "1")
+    assert (refused.status, "choose among records of a TFRecord file" in refused.err) == (2, True)
+
+
+def test_batch_runs_it(program: Program) -> None:
+    """Batches, hunts and benchmarks find their inputs in the same way."""
+    file = write(program.folder, *LANES, CAR, PROBLEM)
+    batch = program("batch", "*.xml", "--egos", "idm", *QUICK, "--workers", "1", "--out", "out")
+    assert batch.status == 0, batch.err
+    (row,) = table(batch.folder)
+    assert (row["network"], row["ego"], row["failure"]) == ("ZAM_Hand-1_1_T-1", "idm", "")
+    assert wrong_content(file, hash_of([file]), None) == ""
+
+
+def test_serve_refuses_it_and_says_why(program: Program) -> None:
+    write(program.folder, *LANES, CAR, PROBLEM)
+    refused = program("serve", "hand.xml")
+    assert refused.status == 2 and "hand.xml plays a log back, which serve does not do" in refused.err
+
+
+def test_what_takes_no_recording_says_how_to_convert_it(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"is a CommonRoad scenario: convert it to a scenario first"):
+        load_input(write(tmp_path, *LANES, CAR, PROBLEM))
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import time
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -17,9 +18,9 @@ from sumo_adv.campaigns.local import Pace
 from sumo_adv.campaigns.nouns import Input, Learn
 from sumo_adv.campaigns.plan import Plan
 from sumo_adv.datatypes import Level
-from sumo_adv.errors import UsageError
+from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.hunting.failures import distinct, failure_of
-from sumo_adv.hunting.hunt import Found, Hunt, HuntProgress
+from sumo_adv.hunting.hunt import Found, Hunt, HuntProgress, RunCampaign, over_time
 
 ROW: Mapping[str, Any] = {
     "id": "a", "level": "serious", "intent": "Cut", "composition": None, "relation": "neighbour", "road": "motorway",
@@ -36,7 +37,7 @@ def row(**changes: Any) -> dict[str, Any]:
 def test_a_cell_is_the_intent_the_relation_the_road_the_speed_the_side_and_the_cause() -> None:
     failure = failure_of(ROW, Path("runs"))
     assert failure is not None
-    assert failure.cell == ("Cut", "neighbour", "motorway", "22-inf m/s", "left", "late")
+    assert failure.cell == ("Cut", "neighbour", "motorway", "from 22 m/s", "left", "late")
     assert failure.words == (
         "serious: Cut (neighbour, motorway), hit on the left with 3.0 m/s. Your driver was late"
     )  # fmt: skip
@@ -97,7 +98,7 @@ def plan_of(*names: str) -> Plan:
     return Plan(inputs, ("idm",), (0,), [{"until": "serious"}], [{}], Learn.OFF, None, False)
 
 
-def hunted(folder: Path, campaign: Campaigns, most: int | None = 4, plan: Plan | None = None) -> Found:
+def hunted(folder: Path, campaign: RunCampaign, most: int | None = 4, plan: Plan | None = None) -> Found:
     orders = Orders(folder / "out", folder / "bank.sqlite", {}, Pace(1, 60.0, 200))
     told: list[HuntProgress] = []
     return Hunt(plan or plan_of("good", "dull"), orders, campaign, 10.0, most).run(told.append)
@@ -132,6 +133,54 @@ def test_the_same_hunt_goes_on_and_another_is_refused(tmp_path: Path) -> None:
     assert [seeds for _, seeds in campaign.rounds] == [(0,), (1,), (2,)]  # finished rounds are read again
     with pytest.raises(UsageError, match="holds a hunt with other inputs, egos or settings"):
         hunted(tmp_path, Campaigns(), plan=plan_of("good"))
+
+
+def test_ctrl_c_in_the_last_episode_of_a_round_ends_the_hunt_too(tmp_path: Path) -> None:
+    """Nothing of the round is missing then, and no other round begins."""
+    campaign = Campaigns()
+
+    def pressed(plan: Plan, orders: Orders) -> Summary:
+        return replace(campaign(plan, orders), interrupted=True)
+
+    found = hunted(tmp_path, pressed)
+    assert (found.ended, found.encounters, len(campaign.rounds)) == ("stopped", 2, 1)
+    assert len(list((tmp_path / "out" / "failures").iterdir())) == 1
+
+
+def test_a_round_that_would_take_longer_than_the_time_that_is_left_is_smaller(tmp_path: Path) -> None:
+    """Ten inputs, one worker, a hunt of 3 s: a round of three episodes takes 2.4 s, so that the second one has one."""
+    campaign = Campaigns()
+
+    def slow(plan: Plan, orders: Orders) -> Summary:
+        time.sleep(0.8 * len(plan.jobs))
+        return campaign(plan, orders)
+
+    orders = Orders(tmp_path / "out", tmp_path / "bank.sqlite", {}, Pace(1, 60.0, 200))
+    names = [f"dull {k}" for k in range(10)]
+    Hunt(plan_of(*names), orders, slow, 3.0 / 60.0, None).run(lambda _: None)
+    assert [len(inputs) for inputs, _ in campaign.rounds] == [3, 1]
+
+
+def test_the_failures_over_time_are_drawn(tmp_path: Path, program: Program) -> None:
+    """Four rounds find a serious failure each."""
+    hunted(tmp_path, Campaigns())
+    after = over_time(tmp_path / "out")
+    assert [found for _, found in after] == [dict.fromkeys(("valid", "strict", "serious"), k) for k in (1, 2, 3, 4)]
+    assert [minutes for minutes, _ in after] == sorted(minutes for minutes, _ in after)
+    done = program("figure", tmp_path / "out", "--out", "over_time.svg")
+    assert done.status == 0, done.err
+    assert "<svg" in (program.folder / "over_time.svg").read_text()
+    film = program("figure", tmp_path / "out", "--out", "over_time.gif")
+    assert (film.status, "A hunt has no film" in film.err) == (2, True)
+
+
+def test_where_all_episodes_fail_the_hunt_says_why_at_once(tmp_path: Path) -> None:
+    def broken(plan: Plan, orders: Orders) -> Summary:
+        rows = [row(id=job.id, ending="simulation_failed", failure="No licence.", level=None) for job in plan.jobs]
+        return Summary(orders.out, len(rows), rows, len(rows))
+
+    with pytest.raises(SumoAdvError, match=r"All 2 episodes of the hunt failed, the first one so: No licence\."):
+        hunted(tmp_path, broken)
 
 
 def test_a_folder_with_something_else_is_left_alone(tmp_path: Path) -> None:

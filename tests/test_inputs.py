@@ -11,6 +11,7 @@ import pytest
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.inputs import EgoRoute, data_folder, input_name, load_input, own_simulation, shipped_names
 from sumo_adv.simulation.scan import scan_demand
+from sumo_adv.simulation.simulation import SimulationSpec
 from sumo_adv.simulation.sumo_options import parse, refuse
 
 NET = """<net version="1.20">
@@ -249,8 +250,38 @@ def test_a_sumocfg_keeps_its_options_and_names_those_that_it_cannot_keep(tmp_pat
     )
 
 
-@pytest.mark.parametrize(("given", "said"), [("2", "2 s"), (None, "SUMO's default of 1 s")])
-def test_a_step_that_is_not_kept_is_said(tmp_path: Path, given: str | None, said: str) -> None:
+def test_of_collisions_only_what_moves_vehicles_is_not_kept(tmp_path: Path) -> None:
+    """``warn`` is this program's own action, so nothing is lost; a stop after a collision is."""
+    network(tmp_path)
+    configured = write(
+        tmp_path / "own.sumocfg",
+        '<configuration><input><net-file value="small.net.xml"/></input><time><step-length value="0.1"/></time>'
+        '<processing><collision.action value="warn"/><collision.stoptime value="3"/>'
+        '<collision.mingap-factor value="1"/><collision.check-junctions value="false"/></processing></configuration>',
+    )
+    loaded = load_input(configured)
+    assert loaded.options == {"collision.mingap-factor": "1", "collision.check-junctions": "false"}
+    assert loaded.notes == ("Not kept of own.sumocfg, as this program sets them itself: collision.stoptime=3.",)
+    spec = SimulationSpec(loaded.network, (), (), 0.0, 1, options=loaded.options)
+    assert spec.all_options["collision.action"] == "warn"
+    assert spec.all_options["collision.stoptime"] == "0"
+    assert spec.all_options["collision.mingap-factor"] == "1"
+
+
+@pytest.mark.parametrize(
+    ("given", "brought", "said"),
+    [
+        ("2", 0.1, "2 s, is not kept: this program takes steps of 0.01 to 0.5 s, here of 0.1 s, of which 20 make one."),
+        ("0.75", 0.075, "0.75 s, is not kept: this program takes steps of 0.01 to 0.5 s, here of 0.075 s, of which 10"),
+        (None, 0.1, "SUMO's default of 1 s, is not kept: this program takes steps of 0.01 to 0.5 s, here of 0.1 s, of"),
+        ("0.997", None, "0.997 s, is not kept: this program takes steps of 0.01 to 0.5 s, here of its own."),
+        ("0.001", None, "0.001 s, is not kept: this program takes steps of 0.01 to 0.5 s, here of its own."),
+    ],
+)
+def test_a_step_that_is_not_kept_is_a_multiple_of_the_one_taken(
+    tmp_path: Path, given: str | None, brought: float | None, said: str
+) -> None:
+    """997 ms are a prime number of them, and 1 ms has no shorter part."""
     network(tmp_path)
     step = f'<time><step-length value="{given}"/></time>' if given else ""
     configured = write(
@@ -258,11 +289,9 @@ def test_a_step_that_is_not_kept_is_said(tmp_path: Path, given: str | None, said
         f'<configuration><input><net-file value="small.net.xml"/></input>{step}</configuration>',
     )
     loaded = load_input(configured)
-    assert own_simulation(loaded) == {}
-    assert loaded.notes == (
-        f"The step-length of own.sumocfg, {said}, is not kept: this program takes steps of 0.01 to 0.5 s, by default "
-        "of 0.1 s.",
-    )
+    assert own_simulation(loaded) == ({} if brought is None else {"step_length": brought})
+    assert len(loaded.notes) == 1
+    assert loaded.notes[0].startswith(f"The step-length of own.sumocfg, {said}")
 
 
 def test_a_network_alone_brings_no_options_of_its_own(tmp_path: Path) -> None:

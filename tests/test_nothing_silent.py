@@ -77,6 +77,49 @@ def test_a_density_beside_own_traffic_is_refused(program: Program, configuration
     assert says in refused(program, "batch", configuration, "--set", "density=30", "--out", "out")
 
 
+LEFT = (
+    "The step-length of coarse.sumocfg, 1 s, is not kept: this program takes steps of 0.01 to 0.5 s, here of 0.1 s, of "
+    "which 10 make one.",
+    "Not kept of coarse.sumocfg, as this program sets them itself: collision.action=teleport, fcd-output=fcd.xml.",
+)
+
+
+@pytest.fixture
+def coarse(program: Program) -> str:
+    """A .sumocfg of which the step, an option of collisions and an output are not kept, and four options are."""
+    network = ROOT / "networks" / "motorway.net.xml"
+    routes = ROOT / "scenarios" / "demand" / "motorway_cut_in_left.rou.xml"
+    text = (
+        f'<configuration><net-file value="{network}"/><route-files value="{routes}"/><step-length value="1"/>'
+        '<begin value="0"/><end value="20"/><collision.action value="teleport"/><fcd-output value="fcd.xml"/>'
+        '<collision.mingap-factor value="1"/><lateral-resolution value="0.8"/><time-to-teleport value="-1"/>'
+        '<default.speeddev value="0"/></configuration>\n'
+    )
+    (program.folder / "coarse.sumocfg").write_text(text, encoding="utf-8")
+    return "coarse.sumocfg"
+
+
+def test_run_batch_and_serve_say_what_of_a_simulation_is_not_kept(program: Program, coarse: str) -> None:
+    few = ("--attempts", "1", "--out")
+    run = program("run", coarse, "--total-seconds", "0", *few, "out")
+    batch = program("batch", coarse, "--set", "total_seconds=0", "--workers", "1", *few, "batch")
+    serve = program("serve", coarse, "--port", "0", "--patience", "1", "--out", "served")
+    for done in (run, batch, serve):
+        assert [line for line in done.out.splitlines() if "not kept" in line.lower()] == list(LEFT)
+
+
+def test_files_of_a_run_say_what_was_not_kept_and_every_option_of_sumo(program: Program, coarse: str) -> None:
+    done = program("run", coarse, "--total-seconds", "0", "--attempts", "1", "--out", "out", "--option", "scale=1")
+    manifest = json.loads((done.folder / "manifest.json").read_text(encoding="utf-8"))
+    assert manifest["notes"] == done.outcome["notes"] == list(LEFT)
+    assert manifest["step_length"] == 0.1
+    assert manifest["sumo_options"] == {
+        "collision.mingap-factor": "1", "lateral-resolution": "0.8", "time-to-teleport": "-1", "default.speeddev": "0",
+        "scale": "1", "collision.action": "warn", "collision.stoptime": "0", "device.ssm.file": "NUL",
+        "xml-validation": "never", "no-step-log": "true", "no-warnings": "true", "duration-log.disable": "true",
+    }  # fmt: skip
+
+
 # -- settings
 
 

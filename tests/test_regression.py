@@ -165,6 +165,22 @@ def test_a_network_of_ones_own_is_copied_once(tmp_path: Path) -> None:
     assert "town.net.xml is not the one" in read_case(tmp_path / "suite" / "one").notes[0]
 
 
+def test_a_case_keeps_the_options_of_the_simulation_that_it_was_found_in(tmp_path: Path) -> None:
+    """A .sumocfg with a speed deviation of SUMO's own and half the demand; the other options are those of a network."""
+    assert (
+        "sumo_options"
+        not in read_case(keep_run(attacked(), tmp_path / "suite", Expectation(avoid="collision"), "plain")[0]).settings
+    )
+    own = tmp_path / "run"
+    shutil.copytree(attacked(), own)
+    manifest = json.loads((own / "manifest.json").read_text())
+    del manifest["sumo_options"]["default.speeddev"]
+    manifest["sumo_options"]["scale"] = "0.5"
+    (own / "manifest.json").write_text(json.dumps(manifest))
+    case = read_case(keep_run(own, tmp_path / "suite", Expectation(avoid="collision"), "own")[0])
+    assert case.settings["sumo_options"] == {"default.speeddev": "-1", "scale": "0.5"}
+
+
 # -- the commands
 
 

@@ -12,8 +12,12 @@ from pathlib import Path
 
 import pytest
 import traci
+from person_samples import WALKS, street_spec
 from sumo_samples import make_spec, over_the_line, vehicle
 
+from sumo_adv.drivers import SumoEgo
+from sumo_adv.episode.drive import Drive
+from sumo_adv.episode.unprotected import may_attack
 from sumo_adv.errors import SimulationError
 from sumo_adv.simulation.remote import Remote
 from sumo_adv.simulation.simulation import Simulation, SimulationSpec
@@ -80,6 +84,28 @@ def test_the_program_and_the_library_say_the_same(tmp_path: Path) -> None:
             assert remote.read() == library.read()
         remote.close()
     library.close()
+
+
+def test_persons_are_those_of_the_library_and_none_of_them_attacks(tmp_path: Path) -> None:
+    """A shared SUMO is not ours alone: an attack would have to take the person out of it."""
+    rider = '<person id="rider" depart="1" departPos="49"><ride from="ab" to="bc" lines="car"/></person>'
+    waits = vehicle("car", "ab bc", 1, 10.0, 10.0).replace(
+        "</vehicle>", '<stop lane="ab_1" endPos="50" triggered="true"/></vehicle>'
+    )
+    spec = street_spec(tmp_path, [waits, vehicle("walker", "cb ba", 1, 10.0, 10.0), WALKS, rider])
+    library = Drive(spec, SumoEgo("idm", {}), 0)
+    with program(spec) as (simulation, _):
+        remote = Drive(spec, SumoEgo("idm", {}), 0, simulation.remote)
+        present = []
+        for _ in range(120):
+            states = [drive.tick() for drive in (library, remote)]
+            assert states[0] == states[1]
+            present.append(set(states[0].raw))
+        everyone = {"car", "walker", "person:walker", "person:rider"}
+        assert (present[20], present[-1]) == (everyone, everyone - {"person:rider"})
+        assert [may_attack(drive, "person:walker", ()) for drive in (library, remote)] == [True, False]
+        remote.simulation.close()
+    library.simulation.close()
 
 
 def test_a_program_that_dies_is_one_sentence(tmp_path: Path) -> None:

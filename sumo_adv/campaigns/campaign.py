@@ -72,13 +72,15 @@ class Orders:
 
 @dataclass
 class Summary:
-    """What a batch came to. ``bytes``: of the ``measured`` episodes that were run now, inputs not counted."""
+    """What a batch came to. ``bytes``: of the ``measured`` episodes that were run now, inputs not counted. ``stopped``:
+    Ctrl-C left episodes out; ``interrupted``: it was pressed, whether it left any or not."""
 
     folder: Path
     total: int
     rows: Sequence[Row] = ()
     ran: int = 0
     stopped: bool = False
+    interrupted: bool = False
     seconds: float = 0.0
     bytes: int = 0
     input_bytes: int = 0
@@ -133,7 +135,7 @@ def run_batch(plan: Plan, orders: Orders, parts: Parts, watcher: Watcher) -> Sum
                     finish(job, store.fail(job, job.input.error, ""))
                 with closing(_workers(setup, orders, scratch, store, stop)) as workers:
                     workers.run([job for job in missing if not job.input.error], finish)
-                summary.stopped = len(rows) < len(jobs)
+                summary.stopped, summary.interrupted = len(rows) < len(jobs), stop.drain
         finally:
             summary.rows = table_of(plan.jobs, rows, plan.varied)
             with sentences(orders.out):

@@ -29,7 +29,7 @@ from sumo_adv.campaigns.worker import share
 from sumo_adv.errors import SumoAdvError
 from sumo_adv.files import sentences
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.simulation.inputs import load_input
+from sumo_adv.simulation.inputs import is_commonroad, load_input
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +157,8 @@ def wrong_content(source: Path, content: str, record: str | None) -> str:
     if record is not None:
         return "" if source.is_file() else f"There is no file {source} on this node."
     try:
-        same = hash_of(load_input(source).files) == content
+        files = (source,) if is_commonroad(source) else load_input(source).files
+        same = hash_of(files) == content
     except (SumoAdvError, OSError) as error:
         return f"On this node: {error}"
     return "" if same else f"On this node {source} has another content than in the plan."

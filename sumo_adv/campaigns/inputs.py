@@ -14,7 +14,7 @@ from pathlib import Path
 from sumo_adv.campaigns.nouns import Input, Parts
 from sumo_adv.episode.task import refuse_density
 from sumo_adv.errors import SumoAdvError, UsageError
-from sumo_adv.simulation.inputs import data_folder, input_name, load_input, resolve
+from sumo_adv.simulation.inputs import data_folder, input_name, resolve
 
 MAGIC = re.compile(r"[*?\[]")
 SHIPPED = ("scenarios", "networks")
@@ -38,7 +38,7 @@ def find_inputs(
             if ".tfrecord" in source.name.lower():
                 inputs += _records(source, records, left, parts)
             else:
-                inputs.append(_plain(source, density))
+                inputs.append(_plain(source, density, parts))
     if left:
         raise UsageError(f"No record '{min(left)}' that can be read is in the inputs; check --records.")
     return inputs
@@ -74,17 +74,17 @@ def _known(name: str) -> Path:
     return Path(name)
 
 
-def _plain(source: Path, density: float | None) -> Input:
-    """A network, configuration or scenario with all its files."""
+def _plain(source: Path, density: float | None, parts: Parts) -> Input:
+    """A network, configuration or scenario, also one of CommonRoad, with all its files."""
     try:
-        given = load_input(source)
+        given = parts.load(source, None)
     except (SumoAdvError, OSError) as error:
         return broken(source, None, str(error))
     refuse_density(given, density)
     try:
         content = hash_of(given.files)
         place = source.absolute() if source.is_file() else source  # a shipped one is found by its name anywhere
-        return Input(given.name, place, None, content)
+        return Input(given.name, place, None, content, notes=given.notes)
     except (SumoAdvError, OSError) as error:
         return broken(source, None, str(error))
 

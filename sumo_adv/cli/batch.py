@@ -193,6 +193,8 @@ def _run(plan: Plan, orders: Orders, *, states: bool, as_json: bool) -> None:
     from sumo_adv.app import run_campaign
     from sumo_adv.cli.batch_progress import Quiet, make_watcher
 
+    for note in () if as_json else (note for given in plan.inputs for note in given.notes):
+        typer.echo(note)
     if plan.learn == "during" and not as_json:
         typer.echo("With --learn during the rows depend on the order in which episodes finish.", err=True)
     with Quiet() if as_json else make_watcher() as watcher:

@@ -1,4 +1,4 @@
-"""``convert``: Waymo records to folders that ``run`` takes, each with a report on how faithful it is."""
+"""``convert``: Waymo records and CommonRoad scenarios to folders that ``run`` takes, each with a report on fidelity."""
 
 from __future__ import annotations
 
@@ -12,6 +12,9 @@ import typer
 from sumo_adv.errors import SumoAdvError, UsageError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from sumo_adv.womd.reader import Choice, Told
     from sumo_adv.womd.record import Record
 
 TABLE_WIDTH = 125  # characters
@@ -19,7 +22,9 @@ EXAMPLE = "Example: sumo-adv convert records.tfrecord --first 3 --out waymo"
 
 
 def convert(
-    source: Annotated[Path, typer.Argument(metavar="FILE", help="TFRecord file of Waymo motion scenarios.")],
+    source: Annotated[
+        Path, typer.Argument(metavar="FILE", help="TFRecord of Waymo motion scenarios, or CommonRoad .xml.")
+    ],
     out: Annotated[Path, typer.Option(help="Folder to write into: a folder a record, by its id.")],
     record_id: Annotated[str | None, typer.Option("--id", help="Only the record of this id.")] = None,
     index: Annotated[int | None, typer.Option(min=0, help="Only the record at this place, from 0.")] = None,
@@ -32,7 +37,7 @@ def convert(
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
 ) -> None:
     """Convert Waymo records to SUMO scenarios: network, tracks, routes, and a report on fidelity."""
-    from sumo_adv.womd.reader import Choice, read_records
+    from sumo_adv.womd.reader import Choice
 
     if sum(given is not None for given in (record_id, index, first)) > 1:
         raise UsageError("Give one of --id, --index and --first, not several.")
@@ -44,7 +49,7 @@ def convert(
 
     reports = []
     choice = Choice(record_id, index, first)
-    for record in read_records(source, choice, tell if keep_going else None):
+    for record in _records(source, choice, tell if keep_going else None):
         try:
             reports.append(_one(record, out, traffic=traffic, force=force))
         except SumoAdvError as error:
@@ -66,6 +71,19 @@ def convert(
         show(reports)
     if failed and not reports:
         raise typer.Exit(1)
+
+
+def _records(source: Path, choice: Choice, told: Told | None) -> Iterable[Record]:
+    """The chosen records of a TFRecord file, or the one that a CommonRoad scenario is. Raises UsageError."""
+    from sumo_adv.simulation.inputs import is_commonroad
+    from sumo_adv.womd.commonroad import read_commonroad
+    from sumo_adv.womd.reader import ALL, read_records
+
+    if not is_commonroad(source):
+        return read_records(source, choice, told)
+    if choice != ALL:
+        raise UsageError(f"--id, --index and --first choose among records of a TFRecord file, which {source} is not.")
+    return [read_commonroad(source)]
 
 
 def _fault(record: str, error: Exception) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -45,35 +46,44 @@ def export(
         raise UsageError("Give either --whole or --before, not both.")
     if variant is not Variant.REPLAY and format is not Format.OPENSCENARIO:
         raise UsageError("Only --format openscenario has a --variant.")
+    from sumo_adv.app import unpacked
+    from sumo_adv.campaigns.pack import packed_rows
     from sumo_adv.report.export.formats import FORMATS
     from sumo_adv.report.export.piece import read_piece
     from sumo_adv.report.export.write import chosen, left_out, runs_in, write_export
     from sumo_adv.report.page.read import reading
 
-    runs, formats = runs_in(folder), chosen(format)
+    runs, packed, formats = runs_in(folder), packed_rows(folder), chosen(format)
+    if not runs and not packed:
+        raise UsageError(
+            f"{folder} holds no runs; give the folder of a run, a hunt, a campaign, or what regress wrote of a suite."
+        )
     if format is Format.ALL:
         for sentence in left_out():
             typer.echo(f"Left out: {sentence}", err=True)
-    one = runs == [folder] and format is not Format.ALL
-    place = _place(folder, out, many=runs != [folder])
+    single = runs == [folder]
+    one = single and format is not Format.ALL
+    place = _place(folder, out, many=not single)
     made = 0
-    for run in runs:
+    for run in chain(runs, unpacked(folder, packed)):
         try:
             with reading(run):
                 piece = read_piece(run, unattacked=unattacked, before=before, whole=whole)
         except UsageError as error:
-            if runs == [folder]:
+            if single:
                 raise
             typer.echo(f"Left out: {error}", err=True)
             continue
         for each in formats:
             target = out if one and out is not None else place / f"{run.resolve().name}{FORMATS[each].ending}"
             with reading(run):
-                write_export(target, piece, each, variant, force=force)
+                lost = write_export(target, piece, each, variant, force=force)
+            if lost is not None:
+                typer.echo(lost, err=True)
             _say(target, piece, each, as_json=as_json)
             made += 1
     if not made:
-        raise UsageError(f"None of the {len(runs)} runs in {folder} could be exported.")
+        raise UsageError(f"None of the {len(runs) + len(packed)} runs in {folder} could be exported.")
 
 
 def _place(folder: Path, out: Path | None, *, many: bool) -> Path:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 
 EXAMPLE = "Example: sumo-adv hunt motorway priority_crossing --ego my_package.driver:MyDriver --minutes 30"
 SHOWN = 20  # failures in the table on the screen
+COLUMNS: dict[str, Literal["left", "right"]] = {
+    "rank": "right", "level": "left", "delta-v": "right", "hit on": "left", "times": "right", "attack and cause": "left"
+}  # fmt: skip
 
 Given = Annotated[
     list[str],
@@ -56,7 +59,7 @@ def hunt(
     found = hunted(
         given, ego=ego, minutes=minutes, distinct=distinct, out=out or Path("runs") / "hunt", seed=seed, memory=memory,
         workers=workers or os.cpu_count() or 1, deadline=deadline, cluster=cluster, settings_file=settings_file,
-        pages=not no_pages, tell=tell, **chosen,
+        pages=not no_pages, tell=tell, stopping=_stopping, **chosen,
     )  # fmt: skip
     if as_json:
         typer.echo(json.dumps(_document(found.found, found.rows)))
@@ -69,17 +72,24 @@ def hunt(
 def _document(found: Found, rows: list[dict[str, Any]]) -> dict[str, Any]:
     return {
         "folder": str(found.folder), "ended": found.ended, "seconds": round(found.seconds, 1),
-        "encounters": found.encounters, "attempts": found.attempts, "failures": rows,
+        "encounters": found.encounters, "attempts": found.attempts, "lost": list(found.lost), "failures": rows,
     }  # fmt: skip
+
+
+def _stopping(now: bool) -> None:
+    from sumo_adv.cli.batch_progress import stopping_words
+
+    typer.echo(stopping_words(now), err=True)
 
 
 def _tell(progress: HuntProgress) -> None:
     """A line for a round."""
     levels = ", ".join(f"{progress.count(level)} {level}" for level in (Level.SERIOUS, Level.STRICT, Level.VALID))
     newest = f" Newest: {progress.newest.words}." if progress.newest is not None else ""
+    lost = f", {progress.lost} lost" if progress.lost else ""
     typer.echo(
         f"{progress.seconds_left / 60:5.1f} min left: {progress.encounters} encounters, {progress.attempts} attempts "
-        f"({progress.attempts_per_second:.0f} a second), distinct failures (that or worse): {levels}.{newest}"
+        f"({progress.attempts_per_second:.2g} a second{lost}), distinct failures (that or worse): {levels}.{newest}"
     )
 
 
@@ -93,14 +103,14 @@ def _show(found: Found, rows: list[dict[str, Any]], index: Path | None) -> None:
     }  # fmt: skip
     if rows:
         shown = Table(box=None, pad_edge=False)
-        for name in ("rank", "level", "intent", "relation", "road", "side", "delta-v", "count", "network", "why"):
-            shown.add_column(name, justify="right" if name in ("rank", "delta-v", "count") else "left", overflow="fold")
+        for name, justify in COLUMNS.items():
+            shown.add_column(name, justify=justify, vertical="top", overflow="fold")
         for row in rows[:SHOWN]:
-            values = (
-                "rank", "level", "intent", "relation", "road", "side", "delta_v", "count", "network", "cause_sentence"
-            )  # fmt: skip
-            shown.add_row(*(str(row[v]) for v in values))
-        Console(highlight=False).print(shown)
+            what = f"{row['intent']} ({row['relation']}, {row['road']}), {row['network']}"
+            hard = f"{row['delta_v']:.1f} m/s"
+            words = f"{what}\n{row['cause_sentence']}".rstrip()
+            shown.add_row(str(row["rank"]), row["level"], hard, row["side"], str(row["count"]), words)
+        Console(highlight=False, markup=False).print(shown)
     more = f" The table shows the first {SHOWN}." if len(rows) > SHOWN else ""
     typer.echo(
         f"{ends[found.ended]}: {len(rows)} distinct failures in {found.encounters} encounters, "
@@ -109,6 +119,9 @@ def _show(found: Found, rows: list[dict[str, Any]], index: Path | None) -> None:
     typer.echo(f"Table: {found.folder / 'results.csv'}")
     if index is not None:
         typer.echo(f"Pages: {index}")
+    if found.lost:
+        many = f"{len(found.lost)} attempts or episodes were" if len(found.lost) > 1 else "One attempt or episode was"
+        typer.echo(f"{many} lost: {found.lost[0]}")
     if rows:
         typer.echo(f"Keep them as a regression suite: sumo-adv keep {found.folder / 'failures'} --suite regression")
     if found.ended == "stopped":

@@ -130,11 +130,10 @@ def serve(
 
 def _input(source: Path) -> Any:
     """The input. Raises UsageError if it plays a log back, or if SUMO's programs are not installed."""
-    from sumo_adv.simulation.inputs import load_input
     from sumo_adv.simulation.programs import find_sumo
 
     find_sumo()
-    given = load_input(source)
+    given = app.load(source, None)
     if given.playback is not None:
         raise UsageError(f"{source} plays a log back, which serve does not do: give a scenario without tracks.")
     return given

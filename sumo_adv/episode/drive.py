@@ -21,7 +21,7 @@ from sumo_adv.simulation.playback import Playback
 from sumo_adv.simulation.recording import Recording
 from sumo_adv.simulation.remote import Remote
 from sumo_adv.simulation.simulation import Simulation, SimulationSpec, Snapshot, pose_of
-from sumo_adv.simulation.stage import LOGGED_TYPE_XML
+from sumo_adv.simulation.stage import LOGGED_TYPE_XML, Stage
 from sumo_adv.simulation.watch import Call, OutOfTimeError, watched
 
 EGO_TYPE = "sumo_adv_ego"
@@ -140,6 +140,8 @@ class Drive:
             self._let_ego_act(driven, ego)
         if self.playback is not None:
             self.playback.injected(driven)
+        for name in sorted(driven.keys() & self.simulation.fleet.persons):
+            Stage(self.simulation).embody(name, driven[name])
         if driven:
             self.simulation.inject(driven, self.ego if self.heeding else None)
         self.simulation.step()
@@ -190,8 +192,8 @@ class Drive:
         return self.simulation.state_as(make, self.snapshot, name, self.recording.acceleration(name))
 
     def kind(self, vehicle: str) -> str:
-        """SUMO's vClass of a vehicle; what an object is that is none."""
-        if self.playback is not None and vehicle in self.obstacles:
+        """SUMO's vClass of a vehicle or person; what an object is that is none."""
+        if self.playback is not None and vehicle in self.playback.obstacles:
             return self.playback.kind(vehicle)
         return self.simulation.vehicle_class(vehicle)
 
@@ -212,7 +214,7 @@ class Drive:
 
     def roles(self, *adversaries: str) -> dict[str, Role]:
         """The roles of all vehicles but background vehicles."""
-        roles = dict.fromkeys(self.obstacles, Role.OBSTACLE)
+        roles = dict.fromkeys(() if self.playback is None else self.playback.obstacles, Role.OBSTACLE)
         roles |= dict.fromkeys(adversaries, Role.ADVERSARY)
         if self.ego is not None:
             roles[self.ego] = Role.EGO
@@ -220,11 +222,15 @@ class Drive:
 
     @property
     def obstacles(self) -> frozenset[str]:
-        """Ids of the objects of a log that are no vehicles."""
-        return frozenset() if self.playback is None else self.playback.obstacles
+        """Ids of all that are no vehicles: persons, and objects of a scenario or log."""
+        objects = frozenset[str]() if self.playback is None else self.playback.obstacles
+        persons = self.simulation.fleet.persons
+        return objects | persons if persons else objects
 
     def placed(self, obstacle: str) -> bool:
-        """Whether the scenario has put this pedestrian or cyclist there."""
+        """Whether the scenario or its demand has put this pedestrian or cyclist there."""
+        if obstacle in self.simulation.fleet.persons:
+            return True
         return self.playback is not None and self.playback.placed(obstacle)
 
     def route(self) -> tuple[str, ...]:

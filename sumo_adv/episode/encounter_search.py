@@ -115,6 +115,8 @@ class EncounterSearch:
     def _may_begin(self, requested: str) -> bool:
         """Whether the requested ego is there and its driver may take over now."""
         drive, earliest = self.drive, self.task.driven_from
+        if requested in drive.obstacles:
+            raise UsageError(f"'{requested}' is no vehicle, so it cannot be the ego; name another.")
         there = requested in drive.snapshot.raw and drive.may_take_over(requested)
         return there and (earliest is None or drive.now >= earliest - 1e-6)
 

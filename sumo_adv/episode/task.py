@@ -13,6 +13,7 @@ from sumo_adv.drivers.given import GivenEgo
 from sumo_adv.episode.attempt import Driven
 from sumo_adv.episode.ego_actions import EgoActions
 from sumo_adv.errors import UsageError
+from sumo_adv.simulation.additional import silent_copies
 from sumo_adv.simulation.demand import generate
 from sumo_adv.simulation.inputs import EgoRoute, RunInput
 from sumo_adv.simulation.network import Drivable
@@ -130,6 +131,8 @@ def _drives(source: RunInput) -> bool:
 def make_task(source: RunInput, settings: Settings, folder: Path) -> Task:
     """The engine's task for an input; demand is generated into ``folder`` if the input has none.
 
+    Files from which SUMO would write others are copied into ``folder`` without that.
+
     Raises UsageError: the level, the end or the trigger does not fit.
     """
     if not reachable(settings):
@@ -156,8 +159,9 @@ def make_task(source: RunInput, settings: Settings, folder: Path) -> Task:
             generate(source.network, folder / "demand.rou.xml", seed=seed, density=density, begin=begin, end=end),
         )
     refuse(settings.sumo_options)
+    network, *files = silent_copies((source.network, *routes, *source.additional), folder)
     spec = SimulationSpec(
-        source.network, tuple(routes), source.additional, begin, settings.seed, settings.step_length,
+        network, tuple(files[: len(routes)]), tuple(files[len(routes) :]), begin, settings.seed, settings.step_length,
         {**(DEFAULTS if source.options is None else source.options), **settings.sumo_options},
     )  # fmt: skip
     trigger = settings.trigger if settings.trigger is not None else source.trigger

@@ -35,9 +35,12 @@ STARTS = 0.5  # s that a pedestrian or cyclist needs to begin to move
 def may_attack(drive: Drive, name: str, only: Sequence[str]) -> bool:
     """Whether this is a pedestrian or cyclist that may be the adversary.
 
-    Those of SUMO's traffic and the boxes of the scenario may; objects of a log only where ``only`` names them.
+    Those of SUMO's traffic and the boxes of the scenario may; objects of a log only where ``only`` names them. A person
+    may not where SUMO is shared: it would have to be taken out, and another client may know it.
     """
     is_object = name in drive.obstacles
+    if drive.simulation.remote is not None and name in drive.simulation.fleet.persons:
+        return False
     if not is_object and drive.simulation.vehicle_class(name) not in CLASSES:
         return False
     return is_unprotected(drive.state(name)) and (not is_object or name in only or drive.placed(name))

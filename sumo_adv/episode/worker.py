@@ -7,7 +7,6 @@ milliseconds). Elsewhere it runs in place, and then the simulation is loaded aga
 from __future__ import annotations
 
 import math
-import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -38,6 +37,7 @@ from sumo_adv.metrics.levels import NOT_APPLICABLE
 from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, Braker
 from sumo_adv.planners.answers import AskOne, PlannerObservation
 from sumo_adv.planners.trusted import ask_trusted
+from sumo_adv.simulation.additional import silent_copies
 from sumo_adv.simulation.engine import can_fork, in_forks
 from sumo_adv.simulation.lights import LightsNear
 from sumo_adv.simulation.network import RoadMap, read_network
@@ -74,7 +74,8 @@ class Worker:
         controller = make_ego(task.ego_driver, task.ego_parameters, task.ego_given)
         self._road = read_network(task.spec.network)
         folder = Path(self._folder.name)
-        additional = (*_copied(task.spec.additional, folder), ego_type_file(controller, folder))
+        silent = silent_copies(task.spec.additional, folder)  # those of an earlier version's manifest may write
+        additional = (*silent, ego_type_file(controller, folder))
         spec = replace(task.spec, additional=additional)
         self._drive = Drive(
             spec, controller, task.settings.seed, playback=self._playback(task), deadline=task.settings.ego_deadline
@@ -389,15 +390,6 @@ class Worker:
                 raise SimulationError(f"Vehicle '{bv}' cannot attack {proposal.delay:g} s after the trigger.")
         assert situation is not None
         return situation
-
-
-def _copied(files: Sequence[Path], folder: Path) -> list[Path]:
-    """Copies of additional files. SUMO's detectors write beside their file, so they then write into ``folder``."""
-    copies = []
-    for k, file in enumerate(files):
-        copies.append(folder / f"{k}-{file.name}")
-        shutil.copyfile(file, copies[-1])
-    return copies
 
 
 def body(slots: list[Connection]) -> dict[str, Callable[..., Any]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -66,7 +67,8 @@ def failure_of(row: Mapping[str, Any], runs: Path) -> Failure | None:
         return None
     speed = row["ego_speed"]
     low, high = BANDS[band_of(float(speed))] if speed is not None else (0.0, 0.0)
-    band = f"{low:g}-{high:g} m/s" if speed is not None else "unknown"
+    band = f"from {low:g} m/s" if math.isinf(high) else f"{low:g}-{high:g} m/s"
+    band = band if speed is not None else "unknown"
     side = str(row["kind"] or "").rsplit(" / ", 1)[-1] or "unknown"
     words = (row["composition"] or row["intent"], row["relation"], row["road"], row.get("cause"))
     intent, relation, road, cause = (str(word or "unknown") for word in words)

@@ -2,7 +2,8 @@
 
 A round is a campaign of some inputs with the next seeds, in a folder of its own (``rounds/0001``). Which inputs a round
 has follows from the rounds before: each input is drawn as often as it is likely to bring a distinct failure (Thompson
-sampling; Thompson 1933). ``hunt.json`` remembers the rounds and the time that was used, so the same command goes on.
+sampling; Thompson 1933). ``hunt.json`` remembers the rounds, the time that each took and how many failures were known
+at its end, so the same command goes on.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import os
 import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -20,9 +22,9 @@ from typing import Any, Protocol
 
 from sumo_adv.campaigns.campaign import Orders, Summary
 from sumo_adv.campaigns.plan import Plan
-from sumo_adv.campaigns.results import failed, read_csv, read_row
+from sumo_adv.campaigns.results import OUTCOME, failed, read_csv, read_row
 from sumo_adv.datatypes import Level
-from sumo_adv.errors import UsageError
+from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.files import sentences, write_text
 from sumo_adv.hunting.failures import COLUMNS, Failure, distinct, failure_of, table
 from sumo_adv.parsing import parse_json
@@ -30,11 +32,12 @@ from sumo_adv.report.outcome import ATTACKS
 
 SCHEMA = 1
 STATE, RESULTS, FAILURES, ROUNDS = "hunt.json", "results.csv", "failures", "rounds"
-EACH = 3  # episodes of a round for each worker
+EACH = 3  # episodes of a round for each worker at most; fewer where the time that is left is not enough for them
 LONGEST = 20.0  # s of attempts in an encounter at most: a second simulation tells more than a longer search
 KINDS = 3  # kinds of attacks that are looked for in an encounter, then the next one comes
 SHARE = 0.1  # of the time that is left: the most that an encounter may take
 SHORTEST = 3.0  # s
+LEVELS = (Level.VALID, Level.STRICT, Level.SERIOUS)
 
 
 class RunCampaign(Protocol):
@@ -47,7 +50,8 @@ class RunCampaign(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class HuntProgress:
-    """How far a hunt is. newest: the newest distinct failure, None where the last round brought none."""
+    """How far a hunt is. newest: the newest distinct failure, None where the last round brought none. lost: attempts
+    and episodes that broke, as with a driver that hangs."""
 
     seconds_left: float
     encounters: int
@@ -55,6 +59,7 @@ class HuntProgress:
     attempts_per_second: float
     found: Sequence[Failure]
     newest: Failure | None
+    lost: int
 
     def count(self, level: Level) -> int:
         """Distinct failures of this level or a higher one."""
@@ -63,7 +68,8 @@ class HuntProgress:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What a hunt came to. ended: ``time``, ``distinct`` or ``stopped`` (Ctrl-C)."""
+    """What a hunt came to. ended: ``time``, ``distinct`` or ``stopped`` (Ctrl-C). lost: a sentence for each attempt and
+    each episode that broke."""
 
     folder: Path
     failures: Sequence[Failure]
@@ -71,6 +77,7 @@ class Found:
     attempts: int
     seconds: float
     ended: str
+    lost: Sequence[str] = ()
 
 
 class Hunt:
@@ -90,33 +97,35 @@ class Hunt:
         self._state = self._read()
         self._rows: list[list[Mapping[str, Any]]] = []  # of each round
         self._more: list[dict[str, list[Failure]]] = []  # of each round, by id: attacks of further kinds
+        self._lost: list[list[str]] = []  # of each round, why attempts and episodes broke
         self._input_of: dict[str, str] = {}  # by id of an episode, the content of its input
 
     def run(self, tell: Callable[[HuntProgress], None]) -> Found:
-        """Go on until the time is used up or enough was found. What a round found is kept when the next one begins."""
-        ended, before = "time", 0
+        """Go on until the time is used up or enough was found. What a round found is kept when the next one begins.
+
+        Raises SumoAdvError: no episode can be run, none was, or the disk is full.
+        """
+        ended = "time"
         for k in range(len(self._state["rounds"])):  # finished ones are read, an interrupted one is completed
-            if self._round(k).stopped:
+            if self._round(k).interrupted:
                 ended = "stopped"
                 break
+        before = len(self._remember())
         while ended == "time" and not self._enough() and self._left() > 0:
             self._state["rounds"].append(self._next())
             self._write()
-            began = time.perf_counter()
             summary = self._round(len(self._state["rounds"]) - 1)
-            self._state["seconds"] += time.perf_counter() - began
-            self._write()
-            found = self.found()
+            found = self._remember()
             newest = self._newest(found) if len(found) > before else None
             before = len(found)
             tell(self._progress(found, newest))
-            if summary.stopped:
+            if summary.interrupted:
                 ended = "stopped"
         if ended == "time" and self._enough():
             ended = "distinct"
         found = self._collected()
-        progress = self._progress(found, None)
-        return Found(self.folder, found, progress.encounters, progress.attempts, self._state["seconds"], ended)
+        progress, lost = self._progress(found, None), [why for each in self._lost for why in each]
+        return Found(self.folder, found, progress.encounters, progress.attempts, self._seconds(), ended, lost)
 
     def found(self) -> list[Failure]:
         """The distinct failures so far, most serious first."""
@@ -125,7 +134,7 @@ class Hunt:
     # -- rounds -------------------------------------------------------------------------------------------------
 
     def _round(self, k: int) -> Summary:
-        """Run what is missing of a round, and write the table of all rounds."""
+        """Run what is missing of a round."""
         order = self._state["rounds"][k]
         inputs = [self._inputs[content] for content in order["inputs"] if content in self._inputs]
         bounds = {"seconds": order["seconds"], "total_seconds": 2 * order["seconds"], "diverse": KINDS}
@@ -134,16 +143,35 @@ class Hunt:
             variants=[{**variant, **bounds} for variant in self._plan.variants],
         )  # fmt: skip
         self._input_of |= {job.id: job.input.content for job in plan.jobs}
+        began = time.perf_counter()
         summary = self._campaign(plan, replace(self._orders, out=self._folder_of(k)))
+        if summary.ran:
+            order["took"] = order.get("took", 0.0) + time.perf_counter() - began
         self._rows[k:] = [list(summary.rows)]
         self._more[k:] = [_further(self._runs_of(k), summary.rows)]
-        self._write_table(self.found())
+        self._lost[k:] = [_lost(self._runs_of(k), summary.rows)]
+        every = [row for each in self._rows for row in each]
+        if every and not summary.stopped and all(map(failed, every)):
+            raise SumoAdvError(f"All {len(every)} episodes of the hunt failed, the first one so: {every[0]['failure']}")
         return summary
+
+    def _remember(self) -> list[Failure]:
+        """Write down the distinct failures after the newest round."""
+        found = self.found()
+        if self._rows:
+            self._state["rounds"][len(self._rows) - 1]["found"] = {
+                str(level): sum(f.level >= level for f in found) for level in LEVELS
+            }
+        self._write()
+        self._write_table(found)
+        return found
 
     def _next(self) -> dict[str, Any]:
         """The inputs and seeds of the next round."""
         k, random = len(self._state["rounds"]), Random(f"{self._plan.seeds[0]}-{len(self._state['rounds'])}")
-        size = EACH * self._orders.pace.workers
+        workers, rows = self._orders.pace.workers, sum(map(len, self._rows))
+        lasts = self._seconds() * workers / rows if rows else 0.0  # s, an episode
+        size = workers * (max(1, min(EACH, round(self._left() / lasts))) if lasts else EACH)
         tries, wins = self._tally()
         drawn = {c: random.betavariate(1 + wins.get(c, 0), 1 + tries.get(c, 0) - wins.get(c, 0)) for c in self._inputs}
         chosen = sorted(drawn, key=lambda c: -drawn[c])[:size]
@@ -174,14 +202,17 @@ class Hunt:
     def _enough(self) -> bool:
         return self._most is not None and len(self.found()) >= self._most
 
+    def _seconds(self) -> float:
+        return sum(float(r.get("took", 0.0)) for r in self._state["rounds"])
+
     def _left(self) -> float:
-        return max(self._limit - float(self._state["seconds"]), 0.0)
+        return max(self._limit - self._seconds(), 0.0)
 
     def _progress(self, found: Sequence[Failure], newest: Failure | None) -> HuntProgress:
         rows = [row for each in self._rows for row in each if not failed(row)]
         attempts = sum(int(row["attempts"] or 0) for row in rows)
-        pace = attempts / max(float(self._state["seconds"]), 1e-3)
-        return HuntProgress(self._left(), len(rows), attempts, pace, found, newest)
+        pace = attempts / max(self._seconds(), 1e-3)
+        return HuntProgress(self._left(), len(rows), attempts, pace, found, newest, sum(map(len, self._lost)))
 
     # -- files --------------------------------------------------------------------------------------------------
 
@@ -195,9 +226,10 @@ class Hunt:
         told = {**self._plan.as_dict(), "seeds": [self._plan.seeds[0]]}
         file = self.folder / STATE
         if not file.is_file():
-            if self.folder.is_dir() and any(self.folder.iterdir()):
+            parts = f".{Path(STATE).stem}."  # of a state that was being written when the program was killed
+            if self.folder.is_dir() and any(not p.name.startswith(parts) for p in self.folder.iterdir()):
                 raise UsageError(f"{self.folder} is not empty and holds no hunt: give another --out.")
-            return {"schema": SCHEMA, "plan": told, "seconds": 0.0, "rounds": []}
+            return {"schema": SCHEMA, "plan": told, "rounds": []}
         with sentences(self.folder):
             state: dict[str, Any] = parse_json(file.read_text(encoding="utf-8"))
         if state.get("schema") != SCHEMA or state.get("plan") != json.loads(json.dumps(told)):
@@ -224,12 +256,11 @@ class Hunt:
         target = self.folder / FAILURES
         found = []
         with sentences(self.folder):
+            if target.is_dir():
+                shutil.rmtree(target)
             for k, failure in enumerate(self.found()):
                 copy = target / f"{k + 1:03d}-{failure.level}-{_slug(failure.cell.intent)}"
-                kept = {p.name for p in target.glob(f"{k + 1:03d}-*")} if target.is_dir() else set()
-                for name in kept:
-                    shutil.rmtree(target / name)
-                shutil.copytree(failure.run, copy)
+                _copy(failure.run, copy)
                 found.append(replace(failure, run=copy))
         self._write_table(found)
         return found
@@ -247,8 +278,55 @@ def _further(runs: Path, rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Fa
     return more
 
 
+def _lost(runs: Path, rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Why episodes failed, and why attempts of the others broke."""
+    why = [str(row["failure"]) for row in rows if failed(row)]
+    for row in rows:
+        file = runs / str(row["id"]) / OUTCOME
+        attempts = parse_json(file.read_text(encoding="utf-8"))["attempts"] if file.is_file() else ()
+        why += [str(each["message"]) for each in attempts if each["ending"] == "crashed"]
+    return why
+
+
+def _copy(source: Path, target: Path) -> None:
+    """The files of a folder in a new one, as links (which take no space) where the file system has them.
+
+    Raises OSError.
+    """
+    target.mkdir(parents=True)
+    for file in sorted(source.iterdir()):
+        if file.is_dir():
+            _copy(file, target / file.name)
+            continue
+        try:
+            os.link(file, target / file.name)
+        except OSError:
+            shutil.copyfile(file, target / file.name)
+
+
 def _slug(words: str) -> str:
     return "-".join("".join(c if c.isalnum() else " " for c in words.lower()).split())
+
+
+def over_time(folder: Path) -> list[tuple[float, Mapping[str, int]]]:
+    """After each round of a hunt the minutes that were used and the distinct failures, by level: that or worse.
+
+    Raises UsageError: it is no hunt, is damaged, or has finished no round.
+    """
+    file = folder / STATE
+    if not file.is_file():
+        raise UsageError(f"{folder} is not the folder of a hunt: it has no {STATE}.")
+    after, seconds = list[tuple[float, Mapping[str, int]]](), 0.0
+    try:
+        for each in parse_json(file.read_text(encoding="utf-8"))["rounds"]:
+            seconds += float(each.get("took", 0.0))
+            if "found" in each:
+                after.append((seconds / 60.0, {str(level): int(each["found"][str(level)]) for level in LEVELS}))
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise UsageError(f"{file} is damaged ({error}).") from error
+    if not after:
+        raise UsageError(f"The hunt in {folder} has finished no round: say its command again.")
+    return after
 
 
 def read_table(folder: Path) -> dict[str, list[Any]]:

@@ -85,7 +85,8 @@ class Run:
             there = drive.snapshot.raw if drive.recording.snapshots else {}
             snapshot = drive.tick()
             if drive.ego is None:
-                new = [n for n in snapshot.raw if n not in there] if ego is None and drive.now > start else []
+                came = snapshot.raw.keys() - there.keys() - drive.obstacles
+                new = [n for n in snapshot.raw if n in came] if ego is None and drive.now > start else []
                 if ego in snapshot.raw or new:
                     drive.take_over(new[0] if ego is None else ego)
                 continue
@@ -114,7 +115,7 @@ class Run:
         drive = self.drive
         assert drive.ego is not None
         ego = drive.state(drive.ego)
-        names = [name for name in drive.near(ego, NEAR) if name not in self.errors.active]
+        names = [n for n in drive.near(ego, NEAR) if n not in self.errors.active and n not in drive.obstacles]
         model = np.zeros((len(names), len(KINDS)))
         for row, name in enumerate(names):
             for kind in self.errors.possible(name, drive.snapshot.raw[name]):

@@ -49,7 +49,18 @@ from sumo_adv.simulation.inputs import RunInput, load_input
 SCHEMA = 1
 CASE_FILE, SCENARIO_FILE, PLANNER_FILE, NETWORKS = "case.toml", "scenario.toml", "planner.py", "networks"
 HASH_DIGITS = 12
-SHAPING = ("seed", "step_length", "history", "duration", "replan", "delays", "forecast", "ttc", "limits")
+SHAPING = (
+    "seed",
+    "step_length",
+    "history",
+    "duration",
+    "replan",
+    "delays",
+    "forecast",
+    "ttc",
+    "limits",
+    "sumo_options",
+)
 """The settings that shape the run of one given attack, all that a case may set; the horizon stands in its scenario."""
 Avoided = Literal["critical", "collision", "valid", "strict", "serious"]
 Finite = Annotated[float, Field(allow_inf_nan=False)]

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import math
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.config import Settings
 from sumo_adv.datatypes import MOST_ADVERSARIES, Level, Proposal, plain_acceleration
 from sumo_adv.errors import UsageError
-from sumo_adv.files import sentences, toml_lines
+from sumo_adv.files import sentences, toml_lines, toml_value
 from sumo_adv.regression.case import (
     CASE_FILE,
     NETWORKS,
@@ -28,6 +28,7 @@ from sumo_adv.report.page.read import read_outcome
 from sumo_adv.report.staging import staged
 from sumo_adv.simulation.inputs import EgoRoute, data_folder
 from sumo_adv.simulation.props import Prop
+from sumo_adv.simulation.sumo_options import differing
 
 FOUND = ("level", "contact_time", "min_ttc", "delta_v", "severity", "preventable_by")
 HASH_AND_DASH = 13  # characters in front of an input's own name in a run's folder
@@ -196,7 +197,7 @@ def _case(recorded: Recorded, outcome: Mapping[str, Any], relations: Mapping[str
     lines = [
         f"schema = {SCHEMA}", "", "[expect]", *toml_lines(expected), "", "[attack]", *toml_lines(attack), "",
         "[attack.parameters]", *toml_lines(dict(p.parameters)), "", *_supports(p, relations),
-        "[settings]", *_settings(recorded.settings), "",
+        "[settings]", *_settings(recorded), "",
         "[found]", *toml_lines(observed),
     ]  # fmt: skip
     return "\n".join(lines) + "\n"
@@ -214,6 +215,11 @@ def _supports(p: Proposal, relations: Mapping[str, str]) -> Sequence[str]:
     return lines
 
 
-def _settings(settings: Settings) -> Sequence[str]:
-    shaping = settings.model_dump(mode="json", include=set(SHAPING))
-    return toml_lines({k: shaping[k] for k in SHAPING})
+def _settings(recorded: Recorded) -> Sequence[str]:
+    shaping = recorded.settings.model_dump(mode="json", include=set(SHAPING))
+    del shaping["sumo_options"]
+    lines = toml_lines({k: shaping[k] for k in SHAPING if k in shaping})
+    options = differing(recorded.task.spec.options)
+    if options:
+        lines += ["", "[settings.sumo_options]", *(f"{json.dumps(k)} = {toml_value(v)}" for k, v in options.items())]
+    return lines

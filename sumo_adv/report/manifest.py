@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from sumo_adv.errors import UsageError
 from sumo_adv.parsing import parse_json
 from sumo_adv.planners.source import make_planner
 from sumo_adv.report.outcome import SCHEMA
-from sumo_adv.simulation.inputs import EgoRoute, RunInput
+from sumo_adv.simulation.inputs import EgoRoute, RunInput, WaymoSource
 from sumo_adv.simulation.maps import Conversion
 from sumo_adv.simulation.playback_spec import PlaybackSpec, make_playback
 from sumo_adv.simulation.props import Prop
@@ -81,7 +81,8 @@ def _recorded(folder: Path, m: dict[str, Any]) -> Recorded:
     source = RunInput(
         name=m["name"], source=folder, network=spec.network, intents=tuple(m["intents_allowed"]),
         asked=None if asked is None else Asked.model_validate(asked), words=m.get("words") or "",
-        conversion=_conversion(m.get("conversion"), spec.network),
+        conversion=_conversion(m.get("conversion"), spec.network), notes=tuple(m.get("notes", ())),
+        waymo=waymo_source(m),
     )  # fmt: skip
     return Recorded(source, settings, task, proposal, m["skips"])
 
@@ -118,6 +119,12 @@ def _conversion(made: dict[str, Any] | None, network: Path) -> Conversion | None
     if made is None:
         return None
     return Conversion(Path(made["map"]), network, tuple(made["options"]), dict(made["lost"]), tuple(made["said"]))
+
+
+def waymo_source(m: Mapping[str, Any]) -> WaymoSource | None:
+    """The record that the input of a manifest was converted from; None where it was none, or an earlier version's."""
+    made = m.get("waymo")
+    return None if made is None else WaymoSource(Path(made["file"]), str(made["id"]), str(made["content"]))
 
 
 def _copy(folder: Path, name: str) -> Path:

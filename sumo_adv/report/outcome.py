@@ -29,6 +29,7 @@ from sumo_adv.episode.episode import Episode, Tried
 from sumo_adv.episode.fitting import motion_of
 from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.llm.ledger import Ledger
+from sumo_adv.simulation.inputs import WaymoSource
 from sumo_adv.simulation.maps import Conversion
 from sumo_adv.simulation.playback_spec import PlaybackSpec
 from sumo_adv.words.fit import misfits
@@ -72,7 +73,8 @@ def outcome(
         "ego_actions": _ego_actions(episode), "realism": dict(realism or {}), "timing": _timing(episode),
         "llm": _llm(episode),
         "sandbox": episode.isolation, "forked": episode.forked, "learnt": episode.learnt,
-        "bank_change": episode.bank_change or None, "notes": episode.notes, "asked": _asked(episode),
+        "bank_change": episode.bank_change or None, "notes": [*episode.source.notes, *episode.notes],
+        "asked": _asked(episode),
     }  # fmt: skip
 
 
@@ -294,9 +296,11 @@ def manifest(episode: Episode, inputs: Mapping[Path, str]) -> dict[str, Any]:
         "settings": episode.settings.model_dump(mode="json", exclude={"memory"}),
         "network": inputs[spec.network], "routes": [inputs[p] for p in spec.routes],
         "additional": [inputs[p] for p in spec.additional], "begin": spec.begin, "end": task.end,
-        "seed": spec.seed, "step_length": spec.step_length, "sumo_options": dict(spec.options),
+        "seed": spec.seed, "step_length": spec.step_length, "sumo_options": spec.all_options,
         "trigger": task.trigger, "warm_up": task.warm_up, "only": list(task.only),
         "playback": _playback(task.playback, inputs), "conversion": _conversion(episode.source.conversion),
+        "waymo": _waymo(episode.source.waymo),
+        "notes": list(episode.source.notes),
         "ego": _ego(task.ego), "ego_base_type": task.ego_base_type, "ego_driver": task.ego_driver,
         "ego_parameters": dict(task.ego_parameters), "driven_from": task.driven_from, "delay": task.delay,
         "skips": episode.skips,
@@ -317,6 +321,11 @@ def _conversion(made: Conversion | None) -> dict[str, Any] | None:
     return {
         "map": made.source.name, "options": list(made.options), "lost": dict(made.lost), "said": list(made.said),
     }  # fmt: skip
+
+
+def _waymo(record: WaymoSource | None) -> dict[str, Any] | None:
+    """The record that the input was converted from."""
+    return None if record is None else {**asdict(record), "file": str(record.file)}
 
 
 def _ego(ego: Any) -> Any:

@@ -14,12 +14,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sumo_adv.datatypes import Bools, Boxes, Floats, Ints, Level, Limits, Prediction, Proposal, Role
+from sumo_adv.datatypes import Bools, Boxes, Floats, Ints, Level, Limits, Prediction, Proposal, Role, Track
 from sumo_adv.metrics.boxes import between_steps, gap, half_diagonal, on_grid, overlaps, pick, sweep, touching
 from sumo_adv.metrics.contact import rear_end
 from sumo_adv.metrics.criticality import ttc
 from sumo_adv.metrics.gates import CLOCK_SLACK, kinematic_gates, near_pairs, off_road, third_party
-from sumo_adv.road_users import unprotected
+from sumo_adv.road_users import RoadUser, road_user, unprotected
 from sumo_adv.search.predicted_level import Collisions, Danger, danger_of, some_rows, some_steps
 from sumo_adv.search.rollouts import Motions, Rollouts, Touch
 from sumo_adv.search.settings import ScoreSettings
@@ -276,11 +276,16 @@ def _near_others(
     rows = own[rows]
     ids, ranks = np.array([t.id for t in tracks])[others], zip(*bvs, strict=True)
     counts = np.all([ids != np.array(rank)[rows] for rank in ranks], axis=0)
-    reacts = np.array([situation.traffic.reacting and t.role is not Role.OBSTACLE for t in tracks], bool)[others]
+    reacts = np.array([situation.traffic.reacting and _brakes(t) for t in tracks], bool)[others]
     x, y, heading = (q[rows, 0] for q in (adversary.x, adversary.y, adversary.heading))
     ahead = (around.x[others, 0] - x) * np.cos(heading) + (around.y[others, 0] - y) * np.sin(heading)
     kept = counts & ~(reacts & (ahead < 0.0))
     return _Near(rows[kept], some_rows(around, others[kept]))
+
+
+def _brakes(track: Track) -> bool:
+    """Whether it brakes for what is ahead: not an obstacle, and not a pedestrian."""
+    return track.role is not Role.OBSTACLE and road_user(track) is not RoadUser.PEDESTRIAN
 
 
 def _joined(boxes: Sequence[Boxes]) -> Boxes:

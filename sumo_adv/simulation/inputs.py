@@ -6,7 +6,7 @@ wrong with the files it names is found by ``scan.py``.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -17,7 +17,7 @@ from sumo_adv.simulation.maps import MAPS, Conversion, convert_map, is_map
 from sumo_adv.simulation.playback_spec import PlaybackSpec, scenario_playback
 from sumo_adv.simulation.scan import DemandScan, NetworkScan, parse, scan_demand, scan_network, seconds
 from sumo_adv.simulation.scenario import DEFAULT_WARM_UP, Ego, Label, Scenario, load_scenario
-from sumo_adv.simulation.sumo_options import LONGEST_STEP, SHORTEST_STEP, kept
+from sumo_adv.simulation.sumo_options import LONGEST_STEP, SHORTEST_STEP, SUMO_STEP, kept, part_of
 
 _OPTIONS = {
     "net-file": "net", "net": "net", "n": "net",
@@ -30,6 +30,7 @@ _SUFFIXES = (
     *sorted(MAPS, key=len, reverse=True),
     ".net.xml.gz", ".net.xml", ".xml.gz", ".xml", ".sumocfg", ".sumo.cfg", ".toml",
 )  # fmt: skip
+HEAD = 4096  # bytes in which the root element of a CommonRoad scenario begins
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +46,15 @@ class EgoRoute:
 
 
 @dataclass(frozen=True, slots=True)
+class WaymoSource:
+    """The Waymo record that an input was made of: its file, its id, the SHA-256 of its bytes in hex."""
+
+    file: Path
+    id: str
+    content: str
+
+
+@dataclass(frozen=True, slots=True)
 class RunInput:
     """Everything a run needs to know about its input. Times are simulation times [s]; paths exist.
 
@@ -54,7 +64,7 @@ class RunInput:
     candidates, supports, intents: empty = no restriction. files: all that a manifest must copy. playback: what a log
     moves. seed, step_length [s], options: of the user's own simulation, None = this program's. notes: sentences about
     what of it is not kept, or was converted. asked: what must be true of the attack; words: those that the scenario was
-    made of. conversion: of a map that was no SUMO network.
+    made of. conversion: of a map that was no SUMO network. waymo: the record that was converted.
     """
 
     name: str
@@ -86,6 +96,7 @@ class RunInput:
     asked: Asked | None = None
     words: str = ""
     conversion: Conversion | None = None
+    waymo: WaymoSource | None = None
 
     def settings(self, named: Collection[str] = ()) -> dict[str, Any]:
         """Settings that the input brings: the horizon, and level and number of adversaries of the attack that it asks
@@ -117,10 +128,23 @@ def load_input(path: Path) -> RunInput:
             name=input_name(file), source=file, network=made.network, files=(file, made.network),
             notes=made.said, conversion=made,
         )  # fmt: skip
+    if is_commonroad(file):
+        raise UsageError(f"{file} is a CommonRoad scenario: convert it to a scenario first (sumo-adv convert).")
     if lower.endswith(_NETWORK_SUFFIXES):
         scan_network(file)
         return RunInput(name=input_name(file), source=file, network=file, files=(file,))
     raise UsageError(f"{file} is no input: give a .net.xml, .net.xml.gz, .sumocfg, scenario .toml, .xodr or .osm.")
+
+
+def is_commonroad(path: Path) -> bool:
+    """Whether an XML file begins as a CommonRoad scenario does."""
+    if path.suffix.lower() != ".xml":
+        return False
+    try:
+        with path.open("rb") as file:
+            return b"<commonRoad" in file.read(HEAD)
+    except OSError:  # whoever reads it says why
+        return False
 
 
 def own_simulation(given: RunInput) -> dict[str, float | int]:
@@ -188,7 +212,7 @@ def _from_configuration(path: Path) -> RunInput:
         raise UsageError(f"{path} names no network: it needs a net-file.")
     network = networks[0]
     routes, additional = (_paths(path, options.get(key, "")) for key in ("routes", "additional"))
-    _scan_all(path, network, (*routes, *additional))
+    _, scans = _scan_all(path, network, (*routes, *additional))
     begin, end = (seconds(path, key, options.get(key)) for key in ("begin", "end"))
     if end is not None and end <= (begin or 0.0):
         raise UsageError(f"{path} ends at {end:g} s, which is not after its begin: correct one of the two.")
@@ -200,20 +224,24 @@ def _from_configuration(path: Path) -> RunInput:
         notes = (*notes, f"Not kept of {path.name}, as this program sets them itself: {', '.join(left)}.")
     return RunInput(
         name=input_name(path), source=path, network=network, routes=routes, additional=additional, begin=begin,
-        end=end, files=(path, network, *routes, *additional), seed=None if seed is None else int(seed),
+        end=end, files=(path, network, *routes, *additional, *_named(scans)), seed=None if seed is None else int(seed),
         step_length=step, options=chosen, notes=notes,
     )  # fmt: skip
 
 
 def _step_length(path: Path, given: str | None) -> tuple[float | None, tuple[str, ...]]:
-    """The step of a .sumocfg [s] and no note; None and a note where this program's own is taken."""
+    """The step of a .sumocfg [s] and no note; a part of it, or None for this program's own, and a note."""
     step = seconds(path, "step-length", given)
     if step is not None and SHORTEST_STEP <= step <= LONGEST_STEP:
         return step, ()
+    taken = part_of(SUMO_STEP if step is None else step)
     said = "SUMO's default of 1 s" if step is None else f"{step:g} s"
-    return None, (
-        f"The step-length of {path.name}, {said}, is not kept: this program takes steps of {SHORTEST_STEP:g} to "
-        f"{LONGEST_STEP:g} s, by default of 0.1 s.",
+    why = f"this program takes steps of {SHORTEST_STEP:g} to {LONGEST_STEP:g} s"
+    if taken is None:
+        return None, (f"The step-length of {path.name}, {said}, is not kept: {why}, here of its own.",)
+    whole = round((SUMO_STEP if step is None else step) / taken)
+    return taken, (
+        f"The step-length of {path.name}, {said}, is not kept: {why}, here of {taken:g} s, of which {whole} make one.",
     )
 
 
@@ -261,8 +289,8 @@ def _from_scenario(path: Path) -> RunInput:
         trigger=scenario.window.trigger, warm_up=scenario.window.warm_up, horizon=scenario.window.horizon,
         candidates=scenario.adversary.candidates, supports=scenario.adversary.supports,
         intents=scenario.adversary.intents, label=scenario.label,
-        files=(path, network, *routes, *additional, *(playback.files if playback else ())), playback=playback,
-        asked=scenario.asked, words=scenario.written.words if scenario.written else "",
+        files=(path, network, *routes, *additional, *_named(scans), *(playback.files if playback else ())),
+        playback=playback, asked=scenario.asked, words=scenario.written.words if scenario.written else "",
     )  # fmt: skip
 
 
@@ -271,6 +299,10 @@ def _named_network(path: Path, network: Path) -> Path:
     shipped = data_folder("networks") / f"{network.name}.net.xml"
     named = network.parent == path.parent and not network.suffix
     return shipped if named and not network.exists() and shipped.is_file() else network
+
+
+def _named(scans: Sequence[DemandScan]) -> tuple[Path, ...]:
+    return tuple(file for scan in scans for file in scan.files)
 
 
 def _or(value: float | None, default: float | None) -> float | None:

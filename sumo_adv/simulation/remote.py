@@ -13,9 +13,11 @@ from typing import Any
 
 from sumo_adv.errors import SimulationError
 
-SIMSTEP, VEHICLE_GET, SIMULATION_GET = 0x02, 0xA4, 0xAB
-POSITION, ANGLE, SPEED, LANE_POSITION, LANE, ID_LIST, TIME = 0x42, 0x43, 0x40, 0x56, 0x51, 0x00, 0x66
+SIMSTEP, VEHICLE_GET, SIMULATION_GET, PERSON_GET = 0x02, 0xA4, 0xAB, 0xAE
+POSITION, ANGLE, SPEED, LANE_POSITION, LANE, RIDE = 0x42, 0x43, 0x40, 0x56, 0x51, 0xC3
+ID_LIST, TIME = 0x00, 0x66
 STATE = (POSITION, ANGLE, SPEED, LANE_POSITION, LANE)  # the lane is the last: its name may have any length
+PERSON_STATE = (POSITION, ANGLE, SPEED, LANE_POSITION, RIDE)  # of the same form
 STATUS = 7  # bytes of a status without words
 LENGTH = struct.Struct("!i")
 STEP = struct.pack("!BBd", 10, SIMSTEP, 0.0)
@@ -34,16 +36,20 @@ def getter(command: int, variable: int, name: str = "") -> bytes:
 class Remote:
     """Steps and reads over a ``traci.connection.Connection``, which serves for all other calls as well.
 
-    After ``read`` the positions on lanes [m] of all vehicles are in ``lane_positions``.
+    After ``read`` the positions on lanes [m] of all vehicles are in ``lane_positions``, and the persons in ``persons``:
+    by SUMO's id, with the vehicle that they ride in instead of a lane.
     """
 
     def __init__(self, connection: Any) -> None:
         self.connection = connection
         self.time = 0.0
         self.lane_positions: dict[str, float] = {}
-        self._questions: dict[str, bytes] = {}
+        self.persons: dict[str, RawState] = {}
+        self._questions: dict[tuple[int, str], bytes] = {}
         self._places: dict[int, struct.Struct] = {}
-        self._overview = getter(SIMULATION_GET, TIME) + getter(VEHICLE_GET, ID_LIST)
+        self._overview = b"".join(
+            (getter(SIMULATION_GET, TIME), getter(VEHICLE_GET, ID_LIST), getter(PERSON_GET, ID_LIST))
+        )
         self._names()
 
     def step(self) -> None:
@@ -54,16 +60,15 @@ class Remote:
 
     def read(self) -> dict[str, RawState]:
         """All vehicles: bumper pose, speed, lane. Raises SimulationError if SUMO ended."""
-        names, questions = self._names(), self._questions
-        if len(questions) > 2 * len(names) + 100:  # vehicles that have left
-            questions.clear()
-        messages = []
-        for name in names:
-            question = questions.get(name)
-            if question is None:
-                question = questions[name] = b"".join(getter(VEHICLE_GET, v, name) for v in STATE)
-            messages.append(question)
-        return self._states(names, self._exchange(b"".join(messages))) if messages else {}
+        vehicles, persons = self._names()
+        if len(self._questions) > 2 * (len(vehicles) + len(persons)) + 100:  # those that have left
+            self._questions.clear()
+        messages = [self._question(VEHICLE_GET, STATE, name) for name in vehicles]
+        messages += [self._question(PERSON_GET, PERSON_STATE, name) for name in persons]
+        answer = self._exchange(b"".join(messages)) if messages else b""
+        states, self.lane_positions, at = self._states(vehicles, answer, 0)
+        self.persons, _, _ = self._states(persons, answer, at)
+        return states
 
     def close(self) -> None:
         """Say goodbye to SUMO; it may be gone."""
@@ -78,25 +83,27 @@ class Remote:
             self.connection._socket.close()
             self.connection._socket = None
 
-    def _names(self) -> list[str]:
-        """Ids of all vehicles; sets the time."""
+    def _names(self) -> tuple[list[str], list[str]]:
+        """Ids of all vehicles and of all persons; sets the time."""
         answer = self._exchange(self._overview)
         at = _value(answer, 0, 0)
         self.time = round(struct.unpack_from("!d", answer, at)[0], 6)
-        at = _value(answer, at + 8, 0)
-        (count,) = LENGTH.unpack_from(answer, at)
-        at += 4
-        names = []
-        for _ in range(count):
-            (size,) = LENGTH.unpack_from(answer, at)
-            names.append(answer[at + 4 : at + 4 + size].decode())
-            at += 4 + size
-        return names
+        vehicles, at = _strings(answer, _value(answer, at + 8, 0))
+        persons, _ = _strings(answer, _value(answer, at, 0))
+        return vehicles, persons
 
-    def _states(self, names: Sequence[str], answer: bytes) -> dict[str, RawState]:
+    def _question(self, command: int, variables: Sequence[int], name: str) -> bytes:
+        question = self._questions.get((command, name))
+        if question is None:
+            question = self._questions[command, name] = b"".join(getter(command, v, name) for v in variables)
+        return question
+
+    def _states(
+        self, names: Sequence[str], answer: bytes, at: int
+    ) -> tuple[dict[str, RawState], dict[str, float], int]:
+        """States and positions on lanes [m] that begin at ``at``, and where they end."""
         states: dict[str, RawState] = {}
         positions: dict[str, float] = {}
-        at = 0
         try:
             for name in names:
                 place = self._place(len(name.encode()))
@@ -107,8 +114,7 @@ class Remote:
                 states[name] = (x, y, angle, speed, answer[at - size : at].decode())
         except (struct.error, IndexError, UnicodeDecodeError) as error:
             raise SimulationError("SUMO's states could not be read; is it version 1.28?") from error
-        self.lane_positions = positions
-        return states
+        return states, positions, at
 
     def _place(self, size: int) -> struct.Struct:
         """Where the numbers of a vehicle lie if its id has ``size`` bytes."""
@@ -139,6 +145,18 @@ def _value(answer: bytes, at: int, name: int) -> int:
     """Where the value of an answer lies that begins at ``at`` with its status; ``name``: bytes of the object's id."""
     at += STATUS
     return at + (6 if answer[at] == 0 else 2) + 1 + 4 + name + 1
+
+
+def _strings(answer: bytes, at: int) -> tuple[list[str], int]:
+    """The list of strings that begins at ``at``, and where it ends."""
+    (count,) = LENGTH.unpack_from(answer, at)
+    at += 4
+    names = []
+    for _ in range(count):
+        (size,) = LENGTH.unpack_from(answer, at)
+        names.append(answer[at + 4 : at + 4 + size].decode())
+        at += 4 + size
+    return names, at
 
 
 def _received(socket: Any, size: int) -> bytes:

@@ -12,12 +12,15 @@ from typing import BinaryIO, cast
 from xml.parsers import expat
 
 from sumo_adv.errors import UsageError
+from sumo_adv.simulation.simulation import PERSON
 
 LONGEST_LANE = 1e6  # m, and m/s: beyond any
 FARTHEST = 1e9  # m from the origin
 _Handler = Callable[[str, dict[str, str]], None]
 ENCODINGS = ("utf-8", "utf-16", "iso-8859-1", "us-ascii", "ascii")  # those that expat knows by itself
 _DRIVING = ("vehicle", "trip", "flow")
+READ = {"include": "href", "variableSpeedSign": "file", "calibrator": "file"}
+"""Elements that name a file for SUMO to read, and the attribute that does so."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,15 +33,21 @@ class NetworkScan:
 
 @dataclass(frozen=True, slots=True)
 class DemandScan:
-    """Edges in order of first use, ids of vehicles and trips, ids of flows (their vehicles are ``flow.0``, ...)."""
+    """Edges in order of first use, ids of vehicles and trips, ids of flows (their vehicles are ``flow.0``, ...).
+
+    persons: ``person:ID`` of persons and of flows of them; files: the other files that it names.
+    """
 
     edges: tuple[str, ...]
     vehicles: frozenset[str]
     flows: frozenset[str]
+    persons: frozenset[str]
+    files: tuple[Path, ...] = ()
 
     def has(self, vehicle: str) -> bool:
-        """Whether a vehicle of this id can come from the file."""
-        return vehicle in self.vehicles or vehicle.rpartition(".")[0] in self.flows
+        """Whether a vehicle of this id, or a person with ``person:`` before its id, can come from the file."""
+        flow = vehicle.rpartition(".")[0]
+        return vehicle in self.vehicles | self.persons or flow in self.flows | self.persons
 
 
 def scan_network(path: Path) -> NetworkScan:
@@ -108,6 +117,7 @@ def scan_demand(path: Path) -> DemandScan:
     edges: dict[str, None] = {}
     vehicles: set[str] = set()
     flows: set[str] = set()
+    persons: set[str] = set()
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         if tag == "route":
@@ -117,9 +127,11 @@ def scan_demand(path: Path) -> DemandScan:
             for key in ("from", "via", "to"):
                 if key in attributes:
                     edges.update(dict.fromkeys(attributes[key].split()))
+        elif tag in ("person", "personFlow"):
+            persons.add(PERSON + attributes.get("id", ""))
 
-    parse(path, start)
-    return DemandScan(tuple(edges), frozenset(vehicles), frozenset(flows))
+    files = parse(path, start)
+    return DemandScan(tuple(edges), frozenset(vehicles), frozenset(flows), frozenset(persons), files)
 
 
 def scan_routes(files: Sequence[Path]) -> dict[str, tuple[str, ...]]:
@@ -164,8 +176,54 @@ def seconds(path: Path, key: str, value: str | None) -> float | None:
     return total if total >= 0.0 else None
 
 
-def parse(path: Path, start: _Handler) -> None:
-    """Feeds every element's start to ``start``; a damaged file is a UsageError."""
+def parse(path: Path, start: _Handler, end: Callable[[str], None] | None = None) -> tuple[Path, ...]:
+    """Feeds the start and the end of every element to ``start`` and ``end``, and returns the other files that it read.
+
+    Those are the files that SUMO reads because this one names them (``READ``). The elements below their roots come
+    where the file is named. Raises UsageError for a file that is damaged, missing, or includes itself.
+    """
+    others: dict[Path, None] = {}
+    _parse(path, start, end, (), others)
+    return tuple(others)
+
+
+def _parse(
+    path: Path, start: _Handler, end: Callable[[str], None] | None, within: tuple[Path, ...], others: dict[Path, None]
+) -> None:
+    """``within``: the files that name this one."""
+    outside = bool(within)  # no element below the root has begun
+    shown: list[bool] = []  # of the elements that have begun: whether ``start`` knows them
+
+    def started(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal outside
+        name = attributes.get(READ[tag], "") if tag in READ else ""
+        hidden = outside or (tag == "include" and bool(name))
+        outside = False
+        if end is not None:
+            shown.append(not hidden)
+        if not hidden:
+            start(tag, attributes)
+        if name:
+            named(name)
+
+    def ended(tag: str) -> None:
+        if end is not None and shown.pop():
+            end(tag)
+
+    def named(name: str) -> None:
+        file = path.parent / name
+        if not file.is_file():
+            raise UsageError(f"{path} names the file {file}, which is missing.")
+        if file.resolve() in within:
+            raise UsageError(f"{path} names the file {file}, which includes it: take out one of the two.")
+        others[file] = None
+        _parse(file, start, end, (*within, path.resolve()), others)
+
+    _read(path, started, None if end is None else ended)
+
+
+def _read(path: Path, start: _Handler, end: Callable[[str], None] | None) -> None:
+    """Feeds the elements of this file alone."""
 
     def known_encoding(version: str, encoding: str | None, standalone: int) -> None:
         if encoding is not None and encoding.lower() not in ENCODINGS:
@@ -173,6 +231,8 @@ def parse(path: Path, start: _Handler) -> None:
 
     parser = expat.ParserCreate()
     parser.StartElementHandler = start
+    if end is not None:
+        parser.EndElementHandler = end
     parser.XmlDeclHandler = known_encoding
     try:
         with _open(path) as file:

@@ -23,6 +23,9 @@ from sumo_adv.simulation.sumo_options import DEFAULTS, FORCED
 
 S = TypeVar("S", bound=VehicleState)
 KEEP_ROUTE = 2  # moveToXY places exactly and rewrites the route where it must
+PERSON = "person:"
+"""Before the id of a ``<person>``: SUMO lets a person and a vehicle have one id."""
+FASTEST_PERSON, PERSON_JUMPS = 10.5, 1.0  # m/s, SUMO's highest speed of a person; m beyond it that are a jump
 LANELESS = ("bicycle", "pedestrian")
 """Classes that many lanes of cars do not allow. SUMO has a moved vehicle on no lane where its class may not be, and its
 drivers then drive through it (measured). So a moved one gets the class of a car; ``vehicle_class`` tells its own. In
@@ -68,11 +71,16 @@ class SimulationSpec:
     step_length: float = 0.1
     options: Mapping[str, str] = field(default_factory=lambda: dict(DEFAULTS))
 
+    @property
+    def all_options(self) -> dict[str, str]:
+        """The options of SUMO, with those that this program forces."""
+        return {**self.options, **FORCED}
+
     def arguments(self) -> list[str]:
         """The command line without the program's name."""
         args = ["-n", str(self.network), "--begin", repr(self.begin), "--step-length", repr(self.step_length)]
-        args += ["--seed", str(self.seed), *FORCED]
-        for name, value in self.options.items():
+        args += ["--seed", str(self.seed)]
+        for name, value in self.all_options.items():
             args += [f"--{name}", value]
         if self.routes:
             args += ["-r", ",".join(map(str, self.routes))]
@@ -83,7 +91,8 @@ class SimulationSpec:
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """Everything SUMO said after one step. ``raw``: vehicle id -> bumper pose, speed, lane.
+    """Everything SUMO said after one step. ``raw``: vehicle id -> bumper pose, speed, lane; also ``person:ID`` of each
+    person on foot: the middle of its front, its speed, and no lane.
 
     lights: by id the states of the traffic lights near the ego, where they are recorded.
     """
@@ -95,15 +104,20 @@ class Snapshot:
 
 @dataclass(slots=True)
 class Fleet:
-    """Sizes (length, width in m) and vClasses of the vehicles seen, asked of SUMO once each."""
+    """Sizes (length, width in m) and vClasses of the vehicles and persons seen, asked of SUMO once each.
+
+    persons: those of them that are SUMO's persons, and no vehicles.
+    """
 
     sizes: dict[str, tuple[float, float]] = field(default_factory=dict)
     classes: dict[str, str] = field(default_factory=dict)
+    persons: set[str] = field(default_factory=set)
 
     def forget(self, keep: Collection[str]) -> None:
-        """Drop all vehicles but these: what a simulation that goes on for hours needs."""
+        """Drop all but these: what a simulation that goes on for hours needs."""
         self.sizes = {name: size for name, size in self.sizes.items() if name in keep}
         self.classes = {name: kind for name, kind in self.classes.items() if name in keep}
+        self.persons.intersection_update(keep)
 
 
 class Simulation:
@@ -118,6 +132,7 @@ class Simulation:
         self.unrouted: frozenset[str] = frozenset()  # vehicles that another program moves freely
         self._remote = remote
         self._moved = MovedSpeeds()
+        self._walked: dict[str, tuple[float, float]] = {}  # where the persons on foot are
         self._as_cars: set[str] = set()  # moved pedestrians and cyclists, which SUMO takes for cars
         self._errors: tuple[type[Exception], ...]
         self._sumo: Any
@@ -169,7 +184,7 @@ class Simulation:
         if self._remote is not None:
             raise SimulationError("A SUMO that others are connected to cannot be loaded again: start another.")
         self.fleet.forget(())
-        self._moved, self._as_cars = MovedSpeeds(), set()
+        self._moved, self._as_cars, self._walked = MovedSpeeds(), set(), {}
         try:
             self._sumo.load(self.spec.arguments())
         except self._errors as error:
@@ -223,7 +238,7 @@ class Simulation:
             raise SimulationError(f"SUMO failed in a step ({' '.join(str(error).split())}).") from error
 
     def read(self) -> Snapshot:
-        """The present states of all vehicles."""
+        """The present states of all vehicles and persons."""
         if self._remote is not None:
             return self._read_remote(self._remote)
         position, angle, speed, lane = self._position, self._angle, self._speed, self._lane
@@ -236,6 +251,11 @@ class Simulation:
             if x > INVALID:
                 raw[v] = (x, y, angle(v), speed(v), lane(v))
         self._moved.correct(raw)
+        person = self._sumo.person
+        self._add_persons(raw, {
+            p: (*person.getPosition(p), person.getAngle(p), person.getSpeed(p), person.getVehicle(p))
+            for p in person.getIDList()
+        })  # fmt: skip
         return Snapshot(self.time, raw)
 
     def _read_remote(self, remote: Remote) -> Snapshot:
@@ -243,7 +263,28 @@ class Simulation:
         for name in raw.keys() - self.fleet.sizes.keys():
             self._measure(name)
         self._moved.correct(raw)
+        self._add_persons(raw, remote.persons)
         return Snapshot(remote.time, raw)
+
+    def _add_persons(self, raw: dict[str, RawState], persons: Mapping[str, RawState]) -> None:
+        """Add the persons on foot. ``persons``: by SUMO's id, with the vehicle that they ride in instead of a lane.
+
+        A person that has jumped over a junction is left out for this step: it has touched nothing on its way.
+        """
+        before, self._walked = self._walked, {}
+        reach = PERSON_JUMPS + FASTEST_PERSON * self.spec.step_length
+        for person, (x, y, angle, speed, ride) in persons.items():
+            name = PERSON + person
+            if ride or x <= INVALID or name in raw:  # in ``raw``: it attacks as a vehicle since this step
+                continue
+            if name not in self.fleet.sizes:
+                p = self._sumo.person
+                self.fleet.sizes[name] = (p.getLength(person), p.getWidth(person))
+                self.fleet.classes[name] = "pedestrian"
+                self.fleet.persons.add(name)
+            self._walked[name] = (x, y)
+            if math.dist((x, y), before.get(name, (x, y))) < reach:
+                raw[name] = (x, y, angle, speed, "")
 
     def _measure(self, vehicle: str) -> None:
         """Ask for a vehicle's size."""

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from sumo_adv.errors import SimulationError, UsageError
 from sumo_adv.geometry import Pose
-from sumo_adv.simulation.simulation import SUMO_SPEED_MODE, Simulation
+from sumo_adv.simulation.simulation import PERSON, SUMO_SPEED_MODE, Simulation
 
 LOGGED_TYPE = "sumo_adv_logged"
 LOGGED_TYPE_XML = f'<vType id="{LOGGED_TYPE}" vClass="passenger" speedFactor="10" speedDev="0"/>'
@@ -53,6 +53,17 @@ class Stage:
             vehicle.add(name, route, LOGGED_TYPE, depart="now", departSpeed=f"{speed:.6f}")
         except self._simulation.errors:
             vehicle.add(name, route, LOGGED_TYPE, depart="now", departSpeed="max")
+
+    def embody(self, person: str, pose: Pose) -> None:
+        """Replace a person by a vehicle of its name and size; inject it at ``pose`` in the same step.
+
+        Measured with SUMO 1.28: ``person.moveToXY`` has no effect in the pedestrian model nonInteracting. In the model
+        striping drivers see a moved person only with ``keepRoute`` 6, and its speed is 0.
+        """
+        fleet = self._simulation.fleet
+        self._sumo.person.removeStages(person.removeprefix(PERSON))
+        self.spawn(person, (), pose, fleet.sizes[person])
+        fleet.persons.discard(person)
 
     def remove(self, name: str) -> None:
         """Take a vehicle out."""

@@ -1,7 +1,7 @@
 """A CommonRoad scenario (XML, format 2020a) as a record that the converter takes.
 
 Lanelets become lanes with their centre lines, obstacles become tracks from time step 0 on; the planning problem's
-initial state is the ego. Its track ends one step later. Signs other than speed limits, lights and
+initial state is the ego, at its own time step. Its track ends one step later. Signs other than speed limits, lights and
 occupancy sets are left out.
 """
 
@@ -23,7 +23,6 @@ from sumo_adv.womd.bounds import check_bounds
 from sumo_adv.womd.outline import road_outline
 from sumo_adv.womd.record import LaneFeature, LineFeature, Neighbour, ObjectTrack, Record
 
-HEAD = 4096  # bytes in which the root element begins
 SPACING = 0.5  # m between points of a centre line
 EGO_SIZE = 4.508, 1.610  # m: CommonRoad's vehicle 2, BMW 320i; a planning problem names no size
 HEIGHT = 1.5  # m
@@ -31,14 +30,6 @@ KINDS = {"pedestrian": 2, "bicycle": 3}  # index of TRACK_KINDS; all others are 
 VEHICLE, OTHER, SURFACE, EDGE_BOUNDARY = 1, 4, 2, 1
 SPEED_LIMIT = "274"  # the sign, in Germany and in CommonRoad's Zamunda
 Place = tuple[float, float, float, float]  # x, y [m], heading [rad], speed [m/s]
-
-
-def is_commonroad(path: Path) -> bool:
-    """Whether an XML file begins as a CommonRoad scenario does."""
-    if path.suffix.lower() != ".xml" or not path.is_file():
-        return False
-    with path.open("rb") as file:
-        return b"<commonRoad" in file.read(HEAD)
 
 
 def read_commonroad(path: Path) -> Record:
@@ -62,9 +53,11 @@ def _record(root: Element, path: Path, content: str) -> Record:
     if not lanelets or problem is None:
         raise UsageError(f"{path} has no {'planning problem' if lanelets else 'lanelets'}, so there is nothing to run.")
     states = {o: _states(o) for o in (*root.findall("dynamicObstacle"), *root.findall("staticObstacle"))}
-    count = max([2, *(max(of) + 1 for of in states.values())])
-    ego = _place(_child(problem, "initialState"))
-    tracks = [_track(int(problem.attrib["id"]), VEHICLE, EGO_SIZE, {0: ego, 1: _onward(ego, _step(root))}, count)]
+    initial = _child(problem, "initialState")
+    ego, first = _place(initial), round(_number(initial, "time", 0.0))
+    count = max([first + 2, *(max(of) + 1 for of in states.values())])
+    onward = {first: ego, first + 1: _onward(ego, _step(root))}
+    tracks = [_track(int(problem.attrib["id"]), VEHICLE, EGO_SIZE, onward, count)]
     for obstacle, of in states.items():
         still = obstacle.tag == "staticObstacle"
         places = dict.fromkeys(range(count), of[min(of)]) if still else of
@@ -73,7 +66,7 @@ def _record(root: Element, path: Path, content: str) -> Record:
     lanes = _lanes(root, lanelets)
     return Record(
         scenario_id=re.sub(r"[^A-Za-z0-9_.-]", "_", root.attrib["benchmarkID"])[:100] or "scenario",
-        time=_step(root) * np.arange(count, dtype=np.float64), current=0, sdc=0, tracks=tracks,
+        time=_step(root) * np.arange(count, dtype=np.float64), current=first, sdc=0, tracks=tracks,
         objects_of_interest=(), to_predict=(), lanes=lanes, lines=_edges(lanelets, max(lanes)), stop_signs=(),
         areas=(), signals=[()] * count, content=content,
     )  # fmt: skip

@@ -85,6 +85,22 @@ def find_record(source: Path, choice: Choice) -> Record:
         raise
 
 
+def record_message(path: Path, content: str) -> Any:
+    """The Scenario message whose bytes have the SHA-256 ``content``, in hex; None if the file has none.
+
+    Raises UsageError: protobuf is not installed, or the file cannot be read or is damaged before that record.
+    """
+    parse = _parser()
+    try:
+        with path.open("rb") as file:
+            for frame in read_frames(file, str(path)):
+                if frame.data is not None and hashlib.sha256(frame.data).hexdigest() == content:
+                    return parse(frame.data)
+    except OSError as error:
+        raise UsageError(f"The file {path} cannot be read: {error.strerror or error}.") from error
+    return None
+
+
 def choice_of(record: str | None) -> Choice:
     """The choice that ``--record`` means; the first record if it was not given."""
     if record is None:

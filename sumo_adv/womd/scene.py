@@ -122,7 +122,7 @@ def _scenario(record: Record, ego: ObjectTrack, parked: Sequence[ObjectTrack]) -
     predicted = ", ".join(str(record.tracks[i].id) for i in record.to_predict) or "none"
     interest = ", ".join(map(str, record.objects_of_interest)) or "none"
     text = f"""\
-# Waymo Open Motion Dataset record {record.scenario_id}: {len(record.time)} steps, the current one at \
+# Converted from the record {record.scenario_id}: {len(record.time)} steps, the current one at \
 {STEP * record.current:.1f} s.
 # Objects of interest: {interest}. Tracks to predict: {predicted}.
 schema = 1

@@ -2,11 +2,12 @@
 
 Time step 0 is the first exported step; a step is the run's. The ego is the planning problem, and no obstacle; its
 goal is where it was at the end. Obstacles are numbered in the order of the run after the lanelets; a comment in the
-file gives each number's id.
+file gives each number's id, and the ego's size. Speed limits are signs, the numbers behind the ego's.
 """
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,7 +21,9 @@ from sumo_adv.report.export.road import MapLane, map_lanes
 
 SCENARIO, SOLUTION = "scenario.xml", "solution.xml"
 GOAL = 10.0, 4.0  # m, length and width of the goal around the ego's last place
-VEHICLE = "KS2"  # of the solution: kinematic single-track model, BMW 320i
+VEHICLES = {"KS1": (4.298, 1.674), "KS2": (4.508, 1.610), "KS3": (4.569, 1.844)}
+"""Kinematic single-track models of CommonRoad with length and width [m]: Ford Escort, BMW 320i, VW Vanagon."""
+SPEED_LIMIT = "274"  # the sign's number in Germany and in CommonRoad's Zamunda
 
 
 def write_commonroad(folder: Path, piece: Piece) -> None:
@@ -48,8 +51,11 @@ def _scenario(piece: Piece, lanes: Sequence[MapLane], problem: int) -> Element:
     for name, value in (("geoNameId", "-999"), ("gpsLatitude", "999"), ("gpsLongitude", "999")):  # not given
         SubElement(location, name).text = value
     SubElement(SubElement(root, "scenarioTags"), "critical")
+    limits = {metres(speed): k for k, speed in enumerate(sorted({each.lane.speed for each in lanes}), problem + 1)}
     for lane in lanes:
-        _add_lanelet(root, lane)
+        _add_lanelet(root, lane, limits[metres(lane.lane.speed)])
+    for limit, number in limits.items():
+        _add_limit(root, number, limit)
     tracks = sorted(enumerate(piece.tracks, len(lanes) + 1), key=lambda pair: pair[1].role is not Role.OBSTACLE)
     for number, track in tracks:  # static ones first
         if track.id != piece.ego:
@@ -58,7 +64,7 @@ def _scenario(piece: Piece, lanes: Sequence[MapLane], problem: int) -> Element:
     return root
 
 
-def _add_lanelet(root: Element, lane: MapLane) -> None:
+def _add_lanelet(root: Element, lane: MapLane, limit: int) -> None:
     lanelet = SubElement(root, "lanelet", id=str(lane.number))
     for name, line in (("leftBound", lane.left), ("rightBound", lane.right)):
         bound = SubElement(lanelet, name)
@@ -72,11 +78,19 @@ def _add_lanelet(root: Element, lane: MapLane) -> None:
             SubElement(lanelet, name, ref=str(beside), drivingDir="same")
     SubElement(lanelet, "laneletType").text = "intersection" if lane.lane.internal else "unknown"
     SubElement(lanelet, "userOneWay").text = "vehicle"
+    SubElement(lanelet, "trafficSignRef", ref=str(limit))
+
+
+def _add_limit(root: Element, number: int, limit: str) -> None:
+    sign = SubElement(root, "trafficSign", id=str(number))
+    element = SubElement(sign, "trafficSignElement")
+    SubElement(element, "trafficSignID").text, SubElement(element, "additionalValue").text = SPEED_LIMIT, limit
+    SubElement(sign, "virtual").text = "true"
 
 
 def _add_obstacle(root: Element, number: int, track: Track, piece: Piece) -> None:
     static = track.role is Role.OBSTACLE
-    root.append(Comment(f" {number}: {printable(track.id).replace('-', '_')}, {track.role} "))
+    root.append(Comment(f" {number}: {_name(track)}, {track.role} "))
     obstacle = SubElement(root, "staticObstacle" if static else "dynamicObstacle", id=str(number))
     SubElement(obstacle, "type").text = "parkedVehicle" if static else kind(track)
     rectangle = SubElement(SubElement(obstacle, "shape"), "rectangle")
@@ -91,6 +105,11 @@ def _add_obstacle(root: Element, number: int, track: Track, piece: Piece) -> Non
     trajectory = SubElement(obstacle, "trajectory")
     for k, step in enumerate(steps[1:], 1):
         _add_state(trajectory, "state", track, k, step)
+
+
+def _name(track: Track) -> str:
+    """Its id as a comment can hold it."""
+    return printable(track.id).replace("-", "_")
 
 
 def _steps(track: Track, piece: Piece) -> list[int]:
@@ -116,8 +135,9 @@ def _add_point(parent: Element, x: float, y: float) -> None:
 
 def _add_problem(root: Element, piece: Piece, number: int) -> None:
     ego = piece.track(piece.ego)
+    root.append(Comment(f" {number}: {_name(ego)}, ego, {metres(ego.length)} m long, {metres(ego.width)} m wide "))
     problem = SubElement(root, "planningProblem", id=str(number))
-    state = _add_state(problem, "initialState", ego, 0, 0)
+    state = _add_state(problem, "initialState", ego, 0, _steps(ego, piece)[0])
     for name in ("yawRate", "slipAngle"):
         SubElement(SubElement(state, name), "exact").text = "0.0"
     goal = SubElement(problem, "goalState")
@@ -132,7 +152,8 @@ def _add_problem(root: Element, piece: Piece, number: int) -> None:
 
 def _solution(piece: Piece, problem: int) -> Element:
     ego = piece.track(piece.ego)
-    root = Element("CommonRoadSolution", benchmark_id=f"{VEHICLE}:JB1:{benchmark_id(piece)}:2020a")
+    vehicle = min(VEHICLES, key=lambda name: math.dist(VEHICLES[name], (ego.length, ego.width)))
+    root = Element("CommonRoadSolution", benchmark_id=f"{vehicle}:JB1:{benchmark_id(piece)}:2020a")
     root.set("date", piece.written.strftime("%Y-%m-%dT%H:%M:%S"))
     trajectory = SubElement(root, "ksTrajectory", planningProblem=str(problem))
     for k, (step, steer) in enumerate(zip(_steps(ego, piece), steering(ego).tolist(), strict=True)):

@@ -23,12 +23,12 @@ from sumo_adv.report.export.womd import write_womd
 from sumo_adv.report.tables import write_gzip
 from sumo_adv.simulation.programs import find_netconvert
 
-Write = Callable[[Path, Piece, Variant], None]
+Write = Callable[[Path, Piece, Variant], str | None]
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """A format. ``write`` fills a file, or a folder that is there and empty.
+    """A format. ``write`` fills a file, or a folder that is there and empty, and may give a sentence on what is lost.
 
     ending: of the default name. extra, packages: what to install, and what must then import; both empty = nothing.
     marker: the file by which ``--force`` knows a folder of this format; empty = the format is one file.
@@ -73,7 +73,7 @@ def _text(of: Callable[[Piece], str]) -> Write:
     return write
 
 
-def _replayed(of: Callable[[Path, Piece], None]) -> Write:
+def _replayed(of: Callable[[Path, Piece], str | None]) -> Write:
     """A writer that knows no variants."""
     return lambda target, piece, variant: of(target, piece)
 

@@ -19,7 +19,8 @@ def write_opendrive(netconvert: Path, network: Path, target: Path, written: date
     """Write the network at ``network`` as OpenDRIVE. World x, y of the file are those of the net.xml.
 
     netconvert's comment (its command line, the time) is left out, and so is an ``offset`` in the header, which some
-    players would add to every position: the net's offset is kept as ``userData``.
+    players would add to every position: the net's offset is kept as ``userData``. In left-hand traffic netconvert puts
+    the lanes of junctions, which are to the right of their reference line, into ``left``; they are moved.
 
     Raises SumoAdvError: it failed.
     """
@@ -41,6 +42,12 @@ def write_opendrive(netconvert: Path, network: Path, target: Path, written: date
     for offset in header.findall("offset"):
         header.remove(offset)
     ElementTree.SubElement(header, "userData", code="sumoNetOffset", value=_net_offset(network))
+    for section in tree.iter("laneSection"):
+        left = section.find("left")
+        if left is not None and all(lane.get("id", "").startswith("-") for lane in left):
+            left.tag = "right"
+            section.remove(left)
+            section.append(left)  # behind the centre
     tree.write(target, encoding="UTF-8", xml_declaration=True)
 
 

@@ -12,7 +12,10 @@ from typing import Any
 from sumo_adv.datatypes import Role, Track
 from sumo_adv.errors import UsageError
 from sumo_adv.metrics.boxes import first_contact, row_of
+from sumo_adv.report.manifest import waymo_source
 from sumo_adv.report.page.read import MANIFEST, RunRead, read_run
+from sumo_adv.simulation.inputs import WaymoSource
+from sumo_adv.simulation.signals import SignalLog
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +24,8 @@ class Piece:
 
     network: the net.xml they drive on. step [s]. adversary: the collider; supports: the other adversaries. takeover:
     when they begin to be driven [s], None if unattacked. written: when the run was made. level: what the attempt came
-    to, empty if unattacked.
+    to, empty if unattacked. lights: what the traffic lights near the ego showed, empty if unattacked. waymo: the record
+    that the run's input was converted from.
     """
 
     name: str
@@ -36,6 +40,8 @@ class Piece:
     written: datetime
     supports: tuple[str, ...] = ()
     level: str = ""
+    lights: SignalLog = SignalLog({})  # noqa: RUF009 - frozen
+    waymo: WaymoSource | None = None
 
     def track(self, vehicle: str) -> Track:
         """The track of that id, which is there."""
@@ -98,7 +104,8 @@ def _piece(run: RunRead, tracks: Sequence[Track], unattacked: bool, before: floa
         str(run.manifest["name"]), network, tuple(shown), float(min(t.time[0] for t in shown)), float(end),
         float(settings["step_length"]), ego, attacked, float(takeover) if attacked is not None else None,
         datetime.fromtimestamp((run.folder / MANIFEST).stat().st_mtime, UTC).replace(microsecond=0),
-        tuple(supports), _level(run, attacked),
+        tuple(supports), _level(run, attacked), SignalLog({}) if unattacked else run.lights,
+        waymo_source(run.manifest),
     )  # fmt: skip
 
 

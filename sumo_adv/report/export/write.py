@@ -37,24 +37,15 @@ def left_out() -> Iterator[str]:
 
 
 def runs_in(folder: Path) -> list[Path]:
-    """``folder`` itself if it is a run's, else the runs of a hunt, a regression suite or a campaign.
-
-    Raises UsageError: there is no run.
-    """
+    """``folder`` itself if it is a run's, or none at all; else the runs of a hunt, a regression suite or a campaign."""
     if (folder / OUTCOME).is_file() or not folder.is_dir():
         return [folder]
     places = [folder / holder for holder in HOLDERS if (folder / holder).is_dir()]
-    runs = [run for place in places for run in sorted(place.iterdir()) if (run / OUTCOME).is_file()]
-    if not runs:
-        raise UsageError(
-            f"{folder} holds no {OUTCOME} and no runs; give the folder of a run, a hunt, a regression suite or a "
-            "campaign (unpack a packed one first)."
-        )
-    return runs
+    return [run for place in places for run in sorted(place.iterdir()) if (run / OUTCOME).is_file()]
 
 
-def write_export(target: Path, piece: Piece, format: Format, variant: Variant, *, force: bool) -> None:
-    """Write a run in one format: the whole file or folder, or nothing.
+def write_export(target: Path, piece: Piece, format: Format, variant: Variant, *, force: bool) -> str | None:
+    """Write a run in one format: the whole file or folder, or nothing. Gives a sentence if something is lost.
 
     Raises UsageError: ``target`` exists, a package of the format is missing, or an error of the format.
     """
@@ -62,15 +53,17 @@ def write_export(target: Path, piece: Piece, format: Format, variant: Variant, *
     entry.need(format)
     if entry.marker:
         with staged(target, force=force, marker=entry.marker) as folder:
-            entry.write(folder.stage, piece, variant)
+            lost = entry.write(folder.stage, piece, variant)
             folder.keep(force=force)
-    else:
-        _file(target, piece, entry, variant, force=force)
+        return lost
+    return _file(target, piece, entry, variant, force=force)
 
 
-def _file(target: Path, piece: Piece, entry: Entry, variant: Variant, *, force: bool) -> None:
+def _file(target: Path, piece: Piece, entry: Entry, variant: Variant, *, force: bool) -> str | None:
     if target.is_dir() or (target.exists() and not force):
         raise UsageError(f"{target} is there already; give another --out, or --force to replace a file.")
     with sentences(target):
         target.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(target, lambda part: entry.write(part, piece, variant))
+        lost: list[str | None] = []
+        write_whole(target, lambda part: lost.append(entry.write(part, piece, variant)))
+        return lost[0]

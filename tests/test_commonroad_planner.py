@@ -1,0 +1,125 @@
+"""A planner drives the ego in an exported CommonRoad scenario, and its trajectory is judged as the run's was."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from importlib import import_module
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from run_samples import run_folder
+from shapely import LineString, Point
+
+import sumo_adv
+from sumo_adv.datatypes import Level, Track, Verdict
+from sumo_adv.report.export.commonroad import SCENARIO, SOLUTION, write_commonroad
+from sumo_adv.report.export.piece import Piece, read_piece
+
+reader = pytest.importorskip("commonroad.common.file_reader", reason="needs commonroad-io")
+
+
+@pytest.fixture(scope="module")
+def piece() -> Piece:
+    """A cut-in on a motorway that hits the ego 9.7 s after the takeover."""
+    return read_piece(run_folder("straight"))
+
+
+def opened(piece: Piece, folder: Path) -> tuple[Any, Any]:
+    """The exported scenario and its planning problem."""
+    write_commonroad(folder, piece)
+    scenario, problems = reader.CommonRoadFileReader(str(folder / SCENARIO)).open()
+    (problem,) = problems.planning_problem_dict.values()
+    return scenario, problem
+
+
+def columns(track: Track) -> dict[str, Any]:
+    size = {"length": np.full(len(track.time), track.length), "width": np.full(len(track.time), track.width)}
+    return {"time": track.time, "x": track.x, "y": track.y, "heading": track.heading, "speed": track.speed, **size}
+
+
+def judged(piece: Piece, driven: Sequence[Any]) -> Verdict:
+    """The verdict on states that a planner drove (their positions are box centres) and the recorded adversary."""
+    ego = piece.track(piece.ego)
+    table = {
+        "time": [piece.begin + piece.step * s.time_step for s in driven], "x": [s.position[0] for s in driven],
+        "y": [s.position[1] for s in driven], "heading": [s.orientation for s in driven],
+        "speed": [s.velocity for s in driven], "length": [ego.length] * len(driven), "width": [ego.width] * len(driven),
+    }  # fmt: skip
+    assert piece.adversary is not None
+    return sumo_adv.judge(table, columns(piece.track(piece.adversary)), trigger_time=piece.takeover)
+
+
+def test_the_recorded_solution_is_hit_again(piece: Piece, tmp_path: Path) -> None:
+    solutions = pytest.importorskip("commonroad.common.solution")
+    opened(piece, tmp_path)
+    solution = solutions.CommonRoadSolutionReader.open(str(tmp_path / SOLUTION))
+    verdict = judged(piece, solution.planning_problem_solutions[0].trajectory.state_list)
+    assert verdict.collided and verdict.contact_time == pytest.approx(piece.contact(), abs=0.01)
+
+
+def brake(scenario: Any, problem: Any, count: int) -> list[Any]:
+    """A planner of one rule: along the middle of its lanelet, braking with 2 m/s2 from the initial state on."""
+    first, step = problem.initial_state, scenario.dt
+    start = Point(first.position)
+    (lane,) = [each for each in scenario.lanelet_network.lanelets if each.polygon.shapely_object.contains(start)]
+    line = LineString(lane.center_vertices)
+    stations = [line.project(start) + first.velocity * k * step - (k * step) ** 2 for k in range(count + 1)]
+    places = [np.array(line.interpolate(station).coords[0]) for station in stations]  # v t - a t2 / 2
+    return [
+        type(first)(
+            position=here, orientation=math.atan2(*(there - here)[::-1]), velocity=first.velocity - 2.0 * k * step,
+            time_step=first.time_step + k,
+        ) for k, (here, there) in enumerate(pairwise(places))
+    ]  # fmt: skip
+
+
+def test_an_ego_that_brakes_is_not_hit(piece: Piece, tmp_path: Path) -> None:
+    """27.6 m/s are braked for 10.9 s, to 5.8 m/s: the adversary cuts in far ahead of it."""
+    scenario, problem = opened(piece, tmp_path)
+    driven = brake(scenario, problem, len(piece.track(piece.ego).time))
+    assert driven[-1].velocity == pytest.approx(5.8, abs=0.1)
+    assert math.dist(driven[0].position, problem.initial_state.position) < 0.1
+    verdict = judged(piece, driven)
+    assert not verdict.collided and verdict.level < Level.COLLISION
+
+
+def test_commonroads_reactive_planner_drives_the_ego(piece: Piece, tmp_path: Path) -> None:
+    """It knows the obstacles' trajectories, as CommonRoad gives them, and is not hit."""
+    pytest.importorskip("commonroad_rp", reason="needs commonroad-reactive-planner")
+    scenario, problem = opened(piece, tmp_path)
+    driven = reactive(scenario, problem, piece.track(piece.ego))
+    verdict = judged(piece, driven)
+    assert len(driven) == len(piece.track(piece.ego).time)
+    assert math.dist(driven[0].position, problem.initial_state.position) < 0.001
+    assert not verdict.collided and verdict.level < Level.COLLISION
+
+
+def reactive(scenario: Any, problem: Any, ego: Track) -> list[Any]:
+    """The states that the reactive planner drives at its first speed, planned anew every 0.5 s."""
+    config = import_module("commonroad_rp.utility.config").ReactivePlannerConfiguration()
+    config.vehicle.length, config.vehicle.width = ego.length, ego.width
+    config.debug.multiproc, config.debug.logging_level = False, "ERROR"
+    config.planning.time_steps_computation = 20
+    config.update(scenario=scenario, planning_problem=problem)
+    routes = import_module("commonroad_route_planner.fast_api.fast_api")
+    path = routes.generate_reference_path_from_scenario_and_planning_problem(scenario, problem).reference_path
+    along_path = import_module("commonroad_rp.utility.utils_coordinate_system").CoordinateSystem(
+        path, clcs_params=import_module("commonroad_clcs.config").CLCSParams()
+    )
+    planner = import_module("commonroad_rp.reactive_planner").ReactivePlanner(config)
+    planner.set_reference_path(coordinate_system=along_path)
+    states = [planner.x_0]
+    while len(states) < len(ego.time):
+        planner.set_desired_velocity(problem.initial_state.velocity, planner.x_0.velocity)
+        planned, along, aside = planner.plan()[:3]
+        states += planned.state_list[1:6]
+        planner.reset(
+            initial_state_cart=planned.state_list[5], initial_state_curv=(along[5], aside[5]),
+            collision_checker=planner.collision_checker, coordinate_system=along_path,
+        )  # fmt: skip
+    centre = import_module("commonroad_rp.state").ReactivePlannerState.shift_state_to_center
+    return [centre(state, config.vehicle.wb_rear_axle) for state in states[: len(ego.time)]]

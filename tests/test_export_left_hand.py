@@ -1,0 +1,79 @@
+"""Exports of left-hand traffic: lanes, neighbours and vehicles are where they are in the network."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from shapely import LineString, MultiLineString, Point
+from xodr_reader import lane_centres
+
+import sumo_adv
+from sumo_adv.datatypes import Floats
+from sumo_adv.report.export.choices import Format, Variant
+from sumo_adv.report.export.commonroad import SCENARIO
+from sumo_adv.report.export.piece import Piece, read_piece
+from sumo_adv.report.export.write import write_export
+from sumo_adv.simulation.network import read_network
+from sumo_adv.womd.commonroad import read_commonroad
+from sumo_adv.womd.reader import read_records
+
+
+@pytest.fixture(scope="module")
+def piece(tmp_path_factory: pytest.TempPathFactory) -> Piece:
+    """An ego that turns right, across the oncoming traffic."""
+    home = tmp_path_factory.mktemp("left_hand")
+    result = sumo_adv.run(
+        "left_hand_turn_across", out=home / "run", attempts=1, proposals=24, learn="off", memory=home / "bank.sqlite"
+    )
+    return read_piece(result.folder)
+
+
+def exported(piece: Piece, format: Format, folder: Path) -> Path:
+    write_export(folder / "made", piece, format, Variant.REPLAY, force=False)
+    return folder / "made"
+
+
+def is_left(line: Floats, other: Floats) -> bool:
+    """Whether another line begins to the left of the beginning of this one."""
+    (ax, ay), (bx, by) = (line[1] - line[0])[:2], (other[0] - line[0])[:2]
+    return bool(ax * by - ay * bx > 0.0)
+
+
+def test_opendrive_has_the_lanes_where_the_network_has_them(piece: Piece, tmp_path: Path) -> None:
+    """Also those within the junction, of which netconvert says that they are to the left of their line."""
+    folder = exported(piece, Format.OPENSCENARIO, tmp_path)
+    centres = MultiLineString([line for line in lane_centres(folder / "road.xodr") if len(line) > 1])
+    for lane in read_network(piece.network).lanes.values():
+        if lane.passenger and len(lane.shape) > 1:
+            line = LineString(lane.shape)
+            points = [line.interpolate(s) for s in np.arange(0.0, line.length, 2.0)]
+            assert max(p.distance(centres) for p in points) < (0.25 if lane.internal else 0.1)
+
+
+def test_the_sumo_replay_keeps_the_mark(piece: Piece, tmp_path: Path) -> None:
+    folder = exported(piece, Format.SUMO, tmp_path)
+    assert 'lefthand="true"' in (folder / "net.net.xml").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("format", [Format.COMMONROAD, Format.WOMD])
+def test_records_have_the_ego_in_a_lane_and_neighbours_on_their_sides(
+    piece: Piece, tmp_path: Path, format: Format
+) -> None:
+    """The lane under the ego leads where the ego drives."""
+    made = exported(piece, format, tmp_path)
+    record = read_commonroad(made / SCENARIO) if format is Format.COMMONROAD else next(iter(read_records(made)))
+    ego = record.tracks[record.sdc]
+    k = int(ego.valid.argmax())
+    here = Point(ego.x[k], ego.y[k])
+    (lane,) = (each for each in record.lanes.values() if LineString(each.points[:, :2]).distance(here) < 1.0)
+    along = lane.points[-1] - lane.points[0]
+    assert np.cos(np.arctan2(along[1], along[0]) - ego.heading[k]) > 0.9
+    pairs = 0
+    for each in record.lanes.values():
+        for neighbours, left in ((each.left, True), (each.right, False)):
+            for other in neighbours:
+                assert is_left(each.points, record.lanes[other.lane].points) == left
+                pairs += 1
+    assert pairs == 16  # two lanes each way on four arms
