@@ -101,21 +101,29 @@ def test_where_nobody_is_near_it_ends_with_the_log_and_says_so(program: Program,
     run = program("run", case, "--ego", "replay", "--json", "--out", "out")
     assert run.status == 0
     assert json.loads(run.out)["ending"] == "no_encounter"
-    assert "No vehicle comes within 70 m of the ego. Try another --ego-id." in run.outcome["reason"]
+    assert "In the rest of the recording no other vehicle is there" in run.outcome["reason"]
     assert {"outcome.json", "manifest.json", "inputs"} <= {p.name for p in run.folder.iterdir()}
 
 
-def test_where_no_moment_is_risky_enough_the_best_one_is_attacked_and_the_run_says_so(
+def test_a_short_log_is_attacked_from_its_second_second_on_however_low_the_risk(
     program: Program, tmp_path: Path
 ) -> None:
-    """The leader drives away at 0.5 m/s and is 62.25 m ahead at 1.5 s, the first look. Its risk is
-    0.8 exp(-(62.25 + 0.5 - 12) / 35) = 0.19, and then it falls; an encounter needs 0.20."""
+    """The leader drives away, 62 m ahead: its risk never reaches the 0.40 of an encounter in traffic."""
     tracks = [moving("e", 60.0, RIGHT, 14.0), moving("lead", 121.5, RIGHT, 14.5)]
     case = write_scenario(tmp_path, tracks, routed=("e", "lead"))
     run = program("run", case, "--ego", "replay", "--attempts", "1", "--json", "--out", "out")
     assert run.status == 0 and run.outcome["ending"] != "no_encounter"
-    (note,) = [n for n in run.outcome["notes"] if "No moment of the recording" in n]
-    assert "the best one (0.19, at 1.5 s) is attacked" in note
+    assert run.outcome["encounter"]["time"] == pytest.approx(1.2, abs=0.11)
+
+
+def test_a_log_that_becomes_dangerous_by_itself_is_attacked_before(program: Program, tmp_path: Path) -> None:
+    """The ego comes at 14 m/s to a standing car, both 4.5 m long. Their centres are 136.5 m apart, so the TTC is 1 s
+    after (136.5 - 4.5 - 14) / 14 = 8.4 s. The attempts and the unattacked run end 0.3 s before."""
+    tracks = [moving("e", 60.0, RIGHT, 14.0), moving("wall", 196.5, RIGHT, 0.0)]
+    case = write_scenario(tmp_path, tracks, routed=("e", "wall"))
+    run = program("run", case, "--background", "log", "--ego", "replay", "--attempts", "1", "--json", "--out", "out")
+    assert [a["adversaries"] for a in run.outcome["attempts"]] == [["wall"]]
+    assert max(max(rows) for rows in read_states(run.folder / "raw.csv.gz").values()) == pytest.approx(8.1, abs=0.11)
 
 
 def test_an_ego_that_is_never_on_a_lane_cannot_be_taken_over(program: Program, tmp_path: Path) -> None:

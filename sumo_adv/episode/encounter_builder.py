@@ -20,6 +20,7 @@ from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.encounter_detector import RankedVehicle, vehicles_of
 from sumo_adv.episode.encounter_filter import LEAST, danger
 from sumo_adv.episode.encounter_place import place_of
+from sumo_adv.episode.reach import why_nobody
 from sumo_adv.episode.situation_builder import build_situations, recorded_situations, trigger_state
 from sumo_adv.episode.start_times import MOST_SHIFT
 from sumo_adv.episode.task import FoundEncounter
@@ -74,8 +75,8 @@ def build_encounter(
     looks = dict(baseline.looks)
     if looks:
         ranking = _most_dangerous(looks)
-    if not ranking:
-        return nobody
+    if not ranking and drive.recorded():
+        return why_nobody(baseline.tracks, drive.ego, drive.now, settings.limits.limits().acceleration)
     names, limit = [c.id for c in ranking], settings.harmless_ttc
     tracks = {name: t.between(-math.inf, drive.now + checked) for name, t in baseline.tracks.items()}
     found = danger(tracks, drive, drive.now, limit, names)

@@ -24,7 +24,7 @@ from sumo_adv.simulation.network import RoadMap
 
 PATIENCE = 15.0  # s after which a chosen ego without an encounter is replaced by another
 SAME = 15.0  # s after an encounter that was left, in which the same vehicles make no other one
-WHOLE = 10.0  # s: a recording that is no longer than this, or what is left of one, is one encounter
+WHOLE = 10.0  # s: a recording that is no longer than this, or the rest of a longer one, is one encounter
 INSERTED_EGO = "ego"
 MOVING, CROWD, LEFT = 5.0, 60.0, 150.0  # a chosen ego: least speed [m/s], radius of counted traffic, least route [m]
 
@@ -121,7 +121,7 @@ class EncounterSearch:
         return there and (earliest is None or drive.now >= earliest - 1e-6)
 
     def nearly_over(self) -> bool:
-        """Whether what is left of a recording is attacked as a whole."""
+        """Whether the rest of a recording is attacked as a whole."""
         log = self.drive.playback if self.drive.recorded() else None
         return log is not None and log.spec.end - self.drive.now <= WHOLE
 

@@ -151,6 +151,8 @@ class Worker:
             if not why:
                 return self._encounter
             passed.append(f"{self._drive.now:.1f} s ({why})")
+            if self._search.nearly_over():  # it was looked at as a whole
+                return NoEncounter(Ending.NO_ENCOUNTER, f"In the rest of the recording {why}. Try another --ego-id.")
             if self._task.trigger is not None:
                 return NoEncounter(Ending.NO_ENCOUNTER, f"At the trigger given, {self._task.trigger:g} s, {why}.")
             self._cool_down()

@@ -49,8 +49,8 @@ TRUSTED = frozenset(
         "4283ecf2a54fa972c12c8dbeb66c821855f5eeb135b5aa656e83d1dbd6da3485",  # pass, of supports
     }
 )
-"""Fingerprints of the planners in ``memory_bank/``, ``search/support_intents.py`` and ``search/free_motion.py``. They are
-listed here so that no bank can claim to be trusted."""
+"""Fingerprints of the planners in ``memory_bank/``, ``search/support_intents.py`` and ``search/free_motion.py``. They
+are listed here so that no bank can claim to be trusted."""
 
 FIELDS = itemgetter(*ENDPOINT_KEYS)
 MOVEMENT = re.compile(r'^MOVEMENT = "\w+"$', re.MULTILINE)
