@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 from sumo_adv.datatypes import Role, Track, VehicleState
 from sumo_adv.drivers import Action, EgoController, LaneSpeed, Observation, ReplayEgo, Steer, Vehicle, apply_steer
@@ -36,6 +37,14 @@ def ego_type_file(controller: EgoController, folder: Path) -> Path:
     target = folder / "ego_type.add.xml"
     target.write_text(f'<additional>\n  <vType id="{EGO_TYPE}" {text}/>\n  {LOGGED_TYPE_XML}\n</additional>\n')
     return target
+
+
+class EarlierEgo(NamedTuple):
+    """A vehicle that the driver under test drove from one time [s] to another, before it took over the ego."""
+
+    id: str
+    begin: float
+    end: float
 
 
 class Drive:
@@ -87,6 +96,16 @@ class Drive:
             return None
         step = self._takeovers[-1][0]
         return self.recording.snapshots[step - 1].time if step else self.now
+
+    @property
+    def driven_before(self) -> tuple[EarlierEgo, ...]:
+        """The vehicles that the driver has driven and released before the ego, in order."""
+        ends = zip(self._takeovers, self._takeovers[1:], strict=False)
+        return tuple(EarlierEgo(n, self._when(a), self._when(b)) for (a, n), (b, _) in ends if n is not None)
+
+    def _when(self, step: int) -> float:
+        """The time [s] of a takeover or release before a step."""
+        return self.recording.snapshots[step - 1].time if step else self.simulation.spec.begin
 
     def left(self) -> int | None:
         """Steps until the log that is played back ends, or ``until``; None without a log."""

@@ -76,6 +76,8 @@ class EncounterSearch:
         while drive.now < task.end:
             snapshot = drive.tick()
             step = len(drive.recording.snapshots)
+            if self._drives_another():
+                continue
             if drive.ego is None:
                 name = requested
                 if requested is not None and not self._may_begin(requested):
@@ -111,6 +113,18 @@ class EncounterSearch:
             if not drive.to_come():
                 break
         return self._nothing(requested, detector)
+
+    def _drives_another(self) -> bool:
+        """Have the driver take over and release the vehicles that it drives before the ego; whether it has one now."""
+        drive, half = self.drive, self.task.settings.step_length / 2
+        for name, begin, end in self.task.driven_before:
+            if drive.ego == name and abs(drive.now - end) < half:
+                drive.release()
+            if begin - half < drive.now < end - half:
+                if drive.ego is None and name in drive.snapshot.raw:
+                    drive.take_over(name)
+                return drive.ego == name
+        return False
 
     def _may_begin(self, requested: str) -> bool:
         """Whether the requested ego is there and its driver may take over now."""

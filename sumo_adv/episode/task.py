@@ -30,6 +30,7 @@ class Task:
 
     ego_driver: its name; ego_given: the driver itself where it was given as a class or an object.
     driven_from: the earliest time at which the driver takes over the ego, None = as soon as the ego is there.
+    driven_before: vehicles that it drives before, with the times at which it takes over and releases each.
     delay: the only delay after the trigger at which an attack may begin; None = those of ``start_times.py``.
     only: the vehicles that may be adversaries; colliders: those that may be the collider. Empty means all.
     """
@@ -47,6 +48,7 @@ class Task:
     playback: PlaybackSpec | None = None
     ego_given: GivenEgo | None = field(default=None, repr=False)
     driven_from: float | None = None
+    driven_before: Sequence[tuple[str, float, float]] = ()
     delay: float | None = None
     colliders: tuple[str, ...] = ()
 
@@ -74,6 +76,7 @@ class FoundEncounter:
     last: bool = False  # no other encounter comes
     place: Place | None = None  # what surrounds the ego
     driven_from: float | None = None  # when the ego's driver took over [s]; None where a program of its own drives
+    driven_before: Sequence[tuple[str, float, float]] = ()  # what it drove before: id, from and until [s]
     beside: tuple[str, ...] = ()  # recorded vehicles that SUMO crashes on: boxes beside it
 
     @property

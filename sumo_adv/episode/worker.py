@@ -308,7 +308,13 @@ class Worker:
         encounter, baseline = built
         beside = () if self._drive.playback is None else self._drive.playback.beside
         last = self._search.nearly_over()
-        self._encounter = replace(encounter, driven_from=self._drive.driven_from, beside=beside, last=last)
+        self._encounter = replace(
+            encounter,
+            driven_from=self._drive.driven_from,
+            driven_before=self._drive.driven_before,
+            beside=beside,
+            last=last,
+        )
         self._baseline_ego = baseline.tracks[self._encounter.ego]
         return ""
 

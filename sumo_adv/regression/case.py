@@ -20,6 +20,7 @@ origin = "seed"                # of the planner: seed, expert, person, or a mode
 delay = 1.5                    # s after the trigger until the adversary is taken over
 acceleration = 0.5             # m/s2, or knots [[s, m/s2], ..]
 ego_driven_from = 4.0          # s: the ego's driver takes over then (left out: as soon as the ego is there)
+ego_before = [["bv1", 0.1, 3.5]]    # what it drove before, from and until [s] (left out: nothing)
 network = "0b6a5f1c2d3e"       # the first digits of the network's SHA-256
 [attack.parameters]            # of the planner
 [[attack.supports]]            # one or two other adversaries, if there are any; ``attack.composition`` names them all
@@ -112,6 +113,7 @@ class _Support(_Member):
 class _Attack(_Member):
     delay: Annotated[float, Field(ge=0.0)]
     ego_driven_from: Finite | None = None
+    ego_before: tuple[tuple[str, Finite, Finite], ...] = ()
     network: str
     composition: str = ""
     supports: Annotated[tuple[_Support, ...], Field(max_length=MOST_ADVERSARIES - 1)] = ()
@@ -136,7 +138,8 @@ class Case:
     """A kept attack. ``settings``: those that shape the run, as data; ``found``: its outcome when it was kept.
 
     relations: of the adversaries to the ego at the trigger, by id. ego_driven_from: the earliest time at which the
-    ego's driver takes over [s], None = as soon as the ego is there. notes: what has changed since the case was kept.
+    ego's driver takes over [s], None = as soon as the ego is there. ego_before: the vehicles that it drives before, and
+    when it takes over and releases each [s]. notes: what has changed since the case was kept.
     """
 
     name: str
@@ -146,6 +149,7 @@ class Case:
     relations: Mapping[str, str]
     expect: Expectation
     ego_driven_from: float | None = None
+    ego_before: tuple[tuple[str, float, float], ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
     found: Mapping[str, Any] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
@@ -188,7 +192,7 @@ def read_case(folder: Path) -> Case:
     note = f"{folder.resolve().name}: the network {source.network.name} is not the one that the case was kept with."
     return Case(
         folder.resolve().name, folder, source, proposal, relations, given.expect, attack.ego_driven_from,
-        given.settings, given.found, (note,) if changed else (),
+        attack.ego_before, given.settings, given.found, (note,) if changed else (),
     )  # fmt: skip
 
 

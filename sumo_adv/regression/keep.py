@@ -186,10 +186,12 @@ def _box(prop: Prop) -> dict[str, Any]:
 def _case(recorded: Recorded, outcome: Mapping[str, Any], relations: Mapping[str, str], expect: Expectation) -> str:
     p, task = recorded.proposal, recorded.task
     encounter, verdict = outcome["encounter"], outcome["outcome"]
+    before = encounter.get("driven_before", ()) if task.ego is None else task.driven_before
     attack = {
         "adversary": p.bv, "relation": relations[p.bv], "intent": p.label, "mode": p.planner.mode,
         "origin": p.planner.origin, "delay": p.delay, "acceleration": plain_acceleration(p.acceleration),
         "ego_driven_from": encounter.get("driven_from") if task.ego is None else task.driven_from,
+        "ego_before": [list(each) for each in before] or None,
         "network": hash_of(task.spec.network), "composition": p.composition or None,
     }  # fmt: skip
     expected = {k: v for k, v in expect.model_dump().items() if v not in (None, False)}

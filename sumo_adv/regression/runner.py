@@ -119,7 +119,7 @@ def task_for(case: Case, settings: Settings, scratch: Path) -> Task:
     """What the engine is opened with. Raises UsageError."""
     source = replace(case.source, ego_parameters={})
     task = make_task(source, settings, scratch)
-    return replace(task, driven_from=case.ego_driven_from, delay=case.proposal.delay)
+    return replace(task, driven_from=case.ego_driven_from, driven_before=case.ego_before, delay=case.proposal.delay)
 
 
 def run_case(case: Case, settings: Settings, task: Task, engine: Engine, sandbox: Sandbox) -> tuple[Episode, str]:

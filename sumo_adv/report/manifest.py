@@ -75,6 +75,7 @@ def _recorded(folder: Path, m: dict[str, Any]) -> Recorded:
         spec, settings, ego, m["ego_base_type"], m["ego_driver"], m["ego_parameters"], tuple(m["only"]), m["trigger"],
         m["warm_up"], m["end"], _playback(folder, m.get("playback"), spec.routes),
         driven_from=m.get("driven_from"), delay=m.get("delay"),
+        driven_before=[(name, begin, end) for name, begin, end in m.get("driven_before", ())],
     )  # fmt: skip
     proposal = _proposal(folder, m["attempt"], m["planners"])
     asked = m.get("asked")
