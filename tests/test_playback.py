@@ -79,7 +79,7 @@ def centre(drive: Drive, name: str) -> tuple[float, float]:
 
 def judged(drive: Drive) -> tuple[str, frozenset[str]]:
     """Whether an encounter at 2 s, with a leader and a neighbour as candidates, is dangerous by itself."""
-    return danger({t.id: t for t in drive.tracks()}, drive, 2.0, 1.0, ["lead", "gap"])
+    return danger({t.id: t for t in drive.tracks()}, drive, 2.0, 1.0, ["lead", "gap"])[:2]
 
 
 # ---- places
