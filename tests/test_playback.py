@@ -238,7 +238,7 @@ def test_boxes_that_overlap_in_the_log_are_no_collision_and_no_candidates(tmp_pa
     with playing(tmp_path, [EGO, ghost, ram, UNSEEN]) as drive:
         go(drive, 9.0)
         assert judged(drive) == ("", frozenset({"ghost", "lead"}))
-        why, _ = danger({t.id: t for t in drive.tracks()}, drive, 2.0, 1.0, ["lead"])
+        why, *_ = danger({t.id: t for t in drive.tracks()}, drive, 2.0, 1.0, ["lead"])
         assert why == "in the log itself it overlaps the ego"
 
 
@@ -264,7 +264,7 @@ def test_who_is_critical_in_a_recording_is_no_candidate_but_others_are(tmp_path:
     with playing(tmp_path, [moving("e", 62.25, RIGHT, 14.0), standing, UNSEEN]) as drive:
         go(drive, 9.0)
         assert judged(drive) == ("", frozenset({"lead"}))
-        why, _ = danger({t.id: t for t in drive.tracks()}, drive, 2.0, 1.0, ["lead"])
+        why, *_ = danger({t.id: t for t in drive.tracks()}, drive, 2.0, 1.0, ["lead"])
         assert why == "critical unattacked: min TTC 0.45 s"
 
 
