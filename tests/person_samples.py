@@ -1,4 +1,4 @@
-"""A street from x = 0 to 200 with a lane and a pavement each way and a crossing at x = 100, and who walks there.
+"""A street from x = 0 to 200 with a lane and a pavement each way and a crossing at x = 100, and its persons.
 
 The eastbound lane is at y = -1.6, its pavement at y = -4.2; the other two are at y = 1.6 and 4.2. Lanes are 3.2 m wide,
 the crossing 3 m. Persons are 0.4 m long and 0.6 m wide and walk at 1 m/s.
@@ -52,7 +52,7 @@ def make_street(folder: Path) -> Path:
 
 
 def street_spec(folder: Path, demand: Iterable[str], model: str = "striping") -> SimulationSpec:
-    """What SUMO is started with; ``model``: of its pedestrians, who walk evenly."""
+    """What SUMO is started with; ``model``: of its pedestrians. They walk evenly."""
     options = {**DEFAULTS, "pedestrian.model": model, "pedestrian.striping.dawdling": "0"}
     spec = make_spec(folder, "street", demand)
     return replace(spec, network=make_street(folder), options=options)

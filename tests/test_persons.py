@@ -88,7 +88,7 @@ def test_it_turns_onto_the_crossing(tmp_path: Path) -> None:
 
 
 def test_an_ego_that_does_not_brake_hits_it_on_the_crossing(tmp_path: Path) -> None:
-    """At 2.6 s its front is at x = 5; 9.48 s later it is at the side of the person, who is at x = 100.1."""
+    """At 2.6 s its front is at x = 5; 9.48 s later it is at the side of the person, at x = 100.1."""
     late = vehicle("ego", "ab bc", 1, 5.0, 10.0).replace('depart="0"', 'depart="2.5"')
     with street(tmp_path, WALKS, late) as (drive, _):
         until(drive, "ego", 12.5)
@@ -229,7 +229,7 @@ def test_the_check_of_a_driver_tells_a_hit(tmp_path: Path, caches: Path) -> None
 def test_names_of_persons_are_checked(tmp_path: Path, caches: Path) -> None:
     for known in (PERSON, "person:crowd.2"):
         assert load_input(write_case(tmp_path, known)).candidates == (known,)
-    with pytest.raises(UsageError, match="names the adversary candidate 'person:nobody', which is not in its demand"):
-        load_input(write_case(tmp_path, "person:nobody"))
+    with pytest.raises(UsageError, match="names the adversary candidate 'person:unknown', which is not in its demand"):
+        load_input(write_case(tmp_path, "person:unknown"))
     done = Program(tmp_path / "run", caches)("run", write_case(tmp_path, PERSON), "--ego-id", PERSON)
     assert done.status == 2 and f"'{PERSON}' is no vehicle, so it cannot be the ego" in done.err

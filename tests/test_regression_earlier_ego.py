@@ -1,4 +1,4 @@
-"""A case whose run gave the driver another vehicle first: the kept case gives it that one again."""
+"""A run gave the driver another vehicle first: the kept case gives it that vehicle again."""
 
 from __future__ import annotations
 

@@ -74,7 +74,7 @@ def convert(
 
 
 def _records(source: Path, choice: Choice, told: Told | None) -> Iterable[Record]:
-    """The chosen records of a TFRecord file, or the one that a CommonRoad scenario is. Raises UsageError."""
+    """The chosen records of a TFRecord file, or the record made of a CommonRoad scenario. Raises UsageError."""
     from sumo_adv.simulation.inputs import is_commonroad
     from sumo_adv.womd.commonroad import read_commonroad
     from sumo_adv.womd.reader import ALL, read_records

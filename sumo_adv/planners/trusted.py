@@ -43,7 +43,7 @@ TRUSTED = frozenset(
         "b4c1d56f485bf2769ab5c617628f09b737e2707fd514fdff464e69b7ab1c93f1",  # swerve
         "c157760ef0af669d546e1d6d2844fb0e703cf843e3feba37523bdcd844ca42fb",  # cross
         "d75adb584fe0d8160ebfc7de895261a77dabfe13b821196b7b7e22cd1b8beb41",  # freeze
-        "5a737f75bc39edf08b000bbdbb609be43986f48b299bdbf181c200d0d77dff50",  # free, of free motions
+        "d917bdd6169126a7e3d25c0f9a9f326c229ba8e2feba6c49a19575269924b006",  # free, of free motions
         "cd088138c5c7ecfc11d5993c76a64d84d5a3d01fbb99ac783529e977341b1993",  # beside, of supports
         "5be1f147619f6221ea4bf3b634a4a60e47832fcc3ef4426ada7f2f7d4324e324",  # pace, of supports
         "4283ecf2a54fa972c12c8dbeb66c821855f5eeb135b5aa656e83d1dbd6da3485",  # pass, of supports

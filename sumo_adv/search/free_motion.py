@@ -13,28 +13,21 @@ from sumo_adv.planners.source import make_planner
 from sumo_adv.search.composed_intents import NAME, NEW_INTENTS
 from sumo_adv.situation import Target
 
-_SOURCE = '''\
+_SOURCE = """\
 # Free Motion, mode "free"
 PARAMETERS = {
-    "wait": (0.5, 0.0, 3.0, "s", "how long it goes on as before"),
-    "meet": (3.5, 1.5, 6.5, "s", "how long after that it meets the ego"),
+    "meet": (4.0, 1.5, 7.5, "s", "how long after its start it meets the ego"),
     "ahead": (2.0, -4.0, 7.0, "m", "how far ahead of the ego's centre its own is then"),
     "left": (0.0, -2.5, 2.5, "m", "how far to the left of it"),
     "pace": (0.5, 0.0, 1.2, "", "its speed then, as a share of the ego's and its own mean speed"),
-    "swing": (0.0, -1.5, 1.5, "m", "how far beside its own way it goes first"),
 }
 
 import math
 
 
 def endpoint(bv, ego, road, parameters, acc, horizon):
-    left_over = parameters["wait"] + parameters["meet"] - bv["time"]
-    if bv["time"] < parameters["wait"]:
-        time = max(parameters["wait"] - bv["time"], 1.5)
-        way = nearest(bv, road)
-        return beside(way, bv["travelled"] + max(bv["speed"], 0.5) * time, parameters["swing"], bv["speed"], time)
-    time = max(left_over, 0.8)
-    for _ in range(3):
+    time = max(parameters["meet"] - bv["time"], 0.8)
+    for _ in range(3):  # later where it cannot be there in time
         pose = at(ego["path"], time)
         x, y = offset(pose, parameters["ahead"], parameters["left"])
         dx = x - bv["x"]
@@ -48,34 +41,7 @@ def endpoint(bv, ego, road, parameters, acc, horizon):
     mean = 0.5 * (pose[3] + road["start"]["speed"])
     speed = clip(parameters["pace"] * mean, 0.0, road["fastest"])
     return {"x": x, "y": y, "heading": heading, "speed": speed, "time": time}
-
-
-def nearest(bv, road):
-    """The way that passes closest to where it is."""
-    best = road["ways"][0]
-    least = 1e9
-    for way in road["ways"]:
-        line = way["centreline"]
-        i = int(clip(bv["travelled"] / 2.0, 0.0, len(line) - 1.0))
-        d = (line[i][0] - bv["x"]) ** 2 + (line[i][1] - bv["y"]) ** 2
-        if d < least - 0.5:
-            least = d
-            best = way
-    return best
-
-
-def beside(way, station, left, speed, time):
-    """A point beside the way's centreline (one point every 2 m)."""
-    line = way["centreline"]
-    u = clip(station / 2.0, 0.0, len(line) - 1.001)
-    i = int(u)
-    w = u - i
-    a = line[i]
-    b = line[i + 1]
-    heading = math.atan2(b[1] - a[1], b[0] - a[0])
-    x, y = offset((a[0] + (b[0] - a[0]) * w, a[1] + (b[1] - a[1]) * w, heading), 0.0, left)
-    return {"x": x, "y": y, "heading": heading, "speed": speed, "time": time}
-'''
+"""
 
 LABEL = "Free Motion"
 VEHICLES = (

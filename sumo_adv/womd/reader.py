@@ -86,7 +86,7 @@ def find_record(source: Path, choice: Choice) -> Record:
 
 
 def record_message(path: Path, content: str) -> Any:
-    """The Scenario message whose bytes have the SHA-256 ``content``, in hex; None if the file has none.
+    """The Scenario message with the SHA-256 ``content`` (hex) of its bytes; None if the file has none.
 
     Raises UsageError: protobuf is not installed, or the file cannot be read or is damaged before that record.
     """

@@ -27,7 +27,7 @@ Heights = Callable[[Floats, Floats], Floats]
 
 
 def record_of(piece: Piece) -> tuple[Any | None, str | None]:
-    """The Scenario message that the run was made of; else None, and a sentence if there was one that is gone."""
+    """The Scenario message that the run was made of; else None, and a sentence if that record is gone."""
     if piece.waymo is None:
         return None, None
     from sumo_adv.womd.reader import record_message
