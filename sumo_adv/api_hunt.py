@@ -58,6 +58,7 @@ def hunt(
     pages: bool = True,
     tell: Callable[[HuntProgress], None] | None = None,
     stopping: Callable[[bool], None] | None = None,
+    note: Callable[[str], None] | None = None,
     **settings: Any,
 ) -> HuntResult:
     """The worst distinct failures that ``minutes`` are enough for, as ``sumo-adv hunt``. The same call again goes on.
@@ -65,7 +66,8 @@ def hunt(
     inputs: networks, .sumocfg files, scenarios, records, folders and shipped names. distinct: end sooner with this many
     failures. until: the level at which an encounter ends, ``serious`` by default (``valid`` for the ego careful).
     deadline: seconds after which an episode is stuck. pages: make an index page with replays. tell: called after each
-    round. stopping: called when Ctrl-C is pressed, with True where it is pressed again.
+    round. stopping: called when Ctrl-C is pressed, with True where it is pressed again. note: called at the start with
+    each sentence on what of the inputs is not kept, as options of a .sumocfg.
 
     Raises:
         UsageError: bad input or settings, or the folder ``out`` holds something else.
@@ -86,6 +88,9 @@ def hunt(
     given |= {} if ego is None else {"egos": [ego]}
     given |= {} if memory is None else {"memory": str(memory)}
     plan = make_plan(given, Path(), "The hunt", batch_parts(), None if settings_file is None else Path(settings_file))
+    if note is not None:
+        for sentence in (each for source in plan.inputs for each in source.notes):
+            note(sentence)
     pace = Pace(workers or os.cpu_count() or 1, deadline, RECYCLE)
     orders = Orders(Path(out), plan.memory or default_bank_path(), versions(), pace, ray=cluster)
     found = Hunt(plan, orders, partial(_campaign, _Unseen(stopping)), minutes, distinct).run(tell or (lambda _: None))

@@ -77,16 +77,23 @@ def test_the_same_crash_by_another_fault_is_another_failure() -> None:
 
 
 class Campaigns:
-    """Rounds in which the input ``good`` always fails on a side of its own for each seed, and ``dull`` never does."""
+    """Rounds in which each first success takes 2 s.
+
+    The input ``good`` always fails on a side of its own for each seed, and ``dull`` never does.
+    """
 
     def __init__(self) -> None:
         self.rounds: list[tuple[tuple[str, ...], tuple[int, ...]]] = []
+        self.bounds: list[tuple[float, int]] = []  # s of an encounter, and kinds of attacks
 
     def __call__(self, plan: Plan, orders: Orders) -> Summary:
         self.rounds.append((tuple(i.name for i in plan.inputs), tuple(plan.seeds)))
+        self.bounds.append((plan.variants[0]["seconds"], plan.variants[0]["diverse"]))
         rows = []
         for job in plan.jobs:
-            (orders.out / "runs" / job.id).mkdir(parents=True, exist_ok=True)
+            run = orders.out / "runs" / job.id
+            run.mkdir(parents=True, exist_ok=True)
+            (run / "outcome.json").write_text('{"attempts": [], "timing": {"first_success": 2.0}}')
             level = "serious" if job.input.name == "good" else "collision"
             kind = f"Cut / neighbour / side {job.seed}"
             rows.append(row(id=job.id, network=job.input.name, seed=job.seed, level=level, kind=kind))
@@ -102,6 +109,21 @@ def hunted(folder: Path, campaign: RunCampaign, most: int | None = 4, plan: Plan
     orders = Orders(folder / "out", folder / "bank.sqlite", {}, Pace(1, 60.0, 200))
     told: list[HuntProgress] = []
     return Hunt(plan or plan_of("good", "dull"), orders, campaign, 10.0, most).run(told.append)
+
+
+def test_an_encounter_gets_four_times_the_median_first_success_and_more_kinds_where_nothing_new_comes(
+    tmp_path: Path,
+) -> None:
+    """A hunt with two rounds of three failures each, and four rounds of an input that never fails."""
+    good, dull = Campaigns(), Campaigns()
+    hunted(tmp_path, good, most=6, plan=plan_of("good"))
+    assert good.bounds == [(20.0, 1), (8.0, 1)]
+
+    def four(plan: Plan, orders: Orders) -> Summary:
+        return replace(dull(plan, orders), interrupted=len(dull.rounds) == 4)
+
+    hunted(tmp_path / "dull", four, most=None, plan=plan_of("dull"))
+    assert [kinds for _, kinds in dull.bounds] == [1, 1, 3, 3]
 
 
 def test_a_hunt_ends_with_enough_distinct_failures_and_ranks_them(tmp_path: Path) -> None:

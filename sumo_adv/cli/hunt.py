@@ -59,7 +59,7 @@ def hunt(
     found = hunted(
         given, ego=ego, minutes=minutes, distinct=distinct, out=out or Path("runs") / "hunt", seed=seed, memory=memory,
         workers=workers or os.cpu_count() or 1, deadline=deadline, cluster=cluster, settings_file=settings_file,
-        pages=not no_pages, tell=tell, stopping=_stopping, **chosen,
+        pages=not no_pages, tell=tell, stopping=_stopping, note=None if as_json else typer.echo, **chosen,
     )  # fmt: skip
     if as_json:
         typer.echo(json.dumps(_document(found.found, found.rows)))

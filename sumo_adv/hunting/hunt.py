@@ -18,6 +18,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from random import Random
+from statistics import median
 from typing import Any, Protocol
 
 from sumo_adv.campaigns.campaign import Orders, Summary
@@ -34,9 +35,10 @@ SCHEMA = 1
 STATE, RESULTS, FAILURES, ROUNDS = "hunt.json", "results.csv", "failures", "rounds"
 EACH = 3  # episodes of a round for each worker at most; fewer where the time that is left is not enough for them
 LONGEST = 20.0  # s of attempts in an encounter at most: a second simulation tells more than a longer search
-KINDS = 3  # kinds of attacks that are looked for in an encounter, then the next one comes
-SHARE = 0.1  # of the time that is left: the most that an encounter may take
 SHORTEST = 3.0  # s
+PATIENCE = 4.0  # an encounter may take this many times the median time to the first success
+KINDS = 3  # kinds of attacks that are looked for in an encounter once fresh encounters brought nothing new
+SHARE = 0.1  # of the time that is left: the most that an encounter may take
 LEVELS = (Level.VALID, Level.STRICT, Level.SERIOUS)
 
 
@@ -98,6 +100,7 @@ class Hunt:
         self._rows: list[list[Mapping[str, Any]]] = []  # of each round
         self._more: list[dict[str, list[Failure]]] = []  # of each round, by id: attacks of further kinds
         self._lost: list[list[str]] = []  # of each round, why attempts and episodes broke
+        self._firsts: list[list[float]] = []  # of each round, s to the first success of an encounter
         self._input_of: dict[str, str] = {}  # by id of an episode, the content of its input
 
     def run(self, tell: Callable[[HuntProgress], None]) -> Found:
@@ -137,7 +140,11 @@ class Hunt:
         """Run what is missing of a round."""
         order = self._state["rounds"][k]
         inputs = [self._inputs[content] for content in order["inputs"] if content in self._inputs]
-        bounds = {"seconds": order["seconds"], "total_seconds": 2 * order["seconds"], "diverse": KINDS}
+        bounds = {
+            "seconds": order["seconds"],
+            "total_seconds": 2 * order["seconds"],
+            "diverse": order.get("kinds", KINDS),
+        }
         plan = replace(
             self._plan, inputs=inputs, seeds=tuple(order["seeds"]),
             variants=[{**variant, **bounds} for variant in self._plan.variants],
@@ -149,7 +156,9 @@ class Hunt:
             order["took"] = order.get("took", 0.0) + time.perf_counter() - began
         self._rows[k:] = [list(summary.rows)]
         self._more[k:] = [_further(self._runs_of(k), summary.rows)]
-        self._lost[k:] = [_lost(self._runs_of(k), summary.rows)]
+        outcomes = _outcomes(self._runs_of(k), summary.rows)
+        self._lost[k:] = [_lost(summary.rows, outcomes)]
+        self._firsts[k:] = [[s for o in outcomes if (s := (o["timing"] or {}).get("first_success")) is not None]]
         every = [row for each in self._rows for row in each]
         if every and not summary.stopped and all(map(failed, every)):
             raise SumoAdvError(f"All {len(every)} episodes of the hunt failed, the first one so: {every[0]['failure']}")
@@ -177,8 +186,22 @@ class Hunt:
         chosen = sorted(drawn, key=lambda c: -drawn[c])[:size]
         fewer = max(1, size // len(chosen))
         first = self._plan.seeds[0] + sum(len(r["seeds"]) for r in self._state["rounds"][:k])
-        seconds = round(min(LONGEST, max(SHORTEST, SHARE * self._left())), 1)
-        return {"inputs": chosen, "seeds": [first + j for j in range(fewer)], "seconds": seconds}
+        seeds = [first + j for j in range(fewer)]
+        return {"inputs": chosen, "seeds": seeds, "seconds": self._each(), "kinds": self._kinds()}
+
+    def _each(self) -> float:
+        """How long an encounter may be attacked [s]."""
+        firsts = [s for each in self._firsts for s in each]
+        longest = min(LONGEST, PATIENCE * median(firsts)) if firsts else LONGEST
+        return round(max(SHORTEST, min(longest, SHARE * self._left())), 1)
+
+    def _kinds(self) -> int:
+        """How many kinds of attacks an encounter is searched for.
+
+        As long as the rounds bring new failures, a fresh encounter is the quicker way to the next one.
+        """
+        known = [r.get("found") for r in self._state["rounds"]]
+        return KINDS if known and known[-1] == (known[-2] if len(known) > 1 else None) else 1
 
     def _tally(self) -> tuple[dict[str, int], dict[str, int]]:
         """By input the episodes, and those that were the first of a cell."""
@@ -278,14 +301,16 @@ def _further(runs: Path, rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Fa
     return more
 
 
-def _lost(runs: Path, rows: Sequence[Mapping[str, Any]]) -> list[str]:
+def _outcomes(runs: Path, rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """What ``outcome.json`` of each episode says."""
+    files = [runs / str(row["id"]) / OUTCOME for row in rows]
+    return [parse_json(file.read_text(encoding="utf-8")) for file in files if file.is_file()]
+
+
+def _lost(rows: Sequence[Mapping[str, Any]], outcomes: Sequence[Mapping[str, Any]]) -> list[str]:
     """Why episodes failed, and why attempts of the others broke."""
-    why = [str(row["failure"]) for row in rows if failed(row)]
-    for row in rows:
-        file = runs / str(row["id"]) / OUTCOME
-        attempts = parse_json(file.read_text(encoding="utf-8"))["attempts"] if file.is_file() else ()
-        why += [str(each["message"]) for each in attempts if each["ending"] == "crashed"]
-    return why
+    broke = [each for o in outcomes for each in o["attempts"] if each["ending"] == "crashed"]
+    return [str(row["failure"]) for row in rows if failed(row)] + [str(each["message"]) for each in broke]
 
 
 def _copy(source: Path, target: Path) -> None:
