@@ -111,13 +111,13 @@ def hunted(folder: Path, campaign: RunCampaign, most: int | None = 4, plan: Plan
     return Hunt(plan or plan_of("good", "dull"), orders, campaign, 10.0, most).run(told.append)
 
 
-def test_an_encounter_gets_four_times_the_median_first_success_and_more_kinds_where_nothing_new_comes(
+def test_an_encounter_gets_three_times_the_median_first_success_and_more_kinds_where_nothing_new_comes(
     tmp_path: Path,
 ) -> None:
     """A hunt with two rounds of three failures each, and four rounds of an input that never fails."""
     good, dull = Campaigns(), Campaigns()
     hunted(tmp_path, good, most=6, plan=plan_of("good"))
-    assert good.bounds == [(20.0, 1), (8.0, 1)]
+    assert good.bounds == [(20.0, 1), (6.0, 1)]
 
     def four(plan: Plan, orders: Orders) -> Summary:
         return replace(dull(plan, orders), interrupted=len(dull.rounds) == 4)
