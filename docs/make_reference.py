@@ -15,18 +15,18 @@ import sumo_adv
 PAGE = Path(__file__).with_name("reference.md")
 HEAD = """# API reference
 
-With this page you can use `import sumo_adv` without reading the source.
-It is made of the docstrings by `python docs/make_reference.py`.
+Look up every call of `import sumo_adv`. `python docs/make_reference.py` makes this page of the docstrings.
 """
 
 
-def signature(name: str, thing: Any) -> str:
+def signature(name: str, thing: Any, *, annotated: bool = True) -> str:
     """The call as Python shows it, without the annotations of what it returns."""
     try:
         parameters = inspect.signature(thing).parameters.values()
     except (TypeError, ValueError):
         return name
-    shown = inspect.Signature([p for p in parameters if p.name != "self"])
+    kept = [p for p in parameters if p.name != "self"]
+    shown = inspect.Signature(kept if annotated else [p.replace(annotation=p.empty) for p in kept])
     return f"{name}{shown}".replace("'", "")
 
 
@@ -36,8 +36,8 @@ def text(thing: Any) -> str:
 
 
 def members(cls: type) -> list[str]:
-    """Public methods and properties that a class defines itself, in its order."""
-    lines = []
+    """A table of the public methods and properties that a class defines itself, in its order."""
+    lines: list[str] = []
     for name, value in vars(cls).items():
         if name.startswith("_"):
             continue
@@ -45,10 +45,9 @@ def members(cls: type) -> list[str]:
         if dataclasses.is_dataclass(cls) and not inspect.isfunction(function):
             continue
         if inspect.isfunction(function):
-            call = signature(name, function) if inspect.isfunction(value) else name
-            shown = f"`{call}`\n\n" if inspect.isfunction(value) else ""
-            lines.append(f"### {cls.__name__}.{name}\n\n{shown}{text(function)}\n")
-    return lines
+            call = signature(name, function, annotated=False) if inspect.isfunction(value) else name
+            lines.append(f"| `.{call}` | {' '.join(text(function).split())} |")
+    return [f"| {cls.__name__} | |\n|---|---|", *lines, ""] if lines else []
 
 
 def page() -> str:

@@ -26,9 +26,10 @@ PAGE = ROOT / "docs" / "settings.md"
 MODELS: Mapping[str, type[BaseModel]] = {
     "Settings of a run": Settings, "Limits": LimitSettings,
     "Operational design domain": Odd, "Servers of language models": ModelSettings,
-    "Top of the file": Scenario, "[demand]": Demand, "[ego]": Ego, "[window]": Window, "[adversary]": Adversary,
-    "[written]": Written, "[asked]": Asked, "[signals]": Signals,
-    "[label]": Label, "[[parked]], [[pedestrians]], [[cyclists]]": Box,
+}  # fmt: skip
+PARTS: Mapping[str, type[BaseModel]] = {  # of a scenario file, all in one table
+    "": Scenario, "[demand] ": Demand, "[ego] ": Ego, "[window] ": Window, "[adversary] ": Adversary,
+    "[signals] ": Signals, "[label] ": Label, "[written] ": Written, "[asked] ": Asked, "[[...]] ": Box,
 }  # fmt: skip
 WORDS = {float: "number", int: "whole number", str: "text", bool: "true, false", Path: "path", SecretStr: "text"}
 SIGNS = {"gt": "> {}", "ge": ">= {}", "lt": "< {}", "le": "<= {}", "min_length": "{} or more characters"}
@@ -103,6 +104,16 @@ def _words(kind: Any, metadata: list[Any]) -> str:
 @pytest.mark.parametrize("heading", MODELS)
 def test_the_page_says_what_is_read(heading: str) -> None:
     assert rows_of(heading) == {name: (default, allowed) for name, default, allowed in fields_of(MODELS[heading])}
+
+
+def test_the_page_has_every_key_of_a_scenario_file() -> None:
+    keys = {
+        f"{part}{name}": (default, allowed)
+        for part, model in PARTS.items()
+        for name, default, allowed in fields_of(model)
+        if not allowed.endswith("table") or model is Ego  # a part has rows of its own; the ego's parameters have none
+    }
+    assert rows_of("Scenario files") == keys
 
 
 def test_a_changed_default_would_be_seen() -> None:
