@@ -124,7 +124,7 @@ def _about(revision: str, table: Table, suites: Sequence[str], attempts: int) ->
     if several and table.every > 1:
         note = f" FILE ...: one in {table.every} of the files of `suites/{table.suite}`, {len(suites)} in all."
     typed = typed.replace("--suite FILE", "--suite FILE ...")
-    return f"Revision {revision}, seed 0, {answers}.{note}\n\n<!-- not run: make results runs it -->\n\n    {typed}"
+    return f"Revision {revision}, seed 0, {answers}.{note}\n\n<!-- not run: make results runs it -->\n    {typed}"
 
 
 def markdown(table: Table, file: Path) -> str:
