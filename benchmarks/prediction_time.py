@@ -18,7 +18,7 @@ import numpy as np
 
 from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.simulation.network import read_network
-from sumo_adv.transformer.predictor import Predictor
+from sumo_adv.transformer.model import Predictor
 from sumo_adv.transformer.scene import AGENTS, HISTORY, STEP, Agents, Segments, light_of, segments_of
 
 BOUND = 20.0  # ms

@@ -18,13 +18,13 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from sumo_adv.cli.convert import show
 from sumo_adv.errors import SumoAdvError
-from sumo_adv.womd.convert import convert_record
+from sumo_adv.womd.convert import convert_record, random_traffic
 from sumo_adv.womd.reader import read_records
 from sumo_adv.womd.scene import NETWORK
-from sumo_adv.womd.table import shortfalls, totals
-from sumo_adv.womd.traffic import random_traffic
 
 TARGETS = {  # name in the totals: least or most
     "within_0.5": (">=", 0.999), "within_0.1": (">=", 0.99), "connectivity": (">=", 0.995), "in_junctions": ("<", 0.30),
@@ -83,6 +83,65 @@ def _convert(file: Path, seeds: list[int]) -> tuple[list[dict[str, Any]], list[s
         except SumoAdvError as error:
             failed.append(f"{record.scenario_id}: {error}")
     return reports, failed
+
+
+def totals(reports: list[dict[str, Any]]) -> dict[str, float]:
+    """All records together: shares weighted by their wholes, counts summed, the median time.
+
+    disturbed: share of the networks tried that had a collision or a teleport in random traffic.
+    """
+    km = np.array([r["lane_length"] for r in reports]) / 1000.0
+    samples = [r["deviation"]["samples"] for r in reports]
+    states = [r["vehicles"]["states"] for r in reports]
+    tried = [r["traffic"] for r in reports if r["traffic"] is not None]
+    connections = sum(r["connectivity"]["wanted"] for r in reports)
+    return {
+        "records": len(reports), "km": float(km.sum()),
+        "represented": _mean([r["represented"] for r in reports], km),
+        **{
+            f"within_{d}": _mean([r["deviation"][f"within_{d}"] for r in reports], samples)
+            for d in ("0.1", "0.5")
+        },
+        "median_p99": float(np.median([r["deviation"]["p99"] for r in reports])),
+        "connectivity": sum(r["connectivity"]["kept"] for r in reports) / connections if connections else 1.0,
+        "signal_lanes": sum(r["signals"]["lanes"] for r in reports),
+        "signals_mapped": sum(r["signals"]["mapped"] for r in reports),
+        "inside": _mean([r["vehicles"]["inside"] for r in reports], states),
+        "near_centre": _mean([r["vehicles"]["near_centre"] for r in reports], states),
+        "driven": sum(r["routes"]["driven"] for r in reports),
+        "broken": sum(len(r["routes"]["broken"]) for r in reports),
+        "own_broken": sum(len(r["routes"]["own_broken"]) for r in reports),
+        "in_junctions": _mean([r["in_junctions"] for r in reports], km),
+        "median_seconds": float(np.median([r["seconds"]["network"] for r in reports])),
+        "median_cpu_seconds": float(np.median([r["seconds"]["network_cpu"] for r in reports])),
+        "traffic_tried": len(tried), "collisions": sum(t["collisions"] for t in tried),
+        "teleports": sum(t["teleports"] for t in tried),
+        "disturbed": sum(t["collisions"] + t["teleports"] > 0 for t in tried) / len(tried) if tried else 0.0,
+    }  # fmt: skip
+
+
+def shortfalls(report: dict[str, Any]) -> list[str]:
+    """What a record's network does not show as the record has it, a phrase each; empty if there is nothing."""
+    d, c, s, v, r = (report[k] for k in ("deviation", "connectivity", "signals", "vehicles", "routes"))
+    lost, beyond = c["wanted"] - c["kept"], round((1.0 - d["within_0.5"]) * d["samples"])
+    more = [track for track in r["broken"] if track not in r["own_broken"]]
+    phrases = {
+        f"{100 * (1.0 - report['represented']):.2f} % of lane length": report["represented"] < 0.9999,
+        f"{beyond} samples beyond 0.5 m (at most {d['max']:.1f} m)": beyond > 0,
+        f"{lost} connections": lost > 0,
+        f"{s['lanes'] - s['mapped']} signal lanes without a link": s["mapped"] < s["lanes"],
+        f"{100 * (v['near_centre'] - v['inside']):.1f} points fewer vehicles inside lanes than near a centre line":
+            v["inside"] < v["near_centre"] - 0.01,
+        f"tracks {more} break, in the record they do not": bool(more),
+        report["sampling"]["note"]: report["sampling"]["resampled"],
+    }  # fmt: skip
+    events = report["traffic"]["events"] if report["traffic"] is not None else []
+    return [phrase for phrase, holds in phrases.items() if holds] + list(events)
+
+
+def _mean(values: list[float], weights: Any) -> float:
+    weights = np.asarray(weights, float)
+    return float(np.average(values, weights=weights)) if weights.sum() > 0 else 1.0
 
 
 def _targets(total: dict[str, float]) -> list[str]:

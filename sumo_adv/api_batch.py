@@ -101,7 +101,7 @@ def batch(
     from sumo_adv.campaigns.campaign import Orders
     from sumo_adv.campaigns.local import Pace
     from sumo_adv.campaigns.plan import is_plan, make_plan, read_plan
-    from sumo_adv.memory.paths import default_bank_path
+    from sumo_adv.memory.store import default_bank_path
     from sumo_adv.report.outcome import versions
 
     named = [inputs] if isinstance(inputs, str | Path) else list(inputs)

@@ -79,7 +79,7 @@ def hunt(
     from sumo_adv.campaigns.plan import make_plan
     from sumo_adv.hunting.failures import table
     from sumo_adv.hunting.hunt import Hunt
-    from sumo_adv.memory.paths import default_bank_path
+    from sumo_adv.memory.store import default_bank_path
     from sumo_adv.report.outcome import versions
 
     named = [str(each) for each in ([inputs] if isinstance(inputs, str | Path) else inputs)]

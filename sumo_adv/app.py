@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from sumo_adv.episode.episode import Episode
     from sumo_adv.llm.chat import ChatModel
     from sumo_adv.memory.bank import MemoryBank
-    from sumo_adv.memory.similarity import Similarity
     from sumo_adv.planners.sandbox import Sandbox
     from sumo_adv.rate.estimate import Estimate
     from sumo_adv.rate.plan import RatePlan
@@ -82,17 +81,17 @@ def shipped_bank() -> Path:
     return data_folder("memory_bank.sqlite")
 
 
-def open_bank(path: Path | None, *, make: bool = False, similarity: Similarity | None = None) -> MemoryBank:
+def open_bank(path: Path | None, *, make: bool = False) -> MemoryBank:
     """The bank at ``path``, by default the user's own. The user's own bank starts as a copy of the shipped one.
 
     make: make the bank at ``path`` in the same way if it does not exist. Raises BankError.
     """
     from sumo_adv.memory.bank import MemoryBank
-    from sumo_adv.memory.paths import default_bank_path
+    from sumo_adv.memory.store import default_bank_path
 
     if path is not None and not make and not path.exists():
         raise BankError(f"There is no memory bank at {path}; check the path given with --memory.")
-    return MemoryBank.open(path or default_bank_path(), seed_from=shipped_bank(), similarity=similarity)
+    return MemoryBank.open(path or default_bank_path(), seed_from=shipped_bank())
 
 
 def known_intents(bank: MemoryBank) -> list[LibraryEntry]:
@@ -110,17 +109,8 @@ def known_intents(bank: MemoryBank) -> list[LibraryEntry]:
 
 
 def open_for_run(settings: Settings) -> MemoryBank:
-    """The bank and the metric of a run's settings; made from the shipped bank if it does not exist.
-
-    Raises BankError, also for a metric that was never calibrated for the bank, and UsageError.
-    """
-    bank = open_bank(settings.memory, make=True, similarity=make_similarity(settings))
-    try:
-        bank.epsilon()
-    except BaseException:
-        bank.close()
-        raise
-    return bank
+    """The bank of a run's settings; made from the shipped bank if it does not exist. Raises BankError."""
+    return open_bank(settings.memory, make=True)
 
 
 def check_intents(variants: Sequence[Mapping[str, Any]], bank: Path) -> None:
@@ -140,23 +130,6 @@ def check_intents(variants: Sequence[Mapping[str, Any]], bank: Path) -> None:
                 selected(load_settings(None, intents=variant["intents"], exclude=variant["exclude"]), opened)
 
 
-def make_similarity(settings: Settings) -> Similarity:
-    """The metric that the settings name. Raises UsageError: no such model folder, or no server for the name."""
-    from sumo_adv.memory.embeddings import Embedded
-    from sumo_adv.memory.similarity import TextAndSlots
-
-    kind, _, name = settings.metric.partition(":")
-    if kind == "endpoint":
-        from sumo_adv.llm.client import connect_embedder
-
-        return Embedded(connect_embedder(name, settings), kind)
-    if kind == "local":
-        from sumo_adv.memory.sentence_model import SentenceModel
-
-        return Embedded(SentenceModel(Path(name).expanduser()), kind)
-    return TextAndSlots()
-
-
 # -- analyzer, generator and modifier -----------------------------------------------------------------------------
 
 
@@ -171,7 +144,7 @@ def new_sandbox(settings: Settings) -> Sandbox:
 def open_agents(settings: Settings, sandbox: Sandbox, record: Path | None = None) -> Iterator[Agents]:
     """The agents; every exchange with their models is written to the file ``record``. Raises UsageError."""
     from sumo_adv.agents.agents import ROLES, Agents
-    from sumo_adv.llm.ledger import Ledger
+    from sumo_adv.llm.chat import Ledger
 
     names = {role: name for role in ROLES if (name := settings.player(role)) is not None}
     if not names:
@@ -242,8 +215,7 @@ def _with_request(settings: Settings) -> Settings:
     """The settings with the words of ``ask`` checked. Raises UsageError, also where no model can read them."""
     if settings.ask is None:
         return settings
-    from sumo_adv.words.nearest import needs_model
-    from sumo_adv.words.request_text import checked_words
+    from sumo_adv.words.request import checked_words, needs_model
 
     words = checked_words(settings.ask)
     if settings.player("analyzer") is None:
@@ -340,7 +312,7 @@ def batch_parts() -> BatchParts:
     from sumo_adv.report.outcome import MODEL_FILE
     from sumo_adv.report.staging import staged
 
-    return Parts(load, record_contents, open_agents, make_similarity, staged, write_run, MODEL_FILE)
+    return Parts(load, record_contents, open_agents, staged, write_run, MODEL_FILE)
 
 
 def run_campaign(plan: Plan, orders: Orders, watcher: Watcher, *, states: bool = False) -> Summary:

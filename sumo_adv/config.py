@@ -111,7 +111,6 @@ class Settings(ModelSettings, BaseSettings):
     learn: Literal["on", "off"] = "on"
     recall: Literal["intent", "scene"] = "intent"
     memory: Path | None = None
-    metric: str = "slots"
     seed: int = Field(0, ge=0, le=2**31 - 1)
     density: float | None = Field(None, gt=0)
     background: Literal["log", "sumo", "mixed"] | None = None  # drives recorded BVs; None = as the scenario says
@@ -148,14 +147,6 @@ class Settings(ModelSettings, BaseSettings):
     def _is_a_band(cls, given: Any) -> Any:
         if isinstance(given, int | float):
             raise ValueError("it takes a band, LOW and HIGH; the min TTC that is critical is the setting critical_ttc")
-        return given
-
-    @field_validator("metric")
-    @classmethod
-    def _is_a_metric(cls, given: str) -> str:
-        kind, _, name = given.partition(":")
-        if given != "slots" and (kind not in ("endpoint", "local") or not name):
-            raise ValueError("use slots, endpoint:MODEL or local:DIR")
         return given
 
     @model_validator(mode="after")

@@ -19,6 +19,7 @@ from pathlib import Path
 from bank_samples import BRAKE_PLANNER, BRAKING, evidence
 
 from sumo_adv.memory.bank import MemoryBank
+from sumo_adv.memory.curate import statistics
 from sumo_adv.memory.migrations import utc_now
 
 
@@ -79,7 +80,7 @@ def storm(path: Path, writers: int, count: int, kills: int) -> int:
         assert (process.returncode, err) == (0, ""), out[-200:]
     with MemoryBank.open(path) as bank:
         rows = Counter((e.network, e.seed) for e in bank.evidence())
-        successes = bank.statistics().by_label[BRAKING.label].successes
+        successes = statistics(bank)["by_label"][BRAKING.label]["successes"]
     names = ["victim", *(f"writer {i}" for i in range(1, writers))]
     assert rows == Counter({(name, number): 1 for name in names for number in range(count)})
     assert successes == writers * (count - count // 3)

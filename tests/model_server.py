@@ -1,4 +1,4 @@
-"""A real HTTP server on loopback that speaks chat completions and embeddings, with scripted answers and faults."""
+"""A real HTTP server on loopback that speaks chat completions, with scripted answers and faults."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any, Self
 
 from sumo_adv.config_model import ModelSettings
+from sumo_adv.llm.transport import Clock
 
 KEY = "sk-tests-0123456789"
 
@@ -124,16 +125,15 @@ Script = Sequence[Answer] | Callable[[Asked], Answer]
 class ModelServer:
     """The server; use it in a ``with`` statement.
 
-    ``script``: answers in order (then 500 "no more answers"), or a function of the request. ``vectors``: text -> vector
-    for /embeddings. ``asked`` holds what came, in order; ``most_at_once`` how many questions were open together.
+    ``script``: answers in order (then 500 "no more answers"), or a function of the request. ``asked``
+    holds what came, in order; ``most_at_once`` how many questions were open together.
     """
 
-    def __init__(self, script: Script = (), *, vectors: Callable[[str], Sequence[float]] | None = None) -> None:
+    def __init__(self, script: Script = ()) -> None:
         self.asked: list[Asked] = []
         self.most_at_once = 0
         self._at_once = 0
         self._script = script
-        self._vectors = vectors
         self._lock = threading.Lock()
         self._ending = threading.Event()
         self._server = ThreadingHTTPServer(("127.0.0.1", 0), self._handler())
@@ -171,14 +171,6 @@ class ModelServer:
                 return self._script[place] if place < len(self._script) else status(500, "no more answers")
         return self._script(request)
 
-    def _embeddings(self, request: Asked) -> Answer:
-        with self._lock:
-            self.asked.append(request)
-        if self._vectors is None:
-            return status(404, "no embeddings here")
-        data = [{"index": i, "embedding": list(self._vectors(t))} for i, t in enumerate(request.body["input"])]
-        return Raw(200, json.dumps({"data": data[::-1]}).encode())
-
     def _enter(self, step: int) -> None:
         with self._lock:
             self._at_once += step
@@ -197,8 +189,6 @@ class ModelServer:
                 try:
                     if self.path == "/v1/chat/completions":
                         answer = server._answer(request)
-                    elif self.path == "/v1/embeddings":
-                        answer = server._embeddings(request)
                     else:
                         answer = status(404, f"no {self.path} here")
                 finally:
@@ -260,7 +250,7 @@ class ModelServer:
         return Handler
 
 
-class StepClock:
+class StepClock(Clock):
     """A clock for retries: it stands still, and sleeping moves it on at once."""
 
     def __init__(self) -> None:

@@ -18,7 +18,7 @@ from sumo_adv.datatypes import Limits, Proposal, acceleration_at, acceleration_o
 from sumo_adv.episode.controllers import PlannedAdversary
 from sumo_adv.errors import BankError
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.memory.evidence_csv import read_evidence, write_evidence
+from sumo_adv.memory.build import read_evidence, write_evidence
 from sumo_adv.memory.exchange import export_bank, import_bank
 from sumo_adv.memory.migrations import APPLICATION_ID, MIGRATIONS, migrate
 from sumo_adv.planners.sandbox import Sandbox

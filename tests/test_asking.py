@@ -12,9 +12,8 @@ from pydantic import BaseModel, ConfigDict
 
 from sumo_adv.errors import BudgetError, ModelError
 from sumo_adv.llm.asking import MeteredModel, ask, ask_many, read_answer
-from sumo_adv.llm.chat import without_thought
+from sumo_adv.llm.chat import Budget, Ledger, without_thought
 from sumo_adv.llm.client import connect
-from sumo_adv.llm.ledger import Budget, Ledger
 
 
 class Choice(BaseModel):

@@ -7,12 +7,12 @@ import re
 from pathlib import Path
 
 import pytest
-from bank_samples import BRAKE_PLANNER, SHIPPED, evidence
+from bank_samples import BRAKE_PLANNER, SHIPPED
 
 from sumo_adv.datatypes import Parameter
 from sumo_adv.errors import BankError, PlannerSyntaxError
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.memory.build import build, read_sources, verify_same
+from sumo_adv.memory.build import build, read_sources
 from sumo_adv.memory.records import RELATIONS
 from sumo_adv.memory.similarity import TextAndSlots
 from sumo_adv.planners.probes import SIZES
@@ -54,28 +54,7 @@ def test_building_twice_gives_the_same_bank(tmp_path: Path) -> None:
         assert a.planners("Emergency Braking")[1] == BRAKE_PLANNER
         assert a.epsilon() == (TextAndSlots.epsilon, TextAndSlots.calibrated_on)
     assert first.read_bytes() == second.read_bytes()
-    assert verify_same(folder, first, parse) == []
     assert {file.name for file in tmp_path.iterdir()} == {"memory_bank", "one.sqlite", "two.sqlite"}
-
-
-def test_differences_are_named(tmp_path: Path) -> None:
-    folder = sources(tmp_path / "memory_bank")
-    bank_path = tmp_path / "bank.sqlite"
-    build(folder, bank_path, parse)
-    (folder / "braking" / "plain.py").write_text("PARAMETERS = {'x': (1.0, 0.0, 2.0, 'm')}\n")
-    (folder / "braking" / "intent.toml").write_text(INTENT.replace("leader", "follower"))
-    (folder / "more").mkdir()
-    (folder / "more" / "intent.toml").write_text(INTENT.replace("Emergency", "More"))
-    (folder / "more" / "plain.py").write_text("PARAMETERS = {}\n")
-    with MemoryBank.open(bank_path) as bank:
-        bank.record(evidence())
-    differences = "\n".join(verify_same(folder, bank_path, parse))
-    assert "lacks the intent 'More Braking'" in differences
-    assert "'Emergency Braking' differs" in differences
-    assert "bank lacks the planner 'plain'" in differences
-    assert "sources lack the planner 'plain'" in differences
-    assert "holds evidence" in differences
-    assert differences.count("\n") == 4
 
 
 def test_wrong_sources_are_refused_and_the_old_bank_stays(tmp_path: Path) -> None:

@@ -9,8 +9,9 @@ import pytest
 
 from sumo_adv.errors import BankError
 from sumo_adv.memory.build import read_intent
-from sumo_adv.memory.calibrate import (
+from sumo_adv.memory.similarity import (
     Measured,
+    TextAndSlots,
     auc,
     balanced_accuracy,
     best_epsilon,
@@ -20,7 +21,6 @@ from sumo_adv.memory.calibrate import (
     refused,
     top1,
 )
-from sumo_adv.memory.similarity import TextAndSlots
 
 HERE = Path(__file__).parent
 PARAPHRASES = HERE / "data" / "intents_paraphrases.toml"
@@ -59,7 +59,7 @@ def test_the_set_is_as_large_as_it_says() -> None:
 
 def test_the_shipped_metric_on_the_reporting_halves() -> None:
     intents = [read_intent(file) for file in sorted((HERE.parent / "memory_bank").glob("*/intent.toml"))]
-    result = calibrate(TextAndSlots(), intents, [read_paraphrases(PARAPHRASES), read_paraphrases(INDEPENDENT)])
+    result = calibrate(intents, [read_paraphrases(PARAPHRASES), read_paraphrases(INDEPENDENT)])
     assert result.epsilon == pytest.approx(TextAndSlots.epsilon, abs=0.005)
     ours, independent = result.sets
     assert (independent.known, independent.novel) == (70, 40)
@@ -82,4 +82,4 @@ def test_a_wrong_set_is_refused(tmp_path: Path) -> None:
         read_paraphrases(tmp_path / "lacking.toml")
     tuning, _ = read_paraphrases(PARAPHRASES)
     with pytest.raises(BankError, match="Calibration needs"):
-        calibrate(TextAndSlots(), [], [(tuning, tuning)])
+        calibrate([], [(tuning, tuning)])

@@ -22,10 +22,8 @@ from sumo_adv.campaigns.store import open_store
 from sumo_adv.campaigns.worker import share
 from sumo_adv.datatypes import Duty
 from sumo_adv.errors import UsageError
-from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.memory.composition_record import Composition, Part
-from sumo_adv.memory.compositions import compositions
-from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature
+from sumo_adv.memory.bank import MemoryBank, compositions
+from sumo_adv.memory.records import Composition, Evidence, IntentRecord, Part, SceneSignature
 from sumo_adv.planners.source import make_planner
 from sumo_adv.report.staging import staged
 from sumo_adv.womd.reader import choice_of, find_record

@@ -18,7 +18,7 @@ from sumo_adv.benchmark.jobs import Job, Parts, Setup, cell_path
 from sumo_adv.benchmark.nouns import Case
 from sumo_adv.benchmark.waits import note_of, noted
 from sumo_adv.errors import UsageError
-from sumo_adv.llm.ledger import Ledger
+from sumo_adv.llm.chat import Ledger
 from sumo_adv.simulation.inputs import data_folder
 
 CALM = "It cannot be opened."

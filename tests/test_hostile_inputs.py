@@ -11,7 +11,7 @@ from sumo_adv.benchmark.suites import load_suite
 from sumo_adv.campaigns.plan import read_plan
 from sumo_adv.config import load_settings
 from sumo_adv.errors import BankError, UsageError
-from sumo_adv.memory.calibrate import read_paraphrases
+from sumo_adv.memory.similarity import read_paraphrases
 from sumo_adv.parsing import parse_json, parse_toml
 from sumo_adv.simulation.scan import scan_network
 from sumo_adv.simulation.scenario import load_scenario

@@ -9,7 +9,6 @@ import signal
 import socket
 import threading
 import time
-from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from email.utils import format_datetime
 from typing import Any
@@ -20,9 +19,8 @@ from model_server import KEY, Answer, Asked, Cut, Drip, Hang, Large, ModelServer
 from sumo_adv.config import load_settings
 from sumo_adv.config_model import ModelSettings
 from sumo_adv.errors import BudgetError, ModelError, UsageError
-from sumo_adv.llm.chat import ChatReply, ChatRequest
-from sumo_adv.llm.client import connect, connect_embedder, find_server
-from sumo_adv.llm.ledger import Budget, Ledger
+from sumo_adv.llm.chat import Budget, ChatReply, ChatRequest, Ledger
+from sumo_adv.llm.client import connect, find_server
 
 SCHEMA = {"type": "object", "properties": {"a": {"type": "integer", "default": 1}}}
 BOMB = gzip.compress(gzip.compress(bytes(20_000_000)))  # 20 MB in some hundred bytes
@@ -340,24 +338,6 @@ def test_a_name_stands_for_a_server(
 def test_a_name_without_a_server_names_the_missing_setting(name: str, says: str) -> None:
     with pytest.raises(UsageError, match=says):
         connect(name, ModelSettings(), Ledger(), environment={})
-
-
-def test_embeddings_come_in_the_order_of_the_texts() -> None:
-    with ModelServer(vectors=lambda text: [len(text), 1.0]) as server:
-        embedder = connect_embedder("embed", server.settings())
-        vectors = embedder.embed(["a" * n for n in range(1, 201)])
-    assert vectors.shape == (200, 2) and vectors[:, 0].tolist() == list(range(1, 201))
-    assert [len(question.body["input"]) for question in server.asked] == [128, 72]
-
-
-@pytest.mark.parametrize(
-    "vectors", [lambda text: [], lambda text: ["x"], lambda text: [1.0] * len(text)], ids=["empty", "words", "uneven"]
-)
-def test_unusable_embeddings_are_refused(vectors: Callable[[str], Any]) -> None:
-    with ModelServer(vectors=vectors) as server:
-        embedder = connect_embedder("embed", server.settings(), clock=StepClock())
-        with pytest.raises(ModelError, match="no usable answer: its"):
-            embedder.embed(["a", "bb"])
 
 
 def test_the_wait_can_be_interrupted() -> None:

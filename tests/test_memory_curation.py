@@ -12,7 +12,7 @@ from sumo_adv.datatypes import Planner
 from sumo_adv.errors import BankError
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.build import write_part
-from sumo_adv.memory.curate import hopeless, near_duplicates, planner_counts
+from sumo_adv.memory.curate import hopeless, near_duplicates, planner_counts, statistics
 from sumo_adv.memory.records import IntentRecord
 
 HARD_STOP = IntentRecord("Hard Stop", "The vehicle in front of the ego brakes hard.", ("leader",))
@@ -32,7 +32,7 @@ def test_a_retired_mode_is_kept_but_not_driven_and_with_the_last_one_the_intent_
         bank.retire("Emergency Braking", "late")
         assert bank.retrieve("Emergency Braking").hit is None
     with MemoryBank.open(path) as bank:
-        assert (bank.statistics().active, bank.statistics().planners, len(bank.evidence())) == (0, 2, 1)
+        assert (statistics(bank)["active"], statistics(bank)["planners"], len(bank.evidence())) == (0, 2, 1)
         with pytest.raises(BankError, match="no active planner"):
             bank.retire("Emergency Braking", back=True)
         bank.retire("Emergency Braking", "plain", back=True)
@@ -95,8 +95,8 @@ def test_what_only_failed_begins_as_retired_and_success_brings_it_in(tmp_path: P
         bank.record(evidence(**novel, **FAILED), intent=HARD_STOP, planner=STOP_PLANNER)
         assert bank.planners(HARD_STOP.label) == []
         assert bank.retrieve("Hard Stop").hit is None
-        counts = bank.statistics().by_label["Hard Stop"]
-        assert (counts.evidence, counts.successes, counts.failures) == (1, 0, 1)
+        counts = statistics(bank)["by_label"]["Hard Stop"]
+        assert (counts["evidence"], counts["successes"], counts["failures"]) == (1, 0, 1)
     with MemoryBank.open(path) as bank:
         assert bank.planners(HARD_STOP.label) == []
         bank.record(evidence(**novel, seed=8), intent=HARD_STOP, planner=STOP_PLANNER)
@@ -125,7 +125,7 @@ def test_duplicates_and_the_hopeless_are_proposed_and_nothing_is_changed(tmp_pat
         bank.record(evidence(seed=4))
         assert hopeless(bank, 3) == []
         assert before != bank.content_hash()
-        assert bank.statistics().active == 5
+        assert statistics(bank)["active"] == 5
 
 
 def test_the_band_around_epsilon(tmp_path: Path) -> None:

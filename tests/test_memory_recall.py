@@ -12,9 +12,8 @@ import pytest
 from bank_samples import BRAKE_PLANNER, BRAKING, CUT_IN, CUT_PLANNER, evidence
 
 from sumo_adv.datatypes import Planner
-from sumo_adv.memory.bandit import choose, draw, explain, likeness
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.memory.recall import SceneIndex, signature_distance
+from sumo_adv.memory.recall import SceneIndex, draw, explain, likeness, signature_distance
 from sumo_adv.memory.records import SceneSignature
 
 HERE = {"ahead": 12.0, "left": 3.2, "heading": 0.0, "speed": 14.0, "ego_speed": 15.0}
@@ -122,10 +121,10 @@ def test_arms_by_hand_and_the_same_in_any_order() -> None:
 def test_what_succeeded_is_tried_first_mostly_and_new_ones_sometimes() -> None:
     history = [evidence(planner_hash=SIDE.hash, scene=SCENE, seed=seed) for seed in range(4)]
     rng = random.Random(0)
-    first = [choose([BACK, SIDE], history, SCENE, rng)[0].mode for _ in range(300)]
+    first = [draw([BACK, SIDE], history, SCENE, rng)[0].planner.mode for _ in range(300)]
     # P(Beta(5, 1) > U) = 5/6
     assert 0.77 < first.count("side") / 300 < 0.90
     failed = [replace(each, critical=False) for each in history]
-    first = [choose([BACK, SIDE], failed, SCENE, rng)[0].mode for _ in range(300)]
+    first = [draw([BACK, SIDE], failed, SCENE, rng)[0].planner.mode for _ in range(300)]
     assert first.count("side") / 300 < 0.23
-    assert choose([], history, SCENE, rng) == []
+    assert draw([], history, SCENE, rng) == []

@@ -42,7 +42,7 @@ from sumo_adv.episode.task import AttemptResult
 from sumo_adv.errors import ModelError, UsageError
 from sumo_adv.geometry import make_path
 from sumo_adv.llm.asking import MeteredModel
-from sumo_adv.llm.ledger import Ledger
+from sumo_adv.llm.chat import Ledger
 from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.simulation.simulation import Snapshot
 

@@ -12,9 +12,8 @@ from pydantic import BaseModel
 from sumo_adv.config_model import ModelSettings
 from sumo_adv.errors import BudgetError, ModelError, UsageError
 from sumo_adv.llm.asking import MeteredModel, ask, ask_many
-from sumo_adv.llm.chat import ChatReply, ChatRequest
+from sumo_adv.llm.chat import Budget, ChatReply, ChatRequest, Ledger
 from sumo_adv.llm.client import connect
-from sumo_adv.llm.ledger import Budget, Ledger
 from sumo_adv.llm.recording import Recorder, Replay
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,7 +20,8 @@ from sumo_adv.drivers import CarefulEgo, Observation, Vehicle
 from sumo_adv.episode.memory_access import unprotected_library
 from sumo_adv.episode.unprotected import crossing_risk, unprotected_ways
 from sumo_adv.geometry import Pose
-from sumo_adv.memory.build import read_sources, verify_same
+from sumo_adv.memory.bank import MemoryBank
+from sumo_adv.memory.build import build, read_sources
 from sumo_adv.metrics.gates import failed_gates, kinematic_gates
 from sumo_adv.metrics.levels import level_of, preventability, with_level
 from sumo_adv.metrics.severity import crash, hardness, unprotected_risk
@@ -258,8 +260,13 @@ def test_prompts_say_what_it_is() -> None:
 # ---- the shipped planners
 
 
-def test_the_shipped_bank_is_built_from_its_text_and_its_planners_are_trusted() -> None:
-    assert verify_same(ROOT / "unprotected_bank", ROOT / "unprotected_bank.sqlite", parse_parameters) == []
+def test_the_shipped_bank_is_built_from_its_text_and_its_planners_are_trusted(tmp_path: Path) -> None:
+    build(ROOT / "unprotected_bank", tmp_path / "built.sqlite", parse_parameters)
+    with (
+        MemoryBank.open(tmp_path / "built.sqlite", read_only=True) as built,
+        MemoryBank.open(ROOT / "unprotected_bank.sqlite", read_only=True) as shipped,
+    ):
+        assert built.content_hash() == shipped.content_hash()
     planners = [p for entry in unprotected_library() for p in entry.planners]
     assert len(planners) == 6 and all(is_trusted(p) for p in planners)
 

@@ -11,9 +11,8 @@ from pydantic import BaseModel
 
 from sumo_adv.errors import ModelError
 from sumo_adv.llm.asking import MeteredModel, ask
-from sumo_adv.llm.chat import without_thought
+from sumo_adv.llm.chat import Ledger, without_thought
 from sumo_adv.llm.client import connect
-from sumo_adv.llm.ledger import Ledger
 
 THINKING = "The gap closes, so the vehicle may brake hard. Or not."
 FIELDS = ("reasoning_effort", "chat_template_kwargs", "thinking")

@@ -30,9 +30,8 @@ from sumo_adv.drivers.prediction import PredictedEgos
 from sumo_adv.drivers.scenes import Scenes
 from sumo_adv.episode.task import make_task
 from sumo_adv.errors import BankError
-from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.memory.composition_record import FORGET, Composition, Part
-from sumo_adv.memory.compositions import compositions, retrieve_composition
+from sumo_adv.memory.bank import MemoryBank, compositions, retrieve_composition
+from sumo_adv.memory.records import FORGET, Composition, Part
 from sumo_adv.metrics.case import make_case
 from sumo_adv.metrics.validity import judge
 from sumo_adv.planners.answers import Answer, PlannerObservation

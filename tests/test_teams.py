@@ -23,10 +23,9 @@ from sumo_adv.datatypes import Duty, Level, LibraryEntry, Limits, Prediction, Pr
 from sumo_adv.episode.memory_access import known_casts
 from sumo_adv.errors import ModelError
 from sumo_adv.llm.asking import MeteredModel
-from sumo_adv.llm.ledger import Ledger
-from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.memory.composition_record import Composition, Part
-from sumo_adv.memory.compositions import compositions
+from sumo_adv.llm.chat import Ledger
+from sumo_adv.memory.bank import MemoryBank, compositions
+from sumo_adv.memory.records import Composition, Part
 from sumo_adv.planners.source import make_planner
 from sumo_adv.search.composed_attacks import ANY, Cast, description_of
 from sumo_adv.search.search import AttackSearch

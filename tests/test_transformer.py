@@ -24,13 +24,12 @@ from sumo_adv.transformer.dataset import (
     follow,
     load,
     make,
+    record,
     scene_of,
     scenes_of,
     together,
 )
-from sumo_adv.transformer.evaluate import evaluate
-from sumo_adv.transformer.model import forward, make_parameters
-from sumo_adv.transformer.predictor import SHIPPED, Predictor, read_weights
+from sumo_adv.transformer.model import SHIPPED, Predictor, forward, make_parameters, read_weights
 from sumo_adv.transformer.scene import (
     AGENTS,
     FUTURE,
@@ -46,7 +45,7 @@ from sumo_adv.transformer.scene import (
     to_local,
     to_world,
 )
-from sumo_adv.transformer.traffic import record
+from sumo_adv.transformer.train import evaluate
 from sumo_adv.womd.reader import record_of
 from sumo_adv.womd.training_scenes import scene_of_record
 

@@ -14,18 +14,16 @@ from womd_nets import Piece, edge, junction, link, net
 from womd_samples import empty, four_way, gap, lane, line, merge, straight, track
 
 from sumo_adv.womd.fidelity import (
-    FAR,
     _lengths,
     _signals,
     connectivity,
     inside_lanes,
     lane_deviations,
-    wanted_connections,
 )
+from sumo_adv.womd.lines import Segments, resample
 from sumo_adv.womd.matching import match, net_graph, record_graph
 from sumo_adv.womd.reader import record_of
 from sumo_adv.womd.record import Record
-from sumo_adv.womd.segments import Segments, resample
 
 
 def record(message: Any) -> Record:
@@ -68,12 +66,11 @@ def test_a_network_that_lies_beside_its_record(tmp_path: Path) -> None:
         tmp_path, edge("e", [(0, 0.3), (300, 0.3)], [(0, 3.8), (150, 3.8)]), edge("back", [(300, 3.5), (0, 3.5)])
     )
     pieces = {12: [Piece("e_0", 0.0, 300.0)], 11: [Piece("e_1", 0.0, 150.0)]}
-    deviations = lane_deviations(record(straight()), roads, pieces)
+    deviations = lane_deviations(record(straight()), roads)
     on = deviations.xy[:, 1] < 1.0
     assert np.allclose(deviations.distance[on], 0.3)
     rest = deviations.distance[~on & (deviations.xy[:, 0] > 155.0)]
     assert rest.max() == pytest.approx(3.2)  # the right lane is the nearest that leads there
-    assert deviations.own[~on & (deviations.xy[:, 0] > 180.0)].min() == FAR
     lengths = _lengths(record(straight()), pieces)
     assert lengths["lane_length"] == pytest.approx(600.0) and lengths["represented"] == pytest.approx(0.75)
 
@@ -86,7 +83,7 @@ def test_bike_lanes_are_compared_with_lanes_for_bicycles(tmp_path: Path) -> None
     roads = net(
         tmp_path, edge("car", [(0, 0), (100, 0)], allow="passenger"), edge("b", [(0, -3), (100, -3)], allow="bicycle")
     )
-    deviations = lane_deviations(record(message), roads, {})
+    deviations = lane_deviations(record(message), roads)
     assert set(np.round(deviations.distance, 6)) == {0.0, 3.0}
 
 
@@ -100,7 +97,6 @@ def test_length_inside_junctions_counts_a_lane_once() -> None:
 def test_connections_that_can_be_driven(tmp_path: Path) -> None:
     """Of the three exits of the merge one is missing in the network, and one goes by an internal lane of 0.4 m."""
     message = merge()
-    assert sorted(wanted_connections(record(message))) == [(1, 2), (4, 5), (5, 2)]
     roads = net(
         tmp_path, edge("a", [(0, 0), (120, 0)]), edge("b", [(120.4, 0), (240, 0)]), edge("r", [(0, -30), (90, -3.5)]),
         edge("m", [(90, -3.5), (120, 0)]), edge(":J_0", [(120, 0), (120.4, 0)]),

@@ -18,9 +18,11 @@ from hypothesis import strategies as st
 
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.programs import find_netconvert
+from sumo_adv.womd.fidelity import FAR, connectivity, lane_deviations
+from sumo_adv.womd.matching import read_net
 from sumo_adv.womd.network import convert_network
-from sumo_adv.womd.network.foes import bend_together, find_foes
-from sumo_adv.womd.network.netconvert import run_netconvert
+from sumo_adv.womd.network.finish import run_netconvert
+from sumo_adv.womd.network.right_of_way import bend_together, find_foes
 from sumo_adv.womd.network.roads import Link
 from sumo_adv.womd.reader import read_records
 from sumo_adv.womd.record import Record
@@ -65,8 +67,7 @@ def test_lines_that_pass_at_40_cm_are_bent_until_they_cross() -> None:
     x = np.linspace(-10, 10, 41)
     above = link([(v, 0.2 + 0.02 * v * v) for v in x], "a", "b")
     below = link([(v, -0.2 - 0.02 * v * v) for v in x[::-1]], "c", "d")
-    bent, pairs = bend_together((above, below), find_foes([above, below]))
-    assert pairs == 1
+    bent = bend_together((above, below), find_foes([above, below]))
     lowest = bent[0].shape[:, 1].min()
     assert lowest == pytest.approx(-0.025, abs=0.002)  # half of 0.4 m and of the 0.05 m they reach over each other
     assert np.array_equal(bent[0].shape[[0, -1]], above.shape[[0, -1]])
@@ -76,8 +77,7 @@ def test_lines_that_end_beside_each_other_cross_before() -> None:
     """Two lanes come together to 0.2 m at the map's end, where nothing follows: 0.29 m apart 1 m before it."""
     x = np.linspace(0, 20, 41)
     through, joining = link([(v, 0.0) for v in x], "a", "b"), link([(v, 0.2 + 0.09 * (20 - v)) for v in x], "c", "d")
-    bent, pairs = bend_together((through, joining), {(0, 1)})
-    assert pairs == 1
+    bent = bend_together((through, joining), {(0, 1)})
     (crossing, again) = np.flatnonzero(np.diff(np.sign(heights_over(bent[0], bent[1]))))
     assert 18.5 < crossing / 10 < again / 10 < 19.6
     assert np.array_equal(bent[1].shape[[0, -1]], joining.shape[[0, -1]])
@@ -97,11 +97,12 @@ def test_ends_that_lanes_share_are_road_not_junction(tmp_path: Path) -> None:
         samples.lane(message, number, points, exits=[3])
     samples.lane(message, 3, samples.line((40.0, 0.0), (90.0, 0.0)), entries=[1, 2])
     samples.track(message, 1, samples.line((0.0, 10.0), (90.0, 0.0)), start=0.0, speed=5.0)
-    made = convert_network(record(tmp_path, message), tmp_path / "net")
+    given = record(tmp_path, message)
+    made = convert_network(given, tmp_path / "net")
     last, onward = made.pieces[1][-1], made.pieces[3][0]
     assert last.sumo_lane == onward.sumo_lane
     assert last.end - last.start == pytest.approx(4.0, abs=0.6)  # looked for every 0.5 m
-    assert made.report["connections_kept"] == 2
+    assert connectivity(given, read_net(made.path), made.pieces)["kept"] == 2
 
 
 def test_a_stop_sign_stops_its_lane_alone_and_signs_all_round_stop_everybody(tmp_path: Path) -> None:
@@ -231,8 +232,10 @@ def test_any_topology_loads_and_keeps_its_lanes_and_connections(made_up: tuple[A
     message, ways = made_up
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        made = convert_network(record(folder, message), folder / "net")
-        report = made.report
-        assert report["connections_kept"] == report["connections_wanted"] == 2 * ways
-        assert report["lane_length_shown"] == pytest.approx(report["lane_length"], abs=0.1)
-        assert lanes_in_sumo(made.path) >= report["lanes_made"]
+        given = record(folder, message)
+        made = convert_network(given, folder / "net")
+        net = read_net(made.path)
+        connections, deviations = connectivity(given, net, made.pieces), lane_deviations(given, net)
+        assert connections["kept"] == connections["wanted"] == 2 * ways
+        assert deviations.distance.max() < FAR
+        assert lanes_in_sumo(made.path) >= made.report["lanes_made"]

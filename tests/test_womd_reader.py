@@ -81,7 +81,6 @@ def test_a_record_becomes_arrays(tmp_path: Path) -> None:
     assert record.lanes[12].speed_limit == pytest.approx(13.4112)
     assert record.lanes[12].left[0].lane == 11
     assert record.lines[21].edge and not record.lines[23].edge
-    assert record.lanes[11].left_boundaries[0].feature == 21
     assert record.objects_of_interest == (1, 3) and record.to_predict == (2,)
     late = record.tracks[2]
     assert list(np.flatnonzero(late.valid)[:1]) == [15]

@@ -10,8 +10,7 @@ import pytest
 import womd_samples as samples
 
 from sumo_adv.womd.reader import record_of
-from sumo_adv.womd.record import Record
-from sumo_adv.womd.sampling import evenly_sampled
+from sumo_adv.womd.record import Record, evenly_sampled
 
 
 def straight_at(times: Any) -> Record:

@@ -14,12 +14,10 @@ from sumo_adv.simulation.playback_spec import scenario_playback, with_background
 from sumo_adv.simulation.scan import scan_demand
 from sumo_adv.simulation.scenario import load_scenario
 from sumo_adv.simulation.tracks import read_tracks
-from sumo_adv.womd.matching import Stretch, match, net_graph
+from sumo_adv.womd.matching import Stretch, SumoNet, match, net_graph
 from sumo_adv.womd.reader import record_of
 from sumo_adv.womd.record import Record
-from sumo_adv.womd.routes import Router
-from sumo_adv.womd.scene import parked_vehicles, write_scene
-from sumo_adv.womd.sumonet import SumoNet
+from sumo_adv.womd.scene import Router, parked_vehicles, write_scene
 
 
 def record(message: Any) -> Record:

@@ -9,8 +9,7 @@ from sumo_adv.asked import Asked, Event
 from sumo_adv.datatypes import Floats, Relation, Role, Track
 from sumo_adv.geometry import make_path
 from sumo_adv.road_users import RoadUser
-from sumo_adv.words.fit import misfits
-from sumo_adv.words.motion import Motion, Scene, observe
+from sumo_adv.words.motion import Motion, Scene, misfits, observe
 
 TIME = np.round(np.arange(0.0, 6.01, 0.1), 3)
 WAY = make_path([(-50.0, 0.0), (250.0, 0.0)])  # eastward

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
-from sumo_adv.womd.sumonet import SumoNet, read_net
+from sumo_adv.womd.matching import SumoNet, read_net
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,7 @@ from sumo_adv.config import load_settings
 from sumo_adv.episode.loop import run_episode
 from sumo_adv.episode.task import make_task
 from sumo_adv.episode.worker import body
-from sumo_adv.llm.chat import ChatReply, ChatRequest
-from sumo_adv.llm.ledger import BudgetedModel, Ledger
+from sumo_adv.llm.chat import BudgetedModel, ChatReply, ChatRequest, Ledger
 from sumo_adv.llm.recording import Recorder
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.planners.sandbox import Sandbox

@@ -27,8 +27,7 @@ from sumo_adv.config import Settings
 from sumo_adv.datatypes import Intent, LibraryEntry, Planner
 from sumo_adv.errors import ModelError
 from sumo_adv.llm.asking import MeteredModel
-from sumo_adv.llm.chat import ChatModel
-from sumo_adv.llm.ledger import Ledger
+from sumo_adv.llm.chat import ChatModel, Ledger
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.trial import trial
 from sumo_adv.search.composed_attacks import Cast

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from sumo_adv.benchmark.jobs import Job, slug
 from sumo_adv.files import write_text
-from sumo_adv.llm.ledger import Ledger
+from sumo_adv.llm.chat import Ledger
 
 EVERY = 0.5  # s between two notes
 

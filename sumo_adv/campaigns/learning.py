@@ -10,8 +10,14 @@ from typing import Any
 from sumo_adv.datatypes import Parameter, Planner
 from sumo_adv.errors import BankError, UsageError
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.memory.composition_record import Composition, composition_of, plain_composition
-from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature
+from sumo_adv.memory.records import (
+    Composition,
+    Evidence,
+    IntentRecord,
+    SceneSignature,
+    composition_of,
+    plain_composition,
+)
 from sumo_adv.parsing import parse_json
 
 

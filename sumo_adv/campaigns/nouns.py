@@ -10,8 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sumo_adv.config import Settings
-    from sumo_adv.memory.similarity import Similarity
     from sumo_adv.simulation.inputs import RunInput
 
 Row = Mapping[str, Any]
@@ -76,7 +74,6 @@ class Parts:
     load: Callable[[Path, str | None], RunInput]
     records: Callable[[Path], Iterator[tuple[str, str] | str]]  # of a file: id and content, or what is wrong with one
     open_agents: Callable[..., AbstractContextManager[Any]]
-    similarity: Callable[[Settings], Similarity]
     staged: Callable[..., AbstractContextManager[Any]]
     write_run: Callable[..., dict[str, Any]]
     model_file: str

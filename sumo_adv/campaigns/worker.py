@@ -35,7 +35,7 @@ class Runner:
         self._setup, self._parts = setup, setup.parts
         self._engine = WarmEngine()
         self._sandboxes = WarmSandboxes()
-        self._banks: dict[str, MemoryBank] = {}
+        self._opened: MemoryBank | None = None
         self._stamp = 0
         forget_environment()
 
@@ -46,8 +46,8 @@ class Runner:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         with ExitStack() as stack:
-            for bank in self._banks.values():
-                stack.callback(bank.close)
+            if self._opened is not None:
+                stack.callback(self._opened.close)
             stack.callback(self._sandboxes.close)
             stack.callback(self._engine.close)
 
@@ -76,7 +76,7 @@ class Runner:
             self._parts.staged(self._setup.runs / job.id, force=True, marker=OUTCOME) as folder,
         ):
             task = make_task(given, settings, Path(scratch))
-            bank = self._bank(settings)
+            bank = self._bank()
             recorded = folder.stage / self._parts.model_file
             with (
                 self._parts.open_agents(settings, self._sandboxes.of(settings), recorded) as agents,
@@ -106,26 +106,22 @@ class Runner:
             },
         )  # fmt: skip
 
-    def _bank(self, settings: Settings) -> MemoryBank:
-        """The bank with the metric of the settings, as this episode sees it."""
+    def _bank(self) -> MemoryBank:
+        """The bank as this episode sees it."""
         learn = self._setup.learn
         if (stamp := self._setup.bank.stat().st_mtime_ns) != self._stamp and learn is not Learn.DURING:
-            while self._banks:  # on a cluster a newer snapshot may have come
-                self._banks.popitem()[1].close()
+            if self._opened is not None:  # on a cluster a newer snapshot may have come
+                self._opened.close()
+                self._opened = None
             self._stamp = stamp
-        if settings.metric not in self._banks:
+        if self._opened is None:
             kind = Collector if learn is Learn.AFTER else MemoryBank
-            bank = kind.open(
-                self._setup.bank, read_only=learn is not Learn.DURING, similarity=self._parts.similarity(settings)
-            )
-            bank.epsilon()
-            self._banks[settings.metric] = bank
+            self._opened = kind.open(self._setup.bank, read_only=learn is not Learn.DURING)
         elif learn is Learn.DURING:
-            self._banks[settings.metric].refresh()
-        bank = self._banks[settings.metric]
-        if isinstance(bank, Collector):
-            bank.lessons = []
-        return bank
+            self._opened.refresh()
+        if isinstance(self._opened, Collector):
+            self._opened.lessons = []
+        return self._opened
 
     def _finished(
         self, job: Job, stage: Path, episode: Episode, result: Mapping[str, Any], bank: MemoryBank, log: str

@@ -90,7 +90,7 @@ def batch(
     """
     from sumo_adv.app import batch_parts, check_intents
     from sumo_adv.campaigns.plan import is_plan, make_plan, read_plan
-    from sumo_adv.memory.paths import default_bank_path
+    from sumo_adv.memory.store import default_bank_path
 
     if parquet or states:
         from sumo_adv.campaigns.results import check_parquet
@@ -160,7 +160,7 @@ def _orders(
     plan: Plan, out: Path, pace: Pace, force: bool, retry_failed: bool, parquet: bool, ray: str | None
 ) -> Orders:
     from sumo_adv.campaigns.campaign import Orders
-    from sumo_adv.memory.paths import default_bank_path
+    from sumo_adv.memory.store import default_bank_path
     from sumo_adv.report.outcome import versions
 
     bank = plan.memory or default_bank_path()

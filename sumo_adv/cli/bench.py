@@ -262,8 +262,8 @@ def _check_models(request: TableRequest) -> None:
     """Raises UsageError for a row with a model that has no server or no key; asks nothing."""
     from sumo_adv.agents.agents import ROLES
     from sumo_adv.benchmark.methods import method_of
+    from sumo_adv.llm.chat import Ledger
     from sumo_adv.llm.client import connect
-    from sumo_adv.llm.ledger import Ledger
 
     for row in request.rows:
         given = method.settings if (method := method_of(row)) is not None else {}

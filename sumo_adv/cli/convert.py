@@ -115,7 +115,7 @@ def show(reports: list[dict[str, Any]]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from sumo_adv.womd.table import COLUMNS, LEGEND, row
+    from sumo_adv.womd.fidelity import COLUMNS, LEGEND, row
 
     table = Table(box=SIMPLE_HEAD, padding=0, collapse_padding=True, pad_edge=False)
     for name in COLUMNS:

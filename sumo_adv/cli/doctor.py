@@ -97,7 +97,7 @@ def version_line() -> str:
     from sumo_adv.config import load_settings
     from sumo_adv.memory.bank import MemoryBank
     from sumo_adv.memory.migrations import MIGRATIONS
-    from sumo_adv.memory.paths import default_bank_path
+    from sumo_adv.memory.store import default_bank_path
 
     try:
         sumo = version("libsumo")

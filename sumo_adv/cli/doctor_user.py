@@ -78,7 +78,7 @@ def bank(path: Path | None) -> Iterator[Finding]:
     from sumo_adv.app import shipped_bank
     from sumo_adv.memory.bank import MemoryBank
     from sumo_adv.memory.migrations import MIGRATIONS
-    from sumo_adv.memory.paths import default_bank_path
+    from sumo_adv.memory.store import default_bank_path
 
     used = path or default_bank_path()
     try:

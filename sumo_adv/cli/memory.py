@@ -8,10 +8,10 @@ import typer
 
 from sumo_adv.app import open_bank
 from sumo_adv.cli import memory_check, memory_edit, memory_exchange, memory_generate
-from sumo_adv.cli.memory_common import Bank, Json, Metric, answer, chosen_similarity, known_intent
+from sumo_adv.cli.memory_common import Bank, Json, answer, known_intent
 
 if TYPE_CHECKING:
-    from sumo_adv.memory.composition_record import Composition
+    from sumo_adv.memory.records import Composition
 
 app = typer.Typer(
     no_args_is_help=True, help="Look into a memory bank of intents and planners, change it, share it, check it.",
@@ -22,8 +22,8 @@ app = typer.Typer(
 @app.command("list", epilog="Example: sumo-adv memory list --json")
 def list_(memory: Bank = None, as_json: Json = False) -> None:
     """The intents of the bank, with their planners' modes and how much evidence there is, and the compositions."""
-    from sumo_adv.memory.composition_record import plain_composition
-    from sumo_adv.memory.compositions import all_compositions
+    from sumo_adv.memory.bank import all_compositions
+    from sumo_adv.memory.records import plain_composition
 
     with open_bank(memory) as bank:
         composed = all_compositions(bank)
@@ -51,7 +51,7 @@ def counts(c: Composition) -> str:
 @app.command("show", epilog="Example: sumo-adv memory show 'Straight Lane Shift'")
 def show(label: str, memory: Bank = None, as_json: Json = False) -> None:
     """An intent with its planners' source, retired ones too, or a composition with its parts."""
-    from sumo_adv.memory.compositions import all_compositions
+    from sumo_adv.memory.bank import all_compositions
     from sumo_adv.memory.records import canonical
 
     with open_bank(memory) as bank:
@@ -87,7 +87,7 @@ def show(label: str, memory: Bank = None, as_json: Json = False) -> None:
 
 def show_composition(c: Composition, as_json: bool) -> None:
     """A composition with its parts."""
-    from sumo_adv.memory.composition_record import plain_composition
+    from sumo_adv.memory.records import plain_composition
 
     answer(plain_composition(c), as_json, lambda: [
         f"{c.label}, a composition", c.description, counts(c),
@@ -96,9 +96,9 @@ def show_composition(c: Composition, as_json: bool) -> None:
 
 
 @app.command("find", epilog="Example: sumo-adv memory find 'cuts in and brakes' --json")
-def find(text: str, metric: Metric = None, memory: Bank = None, as_json: Json = False) -> None:
+def find(text: str, memory: Bank = None, as_json: Json = False) -> None:
     """The nearest intents to a description, their distance, the epsilon in force, and whether it is a hit."""
-    with open_bank(memory, similarity=chosen_similarity(metric)) as bank:
+    with open_bank(memory) as bank:
         retrieval = bank.retrieve(text, text)
     nearest = [{"label": label, "distance": round(d, 4)} for label, d in retrieval.nearest]
     value = {"hit": retrieval.hit, "epsilon": retrieval.epsilon, "band": retrieval.band, "nearest": nearest}
@@ -120,23 +120,20 @@ def stats(
     """Counts, successes and failures by intent and planner; what could be merged or retired (never done here)."""
     from dataclasses import asdict
 
-    from sumo_adv.memory.curate import hopeless, near_duplicates, planner_counts
+    from sumo_adv.memory.curate import hopeless, near_duplicates, planner_counts, statistics
 
     with open_bank(memory) as bank:
-        counts, planners = bank.statistics(), planner_counts(bank)
+        counts, planners = statistics(bank), planner_counts(bank)
         epsilon, calibrated_on = bank.epsilon()
         merging, retiring = near_duplicates(bank), hopeless(bank, failures)
         value = {
-            "intents": counts.intents, "active": counts.active, "planners": counts.planners,
-            "evidence": counts.evidence, "hash": bank.content_hash(),
-            "epsilon": epsilon, "calibrated_on": calibrated_on,
-            "by_label": {k: {**asdict(v), "failures": v.failures} for k, v in counts.by_label.items()},
+            **counts, "hash": bank.content_hash(), "epsilon": epsilon, "calibrated_on": calibrated_on,
             "by_planner": [asdict(p) for p in planners],
             "merge": [asdict(p) for p in merging], "retire": [asdict(p) for p in retiring],
         }  # fmt: skip
     answer(value, as_json, lambda: [
-        f"{counts.active} active of {counts.intents} intents, {counts.planners} planners, {counts.evidence} pieces of"
-        f" evidence; epsilon {epsilon:.2f} ({calibrated_on})",
+        f"{value['active']} active of {value['intents']} intents, {value['planners']} planners, {value['evidence']} "
+        f"pieces of evidence; epsilon {epsilon:.2f} ({calibrated_on})",
         *(f"  {p.label} / {p.mode}: {p.successes} successes, {p.failures} failures{', retired' if p.retired else ''}"
           for p in planners),
         *(f"To merge? {m.label} into {m.into} (distance {m.distance:.2f}: {m.reason})" for m in merging),

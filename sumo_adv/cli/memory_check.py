@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sumo_adv.app import open_bank
-from sumo_adv.cli.memory_common import Bank, Json, Metric, answer, chosen_similarity, known_intent
+from sumo_adv.cli.memory_common import Bank, Json, answer, known_intent
 
 if TYPE_CHECKING:
     from sumo_adv.datatypes import Planner
     from sumo_adv.memory.bank import MemoryBank
-    from sumo_adv.memory.calibrate import Paraphrase, SetFigures
-    from sumo_adv.memory.composition_record import Composition
-    from sumo_adv.memory.records import Source
+    from sumo_adv.memory.records import Composition, Source
+    from sumo_adv.memory.similarity import Paraphrase, SetFigures
     from sumo_adv.planners.sandbox import Sandbox
 
 
@@ -37,7 +36,7 @@ def verify(
     A composition fails if the bank lacks one of its parts. Whether a planner still succeeds as its evidence says is
     tried only with --scenario.
     """
-    from sumo_adv.memory.compositions import compositions
+    from sumo_adv.memory.bank import compositions
     from sumo_adv.planners.sandbox import Sandbox
 
     with open_bank(memory) as bank:
@@ -115,7 +114,6 @@ def _again(
 def calibrate(
     files: Annotated[list[Path], typer.Argument(help="Paraphrases of known intents, and novel behaviours, in TOML.")],
     store: Annotated[bool, typer.Option("--store", help="Keep the epsilon in the bank.")] = False,
-    metric: Metric = None,
     memory: Bank = None,
     as_json: Json = False,
 ) -> None:
@@ -123,30 +121,28 @@ def calibrate(
 
     Behaviours with an intent that the bank lacks count as novel. The intervals are 95 % bootstrap.
     """
-    from sumo_adv.memory.calibrate import calibrate as measure
-    from sumo_adv.memory.calibrate import read_paraphrases
+    from sumo_adv.memory.similarity import calibrate as measure
+    from sumo_adv.memory.similarity import read_paraphrases
 
-    similarity = chosen_similarity(metric)
-    with open_bank(memory, make=store, similarity=similarity) as bank:
+    with open_bank(memory, make=store) as bank:
         halves = [read_paraphrases(file) for file in files]
         sets = [(_as_known(bank, tuning), _as_known(bank, reporting)) for tuning, reporting in halves]
         active = [record for record in bank.intents() if record.status == "active"]
-        calibration = measure(similarity, active, sets)
+        calibration = measure(active, sets)
         has_intent = [p.intent is not None for tuning, _ in sets for p in tuning]
         on = (
             f"{' and '.join(file.name for file in files)}, tuning halves: {sum(has_intent)} paraphrases and "
             f"{len(has_intent) - sum(has_intent)} novel behaviours, a bank of {len(active)} intents"
         )
-        before = _epsilon(bank)
+        before = bank.epsilon()[0]
         if store:
             bank.set_epsilon(calibration.epsilon, on)
     names = [file.name for file in files]
     value = asdict(calibration) | {"calibrated_on": on, "before": before, "stored": store}
     value["sets"] = [{"file": name} | figures for name, figures in zip(names, value["sets"], strict=True)]
-    before_said = "there was none" if before is None else f"was {before:.3f}"
     answer(value, as_json, lambda: [
         f"Metric {calibration.metric}: epsilon {calibration.epsilon:.3f}, "
-        f"{'stored' if store else 'not stored'} ({before_said})",
+        f"{'stored' if store else 'not stored'} (was {before:.3f})",
         f"Calibrated on {on}.",
         *(line for name, figures in zip(names, calibration.sets, strict=True) for line in _lines(name, figures)),
     ])  # fmt: skip
@@ -161,16 +157,6 @@ def _lines(name: str, figures: SetFigures) -> list[str]:
         f"On the other half of {name} ({figures.known} known, {figures.novel} novel):",
         *(f"  {title:<18} {f.value:.3f} [{f.low:.3f}, {f.high:.3f}]" for title, f in named.items()),
     ]
-
-
-def _epsilon(bank: MemoryBank) -> float | None:
-    """The bank's epsilon for its metric; None if it was never calibrated."""
-    from sumo_adv.errors import BankError
-
-    try:
-        return bank.epsilon()[0]
-    except BankError:
-        return None
 
 
 def _as_known(bank: MemoryBank, half: list[Paraphrase]) -> list[Paraphrase]:

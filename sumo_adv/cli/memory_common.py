@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from sumo_adv.datatypes import Parameter
     from sumo_adv.memory.bank import MemoryBank
     from sumo_adv.memory.records import IntentRecord
-    from sumo_adv.memory.similarity import Similarity
 
 Bank = Annotated[
     Path | None,
@@ -23,17 +22,6 @@ Bank = Annotated[
     ),
 ]  # fmt: skip
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
-Metric = Annotated[
-    str | None, typer.Option(help="slots, endpoint:MODEL (embeddings of a server) or local:DIR (default: slots).")
-]
-
-
-def chosen_similarity(metric: str | None) -> Similarity:
-    """The metric of that name, or of the settings in the environment. Raises UsageError."""
-    from sumo_adv.app import make_similarity
-    from sumo_adv.config import load_settings
-
-    return make_similarity(load_settings(None, metric=metric))
 
 
 def known_intent(bank: MemoryBank, label: str) -> IntentRecord:

@@ -76,8 +76,8 @@ def _written(settings: Settings, name: str, intent: IntentRecord, near: list[Lib
     from sumo_adv.agents.generator import ModelGenerator
     from sumo_adv.datatypes import Intent
     from sumo_adv.llm.asking import MeteredModel
+    from sumo_adv.llm.chat import Ledger
     from sumo_adv.llm.client import connect
-    from sumo_adv.llm.ledger import Ledger
     from sumo_adv.planners.trial import trial
 
     ledger = Ledger.for_settings(settings)

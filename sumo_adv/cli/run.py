@@ -38,7 +38,7 @@ def run(
     trigger: own.Trigger = None, diverse: shared.Diverse = None, attempts: shared.Attempts = None,
     seconds: shared.Seconds = None, total_seconds: own.TotalSeconds = None,
     tuner: own.Tuner = None, seed: own.Seed = None, learn: own.Learn = None, recall: own.Recall = None,
-    memory: own.Memory = None, metric: own.Metric = None, no_fork: own.NoFork = False, llm: own.Llm = None,
+    memory: own.Memory = None, no_fork: own.NoFork = False, llm: own.Llm = None,
     analyzer: own.Analyzer = None, generator: own.Generator = None, modifier: own.Modifier = None,
     fallback: own.Fallback = None, samples: own.Samples = None, evidence: own.Evidence = None,
     instruction: own.Instruction = None, show_prompts: own.ShowPrompts = False, out: own.Out = None,

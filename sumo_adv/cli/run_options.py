@@ -67,12 +67,6 @@ Recall = Annotated[
 Memory = Annotated[
     Path | None, option(SEARCH, "Memory bank; made from the shipped one if it does not exist.", default="your own")
 ]
-Metric = Annotated[
-    str | None,
-    option(
-        SEARCH, "Distance of intents: slots, endpoint:MODEL (embeddings of a server) or local:DIR.", setting="metric"
-    ),
-]
 Seed = Annotated[int | None, option(SEARCH, "Of SUMO, demand, search and planners.", setting="seed")]
 NoFork = Annotated[bool, option(SEARCH, "Load and repeat instead of forking (slower).", "--no-fork")]
 Llm = Annotated[

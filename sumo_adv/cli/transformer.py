@@ -15,7 +15,7 @@ import typer
 from sumo_adv.errors import UsageError
 
 if TYPE_CHECKING:
-    from sumo_adv.transformer.evaluate import Score
+    from sumo_adv.transformer.train import Score
 
 app = typer.Typer(
     no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
@@ -84,8 +84,8 @@ def evaluate(
 ) -> None:
     """Predict the held-out scenes, beside constant velocity and lane following."""
     from sumo_adv.transformer.dataset import HELD_OUT, load
-    from sumo_adv.transformer.evaluate import evaluate as scores
-    from sumo_adv.transformer.predictor import SHIPPED, read_weights
+    from sumo_adv.transformer.model import SHIPPED, read_weights
+    from sumo_adv.transformer.train import evaluate as scores
 
     results = scores(read_weights(weights or SHIPPED), load(scenes, HELD_OUT))
     typer.echo(json.dumps([asdict(score) for score in results]) if as_json else table(results))

@@ -47,8 +47,7 @@ def write(
     as_json: shared.AsJson = False,
 ) -> None:  # fmt: skip
     """Make a scenario of words with a language model, run it, and say whether what happened is what was asked for."""
-    from sumo_adv.words.nearest import needs_model
-    from sumo_adv.words.request_text import checked_words
+    from sumo_adv.words.request import checked_words, needs_model
 
     request = checked_words(_request(words, report))
     named = {"llm": llm, "ego": ego, "attempts": attempts, "seconds": seconds, "seed": seed, "memory": memory}
@@ -96,8 +95,8 @@ def _write(
 ) -> Played:  # fmt: skip
     """Have the scenario written and run; its files then lie at ``out`` and in ``folder``."""
     from sumo_adv.llm.asking import MeteredModel
+    from sumo_adv.llm.chat import Ledger
     from sumo_adv.llm.client import connect
-    from sumo_adv.llm.ledger import Ledger
     from sumo_adv.llm.recording import Recorder
     from sumo_adv.report.outcome import MODEL_FILE
     from sumo_adv.report.staging import scratch_folder, staged

@@ -16,9 +16,8 @@ from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.goal import Goal
 from sumo_adv.llm.asking import MeteredModel
 from sumo_adv.simulation.recording import tracks_of
-from sumo_adv.words.fit import misfits
-from sumo_adv.words.motion import Motion, Scene, observe
-from sumo_adv.words.reading import Reading, read_motion
+from sumo_adv.words.motion import Motion, Scene, misfits, observe
+from sumo_adv.words.request import Reading, read_motion
 
 MOST_READINGS = 2  # attempts of an encounter that a model is asked about
 Reader = Callable[[Motion], Reading]

@@ -16,12 +16,9 @@ from sumo_adv.episode.assessment import rank
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.errors import BankError
-from sumo_adv.memory import bandit
-from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.memory.composition_record import Composition, Part
-from sumo_adv.memory.compositions import retrieve_composition
-from sumo_adv.memory.recall import SCALES, signature_distance
-from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature, canonical, evidence_of
+from sumo_adv.memory.bank import MemoryBank, retrieve_composition
+from sumo_adv.memory.recall import SCALES, draw, explain, signature_distance
+from sumo_adv.memory.records import Composition, Evidence, IntentRecord, Part, SceneSignature, canonical, evidence_of
 from sumo_adv.search.composed_attacks import ANY, Cast, description_of
 from sumo_adv.search.composed_intents import COMPOSED, applies_of
 from sumo_adv.search.composed_intents import NAME as EXPERT
@@ -45,8 +42,8 @@ def read_library(
     entries, explained = [], list[dict[str, object]]()
     for record in bank.intents():
         if record.status == "active":
-            arms = bandit.draw(bank.planners(record.label), bank.evidence(record.label), now, rng)
-            explained.append({"label": record.label, "planners": bandit.explain(arms)})
+            arms = draw(bank.planners(record.label), bank.evidence(record.label), now, rng)
+            explained.append({"label": record.label, "planners": explain(arms)})
             planners = tuple(arm.planner for arm in arms)
             entries.append(LibraryEntry(record.label, record.description, record.applies, planners))
     targets = [target for situation in situations.values() for target in situation.targets.values()]

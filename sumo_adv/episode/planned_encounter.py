@@ -21,8 +21,7 @@ from sumo_adv.episode.memory_access import (
     signature,
 )
 from sumo_adv.episode.task import FoundEncounter, NoEncounter
-from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.memory.compositions import compositions
+from sumo_adv.memory.bank import MemoryBank, compositions
 from sumo_adv.memory.records import SceneSignature
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.search.composed_intents import composed
@@ -31,7 +30,7 @@ from sumo_adv.search.prediction import Predictor
 from sumo_adv.search.search import AttackSearch
 from sumo_adv.search.settings import SearchSettings
 from sumo_adv.simulation.engine import Engine
-from sumo_adv.words.nearest import needs_model
+from sumo_adv.words.request import needs_model
 
 MOST_SKIPS = 6  # encounters that are passed over because no candidate is predicted to collide
 Tell = Callable[[str, Any], None]

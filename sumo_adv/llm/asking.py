@@ -15,8 +15,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from sumo_adv.errors import BudgetError, ModelError
-from sumo_adv.llm.chat import CUT, ChatModel, ChatRequest, Messages, run_in_thread, without_thought
-from sumo_adv.llm.ledger import Ledger
+from sumo_adv.llm.chat import CUT, ChatModel, ChatRequest, Ledger, Messages, run_in_thread, without_thought
 
 T = TypeVar("T", bound=BaseModel)
 MAX_FAULTS = 5  # of an answer that are sent back
@@ -74,7 +73,7 @@ def ask(
             if fault is None:
                 return answer
         if turn < re_asks:
-            metered.ledger.count_re_ask(agent)
+            metered.ledger.count_one(agent, "re_asks")
             again = f"That answer cannot be used. {fault}\nAnswer again: one JSON object, whole, and nothing else."
             messages = (*messages, ("assistant", text[:MAX_ECHO] or "(nothing)"), ("user", again))
     times = "once" if re_asks == 0 else f"{re_asks + 1} times"
@@ -114,7 +113,7 @@ def ask_many(
     if failed and not answers:
         raise failed[0]
     for _ in failed:
-        metered.ledger.count_dropped(agent)
+        metered.ledger.count_one(agent, "dropped")
     return answers
 
 

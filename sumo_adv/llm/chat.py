@@ -1,13 +1,19 @@
-"""What all parts of this package share: a request to a language model, its reply, and the protocol of a model."""
+"""What all parts of this package share: a request to a language model, its reply, the protocol of a model, and the
+budget of a run for models with the count of what it has spent."""
 
 from __future__ import annotations
 
 import re
 import threading
-from collections.abc import Callable, Mapping, Sequence
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
+
+from sumo_adv.config_model import ModelSettings
+from sumo_adv.errors import BudgetError, ModelError
 
 Messages = tuple[tuple[str, str], ...]
 CHARACTERS_PER_TOKEN = 4  # of English text and code, roughly
@@ -16,6 +22,9 @@ T = TypeVar("T")
 _THOUGHT = re.compile(r"<think(?:ing)?>.*?</think(?:ing)?>", re.DOTALL)
 _END_OF_THOUGHT = re.compile(r"</think(?:ing)?>")
 _UNENDED_THOUGHT = re.compile(r"^\s*<think(?:ing)?>")
+COUNTS = (
+    "calls", "prompt_tokens", "completion_tokens", "cached_tokens", "milliseconds", "retries", "re_asks", "dropped",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,3 +108,137 @@ def run_in_thread(work: Callable[[], T]) -> Future[T]:
 
     threading.Thread(target=run, daemon=True).start()
     return future
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """Limits of one run, None for no limit. ``seconds``: sum of the durations of questions, parallel ones included."""
+
+    calls: int | None = None
+    tokens: int | None = None
+    seconds: float | None = None
+
+
+class Ledger:
+    """Counts calls, tokens, time, retries, re-asks and dropped answers per agent. Can be used from several threads.
+
+    Durations are summed in whole milliseconds, so the sum does not depend on the order of parallel answers.
+    ``waited``: time [s] by ``clock`` during which at least one question was open. A replay adds almost none.
+    """
+
+    def __init__(self, budget: Budget | None = None, clock: Callable[[], float] = time.perf_counter) -> None:
+        self.budget = budget or Budget()
+        self.waited = 0.0
+        self._clock, self._open, self._since = clock, 0, 0.0
+        self._lock = threading.Lock()
+        self._agents: dict[str, dict[str, int]] = {}
+
+    @classmethod
+    def for_settings(cls, settings: ModelSettings) -> Ledger:
+        """An empty ledger with the budget of the settings."""
+        return cls(Budget(settings.llm_max_calls, settings.llm_max_tokens, settings.llm_max_seconds))
+
+    @contextmanager
+    def waiting(self) -> Iterator[None]:
+        """A context that lasts while a question is open."""
+        with self._lock:
+            self._since = self._since if self._open else self._clock()
+            self._open += 1
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._open -= 1
+                self.waited += 0.0 if self._open else self._clock() - self._since
+
+    def waited_so_far(self) -> float:
+        """``waited``, and the time of the questions that are open now [s]."""
+        with self._lock:
+            return self.waited + (self._clock() - self._since if self._open else 0.0)
+
+    def admit(self, request: ChatRequest) -> None:
+        """Count a call. Raises BudgetError if the call would exceed the budget; its tokens are estimated."""
+        estimate = estimate_tokens(request.messages)
+        with self._lock:
+            spent, allowed = self._totals(), self.budget
+            tokens = spent["prompt_tokens"] + spent["completion_tokens"]
+            if allowed.calls is not None and spent["calls"] >= allowed.calls:
+                raise BudgetError(
+                    f"The run has used its {allowed.calls} calls of language models; raise llm_max_calls for more."
+                )
+            if allowed.tokens is not None and tokens + estimate > allowed.tokens:
+                raise BudgetError(
+                    f"The next question would exceed the {allowed.tokens} tokens of the run, of which {tokens} are "
+                    "used; raise llm_max_tokens for more."
+                )
+            if allowed.seconds is not None and spent["milliseconds"] >= 1000 * allowed.seconds:
+                raise BudgetError(
+                    f"The run has used its {allowed.seconds:g} s of language models; raise llm_max_seconds for more."
+                )
+            self._add(request.agent, "calls", 1)
+
+    def count(self, agent: str, reply: ChatReply) -> None:
+        """Count the tokens, retries and duration of a reply."""
+        with self._lock:
+            for name in ("prompt_tokens", "completion_tokens", "cached_tokens", "retries"):
+                self._add(agent, name, getattr(reply, name))
+            self._add(agent, "milliseconds", round(1000 * reply.seconds))
+
+    def count_failure(self, agent: str, error: ModelError) -> None:
+        """Count the retries and duration of a question without a reply."""
+        with self._lock:
+            self._add(agent, "retries", error.retries)
+            self._add(agent, "milliseconds", round(1000 * error.seconds))
+
+    def count_one(self, agent: str, name: str) -> None:
+        """Count a question that is repeated because its answer was unusable (``re_asks``), or a sample without a usable
+        answer (``dropped``)."""
+        with self._lock:
+            self._add(agent, name, 1)
+
+    def seconds_left(self) -> float | None:
+        """The rest of the time budget [s], None for no limit."""
+        with self._lock:
+            if self.budget.seconds is None:
+                return None
+            return max(0.0, self.budget.seconds - self._totals()["milliseconds"] / 1000)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Totals, and under ``agents`` the same per agent; seconds are rounded to ms."""
+        with self._lock:
+            agents = {agent: _with_seconds(counts) for agent, counts in sorted(self._agents.items())}
+            return {**_with_seconds(self._totals()), "agents": agents}
+
+    def _add(self, agent: str, name: str, number: int) -> None:
+        counts = self._agents.setdefault(agent, dict.fromkeys(COUNTS, 0))
+        counts[name] += number
+
+    def _totals(self) -> dict[str, int]:
+        return {name: sum(counts[name] for counts in self._agents.values()) for name in COUNTS}
+
+
+def _with_seconds(counts: dict[str, int]) -> dict[str, Any]:
+    return {
+        ("seconds" if k == "milliseconds" else k): (v / 1000 if k == "milliseconds" else v) for k, v in counts.items()
+    }
+
+
+class BudgetedModel:
+    """A model with a ledger, which checks the budget before each question and counts the cost after it."""
+
+    def __init__(self, model: ChatModel, ledger: Ledger) -> None:
+        self._model = model
+        self._ledger = ledger
+        self.name = model.name
+
+    def complete(self, request: ChatRequest) -> ChatReply:
+        """The model's reply. Raises ModelError, and BudgetError before a call that would exceed the budget."""
+        self._ledger.admit(request)
+        try:
+            with self._ledger.waiting():
+                reply = self._model.complete(request)
+        except ModelError as error:
+            self._ledger.count_failure(request.agent, error)
+            raise
+        self._ledger.count(request.agent, reply)
+        return reply

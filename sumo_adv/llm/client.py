@@ -1,4 +1,4 @@
-"""Chat models and embedding models of any OpenAI-compatible server, and which server a model's name stands for."""
+"""Chat models of any OpenAI-compatible server, and which server a model's name stands for."""
 
 from __future__ import annotations
 
@@ -8,17 +8,14 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
-import numpy as np
 from pydantic import SecretStr
 
 from sumo_adv.config_model import ModelSettings, one_word
-from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError
 from sumo_adv.llm import wire
-from sumo_adv.llm.chat import CUT, ChatModel, ChatReply, ChatRequest, without_thought
-from sumo_adv.llm.ledger import BudgetedModel, Ledger
+from sumo_adv.llm.chat import CUT, BudgetedModel, ChatModel, ChatReply, ChatRequest, Ledger, without_thought
 from sumo_adv.llm.recording import Replay
-from sumo_adv.llm.transport import Clock, Question, ServerConnection, SystemClock
+from sumo_adv.llm.transport import Clock, Question, ServerConnection
 
 REPLAY = "replay:"
 MODES = ("json_schema", "json_object", "text")
@@ -45,7 +42,7 @@ class _Provider:
 
 PROVIDERS = (
     _Provider(("deepseek-",), "https://api.deepseek.com/v1", "DEEPSEEK_API_KEY", "json_object"),
-    _Provider(("gpt-", "chatgpt-", "o1", "o3", "o4", "text-embedding-"), "https://api.openai.com/v1", "OPENAI_API_KEY"),
+    _Provider(("gpt-", "chatgpt-", "o1", "o3", "o4"), "https://api.openai.com/v1", "OPENAI_API_KEY"),
 )
 LOCAL_SERVERS = {
     "ollama:": "http://localhost:11434/v1",
@@ -98,14 +95,7 @@ def connect(
     if name.startswith(REPLAY):
         return BudgetedModel(Replay.open(name.removeprefix(REPLAY)), ledger)
     server = find_server(name, settings, environment)
-    return BudgetedModel(HttpModel(name, server, settings, ledger, clock or SystemClock()), ledger)
-
-
-def connect_embedder(
-    name: str, settings: ModelSettings, *, clock: Clock | None = None, environment: Mapping[str, str] = os.environ
-) -> HttpEmbedder:
-    """The embedding model of that name. Its server is chosen as for a chat model. Raises UsageError."""
-    return HttpEmbedder(name, find_server(name, settings, environment), settings, clock or SystemClock())
+    return BudgetedModel(HttpModel(name, server, settings, ledger, clock or Clock()), ledger)
 
 
 class HttpModel:
@@ -132,7 +122,7 @@ class HttpModel:
         ``wire.LESS_THINKING`` after another, once in a run; the first that helps is kept. Tokens of all tries are
         summed. Raises ModelError, and BudgetError if the run's time ends during the question.
         """
-        with self._connection.question(self._ledger.seconds_left()) as question:
+        with Question(self._connection, self._ledger.seconds_left()) as question:
             reply = self._in_a_mode(question, request, self._less_thinking)
             assert reply is not None
             ways, self._ways = (self._ways, ()) if only_thought(reply) else ((), self._ways)
@@ -173,7 +163,7 @@ class HttpModel:
                 body[limit] = self._answer_tokens
             read = partial(wire.read_reply, request=request, mode=mode)
             last = (mode, limit) == tries[-1] and not or_none
-            reply = question.post("/chat/completions", body, read, none_if_rejected=not last)
+            reply = question.post(body, read, none_if_rejected=not last)
             if reply is not None:
                 if request.schema is not None:
                     self._modes = MODES[MODES.index(mode) :]
@@ -187,24 +177,3 @@ def only_thought(reply: ChatReply) -> bool:
     """Whether the model thought and gave no answer: its thinking was cut off, or holds no JSON object."""
     thought = reply.reasoning or reply.text
     return not without_thought(reply.text) and bool(thought) and (reply.finish == CUT or "{" not in thought)
-
-
-class HttpEmbedder:
-    """An embedding model behind HTTP."""
-
-    BATCH = 128  # texts per request
-
-    def __init__(self, name: str, server: Server, settings: ModelSettings, clock: Clock) -> None:
-        self.name = name
-        self._model = server.model
-        self._connection = ServerConnection(name, server.base_url, server.key, settings, clock)
-
-    def embed(self, texts: Sequence[str]) -> Floats:
-        """One vector per text, shape (n, d). Raises ModelError."""
-        vectors: list[list[float]] = []
-        for start in range(0, len(texts), self.BATCH):
-            part = list(texts[start : start + self.BATCH])
-            body = {"model": self._model, "input": part, "encoding_format": "float"}
-            with self._connection.question(None) as question:
-                vectors += question.post("/embeddings", body, partial(wire.read_vectors, count=len(part))) or []
-        return np.asarray(vectors, dtype=np.float64)

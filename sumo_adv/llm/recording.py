@@ -10,7 +10,7 @@ import hashlib
 import json
 import threading
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -235,12 +235,9 @@ def _exchange(path: Path, place: str, line: str) -> Exchange:
 
 
 def _reply(value: dict[str, Any]) -> ChatReply:
-    return ChatReply(
-        text=str(value["text"]), reasoning=str(value["reasoning"]), prompt_tokens=int(value["prompt_tokens"]),
-        completion_tokens=int(value["completion_tokens"]), cached_tokens=int(value["cached_tokens"]),
-        seconds=float(value["seconds"]), retries=int(value["retries"]), mode=str(value["mode"]),
-        finish=str(value.get("finish", "")),
-    )  # fmt: skip
+    kinds: dict[str, Any] = {f.name: type(f.default) for f in fields(ChatReply) if f.name not in ("text", "finish")}
+    named = {name: kind(value[name]) for name, kind in kinds.items()}
+    return ChatReply(str(value["text"]), **named, finish=str(value.get("finish", "")))
 
 
 def _json(line: str) -> Any:
@@ -256,8 +253,4 @@ def _text(messages: Messages) -> str:
 
 def _common_prefix(a: str, b: str) -> int:
     """Length of the common prefix of two texts."""
-    low, high = 0, min(len(a), len(b))
-    while low < high:
-        middle = (low + high + 1) // 2
-        low, high = (middle, high) if a[:middle] == b[:middle] else (low, middle - 1)
-    return low
+    return next((k for k, (x, y) in enumerate(zip(a, b, strict=False)) if x != y), min(len(a), len(b)))

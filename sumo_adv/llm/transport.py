@@ -1,7 +1,7 @@
 """HTTP requests to one model server: deadline, retries, and the messages of failures.
 
 One deadline holds for a question with all its retries. It is kept by a clock of this module, so a server that hangs or
-sends a byte at a time is cut off too. Errors that may pass (``faults.py``) and broken connections are retried after a
+sends a byte at a time is cut off too. Errors that may pass (``wire.py``) and broken connections are retried after a
 random wait.
 The wait doubles from retry to retry and is never shorter than the server's ``Retry-After``.
 """
@@ -11,12 +11,13 @@ from __future__ import annotations
 import asyncio
 import json
 import random
+import re
 import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from email.utils import parsedate_to_datetime
-from typing import Any, NoReturn, Protocol, TypeVar
+from typing import Any, NoReturn, TypeVar
 from urllib.parse import urlsplit
 
 import httpx
@@ -26,10 +27,13 @@ from sumo_adv import __version__
 from sumo_adv.config_model import ModelSettings
 from sumo_adv.errors import BudgetError, ModelError
 from sumo_adv.llm import wire
-from sumo_adv.llm.blanking import blanker, decoded
 from sumo_adv.llm.chat import run_in_thread
-from sumo_adv.llm.faults import LATER, ServerFault, fault_of
+from sumo_adv.llm.wire import LATER, ServerFault, fault_of
 
+BLANK = "***"
+MOST_BACKSLASHES = 8  # before one character: JSON in JSON in JSON has 7
+
+Blanker = Callable[[str], str]
 MAX_ANSWER_BYTES = 2_000_000
 FIRST_WAIT = 0.5  # s, before the first retry
 MAX_WAIT = 8.0  # s, unless the server asks for more
@@ -37,23 +41,43 @@ LOCAL_HOSTS = ("localhost", "127.0.0.1", "::1")  # reached without a proxy
 T = TypeVar("T")
 
 
-class Clock(Protocol):
-    """Time [s] for waits and deadlines."""
+def blanker(key: str | None) -> Blanker:
+    """A function that returns a text with ``BLANK`` wherever the key is.
+
+    The key is found as it is, and with any of its characters as an escape of JSON, Python, URLs or HTML. Call it before
+    a text is cut, and again on what is decoded from it.
+    """
+    if not key:
+        return lambda text: text
+    spelt = re.compile(r"\x00*".join(map(_spellings, key)))
+    return lambda text: spelt.sub(BLANK, text)
+
+
+def _spellings(character: str) -> str:
+    code = ord(character)
+    numbers = rf"u0*{code:x}|u\{{0*{code:x}\}}|U0*{code:x}|x0*{code:x}|0*{code:o}"
+    slashes = rf"\\{{0,{MOST_BACKSLASHES}}}"
+    return (
+        rf"(?:{slashes}{re.escape(character)}|\\{slashes}(?i:{numbers})"
+        rf"|%(?i:{code:02x})|&#0*{code};|&#(?i:x0*{code:x});)"
+    )
+
+
+def decoded(body: bytes) -> str:
+    """The text of a body in UTF-8, UTF-16 or UTF-32, as JSON tells them apart; what cannot be read is replaced."""
+    return body.decode(json.detect_encoding(body), "replace")
+
+
+class Clock:
+    """The computer's clock, for waits and deadlines [s]."""
 
     def now(self) -> float:
         """A time that only grows."""
-        ...
+        return time.monotonic()
 
     def sleep(self, seconds: float) -> None:
         """Wait."""
-        ...
-
-
-class SystemClock:
-    """The computer's clock."""
-
-    now = staticmethod(time.monotonic)
-    sleep = staticmethod(time.sleep)
+        time.sleep(seconds)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,23 +118,19 @@ class ServerConnection:
         self.jitter = random.Random()
         self.slots = threading.BoundedSemaphore(settings.llm_concurrency)
         self.has_answered = False
-        self._base_url = base_url
+        self._url = f"{base_url}/chat/completions"
         self._use_proxy = urlsplit(base_url).hostname not in LOCAL_HOSTS
         self._key = key.get_secret_value() if key is not None else None
         self.blank = blanker(self._key)  # apply it to every text of the server before it is cut, shown or kept
 
-    def question(self, seconds_left: float | None) -> Question:
-        """A new question. ``seconds_left``: the rest of the run's time for models [s], None for no limit."""
-        return Question(self, seconds_left)
-
-    def send(self, path: str, body: bytes, seconds: float) -> _Response:
+    def send(self, body: bytes, seconds: float) -> _Response:
         """POST ``body`` and read the whole answer within ``seconds``; the key is blanked out in it.
 
         Raises TimeoutError, httpx.HTTPError, _TooLarge, _Compressed.
         """
-        return run_in_thread(lambda: asyncio.run(asyncio.wait_for(self._exchange(path, body), seconds))).result()
+        return run_in_thread(lambda: asyncio.run(asyncio.wait_for(self._exchange(body), seconds))).result()
 
-    async def _exchange(self, path: str, body: bytes) -> _Response:
+    async def _exchange(self, body: bytes) -> _Response:
         headers = {
             "Content-Type": "application/json", "User-Agent": f"sumo-adv/{__version__}", "Accept-Encoding": "identity",
         }  # fmt: skip
@@ -119,7 +139,7 @@ class ServerConnection:
         timeout = httpx.Timeout(self.settings.llm_read_timeout, connect=self.settings.llm_connect_timeout)
         async with (
             httpx.AsyncClient(timeout=timeout, trust_env=self._use_proxy) as client,
-            client.stream("POST", self._base_url + path, content=body, headers=headers) as response,
+            client.stream("POST", self._url, content=body, headers=headers) as response,
         ):
             encoding = response.headers.get("content-encoding", "identity").strip().lower()
             if encoding not in ("", "identity"):  # 2 kB may unpack to 3 GB
@@ -138,7 +158,10 @@ class ServerConnection:
 
 
 class Question:
-    """One question to a server with all its retries. As a context manager it holds one of the server's slots."""
+    """One question to a server with all its retries. As a context manager it holds one of the server's slots.
+
+    ``seconds_left``: the rest of the run's time for models [s], None for no limit.
+    """
 
     def __init__(self, server: ServerConnection, seconds_left: float | None) -> None:
         self._server = server
@@ -160,12 +183,7 @@ class Question:
         return round(self._server.clock.now() - self._began, 3)
 
     def post(
-        self,
-        path: str,
-        body: Mapping[str, Any],
-        read: Callable[[Mapping[str, Any]], T],
-        *,
-        none_if_rejected: bool = False,
+        self, body: Mapping[str, Any], read: Callable[[Mapping[str, Any]], T], *, none_if_rejected: bool = False
     ) -> T | None:
         """Send ``body`` and return ``read(answer)``. Raises ModelError, BudgetError.
 
@@ -173,9 +191,9 @@ class Question:
         """
         raw = json.dumps(body).encode()
         for number in range(self._server.settings.llm_retries + 1):
-            result = self._try(path, raw)
+            result = self._try(raw)
             if isinstance(result, _Response):
-                value, unreadable = _object_in(result.body)
+                value, unreadable = wire.read_json(result.body)
                 fault = fault_of(result.status, value)
                 if fault is not None:
                     if fault.of_a_field and none_if_rejected:
@@ -192,13 +210,13 @@ class Question:
             self._wait(number, result)
         raise AssertionError("the last try answers or raises")
 
-    def _try(self, path: str, raw: bytes) -> _Response | _Failure:
+    def _try(self, raw: bytes) -> _Response | _Failure:
         """Send the question once. Raises ModelError for a failure that a retry cannot change."""
         left = self._allowed - (self._server.clock.now() - self._began)
         if left <= 0:
             self._fail_for_time()
         try:
-            answer = self._server.send(path, raw, left)
+            answer = self._server.send(raw, left)
         except TimeoutError:
             self._fail_for_time()
         except _TooLarge:
@@ -261,21 +279,13 @@ class Question:
 
     def _server_text(self, answer: _Response) -> str:
         """The text that a server gives with its status, after a colon."""
-        value, _ = _object_in(answer.body)
+        value, _ = wire.read_json(answer.body)
         text = self._server.quoted(answer.body[:1000] if value is None else wire.error_text(value))
         return f": {text.rstrip('.')}" if text else ""
 
     def _fail(self, reason: str) -> NoReturn:
         message = f"The server {self._server.host} of model {self._server.model} {reason}"
         raise ModelError(message.rstrip(".") + ".", retries=self.retries, seconds=self.seconds())
-
-
-def _object_in(body: str) -> tuple[dict[str, Any] | None, str]:
-    """The JSON object of a body and nothing, or None and why it cannot be read."""
-    try:
-        return wire.read_json(body), ""
-    except wire.InvalidAnswer as error:
-        return None, str(error)
 
 
 def _retry_after(headers: Mapping[str, str]) -> float:

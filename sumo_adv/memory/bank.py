@@ -17,40 +17,41 @@ from types import TracebackType
 
 import numpy as np
 
-from sumo_adv.datatypes import Floats, Planner
+from sumo_adv.datatypes import Planner
 from sumo_adv.errors import BankError
 from sumo_adv.memory import edits, rows
-from sumo_adv.memory.composition_record import Composition, composition_of, counted, plain_composition
 from sumo_adv.memory.migrations import Clock, utc_now
 from sumo_adv.memory.recall import LIMIT, SceneIndex, allows
 from sumo_adv.memory.records import (
-    BankStatistics,
+    COMPOSITION,
+    Composition,
     Evidence,
     IntentRecord,
-    LabelStatistics,
     Retrieval,
     SceneSignature,
     Source,
     canonical,
+    composition_of,
+    counted,
+    plain_composition,
 )
-from sumo_adv.memory.similarity import Similarity, TextAndSlots
+from sumo_adv.memory.similarity import TextAndSlots
 from sumo_adv.memory.store import open_file, sentences
 
 NEAREST = 5  # labels in a retrieval
+EPSILON_KEY = f"{rows.EPSILON}{TextAndSlots.name}"  # of the bank's setting
 BAND = 0.1  # share of epsilon; nearer to epsilon than this a retrieval is uncertain
 
 
 class MemoryBank:
     """An open bank. Use it in a ``with`` statement. All methods that touch the file raise BankError."""
 
-    def __init__(
-        self, connection: sqlite3.Connection, path: Path, writable: bool, similarity: Similarity, clock: Clock
-    ) -> None:
+    def __init__(self, connection: sqlite3.Connection, path: Path, writable: bool, clock: Clock) -> None:
         """Use ``MemoryBank.open``."""
         self.path = path
         self.writable = writable
         self._connection = connection
-        self._similarity = similarity
+        self._similarity = TextAndSlots()
         self._clock = clock
         self._content = rows.load(connection)
         self._fitted: dict[str, int] | None = None  # label -> index in the fitted similarity
@@ -58,13 +59,7 @@ class MemoryBank:
 
     @classmethod
     def open(
-        cls,
-        path: Path,
-        *,
-        seed_from: Path | None = None,
-        read_only: bool = False,
-        similarity: Similarity | None = None,
-        clock: Clock = utc_now,
+        cls, path: Path, *, seed_from: Path | None = None, read_only: bool = False, clock: Clock = utc_now
     ) -> MemoryBank:
         """The bank at ``path``. A missing file is created as a copy of ``seed_from``, or blank.
 
@@ -77,7 +72,7 @@ class MemoryBank:
         connection, writable = open_file(path, seed_from=seed_from, read_only=read_only, clock=clock)
         try:
             with sentences(path):
-                return cls(connection, path, writable, similarity or TextAndSlots(), clock)
+                return cls(connection, path, writable, clock)
         except BaseException:
             connection.close()
             raise
@@ -161,19 +156,11 @@ class MemoryBank:
         return {key: value for key, value in self._content.settings.items() if key.startswith(prefix)}
 
     def epsilon(self) -> tuple[float, str]:
-        """The distance up to which an intent counts as known, by the metric in use, and its calibration data.
-
-        Raises BankError for a metric without a calibration.
-        """
-        value = self._content.settings.get(f"epsilon.{self._similarity.name}")
+        """The distance up to which an intent counts as known, and its calibration data."""
+        value = self._content.settings.get(EPSILON_KEY)
         if isinstance(value, dict):
             return float(value["epsilon"]), str(value["calibrated_on"])
-        if self._similarity.epsilon is None:
-            raise BankError(
-                f"The memory bank {self.path} has no epsilon for the metric {self._similarity.name}; "
-                "measure one: memory calibrate PARAPHRASES.toml --metric .. --store."
-            )
-        return self._similarity.epsilon, self._similarity.calibrated_on
+        return TextAndSlots.epsilon, TextAndSlots.calibrated_on
 
     def retrieve(self, label: str, description: str = "") -> Retrieval:
         """The paper's j* = argmin d(phi', phi_j) among active intents; a hit if d <= epsilon.
@@ -191,7 +178,8 @@ class MemoryBank:
         same = self.intent(rows.resolve(self._content.settings, label))
         if same is not None and same.status == "active":
             distances[self._fitted[same.label]] = 0.0
-        nearest = _nearest(list(self._fitted), distances)
+        labels = list(self._fitted)
+        nearest = [(labels[i], float(distances[i])) for i in np.argsort(distances, kind="stable")[:NEAREST]]
         first, distance = nearest[0]
         band = abs(distance - epsilon) <= BAND * epsilon
         return Retrieval(first if distance <= epsilon else None, distance, epsilon, nearest, band)
@@ -205,20 +193,6 @@ class MemoryBank:
         for line in sorted(json.dumps(item, sort_keys=True) for item in rows.canonical_items(self._content)):
             digest.update(line.encode() + b"\n")
         return digest.hexdigest()
-
-    def statistics(self) -> BankStatistics:
-        """Counts over the bank and per intent."""
-        by_label = {
-            record.label: _label_statistics(self._content.planners.get(key, ()), self.evidence(record.label))
-            for key, record in self._content.intents.items()
-        }
-        return BankStatistics(
-            intents=len(self._content.intents),
-            active=sum(record.status == "active" for record in self._content.intents.values()),
-            planners=sum(map(len, self._content.planners.values())),
-            evidence=len(self._content.evidence),
-            by_label=by_label,
-        )
 
     # writing
 
@@ -237,7 +211,7 @@ class MemoryBank:
         if planner is not None and planner.hash != evidence.planner_hash:
             raise BankError(f"The evidence for {evidence.label!r} names another planner than the one given.")
         status = "active" if evidence.success else "retired"
-        with self._writing() as stamp:
+        with self._writing(refresh=False) as stamp:
             label = rows.resolve(rows.read_settings(self._connection), evidence.label)
             if intent is not None and label == evidence.label:
                 rows.insert_intent(
@@ -259,7 +233,6 @@ class MemoryBank:
         """Set one setting, a JSON value, in one transaction. Raises BankError."""
         with self._writing():
             rows.write_setting(self._connection, key, value)
-        self.refresh()
 
     def record_composition(self, composition: Composition, attempts: Sequence[bool]) -> bool:
         """Count attempts with a composition, True for each success, in one transaction. An unknown composition is added
@@ -269,7 +242,6 @@ class MemoryBank:
             after = counted(None if before is None else composition_of(before), composition, attempts)
             if after is not None:
                 rows.write_setting(self._connection, composition.key, plain_composition(after))
-        self.refresh()
         return after is not None
 
     def add(self, intent: IntentRecord, planners: Iterable[Planner] = ()) -> None:
@@ -291,9 +263,7 @@ class MemoryBank:
         Raises BankError.
         """
         with self._writing() as stamp:
-            added = edits.absorb(self._connection, sources, stamp, unique_modes=unique_modes, compositions=compositions)
-        self.refresh()
-        return added
+            return edits.absorb(self._connection, sources, stamp, unique_modes=unique_modes, compositions=compositions)
 
     def merge(self, label: str, into: str) -> None:
         """Move planners and evidence of intent ``label`` to the active intent ``into``, in one transaction.
@@ -303,7 +273,6 @@ class MemoryBank:
         """
         with self._writing() as stamp:
             edits.merge(self._connection, label, into, stamp)
-        self.refresh()
 
     def retire(self, label: str, mode: str | None = None, *, back: bool = False) -> None:
         """Retire an intent, or its planners of one ``mode``. An intent without active planners is retired too.
@@ -313,18 +282,17 @@ class MemoryBank:
         """
         with self._writing():
             edits.retire(self._connection, label, mode, back=back)
-        self.refresh()
 
     def set_epsilon(self, epsilon: float, calibrated_on: str) -> None:
-        """Store the epsilon of the metric in use and its calibration data. Raises BankError."""
-        with self._writing():
-            value = {"epsilon": epsilon, "calibrated_on": calibrated_on}
-            rows.write_setting(self._connection, f"epsilon.{self._similarity.name}", value)
-        self.refresh()
+        """Store the epsilon and its calibration data. Raises BankError."""
+        self.keep(EPSILON_KEY, {"epsilon": epsilon, "calibrated_on": calibrated_on})
 
     @contextlib.contextmanager
-    def _writing(self) -> Iterator[str]:
-        """One IMMEDIATE transaction, rolled back on any error. Yields the time stamp of its rows."""
+    def _writing(self, *, refresh: bool = True) -> Iterator[str]:
+        """One IMMEDIATE transaction, rolled back on any error. Yields the time stamp of its rows.
+
+        refresh: read the file again afterwards.
+        """
         if not self.writable:
             raise BankError(f"The memory bank {self.path} is read-only; give another path, or make it writable.")
         with sentences(self.path):
@@ -336,6 +304,8 @@ class MemoryBank:
                 if self._connection.in_transaction:
                     self._connection.execute("ROLLBACK")
                 raise
+        if refresh:
+            self.refresh()
 
     def _remember(self, evidence: Evidence, intent: IntentRecord, planner: Planner, status: str) -> None:
         """Add written rows to the content in memory."""
@@ -354,21 +324,28 @@ class MemoryBank:
         self._scenes = None
 
 
-def _label_statistics(planners: Sequence[Planner], evidence: Sequence[Evidence]) -> LabelStatistics:
-    return LabelStatistics(
-        planners=len(planners),
-        evidence=len(evidence),
-        successes=sum(e.success for e in evidence),
-        collisions=sum(e.collided for e in evidence),
-        valid=sum(e.valid is True for e in evidence),
-        attempts=sum(e.attempts for e in evidence),
-    )
+# Composed intents: a composition is kept under the settings of the bank (``COMPOSITION``), is found by its own label or
+# description, and is forgotten once ``FORGET`` attempts in a row have failed. Planners stay with their intents.
 
 
-def _nearest(labels: Sequence[str], distances: Floats) -> list[tuple[str, float]]:
-    """The ``NEAREST`` nearest labels and their distances, nearest first; ties keep the order of ``labels``."""
-    count = min(NEAREST, len(distances))
-    worst = np.partition(distances, count - 1)[count - 1]
-    candidates = np.flatnonzero(distances <= worst)
-    order = candidates[np.argsort(distances[candidates], kind="stable")][:count]
-    return [(labels[i], float(distances[i])) for i in order]
+def compositions(bank: MemoryBank) -> list[Composition]:
+    """The compositions of a bank by label; those that are forgotten are left out."""
+    return [composition for composition in all_compositions(bank) if not composition.hopeless]
+
+
+def all_compositions(bank: MemoryBank) -> list[Composition]:
+    """The compositions of a bank by label, also those that are forgotten."""
+    return [composition_of(value) for _, value in sorted(bank.settings(COMPOSITION).items())]
+
+
+def retrieve_composition(bank: MemoryBank, label: str, description: str) -> Composition | None:
+    """The composition of a bank that means the same by its own label or description; None if none is near enough."""
+    candidates = compositions(bank)
+    same = next((c for c in candidates if canonical(c.label) == canonical(label)), None)
+    if same is not None or not candidates:
+        return same
+    similarity = TextAndSlots()
+    similarity.fit([(c.label, c.description) for c in candidates])
+    distances = similarity.distances(label, description)
+    nearest = int(distances.argmin())
+    return candidates[nearest] if distances[nearest] <= bank.epsilon()[0] else None

@@ -9,24 +9,36 @@ the folders may hold tables ``[[compositions]]``. Nothing here runs a planner.
 
 from __future__ import annotations
 
-import os
-import tempfile
-from collections.abc import Callable, Iterable, Mapping
+import csv
+import io
+import json
+import math
+import sqlite3
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from string import Template
 from typing import Any
 
-from sumo_adv.datatypes import Parameter, Planner
+from sumo_adv.datatypes import Parameter, Planner, acceleration_of, plain_acceleration
 from sumo_adv.errors import BankError, SumoAdvError
 from sumo_adv.memory import edits, rows
-from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.memory.composition_record import Composition, composition_of, plain_composition
-from sumo_adv.memory.compositions import all_compositions
-from sumo_adv.memory.evidence_csv import read_evidence
+from sumo_adv.memory.bank import EPSILON_KEY, MemoryBank, all_compositions
 from sumo_adv.memory.migrations import APPLICATION_ID, Clock, migrate
-from sumo_adv.memory.records import STATUSES, IntentRecord, Source, canonical
+from sumo_adv.memory.records import (
+    FLAGS,
+    STATUSES,
+    Composition,
+    Evidence,
+    IntentRecord,
+    SceneSignature,
+    Source,
+    canonical,
+    composition_of,
+    named_numbers,
+    plain_composition,
+)
 from sumo_adv.memory.similarity import TextAndSlots
-from sumo_adv.memory.store import connect, publish, sentences
+from sumo_adv.memory.store import make_file, sentences
 from sumo_adv.parsing import parse_toml
 
 Parse = Callable[[str], tuple[Parameter, ...]]
@@ -45,6 +57,11 @@ MAX_EVIDENCE_BYTES = 64 * 1024 * 1024
 _KEYS = {"label": str, "description": str, "applies": list}
 _MORE_KEYS = {"shared": dict, "status": str, "merged_into": str, "planners": dict}
 _PLANNER_KEYS = {"mode", "origin", "parent", "status"}
+COLUMNS = (
+    "planner", "geometry", "relation", "controller", "relative", "parameters", "acceleration", "delay", "attempts",
+    "min_ttc", *FLAGS, "version", "network", "seed",
+)  # fmt: skip
+MOST_ROWS = 200_000  # of a file: about 150 MB in memory
 
 
 def read_sources(folder: Path, parse: Parse, refuse: Refuse | None = None) -> list[Source]:
@@ -177,18 +194,11 @@ def _read_source(file: Path, parse: Parse, refuse: Refuse | None = None) -> Sour
     if len(set(hashes.values())) < len(planners):
         raise BankError(f"{folder} has two planners with the same text; each mode needs its own.")
     retired = frozenset(hashes[n] for n, each in details.items() if n in hashes and each.get("status") == "retired")
-    evidence_file = folder / EVIDENCE_FILE
-    evidence = (
-        read_evidence(
-            _read_text(evidence_file, MAX_EVIDENCE_BYTES),
-            intent.label,
-            hashes,
-            str(evidence_file),
-            left_out=set(names) - set(hashes),
-        )
-        if evidence_file.exists() or evidence_file.is_symlink()
-        else ()
-    )
+    file = folder / EVIDENCE_FILE
+    evidence: tuple[Evidence, ...] = ()
+    if file.exists() or file.is_symlink():
+        left_out = set(names) - set(hashes)
+        evidence = read_evidence(_read_text(file, MAX_EVIDENCE_BYTES), intent.label, hashes, str(file), left_out)
     return Source(intent, tuple(planners.values()), retired, evidence, merged_into)
 
 
@@ -225,9 +235,11 @@ def build(folder: Path, target: Path, parse: Parse) -> None:
 
     The file is in rollback-journal mode, so that reading it makes no files beside it. Raises BankError.
     """
-    key, value = epsilon_setting()
-    composed = {c.key: plain_composition(c) for c in read_compositions(folder)}
-    _write(target, read_sources(folder, parse), {key: value, **composed}, lambda: SEED_TIME, replace=True)
+    settings: dict[str, object] = {
+        EPSILON_KEY: {"epsilon": TextAndSlots.epsilon, "calibrated_on": TextAndSlots.calibrated_on},
+        **{c.key: plain_composition(c) for c in read_compositions(folder)},
+    }
+    _write(target, read_sources(folder, parse), settings, lambda: SEED_TIME, replace=True)
 
 
 def write_part(bank: MemoryBank, target: Path, labels: Iterable[str], clock: Clock) -> list[str]:
@@ -251,88 +263,118 @@ def write_part(bank: MemoryBank, target: Path, labels: Iterable[str], clock: Clo
         for c in all_compositions(bank)
         if left_out.isdisjoint(canonical(part.intent) for part in c.parts)
     }
-    _write(target, sources, {**bank.settings("epsilon."), **composed}, clock, replace=False)
+    _write(target, sources, {**bank.settings(rows.EPSILON), **composed}, clock, replace=False)
     return [source.intent.label for source in sources]
 
 
 def _write(target: Path, sources: list[Source], settings: Mapping[str, object], clock: Clock, *, replace: bool) -> None:
     """A bank at ``target``, whole or not at all; one that exists is kept unless ``replace``."""
-    with sentences(target):
-        target.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{target.name}-", suffix=".new", dir=target.parent)
-        os.close(handle)
-        fresh = Path(name)
-        try:
-            _fill(fresh, sources, settings, clock)
-            fresh.chmod(0o644)
-            if replace:
-                fresh.replace(target)
-            else:
-                publish(fresh, target)
-        finally:
-            for leftover in (fresh, fresh.with_name(fresh.name + "-journal")):
-                leftover.unlink(missing_ok=True)
 
-
-def _fill(fresh: Path, sources: list[Source], settings: Mapping[str, object], clock: Clock) -> None:
-    connection = connect(fresh, "mode=rw")
-    try:
+    def fill(connection: sqlite3.Connection) -> None:
         connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
-        migrate(connection, str(fresh), clock)
+        migrate(connection, str(target), clock)
         connection.execute("BEGIN IMMEDIATE")
         edits.absorb(connection, sources, clock(), unique_modes=False)
         for key, value in settings.items():
             rows.write_setting(connection, key, value)
         connection.execute("COMMIT")
-    finally:
-        connection.close()
+
+    with sentences(target):
+        make_file(target, fill, replace=replace)
 
 
-def epsilon_setting() -> tuple[str, dict[str, object]]:
-    """Key and value of the setting that a built bank carries: the default metric's epsilon."""
-    return f"epsilon.{TextAndSlots.name}", {
-        "epsilon": TextAndSlots.epsilon, "calibrated_on": TextAndSlots.calibrated_on,
-    }  # fmt: skip
+# Evidence as a CSV file, one row a piece, sorted. Columns: ``planner`` (the name of its file without ``.py``), then
+# those of Evidence; ``relative`` and ``parameters`` are JSON objects of numbers, ``acceleration`` is a number or a JSON
+# list of [time, m/s2], yes or no is 1 or 0, and what does not arise (or a TTC that is never) is empty. Time stamps are
+# left out: they are no part of a bank's content.
 
 
-def verify_same(folder: Path, bank_path: Path, parse: Parse) -> list[str]:
-    """How the bank at ``bank_path``, which is only read, differs from the sources; empty if it does not.
+def write_evidence(evidence: Sequence[Evidence], names: Mapping[str, str]) -> str:
+    """The text of the file; ``names``: planner hash -> name of its file."""
+    lines = io.StringIO()
+    writer = csv.writer(lines, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    writer.writerows(sorted(_row(each, names[each.planner_hash]) for each in evidence))
+    return lines.getvalue()
 
-    Each difference is one sentence. Raises BankError if either cannot be read.
+
+def _row(e: Evidence, name: str) -> list[str]:
+    return [
+        name, e.scene.geometry, e.scene.relation, e.scene.controller,
+        json.dumps(dict(e.scene.relative), sort_keys=True), json.dumps(dict(e.parameters), sort_keys=True),
+        json.dumps(plain_acceleration(e.acceleration)), repr(float(e.delay)), str(e.attempts),
+        "" if math.isinf(e.min_ttc) else repr(float(e.min_ttc)),
+        *("" if (flag := getattr(e, name)) is None else str(int(flag)) for name in FLAGS),
+        e.version, e.network, str(e.seed),
+    ]  # fmt: skip
+
+
+def read_evidence(
+    text: str, label: str, hashes: Mapping[str, str], where: str, left_out: Collection[str] = ()
+) -> tuple[Evidence, ...]:
+    """Evidence about ``label`` from the text of a file; ``hashes``: name of a planner's file -> its hash; rows about
+    the planners in ``left_out`` are passed over.
+
+    Raises BankError with the line, ``where`` being the file's name for the sentence.
     """
-    sources = read_sources(folder, parse)
-    with MemoryBank.open(bank_path, read_only=True) as bank:
-        held = {source.intent.label: source for source in bank.sources()}
-        intents = {label: source.intent for label, source in held.items()}
-        by_label = {source.intent.label: source for source in sources}
-        differences = [f"The bank lacks the intent {label!r}." for label in by_label if label not in intents]
-        differences += [f"The sources lack the intent {label!r}." for label in intents if label not in by_label]
-        for label, source in by_label.items():
-            if label in intents:
-                differences += _compare(source, intents[label], held[label].planners)
-        if {c.key: c for c in all_compositions(bank)} != {c.key: c for c in read_compositions(folder)}:
-            differences.append("The bank holds other compositions than the sources.")
-        if len(bank.evidence()) != sum(len(source.evidence) for source in sources):
-            differences.append("The bank holds evidence that the sources have not, or the other way round.")
-        value = epsilon_setting()[1]
-        if bank.epsilon() != (value["epsilon"], value["calibrated_on"]):
-            differences.append("The bank has another epsilon than the program.")
-    return differences
+    try:
+        lines = csv.reader(io.StringIO(text), strict=True)
+        head = tuple(next(lines, ()))
+        if head != COLUMNS:
+            raise BankError(f"{where} must have the columns {', '.join(COLUMNS)}.")
+        evidence: list[Evidence] = []
+        for row in lines:
+            if len(evidence) >= MOST_ROWS:
+                raise BankError(f"{where} has more than {MOST_ROWS} rows; leave old ones out.")
+            if row and row[0] in left_out:
+                continue
+            try:
+                evidence.append(_evidence(dict(zip(COLUMNS, row, strict=True)), label, hashes))
+            except (ValueError, KeyError, TypeError, RecursionError, BankError) as error:
+                fault = str(error).rstrip(".")
+                raise BankError(f"{where}, line {lines.line_num}, is no evidence: {fault}.") from error
+    except csv.Error as error:
+        raise BankError(f"{where} cannot be read as CSV: {error}.") from error
+    return tuple(evidence)
 
 
-def _compare(source: Source, found: IntentRecord, planners: Iterable[Planner]) -> list[str]:
-    label = found.label
-    differences = (
-        [] if found == source.intent else [f"The intent {label!r} differs in description, relations or status."]
+def _evidence(row: Mapping[str, str], label: str, hashes: Mapping[str, str]) -> Evidence:
+    if row["planner"] not in hashes:
+        raise ValueError(f"there is no planner {row['planner'][:80]!r}")
+    for name in ("geometry", "relation", "controller", "version", "network"):
+        if len(row[name]) > 200 or not row[name].isprintable():
+            raise ValueError(f"{name} must be short text")
+    flags: dict[str, Any] = {
+        name: None if not row[name] and name in ("valid", "strict") else _flag(row[name]) for name in FLAGS
+    }
+    return Evidence(
+        label=label,
+        planner_hash=hashes[row["planner"]],
+        scene=SceneSignature(row["geometry"], row["relation"], _numbers(row["relative"]), row["controller"]),
+        attempts=int(row["attempts"]),
+        min_ttc=_number(row["min_ttc"]) if row["min_ttc"] else math.inf,
+        **flags,
+        version=row["version"],
+        network=row["network"],
+        seed=int(row["seed"]),
+        parameters=_numbers(row["parameters"]),
+        acceleration=acceleration_of(json.loads(row["acceleration"])),
+        delay=_number(row["delay"]),
     )
-    expected = {planner.hash: planner for planner in source.planners}
-    stored = {planner.hash: planner for planner in planners}
-    for planner in source.planners:
-        if planner.hash not in stored:
-            differences.append(f"The bank lacks the planner {planner.mode!r} of {label!r} as the sources have it.")
-        elif stored[planner.hash] != planner:
-            differences.append(f"The planner {planner.mode!r} of {label!r} differs in mode, parameters or origin.")
-    for planner in planners:
-        if planner.hash not in expected:
-            differences.append(f"The sources lack the planner {planner.mode!r} of {label!r} as the bank has it.")
-    return differences
+
+
+def _flag(text: str) -> bool:
+    if text not in ("0", "1"):
+        raise ValueError(f"yes or no is 1 or 0, not {text[:20]!r}")
+    return text == "1"
+
+
+def _number(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{text[:20]!r} is not a finite number")
+    return value
+
+
+def _numbers(text: str) -> dict[str, float]:
+    return named_numbers(json.loads(text))

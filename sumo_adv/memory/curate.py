@@ -1,9 +1,13 @@
-"""What a person may want to do about a bank: merge intents, retire planners. Proposals only, nothing is changed."""
+"""What a bank's evidence adds up to, and what a person may want to do about it: merge intents, retire planners.
+
+Proposals only, nothing is changed.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from sumo_adv.memory.bank import MemoryBank
 
@@ -53,6 +57,25 @@ def near_duplicates(bank: MemoryBank) -> list[MergeProposal]:
         for later in labels[1:]:
             proposals[later, labels[0]] = MergeProposal(later, labels[0], 0.0, "they have a planner with the same text")
     return sorted(proposals.values(), key=lambda proposal: (proposal.distance, proposal.label, proposal.into))
+
+
+def statistics(bank: MemoryBank) -> dict[str, Any]:
+    """Counts over the bank, and under ``by_label`` for each intent; ``attempts``: the sum over its evidence."""
+    sources = bank.sources()
+    by_label = {}
+    for source in sources:
+        successes = sum(e.success for e in source.evidence)
+        by_label[source.intent.label] = {
+            "planners": len(source.planners), "evidence": len(source.evidence), "successes": successes,
+            "collisions": sum(e.collided for e in source.evidence),
+            "valid": sum(e.valid is True for e in source.evidence),
+            "attempts": sum(e.attempts for e in source.evidence), "failures": len(source.evidence) - successes,
+        }  # fmt: skip
+    return {
+        "intents": len(sources), "active": sum(source.intent.status == "active" for source in sources),
+        "planners": sum(len(source.planners) for source in sources),
+        "evidence": sum(len(source.evidence) for source in sources), "by_label": by_label,
+    }  # fmt: skip
 
 
 def planner_counts(bank: MemoryBank) -> list[PlannerCounts]:

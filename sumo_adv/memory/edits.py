@@ -11,14 +11,22 @@ from collections import Counter
 from collections.abc import Collection, Iterable
 from dataclasses import asdict, dataclass, replace
 
-from sumo_adv.datatypes import Planner
 from sumo_adv.errors import BankError
 from sumo_adv.memory import rows
-from sumo_adv.memory.composition_record import COMPOSITION, Composition, composition_of, plain_composition, renamed
-from sumo_adv.memory.records import Evidence, IntentRecord, Source, canonical
+from sumo_adv.memory.records import (
+    COMPOSITION,
+    Composition,
+    Evidence,
+    IntentRecord,
+    Source,
+    canonical,
+    composition_of,
+    plain_composition,
+    renamed,
+)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Absorbed:
     """How much of an offer was new."""
 
@@ -26,12 +34,6 @@ class Absorbed:
     planners: int = 0
     evidence: int = 0
     compositions: int = 0
-
-    def __add__(self, other: Absorbed) -> Absorbed:
-        return Absorbed(
-            self.intents + other.intents, self.planners + other.planners, self.evidence + other.evidence,
-            self.compositions + other.compositions,
-        )  # fmt: skip
 
 
 def absorb(
@@ -42,9 +44,9 @@ def absorb(
     sources = list(sources)
     added = Absorbed()
     content = rows.read(connection)
-    held = Counter(evidence_key(evidence) for evidence in content.evidence)
+    held = Counter(_evidence_key(evidence) for evidence in content.evidence)
     for source in sources:
-        added += _absorb_one(connection, source, content, held, now, unique_modes=unique_modes)
+        _absorb_one(connection, source, content, held, now, added, unique_modes)
     for source in sources:
         key = canonical(source.intent.label)
         if source.merged_into is not None and key not in content.intents:
@@ -56,43 +58,38 @@ def absorb(
     for composition in compositions:
         if composition.key not in content.settings:
             rows.write_setting(connection, composition.key, plain_composition(composition))
-            added += Absorbed(compositions=1)
+            added.compositions += 1
     return added
 
 
 def _absorb_one(
-    connection: sqlite3.Connection,
-    source: Source,
-    content: rows.Content,
-    held: Counter[str],
-    now: str,
-    *,
-    unique_modes: bool,
-) -> Absorbed:
+    connection: sqlite3.Connection, source: Source, content: rows.Content, held: Counter[str], now: str,
+    added: Absorbed, unique_modes: bool,
+) -> None:  # fmt: skip
     label = rows.resolve(content.settings, source.intent.label)
     key = canonical(label)
-    fresh = key not in content.intents
-    if fresh:
+    if key not in content.intents:
         rows.insert_intent(connection, source.intent, now)
+        added.intents += 1
     else:
         label = content.intents[key].label
     held_planners = content.planners.get(key, [])
     hashes, modes = {planner.hash for planner in held_planners}, {planner.mode for planner in held_planners}
-    planners = [planner for planner in source.planners if planner.hash not in hashes]
-    for planner in planners:
+    for planner in source.planners:
+        if planner.hash in hashes:
+            continue
         named = replace(planner, mode=free_mode(planner.mode, modes)) if unique_modes else planner
         modes.add(named.mode)
         status = "retired" if planner.hash in source.retired else "active"
         rows.insert_planner(connection, label, named, now, status)
-    count = 0
+        added.planners += 1
     for evidence in source.evidence:
         relabelled = replace(evidence, label=label)
-        if held[evidence_key(relabelled)] > 0:
-            held[evidence_key(relabelled)] -= 1
+        if held[_evidence_key(relabelled)] > 0:
+            held[_evidence_key(relabelled)] -= 1
         else:
             rows.insert_evidence(connection, relabelled, now, wake=False)
-            count += 1
-    return Absorbed(int(fresh), len(planners), count)
+            added.evidence += 1
 
 
 def free_mode(mode: str, taken: Collection[str]) -> str:
@@ -104,7 +101,7 @@ def free_mode(mode: str, taken: Collection[str]) -> str:
     return name
 
 
-def evidence_key(evidence: Evidence) -> str:
+def _evidence_key(evidence: Evidence) -> str:
     """The content of a piece of evidence as text, without its time stamp; equal for equal pieces."""
     plain = asdict(evidence)
     del plain["created"]
@@ -165,15 +162,12 @@ def retire(connection: sqlite3.Connection, label: str, mode: str | None, *, back
         _set_planner(connection, key, planner.hash, status)
     gone = {planner.hash for planner in planners if (key, planner.hash) in content.retired}
     touched = {planner.hash for planner in chosen}
-    left = _active_planners(planners, gone - touched if back else gone | touched)
+    gone = gone - touched if back else gone | touched
+    left = [planner for planner in planners if planner.hash not in gone]
     if back and not left:
         raise BankError(f"The intent {record.label!r} has no active planner; say --mode to bring one back too.")
     if mode is None or back or not left:
         _set_intent(connection, key, status)
-
-
-def _active_planners(planners: Iterable[Planner], gone: Collection[str]) -> list[Planner]:
-    return [planner for planner in planners if planner.hash not in gone]
 
 
 def _known(content: rows.Content, label: str) -> IntentRecord:

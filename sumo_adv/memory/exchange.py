@@ -16,8 +16,8 @@ from pathlib import Path
 
 from sumo_adv.datatypes import Planner
 from sumo_adv.errors import BankError
-from sumo_adv.files import toml_text
-from sumo_adv.memory.bank import MemoryBank
+from sumo_adv.files import toml_lines, toml_text
+from sumo_adv.memory.bank import MemoryBank, all_compositions
 from sumo_adv.memory.build import (
     COMPOSITIONS_FILE,
     EVERYTHING,
@@ -25,12 +25,10 @@ from sumo_adv.memory.build import (
     Parse,
     read_compositions,
     read_sources,
+    write_evidence,
 )
-from sumo_adv.memory.composition_record import Composition
-from sumo_adv.memory.compositions import all_compositions
 from sumo_adv.memory.edits import Absorbed, free_mode
-from sumo_adv.memory.evidence_csv import write_evidence
-from sumo_adv.memory.records import IntentRecord, Source, canonical
+from sumo_adv.memory.records import Composition, IntentRecord, Source, canonical, plain_composition
 from sumo_adv.memory.store import sentences
 
 Verify = Callable[[IntentRecord, Planner], str | None]
@@ -142,13 +140,11 @@ def _write_source(folder: Path, source: Source) -> None:
 
 
 def _composition(c: Composition) -> str:
-    lines = [
-        "[[compositions]]", f"label = {toml_text(c.label)}", f"description = {toml_text(c.description)}",
-        f"succeeded = {c.succeeded}", f"failed = {c.failed}",
-    ]  # fmt: skip
-    for part in c.parts:
-        fields = {"role": str(part.duty), "intent": part.intent, "mode": part.mode}
-        lines += ["", "[[compositions.parts]]", *(f"{key} = {toml_text(value)}" for key, value in fields.items())]
+    plain = plain_composition(c)
+    parts = plain.pop("parts")
+    lines = ["[[compositions]]", *toml_lines(plain)]
+    for part in parts:
+        lines += ["", "[[compositions.parts]]", *toml_lines(part)]
     return "\n".join(lines) + "\n"
 
 
@@ -168,15 +164,11 @@ def _toml(source: Source, names: dict[str, str]) -> str:
     intent = source.intent
     words = toml_text(" ".join(intent.description.split()))[1:-1]
     wrapped = "\n".join(textwrap.wrap(words, 118, break_long_words=False, break_on_hyphens=False))
+    status = None if intent.status == "active" else intent.status
     lines = [
-        f"label = {toml_text(intent.label)}",
-        f'description = """\n{wrapped}\n"""',
-        f"applies = [{', '.join(map(toml_text, intent.applies))}]",
-    ]
-    if intent.status != "active":
-        lines.append(f"status = {toml_text(intent.status)}")
-    if source.merged_into is not None:
-        lines.append(f"merged_into = {toml_text(source.merged_into)}")
+        f"label = {toml_text(intent.label)}", f'description = """\n{wrapped}\n"""',
+        *toml_lines({"applies": intent.applies, "status": status, "merged_into": source.merged_into}),
+    ]  # fmt: skip
     for planner in source.planners:
         name = names[planner.hash]
         more = {
@@ -185,7 +177,6 @@ def _toml(source: Source, names: dict[str, str]) -> str:
             "parent": planner.parent,
             "status": "retired" if planner.hash in source.retired else None,
         }
-        fields = [f"{key} = {toml_text(value)}" for key, value in more.items() if value is not None]
-        if fields:
+        if fields := toml_lines(more):
             lines += ["", f"[planners.{name}]", *fields]
     return "\n".join(lines) + "\n"

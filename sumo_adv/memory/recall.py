@@ -1,20 +1,29 @@
-"""The distance between two scenes, and the most similar scene with a success (``--recall scene``).
+"""What evidence says of the next attack: the most similar scene with a success (``--recall scene``), and which planner
+of an intent to try first.
 
 Scenes are comparable only with the same geometry class, the same relation of the BV to the ego and the same ego
 controller. The distance is then Euclidean over five numbers, each divided by its scale. A scale is a clear change of
 that number, about one step of the search, so distance 1 is one clear change of one number.
+
+Planners are ordered by Thompson sampling (Thompson, 1933; Chapelle and Li, "An empirical evaluation of Thompson
+sampling", 2011). Each planner's chance of success gets a Beta(1 + successes, 1 + failures) belief, one value is drawn
+from each, and they are tried from the largest draw down, so planners without evidence get tried. Evidence of other
+scenes counts for less: its weight is the product of ``OTHER_*`` for all that differs.
 """
 
 from __future__ import annotations
 
 import json
 import math
+import random
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Floats, Planner, acceleration_at
+from sumo_adv.datatypes import Bools, Floats, Planner, acceleration_at
 from sumo_adv.memory.records import Evidence, SceneSignature
 
 SCALES: Mapping[str, float] = MappingProxyType(
@@ -29,6 +38,9 @@ ROUNDED = 1e-4  # candidates are rounded to four digits, and may lie that far ou
 _NAMES = tuple(SCALES)
 _HEADING = _NAMES.index("heading")
 _SCALE = np.asarray(tuple(SCALES.values()))
+OTHER_GEOMETRY = 0.3
+OTHER_RELATION = 0.5
+OTHER_CONTROLLER = 0.5
 
 
 def signature_distance(a: SceneSignature, b: SceneSignature) -> float:
@@ -61,7 +73,11 @@ class SceneIndex:
         for each in evidence:
             if (numbers := _numbers(each.scene)) is not None:
                 groups.setdefault(_kind(each.scene), []).append((numbers, each))
-        self._kinds = {kind: _columns(rows) for kind, rows in groups.items()}
+        self._kinds: dict[tuple[str, str, str], tuple[Floats, Bools, list[Evidence]]] = {}
+        for kind, rows in groups.items():
+            rows.sort(key=lambda row: _order(row[1]))
+            table, pieces = np.stack([numbers for numbers, _ in rows]), [each for _, each in rows]
+            self._kinds[kind] = table, np.asarray([each.valid is True for each in pieces]), pieces
 
     def nearest(self, signature: SceneSignature, limit: float = LIMIT) -> Evidence | None:
         """The evidence of the nearest scene at most ``limit`` away; valid collisions have precedence over others.
@@ -81,14 +97,7 @@ class SceneIndex:
         return None
 
 
-def _columns(rows: list[tuple[Floats, Evidence]]) -> tuple[Floats, np.ndarray, list[Evidence]]:
-    """Numbers (n, 5), validity (n,) and the evidence, sorted by the content of the evidence."""
-    rows = sorted(rows, key=lambda row: _order(row[1]))
-    table = np.stack([numbers for numbers, _ in rows])
-    return table, np.asarray([each.valid is True for _, each in rows]), [each for _, each in rows]
-
-
-def _order(evidence: Evidence) -> tuple[float, str, str, str, int, float, float, str, str]:
+def _order(evidence: Evidence) -> tuple[Any, ...]:
     return (
         evidence.min_ttc, evidence.label, evidence.planner_hash, evidence.network, evidence.seed, evidence.delay,
         acceleration_at(evidence.acceleration, 0.0), json.dumps(dict(evidence.parameters), sort_keys=True),
@@ -112,3 +121,56 @@ def _distances(table: Floats, numbers: Floats) -> Floats:
     apart[:, _HEADING] = np.minimum(turned, 2.0 * math.pi - turned)
     scaled = apart / _SCALE
     return np.asarray(np.sqrt(np.einsum("ij,ij->i", scaled, scaled)))
+
+
+@dataclass(frozen=True, slots=True)
+class Arm:
+    """One planner's weighted record and the value that was drawn for it."""
+
+    planner: Planner
+    successes: float
+    failures: float
+    rows: int
+    draw: float
+
+    @property
+    def mean(self) -> float:
+        """The mean of its belief."""
+        return (1.0 + self.successes) / (2.0 + self.successes + self.failures)
+
+
+def likeness(scene: SceneSignature, now: SceneSignature) -> float:
+    """How much evidence from ``scene`` counts in ``now``: 1 for the same kind of scene and ego, never 0."""
+    weight = 1.0 if scene.geometry == now.geometry else OTHER_GEOMETRY
+    weight *= 1.0 if scene.relation == now.relation else OTHER_RELATION
+    return weight * (1.0 if scene.controller == now.controller else OTHER_CONTROLLER)
+
+
+def draw(
+    planners: Sequence[Planner], evidence: Sequence[Evidence], signature: SceneSignature, rng: random.Random
+) -> list[Arm]:
+    """The planners of one intent with its ``evidence``, the one to try first at the front. The same planners, evidence
+    and state of ``rng`` give the same, in any order."""
+    weights = {planner.hash: [0.0, 0.0] for planner in planners}
+    rows = dict.fromkeys(weights, 0)
+    for each in sorted(evidence, key=lambda e: likeness(e.scene, signature)):
+        if each.planner_hash in weights:
+            weights[each.planner_hash][0 if each.success else 1] += likeness(each.scene, signature)
+            rows[each.planner_hash] += 1
+    arms = []
+    for planner in sorted(planners, key=lambda planner: (planner.mode, planner.hash)):
+        good, bad = weights[planner.hash]
+        arms.append(Arm(planner, good, bad, rows[planner.hash], rng.betavariate(1.0 + good, 1.0 + bad)))
+    return sorted(arms, key=lambda arm: -arm.draw)
+
+
+def explain(arms: Sequence[Arm]) -> list[Mapping[str, Any]]:
+    """What ``draw`` found, for the manifest: mode, hash, evidence rows, weighted successes and failures, mean, draw."""
+    return [
+        {
+            "mode": arm.planner.mode, "planner": arm.planner.hash, "rows": arm.rows,
+            "successes": round(arm.successes, 3), "failures": round(arm.failures, 3),
+            "mean": round(arm.mean, 4), "draw": round(arm.draw, 4),
+        }
+        for arm in arms
+    ]  # fmt: skip

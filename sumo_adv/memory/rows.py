@@ -1,29 +1,105 @@
-"""Rows of the bank to nouns and back: every SELECT and INSERT of the four tables."""
+"""Rows of the bank to nouns and back: every SELECT and INSERT of the four tables, and the checks of what they hold."""
 
 from __future__ import annotations
 
 import json
 import math
 import sqlite3
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-from sumo_adv.datatypes import Planner, acceleration_at
+from sumo_adv.datatypes import Parameter, Planner, acceleration_at, acceleration_of
 from sumo_adv.errors import BankError
-from sumo_adv.memory import content_check
-from sumo_adv.memory.records import Evidence, IntentRecord, canonical
-from sumo_adv.memory.schema import REPAIR
-
-_EVIDENCE_COLUMNS = (
-    "geometry, relation, relative, controller, parameters, acceleration, knots, delay, attempts, min_ttc,"
-    " collided, critical, feasible, rear_end, valid, strict, version, network, seed, created"
+from sumo_adv.memory.migrations import REPAIR
+from sumo_adv.memory.records import (
+    COMPOSITION,
+    FLAGS,
+    Evidence,
+    IntentRecord,
+    SceneSignature,
+    canonical,
+    composition_of,
+    is_number,
 )
 
+MOST_BRACKETS = 100  # in a setting: a few are in use, and about 1,000 nested ones exceed Python's recursion limit
+MERGED = "merged."  # settings ``merged.<key>``: the label of the intent into which this one was merged
+EPSILON = "epsilon."
+_EVIDENCE_COLUMNS = (
+    "geometry", "relation", "relative", "controller", "parameters", "acceleration", "knots", "delay", "attempts",
+    "min_ttc", *FLAGS, "version", "network", "seed", "created",
+)  # fmt: skip
 _PLANNER_COLUMNS = "mode, source, parameters, parent, origin"
 
-MERGED = content_check.MERGED  # settings ``merged.<key>``: the label of the intent into which this one was merged
+
+# From columns to nouns, as if the program had written the file. Each raises ValueError, TypeError, RecursionError or
+# BankError with a text that names the fault.
+
+
+def _intent(key: str, label: str, description: str, applies: str, status: str) -> IntentRecord:
+    """An intent; ``key``: its label in canonical form."""
+    if key != canonical(label):
+        raise ValueError(f"the key of the intent {label[:80]!r} is not that of its label")
+    relations = json.loads(applies)
+    if not isinstance(relations, list) or not all(isinstance(each, str) for each in relations):
+        raise ValueError(f"the intent {label[:80]!r} must apply to a list of relations")
+    return IntentRecord(label, description, tuple(relations), status)
+
+
+def _planner(
+    label: str, planner_hash: str, mode: str, source: str, parameters: str, parent: str | None, origin: str
+) -> Planner:
+    """A planner of the intent ``label``."""
+    table = json.loads(parameters)
+    if not isinstance(table, list) or not all(isinstance(each, list) and 5 <= len(each) <= 6 for each in table):
+        raise ValueError("the parameters of a planner must be lists of name, default, low, high, unit and meaning")
+    made = Planner(label, mode, source, tuple(Parameter(*each) for each in table), origin, parent)
+    if made.hash != planner_hash:
+        raise ValueError(f"the planner {mode[:80]!r} has another text than its hash says")
+    _check_parameters(made)
+    return made
+
+
+def _check_parameters(made: Planner) -> None:
+    """Texts, finite numbers in order, each name once."""
+    names = [p.name for p in made.parameters]
+    texts = [text for p in made.parameters for text in (p.name, p.unit, p.meaning)]
+    if not all(isinstance(text, str) for text in texts) or len(set(names)) < len(names):
+        raise ValueError(f"the planner {made.mode[:80]!r} has a parameter without a name, unit or meaning of its own")
+    for p in made.parameters:
+        if not all(map(is_number, (p.default, p.low, p.high))) or not p.low <= p.default <= p.high:
+            raise ValueError(f"the parameter {p.name[:40]!r} must have finite numbers with low <= default <= high")
+
+
+def _evidence(label: str, planner_hash: str, values: Sequence[Any]) -> Evidence:
+    """Evidence about the intent ``label``, from ``_EVIDENCE_COLUMNS``."""
+    row = dict(zip(_EVIDENCE_COLUMNS, values, strict=True))
+    relative = json.loads(row.pop("relative"))
+    scene = SceneSignature(row.pop("geometry"), row.pop("relation"), relative, row.pop("controller"))
+    knots, parameters = row.pop("knots"), json.loads(row.pop("parameters"))
+    if knots is not None:
+        row["acceleration"] = acceleration_of(json.loads(knots))
+    if row["min_ttc"] is None:
+        row["min_ttc"] = math.inf
+    row |= {name: None if row[name] is None else bool(row[name]) for name in FLAGS}
+    return Evidence(label=label, planner_hash=planner_hash, scene=scene, parameters=parameters, **row)
+
+
+def _setting(key: str, text: str) -> Any:
+    if text.count("[") + text.count("{") > MOST_BRACKETS:
+        raise ValueError("it nests deeper than a setting does")
+    value = json.loads(text)
+    if key.startswith(MERGED) and not isinstance(value, str):
+        raise ValueError("it must be the label of an intent")
+    if key.startswith(EPSILON):
+        ok = isinstance(value, dict) and is_number(value.get("epsilon")) and isinstance(value.get("calibrated_on"), str)
+        if not ok:
+            raise ValueError("it must hold a number, epsilon, and a text, calibrated_on")
+    if key.startswith(COMPOSITION) and key != composition_of(value).key:
+        raise ValueError("its key must be that of its label")
+    return value
 
 
 @dataclass(slots=True)
@@ -54,7 +130,7 @@ def read(connection: sqlite3.Connection) -> Content:
         "SELECT id, key, label, description, applies, status FROM intents ORDER BY id"
     ):
         with _named(connection, f"row {id_} of its intents"):
-            record = content_check.intent(key, *rest)
+            record = _intent(key, *rest)
         keys[id_] = key
         content.intents[key] = record
         content.planners[key] = []
@@ -63,15 +139,15 @@ def read(connection: sqlite3.Connection) -> Content:
     ):
         key = keys[id_]
         with _named(connection, f"row {row} of its planners"):
-            planner = content_check.planner(content.intents[key].label, planner_hash, *rest)
+            planner = _planner(content.intents[key].label, planner_hash, *rest)
         content.planners[key].append(planner)
         if status == "retired":
             content.retired.add((key, planner.hash))
     for row, id_, planner_hash, *values in connection.execute(
-        f"SELECT id, intent, planner, {_EVIDENCE_COLUMNS} FROM evidence ORDER BY id"
+        f"SELECT id, intent, planner, {', '.join(_EVIDENCE_COLUMNS)} FROM evidence ORDER BY id"
     ):
         with _named(connection, f"row {row} of its evidence"):
-            content.evidence.append(content_check.evidence(content.intents[keys[id_]].label, planner_hash, values))
+            content.evidence.append(_evidence(content.intents[keys[id_]].label, planner_hash, values))
     content.settings = read_settings(connection)
     return content
 
@@ -92,7 +168,7 @@ def read_settings(connection: sqlite3.Connection) -> dict[str, Any]:
     settings = {}
     for key, value in connection.execute("SELECT key, value FROM settings ORDER BY key"):
         with _named(connection, f"its setting {str(key)[:80]!r}"):
-            settings[key] = content_check.setting(key, value)
+            settings[key] = _setting(key, value)
     return settings
 
 
@@ -109,7 +185,7 @@ def read_intent(connection: sqlite3.Connection, label: str) -> IntentRecord | No
     """The intent of that label in any spelling, as stored."""
     key = canonical(label)
     row = connection.execute("SELECT label, description, applies, status FROM intents WHERE key = ?", (key,)).fetchone()
-    return None if row is None else content_check.intent(key, *row)
+    return None if row is None else _intent(key, *row)
 
 
 def insert_planner(
@@ -117,7 +193,7 @@ def insert_planner(
 ) -> None:
     """Add a planner to an intent that exists, unless it has that source already. Raises BankError."""
     try:
-        content_check.parameters_of(planner)
+        _check_parameters(planner)
     except ValueError as error:
         raise BankError(f"The planner cannot be kept: {error}.") from error
     parameters = [list(asdict(parameter).values()) for parameter in planner.parameters]
@@ -139,7 +215,7 @@ def read_planner(connection: sqlite3.Connection, label: str, planner_hash: str) 
         " JOIN intents ON intents.id = planners.intent WHERE key = ? AND hash = ?",
         (canonical(label), planner_hash),
     ).fetchone()
-    return None if row is None else (content_check.planner(*row[1:]), row[0])
+    return None if row is None else (_planner(*row[1:]), row[0])
 
 
 def insert_evidence(connection: sqlite3.Connection, evidence: Evidence, now: str, *, wake: bool = True) -> None:
@@ -151,12 +227,11 @@ def insert_evidence(connection: sqlite3.Connection, evidence: Evidence, now: str
         _json(evidence.acceleration) if isinstance(evidence.acceleration, tuple) else None,
         evidence.delay, evidence.attempts,
         None if math.isinf(evidence.min_ttc) else evidence.min_ttc,
-        evidence.collided, evidence.critical, evidence.feasible, evidence.rear_end, evidence.valid, evidence.strict,
-        evidence.version, evidence.network, evidence.seed, now,
+        *(getattr(evidence, name) for name in FLAGS), evidence.version, evidence.network, evidence.seed, now,
     )  # fmt: skip
     key = canonical(evidence.label)
     connection.execute(
-        f"INSERT INTO evidence (intent, planner, {_EVIDENCE_COLUMNS})"
+        f"INSERT INTO evidence (intent, planner, {', '.join(_EVIDENCE_COLUMNS)})"
         f" SELECT id, ?, {', '.join('?' * len(values))} FROM intents WHERE key = ?",
         (evidence.planner_hash, *values, key),
     )

@@ -1,56 +1,44 @@
 """d(phi, phi_j): how far apart two intents are, from the words of their labels and descriptions.
 
-The default metric ``TextAndSlots`` is d = 1 - f^c cos(u, v).  u and v are unit vectors of TF-IDF over stems and
+The metric ``TextAndSlots`` is d = 1 - f^c cos(u, v).  u and v are unit vectors of TF-IDF over stems and
 concepts (``words.features``): term frequency 1 + ln(count), smoothed inverse document frequency
 ln((1 + n) / (1 + df)) + 1 over the bank (Salton and Buckley, 1988).  c is the number of slots (``slots.py``) in which
 the intents contradict each other, and f is ``TextAndSlots.FACTOR``.
+
+Below: epsilon, up to which an intent counts as known, and how well the bank tells known intents from novel ones.
+From sets of paraphrases of known intents and of novel behaviours: top-1 (the nearest label is the right one), the area
+under the ROC curve of known against novel by the distance to the nearest (Mann-Whitney, ties half), and for "known if
+distance <= epsilon" the shares of known ones recognised and of novel ones refused, and their mean, the balanced
+accuracy; with 95 % bootstrap intervals.  Epsilon is chosen on the tuning halves of all sets (even places of each list);
+figures are of the other half of each set, which nothing was chosen on.
 """
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from typing import Protocol
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sumo_adv.datatypes import Bools, Floats
+from sumo_adv.errors import BankError
+from sumo_adv.memory.records import IntentRecord, canonical
 from sumo_adv.memory.slots import OPTIONAL, SLOTS, Slots, slots_of
 from sumo_adv.memory.words import features
+from sumo_adv.parsing import parse_toml
 
-
-class Similarity(Protocol):
-    """A metric over intents. ``name`` identifies it and its version, and is the key of its epsilon in the bank;
-    ``epsilon`` (None = there is none) and ``calibrated_on`` hold where the bank has no setting of its own."""
-
-    @property
-    def name(self) -> str:
-        """What its epsilon is stored under."""
-        ...
-
-    @property
-    def epsilon(self) -> float | None:
-        """The distance up to which two intents are one."""
-        ...
-
-    @property
-    def calibrated_on(self) -> str:
-        """Where epsilon comes from."""
-        ...
-
-    def fit(self, entries: Sequence[tuple[str, str]]) -> None:
-        """Take the (label, description) pairs of the bank, in its order."""
-        ...
-
-    def distances(self, label: str, description: str) -> Floats:
-        """Distances in [0, 1] to the fitted entries, in their order, shape (n,)."""
-        ...
+RESAMPLES = 2000
+CONFIDENCE = 0.95
 
 
 class TextAndSlots:
-    """The metric that needs no download. See the module's docstring.
+    """The metric of the module's docstring. ``name``: it and its version, the key of its epsilon in the bank;
+    ``epsilon`` and ``calibrated_on`` hold where the bank has no setting of its own.
 
     Two intents contradict each other in a slot if they have no value of it in common and at least one has a value.  A
     place that only the fitted entry has is no contradiction, since descriptions often leave the place out.
@@ -170,3 +158,156 @@ def term_counts(label: str, description: str) -> dict[str, float]:
     raw = Counter(features(label))
     raw.update(features(description))
     return {term: 1.0 + math.log(count) for term, count in raw.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class Paraphrase:
+    """A behaviour as a model might name it. ``intent`` is the label it should find, None for a novel one."""
+
+    intent: str | None
+    label: str
+    description: str
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A value with its bootstrap interval (percentiles 2.5 and 97.5)."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True)
+class SetFigures:
+    """What the metric can do on the reporting half of a set. ``known`` and ``novel`` are counts."""
+
+    known: int
+    novel: int
+    top1: Figure
+    auc: Figure
+    recognised: Figure
+    refused: Figure
+    balanced_accuracy: Figure
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """``epsilon`` from the tuning halves of all sets, and the figures of each set, in the order given."""
+
+    metric: str
+    epsilon: float
+    sets: tuple[SetFigures, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """Per paraphrase, (n,): distance to the nearest intent, whether that is the right one, whether it is known."""
+
+    distance: Floats
+    right: Bools
+    known: Bools
+
+
+def read_paraphrases(file: Path) -> tuple[list[Paraphrase], list[Paraphrase]]:
+    """The (tuning, reporting) halves of a TOML file with ``[known]`` LABEL = [[name, description], ..] and ``[novel]``
+    behaviours = [..]: even and odd places of each list. Raises BankError."""
+    try:
+        table = parse_toml(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise BankError(f"The paraphrases {file} cannot be read: {error}.") from error
+    try:
+        lists = [(label, pairs) for label, pairs in table["known"].items()] + [(None, table["novel"]["behaviours"])]
+        halves: tuple[list[Paraphrase], list[Paraphrase]] = ([], [])
+        for intent, pairs in lists:
+            for place, (name, description) in enumerate(pairs):
+                halves[place % 2].append(Paraphrase(intent, str(name), str(description)))
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise BankError(f"The paraphrases {file} need [known] with lists of [name, text], and [novel].") from error
+    return halves
+
+
+def measure(intents: Sequence[IntentRecord], paraphrases: Sequence[Paraphrase]) -> Measured:
+    """Distances of the paraphrases to the nearest of ``intents``; an exact label gets no privilege here."""
+    similarity = TextAndSlots()
+    similarity.fit([(record.label, record.description) for record in intents])
+    keys = [canonical(record.label) for record in intents]
+    distance, right = np.ones(len(paraphrases)), np.zeros(len(paraphrases), dtype=np.bool_)
+    for i, paraphrase in enumerate(paraphrases):
+        distances = similarity.distances(paraphrase.label, paraphrase.description)
+        nearest = int(np.argmin(distances))
+        distance[i] = distances[nearest]
+        right[i] = paraphrase.intent is not None and keys[nearest] == canonical(paraphrase.intent)
+    return Measured(distance, right, np.asarray([p.intent is not None for p in paraphrases], dtype=np.bool_))
+
+
+def best_epsilon(measured: Measured) -> float:
+    """The epsilon of the best balanced accuracy; of equally good ones the middle of the widest range."""
+    values = np.unique(measured.distance)
+    edges = np.concatenate((values[:1] - 1e-6, (values[:-1] + values[1:]) / 2.0, values[-1:] + 1e-6))
+    scores = np.asarray([balanced_accuracy(measured, float(edge)) for edge in edges])
+    best = np.flatnonzero(scores >= scores.max() - 1e-12)
+    runs = np.split(best, np.flatnonzero(np.diff(best) > 1) + 1)
+    widest = max(runs, key=lambda run: edges[run[-1]] - edges[run[0]])
+    return float((edges[widest[0]] + edges[widest[-1]]) / 2.0)
+
+
+def top1(measured: Measured) -> float:
+    """Share of the known ones with the right nearest intent."""
+    return float(np.mean(measured.right[measured.known]))
+
+
+def auc(measured: Measured) -> float:
+    """Chance that a known one is nearer to the bank than a novel one, ties counting half."""
+    of_known, of_novel = measured.distance[measured.known][:, None], measured.distance[~measured.known]
+    return float(np.mean((of_known < of_novel) + 0.5 * (of_known == of_novel)))
+
+
+def recognised(measured: Measured, epsilon: float) -> float:
+    """Share of the known ones within epsilon."""
+    return float(np.mean(measured.distance[measured.known] <= epsilon))
+
+
+def refused(measured: Measured, epsilon: float) -> float:
+    """Share of the novel ones beyond epsilon."""
+    return float(np.mean(measured.distance[~measured.known] > epsilon))
+
+
+def balanced_accuracy(measured: Measured, epsilon: float) -> float:
+    """Mean of ``recognised`` and ``refused``."""
+    return (recognised(measured, epsilon) + refused(measured, epsilon)) / 2.0
+
+
+def calibrate(
+    intents: Sequence[IntentRecord], sets: Sequence[tuple[Sequence[Paraphrase], Sequence[Paraphrase]]], seed: int = 0
+) -> Calibration:
+    """Choose epsilon on the tuning halves of (tuning, reporting) ``sets``, measure on each reporting half.
+
+    Raises BankError without intents or sets, and if a half lacks known or novel ones.
+    """
+    if not intents or not sets or any({p.intent is None for p in half} != {True, False} for s in sets for half in s):
+        raise BankError("Calibration needs intents, and known and novel behaviours in both halves of its sets.")
+    epsilon = best_epsilon(measure(intents, [p for tuning, _ in sets for p in tuning]))
+    figures = tuple(_figures(measure(intents, reporting), epsilon, seed) for _, reporting in sets)
+    return Calibration(TextAndSlots.name, epsilon, figures)
+
+
+def _figures(measured: Measured, epsilon: float, seed: int) -> SetFigures:
+    """The figures of a set, each with its percentile bootstrap."""
+
+    def figure(statistic: Callable[[Measured], float]) -> Figure:
+        rng = np.random.default_rng(seed)
+        values = [statistic(_resampled(measured, rng)) for _ in range(RESAMPLES)]
+        tail = 50.0 * (1.0 - CONFIDENCE)
+        low, high = np.percentile(values, [tail, 100.0 - tail])
+        return Figure(statistic(measured), float(low), float(high))
+
+    shares = [figure(partial(share, epsilon=epsilon)) for share in (recognised, refused, balanced_accuracy)]
+    return SetFigures(int(measured.known.sum()), int((~measured.known).sum()), figure(top1), figure(auc), *shares)
+
+
+def _resampled(measured: Measured, rng: np.random.Generator) -> Measured:
+    """Known and novel ones drawn each among themselves."""
+    known, novel = np.flatnonzero(measured.known), np.flatnonzero(~measured.known)
+    places = np.concatenate((rng.choice(known, known.size), rng.choice(novel, novel.size)))
+    return Measured(measured.distance[places], measured.right[places], measured.known[places])

@@ -15,7 +15,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 
-from sumo_adv.memory.words import stem
+from sumo_adv.memory.words import phrases, stem
 
 Slots = Mapping[str, frozenset[str]]
 """Values by slot; the empty set where the text gives no answer."""
@@ -209,17 +209,8 @@ def _stems(text: str) -> list[str]:
 
 def _read(text: str) -> list[str]:
     """The stems of a text; a name where the text has one of its entries, the longest first."""
-    stems, words, at = _stems(text), list[str](), 0
-    while at < len(stems):
-        for size in range(min(_LONGEST, len(stems) - at), 0, -1):
-            if name := _NAMES.get(tuple(stems[at : at + size])):
-                words.append(name)
-                at += size
-                break
-        else:
-            words.append(stems[at])
-            at += 1
-    return words
+    stems = _stems(text)
+    return [name or stems[at] for at, name in phrases(stems, _NAMES, _LONGEST)]
 
 
 def _begins(phrase: Sequence[str], words: Sequence[str], at: int) -> bool:

@@ -5,17 +5,29 @@ from __future__ import annotations
 import contextlib
 import os
 import sqlite3
+import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 from sumo_adv.errors import BankError
+from sumo_adv.files import user_folder
 from sumo_adv.memory import rows
-from sumo_adv.memory.migrations import APPLICATION_ID, MIGRATIONS, Clock, check_identity, migrate, utc_now
-from sumo_adv.memory.schema import REPAIR, check_references, check_schema
+from sumo_adv.memory.migrations import (
+    APPLICATION_ID,
+    MIGRATIONS,
+    REPAIR,
+    Clock,
+    check_identity,
+    check_references,
+    check_schema,
+    migrate,
+    utc_now,
+)
 
 BUSY_TIMEOUT_MS = 10_000  # how long a writer waits for another one
 _MAGIC = b"SQLite format 3\0"
+FILE_NAME = "memory_bank.sqlite"
 
 
 def bank_error(error: sqlite3.Error, path: Path) -> BankError:
@@ -76,13 +88,13 @@ def open_file(
         if not path.exists():
             if read_only:
                 raise BankError(f"The memory bank {path} does not exist.")
-            create(path, seed_from, clock)
-        check_header(path)
+            _create(path, seed_from, clock)
+        _check_header(path)
         connection = None if read_only else _open_writable(path, clock)
         return (connection, True) if connection is not None else (_open_readable(path), False)
 
 
-def check_header(path: Path) -> None:
+def _check_header(path: Path) -> None:
     """Refuse folders, empty files and what is not SQLite, before SQLite touches it. Raises BankError, OSError."""
     if path.is_dir():
         raise BankError(f"The memory bank {path} is a folder; give the path of a file.")
@@ -149,49 +161,47 @@ def _check(connection: sqlite3.Connection, path: Path) -> int:
     return version
 
 
-def create(path: Path, seed_from: Path | None, clock: Clock = utc_now) -> None:
-    """A new bank at ``path``, blank or a copy of ``seed_from``, which is only read; appears whole or not at all.
+def make_file(path: Path, fill: Callable[[sqlite3.Connection], None], *, replace: bool = False) -> None:
+    """A new file at ``path`` that ``fill`` makes a bank; it appears whole or not at all.
 
-    Where another process makes the same file meanwhile, that one is kept. Raises BankError, OSError, sqlite3.Error.
+    One that exists, or that another process makes meanwhile, is kept unless ``replace``. Raises BankError, OSError,
+    sqlite3.Error.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(prefix=f".{path.name}-", suffix=".new", dir=path.parent)
     os.close(handle)
     fresh = Path(name)
     try:
-        fill_new(fresh, seed_from, clock)
+        with contextlib.closing(connect(fresh, "mode=rw")) as connection:
+            fill(connection)
         fresh.chmod(0o644)
-        publish(fresh, path)
+        if replace:
+            fresh.replace(path)
+        else:
+            publish(fresh, path)
     finally:
         for leftover in (fresh, *(Path(name + end) for end in ("-wal", "-shm", "-journal"))):
             leftover.unlink(missing_ok=True)
 
 
-def fill_new(fresh: Path, seed_from: Path | None, clock: Clock) -> None:
-    """Make the empty file ``fresh`` a bank in WAL mode: a copy of ``seed_from`` or blank, at the newest version."""
-    connection = connect(fresh, "mode=rw")
-    try:
+def _create(path: Path, seed_from: Path | None, clock: Clock) -> None:
+    """A new bank in WAL mode at ``path``, blank or a copy of ``seed_from``, which is only read."""
+
+    def fill(connection: sqlite3.Connection) -> None:
         if seed_from is None:
             connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
         else:
             with sentences(seed_from):
-                _copy(seed_from, connection)
+                _check_header(seed_from)
+                with contextlib.closing(_connect_readable(seed_from)) as source:
+                    _check(source, seed_from)
+                    source.backup(connection)
         connection.execute("PRAGMA journal_mode = WAL").fetchone()
-        migrate(connection, str(seed_from or fresh), clock)
+        migrate(connection, str(seed_from or path), clock)
         if seed_from is not None:
             rows.load(connection)  # refuses content that no bank can have, before the copy gets its name
-    finally:
-        connection.close()
 
-
-def _copy(seed_from: Path, target: sqlite3.Connection) -> None:
-    check_header(seed_from)
-    source = _connect_readable(seed_from)
-    try:
-        _check(source, seed_from)
-        source.backup(target)
-    finally:
-        source.close()
+    make_file(path, fill)
 
 
 def publish(fresh: Path, path: Path) -> None:
@@ -203,3 +213,10 @@ def publish(fresh: Path, path: Path) -> None:
     except OSError:
         if not path.exists():
             fresh.replace(path)
+
+
+def default_bank_path(
+    environ: Mapping[str, str] = os.environ, platform: str = sys.platform, home: Path | None = None
+) -> Path:
+    """The bank in the user's data folder (:func:`~sumo_adv.files.user_folder`); nothing is created."""
+    return user_folder("data", environ, platform, home) / FILE_NAME

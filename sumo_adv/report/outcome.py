@@ -28,11 +28,11 @@ from sumo_adv.datatypes import (
 from sumo_adv.episode.episode import Episode, Tried
 from sumo_adv.episode.fitting import motion_of
 from sumo_adv.episode.task import FoundEncounter
-from sumo_adv.llm.ledger import Ledger
+from sumo_adv.llm.chat import Ledger
 from sumo_adv.simulation.inputs import WaymoSource
 from sumo_adv.simulation.maps import Conversion
 from sumo_adv.simulation.playback_spec import PlaybackSpec
-from sumo_adv.words.fit import misfits
+from sumo_adv.words.motion import misfits
 
 SCHEMA = 1
 VERDICT_VERSION = 2  # which definitions ``valid``, ``strict`` and ``level`` follow (metrics/levels.py)

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from sumo_adv.datatypes import Duty, LibraryEntry, Proposal
-from sumo_adv.memory.composition_record import Composition, Part
+from sumo_adv.memory.records import Composition, Part
 from sumo_adv.search.support_intents import SUPPORT_INTENTS
 
 ANY = ""  # of a part: any mode of the intent; of a cast: any vehicle that fits

@@ -19,7 +19,7 @@ from collections.abc import Collection, Mapping, Sequence
 
 from sumo_adv.datatypes import Intent, Level, LibraryEntry, ObservedMotion, Planner, Proposal, Verdict
 from sumo_adv.goal import Goal
-from sumo_adv.memory.composition_record import Composition
+from sumo_adv.memory.records import Composition
 from sumo_adv.search.composed_attacks import Cast
 from sumo_adv.search.composed_intents import compose, composed
 from sumo_adv.search.evolution import Evolution

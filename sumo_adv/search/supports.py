@@ -14,7 +14,7 @@ from itertools import product
 from random import Random
 
 from sumo_adv.datatypes import Duty, LibraryEntry, ObservedMotion, Proposal
-from sumo_adv.memory.composition_record import Composition
+from sumo_adv.memory.records import Composition
 from sumo_adv.road_users import is_unprotected
 from sumo_adv.search.composed_attacks import ANY, EXPERT_COMPOSITIONS, Cast, named
 from sumo_adv.search.escapes import observed_escape

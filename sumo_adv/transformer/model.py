@@ -12,13 +12,29 @@ plus a Bernstein polynomial, which is zero now.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from math import comb
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sumo_adv.transformer.scene import FUTURE, METRES, SPEED, STEP, TOKENS, Features
+from sumo_adv.datatypes import Floats
+from sumo_adv.errors import UsageError
+from sumo_adv.files import write_whole
+from sumo_adv.transformer.scene import (
+    FUTURE,
+    METRES,
+    SPEED,
+    STEP,
+    TOKENS,
+    Agents,
+    Features,
+    Segments,
+    features,
+    to_world,
+)
 
 MODES = 6
 WIDTH, HEADS, INNER = 64, 4, 256  # of the embeddings, of an attention, of the layers behind it
@@ -30,6 +46,8 @@ FLAT = 1e-5  # added to variances
 
 Parameters = Mapping[str, Any]
 """Weights by name: arrays of numpy or of JAX."""
+TIMES = np.arange(1, FUTURE + 1, dtype=np.float32) * np.float32(STEP)
+SHIPPED = Path(__file__).with_name("weights.npz")
 
 
 class Modes(NamedTuple):
@@ -50,7 +68,6 @@ def bernstein(degree: int, first: int) -> NDArray[np.float32]:
 
 
 PLACES, SCALES = bernstein(DEGREE, 1), bernstein(SCALE_DEGREE, 0)
-TIMES = np.arange(1, FUTURE + 1, dtype=np.float32) * np.float32(STEP)
 
 
 def make_parameters(seed: int) -> dict[str, NDArray[np.float32]]:
@@ -200,3 +217,56 @@ def _gated(p: Parameters, name: str, x: Any, others: Any, relative: Any, there: 
     gate = 0.5 + 0.5 * xp.tanh(0.5 * gate)  # the logistic function; its gradient is finite everywhere
     x = x + gathered + gate * (_linear(p, f"{name}.self", normed) - gathered)
     return x + _onward(p, name, x, xp)
+
+
+@dataclass(frozen=True, slots=True)
+class Predicted:
+    """The futures of ``n`` vehicles.
+
+    place ``(n, MODES, FUTURE, 2)``: most likely positions in the world [m]; scale, alike: of the Laplace distributions,
+    along and across each vehicle's heading now [m]; probability ``(n, MODES)``.
+    """
+
+    place: Floats
+    scale: Floats
+    probability: Floats
+
+
+class Predictor:
+    """A trained network."""
+
+    def __init__(self, weights: Path = SHIPPED) -> None:
+        """Raises UsageError if the file holds no weights of this network."""
+        self._parameters = read_weights(weights)
+
+    def predict(self, agents: Agents, segments: Segments) -> Predicted:
+        """The futures of all vehicles of a scene of at most ``AGENTS``."""
+        n = len(agents.heading)
+        modes = forward(self._parameters, features(agents, segments))
+        place = to_world(np.asarray(modes.place[:n], float), agents)
+        return Predicted(place, np.asarray(modes.scale[:n], float), probabilities(np.asarray(modes.logit[:n], float)))
+
+
+def probabilities(logit: Floats) -> Floats:
+    """The softmax over the last axis."""
+    weight = np.exp(logit - logit.max(axis=-1, keepdims=True))
+    return np.asarray(weight / weight.sum(axis=-1, keepdims=True))
+
+
+def write_weights(parameters: Mapping[str, Any], target: Path) -> None:
+    """Write weights in half precision; the same weights are the same bytes."""
+    half: dict[str, Any] = {name: np.asarray(values, np.float16) for name, values in sorted(parameters.items())}
+    write_whole(target, lambda part: np.savez(part, **half))
+
+
+def read_weights(file: Path) -> dict[str, NDArray[np.float32]]:
+    """Weights of this network. Raises UsageError."""
+    shapes = {name: values.shape for name, values in make_parameters(0).items()}
+    try:
+        with np.load(file, allow_pickle=False) as arrays:
+            weights = {name: np.asarray(values, np.float32) for name, values in arrays.items()}
+    except (OSError, ValueError) as error:
+        raise UsageError(f"{file} cannot be read as weights ({error}); give the weights.npz of a training.") from error
+    if {name: values.shape for name, values in weights.items()} != shapes:
+        raise UsageError(f"{file} holds no weights of this network; train them with sumo-adv transformer train.")
+    return weights

@@ -157,7 +157,7 @@ def features(agents: Agents, segments: Segments) -> Features:
     apart = (here[None, :, :] - here[:, None, :]) @ turn  # (n, n, 2): of the second in the frame of the first
     far = np.hypot(*np.moveaxis(apart, 2, 0)) + np.where(np.eye(n, dtype=bool), np.inf, 0.0)
     chosen = np.argsort(far, axis=1, kind="stable")[:, : min(NEAR, n - 1)]
-    steps = _displacements(agents.past)  # (n, TOKENS, 2, 2) in the world
+    steps = np.diff(agents.past, axis=1).reshape(n, TOKENS, 2, 2)  # displacements in the world
     known_steps = np.asarray(np.isfinite(steps).all(axis=(2, 3)))
     own = np.where(known_steps[..., None], (steps @ turn[:, None]).reshape(n, TOKENS, 4), 0.0)
     near, near_there = _neighbours(agents, turn, chosen, steps, known_steps)
@@ -191,10 +191,6 @@ def _turns(heading: Floats) -> Floats:
     """Matrices ``(n, 2, 2)`` that take vectors (rows) of the world into the vehicles' frames."""
     c, s = np.cos(heading), np.sin(heading)
     return np.stack([np.stack([c, -s], axis=1), np.stack([s, c], axis=1)], axis=1)
-
-
-def _displacements(past: Floats) -> Floats:
-    return np.diff(past, axis=1).reshape(len(past), TOKENS, 2, 2)
 
 
 def _neighbours(agents: Agents, turn: Floats, chosen: Ints, steps: Floats, known_steps: Bools) -> tuple[Floats, Floats]:

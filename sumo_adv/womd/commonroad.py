@@ -19,9 +19,8 @@ import numpy as np
 
 from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError
-from sumo_adv.womd.bounds import check_bounds
-from sumo_adv.womd.outline import road_outline
-from sumo_adv.womd.record import LaneFeature, LineFeature, Neighbour, ObjectTrack, Record
+from sumo_adv.womd.lines import at, road_outline, stations
+from sumo_adv.womd.record import LaneFeature, LineFeature, Neighbour, ObjectTrack, Record, check_bounds
 
 SPACING = 0.5  # m between points of a centre line
 EGO_SIZE = 4.508, 1.610  # m: CommonRoad's vehicle 2, BMW 320i; a planning problem names no size
@@ -56,7 +55,9 @@ def _record(root: Element, path: Path, content: str) -> Record:
     initial = _child(problem, "initialState")
     ego, first = _place(initial), round(_number(initial, "time", 0.0))
     count = max([first + 2, *(max(of) + 1 for of in states.values())])
-    onward = {first: ego, first + 1: _onward(ego, _step(root))}
+    x, y, heading, speed = ego
+    ahead = speed * _step(root)
+    onward = {first: ego, first + 1: (x + ahead * math.cos(heading), y + ahead * math.sin(heading), heading, speed)}
     tracks = [_track(int(problem.attrib["id"]), VEHICLE, EGO_SIZE, onward, count)]
     for obstacle, of in states.items():
         still = obstacle.tag == "staticObstacle"
@@ -106,11 +107,6 @@ def _place(state: Element) -> Place:
     return x, y, _number(state, "orientation"), _number(state, "velocity", 0.0)
 
 
-def _onward(place: Place, step: float) -> Place:
-    x, y, heading, speed = place
-    return x + speed * step * math.cos(heading), y + speed * step * math.sin(heading), heading, speed
-
-
 def _states(obstacle: Element) -> dict[int, Place]:
     """Places by time step."""
     every = [_child(obstacle, "initialState"), *obstacle.findall("trajectory/state")]
@@ -145,13 +141,6 @@ def _points(parent: Element) -> Floats:
     return np.array([[float(p.findtext(name, "nan")) for name in ("x", "y")] for p in parent.findall("point")])
 
 
-def _even(line: Floats, count: int) -> Floats:
-    """``count`` points at even distances along a line ``(n, 2)``."""
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
-    at = np.linspace(0.0, along[-1], count)
-    return np.column_stack([np.interp(at, along, line[:, k]) for k in (0, 1)])
-
-
 def _lanes(root: Element, lanelets: Sequence[Element]) -> dict[int, LaneFeature]:
     """Centre lines halfway between the bounds, a point every half metre."""
     limits = {
@@ -164,7 +153,8 @@ def _lanes(root: Element, lanelets: Sequence[Element]) -> dict[int, LaneFeature]
         bounds = [_points(_child(lanelet, name)) for name in ("leftBound", "rightBound")]
         length = max(float(np.hypot(*np.diff(bound, axis=0).T).sum()) for bound in bounds)
         count = max(2, math.ceil(length / SPACING) + 1)
-        middle = sum(_even(bound, count) for bound in bounds) / 2
+        along = [stations(bound) for bound in bounds]
+        middle = sum(at(b, s, np.linspace(0.0, s[-1], count)) for b, s in zip(bounds, along, strict=True)) / 2
         lines[int(lanelet.attrib["id"])] = np.column_stack([middle, np.zeros(count)])
 
     def beside(lanelet: Element, name: str, own: int) -> tuple[Neighbour, ...]:
@@ -183,7 +173,7 @@ def _lanes(root: Element, lanelets: Sequence[Element]) -> dict[int, LaneFeature]
         inside = "intersection" in {(each.text or "").strip() for each in lanelet.findall("laneletType")}
         lanes[own] = LaneFeature(
             own, lines[own], SURFACE, limit, inside, before, after, beside(lanelet, "adjacentLeft", own),
-            beside(lanelet, "adjacentRight", own), (), (),
+            beside(lanelet, "adjacentRight", own),
         )  # fmt: skip
     return lanes
 

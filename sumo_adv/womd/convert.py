@@ -10,7 +10,9 @@ import contextlib
 import hashlib
 import json
 import os
+import re
 import shutil
+import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -19,15 +21,23 @@ from functools import lru_cache
 from pathlib import Path
 from time import perf_counter
 from typing import Any
+from xml.etree import ElementTree
 
 from sumo_adv import __version__
-from sumo_adv.files import user_folder
+from sumo_adv.errors import SimulationError, UsageError
+from sumo_adv.files import user_folder, write_text
 from sumo_adv.parsing import parse_json
-from sumo_adv.womd.record import Record
-from sumo_adv.womd.scene import SCENARIO, write_scene
+from sumo_adv.simulation.demand import generate
+from sumo_adv.simulation.programs import find_netconvert
+from sumo_adv.womd.record import Record, evenly_sampled
+from sumo_adv.womd.scene import NETWORK, SCENARIO, write_scene
 
 REPORT, PICTURE = "fidelity.json", "fidelity.png"
 MOST_KEPT = 300  # conversions in the cache; the oldest go first
+DURATION = 120.0  # s
+PATIENCE = 60.0  # s without a move after which SUMO teleports a vehicle
+TIME_LIMIT = 120.0  # s of wall time
+_TELEPORT = re.compile(r"Teleporting vehicle '[^']*'; ([^,]*), lane='([^']*)', time=([0-9.]+)\.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,11 +59,9 @@ def convert_record(record: Record, folder: Path, *, traffic: bool) -> dict[str, 
 
     traffic: also try random traffic. Raises SumoAdvError if the record cannot be converted.
     """
-    from sumo_adv.womd.fidelity import measure
+    from sumo_adv.womd.fidelity import draw_fidelity, measure
+    from sumo_adv.womd.matching import read_net
     from sumo_adv.womd.network import convert_network
-    from sumo_adv.womd.picture import draw_fidelity
-    from sumo_adv.womd.sampling import evenly_sampled
-    from sumo_adv.womd.sumonet import read_net
 
     began, cpu = perf_counter(), sum(os.times()[:4])  # our own and our children's, netconvert being one
     record, sampling = evenly_sampled(record)
@@ -72,20 +80,13 @@ def convert_record(record: Record, folder: Path, *, traffic: bool) -> dict[str, 
         **fidelity.report, "scenario": scenario, "sampling": {**asdict(sampling), "note": sampling.sentence},
         "traffic": None, "seconds": seconds,
     }  # fmt: skip
-    return _with_traffic(folder, report) if traffic else _written(folder, report)
+    return _written(folder, report, traffic=traffic)
 
 
-def _with_traffic(folder: Path, report: dict[str, Any]) -> dict[str, Any]:
-    from sumo_adv.womd.scene import NETWORK
-    from sumo_adv.womd.traffic import random_traffic
-
-    return _written(folder, {**report, "traffic": random_traffic(folder / NETWORK)})
-
-
-def _written(folder: Path, report: dict[str, Any]) -> dict[str, Any]:
-    unfinished = folder / f"{REPORT}.part"
-    unfinished.write_text(json.dumps(report, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    unfinished.replace(folder / REPORT)
+def _written(folder: Path, report: dict[str, Any], *, traffic: bool) -> dict[str, Any]:
+    if traffic:
+        report = {**report, "traffic": random_traffic(folder / NETWORK)}
+    write_text(folder / REPORT, json.dumps(report, indent=2, allow_nan=False) + "\n")
     return report
 
 
@@ -96,11 +97,12 @@ def conversion(record: Record, *, traffic: bool, cache: Path | None = None) -> I
     Where the cache cannot be written, its folder lives as long as the context. Raises SumoAdvError like
     :func:`convert_record`.
     """
-    place = (cache or cache_folder()) / _key(record.content) / record.scenario_id
+    key = hashlib.sha256(f"{record.content} {__version__} {_sources()}".encode()).hexdigest()
+    place = (cache or cache_folder()) / key[:32] / record.scenario_id
     report = _known(place)
     if report is not None:
         if traffic and report.get("traffic") is None:
-            report = _with_traffic(place, report)
+            report = _written(place, report, traffic=True)
         with contextlib.suppress(OSError):
             os.utime(place.parent)
         yield Conversion(place, report, cached=True)
@@ -138,18 +140,11 @@ def _trim(cache: Path) -> None:
             shutil.rmtree(old, ignore_errors=True)
 
 
-def _key(content: str) -> str:
-    return hashlib.sha256(f"{content} {__version__} {_sources()}".encode()).hexdigest()[:32]
-
-
 @lru_cache(maxsize=1)
 def _sources() -> str:
     """A hash of this package's own sources."""
-    folder = Path(__file__).parent
-    digest = hashlib.sha256()
-    for path in sorted(folder.rglob("*.py")):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
+    sources = b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.rglob("*.py")))
+    return hashlib.sha256(sources).hexdigest()
 
 
 def cache_folder(
@@ -157,3 +152,57 @@ def cache_folder(
 ) -> Path:
     """Where conversions are kept, in the user's cache folder (:func:`~sumo_adv.files.user_folder`)."""
     return user_folder("cache", environ, platform, home) / "womd"
+
+
+def random_traffic(network: Path, *, seed: int = 0, duration: float = DURATION) -> dict[str, Any]:
+    """Runs generated traffic of the default density for ``duration`` s: vehicles, collisions, teleports, and the place
+    and time of each of those (``events``).
+
+    A network without any route has no traffic: ``note`` says so. Raises SimulationError if SUMO fails,
+    UsageError if it is not installed.
+    """
+    with tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
+        folder = Path(scratch)
+        try:
+            demand = generate(network, folder / "demand.rou.xml", seed=seed, end=duration)
+        except UsageError as error:
+            return {"vehicles": 0, "collisions": 0, "teleports": 0, "events": [], "note": str(error)}
+        warnings = _sumo(network, demand, folder, seed, duration)
+        root = ElementTree.parse(folder / "statistics.xml").getroot()
+        events = ElementTree.parse(folder / "collisions.xml").getroot()
+        teleports, vehicles = root.find("teleports"), root.find("vehicles")
+        assert teleports is not None and vehicles is not None
+        pairs: dict[frozenset[str], str] = {}
+        for c in events.iter("collision"):
+            event = f"collision ({c.attrib['type']}) on {c.attrib['lane']} at {float(c.attrib['time']):.1f} s"
+            pairs.setdefault(frozenset((c.attrib["collider"], c.attrib["victim"])), event)
+        return {
+            "vehicles": int(vehicles.attrib["inserted"]), "collisions": len(pairs),
+            "teleports": int(teleports.attrib["total"]), "events": [*pairs.values(), *_teleports(warnings)],
+        }  # fmt: skip
+
+
+def _teleports(warnings: str) -> list[str]:
+    """SUMO's warnings of teleports, shortened: it has no other output for them."""
+    return [f"teleport ({why}) from {lane} at {float(time):.1f} s" for why, lane, time in _TELEPORT.findall(warnings)]
+
+
+def _sumo(network: Path, demand: Path, folder: Path, seed: int, duration: float) -> str:
+    """Run SUMO; its warnings."""
+    netconvert = find_netconvert()
+    sumo = netconvert.with_name(netconvert.name.replace("netconvert", "sumo"))  # they are installed together
+    command = [
+        str(sumo), "-n", str(network), "-r", str(demand), "--end", str(duration), "--seed", str(seed),
+        "--step-length", "0.1", "--collision.action", "warn", "--collision.mingap-factor", "0",
+        "--collision.check-junctions", "true", "--lanechange.duration", "3", "--time-to-teleport", str(PATIENCE),
+        "--statistic-output", str(folder / "statistics.xml"), "--collision-output", str(folder / "collisions.xml"),
+        "--xml-validation", "never", "--no-step-log", "true",
+    ]  # fmt: skip
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=TIME_LIMIT, check=False)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise SimulationError(f"Random traffic could not be tried on {network}: {error}.") from error
+    if done.returncode:
+        reason = (done.stderr.strip().splitlines() or ["no reason given"])[0]
+        raise SimulationError(f"Random traffic could not be tried on {network}: SUMO says '{reason}'.")
+    return done.stderr

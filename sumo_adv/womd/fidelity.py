@@ -8,22 +8,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Bools, Floats
-from sumo_adv.womd.matching import BIKE, LaneGraph, Stretch, match, net_graph, record_graph
-from sumo_adv.womd.record import ObjectTrack, Record
-from sumo_adv.womd.routes import Router
-from sumo_adv.womd.segments import Segments, resample, stations
-from sumo_adv.womd.sumonet import SumoNet
+from sumo_adv.datatypes import Floats
+from sumo_adv.files import write_whole
+from sumo_adv.womd.lines import Segments, resample, stations
+from sumo_adv.womd.matching import LaneGraph, Stretch, SumoNet, match, net_graph, record_graph
+from sumo_adv.womd.record import BIKE, VEHICLE, ObjectTrack, Record
+from sumo_adv.womd.scene import Router
 
 if TYPE_CHECKING:
     from sumo_adv.womd.network import ConvertedNetwork, Piece
 
 SAMPLE_STEP = 0.5  # m between samples of a lane
-NEAR = 1.0  # m within which a lane's own SUMO lane is looked for
+NEAR = 1.0  # m within which the nearest SUMO lane is looked for first
 FAR = 20.0  # m: deviations are not looked for beyond
 ALONG = 0.8  # rad within which a SUMO lane leads the same way
 MAX_GAP = 1.0  # m between a lane and its exit that still counts as a connection
@@ -31,17 +32,28 @@ ENDS = 0.3  # m within which a piece is a lane's first or last
 WOMD_HALF_WIDTH = 1.75  # m about a centre line that counts as the lane
 MOVING_SPEED = 1.0  # m/s from which a logged vehicle counts as moving
 DRIVEN = 5.0  # m that a track must cover to count as driven
-VEHICLE = 1  # index of TRACK_KINDS
+BANDS = ((0.1, 0.5, "#F0E442"), (0.5, 1.0, "#E69F00"), (1.0, np.inf, "#D55E00"))  # m from, m to, colour
+DATASET, OUTSIDE, INSIDE, EGO = "#BBD7EA", "#333333", "#009E73", "#0072B2"
+WIDTH, LEAST, MOST = 14.0, 6.0, 18.0  # inches; 100 dots an inch
+COLUMNS = (
+    "record", "km", "kept %", "<0.1 m %", "<0.5 m %", "p99 m", "links", "signals", "inside %", "centre %", "broken",
+    "junct. %", "traffic", "s",
+)  # fmt: skip
+LEGEND = """\
+km of lanes, the share kept in SUMO, shares of samples so near to a SUMO lane, 99th percentile; connections and signal
+lanes kept; logged moving vehicles inside a SUMO lane, within 1.75 m of a centre line of the record; tracks whose lanes
+break in SUMO / in the record / driven; lane length inside junctions; random traffic: vehicles, collisions, teleports;
+seconds to the network."""
+Report = Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
 class Deviations:
     """Samples of all lanes. xy ``(n, 2)`` m; distance ``(n,)`` m to the nearest SUMO lane of the same direction, at
-    most ``FAR``; own ``(n,)`` m to the SUMO lane that is said to stand for it, ``FAR`` where that is over ``NEAR``."""
+    most ``FAR``."""
 
     xy: Floats
     distance: Floats
-    own: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +67,7 @@ class Fidelity:
 
 def measure(record: Record, net: SumoNet, converted: ConvertedNetwork) -> Fidelity:
     """Every figure of the report but random traffic and the time it took."""
-    deviations = lane_deviations(record, net, converted.pieces)
+    deviations = lane_deviations(record, net)
     graph = net_graph(net)
     tracks = [t for t in record.tracks if t.kind == VEHICLE]
     matched = {t.id: match(graph, t) for t in tracks}
@@ -77,68 +89,46 @@ def kept_lanes(record: Record) -> dict[int, Floats]:
     }
 
 
-def lane_deviations(record: Record, net: SumoNet, pieces: Mapping[int, Sequence[Piece]]) -> Deviations:
+def lane_deviations(record: Record, net: SumoNet) -> Deviations:
     """Samples every ``SAMPLE_STEP`` m of all lanes, and how far SUMO's lanes are from them."""
-    parts = []
+    places, distances = [np.empty((0, 2))], [np.empty(0)]
     for bikes in (False, True):
-        lines = {i: p for i, p in kept_lanes(record).items() if (record.lanes[i].kind == BIKE) == bikes}
-        usable = {n: lane.shape for n, lane in net.lanes.items() if (lane.bicycles if bikes else lane.cars)}
-        parts += [_deviations(lines, usable, net, pieces)] if lines else []
-    return Deviations(*(np.concatenate([getattr(p, f) for p in parts]) for f in ("xy", "distance", "own")))
-
-
-def _deviations(
-    lines: Mapping[int, Floats], usable: Mapping[str, Floats], net: SumoNet, pieces: Mapping[int, Sequence[Piece]]
-) -> Deviations:
-    samples = {i: resample(p, SAMPLE_STEP) for i, p in lines.items()}
-    xy = np.concatenate([s[1] for s in samples.values()])
-    headings = np.concatenate([s[2] for s in samples.values()])
-    segments = Segments(usable)
-    distance = np.full(len(xy), FAR)
-    for radius in (NEAR, FAR):
-        left = np.flatnonzero(distance == FAR)
-        hits = segments.near(xy[left], radius, headings[left])
-        distance[left] = hits.where(hits.turned < ALONG).least(len(left), FAR)
-    own = np.concatenate([_own(s, pieces.get(i, ()), net) for i, s in samples.items()])
-    return Deviations(xy, distance, own)
-
-
-def _own(sample: tuple[Floats, Floats, Floats], pieces: Sequence[Piece], net: SumoNet) -> Floats:
-    """Distance of one lane's samples to the SUMO lanes of its pieces."""
-    at, xy, _ = sample
-    distance = np.full(len(at), FAR)
-    for piece in pieces:
-        over = np.flatnonzero((at >= piece.start - ENDS) & (at <= piece.end + ENDS))
-        if len(over) and piece.sumo_lane in net.lanes:
-            lane = Segments({0: net.lanes[piece.sumo_lane].shape})
-            distance[over] = np.minimum(distance[over], lane.near(xy[over], NEAR).least(len(over), FAR))
-    return distance
+        lines = [p for i, p in kept_lanes(record).items() if (record.lanes[i].kind == BIKE) == bikes]
+        if lines:
+            samples = [resample(line, SAMPLE_STEP) for line in lines]
+            xy, headings = (np.concatenate([s[k] for s in samples]) for k in (1, 2))
+            usable = {n: lane.shape for n, lane in net.lanes.items() if (lane.bicycles if bikes else lane.cars)}
+            segments, distance = Segments(usable), np.full(len(xy), FAR)
+            for radius in (NEAR, FAR):
+                left = np.flatnonzero(distance == FAR)
+                hits = segments.near(xy[left], radius, headings[left])
+                distance[left] = hits.where(hits.turned < ALONG).least(len(left), FAR)
+            places.append(xy)
+            distances.append(distance)
+    return Deviations(np.concatenate(places), np.concatenate(distances))
 
 
 def _percentiles(deviations: Deviations) -> dict[str, float]:
     d = deviations.distance
     p50, p95, p99 = np.percentile(d, (50, 95, 99))
     shares = {f"within_{r:g}": float((d <= r).mean()) for r in (0.1, 0.5, 1.0)}
-    own = {f"own_within_{r:g}": float((deviations.own <= r).mean()) for r in (0.1, 0.5)}
     return {
-        "samples": len(d), **shares, **own, "p50": float(p50), "p95": float(p95), "p99": float(p99),
-        "max": float(d.max()),
+        "samples": len(d), **shares, "p50": float(p50), "p95": float(p95), "p99": float(p99), "max": float(d.max()),
     }  # fmt: skip
 
 
 def _lengths(record: Record, pieces: Mapping[int, Sequence[Piece]]) -> dict[str, float]:
     """Lane length, the share of it that pieces represent, and the share inside junctions."""
-    whole = covered = inside = interpolating = 0.0
+    whole = covered = inside = 0.0
     for i, points in kept_lanes(record).items():
         length = float(stations(points)[-1])
         own = pieces.get(i, ())
         whole += length
-        interpolating += length * record.lanes[i].interpolating
         covered += _union([(p.start, p.end) for p in own], length)
         inside += _union([(p.start, p.end) for p in own if p.internal], length)
     return {
         "lane_length": whole, "represented": covered / whole if whole else 0.0,
-        "in_junctions": inside / whole if whole else 0.0, "interpolating": interpolating / whole if whole else 0.0,
+        "in_junctions": inside / whole if whole else 0.0,
     }  # fmt: skip
 
 
@@ -152,20 +142,16 @@ def _union(ranges: Sequence[tuple[float, float]], length: float) -> float:
     return total
 
 
-def wanted_connections(record: Record) -> list[tuple[int, int]]:
-    """Pairs of a lane and its exit, both with a length and less than ``MAX_GAP`` m apart."""
+def connectivity(record: Record, net: SumoNet, pieces: Mapping[int, Sequence[Piece]]) -> dict[str, Any]:
+    """How many of the record's connections (a lane and its exit, less than ``MAX_GAP`` m apart) can be driven in SUMO,
+    from a lane's last piece to the next one's first."""
     lines = kept_lanes(record)
-    return [
+    connections = [
         (i, e)
         for i, points in lines.items()
         for e in dict.fromkeys(record.lanes[i].exits)
         if e in lines and np.linalg.norm(points[-1] - lines[e][0]) < MAX_GAP
     ]
-
-
-def connectivity(record: Record, net: SumoNet, pieces: Mapping[int, Sequence[Piece]]) -> dict[str, Any]:
-    """How many of the record's connections can be driven in SUMO, from a lane's last piece to the next one's first."""
-    connections = wanted_connections(record)
     lost = [(a, b) for a, b in connections if not _joined(net, pieces.get(a, ()), pieces.get(b, ()))]
     total, kept = len(connections), len(connections) - len(lost)
     return {"wanted": total, "kept": kept, "share": kept / total if total else 1.0, "lost": lost}
@@ -211,16 +197,10 @@ def inside_lanes(record: Record, net: SumoNet) -> dict[str, float]:
     half = np.array([lane.width / 2 for lane in cars.values()])
     lines = {i: p for i, p in kept_lanes(record).items() if record.lanes[i].kind != BIKE}
     near = Segments(lines).near(xy, WOMD_HALF_WIDTH).least(len(xy), FAR) <= WOMD_HALF_WIDTH
-    inside = _within(Segments({n: lane.shape for n, lane in cars.items()}), half, xy)
-    return {"states": len(xy), "inside": float(inside.mean()), "near_centre": float(near.mean())}
-
-
-def _within(segments: Segments, half: Floats, xy: Floats) -> Bools:
     inside = np.zeros(len(xy), bool)
-    if len(half):
-        hits = segments.near(xy, float(half.max()))
-        inside[hits.point[hits.distance <= half[hits.line]]] = True
-    return inside
+    hits = Segments({n: lane.shape for n, lane in cars.items()}).near(xy, float(half.max(initial=0.0)))
+    inside[hits.point[hits.distance <= half[hits.line]]] = True
+    return {"states": len(xy), "inside": float(inside.mean()), "near_centre": float(near.mean())}
 
 
 def _moving(record: Record) -> Floats:
@@ -233,7 +213,7 @@ def _moving(record: Record) -> Floats:
     return np.concatenate(parts)
 
 
-def travelled(track: ObjectTrack) -> float:
+def _travelled(track: ObjectTrack) -> float:
     """How far a track goes while it is seen, m."""
     return float(np.hypot(np.diff(track.x[track.valid]), np.diff(track.y[track.valid])).sum())
 
@@ -243,10 +223,73 @@ def _routes(
 ) -> dict[str, Any]:
     """Driven tracks, those with edges that break in SUMO, and those that break on the record's own graph."""
     own: LaneGraph = record_graph(record)
-    driven = [t for t in tracks if travelled(t) > DRIVEN]
+    driven = [t for t in tracks if _travelled(t) > DRIVEN]
     broken = [t.id for t in driven if not router.unbroken(matched[t.id])]
     own_broken = [t.id for t in driven if len(match(own, t)) > 1]
     return {
         "driven": len(driven), "broken": broken, "own_broken": own_broken,
         "off_lanes": [t.id for t in driven if not matched[t.id]],
     }  # fmt: skip
+
+
+def draw_fidelity(target: Path, record: Record, net: SumoNet, fidelity: Fidelity) -> None:
+    """Write a PNG, 1400 px wide, to ``target``. Raises OSError if the file cannot be written."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    points = np.concatenate([p[:, :2] for p in kept_lanes(record).values()] or [np.zeros((1, 2))])
+    low, high = points.min(axis=0) - 10.0, points.max(axis=0) + 10.0
+    height = float(np.clip(WIDTH * (high[1] - low[1]) / (high[0] - low[0]), LEAST, MOST))
+    figure = Figure(figsize=(WIDTH, height + 1.0), dpi=100, facecolor="white")
+    FigureCanvasAgg(figure)
+    axes = figure.add_axes((0.05, 0.05, 0.93, 0.86))
+    lines = [points[:, :2] for points in kept_lanes(record).values()]
+    _lines(axes, lines, DATASET, 5.0, f"lanes of the record ({len(lines)})")
+    for internal, colour, name in ((False, OUTSIDE, "SUMO lanes"), (True, INSIDE, "SUMO lanes inside junctions")):
+        _lines(axes, [a.shape for a in net.lanes.values() if a.internal == internal], colour, 0.8, name)
+    for start, end, colour in BANDS:
+        d = fidelity.deviations
+        chosen = d.xy[(d.distance > start) & (d.distance <= end)]
+        name = f"{start:g} to {end:g} m off" if np.isfinite(end) else f"over {start:g} m off"
+        axes.plot(*chosen.T, "o", ms=4, color=colour, zorder=5, label=f"{name} ({len(chosen)} samples)")
+    ego = record.tracks[record.sdc]
+    axes.plot(ego.x[ego.valid], ego.y[ego.valid], color=EGO, lw=1.8, ls=(0, (3, 2)), zorder=4, label="ego's log")
+    axes.set_xlim(low[0], high[0])
+    axes.set_ylim(low[1], high[1])
+    axes.set_aspect("equal")
+    axes.legend(loc="best", fontsize=9)
+    figure.text(0.05, 0.96, _title(fidelity), fontsize=12, va="top", parse_math=False)
+    write_whole(target, lambda part: figure.savefig(part, format="png", metadata={"Software": None}))
+
+
+def _lines(axes: Any, lines: list[Any], colour: str, width: float, name: str) -> None:
+    from matplotlib.collections import LineCollection
+
+    axes.add_collection(LineCollection(lines, colors=colour, linewidths=width, label=name))
+
+
+def _title(fidelity: Fidelity) -> str:
+    r = fidelity.report
+    return (
+        f"{r['scenario_id']}: {r['lane_length'] / 1000:.2f} km of lanes, {100 * r['represented']:.1f} % represented; "
+        f"within 0.1 m {100 * r['deviation']['within_0.1']:.2f} %, 0.5 m {100 * r['deviation']['within_0.5']:.2f} %; "
+        f"connections {r['connectivity']['kept']} of {r['connectivity']['wanted']}"
+    )
+
+
+def row(report: Report) -> tuple[str, ...]:
+    """One record's cells; ``LEGEND`` explains them."""
+    d, c, s, v, r = (report[k] for k in ("deviation", "connectivity", "signals", "vehicles", "routes"))
+    t = report["traffic"]
+    return (
+        report["scenario_id"], f"{report['lane_length'] / 1000:.2f}", _percent(report["represented"]),
+        _percent(d["within_0.1"]), _percent(d["within_0.5"]), f"{d['p99']:.3f}", f"{c['kept']}/{c['wanted']}",
+        f"{s['mapped']}/{s['lanes']}", _percent(v["inside"]), _percent(v["near_centre"]),
+        f"{len(r['broken'])}/{len(r['own_broken'])}/{r['driven']}", _percent(report["in_junctions"]),
+        "-" if t is None else f"{t['vehicles']}/{t['collisions']}/{t['teleports']}",
+        f"{report['seconds']['network']:.2f}",
+    )  # fmt: skip
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.2f}"

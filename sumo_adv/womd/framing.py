@@ -87,7 +87,7 @@ def crc32c(data: bytes) -> int:
         size = len(data) // _STRIPS
         strips = np.frombuffer(data, np.uint8, _STRIPS * size).reshape(_STRIPS, size)
         crc, rest = _join(_strip_crcs(strips), size), data[_STRIPS * size :]
-    table = _table_list()
+    table = _table().tolist()
     for byte in rest:
         crc = table[(crc ^ byte) & 0xFF] ^ (crc >> 8)
     return crc ^ _ALL_ONES
@@ -119,11 +119,6 @@ def _table() -> NDArray[np.uint32]:
     for _ in range(8):
         table = (table >> np.uint32(1)) ^ (table & np.uint32(1)) * np.uint32(POLYNOMIAL)
     return table
-
-
-@lru_cache(maxsize=1)
-def _table_list() -> list[int]:
-    return [int(value) for value in _table()]
 
 
 @lru_cache(maxsize=64)

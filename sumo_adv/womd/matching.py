@@ -1,7 +1,8 @@
 """Which lanes a logged vehicle drove: the cheapest chain of lanes (Viterbi) through its positions.
 
 The same search runs on the record's own lane graph and on the SUMO network, so that their breaks can be compared. A
-break is where no lane near the vehicle can be reached from any lane it was near before.
+break is where no lane near the vehicle can be reached from any lane it was near before. The SUMO network is read here
+as this package measures it: unlike ``simulation.network`` with internal lanes in their order, and with bicycle lanes.
 """
 
 from __future__ import annotations
@@ -11,15 +12,17 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import permutations
+from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 
-from sumo_adv.datatypes import Floats
-from sumo_adv.womd.record import LaneFeature, ObjectTrack, Record
-from sumo_adv.womd.segments import Ints, Segments, stations
-from sumo_adv.womd.sumonet import SumoNet
+from sumo_adv.datatypes import Floats, Ints
+from sumo_adv.womd.lines import Segments, stations
+from sumo_adv.womd.record import BIKE, LaneFeature, ObjectTrack, Record
 
+DEFAULT_WIDTH = 3.2  # m, SUMO's for lanes without one
 NEAR = 2.5  # m from a lane's centre line at which a vehicle may still be on it
 TURNED = 0.9  # rad between vehicle and lane at most
 SIGMA = 0.8  # m, of a vehicle about its lane's centre line
@@ -30,9 +33,93 @@ SLACK = 12.0  # m that the way along the lanes may be longer than the way driven
 STEP = 3.0  # m between the positions that are matched
 REACH_STEP = 20.0  # m by which the search ahead grows
 MOST_CHANGES = 2  # lane changes between two positions
-
-BIKE = 3  # index of LANE_TYPES
 Lane = Any  # a SUMO lane's name or a WOMD lane's number
+
+
+@dataclass(frozen=True, slots=True)
+class NetLane:
+    """One lane. shape ``(n, 2)`` m; width, length m; cars, bicycles: which vehicles may use it."""
+
+    edge: str
+    shape: Floats
+    width: float
+    length: float
+    internal: bool
+    cars: bool
+    bicycles: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """One connection between lanes, the internal ones in between aside. direction: SUMO's letter; signal: whether a
+    traffic light rules it."""
+
+    start: str
+    end: str
+    via: str
+    direction: str
+    signal: bool
+
+
+@dataclass(frozen=True, slots=True)
+class SumoNet:
+    """Lanes by id; edges to their lanes, rightmost first; following: lane to the lanes a vehicle is on next, internal
+    ones included; links: connections between normal lanes."""
+
+    lanes: Mapping[str, NetLane]
+    edges: Mapping[str, tuple[str, ...]]
+    following: Mapping[str, tuple[str, ...]]
+    links: tuple[Link, ...]
+
+    def inner(self, link: Link) -> tuple[str, ...]:
+        """The internal lanes of a link, in order."""
+        chain: list[str] = []
+        lane = link.via
+        while lane in self.lanes and lane not in chain and self.lanes[lane].internal:
+            chain.append(lane)
+            lane = next(iter(self.following.get(lane, ())), "")
+        return tuple(chain)
+
+
+def read_net(path: Path) -> SumoNet:
+    """The network at ``path`` (written by ourselves: errors are not dressed up)."""
+    root = ElementTree.parse(path).getroot()
+    lanes: dict[str, NetLane] = {}
+    edges: dict[str, tuple[str, ...]] = {}
+    for edge in root.iter("edge"):
+        function = edge.get("function", "normal")
+        if function not in ("normal", "internal"):
+            continue
+        name = edge.attrib["id"]
+        own = {lane.attrib["id"]: _lane(lane.attrib, name, function == "internal") for lane in edge.iter("lane")}
+        lanes |= own
+        edges[name] = tuple(own)
+    following: dict[str, dict[str, None]] = {}
+    links = []
+    for c in root.iter("connection"):
+        start, end = f"{c.get('from')}_{c.get('fromLane')}", f"{c.get('to')}_{c.get('toLane')}"
+        if start not in lanes or end not in lanes:
+            continue
+        via = c.get("via", "")
+        following.setdefault(start, {})[via or end] = None
+        if not lanes[start].internal:
+            links.append(Link(start, end, via, c.get("dir", "s"), "tl" in c.attrib))
+    return SumoNet(lanes, edges, {lane: tuple(onward) for lane, onward in following.items()}, tuple(links))
+
+
+def _lane(attributes: Mapping[str, str], edge: str, internal: bool) -> NetLane:
+    shape = np.array([[float(v) for v in pair.split(",")[:2]] for pair in attributes["shape"].split()])
+    return NetLane(
+        edge, shape, float(attributes.get("width", DEFAULT_WIDTH)), float(attributes["length"]), internal,
+        _allows(attributes, "passenger"), _allows(attributes, "bicycle"),
+    )  # fmt: skip
+
+
+def _allows(attributes: Mapping[str, str], kind: str) -> bool:
+    named = {kind, "all"}
+    if "allow" in attributes:
+        return not named.isdisjoint(attributes["allow"].split())
+    return named.isdisjoint(attributes.get("disallow", "").split())
 
 
 @dataclass(frozen=True)

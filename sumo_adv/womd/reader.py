@@ -18,11 +18,9 @@ import numpy as np
 
 from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError
-from sumo_adv.womd.bounds import check_bounds
 from sumo_adv.womd.framing import Frame, read_frames
 from sumo_adv.womd.record import (
     AreaFeature,
-    BoundaryPart,
     LaneFeature,
     LineFeature,
     Neighbour,
@@ -30,6 +28,7 @@ from sumo_adv.womd.record import (
     Record,
     SignalState,
     StopSign,
+    check_bounds,
 )
 
 MPH = 0.44704  # m/s
@@ -222,8 +221,7 @@ def _lane(feature: Any, label: str) -> LaneFeature:
         id=feature.id, points=_points(lane.polyline, label), kind=lane.type,
         speed_limit=speed if np.isfinite(speed) and speed > 0.0 else 0.0, interpolating=lane.interpolating,
         entries=tuple(lane.entry_lanes), exits=tuple(lane.exit_lanes), left=_neighbours(lane.left_neighbors),
-        right=_neighbours(lane.right_neighbors), left_boundaries=_boundaries(lane.left_boundaries),
-        right_boundaries=_boundaries(lane.right_boundaries),
+        right=_neighbours(lane.right_neighbors),
     )  # fmt: skip
 
 
@@ -231,12 +229,6 @@ def _neighbours(neighbours: Iterable[Any]) -> tuple[Neighbour, ...]:
     return tuple(
         Neighbour(n.feature_id, n.self_start_index, n.self_end_index, n.neighbor_start_index, n.neighbor_end_index)
         for n in neighbours
-    )
-
-
-def _boundaries(parts: Iterable[Any]) -> tuple[BoundaryPart, ...]:
-    return tuple(
-        BoundaryPart(p.lane_start_index, p.lane_end_index, p.boundary_feature_id, p.boundary_type) for p in parts
     )
 
 
@@ -282,14 +274,8 @@ def _signals(message: Any, steps: int, label: str) -> list[tuple[SignalState, ..
 def _track(track: Any, steps: int, label: str) -> ObjectTrack:
     if len(track.states) != steps:
         raise UsageError(f"{label} has {len(track.states)} states for its track {track.id}, not one a step ({steps}).")
-    columns = np.array(
-        [[getattr(state, field) for state in track.states] for field in _FIELDS], dtype=np.float64
-    )  # fmt: skip
+    columns = np.array([[getattr(state, field) for state in track.states] for field in _FIELDS], dtype=np.float64)
     size = columns[3:5]
     sound = np.isfinite(columns).all(axis=0) & (size > 0.0).all(axis=0) & (size < LARGEST_OBJECT).all(axis=0)
     valid = np.array([state.valid for state in track.states], dtype=bool) & sound
-    x, y, z, length, width, height, heading, vx, vy = columns
-    return ObjectTrack(
-        id=track.id, kind=track.object_type, valid=valid, x=x, y=y, z=z, length=length, width=width, height=height,
-        heading=heading, vx=vx, vy=vy,
-    )  # fmt: skip
+    return ObjectTrack(track.id, track.object_type, valid, *columns)  # in the order of _FIELDS

@@ -7,15 +7,29 @@ Numbers of enums are those of the dataset; names stand beside them.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
-from sumo_adv.datatypes import Bools, Floats
+import numpy as np
+
+from sumo_adv.datatypes import Bools, Floats, Ints
+from sumo_adv.errors import UsageError
+from sumo_adv.geometry import wrap, wrap_below_pi
 
 LANE_TYPES = ("undefined", "freeway", "surface", "bike")
 TRACK_KINDS = ("unset", "vehicle", "pedestrian", "cyclist", "other")
 SIGNAL_STATES = (
     "unknown", "arrow_stop", "arrow_caution", "arrow_go", "stop", "caution", "go", "flashing_stop", "flashing_caution",
 )  # fmt: skip
+VEHICLE, BIKE = TRACK_KINDS.index("vehicle"), LANE_TYPES.index("bike")
+MOST_EXTENT = 20_000.0  # m between any two places; of the dataset: 600 m
+MOST_ROAD = 500_000.0  # m of lanes and lines together; of the dataset: 20 km
+FARTHEST = 1e6  # m from the origin, where a float still tells micrometres apart
+LONGEST = 3600.0  # s from the first time stamp to the last
+STEP = 0.1  # s
+UNEVEN = 0.05  # s that a time stamp may be off an even grid: clocks that are slow by 0.5 % are taken as they are
+JITTER = 0.01  # s that a step may be longer or shorter: 0.15 m at 15 m/s, the slack of the gate ``continuity``
+BRIDGED = 0.35  # s between two states that are joined by a straight line; over a longer gap an object is unseen
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,16 +41,6 @@ class Neighbour:
     own_end: int
     other_start: int
     other_end: int
-
-
-@dataclass(frozen=True, slots=True)
-class BoundaryPart:
-    """Over points ``start`` to ``end`` of the lane its side is the road line or edge ``feature``; ``kind`` 0 to 8."""
-
-    start: int
-    end: int
-    feature: int
-    kind: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,8 +56,6 @@ class LaneFeature:
     exits: tuple[int, ...]
     left: tuple[Neighbour, ...]
     right: tuple[Neighbour, ...]
-    left_boundaries: tuple[BoundaryPart, ...]
-    right_boundaries: tuple[BoundaryPart, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,3 +135,98 @@ class Record:
     areas: Sequence[AreaFeature]
     signals: Sequence[tuple[SignalState, ...]]
     content: str = ""
+
+
+def check_bounds(record: Record, where: str) -> None:
+    """Refuse a record that spans more than any does. ``where`` names it. Raises UsageError.
+
+    One wrong coordinate or time stamp would cost gigabytes: roads are filled in metre by metre, and records are
+    resampled step by step.
+    """
+    span = float(record.time[-1] - record.time[0])
+    if span > LONGEST:
+        raise UsageError(f"{where} spans {span:.3g} s, more than the {LONGEST:g} s that are read: its times are wrong.")
+    drawn: list[LaneFeature | LineFeature | AreaFeature]
+    drawn = [*record.lanes.values(), *record.lines.values(), *record.areas]
+    lines = [each.points[:, :2] for each in drawn]
+    lines += [sign.position[None, :2] for sign in record.stop_signs]
+    states = [np.stack([t.x[t.valid], t.y[t.valid]], axis=1) for t in record.tracks]
+    for kind, places in (("map point", lines), ("position of an object", states)):
+        _check_places(np.concatenate([np.empty((0, 2)), *places]), kind, where)
+    _check_places(np.concatenate([np.empty((0, 2)), *lines, *states]), "position of an object", where)
+    road = sum(float(np.hypot(*np.diff(line, axis=0).T).sum()) for line in lines)
+    if road > MOST_ROAD:
+        raise UsageError(
+            f"{where} has {road / 1000:.4g} km of lines, more than the {MOST_ROAD / 1000:g} that are read."
+        )
+
+
+def _check_places(places: Floats, kind: str, where: str) -> None:
+    if not len(places):
+        return
+    far = float(np.abs(places).max())
+    if far > FARTHEST:
+        raise UsageError(f"{where} has a {kind} {far:.3g} m from the origin: that is no place on a map in metres.")
+    extent = float(np.ptp(places, axis=0).max())
+    if extent > MOST_EXTENT:
+        raise UsageError(f"{where} has a {kind} {extent / 1000:.4g} km from another place, which no record spans.")
+
+
+@dataclass(frozen=True, slots=True)
+class Sampling:
+    """How a record was sampled. step: median time between its steps [s]; worst: how far a time stamp is off an even
+    10 Hz [s]; jitter: how far the time between two steps is off 0.1 s [s]; resampled: whether it was resampled."""
+
+    step: float
+    worst: float
+    jitter: float
+    resampled: bool
+
+    @property
+    def sentence(self) -> str:
+        """For the user; empty if the record is taken as it is."""
+        if not self.resampled:
+            return ""
+        return (
+            f"resampled to 10 Hz: steps {self.step:.3f} s apart, uneven by up to {self.jitter:.3f} s, "
+            f"time stamps up to {self.worst:.3f} s off"
+        )
+
+
+def evenly_sampled(record: Record) -> tuple[Record, Sampling]:
+    """The record on the grid ``time[0] + 0.1 k`` s, itself if it is on that already.
+
+    Positions, speeds and sizes are linear between states, headings go the shorter way. An object is valid where the
+    states on both sides are. Signals keep the last state. The current step is the nearest to that of the record.
+    """
+    time = record.time - record.time[0]
+    steps = np.diff(time) if len(time) > 1 else np.array([STEP])
+    step, jitter = float(np.median(steps)), float(np.abs(steps - STEP).max())
+    worst = float(np.abs(time - STEP * np.arange(len(time))).max())
+    if worst <= UNEVEN and jitter <= JITTER:
+        return record, Sampling(step, worst, jitter, resampled=False)
+    grid = np.asarray(STEP * np.arange(int(time[-1] / STEP + 1e-6) + 1), np.float64)
+    high = np.clip(np.searchsorted(time, grid - 1e-9), 0, len(time) - 1)
+    low = np.maximum(high - (time[high] > grid + 1e-9), 0)
+    gap = time[high] - time[low]
+    share = np.where(gap > 0.0, (grid - time[low]) / np.maximum(gap, 1e-9), 0.0)
+    bridged: Bools = np.asarray(gap <= max(BRIDGED, 1.5 * step))
+    even = replace(
+        record, time=record.time[0] + grid, current=int(np.argmin(np.abs(grid - time[record.current]))),
+        tracks=[_track(track, low, high, share, bridged) for track in record.tracks],
+        signals=[record.signals[k] for k in low],
+    )  # fmt: skip
+    return even, Sampling(step, worst, jitter, resampled=True)
+
+
+def _track(track: ObjectTrack, low: Ints, high: Ints, share: Floats, bridged: Bools) -> ObjectTrack:
+    linear: dict[str, Any] = {}
+    for name in ("x", "y", "z", "length", "width", "height", "vx", "vy"):
+        before, after = getattr(track, name)[low], getattr(track, name)[high]
+        linear[name] = np.asarray(np.where(share == 0.0, before, before * (1 - share) + after * share))
+    turn = wrap_below_pi(track.heading[high] - track.heading[low])
+    return replace(
+        track, valid=track.valid[low] & track.valid[high] & bridged,
+        heading=wrap(track.heading[low] + share * turn),
+        **linear,
+    )  # fmt: skip

@@ -6,7 +6,8 @@ that recorded (``sdc``), under its own track id, and its warm-up ends at the rec
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import groupby, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -14,26 +15,101 @@ import numpy as np
 from sumo_adv.errors import UsageError
 from sumo_adv.geometry import wrap
 from sumo_adv.simulation.tracks import KINDS, LoggedTrack, TrackLog, write_tracks
-from sumo_adv.womd.matching import Stretch
-from sumo_adv.womd.record import TRACK_KINDS, ObjectTrack, Record
-from sumo_adv.womd.routes import Router
-from sumo_adv.womd.sampling import STEP
-from sumo_adv.womd.segments import Segments
-from sumo_adv.womd.sumonet import SumoNet
+from sumo_adv.womd.lines import Segments
+from sumo_adv.womd.matching import Link, Stretch, SumoNet
+from sumo_adv.womd.record import STEP, TRACK_KINDS, VEHICLE, ObjectTrack, Record
 
+RUN_ON = 300.0  # m that a route leads on beyond the log, if no edge ends before
+_STRAIGHTEST = "slrLRt"  # SUMO's letters of direction, the preferred first
 STANDING = 1.0  # m that a parked vehicle may seem to move
 QUEUED = 1.5  # m from a lane's centre line within which a standing vehicle queues rather than parks
 QUEUED_TURN = 0.52  # rad between it and the lane
-VEHICLE = 1  # index of TRACK_KINDS
-
 NETWORK, SCENARIO, TRACKS, ROUTES = "network.net.xml", "scenario.toml", "tracks.csv.gz", "routes.rou.xml"
 CROSSWALKS = "crosswalks.add.xml"
+
+
+class Router:
+    """Makes routes on one network."""
+
+    def __init__(self, net: SumoNet) -> None:
+        self._net = net
+        self._from: dict[str, list[Link]] = {}  # edge -> links of cars that leave it
+        self._through: dict[str, Link] = {}  # internal lane -> the link it is a part of
+        for link in net.links:
+            if net.lanes[link.start].cars and net.lanes[link.end].cars:
+                self._from.setdefault(net.lanes[link.start].edge, []).append(link)
+                for lane in net.inner(link):
+                    self._through[lane] = link
+
+    def route(self, stretches: Sequence[Stretch], step: int) -> tuple[str, ...]:
+        """Edges of the stretch that a vehicle is on at a step or next, led on; empty where it is on none.
+
+        Begins with the edge of the stretch's first lane (if that is inside a junction, with the edge before it) and
+        ends with an edge that nothing follows, or ``RUN_ON`` m further on.
+        """
+        chosen = next((s for s in stretches if s.steps[-1] >= step), stretches[-1] if stretches else None)
+        if chosen is None:
+            return ()
+        *before, last = self._parts(self.edges(chosen))
+        current = next(
+            lane for at, lane in zip(chosen.steps, chosen.lanes, strict=True) if at >= min(step, chosen.steps[-1])
+        )
+        link = self._through.get(current)  # of an internal lane the edge before it counts
+        edge = self._net.lanes[current if link is None else link.start].edge
+        for part in before:
+            if edge in part:
+                return tuple(part + self._on(part, ""))
+        return tuple(last + self._on(last, chosen.driven[-1]))
+
+    def unbroken(self, stretches: Sequence[Stretch]) -> bool:
+        """Whether a track is one stretch (or none) with edges that follow one another."""
+        return len(stretches) <= 1 and all(len(self._parts(self.edges(s))) == 1 for s in stretches)
+
+    def _parts(self, edges: list[str]) -> list[list[str]]:
+        """The edges, parted where none leads to the next."""
+        parts = [edges[:1]]
+        for before, after in pairwise(edges):
+            if any(self._net.lanes[link.end].edge == after for link in self._from.get(before, ())):
+                parts[-1].append(after)
+            else:
+                parts.append([after])
+        return parts
+
+    def edges(self, stretch: Stretch) -> list[str]:
+        """Normal edges of a stretch, with those at its ends that internal lanes lead from and to."""
+        edges: list[str] = []
+        pending: Link | None = None
+        for lane in stretch.driven:
+            link = self._through.get(lane)
+            if link is not None and not edges:
+                edges.append(self._net.lanes[link.start].edge)
+            if not self._net.lanes[lane].internal:
+                edges.append(self._net.lanes[lane].edge)
+            pending = link
+        if pending is not None:
+            edges.append(self._net.lanes[pending.end].edge)
+        return [edge for edge, _ in groupby(edges)]
+
+    def _on(self, edges: Sequence[str], lane: str) -> list[str]:
+        """The edges after the last one: where the lane leads, straight on if there is a choice."""
+        added: list[str] = []
+        length = 0.0
+        last = edges[-1] if edges else ""
+        while length < RUN_ON:
+            options = [k for k in self._from.get(last, ()) if self._net.lanes[k.end].edge not in {*edges, *added}]
+            if not options:
+                break
+            best = min(options, key=lambda k: (k.start != lane, _STRAIGHTEST.find(k.direction), k.end))
+            lane, last = best.end, self._net.lanes[best.end].edge
+            length += self._net.lanes[lane].length
+            added.append(last)
+        return added
 
 
 def write_scene(record: Record, net: SumoNet, matched: Mapping[int, Sequence[Stretch]], folder: Path) -> None:
     """Scenario, tracks, routes and crosswalks into ``folder``, beside the network there.
 
-    The record's steps are 0.1 s apart (``sampling.evenly_sampled``). Raises UsageError if its ego is never seen.
+    The record's steps are 0.1 s apart (``evenly_sampled``). Raises UsageError if its ego is never seen.
     """
     ego = record.tracks[record.sdc]
     if not ego.valid.any():
@@ -41,10 +117,16 @@ def write_scene(record: Record, net: SumoNet, matched: Mapping[int, Sequence[Str
     parked = parked_vehicles(record, net)
     left_out = {track.id for track in parked}
     moving = [t for t in record.tracks if t.id not in left_out and t.valid.any()]
-    write_tracks(folder / TRACKS, track_log(record, moving))
-    _write_routes(record, Router(net), moving, matched, folder / ROUTES)
-    _write_crosswalks(record, folder / CROSSWALKS)
+    time = np.asarray(STEP * np.arange(len(record.time)), np.float64)
+    write_tracks(folder / TRACKS, TrackLog(time, {str(t.id): _logged(t) for t in moving}))
+    _write_xml(folder / ROUTES, "routes", _routes(record, Router(net), moving, matched))
+    _write_xml(folder / CROSSWALKS, "additional", _crosswalks(record))
     (folder / SCENARIO).write_text(_scenario(record, ego, parked), encoding="utf-8", newline="\n")
+
+
+def _write_xml(path: Path, tag: str, lines: Iterable[str]) -> None:
+    text = "".join(lines)
+    path.write_text(f'<?xml version="1.0" encoding="UTF-8"?>\n\n<{tag}>\n{text}</{tag}>\n', "utf-8", newline="\n")
 
 
 def parked_vehicles(record: Record, net: SumoNet) -> list[ObjectTrack]:
@@ -55,7 +137,7 @@ def parked_vehicles(record: Record, net: SumoNet) -> list[ObjectTrack]:
     ]  # fmt: skip
     if not standing:
         return []
-    poses = np.array([pose(t)[:3] for t in standing])
+    poses = np.array([_pose(t)[:3] for t in standing])
     lanes = Segments({name: lane.shape for name, lane in net.lanes.items() if lane.cars})
     hits = lanes.near(poses[:, :2], QUEUED, poses[:, 2])
     queued = set(hits.point[hits.turned < QUEUED_TURN].tolist())
@@ -67,7 +149,7 @@ def _stands(track: ObjectTrack) -> bool:
     return float(np.hypot(x - x[0], y - y[0]).max()) <= STANDING
 
 
-def pose(track: ObjectTrack) -> tuple[float, float, float, float, float]:
+def _pose(track: ObjectTrack) -> tuple[float, float, float, float, float]:
     """A standing object's x, y [m], heading [rad], length, width [m]: medians over what was seen."""
     keep = track.valid
     heading = track.heading[keep]
@@ -76,44 +158,33 @@ def pose(track: ObjectTrack) -> tuple[float, float, float, float, float]:
     return x, y, float(mean), length, width
 
 
-def track_log(record: Record, tracks: Sequence[ObjectTrack]) -> TrackLog:
-    """Tracks on the scenario's clock."""
-    time = np.asarray(STEP * np.arange(len(record.time)), np.float64)
-    return TrackLog(time, {str(t.id): _logged(t) for t in tracks})
-
-
 def _logged(track: ObjectTrack) -> LoggedTrack:
     kind = TRACK_KINDS[track.kind] if 0 <= track.kind < len(TRACK_KINDS) else ""
-    *_, length, width = pose(track)
+    *_, length, width = _pose(track)
     return LoggedTrack(
         id=str(track.id), kind=kind if kind in KINDS else "other", valid=track.valid, x=track.x, y=track.y,
         heading=wrap(track.heading), speed=np.hypot(track.vx, track.vy), length=length, width=width,
     )  # fmt: skip
 
 
-def _write_routes(
-    record: Record, router: Router, tracks: Sequence[ObjectTrack], matched: Mapping[int, Sequence[Stretch]], path: Path
-) -> None:
+def _routes(
+    record: Record, router: Router, tracks: Sequence[ObjectTrack], matched: Mapping[int, Sequence[Stretch]]
+) -> Iterator[str]:
     """The routes of vehicles that are on the network when they are handed over or later, under their track ids."""
-    lines = ['<?xml version="1.0" encoding="UTF-8"?>\n\n<routes>\n']
     for track in tracks:
-        edges = router.route(matched.get(track.id, ()), record.current)
-        if edges:
-            lines.append(f'    <route id="{track.id}" edges="{" ".join(edges)}"/>\n')
-    path.write_text("".join([*lines, "</routes>\n"]), encoding="utf-8", newline="\n")
+        if edges := router.route(matched.get(track.id, ()), record.current):
+            yield f'    <route id="{track.id}" edges="{" ".join(edges)}"/>\n'
 
 
-def _write_crosswalks(record: Record, path: Path) -> None:
+def _crosswalks(record: Record) -> Iterator[str]:
     """The crosswalks as filled polygons over the road, for sumo-gui; they rule no vehicle's way."""
-    lines = ['<?xml version="1.0" encoding="UTF-8"?>\n\n<additional>\n']
     for area in record.areas:
         if area.kind == "crosswalk" and len(area.points) > 2:
             shape = " ".join(f"{x:.3f},{y:.3f}" for x, y in area.points[:, :2].tolist())
-            lines.append(
+            yield (
                 f'    <poly id="crosswalk{area.id}" type="crosswalk" color="230,230,230,160" fill="true" layer="1" '
                 f'shape="{shape}"/>\n'
             )
-    path.write_text("".join([*lines, "</additional>\n"]), encoding="utf-8", newline="\n")
 
 
 def _scenario(record: Record, ego: ObjectTrack, parked: Sequence[ObjectTrack]) -> str:
@@ -141,7 +212,7 @@ id = "{ego.id}"
 warm_up = {STEP * max(record.current - first, 0):.1f}
 """
     for track in parked:
-        x, y, heading, length, width = pose(track)
+        x, y, heading, length, width = _pose(track)
         text += (
             f"\n[[parked]]  # track {track.id}\nx = {x:.3f}\ny = {y:.3f}\nheading = {heading:.4f}\n"
             f"length = {length:.3f}\nwidth = {width:.3f}\n"

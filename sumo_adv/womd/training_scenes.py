@@ -12,34 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from sumo_adv.errors import UsageError
-from sumo_adv.transformer.dataset import (
-    HELD_OUT,
-    HELD_OUT_SHARE,
-    NEAR_FOCUS,
-    TRAIN,
-    Scene,
-    begin,
-    save,
-    scene_of,
-    together,
-)
-from sumo_adv.transformer.scene import (
-    AGENTS,
-    FUTURE,
-    HISTORY,
-    INNER_SEGMENT,
-    LIMIT,
-    SEGMENT,
-    Agents,
-    Segments,
-    cut,
-    light_of,
-)
+from sumo_adv.transformer import dataset, scene
 from sumo_adv.womd.reader import read_records
-from sumo_adv.womd.record import LANE_TYPES, TRACK_KINDS, Record
-from sumo_adv.womd.sampling import evenly_sampled
+from sumo_adv.womd.record import BIKE, VEHICLE, Record, evenly_sampled
 
-VEHICLE, BIKE = TRACK_KINDS.index("vehicle"), LANE_TYPES.index("bike")
 TURNS = 0.5  # rad between the directions of a lane's ends: it turns
 
 
@@ -52,45 +28,46 @@ def make_from_records(source: Path, folder: Path, progress: Callable[[int, int],
     files = sorted(path for path in source.iterdir() if ".tfrecord" in path.name) if source.is_dir() else []
     if not files:
         raise UsageError(f"{source} is no folder with .tfrecord files.")
-    begin(folder, f"womd, {len(files)} files")
+    dataset.begin(folder, f"womd, {len(files)} files")
     for number, file in enumerate(files):
-        kind = HELD_OUT if number % HELD_OUT_SHARE == HELD_OUT_SHARE - 1 else TRAIN
+        kind = dataset.HELD_OUT if number % dataset.HELD_OUT_SHARE == dataset.HELD_OUT_SHARE - 1 else dataset.TRAIN
         target = folder / f"{kind}-{number:04d}.npz"
         if not target.exists():
-            scenes = [scene for record in read_records(file) if (scene := scene_of_record(record)) is not None]
+            scenes = [made for record in read_records(file) if (made := scene_of_record(record)) is not None]
             if scenes:
-                save(together(scenes), target)
+                dataset.save(dataset.together(scenes), target)
         progress(number + 1, len(files))
     return len(files)
 
 
-def scene_of_record(record: Record) -> Scene | None:
+def scene_of_record(record: Record) -> dataset.Scene | None:
     """The scene of a record around its ego (see ``dataset.scene_of``); None where its history is too short."""
     record, _ = evenly_sampled(record)
-    first = record.current - HISTORY + 1
+    first = record.current - scene.HISTORY + 1
     ego = record.tracks[record.sdc]
     if first < 0 or not ego.valid[record.current]:
         return None
     current = record.current
     there = [t for t in record.tracks if t.kind == VEHICLE and t.valid[current] and t.valid[first]]
     far = {t.id: float(np.hypot(t.x[current] - ego.x[current], t.y[current] - ego.y[current])) for t in there}
-    chosen = sorted((t for t in there if far[t.id] < NEAR_FOCUS), key=lambda t: far[t.id])[:AGENTS]
+    chosen = sorted((t for t in there if far[t.id] < dataset.NEAR_FOCUS), key=lambda t: far[t.id])[: scene.AGENTS]
     if not chosen:
         return None
-    place = np.full((len(chosen), HISTORY + FUTURE, 2), np.nan)
+    place = np.full((len(chosen), scene.HISTORY + scene.FUTURE, 2), np.nan)
     for i, track in enumerate(chosen):
-        steps = min(HISTORY + FUTURE, len(track.x) - first)
+        steps = min(scene.HISTORY + scene.FUTURE, len(track.x) - first)
         valid = track.valid[first : first + steps]
         place[i, :steps][valid] = np.column_stack([track.x, track.y])[first : first + steps][valid]
-    agents = Agents(
-        place[:, :HISTORY], np.array([t.heading[current] for t in chosen]),
+    agents = scene.Agents(
+        place[:, :scene.HISTORY], np.array([t.heading[current] for t in chosen]),
         np.array([np.hypot(t.vx[current], t.vy[current]) for t in chosen]),
-        np.array([(t.length[current], t.width[current]) for t in chosen]), np.array([light_of(None) for _ in chosen]),
+        np.array([(t.length[current], t.width[current]) for t in chosen]),
+        np.array([scene.light_of(None) for _ in chosen]),
     )  # fmt: skip
-    return scene_of(agents, place[:, HISTORY:], _segments(record))
+    return dataset.scene_of(agents, place[:, scene.HISTORY :], _segments(record))
 
 
-def _segments(record: Record) -> Segments:
+def _segments(record: Record) -> scene.Segments:
     pieces = []
     lit = {state.lane for states in record.signals for state in states}
     yields = {lane for sign in record.stop_signs for lane in sign.lanes}
@@ -102,5 +79,6 @@ def _segments(record: Record) -> Segments:
         turn = float(np.arctan2(ax * by - ay * bx, ax * bx + ay * by))
         inner = lane.interpolating
         about = inner, inner and turn > TURNS, inner and turn < -TURNS, lane.id in yields, lane.id in lit
-        pieces.append((shape, INNER_SEGMENT if inner else SEGMENT, (*about, lane.speed_limit / LIMIT)))
-    return cut(pieces)
+        length = scene.INNER_SEGMENT if inner else scene.SEGMENT
+        pieces.append((shape, length, (*about, lane.speed_limit / scene.LIMIT)))
+    return scene.cut(pieces)

@@ -21,13 +21,16 @@ from sumo_adv.simulation.inputs import data_folder, load_input
 from sumo_adv.simulation.shipped import shipped_files
 from sumo_adv.words.build import build
 from sumo_adv.words.draft import Draft, SceneDraft
-from sumo_adv.words.reading import Reading, read_motion
-from sumo_adv.words.ways import Net
+from sumo_adv.words.request import Reading, read_motion
+from sumo_adv.words.roads import Net
 
 CORRECTIONS = 5  # of the first answer
 MOST_QUESTIONS = 8  # for one request: drafts and readings
 DRAFT_AND_READING = 2  # questions that one more draft may take
 LEVEL = "valid"  # that is wanted where a draft names none
+Run = Callable[[Path, Path, Mapping[str, Any]], dict[str, Any]]
+"""Runs a scenario: its file, the folder to write, settings of its goal. Returns what ``outcome.json`` holds. Raises
+SumoAdvError."""
 
 
 class NoScenario(SumoAdvError):
@@ -94,11 +97,6 @@ def goal_of(scene: SceneDraft) -> dict[str, Any]:
     return scene.attack.asked.settings or {"until": LEVEL}
 
 
-Run = Callable[[Path, Path, Mapping[str, Any]], dict[str, Any]]
-"""Runs a scenario: its file, the folder to write, settings of its goal. Returns what ``outcome.json`` holds. Raises
-SumoAdvError."""
-
-
 class Author:
     """Makes one scenario. ``folder``: for the files of all tries; ``name``: of the scenario."""
 
@@ -121,7 +119,8 @@ class Author:
         """
         self._words = words
         prompt = self._prompts.render(
-            "write", networks=_networks(), given=_given(self._network), intents=_intents(self._library),
+            "write", networks=_networks(), given=_given(self._network),
+            intents="\n".join(f"  - {sanitize(e.label)}: {sanitize(e.description)}" for e in self._library),
             events="\n".join(f"  - {event}: {meaning}" for event, meaning in MEANINGS.items()),
             request=fenced(words),
         )  # fmt: skip
@@ -209,7 +208,3 @@ def _given(network: Path | None) -> str:
     if network is None:
         return ""
     return f"- given: the user's own network, which is to be used. Its edges: {Net(network).words()}\n"
-
-
-def _intents(library: Sequence[LibraryEntry]) -> str:
-    return "\n".join(f"  - {sanitize(e.label)}: {sanitize(e.description)}" for e in library)

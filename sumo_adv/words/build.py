@@ -6,17 +6,18 @@ and parked vehicles are placed along the ego's way. Where there are traffic ligh
 
 from __future__ import annotations
 
-import json
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from xml.sax.saxutils import quoteattr
 
-from sumo_adv.asked import Asked, Written
+from sumo_adv.asked import Written
 from sumo_adv.errors import UsageError
+from sumo_adv.files import toml_lines, toml_text, toml_value
 from sumo_adv.words.draft import EgoDraft, SceneDraft, VehicleDraft
-from sumo_adv.words.roads import make_network
-from sumo_adv.words.ways import Drive, Net, meeting
+from sumo_adv.words.roads import Drive, Net, make_network, meeting
 
 MEET = 9.0  # s after the start at which the ego is where it meets others
 SOONEST = 5.5  # s that must be left to a meeting
@@ -224,17 +225,16 @@ def _scenario(
     if scene.road.kind == "given":
         name = str(network.resolve())
     lines = [
-        f"# {line}\n" for line in ("Made from words by sumo-adv write; [written] holds them.",)
-    ] + [
-        f"schema = 1\nnetwork = {_text(name)}\n\n[demand]\nfiles = [{_text(f'{stem}.rou.xml')}]\nbegin = 0.0\n"
+        "# Made from words by sumo-adv write; [written] holds them.\n"
+        f"schema = 1\nnetwork = {toml_text(name)}\n\n[demand]\nfiles = [{toml_text(f'{stem}.rou.xml')}]\nbegin = 0.0\n"
         f"end = {LASTS}\n\n[ego]\nid = \"ego\"\n\n[window]\nwarm_up = {min(trigger, EARLIEST)}\ntrigger = {trigger}\n"
-        f"horizon = {HORIZON}\n\n[adversary]\ncandidates = {_list([adversary])}\n",
-        f"supports = {_list(attack.supports)}\n" if attack.supports else "",
-        f"intents = {_list(attack.intents)}\n" if attack.intents else "",
-        f"\n[signals]\nfiles = [{_text(f'{stem}.add.xml')}]\n" if lights else "",
+        f"horizon = {HORIZON}\n\n[adversary]\ncandidates = {toml_value([adversary])}\n",
+        f"supports = {toml_value(attack.supports)}\n" if attack.supports else "",
+        f"intents = {toml_value(attack.intents)}\n" if attack.intents else "",
+        f"\n[signals]\nfiles = [{toml_text(f'{stem}.add.xml')}]\n" if lights else "",
         *tables,
-        f"\n[written]\nwords = {_text(written.words)}\nmodel = {_text(written.model)}\ndate = {_text(written.date)}\n",
-        f"\n[asked]\n{_asked(attack.asked)}",
+        _table("written", {"words": written.words, "model": written.model, "date": written.date}),
+        _table("asked", attack.asked.model_dump(mode="json", exclude_defaults=True)),
     ]  # fmt: skip
     return "".join(lines)
 
@@ -262,23 +262,10 @@ def _beside(ego: Drive, station: float, offset: float) -> tuple[float, float, fl
     return x - offset * math.sin(heading), y + offset * math.cos(heading), heading
 
 
+def _table(name: str, table: Mapping[str, Any]) -> str:
+    return "\n".join(["", f"[{name}]", *toml_lines(table), ""])
+
+
 def _box(table: str, x: float, y: float, heading: float, length: float, width: float) -> str:
     turned = math.remainder(heading, math.tau)
     return f"\n[[{table}]]\nx = {x:.2f}\ny = {y:.2f}\nheading = {turned:.4f}\nlength = {length}\nwidth = {width}\n"
-
-
-def _asked(asked: Asked) -> str:
-    rows = []
-    for key, value in asked.model_dump(mode="json", exclude_defaults=True).items():
-        shown = _list(value) if isinstance(value, list) else _text(value) if isinstance(value, str) else str(value)
-        rows.append(f"{key} = {shown.lower() if isinstance(value, bool) else shown}\n")
-    return "".join(rows)
-
-
-def _text(value: str) -> str:
-    """A TOML basic string."""
-    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-
-
-def _list(values: list[str]) -> str:
-    return f"[{', '.join(_text(v) for v in values)}]"

@@ -17,9 +17,15 @@ import math
 import subprocess
 import tempfile
 from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 from xml.sax.saxutils import quoteattr
 
+import numpy as np
+
+from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError, nearest
 from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.simulation.programs import find_netconvert
@@ -41,6 +47,15 @@ RING_SPEED = 30.0  # km/h
 SIDEWALK, BIKE_LANE = 2.0, 1.5  # m
 
 Attributes = dict[str, object]
+Plain = tuple[list[Attributes], list[Attributes], list[Attributes]]
+"""Nodes, edges and connections."""
+ARMS = {"west": (-1, 0), "east": (1, 0), "south": (0, -1), "north": (0, 1)}
+CONTROLS = {
+    "priority": "priority", "signals": "traffic_light", "all_stop": "allway_stop",
+    "right_before_left": "right_before_left",
+}  # fmt: skip
+TOGETHER = 2.0  # m: ways that come as near as this meet
+STEP = 1.0  # m between the points of a way
 
 
 def make_network(road: RoadDraft, target: Path, given: Path | None) -> Path:
@@ -57,22 +72,8 @@ def make_network(road: RoadDraft, target: Path, given: Path | None) -> Path:
         if road.name not in names:
             raise UsageError(f"There is no shipped network '{road.name}'{nearest(road.name, names)}.")
         return data_folder("networks") / f"{road.name}.net.xml"
-    return _build(*_plain(road), target)
-
-
-def _plain(road: RoadDraft) -> tuple[list[Attributes], list[Attributes], list[Attributes]]:
-    """Nodes, edges and connections."""
-    match road.kind:
-        case "straight":
-            return _straight(road)
-        case "ramp":
-            return _ramp(road)
-        case "lane_drop":
-            return _lane_drop(road)
-        case "roundabout":
-            return _roundabout(road)
-        case _:
-            return _junction(road)
+    makers = {"straight": _straight, "ramp": _ramp, "lane_drop": _lane_drop, "roundabout": _roundabout}
+    return _build(*makers.get(road.kind, _junction)(road), target)
 
 
 def _edge(name: str, start: str, end: str, lanes: int, kmh: float, **more: object) -> Attributes:
@@ -94,7 +95,7 @@ def _beside(road: RoadDraft) -> Attributes:
     return extra | ({"bikeLaneWidth": BIKE_LANE} if road.bike_lane else {})
 
 
-def _straight(road: RoadDraft) -> tuple[list[Attributes], list[Attributes], list[Attributes]]:
+def _straight(road: RoadDraft) -> Plain:
     nodes = [_node("west", 0, 0), _node("east", road.length, 0)]
     edges = [_edge("forward", "west", "east", road.lanes, road.speed_limit, **_beside(road))]
     if road.lanes_back:
@@ -102,7 +103,7 @@ def _straight(road: RoadDraft) -> tuple[list[Attributes], list[Attributes], list
     return nodes, edges, []
 
 
-def _ramp(road: RoadDraft) -> tuple[list[Attributes], list[Attributes], list[Attributes]]:
+def _ramp(road: RoadDraft) -> Plain:
     nodes = [
         _node("west", -road.length, 0), _node("start", -min(road.length, 300.0), -75.0),
         _node("nose", 0, 0, type="priority"), _node("taper", ACCELERATION_LANE, 0, type="priority"),
@@ -122,7 +123,7 @@ def _ramp(road: RoadDraft) -> tuple[list[Attributes], list[Attributes], list[Att
     return nodes, edges, links
 
 
-def _lane_drop(road: RoadDraft) -> tuple[list[Attributes], list[Attributes], list[Attributes]]:
+def _lane_drop(road: RoadDraft) -> Plain:
     if road.lanes < 2:
         raise UsageError("A lane_drop needs lanes = 2 or more, of which one ends.")
     nodes = [_node("west", 0, 0), _node("drop", road.length, 0, type="priority"), _node("east", 2 * road.length, 0)]
@@ -138,14 +139,7 @@ def _link(start: str, end: str, from_lane: int, to_lane: int) -> Attributes:
     return {"from": start, "to": end, "fromLane": from_lane, "toLane": to_lane}
 
 
-ARMS = {"west": (-1, 0), "east": (1, 0), "south": (0, -1), "north": (0, 1)}
-CONTROLS = {
-    "priority": "priority", "signals": "traffic_light", "all_stop": "allway_stop",
-    "right_before_left": "right_before_left",
-}  # fmt: skip
-
-
-def _junction(road: RoadDraft) -> tuple[list[Attributes], list[Attributes], list[Attributes]]:
+def _junction(road: RoadDraft) -> Plain:
     arms = ("west", "east", "south") if road.kind == "t" else tuple(ARMS)
     equal = road.control in ("right_before_left", "all_stop")
     nodes = [_node("centre", 0, 0, type=CONTROLS[road.control])]
@@ -162,7 +156,7 @@ def _junction(road: RoadDraft) -> tuple[list[Attributes], list[Attributes], list
     return nodes, edges, []
 
 
-def _roundabout(road: RoadDraft) -> tuple[list[Attributes], list[Attributes], list[Attributes]]:
+def _roundabout(road: RoadDraft) -> Plain:
     order = ("east", "north", "west", "south")
     nodes, edges = [], []
     for place, arm in enumerate(order):
@@ -206,3 +200,138 @@ def _build(nodes: Sequence[Attributes], edges: Sequence[Attributes], links: Sequ
     opening = text.index("<net ")  # without netconvert's comment, which holds times and paths
     target.write_text(f"<!-- made by sumo-adv write -->\n{text[opening:]}", encoding="utf-8")
     return target
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """A vehicle's way: its edges, SUMO's index of the lane on the first one, its points (n, 2) every ``STEP`` m from
+    the beginning of the first edge, the length of that edge [m], and the station at which the first junction begins."""
+
+    edges: tuple[str, ...]
+    lane: int
+    points: Floats
+    first: float
+    limit: float
+
+    def at(self, station: float) -> tuple[float, float, float]:
+        """x, y [m] and heading [rad] at a station [m]; straight on beyond the ends."""
+        k = int(np.clip(station / STEP, 0, len(self.points) - 2))
+        a, b = self.points[k], self.points[k + 1]
+        along = (b - a) / max(float(np.hypot(*(b - a))), 1e-6)
+        x, y = a + along * (station - k * STEP)
+        return float(x), float(y), float(np.arctan2(along[1], along[0]))
+
+    def nearest(self, x: float, y: float) -> float:
+        """The station [m] of the point nearest to (x, y)."""
+        return float(np.argmin(np.hypot(*(self.points - (x, y)).T))) * STEP
+
+
+class Net:
+    """A network that drafts are drawn on."""
+
+    def __init__(self, path: Path) -> None:
+        """Read it. Raises UsageError."""
+        import sumolib
+
+        try:
+            self._net = sumolib.net.readNet(str(path))
+        except Exception as error:  # sumolib raises whatever its parser does
+            raise UsageError(f"The network {path} cannot be read ({error}).") from error
+
+    def drive(self, route: Sequence[str], lane: int, vclass: str, who: str) -> Drive:
+        """The quickest way from the first to the last edge. lane: counted from the right among those for ``vclass``.
+
+        Raises UsageError with the edges that there are.
+        """
+        start, end = (self._edge(name, who) for name in (route[0], route[-1]))
+        edges, _ = self._net.getShortestPath(start, end, vClass=vclass)
+        if edges is None:
+            raise UsageError(f"No way leads a {vclass} from edge '{route[0]}' to '{route[-1]}' (the route of {who}).")
+        lanes = [each for each in start.getLanes() if each.allows(vclass)]
+        if lane >= len(lanes):
+            raise UsageError(
+                f"Edge '{route[0]}' has {len(lanes)} lanes for {who}, so its lane is 0 to {len(lanes) - 1}, not {lane}."
+            )
+        chosen = lanes[lane]
+        points = _even(_driven(edges, chosen, vclass))
+        return Drive(
+            tuple(str(e.getID()) for e in edges), int(chosen.getIndex()), points, float(start.getLength()),
+            float(chosen.getSpeed()),
+        )  # fmt: skip
+
+    def green_for(self, edges: Sequence[str]) -> dict[str, str]:
+        """By traffic light the state that is green for a way along these edges and for traffic from ahead, and red for
+        all others. Left turns wait for traffic from ahead."""
+        states = {}
+        for light in self._net.getTrafficLights():
+            links = light.getConnections()
+            own = [a.getEdge().getID() for a, _, _ in links if a.getEdge().getID() in edges]
+            open_ = self._facing(own[0]) if own else set()
+            letters = ["r"] * (max(k for _, _, k in links) + 1)
+            for start, end, k in links:
+                if start.getEdge().getID() in open_:
+                    turns = [c.getDirection() for c in start.getOutgoing() if c.getToLane() is end]
+                    letters[k] = "g" if "l" in turns else "G"
+            states[str(light.getID())] = "".join(letters)
+        return states
+
+    def _facing(self, edge: str) -> set[str]:
+        """The edge, and the edge from the opposite side to the same junction."""
+        own = self._net.getEdge(edge)
+        turn = _direction(own)
+        return {edge} | {
+            str(e.getID()) for e in own.getToNode().getIncoming() if float(np.dot(_direction(e), turn)) < -0.7
+        }
+
+    def words(self) -> str:
+        """The edges, a few words each."""
+        parts = []
+        for edge in sorted(self._net.getEdges(), key=lambda e: str(e.getID())):
+            cars = sum(lane.allows("passenger") for lane in edge.getLanes())
+            if cars:
+                kmh = max(lane.getSpeed() for lane in edge.getLanes() if lane.allows("passenger")) * 3.6
+                parts.append(f"{edge.getID()} ({cars}, {kmh:.0f} km/h, {edge.getLength():.0f} m)")
+        return ", ".join(parts)
+
+    def _edge(self, name: str, who: str) -> Any:
+        if not self._net.hasEdge(name):
+            names = sorted(str(e.getID()) for e in self._net.getEdges())
+            listed = ", ".join(names[:30])
+            raise UsageError(f"There is no edge '{name}' for {who}{nearest(name, names)}; there are {listed}.")
+        return self._net.getEdge(name)
+
+
+def meeting(one: Drive, other: Drive) -> tuple[float, float] | None:
+    """Stations [m] on both ways where they first come together; None if they do not, or if they begin together."""
+    apart = np.hypot(*(one.points[:, None, :] - other.points[None, :, :]).transpose(2, 0, 1))
+    close = apart < TOGETHER
+    if not close.any() or one.edges[0] == other.edges[0]:
+        return None
+    i = int(np.argmax(close.any(axis=1)))
+    return i * STEP, float(np.argmin(apart[i])) * STEP
+
+
+def _driven(edges: Sequence[Any], lane: Any, vclass: str) -> Floats:
+    """The centre lines of the lanes along a route; a lane from which the next edge is not reached is changed."""
+    shapes = [np.array(lane.getShape())[:, :2]]
+    for edge, after in pairwise(edges):
+        links = [c for c in edge.getConnections(after) if c.getToLane().allows(vclass)]
+        link = next((c for c in links if c.getFromLane() is lane), links[0])
+        lane = link.getToLane()
+        shapes.append(np.array(lane.getShape())[:, :2])
+    return np.concatenate(shapes)
+
+
+def _direction(edge: Any) -> Floats:
+    """The direction of an edge at its end."""
+    a, b = np.array(edge.getShape())[[-2, -1], :2]
+    return np.asarray((b - a) / max(float(np.hypot(*(b - a))), 1e-6))
+
+
+def _even(points: Floats) -> Floats:
+    steps = np.hypot(*np.diff(points, axis=0).T)
+    keep = np.concatenate([[True], steps > 1e-3])
+    points = points[keep]
+    station = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+    s = np.arange(0.0, station[-1], STEP)
+    return np.stack([np.interp(s, station, points[:, 0]), np.interp(s, station, points[:, 1])], axis=1)

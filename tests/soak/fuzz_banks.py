@@ -18,7 +18,7 @@ from hostile_banks import WRONG, bank_of, spoil  # isort: skip
 
 from sumo_adv.errors import BankError
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.memory.curate import hopeless, near_duplicates, planner_counts
+from sumo_adv.memory.curate import hopeless, near_duplicates, planner_counts, statistics
 from sumo_adv.memory.exchange import export_bank
 from sumo_adv.memory.records import SceneSignature
 
@@ -101,7 +101,7 @@ def _quietly(path: Path, statements: tuple[object, ...]) -> None:
 def _use(bank: MemoryBank, folder: Path) -> None:
     """All commands that read a bank, and a command that writes."""
     bank.epsilon()
-    bank.statistics()
+    statistics(bank)
     near_duplicates(bank)
     hopeless(bank, 1)
     planner_counts(bank)

@@ -31,7 +31,7 @@ from sumo_adv.search.scoring import judge_all, touch_of
 from sumo_adv.search.settings import ScoreSettings
 from sumo_adv.simulation.network import read_network
 from sumo_adv.situation import Situation
-from sumo_adv.transformer.predictor import SHIPPED, Predicted, Predictor
+from sumo_adv.transformer.model import SHIPPED, Predicted, Predictor
 from sumo_adv.transformer.scene import FUTURE, STEP, agents_of, segments_of
 
 DRAWN = 3  # draws of each mode

@@ -11,7 +11,7 @@ from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError
 from sumo_adv.report.export.piece import Piece
 from sumo_adv.report.export.road import MapLane, map_lanes, network_of, spaced
-from sumo_adv.womd.outline import road_outline
+from sumo_adv.womd.lines import road_outline
 
 MPH = 0.44704  # m/s
 FREEWAY, SURFACE = 1, 2  # LaneCenter.LaneType

@@ -1,6 +1,137 @@
-"""The road network of a Waymo record as a SUMO net.xml."""
+"""From a Waymo record to a SUMO network."""
 
-from sumo_adv.womd.network.convert import ConvertedNetwork, convert_network
-from sumo_adv.womd.network.pieces import Piece
+from __future__ import annotations
 
-__all__ = ["ConvertedNetwork", "Piece", "convert_network"]
+import shutil
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from sumo_adv.errors import UsageError
+from sumo_adv.files import write_whole
+from sumo_adv.simulation.programs import find_netconvert
+from sumo_adv.womd.network.finish import finish, run_netconvert, write_plain
+from sumo_adv.womd.network.ground import drivable_ground
+from sumo_adv.womd.network.layout import Layout, Leg, Stretch, make_layout
+from sumo_adv.womd.network.right_of_way import RightOfWay, bend_together, find_foes, settle
+from sumo_adv.womd.network.roads import Roads, find_widths, make_roads
+from sumo_adv.womd.network.signals import SignalPlan, plan_signals, ruling_lanes
+from sumo_adv.womd.network.strands import Kept, KeptLane, Run, keep
+from sumo_adv.womd.record import Record
+
+NAME = "network.net.xml"
+SCRAP = 0.01  # m, shorter parts are not told
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """The part of a WOMD lane from station ``start`` to ``end`` [m] lies on ``sumo_lane``; internal: in a junction."""
+
+    sumo_lane: str
+    start: float
+    end: float
+    internal: bool
+
+
+@dataclass(frozen=True, slots=True)
+class ConvertedNetwork:
+    """A record's network. path: the net.xml; pieces: WOMD lane id -> where it lies in the network, in order along it;
+    report: what was kept, dropped and assumed; seconds: how long it took."""
+
+    path: Path
+    pieces: Mapping[int, tuple[Piece, ...]]
+    report: dict[str, Any]
+    seconds: float
+
+
+def convert_network(record: Record, folder: Path) -> ConvertedNetwork:
+    """Write ``folder/network.net.xml`` (and nothing else there) from the record's map.
+
+    Raises:
+        UsageError: the record has no lane to make a road of; netconvert is missing or fails.
+    """
+    began = time.perf_counter()
+    program = find_netconvert()
+    kept = keep(record)
+    if not kept.lanes:
+        raise UsageError(f"Record {record.scenario_id} has no lane of two points or more: no network can be made.")
+    signalled = {state.lane for step in record.signals for state in step}
+    stops = {lane for sign in record.stop_signs for lane in sign.lanes}
+    layout = make_layout(kept.lanes, sorted(lane for lane in signalled | stops if lane in kept.lanes))
+    widths = find_widths(layout.strands.all, layout.rows, record.lines.values())
+    roads = make_roads(layout, widths)
+    foes = find_foes(roads.links)
+    roads = replace(roads, links=bend_together(roads.links, foes))
+    rulers = ruling_lanes(record, roads.links, foes, stops)
+    order = settle(roads.links, roads.edges, foes, stops, rulers)
+    signals = plan_signals(record, roads.links, rulers, order)
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix="womd-") as name:
+        work = Path(name)
+        write_plain(roads, work)
+        run_netconvert(program, work, work / "raw.net.xml")
+        via = finish(work / "raw.net.xml", work / NAME, roads, order, signals.programs, drivable_ground(record, roads))
+        write_whole(folder / NAME, lambda part: shutil.copyfile(work / NAME, part))
+    pieces = _find_pieces(kept.lanes, layout, roads, via)
+    report = _report(kept, layout, roads, order, signals)
+    report["crosswalks"] = sum(area.kind == "crosswalk" for area in record.areas)
+    return ConvertedNetwork(folder / NAME, pieces, report, time.perf_counter() - began)
+
+
+def _report(kept: Kept, layout: Layout, roads: Roads, order: RightOfWay, signals: SignalPlan) -> dict[str, Any]:
+    """What was kept, dropped and assumed, as JSON. Lengths in m."""
+    total = sum(lane.length for lane in kept.lanes.values())
+    inside = sum(b - a for strand_spans in layout.spans.of for a, b in strand_spans)
+    kinds = ["traffic_light" if name in signals.programs else kind for name, kind in order.kind.items()]
+    return {
+        "dropped_lanes": [[number, reason] for number, reason in sorted(kept.dropped.items())],
+        "lane_length": round(total, 2),
+        "junction_share": round(inside / total, 4) if total else 0.0,
+        "lanes_made": sum(len(edge.lanes) for edge in roads.edges.values()),
+        "connections_with_a_gap": [list(pair) for pair in kept.gaps],
+        "speeds_assumed": kept.assumed_speeds,
+        "junctions": dict(sorted(Counter(kinds).items())),
+        "signals_unknown": signals.unknown,
+        "signals_witnessed": signals.witnessed,
+        "signals_assumed": signals.assumed,
+    }
+
+
+def _find_pieces(
+    lanes: dict[int, KeptLane], layout: Layout, roads: Roads, via: list[str]
+) -> dict[int, tuple[Piece, ...]]:
+    """The pieces of every kept lane. Where several links of a junction run over a lane there is a piece for each, the
+    straightest first."""
+    inner: dict[Leg, list[tuple[float, str]]] = {}
+    for link, internal_lane in zip(roads.links, via, strict=True):
+        for leg in link.legs:
+            inner.setdefault(leg, []).append((abs(link.turn), internal_lane))
+
+    def parts(strand: int) -> list[tuple[float, float, float, str, bool]]:
+        made: list[tuple[float, float, float, str, bool]] = []
+        for k, (a, b) in enumerate(layout.spans.of[strand]):
+            made += [(a, b, turn, name, True) for turn, name in inner.get((strand, k), [])]
+        for a, b in layout.spans.stretches(strand):
+            edge, index = roads.place[Stretch(strand, a, b)]
+            made.append((a, b, 0.0, f"{edge}_{index}", False))
+        return sorted(made)
+
+    of_strand = [parts(strand.number) for strand in layout.strands.all]
+    return {
+        number: tuple(piece for strand, run in layout.strands.of_lane[number] for piece in _on(run, of_strand[strand]))
+        for number in lanes
+    }
+
+
+def _on(run: Run, parts: list[tuple[float, float, float, str, bool]]) -> Iterator[Piece]:
+    """The pieces of one run of a lane; parts: (start, end, turn, SUMO lane, internal) of its strand in order."""
+    scale = (run.lane_end - run.lane_start) / max(run.end - run.start, 1e-9)
+    for a, b, _, name, internal in parts:
+        start, end = max(a, run.start), min(b, run.end)
+        if end - start > SCRAP:
+            low, high = (run.lane_start + scale * (v - run.start) for v in (start, end))
+            yield Piece(name, low, high, internal)

@@ -1,19 +1,30 @@
 """Which spans of each strand lie inside junctions; what is between them becomes edges.
 
-Spans begin as conflicts and lane ends. They then grow until lanes beside one another are cut at the same places and no
-scrap of edge is left between two spans.
+Spans begin as conflicts (where vehicles on two lanes would be in each other's way: crossings, and the overlap after a
+split or before a merge) and as lane ends. They then grow until lanes beside one another are cut at the same places and
+no scrap of edge is left between two spans.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from sumo_adv.womd.network.conflicts import Conflicts
-from sumo_adv.womd.network.spans import Beside
-from sumo_adv.womd.network.strands import Strand, Strands
+from sumo_adv.datatypes import Bools, Floats, Ints
+from sumo_adv.geometry import wrap
+from sumo_adv.womd.lines import at, headings
+from sumo_adv.womd.network.strands import KeptLane, Strand, Strands
 
+STEP = 1.0  # m between samples
+OVERPASS = 3.0  # m of height that keep two lanes apart
+BESIDE = 1.2  # m, lanes of one direction with nearer centres overlap
+ACROSS = 2.6  # m, the same for lanes at a right angle
+OPPOSITE = np.deg2rad(150.0)  # lanes that head against each other share their ground (left-turn lanes of both sides)
+JOINT = 8.0  # m around the joint of a lane and its exit where they are near by nature
+MIN_BESIDE = 5.0  # m, lanes beside one another for less are not a row
 CUT = 0.1  # m, half of the span where one edge is cut in two
 SNAP = 6.0  # m, a cut this near to another is the same
 ALIKE = 1.5  # m by which spans of lanes beside one another may differ
@@ -24,15 +35,140 @@ STUB = 0.5  # m of edge kept where a strand begins or ends in a conflict and not
 ROUNDS = 12
 
 Span = tuple[float, float]
+_Range = tuple[float, float, float, float]  # from and to on one strand, from and to on the other [m]
+
+
+@dataclass(frozen=True, slots=True)
+class Conflicts:
+    """Pairs of near samples, arrays ``(n,)``: strand a at station sa [m] is near strand b at sb; each pair once."""
+
+    a: Ints
+    sa: Floats
+    b: Ints
+    sb: Floats
+
+
+def find_conflicts(strands: tuple[Strand, ...]) -> Conflicts:
+    """All conflicts between strands that motor vehicles use."""
+    owners, stations = [np.empty(0, np.intp)], [np.empty(0)]
+    places, directions = [np.empty((0, 3))], [np.empty(0)]
+    for strand in strands:
+        if not strand.bike:
+            own_stations = np.linspace(0.0, strand.length, max(2, int(strand.length / STEP) + 1))
+            owners.append(np.full(len(own_stations), strand.number, dtype=np.intp))
+            stations.append(own_stations)
+            places.append(at(strand.points, strand.along, own_stations))
+            directions.append(headings(strand.points, strand.along, own_stations))
+    owner, station = np.concatenate(owners), np.concatenate(stations)
+    place, heading = np.concatenate(places), np.concatenate(directions)
+    pairs = cKDTree(place[:, :2]).query_pairs(ACROSS, output_type="ndarray")
+    i, j = pairs[:, 0], pairs[:, 1]
+    apart = (owner[i] != owner[j]) & (np.abs(place[i, 2] - place[j, 2]) < OVERPASS)
+    i, j = i[apart], j[apart]
+    distance = np.hypot(*(place[i, :2] - place[j, :2]).T)
+    angle = np.abs(wrap(heading[i] - heading[j]))
+    near = (distance < BESIDE + (ACROSS - BESIDE) * np.sin(angle)) & (angle < OPPOSITE)
+    i, j = i[near], j[near]
+    natural = _at_joint(strands, owner, station, i, j) | _at_joint(strands, owner, station, j, i)
+    i, j = i[~natural], j[~natural]
+    return Conflicts(owner[i], station[i], owner[j], station[j])
+
+
+def _at_joint(strands: tuple[Strand, ...], owner: Ints, station: Floats, i: Ints, j: Ints) -> Bools:
+    """Whether strand of ``j`` is an exit of that of ``i`` and both samples lie near where they meet."""
+    linked = np.zeros((len(strands), len(strands)), dtype=bool)
+    for strand in strands:
+        linked[strand.number, list(strand.exits)] = True
+    length = np.array([strand.length for strand in strands])
+    return linked[owner[i], owner[j]] & (length[owner[i]] - station[i] + station[j] < JOINT)
+
+
+@dataclass(frozen=True, slots=True)
+class Beside:
+    """Strand ``left`` runs at the left of ``right`` from station right_at[0] to right_at[-1] [m]; left_at: the same
+    places on ``left``. Both ``(n,)``, rising."""
+
+    right: int
+    left: int
+    right_at: Floats
+    left_at: Floats
+
+
+def find_beside(lanes: dict[int, KeptLane], strands: Strands) -> list[Beside]:
+    """All pairs of strands beside one another, from the neighbours of their lanes."""
+    ranges: dict[tuple[int, int], list[_Range]] = {}
+    for number, lane in lanes.items():
+        for neighbours, is_left in ((lane.feature.left, True), (lane.feature.right, False)):
+            for n in neighbours:
+                if n.lane not in lanes or lane.bike != lanes[n.lane].bike:
+                    continue
+                own = _stations(lane, n.own_start, n.own_end)
+                across = _stations(lanes[n.lane], n.other_start, n.other_end)
+                if own[1] - own[0] <= 0 or across[1] - across[0] <= 0:
+                    continue
+                for a, b, span in _pieces(strands, number, own, n.lane, across):
+                    key, row = ((a, b), span) if is_left else ((b, a), (*span[2:], *span[:2]))
+                    ranges.setdefault(key, []).append(row)
+    return [made for key, rows in sorted(ranges.items()) for made in _besides_of(key, rows)]
+
+
+def _pieces(
+    strands: Strands, lane: int, own: Floats, neighbour: int, there: Floats
+) -> Iterator[tuple[int, int, _Range]]:
+    """A range of a lane beside a range of another, as ranges of their strands (which may change on the way)."""
+    for a, run in strands.of_lane[lane]:
+        for b, across in strands.of_lane[neighbour]:
+            if a == b:
+                continue
+            ends = np.interp([across.lane_start, across.lane_end], there, own)
+            low, high = max(run.lane_start, own[0], ends[0]), min(run.lane_end, own[1], ends[1])
+            if high - low <= 1e-6:
+                continue
+            on_own = np.interp([low, high], [run.lane_start, run.lane_end], [run.start, run.end])
+            on_other = np.interp(
+                np.interp([low, high], own, there), [across.lane_start, across.lane_end], [across.start, across.end]
+            )
+            yield a, b, (float(on_own[0]), float(on_own[1]), float(on_other[0]), float(on_other[1]))
+
+
+def _stations(lane: KeptLane, start: int, end: int) -> Floats:
+    last = len(lane.index) - 1
+    return lane.index[[min(max(start, 0), last), min(max(end, 0), last)]]
+
+
+def _besides_of(key: tuple[int, int], rows: list[_Range]) -> Iterator[Beside]:
+    """Ranges that touch or overlap put together."""
+    run: list[_Range] = []
+    for row in sorted(rows):
+        if run and (row[0] > run[-1][1] + MIN_BESIDE or row[2] < run[-1][2] or row[2] > run[-1][3] + MIN_BESIDE):
+            yield from _beside(key, run)
+            run = []
+        if run and row[0] < run[-1][1] - 0.1:  # the same range, told by the other lane
+            if row[1] > run[-1][1] + 0.1 and row[3] > run[-1][3] + 0.1:
+                run[-1] = (run[-1][0], row[1], run[-1][2], row[3])
+            continue
+        run.append(row)
+    yield from _beside(key, run)
+
+
+def _beside(key: tuple[int, int], run: list[_Range]) -> Iterator[Beside]:
+    if run and run[-1][1] - run[0][0] >= MIN_BESIDE and run[-1][3] - run[0][2] >= MIN_BESIDE:
+        right = np.maximum.accumulate([v for row in run for v in row[:2]])
+        left = np.maximum.accumulate([v for row in run for v in row[2:]])
+        yield Beside(*key, right, left)
 
 
 class Spans:
-    """Spans inside junctions: for each strand disjoint (start, end) [m] in order. ``add`` and ``join`` change them."""
+    """Spans inside junctions: for each strand disjoint (start, end) [m] in order. ``add`` changes them."""
 
     def __init__(self, strands: tuple[Strand, ...]) -> None:
         self.strands = strands
         self.of: list[list[Span]] = [[] for _ in strands]
-        self.bounds = [_bounds(strand) for strand in strands]
+        stubs = [min(STUB, strand.length / 3) for strand in strands]
+        self.bounds = [
+            (0.0 if s.entries else stub, s.length if s.exits else s.length - stub)
+            for s, stub in zip(strands, stubs, strict=True)
+        ]
 
     def add(self, strand: int, start: float, end: float) -> bool:
         """Make [start, end] a span, as far as the strand's stubs allow; whether that changed anything."""
@@ -61,11 +197,6 @@ class Spans:
         return [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a > 1e-6]
 
 
-def _bounds(strand: Strand) -> Span:
-    stub = min(STUB, strand.length / 3)
-    return 0.0 if strand.entries else stub, strand.length if strand.exits else strand.length - stub
-
-
 def first_spans(strands: Strands, conflicts: Conflicts, held: Collection[int]) -> Spans:
     """Conflicts, ends of strands, and stop lines of the lanes ``held`` (by a signal or a stop sign)."""
     spans = Spans(strands.all)
@@ -84,7 +215,8 @@ def first_spans(strands: Strands, conflicts: Conflicts, held: Collection[int]) -
         if strand.exits:
             spans.add(strand.number, strand.length - CUT, strand.length)
     for lane in held:
-        number, start = strands.start_of(lane)
+        number, run = strands.of_lane[lane][0]
+        start = run.start
         ends = [a for a, _ in spans.of[number] if start <= a < start + STOP_LINE]
         ends += [b for _, b in spans.of[number] if start - SNAP < b <= start]
         nearest = min(ends, key=lambda end: abs(end - start), default=start)

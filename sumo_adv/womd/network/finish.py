@@ -1,9 +1,10 @@
-"""From what netconvert wrote to the network.
-
-It gets exact shapes and lengths, right of way, signals, junction polygons, and the drivable area."""
+"""From roads to the network: plain XML (nodes, edges with a shape a lane, connections), netconvert, and what is then
+written into its output: exact shapes and lengths, right of way, signals, junction polygons, and the drivable area."""
 
 from __future__ import annotations
 
+import math
+import subprocess
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,12 +15,82 @@ import numpy as np
 from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.drivable import KEY, area_text
-from sumo_adv.womd.network.plain import coordinates
 from sumo_adv.womd.network.right_of_way import RightOfWay
 from sumo_adv.womd.network.roads import Link, Roads
 from sumo_adv.womd.network.signals import Program
 
+NO_CARS = 'allow="bicycle"'
+CARS = 'disallow="pedestrian tram rail_urban rail rail_electric rail_fast ship"'
+POINTS = 6  # of a line that netconvert is told
+_OCTAGON = [(0.2 * math.cos(k * math.pi / 4), 0.2 * math.sin(k * math.pi / 4)) for k in range(8)]
+OPTIONS = (
+    "--offset.disable-normalization", "--no-turnarounds", "--junctions.join", "false",
+    "--geometry.avoid-overlap", "false", "--default.junctions.radius", "0", "--precision", "3",
+    "--geometry.max-angle", "-1", "--geometry.min-radius", "-1", "--no-warnings", "--xml-validation", "never",
+)  # fmt: skip
+TIMEOUT = 120.0  # s
 MIN_LENGTH = 0.1  # m, SUMO's shortest lane
+
+
+def write_plain(roads: Roads, folder: Path) -> None:
+    """Write ``plain.nod.xml``, ``plain.edg.xml`` and ``plain.con.xml``.
+
+    A junction gets an octagon of 0.2 m: with a shape of its own netconvert leaves the ends of the lanes alone. Shapes
+    are thinned out, which saves netconvert time: the exact ones are written into what it makes (``finish``).
+    """
+    nodes = ["<nodes>"]
+    for name, (x, y) in roads.junctions.items():
+        octagon = " ".join(f"{x + dx:.3f},{y + dy:.3f}" for dx, dy in _OCTAGON)
+        nodes.append(f'<node id="{name}" x="{x:.3f}" y="{y:.3f}" type="unregulated" shape="{octagon}"/>')
+    edges = ["<edges>"]
+    for edge in roads.edges.values():
+        middle = edge.lanes[len(edge.lanes) // 2].shape
+        edges.append(
+            f'<edge id="{edge.name}" from="{edge.start}" to="{edge.end}" numLanes="{len(edge.lanes)}" '
+            f'speed="{edge.speed:.2f}" spreadType="center" shape="{coordinates(_thin(middle))}">'
+        )
+        for index, lane in enumerate(edge.lanes):
+            edges.append(
+                f'<lane index="{index}" speed="{lane.speed:.2f}" width="{lane.width:.2f}" '
+                f'{NO_CARS if lane.bike else CARS} shape="{coordinates(_thin(lane.shape))}"/>'
+            )
+        edges.append("</edge>")
+    connections = ["<connections>"]
+    for link in roads.links:
+        connections.append(
+            f'<connection from="{link.source}" to="{link.target}" fromLane="{link.from_lane}" toLane="{link.to_lane}" '
+            f'shape="{coordinates(_thin(link.shape))}"/>'
+        )
+    linked = {link.source for link in roads.links}
+    connections += [f'<connection from="{name}"/>' for name in roads.edges if name not in linked]
+    for kind, lines, tag in (("nod", nodes, "nodes"), ("edg", edges, "edges"), ("con", connections, "connections")):
+        (folder / f"plain.{kind}.xml").write_text("\n".join([*lines, f"</{tag}>\n"]), encoding="utf-8")
+
+
+def coordinates(shape: Floats) -> str:
+    """A shape as SUMO writes it."""
+    return " ".join([f"{x:.3f},{y:.3f}" for x, y in shape[:, :2].tolist()])
+
+
+def _thin(shape: Floats) -> Floats:
+    """The ends and some of the points between."""
+    count = min(len(shape), POINTS)
+    return shape[np.linspace(0, len(shape) - 1, count).round().astype(int)]
+
+
+def run_netconvert(program: Path, folder: Path, target: Path) -> None:
+    """From ``plain.*.xml`` in ``folder`` to ``target``. Raises UsageError with netconvert's last error."""
+    command = [str(program), *OPTIONS, "-o", str(target)]
+    for option, kind in (("-n", "nod"), ("-e", "edg"), ("-x", "con")):
+        command += [option, str(folder / f"plain.{kind}.xml")]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=TIMEOUT)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise UsageError(f"netconvert could not build the network: {error}.") from error
+    if done.returncode != 0 or not target.is_file():
+        errors = [line for line in done.stderr.splitlines() if line.startswith("Error")]
+        last = errors[-1].removeprefix("Error: ").rstrip(".") if errors else f"exit status {done.returncode}"
+        raise UsageError(f"netconvert could not build the network: {last}.")
 
 
 def finish(
@@ -42,7 +113,10 @@ def finish(
     _junctions(net, roads, order, programs, via)
     if ground is not None:
         ET.SubElement(net.findall("junction")[0], "param", key=KEY, value=area_text(ground))
-    net.find("location").set("convBoundary", _boundary(roads))  # type: ignore[union-attr]
+    points = np.vstack([lane.shape for edge in roads.edges.values() for lane in edge.lanes])
+    (west, south), (east, north) = points.min(axis=0), points.max(axis=0)
+    boundary = f"{west:.3f},{south:.3f},{east:.3f},{north:.3f}"
+    net.find("location").set("convBoundary", boundary)  # type: ignore[union-attr]
     ET.indent(tree, "    ")
     tree.write(target, encoding="UTF-8", xml_declaration=True)
     return via
@@ -144,9 +218,3 @@ def junction_polygons(roads: Roads) -> dict[str, Floats]:
             outline = area.simplify(0.2).exterior
             polygons[name] = np.asarray(outline.coords)[:-1]
     return polygons
-
-
-def _boundary(roads: Roads) -> str:
-    points = np.vstack([lane.shape for edge in roads.edges.values() for lane in edge.lanes])
-    low, high = points.min(axis=0), points.max(axis=0)
-    return f"{low[0]:.3f},{low[1]:.3f},{high[0]:.3f},{high[1]:.3f}"

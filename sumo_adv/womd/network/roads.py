@@ -1,24 +1,111 @@
-"""The layout as SUMO's nouns: edges with lanes, links between lanes, junctions; all with their exact shapes."""
+"""The layout as SUMO's nouns: edges with lanes, links between lanes, junctions; all with their exact shapes.
+
+A lane is as wide as from its centre to the painted line or road edge at either side.
+"""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from sumo_adv.datatypes import Floats
-from sumo_adv.womd.network.layout import Layout
-from sumo_adv.womd.network.paths import Leg, Way
-from sumo_adv.womd.network.polyline import joined, part, turned
-from sumo_adv.womd.network.rows import Stretch
-from sumo_adv.womd.network.widths import Widths
+from sumo_adv.womd.lines import at, headings, joined, part, turned
+from sumo_adv.womd.network.layout import Layout, Leg, Row, Stretch, Way
+from sumo_adv.womd.network.strands import Strand
+from sumo_adv.womd.record import LineFeature
 
+REACH = 3.5  # m to a side that a line is looked for
+PROBES = 5  # places along a stretch
+DEFAULT = 3.4  # m
+BIKE_DEFAULT = 1.5  # m
+LEAST, MOST = 2.8, 5.0  # m
+BIKE_LEAST, BIKE_MOST = 1.0, 2.5  # m
+OVERPASS = 3.0  # m of height between a line and a lane that do not belong together
 STRAIGHT = math.radians(30.0)  # less of a turn is straight on
 ROUND = math.radians(150.0)  # more of a turn to the left is a U-turn
 SIDE_GRIP = 5.5  # m/s2 that limits speed in a bend, as netconvert has it
 MIN_TURN_SPEED = 3.0  # m/s, no bend is slower
+
+
+def find_widths(strands: tuple[Strand, ...], rows: Sequence[Row], lines: Iterable[LineFeature]) -> dict[Stretch, float]:
+    """The width [m] of every stretch of every row."""
+    stretches = [stretch for row in rows for stretch in row]
+    centre, side = _probes(strands, stretches)
+    sides = _distances(np.vstack([centre, centre]), np.vstack([side, -side]), lines)
+    left, right = (part.reshape(-1, PROBES) for part in np.split(sides, 2))
+    spacing = _spacings(strands, rows)
+    width: dict[Stretch, float] = {}
+    for k, stretch in enumerate(stretches):
+        bike = strands[stretch.strand].bike
+        value = _choose(left[k], right[k], spacing.get(stretch), BIKE_DEFAULT if bike else DEFAULT)
+        low, high = (BIKE_LEAST, BIKE_MOST) if bike else (LEAST, MOST)
+        width[stretch] = round(min(max(value, low), high), 2)
+    return width
+
+
+def _choose(left: Floats, right: Floats, spacing: float | None, default: float) -> float:
+    """By the lines at both sides, else by the neighbours in the row, else by a line at one side."""
+    both = left + right
+    if np.isfinite(both).any():
+        return float(np.median(both[np.isfinite(both)]))
+    if spacing is not None:
+        return spacing
+    finite = np.concatenate([left[np.isfinite(left)], right[np.isfinite(right)]])
+    return 2 * float(np.median(finite)) if len(finite) else default
+
+
+def _probes(strands: tuple[Strand, ...], stretches: list[Stretch]) -> tuple[Floats, Floats]:
+    """Points ``(n, 3)`` on the centres and unit vectors ``(n, 2)`` to the left of each."""
+    centres, sides = [], []
+    for stretch in stretches:
+        strand = strands[stretch.strand]
+        places = stretch.start + (stretch.end - stretch.start) * (np.arange(PROBES) + 0.5) / PROBES
+        centres.append(at(strand.points, strand.along, places))
+        heading = headings(strand.points, strand.along, places)
+        sides.append(np.stack([-np.sin(heading), np.cos(heading)], axis=-1))
+    if not centres:
+        return np.empty((0, 3)), np.empty((0, 2))
+    return np.vstack(centres), np.vstack(sides)
+
+
+def _distances(centre: Floats, side: Floats, lines: Iterable[LineFeature]) -> Floats:
+    """Distance from each centre to the first line that crosses the ray to its side, inf if none within ``REACH``."""
+    from shapely import STRtree, linestrings
+
+    distances = np.full(len(centre), np.inf)
+    pieces = [np.stack([line.points[:-1], line.points[1:]], axis=1) for line in lines if len(line.points) > 1]
+    if not pieces or not len(centre):
+        return distances
+    segments = np.concatenate(pieces)
+    rays = np.stack([centre[:, :2] + 0.2 * side, centre[:, :2] + REACH * side], axis=1)
+    ray, hit = STRtree(linestrings(segments[:, :, :2])).query(linestrings(rays))
+    p, d = centre[ray], side[ray]
+    a, b = segments[hit, 0], segments[hit, 1]
+    along = b[:, :2] - a[:, :2]
+    cross = d[:, 0] * along[:, 1] - d[:, 1] * along[:, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        to = a[:, :2] - p[:, :2]
+        t = (to[:, 0] * along[:, 1] - to[:, 1] * along[:, 0]) / cross
+        u = (to[:, 0] * d[:, 1] - to[:, 1] * d[:, 0]) / cross
+    good = (t > 0.2) & (t < REACH) & (u >= 0) & (u <= 1) & (np.abs(a[:, 2] - p[:, 2]) < OVERPASS)
+    np.minimum.at(distances, ray[good], t[good])
+    return distances
+
+
+def _spacings(strands: tuple[Strand, ...], rows: Iterable[Row]) -> dict[Stretch, float]:
+    """Mean distance between the middles of neighbours in a row."""
+    spacings: dict[Stretch, list[float]] = {}
+    for row in rows:
+        middles = [at(strands[s.strand].points, strands[s.strand].along, (s.start + s.end) / 2) for s in row]
+        for right, left, p, q in zip(row, row[1:], middles, middles[1:], strict=False):
+            distance = float(np.hypot(*(p - q)[:2]))
+            spacings.setdefault(right, []).append(distance)
+            spacings.setdefault(left, []).append(distance)
+    return {stretch: float(np.mean(values)) for stretch, values in spacings.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,10 +176,10 @@ class Roads:
     place: dict[Stretch, tuple[str, int]]
 
 
-def make_roads(layout: Layout, widths: Widths) -> Roads:
+def make_roads(layout: Layout, widths: dict[Stretch, float]) -> Roads:
     """Name and shape everything."""
     edges, place = _edges(layout, widths)
-    links = tuple(_link(layout, way, edges, place, widths) for way in layout.ways)
+    links = tuple(_link(layout, way, edges, place) for way in layout.ways)
     ends: dict[str, list[Floats]] = {}
     for edge in edges.values():
         for lane in edge.lanes:
@@ -103,12 +190,12 @@ def make_roads(layout: Layout, widths: Widths) -> Roads:
     return Roads(edges, links, junctions, place)
 
 
-def _edges(layout: Layout, widths: Widths) -> tuple[dict[str, RoadEdge], dict[Stretch, tuple[str, int]]]:
+def _edges(layout: Layout, widths: dict[Stretch, float]) -> tuple[dict[str, RoadEdge], dict[Stretch, tuple[str, int]]]:
     edges: dict[str, RoadEdge] = {}
     place: dict[Stretch, tuple[str, int]] = {}
     strands = layout.strands.all
     repeated: Counter[int] = Counter()
-    for row, start, end in zip(layout.rows, layout.nodes.start, layout.nodes.end, strict=True):
+    for row, start, end in zip(layout.rows, layout.junctions[::2], layout.junctions[1::2], strict=False):
         lane_id = strands[row[0].strand].lane_at(row[0].start)
         name = f"w{lane_id}" + (f".{repeated[lane_id]}" if repeated[lane_id] else "")
         repeated[lane_id] += 1
@@ -116,15 +203,13 @@ def _edges(layout: Layout, widths: Widths) -> tuple[dict[str, RoadEdge], dict[St
         for index, stretch in enumerate(row):
             strand = strands[stretch.strand]
             shape = part(strand.points[:, :2], strand.along, stretch.start, stretch.end)
-            lanes.append(RoadLane(stretch, shape, widths.of(stretch), strand.speed, strand.bike))
+            lanes.append(RoadLane(stretch, shape, widths[stretch], strand.speed, strand.bike))
             place[stretch] = name, index
         edges[name] = RoadEdge(name, f"n{start}", f"n{end}", tuple(lanes))
     return edges, place
 
 
-def _link(
-    layout: Layout, way: Way, edges: dict[str, RoadEdge], place: dict[Stretch, tuple[str, int]], widths: Widths
-) -> Link:
+def _link(layout: Layout, way: Way, edges: dict[str, RoadEdge], place: dict[Stretch, tuple[str, int]]) -> Link:
     source, from_lane = place[way.source]
     target, to_lane = place[way.target]
     parts, lanes = [], []
@@ -132,25 +217,21 @@ def _link(
         strand = layout.strands.all[number]
         a, b = layout.spans.of[number][k]
         parts.append(part(strand.points, strand.along, a, b))
-        lanes += strand.begin_between(a, b)
+        lanes += [run.lane for run in strand.runs if run.lane_start == 0.0 and a - 1e-6 <= run.start < b]
     line = joined(parts)
     shape = line[:, :2]
     before, after = edges[source].lanes[from_lane], edges[target].lanes[to_lane]
     strands = [layout.strands.all[number] for number, _ in way.legs]
-    speed = min(min(strand.speed for strand in strands), bend_speed(shape))
+    speed = min(min(strand.speed for strand in strands), _bend_speed(shape))
+    with_ends = joined([before.shape[-3:], shape, after.shape[:3]])  # so that short ones have a direction
     return Link(
         edges[source].end, source, from_lane, target, to_lane, shape, line[:, 2], min(before.width, after.width), speed,
-        turned(_with_ends(before.shape, shape, after.shape)), way.legs, tuple(lanes),
+        turned(with_ends), way.legs, tuple(lanes),
         any(strand.turning for strand in strands),
     )  # fmt: skip
 
 
-def _with_ends(before: Floats, shape: Floats, after: Floats) -> Floats:
-    """The shape with the last metre before it and the first after it, so that short ones have a direction."""
-    return joined([before[-3:], shape, after[:3]])
-
-
-def bend_speed(shape: Floats) -> float:
+def _bend_speed(shape: Floats) -> float:
     """The speed [m/s] at which the mean bend of a shape takes ``SIDE_GRIP``."""
     length = float(np.sum(np.hypot(*np.diff(shape, axis=0).T)))
     bend = abs(turned(shape)) / max(length, 1.0)

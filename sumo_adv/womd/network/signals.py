@@ -2,22 +2,35 @@
 
 A link is ruled by the first signal lane that begins on it. Where a lane's state is unknown for a while, the last known
 state holds; where it is unknown throughout, it does as a lane of the same edge and direction, else as logged vehicles
-that drive off there tell (``witnesses.py``), else it is red until the default. So it is with approaches that go
-straight on across ruled ones and of which the record tells no signal. In the default no two streams that cross or merge
-are green together.
+that drive off there tell (one that drives over a stop line has green), else it is red until the default. So it is with
+approaches that go straight on across ruled ones and of which the record tells no signal. In the default no two streams
+that cross or merge are green together.
+
+A witnessed green lasts from when the vehicle last stood (if it did not, from ``LEAD`` before) until just after its
+front is over the line; short breaks between two vehicles are green too. Yellow follows.
 """
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
+import numpy as np
+
+from sumo_adv.datatypes import Bools, Floats
+from sumo_adv.geometry import wrap
 from sumo_adv.womd.network.right_of_way import RightOfWay
 from sumo_adv.womd.network.roads import Link
-from sumo_adv.womd.network.witnesses import logged_traffic, witnessed_letters
-from sumo_adv.womd.record import Record
+from sumo_adv.womd.record import VEHICLE, Record
 
+LEAD, TAIL = 4.0, 1.0  # s of green before and after a vehicle that did not stand drives over the line
+JOIN = 5.0  # s of a break that is green too
+STANDING = 1.0  # m/s
+BESIDE = 1.5  # m from a link's line at most
+TURNED = 0.5  # rad between a vehicle and the link at the line
+FOLLOWED, SHARE = 12.0, 0.6  # m, or that share of it, that a vehicle must follow a link to have taken it
 LETTERS = ("", "r", "y", "g", "r", "y", "g", "r", "o")  # by the dataset's number; "" = unknown
 ENOUGH = 5.0  # s of green in the record after which the default need not serve a stream
 GREEN, YELLOW, CLEARANCE = 8.0, 3.0, 1.0  # s of the default's phases
@@ -27,13 +40,80 @@ Stream = tuple[str, str]  # edge and direction
 
 
 @dataclass(frozen=True, slots=True)
+class Traffic:
+    """All vehicles of a record: fronts, centres ``(k, n, 2)`` m; heading rad, speed m/s, valid ``(k, n)``; step s."""
+
+    fronts: Floats
+    centres: Floats
+    heading: Floats
+    speed: Floats
+    valid: Bools
+    step: float
+
+
+def logged_traffic(record: Record) -> Traffic:
+    """The record's vehicles."""
+    tracks = [t for t in record.tracks if t.kind == VEHICLE]
+    shape = (len(tracks), len(record.time))
+    x, y, heading, length, vx, vy = (
+        np.array([getattr(t, name) for t in tracks], float).reshape(shape)
+        for name in ("x", "y", "heading", "length", "vx", "vy")
+    )
+    centres = np.stack([x, y], axis=-1)
+    fronts = centres + 0.5 * length[..., None] * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    step = float(record.time[1] - record.time[0]) if len(record.time) > 1 else 0.1
+    valid = np.array([t.valid for t in tracks], bool).reshape(shape)
+    return Traffic(fronts, centres, heading, np.hypot(vx, vy), valid, step)
+
+
+def witnessed_letters(traffic: Traffic, links: Sequence[Link]) -> list[str]:
+    """A letter a step (g, y or r) for links that have one signal; empty if no vehicle drove off on any of them."""
+    green = np.zeros(traffic.valid.shape[1], bool)
+    for link in links:
+        for vehicle, over in _drives(traffic, link):
+            stood = np.flatnonzero((traffic.speed[vehicle, :over] < STANDING) & traffic.valid[vehicle, :over])
+            begin = int(stood[-1]) if len(stood) else over - round(LEAD / traffic.step)
+            green[max(begin, 0) : over + round(TAIL / traffic.step)] = True
+    if not green.any():
+        return []
+    on = np.flatnonzero(green)
+    for a, b in pairwise(on):
+        if b - a <= JOIN / traffic.step:
+            green[a:b] = True
+    letters = np.where(green, "g", "r")
+    for end in np.flatnonzero(green[:-1] & ~green[1:]) + 1:
+        after = letters[end : end + round(YELLOW / traffic.step)]
+        after[after == "r"] = "y"
+    return [str(letter) for letter in letters]
+
+
+def _drives(traffic: Traffic, link: Link) -> Iterator[tuple[int, int]]:
+    """Vehicles that take a link, each with the step at which its front is over the line."""
+    from shapely import LineString, distance, line_locate_point, points
+
+    line = LineString(link.shape)
+    way = link.shape[min(2, len(link.shape) - 1)] - link.shape[0]
+    way /= np.hypot(*way)
+    off = traffic.fronts - link.shape[0]
+    along, aside = off @ way, off @ np.array([-way[1], way[0]])
+    straight = np.abs(wrap(traffic.heading - np.arctan2(way[1], way[0]))) < TURNED
+    over = (along[:, :-1] <= 0.0) & (along[:, 1:] > 0.0) & traffic.valid[:, :-1] & traffic.valid[:, 1:]
+    over &= straight[:, 1:] & (np.abs(aside[:, 1:]) < BESIDE)
+    for vehicle, step in np.argwhere(over):
+        later = traffic.centres[vehicle, step + 1 :][traffic.valid[vehicle, step + 1 :]]
+        at = line_locate_point(line, points(later))
+        inside = (at > 0.0) & (at < line.length)
+        near = distance(line, points(later)) < BESIDE
+        if near[inside].all() and at.max() > min(FOLLOWED, SHARE * line.length):
+            yield int(vehicle), int(step) + 1
+
+
+@dataclass(frozen=True, slots=True)
 class Program:
     """The signals of a junction. index: link -> place in the state; phases: (duration [s], state)."""
 
     index: Mapping[int, int]
     phases: tuple[tuple[float, str], ...]
-    recorded: int
-    """How many of the phases, from the first, are as recorded."""
 
     def element(self, name: str) -> ET.Element:
         """As SUMO's tlLogic."""
@@ -45,16 +125,12 @@ class Program:
 
 @dataclass(frozen=True, slots=True)
 class SignalPlan:
-    """Programs by junction, and the report's counts: lanes with a signal, those that rule a link, those with a state
-    that is never known, streams that logged vehicles tell of, streams that the default completes, approaches signalled
-    without a recorded signal."""
+    """Programs by junction, and the report's counts: signal lanes with a state that is never known, streams that logged
+    vehicles tell of, approaches signalled without a recorded signal."""
 
     programs: dict[str, Program]
-    recorded: frozenset[int]
-    mapped: tuple[int, ...]
-    unknown: tuple[int, ...]
+    unknown: int
     witnessed: int
-    completed: int
     assumed: int
 
 
@@ -81,7 +157,7 @@ def plan_signals(record: Record, links: Sequence[Link], rulers: Rulers, order: R
     letters = _letters(record)
     place: dict[int | None, int] = {lane: n for n, lane in enumerate(letters)}
     programs: dict[str, Program] = {}
-    completed = witnessed = 0
+    witnessed = 0
     step = float(record.time[1] - record.time[0]) if len(record.time) > 1 else 0.1
     for junction in sorted({links[n].junction for n in rulers}):
         members = [n for n in rulers if links[n].junction == junction]
@@ -90,16 +166,11 @@ def plan_signals(record: Record, links: Sequence[Link], rulers: Rulers, order: R
         witnessed += streams
         rows = ["".join(of_link[n][k] for n in members) for k in range(len(record.signals))]
         phases = _run_lengths(rows, step)
-        needy = _needy(links, members, phases)
-        completed += len(needy)
-        default = _default(links, members, needy, order)
-        cycle = _with_changes(phases, default)
+        cycle = _with_changes(phases, _default(links, members, _needy(links, members, phases), order))
         greens = [(duration, _major(state, members, order)) for duration, state in cycle]
-        programs[junction] = Program({n: k for k, n in enumerate(members)}, tuple(greens), len(phases))
-    unknown = tuple(lane for lane, states in letters.items() if not any(states))
-    mapped = tuple(lane for lane in letters if lane in set(rulers.values()))
+        programs[junction] = Program({n: k for k, n in enumerate(members)}, tuple(greens))
     assumed = len({links[n].source for n, lane in rulers.items() if lane is None})
-    return SignalPlan(programs, frozenset(letters), mapped, unknown, witnessed, completed, assumed)
+    return SignalPlan(programs, sum(not any(states) for states in letters.values()), witnessed, assumed)
 
 
 def _letters(record: Record) -> dict[int, list[str]]:

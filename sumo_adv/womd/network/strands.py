@@ -1,19 +1,227 @@
-"""Strands: sections strung together where nothing but the next one follows, so that cuts need not lie at lane ends."""
+"""From the record's lanes to strands: which lanes become road, cut where they share their ground, strung together where
+nothing but the next one follows, so that cuts need not lie at lane ends.
+
+Lanes that split run over the same ground for their first metres, and lanes that merge for their last. As long as they
+are within ``SAME_GROUND`` of one another they are one section here, so that it can be an edge and need not be junction.
+The start of a lane that a signal or a stop sign holds is left alone: that is where vehicles wait.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from sumo_adv.datatypes import Floats
-from sumo_adv.womd.network.lanes import KeptLane
-from sumo_adv.womd.network.polyline import stations
-from sumo_adv.womd.network.sections import Section, make_sections
+from sumo_adv.womd.lines import at, distinct, part, stations, turned
+from sumo_adv.womd.record import BIKE, LaneFeature, Record
 
+MAX_GAP = 1.0  # m between a lane's end and the start of its exit
+MIN_SCRAP = 1.0  # m, shorter lanes that nothing leads to or from are dropped
+DEFAULT_SPEED = 11.176  # m/s (25 mph) where no limit is given anywhere near
+BIKE_SPEED = 6.7  # m/s where a bike lane has no limit
+SAME_GROUND = 0.1  # m from the straightest of the lanes that share their ground
+STEP = 0.5  # m between the places compared
+MOST = 12.0  # m that lanes share at most
+MOST_PART = 0.4  # of a lane that is shared at either end
+LEAST = 0.5  # m, less is not worth a section
 SAME_SPEED = 0.5  # m/s, sections with limits that differ by less are one road
+
+
+@dataclass(frozen=True, slots=True)
+class KeptLane:
+    """A lane that becomes road. points ``(n, 3)`` without doubles; along: their stations ``(n,)`` [m]; index: for each
+    point of the record its station ``(m,)``; speed m/s, never 0; exits and entries: kept lanes that touch."""
+
+    feature: LaneFeature
+    points: Floats
+    along: Floats
+    index: Floats
+    speed: float
+    entries: tuple[int, ...]
+    exits: tuple[int, ...]
+
+    @property
+    def length(self) -> float:
+        """Length in m."""
+        return float(self.along[-1])
+
+    @property
+    def bike(self) -> bool:
+        """Whether bicycles alone may use it."""
+        return self.feature.kind == BIKE
+
+
+@dataclass(frozen=True, slots=True)
+class Kept:
+    """The lanes kept, those dropped with the reason, links with ends too far apart, lanes of assumed speed."""
+
+    lanes: dict[int, KeptLane]
+    dropped: dict[int, str]
+    gaps: list[tuple[int, int]]
+    assumed_speeds: int
+
+
+def keep(record: Record) -> Kept:
+    """Sort the record's lanes into kept and dropped."""
+    dropped: dict[int, str] = {}
+    usable: dict[int, Floats] = {}
+    for lane in record.lanes.values():
+        points = distinct(lane.points) if len(lane.points) else lane.points
+        if len(points) < 2:
+            dropped[lane.id] = "one point" if len(points) else "no points"
+        elif not np.isfinite(points).all():
+            dropped[lane.id] = "not finite"
+        else:
+            usable[lane.id] = points
+    links, gaps = _links(record, usable)
+    linked = {lane for pair in links for lane in pair}
+    for number, points in list(usable.items()):
+        if number not in linked and stations(points)[-1] < MIN_SCRAP:
+            dropped[number] = f"unconnected and under {MIN_SCRAP:g} m"
+            del usable[number]
+    speeds, assumed = _speeds(record, usable, links)
+    lanes = {
+        number: KeptLane(
+            record.lanes[number], points, stations(points), stations(record.lanes[number].points),
+            speeds[number], tuple(sorted(a for a, b in links if b == number)),
+            tuple(sorted(b for a, b in links if a == number)),
+        )
+        for number, points in usable.items()
+    }  # fmt: skip
+    return Kept(lanes, dropped, gaps, assumed)
+
+
+def _links(record: Record, usable: dict[int, Floats]) -> tuple[set[tuple[int, int]], list[tuple[int, int]]]:
+    """Pairs (lane, exit) that touch, and those that do not."""
+    pairs = {(a, b) for a in usable for b in record.lanes[a].exits}
+    pairs |= {(a, b) for b in usable for a in record.lanes[b].entries}
+    links, gaps = set(), []
+    for a, b in sorted(pairs):
+        if a not in usable or b not in usable or a == b:
+            continue
+        if np.hypot(*(usable[b][0] - usable[a][-1])[:2]) < MAX_GAP:
+            links.add((a, b))
+        else:
+            gaps.append((a, b))
+    return links, gaps
+
+
+def _speeds(record: Record, usable: dict[int, Floats], links: set[tuple[int, int]]) -> tuple[dict[int, float], int]:
+    """A speed for every lane: its limit, else that of the fastest lane it touches, else a default."""
+    speeds = {n: record.lanes[n].speed_limit for n in usable if record.lanes[n].speed_limit > 0}
+    without = [n for n in usable if n not in speeds]
+    near: dict[int, list[float]] = {n: [] for n in without}
+    for a, b in links:
+        for own, neighbour in ((a, b), (b, a)):
+            if own in near:
+                near[own].append(record.lanes[neighbour].speed_limit)
+    for n in without:
+        default = BIKE_SPEED if record.lanes[n].kind == BIKE else DEFAULT_SPEED
+        speeds[n] = max((limit for limit in near[n] if limit > 0), default=default)
+    return speeds, len(without)
+
+
+@dataclass(frozen=True, slots=True)
+class Use:
+    """A lane from station ``start`` to ``end`` [m] runs over a section, from one end of it to the other."""
+
+    lane: int
+    start: float
+    end: float
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """Ground of one lane or of several. points ``(n, 3)``; entries, exits: keys of sections; speed m/s; turning: all
+    its lanes interpolate."""
+
+    points: Floats
+    uses: tuple[Use, ...]
+    entries: tuple[int, ...]
+    exits: tuple[int, ...]
+    speed: float
+    bike: bool
+    turning: bool
+
+
+def _make_sections(lanes: dict[int, KeptLane], held: Collection[int]) -> dict[int, Section]:
+    """All sections by key; ``held``: lanes with a fixed start."""
+    heads, tails = (_shared(lanes, held, at_end=at_end) for at_end in (False, True))
+    body = {lane: n for n, lane in enumerate(lanes)}
+    first, last = dict(body), dict(body)  # the sections at a lane's beginning and end
+    begins, ends = dict.fromkeys(lanes, 0.0), {number: lane.length for number, lane in lanes.items()}
+    for key, (group, length) in enumerate(heads, len(body)):
+        first |= dict.fromkeys(group, key)
+        begins |= dict.fromkeys(group, length)
+    for key, (group, length) in enumerate(tails, len(body) + len(heads)):
+        last |= dict.fromkeys(group, key)
+        ends |= {number: lanes[number].length - length for number in group}
+    before = {number: tuple(sorted({last[e] for e in lane.entries})) for number, lane in lanes.items()}
+    after = {number: tuple(sorted({first[e] for e in lane.exits})) for number, lane in lanes.items()}
+    sections: dict[int, Section] = {}
+    for number, lane in lanes.items():
+        start, end, key = begins[number], ends[number], body[number]
+        points = part(lane.points, lane.along, start, end) if end - start < lane.length else lane.points
+        sections[key] = Section(
+            points, (Use(number, start, end),), before[number] if first[number] == key else (first[number],),
+            after[number] if last[number] == key else (last[number],), lane.speed, lane.bike,
+            lane.feature.interpolating,
+        )  # fmt: skip
+    for group, length in heads:
+        uses = tuple(Use(k, 0.0, length) for k in group)
+        sections[first[group[0]]] = _common_section(lanes, uses, before[group[0]], tuple(body[k] for k in group))
+    for group, _ in tails:
+        uses = tuple(Use(k, ends[k], lanes[k].length) for k in group)
+        sections[last[group[0]]] = _common_section(lanes, uses, tuple(body[k] for k in group), after[group[0]])
+    return sections
+
+
+def _common_section(
+    lanes: dict[int, KeptLane], uses: tuple[Use, ...], entries: tuple[int, ...], exits: tuple[int, ...]
+) -> Section:
+    main = lanes[uses[0].lane]
+    points = part(main.points, main.along, uses[0].start, uses[0].end)
+    turning = all(lanes[use.lane].feature.interpolating for use in uses)
+    return Section(points, uses, entries, exits, max(lanes[use.lane].speed for use in uses), False, turning)
+
+
+def _shared(lanes: dict[int, KeptLane], held: Collection[int], *, at_end: bool) -> list[tuple[list[int], float]]:
+    """Groups of lanes, the straightest first, that share their last metres before, or their first after, the same one
+    lane; and how many metres."""
+    groups = []
+    for number, lane in lanes.items():
+        if at_end:
+            group = [k for k in lane.entries if lanes[k].exits == (number,)]
+        else:
+            group = [k for k in lane.exits if lanes[k].entries == (number,)]
+            if held and not set(group).isdisjoint(held):
+                continue
+        group = [k for k in group if not lanes[k].bike and k != number]
+        if len(group) < 2:
+            continue
+        length = _common([lanes[k] for k in group], at_end=at_end)
+        if length >= LEAST:
+            group.sort(key=lambda k: (lanes[k].feature.interpolating, abs(turned(lanes[k].points)), k))
+            groups.append((group, length))
+    return groups
+
+
+def _common(group: Sequence[KeptLane], *, at_end: bool) -> float:
+    """How far [m] all lanes are on the same ground, from their ends backward or their starts forward."""
+    most = min(MOST, MOST_PART * min(lane.length for lane in group))
+    distance = np.arange(0.0, most, STEP)
+    if len(distance) < 2:
+        return 0.0
+    lines = [at(lane.points[:, :2], lane.along, lane.length - distance if at_end else distance) for lane in group]
+    apart = np.max([np.hypot(*(line - lines[0]).T) for line in lines[1:]], axis=0) > SAME_GROUND
+    high = np.max([lane.points[-1 if at_end else 0, 2] for lane in group])
+    low = np.min([lane.points[-1 if at_end else 0, 2] for lane in group])
+    if high - low > 1.0:
+        return 0.0
+    return float(distance[max(int(np.argmax(apart)) - 1, 0) if apart.any() else -1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,10 +259,6 @@ class Strand:
         """The WOMD lane at a station."""
         return next((run.lane for run in self.runs if station < run.end - 1e-6), self.runs[-1].lane)
 
-    def begin_between(self, start: float, end: float) -> list[int]:
-        """The WOMD lanes that begin between two stations, in order."""
-        return [run.lane for run in self.runs if run.lane_start == 0.0 and start - 1e-6 <= run.start < end]
-
 
 @dataclass(frozen=True, slots=True)
 class Strands:
@@ -63,15 +267,10 @@ class Strands:
     all: tuple[Strand, ...]
     of_lane: dict[int, tuple[tuple[int, Run], ...]]
 
-    def start_of(self, lane: int) -> tuple[int, float]:
-        """Strand and station where a lane begins."""
-        strand, run = self.of_lane[lane][0]
-        return strand, run.start
-
 
 def make_strands(lanes: dict[int, KeptLane], held: Collection[int]) -> Strands:
     """String the lanes together; ``held``: lanes that begin at a signal or a stop sign."""
-    sections = make_sections(lanes, held)
+    sections = _make_sections(lanes, held)
     chains = _chains(sorted(sections), _follows(sections))
     first = {chain[0]: k for k, chain in enumerate(chains)}
     last = {chain[-1]: k for k, chain in enumerate(chains)}

@@ -1,4 +1,5 @@
-"""Many polylines as one set of segments: which of them lie near many points, exactly and at once."""
+"""Lines as point arrays ``(n, 2)`` or ``(n, 3)`` [m] with stations along the ground: cutting, sampling, turning, and
+which of many lines lie near many points, exactly and at once."""
 
 from __future__ import annotations
 
@@ -7,12 +8,54 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from sumo_adv.datatypes import Floats
-from sumo_adv.geometry import wrap_below_pi
+from sumo_adv.datatypes import Floats, Ints
+from sumo_adv.geometry import wrap, wrap_below_pi
 
-Ints = NDArray[np.intp]
+SAME = 1e-3  # m, points nearer than this are one
+SEAM = 0.2  # m, gaps between areas that are no gaps of the road
+
+
+def stations(points: Floats) -> Floats:
+    """Distance of each point from the first along the ground ``(n,)`` [m]."""
+    return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points[:, :2], axis=0).T))])
+
+
+def distinct(points: Floats) -> Floats:
+    """The points without those that repeat the one before."""
+    step = np.hypot(*np.diff(points[:, :2], axis=0).T)
+    return points[np.concatenate([[True], step > SAME])]
+
+
+def at(points: Floats, along: Floats, where: Floats | float) -> Floats:
+    """Points at stations ``where``; ``along`` are the stations of ``points``."""
+    return np.stack([np.interp(where, along, points[:, k]) for k in range(points.shape[1])], axis=-1)
+
+
+def part(points: Floats, along: Floats, start: float, end: float) -> Floats:
+    """The line from station ``start`` to ``end``, with its own points between."""
+    inner = points[(along > start + SAME) & (along < end - SAME)]
+    ends = at(points, along, np.array([start, end]))
+    return np.vstack([ends[:1], inner, ends[1:]])
+
+
+def headings(points: Floats, along: Floats, where: Floats) -> Floats:
+    """Directions [rad] at stations ``where``, from points 0.5 m before and after."""
+    behind, ahead = at(points, along, where - 0.5), at(points, along, where + 0.5)
+    return np.arctan2(ahead[..., 1] - behind[..., 1], ahead[..., 0] - behind[..., 0])
+
+
+def turned(points: Floats) -> float:
+    """Heading at the end less heading at the start [rad], added up along the line (left positive)."""
+    step = np.diff(points[:, :2], axis=0)
+    step = step[np.hypot(*step.T) > SAME]
+    heading = np.arctan2(step[:, 1], step[:, 0])
+    return float(np.sum(wrap(np.diff(heading))))
+
+
+def joined(parts: Sequence[Floats]) -> Floats:
+    """One line through all parts, doubled points left out."""
+    return distinct(np.vstack(parts))
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,11 +125,6 @@ class Segments:
         return Hits(point, self._owner[segment], distance, self._start[segment] + share * np.sqrt(square), turned)
 
 
-def stations(points: Floats) -> Floats:
-    """Distance along a polyline ``(n, 2+)`` of each of its points, m."""
-    return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points[:, :2], axis=0).T))])
-
-
 def resample(points: Floats, step: float) -> tuple[Floats, Floats, Floats]:
     """Stations, points ``(n, 2)`` and headings of a polyline about every ``step`` m, both ends included."""
     at = stations(points)
@@ -95,3 +133,16 @@ def resample(points: Floats, step: float) -> tuple[Floats, Floats, Floats]:
     xy = np.stack([np.interp(grid, at, points[:, k]) for k in (0, 1)], axis=1)
     heading = np.arctan2(*np.gradient(xy, axis=0).T[::-1])
     return grid, xy, heading
+
+
+def road_outline(areas: Sequence[Any]) -> list[Floats]:
+    """Closed lines ``(n, 2)`` [m] around the union of shapely polygons."""
+    from shapely import get_parts, union_all
+
+    ground = union_all([area.buffer(SEAM) for area in areas]).buffer(-SEAM)
+    lines = []
+    for part in get_parts(ground):
+        outer = part.exterior if part.exterior.is_ccw else part.exterior.reverse()
+        inner = (ring.reverse() if ring.is_ccw else ring for ring in part.interiors)
+        lines += [np.asarray(ring.coords, np.float64)[:, :2] for ring in (outer, *inner)]
+    return lines
