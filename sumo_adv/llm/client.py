@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from pydantic import SecretStr
 
-from sumo_adv.config_model import ModelSettings, one_word
+from sumo_adv.config import ModelSettings, one_word
 from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError
 from sumo_adv.llm import wire

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from sumo_adv.config_model import ModelSettings
+from sumo_adv.config import ModelSettings
 from sumo_adv.errors import BudgetError, ModelError
 from sumo_adv.llm.chat import ChatModel, ChatReply, ChatRequest, estimate_tokens
 
