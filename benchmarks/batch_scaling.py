@@ -33,8 +33,8 @@ from typing import Any
 from sumo_adv.app import batch_parts, open_agents
 from sumo_adv.campaigns.campaign import Orders, run_batch
 from sumo_adv.campaigns.local import Pace
-from sumo_adv.campaigns.nouns import Job, Learn, Row, Setup
 from sumo_adv.campaigns.plan import Plan, make_plan
+from sumo_adv.campaigns.results import Job, Learn, Row, Setup
 from sumo_adv.campaigns.worker import Runner
 from sumo_adv.config import load_settings
 from sumo_adv.episode.loop import run_episode

@@ -25,8 +25,8 @@ from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 
-from sumo_adv.benchmark.tables.columns import COLUMNS
-from sumo_adv.benchmark.tables.paper import DIVERGENCES, TABLE_I
+from sumo_adv.benchmark.columns import COLUMNS
+from sumo_adv.benchmark.table import DIVERGENCES, TABLE_I
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "results.md"

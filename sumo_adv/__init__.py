@@ -1,9 +1,8 @@
 """Online, retrieval-augmented generation of safety-critical scenarios inside SUMO.
 
 From Python: ``result = sumo_adv.run("priority_crossing")``, ``sumo_adv.load("runs/priority_crossing-0")`` (``api.py``),
-``campaign = sumo_adv.batch("plan.toml", out="campaigns/first")`` (``api_batch.py``),
-``found = sumo_adv.hunt("motorway", minutes=30)`` (``api_hunt.py``),
-``found = sumo_adv.crash_rate("straight_2lane", ego="idm")`` (``api_rate.py``; ``sumo_adv.rate`` is the package).
+``campaign = sumo_adv.batch("plan.toml", out="campaigns/first")``, ``found = sumo_adv.hunt("motorway", minutes=30)``,
+``found = sumo_adv.crash_rate("straight_2lane", ego="idm")`` (``api_batch.py``; ``sumo_adv.rate`` is the package).
 A driver of your own needs ``Observation`` and the actions ``Steer``, ``Pose`` and ``LaneSpeed``.
 """
 
@@ -14,9 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from sumo_adv.api import Result, judge, load, run
-    from sumo_adv.api_batch import Campaign, batch
-    from sumo_adv.api_hunt import hunt
-    from sumo_adv.api_rate import crash_rate
+    from sumo_adv.api_batch import Campaign, batch, crash_rate, hunt
     from sumo_adv.drivers import LaneSpeed, Observation, Pose, Steer
 
 __version__ = "0.2.0"
@@ -27,9 +24,7 @@ __all__ = [
 
 _HOMES = {
     **dict.fromkeys(("Result", "judge", "load", "run"), "sumo_adv.api"),
-    **dict.fromkeys(("Campaign", "batch"), "sumo_adv.api_batch"),
-    "crash_rate": "sumo_adv.api_rate",
-    "hunt": "sumo_adv.api_hunt",
+    **dict.fromkeys(("Campaign", "batch", "crash_rate", "hunt"), "sumo_adv.api_batch"),
     **dict.fromkeys(("LaneSpeed", "Observation", "Pose", "Steer"), "sumo_adv.drivers"),
 }
 

@@ -15,12 +15,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sumo_adv.config import load_settings
+from sumo_adv.datatypes import Role, Verdict
 from sumo_adv.errors import UsageError
+from sumo_adv.report.staging import scratch_folder, staged
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from sumo_adv.datatypes import Verdict
     from sumo_adv.report.export.choices import Format, Variant
     from sumo_adv.report.run_outcome import Outcome
 
@@ -155,10 +157,8 @@ def run(
         BankError: the bank cannot be opened.
     """
     from sumo_adv.app import load, play
-    from sumo_adv.config import load_settings
     from sumo_adv.drivers.given import pack
     from sumo_adv.drivers.registry import trusted_driver
-    from sumo_adv.report.staging import scratch_folder, staged
     from sumo_adv.simulation.inputs import own_simulation
 
     given = load(Path(source), record)
@@ -212,7 +212,6 @@ def judge(
 
     Raises UsageError: a column is missing or bad, an id is not in the table, or the tracks do not overlap.
     """
-    from sumo_adv.datatypes import Role
     from sumo_adv.metrics.levels import with_level
     from sumo_adv.metrics.user_tracks import split, track_of
     from sumo_adv.metrics.validity import judge as gates

@@ -1,9 +1,16 @@
-"""Batches from Python: ``campaign = sumo_adv.batch("plan.toml", out="campaigns/first")``, and what its folder holds."""
+"""Many runs from Python: batches, hunts, crash rates.
+
+campaign = sumo_adv.batch("plan.toml", out="campaigns/first")
+found = sumo_adv.hunt("motorway", ego="my_package.driver:MyDriver", minutes=30)
+found = sumo_adv.crash_rate("straight_2lane", ego="idm", out="runs/rate-idm")
+"""
 
 from __future__ import annotations
 
 import os
+import tempfile
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,11 +18,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sumo_adv.api import Result, Table
+from sumo_adv.app import batch_parts, estimate_rate, run_campaign, shipped_bank
+from sumo_adv.campaigns.results import NUMBERS, WHOLES, read_csv, read_row
+from sumo_adv.config_odd import Odd, read_odd
 from sumo_adv.errors import UsageError
+from sumo_adv.memory.store import default_bank_path
 
 if TYPE_CHECKING:
-    from sumo_adv.campaigns.nouns import Job
-    from sumo_adv.config_odd import Odd
+    from sumo_adv.campaigns.campaign import Orders, Summary
+    from sumo_adv.campaigns.plan import Plan
+    from sumo_adv.hunting.hunt import Found, HuntProgress
+    from sumo_adv.rate.estimate import Estimate
     from sumo_adv.report.coverage import Coverage
 
 RESULTS, RUNS, PLAN = "results.csv", "runs", "plan.json"
@@ -38,8 +51,6 @@ class Campaign:
         Numbers are arrays of float (nan where nothing is said, as in ``min_ttc`` for never) or int; texts and truth
         values are arrays of objects (None where nothing is said).
         """
-        from sumo_adv.campaigns.results import NUMBERS, WHOLES, read_csv
-
         kinds = {**dict.fromkeys(NUMBERS, np.float64), **dict.fromkeys(WHOLES, np.int64)}
         columns = read_csv(self.folder / RESULTS)
         return {name: np.array(values, dtype=kinds.get(name, np.object_)) for name, values in columns.items()}
@@ -50,8 +61,7 @@ class Campaign:
 
     def coverage(self) -> Coverage:
         """Encounters and failures by intent, relation, road class and speed. Raises UsageError or BankError."""
-        from sumo_adv.app import shipped_bank
-        from sumo_adv.campaigns.pack import packed_texts
+        from sumo_adv.campaigns.store import packed_texts
         from sumo_adv.report.campaign_coverage import OUTCOME, campaign_coverage
 
         runs = [self.folder / RUNS / str(name) for name in self.table["id"]]
@@ -97,57 +107,235 @@ def batch(
         UsageError: bad input or settings, or the folder ``out`` holds another plan's results.
         BankError: the bank cannot be opened. SumoAdvError: no episode can be run.
     """
-    from sumo_adv.app import batch_parts, run_campaign
-    from sumo_adv.campaigns.campaign import Orders
-    from sumo_adv.campaigns.local import Pace
-    from sumo_adv.campaigns.plan import is_plan, make_plan, read_plan
-    from sumo_adv.memory.store import default_bank_path
-    from sumo_adv.report.outcome import versions
-
-    named = [inputs] if isinstance(inputs, str | Path) else list(inputs)
-    first = Path(named[0]) if named else Path()
-    planned = len(named) == 1 and is_plan(first)
-    table: dict[str, Any] = read_plan(first) if planned else {"inputs": [str(each) for each in named]}
     if any(not isinstance(ego, str) for ego in egos):
         raise UsageError("Give the egos of a batch as names (module:Class): its workers import them.")
     given = {
         "egos": list(egos) or None, "seeds": seeds, "records": list(records) or None, "vary": vary, "learn": learn,
         "memory": None if memory is None else str(memory), "figures": figures,
     }  # fmt: skip
-    table |= {key: value for key, value in given.items() if value is not None}
-    table["settings"] = {**table.get("settings", {}), **settings, **_domain(odd)}
-    subject, folder = (f"The plan {first}", first.parent) if planned else ("The batch", Path())
-    plan = make_plan(table, folder, subject, batch_parts(), None if settings_file is None else Path(settings_file))
-    pace = Pace(workers or os.cpu_count() or 1, deadline, RECYCLE)
-    bank = plan.memory or default_bank_path()
-    orders = Orders(Path(out), bank, versions(), pace, force, retry_failed, parquet)
-    run_campaign(plan, orders, _Teller(tell), states=states)
+    plan = planned(inputs, given, settings, odd, settings_file)
+    orders = orders_of(plan, out, workers, deadline, force=force, retry_failed=retry_failed, parquet=parquet)
+    watcher = Teller(None if tell is None else lambda _, job, row: tell(row))
+    run_campaign(plan, orders, watcher, states=states)
     return Campaign(out)
+
+
+def planned(
+    inputs: str | Path | Sequence[str | Path], given: Mapping[str, Any], settings: Mapping[str, Any],
+    odd: str | Path | Mapping[str, Any] | Odd | None = None, settings_file: str | Path | None = None,
+) -> Plan:  # fmt: skip
+    """The plan in a file, or of ``inputs``; what is ``given`` (None = not given) and ``settings`` replace what it says.
+
+    Raises UsageError.
+    """
+    from sumo_adv.campaigns.plan import is_plan, make_plan, read_plan
+
+    named = [inputs] if isinstance(inputs, str | Path) else list(inputs)
+    first = Path(named[0]) if named else Path()
+    is_file = len(named) == 1 and is_plan(first)
+    table: dict[str, Any] = read_plan(first) if is_file else {"inputs": [str(each) for each in named]}
+    table |= {key: value for key, value in given.items() if value is not None}
+    own = table.get("settings", {})
+    if not isinstance(own, dict):
+        raise UsageError("'settings' of a plan is a table of settings: write [settings].")
+    if odd is not None and "odd" in {**own, **settings}:
+        raise UsageError(f"The plan has [settings.odd], and the domain {odd} is given as well; keep one.")
+    table["settings"] = {**own, **settings, **_domain(odd)}
+    subject, folder = (f"The plan {first}", first.parent) if is_file else ("The batch", Path())
+    return make_plan(table, folder, subject, batch_parts(), None if settings_file is None else Path(settings_file))
 
 
 def _domain(odd: str | Path | Mapping[str, Any] | Odd | None) -> dict[str, Any]:
     """The setting ``odd``; empty where none is given."""
-    from sumo_adv.config_odd import Odd, read_odd
-
     if odd is None:
         return {}
     domain = read_odd(Path(odd)) if isinstance(odd, str | Path) else odd
     return {"odd": domain.model_dump(mode="json", exclude_unset=True) if isinstance(domain, Odd) else dict(domain)}
 
 
-class _Teller:
-    """Passes on the rows of finished episodes."""
+def orders_of(
+    plan: Plan, out: str | Path, workers: int | None, deadline: float, recycle: int = RECYCLE, **how: Any
+) -> Orders:
+    """How a plan is run; ``how``: the further fields of ``Orders``."""
+    from sumo_adv.campaigns.campaign import Orders
+    from sumo_adv.campaigns.local import Pace
+    from sumo_adv.report.outcome import versions
 
-    def __init__(self, tell: Finished | None) -> None:
-        self._tell = tell
+    pace = Pace(workers or os.cpu_count() or 1, deadline, recycle)
+    return Orders(Path(out), plan.memory or default_bank_path(), versions(), pace, **how)
 
-    def begin(self, total: int, before: Sequence[Mapping[str, Any]]) -> None:
-        """Nothing is said at the beginning."""
 
-    def finished(self, job: Job, row: Mapping[str, Any]) -> None:
-        """One more episode."""
-        if self._tell is not None:
-            self._tell(row)
+class Teller:
+    """Watches a batch, a hunt or an estimate, and passes on what it is given functions for. ``total`` and ``done``
+    count episodes, or blocks of a phase."""
+
+    def __init__(
+        self, finished: Callable[[Teller, Any, Any], None] | None, stopping: Callable[[bool], None] | None = None
+    ) -> None:
+        self._finished, self._stopping = finished, stopping
+        self.total = self.done = 0
+
+    def begin(self, total: int, before: Sequence[Any]) -> None:
+        self.total, self.done = total, len(before)
+
+    def finished(self, job: Any, row: Any) -> None:
+        self.done += 1
+        if self._finished is not None:
+            self._finished(self, job, row)
 
     def stopping(self, now: bool) -> None:
-        """Nothing is said: the caller sees it by the rows that are missing."""
+        """Ctrl-C was pressed; where nothing is said, the caller sees it by what is missing."""
+        if self._stopping is not None:
+            self._stopping(now)
+
+
+# -- hunts
+
+
+PAGES = 60  # replay pages that are made at once
+
+
+@dataclass(frozen=True)
+class HuntResult:
+    """What a hunt found. rows: a dictionary for each distinct failure, most serious first; index: the page of all."""
+
+    found: Found
+    rows: list[dict[str, Any]]
+    index: Path | None
+
+    @property
+    def folder(self) -> Path:
+        """Of the hunt."""
+        return self.found.folder
+
+    @property
+    def table(self) -> Table:
+        """Columns by name, a row for each distinct failure: ``pandas.DataFrame(result.table)``."""
+        from sumo_adv.hunting.failures import COLUMNS
+
+        return {name: np.array([row[name] for row in self.rows]) for name in COLUMNS}
+
+
+def hunt(
+    inputs: str | Path | Sequence[str | Path],
+    *,
+    ego: str | None = None,
+    minutes: float = 30.0,
+    distinct: int | None = None,
+    out: str | Path = Path("runs") / "hunt",
+    seed: int = 0,
+    memory: str | Path | None = None,
+    workers: int | None = None,
+    deadline: float = 600.0,
+    cluster: str | None = None,
+    settings_file: str | Path | None = None,
+    pages: bool = True,
+    tell: Callable[[HuntProgress], None] | None = None,
+    stopping: Callable[[bool], None] | None = None,
+    note: Callable[[str], None] | None = None,
+    **settings: Any,
+) -> HuntResult:
+    """The worst distinct failures that ``minutes`` are enough for, as ``sumo-adv hunt``. The same call again goes on.
+
+    inputs: networks, .sumocfg files, scenarios, records, folders and shipped names. distinct: end sooner with this many
+    failures. until: the level at which an encounter ends, ``serious`` by default (``valid`` for the ego careful).
+    deadline: seconds after which an episode is stuck. pages: make an index page with replays. tell: called after each
+    round. stopping: called when Ctrl-C is pressed, with True where it is pressed again. note: called at the start with
+    each sentence on what of the inputs is not kept, as options of a .sumocfg.
+
+    Raises:
+        UsageError: bad input or settings, or the folder ``out`` holds something else.
+        BankError: the bank cannot be opened. SumoAdvError: no episode can be run.
+    """
+    from sumo_adv.campaigns.plan import make_plan
+    from sumo_adv.hunting.failures import table
+    from sumo_adv.hunting.hunt import Hunt
+
+    def campaign(plan: Plan, orders: Orders) -> Summary:
+        return run_campaign(plan, orders, Teller(None, stopping))
+
+    settings.setdefault("until", "valid" if ego == "careful" else "serious")
+    named = [str(each) for each in ([inputs] if isinstance(inputs, str | Path) else inputs)]
+    given: dict[str, Any] = {"inputs": named, "seeds": [seed], "settings": settings}
+    given |= {} if ego is None else {"egos": [ego]}
+    given |= {} if memory is None else {"memory": str(memory)}
+    plan = make_plan(given, Path(), "The hunt", batch_parts(), None if settings_file is None else Path(settings_file))
+    if note is not None:
+        for sentence in (each for source in plan.inputs for each in source.notes):
+            note(sentence)
+    orders = orders_of(plan, out, workers, deadline, ray=cluster)
+    found = Hunt(plan, orders, campaign, minutes, distinct).run(tell or (lambda _: None))
+    rows = table(found.failures, found.folder)
+    return HuntResult(found, rows, _index(found, orders.pace.workers) if pages and rows else None)
+
+
+def _index(found: Found, workers: int) -> Path:
+    """The page of all failures, with a picture and a replay of each."""
+    from sumo_adv.report.campaign_coverage import campaign_coverage, write_coverage
+    from sumo_adv.report.index.build import Packs, write_report
+    from sumo_adv.report.index.rows import table_of
+
+    runs = [failure.run for failure in found.failures]
+    target = found.folder / "report"
+    coverage = campaign_coverage(found.folder, runs, {}, shipped_bank())
+    made = write_report(
+        found.folder / "failures", target, found.folder.resolve().name,
+        table_of(row for run in runs if (row := read_row(run)) is not None), Packs(), coverage, most=PAGES,
+        workers=workers, again=True, tell=lambda done, of: None,
+    )  # fmt: skip
+    write_coverage(target, coverage)
+    return made.index
+
+
+# -- crash rates
+
+
+Progress = Callable[[str, int, int], None]
+
+
+def crash_rate(
+    source: str | Path,
+    *,
+    ego: str | None = None,
+    runs: int = 1000,
+    pilot: int = 200,
+    plain: bool = False,
+    seed: int = 0,
+    duration: float = 60.0,
+    warm_up: float = 20.0,
+    density: float | None = None,
+    errors: float = 1.0,
+    out: str | Path | None = None,
+    workers: int | None = None,
+    ray: str | None = None,
+    ego_parameters: Mapping[str, Any] | None = None,
+    tell: Progress | None = None,
+) -> Estimate | None:
+    """Estimate how often the ego crashes in normal traffic, as ``sumo-adv rate``; None if Ctrl-C stopped it.
+
+    source: a net.xml, a .sumocfg, a scenario or a shipped name; not a recording. ego: the name of a driver
+    (``module:Class`` for a driver of yours), None = as the input says, else idm. runs: that are estimated from; pilot:
+    those before, from which the proposal learns; plain: draw all runs from the model. duration, warm_up [s]: of a run.
+    density: departures a minute of generated traffic. errors: factor on the rates of all human errors. out: the folder
+    of runs, where the same call again goes on; None = a temporary one. ray: address of a Ray cluster. tell: called with
+    the phase (``pilot``, ``runs``, ``plain``), and how many of how many blocks of 20 runs are finished.
+
+    The result: ``found.per_hour["collision"].value``, ``.low``, ``.high``, ``.half_width``; so too ``per_km``, and the
+    levels ``contact``, ``valid``, ``strict``, ``serious``. ``found.document()`` is what ``rate.json`` holds.
+
+    Raises:
+        UsageError: bad input, or ``out`` holds runs of another estimate. SimulationError: a run failed twice.
+    """
+    from sumo_adv.rate.plan import RatePlan
+
+    if ego is not None and not isinstance(ego, str):
+        raise UsageError("Give the ego of a crash rate as a name (module:Class): its workers import it.")
+    if min(runs, pilot) < 1:
+        raise UsageError("A crash rate needs at least one run and one pilot run.")
+    plan = RatePlan(
+        Path(source), ego, dict(ego_parameters or {}), density, warm_up, duration, errors, pilot, plain, seed
+    )  # fmt: skip
+    watcher = Teller(None if tell is None else lambda told, job, _: tell(job.phase, told.done, told.total))
+    with tempfile.TemporaryDirectory(prefix="sumo_adv-result-") as scratch:
+        folder = Path(scratch) if out is None else Path(out)
+        return estimate_rate(plan, folder, runs, workers or os.cpu_count() or 1, watcher, ray)

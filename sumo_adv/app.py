@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from sumo_adv.agents.prompts import Prompts
     from sumo_adv.benchmark.jobs import Parts as BenchParts
     from sumo_adv.campaigns.campaign import Orders, Summary, Watcher
-    from sumo_adv.campaigns.nouns import Parts as BatchParts
     from sumo_adv.campaigns.plan import Plan
+    from sumo_adv.campaigns.results import Parts as BatchParts
     from sumo_adv.config import Settings
     from sumo_adv.datatypes import LibraryEntry
     from sumo_adv.driver_check import Checked, DriverCheck
@@ -307,7 +307,7 @@ def _without_main() -> Iterator[None]:
 
 def batch_parts() -> BatchParts:
     """The functions that a batch's workers need."""
-    from sumo_adv.campaigns.nouns import Parts
+    from sumo_adv.campaigns.results import Parts
     from sumo_adv.report.folder import write_run
     from sumo_adv.report.outcome import MODEL_FILE
     from sumo_adv.report.staging import staged
@@ -349,7 +349,7 @@ def _write_states(folder: Path, names: Sequence[str]) -> None:
 
 def unpacked(folder: Path, names: Iterable[str]) -> Iterator[Path]:
     """Packed runs of a batch, each in a folder that is there until the next one. Raises UsageError or SumoAdvError."""
-    from sumo_adv.campaigns.pack import unpack
+    from sumo_adv.campaigns.store import unpack
     from sumo_adv.report.staging import staged
 
     for name in names:

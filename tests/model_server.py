@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any, Self
 
-from sumo_adv.config_model import ModelSettings
+from sumo_adv.config import ModelSettings
 from sumo_adv.llm.transport import Clock
 
 KEY = "sk-tests-0123456789"

@@ -12,10 +12,9 @@ import pytest
 from batch_samples import QUICK, clean, summary, table
 from cli_samples import Program
 
-from sumo_adv.campaigns.learning import lessons_of
-from sumo_adv.campaigns.pack import packed_rows, packed_texts, unpack
 from sumo_adv.campaigns.results import read_row
-from sumo_adv.campaigns.store import open_store
+from sumo_adv.campaigns.store import open_store, packed_rows, packed_texts, unpack
+from sumo_adv.campaigns.worker import lessons_of
 from sumo_adv.errors import UsageError
 from sumo_adv.report.staging import staged
 

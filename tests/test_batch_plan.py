@@ -13,13 +13,19 @@ import pytest
 from cli_samples import ROOT, TRAIL, files_of
 
 from sumo_adv.app import batch_parts
-from sumo_adv.campaigns.learning import Collector, CompositionLesson, Lesson, SettingLesson, as_text, lessons_of, teach
-from sumo_adv.campaigns.nouns import Job
-from sumo_adv.campaigns.pack import pack, packed_rows, packed_texts, unpack
 from sumo_adv.campaigns.plan import Plan, differences, is_plan, make_plan, read_plan
-from sumo_adv.campaigns.results import COLUMNS, row_of, table_of, write_csv, write_failure
-from sumo_adv.campaigns.store import open_store
-from sumo_adv.campaigns.worker import share
+from sumo_adv.campaigns.results import COLUMNS, Job, row_of, table_of, write_csv, write_failure
+from sumo_adv.campaigns.store import open_store, pack, packed_rows, packed_texts, unpack
+from sumo_adv.campaigns.worker import (
+    Collector,
+    CompositionLesson,
+    Lesson,
+    SettingLesson,
+    as_text,
+    lessons_of,
+    share,
+    teach,
+)
 from sumo_adv.datatypes import Duty
 from sumo_adv.errors import UsageError
 from sumo_adv.memory.bank import MemoryBank, compositions

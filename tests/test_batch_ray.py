@@ -21,9 +21,12 @@ ray = pytest.importorskip("ray", reason="Ray is not installed: pip install 'sumo
 
 from ray.cluster_utils import Cluster  # noqa: E402
 
-from sumo_adv.campaigns.cluster import wrong_content  # noqa: E402
+from sumo_adv.campaigns.cluster import (  # noqa: E402
+    check_nodes,
+    connect,
+    wrong_content,
+)
 from sumo_adv.campaigns.local import Pace  # noqa: E402
-from sumo_adv.campaigns.ray_pool import check_nodes, connect  # noqa: E402
 from sumo_adv.errors import UsageError  # noqa: E402
 from sumo_adv.memory.bank import MemoryBank  # noqa: E402
 from sumo_adv.rate.blocks import Block  # noqa: E402

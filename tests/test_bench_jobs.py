@@ -11,9 +11,23 @@ from typing import Any
 import pytest
 from cli_samples import ROOT
 
-from sumo_adv.benchmark.banks import bank_of, known_place
-from sumo_adv.benchmark.jobs import Job, Parts, Setup, cell_path, example_path, examples_of, make_jobs, slug
-from sumo_adv.benchmark.methods import ABLATIONS, FIXED_LIBRARY, REFERENCE, Method, method_of
+from sumo_adv.benchmark.jobs import (
+    ABLATIONS,
+    FIXED_LIBRARY,
+    REFERENCE,
+    Job,
+    Method,
+    Parts,
+    Setup,
+    bank_of,
+    cell_path,
+    example_path,
+    examples_of,
+    known_place,
+    make_jobs,
+    method_of,
+    slug,
+)
 from sumo_adv.benchmark.nouns import Case
 from sumo_adv.errors import UsageError
 from sumo_adv.memory.bank import MemoryBank

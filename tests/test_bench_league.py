@@ -3,7 +3,7 @@
 import pytest
 from bench_cells import Cell, attempt, cell
 
-from sumo_adv.benchmark.tables.league import WARNING, league, to_markdown
+from sumo_adv.benchmark.league import WARNING, league, to_markdown
 
 MISS, VALID = attempt(min_ttc=3.0, predicted_valid=0.6), attempt(valid=True, predicted_valid=0.9)
 

@@ -10,13 +10,19 @@ from random import Random
 
 import pytest
 
-from sumo_adv.benchmark.making.drafts import Car, Draft, apart, write_draft
-from sumo_adv.benchmark.making.junctions import KINDS as JUNCTIONS
-from sumo_adv.benchmark.making.junctions import NETWORKS, draw_junction, meetings
-from sumo_adv.benchmark.making.straight import KINDS as STRAIGHT
-from sumo_adv.benchmark.making.straight import draw_straight
-from sumo_adv.benchmark.making.suite import SHARES, candidate, make_suite, places_of
-from sumo_adv.benchmark.making.trials import body, trial
+from sumo_adv.benchmark.drafts import (
+    JUNCTIONS,
+    NETWORKS,
+    STRAIGHT,
+    Car,
+    Draft,
+    apart,
+    draw_junction,
+    draw_straight,
+    meetings,
+    write_draft,
+)
+from sumo_adv.benchmark.making import SHARES, body, candidate, make_suite, places_of, trial
 from sumo_adv.benchmark.suites import load_suite, shipped_suites
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.engine import Engine, can_fork

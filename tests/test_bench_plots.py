@@ -10,14 +10,16 @@ from pathlib import Path
 import pytest
 from bench_cells import Cell, attempt, cell, unattacked
 
+from sumo_adv.benchmark.analysis import analyze
+from sumo_adv.benchmark.league import growth, write_growth
 from sumo_adv.benchmark.nouns import Case
-from sumo_adv.benchmark.tables.analysis import analyze
-from sumo_adv.benchmark.tables.growth import growth, write_growth
-from sumo_adv.benchmark.tables.plots import draw_all, draw_confusions, draw_growth, file_name
-from sumo_adv.benchmark.tables.write import About
+from sumo_adv.benchmark.plots import draw_all, draw_confusions, draw_growth, file_name
 from sumo_adv.errors import UsageError
 
-ABOUT = About("sumo-adv bench growth", "made", "1", "c0ffee", {}, {}, 0, None)
+ABOUT = {
+    "command": "sumo-adv bench growth", "suite": "made", "version": "1", "content": "c0ffee",
+    "versions": {}, "settings": {}, "seed": 0, "bank_hash": None,
+}  # fmt: skip
 MOTION = {
     "adversary": {"speed": [9.0, 10.0, 11.0], "acceleration": [0.5, -9.0, 1.0]},
     "raw": {"speed": [12.0, 12.5], "acceleration": [0.0, 0.1]},

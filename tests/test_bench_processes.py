@@ -16,7 +16,7 @@ import pytest
 from sumo_adv.benchmark.bench import Bench, read_cells
 from sumo_adv.benchmark.jobs import Job, Parts, Setup, cell_path
 from sumo_adv.benchmark.nouns import Case
-from sumo_adv.benchmark.waits import note_of, noted
+from sumo_adv.benchmark.worker import note_of, noted
 from sumo_adv.errors import UsageError
 from sumo_adv.llm.chat import Ledger
 from sumo_adv.simulation.inputs import data_folder
@@ -88,14 +88,15 @@ def test_who_kills_a_process_has_failed_and_who_ran_beside_it_has_not(tmp_path: 
     """The killer has one row that dies, twice; the second row of another dies, and the rows around it do not."""
     watcher = Watcher()
     free = [
-        job(tmp_path, "killer", "raw"), job(tmp_path, "slow", "raw"), job(tmp_path, "second", "raw", "random", "bezier")
+        job(tmp_path, "killer", "raw"), job(tmp_path, "slow", "raw"),
+        job(tmp_path, "second", "raw", "random", "resampling"),
     ]  # fmt: skip
     chain = [job(tmp_path, name, "expert", place=k) for k, name in enumerate(("slow", "killer", "other"))]
     bench(tmp_path, watcher).run(free, [chain])
-    died = "Its process died, twice."
+    died = "It failed 2 times: its worker process ended (exit status 9)."
     assert reasons(tmp_path) == {
         ("killer", "raw"): died, ("killer", "expert"): died, ("second", "random"): died, ("slow", "raw"): CALM,
-        ("second", "raw"): CALM, ("second", "bezier"): CALM, ("slow", "expert"): CALM, ("other", "expert"): CALM,
+        ("second", "raw"): CALM, ("second", "resampling"): CALM, ("slow", "expert"): CALM, ("other", "expert"): CALM,
     }  # fmt: skip
     assert sorted(watcher.cells) == sorted(reasons(tmp_path)) and (watcher.total, watcher.before) == (8, 0)
 

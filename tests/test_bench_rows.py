@@ -9,10 +9,7 @@ from bench_rows_samples import LIBRARY, encounter, first_proposals
 from situation_samples import leader, neighbour
 
 from sumo_adv.app import shipped_bank
-from sumo_adv.benchmark.rows.fixed_intent import LABELS, FixedIntent
-from sumo_adv.benchmark.rows.oracle import MOST, Oracle, oracle_labels, split_half
-from sumo_adv.benchmark.rows.random_intent import RandomIntent
-from sumo_adv.benchmark.rows.registry import make_row
+from sumo_adv.benchmark.rows import LABELS, MOST, Oracle, RandomIntent, make_row, oracle_labels, split_half
 from sumo_adv.errors import UsageError
 from sumo_adv.memory.bank import MemoryBank
 
@@ -46,24 +43,9 @@ def test_random_is_the_same_for_a_seed_and_another_for_another() -> None:
 
 
 def test_where_nothing_applies_nothing_is_proposed() -> None:
-    for row in (RandomIntent(), FixedIntent("Emergency Braking"), Oracle()):
+    for row in (RandomIntent(), Oracle()):
         row.begin(encounter([neighbour()], library=[e for e in LIBRARY if e.label == "Emergency Braking"]))
         assert row.propose([]) is None
-
-
-# -- fixed intent
-
-
-def test_fixed_tries_all_ways_with_their_authors_numbers_then_draws() -> None:
-    row = FixedIntent("Straight Lane Shift")
-    row.begin(encounter([neighbour()], delays=(0.0, 1.5)))
-    plans = first_proposals(row, 6)
-    assert {p.label for p in plans} == {"Straight Lane Shift"}
-    ways = [(0.0, "left"), (0.0, "right"), (1.5, "left"), (1.5, "right")]
-    assert [(p.delay, p.planner.mode) for p in plans] == [*ways, *ways[:2]]
-    assert [p.parameters["gap"] for p in plans[:4]] == [2.0] * 4
-    assert all(p.parameters["gap"] != 2.0 for p in plans[4:])
-    assert plans[0].by == row.name == "fixed:Straight Lane Shift"
 
 
 def test_the_labels_are_those_of_the_shipped_library() -> None:
@@ -146,10 +128,9 @@ def test_halves_agree_where_one_label_always_wins_and_not_where_there_is_only_lu
 def test_rows_are_made_by_name() -> None:
     assert make_row("random").name == "random"
     assert make_row("oracle").name == "oracle"
-    assert make_row("fixed:aggressive-cut-in").name == "fixed:Aggressive Cut-in"
 
 
-@pytest.mark.parametrize(("text", "named"), [("expertt", "oracle"), ("fixed:swerve", "Emergency Braking")])
+@pytest.mark.parametrize(("text", "named"), [("expertt", "oracle"), ("cma", "resampling")])
 def test_a_name_that_is_unknown_is_answered_with_those_there_are(text: str, named: str) -> None:
     with pytest.raises(UsageError, match=named) as error:
         make_row(text)

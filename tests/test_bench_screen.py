@@ -6,9 +6,9 @@ from pathlib import Path
 
 from bench_cells import attempt, cell
 
-from sumo_adv.benchmark.tables.compute import make_table
-from sumo_adv.benchmark.tables.league import league
-from sumo_adv.benchmark.tables.screen import WIDTH, aligned, league_text, rate, table_text
+from sumo_adv.benchmark.league import league, league_text
+from sumo_adv.benchmark.table import make_table
+from sumo_adv.benchmark.write import WIDTH, aligned, rate, table_text
 from sumo_adv.metrics.statistics import Estimate
 
 LONG = "expert+replan=60+forecast=constant+learn=off"

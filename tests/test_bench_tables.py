@@ -13,13 +13,14 @@ import pytest
 from bench_cells import Cell, attempt, cell, unattacked
 
 from sumo_adv.benchmark.nouns import Case
-from sumo_adv.benchmark.tables.compute import Table, make_table
-from sumo_adv.benchmark.tables.markdown import to_markdown
-from sumo_adv.benchmark.tables.paper import counterpart
-from sumo_adv.benchmark.tables.write import About, write_table
+from sumo_adv.benchmark.table import Table, counterpart, make_table, to_markdown
+from sumo_adv.benchmark.write import write_table
 from sumo_adv.errors import UsageError
 
-ABOUT = About("sumo-adv bench table", "made", "1", "c0ffee", {"sumo_adv": "0"}, {"attempts": 25}, 0, "ba4c")
+ABOUT = {
+    "command": "sumo-adv bench table", "suite": "made", "version": "1", "content": "c0ffee",
+    "versions": {"sumo_adv": "0"}, "settings": {"attempts": 25}, "seed": 0, "bank_hash": "ba4c",
+}  # fmt: skip
 
 
 def four(row: str = "expert") -> list[Cell]:
@@ -143,16 +144,6 @@ def test_which_row_of_the_paper_a_row_stands_beside(row: str, of_the_paper: str 
     assert counterpart(row) == of_the_paper
 
 
-def test_the_best_fixed_intent_is_chosen_over_the_encounters_that_all_have() -> None:
-    """Of the encounters that both have, the first alone, b wins it and a does not, though a has won another."""
-    cells = [
-        cell("straight-1", "fixed:a", attempt(min_ttc=3.0)), cell("straight-2", "fixed:a", attempt(valid=True)),
-        cell("straight-3", "fixed:a", attempt(valid=True)), cell("straight-1", "fixed:b", attempt(valid=True)),
-    ]  # fmt: skip
-    table = make_table(cells, title="Made")
-    assert any("best-fixed against idm is fixed:b" in note for note in table.notes)
-
-
 def test_w1_and_its_interval_reach_beyond_the_histogram() -> None:
     """-20 m/s2 where others do not brake, a histogram that ends at -8: W1 is 20, in every resample."""
     motion = {who: {"speed": [9.0] * 5, "acceleration": [a] * 5} for who, a in (("adversary", -20.0), ("raw", 0.0))}
@@ -195,22 +186,13 @@ def test_the_unattacked_row_has_what_it_can_have() -> None:
 def test_missing_cells_are_told() -> None:
     cases = [Case(f"straight-{k}", Path("x"), None, "leader", "straight") for k in range(9)]
     cells = [cell("straight-0", "expert", attempt(valid=True))]
-    table = make_table(cells, title="Made", cases=cases, rows=["expert", "cma"], egos=["idm", "eidm"])
+    table = make_table(cells, title="Made", cases=cases, rows=["expert", "random"], egos=["idm", "eidm"])
     assert len(table.notes) == 5  # each ego and row; what no row made valid
     assert table.notes[4] == "No row makes 0 of 1 encounters valid against idm: 0.00 (0.00-0.79)."
     assert table.notes[0].startswith("expert against idm: 8 of 9 cells are missing (straight-1, straight-2,")
-    assert "and 2 more" in table.notes[0] and table.notes[1].startswith("cma against idm: 9 of 9")
+    assert "and 2 more" in table.notes[0] and table.notes[1].startswith("random against idm: 9 of 9")
     assert table.notes[0] in to_markdown(table)
     assert not any("missing" in note for note in make_table(cells, title="Made", cases=cases[:1]).notes)
-
-
-def test_the_best_fixed_intent_is_chosen_with_hindsight() -> None:
-    cut = [cell(f"straight-{k}", "fixed:Aggressive Cut-in", attempt(valid=k < 1)) for k in range(3)]
-    shift = [cell(f"straight-{k}", "fixed:Straight Lane Shift", attempt(valid=k < 2)) for k in range(3)]
-    table = make_table([*cut, *shift], title="Made")
-    assert table.rows[-1] == "best-fixed" and value(table, "valid", "best-fixed") == pytest.approx(2 / 3)
-    assert any("is fixed:Straight Lane Shift" in note for note in table.notes)
-    assert make_table(cut, title="Made").rows == ("fixed:Aggressive Cut-in",)
 
 
 def test_files(tmp_path: Path) -> None:

@@ -9,16 +9,27 @@ from pathlib import Path
 import pytest
 from bench_cells import Cell, attempt, cell
 
+from sumo_adv.benchmark.analysis import (
+    ANSWERS,
+    CEILING,
+    CHANCE,
+    Analysis,
+    Part,
+    Score,
+    analyze,
+    to_markdown,
+    write_analysis,
+)
 from sumo_adv.benchmark.nouns import Case
 from sumo_adv.benchmark.suites import LABELS as LABEL_FILE
-from sumo_adv.benchmark.tables.analysis import ANSWERS, CEILING, CHANCE, Analysis, Part, Score, analyze
-from sumo_adv.benchmark.tables.analysis_files import to_markdown, write_analysis
-from sumo_adv.benchmark.tables.write import About
 
 CUT, BRAKE, SHIFT, TURN = (
     "Aggressive Cut-in", "Emergency Braking", "Straight Lane Shift", "Intersection Rush-through Turn Left",
 )  # fmt: skip
-ABOUT = About("sumo-adv bench analyzer", "made", "1", "c0ffee", {}, {}, 0, None)
+ABOUT = {
+    "command": "sumo-adv bench analyzer", "suite": "made", "version": "1", "content": "c0ffee",
+    "versions": {}, "settings": {}, "seed": 0, "bank_hash": None,
+}  # fmt: skip
 LABELS = {"a": (CUT,), "b": (CUT, SHIFT), "c": (SHIFT,), "d": (TURN,)}
 
 

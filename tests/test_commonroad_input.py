@@ -13,7 +13,7 @@ from run_samples import GEOMETRIES, run_folder
 
 import sumo_adv
 from sumo_adv.campaigns.cluster import wrong_content
-from sumo_adv.campaigns.inputs import hash_of
+from sumo_adv.campaigns.plan import hash_of
 from sumo_adv.errors import UsageError
 from sumo_adv.report.export.commonroad import SCENARIO, write_commonroad
 from sumo_adv.report.export.piece import read_piece

@@ -17,8 +17,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 from sumo_adv.asked import Asked, Written
-from sumo_adv.config import LimitSettings, Settings
-from sumo_adv.config_model import ModelSettings
+from sumo_adv.config import LimitSettings, ModelSettings, Settings
 from sumo_adv.config_odd import Odd
 from sumo_adv.simulation.scenario import Adversary, Box, Demand, Ego, Label, Scenario, Signals, Window
 

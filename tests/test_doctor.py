@@ -12,7 +12,6 @@ from cli_samples import ROOT, Program
 
 from sumo_adv import __version__
 from sumo_adv.cli import doctor_checks as checks
-from sumo_adv.cli import doctor_user as user
 from sumo_adv.cli.doctor_checks import Level
 from sumo_adv.config import Settings, load_settings
 
@@ -71,9 +70,9 @@ def test_a_bad_setting_is_one_line(program: Program) -> None:
 
 def test_a_variable_that_is_no_setting_is_named() -> None:
     given = {"SUMO_ADV_ATTEMPT": "5", "SUMO_ADV_LIMITS__JERK": "9", "sumo_adv_seed": "1", "PATH": "x"}
-    (finding,) = user.variables(Settings.model_fields, given)
+    (finding,) = checks.variables(Settings.model_fields, given)
     assert (finding.level, finding.found.split(":")[0]) == (Level.WARN, "SUMO_ADV_ATTEMPT")
-    assert list(user.variables(Settings.model_fields, {"SUMO_ADV_SEED": "1"})) == []
+    assert list(checks.variables(Settings.model_fields, {"SUMO_ADV_SEED": "1"})) == []
 
 
 def test_the_version_names_sumo_and_the_bank(program: Program) -> None:
@@ -134,24 +133,24 @@ def test_a_container_is_known_by_its_marks(tmp_path: Path) -> None:
 
 
 def test_a_server_that_listens_is_asked_nothing(server: str) -> None:
-    (finding,) = user.model(settings(llm="mine", llm_base_url=server, llm_api_key="abc"), {})
+    (finding,) = checks.model(settings(llm="mine", llm_base_url=server, llm_api_key="abc"), {})
     assert finding.level is Level.OK
     assert finding.found.endswith("takes connections; with a key. It was asked nothing")
 
 
 def test_a_model_without_a_key_or_a_recording() -> None:
-    (hosted,) = user.model(settings(llm="deepseek-chat"), {})
+    (hosted,) = checks.model(settings(llm="deepseek-chat"), {})
     assert hosted.level is Level.FAIL
     assert "DEEPSEEK_API_KEY" in hosted.found
-    (lost,) = user.model(settings(analyzer="replay:nowhere.jsonl", fallback="builtin"), {})
+    (lost,) = checks.model(settings(analyzer="replay:nowhere.jsonl", fallback="builtin"), {})
     assert lost.level is Level.WARN
-    (none,) = user.model(settings(), {})
+    (none,) = checks.model(settings(), {})
     assert "built-in expert" in none.found
 
 
 def test_where_results_go_must_be_there(tmp_path: Path) -> None:
-    (finding,) = user.output(tmp_path)
+    (finding,) = checks.output(tmp_path)
     assert (finding.level, finding.name) == (Level.OK, "output")
-    (lost,) = user.output(tmp_path / "nowhere")
+    (lost,) = checks.output(tmp_path / "nowhere")
     assert lost.level is Level.FAIL
     assert "no such file or directory" in lost.found

@@ -15,8 +15,8 @@ from cli_samples import Program
 import sumo_adv
 from sumo_adv.campaigns.campaign import Orders, Summary
 from sumo_adv.campaigns.local import Pace
-from sumo_adv.campaigns.nouns import Input, Learn
 from sumo_adv.campaigns.plan import Plan
+from sumo_adv.campaigns.results import Input, Learn
 from sumo_adv.datatypes import Level
 from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.hunting.failures import distinct, failure_of
@@ -234,8 +234,8 @@ def test_a_hunt_from_the_command_line_goes_on_from_python_and_is_kept(program: P
 
 def test_the_result_of_a_hunt_is_a_table() -> None:
     """The columns are those of ``results.csv``."""
-    from sumo_adv.api_hunt import HuntResult
+    from sumo_adv.api_batch import HuntResult
 
     result = HuntResult(Found(Path(), [], 0, 0, 0.0, "time"), [], None)
     assert list(result.table)[:3] == ["rank", "level", "intent"]
-    assert sumo_adv.hunt.__module__ == "sumo_adv.api_hunt"
+    assert sumo_adv.hunt.__module__ == "sumo_adv.api_batch"

@@ -16,8 +16,7 @@ from typing import Any
 import pytest
 from model_server import KEY, Answer, Asked, Cut, Drip, Hang, Large, ModelServer, Raw, Say, StepClock, no_schema, status
 
-from sumo_adv.config import load_settings
-from sumo_adv.config_model import ModelSettings
+from sumo_adv.config import ModelSettings, load_settings
 from sumo_adv.errors import BudgetError, ModelError, UsageError
 from sumo_adv.llm.chat import Budget, ChatReply, ChatRequest, Ledger
 from sumo_adv.llm.client import connect, find_server

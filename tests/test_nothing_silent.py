@@ -9,7 +9,7 @@ import pytest
 from cli_samples import ROOT, Program
 
 from sumo_adv.app import batch_parts
-from sumo_adv.benchmark.methods import method_of
+from sumo_adv.benchmark.jobs import method_of
 from sumo_adv.campaigns.plan import make_plan
 from sumo_adv.cli.bench import ROWS
 from sumo_adv.config import load_settings

@@ -9,7 +9,7 @@ import pytest
 from model_server import KEY, Asked, ModelServer, Say, StepClock, status
 from pydantic import BaseModel
 
-from sumo_adv.config_model import ModelSettings
+from sumo_adv.config import ModelSettings
 from sumo_adv.errors import BudgetError, ModelError, UsageError
 from sumo_adv.llm.asking import MeteredModel, ask, ask_many
 from sumo_adv.llm.chat import Budget, ChatReply, ChatRequest, Ledger

@@ -14,8 +14,8 @@ from page_samples import ROOT, Visit, attempt, chromium, make_run, meeting, outc
 from test_coverage import CUT_IN_BESIDE
 from test_report_page import HOSTILE, data_of
 
-from sumo_adv.campaigns.pack import pack
 from sumo_adv.campaigns.results import read_row, write_csv
+from sumo_adv.campaigns.store import pack
 from sumo_adv.errors import UsageError
 from sumo_adv.report.coverage import make_coverage
 from sumo_adv.report.index.build import Packs, write_report

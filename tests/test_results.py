@@ -10,7 +10,7 @@ import tomllib
 import pytest
 from cli_samples import ROOT, Program
 
-from sumo_adv.benchmark.tables.columns import COLUMNS
+from sumo_adv.benchmark.columns import COLUMNS
 
 SCRIPT = ROOT / "benchmarks" / "results.py"
 PAGE = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")

@@ -7,27 +7,36 @@ attempt that counts.  Where a scenario leaves the trigger open, the shipped libr
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
+from dataclasses import replace
+from random import Random
 from typing import Any
+
+import numpy as np
 
 from sumo_adv.agents.agents import Agents
 from sumo_adv.benchmark.nouns import Encounter, Opponent
-from sumo_adv.benchmark.perturbed import robustness_of
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Attempt, Ending, Level, Proposal
+from sumo_adv.datatypes import Attempt, Ending, Level, Proposal, Role, Track
 from sumo_adv.episode.assessment import attempt_of, checked
 from sumo_adv.episode.attempt import Driven
 from sumo_adv.episode.attempt_runner import AttemptRunner, StepwiseRunner
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.loop import decide, model_ending, pursue
 from sumo_adv.episode.memory_access import read_library, signature
+from sumo_adv.episode.neighbours import recorded_course, retimed
 from sumo_adv.episode.planned_encounter import find_attackable, seek, with_predictions
 from sumo_adv.episode.refinement import settle_best
 from sumo_adv.episode.task import AttemptResult, FoundEncounter, Task
 from sumo_adv.errors import ModelError, SandboxError, SimulationError, SumoAdvError
 from sumo_adv.memory.bank import MemoryBank
+from sumo_adv.metrics.boxes import on_grid
+from sumo_adv.metrics.criticality import ttc
+from sumo_adv.metrics.full import PAPER_EPSILON
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.simulation.engine import Engine
 from sumo_adv.simulation.inputs import RunInput
+from sumo_adv.simulation.recording import tracks_of
 
 
 def _silent(*_: object) -> None:
@@ -64,11 +73,9 @@ class Arena:
 
     @property
     def found(self) -> FoundEncounter | None:
-        """The encounter."""
         return self.episode.found
 
     def fresh(self, agents: Agents | None = None) -> Episode:
-        """An episode at the trigger of this encounter."""
         e = self.episode
         return Episode(
             e.source, e.settings, e.task, e.ending, e.reason, e.found, prefix=e.prefix, lanes=e.lanes,
@@ -77,7 +84,6 @@ class Arena:
         )  # fmt: skip
 
     def by_program(self, bank: MemoryBank, agents: Agents) -> Episode:
-        """The program's own loop, from the analyzer on, with the library of ``bank``."""
         episode = self.fresh(agents)
         episode.bank_hash = bank.content_hash()
         if episode.found is None:
@@ -125,7 +131,6 @@ class Arena:
         return episode
 
     def robustness(self, episode: Episode) -> dict[str, Any] | None:
-        """How the attempt that counts fares with other timing; see ``robustness_of``."""
         if episode.found is None:
             return None
         return robustness_of(episode, self._brain(episode.found), episode.settings.seed)
@@ -166,7 +171,6 @@ class Arena:
             return True
 
     def encounter(self, found: FoundEncounter, bank: MemoryBank) -> Encounter:
-        """What an opponent sees."""
         settings, first = self.episode.settings, found.first
         scene = signature(first, first.target_list()[0].state.id, self.episode.task.ego_driver)
         library, _ = read_library(bank, scene, settings.seed, found.situations)
@@ -175,14 +179,11 @@ class Arena:
 
 
 class _Clock:
-    """Seconds of a row, and until its first attempt of each level."""
-
     def __init__(self) -> None:
         self._began = time.perf_counter()
         self._first: dict[Level, float] = {}
 
     def tell(self, what: str, value: Any) -> None:
-        """Hears of every attempt."""
         if isinstance(value, Attempt):
             for level in (Level.VALID, Level.STRICT, Level.SERIOUS):
                 if value.verdict.level >= level:
@@ -190,7 +191,6 @@ class _Clock:
 
     @property
     def seconds(self) -> float:
-        """Since it was started."""
         return time.perf_counter() - self._began
 
     def stop(self, episode: Episode) -> None:
@@ -199,3 +199,111 @@ class _Clock:
         episode.timing["row"] = row
         episode.timing |= {f"first_{level}": seconds for level, seconds in self._first.items()}
         episode.timing["total"] = episode.timing.get("opened", 0.0) + row
+
+
+# -- the attempt that counts with other timing
+
+
+LATER = 0.4  # s by which the adversary arrives later
+SCALED, RANGE = 5, 0.1  # motions with another clock, and by how much of its rate at most
+ENOUGH = 4  # valid ones of all six that make an attack robust
+
+
+def robustness_of(episode: Episode, runner: AttemptRunner, seed: int) -> dict[str, Any] | None:
+    """How many of the disturbed motions of the attempt that counts are valid; None if that attempt is not valid.
+
+    A search can find a collision that only just happens. So the adversary's recorded motion is driven again with other
+    timing, while ego and traffic react: once such that it arrives 0.4 s later, and five times with its clock faster or
+    slower by up to 10 %. An attack is robust if at least four of the six are valid.
+    """
+    best, done = episode.best, episode.refinement
+    if best is None or best.verdict.level < Level.VALID or best.verdict.contact_time is None:
+        return None
+    assert episode.found is not None
+    encounter, result, dt = episode.found, done.results[best.index], episode.settings.step_length
+    course, contact = recorded_course(best, result, dt), best.verdict.contact_time - result.start
+    rng = Random(seed)
+    rates = [contact / (contact + LATER), *(1.0 + rng.uniform(-RANGE, RANGE) for _ in range(SCALED))]
+    proposals = [replace(best.proposal, course=retimed(course, rate, dt)) for rate in rates]
+    results = runner.attempt(proposals)
+    again = [attempt_of(0, "again", p, r, encounter, episode.settings) for p, r in zip(proposals, results, strict=True)]
+    valid = sum(a.verdict.level >= Level.VALID for a in again)
+    return {"valid": valid, "of": len(again), "robust": valid >= ENOUGH}
+
+
+# -- what a cell keeps of motion
+
+
+NEAR = 60.0  # m from the ego's middle: traffic for comparison
+MOST_SAMPLES = 2000  # numbers of a kind that a cell keeps
+
+
+def unattacked(episode: Episode) -> dict[str, Any] | None:
+    """The raw run as an outcome: the ego and the vehicle of the shortlist that comes nearest, from the trigger on."""
+    encounter = episode.found
+    if encounter is None:
+        return None
+    tracks = _raw(episode, encounter)
+    ego = tracks[encounter.ego].between(encounter.time, encounter.time + episode.settings.duration)
+    others = [tracks[n].between(encounter.time, float(ego.time[-1])) for n, _, _ in encounter.ranking if n in tracks]
+    others = [t for t in others if len(t.time) > 1]
+    least, apart = np.inf, np.inf
+    if others:
+        me, them = on_grid([ego], ego.time), on_grid(others, ego.time)
+        least = float(np.nanmin(ttc(me, them), initial=np.inf))
+        apart = float(np.nanmin(np.hypot(them.x - me.x, them.y - me.y), initial=np.inf))
+    return {
+        "min_ttc": _number(least), "collided": least == 0.0, "critical": least <= episode.settings.critical_ttc,
+        "feasible": True, "rear_end": False, "valid": None, "strict": None, "avoidable": None, "failed_gates": [],
+        "paper_centre_distance": {
+            "minimum": _number(apart), "epsilon": PAPER_EPSILON, "within": apart <= PAPER_EPSILON
+        },
+    }  # fmt: skip
+
+
+def motion_of(episode: Episode) -> dict[str, Any]:
+    """Speeds [m/s] and accelerations [m/s2], step by step: of the adversary of the attempt that counts up to the
+    contact, and of the unattacked traffic near the ego in the same window. Empty without an attempt."""
+    encounter, best, k, prefix = episode.found, episode.best, episode.refinement.best, episode.prefix
+    if encounter is None or best is None or k is None or prefix is None:
+        return {}
+    result, step = episode.refinement.results[k], episode.settings.step_length
+    sizes = {**prefix.sizes, **result.sizes}
+    own = tracks_of([*prefix.snapshots[-2:], *result.snapshots], sizes, {}, step, [best.proposal.bv])
+    contact = best.verdict.contact_time
+    start = result.start + step / 2
+    moved = [t.between(start, np.inf if contact is None else contact) for t in own]
+    end = max((float(t.time[-1]) for t in moved if len(t.time)), default=start)
+    return {"adversary": _samples(moved), "raw": _samples(_near(episode, encounter, start, end))}
+
+
+def _raw(episode: Episode, encounter: FoundEncounter) -> dict[str, Track]:
+    before = episode.prefix.snapshots[-2:] if episode.prefix is not None else []
+    sizes = {**(episode.prefix.sizes if episode.prefix is not None else {}), **encounter.sizes}
+    tracks = tracks_of(
+        [*before, *encounter.baseline], sizes, episode.task.roles(encounter.ego), episode.settings.step_length
+    )
+    return {t.id: t for t in tracks}
+
+
+def _near(episode: Episode, encounter: FoundEncounter, start: float, end: float) -> list[Track]:
+    tracks = _raw(episode, encounter)
+    ego = tracks[encounter.ego].between(start, end)
+    if not len(ego.time):
+        return []
+    x, y = float(ego.x.mean()), float(ego.y.mean())
+    window = [t.between(start, end) for t in tracks.values() if t.role is Role.BACKGROUND]
+    return [t for t in window if len(t.time) and float(np.hypot(t.x - x, t.y - y).min()) < NEAR]
+
+
+def _samples(tracks: Sequence[Track]) -> dict[str, list[float]]:
+    samples: dict[str, list[float]] = {}
+    for name in ("speed", "acceleration"):
+        values = np.concatenate([getattr(t, name) for t in tracks]) if tracks else np.empty(0)
+        stride = max(1, -(-len(values) // MOST_SAMPLES))
+        samples[name] = [round(float(v), 2) for v in values[::stride]]
+    return samples
+
+
+def _number(value: float) -> float | None:
+    return round(value, 4) if np.isfinite(value) else None

@@ -1,89 +1,77 @@
-"""All cells of a table: missing cells are run on worker processes, the others are kept."""
+"""A table from the request to its cells: missing cells are run on worker processes, the others are kept."""
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import signal
+import json
+import sys
 import tempfile
 import time
 from collections import deque
-from collections.abc import Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
-from sumo_adv.benchmark.banks import known_place
-from sumo_adv.benchmark.jobs import Job, Setup, cell_path
-from sumo_adv.benchmark.nouns import Cell
-from sumo_adv.benchmark.waits import note_of, waited
-from sumo_adv.benchmark.worker import begin, failure, keep_cell, work
+from sumo_adv.benchmark.jobs import Job, Parts, Setup, cell_path, examples_of, known_place, make_jobs, method_of
+from sumo_adv.benchmark.nouns import Cell, Suite
+from sumo_adv.benchmark.rows import make_row
+from sumo_adv.benchmark.worker import Bencher, failure, keep_cell, missing_rows, note_of, waited
+from sumo_adv.campaigns.local import LocalWorkers, Pace, Stop
+from sumo_adv.campaigns.results import Done
+from sumo_adv.config import load_settings
+from sumo_adv.drivers import make_ego
 from sumo_adv.errors import UsageError
+from sumo_adv.files import held, sentences, write_text
+from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.parsing import parse_json
-from sumo_adv.simulation.engine import deaf
 
-TICK = 0.5  # s between looks at the clock
-KILLED = 5.0  # s that a process that was killed may take to be gone
 CELL_KEYS = {"case", "kind", "group", "ego", "row", "seed", "ending"}
 
 
 class Watcher(Protocol):
     """Shows the progress."""
 
-    def begin(self, total: int, before: int) -> None:
-        """``total`` cells, ``before`` of them there already."""
-        ...
+    def begin(self, total: int, before: int) -> None: ...
 
-    def finished(self, job: Job) -> None:
-        """Its cells are there."""
-        ...
-
-
-@dataclass(slots=True)
-class _Turn:
-    """A job under way. ``chain``: of which it is the next; ``left``: rows without a cell when the last one came,
-    ``since`` [s]; ``suspect``: it was under way when a process died before."""
-
-    job: Job
-    chain: int | None
-    suspect: bool
-    left: int
-    since: float
-    stuck: bool = False
+    def finished(self, job: Job) -> None: ...
 
 
 class Bench:
     """Runs jobs. ``deadline`` [s]: after which a row is held to be stuck, its wait for a language model left out."""
 
     def __init__(self, setup: Setup, workers: int, watcher: Watcher, deadline: float) -> None:
-        self._setup, self._workers, self._watcher, self._deadline = setup, workers, watcher, deadline
-        self._suspects: deque[tuple[Job, int | None]] = deque()  # one at a time, so that the culprit is known
+        self._setup, self._watcher = setup, watcher
+        self._pace = Pace(workers, deadline, recycle=sys.maxsize)
         self._waiting: deque[Job] = deque()
-        self._chains: dict[int, deque[Job]] = {}
+        self._chains: dict[tuple[str, str], deque[Job]] = {}
+        self._since: dict[str, tuple[int, float]] = {}  # of a job: rows without a cell, and when the last one came [s]
+        self._scratch = Path()
 
     def run(self, free: Sequence[Job], chains: Sequence[Sequence[Job]]) -> None:
-        """Whatever has no cell yet. Raises UsageError, BankError, OSError; KeyboardInterrupt leaves whole cells."""
+        """Whatever has no cell yet. Raises SumoAdvError, OSError; KeyboardInterrupt leaves whole cells."""
         every = [*free, *(job for chain in chains for job in chain)]
         total = sum(len(j.rows) for j in every)
         left = [m for j in free if (m := self._missing(j)) is not None]
         todo = [self._rest(chain) for chain in chains]
         missing = sum(len(j.rows) for j in left) + sum(map(len, todo))
         self._watcher.begin(total, total - missing)
-        self._chains = {k: deque(chain) for k, chain in enumerate(todo) if chain}
+        self._chains = {(chain[0].ego, chain[0].rows[0]): deque(chain) for chain in todo if chain}
         self._waiting = deque(left)
+        for chain in self._chains.values():
+            self._go_on(chain)
         with tempfile.TemporaryDirectory(prefix="sumo_adv-bench-", ignore_cleanup_errors=True) as scratch:
-            while self._suspects or self._waiting or any(self._chains.values()):
-                self._pool(Path(scratch))
+            self._scratch = Path(scratch)
+            workers = LocalWorkers(
+                (self._setup, self._scratch), self._pace, self._scratch, self._fail, Stop(), Bencher, self._seen, 1
+            )
+            with closing(workers):
+                workers.run(self._waiting, self._finished)
 
     def _missing(self, job: Job) -> Job | None:
         """The job with those of its rows that have no cell."""
-        rows = tuple(r for r in job.rows if not self._cell(job, r).exists())
+        rows = missing_rows(self._setup, job)
         return replace(job, rows=rows) if rows else None
-
-    def _cell(self, job: Job, row: str) -> Path:
-        return cell_path(self._setup.folder, job.ego, job.case.name, row)
 
     def _rest(self, chain: Sequence[Job]) -> list[Job]:
         """A chain from the first encounter on that has no cell, since those after it hang on it; or from before that,
@@ -91,115 +79,37 @@ class Bench:
         first = next((job for job in chain if self._missing(job) is not None), None)
         return [] if first is None else list(chain[known_place(first, self._setup) :])
 
-    def _pool(self, scratch: Path) -> None:
-        """Work until all is done or a process dies."""
-        context = multiprocessing.get_context("spawn")
-        running: dict[Future[None], _Turn] = {}
-        pool = ProcessPoolExecutor(self._workers, context, begin, (self._setup, scratch))
-        try:
-            while True:
-                self._submit(pool, running)
-                if not running:
-                    return
-                done, _ = wait(running, timeout=TICK, return_when=FIRST_COMPLETED)
-                for future in done:
-                    future.result()
-                    turn = running.pop(future)
-                    self._done(turn.job, turn.chain)
-                self._watch(running, scratch)
-        except BrokenProcessPool:
-            self._broken(running)
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
-            _kill_all()
+    def _go_on(self, chain: deque[Job]) -> None:
+        """The next of a chain, before other jobs, since those after it wait for it. Its cell, if any, is void."""
+        job = chain.popleft()
+        cell_path(self._setup.folder, job.ego, job.case.name, job.rows[0]).unlink(missing_ok=True)
+        self._waiting.appendleft(job)
 
-    def _submit(self, pool: ProcessPoolExecutor, running: dict[Future[None], _Turn]) -> None:
-        """As many jobs as there are workers: the next one of every chain first, since others wait for it. A suspect
-        has them all for itself."""
-        if self._suspects or any(turn.suspect for turn in running.values()):
-            if not running:
-                job, chain = self._suspects[0]
-                running[self._begun(pool, job)] = self._turn(job, chain, suspect=True)
-                self._suspects.popleft()
-            return
-        busy = {turn.chain for turn in running.values()}
-        for k, jobs in self._chains.items():
-            if jobs and k not in busy and len(running) < self._workers:
-                running[self._begun(pool, jobs[0])] = self._turn(jobs[0], k)
-        while self._waiting and len(running) < self._workers:
-            job = self._waiting[0]
-            running[self._begun(pool, job)] = self._turn(job, None)
-            self._waiting.popleft()
+    def _finished(self, job: Job, done: Done) -> None:
+        left = self._missing(job)
+        rows = tuple(row for row in job.rows if left is None or row not in left.rows)
+        self._watcher.finished(replace(job, rows=rows))
+        if left is not None:
+            self._waiting.appendleft(left)
+        elif job.place is not None and (chain := self._chains[job.ego, job.rows[0]]):
+            self._go_on(chain)
 
-    def _begun(self, pool: ProcessPoolExecutor, job: Job) -> Future[None]:
-        """The job, given to a process; a cell that depends on a missing one is void. Raises BrokenProcessPool."""
-        for row in job.rows:
-            self._cell(job, row).unlink(missing_ok=True)
-        with deaf():
-            return pool.submit(work, self._setup, job)
+    def _seen(self, job: Job) -> tuple[int, float]:
+        """How many rows have no cell, and how long the first of them has waited for a language model [s]."""
+        rows = missing_rows(self._setup, job)
+        before, _ = self._since.get(job.id, (-1, 0.0))
+        if before != len(rows):
+            self._since[job.id] = len(rows), time.monotonic()
+        return len(rows), waited(note_of(self._scratch, job, rows[0])) if rows else 0.0
 
-    def _turn(self, job: Job, chain: int | None, *, suspect: bool = False) -> _Turn:
-        return _Turn(job, chain, suspect, len(job.rows), time.monotonic())
-
-    def _done(self, job: Job, chain: int | None) -> None:
-        if chain is not None:
-            self._chains[chain].popleft()
-        self._watcher.finished(job)
-
-    def _watch(self, running: dict[Future[None], _Turn], scratch: Path) -> None:
-        """End all processes where a row is stuck: which one has it is not known."""
-        checked_at = time.monotonic()
-        for turn in running.values():
-            missing = self._missing(turn.job)
-            left = 0 if missing is None else len(missing.rows)
-            if left < turn.left:
-                turn.left, turn.since = left, checked_at
-            if missing is not None and checked_at - turn.since > self._deadline:
-                own = checked_at - turn.since - waited(note_of(scratch, turn.job, missing.rows[0]))
-                turn.stuck = own > self._deadline
-        if any(turn.stuck for turn in running.values()):
-            _kill_all()
-
-    def _broken(self, running: dict[Future[None], _Turn]) -> None:
-        """What becomes of jobs that were under way when a process died: each is tried again by itself. If that ends in
-        the same way, or if it was stuck, the row that it was at has failed, and those after it go on."""
-        hung = any(turn.stuck for turn in running.values())
-        for turn in running.values():
-            missing = self._missing(turn.job)
-            rows = () if missing is None else missing.rows
-            to_blame = bool(rows) and (turn.stuck or turn.suspect)
-            if to_blame:
-                why = (
-                    f"It was not done after {self._deadline:g} s; raise cell_seconds."
-                    if turn.stuck
-                    else "Its process died, twice."
-                )
-                keep_cell(
-                    self._setup.folder, failure(self._setup, turn.job, rows[0], why, time.monotonic() - turn.since)
-                )
-                rows = rows[1:]
-            if not rows:
-                self._done(turn.job, turn.chain)
-                continue
-            left = replace(turn.job, rows=rows)
-            if not (to_blame or hung):
-                self._suspects.append((left, turn.chain))
-            elif turn.chain is None:
-                self._waiting.appendleft(left)
-            if over := tuple(row for row in turn.job.rows if row not in rows):
-                self._watcher.finished(replace(turn.job, rows=over))
-
-
-def _kill_all() -> None:
-    """End the workers with everything they started."""
-    children = multiprocessing.active_children()
-    for child in children:
-        try:
-            os.killpg(child.pid or 0, signal.SIGKILL)
-        except (OSError, AttributeError):  # it has no group of its own yet, or this system knows none
-            child.kill()
-    for child in children:
-        child.join(KILLED)
+    def _fail(self, job: Job, why: str, text: str) -> Done:
+        """The row that a job was at has failed."""
+        if rows := missing_rows(self._setup, job):
+            _, since = self._since.get(job.id, (0, time.monotonic()))
+            if "not done after" in why:
+                why = f"It was not done after {self._pace.deadline:g} s; raise cell_seconds."
+            keep_cell(self._setup.folder, failure(self._setup, job, rows[0], why, time.monotonic() - since))
+        return Done(job.id, None)
 
 
 def read_cells(folder: Path) -> list[Cell]:
@@ -214,3 +124,99 @@ def read_cells(folder: Path) -> list[Cell]:
             raise UsageError(f"{file} is not a cell of a bench; delete it to have it run again.")
         cells.append(cell)
     return cells
+
+
+SCHEMA = 1
+PLAN, LOCK = "bench.json", "bench.lock"
+
+
+@dataclass(frozen=True, slots=True)
+class TableRequest:
+    """What a table is made of. ``settings``: the same for all rows, as data; ``bank``: the library."""
+
+    suite: Suite
+    egos: tuple[str, ...]
+    rows: tuple[str, ...]
+    seed: int
+    settings: Mapping[str, Any]
+    bank: Path
+
+    def check(self) -> None:
+        """Raises UsageError for a row, an ego or a setting that there is not, before anything is run."""
+        load_settings(None, **{**self.settings, "seed": self.seed})
+        for ego in self.egos:
+            make_ego(ego, {})
+        for row in self.rows:
+            if method_of(row) is None:
+                make_row(row)
+
+
+@dataclass(frozen=True, slots=True)
+class Means:
+    folder: Path
+    workers: int
+    parts: Parts
+    versions: Mapping[str, str]
+    keep_runs: bool = False
+    cell_seconds: float = 900.0
+
+
+def run_table(request: TableRequest, means: Means, watcher: Watcher) -> list[Cell]:
+    """The cells of a table, those that are missing run now; also those that other commands left in the folder.
+
+    Raises:
+        UsageError: bad rows, egos or settings, a folder that holds cells of something else, or into which another
+            bench writes; BankError.
+    """
+    request.check()
+    plan = json.loads(json.dumps(manifest(request, means)))
+    with sentences(means.folder):
+        means.folder.mkdir(parents=True, exist_ok=True)
+        _keep_plan(plan, means.folder)
+        setup = Setup(
+            means.folder.absolute(), request.suite.name, request.bank.absolute(), request.settings, means.parts,
+            means.keep_runs, examples_of(request.suite.cases),
+        )  # fmt: skip
+        free, chains = make_jobs(request.suite.cases, request.egos, request.rows, request.seed)
+        with held(means.folder / LOCK) as alone:
+            if not alone:
+                raise UsageError(f"Another bench writes into {means.folder}; wait for it, or give another --out.")
+            Bench(setup, means.workers, watcher, means.cell_seconds).run(free, chains)
+    return read_cells(means.folder)
+
+
+def manifest(request: TableRequest, means: Means) -> dict[str, Any]:
+    with MemoryBank.open(request.bank, read_only=True) as bank:
+        content = bank.content_hash()
+    suite = request.suite
+    return {
+        "schema": SCHEMA, "suite": suite.name, "version": suite.version, "content": suite.content,
+        "cases": len(suite.cases), "seed": request.seed, "settings": dict(request.settings), "bank_hash": content,
+        "versions": dict(means.versions),
+    }  # fmt: skip
+
+
+def _keep_plan(plan: Mapping[str, Any], folder: Path) -> None:
+    """Remember what the folder is of. Raises UsageError where it holds something else."""
+    file = folder / PLAN
+    if file.exists():
+        try:
+            before = parse_json(file.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise UsageError(f"{file} is damaged ({error}); give another --out.") from error
+        if not isinstance(before, dict):
+            raise UsageError(f"{file} is damaged (it holds no table); give another --out.")
+        changed = [k for k in plan if before.get(k) != plan[k]]
+        if changed:
+            raise UsageError(
+                f"{folder} holds cells of another {' and '.join(changed)}: they cannot stand in one table; "
+                "give another --out."
+            )
+        return
+    if any(folder.iterdir()):
+        raise UsageError(f"{folder} is not empty and not the folder of a bench; give another --out.")
+    write_text(file, json.dumps(plan, indent=2) + "\n")
+
+
+def of_rows(cells: Sequence[Cell], rows: Sequence[str], egos: Sequence[str]) -> list[Cell]:
+    return [c for c in cells if c["row"] in rows and c["ego"] in egos]

@@ -1,21 +1,143 @@
-"""What is run at once: rows of one encounter that share a simulation, or the next encounter of a row that learns."""
+"""What is run at once (rows of one encounter that share a simulation, or the next encounter of a row that learns), the
+program's own rows, and the memory bank that each has.
+
+    raw                        the unattacked run
+    expert                     the whole library, updated as the suite goes on; the expert plays all parts (LLM-A)
+    llm-f                      a bank of Close Car-following and Emergency Braking, nothing learnt (the paper's LLM-F)
+    llm-a:MODEL, llm-f:MODEL   the same with a language model in all parts
+    expert+tuner=off           any setting of ``run`` changed; several: ``expert+learn=off+replan=12``
+    expert+shift=-1.5          the trigger by these seconds later (negative: earlier)
+
+Whatever else is an opponent (``rows.py``).
+"""
 
 from __future__ import annotations
 
 import hashlib
+import json
+import math
 import re
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sumo_adv.benchmark.methods import Method, method_of
 from sumo_adv.benchmark.nouns import GROUPS, Case
+from sumo_adv.config import Settings, load_settings
+from sumo_adv.errors import UsageError
+from sumo_adv.memory.bank import MemoryBank
 
 if TYPE_CHECKING:
     from sumo_adv.episode.episode import Episode
     from sumo_adv.simulation.inputs import RunInput
+
+RAW = "raw"
+FIXED_LIBRARY = ("Close Car-following", "Emergency Braking")
+OWN = ("expert", "llm-a", "llm-f")
+GIVEN_ELSEWHERE = (
+    "ego", "ego_id", "ego_parameters", "seed", "until", "attempts", "memory", "trigger", "ttc", "critical_ttc",
+    "min_delta_v", "limits", "duration",
+    "step_length", "density", "background", "begin", "end", "search", "history", "shortlist", "adversary",
+)  # fmt: skip
+"""Settings that no row changes: who is attacked, where, with what budget, and how it is judged."""
+
+ABLATIONS: Mapping[str, str] = {
+    "expert": "everything",
+    "expert+learn=off": "no memory: nothing of one encounter is known in the next",
+    "expert+tuner=off+learn=off": "no tuner: the authors' numbers alone",
+    "expert+replan=60+learn=off": "no replanning: one endpoint an attempt",
+    "expert+forecast=constant+learn=off": "the ego predicted by constant velocity",
+    "expert+shift=-1.5+learn=off": "the trigger 1.5 s early",
+    "expert+shift=1.5+learn=off": "the trigger 1.5 s late",
+}
+"""Row -> what is left out; each compared with ``REFERENCE``."""
+REFERENCE = "expert+learn=off"
+SAMPLES = (1, 3, 5)
+GROWING = ("", "+learn=off", "+recall=scene")  # learning, its reference, and recall by scene
+
+
+def sampled(model: str) -> dict[str, str]:
+    """Row -> what: a model as it is and asked several times, which differ in that alone."""
+    return {f"llm-a:{model}+samples={k}+learn=off": f"{model}, the analyzer asked {k} times" for k in SAMPLES}
+
+
+@dataclass(frozen=True, slots=True)
+class Method:
+    """A row that is the program itself. ``settings``: what differs from the table's; ``shift`` [s]: of the trigger."""
+
+    name: str
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    fixed: bool = False  # a bank of two intents
+    learns: bool = False
+    shift: float = 0.0
+
+    @property
+    def key(self) -> str:
+        """What methods must have in common to share one simulation."""
+        return json.dumps([dict(self.settings), self.shift], sort_keys=True)
+
+
+def method_of(row: str) -> Method | None:
+    """The method of that name; None if it is not the program's own.
+
+    Raises:
+        UsageError: a setting that there is not, or that a table gives for all rows.
+    """
+    base, *changes = row.split("+")
+    kind, _, model = base.partition(":")
+    if kind not in (*OWN, RAW) or (model and kind not in ("llm-a", "llm-f")):
+        return None
+    if kind == RAW:
+        if changes:
+            raise UsageError(f"The row '{row}' has no settings to change; say just '{kind}'.")
+        return Method(row)
+    if kind == "llm-a" and not model:
+        raise UsageError("The row llm-a needs a model: llm-a:NAME; without one it is the row 'expert'.")
+    settings: dict[str, Any] = {"llm": model} if model else {}
+    shift = 0.0
+    for change in changes:
+        name, equals, value = change.partition("=")
+        if not equals or (name != "shift" and name not in Settings.model_fields):
+            raise UsageError(f"The row '{row}' changes '{name}', which is no setting; say it as expert+NAME=VALUE.")
+        if name in GIVEN_ELSEWHERE:
+            raise UsageError(f"The row '{row}' changes '{name}', which is the same for all rows of a table.")
+        if name == "llm":
+            raise UsageError(f"The row '{row}' changes 'llm'; a row with a model is called llm-a:NAME or llm-f:NAME.")
+        if name == "shift":
+            shift = _number(row, value)
+        else:
+            settings[name] = value
+    load_settings(None, **settings)  # raises for bad values
+    learns = settings.pop("learn", "off" if kind == "llm-f" else "on") == "on"
+    if learns and kind == "llm-f":
+        raise UsageError(f"The row '{row}' learns, but llm-f is the row with a bank that stays; say llm-a or expert.")
+    return Method(row, settings, kind == "llm-f", learns, shift)
+
+
+def growing_banks(rows: Sequence[str]) -> list[str]:
+    """A sentence for each row that changes its bank as a table goes on."""
+    return [
+        f"The bank of the row {row} grows from encounter to encounter, so its figures depend on their order; with "
+        "learn=off it stays as it is."
+        for row in rows
+        if (method := method_of(row)) is not None and method.learns
+    ]
+
+
+def _number(row: str, value: str) -> float:
+    try:
+        seconds = float(value)
+    except ValueError:
+        seconds = math.nan
+    if not math.isfinite(seconds):
+        raise UsageError(f"The row '{row}' has shift={value}, which is no number of seconds.")
+    return seconds
+
+
+# -- jobs
+
 
 FILE_SIGNS = re.compile(r"[^A-Za-z0-9._=+-]+")
 KINDS_SHOWN = 2  # of each group, as examples
@@ -59,9 +181,12 @@ class Job:
     shift: float = 0.0
     place: int | None = None
 
+    @property
+    def id(self) -> str:
+        return f"{self.ego} {self.case.name} {' '.join(self.rows)}"
+
 
 def cell_path(folder: Path, ego: str, case: str, row: str) -> Path:
-    """Where a cell lies in the bench's folder."""
     return folder / "cells" / slug(ego) / slug(case) / f"{slug(row)}.json"
 
 
@@ -108,3 +233,70 @@ def make_jobs(
                 chain = [Job(c, ego, seed, (row,), method.settings, method.shift, k) for k, c in enumerate(cases)]
                 chains.append(chain)
     return free, chains
+
+
+# -- the bank of a row
+
+
+@contextmanager
+def bank_of(method: Method, job: Job, setup: Setup, library: MemoryBank, scratch: Path) -> Iterator[MemoryBank]:
+    """The bank for a row's attack on one encounter. Raises BankError, UsageError."""
+    if method.learns:
+        with _growing(job, setup) as bank:
+            yield bank
+    elif method.fixed:
+        with _fixed(setup.bank, scratch) as bank:
+            yield bank
+    else:
+        yield library
+
+
+@contextmanager
+def _fixed(library: Path, scratch: Path) -> Iterator[MemoryBank]:
+    """A copy in which every intent but LLM-F's two is retired."""
+    copy = scratch / "fixed.sqlite"
+    if not copy.exists():
+        shutil.copyfile(library, copy)
+        with MemoryBank.open(copy) as bank:
+            missing = set(FIXED_LIBRARY) - {i.label for i in bank.intents()}
+            if missing:
+                raise UsageError(f"The memory bank has no intent '{sorted(missing)[0]}', so there is no row llm-f.")
+            for intent in bank.intents():
+                if intent.label not in FIXED_LIBRARY:
+                    bank.retire(intent.label)
+    with MemoryBank.open(copy, read_only=True) as bank:
+        yield bank
+
+
+@contextmanager
+def _growing(job: Job, setup: Setup) -> Iterator[MemoryBank]:
+    """The bank as the encounters before left it; what this one learns is kept for the next.
+
+    ``K.sqlite`` is the bank before encounter K.  It stays until encounter K has its cell, so that an
+    interrupted encounter is done again from the same bank.  An encounter that broke, or that was none, leaves no bank:
+    the next one has the newest there is.
+    """
+    place = job.place or 0
+    folder = _folder(job, setup)
+    folder.mkdir(parents=True, exist_ok=True)
+    before = folder / f"{known_place(job, setup)}.sqlite"
+    if place == 0 or not before.exists():
+        shutil.copyfile(setup.bank, before)
+    for leftover in folder.iterdir():  # of finished encounters, or of an interrupted one
+        if leftover != before:
+            leftover.unlink()
+    part, after = folder / f"{place + 1}.part", folder / f"{place + 1}.sqlite"
+    shutil.copyfile(before, part)
+    with MemoryBank.open(part) as bank:
+        yield bank
+    part.replace(after)
+
+
+def known_place(job: Job, setup: Setup) -> int:
+    """The place, at most the job's, from which a row that learns can go on: the newest with a bank, else the first."""
+    places = (int(file.stem) for file in _folder(job, setup).glob("*.sqlite"))
+    return max((k for k in places if k <= (job.place or 0)), default=0)
+
+
+def _folder(job: Job, setup: Setup) -> Path:
+    return setup.folder / "banks" / slug(job.ego) / slug(job.rows[0])

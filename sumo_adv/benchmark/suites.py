@@ -58,8 +58,6 @@ class _Entry(_Table):
 
 
 class _List(_Table):
-    """A list of scenario files."""
-
     schema_version: Literal[1] = Field(alias="schema")
     name: Name
     version: str
@@ -70,8 +68,6 @@ class _List(_Table):
 
 
 class _Choice(_Table):
-    """Some cases of another suite."""
-
     schema_version: Literal[1] = Field(alias="schema")
     name: Name
     version: str
@@ -107,13 +103,11 @@ def _named(named: Sequence[str]) -> Suite:
 
 
 def shipped_suites() -> tuple[str, ...]:
-    """The names of the suites that travel with the program."""
     folder = data_folder("suites")
     return tuple(sorted([p.stem for p in folder.glob("*.toml")] + [p.parent.name for p in folder.glob("*/suite.toml")]))
 
 
 def hash_of_file(path: Path) -> str:
-    """SHA-256 of a file, hexadecimal."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 

@@ -25,11 +25,9 @@ class _AsUnknown:
         self.needs_road = bool(getattr(driver, "needs_road", False))
 
     def reset(self, seed: int) -> None:
-        """A run begins."""
         self._driver.reset(seed)
 
     def act(self, observation: Observation) -> Action:
-        """What the other driver does."""
         return self._driver.act(observation)
 
 

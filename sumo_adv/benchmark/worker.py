@@ -2,54 +2,121 @@
 
 from __future__ import annotations
 
-import os
-import signal
+import contextlib
 import tempfile
+import threading
 import time
 import traceback
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 
-from sumo_adv.benchmark.arena import Arena
-from sumo_adv.benchmark.banks import bank_of
-from sumo_adv.benchmark.jobs import Job, Setup, cell_path, example_path, slug
-from sumo_adv.benchmark.methods import RAW, method_of
-from sumo_adv.benchmark.motion import motion_of, unattacked
+from sumo_adv.benchmark.arena import Arena, motion_of, unattacked
+from sumo_adv.benchmark.jobs import RAW, Job, Setup, bank_of, cell_path, example_path, method_of, slug
 from sumo_adv.benchmark.nouns import Cell
-from sumo_adv.benchmark.rows.registry import make_row
-from sumo_adv.benchmark.waits import note_of, noted
+from sumo_adv.benchmark.rows import make_row
+from sumo_adv.campaigns.results import Done
 from sumo_adv.config import Settings, forget_environment, load_settings, reachable
 from sumo_adv.datatypes import Ending
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.task import make_task
-from sumo_adv.episode.warm import WarmEngine, WarmSandboxes, die_with_parent
+from sumo_adv.episode.warm import WarmEngine, WarmSandboxes
 from sumo_adv.errors import BankError, SumoAdvError, UsageError, fault_sentence
-from sumo_adv.files import is_storage_error, json_text, write_text
+from sumo_adv.files import is_storage_error, json_text, storage_error, write_text
+from sumo_adv.llm.chat import Ledger
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.simulation.inputs import RunInput
+
+EVERY = 0.5  # s between two notes
+
+
+def note_of(folder: Path, job: Job, row: str) -> Path:
+    """The file in which the process of a row notes its wait."""
+    return folder / f"{slug(f'{job.ego} {job.case.name} {row}')}.waited"
+
+
+@contextmanager
+def noted(ledger: Ledger, note: Path) -> Iterator[None]:
+    """While it lasts, ``note`` says how long the ledger's questions have been open [s]."""
+    over = threading.Event()
+
+    def write() -> None:
+        while not over.wait(EVERY):
+            if waited := ledger.waited_so_far():
+                with contextlib.suppress(OSError):  # a full disk shows where results are written
+                    write_text(note, repr(waited))
+
+    writer = threading.Thread(target=write, name="waits", daemon=True)
+    writer.start()
+    try:
+        yield
+    finally:
+        over.set()
+        writer.join()
+
+
+def waited(note: Path) -> float:
+    """What a row has waited so far [s]; 0 where nothing is noted."""
+    try:
+        return float(note.read_text())
+    except (OSError, ValueError):
+        return 0.0
+
 
 SCHEMA = 1
 
 
-class Bencher:
-    """Holds what stays warm. ``began``: when the row that is under way did."""
+def missing_rows(setup: Setup, job: Job) -> tuple[str, ...]:
+    return tuple(r for r in job.rows if not cell_path(setup.folder, job.ego, job.case.name, r).exists())
 
-    def __init__(self, setup: Setup, scratch: Path) -> None:
-        self._setup, self.scratch = setup, scratch
+
+class Bencher:
+    """Holds what stays warm; a context manager. ``given``: the setup, and the folder for temporary files."""
+
+    def __init__(self, given: tuple[Setup, Path]) -> None:
+        self._setup, self.scratch = given
         self._engine = WarmEngine()
         self._sandboxes = WarmSandboxes()
-        self.began = time.perf_counter()
+        self._began = time.perf_counter()  # the row that is under way
+        tempfile.tempdir = str(self.scratch)
         forget_environment()
 
-    def run(self, job: Job, left: list[str]) -> None:
-        """The cells of the job's rows that are ``left`` into their places; they leave the list one by one.
+    def __enter__(self) -> Self:
+        return self
 
-        Raises:
-            SumoAdvError: the encounter cannot be opened, the simulation was lost, or the results cannot be written.
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._engine.close()
+        self._sandboxes.close()
+
+    def run(self, job: Job, *, last: bool) -> Done:
+        """The cells of a job. A row that breaks becomes a failed cell, and those after it begin afresh.
+
+        Raises SumoAdvError: the library cannot be read, or the results cannot be written.
         """
-        self.began = time.perf_counter()
+        left = list(missing_rows(self._setup, job))
+        while left:
+            self._began = time.perf_counter()
+            try:
+                self._run(job, left)
+            except Exception as error:
+                if isinstance(error, OSError) and is_storage_error(error):
+                    raise storage_error(error, self._setup.folder) from error
+                if isinstance(error, BankError) or is_storage_error(error):
+                    raise
+                sentence = str(error) if isinstance(error, SumoAdvError) else _fault(error)
+                self.__exit__(None, None, None)
+                self._engine, self._sandboxes = WarmEngine(), WarmSandboxes()
+                if left:
+                    seconds = time.perf_counter() - self._began
+                    keep_cell(self._setup.folder, failure(self._setup, job, left.pop(0), sentence, seconds))
+        return Done(job.id, None)
+
+    def _run(self, job: Job, left: list[str]) -> None:
+        """The cells of the job's rows that are ``left`` into their places; they leave the list one by one."""
         source = self._setup.parts.load(job.case.path, job.case.record)
         settings, common = (self._settings(job, source.horizon, own) for own in (job.settings, {}))
         with (
@@ -65,14 +132,9 @@ class Bencher:
                 while left:
                     keep_cell(self._setup.folder, self._cell(job, left[0], arena, bank, Path(scratch)))
                     left.pop(0)
-                    self.began = time.perf_counter()
+                    self._began = time.perf_counter()
             if arena.episode.ending is Ending.SIMULATION_FAILED and arena.found is None:
                 self._engine.close()
-
-    def close(self) -> None:
-        """End its processes."""
-        self._engine.close()
-        self._sandboxes.close()
 
     def _settings(self, job: Job, horizon: float | None, own: Mapping[str, Any]) -> Settings:
         """The table's settings with a row's ``own``."""
@@ -136,16 +198,13 @@ class Bencher:
 
     def _unattacked(self, job: Job, row: str, arena: Arena) -> Cell:
         episode, raw = arena.episode, unattacked(arena.episode)
-        result = {} if raw is None else {"ending": "attempts_exhausted", "reason": "Nobody attacks.", "outcome": raw}
-        return head(self._setup, job, row) | {
-            "ending": str(episode.ending), "reason": episode.reason, "raw": None, "attempts": [], "best": None,
-            "outcome": None, "realism": {}, "intent": None, "recall": None, "motion": {},
-            "timing": {k: round(v, 4) for k, v in episode.timing.items()}, "llm": {}, **result,
-        }  # fmt: skip
+        cell = _empty(self._setup, job, row, str(episode.ending), episode.reason, episode.timing)
+        if raw is None:
+            return cell
+        return cell | {"ending": "attempts_exhausted", "reason": "Nobody attacks.", "outcome": raw}
 
 
 def head(setup: Setup, job: Job, row: str) -> dict[str, Any]:
-    """What every cell begins with."""
     case = job.case
     return {
         "schema": SCHEMA, "suite": setup.suite, "case": case.name, "kind": case.kind, "group": case.group,
@@ -153,13 +212,17 @@ def head(setup: Setup, job: Job, row: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def _empty(setup: Setup, job: Job, row: str, ending: str, why: str, timing: Mapping[str, float]) -> dict[str, Any]:
+    """The cell of a row that made no attempt."""
+    return head(setup, job, row) | {
+        "ending": ending, "reason": why, "raw": None, "attempts": [], "best": None, "outcome": None, "realism": {},
+        "intent": None, "recall": None, "motion": {}, "timing": {k: round(v, 4) for k, v in timing.items()}, "llm": {},
+    }  # fmt: skip
+
+
 def failure(setup: Setup, job: Job, row: str, why: str, seconds: float) -> Cell:
     """The cell of a row that broke ``seconds`` after the one before it was done."""
-    return head(setup, job, row) | {
-        "ending": str(Ending.SIMULATION_FAILED), "reason": why, "raw": None, "attempts": [], "best": None,
-        "outcome": None, "realism": {}, "intent": None, "recall": None, "motion": {},
-        "timing": {"total": round(seconds, 4), "row": round(seconds, 4)}, "llm": {},
-    }  # fmt: skip
+    return _empty(setup, job, row, str(Ending.SIMULATION_FAILED), why, {"total": seconds, "row": seconds})
 
 
 def keep_cell(folder: Path, cell: Cell) -> None:
@@ -180,41 +243,6 @@ def _recall(outcome: Mapping[str, Any]) -> str | None:
 def _is_known(episode: Episode) -> bool | None:
     """Whether the ego is predicted by its own rules; None without an encounter."""
     return None if episode.found is None else episode.found.first.baseline.model.known
-
-
-_bencher: list[Bencher] = []
-
-
-def begin(setup: Setup, scratch: Path) -> None:
-    """Make this process ready for jobs: a group of its own, with its temporary files in ``scratch``."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the front's
-    if hasattr(os, "setpgrp"):
-        os.setpgrp()
-    die_with_parent()
-    tempfile.tempdir = str(scratch)
-    _bencher.append(Bencher(setup, scratch))
-
-
-def work(setup: Setup, job: Job) -> None:
-    """One job in this process. A row that breaks becomes a failed cell, and those after it begin afresh.
-
-    Raises:
-        BankError: the library cannot be read.
-        OSError, SumoAdvError: the results cannot be written.
-    """
-    left = list(job.rows)
-    while left:
-        try:
-            _bencher[-1].run(job, left)
-        except Exception as error:
-            if isinstance(error, BankError) or is_storage_error(error):
-                raise
-            why = str(error) if isinstance(error, SumoAdvError) else _fault(error)
-            broken = _bencher.pop()
-            _bencher.append(Bencher(setup, broken.scratch))
-            broken.close()
-            if left:
-                keep_cell(setup.folder, failure(setup, job, left.pop(0), why, time.perf_counter() - broken.began))
 
 
 def _fault(error: Exception) -> str:

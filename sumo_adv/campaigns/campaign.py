@@ -13,13 +13,23 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Protocol
 
-from sumo_adv.campaigns.learning import Lessons, lessons_of, teach
 from sumo_adv.campaigns.local import LocalWorkers, Pace, Stop
-from sumo_adv.campaigns.nouns import Done, Job, Learn, Parts, Row, Setup
-from sumo_adv.campaigns.pack import packed_texts
 from sumo_adv.campaigns.plan import Plan
-from sumo_adv.campaigns.results import LEARNT, failed, table_of, write_csv, write_parquet
-from sumo_adv.campaigns.store import TAUGHT, Store, open_store
+from sumo_adv.campaigns.results import (
+    LEARNT,
+    Done,
+    Job,
+    Learn,
+    Parts,
+    Row,
+    Setup,
+    failed,
+    table_of,
+    write_csv,
+    write_parquet,
+)
+from sumo_adv.campaigns.store import TAUGHT, Store, open_store, packed_texts
+from sumo_adv.campaigns.worker import Lessons, lessons_of, teach
 from sumo_adv.errors import BankError, UsageError
 from sumo_adv.files import sentences, write_text
 from sumo_adv.memory.bank import MemoryBank
@@ -29,27 +39,17 @@ Told = Callable[[Job, Done], None]
 
 
 class Workers(Protocol):
-    """Runs jobs: those of a batch, or others with an ``id``."""
-
     def run(self, jobs: Sequence[Any], told: Callable[[Any, Done], None]) -> None:
         """Each job, ``told`` of each that is finished. Raises SumoAdvError."""
         ...
 
-    def close(self) -> None:
-        """End whatever still runs."""
-        ...
+    def close(self) -> None: ...
 
 
 class Watcher(Protocol):
-    """Shows the progress."""
+    def begin(self, total: int, before: Sequence[Row]) -> None: ...
 
-    def begin(self, total: int, before: Sequence[Row]) -> None:
-        """``total`` episodes, ``before`` of them finished."""
-        ...
-
-    def finished(self, job: Job, row: Row) -> None:
-        """One more."""
-        ...
+    def finished(self, job: Job, row: Row) -> None: ...
 
     def stopping(self, now: bool) -> None:
         """Ctrl-C was pressed, for the first time or again."""
@@ -88,7 +88,6 @@ class Summary:
     bank_hash: str = ""
 
     def as_dict(self) -> dict[str, Any]:
-        """For ``--json``."""
         counts = {"critical": sum(bool(r["critical"]) for r in self.rows), "failed": sum(map(failed, self.rows))}
         return {
             "folder": str(self.folder), "episodes": self.total, "finished": len(self.rows), "ran": self.ran, **counts,

@@ -15,7 +15,7 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.campaigns.nouns import Done, Job
+from sumo_adv.campaigns.results import Done, Job
 from sumo_adv.errors import SumoAdvError
 from sumo_adv.simulation.engine import QUIET_VARIABLES, deaf, how
 
@@ -53,11 +53,11 @@ class _Slot:
     until: float
     ready: bool = False
     job: Job | None = None
+    seen: Any = None
     ran: int = 0
 
     @property
     def words(self) -> str:
-        """What it printed last."""
         try:
             return (self.folder / "log").read_text(errors="replace")[-LAST_WORDS:]
         except OSError:
@@ -79,7 +79,9 @@ class LocalWorkers:
     """Runs jobs on worker processes. ``fail`` writes down an episode that could not be run: (job, why, text).
 
     setup: what ``make`` makes each worker's runner from; both go to the worker. make: None = episodes of a batch, with
-    jobs of the type ``Job``. The jobs of another runner are anything with an ``id``.
+    jobs of the type ``Job``. The jobs of another runner are anything with an ``id``. seen: how far a job is, whose
+    deadline begins anew when that changes, and the seconds [s] of it that do not count. hangs: tries of a job that is
+    not done in time.
     """
 
     setup: Any
@@ -88,6 +90,8 @@ class LocalWorkers:
     fail: Callable[[Any, str, str], Done]
     stop: Stop
     make: Callable[[Any], AbstractContextManager[Any]] | None = None
+    seen: Callable[[Any], tuple[Any, float]] = lambda job: (None, 0.0)
+    hangs: int = TRIES
     _slots: list[_Slot] = field(default_factory=list)
     _tried: dict[str, int] = field(default_factory=dict)
     _again: deque[Job] = field(default_factory=deque)
@@ -95,8 +99,11 @@ class LocalWorkers:
     _made: int = 0
 
     def run(self, jobs: Iterable[Any], told: Callable[[Any, Done], None]) -> None:
-        """Each job in turn, at most ``TRIES`` times; ``told`` of each that is finished. Raises SumoAdvError."""
-        waiting = deque(jobs)
+        """Each job in turn, at most ``TRIES`` times; ``told`` of each that is finished. Raises SumoAdvError.
+
+        A deque of jobs may grow meanwhile.
+        """
+        waiting = jobs if isinstance(jobs, deque) else deque(jobs)
         while not self.stop.now:
             self._staff(len(waiting) + len(self._again))
             self._assign(waiting)
@@ -106,7 +113,6 @@ class LocalWorkers:
             self._watch(told)
 
     def close(self) -> None:
-        """End the workers, whatever they do."""
         for slot in self._slots:
             slot.kill()
         self._slots.clear()
@@ -142,7 +148,7 @@ class LocalWorkers:
                 return
             if slot.ready and slot.job is None:
                 slot.job = self._again.popleft() if self._again else waiting.popleft()
-                slot.until = time.monotonic() + self.pace.deadline
+                slot.seen, slot.until = None, time.monotonic() + self.pace.deadline
                 with suppress(OSError):  # it may have died: found by ``_listen``
                     slot.connection.send((slot.job, self._tried.get(slot.job.id, 0) + 1 == TRIES))
 
@@ -176,27 +182,30 @@ class LocalWorkers:
     def _watch(self, told: Callable[[Job, Done], None]) -> None:
         checked_at = time.monotonic()
         for slot in list(self._slots):
-            if checked_at > slot.until and (slot.job is not None or not slot.ready):
-                self._lose(slot, f"it was not done after {self.pace.deadline:g} s", told)
+            seen, uncounted = (None, 0.0) if slot.job is None else self.seen(slot.job)
+            if seen != slot.seen:
+                slot.seen, slot.until = seen, checked_at + self.pace.deadline
+            if checked_at > slot.until + uncounted and (slot.job is not None or not slot.ready):
+                self._lose(slot, f"it was not done after {self.pace.deadline:g} s", told, self.hangs)
 
-    def _lose(self, slot: _Slot, why: str, told: Callable[[Job, Done], None]) -> None:
+    def _lose(self, slot: _Slot, why: str, told: Callable[[Job, Done], None], tries: int = TRIES) -> None:
         """A worker died, or has to."""
         text, job = slot.words, slot.job
         self._dismiss(slot)
         if job is not None:
-            self._retry(job, why, text, told)
+            self._retry(job, why, text, told, tries)
         elif not slot.ready:
             self._died += 1
             if self._died >= STARTS:
                 last = next((line for line in reversed(text.splitlines()) if line.strip()), "they said nothing")
                 raise SumoAdvError(f"The worker processes do not start ({last.strip()[:300]}).")
 
-    def _retry(self, job: Job, why: str, text: str, told: Callable[[Job, Done], None]) -> None:
+    def _retry(self, job: Job, why: str, text: str, told: Callable[[Job, Done], None], tries: int = TRIES) -> None:
         self._tried[job.id] = self._tried.get(job.id, 0) + 1
-        if self._tried[job.id] < TRIES:
+        if self._tried[job.id] < tries:
             self._again.append(job)
         else:
-            told(job, self.fail(job, f"It failed {TRIES} times: {why}.", text))
+            told(job, self.fail(job, f"It failed {self._tried[job.id]} times: {why}.", text))
 
     def _dismiss(self, slot: _Slot) -> None:
         self._slots.remove(slot)

@@ -3,25 +3,27 @@
 from __future__ import annotations
 
 import json
-import os
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
-from sumo_adv.cli import options as shared
-from sumo_adv.cli.options import INPUT, OUTPUT, RUNNING, SEARCH, option
-from sumo_adv.cli.set_option import set_values
+from sumo_adv.app import check_intents, run_campaign
+from sumo_adv.cli import options as opt
+from sumo_adv.cli.options import INPUT, OUTPUT, RUNNING, SEARCH, option, set_values
 from sumo_adv.errors import UsageError
+from sumo_adv.files import sentences
+from sumo_adv.memory.store import default_bank_path
+from sumo_adv.report.staging import staged
 
 if TYPE_CHECKING:
     from sumo_adv.campaigns.campaign import Orders, Summary
-    from sumo_adv.campaigns.local import Pace
-    from sumo_adv.campaigns.nouns import Learn
     from sumo_adv.campaigns.plan import Plan
+    from sumo_adv.campaigns.results import Learn
 else:
-    from sumo_adv.campaigns.nouns import Learn
+    from sumo_adv.campaigns.results import Learn
 
 EXAMPLE = "Example: sumo-adv batch scenarios --egos idm,careful --seeds 10 --out campaigns/first"
 
@@ -30,7 +32,6 @@ class _DefaultGroup(TyperGroup):
     """``batch PLAN`` is ``batch run PLAN``; only the other commands are named."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Put in the command that goes without saying."""
         if not args or args[0] not in self.commands:
             args = ["run", *args]
         return super().parse_args(ctx, args)
@@ -74,59 +75,43 @@ Force = Annotated[bool, option(RUNNING, "Go on in a folder of another plan.", "-
 @app.command("run", epilog=EXAMPLE)
 def batch(
     context: typer.Context, given: Given, seeds: Seeds = None, egos: Egos = None, records: Records = None,
-    setting: Setting = None, odd: OddFile = None, settings_file: shared.SettingsFile = None,
-    until: shared.UntilLevel = None,
-    ttc: shared.Ttc = None, critical_ttc: shared.CriticalTtc = None, min_delta_v: shared.MinDeltaV = None,
-    intents: shared.Intents = None, exclude: shared.Exclude = None, kind: shared.Kind = None,
-    adversaries: shared.Adversaries = None,
-    diverse: shared.Diverse = None, attempts: shared.Attempts = None, learn: Learning = None, memory: Memory = None,
-    workers: shared.Workers = None, deadline: Deadline = 600.0, recycle: Recycle = 200, ray: shared.RayCluster = None,
+    setting: Setting = None, odd: OddFile = None, settings_file: opt.SettingsFile = None,
+    until: opt.UntilLevel = None,
+    ttc: opt.Ttc = None, critical_ttc: opt.CriticalTtc = None, min_delta_v: opt.MinDeltaV = None,
+    intents: opt.Intents = None, exclude: opt.Exclude = None, kind: opt.Kind = None,
+    adversaries: opt.Adversaries = None,
+    diverse: opt.Diverse = None, attempts: opt.Attempts = None, learn: Learning = None, memory: Memory = None,
+    workers: opt.Workers = None, deadline: Deadline = 600.0, recycle: Recycle = 200, ray: opt.RayCluster = None,
     retry_failed: Retry = False, dry_run: DryRun = False, force: Force = False, figures: Figures = None,
-    out: Out = None, parquet: Parquet = False, states: States = False, as_json: shared.AsJson = False,
+    out: Out = None, parquet: Parquet = False, states: States = False, as_json: opt.AsJson = False,
 ) -> None:  # fmt: skip
     """Run every input with every ego and every seed; the same command again does what is missing.
 
     Ctrl-C finishes what runs, twice stops now. Also: batch pack OUT, batch unpack OUT.
     """
-    from sumo_adv.app import batch_parts, check_intents
-    from sumo_adv.campaigns.plan import is_plan, make_plan, read_plan
-    from sumo_adv.memory.store import default_bank_path
+    from sumo_adv.api_batch import orders_of, planned
+    from sumo_adv.campaigns.plan import is_plan
 
     if parquet or states:
         from sumo_adv.campaigns.results import check_parquet
 
         check_parquet()
-    first = Path(given[0])
-    planned = len(given) == 1 and is_plan(first)
-    table: dict[str, Any] = read_plan(first) if planned else {"inputs": given}
-    table |= _overrides(seeds, egos, records, learn, memory, figures)
-    chosen = shared.given(context.params, shared.CHOICE)
-    table["settings"] = {**_table(table, "settings"), **set_values(setting or [], "attempts=5"), **chosen}
-    if odd is not None:
-        table["settings"] = _within(table["settings"], odd)
-    subject, folder = (f"The plan {first}", first.parent) if planned else ("The batch", Path())
-    plan = make_plan(table, folder, subject, batch_parts(), settings_file)
-    check_intents(plan.variants, plan.memory or default_bank_path())
-    target = out or Path("runs") / (first.stem if planned else "batch")
-    if dry_run:
-        _show(plan, target, as_json=as_json)
-        return
-    from sumo_adv.campaigns.local import Pace
-
-    pace = Pace(workers or os.cpu_count() or 1, deadline, recycle)
-    _run(plan, _orders(plan, target, pace, force, retry_failed, parquet, ray), states=states, as_json=as_json)
-
-
-def _overrides(
-    seeds: str | None, egos: str | None, records: str | None, learn: Learn | None, memory: Path | None,
-    figures: bool | None,
-) -> dict[str, Any]:  # fmt: skip
-    """What the command line says in a plan's words."""
-    given: dict[str, Any] = {
+    overrides = {
         "seeds": None if seeds is None else _seeds(seeds), "egos": _words(egos), "records": _words(records),
         "learn": learn, "memory": memory, "figures": figures,
     }  # fmt: skip
-    return {key: value for key, value in given.items() if value is not None}
+    chosen = {**set_values(setting or [], "attempts=5"), **opt.given(context.params, opt.CHOICE)}
+    plan = planned(given, overrides, chosen, odd, settings_file)
+    check_intents(plan.variants, plan.memory or default_bank_path())
+    first = Path(given[0])
+    target = out or Path("runs") / (first.stem if len(given) == 1 and is_plan(first) else "batch")
+    if dry_run:
+        _show(plan, target, as_json=as_json)
+        return
+    orders = orders_of(
+        plan, target, workers, deadline, recycle, force=force, retry_failed=retry_failed, parquet=parquet, ray=ray
+    )
+    _run(plan, orders, states=states, as_json=as_json)
 
 
 def _words(text: str | None) -> list[str] | None:
@@ -140,35 +125,7 @@ def _seeds(text: str) -> int | list[int]:
     return int(words[0]) if len(words) == 1 else [int(w) for w in words]
 
 
-def _table(table: dict[str, Any], key: str) -> dict[str, Any]:
-    value = table.get(key, {})
-    if not isinstance(value, dict):
-        raise UsageError(f"'{key}' of a plan is a table of settings: write [{key}].")
-    return value
-
-
-def _within(settings: dict[str, Any], odd: Path) -> dict[str, Any]:
-    """The settings with the ODD of a file. Raises UsageError: they have one, or the file is bad."""
-    from sumo_adv.config_odd import read_odd
-
-    if "odd" in settings:
-        raise UsageError(f"The plan has [settings.odd], and --odd {odd} is given as well; keep one.")
-    return {**settings, "odd": read_odd(odd).model_dump(mode="json", exclude_unset=True)}
-
-
-def _orders(
-    plan: Plan, out: Path, pace: Pace, force: bool, retry_failed: bool, parquet: bool, ray: str | None
-) -> Orders:
-    from sumo_adv.campaigns.campaign import Orders
-    from sumo_adv.memory.store import default_bank_path
-    from sumo_adv.report.outcome import versions
-
-    bank = plan.memory or default_bank_path()
-    return Orders(out, bank, versions(), pace, force, retry_failed, parquet, ray)
-
-
 def _show(plan: Plan, out: Path, *, as_json: bool) -> None:
-    """The episodes of a plan."""
     jobs = plan.jobs
     rows = [
         {
@@ -190,14 +147,13 @@ def _show(plan: Plan, out: Path, *, as_json: bool) -> None:
 
 
 def _run(plan: Plan, orders: Orders, *, states: bool, as_json: bool) -> None:
-    from sumo_adv.app import run_campaign
-    from sumo_adv.cli.batch_progress import Quiet, make_watcher
+    from sumo_adv.cli.progress import BatchProgress
 
     for note in () if as_json else (note for given in plan.inputs for note in given.notes):
         typer.echo(note)
     if plan.learn == "during" and not as_json:
         typer.echo("With --learn during the rows depend on the order in which episodes finish.", err=True)
-    with Quiet() if as_json else make_watcher() as watcher:
+    with BatchProgress(quiet=as_json) as watcher:
         summary = run_campaign(plan, orders, watcher, states=states)
     typer.echo(json.dumps(summary.as_dict()) if as_json else _words_of(summary))
     if summary.stopped:
@@ -207,7 +163,6 @@ def _run(plan: Plan, orders: Orders, *, states: bool, as_json: bool) -> None:
 
 
 def _words_of(summary: Summary) -> str:
-    """The summary for people."""
     s = summary.as_dict()
     lines = [
         f"{s['finished']} of {s['episodes']} episodes: {s['critical']} critical, {s['collided']} collided, "
@@ -226,14 +181,11 @@ def _words_of(summary: Summary) -> str:
 def pack(
     folder: Annotated[Path, typer.Argument(metavar="OUT", help="The folder of a batch.")],
     most: Annotated[int, typer.Option(min=1, help="Runs in a file.")] = 1000,
-    as_json: shared.AsJson = False,
+    as_json: opt.AsJson = False,
 ) -> None:
     """Move finished runs into few zip files; the table, and going on with the batch, work as before."""
-    from dataclasses import asdict
-
-    from sumo_adv.campaigns.pack import pack as pack_runs
     from sumo_adv.campaigns.store import open_store
-    from sumo_adv.report.staging import staged
+    from sumo_adv.campaigns.store import pack as pack_runs
 
     _check(folder)
     with open_store(folder, staged):
@@ -249,16 +201,13 @@ def pack(
 def unpack(
     folder: Annotated[Path, typer.Argument(metavar="OUT", help="The folder of a batch.")],
     names: Annotated[list[str] | None, typer.Argument(metavar="[ID]...", help="Runs (default: all).")] = None,
-    into: Annotated[Path | None, typer.Option(help="Where to (default: OUT/unpacked).")] = None,
-    as_json: shared.AsJson = False,
+    as_json: opt.AsJson = False,
 ) -> None:
-    """Put packed runs into folders again; the packs stay."""
-    from sumo_adv.campaigns.pack import unpack as unpack_runs
-    from sumo_adv.files import sentences
-    from sumo_adv.report.staging import staged
+    """Put packed runs into folders again, below OUT/unpacked; the packs stay."""
+    from sumo_adv.campaigns.store import unpack as unpack_runs
 
     _check(folder)
-    target = into or folder / "unpacked"
+    target = folder / "unpacked"
     with sentences(target):
         made = unpack_runs(folder, names or [], target, staged)
     if as_json:

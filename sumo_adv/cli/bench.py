@@ -6,19 +6,21 @@ import json
 import os
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sumo_adv.cli.set_option import set_values
+from sumo_adv.app import bench_parts
+from sumo_adv.cli.options import set_values
 from sumo_adv.config import BUILTIN, load_settings
 from sumo_adv.errors import UsageError
+from sumo_adv.files import sentences
 
 if TYPE_CHECKING:
-    from sumo_adv.benchmark.nouns import Cell, Suite
-    from sumo_adv.benchmark.run import Means, TableRequest
+    from sumo_adv.benchmark.bench import Means, TableRequest
+    from sumo_adv.benchmark.nouns import Cell
 
 EXAMPLE = "Example: sumo-adv bench table --suite smoke --ego idm --row expert+learn=off --row random --out runs/bench"
 ROWS = ("raw", "llm-f", "expert+learn=off", "random")  # no bank changes from one encounter to the next
@@ -55,8 +57,8 @@ def table(
     row: Annotated[
         list[str] | None,
         typer.Option(
-            help="raw, expert, llm-f, llm-a:MODEL, expert+NAME=VALUE, random, fixed, fixed:LABEL, oracle, "
-            "random_search, cma, bezier, resampling, transformer, transformer:FILE, module:Class; "
+            help="raw, expert, llm-f, llm-a:MODEL, expert+NAME=VALUE, random, oracle, "
+            "resampling, transformer, transformer:FILE, module:Class; "
             f"repeatable (default: {', '.join(ROWS)})."
         ),
     ] = None,
@@ -75,22 +77,14 @@ def table(
     as_json: Json = False,
 ) -> None:
     """Run every row on every encounter of a suite, and write table.md, .csv, .json and figures."""
-    from sumo_adv.benchmark.rows.registry import EVERY_FIXED
-    from sumo_adv.benchmark.tables.compute import BEST_FIXED
-
-    rows = _unique([r for given in row or ROWS for r in (EVERY_FIXED if given == "fixed" else (given,))])
-    if reference is not None and reference not in (*rows, BEST_FIXED):
+    rows = _unique(row or ROWS)
+    if reference is not None and reference not in rows:
         raise UsageError(f"--reference '{reference}' is none of the table's rows: {', '.join(rows)}.")
-    request, means = _order(suite, ego, rows, seed, attempts, until, setting, memory, workers, out, keep_runs, seconds)
-    cells = _run(request, means, as_json=as_json)
-    _write(
-        request,
-        means,
-        cells,
-        "table",
-        reference or next((r for r in rows if r.startswith("expert")), None),
-        as_json=as_json,
-    )
+    ran = _run(
+        suite, ego, rows, seed, attempts, until, setting, memory, workers, out, as_json, keep_runs=keep_runs,
+        seconds=seconds,
+    )  # fmt: skip
+    ran.write("table", reference or next((r for r in rows if r.startswith("expert")), None), {})
 
 
 @app.command("ablations", epilog="Example: sumo-adv bench ablations --suite suite81 --ego idm --out runs/bench")
@@ -100,13 +94,11 @@ def ablations(
     setting: Setting = None, memory: Memory = None, workers: Workers = None, out: Out = None, as_json: Json = False,
 ) -> None:  # fmt: skip
     """What each part is worth: the expert without memory, tuner, replanning, ego model, at other times."""
-    from sumo_adv.benchmark.methods import ABLATIONS, REFERENCE, sampled
+    from sumo_adv.benchmark.jobs import ABLATIONS, REFERENCE, sampled
 
     words = {**ABLATIONS, **(sampled(llm) if llm else {})}
-    rows = list(words)
-    request, means = _order(suite, ego, rows, seed, attempts, until, setting, memory, workers, out, False)
-    cells = _run(request, means, as_json=as_json)
-    _write(request, means, cells, "ablations", REFERENCE, words=words, as_json=as_json)
+    ran = _run(suite, ego, list(words), seed, attempts, until, setting, memory, workers, out, as_json)
+    ran.write("ablations", REFERENCE, words)
 
 
 @app.command("analyzer", epilog="Example: sumo-adv bench analyzer --suite smoke --ego idm --out runs/bench")
@@ -118,24 +110,19 @@ def analyzer(
     setting: Setting = None, memory: Memory = None, workers: Workers = None, out: Out = None, as_json: Json = False,
 ) -> None:  # fmt: skip
     """Which analyzer names the most dangerous intent: against oracle, chance, the best constant answer, the ceiling."""
-    from sumo_adv.benchmark.methods import REFERENCE
-    from sumo_adv.benchmark.tables.analysis import analyze
-    from sumo_adv.benchmark.tables.analysis_files import labels_hash, write_analysis
-    from sumo_adv.benchmark.tables.plots import draw_confusions
-    from sumo_adv.benchmark.tables.screen import analysis_text
+    from sumo_adv.benchmark.analysis import analysis_text, analyze, labels_hash, write_analysis
+    from sumo_adv.benchmark.jobs import REFERENCE
+    from sumo_adv.benchmark.plots import draw_confusions
 
     answering = [REFERENCE, *(f"llm-a:{m}+learn=off{more}" for m in llm or () for more in ("", "+evidence=off"))]
-    request, means = _order(
-        suite, ego, ["oracle", *answering], seed, attempts, until, setting, memory, workers, out, False
-    )
-    cells = _run(request, means, as_json=as_json)
-    analysis = analyze(
-        cells, request.suite.cases, title=f"Analyzers on {request.suite.name}", analyzers=answering, reference=REFERENCE
-    )
-    about = replace(_about(request, means), further={"labels_hash": labels_hash(request.suite)})
-    files = write_analysis(analysis, cells, means.folder, about)
-    files += draw_confusions(analysis, means.folder / "figures")
-    _say(means, cells, files, analysis_text(analysis, files[0]), as_json=as_json)
+    rows = ["oracle", *answering]
+    ran = _run(suite, ego, rows, seed, attempts, until, setting, memory, workers, out, as_json)
+    title = f"Analyzers on {ran.request.suite.name}"
+    analysis = analyze(ran.cells, ran.request.suite.cases, title=title, analyzers=answering, reference=REFERENCE)
+    about = {**ran.about, "labels_hash": labels_hash(ran.request.suite)}
+    files = write_analysis(analysis, ran.cells, ran.folder, about)
+    files += draw_confusions(analysis, ran.folder / "figures")
+    ran.say(files, analysis_text(analysis, files[0]))
 
 
 @app.command("growth", epilog="Example: sumo-adv bench growth --suite suite81 --ego idm --out runs/bench")
@@ -145,18 +132,17 @@ def growth(
     setting: Setting = None, memory: Memory = None, workers: Workers = None, out: Out = None, as_json: Json = False,
 ) -> None:  # fmt: skip
     """How the bank grows as encounters go by: hits, seconds, model calls; beside a bank that stays as it is."""
-    from sumo_adv.benchmark.methods import GROWING
-    from sumo_adv.benchmark.tables.growth import growth as growing
-    from sumo_adv.benchmark.tables.growth import write_growth
-    from sumo_adv.benchmark.tables.plots import draw_growth
+    from sumo_adv.benchmark.jobs import GROWING
+    from sumo_adv.benchmark.league import growth as growing
+    from sumo_adv.benchmark.league import write_growth
+    from sumo_adv.benchmark.plots import draw_growth
 
     rows = [f"{who}{more}" for who in ("expert", *([f"llm-a:{llm}"] if llm else [])) for more in GROWING]
-    request, means = _order(suite, ego, rows, seed, attempts, until, setting, memory, workers, out, False)
-    cells = _run(request, means, as_json=as_json)
-    steps = growing(cells, request.suite.cases)
-    files = write_growth(steps, cells, means.folder, _about(request, means))
-    files.append(draw_growth(means.folder / "figures" / "growth.png", steps, f"Growth over {request.suite.name}"))
-    _say(means, cells, files, files[0].read_text(encoding="utf-8"), as_json=as_json)
+    ran = _run(suite, ego, rows, seed, attempts, until, setting, memory, workers, out, as_json)
+    steps = growing(ran.cells, ran.request.suite.cases)
+    files = write_growth(steps, ran.cells, ran.folder, ran.about)
+    files.append(draw_growth(ran.folder / "figures" / "growth.png", steps, f"Growth over {ran.request.suite.name}"))
+    ran.say(files, files[0].read_text(encoding="utf-8"))
 
 
 @app.command("label", epilog="Example: sumo-adv bench label --suite suite81 --ego idm,krauss --out runs/bench")
@@ -165,19 +151,17 @@ def label(
     setting: Setting = None, memory: Memory = None, workers: Workers = None, out: Out = None, as_json: Json = False,
 ) -> None:  # fmt: skip
     """What the oracle finds most dangerous, into labels.json: put it beside a suite's suite.toml."""
-    from sumo_adv.benchmark.rows.oracle import oracle_labels
-    from sumo_adv.benchmark.tables.write import as_json as text_of
-    from sumo_adv.benchmark.tables.write import manifest, write_texts
+    from sumo_adv.benchmark.rows import oracle_labels
+    from sumo_adv.benchmark.write import as_json as text_of
+    from sumo_adv.benchmark.write import write_files
 
-    request, means = _order(suite, ego, ["oracle"], seed, attempts, until, setting, memory, workers, out, False)
-    cells = _run(request, means, as_json=as_json)
+    ran = _run(suite, ego, ["oracle"], seed, attempts, until, setting, memory, workers, out, as_json)
     labels: dict[str, dict[str, Any]] = {}
-    for cell in cells:
+    for cell in ran.cells:
         if cell["attempts"]:
             labels.setdefault(cell["case"], {})[cell["ego"]] = oracle_labels(cell)
-    about = manifest(_about(request, means), cells, ["labels.json"])
-    files = write_texts(means.folder, {"labels.json": text_of(labels), "labels.manifest.json": text_of(about)})
-    _say(means, cells, files, f"{len(labels)} of {len(request.suite.cases)} encounters labelled.", as_json=as_json)
+    files = write_files(ran.folder, "labels", {".json": text_of(labels)}, ran.cells, ran.about)
+    ran.say(files, f"{len(labels)} of {len(ran.request.suite.cases)} encounters labelled.")
 
 
 @app.command("league", epilog="Example: sumo-adv bench league --suite suite81 --ego idm,careful,my_driver:Mine")
@@ -186,24 +170,14 @@ def league(
     setting: Setting = None, memory: Memory = None, workers: Workers = None, out: Out = None, as_json: Json = False,
 ) -> None:  # fmt: skip
     """Which of several drivers is hardest to hit: the expert against each of them, in the same encounters."""
-    from sumo_adv.benchmark.methods import REFERENCE
-    from sumo_adv.benchmark.tables import league as tables
-    from sumo_adv.benchmark.tables.screen import league_text
-    from sumo_adv.benchmark.tables.write import as_json as text_of
-    from sumo_adv.benchmark.tables.write import manifest, write_texts
+    from sumo_adv.benchmark.jobs import REFERENCE
+    from sumo_adv.benchmark.league import league as ranked
+    from sumo_adv.benchmark.league import league_text, write_league
 
-    request, means = _order(suite, ego, [REFERENCE], seed, attempts, until, setting, memory, workers, out, False)
-    cells = _run(request, means, as_json=as_json)
-    places, duels = tables.league(cells, attempts)
-    title = f"{request.suite.name}, {len(request.suite.cases)} encounters"
-    about = manifest(_about(request, means), cells, ["league.md", "league.json"])
-    made = {
-        "league.md": tables.to_markdown(places, duels, title),
-        "league.json": text_of(tables.document(places, duels)),
-        "league.manifest.json": text_of(about),
-    }
-    files = write_texts(means.folder, made)
-    _say(means, cells, files, league_text(places, title, files[0]), as_json=as_json)
+    ran = _run(suite, ego, [REFERENCE], seed, attempts, until, setting, memory, workers, out, as_json)
+    places, duels = ranked(ran.cells, attempts)
+    files = write_league(places, duels, ran.title, ran.cells, ran.folder, ran.about)
+    ran.say(files, league_text(places, ran.title, files[0]))
 
 
 @app.command("make", epilog="Example: sumo-adv bench make --seed 2 --out suites/other")
@@ -213,10 +187,7 @@ def make(
     as_json: Json = False,
 ) -> None:
     """Make a fresh copy of suite81: 50 straight and 31 intersection encounters."""
-    from dataclasses import asdict
-
-    from sumo_adv.benchmark.making.suite import make_suite
-    from sumo_adv.files import sentences
+    from sumo_adv.benchmark.making import make_suite
 
     def print_candidate(case: str, wrong: str) -> None:
         if not as_json and not wrong:
@@ -234,14 +205,74 @@ def _unique(rows: Sequence[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(rows))
 
 
-def _order(
+@dataclass(frozen=True, slots=True)
+class _Ran:
+    """The cells of a table that was run; what is made of them."""
+
+    request: TableRequest
+    means: Means
+    cells: list[Cell]
+    as_json: bool
+
+    @property
+    def folder(self) -> Path:
+        return self.means.folder
+
+    @property
+    def title(self) -> str:
+        return f"{self.request.suite.name}, {len(self.request.suite.cases)} encounters"
+
+    @property
+    def about(self) -> dict[str, Any]:
+        from sumo_adv.benchmark.bench import manifest
+
+        return {"command": " ".join(["sumo-adv", *sys.argv[1:]]), **manifest(self.request, self.means)}
+
+    def write(self, name: str, reference: str | None, words: Mapping[str, str]) -> None:
+        """The table's files; its main columns on stdout."""
+        from sumo_adv.benchmark.jobs import growing_banks
+        from sumo_adv.benchmark.plots import draw_all
+        from sumo_adv.benchmark.table import make_table
+        from sumo_adv.benchmark.write import table_text, write_table
+
+        request = self.request
+        made = make_table(
+            self.cells, title=self.title, cases=request.suite.cases, egos=request.egos, rows=request.rows,
+            reference=reference, words=words, notes=growing_banks(request.rows),
+        )  # fmt: skip
+        files = write_table(made, self.cells, self.folder, self.about, name)
+        files += draw_all(self.cells, self.folder / "figures", request.rows)
+        self.say(files, table_text(made, files[0]))
+
+    def say(self, files: Sequence[Path], text: str) -> None:
+        """The outcome; exit status 1 if every cell failed."""
+        from sumo_adv.benchmark.cells import failed
+
+        cells = self.cells
+        broken = [c for c in cells if failed(c)]
+        if self.as_json:
+            count = {"cells": len(cells), "failed": len(broken)}
+            typer.echo(json.dumps({"folder": str(self.folder), **count, "files": [str(f) for f in files]}))
+        else:
+            typer.echo(text)
+            others = sorted({str(f.parent) for f in files})
+            typer.echo(f"{len(files)} files in {', '.join(others)}", err=True)
+        if broken:
+            why, *_ = broken[0]["reason"].split("\n")
+            first = f"{broken[0]['case']} ({broken[0]['row']}): {why}"
+            typer.echo(f"sumo-adv: {len(broken)} of {len(cells)} cells failed, for instance {first}", err=True)
+        if len(broken) == len(cells):
+            raise typer.Exit(1)
+
+
+def _run(
     suite: Sequence[str], ego: str, rows: Sequence[str], seed: int, attempts: int, until: str,
-    setting: Sequence[str] | None, memory: Path | None, workers: int | None, out: Path | None, keep_runs: bool,
-    seconds: float = 60.0,
-) -> tuple[TableRequest, Means]:  # fmt: skip
-    from sumo_adv.app import bench_parts
-    from sumo_adv.benchmark.run import Means, TableRequest
+    setting: Sequence[str] | None, memory: Path | None, workers: int | None, out: Path | None, as_json: bool, *,
+    keep_runs: bool = False, seconds: float = 60.0,
+) -> _Ran:  # fmt: skip
+    from sumo_adv.benchmark.bench import Means, TableRequest, of_rows, run_table
     from sumo_adv.benchmark.suites import load_suite
+    from sumo_adv.cli.progress import BenchProgress
     from sumo_adv.report.outcome import versions
     from sumo_adv.simulation.inputs import data_folder
 
@@ -255,13 +286,20 @@ def _order(
     request = TableRequest(loaded, egos, tuple(rows), seed, settings, memory or data_folder("memory_bank.sqlite"))
     _check_models(request)
     folder = out or Path("runs") / f"bench-{loaded.name}"
-    return request, Means(folder, workers or os.cpu_count() or 1, bench_parts(), versions(), keep_runs, limit)
+    means = Means(folder, workers or os.cpu_count() or 1, bench_parts(), versions(), keep_runs, limit)
+    try:
+        with BenchProgress(quiet=as_json) as watcher:
+            cells = run_table(request, means, watcher)
+    except KeyboardInterrupt:
+        typer.echo("sumo-adv: interrupted; what finished is kept, the same command again does the rest.", err=True)
+        raise typer.Exit(1) from None
+    return _Ran(request, means, of_rows(cells, rows, egos), as_json)
 
 
 def _check_models(request: TableRequest) -> None:
     """Raises UsageError for a row with a model that has no server or no key; asks nothing."""
     from sumo_adv.agents.agents import ROLES
-    from sumo_adv.benchmark.methods import method_of
+    from sumo_adv.benchmark.jobs import method_of
     from sumo_adv.llm.chat import Ledger
     from sumo_adv.llm.client import connect
 
@@ -285,69 +323,3 @@ def _of_variables() -> dict[str, Any]:
     """The settings that ``SUMO_ADV_*`` variables give, but for those of tables' own; a server's key is in none."""
     settings = load_settings()
     return settings.model_dump(mode="json", include=settings.model_fields_set - SAID_ELSEWHERE.keys())
-
-
-def _run(request: TableRequest, means: Means, *, as_json: bool) -> list[Cell]:
-    from sumo_adv.benchmark.run import of_rows, run_table
-    from sumo_adv.cli.bench_progress import make_watcher
-
-    try:
-        with make_watcher(quiet=as_json) as watcher:
-            cells = run_table(request, means, watcher)
-    except KeyboardInterrupt:
-        typer.echo("sumo-adv: interrupted; what finished is kept, the same command again does the rest.", err=True)
-        raise typer.Exit(1) from None
-    return of_rows(cells, request.rows, request.egos)
-
-
-def _write(
-    request: TableRequest, means: Means, cells: Sequence[Cell], name: str, reference: str | None, *,
-    words: Mapping[str, str] | None = None, as_json: bool,
-) -> None:  # fmt: skip
-    """The table's files; its main columns on stdout."""
-    from sumo_adv.benchmark.methods import growing_banks
-    from sumo_adv.benchmark.tables.compute import make_table
-    from sumo_adv.benchmark.tables.plots import draw_all
-    from sumo_adv.benchmark.tables.screen import table_text
-    from sumo_adv.benchmark.tables.write import write_table
-
-    chosen: Suite = request.suite
-    made = make_table(
-        cells, title=f"{chosen.name}, {len(chosen.cases)} encounters", cases=chosen.cases, egos=request.egos,
-        rows=request.rows, reference=reference, words=words or {},
-        notes=growing_banks(request.rows),
-    )  # fmt: skip
-    files = write_table(made, cells, means.folder, _about(request, means), name)
-    files += draw_all(cells, means.folder / "figures", request.rows)
-    _say(means, cells, files, table_text(made, files[0]), as_json=as_json)
-
-
-def _say(means: Means, cells: Sequence[Cell], files: Sequence[Path], text: str, *, as_json: bool) -> None:
-    """The outcome; exit status 1 if every cell failed."""
-    from sumo_adv.benchmark.tables.cells import failed
-
-    broken = [c for c in cells if failed(c)]
-    if as_json:
-        count = {"cells": len(cells), "failed": len(broken)}
-        typer.echo(json.dumps({"folder": str(means.folder), **count, "files": [str(f) for f in files]}))
-    else:
-        typer.echo(text)
-        others = sorted({str(f.parent) for f in files})
-        typer.echo(f"{len(files)} files in {', '.join(others)}", err=True)
-    if broken:
-        why, *_ = broken[0]["reason"].split("\n")
-        first = f"{broken[0]['case']} ({broken[0]['row']}): {why}"
-        typer.echo(f"sumo-adv: {len(broken)} of {len(cells)} cells failed, for instance {first}", err=True)
-    if len(broken) == len(cells):
-        raise typer.Exit(1)
-
-
-def _about(request: TableRequest, means: Means) -> Any:
-    from sumo_adv.benchmark.run import manifest
-    from sumo_adv.benchmark.tables.write import About
-
-    given = manifest(request, means)
-    return About(
-        " ".join(["sumo-adv", *sys.argv[1:]]), request.suite.name, request.suite.version, request.suite.content,
-        means.versions, request.settings, request.seed, given["bank_hash"],
-    )  # fmt: skip

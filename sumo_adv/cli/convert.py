@@ -1,19 +1,24 @@
-"""``convert``: Waymo records and CommonRoad scenarios to folders that ``run`` takes, each with a report on fidelity."""
+"""Scenarios that ``run`` takes: those shipped (``scenarios``), Waymo records and CommonRoad scenarios with a report on
+fidelity (``convert``), a recording of another program (``import``).
+"""
 
 from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from sumo_adv.errors import SumoAdvError, UsageError
+from sumo_adv.report.staging import staged
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from sumo_adv.simulation.shipped import ShippedScenario
     from sumo_adv.womd.reader import Choice, Told
     from sumo_adv.womd.record import Record
 
@@ -27,7 +32,6 @@ def convert(
     ],
     out: Annotated[Path, typer.Option(help="Folder to write into: a folder a record, by its id.")],
     record_id: Annotated[str | None, typer.Option("--id", help="Only the record of this id.")] = None,
-    index: Annotated[int | None, typer.Option(min=0, help="Only the record at this place, from 0.")] = None,
     first: Annotated[int | None, typer.Option(min=1, help="Number of records from the first on; else all.")] = None,
     keep_going: Annotated[
         bool, typer.Option("--keep-going", help="Tell what is wrong with a record and take the next one.")
@@ -39,8 +43,8 @@ def convert(
     """Convert Waymo records to SUMO scenarios: network, tracks, routes, and a report on fidelity."""
     from sumo_adv.womd.reader import Choice
 
-    if sum(given is not None for given in (record_id, index, first)) > 1:
-        raise UsageError("Give one of --id, --index and --first, not several.")
+    if record_id is not None and first is not None:
+        raise UsageError("Give either --id or --first, not both.")
     failed: list[str] = []
 
     def tell(error: SumoAdvError) -> None:
@@ -48,7 +52,7 @@ def convert(
         typer.echo(f"sumo-adv: {error}", err=True)
 
     reports = []
-    choice = Choice(record_id, index, first)
+    choice = Choice(record_id, first=first)
     for record in _records(source, choice, tell if keep_going else None):
         try:
             reports.append(_one(record, out, traffic=traffic, force=force))
@@ -82,7 +86,7 @@ def _records(source: Path, choice: Choice, told: Told | None) -> Iterable[Record
     if not is_commonroad(source):
         return read_records(source, choice, told)
     if choice != ALL:
-        raise UsageError(f"--id, --index and --first choose among records of a TFRecord file, which {source} is not.")
+        raise UsageError(f"--id and --first choose among records of a TFRecord file, which {source} is not.")
     return [read_commonroad(source)]
 
 
@@ -98,7 +102,6 @@ def _fault(record: str, error: Exception) -> str:
 
 def _one(record: Record, out: Path, *, traffic: bool, force: bool) -> dict[str, Any]:
     """Put one record's folder in its place; its report and folder."""
-    from sumo_adv.report.staging import staged
     from sumo_adv.womd.convert import REPORT, conversion
 
     with staged(out / record.scenario_id, force=force, marker=REPORT) as folder:
@@ -110,7 +113,6 @@ def _one(record: Record, out: Path, *, traffic: bool, force: bool) -> dict[str, 
 
 
 def show(reports: list[dict[str, Any]]) -> None:
-    """The reports as a table."""
     from rich.box import SIMPLE_HEAD
     from rich.console import Console
     from rich.table import Table
@@ -126,3 +128,63 @@ def show(reports: list[dict[str, Any]]) -> None:
     console = Console(width=max(console.width, TABLE_WIDTH))  # a narrow terminal wraps lines, but loses no cell
     console.print(table)
     console.print(LEGEND, highlight=False)
+
+
+IMPORT_EXAMPLE = "Example: sumo-adv import fcd.xml --network town.net.xml --ego 17 --out recorded"
+
+
+def import_fcd(
+    recording: Annotated[Path, typer.Argument(metavar="FCD", help="What sumo --fcd-output wrote, packed or not.")],
+    network: Annotated[Path, typer.Option(help="The .net.xml that it was driven on.")],
+    ego: Annotated[str, typer.Option(help="Id of the vehicle under test.")],
+    out: Annotated[Path, typer.Option(help="Folder to write.")],
+    types: Annotated[
+        list[Path] | None, typer.Option(help="File of vTypes that say how large vehicles are; repeatable.")
+    ] = None,
+    warm_up: Annotated[
+        float, typer.Option(min=0.0, help="How long the recording moves all vehicles after the ego came, s.")
+    ] = 3.0,
+    force: Annotated[bool, typer.Option("--force", help="Replace an earlier import.")] = False,
+) -> None:
+    """Make a scenario of floating car data: run it with any ego; the other vehicles become SUMO's, or stay recorded."""
+    from sumo_adv.simulation.fcd_scenario import SCENARIO, write_scenario
+    from sumo_adv.simulation.scan import scan_network
+
+    scan_network(network)
+    with staged(out, force=force, marker=SCENARIO) as folder:
+        count = write_scenario(folder.stage, recording, network, ego, types or (), warm_up)
+        folder.keep(force=force)
+    typer.echo(f"{count} objects; run it: sumo-adv run {out / SCENARIO}")
+
+
+SCENARIOS_EXAMPLE = "Example: sumo-adv scenarios"
+MEANS = (
+    "Adversary, level and intent are those of the best attack: sumo-adv run SCENARIO --until serious --learn off,\n"
+    "with --adversaries 2 for one of 2."
+)
+
+
+def scenarios(
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
+) -> None:
+    """List the shipped scenarios with road, best attack and a description, and the shipped networks."""
+    from sumo_adv.simulation.shipped import shipped_files, shipped_scenarios
+
+    shipped, networks = shipped_scenarios(), shipped_files("networks", ".net.xml")
+    if as_json:
+        typer.echo(json.dumps({"scenarios": [asdict(s) for s in shipped], "networks": networks}))
+        return
+    rows = [("scenario", "road", "adversary", "level", "intent")]
+    rows += [(s.name, s.road, _adversary(s), s.level or "-", s.intents[0]) for s in shipped]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = ["  ".join(word.ljust(width) for word, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+    typer.echo(lines[0])
+    for line, s in zip(lines[1:], shipped, strict=True):
+        typer.echo(f"{line}\n    {s.description}")
+    typer.echo(f"Networks: {', '.join(networks)}\n{MEANS}")
+
+
+def _adversary(scenario: ShippedScenario) -> str:
+    """The collider's relation, and how many adversaries there are if there are several."""
+    relation = scenario.relation or "-"
+    return relation if scenario.adversaries == 1 else f"{relation}, of {scenario.adversaries}"

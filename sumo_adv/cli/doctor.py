@@ -1,25 +1,26 @@
-"""``doctor``: is everything here that a run needs, and what else could be; and the line of ``--version``.
-
-With ``--ego`` it checks a driver instead (``doctor_ego.py``).
-"""
+"""``doctor``: is everything here that a run needs; with ``--ego`` the check of a driver; the line of ``--version``."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from sumo_adv import __version__
+from sumo_adv.app import shipped_bank
+from sumo_adv.config import Settings, load_settings
 from sumo_adv.errors import SumoAdvError, UsageError
+from sumo_adv.memory.store import default_bank_path
 
 if TYPE_CHECKING:
     from sumo_adv.cli.doctor_checks import Finding
+    from sumo_adv.driver_check import Checked, DriverCheck
 
 EXAMPLE = "Example: sumo-adv doctor --llm ollama:llama3"
 
@@ -42,11 +43,9 @@ def doctor(
     With --ego: faults of a driver or its adapter; the exit status is 3 if there are any.
     """
     if ego is not None:
-        from sumo_adv.cli.doctor_ego import check
-
         if llm is not None or memory is not None:
             raise UsageError("--ego checks a driver alone: leave out --llm and --memory.")
-        check(ego, scenario or (), settings_file, as_json=as_json)
+        check_ego(ego, scenario or (), settings_file, as_json=as_json)
         return
     if scenario:
         raise UsageError("--scenario says where the driver of --ego is checked: name the driver as well.")
@@ -65,8 +64,6 @@ def doctor(
 
 def _findings(llm: str | None, memory: Path | None, settings_file: Path | None) -> Iterator[Finding]:
     from sumo_adv.cli import doctor_checks as checks
-    from sumo_adv.cli import doctor_user as user
-    from sumo_adv.config import Settings, load_settings
     from sumo_adv.simulation.inputs import data_folder
 
     yield from checks.interpreter()
@@ -83,21 +80,18 @@ def _findings(llm: str | None, memory: Path | None, settings_file: Path | None) 
     except SumoAdvError as error:
         yield checks.Finding("settings", checks.Level.FAIL, str(error), "correct the variable or the file")
         settings = None
-    yield from user.variables(Settings.model_fields)
+    yield from checks.variables(Settings.model_fields)
     yield from checks.sandbox(settings is None or settings.bubblewrap)
     if settings is not None:
-        yield from user.model(settings)
-    yield from user.bank(memory if settings is None else settings.memory)
-    yield from user.output(Path.cwd())
+        yield from checks.model(settings)
+    yield from checks.bank(memory if settings is None else settings.memory)
+    yield from checks.output(Path.cwd())
 
 
 def version_line() -> str:
     """This program, SUMO and the memory bank that a run would use (the shipped one where there is none yet)."""
-    from sumo_adv.app import shipped_bank
-    from sumo_adv.config import load_settings
     from sumo_adv.memory.bank import MemoryBank
     from sumo_adv.memory.migrations import MIGRATIONS
-    from sumo_adv.memory.store import default_bank_path
 
     try:
         sumo = version("libsumo")
@@ -110,3 +104,56 @@ def version_line() -> str:
     except SumoAdvError as error:
         description = str(error).rstrip(".")
     return f"sumo-adv {__version__} (SUMO {sumo}; memory bank: {description})"
+
+
+FOUND = 3  # exit status of a check that fails
+WIDTH = 40  # columns for a scenario's name
+
+
+def check_ego(ego: str, scenarios: Sequence[Path], settings_file: Path | None, *, as_json: bool) -> None:
+    """Check a driver and print what was found. Raises typer.Exit if there is a finding."""
+    from sumo_adv import app
+
+    settings = load_settings(settings_file, ego=ego)
+    inputs = [app.load(source, None) for source in scenarios] or None
+    if not as_json:
+        typer.echo(f"{'scenario':<{WIDTH}} {'time':>6} {'ego':>7} {'idm':>7}  findings")
+    done = app.check_driver(inputs, settings, (lambda checked: None) if as_json else _tell)
+    if as_json:
+        typer.echo(json.dumps(_plain(done)))
+    else:
+        typer.echo("\n".join(summary(done)))
+    if done.kinds:
+        raise typer.Exit(FOUND)
+
+
+def _tell(checked: Checked) -> None:
+    findings = "; ".join(f"{f.kind} at {f.time:.1f} s: {f.words}" for f in checked.findings) or "good"
+    drove = f"{checked.seconds:4.0f} s {checked.metres:5.0f} m {checked.idm_metres:5.0f} m"
+    typer.echo(f"{checked.scenario:<{WIDTH}} {drove}  {findings}")
+
+
+def summary(done: DriverCheck) -> list[str]:
+    from sumo_adv.driver_check import MEANING
+
+    lines = [f"{kind}: {MEANING[kind]}" for kind in done.kinds]
+    if done.act_ms is not None:
+        lines.append("An answer takes {:.1f} ms (median; 99 % within {:.1f} ms).".format(*done.act_ms))
+    wrong = sum(bool(checked.findings) for checked in done.scenarios)
+    if not wrong:
+        lines.append(f"{done.ego} drives well in all {len(done.scenarios)} scenarios.")
+    else:
+        lines.append(f"{done.ego}: something is wrong in {wrong} of {len(done.scenarios)} scenarios.")
+    return lines
+
+
+def _plain(done: DriverCheck) -> dict[str, Any]:
+    from sumo_adv.driver_check import MEANING
+
+    return {
+        "ego": done.ego,
+        "ok": not done.kinds,
+        "findings": {kind: MEANING[kind] for kind in done.kinds},
+        "act_ms": None if done.act_ms is None else {"median": done.act_ms[0], "p99": done.act_ms[1]},
+        "scenarios": [asdict(checked) for checked in done.scenarios],
+    }

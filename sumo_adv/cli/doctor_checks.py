@@ -1,4 +1,4 @@
-"""What ``doctor`` looks at on the machine: each check tries the real thing, says what it found and how to fix it."""
+"""What ``doctor`` looks at, of the machine and the user's: each check tries the real thing and says how to fix it."""
 
 from __future__ import annotations
 
@@ -7,24 +7,36 @@ import os
 import platform
 import re
 import shutil
+import socket
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Mapping
+import tempfile
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING
+from urllib.parse import urlsplit
+from urllib.request import getproxies
 
 from sumo_adv import __version__
+from sumo_adv.app import shipped_bank
+from sumo_adv.config import PREFIX, Settings
 from sumo_adv.errors import SumoAdvError
+from sumo_adv.memory.store import default_bank_path
+from sumo_adv.planners.source import make_planner
 from sumo_adv.simulation.library import SYSTEM_LIBRARIES
+
+if TYPE_CHECKING:
+    from sumo_adv.llm.client import Server
 
 LIBRARIES = ("numpy", "scipy", "shapely", "httpx", "pydantic", "pydantic_settings", "typer", "rich", "matplotlib")
 EXTRAS = (
     ("sumo", "sumo", "serve, Waymo records, OpenSCENARIO"), ("google.protobuf", "womd", "Waymo records"),
     ("qc_openscenario", "export", "OpenSCENARIO"), ("pyarrow", "batch", "results.parquet"),
-    ("ray", "ray", "batches and crash rates on several machines"), ("cma", "bench", "the benchmark's row cma"),
+    ("ray", "ray", "batches and crash rates on several machines"),
     ("fiss_planner", "planners", "the ego fiss_plus"), ("gymnasium", "gym", "the environments"),
     ("optax", "train", "training the row transformer"),
 )  # fmt: skip
@@ -69,13 +81,11 @@ class Finding:
 
 
 def reason(error: Exception) -> str:
-    """An error on one line."""
     text = " ".join(str(error).split()).rstrip(".")
     return text if isinstance(error, SumoAdvError) else f"{type(error).__name__}: {text}"
 
 
 def interpreter() -> Iterator[Finding]:
-    """Python, and whether it can fork."""
     here = f"sumo_adv {__version__}, Python {platform.python_version()}, {platform.system()} {platform.machine()}"
     if hasattr(os, "fork") and sys.platform != "darwin":
         yield Finding("program", Level.OK, here)
@@ -87,7 +97,6 @@ def interpreter() -> Iterator[Finding]:
 
 
 def libraries(names: tuple[str, ...] = LIBRARIES) -> Iterator[Finding]:
-    """Those that every run needs, imported."""
     present, missing = [], []
     for name in names:
         try:
@@ -103,7 +112,6 @@ def libraries(names: tuple[str, ...] = LIBRARIES) -> Iterator[Finding]:
 
 
 def extras(there: Callable[[str], bool] | None = None) -> Iterator[Finding]:
-    """What only some commands need."""
     there = there or _installed
     missing = [(extra, use) for module, extra, use in EXTRAS if not there(module)]
     names = ", ".join(extra for _, extra, _ in EXTRAS if extra not in {e for e, _ in missing})
@@ -193,7 +201,6 @@ def _version(name: str) -> str:
 def sandbox(bubblewrap: bool, contained: bool | None = None) -> Iterator[Finding]:
     """A planner is tried where planners run; and how many walls there are. ``contained``: in a container."""
     from sumo_adv.planners.sandbox import Sandbox
-    from sumo_adv.planners.source import make_planner
     from sumo_adv.planners.trial import trial
 
     try:
@@ -230,3 +237,124 @@ def _more_walls(note: str) -> str:
 def in_container(files: tuple[str, ...] = CONTAINERS, environment: Mapping[str, str] = os.environ) -> bool:
     """Whether this is the inside of a container, as far as its usual marks tell."""
     return bool(environment.get("container")) or any(Path(file).exists() for file in files)
+
+
+REACHED = 3.0  # s for a server to take a connection
+LITTLE_SPACE = 500e6  # bytes
+
+
+def variables(known: Collection[str], environment: Mapping[str, str] = os.environ) -> Iterator[Finding]:
+    """Variables that look like settings and are none; ``known``: the names of settings. Values are never shown."""
+    given = [name for name in environment if name.upper().startswith(PREFIX)]
+    unknown = sorted(n for n in given if n.upper().removeprefix(PREFIX).split("__")[0].lower() not in known)
+    if unknown:
+        state = f"{', '.join(unknown)}: no setting has that name, so it does nothing"
+        yield Finding("variables", Level.WARN, state, "see docs/settings.md for the names")
+
+
+def model(settings: Settings, environment: Mapping[str, str] = os.environ) -> Iterator[Finding]:
+    """The servers of the models that the settings name. Nothing is asked of them, and no key is sent or shown."""
+    from sumo_adv.agents.agents import ROLES
+    from sumo_adv.llm.client import REPLAY, find_server
+
+    names = sorted({name for role in ROLES if (name := settings.player(role)) is not None})
+    level = Level.WARN if settings.fallback == "builtin" else Level.FAIL
+    if not names:
+        yield Finding("model", Level.OK, "none is set: the built-in expert plays all parts (--llm NAME names one)")
+    for name in names:
+        if name.startswith(REPLAY):
+            there = Path(name.removeprefix(REPLAY)).is_file()
+            state = "a recording, asked instead of a model" if there else "a recording that is not there"
+            yield Finding(f"model {name}", Level.OK if there else level, state, "" if there else "give its path")
+            continue
+        try:
+            server = find_server(name, settings, environment)
+        except SumoAdvError as error:
+            yield Finding(f"model {name}", level, reason(error), "see docs/models.md")
+            continue
+        yield _reached(name, server, level)
+
+
+def _reached(name: str, server: Server, level: Level) -> Finding:
+    parts = urlsplit(server.base_url)
+    host, port = parts.hostname or "", parts.port or (443 if parts.scheme == "https" else 80)
+    key = "with a key" if server.key is not None else "without a key"
+    proxy = None if host in ("localhost", "127.0.0.1", "::1") else getproxies().get(parts.scheme)
+    way = urlsplit(proxy) if proxy else None
+    try:
+        with socket.create_connection((way.hostname or "", way.port or 80) if way else (host, port), timeout=REACHED):
+            pass
+    except OSError as error:
+        mend = "start the server, or correct SUMO_ADV_LLM_BASE_URL"
+        through = "the proxy on the way to " if way else ""
+        return Finding(f"model {name}", level, f"{through}{host}:{port} cannot be reached ({reason(error)})", mend)
+    done = "the proxy on the way to it takes connections" if way else "takes connections"
+    return Finding(f"model {name}", Level.OK, f"{host}:{port} {done}; {key}. It was asked nothing")
+
+
+def bank(path: Path | None) -> Iterator[Finding]:
+    """The bank that a run would use; none is made."""
+    from sumo_adv.memory.bank import MemoryBank
+    from sumo_adv.memory.migrations import MIGRATIONS
+
+    used = path or default_bank_path()
+    try:
+        if not used.exists():
+            with MemoryBank.open(shipped_bank(), read_only=True) as shipped:
+                says = (
+                    f"{len(shipped.intents())} intents, schema {len(MIGRATIONS)}, content {shipped.content_hash()[:12]}"
+                )
+            yield _made_later(used, says)
+            return
+        with MemoryBank.open(used) as bank:
+            says = (
+                f"{used}: {len(bank.intents())} intents, schema {len(MIGRATIONS)}, content {bank.content_hash()[:12]}"
+            )
+            writable = bank.writable
+    except SumoAdvError as error:
+        yield Finding("memory bank", Level.FAIL, reason(error), "give another --memory, or move the file away")
+        return
+    if writable:
+        yield Finding("memory bank", Level.OK, says)
+    else:
+        yield Finding(
+            "memory bank",
+            Level.WARN,
+            f"{says}; read-only, so nothing is learnt",
+            "make the file and its folder writable",
+        )
+
+
+def _made_later(path: Path, says: str) -> Finding:
+    """The nearest folder above that is there must be writable."""
+    above = next(folder for folder in path.absolute().parents if folder.is_dir())
+    wrong = not_writable(above)
+    if wrong is None:
+        return Finding("memory bank", Level.OK, f"none yet; the first run copies the shipped one ({says}) to {path}")
+    mend = "set --memory, SUMO_ADV_MEMORY or XDG_DATA_HOME to where you may write"
+    return Finding("memory bank", Level.FAIL, f"none yet, and {above} cannot be written ({wrong})", mend)
+
+
+def output(folder: Path) -> Iterator[Finding]:
+    """Whether ``runs/`` in ``folder`` can be written, and how much room there is."""
+    runs = folder / "runs"
+    place = runs if runs.is_dir() else folder
+    wrong = not_writable(place)
+    if wrong is not None:
+        yield Finding("output", Level.FAIL, f"{place} cannot be written ({wrong})", "run elsewhere, or give --out")
+        return
+    free = shutil.disk_usage(place).free
+    if free < LITTLE_SPACE:
+        shortage = f"{place} can be written, but only {free / 1e6:.0f} MB are free"
+        yield Finding("output", Level.WARN, shortage, "free some space: a run takes 0.1 MB, a campaign gigabytes")
+    else:
+        yield Finding("output", Level.OK, f"{place} can be written; {free / 1e9:.0f} GB are free")
+
+
+def not_writable(folder: Path) -> str | None:
+    """Why no file can be made there; None if one can."""
+    try:
+        with tempfile.NamedTemporaryFile(dir=folder):
+            return None
+    except OSError as error:
+        return (error.strerror or str(error)).lower()

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from sumo_adv.app import unpacked
 from sumo_adv.errors import UsageError
 from sumo_adv.report.export.choices import Format, Variant
 
@@ -46,8 +47,7 @@ def export(
         raise UsageError("Give either --whole or --before, not both.")
     if variant is not Variant.REPLAY and format is not Format.OPENSCENARIO:
         raise UsageError("Only --format openscenario has a --variant.")
-    from sumo_adv.app import unpacked
-    from sumo_adv.campaigns.pack import packed_rows
+    from sumo_adv.campaigns.store import packed_rows
     from sumo_adv.report.export.formats import FORMATS
     from sumo_adv.report.export.piece import read_piece
     from sumo_adv.report.export.write import chosen, left_out, runs_in, write_export

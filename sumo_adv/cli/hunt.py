@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from sumo_adv.cli import options as shared
+from sumo_adv.cli import options as opt
 from sumo_adv.cli.options import ATTACK, INPUT, OUTPUT, RUNNING, SEARCH, option
 from sumo_adv.datatypes import Level
 
@@ -38,21 +38,21 @@ NoPages = Annotated[bool, option(OUTPUT, "Make no index page and no replays.", "
 
 def hunt(
     context: typer.Context, given: Given, ego: Ego = None, minutes: Minutes = 30.0, distinct: Distinct = None,
-    until: shared.UntilLevel = None, min_delta_v: shared.MinDeltaV = None, intents: shared.Intents = None,
-    exclude: shared.Exclude = None, kind: shared.Kind = None, adversaries: shared.Adversaries = None,
-    settings_file: shared.SettingsFile = None, seed: Seed = 0, memory: Memory = None, workers: shared.Workers = None,
+    until: opt.UntilLevel = None, min_delta_v: opt.MinDeltaV = None, intents: opt.Intents = None,
+    exclude: opt.Exclude = None, kind: opt.Kind = None, adversaries: opt.Adversaries = None,
+    settings_file: opt.SettingsFile = None, seed: Seed = 0, memory: Memory = None, workers: opt.Workers = None,
     deadline: Deadline = 600.0, cluster: Annotated[
         str | None, option(RUNNING, "Run on this Ray cluster: auto, HOST:PORT, ray://HOST:PORT.", default="none")
     ] = None,
-    out: Out = None, no_pages: NoPages = False, as_json: shared.AsJson = False,
+    out: Out = None, no_pages: NoPages = False, as_json: opt.AsJson = False,
 ) -> None:  # fmt: skip
     """Find the worst distinct failures of a driver in a given time. The same command again goes on.
 
     Ctrl-C finishes what runs, and leaves what was found. Keep all failures with: sumo-adv keep OUT/failures --suite DIR
     """
-    from sumo_adv.api_hunt import hunt as hunted
+    from sumo_adv.api_batch import hunt as hunted
 
-    chosen = shared.given(
+    chosen = opt.given(
         context.params, ("until", "min_delta_v", "intents", "exclude", "kind", "adversaries")
     )  # fmt: skip
     tell = None if as_json else _tell
@@ -77,13 +77,12 @@ def _document(found: Found, rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _stopping(now: bool) -> None:
-    from sumo_adv.cli.batch_progress import stopping_words
+    from sumo_adv.cli.progress import stopping_words
 
     typer.echo(stopping_words(now), err=True)
 
 
 def _tell(progress: HuntProgress) -> None:
-    """A line for a round."""
     levels = ", ".join(f"{progress.count(level)} {level}" for level in (Level.SERIOUS, Level.STRICT, Level.VALID))
     newest = f" Newest: {progress.newest.words}." if progress.newest is not None else ""
     lost = f", {progress.lost} lost" if progress.lost else ""

@@ -12,27 +12,20 @@ import typer
 from sumo_adv.cli import (
     batch,
     bench,
-    compare,
     convert,
     doctor,
     export,
-    figure,
     hunt,
-    import_fcd,
     judge,
-    keep,
     memory,
-    minimise,
     rate,
     regress,
     report,
     run,
-    scenarios,
     serve,
     transformer,
     write,
 )
-from sumo_adv.cli.interrupts import Interrupts
 from sumo_adv.errors import SumoAdvError
 
 INTERRUPTED = 130  # what typer makes of Ctrl-C
@@ -42,23 +35,26 @@ app = typer.Typer(
     help="Finds the dangerous case inside SUMO, online, against your driver.",
     epilog="Example: sumo-adv run scenarios/motorway_cut_in_left.toml --until valid",
 )  # fmt: skip
-app.command("run", epilog=run.EXAMPLE)(run.run)
-app.command("write", epilog=write.EXAMPLE)(write.write)
-app.command("hunt", epilog=hunt.EXAMPLE)(hunt.hunt)
-app.command("scenarios", epilog=scenarios.EXAMPLE)(scenarios.scenarios)
-app.command("serve", epilog=serve.EXAMPLE)(serve.serve)
-app.command("convert", epilog=convert.EXAMPLE)(convert.convert)
-app.command("minimise", epilog=minimise.EXAMPLE)(minimise.minimise)
-app.command("judge", epilog=judge.EXAMPLE)(judge.judge)
-app.command("keep", epilog=keep.EXAMPLE)(keep.keep)
-app.command("regress", epilog=regress.EXAMPLE)(regress.regress)
-app.command("rate", epilog=rate.EXAMPLE)(rate.rate)
-app.command("compare", epilog=compare.EXAMPLE)(compare.compare)
-app.command("report", epilog=report.EXAMPLE)(report.report)
-app.command("figure", epilog=figure.EXAMPLE)(figure.figure)
-app.command("export", epilog=export.EXAMPLE)(export.export)
-app.command("import", epilog=import_fcd.EXAMPLE)(import_fcd.import_fcd)
-app.command("doctor", epilog=doctor.EXAMPLE)(doctor.doctor)
+for name, command, example in (
+    ("run", run.run, run.EXAMPLE),
+    ("write", write.write, write.EXAMPLE),
+    ("hunt", hunt.hunt, hunt.EXAMPLE),
+    ("scenarios", convert.scenarios, convert.SCENARIOS_EXAMPLE),
+    ("serve", serve.serve, serve.EXAMPLE),
+    ("convert", convert.convert, convert.EXAMPLE),
+    ("minimise", run.minimise, run.MINIMISE_EXAMPLE),
+    ("judge", judge.judge, judge.EXAMPLE),
+    ("keep", regress.keep, regress.KEEP_EXAMPLE),
+    ("regress", regress.regress, regress.EXAMPLE),
+    ("rate", rate.rate, rate.EXAMPLE),
+    ("compare", judge.compare, judge.COMPARE_EXAMPLE),
+    ("report", report.report, report.EXAMPLE),
+    ("figure", report.figure, report.FIGURE_EXAMPLE),
+    ("export", export.export, export.EXAMPLE),
+    ("import", convert.import_fcd, convert.IMPORT_EXAMPLE),
+    ("doctor", doctor.doctor, doctor.EXAMPLE),
+):
+    app.command(name, epilog=example)(command)
 app.add_typer(batch.app, name="batch")
 app.add_typer(bench.app, name="bench")
 app.add_typer(memory.app, name="memory")
@@ -81,7 +77,6 @@ def options(
 
 
 def main() -> None:
-    """The program."""
     try:
         app()
     except SumoAdvError as error:
@@ -97,7 +92,7 @@ def main() -> None:
         if end.code == INTERRUPTED:
             typer.echo("sumo-adv: interrupted.", err=True)
             _leave(1)
-        if Interrupts.happened:
+        if run.Interrupts.happened:
             _leave(end.code if isinstance(end.code, int) else 1)
         raise
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from sumo_adv.app import open_bank
-from sumo_adv.cli import memory_check, memory_edit, memory_exchange, memory_generate
-from sumo_adv.cli.memory_common import Bank, Json, answer, known_intent
+from sumo_adv.cli import memory_check, memory_edit
+from sumo_adv.cli.memory_edit import Bank, Json, answer, known_intent
 
 if TYPE_CHECKING:
     from sumo_adv.memory.records import Composition
@@ -43,7 +44,6 @@ def list_(memory: Bank = None, as_json: Json = False) -> None:
 
 
 def counts(c: Composition) -> str:
-    """How often a composition succeeded and failed."""
     attempts, forgotten = "attempt" if c.succeeded == 1 else "attempts", "; forgotten" if c.hopeless else ""
     return f"{c.succeeded} {attempts} succeeded, {c.failed} failed since the last success{forgotten}"
 
@@ -86,7 +86,6 @@ def show(label: str, memory: Bank = None, as_json: Json = False) -> None:
 
 
 def show_composition(c: Composition, as_json: bool) -> None:
-    """A composition with its parts."""
     from sumo_adv.memory.records import plain_composition
 
     answer(plain_composition(c), as_json, lambda: [
@@ -113,19 +112,14 @@ def find(text: str, memory: Bank = None, as_json: Json = False) -> None:
 def stats(
     memory: Bank = None,
     as_json: Json = False,
-    failures: Annotated[
-        int, typer.Option(min=1, help="Failures without a success to propose retiring a planner.")
-    ] = 20,
 ) -> None:
     """Counts, successes and failures by intent and planner; what could be merged or retired (never done here)."""
-    from dataclasses import asdict
-
     from sumo_adv.memory.curate import hopeless, near_duplicates, planner_counts, statistics
 
     with open_bank(memory) as bank:
         counts, planners = statistics(bank), planner_counts(bank)
         epsilon, calibrated_on = bank.epsilon()
-        merging, retiring = near_duplicates(bank), hopeless(bank, failures)
+        merging, retiring = near_duplicates(bank), hopeless(bank)
         value = {
             **counts, "hash": bank.content_hash(), "epsilon": epsilon, "calibrated_on": calibrated_on,
             "by_planner": [asdict(p) for p in planners],
@@ -141,10 +135,5 @@ def stats(
     ])  # fmt: skip
 
 
-for _name, _command, _example in (
-    *memory_edit.COMMANDS,
-    *memory_generate.COMMANDS,
-    *memory_exchange.COMMANDS,
-    *memory_check.COMMANDS,
-):
+for _name, _command, _example in (*memory_edit.COMMANDS, *memory_check.COMMANDS):
     app.command(_name, epilog=f"Example: sumo-adv memory {_example}")(_command)

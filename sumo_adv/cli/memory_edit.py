@@ -1,18 +1,48 @@
-"""``memory add | merge | retire | new``: changing a bank by hand."""
+"""``memory``: what changes a bank by hand, by a language model, or as folders of text; what its commands share."""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Callable
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sumo_adv.app import open_bank, shipped_bank
-from sumo_adv.cli.memory_common import Bank, Json, answer, known_intent
+from sumo_adv.app import new_sandbox, open_bank, shipped_bank, shipped_prompts
+from sumo_adv.config import Settings, load_settings
+from sumo_adv.datatypes import Intent, LibraryEntry, Planner
+from sumo_adv.errors import UsageError
+from sumo_adv.planners.source import make_planner, parse_parameters
 
 if TYPE_CHECKING:
     from sumo_adv.memory.bank import MemoryBank
     from sumo_adv.memory.records import IntentRecord
+
+Bank = Annotated[
+    Path | None,
+    typer.Option(
+        "--memory", envvar="SUMO_ADV_MEMORY", show_envvar=False,
+        help="The bank (default: SUMO_ADV_MEMORY, else the one in the user's data folder).",
+    ),
+]  # fmt: skip
+Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout.")]
+
+
+def known_intent(bank: MemoryBank, label: str) -> IntentRecord:
+    """The intent of that label. Raises UsageError that names those there are."""
+    record = bank.intent(label)
+    if record is None:
+        labels = ", ".join(r.label for r in bank.intents())
+        raise UsageError(f"The bank has no intent '{label}'; it has: {labels}.")
+    return record
+
+
+def answer(value: dict[str, Any], as_json: bool, words: Callable[[], list[str]]) -> None:
+    """Print ``value`` as JSON, or the lines that ``words`` makes for people."""
+    for line in [json.dumps(value)] if as_json else words():
+        typer.echo(line)
 
 
 def add(
@@ -25,9 +55,7 @@ def add(
     as_json: Json = False,
 ) -> None:
     """Add a planner of your own, after it answered well in made-up situations in the sandbox."""
-    from sumo_adv.errors import UsageError
     from sumo_adv.planners.sandbox import Sandbox
-    from sumo_adv.planners.source import make_planner
     from sumo_adv.planners.trial import trial
 
     name = (mode or file.stem).strip()
@@ -56,7 +84,6 @@ def add(
 
 
 def _read(file: Path) -> str:
-    from sumo_adv.errors import UsageError
 
     try:
         return file.read_text(encoding="utf-8")
@@ -66,8 +93,6 @@ def _read(file: Path) -> str:
 
 
 def _intent_to_add(bank: MemoryBank, label: str, description: str | None, applies: str | None) -> IntentRecord:
-    """The intent as the bank has it, or a new one."""
-    from sumo_adv.errors import UsageError
     from sumo_adv.memory.records import RELATIONS, IntentRecord
 
     record = bank.intent(label)
@@ -96,9 +121,6 @@ def merge(
     as_json: Json = False,
 ) -> None:
     """Move the planners and the evidence of A into B; A is retired, and its label finds B from then on."""
-    from dataclasses import asdict
-
-    from sumo_adv.errors import UsageError
     from sumo_adv.memory.curate import near_duplicates
 
     if not propose and (label is None or into is None or word is None or word.casefold() != "into"):
@@ -153,9 +175,140 @@ def new(
     answer({"path": str(path), "intents": labels}, as_json, lambda: [f"Made {path} with {', '.join(labels)}."])
 
 
+def generate(
+    description: Annotated[str, typer.Argument(help="What the vehicle does, in one to three sentences.")],
+    label: Annotated[str | None, typer.Option(help="The intent's label (default: the description's words).")] = None,
+    applies: Annotated[
+        str | None, typer.Option(help="Of a new intent: relations, e.g. leader,neighbour (default: the nearest's).")
+    ] = None,
+    llm: Annotated[str | None, typer.Option(help="The model (else that of the settings).")] = None,
+    trajectory: Annotated[
+        str | None, typer.Option(help="Your instruction for the trajectory, e.g. 'a cubic spline, at most 2 m/s2'.")
+    ] = None,
+    settings_file: Annotated[Path | None, typer.Option("--settings", help="TOML file of settings.")] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the planner; keep nothing.")] = False,
+    memory: Bank = None,
+    as_json: Json = False,
+) -> None:
+    """Have a model write a planner, try it in the sandbox, and add it to the bank.
+
+    For an intent that the bank has, it becomes one more mode of it.
+    """
+    settings = load_settings(settings_file, llm=llm, instruction=trajectory)
+    name = settings.player("generator")
+    if name is None:
+        raise UsageError("Only a language model can write planners from words: name one with --llm.")
+    with open_bank(memory, make=not dry_run) as bank:
+        intent, near = _intent(bank, label or " ".join(description.split()[:6]), description, applies)
+        planner = _free_mode(bank, intent, _written(settings, name, intent, near))
+        if not dry_run:
+            bank.add(intent, [planner])
+    value = {
+        "label": intent.label, "applies": list(intent.applies), "mode": planner.mode, "hash": planner.hash,
+        "by": planner.origin, "source": planner.source, "added": not dry_run,
+    }  # fmt: skip
+    done = f"{'Not added' if dry_run else 'Added'}: {intent.label} / {planner.mode} ({planner.hash[:12]})."
+    answer(value, as_json, lambda: [planner.source, done])
+
+
+def _intent(
+    bank: MemoryBank, label: str, description: str, applies: str | None
+) -> tuple[IntentRecord, list[LibraryEntry]]:
+    """The intent as the bank has it or a new one, and the nearest entries as examples."""
+    from sumo_adv.memory.records import IntentRecord
+
+    nearest = [record for name, _ in bank.retrieve(label, description).nearest if (record := bank.intent(name))]
+    near = [LibraryEntry(r.label, r.description, r.applies, tuple(bank.planners(r.label))) for r in nearest]
+    existing = bank.intent(label)
+    if existing is not None and existing.status == "active":
+        return existing, near
+    words = [word.strip() for word in (applies or "").split(",") if word.strip()] or list(near[0].applies)
+    return IntentRecord(label, " ".join(description.split()), tuple(dict.fromkeys(words))), near
+
+
+def _written(settings: Settings, name: str, intent: IntentRecord, near: list[LibraryEntry]) -> Planner:
+    from sumo_adv.agents.generator import ModelGenerator
+    from sumo_adv.llm.asking import MeteredModel
+    from sumo_adv.llm.chat import Ledger
+    from sumo_adv.llm.client import connect
+    from sumo_adv.planners.trial import trial
+
+    ledger = Ledger.for_settings(settings)
+    with new_sandbox(settings) as sandbox:
+        generator = ModelGenerator(
+            MeteredModel(connect(name, settings, ledger), ledger), shipped_prompts(), settings.limits.limits(),
+            lambda p: trial(sandbox, p, intent.applies, type_check=True), tries=settings.generations,
+            instruction=settings.instruction,
+        )  # fmt: skip
+        return generator.generate(Intent("", intent.label, intent.description, "high", 0.0), None, near)[0]
+
+
+def _free_mode(bank: MemoryBank, intent: IntentRecord, planner: Planner) -> Planner:
+    """The planner with a mode that no other of its intent has."""
+    taken = {p.mode for p in bank.planners(intent.label)}
+    modes = (planner.mode, *(f"{planner.mode}_{k}" for k in range(2, len(taken) + 3)))
+    return replace(planner, mode=next(mode for mode in modes if mode not in taken))
+
+
+def export(
+    folder: Annotated[Path, typer.Argument(help="Folder to write.")],
+    force: Annotated[bool, typer.Option("--force", help="Replace an earlier export there.")] = False,
+    memory: Bank = None,
+    as_json: Json = False,
+) -> None:
+    """Write the bank as text: a folder an intent, with a planner a mode and its evidence; and the compositions."""
+    from sumo_adv.memory.exchange import export_bank
+
+    with open_bank(memory) as bank:
+        count = export_bank(bank, folder, force=force)
+        value = {"folder": str(folder), "intents": count, "hash": bank.content_hash()}
+    answer(value, as_json, lambda: [f"Exported {count} intents to {folder}."])
+
+
+def import_(
+    folder: Annotated[Path, typer.Argument(help="Folder that export wrote.")],
+    skip: Annotated[bool, typer.Option("--skip-refused", help="Take the rest where something is refused.")] = False,
+    memory: Bank = None,
+    as_json: Json = False,
+) -> None:
+    """Add what the bank lacks of an export. If a planner fails in the sandbox, nothing is added."""
+    from sumo_adv.memory.exchange import import_bank
+    from sumo_adv.planners.sandbox import Sandbox
+    from sumo_adv.planners.trial import trier
+
+    with open_bank(memory, make=True) as bank, Sandbox() as sandbox:
+        added, refused = import_bank(bank, folder, parse_parameters, trier(sandbox), skip_refused=skip)
+    if refused and not skip:
+        named = "; ".join(f"{each.label} / {each.mode}: {each.reason.rstrip('.')}" for each in refused[:5])
+        raise UsageError(
+            f"Nothing of {folder} is imported, {len(refused)} of its planners fail in the sandbox ({named})."
+        )
+    value = {**asdict(added), "refused": [asdict(each) for each in refused]}
+    answer(value, as_json, lambda: [
+        f"Added {added.intents} intents, {added.planners} planners, {added.evidence} pieces of evidence"
+        f"{f', {added.compositions} compositions' if added.compositions else ''}.",
+        *(f"Refused {each.label} / {each.mode}: {each.reason}" for each in refused),
+    ])  # fmt: skip
+
+
+def build(
+    folder: Annotated[Path, typer.Argument(help="Folder of the sources.")],
+    target: Annotated[Path, typer.Argument(help="The bank to write.")],
+) -> None:
+    """Build a bank from text sources: a folder an intent, with intent.toml and a planner a mode."""
+    from sumo_adv.memory.build import build as build_bank
+
+    build_bank(folder, target, parse_parameters)
+    typer.echo(f"Built {target}.")
+
+
 COMMANDS = (
     ("add", add, "add push_hard.py --label 'Close Car-following' --mode hard"),
     ("merge", merge, "merge 'Hard Stop' into 'Emergency Braking'"),
     ("retire", retire, "retire 'Straight Lane Shift' --mode side"),
     ("new", new, "new two.sqlite --only 'Emergency Braking,Close Car-following'"),
+    ("generate", generate, "generate 'A lorry ahead drops to walking pace in the bend' --llm deepseek-chat"),
+    ("export", export, "export my_bank --force"),
+    ("import", import_, "import their_bank"),
+    ("build", build, "build memory_bank memory_bank.sqlite"),
 )

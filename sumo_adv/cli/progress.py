@@ -1,115 +1,235 @@
-"""What a person sees while a run goes on, and at its end. In pipes: plain lines; with --json: nothing."""
+"""What a person sees while a command works, and of a run at its end. In pipes: plain lines; with --json: nothing."""
 
 from __future__ import annotations
 
 import math
+import os
 import sys
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Protocol, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import typer
 
-from sumo_adv.cli.shown import Shown
+from sumo_adv.campaigns.results import Job, Row, failed
 from sumo_adv.datatypes import ENDING_SENTENCES, Attempt, Ending, Level
 from sumo_adv.episode.assessment import rank
 
+if TYPE_CHECKING:
+    from sumo_adv.benchmark import jobs as bench
 
-class Reporter(Protocol):
-    """Told what happens."""
+EVERY = 30.0  # s between lines of a bench where there is no terminal
 
-    def tell(self, what: str, value: Any) -> None:
-        """``encounter``, ``intents`` or ``attempt``."""
-        ...
 
-    def __enter__(self) -> Self: ...
+class Shown:
+    """A context in which ``_display``, something of rich's, is shown, where there is one."""
+
+    _display: Any = None
+
+    def __enter__(self) -> Self:
+        if self._display is not None:
+            self._display.start()
+        return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
+    ) -> None:
+        if self._display is not None:
+            self._display.stop()
 
 
-class Silent(Shown):
-    """Says nothing."""
+class Speaker(Shown):
+    """Lines, in a terminal above a spinner that says what goes on; nothing if ``quiet``."""
 
-    def tell(self, what: str, value: Any) -> None:
-        """Nothing."""
+    def __init__(self, first: str, *, quiet: bool) -> None:
+        self._quiet, self._console = quiet, None
+        if not quiet and sys.stdout.isatty():
+            from rich.console import Console
 
+            self._console = Console(highlight=False)
+            self._display = self._console.status(first)
 
-class Lines(Silent):
-    """One line an event; of attempts, those that are better than all before in the encounter."""
-
-    def __init__(self) -> None:
-        self._best = Best()
-
-    def tell(self, what: str, value: Any) -> None:
-        """Print it."""
-        text = line(what, value)
-        if text and self._best.shows(what, value):
+    def say(self, text: str) -> None:
+        if text and self._console is not None:
+            self._console.print(text, markup=False)
+        elif text and not self._quiet:
             typer.echo(text)
+            sys.stdout.flush()
+
+    def now(self, words: str) -> None:
+        if self._display is not None:
+            self._display.update(words)
 
 
-class Best:
-    """Which attempts are worth a line: the first, and each that came to more than all before in its encounter."""
+class RunProgress(Speaker):
+    """A line an event; of attempts, the first, and each that came to more than all before in its encounter.
 
-    def __init__(self, seconds: float = math.inf) -> None:
-        """``seconds``: that attempts may take in an encounter."""
+    ``seconds``: that attempts may take in an encounter.
+    """
+
+    def __init__(self, *, quiet: bool, seconds: float = math.inf) -> None:
+        super().__init__("Looking for an encounter ...", quiet=quiet)
         self._seconds = seconds
         self._begin()
 
     def _begin(self) -> None:
-        self.attempts, self.level, self._began = 0, Level.NONE, time.perf_counter()
+        self._attempts, self._level, self._began = 0, Level.NONE, time.perf_counter()
         self._rank: tuple[float, float] | None = None
 
-    def shows(self, what: str, value: Any) -> bool:
-        """Whether an event gets a line."""
+    def tell(self, what: str, value: Any) -> None:
+        if self._quiet:
+            return
+        text = line(what, value)
+        if text and self._is_shown(what, value):
+            self.say(text)
+        self.now(self._words())
+
+    def _is_shown(self, what: str, value: Any) -> bool:
         if what == "encounter":
             self._begin()
         if what != "attempt":
             return True
-        self.attempts += 1
-        self.level = max(self.level, value.verdict.level)
+        self._attempts += 1
+        self._level = max(self._level, value.verdict.level)
         new = rank(value.verdict)
         better = self._rank is None or new < self._rank
         self._rank = new if better else self._rank
         return better
 
-    def words(self) -> str:
-        """Attempts so far, how fast they are made, the best level and the seconds that are left."""
+    def _words(self) -> str:
         took = time.perf_counter() - self._began
-        pace, left = self.attempts / max(took, 1e-3), max(self._seconds - took, 0.0)
+        pace, left = self._attempts / max(took, 1e-3), max(self._seconds - took, 0.0)
         until = f"{took:.0f} s so far" if math.isinf(left) else f"{left:.0f} s left"
-        return f"Attacking: {self.attempts} attempts, {pace:.0f} a second, best level {self.level}, {until} ..."
+        return f"Attacking: {self._attempts} attempts, {pace:.0f} a second, best level {self._level}, {until} ..."
 
 
-class Live(Silent):
-    """Lines above a spinner, in a terminal."""
+class ServeProgress(Speaker):
+    """A line for what matters to a server's user, and a state that counts."""
 
-    def __init__(self, seconds: float) -> None:
+    def __init__(self, *, quiet: bool) -> None:
+        super().__init__("Starting ...", quiet=quiet)
+        self._counts = [0, 0, 0]
+        self._doing = "Starting"
+
+    def __call__(self, event: Mapping[str, Any]) -> None:
+        if self._quiet:
+            return
+        self.say(served(event))
+        if event["event"] == "outcome":
+            for k, name in enumerate(("number", "critical", "collided")):
+                self._counts[k] = event["number"] if name == "number" else self._counts[k] + bool(event[name])
+        self._doing = _doing(event) or self._doing
+        done, critical, collided = self._counts
+        self.now(f"{self._doing} ({done} encounters, {critical} critical, {collided} collisions)")
+
+
+class _Barred(Shown):
+    """A bar on stderr, with time left; ``note`` stands behind it."""
+
+    _task: Any = None
+
+    def _make_bar(self) -> None:
         from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-        self._console, self._best = Console(highlight=False), Best(seconds)
-        self._display = self._console.status("Looking for an encounter ...")
-
-    def tell(self, what: str, value: Any) -> None:
-        """Print it, and say what comes next."""
-        text = line(what, value)
-        if text and self._best.shows(what, value):
-            self._console.print(text, markup=False)
-        self._display.update(self._best.words())
+        self._display = Progress(
+            TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
+            TextColumn("{task.fields[note]}"), console=Console(stderr=True, highlight=False),
+        )  # fmt: skip
 
 
-def make_reporter(*, quiet: bool, seconds: float = math.inf) -> Reporter:
-    """Silent with --json, live in a terminal, lines in a pipe. ``seconds``: that attempts may take in an encounter."""
-    if quiet:
-        return Silent()
-    return Live(seconds) if sys.stdout.isatty() else Lines()
+class BatchProgress(_Barred):
+    """What went wrong, at once, on stderr; in a terminal that is not a build server's a bar with rate and counts."""
+
+    def __init__(self, *, quiet: bool) -> None:
+        if not quiet and sys.stderr.isatty() and not os.environ.get("CI"):
+            self._make_bar()
+        self._critical = self._failed = self._ran = 0
+
+    def begin(self, total: int, before: Sequence[Row]) -> None:
+        self._critical = sum(bool(r["critical"]) for r in before)
+        self._failed = sum(map(failed, before))
+        if self._display is not None:
+            self._task = self._display.add_task("Episodes", total=total, completed=len(before), note="")
+            self._show(0)
+
+    def finished(self, job: Job, row: Row) -> None:
+        self._critical += bool(row["critical"])
+        self._failed += failed(row)
+        self._ran += 1
+        if failed(row):
+            self._say(f"{job.words} failed: {row['failure']}", "sumo-adv: ")
+        if self._display is not None:
+            self._show(1)
+
+    def stopping(self, now: bool) -> None:
+        self._say(stopping_words(now))
+
+    def _show(self, advance: int) -> None:
+        seconds = self._display.tasks[0].elapsed or 0.0
+        rate = f"{60 * self._ran / seconds:.1f}/min, " if self._ran and seconds else ""
+        note = f"{rate}{self._critical} critical, {self._failed} failed"
+        self._display.update(self._task, advance=advance, note=note)
+
+    def _say(self, text: str, before: str = "") -> None:
+        if self._display is None:
+            typer.echo(before + text, err=True)
+        else:
+            self._display.console.print(text, markup=False)
+
+
+class BenchProgress(_Barred):
+    """A bar in a terminal, else how far it is, every half a minute; nothing if ``quiet``."""
+
+    def __init__(self, *, quiet: bool) -> None:
+        self._quiet = quiet
+        if not quiet and sys.stderr.isatty():
+            self._make_bar()
+
+    def begin(self, total: int, before: int) -> None:
+        self._total, self._done, self._told = total, before, time.monotonic()
+        if self._display is not None:
+            self._task = self._display.add_task("cells", total=total, completed=before, note="")
+        elif not self._quiet:
+            typer.echo(f"{total} cells, {before} of them there.", err=True)
+
+    def finished(self, job: bench.Job) -> None:
+        self._done += len(job.rows)
+        if self._display is not None:
+            self._display.update(self._task, advance=len(job.rows), description=job.case.name)
+        elif not self._quiet and time.monotonic() - self._told > EVERY:
+            self._told = time.monotonic()
+            typer.echo(f"{self._done} of {self._total} cells.", err=True)
+
+
+class Counter:
+    """How far it is, in one line on stderr that is written anew: in a terminal alone, and not if ``quiet``."""
+
+    def __init__(self, what: str, *, quiet: bool) -> None:
+        self._what, self._shown, self._said = what, not quiet and sys.stderr.isatty(), False
+
+    def tell(self, done: int, of: int, phase: str = "") -> None:
+        if self._shown:
+            self._said = True
+            typer.echo(f"\r{phase}{done} of {of} {self._what} ", nl=False, err=True)
+
+    def close(self) -> None:
+        if self._said:
+            typer.echo(err=True)
+
+
+def stopping_words(now: bool) -> str:
+    if now:
+        return "Stopping now."
+    return "Finishing the episodes that run; Ctrl-C again stops them. Say the same command again to go on."
+
+
+# -- a run in words
 
 
 def line(what: str, value: Any) -> str:
-    """An event in words."""
     if what == "encounter":
         near = ", ".join(f"{i} ({r})" for i, r, _ in value.ranking)
         earlier = len(value.passed_over)
@@ -136,7 +256,6 @@ def _attempt(a: Attempt) -> str:
 
 
 def summary(result: Mapping[str, Any], folder: Path) -> str:
-    """The outcome in a few lines."""
     lines = [_result(result)]
     tried = result.get("encounters_tried") or []
     if tried:
@@ -184,14 +303,12 @@ def _overridden(actions: Mapping[str, int]) -> str:
 
 
 def _before(raw: Mapping[str, Any]) -> str:
-    """The unattacked run in words."""
     if raw["collided"]:
         return "collision"
     return "no conflict" if raw["min_ttc"] is None else f"min TTC {raw['min_ttc']:.2f} s"
 
 
 def _after(best: Mapping[str, Any]) -> str:
-    """The attempt that counts in words."""
     if not best["collided"]:
         near = "no conflict" if best["min_ttc"] is None else f"min TTC {best['min_ttc']:.2f} s"
         return f"{near}{_flaws(best)}"
@@ -206,14 +323,12 @@ def _after(best: Mapping[str, Any]) -> str:
 
 
 def _hard(delta_v: float | None, impact_speed: float | None) -> str:
-    """How hard a collision is, in words."""
     if impact_speed is not None:
         return f"hit at {impact_speed:.1f} m/s"
     return f"delta-v {delta_v:.1f} m/s"
 
 
 def _preventable(by: Sequence[str], inconclusive: str | None) -> str:
-    """The drivers that avoid it, in words."""
     why = {
         "no_hazard": "inconclusive: no danger showed before the contact",
         "unchanged_ego_misses": "inconclusive: the unchanged ego misses in the check",
@@ -229,3 +344,51 @@ def _flaws(verdict: Mapping[str, Any]) -> str:
     reasons = [g.replace("_", " ") for g in verdict["failed_gates"]]
     reasons += ["rear-end"] if verdict["rear_end"] else []
     return f" ({', '.join(reasons)})" if reasons else ""
+
+
+# -- a server's events in words
+
+
+def _doing(event: Mapping[str, Any]) -> str:
+    """What goes on after an event; empty if as before."""
+    kind, time = event["event"], event.get("time")
+    if kind == "client":
+        return "The client drives" if event["state"] == "connected" else "Waiting for a client"
+    at = "" if time is None else f"{time:.1f} s: "
+    doing = {
+        "listening": "Waiting for a client", "encounter": f"{at}deciding", "attack": f"{at}attacking",
+        "passed_over": f"{at}watching", "dropped": f"{at}watching", "released": f"{at}watching",
+        "ego": f"{at}watching", "again": "The same encounter again",
+    }  # fmt: skip
+    return doing.get(kind, "")
+
+
+def served(event: Mapping[str, Any]) -> str:
+    """An event in words; empty for those that only programs want."""
+    kind = event["event"]
+    if kind == "listening":
+        opens = f"\n{event['opens']}" if event["opens"] else ""
+        added = f"\nThe demand has no vehicle '{event['ego']}': the program is to add it." if event["added"] else ""
+        return f"Waiting at {event['host']}:{event['port']} for the program that drives '{event['ego']}'.{added}{opens}"
+    if kind == "status_page":
+        return f"Status: http://127.0.0.1:{event['port']}/status"
+    if kind == "client":
+        return "" if event["state"] == "restarted" or event["again"] else str(event["sentence"])
+    if kind == "encounter":
+        near = ", ".join(f"{c['id']} ({c['relation']})" for c in event["ranking"])
+        return f"Encounter {event['number']} at {event['time']:.1f} s: near {event['ego']} are {near}"
+    if kind == "dropped":
+        return f"  dropped: {event['reason']}"
+    if kind == "outcome":
+        return f"  {event['ending']}: {event['folder']}"
+    return _served_attempt(event) if kind == "attempt" else ""
+
+
+def _served_attempt(event: Mapping[str, Any]) -> str:
+    outcome = "collision" if event["collided"] else "no conflict"
+    if not event["collided"] and event["min_ttc"] is not None:
+        outcome = f"min TTC {event['min_ttc']:.2f} s"
+    lost = ", the client was lost" if event["ending"] == "ego_lost" else ""
+    who = f"{event['adversary']}: {event['intent']}/{event['mode']}"
+    helped = "".join(f" + {q['id']}: {q['intent']}" for q in event.get("supports", ()))
+    return f"  attempt {event['index'] + 1:2d} [{event['by']}] {who}{helped}, {outcome}{lost}"

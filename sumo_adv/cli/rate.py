@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import json
 import os
-import sys
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from sumo_adv.app import estimate_rate
 from sumo_adv.cli.options import EGO, INPUT, OUTPUT, SEARCH, AsJson, RayCluster, Workers, option
 
 if TYPE_CHECKING:
@@ -50,7 +49,8 @@ def rate(
     Errors that look dangerous are drawn more often, and each run is weighted for that. docs/rate.md says what the
     figures may be used for.
     """
-    from sumo_adv.app import estimate_rate
+    from sumo_adv.api_batch import Teller
+    from sumo_adv.cli.progress import Counter
     from sumo_adv.rate.plan import RatePlan
     from sumo_adv.simulation.inputs import input_name
 
@@ -59,8 +59,9 @@ def rate(
         seed=seed,
     )  # fmt: skip
     target = out or Path("runs") / f"rate-{input_name(source)}-{(ego or 'ego').replace(':', '.')}"
-    counter = _Counter(shown=not as_json and sys.stderr.isatty())
-    estimate = estimate_rate(plan, target, runs, workers or os.cpu_count() or 1, counter, ray)
+    counter = Counter("blocks", quiet=as_json)
+    watcher = Teller(lambda told, job, _: counter.tell(told.done, told.total, f"{job.phase}: "), _stopping)
+    estimate = estimate_rate(plan, target, runs, workers or os.cpu_count() or 1, watcher, ray)
     counter.close()
     if estimate is None:
         typer.echo(f"sumo-adv: stopped; the same command goes on in {target}.", err=True)
@@ -69,7 +70,6 @@ def rate(
 
 
 def lines(found: Estimate) -> list[str]:
-    """The rates for people."""
     words = ("per 1000 h", "per million km", "half width", "crashes", "plain runs")
     shown = ["{:<10} {:>26} {:>26} {:>10} {:>7} {:>10}".format("level", *words)]
     for level, hourly in found.per_hour.items():
@@ -97,28 +97,6 @@ def _span(value: float, low: float, high: float, unit: float) -> str:
     return f"{value * unit:.3g} ({low * unit:.3g}-{high * unit:.3g})"
 
 
-class _Counter:
-    """How far it is, on a terminal alone."""
-
-    def __init__(self, *, shown: bool) -> None:
-        self._shown, self._of, self._done = shown, 0, 0
-
-    def begin(self, total: int, before: Sequence[Any]) -> None:
-        """A phase of ``total`` blocks."""
-        self._of, self._done = total, len(before)
-
-    def finished(self, job: Any, row: Any) -> None:
-        """One more block."""
-        self._done += 1
-        if self._shown:
-            typer.echo(f"\r{job.phase}: {self._done} of {self._of} blocks ", nl=False, err=True)
-
-    def stopping(self, now: bool) -> None:
-        """Ctrl-C was pressed."""
-        if not now:
-            typer.echo("sumo-adv: finishing the blocks that run; Ctrl-C again stops now.", err=True)
-
-    def close(self) -> None:
-        """End the line."""
-        if self._shown:
-            typer.echo(err=True)
+def _stopping(now: bool) -> None:
+    if not now:
+        typer.echo("sumo-adv: finishing the blocks that run; Ctrl-C again stops now.", err=True)

@@ -1,17 +1,70 @@
-"""``regress``: the cases of a suite against a driver, each attacked again reactively."""
+"""``keep``: found attacks as the cases of a suite; ``regress``: the cases against a driver, each attacked again."""
 
 from __future__ import annotations
 
 import json
 import os
-import sys
+from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-if TYPE_CHECKING:
-    from sumo_adv.regression.measured import Judged
+from sumo_adv.config import Until
+from sumo_adv.errors import UsageError
+
+KEEP_EXAMPLE = "Example: sumo-adv keep runs/priority_crossing-3 --suite regression"
+
+
+def keep(
+    given: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Folders of runs, or that hold such.")],
+    suite: Annotated[Path, typer.Option(help="Folder of the suite; made if it is not there.")],
+    level: Annotated[
+        Until, typer.Option(help="From a folder that holds runs, keep only attacks that reach this level.")
+    ] = Until.COLLISION,
+    avoid: Annotated[
+        Until | None, typer.Option(help="Expect that the attack stays below this level (default: collision).")
+    ] = None,
+    min_ttc: Annotated[float | None, typer.Option(min=0, help="Expect a least TTC above this, s.")] = None,
+    no_worse: Annotated[
+        bool, typer.Option("--no-worse", help="Expect the ego to be no worse than in a baseline.")
+    ] = False,
+    name: Annotated[str | None, typer.Option(help="Of the case, for one RUN (default: input and seed).")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
+) -> None:
+    """Keep found attacks in a suite: scenario, planner, parameters and trigger, in a folder a case.
+
+    The files are text, and stand on their own: put them under version control, and edit what is expected in case.toml.
+    """
+    from sumo_adv.regression.case import Expectation
+    from sumo_adv.regression.keep import keep_run, level_of
+    from sumo_adv.report.judging import run_folders
+    from sumo_adv.report.page.read import read_outcome
+
+    if avoid is None and min_ttc is None and not no_worse:
+        avoid = Until.COLLISION
+    level_name = None if avoid is None else str(avoid.level)
+    expect = Expectation.model_validate({"avoid": level_name, "min_ttc": min_ttc, "no_worse": no_worse})
+    runs = run_folders(given)
+    if name is not None and len(runs) != 1:
+        raise UsageError(f"--name is for one run, and {len(runs)} were given.")
+    kept, again, left = list[Path](), list[Path](), list[Path]()
+    for run in runs:
+        if run not in given and level_of(read_outcome(run)) < level.level:
+            left.append(run)
+            continue
+        folder, new = keep_run(run, suite, expect, name)
+        (kept if new else again).append(folder)
+    if as_json:
+        names = {"kept": kept, "there_already": again, "left_out": left}
+        typer.echo(json.dumps({"suite": str(suite)} | {key: [str(p) for p in value] for key, value in names.items()}))
+        return
+    for folder in kept:
+        typer.echo(f"Kept {folder}")
+    more = [f"{len(again)} there already"] if again else []
+    more += [f"{len(left)} left out (below {level})"] if left else []
+    typer.echo(f"{len(kept)} case{'s' * (len(kept) != 1)} into {suite}{''.join(', ' + each for each in more)}.")
+
 
 EXAMPLE = "Example: sumo-adv regress regression --ego my_package.driver:MyDriver --junit regression.xml"
 NOT_PASSED = 3  # exit status
@@ -37,6 +90,7 @@ def regress(
     The adversary is not replayed: it plans again against what this driver does, with the kept planner, parameters and
     trigger. Exit status 0: all cases pass; 3: a case does not; 2: bad input.
     """
+    from sumo_adv.cli.progress import Counter
     from sumo_adv.regression.case import read_suite
     from sumo_adv.regression.junit import write_junit
     from sumo_adv.regression.suite import read_baseline, run_suite
@@ -48,10 +102,10 @@ def regress(
         typer.echo(f"sumo-adv: {note}", err=True)
     name = suite.resolve().name
     target = out or Path("runs") / f"regress-{name}"
-    counter = _Counter(len(cases), shown=not as_json and sys.stderr.isatty())
+    counter, done = Counter("cases", quiet=as_json), count(1)
     run = run_suite(
         cases, name, ego, target, workers=workers or os.cpu_count() or 1, force=force, baseline=before,
-        tell=counter.tell,
+        tell=lambda _: counter.tell(next(done), len(cases)),
     )  # fmt: skip
     counter.close()
     if junit is not None:
@@ -63,21 +117,3 @@ def regress(
         typer.echo(f"Files: {target}")
     if not run.passed(allow_untested=allow_untested):
         raise typer.Exit(NOT_PASSED)
-
-
-class _Counter:
-    """How far it is, on a terminal alone."""
-
-    def __init__(self, of: int, *, shown: bool) -> None:
-        self._of, self._shown, self._done = of, shown, 0
-
-    def tell(self, case: Judged) -> None:
-        """One more case."""
-        self._done += 1
-        if self._shown:
-            typer.echo(f"\r{self._done} of {self._of} cases", nl=False, err=True)
-
-    def close(self) -> None:
-        """End the line."""
-        if self._shown:
-            typer.echo(err=True)

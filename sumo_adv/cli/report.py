@@ -1,17 +1,20 @@
-"""``report``: a run, or a batch of them, as pages to look at."""
+"""``report``: a run, or a batch of them, as pages to look at; ``figure``: pictures and films."""
 
 from __future__ import annotations
 
 import json
 import os
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from sumo_adv.app import shipped_bank
+from sumo_adv.campaigns.results import read_row
 from sumo_adv.errors import UsageError
+from sumo_adv.files import sentences
+from sumo_adv.report.staging import staged
 
 if TYPE_CHECKING:
     from sumo_adv.report.index.build import Packs, Report
@@ -66,7 +69,7 @@ def _run(folder: Path, out: Path | None) -> dict[str, Any]:
 def _batch(
     folder: Path, out: Path | None, pages: int | None, workers: int, *, force: bool, quiet: bool
 ) -> dict[str, Any]:
-    from sumo_adv.app import shipped_bank
+    from sumo_adv.cli.progress import Counter
     from sumo_adv.report.campaign_coverage import campaign_coverage, write_coverage
     from sumo_adv.report.index.build import write_report
     from sumo_adv.report.index.rows import read_rows
@@ -76,7 +79,7 @@ def _batch(
         raise UsageError(f"{target} is a file; give a folder as --out.")
     table = read_rows(folder / RESULTS) if (folder / RESULTS).is_file() else _table(_loose(folder))
     runs = folder / "runs" if (folder / RESULTS).is_file() else folder
-    packs, counter = _packs(folder), _Counter(quiet=quiet)
+    packs, counter = _packs(folder), Counter("pages", quiet=quiet)
     of = [runs / str(row["id"]) for row in table.rows]
     coverage = campaign_coverage(folder, of, packs.outcomes, shipped_bank())
     made = write_report(
@@ -105,7 +108,6 @@ def _loose(folder: Path) -> list[Path]:
 
 
 def _table(runs: Sequence[Path]) -> Table:
-    from sumo_adv.campaigns.results import read_row
     from sumo_adv.report.index.rows import table_of
 
     return table_of(row for run in runs if (row := read_row(run)) is not None)
@@ -116,26 +118,65 @@ def _packs(folder: Path) -> Packs:
 
     if not (folder / "packs").is_dir():
         return Packs()
-    from sumo_adv.campaigns.pack import packed_texts, unpack
-    from sumo_adv.report.staging import staged
+    from sumo_adv.campaigns.store import packed_texts, unpack
 
     return Packs(packed_texts(folder, OUTCOME), lambda names, into: unpack(folder, names, into, staged))
 
 
-class _Counter:
-    """How far it is, on a terminal alone."""
+FIGURE_EXAMPLE = "Example: sumo-adv figure runs/priority_crossing-3 --out encounter.pdf"
+PICTURES, FILMS = ("png", "svg", "pdf"), ("gif", "mp4")
 
-    def __init__(self, *, quiet: bool) -> None:
-        self._shown = not quiet and sys.stderr.isatty()
-        self._said = False
 
-    def tell(self, done: int, of: int) -> None:
-        """One more page."""
-        if self._shown:
-            self._said = True
-            typer.echo(f"\r{done} of {of} pages", nl=False, err=True)
+def figure(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a run or a hunt.")],
+    out: Annotated[
+        Path | None, typer.Option(help="A .png, .svg, .pdf, .gif or .mp4 file (default: figure.png in DIR).")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
+) -> None:
+    """Draw a run as papers do, without and with the attack, or film the attack. Of a hunt: its failures over time."""
+    target = out or folder / "figure.png"
+    kind = target.suffix.removeprefix(".").lower()
+    if kind not in (*PICTURES, *FILMS):
+        kinds = ", ".join(f".{k}" for k in (*PICTURES, *FILMS))
+        raise UsageError(f"{target} does not say what to draw; give --out a file that ends in one of {kinds}.")
+    if target.is_dir() or (target.exists() and not force):
+        raise UsageError(f"{target} is there already; give another --out, or --force to replace a file.")
+    from sumo_adv.hunting.hunt import STATE
 
-    def close(self) -> None:
-        """End the line."""
-        if self._said:
-            typer.echo(err=True)
+    if (folder / STATE).is_file():
+        _draw_hunt(folder, target, kind)
+    else:
+        _draw_run(folder, target, kind)
+    typer.echo(json.dumps({"out": str(target), "kind": kind}) if as_json else f"Figure: {target}")
+
+
+def _draw_hunt(folder: Path, target: Path, kind: str) -> None:
+    from sumo_adv.hunting.hunt import over_time
+    from sumo_adv.report.figures.over_time import draw_over_time
+    from sumo_adv.report.figures.paper import save
+
+    if kind in FILMS:
+        raise UsageError(f"A hunt has no film: give --out a file that ends in one of .{', .'.join(PICTURES)}.")
+    after = over_time(folder)
+    with sentences(target):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        save(draw_over_time(after), target, kind)
+
+
+def _draw_run(folder: Path, target: Path, kind: str) -> None:
+    from sumo_adv.report.figures.story import read_story
+    from sumo_adv.report.page.read import reading
+
+    with reading(folder), sentences(target):
+        story = read_story(folder)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if kind in FILMS:
+            from sumo_adv.report.figures.film import write_film
+
+            write_film(story, target, kind)
+        else:
+            from sumo_adv.report.figures.paper import draw_paper, save
+
+            save(draw_paper(story), target, kind)

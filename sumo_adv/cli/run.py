@@ -1,48 +1,100 @@
-"""``run``: one encounter, from a network to a dangerous one."""
+"""``run``: one encounter, from a network to a dangerous one; ``minimise``: the mildest variant of an attack."""
 
 from __future__ import annotations
 
 import json
+import signal
+import tempfile
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import FrameType, TracebackType
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import typer
 
 from sumo_adv import app
-from sumo_adv.cli import options as shared
-from sumo_adv.cli import run_options as own
-from sumo_adv.config import Settings, load_settings
+from sumo_adv.app import new_engine, new_sandbox, open_for_run, shipped_prompts
+from sumo_adv.cli import options as opt
+from sumo_adv.config import Settings, Until, load_settings
 from sumo_adv.datatypes import FAILED_ENDINGS
 from sumo_adv.errors import UsageError
+from sumo_adv.report.staging import RunFolder, scratch_folder, staged
 
 if TYPE_CHECKING:
+    from sumo_adv.agents.prompts import Prompt
     from sumo_adv.episode.episode import Episode
-    from sumo_adv.report.staging import RunFolder
+    from sumo_adv.episode.planned_encounter import PlannedEncounter
+    from sumo_adv.simulation.engine import Engine
     from sumo_adv.simulation.inputs import RunInput
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)  # Ctrl-C; what services and time limits send
+
+
+class Interrupts:
+    """Remembers a Ctrl-C or SIGTERM beside raising KeyboardInterrupt: pydantic-monty 1.4 swallows an interrupt that
+    comes while it runs a planner (measured). A context manager for the main thread."""
+
+    happened = False  # in this process, ever
+
+    def __enter__(self) -> Self:
+        self._pressed = False
+        self._before = {number: signal.signal(number, self._press) for number in SIGNALS}
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def check(self) -> None:
+        """Raises KeyboardInterrupt if Ctrl-C was pressed and got lost."""
+        if self._pressed:
+            raise KeyboardInterrupt
+
+    def checked(self, tell: Callable[[str, Any], None]) -> Callable[[str, Any], None]:
+        """``tell``, which then raises KeyboardInterrupt if Ctrl-C was pressed and got lost."""
+
+        def report_then_check(what: str, value: Any) -> None:
+            tell(what, value)
+            self.check()
+
+        return report_then_check
+
+    def hold(self) -> None:
+        """From here on both are ignored: the rest takes a second or two."""
+        for number in SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
+
+    def _press(self, number: int, frame: FrameType | None) -> None:
+        self._pressed = Interrupts.happened = True
+        raise KeyboardInterrupt
+
 
 EXAMPLE = "Example: sumo-adv run priority_crossing --seed 3 --ego idm --until valid --out runs/mine"
 OF_A_REPLAY = {"replay", "out", "force", "as_json", "ego"}  # options that count with --replay; ego confirms a class
 
 
 def run(
-    context: typer.Context, source: own.Source = None, ask: own.Ask = None, record: own.Record = None,
-    begin: own.Begin = None,
-    end: own.End = None, density: own.Density = None, background: own.Background = None,
-    sumo_option: own.SumoOption = None,
-    settings_file: shared.SettingsFile = None, replay: own.Replay = None, ego: own.Ego = None,
-    ego_id: own.EgoId = None, ego_deadline: own.EgoDeadline = None,
-    until: shared.UntilLevel = None, ttc: shared.Ttc = None,
-    critical_ttc: shared.CriticalTtc = None, min_delta_v: shared.MinDeltaV = None, intents: shared.Intents = None,
-    exclude: shared.Exclude = None, kind: shared.Kind = None, adversary: own.Adversary = None,
-    adversaries: shared.Adversaries = None,
-    trigger: own.Trigger = None, diverse: shared.Diverse = None, attempts: shared.Attempts = None,
-    seconds: shared.Seconds = None, total_seconds: own.TotalSeconds = None,
-    tuner: own.Tuner = None, seed: own.Seed = None, learn: own.Learn = None, recall: own.Recall = None,
-    memory: own.Memory = None, no_fork: own.NoFork = False, llm: own.Llm = None,
-    analyzer: own.Analyzer = None, generator: own.Generator = None, modifier: own.Modifier = None,
-    fallback: own.Fallback = None, samples: own.Samples = None, evidence: own.Evidence = None,
-    instruction: own.Instruction = None, show_prompts: own.ShowPrompts = False, out: own.Out = None,
-    force: own.Force = False, as_json: shared.AsJson = False,
+    context: typer.Context, source: opt.Source = None, ask: opt.Ask = None, record: opt.Record = None,
+    begin: opt.Begin = None,
+    end: opt.End = None, density: opt.Density = None, background: opt.Background = None,
+    sumo_option: opt.SumoOption = None,
+    settings_file: opt.SettingsFile = None, replay: opt.Replay = None, ego: opt.Ego = None,
+    ego_id: opt.EgoId = None, ego_deadline: opt.EgoDeadline = None,
+    until: opt.UntilLevel = None, ttc: opt.Ttc = None,
+    critical_ttc: opt.CriticalTtc = None, min_delta_v: opt.MinDeltaV = None, intents: opt.Intents = None,
+    exclude: opt.Exclude = None, kind: opt.Kind = None, adversary: opt.Adversary = None,
+    adversaries: opt.Adversaries = None,
+    trigger: opt.Trigger = None, diverse: opt.Diverse = None, attempts: opt.Attempts = None,
+    seconds: opt.Seconds = None, total_seconds: opt.TotalSeconds = None,
+    tuner: opt.Tuner = None, seed: opt.Seed = None, learn: opt.Learn = None, recall: opt.Recall = None,
+    memory: opt.Memory = None, no_fork: opt.NoFork = False, llm: opt.Llm = None,
+    analyzer: opt.Analyzer = None, generator: opt.Generator = None, modifier: opt.Modifier = None,
+    fallback: opt.Fallback = None, samples: opt.Samples = None, evidence: opt.Evidence = None,
+    instruction: opt.Instruction = None, show_prompts: opt.ShowPrompts = False, out: opt.Out = None,
+    force: opt.Force = False, as_json: opt.AsJson = False,
 ) -> None:  # fmt: skip
     """Find an encounter, attack the ego in it, and write what happened."""
     if replay is not None:
@@ -53,7 +105,7 @@ def run(
     from sumo_adv.simulation.sumo_options import parse
 
     given, driver = _input(source, record, ego)
-    named = shared.given(context.params, list(Settings.model_fields))
+    named = opt.given(context.params, list(Settings.model_fields))
     settings = load_settings(
         settings_file,
         **{
@@ -62,7 +114,7 @@ def run(
         },
     )  # fmt: skip
     if show_prompts:
-        _show_prompts(given, settings, as_json=as_json)
+        show_prompts_of(given, settings, as_json=as_json)
         return
     target = out or Path("runs") / f"{given.name}-{settings.seed}"
     _run(given, settings, target, force=force, as_json=as_json)
@@ -78,18 +130,10 @@ def _input(source: Path | None, record: str | None, ego: str | None) -> tuple[Ru
     return given, trusted_driver(ego, given.ego_controller, given.source)
 
 
-def _show_prompts(source: RunInput, settings: Settings, *, as_json: bool) -> None:
-    from sumo_adv.cli.prompts import show
-
-    show(source, settings, as_json=as_json)
-
-
 def _run(source: RunInput, settings: Settings, target: Path, *, force: bool, as_json: bool) -> None:
-    from sumo_adv.cli.interrupts import Interrupts
-    from sumo_adv.cli.progress import make_reporter
-    from sumo_adv.report.staging import scratch_folder, staged
+    from sumo_adv.cli.progress import RunProgress
 
-    reporter = make_reporter(quiet=as_json, seconds=settings.seconds)
+    reporter = RunProgress(quiet=as_json, seconds=settings.seconds)
     with (
         Interrupts() as interrupts,
         staged(target, force=force) as folder,
@@ -135,7 +179,6 @@ def _refuse_what_a_replay_ignores(context: typer.Context, source: Path | None) -
 def _replay(source: Path, out: Path | None, ego: str | None, *, force: bool, as_json: bool) -> None:
     from sumo_adv.drivers.registry import trusted_driver
     from sumo_adv.report.manifest import read_manifest
-    from sumo_adv.report.staging import staged
 
     recorded = read_manifest(source)
     driver = recorded.task.ego_driver
@@ -147,4 +190,122 @@ def _replay(source: Path, out: Path | None, ego: str | None, *, force: bool, as_
     target = out or source.with_name(f"{source.resolve().name}-replay")
     with staged(target, force=force) as folder:
         episode = app.replay(recorded)
+        finish(folder, episode, force=force, as_json=as_json)
+
+
+def show_prompts_of(given: RunInput, settings: Settings, *, as_json: bool) -> None:
+    """Print the analyzer's prompt, the generator's as if the first intent were new, and the modifier's after one
+    attempt of the search's."""
+    prompts = _prompts(given, settings)
+    if as_json:
+        entries = [{"agent": p.agent, "tokens": p.tokens, "system": p.system, "user": p.user} for p in prompts]
+        typer.echo(json.dumps({"prompts": entries}))
+        return
+    for p in prompts:
+        typer.echo(f"==== {p.agent}: system\n{p.system}\n\n==== {p.agent}: user\n{p.user}\n")
+    typer.echo("About (a quarter of the characters): " + ", ".join(f"{p.agent} {p.tokens} tokens" for p in prompts))
+
+
+def _prompts(given: RunInput, settings: Settings) -> list[Prompt]:
+    from sumo_adv.agents.agents import Agents
+    from sumo_adv.episode.episode import Episode
+    from sumo_adv.episode.planned_encounter import find_attackable
+    from sumo_adv.episode.task import make_task
+
+    with tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
+        episode = Episode(given, settings, make_task(given, settings, Path(scratch)))
+        with (
+            open_for_run(settings) as bank,
+            new_sandbox(settings) as sandbox,
+            new_engine() as engine,
+        ):
+            planned = find_attackable(episode, engine, sandbox, bank, lambda *_: None)
+            if planned is None or not planned.search.pool:
+                raise UsageError(f"There is nothing to ask about here. {episode.reason}".rstrip())
+            return [_analyzer(episode, planned, bank), *_writers(planned, settings, Agents(settings, sandbox), engine)]
+
+
+def _analyzer(episode: Any, planned: PlannedEncounter, bank: Any) -> Prompt:
+    from sumo_adv.agents.analyzer import analyzer_prompt
+    from sumo_adv.agents.evidence import evidence_words
+    from sumo_adv.episode.memory_access import remembered, selection_of
+    from sumo_adv.episode.planned_encounter import teamwork
+
+    settings = episode.settings
+    recalled = remembered(bank, planned.library, planned.scene)
+    evidence = partial(evidence_words, planned.search.pool, library=planned.library, remembered=recalled)
+    library = selection_of(episode, bank).of(planned.library)
+    return analyzer_prompt(
+        shipped_prompts(), planned.found.situations, library, settings.limits.limits(),
+        evidence if settings.evidence == "on" else None, teamwork(episode, bank), settings.ask or "",
+    )  # fmt: skip
+
+
+def _writers(planned: PlannedEncounter, settings: Settings, agents: Any, engine: Engine) -> list[Prompt]:
+    from sumo_adv.agents.generator import generator_prompt
+    from sumo_adv.agents.modifier import modifier_prompt
+    from sumo_adv.episode.attempt_report import report_of, scene_of
+    from sumo_adv.episode.attempt_runner import AttemptRunner
+    from sumo_adv.episode.refinement import Refinement, Refiner
+
+    prompts, limits = shipped_prompts(), settings.limits.limits()
+    intent = planned.search.ranking(planned.library)[0]
+    near = sorted(planned.library, key=lambda e: e.label != intent.label)
+    generator = generator_prompt(prompts, intent, planned.found.first, near, limits, settings.instruction)
+    once = settings.model_copy(update={"attempts": 1})
+    refinement = Refinement()
+    runner = AttemptRunner(engine, agents.sandbox, planned.found, settings.seed)
+    Refiner(runner, planned.found, planned.search, agents, planned.library, once, lambda *_: None).run(
+        [intent], refinement
+    )
+    if not refinement.attempts:
+        return [generator]
+    tried = refinement.attempts[0].proposal
+    entry = next(e for e in planned.library if e.label == tried.label)
+    reports = [report_of(refinement.attempts[0], refinement.results[0], planned.found, settings)]
+    scene = scene_of(tried.bv, entry, refinement.attempts, planned.found, planned.library)
+    return [generator, modifier_prompt(prompts, tried.planner, reports, scene, limits, settings)]
+
+
+MINIMISE_EXAMPLE = "Example: sumo-adv minimise runs/priority_crossing-3"
+MINIMISE_ATTEMPTS = 25
+
+
+def minimise(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="The folder of a run with a collision.")],
+    until: Annotated[
+        Until | None, typer.Option(help="Level that a variant must reach (default: the level of the attack).")
+    ] = None,
+    attempts: Annotated[int, typer.Option(min=1, help="Maximum number of simulations.")] = MINIMISE_ATTEMPTS,
+    ego: Annotated[
+        str | None, typer.Option(help="Needed if a class drove the run: the class again, module:Class.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder to write (default: RUN-mildest).")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace another run's folder.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
+) -> None:
+    """Find the mildest variant of an attack (later, gentler, slower) that still reaches its level against this ego."""
+    from sumo_adv.cli.progress import RunProgress
+    from sumo_adv.drivers.registry import trusted_driver
+    from sumo_adv.report.manifest import read_manifest
+    from sumo_adv.report.page.read import read_run, reading
+
+    recorded = read_manifest(run)
+    driver = recorded.task.ego_driver
+    if trusted_driver(ego, driver, run) != driver:
+        raise UsageError(f"The run in {run} was driven by {driver!r}: leave out --ego {ego}.")
+    with reading(run):
+        reached = str((read_run(run).outcome.get("outcome") or {}).get("level") or "none")
+        own = None if reached in ("none", "critical") else Until(reached)
+    level = until or own
+    if level is None:
+        raise UsageError(f"The attack of {run} reached the level {reached}; minimise takes one with a collision.")
+    if level.level < Until.COLLISION.level:
+        raise UsageError("Minimise keeps a collision: choose --until collision, valid, strict or serious.")
+    settings = recorded.settings.model_copy(update={"until": level, "attempts": attempts, "learn": "off"})
+    target = out or run.with_name(f"{run.resolve().name}-mildest")
+    reporter = RunProgress(quiet=as_json)
+    with staged(target, force=force) as folder:
+        with reporter:
+            episode = app.minimise(recorded, settings, reporter.tell)
         finish(folder, episode, force=force, as_json=as_json)

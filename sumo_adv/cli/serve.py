@@ -1,10 +1,12 @@
-"""``serve``: attack an ego that another program drives, over TraCI."""
+"""``serve``: attack an ego that another program drives, over TraCI; and the folder that it writes."""
 
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from dataclasses import asdict
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,9 +14,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sumo_adv import app
-from sumo_adv.config import Settings, Until, load_settings
+from sumo_adv.cli import options as opt
+from sumo_adv.config import Settings, load_settings
 from sumo_adv.datatypes import Ending
 from sumo_adv.errors import SumoAdvError, UsageError
+from sumo_adv.files import json_text, write_text
+from sumo_adv.report.staging import scratch_folder, staged
 from sumo_adv.serve.older_clients import NEWEST
 from sumo_adv.serve.options import Mode, OnLoss, Options
 
@@ -26,6 +31,50 @@ if TYPE_CHECKING:
     from sumo_adv.serve.result_writer import ResultWriter
     from sumo_adv.serve.server import Server
 
+SERVE_FILE = "serve.json"
+
+
+def claim(target: Path, *, force: bool) -> None:
+    """Make the output folder. Raises UsageError if it is taken or cannot be made."""
+    try:
+        if target.exists() and (not target.is_dir() or any(target.iterdir())):
+            if not force:
+                raise UsageError(f"The output folder {target} is there already; give another --out, or --force.")
+            if not (target / SERVE_FILE).is_file():
+                raise UsageError(f"{target} is not the folder of a server, so --force does not replace it.")
+            shutil.rmtree(target)
+        target.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"The output folder {target} cannot be written ({error.strerror or error}).") from error
+
+
+def note(target: Path, given: Any, settings: Settings, options: Options, summary: Mapping[str, Any] | None) -> None:
+    """``serve.json``: the job of this server, and at the end its outcome."""
+    from sumo_adv.report.outcome import SCHEMA, versions
+
+    secret = {"memory", "llm_api_key", "llm_base_url"} & set(type(settings).model_fields)
+    value = {
+        "schema": SCHEMA, "input": given.name, "versions": versions(), "options": asdict(options),
+        "settings": settings.model_dump(mode="json", exclude=secret), "summary": summary,
+    }  # fmt: skip
+    write_text(target / SERVE_FILE, json_text(value, indent=2))
+
+
+def folder_writer(target: Path) -> Any:
+    """Writes one encounter's folder whole; inputs that several have are on the disk once."""
+    from sumo_adv.campaigns.worker import share
+    from sumo_adv.report.folder import write_run
+
+    def write(episode: Any, number: int) -> dict[str, Any]:
+        with staged(target / f"encounter-{number:04d}", force=False) as folder:
+            result = write_run(folder, episode)
+            share(folder.stage / "inputs", target / "inputs")
+            folder.keep(force=False)
+        return {**result, "folder": folder.target}
+
+    return write
+
+
 EXAMPLE = (
     "Example: sumo-adv serve motorway --encounters 1, and in another terminal python examples/external_ego/idm_ego.py"
 )
@@ -33,6 +82,7 @@ LONG = 3600.0  # s of simulation in continuous mode, where nothing else says how
 
 
 def serve(
+    context: typer.Context,
     source: Annotated[
         Path,
         typer.Argument(
@@ -66,50 +116,28 @@ def serve(
     encounters: Annotated[
         int | None, typer.Option(min=1, help="Number of encounters after which it ends (default: at Ctrl-C).")
     ] = None,
-    adversary: Annotated[str | None, typer.Option(help="The only vehicle that may attack.")] = None,
-    adversaries: Annotated[
-        int | None, typer.Option(help="Most adversaries of an attack, 1 to 3: a collider and supports (default: 1).")
-    ] = None,
-    trigger: Annotated[float | None, typer.Option(help="Attack from this time on, s (default: found).")] = None,
-    begin: Annotated[float | None, typer.Option(help="Simulation begin, s (default: first departure).")] = None,
+    adversary: opt.Adversary = None, adversaries: opt.Adversaries = None, trigger: opt.Trigger = None,
+    begin: opt.Begin = None,
     end: Annotated[float | None, typer.Option(help="Simulation end, s; then the next one begins.")] = None,
-    until: Annotated[
-        Until | None, typer.Option(help="Level that an attempt must reach (default: critical, alias ttc).")
-    ] = None,
-    attempts: Annotated[
-        int | None, typer.Option(help="In episodes mode: maximum number per encounter (default: 25).")
-    ] = None,
-    critical_ttc: Annotated[
-        float | None, typer.Option(help="A min TTC of at most this is critical, s (default: 1).")
-    ] = None,
-    llm: Annotated[str | None, typer.Option(help="A language model, as in run.")] = None,
-    learn: Annotated[str | None, typer.Option(help="on or off: keep what was critical in the bank.")] = None,
-    memory: Annotated[
-        Path | None, typer.Option(help="Memory bank; a copy of the shipped one if it is not there.")
-    ] = None,
-    density: Annotated[float | None, typer.Option(help="Generated demand: departures a minute.")] = None,
-    seed: Annotated[int | None, typer.Option(help="Of SUMO, demand, search and planners (default: 0).")] = None,
+    until: opt.UntilLevel = None, attempts: opt.Attempts = None, critical_ttc: opt.CriticalTtc = None,
+    llm: opt.Llm = None, learn: opt.Learn = None, memory: opt.Memory = None, density: opt.Density = None,
+    seed: opt.Seed = None,
     out: Annotated[Path | None, typer.Option(help="Folder to write (default: runs/serve-<input>-<seed>).")] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace another server's folder.")] = False,
     events: Annotated[Path | None, typer.Option(help="File of JSON lines: everything that happens.")] = None,
     status_port: Annotated[
         int | None, typer.Option(min=0, max=65535, help="Port for /health and /status over HTTP, on loopback.")
     ] = None,
-    settings_file: Annotated[Path | None, typer.Option("--settings", help="TOML file of settings.")] = None,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="One JSON object on stdout at the end, nothing else.")
-    ] = False,
-) -> None:
+    settings_file: opt.SettingsFile = None, as_json: opt.AsJson = False,
+) -> None:  # fmt: skip
     """Attack an ego that a program of yours drives over TraCI, encounter after encounter."""
     from sumo_adv.simulation.inputs import own_simulation
 
     given = _input(source)
+    named = opt.given(context.params, list(Settings.model_fields))
     settings = load_settings(
-        settings_file, **{**own_simulation(given), **({} if seed is None else {"seed": seed})},
-        ego="external", ego_id=ego_id, adversary=adversary, adversaries=adversaries,
-        trigger=trigger, begin=begin, end=end, until=until, attempts=attempts, critical_ttc=critical_ttc, llm=llm,
-        learn=learn, memory=memory, density=density, horizon=given.horizon,
-    )  # fmt: skip
+        settings_file, **{**own_simulation(given), **named, "ego": "external", "horizon": given.horizon}
+    )
     if not as_json:
         for note in given.notes:
             typer.echo(note)
@@ -147,11 +175,9 @@ def _serve(
     given: Any, settings: Settings, options: Options, target: Path, events_file: Path | None,
     status_port: int | None, *, force: bool, as_json: bool,
 ) -> None:  # fmt: skip
-    from sumo_adv.cli.interrupts import Interrupts
-    from sumo_adv.cli.serve_folder import claim, folder_writer, note
-    from sumo_adv.cli.serve_progress import make_terminal
+    from sumo_adv.cli.progress import ServeProgress
+    from sumo_adv.cli.run import Interrupts
     from sumo_adv.report.outcome import MODEL_FILE
-    from sumo_adv.report.staging import scratch_folder
     from sumo_adv.serve.events import EventFile, Events, Status
     from sumo_adv.serve.result_writer import ResultWriter
     from sumo_adv.serve.server import Server, ServerDependencies
@@ -164,7 +190,7 @@ def _serve(
         road = read_network(task_for(0).spec.network)
         bank = stack.enter_context(app.open_for_run(settings))
         sandbox = stack.enter_context(app.new_sandbox(settings))
-        status, terminal = Status(), make_terminal(quiet=as_json)
+        status, terminal = Status(), ServeProgress(quiet=as_json)
         listeners: list[Any] = [status, terminal]
         if events_file is not None:
             listeners.append(file := EventFile(events_file))

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from sumo_adv.errors import UsageError
+from sumo_adv.files import sentences
 
 if TYPE_CHECKING:
     from sumo_adv.transformer.train import Score
@@ -38,7 +39,6 @@ def data(
     as_json: Json = False,
 ) -> None:
     """Make scenes to train on and held-out ones: of SUMO's traffic on networks of ours, or of Waymo records."""
-    from sumo_adv.files import sentences
     from sumo_adv.transformer.dataset import make
 
     with sentences(out), _going_on():
@@ -65,7 +65,6 @@ def train(
     as_json: Json = False,
 ) -> None:
     """Train on scenes (extra train: JAX, on one thread of the CPU), from where the folder's training stands."""
-    from sumo_adv.files import sentences
     from sumo_adv.transformer.dataset import TRAIN, load
     from sumo_adv.transformer.train import train as run
 
@@ -92,7 +91,6 @@ def evaluate(
 
 
 def table(scores: list[Score]) -> str:
-    """The figures as Markdown."""
     lines = [f"| {' | '.join(COLUMNS)} |", f"|{'---|' * len(COLUMNS)}"]
     for s in scores:
         figures = (f"{v:.2f}" for v in (s.min_ade, s.min_fde, s.miss_rate, s.ade, s.fde))

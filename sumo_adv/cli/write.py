@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sumo_adv import app
-from sumo_adv.cli import options as shared
-from sumo_adv.cli import run_options as own
+from sumo_adv.cli import options as opt
 from sumo_adv.cli.options import INPUT, OUTPUT, option
 from sumo_adv.config import Settings, Until, load_settings
 from sumo_adv.errors import UsageError
 from sumo_adv.files import sentences
+from sumo_adv.report.staging import scratch_folder, staged
 
 if TYPE_CHECKING:
     from sumo_adv.words.author import Played
@@ -41,10 +41,10 @@ def write(
     run_out: Annotated[
         Path | None, option(OUTPUT, "Folder of its run.", "--run-out", default="runs/<scenario>")
     ] = None,
-    llm: own.Llm = None, ego: own.Ego = None, attempts: shared.Attempts = None, seconds: shared.Seconds = None,
-    seed: own.Seed = None, memory: own.Memory = None, settings_file: shared.SettingsFile = None,
+    llm: opt.Llm = None, ego: opt.Ego = None, attempts: opt.Attempts = None, seconds: opt.Seconds = None,
+    seed: opt.Seed = None, memory: opt.Memory = None, settings_file: opt.SettingsFile = None,
     force: Annotated[bool, option(OUTPUT, "Replace the scenario and the folder of its run.", "--force")] = False,
-    as_json: shared.AsJson = False,
+    as_json: opt.AsJson = False,
 ) -> None:  # fmt: skip
     """Make a scenario of words with a language model, run it, and say whether what happened is what was asked for."""
     from sumo_adv.words.request import checked_words, needs_model
@@ -99,7 +99,6 @@ def _write(
     from sumo_adv.llm.client import connect
     from sumo_adv.llm.recording import Recorder
     from sumo_adv.report.outcome import MODEL_FILE
-    from sumo_adv.report.staging import scratch_folder, staged
     from sumo_adv.words.author import Author
 
     ledger = Ledger.for_settings(settings)
@@ -136,7 +135,6 @@ def _write(
 def _run(scenario: Path, folder: Path, goal: Mapping[str, Any], settings: Settings) -> dict[str, Any]:
     """Run a scenario into a folder; what its ``outcome.json`` holds."""
     from sumo_adv.report.folder import write_run
-    from sumo_adv.report.staging import scratch_folder, staged
 
     given = app.load(scenario, None)
     goal = {"until": Until(str(goal["until"])), "ttc": goal.get("ttc")}

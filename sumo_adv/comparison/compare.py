@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from sumo_adv.benchmark.tables.compute import paired
+from sumo_adv.benchmark.table import paired
 from sumo_adv.comparison.side import Compared, Side
 from sumo_adv.datatypes import Level
 from sumo_adv.errors import UsageError

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from sumo_adv.benchmark.tables.markdown import grid, number, signed
+from sumo_adv.benchmark.table import grid, number, signed
 from sumo_adv.comparison.compare import LEAST, Comparison, Figure
 from sumo_adv.comparison.side import Compared
 from sumo_adv.metrics.statistics import Estimate

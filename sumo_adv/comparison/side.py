@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from sumo_adv.benchmark.bench import PLAN as BENCH_PLAN
 from sumo_adv.benchmark.bench import read_cells
+from sumo_adv.benchmark.cells import FAILED, capped_ttc
 from sumo_adv.benchmark.jobs import slug
-from sumo_adv.benchmark.run import PLAN as BENCH_PLAN
-from sumo_adv.benchmark.tables.cells import FAILED, capped_ttc
-from sumo_adv.campaigns.pack import packed_texts
+from sumo_adv.campaigns.store import packed_texts
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Level
 from sumo_adv.errors import UsageError

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
-from sumo_adv.config_model import ModelSettings
+from sumo_adv.config import ModelSettings
 from sumo_adv.errors import BudgetError, ModelError
 
 Messages = tuple[tuple[str, str], ...]

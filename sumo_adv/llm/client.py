@@ -10,7 +10,7 @@ from typing import Any
 
 from pydantic import SecretStr
 
-from sumo_adv.config_model import ModelSettings, one_word
+from sumo_adv.config import ModelSettings, one_word
 from sumo_adv.errors import UsageError
 from sumo_adv.llm import wire
 from sumo_adv.llm.chat import CUT, BudgetedModel, ChatModel, ChatReply, ChatRequest, Ledger, without_thought

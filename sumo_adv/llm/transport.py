@@ -24,7 +24,7 @@ import httpx
 from pydantic import SecretStr
 
 from sumo_adv import __version__
-from sumo_adv.config_model import ModelSettings
+from sumo_adv.config import ModelSettings
 from sumo_adv.errors import BudgetError, ModelError
 from sumo_adv.llm import wire
 from sumo_adv.llm.chat import run_in_thread

@@ -11,7 +11,7 @@ from typing import Self
 
 import numpy as np
 
-from sumo_adv.campaigns.nouns import Done
+from sumo_adv.campaigns.results import Done
 from sumo_adv.config import forget_environment
 from sumo_adv.drivers import make_ego
 from sumo_adv.episode.drive import Drive, ego_type_file

@@ -12,9 +12,9 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+from sumo_adv.campaigns.cluster import RayPool, desk_folder
 from sumo_adv.campaigns.local import LocalWorkers, Pace, Stop
-from sumo_adv.campaigns.nouns import Done
-from sumo_adv.campaigns.ray_pool import RayPool, desk_folder
+from sumo_adv.campaigns.results import Done
 from sumo_adv.errors import UsageError
 from sumo_adv.rate.blocks import Block, BlockRunner, failed
 from sumo_adv.rate.plan import RatePlan

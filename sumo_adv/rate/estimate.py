@@ -19,7 +19,7 @@ import numpy as np
 
 from sumo_adv.campaigns.campaign import Watcher, Workers, stopping
 from sumo_adv.campaigns.local import LocalWorkers, Pace, Stop
-from sumo_adv.campaigns.nouns import Done
+from sumo_adv.campaigns.results import Done
 from sumo_adv.datatypes import Floats, Level
 from sumo_adv.errors import UsageError
 from sumo_adv.files import held, json_text, sentences, write_text

@@ -13,8 +13,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from sumo_adv.campaigns.nouns import Done
-from sumo_adv.campaigns.results import OUTCOME
+from sumo_adv.campaigns.results import OUTCOME, Done
 from sumo_adv.campaigns.worker import share
 from sumo_adv.config import Settings, Until, forget_environment, load_settings
 from sumo_adv.datatypes import Attempt, Ending, Intent

@@ -19,8 +19,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from sumo_adv.campaigns.local import LocalWorkers, Pace, Stop
-from sumo_adv.campaigns.nouns import Done, Row
-from sumo_adv.campaigns.results import read_row, write_csv
+from sumo_adv.campaigns.results import Done, Row, read_row, write_csv
 from sumo_adv.drivers import make_ego
 from sumo_adv.errors import UsageError
 from sumo_adv.files import json_text, sentences, write_text

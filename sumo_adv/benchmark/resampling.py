@@ -63,8 +63,6 @@ class Drawn:
 
 
 class Resampling:
-    """Draws once an encounter, then tries the best of what was drawn."""
-
     name = "resampling"
 
     def __init__(self) -> None:
@@ -72,13 +70,11 @@ class Resampling:
         self._places: list[tuple[int, int]] = []  # of the attempts, in order
 
     def begin(self, encounter: Encounter) -> None:
-        """Draw and weigh."""
         rng = np.random.default_rng(encounter.seed)
         self._drawn = [draw(encounter, delay, rng) for delay in sorted(encounter.situations)]
         self._places = []
 
     def propose(self, tried: Sequence[Attempt]) -> Proposal | None:
-        """The best that was not tried; None once all were."""
         weights = self._weights(tried)
         best: tuple[float, int, int] | None = None
         for i, some in enumerate(self._drawn):

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from sumo_adv.benchmark import cells as c
+from sumo_adv.benchmark.cells import distance, step_share
 from sumo_adv.benchmark.nouns import Cell, counts
-from sumo_adv.benchmark.tables import cells as c
-from sumo_adv.benchmark.tables.realism import distance, step_share
 from sumo_adv.datatypes import Level
 from sumo_adv.metrics.levels import AVOIDS, NOT_APPLICABLE
 from sumo_adv.metrics.statistics import Estimate, bootstrap, wilson
@@ -48,11 +48,9 @@ class Column:
 
     @property
     def paired(self) -> bool:
-        """Whether differences of rows are taken."""
         return self.asked_of_all and self.pooled is None and self.summary != MEDIAN
 
     def values(self, cells: Sequence[Cell]) -> dict[c.Key, float]:
-        """The value of each cell that has one."""
         by_key = {c.key(cell): self.of(cell) for cell in cells if self.raw or not c.is_raw(cell)}
         return {name: float(value) for name, value in by_key.items() if value is not None}
 
@@ -193,7 +191,6 @@ def _to_first(level: str) -> Callable[[Cell], Value]:
 
 
 def _within_seconds(level: str, most: float) -> Callable[[Cell], Value]:
-    """Whether an attempt reached a level within ``most`` seconds."""
     return lambda cell: (took := _to_first(level)(cell)) is not None and took <= most
 
 

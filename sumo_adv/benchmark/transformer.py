@@ -40,8 +40,6 @@ STILL = 0.05  # m between two steps: a slower vehicle keeps its heading
 
 
 class Transformer:
-    """Predicts once an encounter, then tries what is most dangerous."""
-
     def __init__(self, weights: Path = SHIPPED) -> None:
         """Raises UsageError if the file holds no weights."""
         self.name = "transformer" if weights == SHIPPED else f"transformer:{weights}"
@@ -49,7 +47,6 @@ class Transformer:
         self._proposals: list[Proposal] = []
 
     def begin(self, encounter: Encounter) -> None:
-        """Predict, make feasible, and order."""
         segments = segments_of(read_network(encounter.network))
         rng = np.random.default_rng(encounter.seed)
         drawn: list[_Drawn] = []
@@ -65,7 +62,6 @@ class Transformer:
         self._proposals = _ordered(encounter, drawn, self.name)
 
     def propose(self, tried: Sequence[Attempt]) -> Proposal | None:
-        """The most dangerous that was not tried."""
         return self._proposals[len(tried)] if len(tried) < len(self._proposals) else None
 
 

@@ -1,4 +1,4 @@
-"""The analyzer's answers against labels: accuracy, kappa, top-2, confusion and calibration of risk.
+"""The analyzer's answers against labels: accuracy, kappa, top-2, confusion and calibration of risk; and their files.
 
 A label is a set of behaviours where several are as dangerous; an answer in it is right.  Chance among applicable
 intents, the best constant answer and the split-half ceiling stand beside the analyzers, because an accuracy alone says
@@ -7,17 +7,21 @@ nothing where an encounter allows only one behaviour.
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from sumo_adv.benchmark.nouns import Case, Cell
-from sumo_adv.benchmark.rows.fixed_intent import LABELS
-from sumo_adv.benchmark.rows.oracle import CRITERIA, oracle_labels, split_half, succeeds
-from sumo_adv.benchmark.tables.cells import ORACLE, Key, key, names
-from sumo_adv.benchmark.tables.compute import paired
+from sumo_adv.benchmark.cells import ORACLE, Key, key, names
+from sumo_adv.benchmark.nouns import Case, Cell, Suite
+from sumo_adv.benchmark.rows import CRITERIA, LABELS, oracle_labels, split_half, succeeds
+from sumo_adv.benchmark.table import ACCURACY, ANALYZER_NOTE, grid, number, paired, signed
+from sumo_adv.benchmark.write import SCHEMA, aligned, as_csv, as_json, on_screen, rate, write_files
 from sumo_adv.datatypes import Floats
 from sumo_adv.metrics.statistics import Estimate, Paired, bootstrap, wilson
 
@@ -60,8 +64,6 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Analysis:
-    """The analyzer table: a part for each ego and criterion."""
-
     title: str
     reference: str | None
     parts: tuple[Part, ...]
@@ -103,7 +105,6 @@ def analyze(
 def _truth(
     cells: Sequence[Cell], cases: Sequence[Case], ego: str, criterion: str, oracle: Mapping[Key, Cell]
 ) -> dict[Key, frozenset[str]]:
-    """The labels of every encounter that has any."""
     truth: dict[Key, frozenset[str]] = {}
     given = _given(cases, ego, criterion)
     for name in dict.fromkeys(key(c) for c in cells):
@@ -263,3 +264,122 @@ def _calibration(cells: Mapping[Key, Cell], oracle: Mapping[Key, Cell], criterio
         if first and same:
             rates[str(first["risk"])].append(sum(succeeds(a, criterion) for a in same) / len(same))
     return {risk: bootstrap(rates[risk]) for risk in dict.fromkeys((*RISKS, *rates)) if risk in rates}
+
+
+# -- files
+
+
+FIGURES = ("accuracy", "several", "kappa", "top2")
+SCORES = ("ego", "criterion", "who", "figure", "value", "low", "high", "n", "difference", "p")
+CONFUSION = ("ego", "criterion", "who", "label", *ANSWERS)
+HOW = (
+    "Label: the intent that is most dangerous against this ego in simulation, by the share of its candidates that "
+    "collide (criterion collision: feasible, not rear-end; valid: valid ones), then by mean capped min TTC; a tie is a "
+    "set, and any answer in it is right. Answer: the first intent that the analyzer ranks. No answer is wrong. Kappa: "
+    "Cohen's, with chance agreement taken over the sets. Several: the encounters in which more than one intent applies."
+)
+
+
+def write_analysis(analysis: Analysis, cells: Sequence[Cell], folder: Path, about: Mapping[str, Any]) -> list[Path]:
+    """``analyzer.md``, ``.csv``, ``.json``, ``-confusion.csv`` and ``.manifest.json``. Raises UsageError."""
+    texts = {
+        ".md": to_markdown(analysis), ".csv": as_csv(SCORES, [*_score_rows(analysis), *_calibration_rows(analysis)]),
+        "-confusion.csv": as_csv(CONFUSION, _confusion_rows(analysis)), ".json": as_json(_document(analysis)),
+    }  # fmt: skip
+    return write_files(folder, "analyzer", texts, cells, about)
+
+
+def labels_hash(suite: Suite) -> str:
+    """SHA-256 over the labels that a suite brings along."""
+    given = {case.name: case.labels for case in suite.cases if case.labels}
+    return hashlib.sha256(json.dumps(given, sort_keys=True).encode()).hexdigest()
+
+
+def to_markdown(analysis: Analysis) -> str:
+    lines = [f"# {analysis.title}", "", HOW, ""]
+    lines += [*(f"- {note}" for note in analysis.notes), ""] if analysis.notes else []
+    for part in analysis.parts:
+        lines += _part_lines(part, analysis.reference)
+    reported = [[who, f"{value:.3f}"] for who, value in ACCURACY.items()]
+    lines += ["## What the paper reports (Fig. 3)", "", *grid(["analyzer", "accuracy"], reported)]
+    return "\n".join([*lines, ANALYZER_NOTE]) + "\n"
+
+
+def _part_lines(part: Part, reference: str | None) -> list[str]:
+    lines = [f"## Ego {part.ego}, by {part.criterion}", ""]
+    if part.unlabelled:
+        lines += [f"{part.unlabelled} encounters have no label and are left out.", ""]
+    if part.by_time:
+        lines += [f"In {part.by_time} no simulation succeeds: there the label is by min TTC alone.", ""]
+    rows = [
+        [s.who, str(s.accuracy.n), *(_shown(getattr(s, f)) for f in FIGURES), signed(s.difference)] for s in part.scores
+    ]
+    head = ["who", "n", "accuracy", "several", "kappa", "top-2", f"accuracy, difference to {reference}"]
+    lines += grid(head, rows)
+    if part.calibration:
+        risks = list(dict.fromkeys(risk for estimates in part.calibration.values() for risk in estimates))
+        rows = [[who, *(_shown(estimates.get(r)) for r in risks)] for who, estimates in part.calibration.items()]
+        lines += ["Success in the oracle's simulations of what the analyzer ranked first, by the risk it gave:", ""]
+        lines += grid(["who", *risks], rows)
+    for who, matrix in part.confusion.items():
+        shown = [a for a in ANSWERS if any(a in pair for pair in matrix)]
+        rows = [[label, *(f"{matrix.get((label, a), 0):g}" for a in shown)] for label in shown if label != NO_ANSWER]
+        lines += [f"Confusion of {who} (rows: label, columns: answer; a tie's miss is spread over it):", ""]
+        lines += grid(["label", *shown], rows)
+    return lines
+
+
+def _shown(estimate: Estimate | None) -> str:
+    return number(estimate) + (f", n {estimate.n}" if estimate is not None else "")
+
+
+def _score_rows(analysis: Analysis) -> Iterator[dict[str, Any]]:
+    for part in analysis.parts:
+        for score in part.scores:
+            for figure in FIGURES:
+                e: Estimate | None = getattr(score, figure)
+                if e is not None:
+                    yield _figure_row(part, score.who, figure, e, score.difference if figure == "accuracy" else None)
+
+
+def _calibration_rows(analysis: Analysis) -> Iterator[dict[str, Any]]:
+    for part in analysis.parts:
+        for who, estimates in part.calibration.items():
+            for risk, e in estimates.items():
+                yield _figure_row(part, who, f"success at risk {risk}", e, None)
+
+
+def _figure_row(part: Part, who: str, figure: str, e: Estimate, d: Paired | None) -> dict[str, Any]:
+    return {
+        "ego": part.ego, "criterion": part.criterion, "who": who, "figure": figure, "value": e.value,
+        "low": e.low, "high": e.high, "n": e.n, "difference": d.difference if d else None, "p": d.p if d else None,
+    }  # fmt: skip
+
+
+def _confusion_rows(analysis: Analysis) -> Iterator[dict[str, Any]]:
+    for part in analysis.parts:
+        for who, matrix in part.confusion.items():
+            for label in ANSWERS[:-1]:
+                counts = {answer: matrix.get((label, answer), 0.0) for answer in ANSWERS}
+                yield {"ego": part.ego, "criterion": part.criterion, "who": who, "label": label, **counts}
+
+
+def _document(analysis: Analysis) -> dict[str, Any]:
+    return {
+        "schema": SCHEMA, "title": analysis.title, "reference": analysis.reference, "notes": analysis.notes,
+        "scores": list(_score_rows(analysis)), "confusion": list(_confusion_rows(analysis)),
+        "calibration": list(_calibration_rows(analysis)),
+        "unlabelled": [{"ego": p.ego, "criterion": p.criterion, "encounters": p.unlabelled} for p in analysis.parts],
+        "by_time": [{"ego": p.ego, "criterion": p.criterion, "encounters": p.by_time} for p in analysis.parts],
+    }  # fmt: skip
+
+
+def analysis_text(analysis: Analysis, file: Path) -> str:
+    """For the terminal: how often each analyzer names the most dangerous intent."""
+    sections = []
+    for part in analysis.parts:
+        rows = [[s.who, str(s.accuracy.n), *(rate(x) for x in (s.accuracy, s.several, s.top2))] for s in part.scores]
+        lines = aligned(["who", "n", "accuracy", "several", "top-2"], rows)
+        sections.append((f"Against {part.ego}, by {part.criterion}", lines))
+    notes = ["Several: where more than one intent applies.", *analysis.notes]
+    return on_screen(analysis.title, sections, notes, file)

@@ -12,11 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from sumo_adv.benchmark.analysis import ANSWERS, NO_ANSWER, Analysis
+from sumo_adv.benchmark.cells import CAP, RAW, capped_ttc, counted, names, samples
+from sumo_adv.benchmark.league import WINDOW, Step
 from sumo_adv.benchmark.nouns import Cell
-from sumo_adv.benchmark.tables.analysis import ANSWERS, NO_ANSWER, Analysis
-from sumo_adv.benchmark.tables.cells import CAP, RAW, capped_ttc, counted, names
-from sumo_adv.benchmark.tables.growth import WINDOW, Step
-from sumo_adv.benchmark.tables.realism import samples
 from sumo_adv.datatypes import Floats
 from sumo_adv.files import sentences, write_whole
 from sumo_adv.metrics.realism import PAPER_BINS
@@ -132,7 +131,6 @@ def _seconds(cell: Cell) -> float | None:
 
 
 def draw_confusions(analysis: Analysis, folder: Path) -> list[Path]:
-    """``confusion-EGO-CRITERION-ROW.png`` for every matrix."""
     paths = []
     for part in analysis.parts:
         accuracy = {s.who: s.accuracy for s in part.scores}
@@ -164,7 +162,6 @@ def draw_confusion(target: Path, matrix: Mapping[tuple[str, str], float], title:
 
 
 def _folded(label: str) -> str:
-    """A long label on two lines."""
     words = label.split(" ")
     middle = (len(words) + 1) // 2
     return label if len(label) < 18 else "\n".join((" ".join(words[:middle]), " ".join(words[middle:])))
@@ -217,7 +214,6 @@ def _figure(width: float, height: float, rows: int, columns: int) -> tuple[Any, 
 
 
 def _save(figure: Any, target: Path, title: str) -> Path:
-    """Write the PNG, whole or not at all."""
     figure.suptitle(title, x=0.01, ha="left", fontsize=13, parse_math=False)
     with sentences(target.parent):
         target.parent.mkdir(parents=True, exist_ok=True)

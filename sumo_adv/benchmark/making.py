@@ -1,30 +1,137 @@
 """Makes a suite: a number of encounters of each kind, drawn with a seed until they are calm, and the list of them.
 
 The same seed gives the same files byte for byte (same SUMO); another seed gives as many of each kind, on the same
-networks, in the same lanes and as dense traffic, with other figures.
+networks, in the same lanes and as dense traffic, with other figures.  A trial drives as ``run`` does (``Worker.open``,
+``Worker.seek``), so ``run`` finds the same encounters; each is a fork of a process that has run nothing.
 """
 
 from __future__ import annotations
 
+import math
 import re
 import shutil
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
+from multiprocessing.connection import Connection
 from pathlib import Path
 from random import Random
+from typing import Any
 
-from sumo_adv.benchmark.making.drafts import Draft, write_draft
-from sumo_adv.benchmark.making.junctions import draw_junction
-from sumo_adv.benchmark.making.straight import KINDS as STRAIGHT
-from sumo_adv.benchmark.making.straight import draw_straight
-from sumo_adv.benchmark.making.trials import EGOS, body, trial
+from sumo_adv.benchmark.drafts import STRAIGHT, Draft, draw_junction, draw_straight, write_draft
 from sumo_adv.benchmark.suites import NAME, SUITE_FILE, hash_of_file
+from sumo_adv.config import load_settings
+from sumo_adv.episode.encounter_detector import FASTEST_START, LATEST
+from sumo_adv.episode.task import FoundEncounter, NoEncounter, Task, make_task
+from sumo_adv.episode.worker import Worker
 from sumo_adv.errors import SumoAdvError, UsageError
-from sumo_adv.simulation.engine import Engine, can_fork
-from sumo_adv.simulation.inputs import data_folder
+from sumo_adv.simulation.engine import Engine, can_fork, in_forks
+from sumo_adv.simulation.inputs import data_folder, load_input
+from sumo_adv.simulation.library import load_libsumo
+from sumo_adv.situation import Target
+
+EGOS = ("idm", "krauss", "eidm", "careful")
+"""The drivers that an encounter must be calm with; a replayed ego plays back what ``idm`` drives."""
+
+TTC = 1.0  # s: at or below this an encounter is critical by itself
+STAYS = 15.0  # s after the trigger that the ego must still be there: an attack begun 3 s late lasts 12 s
+BV_STAYS = 8.0  # s
+RELATIONS = {
+    "leader": "leader", "neighbour_ahead": "neighbour", "neighbour_behind": "neighbour", "oncoming": "oncoming",
+    "follower": "follower",
+}  # fmt: skip
+MEETING = ("crossing", "merging", "oncoming")
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """An encounter with one driver. ``bv``: the intended adversary, ``kind``: as what; ``first``: whether it
+    must be the most dangerous one."""
+
+    task: Task
+    bv: str
+    kind: str
+    first: bool
+
+
+def trial(scenario: Path, ego: str, bv: str, kind: str, seed: int = 0) -> Trial:
+    """The trial of a scenario file with the driver ``ego`` and SUMO's ``seed``."""
+    source = load_input(scenario)
+    settings = load_settings(None, ego=ego, seed=seed, critical_ttc=TTC, horizon=source.horizon)
+    task = make_task(source, settings, Path(tempfile.gettempdir()))
+    return Trial(task, bv, kind, kind in RELATIONS and ego == EGOS[0])
+
+
+def tried(candidate: Trial) -> str:
+    """What is wrong with an encounter, in words without figures; empty if it is good."""
+    worker = Worker([])
+    worker.open(candidate.task)
+    try:
+        outcome = worker.seek()
+    except UsageError:  # SUMO found no room for the ego in all the time given
+        return "the ego is not inserted"
+    return _not_found(outcome) if isinstance(outcome, NoEncounter) else _fault(candidate, outcome)
+
+
+def _not_found(outcome: NoEncounter) -> str:
+    words = re.sub(r"^At the trigger given, [\d.]+ s, ", "", outcome.reason)
+    return re.sub(r":.*", "", words).rstrip(".")
+
+
+def _fault(candidate: Trial, encounter: FoundEncounter) -> str:
+    present = {
+        name: sum(name in snapshot.raw for snapshot in encounter.baseline) for name in (encounter.ego, candidate.bv)
+    }
+    dt = candidate.task.settings.step_length
+    if present[encounter.ego] * dt < STAYS:
+        return "the ego stays too short"
+    if present[candidate.bv] * dt < BV_STAYS:
+        return "the vehicle meant stays too short"
+    relations = {name: relation for name, relation, _ in encounter.ranking}
+    target = encounter.first.targets.get(candidate.bv)
+    if candidate.bv not in relations or target is None:
+        return "the vehicle meant is no candidate"
+    if candidate.first and encounter.ranking[0][0] != candidate.bv:
+        return "another vehicle is more dangerous than the one meant"
+    if candidate.kind not in RELATIONS:
+        ok = relations[candidate.bv] in MEETING and in_time(target, encounter.first.ego.speed)
+        return "" if ok else "the vehicle meant cannot be at the conflict in time"
+    ahead = encounter.first.frame.to_local(target.state.x, target.state.y, target.state.heading)[0] > 0
+    sided = {"neighbour_ahead": ahead, "neighbour_behind": not ahead}.get(candidate.kind, True)
+    as_meant = relations[candidate.bv] == RELATIONS[candidate.kind] and sided
+    return "" if as_meant else "the vehicle meant stands otherwise by then"
+
+
+def in_time(target: Target, ego_speed: float) -> bool:
+    """Whether a vehicle that accelerates at once is at a conflict no later than 0.2 s after the ego."""
+    for way in target.ways:
+        if way.conflict is None or way.conflict.bv_s < 1.0 or way.conflict.ego_s < 1.0:
+            continue
+        v = max(target.state.speed, 0.1)
+        earliest = (-v + math.sqrt(v * v + 2 * FASTEST_START * way.conflict.bv_s)) / FASTEST_START
+        if earliest <= way.conflict.ego_s / max(ego_speed, 1.0) + LATEST:
+            return True
+    return False
+
+
+def _each(trials: Sequence[Trial]) -> list[str]:
+    return in_forks([partial(tried, candidate) for candidate in trials])
+
+
+def body(slots: list[Connection]) -> dict[str, Callable[..., Any]]:
+    """The command of the process that forks the trials."""
+    import shapely.geometry  # noqa: F401 - what every trial needs is there before the first fork
+
+    load_libsumo()
+
+    return {"trials": _each}
+
+
+# -- the suite
+
 
 VERSION = "1"
 SHIPPED, SHIPPED_SEED = "suite81", 1
@@ -112,7 +219,6 @@ def places_of(shares: Mapping[str, int]) -> list[Place]:
 
 
 def candidate(place: Place, seed: int, attempt: int) -> Draft:
-    """The candidate number ``attempt`` for a place."""
     draw = Random(f"{seed}/{place.name}/{attempt}")
     return (draw_straight if place.kind in STRAIGHT else draw_junction)(place.kind, place.number, draw)
 
@@ -123,7 +229,7 @@ def _fill(place: Place, seed: int, work: Path, engine: Engine, count: _Count, re
         draft = candidate(place, seed, attempt)
         count.drawn += 1
         _provide_network(draft.network, work)
-        fault = _fault(draft, write_draft(draft, place.name, work), engine)
+        fault = _refused(draft, write_draft(draft, place.name, work), engine)
         if report is not None:
             report(place.name, fault)
         if not fault:
@@ -139,7 +245,7 @@ def _provide_network(network: str, work: Path) -> None:
         shutil.copyfile(data_folder("networks") / target.name, target)
 
 
-def _fault(draft: Draft, scenario: Path, engine: Engine) -> str:
+def _refused(draft: Draft, scenario: Path, engine: Engine) -> str:
     """Why a candidate is refused, and by which driver; the first driver alone, then all others."""
     for egos in (EGOS[:1], EGOS[1:]):
         trials = [trial(scenario, ego, draft.bv_id(), draft.kind) for ego in egos]

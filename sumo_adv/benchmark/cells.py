@@ -1,0 +1,183 @@
+"""Reading a cell: what counts of it, in one place, so that all tables count the same; realism over many cells:
+the adversaries' steps pooled against those of unattacked vehicles near by. Its intervals resample encounters, not
+steps: the steps of one motion are not independent.
+
+A failure is a cell too: it counts as neither a collision nor critical nor valid, with the largest min TTC.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.benchmark.nouns import GROUPS, Cell, counts
+from sumo_adv.datatypes import Ending, Floats
+from sumo_adv.metrics.realism import PAPER_BINS, Bins, jensen_shannon, kl, smoothed, wasserstein
+from sumo_adv.metrics.statistics import Estimate
+
+RAW, ORACLE = "raw", "oracle"
+CAP = 10.0  # s: a min TTC of never, and the most any counts
+FAILED = frozenset(
+    {
+        Ending.SIMULATION_FAILED, Ending.PLANNER_FAILED, Ending.MODEL_FAILED, Ending.BUDGET_EXHAUSTED, Ending.EGO_LOST,
+        Ending.INTERRUPTED,
+    }
+)  # fmt: skip
+
+Key = tuple[str, int]
+"""Case and seed: what two rows are paired by."""
+
+
+def key(cell: Cell) -> Key:
+    """What the cell is paired by."""
+    return str(cell["case"]), int(cell["seed"])
+
+
+def is_raw(cell: Cell) -> bool:
+    return bool(cell["row"] == RAW)
+
+
+def failed(cell: Cell) -> bool:
+    """Whether the work failed (a crash, a model, a budget); what it came to until then does not count."""
+    return cell["ending"] in FAILED
+
+
+def without_attack(cell: Cell) -> bool:
+    """Whether no attempt was made although nothing failed: no encounter, or nothing to try."""
+    return not failed(cell) and not is_raw(cell) and cell.get("best") is None
+
+
+def counted(cell: Cell) -> Mapping[str, Any]:
+    """The verdict that counts; empty for a failure and where no attempt was made."""
+    return {} if failed(cell) else cell.get("outcome") or {}
+
+
+def attempts(cell: Cell) -> Sequence[Mapping[str, Any]]:
+    """The attempts that count; none of a failure."""
+    return () if failed(cell) else cell.get("attempts") or ()
+
+
+def no_rear(verdict: Mapping[str, Any]) -> bool:
+    return bool(verdict.get("collided")) and counts(verdict)
+
+
+def capped_ttc(verdict: Mapping[str, Any]) -> float:
+    """Min TTC [s]: 0 for a collision, at most 10, which is never too."""
+    if verdict.get("collided"):
+        return 0.0
+    given = verdict.get("min_ttc")
+    return CAP if given is None or math.isinf(given) else min(float(given), CAP)
+
+
+def first_valid(cell: Cell) -> int | None:
+    """How many attempts it took until one was valid, from 1; None if none was."""
+    return next((k for k, a in enumerate(attempts(cell), 1) if a.get("valid")), None)
+
+
+def remembered(cell: Cell) -> bool | None:
+    """Whether the bank had it: with ``recall = scene`` an attack on a like scene, else the intent. None: not asked."""
+    intent, recall = cell.get("intent") or {}, cell.get("recall")
+    if recall is None:
+        return None
+    if intent.get("recall") == "scene":
+        return any(a.get("by") == "memory" for a in (cell.get("attempts") or ())[:1])
+    return bool(recall == "hit")
+
+
+def parts(cells: Iterable[Cell]) -> dict[str, list[Cell]]:
+    """The cells altogether (``all``), by group, and by kind; parts without a cell are left out."""
+    every = list(cells)
+    by_part = {"all": every} | {group: [c for c in every if c["group"] == group] for group in GROUPS}
+    for kind in dict.fromkeys(str(c["kind"]) for c in every):
+        if kind not in by_part:
+            by_part[kind] = [c for c in every if c["kind"] == kind]
+    return {name: part for name, part in by_part.items() if part}
+
+
+def names(cells: Iterable[Cell], what: str) -> list[str]:
+    """The values of a key (``ego``, ``row``, ``case``), in order of appearance."""
+    return list(dict.fromkeys(str(c[what]) for c in cells))
+
+
+# -- realism
+
+
+RESAMPLES = 1000
+FINE = 2000  # bins of W1 in resamples
+
+Pooled = Callable[[Sequence[Cell]], Estimate | None]
+
+
+def samples(cells: Sequence[Cell], feature: str) -> tuple[list[Floats], list[Floats]]:
+    """Values of ``speed`` [m/s] or ``acceleration`` [m/s2] of each encounter that has both: adversary, unattacked."""
+    attacked, raw = [], []
+    for cell in cells:
+        motion = cell.get("motion") or {}
+        a, b = (np.asarray((motion.get(who) or {}).get(feature) or (), dtype=float) for who in ("adversary", "raw"))
+        if not failed(cell) and a.size and b.size:
+            attacked.append(a)
+            raw.append(b)
+    return attacked, raw
+
+
+def distance(feature: str, measure: str) -> Pooled:
+    """The distance ``kl``, ``js`` or ``wasserstein`` of a feature's distributions, over encounters."""
+
+    def of(cells: Sequence[Cell]) -> Estimate | None:
+        attacked, raw = samples(cells, feature)
+        if not attacked:
+            return None
+        a, b = np.concatenate(attacked), np.concatenate(raw)
+        exact = measure == "wasserstein"
+        bins = _over(np.concatenate([a, b])) if exact else PAPER_BINS[feature]
+        own, reference = (np.array([bins.counts(v) for v in side]) for side in (attacked, raw))
+        weights = _weights(len(attacked))
+        resampled = [_of_counts(measure, p, q, bins) for p, q in zip(weights @ own, weights @ reference, strict=True)]
+        value = wasserstein(a, b) if exact else _of_counts(measure, bins.counts(a), bins.counts(b), bins)
+        return _interval(value, np.array(resampled), len(attacked))
+
+    return of
+
+
+def _over(values: Floats) -> Bins:
+    """Bins over all there is, ``FINE`` of them: W1 must not stop where a histogram of usual values ends."""
+    finite = values[np.isfinite(values)]
+    return Bins(float(finite.min()), float(finite.max()) + 1e-6, FINE)
+
+
+def _of_counts(measure: str, p: Floats, q: Floats, bins: Bins) -> float:
+    """The distance of two distributions from their counts on the same bins."""
+    if measure == "wasserstein":
+        width = (bins.high - bins.low) / bins.count
+        return float(np.abs(np.cumsum(p) / p.sum() - np.cumsum(q) / q.sum()).sum() * width)
+    return (kl if measure == "kl" else jensen_shannon)(smoothed(p), smoothed(q))
+
+
+def step_share(name: str) -> Pooled:
+
+    def of(cells: Sequence[Cell]) -> Estimate | None:
+        blocks = [cell.get("realism") or {} for cell in cells if not failed(cell)]
+        counted = [(b[name], b["steps"]) for b in blocks if b.get(name) is not None and b.get("steps")]
+        if not counted:
+            return None
+        share, steps = np.array(counted, dtype=float).T
+        weights = _weights(len(counted))
+        return _interval(
+            float(share @ steps / steps.sum()), weights @ (share * steps) / (weights @ steps), len(counted)
+        )
+
+    return of
+
+
+def _weights(count: int) -> Floats:
+    """How often each of ``count`` encounters is in each resample ``(RESAMPLES, count)``."""
+    drawn = np.random.default_rng(0).integers(0, count, (RESAMPLES, count))
+    return np.array([np.bincount(row, minlength=count) for row in drawn], dtype=float)
+
+
+def _interval(value: float, resampled: Floats, n: int) -> Estimate:
+    low, high = np.quantile(resampled, [0.025, 0.975])
+    return Estimate(value, float(low), float(high), n)

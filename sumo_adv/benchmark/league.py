@@ -1,0 +1,244 @@
+"""Two tables of their own: which driver is harder to bring into a collision that counts, and how the bank grows.
+
+League: one attacker meets every driver in the same encounters. The harder a driver is to hit, the more attempts it
+takes, and the fewer attacks are valid. The search has a model of known drivers and must find out about others, so the
+ranks of both stand apart. Growth: hits and seconds over a sequence of encounters as a row learns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.benchmark import cells as c
+from sumo_adv.benchmark.cells import counted, first_valid, remembered
+from sumo_adv.benchmark.columns import COLUMNS
+from sumo_adv.benchmark.nouns import Case, Cell
+from sumo_adv.benchmark.table import grid, number, signed
+from sumo_adv.benchmark.write import MAIN, SCHEMA, aligned, as_csv, as_json, on_screen, plain, rate, write_files
+from sumo_adv.metrics.statistics import Estimate, Paired, bootstrap, paired_bootstrap, wilson
+
+LIKELY = 0.5  # an attempt counts as predicted to be valid from this probability on
+SHOWN = ("valid", "strict", "serious", "valid_1", "kinds")
+WARNING = (
+    "Attempts against known and unknown drivers do not compare: the search has the rules of the known ones, and has to "
+    "find out how the unknown ones drive."
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """One driver. attempts: mean until the first valid one, where an encounter without one counts as one more than its
+    budget. called: attempts that were predicted to be valid; right: the share of them that were."""
+
+    ego: str
+    known: bool
+    encounters: int
+    figures: dict[str, Estimate | None]
+    attempts: Estimate
+    called: int
+    right: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Duel:
+    """Two drivers in the same encounters: ``fewer`` and ``more`` attempts until the first valid one; the rates."""
+
+    fewer: str
+    more: str
+    attempts: Paired
+    valid: Paired
+
+
+def league(cells: Sequence[Cell], budget: int) -> tuple[list[Place], list[Duel]]:
+    """The drivers, hardest to hit first, the known ones before the others; and each pair of them."""
+    by_ego = {ego: [cell for cell in cells if cell["ego"] == ego] for ego in c.names(cells, "ego")}
+    places = [_place(ego, group, budget) for ego, group in by_ego.items()]
+    places.sort(key=lambda p: (not p.known, -p.attempts.value))
+    duels = [
+        _duel(first.ego, second.ego, by_ego, budget)
+        for first, second in combinations(places, 2)
+        if first.known == second.known
+    ]  # fmt: skip
+    return places, [duel for duel in duels if duel is not None]
+
+
+def to_markdown(places: Sequence[Place], duels: Sequence[Duel], title: str) -> str:
+    titles = {column.key: column for column in COLUMNS}
+    head = ["driver", "", "attempts until valid", *(titles[k].title for k in SHOWN), "called valid", "of these valid"]
+    rows = [
+        [
+            p.ego, "known" if p.known else "unknown", number(p.attempts, 1),
+            *(number(p.figures[k], titles[k].digits) for k in SHOWN), str(p.called),
+            "–" if p.right is None else f"{p.right:.2f}",
+        ]
+        for p in places
+    ]  # fmt: skip
+    lines = [f"# {title}", "", "The driver that is hardest to hit stands first.", "", *grid(head, rows)]
+    if len({p.known for p in places}) > 1:
+        lines += [WARNING, ""]
+    pairs = [[d.more, d.fewer, signed(d.attempts, 1), signed(d.valid)] for d in duels]
+    if pairs:
+        lines += grid(["harder to hit", "than", "attempts until valid, difference", "valid, difference"], pairs)
+    lines.append("Rates: Wilson's 95 % interval. Attempts and differences: bootstrap over encounters, paired, 95 %.")
+    return "\n".join(lines) + "\n"
+
+
+def league_text(places: Sequence[Place], title: str, file: Path) -> str:
+    """For the terminal: the drivers, hardest to hit first."""
+    levels = MAIN[1:]
+    rows = [
+        [p.ego, "known" if p.known else "unknown", plain(p.attempts), *(rate(p.figures[k]) for k in levels)]
+        for p in places
+    ]
+    sections = [("", aligned(["driver", "", "attempts", *levels], rows))]
+    return on_screen(title, sections, ["Attempts: mean until the first valid one."], file)
+
+
+def write_league(
+    places: Sequence[Place], duels: Sequence[Duel], title: str, cells: Sequence[Cell], folder: Path,
+    about: Mapping[str, Any],
+) -> list[Path]:  # fmt: skip
+    """``league.md``, ``.json`` and ``league.manifest.json``. Raises UsageError."""
+    document = {"schema": 1, "drivers": [asdict(p) for p in places], "pairs": [asdict(d) for d in duels]}
+    texts = {".md": to_markdown(places, duels, title), ".json": as_json(document)}
+    return write_files(folder, "league", texts, cells, about)
+
+
+def _place(ego: str, cells: Sequence[Cell], budget: int) -> Place:
+    called = [a for cell in cells for a in c.attempts(cell) if (a.get("predicted_valid") or 0.0) >= LIKELY]
+    figures = {column.key: column.estimate(cells) for column in COLUMNS if column.key in SHOWN}
+    right = sum(bool(a.get("valid")) for a in called) / len(called) if called else None
+    is_known = all(cell.get("driver_known") is not False for cell in cells)  # None: there was no encounter
+    return Place(
+        ego, is_known, len(cells), figures, bootstrap([_attempts(cell, budget) for cell in cells]), len(called), right
+    )
+
+
+def _duel(first_ego: str, second_ego: str, by_ego: dict[str, list[Cell]], budget: int) -> Duel | None:
+    """The pair with the driver that takes more attempts as ``more``; None if they met in no encounter."""
+    first, second = ({c.key(cell): cell for cell in by_ego[ego]} for ego in (first_ego, second_ego))
+    both = sorted(first.keys() & second.keys())
+    if not both:
+        return None
+    a, b = ([group[k] for k in both] for group in (first, second))
+    attempts = paired_bootstrap([_attempts(x, budget) for x in a], [_attempts(x, budget) for x in b])
+    if attempts.difference < 0:
+        return _duel(second_ego, first_ego, by_ego, budget)
+    valid = paired_bootstrap(*([float(c.first_valid(x) is not None) for x in group] for group in (a, b)))
+    return Duel(fewer=second_ego, more=first_ego, attempts=attempts, valid=valid)
+
+
+def _attempts(cell: Cell, budget: int) -> float:
+    first = c.first_valid(cell)
+    return float(budget + 1 if first is None else first)
+
+
+# -- growth of the bank
+
+
+WINDOW = 10  # encounters of a moving figure
+THIRDS = ("first third", "second third", "last third")
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One encounter in its place (from 1). ``hit_rate``: so far; ``seconds_window``: mean of the last 10 encounters.
+
+    ``seconds``: of the row, the model included; None where there was no encounter.
+    """
+
+    row: str
+    ego: str
+    seed: int
+    place: int
+    case: str
+    hit: bool | None
+    hit_rate: float | None
+    seconds: float | None
+    seconds_window: float | None
+    calls: int
+    attempts_to_valid: int | None
+    valid: bool
+
+
+def growth(cells: Sequence[Cell], cases: Sequence[Case]) -> list[Step]:
+    """The steps of every row, ego and seed, each in the suite's order. Cells that are missing leave a gap in place."""
+    place = {case.name: k for k, case in enumerate(cases, 1)}
+    lines: dict[tuple[str, str, int], list[Cell]] = {}
+    for cell in cells:
+        if cell["case"] in place:
+            lines.setdefault((cell["row"], cell["ego"], cell["seed"]), []).append(cell)
+    steps = []
+    for own_cells in lines.values():
+        hits: list[bool] = []
+        seconds: list[float] = []
+        for cell in sorted(own_cells, key=lambda c: place[c["case"]]):
+            steps.append(_step(cell, place[cell["case"]], hits, seconds))
+    return steps
+
+
+def _step(cell: Cell, place: int, hits: list[bool], seconds: list[float]) -> Step:
+    """The step of a cell; ``hits`` and ``seconds`` are those so far, and grow."""
+    timing, hit = cell.get("timing") or {}, remembered(cell)
+    took = timing.get("row")
+    hits += [] if hit is None else [hit]
+    seconds += [] if took is None else [float(took)]
+    return Step(
+        cell["row"], cell["ego"], cell["seed"], place, cell["case"], hit,
+        float(np.mean(hits)) if hits else None, took, float(np.mean(seconds[-WINDOW:])) if seconds else None,
+        int((cell.get("llm") or {}).get("calls") or 0), first_valid(cell), counted(cell).get("valid") is True,
+    )  # fmt: skip
+
+
+def write_growth(steps: Sequence[Step], cells: Sequence[Cell], folder: Path, about: Mapping[str, Any]) -> list[Path]:
+    """``growth.md``, ``.csv``, ``.json`` and ``growth.manifest.json``. Raises UsageError."""
+    rows = [asdict(step) for step in steps]
+    texts = {
+        ".md": _to_markdown(steps, about["suite"]), ".csv": as_csv(list(Step.__dataclass_fields__), rows),
+        ".json": as_json({"schema": SCHEMA, "steps": rows, "thirds": _plain(thirds(steps))}),
+    }  # fmt: skip
+    return write_files(folder, "growth", texts, cells, about)
+
+
+def _plain(thirds: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    return [{k: asdict(v) if isinstance(v, Estimate) else v for k, v in third.items()} for third in thirds]
+
+
+def thirds(steps: Sequence[Step]) -> list[dict[str, Any]]:
+    """For each row, ego and seed each third of its sequence: ``n``, and ``hits``, ``seconds``, ``calls``, ``valid`` as
+    estimates, None where there is nothing to estimate."""
+    rows = []
+    for row, ego, seed in dict.fromkeys((s.row, s.ego, s.seed) for s in steps):
+        own_steps = [s for s in steps if (s.row, s.ego, s.seed) == (row, ego, seed)]
+        for name, third in zip(THIRDS, np.array_split(np.arange(len(own_steps)), 3), strict=True):
+            if third.size:
+                rows.append(
+                    {"row": row, "ego": ego, "seed": seed, "encounters": name, **_third([own_steps[k] for k in third])}
+                )
+    return rows
+
+
+def _third(steps: Sequence[Step]) -> dict[str, Any]:
+    hits = [s.hit for s in steps if s.hit is not None]
+    seconds = [s.seconds for s in steps if s.seconds is not None]
+    return {
+        "n": len(steps), "hits": wilson(sum(hits), len(hits)) if hits else None,
+        "seconds": bootstrap(seconds) if seconds else None, "calls": bootstrap([s.calls for s in steps]),
+        "valid": wilson(sum(s.valid for s in steps), len(steps)),
+    }  # fmt: skip
+
+
+def _to_markdown(steps: Sequence[Step], suite: str) -> str:
+    rows = [
+        [f"`{t['row']}`", t["ego"], str(t["seed"]), t["encounters"], str(t["n"]), number(t["hits"]),
+         number(t["seconds"]), number(t["calls"], 1), number(t["valid"])]
+        for t in thirds(steps)
+    ]  # fmt: skip
+    head = ["row", "ego", "seed", "encounters", "n", "memory hits", "s", "model calls", "valid"]
+    return "\n".join([f"# Growth of the bank over {suite}", "", *grid(head, rows)])

@@ -1,0 +1,286 @@
+"""Opponents by their names: draws of the behaviour library (``random``), all of it simulated (``oracle``), those with
+files of their own, and a generator of the user's, ``module:Class``.
+"""
+
+from __future__ import annotations
+
+import random
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from copy import deepcopy
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.benchmark.nouns import Cell, Encounter, Opponent, counts
+from sumo_adv.benchmark.resampling import Resampling
+from sumo_adv.benchmark.transformer import Transformer
+from sumo_adv.datatypes import Attempt, Planner, PrescribedMotion, Proposal, acceleration_of
+from sumo_adv.drivers.user import in_one_line, make_object
+from sumo_adv.errors import PlannerResultError, PlannerRuntimeError, UsageError
+from sumo_adv.search.templates import BRAKING_LABEL, AttackTemplate, templates_of
+from sumo_adv.situation import Situation
+
+
+class RandomIntent:
+    """Any vehicle, intent, mode and moment that apply, with numbers drawn within their bounds.
+
+    Idea: the library's planners without any choice. Each attempt draws one of all ways to attack uniformly, then every
+    number of its planner uniformly within the bounds its author gave. Nothing is predicted and nothing is learnt from
+    the attempts before. What a method gains over this row is what choosing is worth.
+    Limits: an intent with many modes, or that applies to many vehicles, is drawn more often.
+    Citation: the usual control of search-based testing (Arcuri and Briand 2011, "Adaptive random testing: an illusion
+    of effectiveness?", ISSTA); here over the paper's behaviour library.
+    """
+
+    name = "random"
+
+    def __init__(self) -> None:
+        self._families: list[AttackTemplate] = []
+        self._draw = random.Random(0)
+
+    def begin(self, encounter: Encounter) -> None:
+        self._families = templates_of(encounter.situations, encounter.library)
+        self._draw = random.Random(encounter.seed)
+
+    def propose(self, tried: Sequence[Attempt]) -> Proposal | None:
+        if not self._families:
+            return None
+        return replace(self._draw.choice(self._families).proposal(self._draw), by=self.name)
+
+
+LABELS = (
+    "Aggressive Cut-in",
+    "Close Car-following",
+    "Emergency Braking",
+    "Intersection Rush-through Go-straight",
+    "Intersection Rush-through Turn Left",
+    "Opposite Direction Intrusion",
+    "Straight Lane Shift",
+)
+"""The paper's seven behaviours, as the shipped library labels them."""
+
+MOST = 60  # simulations an encounter
+BRAKING = (-8.0, -6.5, -5.0)  # m/s2
+CRITERIA = ("collision", "valid")
+CAP = 10.0  # s: a min TTC above, or of a motion that does not count, is this
+SAME_SHARE, SAME_TTC = 0.05, 0.2  # shares and mean min TTC [s] that differ by no more are a tie
+SPLITS = 20
+
+Labels = Mapping[str, tuple[str, ...]]
+Groups = Mapping[str, Sequence[Mapping[str, Any]]]
+
+
+class Oracle:
+    """All intents, modes and moments simulated, to know afterwards which was the most dangerous.
+
+    Idea: every family (vehicle, intent, mode, delay) is driven against the real ego with its author's numbers; what
+    is left of ``MOST`` simulations goes, with drawn numbers, to the intents that had fewest, so that shares are of like
+    precision. Emergency braking is driven at -5, -6.5 and -8 m/s2 in turn. It does not stop at a success.
+    ``oracle_labels`` reads from that the label an analyzer should have answered; ``split_half`` is how well one half of
+    the simulations answers for the other: how certain a label of half as many is.
+    Limits: it has more simulations than the other rows have attempts, so it is a bound, not a competitor; with tens of
+    simulations a share is known to about 0.1; it knows of nothing but the library's behaviours.
+    """
+
+    name = "oracle"
+    exhaustive = True
+
+    def __init__(self) -> None:
+        self._plans: list[Proposal] = []
+
+    def begin(self, encounter: Encounter) -> None:
+        ways = templates_of(encounter.situations, encounter.library)
+        self._plans = [replace(p, by=self.name) for p in _plans(ways, random.Random(encounter.seed))]
+
+    def propose(self, tried: Sequence[Attempt]) -> Proposal | None:
+        return self._plans[len(tried)] if len(tried) < len(self._plans) else None
+
+
+def _plans(ways: Sequence[AttackTemplate], draw: random.Random) -> list[Proposal]:
+    """At most ``MOST`` proposals: all templates once, in turn by label; then the label with the fewest so far."""
+    by_label: dict[str, list[AttackTemplate]] = defaultdict(list)
+    for way in ways:
+        by_label[way.entry.label].append(way)
+    endless = {label: _endless(label, templates, draw) for label, templates in by_label.items()}
+    count: Counter[str] = Counter()
+    plans: list[Proposal] = []
+    while by_label and len(plans) < MOST:
+        first = [label for label, templates in by_label.items() if count[label] < len(templates)]
+        label = min(first or by_label, key=lambda name: count[name])
+        plans.append(next(endless[label]))
+        count[label] += 1
+    return plans
+
+
+def _endless(label: str, ways: Sequence[AttackTemplate], draw: random.Random) -> Iterator[Proposal]:
+    """A label's templates with their authors' numbers, then again and again with drawn ones."""
+    turn = 0
+    while True:
+        for k, way in enumerate(ways):
+            proposal = way.proposal(None if turn == 0 else draw)
+            if label == BRAKING_LABEL:
+                proposal = replace(proposal, acceleration=BRAKING[(turn + k) % len(BRAKING)])
+            yield proposal
+        turn += 1
+
+
+# -- what the cell of an oracle says ------------------------------------------------------------------------------
+
+
+def oracle_labels(cell: Cell) -> dict[str, tuple[str, ...]]:
+    """The most dangerous labels of an oracle's cell, by collisions and by valid collisions; more than one is a tie.
+
+    ``collision``: share of candidates with a feasible collision that is not rear-end; ``valid``: with a valid one. Then
+    the mean of min TTC, where an infeasible or rear-end motion counts as ``CAP``. Empty without simulations.
+    """
+    return {criterion: _most_dangerous(_groups(cell), criterion) for criterion in CRITERIA}
+
+
+def split_half(cell: Cell, seed: int = 0) -> dict[str, float | None]:
+    """Agreement in [0, 1] of random halves of each label's candidates, by criterion; None without two labels.
+
+    It is the chance that a label drawn from one half's tie set is in the other's, over ``SPLITS`` splits both ways.
+    """
+    groups, draw = _groups(cell), random.Random(seed)
+    if len(groups) < 2:
+        return dict.fromkeys(CRITERIA)
+    total = dict.fromkeys(CRITERIA, 0.0)
+    for _ in range(SPLITS):
+        halves: tuple[dict[str, Any], dict[str, Any]] = {}, {}
+        for label, members in groups.items():
+            mixed = draw.sample(members, len(members))
+            middle = (len(mixed) + draw.randrange(2)) // 2  # the odd one goes to either side
+            halves[0][label], halves[1][label] = mixed[:middle], mixed[middle:]
+        for criterion in CRITERIA:
+            first, second = (set(_most_dangerous(half, criterion)) for half in halves)
+            both = len(first & second)
+            total[criterion] += (both / len(first) + both / len(second)) / 2 if first and second else 0.0
+    return {criterion: total[criterion] / SPLITS for criterion in CRITERIA}
+
+
+def _groups(cell: Cell) -> dict[str, list[Mapping[str, Any]]]:
+    groups: dict[str, list[Mapping[str, Any]]] = defaultdict(list)
+    for attempt in cell["attempts"]:
+        groups[attempt["intent"]].append(attempt)
+    return dict(sorted(groups.items()))
+
+
+def _most_dangerous(groups: Groups, criterion: str) -> tuple[str, ...]:
+    attempted = {label: members for label, members in groups.items() if members}
+    if not attempted:
+        return ()
+    share = {n: sum(succeeds(a, criterion) for a in members) / len(members) for n, members in attempted.items()}
+    near = [n for n in attempted if share[n] >= max(share.values()) - SAME_SHARE]
+    mean = {n: sum(_time(a) for a in attempted[n]) / len(attempted[n]) for n in near}
+    return tuple(n for n in near if mean[n] <= min(mean.values()) + SAME_TTC)
+
+
+def succeeds(attempt: Mapping[str, Any], criterion: str) -> bool:
+    """Whether a simulation counts: a valid collision, or a feasible one, but no rear-end."""
+    return bool(attempt["valid"]) if criterion == "valid" else bool(attempt["collided"]) and counts(attempt)
+
+
+def _time(attempt: Mapping[str, Any]) -> float:
+    least = attempt["min_ttc"]
+    return min(float(least), CAP) if least is not None and counts(attempt) else CAP
+
+
+ARRAYS = ("x", "y", "heading", "speed")
+
+
+class UserRow:
+    """A user's generator; its errors become one sentence that names it."""
+
+    def __init__(self, spec: str) -> None:
+        """``spec``: ``module:Class``, found on ``sys.path`` or in the current folder. Raises UsageError."""
+        self._generator = make_object("generator", spec, {}, {"begin": "begin(encounter)", "propose": "propose(tried)"})
+        self.name = spec
+        self._situations: Mapping[float, Situation] = {}
+
+    def begin(self, encounter: Encounter) -> None:
+        """Of a copy: other rows see nothing of what is written there. Raises PlannerRuntimeError if its code fails."""
+        self._situations = encounter.situations
+        try:
+            self._generator.begin(replace(encounter, situations=deepcopy(dict(encounter.situations))))
+        except Exception as error:  # user code
+            raise PlannerRuntimeError(f"The generator {self.name!r} failed in begin: {in_one_line(error)}.") from error
+
+    def propose(self, tried: Sequence[Attempt]) -> Proposal | None:
+        """Raises PlannerRuntimeError if the user's code fails, PlannerResultError if its answer cannot be driven."""
+        try:
+            answer = self._generator.propose(tried)
+        except Exception as error:  # user code
+            reason = in_one_line(error)
+            raise PlannerRuntimeError(f"The generator {self.name!r} failed in propose: {reason}.") from error
+        if answer is None:
+            return None
+        try:
+            return _checked(answer, self._situations, self.name)
+        except ValueError as error:
+            raise PlannerResultError(f"The generator {self.name!r} returned {error}.") from error
+        except (TypeError, AttributeError) as error:
+            fault = f"a Proposal with a field of a wrong type ({in_one_line(error)})"
+            raise PlannerResultError(f"The generator {self.name!r} returned {fault}.") from error
+
+
+def _checked(answer: object, situations: Mapping[float, Situation], name: str) -> Proposal:
+    """The proposal, marked as the generator's. Raises ValueError that names the answer and the need."""
+    if not isinstance(answer, Proposal):
+        raise ValueError(f"{type(answer).__name__}; propose must return a Proposal or None")
+    if answer.delay not in situations:
+        delays = ", ".join(f"{d:g}" for d in sorted(situations))
+        raise ValueError(f"the delay {answer.delay!r}, which the encounter does not have; use one of {delays}")
+    targets = situations[answer.delay].targets
+    if answer.bv not in targets:
+        raise ValueError(f"the vehicle {answer.bv!r}; use one of the encounter's targets, {', '.join(targets)}")
+    if answer.course is not None:
+        return replace(answer, by=name, course=_course(answer.course))
+    if not isinstance(answer.planner, Planner) or not answer.planner.source:
+        raise ValueError("a Proposal with neither a course nor a planner's source text; give one of them")
+    numbers = answer.parameters.values()
+    if not all(isinstance(n, int | float) and np.isfinite(n) for n in numbers):
+        raise ValueError("parameters that are not all finite numbers")
+    try:
+        acceleration_of(answer.acceleration)
+    except ValueError as error:
+        raise ValueError(f"an acceleration that cannot be used ({str(error).rstrip('.')})") from error
+    return replace(answer, by=name)
+
+
+def _course(course: object) -> PrescribedMotion:
+    """The course as arrays of floats. Raises ValueError."""
+    if not isinstance(course, PrescribedMotion):
+        raise ValueError(f"a course that is {type(course).__name__}; it must be a PrescribedMotion")
+    try:
+        arrays = [np.array(getattr(course, name), float) for name in ARRAYS]
+    except (TypeError, ValueError) as error:
+        raise ValueError("a course whose x, y, heading and speed are not all arrays of numbers") from error
+    shape = arrays[0].shape
+    if len(shape) != 1 or not shape[0] or any(a.shape != shape for a in arrays):
+        raise ValueError("a course whose x, y, heading and speed are not arrays (n,) of one length, 1 or more")
+    if not all(np.isfinite(a).all() for a in arrays):
+        raise ValueError("a course with numbers that are not finite")
+    if (arrays[3] < 0).any():
+        raise ValueError("a course with negative speeds; a vehicle drives forwards along its heading")
+    x, y, heading, speed = arrays
+    return PrescribedMotion(x, y, heading, speed)
+
+
+ROWS: Mapping[str, Callable[[], Opponent]] = {
+    "random": RandomIntent, "oracle": Oracle, "resampling": Resampling, "transformer": Transformer,
+}  # fmt: skip
+WEIGHTS = "transformer:"
+
+
+def make_row(text: str) -> Opponent:
+    """The opponent named: one of ``ROWS``, ``transformer:FILE`` or ``module:Class``. Raises UsageError."""
+    if text in ROWS:
+        return ROWS[text]()
+    if text.startswith(WEIGHTS):
+        return Transformer(Path(text.removeprefix(WEIGHTS)))
+    if ":" in text:
+        return UserRow(text)
+    raise UsageError(f"There is no row '{text}'; use {', '.join(ROWS)}, transformer:FILE or module:Class.")

@@ -1,0 +1,365 @@
+"""From cells to a table (each ego for itself, each row, each column with its interval, differences paired), and the
+table as Markdown, beside what the paper reports and why its figures are not the same quantities as ours.
+
+Mei, Nie, Sun and Tian, "Seeking to Collide: Online Safety-Critical Scenario Generation for Autonomous Driving with
+Retrieval Augmented Large Language Models". Its only table is Table I.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from sumo_adv.benchmark.cells import RAW, Key, first_valid, is_raw, key, names, parts
+from sumo_adv.benchmark.columns import BY_PART, COLUMNS, COMPARED, MEAN, MEDIAN, RATE, SECTIONS, Column
+from sumo_adv.benchmark.nouns import Case, Cell
+from sumo_adv.metrics.statistics import Estimate, Paired, mcnemar, paired_bootstrap, wilson
+
+SHOWN = 6  # names of missing encounters in a sentence
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One figure. ``part``: all, a group or a kind. ``difference``: to the reference row, over the same encounters."""
+
+    ego: str
+    part: str
+    row: str
+    column: str
+    estimate: Estimate
+    difference: Paired | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table of rows for every ego, never pooled.
+
+    ``entries``: by ego, part, row and column; ``sizes``: cells by ego, part and row; ``words``: what rows are.
+    """
+
+    title: str
+    egos: tuple[str, ...]
+    rows: tuple[str, ...]
+    columns: tuple[Column, ...]
+    entries: Mapping[tuple[str, str, str, str], Entry]
+    sizes: Mapping[tuple[str, str, str], int]
+    reference: str | None
+    notes: tuple[str, ...] = ()
+    words: Mapping[str, str] = field(default_factory=dict)
+
+    def parts(self, ego: str) -> list[str]:
+        return list(dict.fromkeys(part for e, part, _ in self.sizes if e == ego))
+
+    def entry(self, ego: str, part: str, row: str, column: str) -> Entry | None:
+        return self.entries.get((ego, part, row, column))
+
+
+def make_table(
+    cells: Sequence[Cell],
+    *,
+    title: str,
+    cases: Sequence[Case] | None = None,
+    egos: Sequence[str] | None = None,
+    rows: Sequence[str] | None = None,
+    reference: str | None = None,
+    columns: Sequence[Column] = COLUMNS,
+    words: Mapping[str, str] | None = None,
+    notes: Sequence[str] = (),
+) -> Table:
+    """The table of cells of any egos, rows and seeds.
+
+    ``cases``: the suite's, so that missing cells are told; ``egos`` and ``rows``: those wanted, in order (left out:
+    those of the cells); ``reference``: the row others are compared with (left out: the first that attacks); ``notes``:
+    said before those on the cells.
+    """
+    listed = tuple(rows or names(cells, "row"))
+    cells = [cell for cell in cells if cell["row"] in listed]
+    reference = reference or next((row for row in listed if row != RAW), None)
+    entries: list[Entry] = []
+    sizes: dict[tuple[str, str, str], int] = {}
+    drivers = list(egos or names(cells, "ego"))
+    for ego in drivers:
+        for part, part_cells in parts(c for c in cells if c["ego"] == ego).items():
+            part_columns = [q for q in columns if part == "all" or q.key in BY_PART]
+            by_row = {row: [c for c in part_cells if c["row"] == row] for row in listed}
+            sizes |= {(ego, part, row): len(row_cells) for row, row_cells in by_row.items() if row_cells}
+            entries += [e for row in listed for e in _entries(ego, part, row, by_row, part_columns, reference)]
+    notes = (*notes, *_missing(cells, drivers, listed, cases), *_never_valid(cells, drivers))
+    indexed = {(e.ego, e.part, e.row, e.column): e for e in entries}
+    return Table(title, tuple(drivers), listed, tuple(columns), indexed, sizes, reference, notes, words or {})
+
+
+def _never_valid(cells: Sequence[Cell], egos: Sequence[str]) -> list[str]:
+    """A sentence for each ego about encounters that no row makes valid: they stay in every denominator."""
+    notes = []
+    for ego in egos:
+        attacked = [c for c in cells if c["ego"] == ego and not is_raw(c)]
+        won = {key(c) for c in attacked if first_valid(c) is not None}
+        every = {key(c) for c in attacked}
+        if every:
+            share = wilson(len(every - won), len(every)).text()
+            notes.append(f"No row makes {len(every - won)} of {len(every)} encounters valid against {ego}: {share}.")
+    return notes
+
+
+def _entries(
+    ego: str, part: str, row: str, by_row: Mapping[str, Sequence[Cell]], columns: Sequence[Column],
+    reference: str | None,
+) -> list[Entry]:  # fmt: skip
+    entries = []
+    for column in columns:
+        estimate = column.estimate(by_row[row])
+        if estimate is None:
+            continue
+        compared = column.paired and reference is not None and row not in (reference, RAW)
+        difference = compare(column, by_row[row], by_row.get(reference or "", ())) if compared else None
+        entries.append(Entry(ego, part, row, column.key, estimate, difference))
+    return entries
+
+
+def compare(column: Column, first: Sequence[Cell], second: Sequence[Cell]) -> Paired | None:
+    """``first`` - ``second`` over the encounters that both have; None without any.
+
+    The interval resamples encounters; p is McNemar's for rates, the bootstrap's for means.
+    """
+    left, right = column.values(first), column.values(second)
+    common = [name for name in left if name in right]
+    if not common:
+        return None
+    return paired([left[name] for name in common], [right[name] for name in common], rate=column.summary == RATE)
+
+
+def paired(left: Sequence[float], right: Sequence[float], *, rate: bool) -> Paired:
+    interval = paired_bootstrap(left, right)
+    if not rate:
+        return interval
+    p = mcnemar([v > 0.5 for v in left], [v > 0.5 for v in right])
+    return Paired(interval.difference, interval.low, interval.high, p, interval.n)
+
+
+def _missing(
+    cells: Sequence[Cell], egos: Sequence[str], rows: Sequence[str], cases: Sequence[Case] | None
+) -> list[str]:
+    """A sentence for each ego and row of which cells are not there."""
+    notes = []
+    expected = list(dict.fromkeys(names(cells, "case") if cases is None else [case.name for case in cases]))
+    for ego in egos:
+        own_cells = [c for c in cells if c["ego"] == ego]
+        seeds = sorted({int(c["seed"]) for c in own_cells}) or [0]
+        keys: list[Key] = [(case, seed) for case in expected for seed in seeds]
+        for row in rows:
+            there = {key(c) for c in own_cells if c["row"] == row}
+            gone = [name for name in keys if name not in there]
+            if gone:
+                notes.append(_sentence(row, ego, [_name(g, len(seeds) > 1) for g in gone], len(keys)))
+    return notes
+
+
+def _name(cell: Key, with_seed: bool) -> str:
+    return f"{cell[0]} (seed {cell[1]})" if with_seed else cell[0]
+
+
+def _sentence(row: str, ego: str, gone: Sequence[str], of: int) -> str:
+    listed = ", ".join(gone[:SHOWN]) + (f" and {len(gone) - SHOWN} more" if len(gone) > SHOWN else "")
+    return (
+        f"{row} against {ego}: {len(gone)} of {of} cells are missing ({listed}); its figures rest on the others. "
+        "The same command again runs what is missing."
+    )
+
+
+# -- what the paper reports
+
+
+@dataclass(frozen=True, slots=True)
+class Reported:
+    """A row of the paper's Table I: mean min TTC [s], collision rate, over its 81 scenarios."""
+
+    row: str
+    mean_min_ttc: float
+    collision: float
+
+
+TABLE_I = (
+    Reported("Raw", 1.62, 0.00),
+    Reported("Transformer", 1.73, 0.41),
+    Reported("LLM-F (V3)", 2.03, 0.22),
+    Reported("LLM-A (V3)", 1.09, 0.65),
+    Reported("LLM-A (R1)", 1.08, 0.75),
+)
+ACCURACY = {"DeepSeek-R1": 0.815, "DeepSeek-V3": 0.741}  # Fig. 3 and section IV-B, against people's labels
+DIVERGENCES = {"speed_kl": 0.141, "acceleration_kl": 0.138}  # section IV-C, Fig. 5
+ABNORMAL_LATERAL = 0.0017  # share with a lateral acceleration above 4 m/s2, section IV-C
+
+COLLISION_NOTE = (
+    "The paper calls it a collision when the centres come within an epsilon that it does not give; ours is a touch of "
+    "the boxes, and the column 'collision rate (paper)' takes 5 m. The paper does not say which driver its ego is, "
+    "whether an adversary's motion had to be feasible, nor whether running into the ego's back counts."
+)
+TTC_NOTE = (
+    "The paper does not define its TTC nor say how collisions and encounters that never close in are averaged: with "
+    "75 % collisions at 0 s, a mean of 1.08 s would be 4.3 s over the rest. Ours is of oriented boxes in the plane, a "
+    "collision is 0 s and never is 10 s. Its encounters are 81 Waymo records with a raw mean min TTC of 1.62 s and no "
+    "raw collision; in suite81 no encounter is critical before the attack."
+)
+REALISM_NOTE = (
+    "The paper gives neither bins nor smoothing nor which samples it pools; ours are 1 m/s and 0.5 m/s2 wide with 0.1 "
+    "added to each, the adversaries' steps up to contact against unattacked vehicles near in the same window."
+)
+ANALYZER_NOTE = (
+    "The paper's labels are its authors' own annotations of one given vehicle in each of 81 records; an oracle's label "
+    "is what collides most in simulation against one ego, with ties as sets, and the analyzer picks the vehicle too."
+)
+
+
+def counterpart(row: str) -> str | None:
+    """The paper's row that a row of ours stands for; None for opponents and changed rows, which the paper has not.
+
+    LLM-A stands beside its better figure, R1's, but for DeepSeek-V3 itself.
+    """
+    name = row.lower()
+    if "+" in name:
+        return None
+    if name == RAW:
+        return "Raw"
+    if name == "transformer":
+        return "Transformer"
+    if name.startswith("llm-f"):
+        return "LLM-F (V3)"
+    if name == "expert" or name.startswith("llm-a"):
+        return "LLM-A (V3)" if "v3" in name or "deepseek-chat" in name else "LLM-A (R1)"
+    return None
+
+
+# -- Markdown
+
+
+NONE = "–"
+HOW = {
+    RATE: "Rates: Wilson's 95 % interval.",
+    MEAN: "Means and medians: bootstrap over encounters, 95 %.",
+}
+
+
+def to_markdown(table: Table) -> str:
+    lines = [f"# {table.title}", ""]
+    lines += [*(f"- {note}" for note in table.notes), ""] if table.notes else []
+    lines += [" ".join(HOW.values()) + " Egos are never pooled.", ""]
+    named = [[f"`{row}`", table.words[row]] for row in table.rows if row in table.words]
+    lines += grid(["row", "what it is"], named, words=True) if named else []
+    for ego in table.egos:
+        lines += [f"## Ego: {ego}", ""]
+        for section in SECTIONS:
+            lines += _section(table, ego, section)
+        lines += [*_by_part(table, ego), *_differences(table, ego), *_beside_the_paper(table, ego)]
+    return "\n".join([*lines, *_meanings(table)]) + "\n"
+
+
+def grid(head: Sequence[str], rows: Iterable[Sequence[str]], *, words: bool = False) -> list[str]:
+    """A Markdown table, numbers to the right (unless it is of ``words``), and an empty line."""
+    rule = ["---", *["---" if words else "---:"] * (len(head) - 1)]
+    return [*("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in (head, rule, *rows)), ""]
+
+
+def number(estimate: Estimate | None, digits: int = 2) -> str:
+    """``0.75 (0.70–0.80)``; a dash where there is none."""
+    if estimate is None:
+        return NONE
+    between = "–" if estimate.low >= 0 else " to "
+    return f"{estimate.value:.{digits}f} ({estimate.low:.{digits}f}{between}{estimate.high:.{digits}f})"
+
+
+def signed(difference: Paired | None, digits: int = 2) -> str:
+    """``+0.10 (+0.02 to +0.18), p 0.03``."""
+    if difference is None:
+        return NONE
+    p = "p < 0.001" if difference.p < 0.001 else f"p {difference.p:.3f}"
+    return f"{difference.difference:+.{digits}f} ({difference.low:+.{digits}f} to {difference.high:+.{digits}f}), {p}"
+
+
+def _figure(entry: Entry | None, column: Column, size: int) -> str:
+    """The figure; with how many encounters it rests on where that is not all of them."""
+    if entry is None:
+        return NONE
+    rests = f", n {entry.estimate.n}" if entry.estimate.n != size else ""
+    return number(entry.estimate, column.digits) + rests
+
+
+def _section(table: Table, ego: str, section: str) -> list[str]:
+    columns = [c for c in table.columns if c.section == section]
+    rows = []
+    for row in table.rows:
+        size = table.sizes.get((ego, "all", row), 0)
+        entries = [table.entry(ego, "all", row, c.key) for c in columns]
+        if any(entries):
+            shown = [_figure(e, c, size) for e, c in zip(entries, columns, strict=True)]
+            rows.append([f"`{row}`", str(size), *shown])
+    if not rows:
+        return []
+    return [f"### {section}", "", *grid(["row", "n", *(c.title for c in columns)], rows)]
+
+
+def _by_part(table: Table, ego: str) -> list[str]:
+    columns = [c for c in table.columns if c.key in BY_PART]
+    rows = []
+    for part in table.parts(ego)[1:]:
+        for row in table.rows:
+            size = table.sizes.get((ego, part, row))
+            if size:
+                shown = [_figure(table.entry(ego, part, row, c.key), c, size) for c in columns]
+                rows.append([part, f"`{row}`", str(size), *shown])
+    head = ["encounters", "row", "n", *(c.title if c.key != "mean_min_ttc" else "mean min TTC [s]" for c in columns)]
+    return ["### By group and kind", "", *grid(head, rows)] if rows else []
+
+
+def _differences(table: Table, ego: str) -> list[str]:
+    columns = [c for c in table.columns if c.key in COMPARED and c.paired]
+    rows = []
+    for row in table.rows:
+        entries = [table.entry(ego, "all", row, c.key) for c in columns]
+        if any(e is not None and e.difference is not None for e in entries):
+            n = max(e.difference.n for e in entries if e is not None and e.difference is not None)
+            shown = [signed(e.difference if e else None) for e in entries]
+            rows.append([f"`{row}`", str(n), *shown])
+    if not rows:
+        return []
+    head = ["row", "pairs", *(c.title if c.key != "mean_min_ttc" else "mean min TTC [s]" for c in columns)]
+    return [
+        f"### Differences to `{table.reference}`", "", "Over the encounters that both rows have; p by McNemar's exact "
+        "test for rates and the paired bootstrap for means, not corrected for how many there are.", "",
+        *grid(head, rows),
+    ]  # fmt: skip
+
+
+def _beside_the_paper(table: Table, ego: str) -> list[str]:
+    """The paper's Table I and, where a row of ours stands for one of its rows, ours beside it."""
+    keys = ("mean_min_ttc", "collision", "paper_collision")
+    rows = []
+    for reported in TABLE_I:
+        ours = [row for row in table.rows if counterpart(row) == reported.row]
+        for row in ours or [NONE]:
+            entries = [table.entry(ego, "all", row, k) for k in keys]
+            shown = [number(e.estimate if e else None) for e in entries]
+            name = row if row == NONE else f"`{row}`"
+            rows.append([reported.row, f"{reported.mean_min_ttc:.2f}", f"{reported.collision:.2f}", name, *shown])
+    head = ["the paper's row (Table I)", "mean min TTC [s]", "collision rate", "our row"]
+    head += ["mean min TTC [s]", "collision rate", "collision rate (paper)"]
+    return ["### Beside the paper", "", *grid(head, rows), *_realism_beside(table, ego), COLLISION_NOTE, "",
+            TTC_NOTE, "", REALISM_NOTE, ""]  # fmt: skip
+
+
+def _realism_beside(table: Table, ego: str) -> list[str]:
+    reference = {**DIVERGENCES, "abnormal_lateral": ABNORMAL_LATERAL}
+    columns = [c for c in table.columns if c.key in reference]
+    rows = [["the paper (section IV-C)", *(f"{reference[c.key]:.{c.digits}f}" for c in columns)]]
+    for row in table.rows:
+        entries = [table.entry(ego, "all", row, c.key) for c in columns]
+        if any(entries):
+            shown = [number(e.estimate if e else None, c.digits) for e, c in zip(entries, columns, strict=True)]
+            rows.append([f"`{row}`", *shown])
+    return grid(["row", *(c.title for c in columns)], rows) if columns else []
+
+
+def _meanings(table: Table) -> list[str]:
+    of = {RATE: "share", MEAN: "mean", MEDIAN: "median"}
+    rows = [[c.section, c.title, "pooled" if c.pooled else of[c.summary], c.meaning] for c in table.columns]
+    return ["## The columns", "", *grid(["section", "column", "figure", "meaning"], rows, words=True)]

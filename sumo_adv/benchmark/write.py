@@ -1,0 +1,173 @@
+"""Tables as files (Markdown, CSV, JSON, a manifest of their ingredients), and in short for the terminal."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import json
+import math
+import textwrap
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from sumo_adv.benchmark.cells import names
+from sumo_adv.benchmark.nouns import Cell
+from sumo_adv.benchmark.table import Entry, Table, to_markdown
+from sumo_adv.files import sentences, write_text
+from sumo_adv.metrics.statistics import Estimate
+
+SCHEMA = 1
+DIGESTED = ("case", "ego", "row", "seed", "ending", "raw", "attempts", "best", "outcome", "intents")
+COLUMNS = (
+    "ego", "part", "row", "column", "figure", "value", "low", "high", "n", "difference", "difference_low",
+    "difference_high", "p", "pairs",
+)  # fmt: skip
+
+
+def write_table(
+    table: Table, cells: Sequence[Cell], folder: Path, about: Mapping[str, Any], name: str = "table"
+) -> list[Path]:
+    """``NAME.md``, ``.csv``, ``.json`` and ``NAME.manifest.json``, as ``write_files`` does."""
+    texts = {".md": to_markdown(table), ".csv": as_csv(COLUMNS, _records(table)), ".json": as_json(_document(table))}
+    return write_files(folder, name, texts, cells, about)
+
+
+def write_files(
+    folder: Path, name: str, texts: Mapping[str, str], cells: Sequence[Cell], about: Mapping[str, Any]
+) -> list[Path]:
+    """Texts by what follows ``name`` in the file's, and ``NAME.manifest.json``, each whole or not at all.
+
+    The manifest says what the tables are made of: ``about`` (suite, versions, settings ..), and a digest of the cells'
+    verdicts. Raises UsageError where the folder cannot be written.
+    """
+    files = {f"{name}{ending}": text for ending, text in texts.items()}
+    manifest = {
+        **about, "files": list(files), "egos": names(cells, "ego"), "rows": names(cells, "row"), "cells": len(cells),
+        "cells_digest": digest(cells),
+    }  # fmt: skip
+    files[f"{name}.manifest.json"] = as_json(manifest)
+    with sentences(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        for file, text in files.items():
+            write_text(folder / file, text)
+    return [folder / file for file in files]
+
+
+def digest(cells: Iterable[Cell]) -> str:
+    """SHA-256 over the outcomes of the cells, in any order: equal where only seconds differ."""
+    kept = [{k: cell.get(k) for k in DIGESTED} for cell in cells]
+    lines = sorted(json.dumps(cell, sort_keys=True, ensure_ascii=False, default=str) for cell in kept)
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()
+
+
+def as_json(value: Any) -> str:
+    return json.dumps(_finite(value), indent=2, ensure_ascii=False, allow_nan=False, default=str) + "\n"
+
+
+def as_csv(head: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> str:
+    buffer = io.StringIO()
+    writer = csv.DictWriter(buffer, head, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({k: _finite(v) for k, v in row.items()} for row in rows)
+    return buffer.getvalue()
+
+
+def _finite(value: Any) -> Any:
+    """Rounded to 6 decimals; a number that is not finite becomes None."""
+    if isinstance(value, float):
+        return round(value, 6) if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(k): _finite(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(v) for v in value]
+    return value
+
+
+def _record(entry: Entry, figures: Mapping[str, str]) -> dict[str, Any]:
+    e, d = entry.estimate, entry.difference
+    return {
+        "ego": entry.ego, "part": entry.part, "row": entry.row, "column": entry.column,
+        "figure": figures[entry.column], "value": e.value, "low": e.low, "high": e.high, "n": e.n,
+        "difference": d.difference if d else None, "difference_low": d.low if d else None,
+        "difference_high": d.high if d else None, "p": d.p if d else None, "pairs": d.n if d else None,
+    }  # fmt: skip
+
+
+def _records(table: Table) -> list[dict[str, Any]]:
+    figures = {c.key: "pooled" if c.pooled else c.summary for c in table.columns}
+    return [_record(entry, figures) for entry in table.entries.values()]
+
+
+def _document(table: Table) -> dict[str, Any]:
+    columns = [{"key": c.key, "title": c.title, "section": c.section, "meaning": c.meaning} for c in table.columns]
+    sizes = [{"ego": e, "part": p, "row": r, "cells": n} for (e, p, r), n in table.sizes.items()]
+    return {
+        "schema": SCHEMA, "title": table.title, "reference": table.reference, "rows": table.rows,
+        "words": dict(table.words), "notes": table.notes, "columns": columns,
+        "sizes": sizes, "entries": _records(table),
+    }  # fmt: skip
+
+
+WIDTH = 100  # characters
+NAME = 26  # characters of a name in front of its figures; a longer one has a line of its own
+NONE = "-"
+MAIN = ("collision", "valid", "strict", "serious")
+INTERVALS = "Rates with Wilson's 95 % intervals."
+
+
+def table_text(table: Table, file: Path) -> str:
+    """The rates of the levels of each row, the median number of attempts until the first valid one, and the notes."""
+    sections = []
+    for ego in table.egos:
+        rows = []
+        for row in table.rows:
+            size = table.sizes.get((ego, "all", row), 0)
+            entries = [table.entry(ego, "all", row, key) for key in (*MAIN, "attempts")]
+            if any(entries):
+                *rates, attempts = [e.estimate if e is not None else None for e in entries]
+                rows.append([row, str(size), *map(rate, rates), plain(attempts)])
+        sections.append((f"Against {ego}", aligned(["row", "n", *MAIN, "attempts"], rows)))
+    return on_screen(table.title, sections, ["Attempts: median until the first valid one.", *table.notes], file)
+
+
+def on_screen(title: str, sections: Sequence[tuple[str, Sequence[str]]], notes: Sequence[str], file: Path) -> str:
+    """Sections of aligned rows, each below its heading, then the notes, and the file that holds the rest."""
+    lines = [title]
+    for heading, rows in sections:
+        lines += ["", *([heading] if heading else []), *rows]
+    lines.append("")
+    for note in (f"{INTERVALS} {notes[0]}", *notes[1:]):
+        lines += textwrap.wrap(note, WIDTH, break_long_words=False)
+    return "\n".join([*lines, f"All columns, groups and differences: {file}"])
+
+
+def aligned(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """Rows in columns, numbers to the right. A long name stands on a line of its own, above its figures."""
+    widths = [max(len(line[k]) for line in (head, *rows)) for k in range(1, len(head))]
+    first = min(max(len(line[0]) for line in (head, *rows)), NAME)
+    lines = []
+    for name, *figures in (head, *rows):
+        if len(name) > first:
+            lines.append(name)
+        shown = "  ".join(f"{value:>{width}}" for value, width in zip(figures, widths, strict=True))
+        lines.append(f"{name if len(name) <= first else '':{first}}  {shown}")
+    return lines
+
+
+def rate(estimate: Estimate | None) -> str:
+    """``.75 [.70,.80]``; a dash where there is none."""
+    if estimate is None:
+        return NONE
+    value, low, high = (_short(v) for v in (estimate.value, estimate.low, estimate.high))
+    return f"{value} [{low},{high}]"
+
+
+def _short(value: float) -> str:
+    return f"{value:.2f}".replace("0.", ".", 1) if abs(value) < 1 else f"{value:.1f}"
+
+
+def plain(estimate: Estimate | None) -> str:
+    """One decimal; a dash where there is none."""
+    return NONE if estimate is None else f"{estimate.value:.1f}"

@@ -1,1 +1,0 @@
-"""The former address of :mod:`sumo_adv.simulation` and :mod:`sumo_adv.drivers`."""
