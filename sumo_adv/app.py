@@ -83,10 +83,8 @@ def shipped_bank() -> Path:
 
 
 def open_bank(path: Path | None, *, make: bool = False, similarity: Similarity | None = None) -> MemoryBank:
-    """The bank at ``path``, by default the user's own. The user's own bank starts as a copy of the shipped one.
-
-    make: make the bank at ``path`` in the same way if it does not exist. Raises BankError.
-    """
+    """The bank at ``path``, by default the user's own. The user's own bank starts as a copy of the shipped one. make:
+    make the bank at ``path`` in the same way if it does not exist. Raises BankError."""
     from sumo_adv.memory.bank import MemoryBank
     from sumo_adv.memory.paths import default_bank_path
 
@@ -100,7 +98,7 @@ def known_intents(bank: MemoryBank) -> list[LibraryEntry]:
     the built-in expert composes."""
     from sumo_adv.datatypes import LibraryEntry
     from sumo_adv.episode.memory_access import unprotected_library
-    from sumo_adv.search.composed_intents import NEW_INTENTS
+    from sumo_adv.search.intents import NEW_INTENTS
 
     known = [(r.label, r.description, r.applies) for r in bank.intents() if r.status == "active"]
     known += [(e.label, e.description, e.applies) for e in unprotected_library()]
@@ -110,10 +108,8 @@ def known_intents(bank: MemoryBank) -> list[LibraryEntry]:
 
 
 def open_for_run(settings: Settings) -> MemoryBank:
-    """The bank and the metric of a run's settings; made from the shipped bank if it does not exist.
-
-    Raises BankError, also for a metric that was never calibrated for the bank, and UsageError.
-    """
+    """The bank and the metric of a run's settings; made from the shipped bank if it does not exist. Raises BankError,
+    also for a metric that was never calibrated for the bank, and UsageError."""
     bank = open_bank(settings.memory, make=True, similarity=make_similarity(settings))
     try:
         bank.epsilon()
@@ -124,11 +120,8 @@ def open_for_run(settings: Settings) -> MemoryBank:
 
 
 def check_intents(variants: Sequence[Mapping[str, Any]], bank: Path) -> None:
-    """Check that the intents which settings name are known to the bank, before any episode runs.
-
-    variants: settings as data. A bank that does not exist will be made from the shipped one.
-    Raises UsageError with the known intents.
-    """
+    """Check that the intents which settings name are known to the bank, before any episode runs. variants: settings as
+    data. A bank that does not exist will be made from the shipped one. Raises UsageError with the known intents."""
     from sumo_adv.config import load_settings
     from sumo_adv.episode.memory_access import selected
     from sumo_adv.memory.bank import MemoryBank
@@ -202,14 +195,9 @@ def shipped_prompts() -> Prompts:
 
 
 def play(
-    given: RunInput,
-    settings: Settings,
-    stage: Path,
-    scratch: Path,
-    tell: Callable[[str, Any], None],
-    played: Callable[[], None] = lambda: None,
-    ego: GivenEgo | None = None,
-) -> Episode:
+    given: RunInput, settings: Settings, stage: Path, scratch: Path, tell: Callable[[str, Any], None],
+    played: Callable[[], None] = lambda: None, ego: GivenEgo | None = None,
+) -> Episode:  # fmt: skip
     """Run one episode.
 
     stage: the folder in which the models' answers are recorded; scratch: the folder for generated demand, which the
@@ -277,11 +265,8 @@ def minimise(recorded: Recorded, settings: Settings, tell: Callable[[str, Any], 
 def check_driver(
     inputs: Sequence[RunInput] | None, settings: Settings, tell: Callable[[Checked], None], seconds: float | None = None
 ) -> DriverCheck:
-    """Drive ``settings.ego`` unattacked through the inputs (default: the twelve of ``driver_check``).
-
-    tell: called with each scenario as soon as it is done. seconds: how long each is driven [s].
-    Raises UsageError or SimulationError.
-    """
+    """Drive ``settings.ego`` unattacked through the inputs (default: the twelve of ``driver_check``). tell: called with
+    each scenario as soon as it is done. seconds: how long each is driven [s]. Raises UsageError or SimulationError."""
     from sumo_adv.driver_check.check import DURATION, check_driver
     from sumo_adv.driver_check.drive import body
     from sumo_adv.driver_check.scenarios import twelve
@@ -290,14 +275,8 @@ def check_driver(
     with _without_main(), deaf():
         engine = Engine(body, slots=0)
     with engine, tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
-        return check_driver(
-            engine,
-            twelve() if inputs is None else inputs,
-            settings,
-            Path(scratch),
-            seconds=seconds or DURATION,
-            tell=tell,
-        )
+        given = twelve() if inputs is None else inputs
+        return check_driver(engine, given, settings, Path(scratch), seconds=seconds or DURATION, tell=tell)
 
 
 def new_engine() -> Engine:
@@ -317,11 +296,8 @@ def _episode_body(slots: list[Connection]) -> Mapping[str, Callable[..., Any]]:
 
 @contextmanager
 def _without_main() -> Iterator[None]:
-    """Start processes that do not import the main module.
-
-    A spawned process imports the main module unless that has no file. Without that import scripts need no guard
-    (``if __name__ == "__main__"``), and notebooks need no file.
-    """
+    """Start processes that do not import the main module. A spawned process imports the main module unless that has no
+    file. Without that import scripts need no guard (``if __name__ == "__main__"``), and notebooks need no file."""
     main = sys.modules["__main__"]
     sys.modules["__main__"] = ModuleType("__main__")
     try:
@@ -344,10 +320,8 @@ def batch_parts() -> BatchParts:
 
 
 def run_campaign(plan: Plan, orders: Orders, watcher: Watcher, *, states: bool = False) -> Summary:
-    """Run what is missing of a batch's plan, and write its table; with ``states`` also ``states.parquet``.
-
-    The workers do not run the user's script again. Raises UsageError, BankError or SumoAdvError.
-    """
+    """Run what is missing of a batch's plan, and write its table; with ``states`` also ``states.parquet``. The workers
+    do not run the user's script again. Raises UsageError, BankError or SumoAdvError."""
     from sumo_adv.campaigns.campaign import run_batch
     from sumo_adv.campaigns.results import check_parquet
 
@@ -398,9 +372,7 @@ def estimate_rate(
 
 def record_contents(path: Path) -> Iterator[tuple[str, str] | str]:
     """For each Waymo record in a file its id and the hash of its content, or a sentence on what is wrong with it.
-
-    Raises UsageError.
-    """
+    Raises UsageError."""
     from sumo_adv.womd.reader import read_records
 
     wrong: list[str] = []

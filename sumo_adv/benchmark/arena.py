@@ -14,9 +14,8 @@ from sumo_adv.benchmark.nouns import Encounter, Opponent
 from sumo_adv.benchmark.perturbed import robustness_of
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Level, Proposal
-from sumo_adv.episode.assessment import attempt_of, checked
+from sumo_adv.episode.assessment import AttemptRunner, StepwiseRunner, attempt_of, checked
 from sumo_adv.episode.attempt import Driven
-from sumo_adv.episode.attempt_runner import AttemptRunner, StepwiseRunner
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.loop import decide, model_ending, pursue
 from sumo_adv.episode.memory_access import read_library, signature

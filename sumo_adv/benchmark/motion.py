@@ -13,7 +13,7 @@ from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.metrics.boxes import on_grid
 from sumo_adv.metrics.criticality import ttc
 from sumo_adv.metrics.full import PAPER_EPSILON
-from sumo_adv.simulation.recording import tracks_of
+from sumo_adv.simulation.tracks import tracks_of
 
 NEAR = 60.0  # m from the ego's middle: traffic for comparison
 MOST_SAMPLES = 2000  # numbers of a kind that a cell keeps

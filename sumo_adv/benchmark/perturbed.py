@@ -12,8 +12,7 @@ from random import Random
 from typing import Any
 
 from sumo_adv.datatypes import Level
-from sumo_adv.episode.assessment import attempt_of
-from sumo_adv.episode.attempt_runner import AttemptRunner
+from sumo_adv.episode.assessment import AttemptRunner, attempt_of
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.neighbours import recorded_course, retimed
 

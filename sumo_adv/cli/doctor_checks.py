@@ -18,7 +18,7 @@ from pathlib import Path
 
 from sumo_adv import __version__
 from sumo_adv.errors import SumoAdvError
-from sumo_adv.simulation.library import SYSTEM_LIBRARIES
+from sumo_adv.simulation.programs import SYSTEM_LIBRARIES
 
 LIBRARIES = ("numpy", "scipy", "shapely", "httpx", "pydantic", "pydantic_settings", "typer", "rich", "matplotlib")
 EXTRAS = (

@@ -23,7 +23,7 @@ from sumo_adv.episode.worker import Worker
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.engine import in_forks
 from sumo_adv.simulation.inputs import load_input
-from sumo_adv.simulation.library import load_libsumo
+from sumo_adv.simulation.programs import load_libsumo
 from sumo_adv.situation import Target
 
 EGOS = ("idm", "krauss", "eidm", "careful")

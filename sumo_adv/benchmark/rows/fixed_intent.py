@@ -16,7 +16,7 @@ from dataclasses import replace
 
 from sumo_adv.benchmark.nouns import Encounter
 from sumo_adv.datatypes import Attempt, Proposal
-from sumo_adv.search.templates import AttackTemplate, templates_of
+from sumo_adv.search.sampling import AttackTemplate, templates_of
 
 LABELS = (
     "Aggressive Cut-in",

@@ -20,7 +20,7 @@ from typing import Any
 
 from sumo_adv.benchmark.nouns import Cell, Encounter, counts
 from sumo_adv.datatypes import Attempt, Proposal
-from sumo_adv.search.templates import BRAKING_LABEL, AttackTemplate, templates_of
+from sumo_adv.search.sampling import BRAKING_LABEL, AttackTemplate, templates_of
 
 MOST = 60  # simulations an encounter
 BRAKING = (-8.0, -6.5, -5.0)  # m/s2
