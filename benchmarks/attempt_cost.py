@@ -25,7 +25,7 @@ from typing import Any
 
 from sumo_adv.config import Settings, load_settings
 from sumo_adv.datatypes import LibraryEntry, Proposal
-from sumo_adv.episode.attempt_runner import AttemptRunner
+from sumo_adv.episode.assessment import AttemptRunner
 from sumo_adv.episode.memory_access import read_library
 from sumo_adv.episode.task import AttemptResult, FoundEncounter, make_task
 from sumo_adv.episode.worker import body

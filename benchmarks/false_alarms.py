@@ -24,8 +24,8 @@ from sumo_adv.metrics.reference import BRAKERS
 from sumo_adv.metrics.reference.view import Views, located_on
 from sumo_adv.simulation.demand import generate
 from sumo_adv.simulation.inputs import data_folder
-from sumo_adv.simulation.recording import Recording
 from sumo_adv.simulation.simulation import Simulation, SimulationSpec
+from sumo_adv.simulation.tracks import Recording, tracks_of
 
 DT = 0.1  # s
 BRAKES, NEAR, WITHIN, APART = 2.0, 2.0, 2.0, 2.0  # m/s2, s of TTC, s after the braking, s between two events
@@ -43,7 +43,7 @@ def traffic(network: Path, seed: int, seconds: float) -> list[Track]:
             for _ in range(round(seconds / DT)):
                 simulation.step()
                 recording.append(simulation.read())
-            return recording.tracks(simulation.fleet.sizes, {})
+            return tracks_of(recording.snapshots, simulation.fleet.sizes, {}, DT)
         finally:
             simulation.close()
 

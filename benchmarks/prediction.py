@@ -24,16 +24,15 @@ from attempt_cost import library
 
 from sumo_adv.config import load_settings
 from sumo_adv.datatypes import LibraryEntry, ObservedMotion, Proposal
-from sumo_adv.episode.assessment import observed_motion
-from sumo_adv.episode.attempt_runner import AttemptRunner
+from sumo_adv.episode.assessment import AttemptRunner, observed_motion
 from sumo_adv.episode.task import FoundEncounter, make_task
 from sumo_adv.episode.worker import body
 from sumo_adv.geometry import Path
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.search.prediction import Predictor
 from sumo_adv.search.rollouts import Rollouts
+from sumo_adv.search.sampling import templates_of
 from sumo_adv.search.settings import SearchSettings
-from sumo_adv.search.templates import templates_of
 from sumo_adv.simulation.engine import Engine
 from sumo_adv.simulation.inputs import load_input
 

@@ -21,7 +21,7 @@ from sumo_adv.benchmark.nouns import Case
 from sumo_adv.benchmark.suites import load_suite
 from sumo_adv.config import load_settings
 from sumo_adv.drivers.prediction import PredictedEgos
-from sumo_adv.episode.attempt_runner import AttemptRunner
+from sumo_adv.episode.assessment import AttemptRunner
 from sumo_adv.episode.loop import run_episode
 from sumo_adv.episode.task import make_task
 from sumo_adv.episode.warm import WarmEngine

@@ -19,9 +19,9 @@ from sumo_adv.datatypes import Limits, Planner
 from sumo_adv.geometry import make_path
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature, Source
-from sumo_adv.planners.probes import probes
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.trajectory import Goal, PathRow, Scalar, advance, start, steer
+from sumo_adv.planners.trial import probes
 
 MANY = 5000
 QUESTIONS = 200

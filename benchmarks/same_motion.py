@@ -29,7 +29,7 @@ from sumo_adv.errors import SumoAdvError
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.report.judging import run_folders
 from sumo_adv.report.manifest import Recorded, read_manifest
-from sumo_adv.simulation.recording import tracks_of
+from sumo_adv.simulation.tracks import tracks_of
 
 EGOS = "krauss,idm,eidm,careful,lattice,replay"
 

@@ -27,8 +27,7 @@ from sumo_adv.config import load_settings
 from sumo_adv.datatypes import Planner, Proposal, acceleration_at
 from sumo_adv.episode.task import FoundEncounter, Task
 from sumo_adv.episode.worker import Worker
-from sumo_adv.planners.answers import Answer, PlannerObservation, world_endpoint
-from sumo_adv.planners.road import road_of
+from sumo_adv.planners.answers import Answer, PlannerObservation, road_of, world_endpoint
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Roads, Sessions
 from sumo_adv.planners.source import HELPERS_CODE, make_planner

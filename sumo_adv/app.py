@@ -99,7 +99,7 @@ def known_intents(bank: MemoryBank) -> list[LibraryEntry]:
     the built-in expert composes."""
     from sumo_adv.datatypes import LibraryEntry
     from sumo_adv.episode.memory_access import unprotected_library
-    from sumo_adv.search.composed_intents import NEW_INTENTS
+    from sumo_adv.search.intents import NEW_INTENTS
 
     known = [(r.label, r.description, r.applies) for r in bank.intents() if r.status == "active"]
     known += [(e.label, e.description, e.applies) for e in unprotected_library()]

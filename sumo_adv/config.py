@@ -164,7 +164,7 @@ class Settings(ModelSettings, BaseSettings):
     memory: Path | None = None
     seed: int = Field(0, ge=0, le=2**31 - 1)
     density: float | None = Field(None, gt=0)
-    background: Literal["log", "sumo", "mixed"] | None = None  # drives recorded BVs; None = as the scenario says
+    background: Literal["log", "sumo"] | None = None  # drives recorded BVs; None = as the scenario says
     odd: Odd | None = None  # encounters outside it are not attacked
     sumo_options: dict[str, str] = Field(default_factory=dict)  # of SUMO, by its own long names
     fork: bool = True

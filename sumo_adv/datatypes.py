@@ -116,11 +116,8 @@ def acceleration_at(acceleration: Acceleration, time: float) -> float:
 
 
 def acceleration_of(value: Any, limits: Limits | None = None) -> Acceleration:
-    """An acceleration from what JSON holds: a number or a list of [time, m/s2].
-
-    Raises:
-        ValueError: it is neither, or beyond the limits where they are given; with a sentence.
-    """
+    """An acceleration from what JSON holds: a number or a list of [time, m/s2]. Raises ValueError: it is neither, or
+    beyond the limits where they are given; with a sentence."""
     knots = value if isinstance(value, list | tuple) else [[0.0, value]]
     if not 1 <= len(knots) <= MOST_KNOTS or not all(isinstance(k, list | tuple) and len(k) == 2 for k in knots):
         raise ValueError(f"acceleration must be a number or 1 to {MOST_KNOTS} knots [time, acceleration].")
@@ -145,9 +142,7 @@ def plain_acceleration(acceleration: Acceleration) -> float | list[list[float]]:
 @dataclass(frozen=True, slots=True)
 class Boxes:
     """Oriented, moving boxes. All arrays broadcast against one another (any shape, often ``(time,)`` or ``(n, time)``).
-
-    x, y: centre [m]; heading [rad]; speed [m/s] along the heading; length, width [m].
-    """
+    x, y: centre [m]; heading [rad]; speed [m/s] along the heading; length, width [m]."""
 
     x: Floats
     y: Floats
@@ -159,10 +154,8 @@ class Boxes:
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """One vehicle's motion on a regular time grid. Arrays are ``(n,)``.
-
-    time [s]; x, y box centre [m]; heading [rad]; speed [m/s]; acceleration [m/s2]; lane: SUMO lane ids ('' = off).
-    """
+    """One vehicle's motion on a regular time grid. Arrays are ``(n,)``. time [s]; x, y box centre [m]; heading [rad];
+    speed [m/s]; acceleration [m/s2]; lane: SUMO lane ids ('' = off)."""
 
     id: str
     role: Role
@@ -191,7 +184,7 @@ class Track:
 
 
 class RoadClass(StrEnum):
-    """Where the ego is when an attack may begin; ``episode/encounter_place.py`` has the rules."""
+    """Where the ego is when an attack may begin; ``episode/encounter_detector.py`` has the rules."""
 
     MOTORWAY = "motorway"
     RURAL = "rural"
@@ -201,11 +194,8 @@ class RoadClass(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """What surrounds the ego when an attack may begin.
-
-    road: None off the network. limit: the speed limit [m/s], None off the network. speed: the ego's [m/s].
-    vehicles_near: how many vehicles are within 70 m of it.
-    """
+    """What surrounds the ego when an attack may begin. road: None off the network. limit: the speed limit [m/s], None
+    off the network. speed: the ego's [m/s]. vehicles_near: how many vehicles are within 70 m of it."""
 
     road: RoadClass | None
     limit: float | None
@@ -406,10 +396,8 @@ class DriverModel:
 
 @dataclass(frozen=True, slots=True)
 class PrescribedMotion:
-    """An adversary's motion given in advance: its box centre, one pose a step from the step after the takeover on.
-
-    x, y [m]; heading [rad]; speed [m/s]: arrays ``(n,)``.
-    """
+    """An adversary's motion given in advance: its box centre, one pose a step from the step after the takeover on. x, y
+    [m]; heading [rad]; speed [m/s]: arrays ``(n,)``."""
 
     x: Floats
     y: Floats
@@ -420,10 +408,7 @@ class PrescribedMotion:
 @dataclass(frozen=True, slots=True)
 class ObservedMotion:
     """How the ego went in an attempt: station on its path [m], offset from it [m, left positive] and speed [m/s] by
-    step from the takeover, ``(n,)``.
-
-    ``seen``: the number of steps that were seen, the rest is at an even speed.
-    """
+    step from the takeover, ``(n,)``. ``seen``: the number of steps that were seen, the rest is at an even speed."""
 
     s: Floats
     d: Floats

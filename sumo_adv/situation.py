@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -191,10 +191,6 @@ class Situation:
     traffic: Traffic
     targets: Mapping[str, Target]
     left: float = math.inf
-
-    def driven_by(self, model: DriverModel) -> Situation:
-        """The same situation with another model of the ego's driver."""
-        return replace(self, baseline=replace(self.baseline, model=model))
 
     def target_list(self) -> list[Target]:
         """Targets, most dangerous first."""

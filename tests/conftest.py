@@ -13,7 +13,7 @@ from cli_samples import ROOT, Program, Runs
 from hypothesis import settings
 
 from sumo_adv.errors import SimulationError
-from sumo_adv.simulation.library import load_libsumo
+from sumo_adv.simulation.programs import load_libsumo
 
 settings.register_profile("patient", deadline=None)  # a busy machine fails no test
 settings.load_profile("patient")

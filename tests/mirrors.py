@@ -18,7 +18,7 @@ from sumo_adv.regression.case import Case, Expectation, read_case
 from sumo_adv.regression.keep import keep_run
 from sumo_adv.regression.runner import run_case, settings_for, task_for
 from sumo_adv.simulation.inputs import data_folder
-from sumo_adv.simulation.recording import tracks_of
+from sumo_adv.simulation.tracks import tracks_of
 
 
 def negated(number: str) -> str:

@@ -12,8 +12,8 @@ from sumo_samples import make_spec
 
 from sumo_adv.drivers import Action, Observation, UserEgo
 from sumo_adv.episode.drive import Drive, ego_type_file
+from sumo_adv.episode.right_of_way import Meetings
 from sumo_adv.episode.surroundings import Surroundings
-from sumo_adv.simulation.meetings import Meetings
 from sumo_adv.simulation.network import read_network
 
 

@@ -15,7 +15,7 @@ from situation_samples import neighbour, situation
 from test_bank_build import parse
 
 from sumo_adv.datatypes import Limits, Proposal, acceleration_at, acceleration_of, plain_acceleration
-from sumo_adv.episode.controllers import PlannedAdversary
+from sumo_adv.episode.attempt import PlannedAdversary
 from sumo_adv.errors import BankError
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.build import read_evidence, write_evidence

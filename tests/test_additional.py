@@ -14,8 +14,8 @@ from cli_samples import Program
 from sumo_samples import make_spec, vehicle
 
 from sumo_adv.errors import UsageError
-from sumo_adv.simulation.additional import silent_copies
 from sumo_adv.simulation.inputs import data_folder, load_input
+from sumo_adv.simulation.scan import silent_copies
 from sumo_adv.simulation.simulation import Simulation, SimulationSpec
 
 INCLUDED = """<additional>

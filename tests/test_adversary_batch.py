@@ -16,7 +16,7 @@ from situation_samples import EGO_PATH, car, changed, crossing, leader, line, ne
 from sumo_adv.datatypes import Endpoint, Floats
 from sumo_adv.geometry import Frame, Path
 from sumo_adv.planners.adversary_batch import AdversaryBatch
-from sumo_adv.planners.road import road_of
+from sumo_adv.planners.answers import road_of
 from sumo_adv.planners.trajectory import Batch, Goal, Motion, pose
 from sumo_adv.situation import NO_ARRIVAL, Situation, Target, relate
 

@@ -9,8 +9,8 @@ import pytest
 from bank_samples import shipped_planners
 
 from sumo_adv.datatypes import Planner
-from sumo_adv.planners.probes import HORIZON, Probe, probes
 from sumo_adv.planners.sandbox import Sandbox
+from sumo_adv.planners.trial import HORIZON, Probe, probes
 
 COMES = probes("oncoming")[6]  # the ego at 24 m/s; the lane to the left, its middle at 3.2 m
 BESIDE = probes("neighbour")[6]  # in its lane at y = 3.2, 4 m ahead at 25 m/s; cars of 5 x 1.8 m

@@ -15,7 +15,7 @@ from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.build import build, read_sources
 from sumo_adv.memory.records import RELATIONS
 from sumo_adv.memory.similarity import TextAndSlots
-from sumo_adv.planners.probes import SIZES
+from sumo_adv.planners.trial import SIZES
 
 LABELS = {
     "Emergency Braking", "Close Car-following", "Aggressive Cut-in", "Opposite Direction Intrusion",

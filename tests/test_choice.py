@@ -23,9 +23,9 @@ from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.build import write_part
 from sumo_adv.memory.migrations import utc_now
 from sumo_adv.planners.source import make_planner
-from sumo_adv.search.goal_score import goal_score
+from sumo_adv.search.intents import Selection, select
+from sumo_adv.search.scoring import goal_score
 from sumo_adv.search.search import AttackSearch
-from sumo_adv.search.selection import Selection, select
 from sumo_adv.search.settings import ScoreSettings, SearchSettings
 
 LABELS = ("Straight Lane Shift", "Emergency Braking")

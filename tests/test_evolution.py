@@ -12,10 +12,9 @@ from sumo_adv.datatypes import Level, LibraryEntry, Preventability, Proposal, Ve
 from sumo_adv.goal import Goal
 from sumo_adv.planners.source import make_planner
 from sumo_adv.search.evolution import Evolution, badness
-from sumo_adv.search.sampling import Sampler
+from sumo_adv.search.sampling import AttackTemplate, Sampler, templates_of
 from sumo_adv.search.search import AttackSearch
 from sumo_adv.search.settings import EvolutionSettings, SamplingSettings, SearchSettings
-from sumo_adv.search.templates import AttackTemplate, templates_of
 
 TEXT = """
 PARAMETERS = {"gap": (2.0, -10.0, 10.0, "m", "where")}

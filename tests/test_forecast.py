@@ -14,8 +14,7 @@ from situation_samples import KRAUSS, changed, crossing, leader, neighbour, situ
 from sumo_adv.datatypes import Bools, Floats, Limits, Planner, Proposal
 from sumo_adv.drivers.scenes import Scenes, profile_at
 from sumo_adv.geometry import Frame
-from sumo_adv.planners.answers import Answer, PlannerObservation, local_endpoint, world_endpoint
-from sumo_adv.planners.forecast import arrivals, stations
+from sumo_adv.planners.answers import Answer, PlannerObservation, arrivals, local_endpoint, stations, world_endpoint
 from sumo_adv.search.rollouts import Ask, Rollouts, predict
 from sumo_adv.situation import NO_ARRIVAL, Situation
 

@@ -8,8 +8,8 @@ import pytest
 from situation_samples import crossing, leader, neighbour, situation
 
 from sumo_adv.datatypes import Proposal, Verdict
-from sumo_adv.search.free_motion import FREE, LABEL, named
-from sumo_adv.search.templates import templates_of
+from sumo_adv.search.intents import FREE, FREE_MOTION, named
+from sumo_adv.search.sampling import templates_of
 from sumo_adv.situation import Target
 
 MISS = Verdict(1.0, 2.0, False, False, True, False, None, None, None, ())
@@ -17,7 +17,7 @@ MISS = Verdict(1.0, 2.0, False, False, True, False, None, None, None, ())
 
 def free(bv: str) -> Proposal:
     planner = FREE.planners[0]
-    return Proposal(bv, LABEL, planner, planner.defaults(), 0.0, 0.0)
+    return Proposal(bv, FREE_MOTION, planner, planner.defaults(), 0.0, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -27,7 +27,7 @@ def free(bv: str) -> Proposal:
         (neighbour(), "front", "Aggressive Cut-in"),
         (neighbour(), "left", "Straight Lane Shift"),
         (neighbour(), "rear", "Close Car-following"),
-        (leader(), "left", LABEL),
+        (leader(), "left", FREE_MOTION),
         (crossing(), "right", "Intersection Rush-through Go-straight"),
     ],
 )
@@ -40,9 +40,9 @@ def test_one_that_hits_is_named_by_where_it_came_from_and_the_side_that_it_hits(
 
 
 def test_one_that_misses_keeps_its_name() -> None:
-    assert named(free("bv"), neighbour(), MISS).label == LABEL
+    assert named(free("bv"), neighbour(), MISS).label == FREE_MOTION
 
 
 def test_every_vehicle_on_a_way_to_the_ego_may_try_one() -> None:
     scene = situation([neighbour()])
-    assert [t.entry.label for t in templates_of({0.0: scene}, [FREE])] == [LABEL]
+    assert [t.entry.label for t in templates_of({0.0: scene}, [FREE])] == [FREE_MOTION]

@@ -15,7 +15,7 @@ from sumo_adv.cli.progress import summary
 from sumo_adv.drivers import make_ego
 from sumo_adv.drivers.given import pack
 from sumo_adv.drivers.registry import trusted_driver
-from sumo_adv.episode.ego_actions import ActionCount
+from sumo_adv.episode.drive import ActionCount
 from sumo_adv.errors import UsageError
 
 SMALL: Mapping[str, Any] = {"attempts": 1, "proposals": 24, "seed": 0, "learn": "off"}

@@ -40,7 +40,7 @@ def test_the_tests_say_so_too_before_any_of_them_runs(tmp_path: Path) -> None:
 
 
 def test_the_packages_are_the_same_wherever_they_are_named() -> None:
-    from sumo_adv.simulation.library import SYSTEM_LIBRARIES
+    from sumo_adv.simulation.programs import SYSTEM_LIBRARIES
 
     for name in ("docs/first_hour.md", ".ci/run", "docker/Dockerfile"):
         words = " ".join((ROOT / name).read_text(encoding="utf-8").replace("\\", " ").split())

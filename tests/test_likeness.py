@@ -8,7 +8,7 @@ import pytest
 from sumo_adv.datatypes import Attempt, Level, Proposal
 from sumo_adv.episode.assessment import NOTHING
 from sumo_adv.episode.attempt import Driven
-from sumo_adv.episode.likeness import unlikeness
+from sumo_adv.episode.neighbours import unlikeness
 from sumo_adv.episode.task import AttemptResult
 from sumo_adv.planners.source import make_planner
 from sumo_adv.simulation.simulation import Snapshot

@@ -13,10 +13,9 @@ from cli_samples import BAD_PLANNERS, ROOT, TRAIL, Done, Program, bank_with
 
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.records import RELATIONS, IntentRecord, SceneSignature, Source
-from sumo_adv.planners.probes import CROSSING_ANGLES, LANE_PLACES, SIZES, probes
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.source import make_planner
-from sumo_adv.planners.trial import trial
+from sumo_adv.planners.trial import CROSSING_ANGLES, LANE_PLACES, SIZES, probes, trial
 
 SHIPPED = ROOT / "memory_bank.sqlite"
 PARAPHRASES = ROOT / "tests" / "data" / "intents_paraphrases.toml"

@@ -19,8 +19,8 @@ from sumo_samples import make_spec, vehicle
 from sumo_adv.datatypes import Floats
 from sumo_adv.geometry import Pose
 from sumo_adv.metrics.boxes import first_contact, gap
-from sumo_adv.simulation.recording import tracks_of
 from sumo_adv.simulation.simulation import Simulation, SimulationSpec, Snapshot
+from sumo_adv.simulation.tracks import tracks_of
 
 CROSSING_ROADS = """<net version="1.20">
   <location netOffset="0,0" convBoundary="-150,-150,80,80" origBoundary="-150,-150,80,80" projParameter="!"/>

@@ -12,7 +12,7 @@ from situation_samples import EGO_PATH, car, crossing, leader, line, neighbour, 
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Role, Track
 from sumo_adv.episode.encounter_detector import RankedVehicle
-from sumo_adv.episode.start_times import delays, spent
+from sumo_adv.episode.situation_builder import delays, spent
 from sumo_adv.situation import Target
 
 LIMIT = 4.0  # m/s2

@@ -15,7 +15,7 @@ from types import ModuleType
 
 import pytest
 
-from sumo_adv.search.composed_intents import COMPOSED
+from sumo_adv.search.intents import COMPOSED
 from sumo_adv.simulation.inputs import data_folder, load_input, shipped_names
 
 NETWORKS = sorted(data_folder("networks").glob("*.net.xml"))

@@ -19,8 +19,8 @@ from trajectory_samples import lane_change
 
 from sumo_adv.config import load_settings
 from sumo_adv.datatypes import Bools, Floats, Limits, Planner, Proposal, Role, Track
-from sumo_adv.episode.attempt_runner import AttemptRunner
-from sumo_adv.episode.controllers import PlannedAdversary
+from sumo_adv.episode.assessment import AttemptRunner
+from sumo_adv.episode.attempt import PlannedAdversary
 from sumo_adv.episode.task import AttemptResult, FoundEncounter, make_task
 from sumo_adv.episode.worker import body
 from sumo_adv.errors import PlannerResultError, SandboxError
@@ -34,7 +34,7 @@ from sumo_adv.search.rollouts import predict
 from sumo_adv.simulation.engine import Engine
 from sumo_adv.simulation.inputs import load_input
 from sumo_adv.simulation.network import Drivable
-from sumo_adv.simulation.recording import tracks_of
+from sumo_adv.simulation.tracks import tracks_of
 
 DT = 0.1
 LIMITS = Limits()

@@ -20,6 +20,7 @@ from sumo_adv.config import load_settings
 from sumo_adv.datatypes import Role
 from sumo_adv.drivers import Observation, Steer, UserEgo
 from sumo_adv.episode.drive import Drive, ego_type_file
+from sumo_adv.episode.right_of_way import Meetings
 from sumo_adv.episode.surroundings import Surroundings
 from sumo_adv.errors import UsageError
 from sumo_adv.geometry import Pose
@@ -27,7 +28,6 @@ from sumo_adv.metrics.case import make_case
 from sumo_adv.metrics.ego_contacts import first_other_contact
 from sumo_adv.metrics.validity import judge
 from sumo_adv.simulation.inputs import load_input
-from sumo_adv.simulation.meetings import Meetings
 from sumo_adv.simulation.network import read_network
 from sumo_adv.simulation.simulation import Simulation
 

@@ -15,8 +15,8 @@ from sumo_adv.config import load_settings
 from sumo_adv.datatypes import Role, VehicleState
 from sumo_adv.drivers import CarefulEgo, EgoController, Observation, ReplayEgo, SumoEgo
 from sumo_adv.episode.drive import Drive, ego_type_file
+from sumo_adv.episode.encounter_builder import danger
 from sumo_adv.episode.encounter_detector import ego_path
-from sumo_adv.episode.encounter_filter import danger
 from sumo_adv.episode.task import FoundEncounter, make_task
 from sumo_adv.episode.worker import body
 from sumo_adv.geometry import Pose
@@ -311,26 +311,6 @@ def test_a_driver_in_a_replayed_ego_has_the_speed_that_it_gave_itself(tmp_path: 
         for _ in range(10):
             drive.tick()
         assert drive.state("e").speed == pytest.approx(14.0 - 10 * 0.5)  # the log has 14 m/s all the time
-
-
-def test_mixed_the_vehicles_near_an_attack_are_sumos_once_it_begins(tmp_path: Path) -> None:
-    """The leader begins an attack at 2.0 s at x = 118 m: it stops. The follower, 30 m behind it in its lane at 14 m/s,
-    would be at 144 m at 6.0 s: it brakes and goes around. A vehicle 150 m ahead goes on as recorded."""
-    behind, far = moving("behind", 60.0, RIGHT, 14.0), moving("far", 250.0, MIDDLE, 10.0)
-    with playing(
-        tmp_path, [moving("e", 30.0, LEFT, 14.0), LEADER, behind, far], background="mixed",
-        routed=("e", "lead", "behind", "far"),
-    ) as drive:  # fmt: skip
-        go(drive, 2.0)
-        assert centre(drive, "behind")[0] == pytest.approx(88.0)  # as recorded until then
-        speed, x = 14.0, 118.0
-        for _ in range(40):
-            speed = max(speed - 0.5, 0.0)
-            x += 0.1 * speed
-            drive.tick({"lead": Pose(x, RIGHT, 0.0, speed)})
-        reached, aside = centre(drive, "behind")
-        assert reached < 130.0 and aside - RIGHT > 1.9
-        assert centre(drive, "far")[0] == pytest.approx(250.0 + 6.0 * 10.0)
 
 
 def test_the_path_of_a_replayed_ego_is_the_logs_and_then_its_lane(tmp_path: Path) -> None:

@@ -13,13 +13,11 @@ from model_samples import Answers
 from situation_samples import changed, crossing, leader, neighbour, situation
 
 from sumo_adv.agents.analyzer import Analysis, Choice, ModelAnalyzer, analyzer_prompt
-from sumo_adv.agents.danger import danger_words
-from sumo_adv.agents.evidence import evidence_words
-from sumo_adv.agents.feedback import MAX_EARLIER, AttemptReport, Row, earlier_words, report_words
 from sumo_adv.agents.generator import mode_name, without_fence
-from sumo_adv.agents.prompts import MAX_TEXT, NAMES, Prompts, sanitize
+from sumo_adv.agents.modifier import MAX_EARLIER, AttemptReport, Row, earlier_words, report_words
+from sumo_adv.agents.prompts import MAX_TEXT, NAMES, Prompts, danger_words, sanitize
 from sumo_adv.agents.scene_text import Aliases, driver_words, relative_words, road_words, state_words
-from sumo_adv.agents.ways import modes_words, opening_comment
+from sumo_adv.agents.ways import evidence_words, modes_words, opening_comment
 from sumo_adv.datatypes import (
     Attempt,
     Diagnosis,
@@ -36,8 +34,8 @@ from sumo_adv.datatypes import (
     Verdict,
     Way,
 )
-from sumo_adv.episode.attempt_report import way_taken
-from sumo_adv.episode.diagnosis import diagnose
+from sumo_adv.episode.assessment import diagnose
+from sumo_adv.episode.repairs import way_taken
 from sumo_adv.episode.task import AttemptResult
 from sumo_adv.errors import ModelError, UsageError
 from sumo_adv.geometry import make_path

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.datatypes import Role, Track
-from sumo_adv.episode.reach import nearest_reach, why_nobody
+from sumo_adv.episode.encounter_builder import nearest_reach, why_nobody
 
 
 def track(name: str, x: float, speed: float, length: float = 4.0, steps: int = 41) -> Track:

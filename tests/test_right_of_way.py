@@ -10,9 +10,8 @@ from dataclasses import replace
 
 import pytest
 
-from sumo_adv.episode.right_of_way import Foe, Line, RightOfWay
+from sumo_adv.episode.right_of_way import Foe, Line, Meetings, RightOfWay
 from sumo_adv.simulation.inputs import data_folder
-from sumo_adv.simulation.meetings import Meetings
 from sumo_adv.simulation.network import read_network
 
 MEETINGS = Meetings(read_network(data_folder("networks") / "priority_crossing.net.xml"))

@@ -16,10 +16,10 @@ from sumo_samples import vehicle
 
 from sumo_adv.datatypes import VehicleState
 from sumo_adv.drivers import Observation, Road
-from sumo_adv.episode.ego_place import EgoPlace
+from sumo_adv.episode.right_of_way import Meetings
+from sumo_adv.episode.road_near import EgoPlace
 from sumo_adv.errors import SimulationError
 from sumo_adv.simulation.inputs import data_folder
-from sumo_adv.simulation.meetings import Meetings
 from sumo_adv.simulation.network import read_network
 
 NETWORKS = data_folder("networks")

@@ -20,9 +20,7 @@ from sumo_adv.errors import (
     PlannerSyntaxError,
     SandboxError,
 )
-from sumo_adv.planners.jail import Jail, make_jail, wrapper_script
-from sumo_adv.planners.results import packed
-from sumo_adv.planners.sandbox import Sandbox
+from sumo_adv.planners.sandbox import Jail, Sandbox, make_jail, wrapper_script
 from sumo_adv.planners.session import SandboxLimits
 from sumo_adv.planners.source import HELPERS_TEXT, make_planner, parse_parameters
 
@@ -92,7 +90,6 @@ def test_batch_equals_single_calls_and_one_failure_harms_no_other(sandbox: Sandb
 
 
 def test_a_batch_of_whole_states_gives_planners_what_single_calls_give(sandbox: Sandbox) -> None:
-    """Calls that are all made alike go as rows of numbers, with names sent once; others as they are."""
     source = (
         HEAD
         + '    last = 0.0 if bv["last"] is None else bv["last"]["x"]\n'
@@ -106,7 +103,6 @@ def test_a_batch_of_whole_states_gives_planners_what_single_calls_give(sandbox: 
         ("a", {"x": 1.0, "last": None}, ego, {"gap": 2.0}, 0.0, 1.0),
         ("b", {"x": 2.0, "last": {"x": 4.0}}, {**ego, "arrivals": [2.0]}, {"gap": 3.0}, 0.0, 1.0),
     ]
-    assert packed(calls) is not None and packed([*calls, ("a", BV, EGO, {"gap": 2.0}, 0.0, 1.0)]) is None
     with sandbox.session(planner(source), ROADS) as session:
         first, second = session.endpoints(calls)
         assert [first, second] == [session.endpoint(*call) for call in calls]

@@ -9,15 +9,13 @@ import numpy as np
 import pytest
 from situation_samples import crossing, neighbour, situation
 
-from sumo_adv.agents.generator import ExpertGenerator
+from sumo_adv.agents.generator import expert_planners
 from sumo_adv.datatypes import Intent, Level, LibraryEntry, Planner, Prediction, Proposal, Verdict
 from sumo_adv.planners.source import make_planner
-from sumo_adv.search.composed_intents import compose
-from sumo_adv.search.sampling import Sampler
+from sumo_adv.search.intents import Selection, compose
+from sumo_adv.search.sampling import Sampler, templates_of
 from sumo_adv.search.search import AttackSearch
-from sumo_adv.search.selection import Selection
 from sumo_adv.search.settings import SamplingSettings, SearchSettings
-from sumo_adv.search.templates import templates_of
 from sumo_adv.situation import Target
 
 ENDPOINT = """
@@ -244,7 +242,7 @@ def test_a_new_intent_gets_a_planner_for_each_mode_that_makes_a_movement() -> No
     rush = (movement("direct", "straight"), movement("weave", "straight"), movement("drift", "none"))
     examples = [LibraryEntry("Shift", "", ("neighbour",), (SHIFT,)), LibraryEntry("Rush", "", ("crossing",), rush)]
     intent = Intent("bv", "Intersection Rush-through Turn Right", "", "medium", 0.0)
-    planners = ExpertGenerator().generate(intent, None, examples)
+    planners = expert_planners(intent, examples)
     assert [(p.label, p.mode, p.origin, p.parent) for p in planners] == [
         (intent.label, "direct", "expert", rush[0].hash),
         (intent.label, "weave", "expert", rush[1].hash),
@@ -259,11 +257,10 @@ def test_the_nearest_intent_that_makes_a_movement_is_the_example() -> None:
     still = LibraryEntry("Still", "", ("neighbour",), (movement("drift", "none"),))
     near, far = (LibraryEntry(n, "", (), (movement(n.lower(), "left"),)) for n in ("Near", "Far"))
     intent = Intent("bv", "Ramp Merge Rush", "", "medium", 0.0)
-    generator = ExpertGenerator()
-    (planner,) = generator.generate(intent, None, [still, near, far])
+    (planner,) = expert_planners(intent, [still, near, far])
     assert (planner.mode, 'MOVEMENT = "any"' in planner.source) == ("near", True)
-    assert generator.generate(intent, None, [still]) == ()
-    assert generator.generate(intent, None, []) == ()
+    assert expert_planners(intent, [still]) == ()
+    assert expert_planners(intent, []) == ()
 
 
 # ---- attacks of several kinds

@@ -6,17 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sumo_adv.agents.generator import ExpertGenerator
+from sumo_adv.agents.generator import expert_planners
 from sumo_adv.datatypes import Boxes, Intent, Level, LibraryEntry, Prediction, Proposal, Verdict
 from sumo_adv.metrics.boxes import touching
 from sumo_adv.planners.source import make_planner
-from sumo_adv.search.composed_intents import compose
-from sumo_adv.search.fixed_order import as_written
+from sumo_adv.search.intents import compose
 from sumo_adv.search.prediction import batches_of
-from sumo_adv.search.sampling import Sampler
+from sumo_adv.search.ranking import as_written
+from sumo_adv.search.sampling import AttackTemplate, Sampler, templates_of
 from sumo_adv.search.search import AttackSearch
 from sumo_adv.search.settings import SamplingSettings, SearchSettings
-from sumo_adv.search.templates import AttackTemplate, templates_of
 from sumo_adv.situation import Situation
 from tests.situation_samples import EGO_PATH, car, line, neighbour, situation, target
 
@@ -277,13 +276,12 @@ def test_new_intents_are_composed_only_for_what_the_library_does_not_cover():
 
 
 def test_the_generator_adapts_a_movement_planner_and_keeps_its_parent():
-    generator = ExpertGenerator()
     examples = [entry("Shift", ("neighbour",)), entry("Go-straight", ("crossing_straight",), RUSH, "direct")]
     intent = Intent("bv", "Intersection Rush-through Turn Right", "", "medium", 0.0)
-    (planner,) = generator.generate(intent, straight_situation(), examples)
+    (planner,) = expert_planners(intent, examples)
     assert 'MOVEMENT = "right"' in planner.source
     assert planner.parent == examples[1].planners[0].hash and planner.origin == "expert"
-    assert generator.generate(Intent("bv", "Something else", "", "low", 0.0), straight_situation(), examples) == ()
+    assert expert_planners(Intent("bv", "Something else", "", "low", 0.0), examples) == ()
 
 
 def test_a_family_of_emergency_braking_is_driven_with_a_braking_acceleration():

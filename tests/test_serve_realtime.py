@@ -21,8 +21,8 @@ from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.task import make_task
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.planners.sandbox import Sandbox
+from sumo_adv.search.intents import Selection
 from sumo_adv.search.search import AttackSearch
-from sumo_adv.search.selection import Selection
 from sumo_adv.serve.events import Events
 from sumo_adv.serve.gate import Gate
 from sumo_adv.serve.options import Options

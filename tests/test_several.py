@@ -39,12 +39,11 @@ from sumo_adv.planners.source import make_planner
 from sumo_adv.report.folder import write_run
 from sumo_adv.report.manifest import Recorded, read_manifest
 from sumo_adv.report.staging import staged
-from sumo_adv.search.composed_attacks import named
-from sumo_adv.search.escapes import against, observed_escape
 from sumo_adv.search.rollouts import predict
 from sumo_adv.search.search import AttackSearch
 from sumo_adv.search.settings import SearchSettings
 from sumo_adv.search.support_intents import SUPPORT_INTENTS, fits
+from sumo_adv.search.supports import against, named, observed_escape
 from sumo_adv.situation import Target
 
 PLANNER = Planner("Shift", "side", "", (), "seed")

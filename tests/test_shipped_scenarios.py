@@ -9,7 +9,7 @@ from bank_samples import shipped_planners
 
 import sumo_adv
 from sumo_adv.episode.memory_access import unprotected_library
-from sumo_adv.search.composed_intents import COMPOSED
+from sumo_adv.search.intents import COMPOSED
 from sumo_adv.simulation.shipped import ShippedScenario, shipped_scenarios
 
 SHIPPED = {scenario.name: scenario for scenario in shipped_scenarios()}

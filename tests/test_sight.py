@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from sumo_adv.datatypes import VehicleState
-from sumo_adv.simulation.sight import Sight, read_buildings
+from sumo_adv.episode.surroundings import Sight, read_buildings
 
 EYE = (0.0, 0.0)
 

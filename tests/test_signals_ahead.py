@@ -7,7 +7,7 @@ from pathlib import Path
 from sumo_adv.config import load_settings
 from sumo_adv.episode.task import FoundEncounter, make_task
 from sumo_adv.episode.worker import body
-from sumo_adv.planners.road import road_of
+from sumo_adv.planners.answers import road_of
 from sumo_adv.simulation.engine import Engine
 from sumo_adv.simulation.inputs import load_input
 

@@ -16,9 +16,15 @@ from sumo_adv.datatypes import Role
 from sumo_adv.errors import SimulationError, UsageError
 from sumo_adv.geometry import Pose
 from sumo_adv.simulation.inputs import data_folder
-from sumo_adv.simulation.moved_speed import MovedSpeeds
-from sumo_adv.simulation.recording import Recording, tracks_of
-from sumo_adv.simulation.simulation import Simulation, SimulationSpec, Snapshot, angle_deg_of, heading_of
+from sumo_adv.simulation.simulation import (
+    Simulation,
+    SimulationSpec,
+    Snapshot,
+    angle_deg_of,
+    correct_speeds,
+    heading_of,
+)
+from sumo_adv.simulation.tracks import Recording, tracks_of
 
 
 @contextmanager
@@ -84,7 +90,8 @@ def test_an_injected_pose_speed_and_acceleration_are_there_after_the_next_step(t
             state = simulation.state(recording.snapshots[-1], "leader", recording.acceleration("leader"))
             assert (state.x, state.y, state.heading) == pytest.approx((150.0 + 1.2 * k, -2.0 + 0.1 * k, 0.1), abs=1e-6)
             assert state.speed == pytest.approx(speed, abs=1e-12)
-        (track,) = recording.tracks(simulation.fleet.sizes, {"leader": Role.ADVERSARY}, ["leader"])
+        sizes, roles = simulation.fleet.sizes, {"leader": Role.ADVERSARY}
+        (track,) = tracks_of(recording.snapshots, sizes, roles, 0.1, ["leader"])
         assert track.acceleration == pytest.approx([0.0, 4.0, -7.0])
         assert recording.acceleration("leader") == pytest.approx(-7.0)
 
@@ -126,11 +133,8 @@ def test_the_speed_is_exact_also_in_the_step_back_on_the_road(tmp_path: Path) ->
 
 def test_a_moved_vehicle_has_the_speed_it_was_moved_with_whatever_sumo_says() -> None:
     """Seen once on the way into a junction: 7.13 m/s, 0.45 m/s2 of braking asked for, and SUMO says 0 for a step."""
-    speeds = MovedSpeeds()
-    speeds.ask("ego", 7.085)
-    speeds.next()
     raw = {"ego": (3.0, 4.0, 90.0, 0.0, ":crossing_0_0"), "bv": (9.0, 4.0, 90.0, 5.0, "in_0")}
-    speeds.correct(raw)
+    correct_speeds(raw, {"ego": 7.085})
     assert raw == {"ego": (3.0, 4.0, 90.0, 7.085, ":crossing_0_0"), "bv": (9.0, 4.0, 90.0, 5.0, "in_0")}
 
 

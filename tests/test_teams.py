@@ -27,9 +27,9 @@ from sumo_adv.llm.chat import Ledger
 from sumo_adv.memory.bank import MemoryBank, compositions
 from sumo_adv.memory.records import Composition, Part
 from sumo_adv.planners.source import make_planner
-from sumo_adv.search.composed_attacks import ANY, Cast, description_of
 from sumo_adv.search.search import AttackSearch
 from sumo_adv.search.settings import SearchSettings
+from sumo_adv.search.supports import ANY, Cast, description_of
 from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.situation import Target
 

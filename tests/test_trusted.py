@@ -17,14 +17,12 @@ from sumo_adv.datatypes import Planner, PrescribedMotion, Proposal
 from sumo_adv.episode.memory_access import unprotected_library
 from sumo_adv.errors import PlannerRuntimeError, SandboxError
 from sumo_adv.planners.adversary_batch import AdversaryBatch
-from sumo_adv.planners.answers import Answer, PlannerObservation
-from sumo_adv.planners.road import road_of
+from sumo_adv.planners.answers import Answer, PlannerObservation, road_of
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.session import Call
-from sumo_adv.planners.sessions import Roads, Sessions
+from sumo_adv.planners.sessions import TRUSTED, InProcessSession, Roads, Sessions, ask_trusted, fingerprint, is_trusted
 from sumo_adv.planners.source import make_planner
-from sumo_adv.planners.trusted import TRUSTED, InProcessSession, ask_trusted, fingerprint, is_trusted
-from sumo_adv.search.free_motion import FREE
+from sumo_adv.search.intents import FREE
 from sumo_adv.search.support_intents import SUPPORT_INTENTS
 
 SHIPPED = [*shipped_planners().values(), *(p for entry in unprotected_library() for p in entry.planners)]
@@ -44,7 +42,7 @@ def planner(source: str) -> Planner:
 
 @pytest.mark.parametrize("p", SHIPPED, ids=lambda p: f"{p.label}/{p.mode}")
 def test_every_planner_of_the_shipped_bank_is_trusted(p: Planner) -> None:
-    assert is_trusted(p), f"write {fingerprint(p.source)} into TRUSTED (sumo_adv/planners/trusted.py)"
+    assert is_trusted(p), f"write {fingerprint(p.source)} into TRUSTED (sumo_adv/planners/sessions.py)"
 
 
 def test_no_text_is_trusted_that_the_bank_does_not_have() -> None:

@@ -10,8 +10,8 @@ import pytest
 from bank_samples import shipped_planners
 
 from sumo_adv.datatypes import Planner
-from sumo_adv.planners.probes import HORIZON, Probe, probes
 from sumo_adv.planners.sandbox import Sandbox
+from sumo_adv.planners.trial import HORIZON, Probe, probes
 
 LABELS = (
     "Intersection Rush-through Go-straight", "Intersection Rush-through Turn Left", "Opposite Direction Intrusion",

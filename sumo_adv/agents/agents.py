@@ -14,14 +14,12 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeVar
 
-from sumo_adv.agents.analyzer import Distribution, ExpertAnalyzer, ModelAnalyzer
-from sumo_adv.agents.evidence import evidence_words
-from sumo_adv.agents.feedback import AttemptReport, RepairScene
-from sumo_adv.agents.generator import ExpertGenerator, ModelGenerator, Trial
-from sumo_adv.agents.modifier import Change, ModelModifier
+from sumo_adv.agents.analyzer import Distribution, ModelAnalyzer
+from sumo_adv.agents.generator import ModelGenerator, Trial, expert_planners
+from sumo_adv.agents.modifier import AttemptReport, Change, ModelModifier, RepairScene
 from sumo_adv.agents.prompts import Prompts
-from sumo_adv.agents.protocols import Analyzer, Generator, Modifier
 from sumo_adv.agents.teams import Teamwork
+from sumo_adv.agents.ways import evidence_words
 from sumo_adv.asked import Asked
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Intent, LibraryEntry, Planner
@@ -30,14 +28,13 @@ from sumo_adv.llm.asking import MeteredModel
 from sumo_adv.llm.chat import ChatModel, Ledger
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.trial import trial
-from sumo_adv.search.composed_attacks import Cast
-from sumo_adv.search.composed_intents import COMPOSED, NAME
+from sumo_adv.search.intents import COMPOSED, EXPERT, Selection
 from sumo_adv.search.search import AttackSearch
-from sumo_adv.search.selection import Selection
+from sumo_adv.search.supports import Cast
 from sumo_adv.situation import Situation
 
 ROLES = ("analyzer", "generator", "modifier")
-BUILT_IN = {"analyzer": NAME, "generator": NAME, "modifier": "none"}
+BUILT_IN = {"analyzer": EXPERT, "generator": EXPERT, "modifier": "none"}
 """Role -> what plays it without a model: nothing built in modifies planners."""
 T = TypeVar("T")
 
@@ -52,21 +49,13 @@ class Bought:
 
 
 class Agents:
-    """Analyzer, generator and modifier of one run.
-
-    models: by role, the models that play one; ``BUILT_IN`` says what plays the other roles.
-    ledger: counts what the models spend.
-    prompts: required if there are models.
-    """
+    """Analyzer, generator and modifier of one run. models: by role, the models that play one; ``BUILT_IN`` says what
+    plays the other roles. ledger: counts what the models spend. prompts: required if there are models."""
 
     def __init__(
-        self,
-        settings: Settings,
-        sandbox: Sandbox,
-        models: Mapping[str, ChatModel] | None = None,
-        ledger: Ledger | None = None,
-        prompts: Prompts | None = None,
-    ) -> None:
+        self, settings: Settings, sandbox: Sandbox, models: Mapping[str, ChatModel] | None = None,
+        ledger: Ledger | None = None, prompts: Prompts | None = None,
+    ) -> None:  # fmt: skip
         self.settings, self.sandbox = settings, sandbox
         self.models, self.ledger = dict(models or {}), ledger or Ledger()
         self._prompts, self._limits = prompts, settings.limits.limits()
@@ -111,15 +100,9 @@ class Agents:
         return {} if self._distribution is None else self._distribution.as_dict()
 
     def analyze(
-        self,
-        search: AttackSearch,
-        situations: Mapping[float, Situation],
-        library: Sequence[LibraryEntry],
-        *,
-        selection: Selection,
-        remembered: Mapping[str, str],
-        teamwork: Teamwork | None = None,
-    ) -> list[Intent]:
+        self, search: AttackSearch, situations: Mapping[float, Situation], library: Sequence[LibraryEntry], *,
+        selection: Selection, remembered: Mapping[str, str], teamwork: Teamwork | None = None,
+    ) -> list[Intent]:  # fmt: skip
         """Intents, most dangerous first. Raises ModelError.
 
         search: has predicted its candidates; they are the model's evidence, and their ranking is the expert's answer.
@@ -127,9 +110,6 @@ class Agents:
         remembered: label -> what the bank knows of that intent, in words.
         teamwork: what a model may compose (``casts``), None if one adversary is all that is allowed.
         """
-
-        def ask(analyzer: Analyzer) -> list[Intent]:
-            return analyzer.analyze(situations, library)
 
         def by_model() -> list[Intent]:
             evidence = partial(evidence_words, search.pool, library=library, remembered=remembered)
@@ -139,7 +119,7 @@ class Agents:
                 evidence=evidence if self.settings.evidence == "on" else None, teamwork=teamwork,
                 request=self.settings.ask or "",
             )  # fmt: skip
-            intents = ask(analyzer)
+            intents = analyzer.analyze(situations, library)
             self.asked, self.why_not = analyzer.asked, analyzer.why_not
             self._distribution, self.casts = analyzer.distribution, analyzer.casts
             novel, ways = sum(i.source == "generated" for i in intents), sum(len(i.ways) for i in intents)
@@ -149,15 +129,13 @@ class Agents:
             self.bought.append(Bought("analyzer", f"{summary}{teams}"))
             return intents
 
-        return self._played("analyzer", by_model, lambda: ask(ExpertAnalyzer(search)))
+        return self._played("analyzer", by_model, lambda: search.ranking(library))
 
     def confirm(
         self, intent: Intent, nearest: Sequence[LibraryEntry], situations: Mapping[float, Situation]
     ) -> Intent | None:
         """A model's new intent by the label among ``nearest`` that means the same behaviour, None for a novel one.
-
-        Without questions left the intent is as novel as its analyzer said. Raises ModelError.
-        """
+        Without questions left the intent is as novel as its analyzer said. Raises ModelError."""
 
         def by_model() -> Intent | None:
             analyzer = ModelAnalyzer(self._metered("analyzer"), self.prompts, self._limits)
@@ -168,48 +146,37 @@ class Agents:
         return self._played("analyzer", by_model, lambda: None) if self.may_ask else None
 
     def generate(self, intent: Intent, situation: Situation, examples: Sequence[LibraryEntry]) -> tuple[Planner, ...]:
-        """Planners for an intent that the bank lacks, none without questions left. ``examples``: nearest first.
-
-        Those of an intent that the expert composed beside a model's are the expert's. Raises ModelError.
-        """
+        """Planners for an intent that the bank lacks, none without questions left. ``examples``: nearest first. Those
+        of an intent that the expert composed beside a model's are the expert's. Raises ModelError."""
         if self.by_model("analyzer") and intent.label in COMPOSED:
-            return ExpertGenerator().generate(intent, situation, examples)
+            return expert_planners(intent, examples)
         if self.by_model("generator") and not self.may_ask:
             return ()
 
-        applies = situation.targets[intent.bv].applies()
-
-        def ask(generator: Generator) -> tuple[Planner, ...]:
-            return generator.generate(intent, situation, examples)
-
         def by_model() -> tuple[Planner, ...]:
-            settings = self.settings
+            settings, applies = self.settings, situation.targets[intent.bv].applies()
             generator = ModelGenerator(
                 self._metered("generator"), self.prompts, self._limits, self._trial(applies),
                 tries=settings.generations, instruction=settings.instruction,
             )  # fmt: skip
-            planners = ask(generator)
+            planners = generator.generate(intent, situation, examples)
             self.bought.append(Bought("generator", f"a planner for '{intent.label}'", planners[0].hash))
             return planners
 
-        return self._played("generator", by_model, lambda: ask(ExpertGenerator()))
+        return self._played("generator", by_model, lambda: expert_planners(intent, examples))
 
     def modify(self, planner: Planner, reports: Sequence[AttemptReport], scene: RepairScene) -> Change | None:
-        """A model's change after the attempts with a planner, None if it changes nothing. Raises ModelError.
-
-        None also if the expert plays the modifier, since the search itself tries other parameters, and without
-        questions left.
-        """
+        """A model's change after the attempts with a planner, None if it changes nothing. Raises ModelError. None also
+        if the expert plays the modifier, since the search itself tries other parameters, and without questions left."""
         if not self.by_model("modifier") or not self.may_ask:
             return None
 
         def by_model() -> Change | None:
-            modifier: Modifier = ModelModifier(
+            modifier = ModelModifier(
                 self._metered("modifier"), self.prompts, self._limits, self._trial(scene.entry.applies), self.settings
             )
             change = modifier.modify(planner, reports, scene)
-            if change is not None:
-                self.bought.append(Bought("modifier", change.words, change.planner.hash if change.planner else None))
+            self.bought.append(Bought("modifier", change.words, change.planner.hash if change.planner else None))
             return change
 
         return self._played("modifier", by_model, lambda: None)

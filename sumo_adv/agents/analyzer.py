@@ -1,9 +1,9 @@
-"""The analyzer: the paper's g, played by a language model or by the built-in expert.
+"""The analyzer: the paper's g, played by a language model. The built-in expert's answer is ``AttackSearch.ranking``.
 
 A model sees the scene and the evidence of the predictions. It chooses intents, and for each one the modes, their
-numbers and the start. Its answers to ``samples`` equal questions give a
-distribution over intents, which are ordered by expected risk. If the entropy of the distribution is high, the first
-intents are tried side by side (the paper's first future direction).
+numbers and the start. Its answers to ``samples`` equal questions give a distribution over intents, which are ordered by
+expected risk. If the entropy of the distribution is high, the first intents are tried side by side (the paper's first
+future direction).
 """
 
 from __future__ import annotations
@@ -16,16 +16,14 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, Field
 
-from sumo_adv.agents.danger import danger_words
-from sumo_adv.agents.prompts import MAX_TEXT, Prompt, Prompts, fenced, sanitize
+from sumo_adv.agents.prompts import MAX_TEXT, Prompt, Prompts, danger_words, fenced, sanitize
 from sumo_adv.agents.scene_text import Aliases, driver_words, outlook_words, relative_words, road_words, state_words
 from sumo_adv.agents.teams import MOST_PROPOSED, Team, Teamwork, casts_of, team_fault, teams_words
 from sumo_adv.agents.ways import MOST_WAYS, HowTo, library_words, modes_words, starts_words, way_fault, way_of
 from sumo_adv.asked import MEANINGS, Asked
 from sumo_adv.datatypes import Intent, LibraryEntry, Limits, acceleration_of
 from sumo_adv.llm.asking import MeteredModel, ask, ask_many
-from sumo_adv.search.composed_attacks import Cast
-from sumo_adv.search.search import AttackSearch
+from sumo_adv.search.supports import Cast
 from sumo_adv.situation import Situation
 
 RISKS: Mapping[str, float] = {"low": 0.2, "medium": 0.5, "high": 1.0}
@@ -106,17 +104,6 @@ class Distribution:
         }  # fmt: skip
 
 
-class ExpertAnalyzer:
-    """The built-in expert's answer: the intents of the candidates that the search has predicted."""
-
-    def __init__(self, search: AttackSearch) -> None:
-        self._search = search
-
-    def analyze(self, situations: Mapping[float, Situation], library: Sequence[LibraryEntry]) -> list[Intent]:
-        """The predicted intents, most dangerous first."""
-        return self._search.ranking(library)
-
-
 class ModelAnalyzer:
     """Asks a model about a situation. ``distribution`` holds the answers of the last analysis, ``casts`` the
     compositions that they propose.
@@ -129,17 +116,9 @@ class ModelAnalyzer:
     """
 
     def __init__(
-        self,
-        metered: MeteredModel,
-        prompts: Prompts,
-        limits: Limits,
-        *,
-        samples: int = 1,
-        allowed: Sequence[str] = (),
-        evidence: Evidence | None = None,
-        teamwork: Teamwork | None = None,
-        request: str = "",
-    ) -> None:
+        self, metered: MeteredModel, prompts: Prompts, limits: Limits, *, samples: int = 1, allowed: Sequence[str] = (),
+        evidence: Evidence | None = None, teamwork: Teamwork | None = None, request: str = "",
+    ) -> None:  # fmt: skip
         self._metered, self._prompts, self._limits = metered, prompts, limits
         self._samples, self._allowed, self._evidence = samples, tuple(allowed), evidence
         self._teamwork, self._request = teamwork, request
@@ -149,10 +128,8 @@ class ModelAnalyzer:
         self.casts: tuple[Cast, ...] = ()
 
     def analyze(self, situations: Mapping[float, Situation], library: Sequence[LibraryEntry]) -> list[Intent]:
-        """Intents for the earliest situation, most dangerous first; none if the model sees nothing dangerous.
-
-        Raises ModelError, BudgetError.
-        """
+        """Intents for the earliest situation, most dangerous first; none if the model sees nothing dangerous. Raises
+        ModelError, BudgetError."""
         situation = situations[min(situations)]
         entries = [e for e in library if not self._allowed or e.label in self._allowed]
         aliases = Aliases.of(situation)
@@ -219,7 +196,7 @@ class ModelAnalyzer:
                 return f"There is no vehicle '{sanitize(choice.bv)}' that may be chosen; there are {choices}."
             if self._teamwork is not None and not self._teamwork.may_collide(aliases.bvs[choice.bv]):
                 return f"{choice.bv} may only be a support, in a composition."
-            fault = self._acceleration_fault(choice.acceleration)
+            fault = _acceleration_fault(choice.acceleration, self._limits)
             entry = labels.get(sanitize(choice.label).lower())
             if fault is None and choice.novel:
                 fault = self._novelty_fault(choice, entry)
@@ -259,23 +236,19 @@ class ModelAnalyzer:
             return f"The novel behaviour '{sanitize(choice.label)}' needs a description of one or two sentences."
         return None
 
-    def _acceleration_fault(self, acceleration: float | list[list[float]]) -> str | None:
-        try:
-            acceleration_of(acceleration, self._limits)
-        except ValueError as error:
-            return str(error)
-        return None
+
+def _acceleration_fault(acceleration: float | list[list[float]], limits: Limits) -> str | None:
+    try:
+        acceleration_of(acceleration, limits)
+    except ValueError as error:
+        return str(error)
+    return None
 
 
 def analyzer_prompt(
-    prompts: Prompts,
-    situations: Mapping[float, Situation],
-    library: Sequence[LibraryEntry],
-    limits: Limits,
-    evidence: Evidence | None = None,
-    teamwork: Teamwork | None = None,
-    request: str = "",
-) -> Prompt:
+    prompts: Prompts, situations: Mapping[float, Situation], library: Sequence[LibraryEntry], limits: Limits,
+    evidence: Evidence | None = None, teamwork: Teamwork | None = None, request: str = "",
+) -> Prompt:  # fmt: skip
     """The analyzer's prompt for the earliest situation. ``library``: the intents that the model may choose; with
     ``teamwork`` it is asked for compositions too. ``request``: an attack in a person's words that it is to carry out,
     empty for the most dangerous ones."""
@@ -317,10 +290,8 @@ def _asked_fault(answer: AskedAnalysis) -> str | None:
 
 
 def _ranking(answers: Sequence[Analysis], aliases: Aliases) -> tuple[list[Choice], Distribution]:
-    """All intents of all answers by expected risk.
-
-    The expected risk is the mean over the answers of risk / place. An answer without the intent counts as 0.
-    """
+    """All intents of all answers by expected risk. The expected risk is the mean over the answers of risk / place. An
+    answer without the intent counts as 0."""
     risk: defaultdict[tuple[str, str], float] = defaultdict(float)
     first: Counter[tuple[str, str]] = Counter()
     chosen: dict[tuple[str, str], Choice] = {}

@@ -15,6 +15,8 @@ from string import Template
 
 from sumo_adv.errors import UsageError
 from sumo_adv.llm.chat import estimate_tokens, one_line
+from sumo_adv.metrics.reference import brakers, cc_human
+from sumo_adv.metrics.reference.manoeuvre import DELAY
 
 NAMES = ("analyzer", "confirm", "danger", "generator", "modifier", "planner", "reading", "request", "teams", "write")
 MAX_TEXT = 600  # characters of a label or description in a prompt
@@ -100,3 +102,16 @@ def _filled(name: str, text: str, variables: Mapping[str, str], allowed: set[str
     if missing:
         raise KeyError(f"The prompt '{name}' lacks a value for {', '.join(missing)}.")
     return Template(text).substitute(variables)
+
+
+def danger_words(prompts: Prompts) -> str:
+    """The rules by which a danger shows, and when the reference drivers then act."""
+    numbers = {
+        "perception": cc_human.PERCEPTION, "drift": cc_human.WANDERING, "reach": cc_human.DANGER,
+        "hard": cc_human.HARD_BRAKING, "following": cc_human.FOLLOWING, "own": cc_human.OWN_BRAKING,
+        "reaction": cc_human.REACTION, "facing": cc_human.FACING_SIGHT, "facing_margin": cc_human.FACING_MARGIN,
+        "alarm": cc_human.ALARM_BRAKING, "short": cc_human.STOPPING_SHORT, "crossing": cc_human.CROSSING_SIGHT,
+        "crossing_margin": cc_human.CROSSING_MARGIN, "ramp": brakers.RAMP, "full": round(brakers.FULL_BRAKING, 1),
+        "steers": round(DELAY - cc_human.PERCEPTION, 2),
+    }  # fmt: skip
+    return prompts.piece("danger", **{name: f"{number:g}" for name, number in numbers.items()})

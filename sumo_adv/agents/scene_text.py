@@ -38,11 +38,8 @@ SUMO_DRIVERS = ("krauss", "idm", "eidm", "careful")  # SUMO's rules decide their
 
 @dataclass(frozen=True, slots=True)
 class Aliases:
-    """Aliases of the vehicles of a situation.
-
-    bvs: alias -> id of the possible adversaries, most dangerous first.
-    by_id: id -> alias of all vehicles in the prompt.
-    """
+    """Aliases of the vehicles of a situation. bvs: alias -> id of the possible adversaries, most dangerous first.
+    by_id: id -> alias of all vehicles in the prompt."""
 
     bvs: Mapping[str, str]
     by_id: Mapping[str, str]

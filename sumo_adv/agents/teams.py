@@ -16,8 +16,8 @@ from sumo_adv.agents.scene_text import Aliases
 from sumo_adv.datatypes import Duty, LibraryEntry
 from sumo_adv.memory.records import Composition, Part, canonical
 from sumo_adv.road_users import is_unprotected
-from sumo_adv.search.composed_attacks import ANY, EXPERT_COMPOSITIONS, Cast
 from sumo_adv.search.support_intents import SUPPORT_INTENTS, fits
+from sumo_adv.search.supports import ANY, EXPERT_COMPOSITIONS, Cast
 from sumo_adv.situation import Situation, Target
 
 MOST_PROPOSED = 3  # compositions in one answer
@@ -66,7 +66,6 @@ class Teamwork:
         return [c for c in (*self.known, *new) if len(c.parts) <= self.most]
 
     def may_collide(self, name: str) -> bool:
-        """Whether a vehicle may be the collider."""
         return not self.colliders or name in self.colliders
 
 

@@ -18,9 +18,8 @@ from sumo_adv.agents.agents import Agents
 from sumo_adv.benchmark.nouns import Encounter, Opponent
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Level, Proposal, Role, Track
-from sumo_adv.episode.assessment import attempt_of, checked
+from sumo_adv.episode.assessment import AttemptRunner, StepwiseRunner, attempt_of, checked
 from sumo_adv.episode.attempt import Driven
-from sumo_adv.episode.attempt_runner import AttemptRunner, StepwiseRunner
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.loop import decide, model_ending, pursue
 from sumo_adv.episode.memory_access import read_library, signature
@@ -36,7 +35,7 @@ from sumo_adv.metrics.full import PAPER_EPSILON
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.simulation.engine import Engine
 from sumo_adv.simulation.inputs import RunInput
-from sumo_adv.simulation.recording import tracks_of
+from sumo_adv.simulation.tracks import tracks_of
 
 
 def _silent(*_: object) -> None:

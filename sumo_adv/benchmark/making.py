@@ -30,7 +30,7 @@ from sumo_adv.episode.worker import Worker
 from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.simulation.engine import Engine, can_fork, in_forks
 from sumo_adv.simulation.inputs import data_folder, load_input
-from sumo_adv.simulation.library import load_libsumo
+from sumo_adv.simulation.programs import load_libsumo
 from sumo_adv.situation import Target
 
 EGOS = ("idm", "krauss", "eidm", "careful")

@@ -27,7 +27,7 @@ from sumo_adv.config import PREFIX, Settings
 from sumo_adv.errors import SumoAdvError
 from sumo_adv.memory.store import default_bank_path
 from sumo_adv.planners.source import make_planner
-from sumo_adv.simulation.library import SYSTEM_LIBRARIES
+from sumo_adv.simulation.programs import SYSTEM_LIBRARIES
 
 if TYPE_CHECKING:
     from sumo_adv.llm.client import Server

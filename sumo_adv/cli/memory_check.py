@@ -119,7 +119,7 @@ def verify(
 
 def lacking_row(composition: Composition, active: Sequence[Source]) -> dict[str, Any]:
     """Whether bank and program have each part of a composition, and what they lack."""
-    from sumo_adv.search.composed_intents import COMPOSED
+    from sumo_adv.search.intents import COMPOSED
     from sumo_adv.search.support_intents import SUPPORT_INTENTS
 
     available = {(p.label, p.mode) for entries in SUPPORT_INTENTS.values() for e in entries for p in e.planners}

@@ -227,7 +227,7 @@ def _prompts(given: RunInput, settings: Settings) -> list[Prompt]:
 
 def _analyzer(episode: Any, planned: PlannedEncounter, bank: Any) -> Prompt:
     from sumo_adv.agents.analyzer import analyzer_prompt
-    from sumo_adv.agents.evidence import evidence_words
+    from sumo_adv.agents.ways import evidence_words
     from sumo_adv.episode.memory_access import remembered, selection_of
     from sumo_adv.episode.planned_encounter import teamwork
 
@@ -244,9 +244,9 @@ def _analyzer(episode: Any, planned: PlannedEncounter, bank: Any) -> Prompt:
 def _writers(planned: PlannedEncounter, settings: Settings, agents: Any, engine: Engine) -> list[Prompt]:
     from sumo_adv.agents.generator import generator_prompt
     from sumo_adv.agents.modifier import modifier_prompt
-    from sumo_adv.episode.attempt_report import report_of, scene_of
-    from sumo_adv.episode.attempt_runner import AttemptRunner
+    from sumo_adv.episode.assessment import AttemptRunner
     from sumo_adv.episode.refinement import Refinement, Refiner
+    from sumo_adv.episode.repairs import report_of, scene_of
 
     prompts, limits = shipped_prompts(), settings.limits.limits()
     intent = planned.search.ranking(planned.library)[0]

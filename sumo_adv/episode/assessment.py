@@ -1,23 +1,268 @@
-"""From an attempt's result to the attempt: its rank, whether it succeeded, and the confirmation of its verdict."""
+"""Attempts on the front's side: they are run, and their results become attempts with a diagnosis and a rank.
+
+Planners run in the sandbox and answer the engine's forks. Where an attack was asked for, attempts are compared with the
+request: by rules, and where a model plays along, by its reading. An attempt that does not fit has ``Verdict.misfits``,
+and meets no goal (``Goal.reached``), so that the search goes on.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol
 
 import numpy as np
 
+from sumo_adv.agents.agents import Agents, Bought
+from sumo_adv.asked import Asked
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Attempt, Level, ObservedMotion, Proposal, Verdict
-from sumo_adv.episode.attempt_runner import Attempts
-from sumo_adv.episode.diagnosis import REACH, diagnose
-from sumo_adv.episode.references import simulated
+from sumo_adv.datatypes import Attempt, Diagnosis, Floats, Level, Limits, ObservedMotion, Proposal, Track, Verdict
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
+from sumo_adv.episode.verdict import simulated
+from sumo_adv.errors import SandboxError
+from sumo_adv.geometry import Frame, Path, wrap
 from sumo_adv.goal import Goal
+from sumo_adv.llm.asking import MeteredModel
 from sumo_adv.metrics.levels import judged
-from sumo_adv.search.free_motion import named
-from sumo_adv.search.templates import kind_of
-from sumo_adv.simulation.recording import tracks_of
+from sumo_adv.planners.answers import Answer, PlannerObservation
+from sumo_adv.planners.sandbox import Sandbox
+from sumo_adv.planners.sessions import Roads, Sessions
+from sumo_adv.search.intents import named
+from sumo_adv.search.sampling import kind_of
+from sumo_adv.simulation.engine import Engine
+from sumo_adv.words.motion import Motion, Scene, misfits, observe
+from sumo_adv.words.request import Reading, read_motion
+
+# -- running attempts -----------------------------------------------------------------------------------------------
+
+
+class Attempts(Protocol):
+    """Runs attempts; a result is taken only if the ones before it did not succeed."""
+
+    def attempt(self, proposals: Sequence[Proposal]) -> Iterable[AttemptResult]:
+        """The results of the proposals, in order."""
+
+    def references(self, proposal: Proposal, result: AttemptResult) -> dict[str, bool]:
+        """Which reference drivers avoid an attempt's collision in the simulation; empty where that cannot be asked."""
+
+
+class AttemptRunner:
+    """Runs attempts on the engine. A planner that is not ours gets a fresh sandbox session for each attempt."""
+
+    def __init__(self, engine: Engine, sandbox: Sandbox, found: FoundEncounter, seed: int) -> None:
+        self._engine, self._sandbox, self._found, self._seed = engine, sandbox, found, seed
+
+    def attempt(self, proposals: Sequence[Proposal]) -> list[AttemptResult]:
+        """The results of the proposals, in order. They run at the same time if the engine can fork."""
+        opened: dict[tuple[int, int], Sessions] = {}
+        roads = Roads(self._found.situations)
+
+        def answer(question: tuple[int, int, Any]) -> Answer | str:
+            k, member, observation = question
+            adversary = proposals[k].members[member]
+            if (k, member) not in opened:
+                session = Sessions(self._sandbox, roads, [adversary], self._seed, drivable=self._found.drivable)
+                opened[k, member] = session.__enter__()
+            return answer_of(adversary, opened[k, member], observation)
+
+        try:
+            return self._engine.request("attempts", list(proposals), answer=answer)
+        finally:
+            for sessions in opened.values():
+                sessions.__exit__(None, None, None)
+
+    def references(self, proposal: Proposal, result: AttemptResult) -> dict[str, bool]:
+        """Which reference drivers avoid an attempt's collision in the simulation."""
+        return self._engine.request("references", proposal, result)
+
+
+class StepwiseRunner:
+    """Runs attempts when their results are requested, ``at_once`` at a time. The results are the same. Attempts behind
+    a success are then not made; for many episodes side by side, one at a time."""
+
+    def __init__(self, runner: AttemptRunner, at_once: int = 1) -> None:
+        self._runner, self._at_once = runner, at_once
+
+    def attempt(self, proposals: Sequence[Proposal]) -> Iterator[AttemptResult]:
+        for k in range(0, len(proposals), self._at_once):
+            yield from self._runner.attempt(proposals[k : k + self._at_once])
+
+    def references(self, proposal: Proposal, result: AttemptResult) -> dict[str, bool]:
+        """Which reference drivers avoid an attempt's collision in the simulation."""
+        return self._runner.references(proposal, result)
+
+
+def answer_of(proposal: Proposal, sessions: Sessions, observation: PlannerObservation) -> Answer | str:
+    """The answer of the proposal's planner, or a sentence why there is none."""
+    try:
+        return sessions.answer(proposal, observation)
+    except SandboxError as error:
+        return str(error)
+
+
+# -- diagnosis ------------------------------------------------------------------------------------------------------
+
+TOGETHER = 2.0  # m: centres of two tracks at a smaller distance are at the same place
+BRAKES = 1.5  # m/s2: stronger braking is a reaction
+REACHED = 0.97  # share of a limit that counts as reached
+REACH = 25.0  # m along the ego's path within which its next position is searched
+
+
+def diagnose(
+    result: AttemptResult, ego: str, bv: str, ego_path: Path, limits: Limits, step_length: float
+) -> Diagnosis | None:
+    """The diagnosis of an attempt; None if one of the two left at once."""
+    tracks = result.tracks(step_length, ego, bv)
+    if ego not in tracks or bv not in tracks:
+        return None
+    first, last = result.start, min(tracks[ego].time[-1], tracks[bv].time[-1])
+    a, b = tracks[ego].between(first, last), tracks[bv].between(first, last)
+    count = min(len(a.time), len(b.time))
+    if count < 2:
+        return None
+    i = int(np.argmin(np.hypot(a.x[:count] - b.x[:count], a.y[:count] - b.y[:count])))
+    braking = np.flatnonzero(a.acceleration < -BRAKES)
+    return Diagnosis(
+        time=round(float(a.time[i]) - first, 2), ego_frame=_seen(a, b, i), bv_frame=_seen(b, a, i),
+        ego_speed=round(float(a.speed[i]), 2), bv_speed=round(float(b.speed[i]), 2), early=_early(a, b),
+        ego_reaction=round(float(a.time[braking[0]]) - first, 2) if len(braking) else None,
+        ego_braking=round(max(0.0, -float(a.acceleration.min())), 2), ego_shift=_shift(a, ego_path),
+        bound=_bound(b, limits, step_length),
+    )  # fmt: skip
+
+
+def _seen(one: Track, other: Track, i: int) -> tuple[float, float]:
+    frame = Frame(float(one.x[i]), float(one.y[i]), float(one.heading[i]))
+    x, y, _ = frame.to_local(float(other.x[i]), float(other.y[i]), 0.0)
+    return round(x, 2), round(y, 2)
+
+
+def _early(ego: Track, bv: Track) -> float | None:
+    """Seconds by which the BV was before the ego at a place where both have been; None without such a place. With
+    several such pairs of states, the pair with the smallest difference in time counts."""
+    apart = np.hypot(ego.x[:, None] - bv.x[None, :], ego.y[:, None] - bv.y[None, :])
+    i, j = np.nonzero(apart < TOGETHER)
+    if not len(i):
+        return None
+    between = ego.time[i] - bv.time[j]
+    return round(float(between[np.argmin(np.abs(between))]), 2)
+
+
+def _shift(ego: Track, path: Path) -> float:
+    """The largest change of the ego's offset from its path [m]."""
+    station, offsets = 0.0, []
+    for x, y in zip(ego.x.tolist(), ego.y.tolist(), strict=True):
+        station, offset = path.project(x, y, near=station, reach=REACH)
+        offsets.append(offset)
+    return round(float(np.max(np.abs(np.array(offsets) - offsets[0]))), 2)
+
+
+def _bound(bv: Track, limits: Limits, dt: float) -> tuple[str, ...]:
+    """Limits that the BV's motion reached. The first step is left out, because SUMO drove it."""
+    if len(bv.time) < 4:
+        return ()
+    a = bv.acceleration[1:]
+    turn: Floats = wrap(np.diff(bv.heading)) / dt
+    most = {
+        "braking": -float(a.min()) / limits.braking, "acceleration": float(a.max()) / limits.acceleration,
+        "lateral": float(np.abs(turn * bv.speed[1:]).max()) / limits.lateral,
+        "jerk": float(np.abs(np.diff(a)).max()) / dt / limits.jerk,
+    }  # fmt: skip
+    return tuple(name for name, share in most.items() if math.isfinite(share) and share >= REACHED)
+
+
+# -- what was asked for ---------------------------------------------------------------------------------------------
+
+MOST_READINGS = 2  # attempts of an encounter that a model is asked about
+Reader = Callable[[Motion], Reading]
+"""Reads a motion and says whether it fits the request. Raises ModelError."""
+
+
+@dataclass
+class Fitting:
+    """Compares the attempts of one encounter with the request. ``reader`` is asked where the rules find nothing;
+    ``readings`` has its answers by the index of the attempt."""
+
+    asked: Asked
+    found: FoundEncounter
+    settings: Settings
+    reader: Reader | None = None
+    readings: dict[int, Reading] = field(default_factory=dict, init=False)
+
+    def judged(self, attempt: Attempt, result: AttemptResult, goal: Goal, *, read: bool = True) -> Attempt:
+        """The attempt with what it lacks of the request, if it would be a success or comes near one; ``read``: the
+        reader may be asked."""
+        if attempt.verdict.level < Level.CRITICAL and not goal.met(attempt.verdict):
+            return attempt
+        motion = motion_of(attempt, result, self.found, self.settings)
+        lacks = ("The adversary or the ego was gone at once.",) if motion is None else misfits(self.asked, motion)
+        may_read = read and not lacks and goal.met(attempt.verdict) and len(self.readings) < MOST_READINGS
+        if may_read and motion is not None and self.reader is not None:
+            reading = self.readings[attempt.index] = self.reader(motion)
+            lacks = () if reading.fits else (reading.lacks or reading.happened,)
+        return replace(attempt, verdict=replace(attempt.verdict, misfits=lacks))
+
+
+def reader_of(agents: Agents, words: str) -> Reader | None:
+    """The model that plays the analyzer as a reader; None if none does, or without words."""
+    if not agents.by_model("analyzer") or not words:
+        return None
+    metered = MeteredModel(agents.models["analyzer"], agents.ledger)
+
+    def read(motion: Motion) -> Reading:
+        reading = read_motion(metered, agents.prompts, motion.words, words)
+        agents.bought.append(Bought("reader", "it fits" if reading.fits else "it does not fit"))
+        return reading
+
+    return read
+
+
+def motion_of(attempt: Attempt, result: AttemptResult, found: FoundEncounter, settings: Settings) -> Motion | None:
+    """What happened in an attempt; None if the ego or the adversary was gone at once."""
+    p, start, end = attempt.proposal, result.start, attempt.verdict.contact_time
+    situation = found.situations.get(p.delay)
+    target = None if situation is None else situation.targets.get(p.bv)
+    if situation is None or target is None:
+        return None
+    last = math.inf if end is None else end
+    cut = {name: t.between(start, last) for name, t in result.tracks(settings.step_length).items()}
+    if found.ego not in cut or p.bv not in cut:
+        return None
+    others = [t for name, t in cut.items() if name not in (found.ego, p.bv)]
+    first = found.first.targets.get(p.bv, target)
+    return observe(
+        Scene(
+            cut[found.ego], cut[p.bv], others, situation.baseline.path, first.relation, first.hidden,
+            attempt.verdict.contact_side if attempt.verdict.collided else None, start,
+            _red_at(p, result, found, cut[p.bv].time[0] if len(cut[p.bv].time) else start),
+        )
+    )  # fmt: skip
+
+
+def _red_at(p: Proposal, result: AttemptResult, found: FoundEncounter, begun: float) -> float | None:
+    """When the adversary passes its stop line on red [s]; None if it does not, or if its light changes before."""
+    situation = found.situations[p.delay]
+    signals = situation.traffic.signals.get(p.bv, ())
+    if not signals or signals[0][2] not in "ru":
+        return None
+    light, distance, _ = signals[0]
+    gone, before, shown = 0.0, None, None
+    for snapshot in result.snapshots:
+        if snapshot.time < begun or p.bv not in snapshot.raw:
+            continue
+        x, y = snapshot.raw[p.bv][0], snapshot.raw[p.bv][1]
+        gone += 0.0 if before is None else ((x - before[0]) ** 2 + (y - before[1]) ** 2) ** 0.5
+        before, state = (x, y), snapshot.lights.get(light)
+        if shown is not None and state is not None and state != shown:
+            return None
+        shown = shown or state
+        if gone > distance:
+            return snapshot.time
+    return None
+
+
+# -- from a result to an attempt ------------------------------------------------------------------------------------
 
 NOTHING = Verdict(float("inf"), float("inf"), False, False, False, False, None, None, None, ("no_motion",))
 
@@ -54,11 +299,11 @@ def observed_motion(
     result: AttemptResult, found: FoundEncounter, delay: float, settings: Settings
 ) -> ObservedMotion | None:
     """The ego's motion from the takeover on, at constant speed after the attempt; None if the ego was gone at once."""
-    tracks = tracks_of(result.snapshots, result.sizes, {}, settings.step_length, (found.ego,))
-    track = tracks[0].between(result.start, math.inf) if tracks else None
+    situation, dt = found.situations[delay], settings.step_length
+    whole = result.tracks(dt, found.ego).get(found.ego)
+    track = None if whole is None else whole.between(result.start, math.inf)
     if track is None or len(track.time) < 2:
         return None
-    situation, dt = found.situations[delay], settings.step_length
     missing = range(round((float(track.time[0]) - result.start) / dt))  # at the trigger itself nothing is recorded
     path, station = situation.baseline.path, 0.0
     places = [(float(situation.baseline.s[k]), 0.0) for k in missing]

@@ -1,8 +1,10 @@
 """One attempt: from the trigger on, adversaries are driven against the real ego, step by step.
 
 In each step an adversary goes where its controller leads it, or where the caller puts it; all poses are injected at
-once. The attempt ends at the first contact of the ego with an adversary, when they have all parted, or at the time
-limit. ``attack`` runs a whole attempt; an environment makes its steps one by one.
+once. A controller follows a motion given in advance, or a planner: every ``replan`` steps the planner gets the ego's
+real state and returns an endpoint, and in between f_traj leads the adversary towards it. The attempt ends at the first
+contact of the ego with an adversary, when they have all parted, or at the time limit. ``attack`` runs a whole attempt;
+an environment makes its steps one by one.
 """
 
 from __future__ import annotations
@@ -11,18 +13,169 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Boxes, Role, Track, VehicleState
+from sumo_adv.datatypes import Boxes, Limits, PrescribedMotion, Proposal, Role, Track, VehicleState
 from sumo_adv.drivers import Action
-from sumo_adv.episode.controllers import AdversaryController
 from sumo_adv.episode.drive import Drive
+from sumo_adv.errors import PlannerResultError
 from sumo_adv.geometry import Pose
 from sumo_adv.metrics.boxes import overlaps
+from sumo_adv.planners.adversary_batch import AdversaryBatch
+from sumo_adv.planners.answers import Answer, AskOne, local_endpoint
+from sumo_adv.planners.follower import Follower
+from sumo_adv.planners.trajectory import Goal, Motion, PathRow, Scalar, advance, one_of, pose, release, steer
+from sumo_adv.situation import Situation
+
+# -- controllers ----------------------------------------------------------------------------------------------------
+
+LEFT_LINE = 1.0  # m: a larger distance from a planner's own trajectory is reported to the modifier
+
+
+class PrescribedAdversary:
+    """An adversary on a motion given in advance. After its end it goes straight on at its last speed."""
+
+    message = ""
+
+    def __init__(self, situation: Situation, name: str, course: PrescribedMotion) -> None:
+        self._course, self._dt = course, situation.dt
+        self._steps, self._speed, self.acceleration = 0, situation.targets[name].state.speed, 0.0
+
+    def replan(self, now: float, ego: tuple[float, float, float, float]) -> str | None:
+        return None
+
+    def advance(self) -> Pose:
+        c, dt = self._course, self._dt
+        k = min(self._steps, len(c.x) - 1)
+        on = (self._steps - k) * dt * float(c.speed[k])
+        self._steps += 1
+        before, self._speed = self._speed, float(c.speed[k])
+        self.acceleration = (self._speed - before) / dt
+        heading = float(c.heading[k])
+        return Pose(
+            float(c.x[k]) + on * math.cos(heading), float(c.y[k]) + on * math.sin(heading), heading, self._speed
+        )
+
+
+class PlannedAdversary:
+    """An adversary that a planner leads along its ways, by endpoints or by its own trajectories. ``ask`` asks the
+    planner."""
+
+    def __init__(self, situation: Situation, name: str, limits: Limits, ask: AskOne) -> None:
+        self.situation, self.limits = situation, limits
+        self._ask = ask
+        self.ground = AdversaryBatch([situation], [name])
+        self.motion = one_of(self.ground.begin(), 0)
+        self.goal = Goal(self.motion.s + 3 * self.motion.v, self.motion.d, self.motion.v, 3.0)
+        self.last: Mapping[str, float] | None = None
+        self._follower: Follower | None = None
+        self._remarks: dict[str, str] = {}
+        self._farthest = 0.0
+        self._cap = situation.targets[name].fastest
+        self._ego_station = 0.0
+        self._planned: tuple[float, float] | None = None  # the last time of planning [s], and the ego's speed then
+
+    @property
+    def road(self) -> PathRow:
+        """The way that the adversary is on."""
+        return self.ground.road(0)
+
+    @property
+    def message(self) -> str:
+        """How the planner's own trajectories were changed, the first change of each kind; empty without a change."""
+        self._note_distance()
+        return " ".join(self._remarks.values())
+
+    @property
+    def acceleration(self) -> float:
+        return self.motion.a
+
+    def replan(self, now: float, ego: tuple[float, float, float, float]) -> str | None:
+        """Ask the planner. ``now``: s after the takeover; ``ego``: x, y, speed, acceleration. A sentence on failure."""
+        s, d = self.situation.baseline.path.project(ego[0], ego[1], near=self._ego_station, reach=25.0)
+        self._ego_station = s
+        array = tuple(np.array([q]) for q in (s, d, ego[2], self._mean_acceleration(now, ego[2], ego[3])))
+        batch = _many(self.motion)
+        observation = self.ground.observe(batch, now, array, [self.last])[0]  # type: ignore[arg-type]
+        answer = self._ask(observation)
+        if isinstance(answer, str):
+            return answer
+        self.last = local_endpoint(self.situation, answer.endpoint)
+        before = Goal(*(np.array([q]) for q in self.goal))
+        self.goal = Goal(*(float(q[0]) for q in self.ground.aim(batch, [answer.endpoint], before)))
+        self._built_in()
+        self._follow(answer, batch, now)
+        return None
+
+    def _mean_acceleration(self, now: float, speed: float, acceleration: float) -> float:
+        """The ego's mean since the last planning [m/s2]: some drivers brake and accelerate in turns."""
+        before, self._planned = self._planned, (now, speed)
+        return acceleration if before is None or now <= before[0] else (speed - before[1]) / (now - before[0])
+
+    def _built_in(self) -> None:
+        """Go towards the goal by the built-in f_traj."""
+        self._note_distance()
+        motion = release(self.motion) if self._follower is not None else self.motion
+        self._follower = None
+        self.motion = steer(Scalar, motion, self.goal, self.road.at(motion.s)[3])
+
+    def _follow(self, answer: Answer, batch: Motion, now: float) -> None:
+        """Follow the planner's own trajectory from now on, if it has a usable one."""
+        remark, kind = answer.remark, "refused"
+        if answer.trajectory is not None:
+            try:
+                self._follower = self.ground.follower(0, batch, answer.trajectory)
+                self.motion = self._follower.begin(self.motion)
+                kind, beyond = "limited", self._follower.line.beyond(self.limits, self._cap)
+                remark = f"trajectory() was brought within the limits: it has {beyond}" if beyond else ""
+            except PlannerResultError as error:
+                remark = f"{error}, and the built-in one was driven"
+        if remark:
+            self._remarks.setdefault(kind, f"{now:.1f} s after the takeover: {remark}.")
+
+    def _note_distance(self) -> None:
+        if self._follower is not None:
+            self._farthest = max(self._farthest, self._follower.farthest)
+        if self._farthest > LEFT_LINE:
+            self._remarks["left"] = f"It was up to {self._farthest:.1f} m from where trajectory() had it."
+
+    def advance(self) -> Pose:
+        dt = self.situation.dt
+        if self._follower is not None and self._follower.over:
+            self._built_in()
+        if self._follower is not None:
+            self.motion = self._follower.advance(self.motion, self.road, self.limits, self._cap)
+        else:
+            self.motion = advance(Scalar, self.motion, self.goal, self.road, self.limits, self._cap, dt)
+        goal = self.goal
+        self.goal = Goal(goal.s, goal.d, goal.v, goal.time - dt)
+        x, y, h = pose(Scalar, self.motion, self.road)
+        return Pose(x, y, h, self.motion.v)
+
+
+def _many(motion: Motion) -> Motion:
+    fields: list[Any] = [tuple(np.array([q]) for q in f) if isinstance(f, tuple) else np.array([f]) for f in motion]
+    return Motion(*fields)
+
+
+AdversaryController = PlannedAdversary | PrescribedAdversary
+"""Drives one adversary. ``message``: why the planner failed, or how its trajectories were changed. ``acceleration``:
+that of the last step [m/s2]. ``replan`` plans anew for the ego's x, y, speed, acceleration, ``now`` s after the
+takeover, and returns a sentence if that failed. ``advance`` returns the pose after one more step."""
+
+
+def controller_of(situation: Situation, proposal: Proposal, limits: Limits, ask: AskOne) -> AdversaryController:
+    """The controller of a proposal's adversary; ``ask`` asks the proposal's planner."""
+    if proposal.course is not None:
+        return PrescribedAdversary(situation, proposal.bv, proposal.course)
+    return PlannedAdversary(situation, proposal.bv, limits, ask)
+
+
+# -- the attempt ----------------------------------------------------------------------------------------------------
 
 PARTED = 90.0  # m between centres: further apart, and still parting, the two will not meet any more
-CLEAR = 1e-3  # m: boxes with a larger gap along an axis need no exact test
 CONTINUED = 4.0  # s beyond a contact for which the adversary's plan is continued, for the judge
 
 
@@ -38,11 +191,8 @@ class Driven:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """What is to happen in one step.
-
-    poses: by adversary, where it is after the step; the controllers of the others decide. ego: what the ego does; None:
-    its driver decides.
-    """
+    """What is to happen in one step. poses: by adversary, where it is after the step; the controllers of the others
+    decide. ego: what the ego does; None: its driver decides."""
 
     poses: Mapping[str, Pose] = field(default_factory=dict)
     ego: Action = None
@@ -99,8 +249,10 @@ class OngoingAttempt:
         poses = {name: command.poses[name] if name in command.poses else self._led(name) for name in there}
         drive.tick(poses, command.ego)
         apart = {name: apart_of(drive, self._ego, name) for name in self._adversaries}
-        steps, touching = before.steps + 1, self._touching(apart)
-        return AttemptState(steps, apart, touching, self._outcome(steps, before.apart, apart))
+        hit = [(self._ego, name) for name, far in apart.items() if far == 0.0]
+        between = [(a, b) for a, b in combinations(apart, 2) if apart_of(drive, a, b) == 0.0]
+        steps = before.steps + 1
+        return AttemptState(steps, apart, (*hit, *between), self._outcome(steps, before.apart, apart))
 
     def _plan(self, names: list[str], now: float) -> str | None:
         """Have controllers plan anew, ``now`` s after the takeover. A sentence if one failed."""
@@ -119,10 +271,6 @@ class OngoingAttempt:
         controller = self._adversaries[name]
         return _straight_on(self._drive.state(name), self._dt) if controller is None else controller.advance()
 
-    def _touching(self, apart: Mapping[str, float]) -> tuple[tuple[str, str], ...]:
-        hit = [(self._ego, name) for name in apart if apart[name] == 0.0]
-        return (*hit, *((a, b) for a, b in combinations(apart, 2) if apart_of(self._drive, a, b) == 0.0))
-
     def _outcome(self, steps: int, before: Mapping[str, float], apart: Mapping[str, float]) -> Driven | None:
         if 0.0 in apart.values():
             return self._ended("contact")
@@ -133,11 +281,8 @@ class OngoingAttempt:
     def _ended(self, ending: str) -> Driven:
         messages = [c.message for c in self._adversaries.values() if c is not None]
         message = " ".join(words for words in messages if words)
-        beyond = {name: self._beyond(name) for name in self._adversaries if ending == "contact" and self._here(name)}
-        return Driven(ending, message, beyond)
-
-    def _here(self, name: str) -> bool:
-        return name in self._drive.snapshot.raw
+        there = [name for name in self._adversaries if name in self._drive.snapshot.raw] if ending == "contact" else []
+        return Driven(ending, message, {name: self._beyond(name) for name in there})
 
     def _beyond(self, name: str) -> Track:
         """The adversary's plan for the next ``CONTINUED`` seconds, outside the simulation."""
@@ -173,21 +318,10 @@ def apart_of(drive: Drive, one: str, other: str) -> float:
         return math.inf
     a, b = drive.state(one), drive.state(other)
     apart = math.hypot(a.x - b.x, a.y - b.y)
-    if apart > (math.hypot(a.length, a.width) + math.hypot(b.length, b.width)) / 2 or _surely_apart(a, b):
+    if apart > (math.hypot(a.length, a.width) + math.hypot(b.length, b.width)) / 2:
         return apart
     return 0.0 if bool(overlaps(_box(a), _box(b))) else max(apart, 1e-9)
 
 
 def _box(v: VehicleState) -> Boxes:
     return Boxes(np.array(v.x), np.array(v.y), np.array(v.heading), np.array(v.speed), v.length, v.width)
-
-
-def _surely_apart(a: VehicleState, b: VehicleState) -> bool:
-    """Whether an axis of ``a`` separates the boxes by ``CLEAR``. The exact test costs six times as much."""
-    dx, dy, c, s = b.x - a.x, b.y - a.y, math.cos(a.heading), math.sin(a.heading)
-    turn = b.heading - a.heading
-    along, across = abs(math.cos(turn)), abs(math.sin(turn))
-    return (
-        abs(c * dx + s * dy) > (a.length + b.length * along + b.width * across) / 2 + CLEAR
-        or abs(c * dy - s * dx) > (a.width + b.length * across + b.width * along) / 2 + CLEAR
-    )

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -14,16 +15,50 @@ from sumo_adv.datatypes import Role, Track, VehicleState
 from sumo_adv.drivers import Action, EgoController, LaneSpeed, Observation, ReplayEgo, Steer, Vehicle, apply_steer
 from sumo_adv.drivers.vehicle import Senses
 from sumo_adv.drivers.wishes import wishes_of
-from sumo_adv.episode.ego_actions import ActionCount
 from sumo_adv.errors import DriverError
 from sumo_adv.geometry import Pose
-from sumo_adv.simulation.lights import LightsNear
 from sumo_adv.simulation.playback import Playback
-from sumo_adv.simulation.recording import Recording
 from sumo_adv.simulation.remote import Remote
+from sumo_adv.simulation.signals import LightsNear
 from sumo_adv.simulation.simulation import Simulation, SimulationSpec, Snapshot, pose_of
 from sumo_adv.simulation.stage import LOGGED_TYPE_XML, Stage
+from sumo_adv.simulation.tracks import Recording, tracks_of
 from sumo_adv.simulation.watch import Call, OutOfTimeError, watched
+
+SLOWER = 0.05  # m/s below what was asked for: more than rounding, less than any braking
+
+
+@dataclass(frozen=True, slots=True)
+class EgoActions:
+    """counts: how often each kind of answer came, from the takeover of the ego on; ``None`` is counted as ``SUMO``.
+    limited: after how many ``LaneSpeed`` SUMO's safe speed was lower than the speed that was asked for."""
+
+    counts: Mapping[str, int]
+    limited: int
+
+
+class ActionCount:
+    """Counts the answers of one driver."""
+
+    def __init__(self) -> None:
+        self._counts: Counter[str] = Counter()
+        self._limited = 0
+        self._expected: float | None = None
+
+    def answered(self, action: Action, reachable: float) -> None:
+        """``reachable``: the highest speed [m/s] that the ego can have after the step, without other vehicles."""
+        self._counts["SUMO" if action is None else type(action).__name__] += 1
+        self._expected = min(action.speed, reachable) if isinstance(action, LaneSpeed) else None
+
+    def stepped(self, speed: float) -> None:
+        """``speed``: the ego's after the step [m/s]."""
+        if self._expected is not None and speed < self._expected - SLOWER:
+            self._limited += 1
+        self._expected = None
+
+    def total(self) -> EgoActions:
+        return EgoActions(dict(sorted(self._counts.items())), self._limited)
+
 
 EGO_TYPE = "sumo_adv_ego"
 Observe = Callable[[VehicleState, Sequence[str]], Observation]
@@ -51,19 +86,12 @@ class Drive:
     """Steps SUMO, lets the ego's driver act, moves the adversary, and records all states."""
 
     def __init__(
-        self,
-        spec: SimulationSpec,
-        controller: EgoController,
-        seed: int,
-        remote: Remote | None = None,
-        playback: Playback | None = None,
-        deadline: float = 0.0,
-    ) -> None:
+        self, spec: SimulationSpec, controller: EgoController, seed: int, remote: Remote | None = None,
+        playback: Playback | None = None, deadline: float = 0.0,
+    ) -> None:  # fmt: skip
         """``deadline``: in which the ego's driver must return [s]; 0: it may take any time."""
-        self.simulation = Simulation(spec, remote)
-        self.controller = controller
+        self.simulation, self.controller, self.seed = Simulation(spec, remote), controller, seed
         self._deadline = deadline
-        self.seed = seed
         self.ego: str | None = None
         self.recording = Recording(spec.step_length)
         self._takeovers: list[tuple[int, str | None]] = []
@@ -86,7 +114,6 @@ class Drive:
 
     @property
     def snapshot(self) -> Snapshot:
-        """The newest states."""
         return self.recording.snapshots[-1]
 
     @property
@@ -147,10 +174,8 @@ class Drive:
         self._takeovers.append((len(self.recording.snapshots), None))
 
     def tick(self, poses: Mapping[str, Pose] | None = None, ego: Action = None) -> Snapshot:
-        """One step: the ego's driver acts, ``poses`` are injected, SUMO steps, the states are recorded.
-
-        ego: what the ego does in this step; None: its driver decides.
-        """
+        """One step: the ego's driver acts, ``poses`` are injected, SUMO steps, the states are recorded. ego: what the
+        ego does in this step; None: its driver decides."""
         driven = dict(poses or {})
         if self.playback is not None:
             raw = self.snapshot.raw if self.recording.snapshots else {}
@@ -227,9 +252,8 @@ class Drive:
 
     def tracks(self, *adversaries: str, start: int = 0) -> list[Track]:
         """All tracks from recorded step ``start`` on."""
-        part = Recording(self.recording.step_length)
-        part.snapshots = self.recording.snapshots[start:]
-        return part.tracks(self.simulation.fleet.sizes, self.roles(*adversaries))
+        sizes, recording = self.simulation.fleet.sizes, self.recording
+        return tracks_of(recording.snapshots[start:], sizes, self.roles(*adversaries), recording.step_length)
 
     def roles(self, *adversaries: str) -> dict[str, Role]:
         """The roles of all vehicles but background vehicles."""
@@ -262,12 +286,8 @@ class Drive:
         """Whether a log is played back."""
         return self.playback is not None and self.playback.log is not None
 
-    def reacting(self) -> bool:
-        """Whether background vehicles react to the adversary. Those that a log moves do not."""
-        return self.playback is None or self.playback.spec.background != "log"
-
     def follows_log(self) -> bool:
-        """Whether a log moves background vehicles, at least until an attack begins."""
+        """Whether a log moves background vehicles, so that they do not react to the adversary."""
         return self.playback is not None and self.playback.spec.follows_log
 
     def replayed(self) -> bool:
@@ -321,7 +341,6 @@ class Drive:
             raise DriverError(call.ended(f"SystemExit: {error.code}")) from error
 
     def observation(self) -> Observation:
-        """What the ego's driver sees now."""
         assert self.ego is not None
         me = self.state(self.ego)
         near = self.near(me, OBSERVED)

@@ -9,23 +9,149 @@ becomes dangerous, by whatever vehicle could begin an attack at that moment.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Track
+from sumo_adv.datatypes import Floats, Role, Track
 from sumo_adv.episode.drive import Drive
-from sumo_adv.episode.encounter_detector import RankedVehicle, vehicles_of
-from sumo_adv.episode.encounter_filter import LEAST, danger
-from sumo_adv.episode.encounter_place import place_of
-from sumo_adv.episode.reach import why_nobody
-from sumo_adv.episode.situation_builder import build_situations, recorded_situations, trigger_state
-from sumo_adv.episode.start_times import MOST_SHIFT
+from sumo_adv.episode.encounter_detector import RankedVehicle, place_of, vehicles_of
+from sumo_adv.episode.situation_builder import MOST_SHIFT, build_situations, recorded_situations, trigger_state
 from sumo_adv.episode.task import FoundEncounter
+from sumo_adv.metrics.boxes import first_contact, on_grid, overlaps
+from sumo_adv.metrics.case import closest
+from sumo_adv.metrics.criticality import ttc
 from sumo_adv.simulation.network import RoadMap
 from sumo_adv.simulation.simulation import Snapshot
+from sumo_adv.situation import fastest_of
+
+# -- dangerous without an attack ------------------------------------------------------------------------------------
+
+LEAST = 2.0  # s from the trigger until which the ego must stay in the network
+REACH = 30.0  # m between centres
+AS_LOGGED = 0.1  # m: largest sum of the distances of ego and vehicle from their logged positions
+
+
+class Danger(NamedTuple):
+    """Why an encounter is passed over, or empty; the vehicles that are critical without an attack; since when [s] a
+    vehicle is critical or collides."""
+
+    why: str
+    critical: frozenset[str]
+    since: float = math.inf
+
+
+def danger(tracks: Mapping[str, Track], drive: Drive, time: float, limit: float, candidates: Collection[str]) -> Danger:
+    """Whether the encounter at ``time`` [s] is dangerous without an attack.
+
+    tracks: the baseline; limit: the min TTC [s] from which a vehicle is critical; candidates: the ranked vehicles.
+
+    An encounter is passed over if the ego leaves, collides, or a vehicle is critical.  A recording has few encounters:
+    there a critical vehicle is only no candidate, and the encounter is passed over if no candidate is left.  Boxes that
+    overlap at their logged positions are an error of the log: no collision, and the vehicle is no candidate.  For
+    objects that are no vehicles only a contact counts.
+    """
+    ego = tracks[str(drive.ego)]
+    if ego.time[-1] < time + LEAST:
+        return Danger("the ego leaves the network at once", frozenset())
+    grid = ego.time[ego.time >= time - 1e-6]
+    near = [t for n, t in tracks.items() if n != ego.id and len(t.time) > 1 and closest(ego, t, time) < REACH]
+    overlapping = _overlapping(drive, tracks, ego, grid)
+    others = [t for t in near if t.id not in overlapping]
+    if overlapping and overlapping.issuperset(candidates):
+        return Danger("in the log itself it overlaps the ego", overlapping)
+    if not others:
+        return Danger("", overlapping)
+    me = on_grid([ego], grid)
+    contact = float(np.nanmin(first_contact(me, on_grid(others, grid), grid), initial=math.inf))
+    vehicles = [t for t in others if t.role is not Role.OBSTACLE]
+    by_step = ttc(me, on_grid(vehicles, grid)) if vehicles else np.full((0, len(grid)), np.inf)
+    least = np.nanmin(by_step, axis=-1, initial=math.inf)
+    critical = overlapping | frozenset(t.id for t, value in zip(vehicles, least, strict=True) if value <= limit)
+    close = np.flatnonzero((by_step <= limit).any(axis=0))
+    since = min(contact, float(grid[close[0]]) if len(close) else math.inf)
+    if math.isfinite(contact):
+        return Danger("the ego collides unattacked", critical, since)
+    if critical and (not drive.recorded() or critical.issuperset(candidates)):
+        return Danger(f"critical unattacked: min TTC {float(least.min(initial=math.inf)):.2f} s", critical, since)
+    return Danger("", critical)
+
+
+def _overlapping(drive: Drive, tracks: Mapping[str, Track], ego: Track, grid: Floats) -> frozenset[str]:
+    """Vehicles that overlap the ego at the first step, or later while both are at their logged positions."""
+    others = [t for t in tracks.values() if t.id != ego.id]
+    logged = {} if drive.playback is None else {t.id: t for t in drive.playback.logged()}
+    if not others or ego.id not in logged:
+        return frozenset()
+    me, them = on_grid([ego], grid), on_grid(others, grid)
+    their = on_grid([logged.get(t.id, t) for t in others], grid)
+    ego_logged = on_grid([logged[ego.id]], grid)
+    ego_off = np.hypot(me.x - ego_logged.x, me.y - ego_logged.y)
+    as_logged = ego_off + np.hypot(them.x - their.x, them.y - their.y) < AS_LOGGED
+    touching = np.asarray(overlaps(me, them))
+    fault = touching & as_logged
+    fault[:, 0] = touching[:, 0]
+    return frozenset(t.id for t, row in zip(others, fault, strict=True) if row.any())
+
+
+# -- out of reach ---------------------------------------------------------------------------------------------------
+
+EVERY = 0.5  # s between the moments at which it may set out
+
+
+class Reach(NamedTuple):
+    """The vehicle that comes nearest, the metres that it is short by (0 or less: it reaches the ego), and when [s]."""
+
+    vehicle: str
+    short: float
+    time: float
+
+
+def nearest_reach(tracks: Mapping[str, Track], ego: str, time: float, acceleration: float) -> Reach | None:
+    """Which vehicle comes nearest to the ego's unattacked motion from ``time`` [s] on; None without any.
+
+    It sets out from its own motion, heads straight for where the ego will be with ``acceleration`` [m/s2], and touches
+    it where their centres are half of both lengths apart: less than any road lets it need.
+    """
+    me = tracks[ego].between(time, math.inf)
+    best: Reach | None = None
+    for name, track in tracks.items():
+        own = track.between(time, math.inf)
+        if name == ego or track.role is Role.OBSTACLE or len(own.time) < 1:
+            continue
+        steps = np.unique(np.searchsorted(own.time, np.arange(own.time[0], own.time[-1] + 1e-6, EVERY)))
+        starts = steps[steps < len(own.time)]
+        left = me.time[None, :] - own.time[starts][:, None]
+        v = own.speed[starts][:, None]
+        top = np.array([[fastest_of(float(each))] for each in v[:, 0]])
+        rises = np.minimum(left, (top - v) / acceleration)
+        reached = v * left + acceleration * rises * (left - rises / 2)
+        away = np.hypot(me.x[None, :] - own.x[starts][:, None], me.y[None, :] - own.y[starts][:, None])
+        short = np.where(left > 0.0, away - (me.length + own.length) / 2 - reached, math.inf)
+        k = int(np.argmin(short))
+        least = float(short.flat[k])
+        if math.isfinite(least) and (best is None or least < best.short):
+            best = Reach(name, least, float(me.time[k % len(me.time)]))
+    return best
+
+
+def why_nobody(tracks: Mapping[str, Track], ego: str, time: float, acceleration: float) -> str:
+    """Why no vehicle of a recording can attack, in words."""
+    nearest = nearest_reach(tracks, ego, time, acceleration)
+    if nearest is None:
+        return "no other vehicle is there"
+    if nearest.short <= 0.0:
+        return "no vehicle near is on a way that meets the ego's path in time"
+    return (
+        f"no vehicle can reach the ego: '{nearest.vehicle}' comes nearest, and is {nearest.short:.1f} m short at "
+        f"{nearest.time:.1f} s though it speeds up by {acceleration:g} m/s2 all the time"
+    )
+
+
+# -- the encounter --------------------------------------------------------------------------------------------------
 
 SAFE = 0.3  # s before a log becomes dangerous by itself, at which attempts end
 MOST_VEHICLES = 12  # of a recording, that may attack
@@ -48,23 +174,17 @@ class UnattackedMotion:
 
 
 def build_encounter(
-    drive: Drive,
-    road: RoadMap,
-    settings: Settings,
-    ranking: Sequence[RankedVehicle],
-    baseline_for: Callable[[float], UnattackedMotion],
-    *,
-    checked: float = math.inf,
-    passed_over: Sequence[str] = (),
+    drive: Drive, road: RoadMap, settings: Settings, ranking: Sequence[RankedVehicle],
+    baseline_for: Callable[[float], UnattackedMotion], *, checked: float = math.inf, passed_over: Sequence[str] = (),
     delay: float | None = None,
-) -> tuple[FoundEncounter, UnattackedMotion] | str:
+) -> tuple[FoundEncounter, UnattackedMotion] | str:  # fmt: skip
     """The encounter that begins now, and its baseline; or why it is passed over.
 
     Args:
         baseline_for: takes seconds from now and returns the baseline until then.
         checked: seconds from now within which the baseline must not be dangerous itself.
         passed_over: reasons why earlier encounters were passed over.
-        delay: the only delay after the trigger [s] at which an attack may begin; None = those of ``start_times.py``.
+        delay: the only delay after the trigger [s] at which an attack may begin; None = those of ``delays``.
     """
     nobody = f"no {vehicles_of(settings.kind)} near could endanger the ego"
     nobody += " within the ODD" if settings.odd is not None else ""
@@ -83,7 +203,9 @@ def build_encounter(
     if drive.recorded() and found.why and found.since - SAFE >= drive.now + LEAST:
         drive.until = found.since - SAFE
         tracks = {name: t.between(-math.inf, drive.until) for name, t in tracks.items()}
-        found, baseline = danger(tracks, drive, drive.now, limit, names), _cut(baseline, tracks, drive.until)
+        snapshots = [s for s in baseline.snapshots if s.time <= drive.until + 1e-6]
+        baseline = replace(baseline, tracks=tracks, snapshots=snapshots)
+        found = danger(tracks, drive, drive.now, limit, names)
     if found.why:
         return found.why
     ranking = [c for c in ranking if c.id not in found.critical]
@@ -112,11 +234,6 @@ def _most_dangerous(looks: Mapping[float, Sequence[RankedVehicle]]) -> list[Rank
         if ranked.id not in best or ranked.risk > best[ranked.id].risk:
             best[ranked.id] = ranked
     return sorted(best.values(), key=lambda c: (-c.risk, c.id))[:MOST_VEHICLES]
-
-
-def _cut(baseline: UnattackedMotion, tracks: Mapping[str, Track], until: float) -> UnattackedMotion:
-    """The motion until then."""
-    return replace(baseline, tracks=tracks, snapshots=[s for s in baseline.snapshots if s.time <= until + 1e-6])
 
 
 def _area_around(ego: Track) -> tuple[float, float, float]:

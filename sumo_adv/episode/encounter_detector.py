@@ -4,6 +4,13 @@ Every half second the vehicles near the ego are placed relative to its path: ahe
 or merging.  Vehicles that cannot meet the ego in time are dropped.  The others get a risk in [0, 1].  An encounter
 begins when the highest risk is at least ``ON`` and the next look finds at least ``OFF``. In a recording each later
 look tells which vehicles could begin an attack then, whatever their risk.
+
+What surrounds the ego then (``place_of``) is told from the network alone. Its road class, by these rules in this order:
+
+motorway   a limit of at least 90 km/h, and no lane of the other direction beside the carriageway
+junction   the ego is on a junction where several roads come together, or comes to one within 8 s at its speed
+rural      a limit above 50 km/h
+urban      everything else
 """
 
 from __future__ import annotations
@@ -15,14 +22,74 @@ from dataclasses import dataclass
 import numpy as np
 
 from sumo_adv.config_odd import Odd
-from sumo_adv.datatypes import Relation, VehicleState
+from sumo_adv.datatypes import Place, Relation, RoadClass, VehicleState
 from sumo_adv.episode.drive import Drive
-from sumo_adv.episode.encounter_place import place_of
 from sumo_adv.episode.unprotected import crossing_risk, may_attack, unprotected_ways
 from sumo_adv.geometry import Path, make_path, wrap
 from sumo_adv.road_users import is_unprotected
-from sumo_adv.simulation.network import RoadMap
+from sumo_adv.simulation.network import Lane, RoadMap
 from sumo_adv.situation import MEET_AHEAD, ReferencePath, relate
+
+# -- what surrounds the ego -----------------------------------------------------------------------------------------
+
+MOTORWAY_LIMIT = 25.0  # m/s, 90 km/h
+URBAN_LIMIT = 13.9  # m/s, 50 km/h, as networks have it rounded
+SOON = 8.0  # s: most attacks come to a contact within that time
+SHORTEST = 10.0  # m: a way that is looked at is no shorter
+COUNTED = 70.0  # m: the radius in which vehicles are counted
+
+
+def place_of(road: RoadMap, drive: Drive) -> Place:
+    """The surroundings of the ego now."""
+    assert drive.ego is not None
+    ego = drive.state(drive.ego)
+    obstacles = drive.obstacles
+    count = sum(name not in obstacles for name in drive.near(ego, COUNTED))
+    at = _lane(road, drive, ego)
+    if at is None:
+        return Place(None, None, ego.speed, count)
+    lane, position = at
+    kind = road_class(road, lane, position, SOON * ego.speed, drive.simulation.ahead(drive.ego))
+    return Place(kind, lane.speed, ego.speed, count)
+
+
+def road_class(road: RoadMap, lane: Lane, position: float, ahead: float, route: tuple[str, ...] = ()) -> RoadClass:
+    """The class of the road ``position`` metres along a lane. ahead: how far a junction counts [m]. route: the edges
+    from there on, where they are known."""
+    if lane.speed >= MOTORWAY_LIMIT and not _two_way(road, lane):
+        return RoadClass.MOTORWAY
+    if _near_junction(road, lane, position, ahead, route):
+        return RoadClass.JUNCTION
+    return RoadClass.RURAL if lane.speed > URBAN_LIMIT else RoadClass.URBAN
+
+
+def _lane(road: RoadMap, drive: Drive, ego: VehicleState) -> tuple[Lane, float] | None:
+    """The ego's lane and its centre's station on it [m]; None off the network. A log names no lane."""
+    if ego.lane in road.lanes and not drive.replayed():
+        assert drive.ego is not None
+        return road.lanes[ego.lane], max(drive.simulation.lane_position(drive.ego) - ego.length / 2, 0.0)
+    lane_at = road.lane_at(ego.x, ego.y, ego.heading)
+    return None if lane_at is None else (road.lanes[lane_at[0]], lane_at[1])
+
+
+def _two_way(road: RoadMap, lane: Lane) -> bool:
+    """Whether a lane of the other direction touches the carriageway."""
+    middle = len(lane.shape) // 2
+    (x, y), (dx, dy) = lane.shape[middle - 1], lane.shape[middle] - lane.shape[middle - 1]
+    sides = road.side_offsets(lane.id, float(x + dx / 2), float(y + dy / 2), math.atan2(dy, dx))
+    return any(kind == "opposite" for _, kind in sides)
+
+
+def _near_junction(road: RoadMap, lane: Lane, position: float, ahead: float, route: tuple[str, ...]) -> bool:
+    if lane.internal:
+        return lane.id[1:].rsplit("_", 2)[0] in road.meeting_junctions
+    ways = road.ways(lane.id, position, max(ahead, SHORTEST), route)
+    return any(
+        way.first is not None and way.junction <= ahead and way.first.link[0] in road.meeting_junctions for way in ways
+    )
+
+
+# -- who could attack -----------------------------------------------------------------------------------------------
 
 ON, OFF, LOOKS = 0.40, 0.30, 2
 LOOK_EVERY = 0.5  # s
@@ -59,16 +126,6 @@ class RankedVehicle:
         return self.relation in MEET_AHEAD
 
 
-@dataclass(slots=True)
-class _Seen:
-    """What was there at some look: a path of the ego, an ego that moves, a vehicle near."""
-
-    path: bool = False
-    moved: bool = False
-    near: bool = False
-    outside: bool = False  # the ego or a vehicle near, of the ODD
-
-
 class EncounterDetector:
     """Watches one ego. Call ``look`` every half second."""
 
@@ -78,24 +135,18 @@ class EncounterDetector:
     ) -> None:  # fmt: skip
         """shortlist: maximum number of ranked vehicles; only: the vehicles that may attack; kinds: the relations to the
         ego that they may have. Both are empty for all. odd: no encounter begins outside it."""
-        self.road = road
-        self.shortlist = shortlist
-        self.only, self.kinds = only, kinds
-        self.odd = odd
-        self.best = 0.0
-        self._looks, self._recorded = 0, recorded
+        self.road, self.shortlist, self.only, self.kinds, self.odd = road, shortlist, only, kinds, odd
+        self.best, self._looks, self._recorded = 0.0, 0, recorded
         self._slowest = 0.0 if recorded else SLOWEST_EGO
-        self._seen = _Seen()
+        self._path = self._moved = self._near_one = False  # seen at some look: a path, an ego that moves, a vehicle
+        self._outside = False  # the ego or a vehicle near was outside the ODD at some look
 
     def look(self, drive: Drive) -> list[RankedVehicle] | None:
         """The ranking, highest risk first, if an encounter begins now; else None."""
         ranking = self.rank(drive)
         top = ranking[0].risk if ranking else 0.0
         self.best = max(self.best, top)
-        if top >= ON or (self._looks and top >= OFF):
-            self._looks += 1
-        else:
-            self._looks = 0
+        self._looks = self._looks + 1 if top >= ON or (self._looks and top >= OFF) else 0
         return ranking if self._looks >= LOOKS else None
 
     def rank(self, drive: Drive) -> list[RankedVehicle]:
@@ -104,12 +155,12 @@ class EncounterDetector:
         assert drive.ego is not None
         ego = drive.state(drive.ego)
         path = ego_path(self.road, drive)
-        self._seen.path |= path is not None
-        self._seen.moved |= ego.speed >= self._slowest
+        self._path |= path is not None
+        self._moved |= ego.speed >= self._slowest
         if path is None or ego.speed < self._slowest:
             return []
         names = self._near(drive, ego)
-        self._seen.near |= bool(names)
+        self._near_one |= bool(names)
         placed = self._placed(drive, names, ego, path, AHEAD) or self._placed(drive, names, ego, path, FAR_AHEAD)
         if self.odd is not None and placed:
             placed = self._inside(self.odd, drive, placed)
@@ -119,7 +170,7 @@ class EncounterDetector:
         """Those of the vehicles that the ODD lets attack here."""
         inside = odd.contains(place_of(self.road, drive))
         kept = [c for c in placed if inside and odd.has_relation(c.relation)]
-        self._seen.outside |= len(kept) < len(placed)
+        self._outside |= len(kept) < len(placed)
         return kept
 
     @property
@@ -134,18 +185,18 @@ class EncounterDetector:
     @property
     def outside(self) -> str:
         """A sentence, if the ODD kept vehicles from attacking; else empty."""
-        return "The ODD kept vehicles from attacking." if self._seen.outside else ""
+        return "The ODD kept vehicles from attacking." if self._outside else ""
 
     @property
     def missing(self) -> str:
         """What kept the ego from an encounter, in a sentence."""
         if self.outside:
             return self.outside
-        if not self._seen.path:
+        if not self._path:
             return "The ego is on no road, or does not move in what is left of its log."
-        if not self._seen.near:
+        if not self._near_one:
             return f"No vehicle comes within {NEAR:.0f} m of the ego."
-        if not self._seen.moved:
+        if not self._moved:
             return f"The ego is never faster than {self._slowest:g} m/s, and no vehicle can reach it where it stands."
         return "No vehicle near the ego can reach its path in time."
 
@@ -185,9 +236,8 @@ class EncounterDetector:
             return None
         s, d = path.project(bv.x, bv.y)
         turned = abs(wrap(bv.heading - float(path.at(np.asarray(s))[2])))
-        own_edge = (
-            self.road.lanes[bv.lane].edge == self.road.lanes[ego.lane].edge if ego.lane in self.road.lanes else False
-        )
+        lanes = self.road.lanes
+        own_edge = ego.lane in lanes and lanes[bv.lane].edge == lanes[ego.lane].edge
         relation, risk = "", 0.0
         if turned < 0.5 and (abs(d) < SAME_LANE or (own_edge and abs(d) < BESIDE)):
             relation = ("leader" if s > 0 else "follower") if abs(d) < SAME_LANE else "neighbour"
@@ -253,9 +303,8 @@ def ego_path(road: RoadMap, drive: Drive) -> Path | None:
         return logged_path(road, drive)
     if ego.lane not in road.lanes:
         return None
-    edges, at = drive.simulation.route(drive.ego)
     position = drive.simulation.lane_position(drive.ego) - ego.length / 2
-    ways = road.ways(ego.lane, position, REACH, edges[max(at, 0) :])
+    ways = road.ways(ego.lane, position, REACH, drive.simulation.ahead(drive.ego))
     return ways[0].path if ways else None
 
 

@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 
 import numpy as np
 
 from sumo_adv.datatypes import Ending
 from sumo_adv.episode.drive import Drive
-from sumo_adv.episode.encounter_detector import (
-    LOOK_EVERY,
-    EncounterDetector,
-    RankedVehicle,
-    vehicles_of,
-)
+from sumo_adv.episode.encounter_detector import LOOK_EVERY, EncounterDetector, RankedVehicle, vehicles_of
+from sumo_adv.episode.right_of_way import Meetings
 from sumo_adv.episode.surroundings import Surroundings
 from sumo_adv.episode.task import NoEncounter, Task
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.inputs import EgoRoute
-from sumo_adv.simulation.meetings import Meetings
 from sumo_adv.simulation.network import RoadMap
 
 PATIENCE = 15.0  # s after which a chosen ego without an encounter is replaced by another
@@ -60,15 +55,12 @@ class EncounterSearch:
             self._left_egos.add(drive.ego)
             drive.release()
 
-    def _is_another(self, ranking: Sequence[RankedVehicle]) -> bool:
-        """Whether an encounter differs from that which was left: other vehicles, or ``SAME`` s later."""
-        return self.drive.now >= self._left_at + SAME or not self._left_vehicles.issuperset(c.id for c in ranking)
-
     def until_encounter(self) -> list[RankedVehicle] | NoEncounter:
         """Step until an encounter begins. The ranking, highest risk first; it may be empty at a given trigger, and in
         the last ``WHOLE`` s of a recording, which are one encounter as soon as the ego's history is known."""
         task, drive, every = self.task, self.drive, self.task.settings.steps(LOOK_EVERY)
         requested = INSERTED_EGO if isinstance(task.ego, EgoRoute) else task.ego
+        wait = max(task.settings.history, task.warm_up if requested is not None else 0.0)  # before the first look
         detector = self.watch()
         since, tried = -math.inf, set(self._left_egos)
         if drive.ego is not None:
@@ -79,15 +71,14 @@ class EncounterSearch:
             if self._drives_another():
                 continue
             if drive.ego is None:
-                name = requested
-                if requested is not None and not self._may_begin(requested):
-                    name = None
+                name = requested if requested is not None and self._may_begin(requested) else None
                 if requested is None and step % every == 0 and drive.now >= task.spec.begin + task.warm_up:
                     name = self._choose_ego(tried)
                 if name is not None:
                     drive.take_over(name)
-                    since = drive.now if requested is None else self._inserted(name)
-                    detector = self.watch()
+                    # a recorded vehicle is there before its driver takes over
+                    seen = (s.time for s in drive.recording.snapshots if name in s.raw)
+                    since, detector = drive.now if requested is None else next(seen), self.watch()
             elif drive.ego not in snapshot.raw:
                 if requested is not None:
                     self._refuse_unknown()
@@ -103,9 +94,10 @@ class EncounterSearch:
                     return detector.rank(drive)
             elif self.nearly_over() and drive.now - since >= task.settings.history - 1e-6:
                 return detector.rank(drive)
-            elif step % every == 0 and drive.now - since >= self._wait(requested):
+            elif step % every == 0 and drive.now - since >= wait:
                 ranking = detector.look(drive)
-                if ranking and self._is_another(ranking):
+                later = drive.now >= self._left_at + SAME
+                if ranking and (later or not self._left_vehicles.issuperset(c.id for c in ranking)):
                     return ranking
                 if requested is None and drive.now - since > PATIENCE:
                     tried.add(drive.ego)
@@ -140,19 +132,10 @@ class EncounterSearch:
         return log is not None and log.spec.end - self.drive.now <= WHOLE
 
     def watch(self) -> EncounterDetector:
-        """A new detector for the present ego."""
         return EncounterDetector(
             self.road, self.task.settings.shortlist, self.task.only, self.task.settings.kind,
             recorded=self.drive.recorded(), odd=self.task.settings.odd,
         )  # fmt: skip
-
-    def _inserted(self, name: str) -> float:
-        """When a vehicle was first seen [s]. A recorded vehicle is there before its driver takes over."""
-        return next(s.time for s in self.drive.recording.snapshots if name in s.raw)
-
-    def _wait(self, requested: str | None) -> float:
-        """Seconds for which an ego is driven before the first look: the history, and a scenario's warm-up."""
-        return max(self.task.settings.history, self.task.warm_up if requested is not None else 0.0)
 
     def _nothing(self, requested: str | None, detector: EncounterDetector) -> NoEncounter:
         if requested is not None and self.drive.ego is None and requested not in self.drive.simulation.fleet.sizes:
@@ -190,10 +173,8 @@ class EncounterSearch:
                 continue
             if simulation.vehicle_class(name) not in ("passenger", "private", "taxi"):
                 continue
-            edges, at = simulation.route(name)
-            left = sum(
-                self.road.lanes[self.road.edges[e][0]].length for e in edges[max(at, 0) :] if e in self.road.edges
-            )
+            lanes, edges = self.road.lanes, self.road.edges
+            left = sum(lanes[edges[e][0]].length for e in simulation.ahead(name) if e in edges)
             if left < LEFT or raw[name][4] not in self.road.lanes:
                 continue
             near = np.hypot(points[:, 0] - x, points[:, 1] - y)

@@ -12,7 +12,7 @@ from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Intent, Level
 from sumo_adv.episode.refinement import Refinement
 from sumo_adv.episode.task import FoundEncounter, Prefix, Task
-from sumo_adv.search.composed_attacks import Cast
+from sumo_adv.search.supports import Cast
 from sumo_adv.simulation.inputs import RunInput
 
 

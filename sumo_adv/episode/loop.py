@@ -13,13 +13,10 @@ from collections.abc import Sequence
 from sumo_adv.agents.agents import Agents
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Proposal
-from sumo_adv.episode.assessment import NOTHING, rank
-from sumo_adv.episode.attempt_runner import AttemptRunner, Attempts, StepwiseRunner
-from sumo_adv.episode.bank_view import BankView
+from sumo_adv.episode.assessment import NOTHING, AttemptRunner, Attempts, Fitting, StepwiseRunner, rank, reader_of
 from sumo_adv.episode.episode import Episode
-from sumo_adv.episode.fitting import Fitting, reader_of
 from sumo_adv.episode.memory_access import learn
-from sumo_adv.episode.planned_encounter import PlannedEncounter, Tell, analyze, find_attackable, seek
+from sumo_adv.episode.planned_encounter import BankView, PlannedEncounter, Tell, analyze, find_attackable, seek
 from sumo_adv.episode.refinement import Refiner, settle_best
 from sumo_adv.episode.task import FoundEncounter, Task
 from sumo_adv.errors import BudgetError, ModelError, SumoAdvError, UsageError, fault_sentence
@@ -34,11 +31,8 @@ MOST_ASKED = 4  # encounters that a model is asked about, where those before can
 def run_episode(
     source: RunInput, settings: Settings, task: Task, engine: Engine, agents: Agents, bank: MemoryBank, tell: Tell
 ) -> Episode:
-    """Find an encounter, attack it, and learn from it. Only wrong use is raised; everything else is an ending.
-
-    Raises:
-        UsageError, BankError: wrong use that shows only in the simulation (an unknown ego, a broken driver class).
-    """
+    """Find an encounter, attack it, and learn from it. Only wrong use is raised; everything else is an ending. Raises
+    UsageError, BankError: wrong use that shows only in the simulation (an unknown ego, a broken driver class)."""
     episode = Episode(source, settings, task, bank_hash=bank.content_hash(), agents=agents)
     began = time.perf_counter()
     try:
@@ -70,7 +64,7 @@ def _run(episode: Episode, engine: Engine, agents: Agents, bank: MemoryBank, tel
             ask = episode.settings.tuner == "builtin" and episode.settings.total_seconds > 0
             planned = find_attackable(episode, engine, agents.sandbox, bank, tell, ask=ask)
             entries = None if planned is None else decide(episode, planned, agents, bank)
-            if entries is None and episode.declined and _may_decline(episode, agents):
+            if entries is None and episode.declined and may_go_on(episode) and agents.calls["analyzer"] < MOST_ASKED:
                 episode.skips += 1
                 continue
             if planned is None or entries is None:
@@ -91,11 +85,6 @@ def _run(episode: Episode, engine: Engine, agents: Agents, bank: MemoryBank, tel
             episode.back_to(best)
 
 
-def _may_decline(episode: Episode, agents: Agents) -> bool:
-    """Whether a model may be asked about the next encounter, after this one cannot play the request."""
-    return may_go_on(episode) and agents.calls["analyzer"] < MOST_ASKED
-
-
 def may_go_on(episode: Episode) -> bool:
     """Whether the run goes on with the next encounter where this one gives nothing."""
     found, task = episode.found, episode.task
@@ -112,10 +101,7 @@ def decide(
     episode: Episode, planned: PlannedEncounter, agents: Agents, bank: MemoryBank
 ) -> Sequence[LibraryEntry] | None:
     """Fill in the intents of an encounter; the library for it, or None if there is no candidate (the episode says so).
-
-    Raises:
-        ModelError: a language model plays a part and failed.
-    """
+    Raises ModelError: a language model plays a part and failed."""
     entries = planned.library
     if planned.known is not None:  # recalled from a similar scene, so no agent is asked
         episode.intents = [planned.known]
@@ -137,10 +123,8 @@ def pursue(
     episode: Episode, planned: PlannedEncounter, entries: Sequence[LibraryEntry], runner: Attempts, agents: Agents,
     bank: MemoryBank, tell: Tell, *, another: bool = False,
 ) -> None:  # fmt: skip
-    """Run attempts until one succeeds or the budget is used up, and learn from them.
-
-    another: there may be another encounter, so this one is left sooner where nothing comes near.
-    """
+    """Run attempts until one succeeds or the budget is used up, and learn from them. another: there may be another
+    encounter, so this one is left sooner where nothing comes near."""
     settings, timing = episode.settings, episode.timing
     if episode.asked is not None:
         reader = reader_of(agents, episode.words)
@@ -196,11 +180,8 @@ def attack_once(episode: Episode, engine: Engine, sandbox: Sandbox, found: Found
 
 
 def recorded_encounter(episode: Episode, engine: Engine, proposal: Proposal, skips: int) -> FoundEncounter | None:
-    """The encounter of a recorded attack; None if the simulation does not come to it (the episode says why).
-
-    Raises:
-        UsageError: the recorded start or vehicle is none of the encounter's.
-    """
+    """The encounter of a recorded attack; None if the simulation does not come to it (the episode says why). Raises
+    UsageError: the recorded start or vehicle is none of the encounter's."""
     for _ in range(skips + 1):
         encounter = seek(episode, engine, lambda *_: None)
         if encounter is None:

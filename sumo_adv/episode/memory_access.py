@@ -19,11 +19,8 @@ from sumo_adv.errors import BankError
 from sumo_adv.memory.bank import MemoryBank, retrieve_composition
 from sumo_adv.memory.recall import SCALES, draw, explain, signature_distance
 from sumo_adv.memory.records import Composition, Evidence, IntentRecord, Part, SceneSignature, canonical, evidence_of
-from sumo_adv.search.composed_attacks import ANY, Cast, description_of
-from sumo_adv.search.composed_intents import COMPOSED, applies_of
-from sumo_adv.search.composed_intents import NAME as EXPERT
-from sumo_adv.search.free_motion import FREE
-from sumo_adv.search.selection import Selection, select
+from sumo_adv.search.intents import COMPOSED, EXPERT, FREE, Selection, applies_of, select
+from sumo_adv.search.supports import ANY, Cast, description_of
 from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.situation import Situation
 
@@ -81,10 +78,8 @@ def selection_of(episode: Episode, bank: MemoryBank) -> Selection:
 
 
 def selected(settings: Settings, bank: MemoryBank, scenario: Sequence[str] = ()) -> Selection:
-    """The intents of a bank that settings and a scenario allow. Raises UsageError for unknown ones.
-
-    A scenario may name intents that the bank lacks or has retired, if the program ships them.
-    """
+    """The intents of a bank that settings and a scenario allow. Raises UsageError for unknown ones. A scenario may name
+    intents that the bank lacks or has retired, if the program ships them."""
     labels = [record.label for record in bank.intents() if record.status == "active"]
     labels += [entry.label for entry in unprotected_library()]
     if not settings.intents:
@@ -156,8 +151,7 @@ def retrieve(
     judgement, an intent within epsilon of a library entry takes that entry's label. A novel intent gets a new
     entry, with generated planners.
 
-    Raises:
-        ModelError: a model plays the analyzer or the generator and failed.
+    Raises ModelError: a model plays the analyzer or the generator and failed.
     """
     entries, by_label = list(library), {e.label: e for e in library}
     situation = situations[min(situations)]

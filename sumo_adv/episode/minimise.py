@@ -1,14 +1,20 @@
-"""A recorded attack repeated and made as mild as its level allows, against the same ego."""
+"""The mildest variant of a recorded attack that still reaches a level, against the same ego: later, gentler, slower.
+
+Variants of the mildest attack so far are drawn near its parameters and at all starts. Those that are predicted to
+reach the level and to be milder are tried, the mildest first. The search ends when no variant promises to be milder.
+"""
 
 from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
+from dataclasses import replace
+from random import Random
 
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Attempt, Ending, Intent, Proposal
-from sumo_adv.episode.assessment import attempt_of, confirmed
-from sumo_adv.episode.attempt_runner import AttemptRunner
+from sumo_adv.datatypes import Attempt, Ending, Intent, Level, Proposal
+from sumo_adv.episode.assessment import AttemptRunner, attempt_of, confirmed
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.loop import recorded_encounter
 from sumo_adv.episode.planned_encounter import Tell
@@ -16,11 +22,68 @@ from sumo_adv.episode.task import AttemptResult, Task
 from sumo_adv.errors import UsageError
 from sumo_adv.metrics.gates import largest_acceleration
 from sumo_adv.planners.sandbox import Sandbox
-from sumo_adv.search.minimise import Minimiser
 from sumo_adv.search.prediction import Predictor
+from sumo_adv.search.sampling import Scorer, varied
 from sumo_adv.simulation.engine import Engine
 from sumo_adv.simulation.inputs import RunInput
-from sumo_adv.simulation.recording import tracks_of
+
+OF_DELTA_V = 1.0  # 1/s: a delta-v of 1 m/s counts as an acceleration of 1 m/s2
+OF_EARLINESS = 0.2  # m/s3 for each second of delay that is given away: later tells more about the ego
+DRAWN = 120  # variants predicted in each round
+SPREADS = (0.3, 0.1, 0.03)  # of a parameter's range: standard deviations, in turn
+ROUNDS = 6  # in a row without a milder attack, then it ends
+LEAST_GAIN = 0.02  # share by which a variant must be predicted to be milder
+
+
+class Minimiser:
+    """Proposes variants of an attack that promise to be milder; ``best`` is the mildest that reached the level. The
+    harshness of an attack is a sum [m/s2]: its largest acceleration, the ego's delta-v, and how early it begins."""
+
+    def __init__(
+        self, scorer: Scorer, first: Proposal, harshness: float, level: Level, starts: Sequence[float], seed: int
+    ) -> None:
+        """first: the attack, with ``harshness`` in the simulation; starts: delays at which variants may begin [s]."""
+        self._scorer, self._level, self._starts, self._random = scorer, level, tuple(starts), Random(seed)
+        self.best, self.harshness = first, harshness
+        self._latest, self._failed, self._round = max(starts), 0, 0
+
+    def harshness_of(self, acceleration: float, delta_v: float, delay: float) -> float:
+        """Harshness [m/s2] from the largest acceleration [m/s2], the ego's delta-v [m/s] and the delay [s]."""
+        return acceleration + OF_DELTA_V * delta_v + OF_EARLINESS * (self._latest - delay)
+
+    def propose(self) -> Proposal | None:
+        """The variant to try next; None when no variant has been milder for some rounds."""
+        while self._failed < ROUNDS:
+            spread = SPREADS[self._round % len(SPREADS)]
+            self._round += 1
+            variants = [varied(self.best, self._random, spread) for _ in range(DRAWN)]
+            variants = [self._begun_elsewhen(p) for p in variants]
+            scored = [(self._predicted(p), k, p) for k, p in enumerate(self._scorer.score(variants))]
+            harshness, _, mildest = min(scored, key=lambda each: each[:2])
+            if harshness < self.harshness * (1.0 - LEAST_GAIN):
+                return mildest
+            self._failed += 1
+        return None
+
+    def observe(self, tried: Proposal, level: Level, harshness: float) -> bool:
+        """Take note of an attempt; whether it is the mildest so far that reaches the level."""
+        if level >= self._level and harshness < self.harshness:
+            self.best, self.harshness, self._failed = tried, harshness, 0
+            return True
+        self._failed += 1
+        return False
+
+    def _begun_elsewhen(self, p: Proposal) -> Proposal:
+        """Half of the variants keep their start; the others get any, and so do their supports."""
+        delay = p.delay if self._random.random() < 0.5 else self._random.choice(self._starts)
+        return replace(p, delay=delay, supports=tuple(replace(support, delay=delay) for support in p.supports))
+
+    def _predicted(self, p: Proposal) -> float:
+        """The predicted harshness; infinite where the level is not reached."""
+        seen = p.prediction
+        if seen is None or seen.failure or seen.level < self._level:
+            return float("inf")
+        return self.harshness_of(seen.acceleration, seen.delta_v, p.delay)
 
 
 def minimise_episode(
@@ -31,8 +94,7 @@ def minimise_episode(
 
     settings: ``until`` is the level that a variant must reach, ``attempts`` the largest number of simulations.
 
-    Raises:
-        UsageError: the attack does not reach the level when it is repeated, or the encounter does not come back.
+    Raises UsageError: the attack does not reach the level when it is repeated, or the encounter does not come back.
     """
     if settings.goal.ttc is not None:
         raise UsageError("The run looked for a near miss, which has no milder variants: minimise takes a collision.")
@@ -85,7 +147,7 @@ def minimise_episode(
 def _harshness(search: Minimiser, attempt: Attempt, result: AttemptResult, settings: Settings) -> float:
     """The harshness [m/s2] of a simulated collision."""
     verdict, p = attempt.verdict, attempt.proposal
-    track = tracks_of(result.snapshots, result.sizes, {}, settings.step_length, (p.bv,))[0]
+    track = result.tracks(settings.step_length, p.bv)[p.bv]
     assert verdict.contact_time is not None and verdict.delta_v is not None
     part = track.between(result.start + settings.step_length / 2, verdict.contact_time)
     strongest = float(largest_acceleration(part.boxes(), part.acceleration, part.time)) if len(part.time) > 1 else 0.0

@@ -1,11 +1,14 @@
-"""Neighbours of an attack: the same attack with slightly other numbers, or a little earlier or later.
+"""Variants of an attack that succeeded: its neighbours, and how unlike the log it is.
 
-A search can find a collision that only just happens. Neighbours that are simulated tell whether it holds (a robust
-optimum; Beyer and Sendhoff 2007, "Robust optimization").
+Neighbours are the same attack with slightly other numbers, or a little earlier or later. A search can find a collision
+that only just happens. Neighbours that are simulated tell whether it holds (a robust optimum; Beyer and Sendhoff 2007,
+"Robust optimization").
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from random import Random
 
@@ -13,8 +16,10 @@ import numpy as np
 
 from sumo_adv.datatypes import Attempt, Floats, PrescribedMotion, Proposal
 from sumo_adv.episode.task import AttemptResult
+from sumo_adv.metrics.realism import wasserstein
 from sumo_adv.search.sampling import moved
-from sumo_adv.simulation.recording import tracks_of
+from sumo_adv.simulation.simulation import Snapshot
+from sumo_adv.simulation.tracks import tracks_of
 
 NUMBERS, SPREAD = 4, 0.05  # neighbours with other numbers, and by which share of their ranges at most
 SHIFT = 0.2  # s by which the adversary comes to the contact earlier in one more neighbour, and later in another
@@ -37,9 +42,7 @@ class Robustness:
 
 def neighbours(attempt: Attempt, result: AttemptResult, random: Random, dt: float) -> list[Proposal]:
     """Some with other numbers, led by their planners; then an earlier and a later one, along the recorded motion.
-
-    ``dt``: step of the simulation [s].
-    """
+    ``dt``: step of the simulation [s]."""
     p, contact = attempt.proposal, attempt.verdict.contact_time
     near = [moved(p, lambda: random.uniform(-SPREAD, SPREAD)) for _ in range(NUMBERS)]
     if contact is None or contact - result.start <= SHIFT:
@@ -50,19 +53,17 @@ def neighbours(attempt: Attempt, result: AttemptResult, random: Random, dt: floa
 
 def recorded_course(attempt: Attempt, result: AttemptResult, dt: float) -> PrescribedMotion:
     """The adversary's motion from the takeover on, as recorded and as planned for after it."""
-    track = tracks_of(result.snapshots, result.sizes, {}, dt, (attempt.proposal.bv,))[0]
-    parts = [track.between(result.start + dt / 100, np.inf)]
-    if attempt.proposal.bv in result.driven.beyond:
-        parts.append(result.driven.beyond[attempt.proposal.bv])
+    bv = attempt.proposal.bv
+    parts = [result.tracks(dt, bv)[bv].between(result.start + dt / 100, np.inf)]
+    if bv in result.driven.beyond:
+        parts.append(result.driven.beyond[bv])
     x, y, heading, speed = (np.concatenate([getattr(t, n) for t in parts]) for n in ("x", "y", "heading", "speed"))
     return PrescribedMotion(x, y, heading, speed)
 
 
 def retimed(course: PrescribedMotion, rate: float, dt: float) -> PrescribedMotion:
-    """The same path with a clock of another ``rate`` (1: as it was), which it takes over ``EASED`` s.
-
-    States are ``dt`` [s] apart; where the recorded motion ends, the adversary goes on at its last speed.
-    """
+    """The same path with a clock of another ``rate`` (1: as it was), which it takes over ``EASED`` s. States are ``dt``
+    [s] apart; where the recorded motion ends, the adversary goes on at its last speed."""
     times = dt * np.arange(1, len(course.x) + 1)
     eased = np.minimum(times, EASED)
     clock = times + (rate - 1.0) * (eased**2 / (2 * EASED) + times - eased)
@@ -76,3 +77,26 @@ def retimed(course: PrescribedMotion, rate: float, dt: float) -> PrescribedMotio
     x = at(course.x) + beyond * np.cos(heading[-1])
     y = at(course.y) + beyond * np.sin(heading[-1])
     return PrescribedMotion(x, y, at(heading), at(course.speed) * pace)
+
+
+SPEED, ACCELERATION = 5.0, 2.0  # m/s and m/s2: distances of the distributions that weigh the same
+
+
+def unlikeness(
+    attempt: Attempt, result: AttemptResult, log: Sequence[Snapshot], sizes: Mapping[str, tuple[float, float]],
+    dt: float,
+) -> float:  # fmt: skip
+    """How unlike the log an attack is: the sum of the Wasserstein-1 distances of the adversary's speeds and
+    accelerations from its own logged ones, from the start to the contact, in shares of ``SPEED`` and ``ACCELERATION``;
+    ``inf`` where the log has no such motion. log: the states without an attack, with the sizes [m] of its vehicles."""
+    bv, contact = attempt.proposal.bv, attempt.verdict.contact_time
+    end = math.inf if contact is None else contact
+    driven, logged = result.tracks(dt, bv), tracks_of(log, sizes, {}, dt, (bv,))
+    if not driven or not logged:
+        return math.inf
+    attacking, own = driven[bv].between(result.start + dt / 2, end), logged[0].between(result.start + dt / 2, end)
+    if not len(attacking.time) or not len(own.time):
+        return math.inf
+    return wasserstein(attacking.speed, own.speed) / SPEED + (
+        wasserstein(attacking.acceleration, own.acceleration) / ACCELERATION
+    )

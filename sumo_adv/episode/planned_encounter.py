@@ -24,9 +24,9 @@ from sumo_adv.episode.task import FoundEncounter, NoEncounter
 from sumo_adv.memory.bank import MemoryBank, compositions
 from sumo_adv.memory.records import SceneSignature
 from sumo_adv.planners.sandbox import Sandbox
-from sumo_adv.search.composed_intents import composed
-from sumo_adv.search.free_motion import FREE
+from sumo_adv.search.intents import FREE, composed
 from sumo_adv.search.prediction import Predictor
+from sumo_adv.search.sampling import templates_of
 from sumo_adv.search.search import AttackSearch
 from sumo_adv.search.settings import SearchSettings
 from sumo_adv.simulation.engine import Engine
@@ -78,11 +78,14 @@ def find_attackable(
 def with_predictions(
     episode: Episode, found: FoundEncounter, sandbox: Sandbox, bank: MemoryBank, *, forecast: bool = False
 ) -> PlannedEncounter:
-    """An encounter with the bank's library and the predictions of the first candidates; ``forecast``: also of a driver
-    that is not known, for those that cannot ask it by attempts."""
-    settings = episode.settings
-    modified = episode.agents is not None and episode.agents.by_model("modifier")
-    share = settings.per_planner if modified else settings.attempts
+    """An encounter with the bank's library and the predictions of the first candidates.
+
+    A driver that is not known is asked, not predicted, unless ``forecast``: for those that cannot ask it by attempts.
+    With ``recall = scene`` the search starts with a candidate that succeeded in a similar scene.
+    """
+    settings, agents = episode.settings, episode.agents
+    share = settings.per_planner if agents is not None and agents.by_model("modifier") else settings.attempts
+    evidence = agents is not None and agents.by_model("analyzer") and settings.evidence == "on"
     weights = SearchSettings(proposals=settings.proposals, share=share)
     predictor = Predictor(sandbox, settings, found.drivable, found.situations, weights.score, episode.stopped)
     scene = signature(found.first, found.first.target_list()[0].state.id, episode.task.ego_driver)
@@ -90,43 +93,20 @@ def with_predictions(
     log = episode.task.playback
     if log is not None and log.tracks is not None and settings.tuner == "builtin":
         library = [*library, FREE]
-    search, recalled = searched(episode, found, predictor, library, bank, weights, forecast)
-    return PlannedEncounter(found, predictor, library, scene, search, recalled)
-
-
-def searched(
-    episode: Episode, found: FoundEncounter, predictor: Predictor, library: Sequence[LibraryEntry], bank: MemoryBank,
-    weights: SearchSettings, forecast: bool = False,
-) -> tuple[AttackSearch, Intent | None]:  # fmt: skip
-    """The search of an encounter, and the intent of a candidate that succeeded in a similar scene, or None.
-
-    A driver that is not known is asked, not predicted, unless ``forecast``. With ``recall = scene`` the search starts
-    with the candidate of the similar scene.
-    """
-    settings, driver = episode.settings, found.first.baseline.model
     recalled = recall(episode, found, library, bank) if settings.recall == "scene" else None
+    intent, first = (None, None) if recalled is None else recalled
     search = AttackSearch(
-        predictor, found.situations, library,
-        weights, seed=settings.seed, goal=settings.goal,
-        selection=selection_of(episode, bank),
-        recalled=None if recalled is None else recalled[1], adversaries=settings.adversaries,
+        predictor, found.situations, library, weights, seed=settings.seed, goal=settings.goal,
+        selection=selection_of(episode, bank), recalled=first, adversaries=settings.adversaries,
         colliders=episode.task.colliders, compositions=compositions(bank) if settings.adversaries > 1 else (),
-        predicts=forecast or driver.known or settings.adversaries > 1 or _evidence_wanted(episode),
+        predicts=forecast or found.first.baseline.model.known or settings.adversaries > 1 or evidence,
     )  # fmt: skip
-    return search, None if recalled is None else recalled[0]
-
-
-def _evidence_wanted(episode: Episode) -> bool:
-    """Whether a language model analyses, and gets predictions as its evidence."""
-    return episode.agents is not None and episode.agents.by_model("analyzer") and episode.settings.evidence == "on"
+    return PlannedEncounter(found, predictor, library, scene, search, intent)
 
 
 def analyze(episode: Episode, planned: PlannedEncounter, agents: Agents, bank: MemoryBank) -> Sequence[LibraryEntry]:
-    """Fill in the intents of an encounter; the library, with retrieved or generated planners for new intents.
-
-    Raises:
-        ModelError: a language model plays a part and failed.
-    """
+    """Fill in the intents of an encounter; the library, with retrieved or generated planners for new intents. Raises
+    ModelError: a language model plays a part and failed."""
     began = time.perf_counter()
     situations, library = planned.found.situations, planned.library
     try:
@@ -197,3 +177,46 @@ def seek(episode: Episode, engine: Engine, tell: Tell) -> FoundEncounter | None:
     episode.lanes = engine.request("lanes", *encounter.area)
     tell("encounter", encounter)
     return encounter
+
+
+# -- what the next run would see of the bank ------------------------------------------------------------------------
+
+Template = tuple[float, str, str, str]
+"""Delay [s], vehicle, intent, hash of the planner."""
+
+
+@dataclass(frozen=True, slots=True)
+class BankView:
+    """What an encounter depends on. templates: what the search draws from, in order where nothing but the order is
+    tried. evidence: number of pieces, 0 where no model is shown them and no scene is recalled."""
+
+    templates: tuple[Template, ...]
+    evidence: int
+
+    @classmethod
+    def of(cls, episode: Episode, bank: MemoryBank, planned: PlannedEncounter) -> BankView:
+        """The view of the bank as it is now, in the encounter of an episode."""
+        settings, agents = episode.settings, episode.agents
+        library, _ = read_library(bank, planned.scene, settings.seed, planned.found.situations)
+        plain = [e for e in library if not composed(e)]  # the expert composes the others anyway
+        all_templates = templates_of(planned.found.situations, plain)
+        templates = [(t.delay, t.target.state.id, t.entry.label, t.planner.hash) for t in all_templates]
+        shown = agents is not None and agents.by_model("analyzer") and settings.evidence == "on"
+        counts = shown or settings.recall == "scene"
+        return cls(
+            tuple(templates if settings.tuner == "off" else sorted(templates)),
+            len(bank.evidence()) if counts else 0,
+        )  # fmt: skip
+
+    def difference(self, after: BankView) -> str:
+        """What a later view has that this one has not, in a sentence; empty if the next run is the same."""
+        new = sorted({label for *_, label, _ in set(after.templates) - set(self.templates)})
+        learnt = [f"planners of {', '.join(new)}"] if new else []
+        learnt += ["another order of planners"] if not new and after.templates != self.templates else []
+        learnt += ["the outcome of this scene"] if after.evidence != self.evidence else []
+        if not learnt:
+            return ""
+        return (
+            f"The memory bank has learnt {' and '.join(learnt)}: the same command may run differently next time "
+            "(--learn off keeps the bank as it is)."
+        )

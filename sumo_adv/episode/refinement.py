@@ -15,16 +15,12 @@ from typing import Any
 from sumo_adv.agents.agents import Agents
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Intent, Level, LibraryEntry, Proposal
-from sumo_adv.episode.assessment import attempt_of, checked, confirmed, observed_motion, rank
-from sumo_adv.episode.attempt_runner import Attempts
-from sumo_adv.episode.fitting import Fitting
-from sumo_adv.episode.likeness import unlikeness
-from sumo_adv.episode.neighbours import Robustness, neighbours
+from sumo_adv.episode.assessment import Attempts, Fitting, attempt_of, checked, confirmed, observed_motion, rank
+from sumo_adv.episode.neighbours import Robustness, neighbours, unlikeness
 from sumo_adv.episode.repairs import Repairs
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.goal import Goal
-from sumo_adv.search.fixed_order import FixedOrder, as_written, chosen
-from sumo_adv.search.protocols import Optimizer
+from sumo_adv.search.ranking import FixedOrder, as_written, chosen
 from sumo_adv.search.sampling import varied
 from sumo_adv.search.search import AttackSearch
 
@@ -33,12 +29,10 @@ ALONE = 2 * GENERATION  # attempts before which fewer are made at a time: most s
 HOPEFUL = 120  # attempts without a higher level after which an encounter is left, if another one may come;
 HOPELESS = 40  # the same number where no attempt has been critical
 REMEMBERED, KEPT = 25, 10  # the first and the best attempts keep their recorded states
-LIKE_STEPS = (
-    0.2,
-    0.1,
-    0.05,
-)  # of variations of a winner in a recording, in shares of their ranges; one generation each
+LIKE_STEPS = (0.2, 0.1, 0.05)  # of a generation of variations of a winner in a recording: shares of their ranges
 FAVOURITES = 2  # intents that are tried first where a model's answers disagree
+Optimizer = AttackSearch | FixedOrder
+"""Chooses the candidates that are tried (``propose``), and takes note of the attempts (``observe``)."""
 
 
 @dataclass(slots=True)
@@ -90,18 +84,10 @@ class Refiner:
     """The attempts of one encounter."""
 
     def __init__(
-        self,
-        runner: Attempts,
-        found: FoundEncounter,
-        search: AttackSearch,
-        agents: Agents,
-        library: Sequence[LibraryEntry],
-        settings: Settings,
-        tell: Callable[[str, Any], None],
-        *,
-        another: bool = False,
+        self, runner: Attempts, found: FoundEncounter, search: AttackSearch, agents: Agents,
+        library: Sequence[LibraryEntry], settings: Settings, tell: Callable[[str, Any], None], *, another: bool = False,
         recorded: bool = False,
-    ) -> None:
+    ) -> None:  # fmt: skip
         """``another``: there may be another encounter, so this one is left where nothing comes near. ``recorded``: the
         vehicles follow a log, and of attacks that succeed the one most like it is kept."""
         self._another, self._recorded = another, recorded
@@ -138,7 +124,7 @@ class Refiner:
         self._measure_robustness(found, began)
         found.seconds = time.perf_counter() - began
 
-    def optimizer(self, intents: Sequence[Intent]) -> AttackSearch | FixedOrder:
+    def optimizer(self, intents: Sequence[Intent]) -> Optimizer:
         """The search, or with ``tuner = off`` a fixed order. What a model chose joins the search's candidates, and its
         ranking counts; where its answers disagree, the best candidates of its first intents are tried first."""
         recalled = [p for p in self._search.pool if p.by == "memory"]
@@ -155,7 +141,7 @@ class Refiner:
             self._favourites = [p for p in taken if p is not None]
         return self._search
 
-    def _next(self, optimizer: AttackSearch | FixedOrder, found: Refinement) -> list[Proposal]:
+    def _next(self, optimizer: Optimizer, found: Refinement) -> list[Proposal]:
         left = self._settings.attempts - len(found.attempts)
         if not found.attempts and self._favourites:
             return self._favourites[:left]
@@ -197,7 +183,7 @@ class Refiner:
             return
         random = Random(self._settings.seed)
         for step in LIKE_STEPS:
-            if not self._has_left(found, began):
+            if self._used_up(found, began):
                 return
             k = found.best
             assert k is not None
@@ -239,10 +225,10 @@ class Refiner:
 
     def _measure_robustness(self, found: Refinement, began: float) -> None:
         """Simulate neighbours of the success that counts, if attempts and seconds are left."""
-        best = found.best if found.successes else None
-        if best is None or self._settings.tuner == "off" or not self._has_left(found, began):  # off: the paper's loop
+        settings, best = self._settings, found.best if found.successes else None
+        if best is None or settings.tuner == "off" or self._used_up(found, began):  # off: the paper's loop
             return
-        random, dt = Random(self._settings.seed), self._settings.step_length
+        random, dt = Random(settings.seed), settings.step_length
         near = neighbours(found.attempts[best], found.results[best], random, dt)
         tried = [
             _fitted(found, self._attempt(len(found.attempts), p, result), result, read=False)
@@ -250,10 +236,10 @@ class Refiner:
         ]
         found.robustness = Robustness(sum(found.goal.met(a.verdict) for a in tried), len(tried))
 
-    def _has_left(self, found: Refinement, began: float) -> bool:
-        """Whether attempts and seconds are left for neighbours."""
-        settings = self._settings
-        return settings.attempts - len(found.attempts) >= GENERATION and time.perf_counter() - began < settings.seconds
+    def _used_up(self, found: Refinement, began: float) -> bool:
+        """Whether too few attempts or seconds are left for a generation more."""
+        left = self._settings.attempts - len(found.attempts)
+        return left < GENERATION or time.perf_counter() - began >= self._settings.seconds
 
     def _keep(self, attempt: Attempt, found: Refinement, began: float) -> bool:
         """Take note of a success; whether there are enough of different kinds now."""
@@ -272,7 +258,7 @@ class Refiner:
             motion = observed_motion(result, self._found, plan.delay, self._settings)
             optimizer.observe(plan, motion, attempt.verdict)
 
-    def _why_ended(self, optimizer: AttackSearch | FixedOrder, found: Refinement) -> str:
+    def _why_ended(self, optimizer: Optimizer, found: Refinement) -> str:
         if isinstance(optimizer, AttackSearch):
             return optimizer.result
         return "Nothing was left to try." if found.attempts else "There was nothing to try."

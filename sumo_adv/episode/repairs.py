@@ -6,20 +6,102 @@ links, and it is asked no more after two changes in a row that brought nothing, 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from sumo_adv.agents.agents import Agents
-from sumo_adv.agents.modifier import Change, Instead
-from sumo_adv.agents.scene_text import Aliases
-from sumo_adv.agents.ways import begin_of, way_of
+from sumo_adv.agents.modifier import AttemptReport, Change, Instead, RepairScene, Row
+from sumo_adv.agents.scene_text import Aliases, driver_words, scene_words
+from sumo_adv.agents.ways import begin_of, starts_words, way_of
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Attempt, Intent, LibraryEntry, Planner, Proposal
+from sumo_adv.datatypes import Attempt, Intent, LibraryEntry, Planner, Proposal, Track
 from sumo_adv.episode.assessment import rank
-from sumo_adv.episode.attempt_report import report_of, scene_of
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
-from sumo_adv.search.fixed_order import chosen
-from sumo_adv.search.templates import AttackTemplate
+from sumo_adv.geometry import Frame, wrap
+from sumo_adv.metrics.gate_details import explained_gates
+from sumo_adv.search.ranking import chosen
+from sumo_adv.search.sampling import AttackTemplate
+from sumo_adv.situation import ReferencePath
+
+# -- what the modifier is told --------------------------------------------------------------------------------------
+
+EVERY = 0.5  # s between rows
+NEAR_WAY = 30.0  # m along a way within which the next position is searched
+
+
+def report_of(attempt: Attempt, result: AttemptResult, found: FoundEncounter, settings: Settings) -> AttemptReport:
+    """The report of an attempt; without rows if ego or adversary left at once."""
+    tracks = result.tracks(settings.step_length)
+    bv, begun = attempt.proposal.bv, attempt.proposal.delay - min(found.situations)
+    if found.ego not in tracks or bv not in tracks:
+        return AttemptReport(attempt, (), (), begun, 0.0)
+    ego, adversary = tracks.pop(found.ego), tracks.pop(bv)
+    end = float(min(ego.time[-1], adversary.time[-1]))
+    contact = attempt.verdict.contact_time
+    gates = explained_gates(
+        adversary, list(tracks.values()), attempt.verdict.failed_gates, settings.limits.of(adversary), found.drivable,
+        result.start, end if contact is None else contact,
+    )  # fmt: skip
+    target = found.situations[attempt.proposal.delay].targets.get(bv)
+    driven = adversary.between(result.start, end)
+    way = way_taken(driven, target.ways) if target is not None and target.ways else None
+    rows = _rows(ego.between(result.start, end), driven, result.start, way)
+    movement = "none" if way is None else way.movement
+    return AttemptReport(attempt, rows, tuple(gates), begun, max(end - result.start, 0.0), movement)
+
+
+def way_taken(track: Track, ways: Sequence[ReferencePath]) -> ReferencePath:
+    """The way that a vehicle followed: the one from which its centre was the least off, in the mean; of equals the
+    first."""
+    return min(ways, key=lambda way: sum(map(abs, _offsets(track, way, range(len(track.time))))))
+
+
+def _offsets(track: Track, way: ReferencePath, steps: Iterable[int]) -> list[float]:
+    """How far a vehicle's centre was to the left of a way in some steps [m]."""
+    offsets, station = list[float](), 0.0
+    for k in steps:
+        station, offset = way.path.project(float(track.x[k]), float(track.y[k]), near=station, reach=NEAR_WAY)
+        offsets.append(offset)
+    return offsets
+
+
+def _rows(ego: Track, bv: Track, start: float, way: ReferencePath | None) -> tuple[Row, ...]:
+    count = min(len(ego.time), len(bv.time))
+    if count < 2:
+        return ()
+    every = max(1, round(EVERY / float(np.diff(ego.time).min())))
+    steps = sorted({*range(0, count, every), count - 1})
+    offsets = [0.0] * len(steps) if way is None else _offsets(bv, way, steps)
+    rows = list[Row]()
+    for k, offset in zip(steps, offsets, strict=True):
+        frame = Frame(float(ego.x[k]), float(ego.y[k]), float(ego.heading[k]))
+        ahead, left, _ = frame.to_local(float(bv.x[k]), float(bv.y[k]), 0.0)
+        heading = math.degrees(float(wrap(bv.heading[k] - ego.heading[k])))
+        rows.append(
+            Row(float(ego.time[k]) - start, ahead, left, heading, float(ego.speed[k]), float(bv.speed[k]), offset)
+        )
+    return tuple(rows)
+
+
+def scene_of(
+    bv: str, entry: LibraryEntry, attempts: Sequence[Attempt], found: FoundEncounter, library: Sequence[LibraryEntry]
+) -> RepairScene:
+    """What the modifier is told of the encounter."""
+    situation = found.first
+    aliases = Aliases.of(situation)
+    scene = scene_words(situation, aliases, aliases.by_id.get(bv, "BV1"))
+    choices: Mapping[str, tuple[LibraryEntry, ...]] = {
+        alias: tuple(e for e in library if set(e.applies) & set(situation.targets[name].applies()))
+        for alias, name in aliases.bvs.items()
+    }
+    text = f"{scene}\nEGO's driver: {driver_words(situation)}"
+    return RepairScene(entry, text, tuple(attempts), aliases.by_id, choices, starts_words(found.situations))
+
+
+# -- its changes ----------------------------------------------------------------------------------------------------
 
 IN_VAIN = 2  # changes in a row that bring nothing
 Key = tuple[str, float, tuple[tuple[str, float], ...]]
@@ -52,9 +134,7 @@ class Repairs:
 
     def next(self, tried: Tried, only: str | None = None) -> list[Proposal]:
         """The candidate to which the modifier changes an attempt, or none. ``only``: attempts of this planner (hash).
-
-        Raises ModelError.
-        """
+        Raises ModelError."""
         ordered = sorted((a for a, _ in tried), key=lambda a: (rank(a.verdict), a.verdict.min_distance))
         if not ordered or self._in_vain_by(rank(ordered[0].verdict)) >= IN_VAIN:
             return []

@@ -12,12 +12,10 @@ import numpy as np
 
 from sumo_adv.datatypes import Floats, VehicleState
 from sumo_adv.drivers.road import Conflict, Lane, Road, SpeedLimit, StopLine
-from sumo_adv.episode.ego_place import Place
-from sumo_adv.episode.right_of_way import Foe, Line, RightOfWay, sign_of, signal_of
-from sumo_adv.episode.road_near import RoadNear
+from sumo_adv.episode.right_of_way import Foe, Line, Link, Meetings, RightOfWay, sign_of, signal_of
+from sumo_adv.episode.road_near import Place, RoadNear
 from sumo_adv.errors import SimulationError
 from sumo_adv.geometry import along
-from sumo_adv.simulation.meetings import Link, Meetings
 from sumo_adv.simulation.network import Connection, RoadMap
 from sumo_adv.simulation.network import Lane as NetLane
 
@@ -122,8 +120,9 @@ class RoadNow(Road):
 
     @cached_property
     def lanes(self) -> tuple[Lane, ...]:
-        here, stretches = self._now(), self._stretches
-        return here.near.lanes((self._ego.x, self._ego.y), [s.lane for s in stretches[0]], self._met)
+        here, (stretches, junctions) = self._now(), self._stretches
+        met = frozenset(m.lane for junction in junctions for m in here.meetings.of(junction.link))
+        return here.near.lanes((self._ego.x, self._ego.y), [s.lane for s in stretches], met)
 
     @cached_property
     def edges(self) -> tuple[Floats, ...]:
@@ -163,12 +162,6 @@ class RoadNow(Road):
                     yields = here.rule.yields(own, meeting, self._letter(meeting.other))
                     conflicts.append(Conflict(ahead, meeting.lane, meeting.x, meeting.y, yields, meeting.joins))
         return tuple(sorted(conflicts, key=lambda c: c.ahead))
-
-    @cached_property
-    def _met(self) -> frozenset[str]:
-        """Lanes on junctions that the path meets."""
-        meetings = self._here.meetings
-        return frozenset(m.lane for junction in self._stretches[1] for m in meetings.of(junction.link))
 
     @cached_property
     def _stretches(self) -> tuple[tuple[Stretch, ...], tuple[Junction, ...]]:
@@ -246,10 +239,9 @@ class RoadNow(Road):
         if lane.internal:
             link = here.meetings.link_of.get(on)
             return None if link is None else (link, -float(along(here.meetings.line(link), x, y)) - 1e-3)
-        edges, at = here.drive.simulation.route(name)
-        room = _length(lane) - float(along(lane.shape, x, y))
+        edges, room = here.drive.simulation.ahead(name), _length(lane) - float(along(lane.shape, x, y))
         while room < SEEN:
-            onward = here.map.onward(lane, edges[max(at, 0) :])
+            onward = here.map.onward(lane, edges)
             if not onward:
                 return None
             if onward[0].link in here.meetings.ways:

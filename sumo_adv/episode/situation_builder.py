@@ -13,15 +13,15 @@ from sumo_adv.datatypes import DriverModel, Floats, Track, VehicleState
 from sumo_adv.drivers import model_of
 from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.encounter_detector import REACH, RankedVehicle
-from sumo_adv.episode.start_times import delays, spent
+from sumo_adv.episode.surroundings import Sight
 from sumo_adv.episode.unprotected import STANDS, unprotected_ways
 from sumo_adv.geometry import PATH_STEP, Frame, Path, along, make_path, wrap
 from sumo_adv.metrics.case import closest
 from sumo_adv.metrics.log_noise import smoothed
 from sumo_adv.road_users import is_unprotected
 from sumo_adv.simulation.network import Connection, RoadMap, Way
-from sumo_adv.simulation.sight import Sight
 from sumo_adv.situation import (
+    MEET_AHEAD,
     Baseline,
     OnPath,
     RoadAhead,
@@ -34,6 +34,54 @@ from sumo_adv.situation import (
     relate,
     top_speed,
 )
+
+# -- when attacks may begin -----------------------------------------------------------------------------------------
+
+FORESEEN = 7.0  # s: longest time from the start of an attack until the ego, or the first of both, is at the conflict
+MOST_SHIFT = 8.0  # s
+AT_ONCE = 3.0  # m ahead within which no vehicle can slow down much
+
+
+def delays(
+    ranking: Sequence[RankedVehicle], tracks: Mapping[str, Track], ego_id: str, settings: Settings,
+    *, both: bool = False,
+) -> list[float]:  # fmt: skip
+    """Seconds after the trigger at which attacks may begin. tracks: the unattacked motion from the trigger on; both:
+    attacks begin before the adversary is at the conflict too."""
+    soonest = min((_steps_to_conflict(c, tracks, ego_id, both) for c in ranking), default=0.0)
+    shift = min(max(0.0, math.floor(soonest * settings.step_length - FORESEEN)), MOST_SHIFT)
+    return [shift + d for d in settings.delays]
+
+
+def _steps_to_conflict(ranked: RankedVehicle, tracks: Mapping[str, Track], ego_id: str, both: bool) -> float:
+    """Steps until the unattacked ego can meet a ranked vehicle; 0 if it can at once."""
+    conflicts = [w.conflict for w in ranked.ways if w.conflict is not None]
+    if not ranked.meets_ahead or not conflicts:
+        return 0.0
+    ego = _travelled(tracks[ego_id])
+    steps = [np.searchsorted(ego, c.ego_s) for c in conflicts]
+    if both and ranked.id in tracks:
+        bv = _travelled(tracks[ranked.id])
+        steps += [np.searchsorted(bv, c.bv_s) for c in conflicts]
+    return float(min(steps))
+
+
+def _travelled(track: Track) -> Floats:
+    """Metres since the track began, ``(n,)``."""
+    return np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(track.x), np.diff(track.y)))])
+
+
+def spent(target: Target, lateral: float) -> bool:
+    """Whether no attack by a crossing or merging vehicle is feasible any more. It is past the conflict, or it turns
+    there with more than ``lateral`` [m/s2] at its speed. False for any other relation."""
+    if target.relation not in MEET_AHEAD:
+        return False
+    k, square = max(int(target.station / PATH_STEP), 0), target.state.speed**2
+    meeting = [w.path.curvature[k : k + round(AT_ONCE / PATH_STEP)] for w in target.ways if w.conflict is not None]
+    return not any(square * float(np.abs(bends).max(initial=0.0)) <= lateral for bends in meeting)
+
+
+# -- situations -----------------------------------------------------------------------------------------------------
 
 OTHERS_NEAR = 90.0  # m: a situation keeps the motion of vehicles that come this close to the unattacked ego
 ANOTHER = 1.0  # m beyond the start of a junction: what begins there is another junction
@@ -50,7 +98,7 @@ class TriggerState:
 
     time [s]; route, routes: the edges of the ego's whole route, and of the ranked vehicles' by id; signals: by id the
     lights ahead of the ego and of the ranked vehicles; left: steps until the log that is played back ends, inf without
-    a log; reacting: whether background vehicles react to the adversary; follows_log: whether a log has moved them.
+    a log; follows_log: whether a log moves background vehicles, so that they do not react to the adversary.
     """
 
     ego: str
@@ -60,7 +108,6 @@ class TriggerState:
     routes: Mapping[str, tuple[str, ...]]
     signals: Mapping[str, tuple[Signal, ...]]
     left: float = math.inf
-    reacting: bool = True
     follows_log: bool = False
 
 
@@ -75,26 +122,19 @@ def trigger_state(drive: Drive, ranking: Sequence[RankedVehicle]) -> TriggerStat
         drive.ego, drive.now, model, drive.route(),
         {name: simulation.route(name)[0] for name in driving},
         {name: tuple(simulation.signals(name)) for name in (drive.ego, *driving)},
-        math.inf if left is None else left, drive.reacting(), drive.follows_log(),
+        math.inf if left is None else left, drive.follows_log(),
     )  # fmt: skip
 
 
 def build_situations(
-    road: RoadMap,
-    tracks: Mapping[str, Track],
-    trigger: TriggerState,
-    ranking: Sequence[RankedVehicle],
-    settings: Settings,
-    delay: float | None = None,
-) -> dict[float, Situation]:
-    """A situation for each delay [s] that may be tried; empty if the ranked vehicles leave at once.
-
-    delay: the only delay to try; None = those of ``start_times.py``.
-    """
+    road: RoadMap, tracks: Mapping[str, Track], trigger: TriggerState, ranking: Sequence[RankedVehicle],
+    settings: Settings, delay: float | None = None,
+) -> dict[float, Situation]:  # fmt: skip
+    """A situation for each delay [s] that may be tried; empty if the ranked vehicles leave at once. delay: the only
+    delay to try; None = those of ``delays``."""
 
     def at(moments: Sequence[float]) -> dict[float, Situation]:
-        built = {delay: build_situation(road, tracks, trigger, ranking, settings, delay) for delay in moments}
-        return {delay: situation for delay, situation in built.items() if situation is not None}
+        return _situations(road, tracks, trigger, dict.fromkeys(moments, ranking), settings)
 
     if delay is not None:
         return at([delay])
@@ -107,34 +147,33 @@ def build_situations(
 
 
 def recorded_situations(
-    road: RoadMap,
-    tracks: Mapping[str, Track],
-    trigger: TriggerState,
-    looks: Mapping[float, Sequence[RankedVehicle]],
-    settings: Settings,
-    delay: float | None = None,
-) -> dict[float, Situation]:
+    road: RoadMap, tracks: Mapping[str, Track], trigger: TriggerState,
+    looks: Mapping[float, Sequence[RankedVehicle]], settings: Settings, delay: float | None = None,
+) -> dict[float, Situation]:  # fmt: skip
     """A situation for each look at a recording [s after the trigger] from which enough of it is left to be attacked.
-
-    looks: the vehicles that could attack then; delay: the only delay to try, with the vehicles of the nearest look.
-    """
+    looks: the vehicles that could attack then; delay: the only delay to try, with the vehicles of the nearest look."""
     if delay is not None:
         looks = {delay: looks[min(looks, key=lambda d: abs(d - delay))]}
-    built = {
-        d: build_situation(road, tracks, trigger, ranking, settings, d) for d, ranking in looks.items()
+    enough = {
+        d: ranking for d, ranking in looks.items()
         if ranking and (trigger.left - settings.steps(d)) * settings.step_length >= LEAST_ATTACK
     }  # fmt: skip
+    return _situations(road, tracks, trigger, enough, settings)
+
+
+def _situations(
+    road: RoadMap, tracks: Mapping[str, Track], trigger: TriggerState,
+    looks: Mapping[float, Sequence[RankedVehicle]], settings: Settings,
+) -> dict[float, Situation]:  # fmt: skip
+    """The situation after each delay [s] with these vehicles, where the ego and one of them are still there."""
+    built = {d: build_situation(road, tracks, trigger, ranked, settings, d) for d, ranked in looks.items()}
     return {d: situation for d, situation in built.items() if situation is not None}
 
 
 def build_situation(
-    road: RoadMap,
-    tracks: Mapping[str, Track],
-    trigger: TriggerState,
-    ranking: Sequence[RankedVehicle],
-    settings: Settings,
-    delay: float = 0.0,
-) -> Situation | None:
+    road: RoadMap, tracks: Mapping[str, Track], trigger: TriggerState, ranking: Sequence[RankedVehicle],
+    settings: Settings, delay: float = 0.0,
+) -> Situation | None:  # fmt: skip
     """The situation ``delay`` s after the trigger; None if the ego or all ranked vehicles are gone by then."""
     time, ego_id, dt = trigger.time + delay, trigger.ego, settings.step_length
     ego_track = tracks[ego_id].between(time, math.inf)
@@ -176,7 +215,7 @@ def build_situation(
             others, _ahead(tracks, ego_track, path, stations, dt, width),
             tuple(sorted((t for t in history if len(t.time)), key=lambda t: t.id != ego_id)),
             {name: lights for name, lights in trigger.signals.items() if name == ego_id or name in targets},
-            trigger.reacting,
+            not trigger.follows_log,
         ),
         targets, trigger.left - settings.steps(delay),
     )  # fmt: skip
@@ -271,14 +310,8 @@ def _target(
         return _small_target(road, bv, ranked, path)
     position = float(along(road.lanes[bv.lane].shape, bv.x, bv.y))
     onward = road.ways(bv.lane, position, REACH, farthest=FARTHEST_TIME * fastest_of(bv.speed))
-    ways = [
-        replace(
-            relate(w.path, w.movement, w.junction, w.gives_way, path),
-            before_ego=goes_first(w.first, ego),
-            bay=w.bay,
-        )
-        for w in onward
-    ]
+    related = [relate(w.path, w.movement, w.junction, w.gives_way, path) for w in onward]
+    ways = [replace(r, before_ego=goes_first(w.first, ego), bay=w.bay) for r, w in zip(related, onward, strict=True)]
     if not ways:
         return None
     station, offset = ways[0].path.project(bv.x, bv.y, near=0.0)
@@ -292,7 +325,6 @@ def _target(
 
 
 def _small_target(road: RoadMap, bv: VehicleState, ranked: RankedVehicle, path: Path) -> Target:
-    """A pedestrian or cyclist."""
     lanes: Sequence[Way] = ()
     if bv.lane in road.lanes:
         position = float(along(road.lanes[bv.lane].shape, bv.x, bv.y))

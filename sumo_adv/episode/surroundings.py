@@ -2,30 +2,90 @@
 
 from __future__ import annotations
 
+import gzip
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
+from xml.etree import ElementTree
 
 import numpy as np
 
-from sumo_adv.datatypes import Bools, VehicleState
+from sumo_adv.datatypes import Bools, Floats, VehicleState
 from sumo_adv.drivers import Observation, Vehicle
 from sumo_adv.drivers.wishes import wishes_of
-from sumo_adv.episode.ego_place import EgoPlace, Place
 from sumo_adv.episode.encounter_detector import REACH, logged_path
+from sumo_adv.episode.right_of_way import Meetings
 from sumo_adv.episode.road_here import RoadHere
+from sumo_adv.episode.road_near import EgoPlace, Place
 from sumo_adv.errors import SimulationError
-from sumo_adv.geometry import PATH_STEP, wrap
-from sumo_adv.simulation.meetings import Meetings
+from sumo_adv.geometry import PATH_STEP, crosses_box, wrap
 from sumo_adv.simulation.network import RoadMap
-from sumo_adv.simulation.sight import Sight, read_buildings
 from sumo_adv.simulation.simulation import heading_of
 
 if TYPE_CHECKING:
     from sumo_adv.episode.drive import Drive
+
+# -- line of sight --------------------------------------------------------------------------------------------------
+
+BUILDING = "building"  # types of SUMO's polygons that begin with it are buildings, as polyconvert names them
+
+
+def read_buildings(files: Iterable[Path]) -> tuple[Floats, ...]:
+    """Outlines ``(n, 2)`` [m] of the buildings in SUMO's additional files: polygons with a type ``building...``.
+    Polygons in degrees (``geo``) are left out."""
+    outlines = []
+    for file in files:
+        with gzip.open(file, "rb") if file.suffix == ".gz" else file.open("rb") as stream:
+            for _, element in ElementTree.iterparse(stream):
+                if element.tag != "poly" or not element.get("type", "").startswith(BUILDING):
+                    continue
+                if element.get("geo", "false") in ("true", "1"):
+                    continue
+                points = [tuple(map(float, p.split(",")[:2])) for p in element.get("shape", "").split()]
+                if len(points) > 2:
+                    outlines.append(np.array(points))
+    return tuple(outlines)
+
+
+class Sight:
+    """What can be seen past buildings with outlines ``(n, 2)`` [m]."""
+
+    def __init__(self, buildings: Sequence[Floats] = ()) -> None:
+        from shapely import Polygon, STRtree
+
+        self._tree = STRtree([Polygon(outline) for outline in buildings]) if len(buildings) else None
+
+    def visible(self, eye: tuple[float, float], boxes: Sequence[VehicleState]) -> Bools:
+        """Whether each box is seen from the point ``eye``: its centre or one of its corners, past the other boxes."""
+        if not boxes:
+            return np.zeros(0, bool)
+        targets = np.stack([_targets(box) for box in boxes])  # (n, 5, 2)
+        blocked = np.zeros(targets.shape[:2], bool)
+        for k, box in enumerate(boxes):
+            half = (box.length / 2, box.width / 2)
+            through = crosses_box(eye, (targets[..., 0], targets[..., 1]), (box.x, box.y, box.heading), half)
+            through[k] = False
+            blocked |= through
+        if self._tree is not None:
+            from shapely import linestrings
+
+            lines = linestrings(np.stack([np.broadcast_to(eye, targets.shape), targets], axis=2).reshape(-1, 2, 2))
+            hit = self._tree.query(lines, predicate="intersects")[0]
+            blocked.reshape(-1)[hit] = True
+        return np.asarray(~blocked.all(axis=1))
+
+
+def _targets(box: VehicleState) -> Floats:
+    """Centre and corners, ``(5, 2)``."""
+    c, s = np.cos(box.heading), np.sin(box.heading)
+    local = np.array([(0, 0), (1, 1), (1, -1), (-1, -1), (-1, 1)]) * (box.length / 2, box.width / 2)
+    return np.asarray(local @ np.array([[c, s], [-s, c]]) + (box.x, box.y))
+
+
+# -- what the driver sees -------------------------------------------------------------------------------------------
 
 LINE_AHEAD, LINE_FRESH = 120.0, 40.0  # m: length of the path that a driver gets, and after how far it is renewed
 RIGHT, LEFT, BRAKES = 1, 2, 8  # SUMO's bits of a vehicle's lamps
@@ -107,16 +167,13 @@ class SensesNow:
 
     @cached_property
     def vehicles(self) -> tuple[Vehicle, ...]:
-        """The vehicles themselves."""
         return tuple(self._drive.vehicle(name, self) for name in self._near)
 
     def kind(self, vehicle: str) -> str:
-        """See ``Vehicle.kind``."""
         self.check()
         return self._drive.kind(vehicle)
 
     def yaw_rate(self, vehicle: str) -> float:
-        """See ``Vehicle.yaw_rate``."""
         self.check()
         snapshots = self._drive.recording.snapshots
         if len(snapshots) < 2 or vehicle not in snapshots[-2].raw:
@@ -125,16 +182,13 @@ class SensesNow:
         return wrap(newest - before) / self._drive.recording.step_length
 
     def indicator(self, vehicle: str) -> str | None:
-        """See ``Vehicle.indicator``."""
         lamps = self._lamps(vehicle)
         return "left" if lamps & LEFT else "right" if lamps & RIGHT else None
 
     def brake_light(self, vehicle: str) -> bool:
-        """See ``Vehicle.brake_light``."""
         return bool(self._lamps(vehicle) & BRAKES)
 
     def visible(self, vehicle: str) -> bool:
-        """See ``Vehicle.visible``."""
         self.check()
         return bool(self._seen[self._near.index(vehicle)])
 

@@ -8,19 +8,19 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv.config import Settings, reachable
-from sumo_adv.datatypes import Ending, Place, Role, Verdict
+from sumo_adv.datatypes import Ending, Place, Role, Track, Verdict
 from sumo_adv.drivers.given import GivenEgo
 from sumo_adv.episode.attempt import Driven
-from sumo_adv.episode.ego_actions import EgoActions
+from sumo_adv.episode.drive import EgoActions
 from sumo_adv.errors import UsageError
-from sumo_adv.simulation.additional import silent_copies
 from sumo_adv.simulation.demand import generate
 from sumo_adv.simulation.inputs import EgoRoute, RunInput
 from sumo_adv.simulation.network import Drivable
 from sumo_adv.simulation.playback_spec import PlaybackSpec, with_background
-from sumo_adv.simulation.scan import first_departure, scan_demand
+from sumo_adv.simulation.scan import first_departure, scan_demand, silent_copies
 from sumo_adv.simulation.simulation import SimulationSpec, Snapshot
 from sumo_adv.simulation.sumo_options import DEFAULTS, refuse
+from sumo_adv.simulation.tracks import tracks_of
 from sumo_adv.situation import Situation
 
 
@@ -31,7 +31,7 @@ class Task:
     ego_driver: its name; ego_given: the driver itself where it was given as a class or an object.
     driven_from: the earliest time at which the driver takes over the ego, None = as soon as the ego is there.
     driven_before: vehicles that it drives before, with the times at which it takes over and releases each.
-    delay: the only delay after the trigger at which an attack may begin; None = those of ``start_times.py``.
+    delay: the only delay after the trigger at which an attack may begin; None = those of ``delays``.
     only: the vehicles that may be adversaries; colliders: those that may be the collider. Empty means all.
     """
 
@@ -96,9 +96,7 @@ class NoEncounter:
 @dataclass(frozen=True, slots=True)
 class AttemptResult:
     """The result of one attempt; ``start`` [s]: the takeover of the adversary, ``snapshots``: from the trigger on.
-
-    actions: the answers of the ego's driver since it took over; None where a program of its own drives it.
-    """
+    actions: the answers of the ego's driver since it took over; None where a program of its own drives it."""
 
     driven: Driven
     verdict: Verdict | None
@@ -106,6 +104,10 @@ class AttemptResult:
     snapshots: Sequence[Snapshot] = field(repr=False, default=())
     sizes: Mapping[str, tuple[float, float]] = field(repr=False, default_factory=dict)
     actions: EgoActions | None = None
+
+    def tracks(self, step: float, *only: str) -> dict[str, Track]:
+        """The recorded motions by id, of these vehicles or of all; ``step``: of the simulation [s]."""
+        return {t.id: t for t in tracks_of(self.snapshots, self.sizes, {}, step, only or None)}
 
 
 @dataclass(frozen=True, slots=True)

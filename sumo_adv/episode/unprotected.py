@@ -47,10 +47,8 @@ def may_attack(drive: Drive, name: str, only: Sequence[str]) -> bool:
 
 
 def unprotected_ways(state: VehicleState, ego_path: Path, lanes: Sequence[Way] = ()) -> tuple[ReferencePath, ...]:
-    """The ways of a pedestrian or cyclist. All of them begin at its place.
-
-    lanes: the ways on of a cyclist along its lane; none for one beside the road.
-    """
+    """The ways of a pedestrian or cyclist. All of them begin at its place. lanes: the ways on of a cyclist along its
+    lane; none for one beside the road."""
     user, speed = road_user(state), state.speed
     stands = speed < STANDS and user is RoadUser.PEDESTRIAN
     straight = [0.0] if stands else [LEAST_STRAIGHT + after * speed for after in (LATER if speed >= STANDS else (0.0,))]

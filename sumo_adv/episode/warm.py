@@ -17,14 +17,13 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
-from types import TracebackType
 from typing import Any, Self
 
 from sumo_adv.config import Settings
 from sumo_adv.errors import DriverError, SimulationError
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.simulation.engine import Engine, can_fork, how
-from sumo_adv.simulation.library import load_libsumo
+from sumo_adv.simulation.programs import load_libsumo
 from sumo_adv.simulation.watch import died_in
 
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
@@ -60,9 +59,7 @@ class WarmEngine:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 
@@ -80,7 +77,6 @@ class WarmSandboxes:
         return self._by_bubblewrap[bubblewrap]
 
     def close(self) -> None:
-        """End the processes of all of them."""
         for sandbox in self._by_bubblewrap.values():
             sandbox.close()
 

@@ -10,7 +10,7 @@ import math
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -18,33 +18,54 @@ from typing import Any
 
 import numpy.ma  # noqa: F401 - np.unique imports it, which would take each fork 10 ms
 
+from sumo_adv.config import Settings
 from sumo_adv.datatypes import Ending, Proposal, Track
 from sumo_adv.drivers import make_ego
-from sumo_adv.episode.attempt import Driven, attack
-from sumo_adv.episode.controllers import PrescribedAdversary, controller_of
+from sumo_adv.episode.attempt import Driven, PrescribedAdversary, attack, controller_of
 from sumo_adv.episode.drive import Drive, ego_type_file
-from sumo_adv.episode.encounter_builder import UnattackedMotion, build_encounter
+from sumo_adv.episode.encounter_builder import LEAST, UnattackedMotion, build_encounter
 from sumo_adv.episode.encounter_detector import LOOK_EVERY, RankedVehicle
-from sumo_adv.episode.encounter_filter import LEAST
 from sumo_adv.episode.encounter_search import EncounterSearch
-from sumo_adv.episode.open_encounter import OpenEncounter
-from sumo_adv.episode.references import Order, ReferenceEgo, avoids, order_of
 from sumo_adv.episode.task import AttemptResult, FoundEncounter, NoEncounter, Prefix, Task
-from sumo_adv.episode.verdict import first_judged, gate_verdict, own_reference, unattacked
+from sumo_adv.episode.verdict import (
+    Order,
+    ReferenceEgo,
+    avoids,
+    first_judged,
+    gate_verdict,
+    order_of,
+    own_reference,
+    unattacked,
+)
 from sumo_adv.errors import DriverError, SimulationError, ran_out_of_memory
 from sumo_adv.metrics.case import Case, make_case
 from sumo_adv.metrics.levels import NOT_APPLICABLE
 from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, Braker
 from sumo_adv.planners.answers import AskOne, PlannerObservation
-from sumo_adv.planners.trusted import ask_trusted
-from sumo_adv.simulation.additional import silent_copies
+from sumo_adv.planners.sessions import ask_trusted
 from sumo_adv.simulation.engine import can_fork, in_forks
-from sumo_adv.simulation.lights import LightsNear
 from sumo_adv.simulation.network import RoadMap, read_network
 from sumo_adv.simulation.playback import Playback
-from sumo_adv.simulation.recording import tracks_of
+from sumo_adv.simulation.scan import silent_copies
+from sumo_adv.simulation.signals import LightsNear
 from sumo_adv.simulation.simulation import Snapshot
+from sumo_adv.simulation.tracks import tracks_of
 from sumo_adv.situation import Situation
+
+
+@dataclass(frozen=True, slots=True)
+class OpenEncounter:
+    """An encounter at its trigger. trigger_step: how many snapshots the recording has. dialogue: to the front, which
+    sends None at the end. ask_front: asks the planner of the attempt's proposal in its sandbox."""
+
+    drive: Drive
+    found: FoundEncounter
+    settings: Settings
+    road: RoadMap
+    trigger_step: int
+    dialogue: Connection
+    ask_front: AskOne
+
 
 MOST_BESIDE = 3  # recorded vehicles on which SUMO crashes
 COOL_DOWN = 2.0  # s without an encounter after an encounter that was passed over
@@ -59,7 +80,7 @@ class Worker:
     def __init__(self, slots: Sequence[Connection]) -> None:
         self._slots = slots
         self._folder = tempfile.TemporaryDirectory(prefix="sumo_adv-")
-        self._road: RoadMap | None = None
+        self._road: RoadMap
         self._passed: list[str] = []
         self._encounter: FoundEncounter
         self._baseline_ego: Track  # of the encounter
@@ -91,7 +112,7 @@ class Worker:
             return None
         ego = task.ego if isinstance(task.ego, str) else None
         return Playback(
-            task.playback, self._map, begin=task.spec.begin, step=task.spec.step_length, ego=ego, warm_up=task.warm_up
+            task.playback, self._road, begin=task.spec.begin, step=task.spec.step_length, ego=ego, warm_up=task.warm_up
         )
 
     def _put_beside_what_sumo_crashes_on(self) -> None:
@@ -127,14 +148,11 @@ class Worker:
         return in_forks([rehearse], lost=lambda why: False) == [True]
 
     def forks(self) -> bool:
-        """Whether attempts are forked."""
         return self._forks
 
     def seek(self, passed_over: str = "") -> FoundEncounter | NoEncounter:
-        """Simulate until an encounter with a harmless baseline begins, or until no encounter can come.
-
-        ``passed_over``: why the last encounter is not attacked; empty at first.
-        """
+        """Simulate until an encounter with a harmless baseline begins, or until no encounter can come. ``passed_over``:
+        why the last encounter is not attacked; empty at first."""
         passed = self._passed
         if passed_over:
             passed.append(f"{self._encounter.time:.1f} s ({passed_over})")
@@ -168,7 +186,7 @@ class Worker:
 
     def lanes_near(self, x: float, y: float, radius: float) -> list[tuple[Any, float, bool]]:
         """Shape, width [m] and whether internal, of all lanes within ``radius`` [m] of a place. For pictures."""
-        return self._map.strips(x, y, radius)
+        return self._road.strips(x, y, radius)
 
     def attempts(self, plans: Sequence[Proposal]) -> list[AttemptResult]:
         """The results of attempts from the trigger. As many run at the same time as there are slots.
@@ -187,10 +205,8 @@ class Worker:
         return AttemptResult(Driven("crashed", why), None, self._encounter.time)
 
     def references(self, proposal: Proposal, result: AttemptResult) -> dict[str, bool]:
-        """By reference driver, whether it avoids the collision of an attempt when it drives the ego.
-
-        Empty if the attempt had no collision, if one of the two vehicles left before the attack, or if SUMO dies.
-        """
+        """By reference driver, whether it avoids the collision of an attempt when it drives the ego. Empty if the
+        attempt had no collision, if one of the two vehicles left before the attack, or if SUMO dies."""
         self._at_trigger()
         case, verdict = self._case(proposal, result), result.verdict
         contact = None if verdict is None else verdict.contact_time
@@ -216,10 +232,8 @@ class Worker:
         return answers if order.plan is not None else {**answers, MANOEUVRE: False}
 
     def converse(self, prepare: Callable[[OpenEncounter], Callable[[], None]]) -> None:
-        """Make an attempt from the trigger on, as the front asks for it in the first slot.
-
-        prepare: returns what does so; it is called before the fork.
-        """
+        """Make an attempt from the trigger on, as the front asks for it in the first slot. prepare: returns what does
+        so; it is called before the fork."""
         dialogue, questions = self._slots[:2]
 
         def ask_front(observation: PlannerObservation) -> Any:
@@ -227,7 +241,7 @@ class Worker:
             return questions.recv()
 
         here = OpenEncounter(
-            self._drive, self._encounter, self._settings, self._map, self._trigger_step, dialogue, ask_front
+            self._drive, self._encounter, self._settings, self._road, self._trigger_step, dialogue, ask_front
         )
         if self._forks:
             in_forks([prepare(here)], memory=self._settings.attempt_memory)  # not repeated: the front has spoken
@@ -259,11 +273,6 @@ class Worker:
         finally:
             drive.controller = tested
         return avoids(order, drive.tracks(*order.courses, start=first))
-
-    @property
-    def _map(self) -> RoadMap:
-        assert self._road is not None
-        return self._road
 
     # -- branching ----------------------------------------------------------------------------------------------
 
@@ -300,21 +309,17 @@ class Worker:
         self._trigger_step, self._drive.until = len(self._drive.recording.snapshots), math.inf
         given = self._task.delay is not None  # a given attack: later danger is left to its verdict
         built = build_encounter(
-            self._drive, self._map, self._settings, ranking, self._baseline, passed_over=self._passed,
+            self._drive, self._road, self._settings, ranking, self._baseline, passed_over=self._passed,
             checked=LEAST + self._settings.step_length if given else math.inf, delay=self._task.delay,
         )  # fmt: skip
         if isinstance(built, str):
             return built
         encounter, baseline = built
-        beside = () if self._drive.playback is None else self._drive.playback.beside
-        last = self._search.nearly_over()
+        drive = self._drive
         self._encounter = replace(
-            encounter,
-            driven_from=self._drive.driven_from,
-            driven_before=self._drive.driven_before,
-            beside=beside,
-            last=last,
-        )
+            encounter, driven_from=drive.driven_from, driven_before=drive.driven_before,
+            last=self._search.nearly_over(), beside=() if drive.playback is None else drive.playback.beside,
+        )  # fmt: skip
         self._baseline_ego = baseline.tracks[self._encounter.ego]
         return ""
 

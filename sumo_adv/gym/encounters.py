@@ -17,18 +17,16 @@ from sumo_adv.datatypes import Proposal
 from sumo_adv.drivers import Action, Observation
 from sumo_adv.drivers.given import PREFIX, GivenEgo, pack
 from sumo_adv.drivers.sumo_driven import sumo_type
-from sumo_adv.episode.assessment import attempt_of, observed_motion
-from sumo_adv.episode.attempt_runner import AttemptRunner, answer_of
+from sumo_adv.episode.assessment import AttemptRunner, answer_of, attempt_of, observed_motion
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.loop import decide
 from sumo_adv.episode.planned_encounter import PlannedEncounter, find_attackable, seek, with_predictions
-from sumo_adv.episode.refinement import Refiner
+from sumo_adv.episode.refinement import Optimizer, Refiner
 from sumo_adv.episode.task import AttemptResult, FoundEncounter, make_task
 from sumo_adv.errors import UsageError
 from sumo_adv.gym.play import Play
 from sumo_adv.planners.answers import Answer, PlannerObservation
 from sumo_adv.planners.sessions import Roads, Sessions
-from sumo_adv.search.protocols import Optimizer
 from sumo_adv.simulation.engine import Conversation
 
 Attacker = Literal["expert"] | str | None

@@ -13,18 +13,25 @@ from numpy.typing import NDArray
 
 from sumo_adv.datatypes import Limits, Proposal, VehicleState
 from sumo_adv.drivers import Action, LaneSpeed
-from sumo_adv.episode.attempt import Command, Driven, OngoingAttempt, apart_of
-from sumo_adv.episode.controllers import AdversaryController, PlannedAdversary, controller_of
-from sumo_adv.episode.open_encounter import OpenEncounter
+from sumo_adv.episode.attempt import (
+    AdversaryController,
+    Command,
+    Driven,
+    OngoingAttempt,
+    PlannedAdversary,
+    apart_of,
+    controller_of,
+)
 from sumo_adv.episode.task import AttemptResult
 from sumo_adv.episode.verdict import gate_verdict
+from sumo_adv.episode.worker import OpenEncounter
 from sumo_adv.geometry import Pose
 from sumo_adv.gym.actions import controlled, ego_action, endpoint
 from sumo_adv.gym.picture import draw
 from sumo_adv.gym.rewards import Transition
 from sumo_adv.gym.views import FAR, View, Viewing, ViewOfAdversary, view_of_ego
 from sumo_adv.planners.answers import Answer, AskOne, PlannerObservation
-from sumo_adv.planners.trusted import ask_trusted
+from sumo_adv.planners.sessions import ask_trusted
 from sumo_adv.situation import Target
 
 Numbers = NDArray[Any]

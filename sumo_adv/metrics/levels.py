@@ -12,7 +12,7 @@ serious    strict, human, and a delta-v of the ego of at least 5 mph (2.24 m/s);
 ========== ==============================================================================================
 
 This is the kinematic form (:mod:`sumo_adv.metrics.reference.counterfactual`); the form in the simulation
-(``episode/references.py``) replaces its answers for the attempt that counts.
+(``episode/verdict.py``) replaces its answers for the attempt that counts.
 """
 
 from __future__ import annotations

@@ -18,9 +18,8 @@ from sumo_adv.datatypes import Endpoint, Floats
 from sumo_adv.drivers.junctions import AtJunction
 from sumo_adv.drivers.scenes import Scenes
 from sumo_adv.geometry import PATH_STEP, wrap
-from sumo_adv.planners.answers import PlannerObservation
+from sumo_adv.planners.answers import LOOK, PlannerObservation, arrivals, stations
 from sumo_adv.planners.follower import Follower, Line, aligned
-from sumo_adv.planners.forecast import LOOK, arrivals, stations
 from sumo_adv.planners.trajectory import Batch, Goal, Motion, PathRow, PathRows, pose, start
 from sumo_adv.situation import ReferencePath, Situation, Target
 
@@ -37,10 +36,8 @@ JOINED = 2.5  # m: ways this near to each other have become one (SUMO's DIVERGEN
 
 
 class AdversaryBatch:
-    """``n`` vehicles on their ways, each in a situation of one encounter. ``names``: BV ids, repeats allowed.
-
-    ``rows`` holds all ways; ``rows.row`` is the way of each vehicle.
-    """
+    """``n`` vehicles on their ways, each in a situation of one encounter. ``names``: BV ids, repeats allowed. ``rows``
+    holds all ways; ``rows.row`` is the way of each vehicle."""
 
     def __init__(self, situations: Sequence[Situation], names: Sequence[str]) -> None:
         self.scenes, self.names = Scenes(situations), list(names)
@@ -163,9 +160,7 @@ class AdversaryBatch:
 
     def aim(self, motion: Motion, ends: Sequence[Endpoint | None], before: Goal) -> Goal:
         """Goals on the ways for endpoints in the world. Puts each vehicle on the way that leads to its endpoint.
-
-        Vehicles without an endpoint keep the goal ``before``.
-        """
+        Vehicles without an endpoint keep the goal ``before``."""
         have = np.array([e is not None for e in ends])
         values = [(e.x, e.y, e.heading, e.speed, e.time) if e else (0.0, 0.0, 0.0, 0.0, 1.0) for e in ends]
         x, y, h, v, time = np.array(values, float).T
@@ -202,11 +197,8 @@ class AdversaryBatch:
         return i * PATH_STEP + along, aside, np.abs(wrap(h - heading))
 
     def follower(self, k: int, motion: Motion, states: Floats) -> Follower:
-        """A follower that drives vehicle ``k`` along a planner's states (n, 4) on its way.
-
-        Raises:
-            PlannerResultError: there are too few states, or they leave the way.
-        """
+        """A follower that drives vehicle ``k`` along a planner's states (n, 4) on its way. Raises PlannerResultError:
+        there are too few states, or they leave the way."""
         x, y, h = pose(Batch, motion, self.rows)
         dt = self.scenes.dt
         line = Line(aligned(states, float(x[k]), float(y[k]), float(h[k]), dt), dt)
@@ -215,13 +207,9 @@ class AdversaryBatch:
     # -- observations -------------------------------------------------------------------------------------------
 
     def observe(
-        self,
-        motion: Motion,
-        now: float,
-        ego: tuple[Floats, Floats, Floats, Floats],
-        last: Sequence[Mapping[str, float] | None],
-        rows: Sequence[int] | None = None,
-    ) -> list[PlannerObservation]:
+        self, motion: Motion, now: float, ego: tuple[Floats, Floats, Floats, Floats],
+        last: Sequence[Mapping[str, float] | None], rows: Sequence[int] | None = None,
+    ) -> list[PlannerObservation]:  # fmt: skip
         """The observation of each vehicle's planner; empty dictionaries for vehicles that are not in ``rows``.
 
         ``now``: seconds since the trigger. ``ego``: station [m], offset [m], speed [m/s] and acceleration [m/s2] of the

@@ -1,4 +1,8 @@
-"""A planner's observation and its answer, and the frames of its endpoints."""
+"""What a planner is told and what it answers: observation, road, forecast of the ego's motion, endpoint.
+
+An ego near its unattacked profile is expected to follow it, shifted by its present distance from it. Any other ego is
+expected to keep its acceleration for a moment and then its speed. The profile is the ego's motion in the baseline run.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +10,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from sumo_adv.datatypes import Endpoint, Floats, Proposal, acceleration_at
+from sumo_adv.drivers.scenes import Scenes
 from sumo_adv.planners.session import Call
-from sumo_adv.situation import Situation
+from sumo_adv.situation import NO_ARRIVAL, Situation, mirrored
 
 PlannerObservation = tuple[dict[str, Any], dict[str, Any]]
 """The dictionaries ``bv`` and ``ego`` of a planner's call, in the frame of the ego at the trigger."""
@@ -44,6 +51,87 @@ def local_endpoint(situation: Situation, end: Endpoint) -> dict[str, float]:
 
 
 def world_endpoint(situation: Situation, end: Mapping[str, float]) -> Endpoint:
-    """A planner's endpoint in the world."""
     x, y, h = situation.frame.to_world(end["x"], end["y"], end["heading"])
     return Endpoint(x, y, h, end["speed"], end["time"])
+
+
+# -- the road -------------------------------------------------------------------------------------------------------
+
+
+def road_of(situation: Situation, name: str) -> dict[str, Any]:
+    """The ``road`` of the BV ``name``; the keys are described in ``prompts/planner.md``."""
+    target = situation.targets[name]
+    frame, hand = situation.frame, situation.frame.hand
+    x, y, h = frame.to_local(target.state.x, target.state.y, target.state.heading)
+    ways = []
+    for way in target.ways:
+        entry: dict[str, Any] = {
+            "movement": mirrored(way.movement, hand),
+            "junction": min(way.junction, NO_ARRIVAL),
+            "conflict": None,
+        }
+        entry["centreline"] = _points(situation, way.path)
+        if way.conflict is not None:
+            c = way.conflict
+            cx, cy, ch = frame.to_local(c.x, c.y, c.heading)
+            entry["conflict"] = {
+                "kind": c.kind, "x": cx, "y": cy, "heading": ch, "bv_distance": c.bv_s, "ego_distance": c.ego_s,
+                "angle": hand * c.angle,
+            }  # fmt: skip
+        ways.append(entry)
+    return {
+        "relation": target.relation, "left": hand * float(target.ways[0].ego_d[0] + target.offset),
+        "lane_width": situation.road.lane_width, "ways": ways,
+        "sides": [{"offset": hand * o, "kind": k} for o, k in target.sides],
+        "start": {"x": x, "y": y, "heading": h, "speed": target.state.speed},
+        "ego_centreline": _points(situation, situation.baseline.path), "fastest": target.fastest,
+        "signals": {"bv": _signals(situation, name), "ego": _signals(situation, situation.ego.id)},
+    }  # fmt: skip
+
+
+def _signals(situation: Situation, vehicle: str) -> list[dict[str, Any]]:
+    return [{"id": i, "distance": d, "state": s} for i, d, s in situation.traffic.signals.get(vehicle, ())]
+
+
+def _points(situation: Situation, path: Any) -> list[list[float]]:
+    """The first 200 m of a path as [x, y] every 2 m, in the ego's frame."""
+    step = slice(0, 400, 4)
+    x, y, _ = situation.frame.points_to_local(path.x[step], path.y[step], path.heading[step])
+    return [[round(a, 2), round(b, 2)] for a, b in zip(x.tolist(), y.tolist(), strict=True)]
+
+
+# -- the forecast of the ego ----------------------------------------------------------------------------------------
+
+ON_PROFILE_DISTANCE, ON_PROFILE_SPEED = 1.0, 0.6  # m, m/s: an ego nearer than this still follows its profile
+HELD_ACCELERATION = 0.5  # s: a disturbed ego keeps its acceleration for this time, then its speed
+LOOK = np.arange(0.0, 9.0)  # s: times of the predicted path in a planner's observation
+ARRIVAL_LOOK = np.arange(0.0, 16.1, 0.5)  # s
+
+
+def stations(scenes: Scenes, now: float, s: Floats, v: Floats, a: Floats, look: Floats) -> tuple[Floats, Floats]:
+    """Stations and speeds (n, k), ``look`` (k,) seconds from ``now``, of egos at ``s`` with ``v``, ``a`` (n,)."""
+    (ps, pv), (fs, fv) = scenes.profile_now(now), scenes.profile(now + look)
+    held = np.minimum(look, HELD_ACCELERATION)
+    speed = np.maximum(v[:, None] + a[:, None] * held, 0.0)
+    free = s[:, None] + (v[:, None] + speed) / 2 * held + speed * (look - held)
+    on = ((np.abs(s - ps) < ON_PROFILE_DISTANCE) & (np.abs(v - pv) < ON_PROFILE_SPEED))[:, None]
+    return np.where(on, fs + (s - ps)[:, None], free), np.where(on, fv, speed)
+
+
+def arrivals(scenes: Scenes, now: float, s: Floats, v: Floats, a: Floats, conflict_s: Floats) -> Floats:
+    """Seconds until egos (n,) are at stations ``conflict_s`` (n, k). Negative once past, ``NO_ARRIVAL`` if the ego does
+    not get there within the forecast."""
+    times = np.full(conflict_s.shape, NO_ARRIVAL)
+    if not np.isfinite(conflict_s).any():
+        return times
+    way, _ = stations(scenes, now, s, v, a, ARRIVAL_LOOK)
+    rows = np.arange(len(s))
+    for k, at in enumerate(conflict_s.T):
+        reached = way >= at[:, None]
+        i = np.clip(np.argmax(reached, axis=1), 1, len(ARRIVAL_LOOK) - 1)
+        before, after = way[rows, i - 1], way[rows, i]
+        w = np.clip((at - before) / np.maximum(after - before, 1e-6), 0.0, 1.0)
+        time = ARRIVAL_LOOK[i - 1] + w * (ARRIVAL_LOOK[i] - ARRIVAL_LOOK[i - 1])
+        left = at - s
+        times[:, k] = np.where(left <= 0, left / np.maximum(v, 3.0), np.where(reached[:, -1], time, NO_ARRIVAL))
+    return times

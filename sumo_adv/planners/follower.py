@@ -97,11 +97,8 @@ def leaves_road(
 
 
 class Follower:
-    """Drives one vehicle along one trajectory on its way.
-
-    Raises:
-        PlannerResultError: the trajectory has too few states, or leaves the way.
-    """
+    """Drives one vehicle along one trajectory on its way. Raises PlannerResultError: the trajectory has too few states,
+    or leaves the way."""
 
     def __init__(self, line: Line, way: Path) -> None:
         if len(line.x) < LEAST_STATES:
@@ -126,7 +123,6 @@ class Follower:
 
     @property
     def over(self) -> bool:
-        """Whether all states are used."""
         return self._k >= len(self._p) - 1
 
     def begin(self, motion: Motion) -> Motion:
@@ -135,7 +131,6 @@ class Follower:
         return motion._replace(target=target, clock=0.0, span=max(seconds, 1e-3))
 
     def advance(self, motion: Motion, road: PathRow, limits: Limits, cap: float) -> Motion:
-        """The motion after one step."""
         dt, v = self.line.dt, motion.v
         x, y, h = pose(Scalar, motion, road)
         bend = road.at(motion.s)[3]

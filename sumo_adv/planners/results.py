@@ -25,17 +25,14 @@ MAX_START_GAP = 3.0  # m from the vehicle to the start of its trajectory
 MAX_CHANGE = 150.0  # m/s2: a larger acceleration between two states is a jump
 MAX_DISTANCE, MAX_HEADING, MAX_SPEED, MAX_TIME = 1e5, 1e3, 100.0, 60.0
 RANGES = {
-    "x": (-MAX_DISTANCE, MAX_DISTANCE),
-    "y": (-MAX_DISTANCE, MAX_DISTANCE),
-    "heading": (-MAX_HEADING, MAX_HEADING),
-    "speed": (0.0, MAX_SPEED),
-    "time": (0.0, MAX_TIME),
-}
+    "x": (-MAX_DISTANCE, MAX_DISTANCE), "y": (-MAX_DISTANCE, MAX_DISTANCE), "heading": (-MAX_HEADING, MAX_HEADING),
+    "speed": (0.0, MAX_SPEED), "time": (0.0, MAX_TIME),
+}  # fmt: skip
 """Metres, radians, m/s and s; ``time`` must also be more than 0."""
 
 REDUCERS = """
 type_ID, len_ID, dict_ID, list_ID, tuple_ID, float_ID, int_ID = type, len, dict, list, tuple, float, int
-zip_ID, range_ID, missing_ID = zip, range, KeyError
+missing_ID = KeyError
 
 def number_ID(v):
     k = type_ID(v)
@@ -66,23 +63,6 @@ def many_ID(calls):
     for c in calls:
         try:
             out.append(pick_ID(endpoint(c[0], c[1], roads_ID[c[2]], c[3], c[4], c[5])))
-        except:
-            out.append(None)
-    return out
-
-def rows_ID(bv_keys, ego_keys, names, rows):
-    out = []
-    a = len_ID(bv_keys)
-    b = a + len_ID(ego_keys)
-    c = b + len_ID(names)
-    for row, last, road, acc, horizon, d in rows:
-        bv = dict_ID(zip_ID(bv_keys, row[:a]))
-        bv["last"] = last
-        ego = dict_ID(zip_ID(ego_keys, row[a:b]))
-        ego["path"] = [row[i:i + 5] for i in range_ID(c, d, 5)]
-        ego["arrivals"] = row[d:]
-        try:
-            out.append(pick_ID(endpoint(bv, ego, roads_ID[road], dict_ID(zip_ID(names, row[b:c])), acc, horizon)))
         except:
             out.append(None)
     return out
@@ -129,11 +109,8 @@ def packed(calls: Sequence[Any]) -> list[Any] | None:
 
 
 def check_endpoint(subject: str, value: Any) -> dict[str, float]:
-    """Five checked numbers from the tuple of the session's reducer.
-
-    Raises:
-        PlannerResultError: the value is anything else; the message says what is wrong.
-    """
+    """Five checked numbers from the tuple of the session's reducer. Raises PlannerResultError: the value is anything
+    else; the message says what is wrong."""
     if type(value) is not tuple or len(value) != len(ENDPOINT_KEYS):
         raise _bad(subject, value)
     x, y, heading, speed, time = value
@@ -149,11 +126,8 @@ def check_endpoint(subject: str, value: Any) -> dict[str, float]:
 
 
 def check_trajectory(subject: str, value: Any) -> list[tuple[float, float, float, float]]:
-    """States (x, y, heading, speed) from the session's flat list of numbers.
-
-    Raises:
-        PlannerResultError: the value is anything else; the message says what is wrong.
-    """
+    """States (x, y, heading, speed) from the session's flat list of numbers. Raises PlannerResultError: the value is
+    anything else; the message says what is wrong."""
     if type(value) is not list or not value or len(value) > 4 * MAX_TRAJECTORY or len(value) % 4:
         raise _bad(subject, value)
     n = [_number(subject, ENDPOINT_KEYS[i % 4], number) for i, number in enumerate(value)]
@@ -164,10 +138,7 @@ def check_motion(
     subject: str, states: Sequence[tuple[float, float, float, float]], bv: Mapping[str, Any], dt: float
 ) -> None:
     """Check that states ``dt`` [s] apart are one motion that begins at the vehicle. Limits of vehicles are not checked.
-
-    Raises:
-        PlannerResultError: the trajectory begins elsewhere, or jumps.
-    """
+    Raises PlannerResultError: the trajectory begins elsewhere, or jumps."""
     away = math.hypot(states[0][0] - bv["x"], states[0][1] - bv["y"])
     if away > MAX_START_GAP + 1.5 * bv["speed"] * dt:
         raise PlannerResultError(f"{subject}: its trajectory begins {away:.1f} m from where the vehicle is.")

@@ -1,7 +1,7 @@
 """The pool of workers that run planner code: processes of monty, an interpreter for model-written Python.
 
 There are three walls. The first is monty: no host objects, files or network, and limits on time, memory and recursion.
-The second is bubblewrap around its process (``jail``). The third is the check of everything that comes back
+The second is bubblewrap around its process (``Jail``). The third is the check of everything that comes back
 (``results``).
 
 The clock is frozen, sleep takes no time, random is seeded, and prints are counted and dropped. Globals live as long as
@@ -14,27 +14,124 @@ Measured on two slow cores, in bubblewrap or not: 0.7 ms a session (2 ms with a 
 
 from __future__ import annotations
 
-import importlib.util
 import os
+import re
+import shlex
+import shutil
+import subprocess
 import sys
 import tempfile
 import threading
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 from sumo_adv.datatypes import Planner
 from sumo_adv.errors import SandboxError
-from sumo_adv.planners.jail import Jail, make_jail, wrapper_script
 from sumo_adv.planners.results import clean
 from sumo_adv.planners.session import PlannerSession, SandboxLimits
 from sumo_adv.planners.source import HELPERS_STUBS
 
 if TYPE_CHECKING:
     from pydantic_monty import Monty, MontySession
+
+# -- the second wall ------------------------------------------------------------------------------------------------
+
+SWITCH = "SUMO_ADV_BUBBLEWRAP"
+ADDRESS_SPACE = 1 << 30  # bytes, beside the memory limit: what the worker needs itself, with its type checker
+_PROBE_SECONDS = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Jail:
+    """How the worker is started: ``command`` (argv), ``isolation`` (bubblewrap | process), ``note`` (a sentence)."""
+
+    command: tuple[str, ...]
+    isolation: str
+    note: str
+
+
+def make_jail(bubblewrap: bool = True) -> Jail:
+    """Find the worker and the strongest way to start it here. ``bubblewrap``: False turns it off, and so does ``off``
+    in the variable ``SUMO_ADV_BUBBLEWRAP``. Raises SandboxError: monty's worker is not installed."""
+    worker = _find_worker()
+    if not bubblewrap or os.environ.get(SWITCH, "on").strip().lower() in ("off", "0", "false", "no"):
+        return _plain(worker, "bubblewrap is turned off")
+    if not sys.platform.startswith("linux"):
+        return _plain(worker, "bubblewrap exists on Linux alone")
+    program = shutil.which("bwrap")
+    if program is None:
+        return _plain(worker, "bwrap is not installed")
+    try:
+        inside = ("--ro-bind", worker, "/monty", "--remount-ro", "/", "/monty")
+        command = (*_bubblewrap(program, _libraries(worker)), *inside)
+        failure = _probe(command)
+    except (OSError, subprocess.SubprocessError) as error:
+        failure = str(error)
+    if failure is not None:
+        return _plain(worker, f"bubblewrap is refused here ({failure})")
+    return Jail(
+        command, "bubblewrap", "Planners run in a separate interpreter inside bubblewrap: no network, no files."
+    )
+
+
+def wrapper_script(jail: Jail, memory: int) -> str:
+    """A POSIX ``sh`` script that starts the worker with an address-space limit, no core file and no messages.
+    ``memory``: of the planner's heap [bytes]."""
+    kilobytes = (ADDRESS_SPACE + memory) // 1024
+    return (
+        "#!/bin/sh\n"
+        "ulimit -c 0 2>/dev/null\n"
+        f"ulimit -v {kilobytes} 2>/dev/null\n"
+        f'exec {shlex.join(jail.command)} "$@" 2>/dev/null\n'
+    )
+
+
+def _find_worker() -> str:
+    from pydantic_monty._binary import find_monty_binary
+
+    try:
+        return str(Path(find_monty_binary()).resolve())
+    except FileNotFoundError:
+        raise SandboxError("The sandbox's worker is not installed: install pydantic-monty again.") from None
+
+
+def _plain(worker: str, reason: str) -> Jail:
+    note = f"Planners run in a separate interpreter in a plain process, because {reason}; a container is a second wall."
+    return Jail((worker,), "process", note)
+
+
+def _bubblewrap(program: str, libraries: list[str]) -> list[str]:
+    command = [program, "--unshare-all", "--die-with-parent", "--new-session", "--cap-drop", "ALL", "--clearenv"]
+    command += ["--uid", "65534", "--gid", "65534", "--chdir", "/"]
+    for library in libraries:
+        command += ["--ro-bind", library, library]
+    return command
+
+
+def _libraries(worker: str) -> list[str]:
+    """Absolute paths of the worker's shared libraries and loader; empty if it is linked statically."""
+    return re.findall(r"(/\S+) \(0x[0-9a-f]+\)", _done("ldd", worker).stdout)
+
+
+def _done(*command: str) -> subprocess.CompletedProcess[str]:
+    nothing = subprocess.DEVNULL
+    return subprocess.run(command, capture_output=True, text=True, timeout=_PROBE_SECONDS, check=False, stdin=nothing)
+
+
+def _probe(command: tuple[str, ...]) -> str | None:
+    """None if the worker starts and prints its version, else the reason."""
+    done = _done(*command, "--version")
+    if done.returncode == 0 and done.stdout.startswith("monty"):
+        return None
+    lines = [line.strip() for line in done.stderr.splitlines() if line.strip()]
+    return lines[0][:160] if lines else f"exit status {done.returncode}"
+
+
+# -- the pool -------------------------------------------------------------------------------------------------------
 
 _INSTANT = datetime(2025, 1, 1, tzinfo=UTC)
 
@@ -43,11 +140,7 @@ class Sandbox:
     """Owns the pool of workers. The pool opens at the first use. A context manager.
 
     Use it in the process that made it, because a pool does not survive a fork. Sessions may live in different threads.
-
-    Args:
-        limits: what planner code may use.
-        bubblewrap: False turns bubblewrap off, and so does ``off`` in the variable ``SUMO_ADV_BUBBLEWRAP``.
-        workers: maximum number of open sessions.
+    limits: what planner code may use; bubblewrap: see ``make_jail``; workers: maximum number of open sessions.
     """
 
     def __init__(self, limits: SandboxLimits | None = None, *, bubblewrap: bool = True, workers: int = 16) -> None:
@@ -65,7 +158,7 @@ class Sandbox:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     @property
@@ -83,11 +176,8 @@ class Sandbox:
     ) -> PlannerSession:
         """A fresh interpreter with the planner loaded.
 
-        Args:
-            planner: the planner to run.
-            roads: the ``road`` of each key that calls may name; plain data, sent once.
-            seed: seed of the planner's ``random``.
-            type_check: whether to type check the text before it runs.
+        roads: the ``road`` of each key that calls may name; plain data, sent once. seed: of the planner's ``random``.
+        type_check: whether to type check the text before it runs.
 
         Raises:
             PlannerSyntaxError: the text is not in the subset, or the type check failed.
@@ -138,7 +228,6 @@ class Sandbox:
         """Start the pool from one lasting thread: under bubblewrap, workers die with the thread that started them."""
         from pydantic_monty import Monty
 
-        _spare_look_ups()
         self._pool = Monty(
             binary_path=program,
             min_processes=0,
@@ -158,20 +247,19 @@ class Sandbox:
             raise SandboxError("The sandbox was opened in another process: use it there.")
 
     def checkout(self, seed: int, type_check: bool) -> MontySession:
-        """A worker for one session."""
         from pydantic_monty import MontyError
 
         with self._lock:
             self.check_usable()
-            pool, owner = self._pool, self._owner
+            pool, owner, limits = self._pool, self._owner, self.limits
         assert pool is not None and owner is not None  # _open came first
         session = pool.checkout(
             script_name="planner.py",
             limits={
-                "max_feed_duration_secs": self.limits.call_seconds,
-                "max_memory": self.limits.memory,
-                "max_recursion_depth": self.limits.recursion,
-                "max_suspensions": self.limits.suspensions,
+                "max_feed_duration_secs": limits.call_seconds,
+                "max_memory": limits.memory,
+                "max_recursion_depth": limits.recursion,
+                "max_suspensions": limits.suspensions,
                 "max_total_sleep_secs": 0.0,
             },
             type_check=type_check,
@@ -186,13 +274,3 @@ class Sandbox:
         except (MontyError, OSError, RuntimeError) as error:
             raise SandboxError(f"The sandbox's worker does not start ({clean(str(error))}): run doctor.") from None
         return session
-
-
-def _spare_look_ups() -> None:
-    """Mark opentelemetry as missing where it is not installed.
-
-    Monty imports it at every feed. If it is missing, Python searches all its folders each time, which takes half of the
-    feed (48 of 92 us). None among the modules ends the search at once.
-    """
-    if "opentelemetry" not in sys.modules and importlib.util.find_spec("opentelemetry") is None:
-        sys.modules["opentelemetry"] = None  # type: ignore[assignment]

@@ -7,31 +7,26 @@ import re
 import secrets
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from types import TracebackType
-from typing import TYPE_CHECKING, Any, Protocol, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from sumo_adv.datatypes import Planner
 from sumo_adv.errors import PlannerLimitError, PlannerResultError, PlannerRuntimeError, PlannerSyntaxError, SandboxError
-from sumo_adv.planners.results import (
-    REDUCERS,
-    check_endpoint,
-    check_motion,
-    check_trajectory,
-    clean,
-    packed,
-    subject_of,
-)
+from sumo_adv.planners.results import REDUCERS, check_endpoint, check_motion, check_trajectory, clean, subject_of
 from sumo_adv.planners.source import HELPERS_CODE, read_source
 
 if TYPE_CHECKING:
     from pydantic_monty import MontyError, MontySession
 
+    from sumo_adv.planners.sandbox import Sandbox
+
 MOST_STOPPED = 3  # calls that may run into a limit: a quarter of a second each, where an honest one takes about 10 us
 BATCH_FEED = 256  # calls in a feed: a feed has ``call_seconds``, and an honest call takes about 10 us
 _PLANNER_FILE = "<python-input-1>"  # monty's name for the second feed of a session
 
-Call = tuple[str, Mapping[str, Any], Mapping[str, Any], Mapping[str, float], float, float]
+Data = Mapping[str, Any]
+Call = tuple[str, Data, Data, Mapping[str, float], float, float]
 """One call of a planner: key of its road, bv, ego, parameters, acc [m/s2], horizon [s]."""
 
 
@@ -48,18 +43,6 @@ class SandboxLimits:
     grace_seconds: float = 0.5  # after it a worker that does not stop is killed
 
 
-class WorkerPool(Protocol):
-    """Where a session gets its interpreter: the sandbox."""
-
-    limits: SandboxLimits
-
-    def check_usable(self) -> None:
-        """Raise SandboxError if the pool is closed or belongs to another process."""
-
-    def checkout(self, seed: int, type_check: bool) -> MontySession:
-        """An interpreter with nothing in it. Raises SandboxError."""
-
-
 class PlannerSession:
     """One planner in one fresh interpreter. A context manager, for one thread at a time.
 
@@ -67,14 +50,7 @@ class PlannerSession:
     ``PlannerLimitError``. Only ``endpoints`` starts the session again by itself, with fresh globals.
     """
 
-    def __init__(
-        self,
-        pool: WorkerPool,
-        planner: Planner,
-        roads: Mapping[str, Mapping[str, Any]],
-        seed: int,
-        type_check: bool,
-    ) -> None:
+    def __init__(self, pool: Sandbox, planner: Planner, roads: Mapping[str, Data], seed: int, type_check: bool) -> None:
         self.planner = planner
         self.has_trajectory = read_source(planner.source).has_trajectory
         self._pool = pool
@@ -88,7 +64,7 @@ class PlannerSession:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, tb: TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     @property
@@ -108,22 +84,12 @@ class PlannerSession:
                 return  # the worker has already ended
 
     def endpoint(
-        self,
-        key: str,
-        bv: Mapping[str, Any],
-        ego: Mapping[str, Any],
-        parameters: Mapping[str, float],
-        acc: float,
-        horizon: float,
+        self, key: str, bv: Data, ego: Data, parameters: Mapping[str, float], acc: float, horizon: float
     ) -> dict[str, float]:
-        """Call the planner once.
+        """Call the planner once: x, y [m], heading [rad], speed [m/s], time [s], finite and in range, in its frame.
 
-        Returns:
-            x, y [m], heading [rad], speed [m/s], time [s], finite and in range, in the planner's frame.
-
-        Raises:
-            PlannerRuntimeError, PlannerLimitError, PlannerResultError: the call failed, was stopped, or returned
-                something else.
+        Raises PlannerRuntimeError, PlannerLimitError, PlannerResultError: the call failed, was stopped, or returned
+        something else.
         """
         self._known(key)
         call = (bv, ego, key, parameters, acc, horizon)
@@ -136,8 +102,7 @@ class PlannerSession:
         results. The batch takes at most ``batch_seconds`` and one call's limit, and ends once ``MOST_STOPPED`` calls
         have run into a limit; after that, calls become ``PlannerLimitError``.
 
-        Raises:
-            PlannerLimitError: the session had ended before.
+        Raises PlannerLimitError: the session had ended before.
         """
         self._alive()
         deadline = time.monotonic() + self._pool.limits.batch_seconds
@@ -151,19 +116,17 @@ class PlannerSession:
                 if stopped >= MOST_STOPPED:
                     deadline = -math.inf
         if self._session is None:
-            self._start_quietly()
+            with suppress(SandboxError):
+                self._start(False)
         return results
 
     def trajectory(
-        self, key: str, bv: Mapping[str, Any], endpoint: Mapping[str, float], dt: float
+        self, key: str, bv: Data, endpoint: Mapping[str, float], dt: float
     ) -> list[tuple[float, float, float, float]]:
         """The planner's own trajectory: up to ``MAX_TRAJECTORY`` states (x, y, heading, speed), ``dt`` [s] apart.
 
-        The first state is ``dt`` from now, or now if it is at the vehicle's place (``follower.aligned``).
-
-        Raises:
-            PlannerResultError: the planner defines none, or its result is no trajectory, begins elsewhere or jumps.
-            PlannerRuntimeError, PlannerLimitError: the call failed or was stopped.
+        The first state is ``dt`` from now, or now if it is at the vehicle's place (``follower.aligned``). Raises as
+        ``endpoint``, also where the planner defines none, or where it begins elsewhere or jumps.
         """
         if not self.has_trajectory:
             raise PlannerResultError(f"{self._subject} defines no trajectory(): use the built-in one.")
@@ -182,13 +145,6 @@ class PlannerSession:
         except SandboxError:
             self.close()
             raise
-
-    def _start_quietly(self) -> SandboxError | None:
-        try:
-            self._start(False)
-        except SandboxError as error:
-            return error
-        return None
 
     def _alive(self) -> MontySession:
         if self._session is None:
@@ -231,11 +187,9 @@ class PlannerSession:
             return nothing
         for call in calls:
             self._known(call[0])
-        rows = packed(calls)
-        batch = rows or [(bv, ego, key, parameters, acc, horizon) for key, bv, ego, parameters, acc, horizon in calls]
-        code = f"many_{self._id}(call_{self._id})" if rows is None else f"rows_{self._id}(*call_{self._id})"
+        batch = [(bv, ego, key, parameters, acc, horizon) for key, bv, ego, parameters, acc, horizon in calls]
         try:
-            values = self._feed(code, {f"call_{self._id}": batch})
+            values = self._feed(f"many_{self._id}(call_{self._id})", {f"call_{self._id}": batch})
         except SandboxError:
             return nothing
         return values if type(values) is list and len(values) == len(calls) else nothing
@@ -244,9 +198,9 @@ class PlannerSession:
         """Run a call that failed in a batch once more, by itself."""
         if time.monotonic() >= deadline:
             return PlannerLimitError(f"{self._subject}: the batch's time is used up: make the planner faster.")
-        if self._session is None and (failure := self._start_quietly()) is not None:
-            return failure
         try:
+            if self._session is None:
+                self._start(False)
             return self.endpoint(*call)
         except SandboxError as error:
             return error
@@ -256,22 +210,16 @@ class _Prints:
     """Counts what a planner prints and drops it."""
 
     def __init__(self, limit: int) -> None:
-        self.limit = limit
-        self.count = 0
-
-    @property
-    def over(self) -> bool:
-        return self.count > self.limit
+        self.limit, self.over, self._count = limit, False, 0
 
     def __call__(self, stream: str, text: str) -> None:
-        self.count += len(text)
+        self._count += len(text)
+        self.over = self._count > self.limit
         if self.over:
             raise RuntimeError("too much output")
 
 
-MEASURED = re.compile(
-    r"\d+(?:\.\d+)?m?s > (\d+(?:\.\d+)?m?s)"
-)  # a measured time, which differs between runs, and its limit
+MEASURED = re.compile(r"\d+(?:\.\d+)?m?s > (\d+(?:\.\d+)?m?s)")  # a time, which differs between runs, and its limit
 
 
 def _translate(error: MontyError, subject: str, loading: bool) -> tuple[SandboxError, bool]:

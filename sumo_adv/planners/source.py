@@ -104,30 +104,20 @@ class SourceFacts(NamedTuple):
 
 
 def parse_parameters(source: str) -> tuple[Parameter, ...]:
-    """The table at the top of a planner's text.
-
-    Raises:
-        PlannerSyntaxError: the text does not parse, lacks the table or ``endpoint``, or a number is out of its bounds.
-    """
+    """The table at the top of a planner's text. Raises PlannerSyntaxError: the text does not parse, lacks the table or
+    ``endpoint``, or a number is out of its bounds."""
     return read_source(source).parameters
 
 
 def make_planner(label: str, mode: str, source: str, origin: str, parent: str | None = None) -> Planner:
-    """A planner from its text.
-
-    Raises:
-        PlannerSyntaxError: as in ``parse_parameters``.
-    """
+    """A planner from its text. Raises PlannerSyntaxError: as in ``parse_parameters``."""
     return Planner(label, mode, source, parse_parameters(source), origin, parent)
 
 
 @lru_cache(maxsize=256)
 def read_source(source: str) -> SourceFacts:
-    """Parse and check a planner's text; nothing of it is run.
-
-    Raises:
-        PlannerSyntaxError: as in ``parse_parameters``; the message names the line if it is known.
-    """
+    """Parse and check a planner's text; nothing of it is run. Raises PlannerSyntaxError: as in ``parse_parameters``;
+    the message names the line if it is known."""
     tree = _parse(source)
     body = tree.body[1:] if tree.body and _is_docstring(tree.body[0]) else tree.body
     parameters = tuple(_parameters(_table(body)))
@@ -142,11 +132,8 @@ def read_source(source: str) -> SourceFacts:
 
 @lru_cache(maxsize=256)
 def uses_acceleration(source: str) -> bool:
-    """Whether a planner's text reads the intent's acceleration, which is its argument ``acc``.
-
-    Raises:
-        PlannerSyntaxError: the text does not parse.
-    """
+    """Whether a planner's text reads the intent's acceleration, which is its argument ``acc``. Raises
+    PlannerSyntaxError: the text does not parse."""
     return any(isinstance(node, ast.Name) and node.id == "acc" for node in ast.walk(_parse(source)))
 
 
@@ -161,7 +148,8 @@ def _parse(source: str) -> ast.Module:
         raise PlannerSyntaxError(f"The planner must be text of at most {MAX_SOURCE_BYTES} bytes: shorten it.")
     try:
         tree = ast.parse(source)
-        refused = next(_refused(tree), None)
+        names = (node for node in ast.walk(tree) if isinstance(node, ast.Name))
+        refused = next((name for name in names if name.id in REFUSED_NAMES), None)
     except SyntaxError as error:
         raise _syntax_error(error.lineno, f"does not parse ({str(error.msg)[:200]})") from None
     except (MemoryError, RecursionError, ValueError, OverflowError) as error:
@@ -171,10 +159,6 @@ def _parse(source: str) -> ast.Module:
     if refused is not None:
         raise _syntax_error(refused.lineno, f"uses {refused.id}, which planners may not: write it without")
     return tree
-
-
-def _refused(tree: ast.Module) -> Iterator[ast.Name]:
-    return (node for node in ast.walk(tree) if isinstance(node, ast.Name) and node.id in REFUSED_NAMES)
 
 
 def _syntax_error(line: int | None, what: str) -> PlannerSyntaxError:

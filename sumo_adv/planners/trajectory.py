@@ -169,10 +169,8 @@ class PathRows:
         return rows
 
     def at(self, s: Any) -> tuple[Any, Any, Any, Any]:
-        """x, y, heading, curvature; the paths go straight on beyond both ends.
-
-        The last result is kept, so do not change ``s``, ``row`` or the result in place.
-        """
+        """x, y, heading, curvature; the paths go straight on beyond both ends. The last result is kept, so do not
+        change ``s``, ``row`` or the result in place."""
         if self._last_input[0] is not s or self._last_input[1] is not self.row:
             self._last_input, self._last_output = (s, self.row), self._look_up(s)
         return self._last_output
@@ -205,10 +203,8 @@ def start(m: Any, s: Any, d: Any, slope: Any, v: Any, a: Any) -> Motion:
 
 
 def bend(m: Any, motion: Motion, target: Any, duration: Any, curvature: Any) -> Motion:
-    """Start a quintic to the offset ``target`` in ``duration`` seconds, or in more if the bounds need it.
-
-    Bounds at ten samples: |d''| <= clip(3.6 - v^2 |kappa|, 0.8, 3), |d'| <= 0.28 max(v, 6), |d'''| <= 10.
-    """
+    """Start a quintic to the offset ``target`` in ``duration`` seconds, or in more if the bounds need it. Bounds at ten
+    samples: |d''| <= clip(3.6 - v^2 |kappa|, 0.8, 3), |d'| <= 0.28 max(v, 6), |d'''| <= 10."""
     v = motion.v
     pace = m.maximum(v, FULL_CLOCK_SPEED)
     rate = m.maximum(v / pace, 0.05)

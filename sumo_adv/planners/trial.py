@@ -3,18 +3,204 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from sumo_adv.datatypes import Floats, Planner
 from sumo_adv.errors import SandboxError
-from sumo_adv.planners.probes import HORIZON, Probe, probes
+from sumo_adv.geometry import wrap
+from sumo_adv.road_users import FASTEST, RoadUser
+from sumo_adv.situation import NO_ARRIVAL, fastest_of
 
 if TYPE_CHECKING:
     from sumo_adv.planners.sandbox import Sandbox
     from sumo_adv.planners.session import Call, PlannerSession
+
+# -- made-up situations ---------------------------------------------------------------------------------------------
+
+LENGTH, WIDTH, LANE_WIDTH = 5.0, 1.8, 3.2  # m
+HORIZON = 8.0  # s
+CURVATURE = 1.0 / 80.0  # 1/m, of the curve
+TIMES = (0.0, 2.0, 5.0)  # s after the trigger
+SPEEDS = {"standing": 0.0, "slow": 4.0, "fast": 24.0}  # m/s, of the ego
+CONFLICT = 45.0  # m along the ego's path: where crossing and merging ways meet it
+
+LANE_PLACES = {"leader": (18.0, 0.0), "follower": (-16.0, 0.0), "neighbour": (4.0, 3.2), "oncoming": (0.0, 3.2)}
+"""m ahead and to the left, along the ego's path. An oncoming BV is farther ahead and meets the ego after ``MEET``."""
+
+MEET = 6.0  # s
+
+SIZES = {
+    "pedestrian": (0.5, 0.5), "pedestrian_hidden": (0.5, 0.5), "cyclist": (1.8, 0.6), "cyclist_hidden": (1.8, 0.6),
+}  # fmt: skip
+"""m, of the road users that are no vehicles. They are ``BESIDE`` metres beside the ego's path."""
+
+BESIDE = 4.0
+
+CROSSING_ANGLES = {"crossing_straight": 1.57, "crossing_left": 2.2, "crossing_right": 0.7, "merging": 0.25}
+"""rad: the BV's heading at the conflict, relative to the ego's path there."""
+
+
+@dataclass(frozen=True, slots=True)
+class Probe:
+    """One call's ``bv``, ``ego`` and ``road``."""
+
+    name: str
+    bv: dict[str, Any]
+    ego: dict[str, Any]
+    road: dict[str, Any]
+
+
+Pose = tuple[float, float, float]
+
+
+def probes(relation: str) -> list[Probe]:
+    """All situations of one of the bank's relations."""
+    return list(_probes(relation))
+
+
+def _probes(relation: str) -> Iterator[Probe]:
+    small = relation in SIZES
+    for curvature, shape in ((0.0, "straight"), (CURVATURE, "curve")):
+        for pace, speed in SPEEDS.items():
+            for time in TIMES:
+                name = f"{relation}, {pace}, {shape}, after {time:.0f} s"
+                crossing = relation in CROSSING_ANGLES
+                yield (_small if small else _crossing if crossing else _lane)(name, relation, curvature, speed, time)
+
+
+def on_arc(station: float, left: float, curvature: float) -> Pose:
+    """The pose beside a path that begins at the origin along x."""
+    turned = station * curvature
+    x = math.sin(turned) / curvature if curvature else station
+    y = (1.0 - math.cos(turned)) / curvature if curvature else 0.0
+    return x - left * math.sin(turned), y + left * math.cos(turned), turned
+
+
+def _ego(curvature: float, speed: float, time: float, arrivals: list[float]) -> dict[str, Any]:
+    path = []
+    for t in range(9):
+        path.append([float(t), *on_arc(speed * (time + t), 0.0, curvature), speed])
+    x, y, heading = path[0][1:4]
+    return {
+        "x": x, "y": y, "heading": heading, "speed": speed, "acceleration": 0.0, "length": LENGTH, "width": WIDTH,
+        "path": path, "arrivals": arrivals,
+    }  # fmt: skip
+
+
+def _lane(name: str, relation: str, curvature: float, speed: float, time: float) -> Probe:
+    ahead, left = LANE_PLACES[relation]
+    oncoming = relation == "oncoming"
+    bv_speed = max(speed, 3.0) if oncoming else speed + 1.0
+    ahead += MEET * (bv_speed + speed) if oncoming else 0.0
+    travelled = bv_speed * time
+    station = ahead + (-travelled if oncoming else travelled)
+    x, y, h = on_arc(station, left, curvature)
+    turned = math.pi if oncoming else 0.0
+    step = -2.0 if oncoming else 2.0
+    line = [list(on_arc(ahead + step * i, left, curvature)[:2]) for i in range(60)]
+    way = {"movement": "straight", "junction": NO_ARRIVAL, "conflict": None, "centreline": line}
+    bv = _bv((x, y, wrap(h + turned)), bv_speed, travelled, time, (x, y))
+    bv |= {
+        "ahead": station - speed * time, "left": left, "relative_heading": turned, "road_heading": h,
+        "target_left": 0.0 if time else left, "lateral_time": 1.5 if time == TIMES[1] else 0.0,
+        "speed_along": -bv_speed if oncoming else bv_speed,
+    }  # fmt: skip
+    road = _road(relation, left, curvature, bv_speed, (*on_arc(ahead, left, curvature)[:2], turned), way)
+    return Probe(name, bv, _ego(curvature, speed, time, [NO_ARRIVAL]), road)
+
+
+def _meeting(
+    kind: str, movement: str, junction: float, angle: float, away: float, points: int, curvature: float
+) -> tuple[dict[str, Any], Callable[[float], Pose]]:
+    """A way that begins ``away`` metres from where it meets the ego's path, and its pose after some metres."""
+    cx, cy, ch = on_arc(CONFLICT, 0.0, curvature)
+    heading = wrap(ch + angle)
+    c, s = math.cos(heading), math.sin(heading)
+
+    def at(travelled: float) -> Pose:
+        return cx + (travelled - away) * c, cy + (travelled - away) * s, heading
+
+    conflict = {
+        "kind": kind, "x": cx, "y": cy, "heading": heading, "bv_distance": away, "ego_distance": CONFLICT,
+        "angle": angle,
+    }  # fmt: skip
+    line = [list(at(2.0 * i)[:2]) for i in range(points)]
+    return {"movement": movement, "junction": junction, "conflict": conflict, "centreline": line}, at
+
+
+def _arrival(speed: float, time: float) -> float:
+    """Seconds until the ego is where the ways meet."""
+    left = CONFLICT - speed * time
+    return left / max(speed, 3.0) if left <= 0 else (left / speed if speed > 2.8 else NO_ARRIVAL)
+
+
+def _crossing(name: str, relation: str, curvature: float, speed: float, time: float) -> Probe:
+    angle, away, pace = CROSSING_ANGLES[relation], 40.0, 7.0
+    kind = "merging" if relation == "merging" else "crossing"
+    movement = relation.removeprefix("crossing_") if relation != "merging" else "right"
+    way, at = _meeting(kind, movement, away - 8.0, angle, away, 60, curvature)
+    x, y, heading = at(pace * time)
+    bv = _bv((x, y, heading), pace, pace * time, time, (x, y))
+    bv |= {
+        "ahead": x - speed * time, "left": y, "relative_heading": angle,
+        "road_heading": on_arc(CONFLICT, 0.0, curvature)[2], "target_left": y, "lateral_time": 0.0,
+        "speed_along": pace * math.cos(angle),
+    }  # fmt: skip
+    start = at(0.0)
+    road = _road(kind, start[1], curvature, pace, start, way)
+    return Probe(name, bv, _ego(curvature, speed, time, [_arrival(speed, time)]), road)
+
+
+def _small(name: str, relation: str, curvature: float, speed: float, time: float) -> Probe:
+    """A pedestrian that stands beside the road at first, or a cyclist that rides along it; both may cross."""
+    cyclist = relation.startswith("cyclist")
+    across, at = _meeting("crossing", "across", NO_ARRIVAL, math.pi / 2, BESIDE, 15, curvature)
+    along = [list(on_arc(CONFLICT + 2.0 * i, -BESIDE, curvature)[:2]) for i in range(60)]
+    ways = [{"movement": "along", "junction": NO_ARRIVAL, "conflict": None, "centreline": along}] if cyclist else []
+    pace, ch = 4.0 if cyclist else 1.5, on_arc(CONFLICT, 0.0, curvature)[2]
+    travelled = min(pace * time, 20.0)
+    x, y, heading = on_arc(CONFLICT + travelled, -BESIDE, curvature) if cyclist else at(travelled)
+    turned, speed_now = heading - ch, pace if cyclist or time else 0.0
+    bv = _bv((x, y, heading), speed_now, travelled, time, (x, y))
+    left = -BESIDE if cyclist else travelled - BESIDE
+    bv |= {
+        "ahead": CONFLICT + (travelled if cyclist else 0.0) - speed * time, "left": left, "relative_heading": turned,
+        "road_heading": ch, "target_left": left, "lateral_time": 0.0, "speed_along": speed_now * math.cos(turned),
+        "length": SIZES[relation][0], "width": SIZES[relation][1],
+    }  # fmt: skip
+    road = _road("crossing", -BESIDE, curvature, speed_now, (*at(0.0)[:2], heading), across)
+    road |= {"ways": [*ways, across], "sides": [], "fastest": FASTEST[RoadUser(relation.removesuffix("_hidden"))]}
+    arrivals = [NO_ARRIVAL] * len(ways) + [_arrival(speed, time)]
+    return Probe(name, bv, _ego(curvature, speed, time, arrivals), road)
+
+
+def _bv(pose: Pose, speed: float, travelled: float, time: float, here: tuple[float, float]) -> dict[str, Any]:
+    x, y, heading = pose
+    last = {"x": here[0], "y": here[1], "heading": heading, "speed": speed, "time": 2.0} if time else None
+    return {
+        "x": x, "y": y, "heading": heading, "speed": speed, "acceleration": 0.0, "travelled": travelled, "offset": 0.0,
+        "length": LENGTH, "width": WIDTH, "time": time, "last": last,
+    }  # fmt: skip
+
+
+def _road(
+    relation: str, left: float, curvature: float, speed: float, start: Pose, way: dict[str, Any]
+) -> dict[str, Any]:
+    x, y, heading = start
+    return {
+        "relation": relation, "left": left, "lane_width": LANE_WIDTH, "ways": [way],
+        "sides": [{"offset": LANE_WIDTH, "kind": "same"}, {"offset": -LANE_WIDTH, "kind": "opposite"}],
+        "start": {"x": x, "y": y, "heading": heading, "speed": speed},
+        "ego_centreline": [list(on_arc(2.0 * i, 0.0, curvature)[:2]) for i in range(100)],
+        "fastest": fastest_of(speed), "signals": {"bv": [], "ego": []},
+    }  # fmt: skip
+
+
+# -- the trial ------------------------------------------------------------------------------------------------------
 
 REACH, REACH_SPEED = 20.0, 60.0  # m, m/s: an endpoint may be this far away, and farther by this speed
 OFF_ROAD, DRIFT = 10.0, 0.5  # m from every centreline, and metres more for each metre ahead: bends may be cut
@@ -87,19 +273,15 @@ def _fault(call: Call, road: Mapping[str, Any], answer: dict[str, float] | Sandb
     distance = math.hypot(answer["x"] - bv["x"], answer["y"] - bv["y"])
     if distance > REACH + REACH_SPEED * answer["time"]:
         return f"it asks for a place {distance:.0f} m away within {answer['time']:.1f} s, which no vehicle reaches."
-    aside = _aside(road, answer["x"], answer["y"])
+    lines = (road["ego_centreline"], *(way["centreline"] for way in road["ways"]))
+    aside = min(_from_line(np.asarray(line, float), answer["x"], answer["y"]) for line in lines)
     if aside > OFF_ROAD + DRIFT * distance:
         return f"it asks for a place {aside:.0f} m beside the road."
     return None
 
 
-def _aside(road: Mapping[str, Any], x: float, y: float) -> float:
-    """Metres from a place to the nearest centreline. Centrelines go straight on beyond their ends."""
-    lines = [road["ego_centreline"], *(way["centreline"] for way in road["ways"])]
-    return min(_from_line(np.asarray(line, float), x, y) for line in lines)
-
-
 def _from_line(line: Floats, x: float, y: float) -> float:
+    """Metres from a place to a line, which goes straight on beyond its ends."""
     a, b = line[:-1], line[1:]
     d = b - a
     length = np.hypot(d[:, 0], d[:, 1])

@@ -27,7 +27,7 @@ from sumo_adv.report.manifest import Recorded, read_manifest
 from sumo_adv.report.page.read import read_outcome
 from sumo_adv.report.staging import staged
 from sumo_adv.simulation.inputs import EgoRoute, data_folder
-from sumo_adv.simulation.props import Prop
+from sumo_adv.simulation.playback_spec import Prop
 from sumo_adv.simulation.sumo_options import differing
 
 FOUND = ("level", "contact_time", "min_ttc", "delta_v", "severity", "preventable_by")

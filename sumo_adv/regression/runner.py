@@ -31,7 +31,7 @@ from sumo_adv.regression.measured import Measured
 from sumo_adv.report.folder import all_sizes, write_run
 from sumo_adv.report.staging import staged
 from sumo_adv.simulation.engine import Engine
-from sumo_adv.simulation.recording import tracks_of
+from sumo_adv.simulation.tracks import tracks_of
 
 INPUTS = "inputs"  # beside the runs: networks and demand, each content once
 

@@ -20,8 +20,8 @@ from sumo_adv.report.outcome import manifest, number, outcome
 from sumo_adv.report.staging import RunFolder
 from sumo_adv.report.tables import SERIES_HEADER, write_gzip, write_plan, write_signals, write_states
 from sumo_adv.report.verdicts import figures, judge_best
-from sumo_adv.simulation.recording import tracks_of
 from sumo_adv.simulation.simulation import Snapshot
+from sumo_adv.simulation.tracks import tracks_of
 
 RUN_FILES = ("outcome.json", "manifest.json", "states.csv.gz", "raw.csv.gz", "criticality.csv.gz", "encounter.png")
 FIRST = "first.csv.gz"  # written if another attempt than the first counts

@@ -19,8 +19,7 @@ from sumo_adv.planners.source import make_planner
 from sumo_adv.report.outcome import SCHEMA
 from sumo_adv.simulation.inputs import EgoRoute, RunInput, WaymoSource
 from sumo_adv.simulation.maps import Conversion
-from sumo_adv.simulation.playback_spec import PlaybackSpec, make_playback
-from sumo_adv.simulation.props import Prop
+from sumo_adv.simulation.playback_spec import PlaybackSpec, Prop, make_playback
 from sumo_adv.simulation.simulation import SimulationSpec
 from sumo_adv.simulation.sumo_options import DEFAULTS
 

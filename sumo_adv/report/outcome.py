@@ -25,8 +25,8 @@ from sumo_adv.datatypes import (
     Verdict,
     plain_acceleration,
 )
+from sumo_adv.episode.assessment import motion_of
 from sumo_adv.episode.episode import Episode, Tried
-from sumo_adv.episode.fitting import motion_of
 from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.llm.chat import Ledger
 from sumo_adv.simulation.inputs import WaymoSource

@@ -14,9 +14,9 @@ from sumo_adv.metrics.case import NEAR
 from sumo_adv.metrics.criticality import AVAILABLE
 from sumo_adv.metrics.series import series
 from sumo_adv.metrics.validity import MOST
-from sumo_adv.simulation.recording import tracks_of
 from sumo_adv.simulation.signals import COLUMNS
 from sumo_adv.simulation.simulation import Snapshot
+from sumo_adv.simulation.tracks import tracks_of
 
 HEADER = "time,id,role,x,y,heading,speed,acceleration,length,width,lane\n"
 SERIES = ("ttc", "gap", "drac", "btn", "headway", "required_lateral", "centre_distance")

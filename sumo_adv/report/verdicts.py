@@ -30,7 +30,7 @@ from sumo_adv.metrics.realism import PAPER_BINS, WOSAC_BINS, distances, own_figu
 from sumo_adv.report.outcome import number
 from sumo_adv.report.tables import series_rows
 from sumo_adv.simulation.network import Drivable
-from sumo_adv.simulation.recording import tracks_of
+from sumo_adv.simulation.tracks import tracks_of
 
 LEAST_OWN, LEAST_REFERENCE = 10, 100  # steps below which a distance of distributions says nothing
 MOST_MAPPED = 40  # reference vehicles that are measured against the road's edge

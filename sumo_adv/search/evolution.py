@@ -14,9 +14,8 @@ from dataclasses import dataclass, replace
 
 from sumo_adv.datatypes import Level, Proposal, Verdict
 from sumo_adv.goal import Goal
-from sumo_adv.search.sampling import Sampler, originals, varied
+from sumo_adv.search.sampling import BRAKING_LABEL, BRAKING_RANGE, AttackTemplate, Sampler, originals, varied
 from sumo_adv.search.settings import EvolutionSettings
-from sumo_adv.search.templates import BRAKING_LABEL, BRAKING_RANGE, AttackTemplate
 
 ENOUGH_WARNING = 2.0  # s from the alarm of ``cc_human`` to the contact: more makes a collision no more avoidable
 HARD = 10.0  # m/s of delta-v: more counts as this
@@ -85,7 +84,6 @@ class Evolution:
 
     @property
     def templates(self) -> Sequence[AttackTemplate]:
-        """What is drawn from."""
         return self._templates
 
     def draw_from(self, templates: Sequence[AttackTemplate]) -> None:
@@ -100,7 +98,6 @@ class Evolution:
         self._waiting += _by_turns(first, [t.target.state.id for t in fresh]) + drawn
 
     def add(self, proposals: Sequence[Proposal]) -> None:
-        """Try these next."""
         self._waiting[:0] = proposals
 
     def close(self, kind: Collection[str]) -> None:

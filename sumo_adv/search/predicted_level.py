@@ -121,9 +121,7 @@ def _strongest(adversary: Boxes, last: Ints, dt: float) -> Floats:
 
 def _check(collisions: Collisions, onward: Floats, rows: Ints, *, with_others: bool = False) -> Counterfactual:
     """The counterfactual of some rows: the ego as predicted until the contact, the adversary as planned after it too.
-
-    with_others: with the other vehicles near, which may leave a reference driver no room.
-    """
+    with_others: with the other vehicles near, which may leave a reference driver no room."""
     last, situation = collisions.last[rows], collisions.situations[0]
     until, more = int(last.max()) + 1, round(BEYOND / situation.dt)
     ego, adversary = (some_rows(b, rows) for b in (collisions.ego, collisions.adversary))
@@ -158,9 +156,10 @@ def _others(collisions: Collisions, rows: Ints) -> Boxes | None:
             continue
         situation, (_, bvs) = collisions.situations[row], key
         same = rows[[n == key for n in names]]
+        ex, ey = (q[same, collisions.last[same]] for q in (collisions.ego.x, collisions.ego.y))
         tracks = [
             t for t in situation.traffic.others
-            if t.id not in bvs and _comes_near(t.x, t.y, collisions.ego, collisions.last, same)
+            if t.id not in bvs and (np.hypot(t.x[:, None] - ex, t.y[:, None] - ey) < NEAR).any()
         ]  # fmt: skip
         time = np.asarray(situation.time + np.arange(steps) * situation.dt, float)
         tracks_of[key] = on_grid(tracks, time) if tracks else None
@@ -176,12 +175,6 @@ def _others(collisions: Collisions, rows: Ints) -> Boxes | None:
         motion[:, :, place] = b.x[rows], b.y[rows], b.heading[rows], b.speed[rows]
         size[:, :, place] = np.asarray(b.length)[rows], np.asarray(b.width)[rows]
     return Boxes(*motion, *size)
-
-
-def _comes_near(x: Floats, y: Floats, ego: Boxes, last: Ints, rows: Ints) -> bool:
-    """Whether a track comes within ``NEAR`` of where one of the egos is at its contact."""
-    ex, ey = ego.x[rows, last[rows]], ego.y[rows, last[rows]]
-    return bool((np.hypot(x[:, None] - ex, y[:, None] - ey) < NEAR).any())
 
 
 def _human(check: Counterfactual, adversary: Boxes, last: Ints, dt: float) -> Bools:

@@ -11,14 +11,12 @@ from dataclasses import replace
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Duty, Limits, Prediction, Proposal
 from sumo_adv.planners.sandbox import Sandbox
-from sumo_adv.planners.sessions import Roads, Sessions
-from sumo_adv.planners.trusted import is_trusted
+from sumo_adv.planners.sessions import Roads, Sessions, is_trusted
 from sumo_adv.road_users import road_user
-from sumo_adv.search.escapes import predicted_escapes
-from sumo_adv.search.goal_score import goal_score
 from sumo_adv.search.rollouts import Rollouts, lined_up, predict
-from sumo_adv.search.scoring import judge_all, touch_of
+from sumo_adv.search.scoring import goal_score, judge_all, touch_of
 from sumo_adv.search.settings import ScoreSettings
+from sumo_adv.search.supports import predicted_escapes
 from sumo_adv.simulation.network import Drivable
 from sumo_adv.situation import Situation
 

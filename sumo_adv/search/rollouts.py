@@ -40,16 +40,9 @@ class Rollouts:
 
 
 def predict(
-    situations: Mapping[float, Situation],
-    proposals: Sequence[Proposal],
-    ask: Ask,
-    *,
-    limits: Limits,
-    steps: int,
-    replan: int,
-    touch: Touch | None = None,
-    to_the_end: bool = False,
-) -> Rollouts:
+    situations: Mapping[float, Situation], proposals: Sequence[Proposal], ask: Ask, *, limits: Limits, steps: int,
+    replan: int, touch: Touch | None = None, to_the_end: bool = False,
+) -> Rollouts:  # fmt: skip
     """Roll all candidates out for ``steps`` steps; their planners are asked every ``replan`` steps.
 
     All candidates have the same number of supports. The rows are those of :func:`lined_up`, so that the cost grows with

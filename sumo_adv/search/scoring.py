@@ -10,11 +10,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import combinations
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Boxes, Floats, Ints, Level, Limits, Prediction, Proposal, Role, Track
+from sumo_adv.goal import Goal
 from sumo_adv.metrics.boxes import between_steps, gap, half_diagonal, on_grid, overlaps, pick, sweep, touching
 from sumo_adv.metrics.contact import rear_end
 from sumo_adv.metrics.criticality import ttc
@@ -38,7 +39,7 @@ def judge_all(
     limits: Limits, weights: ScoreSettings,
 ) -> list[tuple[float, Prediction]]:  # fmt: skip
     """The score and the prediction of each rollout, row by row; ``situations``: by delay [s]."""
-    seen = _look_at(situations, proposals, rollouts, drivable, limits, weights)
+    seen = _look_at(situations, proposals, rollouts, drivable, limits)
     missed = weights.miss_by_ttc * np.minimum(seen.least, 10.0) + weights.miss_by_gap * np.minimum(seen.nearest, 30.0)
     score = np.where(seen.hit, weights.no_warning, weights.miss + missed)
     score = np.where(seen.leaves, weights.off_road, np.where(seen.beyond, weights.beyond_limits, score))
@@ -80,7 +81,7 @@ class _Seen:
     rear: Bools
     least: Floats
     nearest: Floats
-    supports: tuple[Boxes, ...] = ()
+    supports: Sequence[Boxes] = ()
 
     @property
     def counts(self) -> Bools:
@@ -90,7 +91,7 @@ class _Seen:
 
 def _look_at(
     situations: Mapping[float, Situation], proposals: Sequence[Proposal], rollouts: Rollouts, drivable: Drivable,
-    limits: Limits, weights: ScoreSettings,
+    limits: Limits,
 ) -> _Seen:  # fmt: skip
     steps, begun = rollouts.ego[0].shape[1], [situations[p.delay] for p in proposals]
     ego_state, dt, time = begun[0].ego, begun[0].dt, rollouts.time
@@ -98,10 +99,11 @@ def _look_at(
     ranks = zip(
         zip(*(p.members for p in proposals), strict=True), (rollouts.adversary, *rollouts.supports), strict=True
     )
-    driven = [_Driven.of(begun, members, motions) for members, motions in ranks]
-    adversary, supports = driven[0].boxes, tuple(each.boxes for each in driven[1:])
+    driven = [_driven(begun, members, motions) for members, motions in ranks]
+    adversary, *supports = (boxes for boxes, _ in driven)
     left = np.array([situation.left for situation in begun])
-    contact = _first(touching(ego, adversary))
+    touches = touching(ego, adversary)
+    contact: Any = np.where(touches.any(axis=1), touches.argmax(axis=1), steps)
     hit = contact < np.minimum(steps, left + 1)
     end = np.minimum(steps - 1, left).astype(np.intp)
     last = np.minimum(contact, end)
@@ -109,11 +111,12 @@ def _look_at(
     judged = (time > 0) & (time <= end_time[:, None] + CLOCK_SLACK)  # the first state is SUMO's own
     third, leaves, beyond = np.zeros((3, len(proposals)), bool)
     bvs = [p.bvs for p in proposals]
-    for each in driven:
-        third |= _third_party(begun, bvs, each.boxes, time, end_time)
-        bound = judged & ~unprotected(each.boxes.length, each.boxes.width)  # to the carriageway
-        leaves |= _leaves_road(each.boxes, bound, drivable)
-        beyond |= _beyond_limits(each.boxes, each.before, time, judged, limits)
+    for boxes, before in driven:
+        third |= _third_party(begun, bvs, boxes, time, end_time)
+        bound = judged & ~unprotected(boxes.length, boxes.width)  # to the carriageway
+        looked_at = bound & (np.arange(steps) % ROAD_STRIDE == 1)
+        leaves |= off_road(boxes, looked_at, drivable, ROAD_INSET).any(axis=1)
+        beyond |= _beyond_limits(boxes, before, time, judged, limits)
     for first, second in combinations((ego, adversary, *supports), 2):
         if second is not adversary:
             third |= _touch(first, second, time, end_time)
@@ -124,19 +127,11 @@ def _look_at(
     )  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
-class _Driven:
-    """One adversary of each candidate. ``before``: its acceleration at the trigger ``(n,)`` [m/s2]."""
-
-    boxes: Boxes
-    before: Floats
-
-    @classmethod
-    def of(cls, begun: Sequence[Situation], members: Sequence[Proposal], motions: Motions) -> _Driven:
-        """The adversaries ``members``, row by row."""
-        states = [situation.targets[p.bv].state for situation, p in zip(begun, members, strict=True)]
-        lengths, widths = np.array([[s.length] for s in states]), np.array([[s.width] for s in states])
-        return cls(Boxes(*motions, lengths, widths), np.array([s.acceleration for s in states]))
+def _driven(begun: Sequence[Situation], members: Sequence[Proposal], motions: Motions) -> tuple[Boxes, Floats]:
+    """One adversary of each candidate, row by row: its motion, and its acceleration at the trigger [m/s2]."""
+    states = [situation.targets[p.bv].state for situation, p in zip(begun, members, strict=True)]
+    lengths, widths = np.array([[s.length] for s in states]), np.array([[s.width] for s in states])
+    return Boxes(*motions, lengths, widths), np.array([s.acceleration for s in states])
 
 
 def _touch(one: Boxes, other: Boxes, time: Floats, end: Floats) -> Bools:
@@ -189,10 +184,6 @@ def touch_of(situations: Mapping[float, Situation], proposals: Sequence[Proposal
     return touch
 
 
-def _first(holds: Bools) -> Any:
-    return np.where(holds.any(axis=1), holds.argmax(axis=1), holds.shape[1])
-
-
 def _score(danger: Danger, weights: ScoreSettings) -> Floats:
     """By the level, and within a level by what is missing to the next: winners at the edge do not survive noise."""
     warned = np.clip(danger.warning / weights.warned_enough, 0.0, 1.0)
@@ -210,10 +201,8 @@ def _score(danger: Danger, weights: ScoreSettings) -> Floats:
 
 
 def _ends(ego: Boxes, adversary: Boxes, last: Any, hit: Bools, time: Floats) -> tuple[Floats, tuple[Boxes, Boxes]]:
-    """When each rollout ends ``(n,)`` [s], and both boxes ``(n,)`` then.
-
-    That is the exact first contact, which lies in the step to ``last`` ``(n,)``, or ``last`` without a hit.
-    """
+    """When each rollout ends ``(n,)`` [s], and both boxes ``(n,)`` then. That is the exact first contact, which lies in
+    the step to ``last`` ``(n,)``, or ``last`` without a hit."""
     before = np.maximum(last - 1, 0)
     steps = (np.arange(len(last))[:, None], np.stack([before, last], axis=1))
     share = np.where(hit, np.minimum(sweep(pick(ego, steps), pick(adversary, steps))[:, 0], 1.0), 1.0)
@@ -245,28 +234,21 @@ def _third_party(
     pairs = [
         _near_others(situation, begun, bvs, adversary, time, end) for situation in {id(s): s for s in begun}.values()
     ]
-    rows = np.concatenate([p.rows for p in pairs])
+    rows = np.concatenate([own for own, _ in pairs])
     if not len(rows):
         return touched
-    around = _joined([p.vehicles for p in pairs])
+    around = Boxes(*(np.concatenate([getattr(b, f.name) for _, b in pairs]) for f in fields(Boxes)))
     meets = third_party(some_steps(some_rows(adversary, rows), driven), some_steps(around, driven), when, end[rows])
     touched[rows[meets]] = True
     return touched
 
 
-class _Near(NamedTuple):
-    """Pairs of an adversary and another vehicle that may touch: the adversary's row, and the other vehicle's motion
-    ``(pairs, steps)``."""
-
-    rows: Ints
-    vehicles: Boxes
-
-
 def _near_others(
     situation: Situation, begun: Sequence[Situation], bvs: Sequence[tuple[str, ...]], adversary: Boxes, time: Floats,
     end: Floats,
-) -> _Near:  # fmt: skip
-    """The pairs of the rows that begin in a situation, without vehicles that will brake."""
+) -> tuple[Ints, Boxes]:  # fmt: skip
+    """Pairs of an adversary and another vehicle that may touch, of the rows that begin in a situation, without vehicles
+    that will brake: the adversary's row, and the other vehicle's motion ``(pairs, steps)``."""
     own = np.flatnonzero([s is situation for s in begun])
     tracks, driven = situation.traffic.others, slice(1, None)
     around = on_grid(tracks, np.asarray(situation.time + time))
@@ -280,23 +262,12 @@ def _near_others(
     x, y, heading = (q[rows, 0] for q in (adversary.x, adversary.y, adversary.heading))
     ahead = (around.x[others, 0] - x) * np.cos(heading) + (around.y[others, 0] - y) * np.sin(heading)
     kept = counts & ~(reacts & (ahead < 0.0))
-    return _Near(rows[kept], some_rows(around, others[kept]))
+    return rows[kept], some_rows(around, others[kept])
 
 
 def _brakes(track: Track) -> bool:
     """Whether it brakes for what is ahead: not an obstacle, and not a pedestrian."""
     return track.role is not Role.OBSTACLE and road_user(track) is not RoadUser.PEDESTRIAN
-
-
-def _joined(boxes: Sequence[Boxes]) -> Boxes:
-    """The rows of several boxes ``(n, steps)`` with sizes ``(n, 1)``."""
-    return Boxes(*(np.concatenate([getattr(b, f.name) for b in boxes]) for f in fields(Boxes)))
-
-
-def _leaves_road(adversary: Boxes, judged: Bools, drivable: Drivable) -> Bools:
-    """Whether a corner leaves the carriageway at the first driven step or every fourth after it, ``(n,)``."""
-    looked_at = judged & (np.arange(judged.shape[1]) % ROAD_STRIDE == 1)
-    return np.asarray(off_road(adversary, looked_at, drivable, ROAD_INSET).any(axis=1))
 
 
 def _beyond_limits(adversary: Boxes, before: Floats, time: Floats, judged: Bools, limits: Limits) -> Bools:
@@ -305,3 +276,31 @@ def _beyond_limits(adversary: Boxes, before: Floats, time: Floats, judged: Bools
     acceleration = np.concatenate([before[:, None], change], axis=1)
     broken = kinematic_gates(adversary, acceleration, time, limits)
     return np.asarray((np.any(list(broken.values()), axis=0) & judged).any(axis=1))
+
+
+# -- goals that are more than a level -------------------------------------------------------------------------------
+
+MOST_TTC, MOST_GAP = 10.0, 30.0  # s, m: what is farther off counts as this
+
+
+def goal_score(goal: Goal, score: float, made: Prediction, weights: ScoreSettings) -> float:
+    """The score of a prediction for the goal; ``score``: by its level alone. What fails whatever the ego does keeps its
+    score, and so does a run into the ego's back."""
+    if goal.ttc is not None:
+        spoilt = made.hopeless or (made.hit and made.level < Level.COLLISION)
+        return score if spoilt else _near_miss(goal.ttc, made, weights)
+    if goal.min_delta_v > 0 and made.level >= Level.COLLISION and made.delta_v < goal.min_delta_v:
+        return weights.miss + weights.too_mild * (1.0 - made.delta_v / goal.min_delta_v)
+    return score
+
+
+def _near_miss(band: tuple[float, float], made: Prediction, weights: ScoreSettings) -> float:
+    """In the band the better the nearer to its middle; else the better the nearer to the band, a contact last."""
+    low, high = band
+    if made.hit:
+        return weights.miss + weights.miss_by_ttc * low + weights.contact
+    if low <= made.min_ttc <= high:
+        return weights.strict * abs(2.0 * made.min_ttc - low - high) / (high - low)
+    off = low - made.min_ttc if made.min_ttc < low else min(made.min_ttc - high, MOST_TTC)
+    far = weights.miss_by_gap * min(made.gap, MOST_GAP) if made.min_ttc > high else 0.0
+    return weights.miss + weights.miss_by_ttc * off + far

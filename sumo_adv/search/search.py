@@ -1,14 +1,12 @@
 """The search for an attack: a pool of predicted candidates, from which the next ones to try are proposed.
 
-``AttackSearch`` draws candidates (``sampling``), has them predicted and scored (``scorer``), and draws more while none
-is good. ``propose`` takes the candidate with the least price: its score, and what else counts
-(``settings.PriceSettings``); after a few of them it varies what attempts came to (``evolution``). It plays the analyzer
-where no language model does (``ranking``).
+``AttackSearch`` draws candidates (``sampling``), has them predicted and scored (``prediction``), and draws more while
+none is good. ``propose`` takes the candidate with the least price: its score, and what else counts
+(``settings.PriceSettings``), as long as one promises a higher level than the attempts so far reached. After a few of
+them it varies what attempts came to (``evolution``). It plays the analyzer where no language model does (``ranking``).
 
 Where no candidate promises a valid collision, colliders that nearly succeed get supports, if more than one adversary is
 allowed (``supports``).
-
-An attempt that is chosen by its prediction must promise a higher level than the attempts so far reached.
 """
 
 from __future__ import annotations
@@ -20,16 +18,12 @@ from collections.abc import Collection, Mapping, Sequence
 from sumo_adv.datatypes import Intent, Level, LibraryEntry, ObservedMotion, Planner, Proposal, Verdict
 from sumo_adv.goal import Goal
 from sumo_adv.memory.records import Composition
-from sumo_adv.search.composed_attacks import Cast
-from sumo_adv.search.composed_intents import compose, composed
 from sumo_adv.search.evolution import Evolution
-from sumo_adv.search.protocols import Scorer
+from sumo_adv.search.intents import Selection, compose, composed
 from sumo_adv.search.ranking import ranked_intents, unpredicted_intents
-from sumo_adv.search.sampling import Sampler, elites
-from sumo_adv.search.selection import Selection
+from sumo_adv.search.sampling import AttackTemplate, Sampler, Scorer, elites, kind_of, templates_of
 from sumo_adv.search.settings import SearchSettings
-from sumo_adv.search.supports import SupportSearch
-from sumo_adv.search.templates import AttackTemplate, kind_of, templates_of
+from sumo_adv.search.supports import Cast, SupportSearch
 from sumo_adv.situation import Situation
 
 
@@ -37,21 +31,11 @@ class AttackSearch:
     """The candidates of one encounter. ``pool``: all that were predicted and not tried yet."""
 
     def __init__(
-        self,
-        scorer: Scorer,
-        situations: Mapping[float, Situation],
-        library: Sequence[LibraryEntry],
-        settings: SearchSettings,
-        *,
-        seed: int,
-        goal: Goal | None = None,
-        selection: Selection | None = None,
-        recalled: Proposal | None = None,
-        adversaries: int = 1,
-        colliders: Collection[str] = (),
-        compositions: Sequence[Composition] = (),
-        predicts: bool = True,
-    ) -> None:
+        self, scorer: Scorer, situations: Mapping[float, Situation], library: Sequence[LibraryEntry],
+        settings: SearchSettings, *, seed: int, goal: Goal | None = None, selection: Selection | None = None,
+        recalled: Proposal | None = None, adversaries: int = 1, colliders: Collection[str] = (),
+        compositions: Sequence[Composition] = (), predicts: bool = True,
+    ) -> None:  # fmt: skip
         """Predict the first candidates.
 
         situations: by delay after the trigger [s]. goal: what is wanted, a serious collision by default. selection: the
@@ -89,7 +73,6 @@ class AttackSearch:
             self.extend([e for e in library if not composed(e) or self._selection.names(e.label)])
 
     def __bool__(self) -> bool:
-        """Whether there is a candidate."""
         return bool(self.pool or self._evolution)
 
     # -- the pool -----------------------------------------------------------------------------------------------
@@ -143,10 +126,7 @@ class AttackSearch:
         self, intents: Sequence[Intent], library: Sequence[LibraryEntry], *, in_their_order: bool = False
     ) -> list[AttackTemplate]:
         """From now on draw from these intents; ``in_their_order``: draw from all, but a place in the ranking has its
-        price, and what is not in it comes last.
-
-        Returns the templates.
-        """
+        price, and what is not in it comes last. Returns the templates."""
         open_ = [e.label for e in self._selection.of(library)]
         drawn_from = open_ if in_their_order else [i.label for i in intents]
         self._templates = self._templates_of(library, drawn_from)
@@ -213,7 +193,7 @@ class AttackSearch:
             self._support.observe(tried, motion)
 
     def succeeded(self, kind: str) -> None:
-        """From now on look for an attack of another kind; see ``novelty.kind_of``."""
+        """From now on look for an attack of another kind; see ``sampling.kind_of``."""
         self._kinds.add(kind)
         self._evolution.close({kind})
         self._best = Level.NONE
@@ -269,10 +249,7 @@ class AttackSearch:
         return self._take(self._choice(open_)) if open_ else None
 
     def _open(self) -> list[Proposal]:
-        """The candidates that may be tried: they promise more than was reached.
-
-        Before the first attempt all may be.
-        """
+        """The candidates that may be tried: they promise more than was reached. Before the first attempt all may be."""
         if not self._tried:  # the first attempt shows something in any case
             return list(self.pool)
         over, bound = self._used_up(), self._settings.bound(self._best)

@@ -12,7 +12,7 @@ from string import Template
 from sumo_adv.datatypes import Duty, LibraryEntry
 from sumo_adv.planners.source import make_planner
 from sumo_adv.road_users import is_unprotected
-from sumo_adv.search.composed_intents import NAME
+from sumo_adv.search.intents import EXPERT
 from sumo_adv.situation import Target
 
 SAME_WAY = ("neighbour", "leader", "follower")  # relations of vehicles that go along the ego's path
@@ -127,7 +127,7 @@ def _entry(
     label: str, description: str, applies: tuple[str, ...], mode: str, text: Template, **numbers: str
 ) -> LibraryEntry:
     source = text.substitute(label=label, **numbers)
-    return LibraryEntry(label, description, applies, (make_planner(label, mode, source, NAME),))
+    return LibraryEntry(label, description, applies, (make_planner(label, mode, source, EXPERT),))
 
 
 _BLOCK = "The vehicle keeps beside the ego on its {} side and takes the room into which the ego would swerve."

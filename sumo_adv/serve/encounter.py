@@ -14,9 +14,8 @@ from itertools import combinations
 
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Proposal, Track
-from sumo_adv.episode.attempt import Driven, apart_of, attack
-from sumo_adv.episode.attempt_runner import answer_of
-from sumo_adv.episode.controllers import controller_of
+from sumo_adv.episode.assessment import answer_of
+from sumo_adv.episode.attempt import Driven, apart_of, attack, controller_of
 from sumo_adv.episode.encounter_builder import UnattackedMotion, build_encounter
 from sumo_adv.episode.encounter_detector import RankedVehicle
 from sumo_adv.episode.situation_builder import build_situation, trigger_state

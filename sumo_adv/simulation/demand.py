@@ -55,12 +55,8 @@ def generate(
     """
     if end <= begin:
         raise UsageError(f"Traffic cannot be generated from {begin:g} to {end:g} s: the end must be later.")
-    if density is not None and not 0.0 < density < float("inf"):
-        raise UsageError(f"A density of {density:g} departures per minute is of no use: give a positive number.")
     draw = random.Random(seed)
-    routes = journeys(network, draw)
-    if density is None:
-        density = default_density(routes)
+    routes, density = _routes_and_density(network, draw, density)
     lines, weights = [_HEADER], [journey.lanes for journey in routes]
     drawn = list[tuple[float, Journey]]()
     for part in range(math.ceil((end - begin) / PART)):
@@ -83,10 +79,7 @@ def generate_flows(network: Path, target: Path, *, density: float | None = None,
     Departures are a Poisson process on each route, from 0 to ``end`` [s]. Desired speeds spread by 10 %.
     density: as in :func:`generate`. Raises UsageError if no route exists or the density makes no sense.
     """
-    if density is not None and not 0.0 < density < float("inf"):
-        raise UsageError(f"A density of {density:g} departures per minute is of no use: give a positive number.")
-    routes = journeys(network, random.Random(0))
-    per_minute = default_density(routes) if density is None else density
+    routes, per_minute = _routes_and_density(network, random.Random(0), density)
     lanes = sum(journey.lanes for journey in routes)
     lines = [_HEADER.replace('speedDev="0"', 'speedDev="0.1"')]
     for number, journey in enumerate(routes):
@@ -98,6 +91,13 @@ def generate_flows(network: Path, target: Path, *, density: float | None = None,
         )
     target.write_text("".join([*lines, "</routes>\n"]), encoding="utf-8", newline="\n")
     return target
+
+
+def _routes_and_density(network: Path, draw: random.Random, density: float | None) -> tuple[list[Journey], float]:
+    if density is not None and not 0.0 < density < float("inf"):
+        raise UsageError(f"A density of {density:g} departures per minute is of no use: give a positive number.")
+    routes = journeys(network, draw)
+    return routes, default_density(routes) if density is None else density
 
 
 def default_density(found: list[Journey]) -> float:

@@ -52,11 +52,8 @@ def _ring_text(ring: Any) -> str:
 
 
 def area_of(texts: Iterable[str]) -> Any:
-    """The shapely polygons [m] that parameters' values describe; None if there is no value.
-
-    Raises:
-        ValueError: a value holds something else than rings of at least three points.
-    """
+    """The shapely polygons [m] that parameters' values describe; None if there is no value. Raises ValueError: a value
+    holds something else than rings of at least three points."""
     from shapely import Polygon, make_valid, union_all
 
     polygons = []

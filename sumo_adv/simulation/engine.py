@@ -65,11 +65,8 @@ class Engine:
             child_end.close()
 
     def request(self, command: str, *arguments: Any, answer: Answer | None = None) -> Any:
-        """Have the engine do something, answering its questions meanwhile.
-
-        Raises:
-            SumoAdvError: what the engine raised, or SimulationError if its process died.
-        """
+        """Have the engine do something, answering its questions meanwhile. Raises SumoAdvError: what the engine raised,
+        or SimulationError if its process died."""
         with self._alive():
             self._control.send((command, arguments))
             while True:
@@ -108,10 +105,8 @@ class Engine:
             raise SimulationError(f"The simulation process ended unexpectedly{self._last_words()}.") from error
 
     def _ready(self, *connections: Connection) -> list[Connection]:
-        """Those of the connections that can be read, as soon as there is one.
-
-        Raises DriverError if code of others in the process is overdue; the process is killed then.
-        """
+        """Those of the connections that can be read, as soon as there is one. Raises DriverError if code of others in
+        the process is overdue; the process is killed then."""
         while not (ready := wait(connections, LOOK)):
             if (call := self._watch.overdue()) is not None:
                 self._process.kill()
@@ -129,7 +124,6 @@ class Engine:
         return f" ({errors[-1][:300]})" if errors else ""
 
     def close(self) -> None:
-        """End the process."""
         for connection in (self._control, *self._slots):
             connection.close()
         self._process.join(timeout=0.5)
@@ -155,11 +149,8 @@ class Conversation:
         self.said = self._listen()
 
     def ask(self, message: Any) -> Any:
-        """What the command says to a message.
-
-        Raises:
-            SumoAdvError: what ended the command; SimulationError if its process died, or the command has ended before.
-        """
+        """What the command says to a message. Raises SumoAdvError: what ended the command; SimulationError if its
+        process died, or the command has ended before."""
         if self._over:
             raise SimulationError("The command has ended, so it answers no more: begin another.")
         with self._engine._alive():
@@ -178,16 +169,12 @@ class Conversation:
                 if engine._control in ready:
                     self._over = True
                     return engine._reply()
-                for slot in others:
-                    if slot in ready:
-                        question = slot.recv()
-                        slot.send(self._answer(question) if self._answer is not None else None)
+                for slot in ready:
+                    question = slot.recv()
+                    slot.send(self._answer(question) if self._answer is not None else None)
 
     def end(self) -> None:
-        """Tell the command to end; the engine is free for others then. May be called twice.
-
-        Raises as ``ask``.
-        """
+        """Tell the command to end; the engine is free for others then. May be called twice. Raises as ``ask``."""
         if self._over:
             return
         self._over, engine = True, self._engine
@@ -295,11 +282,9 @@ def can_fork() -> bool:
 
 
 def in_forks(
-    works: Sequence[Callable[[], Any]],
-    reloaded: Callable[[Callable[[], Any]], Callable[[], Any]] | None = None,
-    lost: Callable[[str], Any] | None = None,
-    memory: float = 0.0,
-) -> list[Any]:
+    works: Sequence[Callable[[], Any]], reloaded: Callable[[Callable[[], Any]], Callable[[], Any]] | None = None,
+    lost: Callable[[str], Any] | None = None, memory: float = 0.0,
+) -> list[Any]:  # fmt: skip
     """Do each piece of work in a fork of its own, at the same time; results in order.
 
     reloaded: adds to a piece of work that it loads the simulation again first. A fork that dies is repeated with it.
@@ -307,9 +292,8 @@ def in_forks(
     lost: makes a result of the sentence that says why a fork died, if it dies again when it is repeated.
     memory: what a fork may use beyond what it begins with [MiB]; 0: without bound.
 
-    Raises:
-        SimulationError: a fork died, and again when it was repeated, and there is no ``lost``; or its work failed.
-            DriverError if code of others ran in it then.
+    Raises SimulationError: a fork died, and again when it was repeated, and there is no ``lost``; or its work failed.
+    DriverError if code of others ran in it then.
     """
     ends = _forked(works, memory)
     if reloaded is not None:
@@ -382,9 +366,9 @@ def _bounded(memory: float) -> Iterator[None]:
         return
     import resource
 
-    words = dict(line.split(":", 1) for line in status.read_text().splitlines() if ":" in line)
+    data = next(line for line in status.read_text().splitlines() if line.startswith("VmData:"))
     before = resource.getrlimit(resource.RLIMIT_DATA)
-    bound = int(words["VmData"].split()[0]) * 1024 + int(memory * 2**20)
+    bound = int(data.split()[1]) * 1024 + int(memory * 2**20)
     resource.setrlimit(resource.RLIMIT_DATA, (bound, before[1]))
     try:
         yield
@@ -410,15 +394,15 @@ def _child(work: Callable[[], Any], outlet: int, memory: float) -> None:
 
 
 def _result(end: _End, lost: Callable[[str], Any] | None, *, repeated: bool) -> Any:
-    if not end.data:
-        error = _death(end, repeated=repeated)
-        if lost is None:
-            raise error
-        return lost(str(error))
-    kind, value = pickle.loads(end.data)
-    if kind == "error":
-        raise value
-    return value
+    if end.data:
+        kind, value = pickle.loads(end.data)
+        if kind == "error":
+            raise value
+        return value
+    error = _death(end, repeated=repeated)
+    if lost is None:
+        raise error
+    return lost(str(error))
 
 
 def how(exitcode: int | None) -> str:
@@ -436,13 +420,9 @@ def _death(end: _End, *, repeated: bool) -> SimulationError:
     again = ", also when the simulation was loaded again and the attempt repeated" if repeated else ""
     if end.call is not None:
         return DriverError(end.call.late() if end.late else end.call.ended(f"{how(end.status)}{again}"))
-    return SimulationError(_death_of_sumo(end.status, again))
-
-
-def _death_of_sumo(status: int, again: str) -> str:
-    if status >= 0:
-        return f"A forked attempt ended without a result (exit status {status}){again}."
-    name = signal.Signals(-status).name
+    if end.status >= 0:
+        return SimulationError(f"A forked attempt ended without a result (exit status {end.status}){again}.")
+    name = signal.Signals(-end.status).name
     crash = name in ("SIGSEGV", "SIGABRT", "SIGBUS", "SIGFPE", "SIGILL")
     sentence = "SUMO or the ego's driver crashed in a forked attempt" if crash else "A forked attempt was killed"
-    return f"{sentence} ({name}){again}."
+    return SimulationError(f"{sentence} ({name}){again}.")

@@ -8,7 +8,8 @@ from __future__ import annotations
 import json
 import math
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
@@ -59,6 +60,14 @@ def write_scenario(
     return len(log.tracks)
 
 
+@contextmanager
+def _no_fcd(recording: Path) -> Iterator[None]:
+    try:
+        yield
+    except (KeyError, ValueError) as error:
+        raise UsageError(f"{recording} is no FCD of SUMO ({error}); write it with sumo --fcd-output.") from error
+
+
 def _read(recording: Path) -> tuple[Seen, set[str]]:
     """Attributes by id and time [s], and which ids are persons'."""
     seen: Seen = {}
@@ -76,10 +85,8 @@ def _read(recording: Path) -> tuple[Seen, set[str]]:
             if tag == "person":
                 persons.add(attributes["id"])
 
-    try:
+    with _no_fcd(recording):
         parse(recording, start)
-    except (KeyError, ValueError) as error:
-        raise UsageError(f"{recording} is no FCD of SUMO ({error}); write it with sumo --fcd-output.") from error
     if not seen:
         raise UsageError(f"{recording} has no vehicle in a timestep; write it with sumo --fcd-output.")
     return seen, persons
@@ -114,21 +121,15 @@ def _log(recording: Path, seen: Seen, persons: set[str], sizes: Mapping[str, Siz
             f" than {MOST_STATES:.0e} states; cut it to the part that you need."
         )
     grid = times[0] + step * np.arange(count)
-    try:
+    with _no_fcd(recording):
         tracks = {n: _track(n, states, n in persons, sizes, grid, step) for n, states in seen.items()}
-    except (KeyError, ValueError) as error:
-        raise UsageError(f"{recording} is no FCD of SUMO ({error}); write it with sumo --fcd-output.") from error
     return TrackLog(np.round(grid, 3), tracks)
 
 
 def _track(
-    name: str,
-    states: Mapping[float, Mapping[str, str]],
-    person: bool,
-    sizes: Mapping[str, Size],
-    grid: Floats,
+    name: str, states: Mapping[float, Mapping[str, str]], person: bool, sizes: Mapping[str, Size], grid: Floats,
     step: float,
-) -> LoggedTrack:
+) -> LoggedTrack:  # fmt: skip
     first = next(iter(states.values()))
     length, width = sizes.get(first.get("type", ""), PERSON if person else CAR)
     x, y, heading, speed = np.zeros((4, len(grid)))
@@ -153,17 +154,11 @@ def _edges(states: Mapping[float, Mapping[str, str]], road: RoadMap) -> tuple[st
         lane = road.lanes.get(state.get("lane", ""))
         if lane is None or lane.internal or (route and lane.edge == route[-1]):
             continue
-        onward = (
-            {road.lanes[c.to].edge for n in road.edges[route[-1]] for c in road.lanes[n].connections} if route else ()
-        )
-        if route and lane.edge not in onward:
+        before = road.edges[route[-1]] if route else ()
+        if route and lane.edge not in {road.lanes[c.to].edge for n in before for c in road.lanes[n].connections}:
             break
         route.append(lane.edge)
     return tuple(route)
-
-
-def _onward(edge: str, road: RoadMap) -> set[str]:
-    return {road.lanes[c.to].edge for name in road.edges[edge] for c in road.lanes[name].connections}
 
 
 def _scenario(network: str, ego: str, begin: float, warm_up: float) -> str:

@@ -109,10 +109,8 @@ class RunInput:
 
 
 def load_input(path: Path) -> RunInput:
-    """The input at ``path``, or the shipped scenario or network of that name, checked.
-
-    Raises UsageError for anything missing, damaged, undrivable or mismatched.
-    """
+    """The input at ``path``, or the shipped scenario or network of that name, checked. Raises UsageError for anything
+    missing, damaged, undrivable or mismatched."""
     file = resolve(path)
     lower = file.name.lower()
     if ".tfrecord" in lower:

@@ -18,7 +18,7 @@ import subprocess
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -57,11 +57,8 @@ TYPES = {
 
 @dataclass(frozen=True, slots=True)
 class Conversion:
-    """A converted map.
-
-    network: the SUMO network. options: netconvert's. lost: what the network lacks, by kind. said: one to three
-    sentences on what was converted and lost.
-    """
+    """A converted map. network: the SUMO network. options: netconvert's. lost: what the network lacks, by kind. said:
+    one to three sentences on what was converted and lost."""
 
     source: Path
     network: Path
@@ -87,10 +84,8 @@ def is_map(path: Path) -> bool:
 
 
 def convert_map(path: Path, *, cache: Path | None = None) -> Conversion:
-    """The map at ``path`` as a network, from the cache (default: the user's) or made now.
-
-    Raises UsageError: the file is damaged, of another format, or has no road for cars; netconvert is missing or fails.
-    """
+    """The map at ``path`` as a network, from the cache (default: the user's) or made now. Raises UsageError: the file
+    is damaged, of another format, or has no road for cars; netconvert is missing or fails."""
     name = path.name.lower()
     if name.endswith(PACKED):
         raise UsageError(f"{path} is packed in a way that netconvert does not read: write it as .osm or .osm.gz first.")
@@ -166,21 +161,26 @@ def _read_map(path: Path, form: str) -> _Content:
     return content
 
 
-def _check_root(path: Path, tag: str, wanted: str) -> None:
-    if tag != wanted:
-        raise UsageError(f"{path} is no map of its ending: its root element is <{tag[:40]}>, not <{wanted}>.")
+def _parse_map(path: Path, start: Callable[[str, dict[str, str]], None], root: str) -> None:
+    """``parse`` of a file that must begin with the element ``root``."""
+    seen = False
+
+    def checked(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal seen
+        if not seen and tag != root:
+            raise UsageError(f"{path} is no map of its ending: its root element is <{tag[:40]}>, not <{root}>.")
+        seen = True
+        start(tag, attributes)
+
+    parse(path, checked)
 
 
 def _read_osm(path: Path) -> _Content:
     kinds: dict[str, str] = {}
-    root: list[str] = []
     way, left = "", False
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         nonlocal way, left
-        if not root:
-            root.append(tag)
-            _check_root(path, tag, "osm")
         if tag in ("way", "node", "relation"):
             way = attributes.get("id", "") if tag == "way" else ""
         elif tag == "tag" and way:
@@ -191,22 +191,18 @@ def _read_osm(path: Path) -> _Content:
                 kinds.setdefault(way, f"railway {value}")
             left = left or (key == "driving_side" and value == "left")
 
-    parse(path, start)
+    _parse_map(path, start, "osm")
     roads = sum(not kind.startswith("railway") for kind in kinds.values())
     return _Content(kinds, roads, False, left)
 
 
 def _read_opendrive(path: Path) -> _Content:
     kinds: dict[str, str] = {}
-    root: list[str] = []
     roads, left = 0, 0
     road, heights = "", False
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         nonlocal roads, left, road, heights
-        if not root:
-            root.append(tag)
-            _check_root(path, tag, "OpenDRIVE")
         if tag == "road":
             road, roads = attributes.get("id", ""), roads + 1
             left += attributes.get("rule") == "LHT"
@@ -215,7 +211,7 @@ def _read_opendrive(path: Path) -> _Content:
         elif tag == "lane" and attributes.get("type", "none") != "none":
             kinds[f"{road}_{attributes.get('id', '')}"] = f"lane {attributes['type']}"
 
-    parse(path, start)
+    _parse_map(path, start, "OpenDRIVE")
     return _Content(kinds, roads, heights, 2 * left > roads)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path as FilePath
@@ -89,18 +89,15 @@ class RoadMap:
     hand: float = 1.0
 
     @cached_property
-    def _tree(self) -> tuple[Any, list[str]]:
-        from shapely import LineString, STRtree
-
-        names = [n for n, lane in self.lanes.items() if not lane.internal and len(lane.shape) > 1]
-        return STRtree([LineString(self.lanes[n].shape) for n in names]), names
+    def _tree(self) -> tuple[Any, list[Lane]]:
+        return _tree_of(lane for lane in self.lanes.values() if not lane.internal)
 
     def lanes_near(self, x: float, y: float, radius: float) -> list[Lane]:
         """Lanes outside junctions that come within ``radius`` metres of a point."""
         from shapely import Point
 
-        tree, names = self._tree
-        return [self.lanes[names[i]] for i in sorted(tree.query(Point(x, y).buffer(radius)))]
+        tree, lanes = self._tree
+        return [lanes[i] for i in sorted(tree.query(Point(x, y).buffer(radius)))]
 
     @cached_property
     def meeting_junctions(self) -> frozenset[str]:
@@ -114,10 +111,7 @@ class RoadMap:
 
     @cached_property
     def _passenger_tree(self) -> tuple[Any, list[Lane]]:
-        from shapely import LineString, STRtree
-
-        lanes = [lane for lane in self.lanes.values() if lane.passenger and len(lane.shape) > 1]
-        return STRtree([LineString(lane.shape) for lane in lanes]), lanes
+        return _tree_of(lane for lane in self.lanes.values() if lane.passenger)
 
     def passenger_lanes_within(self, x: float, y: float, radius: float) -> list[Lane]:
         """Passenger lanes, also within junctions, of which a part of the centreline is within ``radius`` [m]."""
@@ -151,12 +145,11 @@ class RoadMap:
                 h = math.atan2(b[1] - a[1], b[0] - a[0])
                 if not lane.passenger or abs(wrap(h - heading)) < 2.6:
                     continue
-                d = -(math.cos(h) * (y - a[1]) - math.sin(h) * (x - a[0]))
+                d = math.cos(h) * (y - a[1]) - math.sin(h) * (x - a[0])
                 t = math.cos(h) * (x - a[0]) + math.sin(h) * (y - a[1])
-                if -2 < t < math.hypot(*(b - a)) + 2:
-                    d = -d
-                    if self.hand * d > 0 and (best is None or abs(d) < abs(best)):
-                        best = d
+                inside = -2 < t < math.hypot(*(b - a)) + 2
+                if inside and self.hand * d > 0 and (best is None or abs(d) < abs(best)):
+                    best = d
         return best
 
     def side_offsets(self, lane_id: str, x: float, y: float, heading: float) -> list[tuple[float, str]]:
@@ -272,6 +265,14 @@ class RoadMap:
         return Drivable(union_all(shapes).buffer(0.3).buffer(-0.3))
 
 
+def _tree_of(lanes: Iterable[Lane]) -> tuple[Any, list[Lane]]:
+    """Lanes, and a tree to look them up by place."""
+    from shapely import LineString, STRtree
+
+    lines = [lane for lane in lanes if len(lane.shape) > 1]
+    return STRtree([LineString(lane.shape) for lane in lines]), lines
+
+
 def _cut(points: Floats, position: float, length: float) -> Floats:
     """The polyline from ``position`` metres on, for ``length`` metres."""
     step = np.hypot(*np.diff(points, axis=0).T)
@@ -284,11 +285,7 @@ def _cut(points: Floats, position: float, length: float) -> Floats:
 
 
 def read_network(path: FilePath) -> RoadMap:
-    """Read a net.xml or net.xml.gz.
-
-    Raises:
-        UsageError: sumolib cannot read the file.
-    """
+    """Read a net.xml or net.xml.gz. Raises UsageError: sumolib cannot read the file."""
     from sumolib.net import readNet
 
     try:

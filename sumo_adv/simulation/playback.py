@@ -2,10 +2,9 @@
 
 Up to the hand-over (the ego's first recorded step and the scenario's warm-up) the log moves every recorded vehicle.
 Then the ego gets its driver. Each other vehicle is handed to SUMO once it is on a lane (``background`` "sumo"), or goes
-on as recorded ("log") until the log says no more of it.  With "mixed" the log drives until an attack begins; then the
-vehicles near the adversary are handed to SUMO, so that they can react to it.  A vehicle that comes later is inserted as
-it comes; to be handed to SUMO its place must be free.  Vehicles without a route are never handed over.  Whatever the
-ego's driver or an attack drives, the log leaves alone for good.
+on as recorded ("log") until the log says no more of it.  A vehicle that comes later is inserted as it comes; to be
+handed to SUMO its place must be free.  Vehicles without a route are never handed over.  Whatever the ego's driver or an
+attack drives, the log leaves alone for good.
 
 Other objects are boxes beside SUMO, except parked ones with their centre in a lane: these are standing SUMO vehicles,
 so that SUMO's drivers see it.
@@ -21,15 +20,13 @@ import numpy as np
 from sumo_adv.datatypes import Floats, Track
 from sumo_adv.geometry import Pose
 from sumo_adv.simulation.network import RoadMap
-from sumo_adv.simulation.playback_spec import PlaybackSpec
-from sumo_adv.simulation.props import Prop, Recorded
+from sumo_adv.simulation.playback_spec import PlaybackSpec, Prop, Recorded
 from sumo_adv.simulation.signals import SignalLog, read_signals
 from sumo_adv.simulation.simulation import RawState, Simulation, heading_of, raw_of
 from sumo_adv.simulation.stage import Stage
 from sumo_adv.simulation.tracks import TrackLog, read_tracks
 
 OBJECTS = {"pedestrian": "pedestrian", "cyclist": "bicycle"}  # kinds of a log -> SUMO's vClasses
-NEAR_ATTACK = 60.0  # m around the adversary within which "mixed" hands vehicles to SUMO
 ROOM = 1.0  # m before and behind a vehicle that is inserted for SUMO to drive
 
 
@@ -62,8 +59,6 @@ class Playback:
         """Nothing has been played back yet in ``simulation``."""
         self._stage = Stage(simulation)
         self._free: set[str] = set()  # driven by SUMO, the ego's driver or an attack
-        self._attacks: set[str] = set()  # vehicles of the log and boxes that an attack drives
-        self._attack: tuple[Pose, ...] = ()  # where it puts them in the present step
         self._kept: set[str] = set()  # never handed over: a replayed ego
         self._moved: dict[str, Pose] = {}  # by the log, in the present step
         self._gone: list[str] = []  # vehicles that the log ends in the present step
@@ -139,18 +134,15 @@ class Playback:
 
     def before_step(self, raw: Mapping[str, RawState], now: float, driven: dict[str, Pose]) -> None:
         """Add to ``driven`` the vehicles that the log moves in the step that begins ``now``; insert and hand over.
-
-        ``raw``: SUMO's present states; ``driven``: the vehicles that others place in this step, and where.
-        """
+        ``raw``: SUMO's present states; ``driven``: the vehicles that others place in this step, and where."""
         then = round(now + self._step, 6)
         self._moved, self._gone = {}, []
-        self._attack = tuple(driven[name] for name in self._attacks if name in driven)
+        hands_over = self.spec.background == "sumo" and now >= self.hand_over - 1e-6
         for name, vehicle in self._vehicles.items():
             if name in self._free:
                 continue
             if name in driven:
                 self._free.add(name)
-                self._attacks.add(name)
                 continue
             pose, here = vehicle.pose(then), name in raw
             if pose is None:
@@ -158,7 +150,7 @@ class Playback:
                     self._gone.append(name)
                 continue
             pose = Pose(pose.x, pose.y, pose.heading, max(0.0, pose.speed))
-            released = self._hands_over(pose, now) and name not in self._kept and name in self.spec.routes
+            released = hands_over and name not in self._kept and name in self.spec.routes
             if not here:
                 if released and not self._room(vehicle, pose, raw):
                     continue
@@ -174,15 +166,12 @@ class Playback:
         for name in sorted(self._boxes.keys() & driven.keys() - self._free):
             self._spawn(self._boxes[name], (), driven[name])  # from now on SUMO's drivers see it
             self._free.add(name)
-            self._attacks.add(name)
         if self._signals is not None:
             self._show(self._signals, then)
 
     def _keep_apart(self, name: str, vehicle: Recorded, pose: Pose, lane: str) -> None:
-        """Insert a vehicle anew once it has left all lanes.
-
-        Measured with SUMO 1.28: moving it on can crash SUMO, after its route was rewritten to the edge that it left.
-        """
+        """Insert a vehicle anew once it has left all lanes. Measured with SUMO 1.28: moving it on can crash SUMO, after
+        its route was rewritten to the edge that it left."""
         if lane:
             self._on_lanes.add(name)
         elif name in self._on_lanes:
@@ -191,21 +180,11 @@ class Playback:
             self._spawn(vehicle, self.spec.routes.get(name, ()), pose)
 
     def injected(self, driven: Mapping[str, Pose]) -> None:
-        """What is put where in the present step: a driver in a replayed ego may have replaced the log's pose.
-
-        The ego's driver has acted, so vehicles without a logged pose are needed no more: they are removed.
-        """
+        """What is put where in the present step: a driver in a replayed ego may have replaced the log's pose. The ego's
+        driver has acted, so vehicles without a logged pose are needed no more: they are removed."""
         self._moved = {name: driven[name] for name in self._moved}
         for name in self._gone:
             self._stage.remove(name)
-
-    def _hands_over(self, pose: Pose, now: float) -> bool:
-        """Whether SUMO should drive a vehicle with this pose from now on, if it can."""
-        if self.spec.background == "sumo":
-            return now >= self.hand_over - 1e-6
-        if self.spec.background == "log":
-            return False
-        return any(math.hypot(pose.x - at.x, pose.y - at.y) < NEAR_ATTACK for at in self._attack)
 
     def _show(self, signals: SignalLog, then: float) -> None:
         """Recorded lights, until the log ends."""
@@ -247,10 +226,8 @@ class Playback:
         return True
 
     def after_step(self, raw: Mapping[str, RawState], time: float) -> dict[str, RawState]:
-        """SUMO's states at ``time`` [s] with the log's speeds, and all that is there and no SUMO vehicle.
-
-        SUMO clips the speed of a moved vehicle in some steps in which it comes onto another lane.
-        """
+        """SUMO's states at ``time`` [s] with the log's speeds, and all that is there and no SUMO vehicle. SUMO clips
+        the speed of a moved vehicle in some steps in which it comes onto another lane."""
         states = dict(raw)
         for name, pose in self._moved.items():
             if name in raw:

@@ -8,11 +8,64 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from sumo_adv.errors import UsageError
-from sumo_adv.simulation.props import Prop
+from sumo_adv.geometry import Pose
 from sumo_adv.simulation.scan import scan_routes
-from sumo_adv.simulation.scenario import Background, Box, Scenario
+from sumo_adv.simulation.scenario import Background, Scenario
 from sumo_adv.simulation.signals import read_signals
-from sumo_adv.simulation.tracks import read_tracks
+from sumo_adv.simulation.tracks import LoggedTrack, read_tracks
+
+
+@dataclass(frozen=True, slots=True)
+class Prop:
+    """A scenario's box: x, y centre [m] at ``start`` [s], heading [rad], speed [m/s]; it is gone after ``end`` [s]."""
+
+    id: str
+    x: float
+    y: float
+    heading: float
+    speed: float
+    length: float
+    width: float
+    start: float = 0.0
+    end: float = math.inf
+    kind: str = "other"  # pedestrian | cyclist | parked | other
+
+    def pose(self, time: float) -> Pose | None:
+        """Where it is at ``time`` [s]; None before it comes and after it left."""
+        if not self.start - 1e-6 <= time <= self.end + 1e-6:
+            return None
+        gone = self.speed * (time - self.start)
+        return Pose(
+            self.x + gone * math.cos(self.heading), self.y + gone * math.sin(self.heading), self.heading, self.speed
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """An object of a log; its grid begins at ``begin`` [s] with steps of ``step`` [s]."""
+
+    track: LoggedTrack
+    begin: float
+    step: float
+
+    @property
+    def id(self) -> str:
+        return self.track.id
+
+    @property
+    def length(self) -> float:
+        return self.track.length
+
+    @property
+    def width(self) -> float:
+        return self.track.width
+
+    def pose(self, time: float) -> Pose | None:
+        """Where the log has it at a time of its grid; None where it is not valid."""
+        k, t = round((time - self.begin) / self.step), self.track
+        if not 0 <= k < len(t.valid) or not t.valid[k]:
+            return None
+        return Pose(float(t.x[k]), float(t.y[k]), float(t.heading[k]), float(t.speed[k]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,8 +89,7 @@ class PlaybackSpec:
 
     @property
     def follows_log(self) -> bool:
-        """Whether the log moves background vehicles, at least until an attack begins."""
-        return self.background in ("log", "mixed")
+        return self.background == "log"
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -46,21 +98,13 @@ class PlaybackSpec:
 
 
 def make_playback(
-    tracks: Path | None,
-    background: Background | None,
-    signals: Path | None,
-    props: Sequence[Prop],
+    tracks: Path | None, background: Background | None, signals: Path | None, props: Sequence[Prop],
     route_files: Sequence[Path],
-) -> PlaybackSpec | None:
-    """The spec with what its files say; None without anything to play back.
-
-    Raises:
-        UsageError: a file is missing, damaged or wrong, two things have one id, or there is no log where one is needed.
-    """
-    if background in ("log", "mixed") and tracks is None:
-        raise UsageError(
-            f"The background '{background}' needs recorded tracks: give a scenario with 'tracks', or choose 'sumo'."
-        )
+) -> PlaybackSpec | None:  # fmt: skip
+    """The spec with what its files say; None without anything to play back. Raises UsageError: a file is missing,
+    damaged or wrong, two things have one id, or there is no log where one is needed."""
+    if background == "log" and tracks is None:
+        raise UsageError("The background 'log' needs recorded tracks: give a scenario with 'tracks', or choose 'sumo'.")
     if tracks is None and signals is None and not props:
         return None
     if signals is not None:
@@ -86,8 +130,7 @@ def with_background(
     """The spec with another background, if one is given; else its own; else the log for an ego that is ``replayed``
     (it would drive into vehicles that go otherwise than recorded) and SUMO for any other.
 
-    Raises:
-        UsageError: there are no tracks to take it from.
+    Raises UsageError: there are no tracks to take it from.
     """
     if background is None:
         if spec is None or spec.background is not None:
@@ -101,12 +144,10 @@ def with_background(
 def scenario_playback(scenario: Scenario) -> PlaybackSpec | None:
     """What a scenario plays back. Raises UsageError as :func:`make_playback` does."""
     kinds = {"parked": scenario.parked, "pedestrian": scenario.pedestrians, "cyclist": scenario.cyclists}
-    props = [_prop(kind, k, box) for kind, boxes in kinds.items() for k, box in enumerate(boxes)]
+    props = [
+        Prop(f"{kind}{k}", b.x, b.y, b.heading, b.speed, b.length, b.width, *(b.times or (0.0, math.inf)), kind)
+        for kind, boxes in kinds.items() for k, b in enumerate(boxes)
+    ]  # fmt: skip
     return make_playback(
         scenario.tracks, scenario.background, scenario.signals.log, props, scenario.demand.files
     )  # fmt: skip
-
-
-def _prop(kind: str, k: int, b: Box) -> Prop:
-    start, end = b.times or (0.0, math.inf)
-    return Prop(f"{kind}{k}", b.x, b.y, b.heading, b.speed, b.length, b.width, start, end, kind)

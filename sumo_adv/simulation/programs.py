@@ -1,4 +1,6 @@
-"""Finds SUMO's programs: those of the ``eclipse-sumo`` wheel, else below ``SUMO_HOME``, else on the path."""
+"""Finds SUMO: its library, and its programs (those of the ``eclipse-sumo`` wheel, else below ``SUMO_HOME``, else on the
+path).
+"""
 
 from __future__ import annotations
 
@@ -7,8 +9,9 @@ import shutil
 import sys
 from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
 
-from sumo_adv.errors import UsageError
+from sumo_adv.errors import SimulationError, UsageError
 
 
 def find_sumo() -> Path:
@@ -28,10 +31,8 @@ def find_netconvert() -> Path:
 
 
 def find_type_maps(netconvert: Path) -> Path:
-    """The folder of SUMO's type maps (how wide and fast a kind of road is), which come with ``netconvert``.
-
-    Raises UsageError if there is none.
-    """
+    """The folder of SUMO's type maps (how wide and fast a kind of road is), which come with ``netconvert``. Raises
+    UsageError if there is none."""
     homes = [netconvert.resolve().parent.parent, netconvert.resolve().parent.parent / "share" / "sumo"]
     if home := os.environ.get("SUMO_HOME"):
         homes.append(Path(home))
@@ -52,3 +53,22 @@ def _find(program: str) -> Path | None:
             return folder / "bin" / name
     on_path = shutil.which(name)
     return None if on_path is None else Path(on_path)
+
+
+SYSTEM_LIBRARIES = "libx11-6 libxext6 libxrender1 libgl1 libexpat1 libatomic1"
+
+
+def load_libsumo() -> ModuleType:
+    """The module ``libsumo``. Raises SimulationError: it does not load; the sentence names what to install."""
+    try:
+        import libsumo
+    except ImportError as error:
+        fault = " ".join(str(error).split())
+        remedy = (
+            f"install its system libraries (Debian: apt-get install {SYSTEM_LIBRARIES})"
+            if ".so" in fault
+            else "install it again (pip install --force-reinstall libsumo)"
+        )
+        raise SimulationError(f"SUMO's library libsumo does not load ({fault}): {remedy}.") from error
+    module: ModuleType = libsumo
+    return module

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import gzip
+import tempfile
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, cast
 from xml.parsers import expat
+from xml.sax.saxutils import quoteattr
 
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.simulation import PERSON
@@ -34,9 +36,7 @@ class NetworkScan:
 @dataclass(frozen=True, slots=True)
 class DemandScan:
     """Edges in order of first use, ids of vehicles and trips, ids of flows (their vehicles are ``flow.0``, ...).
-
-    persons: ``person:ID`` of persons and of flows of them; files: the other files that it names.
-    """
+    persons: ``person:ID`` of persons and of flows of them; files: the other files that it names."""
 
     edges: tuple[str, ...]
     vehicles: frozenset[str]
@@ -51,11 +51,8 @@ class DemandScan:
 
 
 def scan_network(path: Path) -> NetworkScan:
-    """The edges of the SUMO network ``path``.
-
-    Raises UsageError if it is damaged, is no SUMO network, has a lane with an impossible length, width, speed or shape,
-    or has no lane for passenger cars.
-    """
+    """The edges of the SUMO network ``path``. Raises UsageError if it is damaged, is no SUMO network, has a lane with
+    an impossible length, width, speed or shape, or has no lane for passenger cars."""
     edges: set[str] = set()
     drivable: set[str] = set()
     root: list[str] = []
@@ -245,8 +242,75 @@ def _read(path: Path, start: _Handler, end: Callable[[str], None] | None) -> Non
         raise UsageError(f"{path} cannot be read: {error.strerror or error}.") from error
 
 
+def read_text(path: Path, what: str) -> str:
+    """The text of a file, packed by gzip or not. Raises UsageError; ``what``: the file in words."""
+    try:
+        data = path.read_bytes()
+        return (gzip.decompress(data) if data[:2] == b"\x1f\x8b" else data).decode()
+    except OSError as error:
+        raise UsageError(f"{what} {path} cannot be read: {error.strerror or error}.") from error
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        raise UsageError(f"{what} {path} are a damaged or truncated gzip file: write them again.") from error
+    except UnicodeDecodeError as error:
+        raise UsageError(f"{what} {path} are not text: give a CSV file.") from error
+
+
 def _open(path: Path) -> BinaryIO:
     """The file for reading, unpacked if it ends in .gz."""
     if path.name.lower().endswith(".gz"):
         return cast(BinaryIO, gzip.open(path, "rb"))
     return path.open("rb")
+
+
+# -- copies from which SUMO writes nothing --------------------------------------------------------------------------
+
+NOWHERE = "NUL"
+WRITTEN = ("file", "output", "dest")
+"""Attributes that name a file to write, where they do not name one to read (``scan.READ``)."""
+WRITTEN_PARAMETERS = ("file", "device.ssm.file", "device.toc.file")
+"""Keys of ``<param>``; the first is of actuated ``<tlLogic>``s."""
+FROM_HERE = "edgesFile"
+"""An attribute of ``<edgeData>`` that narrows what is written. SUMO looks for the file in the working folder."""
+
+
+def silent_copies(additional: Sequence[Path], folder: Path) -> tuple[Path, ...]:
+    """Each file itself if it names no other file, else a copy in a new folder in ``folder``. Additional files, demand
+    and networks are treated alike. Raises UsageError for a damaged or missing file."""
+    return tuple(_copy(file, folder) if _names_files(file) else file for file in additional)
+
+
+def _names_files(file: Path) -> bool:
+    changed = False
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal changed
+        changed = changed or _silent(tag, attributes) != attributes
+
+    return bool(parse(file, start)) or changed
+
+
+def _copy(file: Path, folder: Path) -> Path:
+    name = file.name[:-3] if file.name.lower().endswith(".gz") else file.name
+    target = Path(tempfile.mkdtemp(prefix="silent-", dir=folder)) / name
+    with target.open("w", encoding="utf-8", newline="\n") as out:
+
+        def start(tag: str, attributes: dict[str, str]) -> None:
+            given = "".join(f" {key}={quoteattr(value)}" for key, value in _silent(tag, attributes).items())
+            out.write(f"<{tag}{given}>\n")
+
+        def end(tag: str) -> None:
+            out.write(f"</{tag}>\n")
+
+        out.write('<?xml version="1.0" encoding="UTF-8"?>\n')
+        parse(file, start, end)
+    return target
+
+
+def _silent(tag: str, attributes: dict[str, str]) -> dict[str, str]:
+    """The attributes of an element that writes and reads no file."""
+    if tag == "param":
+        written = attributes.get("key") in WRITTEN_PARAMETERS
+        return {**attributes, "value": NOWHERE} if written else attributes
+    read = READ.get(tag)
+    kept = {key: value for key, value in attributes.items() if key not in (read, FROM_HERE)}
+    return {key: NOWHERE if key in WRITTEN else value for key, value in kept.items()}

@@ -1,29 +1,10 @@
 """The scenario file: one encounter, or one place and its traffic, in TOML (``schema = 1``).
 
-    schema = 1                              # version of this layout
-    network = "../networks/two_way.net.xml" # relative paths count from the scenario's own folder; or a shipped name
-    tracks = "log.csv.gz"                   # recorded tracks with valid flags (``tracks.py``), from which time 0 on
-    background = "sumo"                     # from the hand-over on: sumo | log (the BVs are driven by the tracks);
-                                            # not given: log for an ego that is replayed, else sumo
-    additional = ["drawn.add.xml"]          # further SUMO additional files (polygons and the like)
-
-    [demand]     files = [..] | density [departures per minute over the whole network]; seed, begin [s], end [s]
-    [ego]        id | route = [edges..] with depart [s], lane, position [m], speed [m/s];
-                 controller, parameters, type
-    [window]     warm_up [s], trigger [s] or "auto", horizon [s]
-    [adversary]  candidates = [ids..], supports = [ids..] (in attacks of several adversaries), intents = [labels..]
-    [signals]    files = [..] (SUMO additional files with tlLogic), log (recorded states, ``signals.py``)
-    [label]      intents = [labels..], source = "annotated" | "oracle"; relation, level, adversaries: of the best attack
-    [[parked]] [[pedestrians]] [[cyclists]]
-                 x, y [m] (box centre), heading [rad], length, width [m]; speed [m/s], times [s] = [from, to]
-    [written]    words, model, date: of a scenario made from words (``sumo-adv write``)
-    [asked]      what must be true of its attack: relation, user, events, side, hidden, beside, least_length,
-                 most_speed_first, level (``asked.py``)
-
-Every time is simulation time, but for ``warm_up``, which counts from the ego's insertion, and ``horizon``, a duration.
-With ``tracks`` the log moves all vehicles until the warm-up is over: then the ego gets its driver and the BVs theirs.
-A recorded vehicle's route is the ``<route>`` of its id in the demand's files; without one it is only ever replayed.
-Nothing here opens any file but the scenario; ``inputs.py`` checks what it names.
+The classes below are its tables; ``docs/settings.md`` explains every key. Relative paths count from the scenario's own
+folder. Every time is simulation time, but for ``warm_up``, which counts from the ego's insertion, and ``horizon``, a
+duration. With ``tracks`` the log moves all vehicles until the warm-up is over: then the ego gets its driver and the BVs
+theirs. A recorded vehicle's route is the ``<route>`` of its id in the demand's files; without one it is only ever
+replayed. Nothing here opens any file but the scenario; ``inputs.py`` checks what it names.
 """
 
 from __future__ import annotations
@@ -122,7 +103,7 @@ class Adversary(_Table):
     intents: tuple[Name, ...] = ()
 
 
-Background: TypeAlias = Literal["log", "sumo", "mixed"]
+Background: TypeAlias = Literal["log", "sumo"]
 """Who drives recorded vehicles."""
 
 
@@ -181,10 +162,8 @@ class Scenario(_Table):
 
 
 def load_scenario(path: Path) -> Scenario:
-    """The scenario in the TOML file ``path``.
-
-    Raises UsageError, one sentence with file and key, for what cannot be read, unknown keys and bad values.
-    """
+    """The scenario in the TOML file ``path``. Raises UsageError, one sentence with file and key, for what cannot be
+    read, unknown keys and bad values."""
     table = read_toml(path, "The scenario")
     try:
         return Scenario.model_validate(table, context={"folder": path.parent})

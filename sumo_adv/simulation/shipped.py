@@ -27,7 +27,6 @@ class ShippedScenario:
 
 
 def shipped_scenarios() -> list[ShippedScenario]:
-    """The shipped scenarios by name."""
     return [_read(path) for path in sorted(data_folder("scenarios").glob("*.toml"))]
 
 

@@ -1,22 +1,26 @@
-"""Recorded traffic lights: a CSV ``time,tls,state`` in SUMO's letters, packed by gzip or not.
+"""Traffic lights: as a log has them, and those near a place, which are recorded with a run for its replay page.
 
-A state holds until the light's next row; after the end of the log that it belongs to a light shows its own program.
+A log is a CSV ``time,tls,state`` in SUMO's letters, packed by gzip or not. A state holds until the light's next row;
+after the end of the log that it belongs to a light shows its own program.
 """
 
 from __future__ import annotations
 
 import csv
-import gzip
 import io
 import math
-import zlib
 from bisect import bisect_right
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
+
 from sumo_adv.errors import UsageError
+from sumo_adv.simulation.network import RoadMap
+from sumo_adv.simulation.scan import read_text
+from sumo_adv.simulation.simulation import Simulation
 
 COLUMNS = ("time", "tls", "state")
 LETTERS = frozenset("GgYyRrsuoO")
@@ -39,19 +43,8 @@ class SignalLog:
 
 
 def read_signals(path: Path) -> SignalLog:
-    """The recorded lights in ``path``.
-
-    Raises:
-        UsageError: one sentence with file and line for whatever is wrong.
-    """
-    try:
-        data = path.read_bytes()
-        text = (gzip.decompress(data) if data[:2] == b"\x1f\x8b" else data).decode()
-    except OSError as error:
-        raise UsageError(f"The signals {path} cannot be read: {error.strerror or error}.") from error
-    except (EOFError, zlib.error, gzip.BadGzipFile, UnicodeDecodeError) as error:
-        raise UsageError(f"The signals {path} are damaged or no text: write them again.") from error
-    reader = csv.reader(io.StringIO(text))
+    """The recorded lights in ``path``. Raises UsageError: one sentence with file and line for whatever is wrong."""
+    reader = csv.reader(io.StringIO(read_text(path, "The signals")))
     if tuple(next(reader, [])) != COLUMNS:
         raise UsageError(f"The signals {path} begin with another header: line 1 must be '{','.join(COLUMNS)}'.")
     lights: dict[str, list[tuple[float, str]]] = {}
@@ -72,3 +65,29 @@ def _row(path: Path, line: int, fields: list[str]) -> tuple[float, str, str]:
     if not math.isfinite(time) or not name or not state or not set(state) <= LETTERS:
         raise UsageError(f"The signals {path} cannot be used: line {line} is not a time, a light and its SUMO letters.")
     return time, name, state
+
+
+REACH = 250.0  # m: a light further away is on no picture of the encounter
+
+
+class LightsNear:
+    """Knows where the stop lines of a network's lights are."""
+
+    def __init__(self, road: RoadMap) -> None:
+        lines = [
+            (connection.light[0], lane.shape[-1])
+            for lane in road.lanes.values()
+            if not lane.internal
+            for connection in lane.connections
+            if connection.light[0]
+        ]
+        self._names = [name for name, _ in lines]
+        self._places = np.array([place for _, place in lines]).reshape(-1, 2)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+    def states(self, simulation: Simulation, x: float, y: float) -> dict[str, str]:
+        """The states of the lights with a stop line within ``REACH`` of (x, y) [m], in SUMO's letters."""
+        near = np.flatnonzero(np.hypot(self._places[:, 0] - x, self._places[:, 1] - y) <= REACH)
+        return {name: simulation.light(name) for name in sorted({self._names[k] for k in near})}

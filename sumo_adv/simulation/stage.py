@@ -32,8 +32,7 @@ class Stage:
         SUMO refuses a speed above ten times the limit of the route's first edge. Such a vehicle departs as fast as SUMO
         lets it, and the injected pose brings it to its speed.
 
-        Raises:
-            SimulationError: SUMO does not take it at any speed.
+        Raises SimulationError: SUMO does not take it at any speed.
         """
         route = f"{name}.log" if edges else ""
         try:
@@ -66,14 +65,11 @@ class Stage:
         fleet.persons.discard(person)
 
     def remove(self, name: str) -> None:
-        """Take a vehicle out."""
         self._sumo.vehicle.remove(name)
 
     def hand_over(self, name: str, speed: float, edges: Sequence[str], factor: float | None = None) -> None:
         """From the next step on SUMO drives, from ``speed`` [m/s], along ``edges`` from where the vehicle is on them.
-
-        factor: of the speed limit that its driver goes for; None = 1, or its own speed if that is more.
-        """
+        factor: of the speed limit that its driver goes for; None = 1, or its own speed if that is more."""
         vehicle = self._sumo.vehicle
         vehicle.setPreviousSpeed(name, speed)
         vehicle.setSpeed(name, -1.0)
@@ -104,11 +100,8 @@ class Stage:
             return
 
     def set_signal(self, name: str, state: str | None) -> None:
-        """Show a traffic light's state, None = what its own program says.
-
-        Raises:
-            UsageError: there is no such light, or the state does not fit it.
-        """
+        """Show a traffic light's state, None = what its own program says. Raises UsageError: there is no such light, or
+        the state does not fit it."""
         lights = self._sumo.trafficlight
         try:
             self._programs.setdefault(name, lights.getProgram(name))

@@ -47,10 +47,8 @@ _OWN_NAMES = frozenset(
 
 
 def is_own(name: str) -> bool:
-    """Whether this program sets the option itself: effects of collisions, outputs, messages, GUI, threads, port.
-
-    No option that writes a file is left to an input (``device.ssm`` writes files without being told to).
-    """
+    """Whether this program sets the option itself: effects of collisions, outputs, messages, GUI, threads, port. No
+    option that writes a file is left to an input (``device.ssm`` writes files without being told to)."""
     return name in _OWN_NAMES or name.startswith(_OWN) or "output" in name or name.endswith(".file")
 
 
@@ -71,8 +69,7 @@ def _is_file(configuration: Path, value: str) -> bool:
 
 def part_of(step: float) -> float | None:
     """The longest step [s] up to ``FINE_STEP`` of which ``step`` is a multiple, so that what SUMO does at the times of
-    the long steps is done; None if there is none. SUMO counts in whole ms.
-    """
+    the long steps is done; None if there is none. SUMO counts in whole ms."""
     whole = round(1000 * step)
     shortest, longest = round(1000 * SHORTEST_STEP), round(1000 * FINE_STEP)
     return next((part / 1000 for part in range(longest, shortest - 1, -1) if whole >= part and whole % part == 0), None)

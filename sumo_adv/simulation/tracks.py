@@ -12,8 +12,7 @@ import csv
 import gzip
 import io
 import math
-import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -21,7 +20,10 @@ import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats, Role, Track
 from sumo_adv.errors import UsageError
-from sumo_adv.geometry import wrap_below_pi
+from sumo_adv.geometry import wrap, wrap_below_pi
+from sumo_adv.simulation.remote import RawState
+from sumo_adv.simulation.scan import read_text
+from sumo_adv.simulation.simulation import Snapshot
 
 COLUMNS = ("time", "id", "kind", "valid", "x", "y", "heading", "speed", "length", "width")
 KINDS = ("vehicle", "pedestrian", "cyclist", "other")
@@ -33,10 +35,8 @@ Row = tuple[float, float, float, float, float, float]  # x, y, heading, speed, l
 
 @dataclass(frozen=True, slots=True)
 class LoggedTrack:
-    """One object over the whole grid of its log, arrays ``(n,)``; where ``valid`` is False the rest means nothing.
-
-    x, y: box centre [m]; heading [rad]; speed [m/s] along the heading; length, width [m].
-    """
+    """One object over the whole grid of its log, arrays ``(n,)``; where ``valid`` is False the rest means nothing. x,
+    y: box centre [m]; heading [rad]; speed [m/s] along the heading; length, width [m]."""
 
     id: str
     kind: str
@@ -63,7 +63,6 @@ class TrackLog:
 
     @property
     def end(self) -> float:
-        """The last time [s]."""
         return float(self.time[-1])
 
     def first(self, name: str) -> float:
@@ -113,9 +112,8 @@ def _between(t: LoggedTrack, low: Floats, high: Floats, share: Floats, inside: B
 def read_tracks(path: Path) -> TrackLog:
     """The log in ``path``.
 
-    Raises:
-        UsageError: one sentence with file and line for whatever is wrong: unreadable, another header, no number where
-            one is needed, two rows for one object and time, times that do not lie on an even grid, nothing valid.
+    Raises UsageError: one sentence with file and line for whatever is wrong: unreadable, another header, no number
+    where one is needed, two rows for one object and time, times that do not lie on an even grid, nothing valid.
     """
     kinds: dict[str, str] = {}
     rows: dict[str, dict[float, Row]] = {}
@@ -135,16 +133,7 @@ def read_tracks(path: Path) -> TrackLog:
 
 def _lines(path: Path) -> Iterable[tuple[int, list[str]]]:
     """Line numbers and fields of the rows under the header."""
-    try:
-        data = path.read_bytes()
-        text = (gzip.decompress(data) if data[:2] == b"\x1f\x8b" else data).decode()
-    except OSError as error:
-        raise UsageError(f"The tracks {path} cannot be read: {error.strerror or error}.") from error
-    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        raise UsageError(f"The tracks {path} are a damaged or truncated gzip file: write them again.") from error
-    except UnicodeDecodeError as error:
-        raise UsageError(f"The tracks {path} are not text: give a CSV file.") from error
-    reader = csv.reader(io.StringIO(text))
+    reader = csv.reader(io.StringIO(read_text(path, "The tracks")))
     try:
         header = next(reader, [])
         if tuple(header) != COLUMNS:
@@ -231,3 +220,58 @@ def write_tracks(path: Path, log: TrackLog) -> None:
                 out.writerow([*row, f"{t.speed[k]:.4f}", f"{t.length:.3f}", f"{t.width:.3f}"])
     data = text.getvalue().encode()
     path.write_bytes(gzip.compress(data, mtime=0) if path.name.endswith(".gz") else data)
+
+
+# -- recorded by this program ---------------------------------------------------------------------------------------
+
+
+class Recording:
+    """Snapshots in order."""
+
+    def __init__(self, step_length: float) -> None:
+        self.step_length = step_length
+        self.snapshots: list[Snapshot] = []
+
+    def forget(self, keep: int) -> None:
+        del self.snapshots[: max(0, len(self.snapshots) - keep)]
+
+    def append(self, snapshot: Snapshot) -> None:
+        self.snapshots.append(snapshot)
+
+    def acceleration(self, vehicle: str) -> float:
+        """The last step's change of speed over time [m/s2]; 0 for a vehicle that has just come."""
+        if len(self.snapshots) < 2:
+            return 0.0
+        newest, before = self.snapshots[-1].raw.get(vehicle), self.snapshots[-2].raw.get(vehicle)
+        return 0.0 if newest is None or before is None else (newest[3] - before[3]) / self.step_length
+
+
+def tracks_of(
+    snapshots: Sequence[Snapshot], sizes: Mapping[str, tuple[float, float]], roles: Mapping[str, Role],
+    step_length: float, only: Sequence[str] | None = None,
+) -> list[Track]:  # fmt: skip
+    """One track a vehicle, ordered by its first appearance; acceleration is the difference of speeds over the step (0
+    at the first state)."""
+    rows: dict[str, list[tuple[float, RawState]]] = {}
+    names = None if only is None else set(only)
+    for snapshot in snapshots:
+        for name, raw in snapshot.raw.items():
+            if names is None or name in names:
+                rows.setdefault(name, []).append((snapshot.time, raw))
+    return [_track(n, r, sizes[n], roles.get(n, Role.BACKGROUND), step_length) for n, r in rows.items()]
+
+
+def _track(
+    name: str, rows: list[tuple[float, RawState]], size: tuple[float, float], role: Role, step_length: float
+) -> Track:
+    times, states = zip(*rows, strict=True)
+    *columns, lane = zip(*states, strict=True)
+    time, x, y, angle_deg, speed = (np.array(c) for c in (times, *columns))
+    heading = wrap(np.radians(90.0 - angle_deg))
+    back = size[0] / 2
+    acceleration = np.zeros(len(time))
+    acceleration[1:] = np.where(np.diff(time) < 1.5 * step_length, np.diff(speed) / step_length, 0.0)
+    return Track(
+        name, role, time, x - back * np.cos(heading), y - back * np.sin(heading), heading, speed, acceleration,
+        size[0], size[1], lane,
+    )  # fmt: skip

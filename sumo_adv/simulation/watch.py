@@ -60,13 +60,11 @@ class Watch:
                 self._note = mmap.mmap(opened.fileno(), SIZE)
 
     def begin(self, call: Call) -> None:
-        """A call begins."""
         who, where = call.who.encode()[:LONGEST], call.where.encode()[:LONGEST]
         self._note[HEAD.size : HEAD.size + len(who) + len(where)] = who + where
         self._note[: HEAD.size] = HEAD.pack(time.monotonic(), call.limit, len(who), len(where))
 
     def end(self) -> None:
-        """It has returned."""
         self._note[: HEAD.size] = bytes(HEAD.size)
 
     def running(self) -> Call | None:
@@ -104,10 +102,8 @@ def died_in() -> Call | None:
 
 @contextmanager
 def watched(call: Call) -> Iterator[None]:
-    """Note a call while it runs, and interrupt it after ``call.limit`` s (0: never) where alarms can do so.
-
-    Raises OutOfTimeError within it: again and again, in case the code catches it.
-    """
+    """Note a call while it runs, and interrupt it after ``call.limit`` s (0: never) where alarms can do so. Raises
+    OutOfTimeError within it: again and again, in case the code catches it."""
     alarm = call.limit > 0 and hasattr(signal, "setitimer")
     alarm = alarm and threading.current_thread() is threading.main_thread()
     _mine[0].begin(call)

@@ -1,0 +1,202 @@
+"""Intents that the program adds to the library of a bank, and which intents a search may try.
+
+The built-in expert composes intents for relations that the library does not cover. Free motions are offered in
+recordings, where vehicles stand as no intent of the library expects: to a place near where the ego will be, at a time
+and a speed of the vehicle's own, whatever its lane. An attempt of one is named afterwards by what it came to
+(``named``). It is no part of the memory bank until a success adds it to an intent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from sumo_adv.datatypes import Intent, LibraryEntry, Proposal, Verdict
+from sumo_adv.errors import UsageError, nearest
+from sumo_adv.memory.records import canonical
+from sumo_adv.planners.source import make_planner
+from sumo_adv.situation import Situation, Target
+
+# -- composed by the expert -----------------------------------------------------------------------------------------
+
+EXPERT = "expert"
+
+NEW_INTENTS: Mapping[str, tuple[str, str, str]] = {
+    "merging": (
+        "Ramp Merge Rush",
+        "From a slip road or a feeder road that joins, the vehicle ignores the yield sign and arrives where both "
+        "carriageways unite together with the ego.",
+        "any",
+    ),
+    "crossing_right": (
+        "Intersection Rush-through Turn Right",
+        "The vehicle turns right through the junction without giving way, at a moment that meets the ego.",
+        "right",
+    ),
+}
+
+COMPOSED = frozenset(label for label, _, _ in NEW_INTENTS.values())
+"""Labels of the intents that the expert composes itself."""
+
+
+def composed(entry: LibraryEntry) -> bool:
+    """Whether all planners of the intent are the expert's own."""
+    return entry.label in COMPOSED and all(p.origin == EXPERT for p in entry.planners)
+
+
+def compose(situations: Mapping[float, Situation], library: Sequence[LibraryEntry]) -> list[Intent]:
+    """Intents of ``NEW_INTENTS`` for relations that nothing else of the library covers; those that the bank has learnt
+    by now have the source ``memory``."""
+    labels = {entry.label for entry in library}
+    covered = {word for entry in library if not composed(entry) for word in entry.applies}
+    intents = []
+    for target in situations[min(situations)].target_list():
+        for word, (label, description, _) in NEW_INTENTS.items():
+            if word in target.applies() and word not in covered:
+                reason = "no intent of the library can reach the ego from where this vehicle is"
+                source = "memory" if label in labels else "generated"
+                intents.append(Intent(target.state.id, label, description, "medium", 0.0, reason, source))
+    return intents
+
+
+def applies_of(label: str) -> tuple[str, ...]:
+    """The relations a composed intent applies to."""
+    return tuple(word for word, (name, _, _) in NEW_INTENTS.items() if name == label)
+
+
+# -- free motions ---------------------------------------------------------------------------------------------------
+
+_SOURCE = """\
+# Free Motion, mode "free"
+PARAMETERS = {
+    "meet": (4.0, 1.5, 7.5, "s", "how long after its start it meets the ego"),
+    "ahead": (2.0, -4.0, 7.0, "m", "how far ahead of the ego's centre its own is then"),
+    "left": (0.0, -2.5, 2.5, "m", "how far to the left of it"),
+    "pace": (0.5, 0.0, 1.2, "", "its speed then, as a share of the ego's and its own mean speed"),
+}
+
+import math
+
+
+def endpoint(bv, ego, road, parameters, acc, horizon):
+    time = max(parameters["meet"] - bv["time"], 0.8)
+    for _ in range(3):  # later where it cannot be there in time
+        pose = at(ego["path"], time)
+        x, y = offset(pose, parameters["ahead"], parameters["left"])
+        dx = x - bv["x"]
+        dy = y - bv["y"]
+        time = max(time, 1.2 * math.sqrt(dx * dx + dy * dy) / max(road["fastest"], 1.0))
+    heading = bv["heading"]
+    if dx * dx + dy * dy > 25.0:
+        heading = math.atan2(dy, dx)
+    if bv["ahead"] * bv["ahead"] + bv["left"] * bv["left"] < 900.0 and abs(wrap(pose[2] - heading)) < 0.5:
+        heading = pose[2]
+    mean = 0.5 * (pose[3] + road["start"]["speed"])
+    speed = clip(parameters["pace"] * mean, 0.0, road["fastest"])
+    return {"x": x, "y": y, "heading": heading, "speed": speed, "time": time}
+"""
+
+FREE_MOTION = "Free Motion"
+VEHICLES = (
+    "leader", "follower", "neighbour", "oncoming", "crossing_left", "crossing_straight", "crossing_right", "merging",
+)  # fmt: skip
+FREE = LibraryEntry(
+    FREE_MOTION,
+    "The vehicle leaves its way and goes to where the ego will be, at a time and a speed of its own.",
+    VEHICLES,
+    (make_planner(FREE_MOTION, "free", _SOURCE, EXPERT),),
+    "generated",
+)
+
+_SIDES = {
+    ("leader", "front"): "Emergency Braking",
+    ("neighbour", "front"): "Aggressive Cut-in",
+    ("neighbour", "left"): "Straight Lane Shift",
+    ("neighbour", "right"): "Straight Lane Shift",
+    ("neighbour", "rear"): "Close Car-following",
+    ("follower", "rear"): "Close Car-following",
+}  # by relation and the side of the ego that is hit
+_WORDS = {
+    "oncoming": "Opposite Direction Intrusion",
+    "crossing_straight": "Intersection Rush-through Go-straight",
+    "crossing_left": "Intersection Rush-through Turn Left",
+    **{word: label for word, (label, _, _) in NEW_INTENTS.items()},
+}
+
+
+def named(p: Proposal, target: Target, verdict: Verdict) -> Proposal:
+    """A free motion that collided, with the label of the intent that it carried out; it keeps its own where none fits.
+    Of a vehicle that crosses or merges it is the intent of its way that meets the ego's path soonest."""
+    if p.label != FREE_MOTION or not verdict.collided:
+        return p
+    label = _SIDES.get((target.relation, verdict.contact_side or ""))
+    if label is None:
+        label = next((_WORDS[word] for word in _by_conflict(target) if word in _WORDS), None)
+    return p if label is None else replace(p, label=label, planner=replace(p.planner, label=label))
+
+
+def _by_conflict(target: Target) -> list[str]:
+    """What ``applies`` says, of the way that meets the ego's path soonest alone where the vehicle's ways do."""
+    meeting = [w for w in target.ways if w.conflict is not None]
+    if target.relation == "oncoming" or not meeting:
+        return list(target.applies())
+    soonest = min(meeting, key=lambda w: w.conflict.bv_s if w.conflict is not None else 0.0)
+    return list(replace(target, ways=(soonest,)).applies())
+
+
+# -- selection ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """Labels of intents. only: no others may be tried, None: all may; exclude: these may not."""
+
+    only: frozenset[str] | None = None
+    exclude: frozenset[str] = frozenset()
+
+    def allows(self, label: str) -> bool:
+        """Whether an intent may be tried."""
+        return label not in self.exclude and (self.only is None or label in self.only)
+
+    def names(self, label: str) -> bool:
+        """Whether an intent is asked for by its label."""
+        return self.only is not None and label in self.only and label not in self.exclude
+
+    @property
+    def is_open(self) -> bool:
+        """Whether nothing is restricted, so that a language model may invent intents."""
+        return self.only is None and not self.exclude
+
+    def of(self, library: Sequence[LibraryEntry]) -> tuple[LibraryEntry, ...]:
+        """The entries of a library that may be tried."""
+        return tuple(e for e in library if self.allows(e.label))
+
+
+def select(
+    known: Iterable[str], intents: Sequence[str] = (), exclude: Sequence[str] = (), scenario: Sequence[str] = ()
+) -> Selection:
+    """What the settings ``intents`` and ``exclude`` and the intents of a scenario come to; each is empty for none. The
+    setting ``intents`` goes before the scenario's.
+
+    known: labels of the memory bank; those that the expert composes, and free motions, are known as well. Case and
+    signs do not count.
+    An intent of the scenario that is not known is no error: a bank with fewer intents may run any scenario.
+
+    Raises UsageError: a setting names an intent that is not known, or no intent is left.
+    """
+    labels = {canonical(label): label for label in (FREE_MOTION, *COMPOSED, *known)}
+    chosen, without = (frozenset(_label(name, labels) for name in names) for names in (intents, exclude))
+    only = chosen or frozenset(labels.get(canonical(name), name) for name in scenario) or None
+    if not (frozenset(labels.values()) if only is None else only) - without:
+        source = "the scenario's own list" if scenario and not chosen else "intents"
+        raise UsageError(f"No intent is left to try: {source} and exclude together leave none.")
+    return Selection(only, without)
+
+
+def _label(name: str, labels: Mapping[str, str]) -> str:
+    """The label that a name means. Raises UsageError with the known ones."""
+    label = labels.get(canonical(name))
+    if label is None:
+        names = ", ".join(sorted(labels.values()))
+        raise UsageError(f"There is no intent '{name}'{nearest(name, labels.values())}; known intents are {names}.")
+    return label
