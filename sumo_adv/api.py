@@ -156,8 +156,8 @@ def run(
     """
     from sumo_adv.app import load, play
     from sumo_adv.config import load_settings
-    from sumo_adv.drivers.given import pack
     from sumo_adv.drivers.registry import trusted_driver
+    from sumo_adv.drivers.user import pack
     from sumo_adv.report.staging import scratch_folder, staged
     from sumo_adv.simulation.inputs import own_simulation
 
@@ -214,7 +214,7 @@ def judge(
     """
     from sumo_adv.datatypes import Role
     from sumo_adv.metrics.levels import with_level
-    from sumo_adv.metrics.user_tracks import split, track_of
+    from sumo_adv.metrics.own_data import split, track_of
     from sumo_adv.metrics.validity import judge as gates
 
     if isinstance(ego, str) or isinstance(adversary, str):

@@ -19,11 +19,10 @@ from sumo_adv.datatypes import Boxes, DriverModel, Floats, VehicleState
 from sumo_adv.drivers import LatticeEgo, Observation, Steer, apply_steer, make_ego
 from sumo_adv.drivers.lattice import Egos, Expected, LatticeSettings, Size
 from sumo_adv.drivers.lattice_candidates import Space, aside, choose
+from sumo_adv.drivers.lattice_ego import LatticeDrivers
 from sumo_adv.drivers.lattice_frame import RoadFrame, Watch, expect, others_on
-from sumo_adv.drivers.lattice_model import LatticeDrivers
-from sumo_adv.drivers.road import Road, StopLine
-from sumo_adv.drivers.scenes import Scenes
-from sumo_adv.drivers.wishes import wishes_of
+from sumo_adv.drivers.protocol import Road, StopLine, wishes_of
+from sumo_adv.drivers.sumo_rules import Scenes
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.surroundings import Surroundings
 from sumo_adv.errors import UsageError

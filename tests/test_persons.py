@@ -24,7 +24,7 @@ from sumo_adv.episode.surroundings import Surroundings
 from sumo_adv.errors import UsageError
 from sumo_adv.geometry import Pose
 from sumo_adv.metrics.case import make_case
-from sumo_adv.metrics.ego_contacts import first_other_contact
+from sumo_adv.metrics.contact import first_other_contact
 from sumo_adv.metrics.validity import judge
 from sumo_adv.simulation.inputs import load_input
 from sumo_adv.simulation.meetings import Meetings

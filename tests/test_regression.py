@@ -20,7 +20,7 @@ from regression_samples import FOUND, LOOPS, answers_of, attacked, results, suit
 
 from sumo_adv.errors import UsageError
 from sumo_adv.files import toml_lines
-from sumo_adv.metrics.ego_contacts import first_other_contact
+from sumo_adv.metrics.contact import first_other_contact
 from sumo_adv.regression.case import Case, Expectation, read_case, read_suite
 from sumo_adv.regression.junit import junit
 from sumo_adv.regression.keep import keep_run

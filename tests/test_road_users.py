@@ -22,8 +22,8 @@ from sumo_adv.geometry import Pose
 from sumo_adv.memory.build import read_sources, verify_same
 from sumo_adv.metrics.gates import failed_gates, kinematic_gates
 from sumo_adv.metrics.levels import level_of, preventability, with_level
+from sumo_adv.metrics.reference.view import hidden
 from sumo_adv.metrics.severity import crash, hardness, unprotected_risk
-from sumo_adv.metrics.sight import hidden
 from sumo_adv.metrics.validity import judge
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.source import parse_parameters

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from sumo_adv.agents.prompts import Prompts
+from sumo_adv.metrics.avoidance import DELAY
 from sumo_adv.metrics.reference import brakers, cc_human
-from sumo_adv.metrics.reference.manoeuvre import DELAY
 
 
 def danger_words(prompts: Prompts) -> str:

@@ -14,12 +14,10 @@ from typing import Any
 
 from sumo_adv.drivers.blind import BlindEgo
 from sumo_adv.drivers.careful import CarefulEgo
-from sumo_adv.drivers.given import PREFIX, GivenEgo, lost, unpack
 from sumo_adv.drivers.lattice_ego import LatticeEgo
 from sumo_adv.drivers.protocol import Action, EgoController, Observation
-from sumo_adv.drivers.replay import ReplayEgo
-from sumo_adv.drivers.sumo_driven import MODELS, SumoEgo
-from sumo_adv.drivers.user import METHODS, UserEgo, make_object
+from sumo_adv.drivers.sumo_driven import MODELS, ReplayEgo, SumoEgo
+from sumo_adv.drivers.user import METHODS, PREFIX, GivenEgo, UserEgo, lost, make_object, unpack
 from sumo_adv.errors import UsageError, nearest
 
 ENTRY_POINTS = "sumo_adv.drivers"

@@ -1,11 +1,15 @@
-"""Classes of users, named ``module:Class``: how they are loaded, and a user's driver behind our protocol.
+"""Classes of users, named ``module:Class`` or given as objects: how they are loaded, and a user's driver behind our
+protocol.
 
 A driver has ``reset(seed)`` and ``act(observation)``. Its constructor gets the scenario's parameters by name. It may
 have these attributes and this method:
 
 - ``name``; ``forkable`` (default False); ``sumo_type`` (default IDM's); ``needs_observation`` (default True);
-- ``needs_road``, ``visible_only``, ``sees_buildings`` and the numbers of its bicycle (``wishes.py``);
+- ``needs_road``, ``visible_only``, ``sees_buildings`` and the numbers of its bicycle (``protocol.py``);
 - ``model_of(numbers)``: how it is predicted (default: as an unknown driver).
+
+Drivers that are given as a class or an object (``GivenEgo``) travel to the engine's process by value. A class of a
+script or a notebook cannot be imported in another process. cloudpickle sends its code along.
 """
 
 from __future__ import annotations
@@ -14,15 +18,14 @@ import importlib
 import math
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import astuple
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from traceback import extract_tb
 from typing import Any, TypeVar
 
 from sumo_adv.datatypes import DriverModel
-from sumo_adv.drivers.protocol import Action, LaneSpeed, Observation, Pose, Steer, model_of
+from sumo_adv.drivers.protocol import Action, LaneSpeed, Observation, Pose, Steer, model_of, read_wishes
 from sumo_adv.drivers.sumo_driven import sumo_type
-from sumo_adv.drivers.wishes import read_wishes
 from sumo_adv.errors import SimulationError, UsageError, ran_out_of_memory
 
 T = TypeVar("T")
@@ -157,3 +160,58 @@ def _in_standard_library(module_name: str) -> bool:
 
 def _not_yours(kind: str, spec: str) -> UsageError:
     return UsageError(f"The {kind} {spec!r} is a class of Python's standard library: name a class of your own.")
+
+
+PREFIX = "object:"  # of the names of such drivers; no module can be called so, because a colon follows
+
+
+@dataclass(frozen=True, slots=True)
+class GivenEgo:
+    """A driver as bytes. name: ``object:`` and its class; made: it is an object, else a class to make one of."""
+
+    name: str
+    made: bool
+    content: bytes
+
+
+def pack(ego: Any) -> GivenEgo:
+    """A class or an object as bytes.
+
+    Raises UsageError: it lacks a method that a driver needs, or cannot be turned into bytes.
+    """
+    import cloudpickle
+
+    made = not isinstance(ego, type)
+    name = PREFIX + (type(ego) if made else ego).__name__
+    missing = lacking(ego, METHODS)
+    if missing:
+        raise UsageError(f"The ego {name!r} has no method {missing!r}; it needs {' and '.join(METHODS.values())}.")
+    try:
+        return GivenEgo(name, made, cloudpickle.dumps(ego))
+    except Exception as error:  # whatever the user's object raises
+        raise UsageError(
+            f"The ego {name!r} cannot be sent to the engine's process ({in_one_line(error)}): make in reset what "
+            "cannot be copied, or give the class instead of an object."
+        ) from error
+
+
+def unpack(given: GivenEgo, parameters: Mapping[str, Any]) -> Any:
+    """The driver; ``parameters`` are those of its constructor, if it is still to be made.
+
+    Raises UsageError: it cannot be made.
+    """
+    import cloudpickle
+
+    try:
+        ego = cloudpickle.loads(given.content)
+        return ego if given.made else ego(**parameters)
+    except Exception as error:  # user code
+        raise UsageError(f"The ego {given.name!r} could not be made: {in_one_line(error)}.") from error
+
+
+def lost(name: str, source: str) -> UsageError:
+    """That a driver was given as an object, and ``source`` does not hold it."""
+    return UsageError(
+        f"{source} was driven by an object from Python, {name.removeprefix(PREFIX)!r}, which no file holds: "
+        "give it again with sumo_adv.run(ego=...)."
+    )

@@ -14,7 +14,7 @@ from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, LibraryEntry, Track
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.geometry import Frame, wrap
-from sumo_adv.metrics.gate_details import explained_gates
+from sumo_adv.metrics.gates import explained_gates
 from sumo_adv.simulation.recording import tracks_of
 from sumo_adv.situation import ReferencePath
 

@@ -17,15 +17,13 @@ from sumo_adv.datatypes import Boxes, Floats, PrescribedMotion, Preventability, 
 from sumo_adv.drivers import Observation, Pose
 from sumo_adv.drivers.careful import is_noticed
 from sumo_adv.episode.task import AttemptResult
-from sumo_adv.metrics.avoidance import OnRoad
+from sumo_adv.metrics.avoidance import OnRoad, manoeuvre_poses
 from sumo_adv.metrics.boxes import on_grid, row_of
 from sumo_adv.metrics.case import Case
 from sumo_adv.metrics.levels import AVOIDS, COLLIDES, NOT_APPLICABLE, encounter_of
-from sumo_adv.metrics.paths import EgoPaths
 from sumo_adv.metrics.reference import BRAKERS, REFERENCE_DRIVERS, Braker
 from sumo_adv.metrics.reference.counterfactual import Counterfactual, Encounters
-from sumo_adv.metrics.reference.manoeuvre import manoeuvre_poses
-from sumo_adv.metrics.reference.view import HISTORY, Views
+from sumo_adv.metrics.reference.view import HISTORY, EgoPaths, Views
 
 MEMORY = HISTORY + 0.1  # s of past states that a view needs
 

@@ -2,8 +2,8 @@
 
 A vehicle with the right of way counts if it arrives where its way meets the ego's before the ego would be across, and
 has not left that place when the ego is at its line. The margins and the expected acceleration are those of
-``drivers/junctions.py``, which copies SUMO's own drivers. A reason to wait stays until the other vehicle is gone or has
-clearly slowed down: the answer does not flicker while the ego brakes.
+``drivers/sumo_rules.py``, which copies SUMO's own drivers. A reason to wait stays until the other vehicle is gone or
+has clearly slowed down: the answer does not flicker while the ego brakes.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sumo_adv.drivers.junctions import AHEAD, CLEARANCE, FOE_ACCELERATION, FOE_SPEED, HALTING, seconds
+from sumo_adv.drivers.sumo_rules import AHEAD, CLEARANCE, FOE_ACCELERATION, FOE_SPEED, HALTING, seconds
 from sumo_adv.simulation.meetings import Link, Meeting, Meetings
 from sumo_adv.simulation.network import Connection
 
@@ -21,7 +21,7 @@ COMFORTABLE = 3.0  # m/s2: a driver that can stop with this braking stops at a y
 STOPS = 4.5  # m/s2: a driver that cannot stop with this (SUMO's ``decel``) passes, unless it had to wait already
 CAN_STOP = 0.5  # m: a driver that would stop at most this far beyond the line can still stop before it
 RELAX = 1.0  # s more than ``AHEAD`` before a reason to wait goes away: SUMO's own margin once more
-PASSED = 0.5  # m by which the front bumper may be over a line and still stand at it, as in ``drivers/junctions.py``
+PASSED = 0.5  # m by which the front bumper may be over a line and still stand at it, as in ``drivers/sumo_rules.py``
 AT_SIGN = 3.0  # m before a stop sign's line within which a standstill counts
 LETS_GO = 3.0  # s: a vehicle that has stood this long lets the ego go first, so that two do not wait for each other
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.datatypes import Floats
-from sumo_adv.drivers.road import Lane
+from sumo_adv.drivers.protocol import Lane
 from sumo_adv.geometry import wrap
 from sumo_adv.simulation.network import Lane as NetLane
 from sumo_adv.simulation.network import RoadMap

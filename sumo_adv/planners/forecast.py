@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from sumo_adv.datatypes import Floats
-from sumo_adv.drivers.scenes import Scenes
+from sumo_adv.drivers.sumo_rules import Scenes
 from sumo_adv.situation import NO_ARRIVAL
 
 ON_PROFILE_DISTANCE, ON_PROFILE_SPEED = 1.0, 0.6  # m, m/s: an ego nearer than this still follows its profile

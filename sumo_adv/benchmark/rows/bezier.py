@@ -20,7 +20,7 @@ import numpy as np
 
 from sumo_adv.benchmark.nouns import Encounter, course_proposal
 from sumo_adv.datatypes import Attempt, Floats, PrescribedMotion, Proposal
-from sumo_adv.drivers.scenes import profile_at
+from sumo_adv.drivers.sumo_rules import profile_at
 from sumo_adv.situation import Situation, Target
 
 ARRIVALS = (6.0, 4.0, 3.0, 8.0, 2.0)  # s after the takeover

@@ -4,7 +4,7 @@
 is ``STEERING_UNIT`` of the sharpest turn that the limits allow at its speed, on top of the bend of the way it is on,
 and ``ACCELERATION_UNIT`` of the strongest braking or acceleration. So the zero vector drives on along its way, and a
 standard normal one wanders by about a lane. After the horizon it turns back to the direction of its way and keeps its
-speed. The vehicle is the bicycle of ``drivers/bicycle.py`` (Polack et al. 2017). Acceleration, jerk and grip are
+speed. The vehicle is the bicycle of ``drivers/protocol.py`` (Polack et al. 2017). Acceleration, jerk and grip are
 bound as for any adversary (``planners/trajectory.py:faster``); the front wheel turns by at most ``STEERING_RATE``.
 Where the motion leaves the road it ends, standing: nothing after that can count, and SUMO has crashed on what went on
 there.
@@ -20,8 +20,7 @@ import numpy as np
 
 from sumo_adv.benchmark.nouns import Encounter
 from sumo_adv.datatypes import Boxes, Floats, PrescribedMotion, Verdict
-from sumo_adv.drivers.bicycle import MAX_STEERING, WHEELBASE, apply_steer
-from sumo_adv.drivers.protocol import Steer
+from sumo_adv.drivers.protocol import MAX_STEERING, WHEELBASE, Steer, apply_steer
 from sumo_adv.geometry import PATH_STEP, wrap
 from sumo_adv.metrics.gates import off_road
 from sumo_adv.planners.trajectory import Scalar, faster
