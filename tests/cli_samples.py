@@ -9,12 +9,15 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import chdir
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from sumo_adv.errors import SumoAdvError
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.records import IntentRecord
 from sumo_adv.planners.source import make_planner
@@ -106,6 +109,27 @@ class Program:
                 os.killpg(process.pid, signal.SIGKILL)
                 raise
         return Done(process.returncode, out, err, self.folder / "out")
+
+    def here(self, *arguments: str | Path) -> Done:
+        """The same in this process, which starts in no time: for commands that only read and write files, and for what
+        is refused before a simulation begins. Tests of whole processes show how the program itself ends."""
+        from typer.testing import CliRunner
+
+        from sumo_adv.cli.main import app
+
+        unset = dict.fromkeys(name for name in os.environ if name.startswith(("SUMO_ADV_", "XDG_", "MPL")))
+        before, tempfile.tempdir = tempfile.tempdir, str(self.temporary)
+        try:
+            with chdir(self.folder):
+                done = CliRunner().invoke(app, [*map(str, arguments)], env={**unset, **self.environment()})
+        finally:
+            tempfile.tempdir = before
+        status, err = done.exit_code, done.stderr
+        if isinstance(done.exception, SumoAdvError):
+            status, err = done.exception.exit_status, f"{err}sumo-adv: {done.exception}\n"
+        elif done.exception is not None and not isinstance(done.exception, SystemExit):
+            raise done.exception
+        return Done(status, done.stdout, err, self.folder / "out")
 
     def leftovers(self) -> list[str]:
         """What lies in the folder besides the home and the temporary folder, and what lies in the latter."""

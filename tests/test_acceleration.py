@@ -176,6 +176,6 @@ def test_knots_are_replayed_and_written_as_a_list_of_lists(program: Program) -> 
     file.write_text(
         json.dumps({**first.manifest, "attempt": {**first.manifest["attempt"], "acceleration": [[2, 1], [1, 1]]}})
     )
-    refused = program("run", "--replay", first.folder, "--out", "never", "--json")
+    refused = program.here("run", "--replay", first.folder, "--out", "never", "--json")
     assert refused.status == 2
     assert "ascending" in refused.err and len(refused.err.splitlines()) == 1

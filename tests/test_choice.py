@@ -191,7 +191,7 @@ QUICK = ("--attempts", "1", "--learn", "off", "--out", "out")
 
 
 def refused(program: Program, *options: str) -> str:
-    done = program(*options)
+    done = program.here(*options)
     assert (done.status, done.out, program.leftovers()) == (2, "", []), done.err
     return done.err
 

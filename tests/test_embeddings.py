@@ -191,15 +191,15 @@ def test_an_endpoint_is_calibrated_and_finds(program: Program) -> None:
     paraphrases = ROOT / "tests" / "data" / "intents_paraphrases.toml"
     with ModelServer(vectors=counts) as server:
         program.variables.update(server.environment())
-        uncalibrated = program("memory", "find", "It brakes", *use)
+        uncalibrated = program.here("memory", "find", "It brakes", *use)
         assert (uncalibrated.status, uncalibrated.out) == (2, "")
         assert "no epsilon for the metric endpoint:test-embed" in uncalibrated.err
-        stored = json.loads(program("memory", "calibrate", paraphrases, *use, "--store", "--json").out)
+        stored = json.loads(program.here("memory", "calibrate", paraphrases, *use, "--store", "--json").out)
         assert (stored["metric"], stored["before"], stored["stored"]) == ("endpoint:test-embed", None, True)
-        recalled = json.loads(program("memory", "find", "It brakes", *use, "--json").out)
+        recalled = json.loads(program.here("memory", "find", "It brakes", *use, "--json").out)
         assert recalled["epsilon"] == stored["epsilon"]
         assert recalled["nearest"][0]["label"] == "Emergency Braking"
-    down = program("memory", "find", "It brakes", *use)
+    down = program.here("memory", "find", "It brakes", *use)
     assert down.status == 1 and "start it, or correct SUMO_ADV_LLM_BASE_URL" in down.err
 
 
@@ -210,7 +210,7 @@ def test_an_endpoint_is_calibrated_and_finds(program: Program) -> None:
      ("retire", "Emergency Braking")],
 )  # fmt: skip
 def test_a_bank_that_is_not_there_is_not_made_by_looking(program: Program, command: tuple[Any, ...]) -> None:
-    done = program("memory", *command, "--memory", "typo.sqlite")
+    done = program.here("memory", *command, "--memory", "typo.sqlite")
     assert (done.status, done.out) == (2, "")
     assert done.err == "sumo-adv: There is no memory bank at typo.sqlite; check the path given with --memory.\n"
     assert list(program.folder.glob("typo*")) == []

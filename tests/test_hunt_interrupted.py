@@ -88,6 +88,6 @@ def test_a_driver_that_hangs_loses_that_attempt_alone(program: Program) -> None:
 
 
 def test_a_driver_that_cannot_be_made_ends_the_hunt(program: Program) -> None:
-    done = program("hunt", "motorway_cut_in_left", "--ego", "stuck_drivers:ExitsAtOnce", "--minutes", "30")
+    done = program.here("hunt", "motorway_cut_in_left", "--ego", "stuck_drivers:ExitsAtOnce", "--minutes", "30")
     assert done.status != 0 and len(done.err.splitlines()) == 1
     assert "The ego 'stuck_drivers:ExitsAtOnce' could not be made: SystemExit: no licence." in done.err

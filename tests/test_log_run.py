@@ -81,7 +81,7 @@ def test_a_log_that_was_changed_is_not_replayed(done: dict[str, Done], program: 
     tracks = done["loaded"].folder / "inputs" / done["loaded"].manifest["playback"]["tracks"]
     kept = tracks.read_bytes()
     tracks.write_bytes(kept + b" ")
-    again = program("run", "--replay", done["loaded"].folder, "--out", "out")
+    again = program.here("run", "--replay", done["loaded"].folder, "--out", "out")
     tracks.write_bytes(kept)
     assert again.status == 2
     assert "was changed after the run" in again.err
@@ -141,7 +141,7 @@ def test_an_ego_that_is_never_on_a_lane_cannot_be_taken_over(program: Program, t
     ],
 )
 def test_a_background_that_cannot_be_is_wrong_use(program: Program, arguments: tuple[str, ...], part: str) -> None:
-    run = program("run", *arguments, "--out", "out")
+    run = program.here("run", *arguments, "--out", "out")
     assert run.status == 2
     assert part in run.err
     assert not run.folder.exists()

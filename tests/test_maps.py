@@ -92,7 +92,7 @@ def test_an_exported_road_comes_back_as_an_input(program: Program) -> None:
     """The junction with lights has eight edges; our OpenDRIVE of it has them when netconvert has read it."""
     options = ("--until", "collision", "--learn", "off", "--attempts", "3", "--out")
     assert program("run", "signals_red_light", *options, "first").status == 0
-    assert program("export", "first", "--format", "openscenario", "--out", "scenario").status == 0
+    assert program.here("export", "first", "--format", "openscenario", "--out", "scenario").status == 0
     (road,) = (program.folder / "scenario").glob("*.xodr")
     done = program("run", road, *options, "out")
     assert done.status == 0, done.err

@@ -49,7 +49,7 @@ def test_the_mildest_variant_keeps_the_level_and_is_no_harder(run: Path, program
 
 
 def test_what_cannot_be_minimised_is_said_in_one_sentence(run: Path, program: Program) -> None:
-    no_run = program("minimise", "nothing")
+    no_run = program.here("minimise", "nothing")
     assert (no_run.status, no_run.err.count("\n")) == (2, 1) and "manifest.json" in no_run.err
-    low = program("minimise", str(run), "--until", "critical")
+    low = program.here("minimise", str(run), "--until", "critical")
     assert low.status == 2 and "keeps a collision" in low.err

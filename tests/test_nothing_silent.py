@@ -22,7 +22,7 @@ SCENARIOS = len(list((ROOT / "scenarios").glob("*.toml")))
 def refused(program: Program, *options: str) -> str:
     """One sentence, and nothing has begun."""
     before = program.leftovers()
-    done = program(*options)
+    done = program.here(*options)
     assert (done.status, done.out, program.leftovers()) == (2, "", before), done.err
     assert done.err.startswith("sumo-adv: ") and len(done.err.splitlines()) == 1
     return done.err
@@ -43,7 +43,7 @@ def test_a_batch_with_a_misspelt_ego_or_record_runs_nothing(program: Program) ->
 
 
 def test_the_shipped_scenarios_are_found_from_every_folder(program: Program) -> None:
-    done = program("batch", "scenarios", "--dry-run", "--json")
+    done = program.here("batch", "scenarios", "--dry-run", "--json")
     assert done.status == 0, done.err
     names = {e["input"] for e in json.loads(done.out)["episodes"]}
     assert len(names) == SCENARIOS and "motorway_cut_in_left" in names

@@ -33,7 +33,7 @@ def test_a_model_invents_the_drift_out_of_the_blind_side(tmp_path: Path) -> None
         "Close Car-following,Emergency Braking,Intersection Rush-through Go-straight,"
         "Intersection Rush-through Turn Left,Opposite Direction Intrusion"
     )
-    assert program("memory", "new", "small.sqlite", "--only", labels).status == 0
+    assert program.here("memory", "new", "small.sqlite", "--only", labels).status == 0
     recording = ROOT / "examples" / "blind_side" / "recording.jsonl"
     done = program(
         "run", "dual_left_turn_blind_side", "--llm", f"replay:{recording}", "--tuner", "off", "--until", "collision",
