@@ -6,6 +6,7 @@ import csv
 import gzip
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -16,6 +17,8 @@ from contextlib import chdir
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import pytest
 
 from sumo_adv.errors import SumoAdvError
 from sumo_adv.memory.bank import MemoryBank
@@ -135,6 +138,18 @@ class Program:
         """What lies in the folder besides the home and the temporary folder, and what lies in the latter."""
         own = sorted(p.name for p in self.folder.iterdir() if p not in (self.home, self.temporary))
         return own + sorted(f"temporary/{p.name}" for p in self.temporary.iterdir())
+
+
+def tiny_disk(folder: Path, size: str, then: str) -> tuple[str, ...]:
+    """What to put before a command that is to have a disk of a ``size`` in ``folder``, and a line of shell for after
+    it. Skips the test where nothing can be mounted."""
+    folder.mkdir()
+    if not shutil.which("unshare") or subprocess.run(["unshare", "-rm", "true"], capture_output=True).returncode:
+        pytest.skip("no tiny disk can be mounted here (unshare is missing or not allowed)")
+    mount = f'mount -t tmpfs -o size={size} tmpfs "{folder}"'
+    if subprocess.run(["unshare", "-rm", "sh", "-c", mount], capture_output=True).returncode:
+        pytest.skip("no tiny disk can be mounted here (mount is not allowed)")
+    return ("unshare", "-rm", "sh", "-c", f'{mount} || exit 77; "$@"; status=$?; {then}; exit $status', "sh")
 
 
 def let_interrupt() -> None:

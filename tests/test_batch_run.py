@@ -7,7 +7,6 @@ import multiprocessing
 import os
 import shutil
 import signal
-import subprocess
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import Any
 
 import pytest
 from batch_samples import CRASHED, INPUTS, QUICK, RUN, SETTINGS_FILE, SMALL, clean, summary, table, workers_of
-from cli_samples import PATIENCE, ROOT, TRAIL, Done, Program, bank_with, files_of, lacking, untimed
+from cli_samples import PATIENCE, ROOT, TRAIL, Done, Program, bank_with, files_of, lacking, tiny_disk, untimed
 from test_cli_bad_input import powerless, refused, shelf  # noqa: F401 - a fixture
 from test_interrupt import alive, children_of, wait_until
 
@@ -309,17 +308,8 @@ def test_a_folder_that_becomes_read_only_stops_the_batch(program: Program, whole
 
 def test_a_full_disk_is_a_sentence_and_nothing_is_half_written(program: Program) -> None:
     disk = program.folder / "disk"
-    disk.mkdir()
-    if not shutil.which("unshare") or subprocess.run(["unshare", "-rm", "true"], capture_output=True).returncode:
-        pytest.skip("no tiny disk can be mounted here (unshare is missing or not allowed)")
-    script = (
-        f'mount -t tmpfs -o size=300k tmpfs "{disk}" || exit 77; "$@"; status=$?; '
-        f'find "{disk}/out/runs" -mindepth 1 -maxdepth 1 -name ".*"; exit $status'
-    )
-    before = ("unshare", "-rm", "sh", "-c", script, "sh")
+    before = tiny_disk(disk, "300k", f'find "{disk}/out/runs" -mindepth 1 -maxdepth 1 -name ".*"')
     done = program(*SMALL[:-1], disk / "out", "--workers", "1", before=before)
-    if done.status == 77:
-        pytest.skip("no tiny disk can be mounted here (mount is not allowed)")
     refused(done, 1, "no space left")
 
 

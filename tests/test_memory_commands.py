@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -168,12 +167,6 @@ def test_there_are_probes_for_every_relation() -> None:
     assert behind.name == "follower, fast, straight, after 0 s"
     assert (behind.bv["x"], behind.bv["ahead"], behind.bv["speed"]) == (-16.0, -16.0, 25.0)
     assert behind.ego["path"][2] == [2.0, 48.0, 0.0, 0.0, 24.0]
-
-
-@pytest.fixture(scope="module")
-def sandbox() -> Iterator[Sandbox]:
-    with Sandbox() as opened:
-        yield opened
 
 
 def test_every_planner_of_the_shipped_bank_passes(sandbox: Sandbox) -> None:
