@@ -226,35 +226,6 @@ def test_unknown_and_misshapen_commands_are_answered_as_errors(tmp_path: Path) -
         simulation.end()
 
 
-def test_three_thousand_random_commands(tmp_path: Path) -> None:
-    """Framed as they should be, with random numbers, variables, names and values."""
-    ask = r"""
-        import random
-        chance = random.Random(3)
-        names = [struct.pack("!i", len(n)) + n for n in (b"ego", b"other", b"car", b"centre", b"", b"x" * 200)]
-        values = [b"", bytes(1), bytes(9), b"\x0b" + bytes(8), b"\x09" + bytes(4), b"\x0c" + names[0],
-                  b"\x0e\0\0\0\1" + names[1], b"\x0f\0\0\0\2" + b"\x0b" + bytes(8) + b"\x08\0", b"\x0f\x7f\0\0\0"]
-        for k in range(3000):
-            number = chance.choice([n for n in range(256) if n not in (0x02, 0x7f)])
-            head = bytes(16) if number & 0xf0 in (0x80, 0xd0, 0x50) else bytes([chance.randrange(256)])
-            payload = head + chance.choice(names) + chance.choice([*values, chance.randbytes(chance.randrange(12))])
-            body = bytes([0]) + struct.pack("!i", 6 + len(payload)) + bytes([number]) + payload
-            raw.sendall(struct.pack("!i", 4 + len(body)) + body)
-            answer = b""
-            while len(answer) < 4 or len(answer) < struct.unpack("!i", answer[:4])[0]:
-                answer += raw.recv(65536) or sys.exit("cut")
-        print("all answered", flush=True)
-    """
-    with scene(tmp_path, deadline=60.0) as simulation:
-        simulation.step()
-        script = Script(simulation.gate.port, RAW + dedent(ask))
-        assert simulation.gate.wait_connected(10.0)
-        simulation.step()
-        assert script.end() == "all answered\n"
-        simulation.step(5)
-        simulation.end()
-
-
 def test_subscribing_to_what_is_not_there_yet(tmp_path: Path) -> None:
     """SUMO itself ends on it, with ten variables: its error is longer than its own format allows."""
     early = """

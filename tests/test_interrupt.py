@@ -119,7 +119,7 @@ def test_ctrl_c_while_an_encounter_is_looked_for(program: Program) -> None:
     whole_or_nothing(program, done, [])
 
 
-@pytest.mark.parametrize("mark", ["Encounter at", "Most dangerous", "attempt  1"])
+@pytest.mark.parametrize("mark", ["Encounter at", pytest.param("Most dangerous", marks=pytest.mark.soak), "attempt  1"])
 def test_ctrl_c_in_the_middle(program: Program, mark: str) -> None:
     """Twenty kinds of attacks are more than there are, so there is always another candidate to look for."""
     options = ("--diverse", "20", "--until", "valid", "--memory", "bank.sqlite", "--out", "out")

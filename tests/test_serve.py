@@ -7,12 +7,11 @@ import signal
 import socket
 import urllib.error
 import urllib.request
-from pathlib import Path
 from typing import Any
 
 import pytest
 from cli_samples import TESTS, Program, lacking, read_states
-from serve_samples import EXAMPLE, needs_sumo, serving
+from serve_samples import needs_sumo, serving
 
 CLIENT = TESTS / "serve_client.py"
 FILES = {"outcome.json", "manifest.json", "states.csv.gz", "criticality.csv.gz", "encounter.png", "inputs"}
@@ -222,10 +221,6 @@ def test_a_folder_is_not_overwritten(program: Program) -> None:
     (program.folder / "out" / "other").write_text("mine")
     done = program(*arguments, "--force")
     assert done.status == 2 and "not the folder of a server" in done.err
-
-
-def test_the_example_is_short() -> None:
-    assert len(Path(EXAMPLE).read_text(encoding="utf-8").splitlines()) < 65
 
 
 def test_a_bridge_that_adds_and_moves_its_own_ego(program: Program) -> None:

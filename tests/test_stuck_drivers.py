@@ -43,12 +43,6 @@ def test_a_process_that_cannot_go_on_is_explained(program: Program) -> None:
     assert done.outcome["ending"] == "simulation_failed"
 
 
-def test_a_driver_that_ends_the_interpreter_when_it_is_made(program: Program) -> None:
-    done = program.here(*RUN, "--ego", "stuck_drivers:ExitsAtOnce")
-    assert done.status == 2
-    assert "The ego 'stuck_drivers:ExitsAtOnce' could not be made: SystemExit: no licence." in done.err
-
-
 @needs_fork
 def test_no_deadline_is_for_a_debugger(program: Program) -> None:
     """The driver stops for 3 s in its first attempt; with a deadline of 0 it may."""
