@@ -114,8 +114,8 @@ class Program:
         return Done(process.returncode, out, err, self.folder / "out")
 
     def here(self, *arguments: str | Path) -> Done:
-        """The same in this process, which starts in no time: for commands that only read and write files, and for what
-        is refused before a simulation begins. Tests of whole processes show how the program itself ends."""
+        """The same in this process, which saves a start of Python: for tests that ask nothing of the process itself,
+        of its signals, and of what SUMO says on its own stderr. ``Runs`` and the tests of interrupts show those."""
         from typer.testing import CliRunner
 
         from sumo_adv.cli.main import app

@@ -357,7 +357,7 @@ def test_forked_and_loaded_attempts_are_the_same(program: Program) -> None:
     scenario = str(ROOT / "scenarios" / "leader_two_lanes.toml")
     for name, options in (("forked", ()), ("loaded", ("--no-fork",))):
         same = ("--ego", "lattice", "--attempts", "2", "--learn", "off")  # the second one knows no more than the first
-        done = program("run", scenario, *same, "--out", name, "--json", *options)
+        done = program.here("run", scenario, *same, "--out", name, "--json", *options)
         assert done.status == 0, done.err
     for file in ("states.csv.gz", "raw.csv.gz", "criticality.csv.gz"):
         assert (program.folder / "forked" / file).read_bytes() == (program.folder / "loaded" / file).read_bytes()

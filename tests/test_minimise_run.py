@@ -44,7 +44,7 @@ def test_the_mildest_variant_keeps_the_level_and_is_no_harder(run: Path, program
     after = json.loads(done.out)
     assert LEVELS.index(after["outcome"]["level"]) >= LEVELS.index(before["level"])
     assert len(after["attempts"]) <= 5 and after["attempts"][0]["delta_v"] == before["delta_v"]
-    again = program("run", "--replay", "mild", "--out", "again", "--json")
+    again = program.here("run", "--replay", "mild", "--out", "again", "--json")
     assert json.loads(again.out)["outcome"]["contact_time"] == after["outcome"]["contact_time"]
 
 

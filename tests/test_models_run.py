@@ -65,7 +65,7 @@ def play(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Play]:
         program = Program(tmp_path_factory.mktemp("run"), caches)
         with ModelServer(script) as server:
             program.variables = server.environment()
-            done = program("run", *arguments, "--llm", "scripted", "--out", "out", "--memory", "bank.sqlite")
+            done = program.here("run", *arguments, "--llm", "scripted", "--out", "out", "--memory", "bank.sqlite")
             return ModelRun(done, list(server.asked))
 
     yield run
@@ -165,7 +165,7 @@ def test_a_recorded_run_is_repeated_bit_for_bit_and_the_key_is_in_no_file(play: 
     run = play(author, "neighbour_ahead_right", "--samples", "3", "--attempts", "3", "--until", "valid")
     recording = run.done.folder / "model.jsonl"
     program = Program(tmp_path, tmp_path)
-    again = program(
+    again = program.here(
         "run", "neighbour_ahead_right", "--samples", "3", "--attempts", "3", "--until", "valid", "--out", "out",
         "--llm", f"replay:{recording}", "--memory", "bank.sqlite",
     )  # fmt: skip
@@ -226,7 +226,7 @@ def test_a_model_that_fails_ends_the_run_by_name(tmp_path_factory: pytest.TempPa
     with ModelServer(script) as server:
         program.variables = server.environment()
         settings = more or ("--settings", "quick.toml")
-        done = program("run", "neighbour_ahead_right", "--llm", "scripted", "--out", "out", *settings)
+        done = program.here("run", "neighbour_ahead_right", "--llm", "scripted", "--out", "out", *settings)
     assert done.status == 1
     assert done.outcome["ending"] == ending
     assert reason in done.outcome["reason"] and reason in done.err
@@ -303,10 +303,10 @@ def test_the_example_of_a_novel_behaviour_runs_from_its_recording(tmp_path: Path
     program = Program(tmp_path, tmp_path)
     recording = ROOT / "examples" / "novel_behaviour" / "recording.jsonl"
     common = ("run", BLIND_SIDE, "--tuner", "off", "--memory", "bank.sqlite", "--llm", f"replay:{recording}")
-    done = program(*common, "--out", "out")
+    done = program.here(*common, "--out", "out")
     assert done.status == 0, done.err
     assert [a["critical"] for a in done.outcome["attempts"]] == [False, True]
-    again = program(*common, "--recall", "scene", "--out", "out", "--force")
+    again = program.here(*common, "--recall", "scene", "--out", "out", "--force")
     assert again.outcome["llm"]["calls"] == 0
     assert again.outcome["agents"]["calls"] == {"analyzer": 0, "generator": 0, "modifier": 0}
     assert again.outcome["ending"] == "critical"
@@ -318,8 +318,8 @@ def test_a_planner_is_generated_by_hand_from_words(tmp_path: Path) -> None:
     bank = ("--memory", "bank.sqlite")
     with ModelServer(replace(NOVEL, questions=[])) as server:
         program.variables = server.environment()
-        done = program(*common, *bank, "--llm", "scripted")
-        instructed = program(*common, *bank, "--llm", "scripted", "--trajectory", "a cubic spline", "--dry-run")
+        done = program.here(*common, *bank, "--llm", "scripted")
+        instructed = program.here(*common, *bank, "--llm", "scripted", "--trajectory", "a cubic spline", "--dry-run")
         nobody = program.here(*common, *bank)
     value = json.loads(done.out)
     assert (value["label"], value["mode"], value["by"], value["added"]) == (NOVEL.label, "direct", "scripted", True)

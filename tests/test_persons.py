@@ -194,7 +194,9 @@ def done(tmp_path_factory: pytest.TempPathFactory, caches: Path) -> Done:
     """The person attacks an IDM driver."""
     program = Program(tmp_path_factory.mktemp("person"), caches)
     case = write_case(program.folder, PERSON)
-    return program("run", case, "--ego", "idm", "--until", "collision", "--attempts", "4", "--json", "--out", "out")
+    return program.here(
+        "run", case, "--ego", "idm", "--until", "collision", "--attempts", "4", "--json", "--out", "out"
+    )
 
 
 def test_a_person_attacks_as_a_pedestrian(done: Done) -> None:
@@ -212,8 +214,8 @@ def test_without_forks_it_is_the_same_and_it_repeats(done: Done, tmp_path: Path,
     states = read_states(done.folder / "states.csv.gz")
     loaded = Program(tmp_path / "loaded", caches)
     command = ("run", done.folder.parent / "case.toml", "--ego", "idm", "--until", "collision", "--attempts", "4")
-    assert read_states(loaded(*command, "--no-fork", "--json", "--out", "out").folder / "states.csv.gz") == states
-    again = Program(tmp_path / "again", caches)("run", "--replay", done.folder, "--json", "--out", "out")
+    assert read_states(loaded.here(*command, "--no-fork", "--json", "--out", "out").folder / "states.csv.gz") == states
+    again = Program(tmp_path / "again", caches).here("run", "--replay", done.folder, "--json", "--out", "out")
     assert read_states(again.folder / "states.csv.gz") == states
 
 

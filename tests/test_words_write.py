@@ -46,7 +46,7 @@ def is_reader(request: Asked) -> bool:
 
 def test_words_become_a_scenario_that_runs_and_fits(tmp_path: Path) -> None:
     with ModelServer(lambda request: READ if is_reader(request) else cut_in()) as server:
-        done = program(tmp_path, server)("write", CUT_IN, "--llm", "gpt-test", *QUICK)
+        done = program(tmp_path, server).here("write", CUT_IN, "--llm", "gpt-test", *QUICK)
     assert done.status == 0, done.err
     built, happened, fits = done.out.strip().splitlines()
     assert built.startswith("Built: A van changes") and "my.toml" in built
@@ -64,7 +64,7 @@ def test_words_become_a_scenario_that_runs_and_fits(tmp_path: Path) -> None:
 def test_the_exact_error_goes_back_to_the_model(tmp_path: Path) -> None:
     drafts = iter([cut_in(route=["forward", "backwards"]), cut_in(gap=-90), cut_in()])
     with ModelServer(lambda request: READ if is_reader(request) else next(drafts)) as server:
-        done = program(tmp_path, server)("write", CUT_IN, "--llm", "gpt-test", *QUICK, "--json")
+        done = program(tmp_path, server).here("write", CUT_IN, "--llm", "gpt-test", *QUICK, "--json")
     assert done.status == 0, done.err
     faults = [request.last for request in server.asked if not is_reader(request)][1:]
     assert "There is no edge 'backwards' for 'van'; there are forward." in faults[0]
@@ -111,7 +111,7 @@ def test_a_report_is_read_from_a_file_and_nothing_is_overwritten(tmp_path: Path)
         assert both.status == 2 and "not both" in both.err
         missing = run.here("write", "--report", "none.txt", "--llm", "gpt-test", *QUICK)
         assert missing.status == 2 and "The report none.txt cannot be read" in missing.err
-        done = run("write", "--report", "report.txt", "--llm", "gpt-test", *QUICK, "--force")
+        done = run.here("write", "--report", "report.txt", "--llm", "gpt-test", *QUICK, "--force")
     assert done.status == 0, done.err
     assert tomllib.loads((tmp_path / "my.toml").read_text())["written"]["words"] == CUT_IN
 
@@ -120,14 +120,14 @@ def test_the_scenario_asks_for_its_attack_again(tmp_path: Path) -> None:
     """Without a model: the rules in the file decide, and its level is the goal."""
     with ModelServer(lambda request: READ if is_reader(request) else cut_in()) as server:
         run = program(tmp_path, server)
-        assert run("write", CUT_IN, "--llm", "gpt-test", *QUICK).status == 0
+        assert run.here("write", CUT_IN, "--llm", "gpt-test", *QUICK).status == 0
         questions = len(server.asked)
         text = (tmp_path / "my.toml").read_text()
         (tmp_path / "my.toml").write_text(text.replace("[asked]", '[asked]\nlevel = "near_miss"'))
-        done = run(
+        done = run.here(
             "run", "my.toml", "--learn", "off", "--attempts", "40", "--seconds", "3600", "--out", "out", "--json"
         )
-        repeated = run("run", "--replay", "out", "--out", "again", "--json")
+        repeated = run.here("run", "--replay", "out", "--out", "again", "--json")
     assert done.status == 0 and len(server.asked) == questions
     assert done.outcome["goal"] == "near miss with a min TTC of 0.2 to 1.5 s"
     assert done.outcome["ending"] == "critical" and done.outcome["asked"]["fits"]
