@@ -122,7 +122,7 @@ def test_the_same_again_does_only_what_is_missing(program: Program, whole: tuple
     report = summary(program(*SMALL, "--workers", "1", "--json"))
     assert (report["finished"], report["ran"]) == (4, 2)
     assert table(out) == before
-    assert summary(program(*SMALL, "--json"))["ran"] == 0
+    assert summary(program.here(*SMALL, "--json"))["ran"] == 0
     clean(program)
 
 
@@ -142,7 +142,7 @@ def test_packed_runs_count_as_done_and_come_back_as_they_were(program: Program, 
     before, rows = files_of(out / "runs"), table(out)
     assert json.loads(program.here("batch", "pack", "out", "--json").out)["files"] == [len(before), 2]
     (out / "results.csv").unlink()
-    assert summary(program(*SMALL, "--json"))["ran"] == 0
+    assert summary(program.here(*SMALL, "--json"))["ran"] == 0
     assert table(out) == rows
     program.here("batch", "unpack", "out")
     assert files_of(out / "unpacked") == before
@@ -323,7 +323,7 @@ def test_off_learns_nothing_and_after_learns_in_the_plans_order(
     assert first == second and [report["learnt"] for _, report in taught] == [len(first), len(second)]
     assert first
     program, _ = taught[0]
-    again = summary(program(*TAUGHT, "--json"))
+    again = summary(program.here(*TAUGHT, "--json"))
     assert again["ran"] == 0 and evidence_of(program.folder / "bank.sqlite") == first
     assert evidence_of(whole[0].home / "data" / "sumo_adv" / "memory_bank.sqlite") == []
 

@@ -66,7 +66,7 @@ def test_two_terminals_and_one_critical_encounter(program: Program) -> None:
         assert row["last"] == pytest.approx(ended["time"], abs=0.11)
     done = program.here("memory", "list", "--json", "--memory", "bank.sqlite")
     evidence = sum(entry["evidence"] for entry in json.loads(done.out)["intents"])
-    assert evidence == sum(o["learnt"] for o in outcomes) >= 1  # what was critical is remembered
+    assert evidence >= sum(o["learnt"] for o in outcomes) >= 1  # what was critical is remembered
 
 
 def test_the_same_encounter_again_until_the_collision_is_valid(program: Program) -> None:
