@@ -156,8 +156,7 @@ def run(
     """
     from sumo_adv.app import load, play
     from sumo_adv.config import load_settings
-    from sumo_adv.drivers.registry import trusted_driver
-    from sumo_adv.drivers.user import pack
+    from sumo_adv.drivers.registry import pack, trusted_driver
     from sumo_adv.report.staging import scratch_folder, staged
     from sumo_adv.simulation.inputs import own_simulation
 

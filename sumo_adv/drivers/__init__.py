@@ -22,9 +22,8 @@ from sumo_adv.drivers.protocol import (
     apply_steer,
     model_of,
 )
-from sumo_adv.drivers.registry import ExternalEgo, make_ego
+from sumo_adv.drivers.registry import ExternalEgo, UserEgo, make_ego
 from sumo_adv.drivers.sumo_driven import ReplayEgo, SumoEgo
-from sumo_adv.drivers.user import UserEgo
 
 __all__ = [
     "Action",

@@ -9,7 +9,7 @@ from typing import Any
 
 from sumo_adv.config import Settings, reachable
 from sumo_adv.datatypes import Ending, Place, Role, Verdict
-from sumo_adv.drivers.user import GivenEgo
+from sumo_adv.drivers.registry import GivenEgo
 from sumo_adv.episode.attempt import Driven
 from sumo_adv.episode.ego_actions import EgoActions
 from sumo_adv.errors import UsageError

@@ -17,7 +17,7 @@ import numpy as np
 
 from sumo_adv.benchmark.nouns import Encounter
 from sumo_adv.datatypes import Attempt, Planner, PrescribedMotion, Proposal, acceleration_of
-from sumo_adv.drivers.user import in_one_line, make_object
+from sumo_adv.drivers.registry import in_one_line, make_object
 from sumo_adv.errors import PlannerResultError, PlannerRuntimeError
 from sumo_adv.situation import Situation
 
