@@ -1,7 +1,7 @@
 """A thousand random cut-ins: which driver prevents what, as a table and a picture.
 
 Ego 20 to 60 km/h, the other vehicle 5 km/h to the ego's speed, gap 1 to 60 m, lateral speed 0.2 to 1.8 m/s; geometry
-as in ``sumo_adv/metrics/cut_ins.py``.
+as in ``sumo_adv/metrics/own_data.py``.
 
     python benchmarks/cut_ins.py [--cases 1000] [--seed 0] [--out runs/cut-ins]
 """
@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from sumo_adv.datatypes import Floats
-from sumo_adv.metrics.cut_ins import ANSWERS, COLUMNS, judge_cut_ins
+from sumo_adv.metrics.own_data import ANSWERS, COLUMNS, judge_cut_ins
 
 
 def drawn(count: int, seed: int) -> Floats:

@@ -19,9 +19,8 @@ import numpy as np
 from sumo_adv.datatypes import Boxes, Floats, Track
 from sumo_adv.metrics.boxes import on_grid
 from sumo_adv.metrics.criticality import ttc
-from sumo_adv.metrics.paths import EgoPaths
 from sumo_adv.metrics.reference import BRAKERS
-from sumo_adv.metrics.reference.view import Views, located_on
+from sumo_adv.metrics.reference.view import EgoPaths, Views, located_on
 from sumo_adv.simulation.demand import generate
 from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.simulation.simulation import Simulation, SimulationSpec

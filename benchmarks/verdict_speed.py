@@ -18,12 +18,10 @@ from shapely import box
 from sumo_adv.datatypes import Boxes, Floats, Role, Track
 from sumo_adv.metrics.avoidance import avoidance
 from sumo_adv.metrics.criticality import ttc
-from sumo_adv.metrics.full import full_judge
-from sumo_adv.metrics.hazard import hazard_index
+from sumo_adv.metrics.full import Strip, full_judge, markings_crossed
 from sumo_adv.metrics.levels import with_level
-from sumo_adv.metrics.markings import Strip, markings_crossed
 from sumo_adv.metrics.reference.counterfactual import Encounters, answers
-from sumo_adv.metrics.validity import judge
+from sumo_adv.metrics.validity import hazard_index, judge
 from sumo_adv.report.tables import series_rows
 from sumo_adv.report.verdicts import realism_figures
 from sumo_adv.simulation.network import Drivable

@@ -157,8 +157,7 @@ def run(
         BankError: the bank cannot be opened.
     """
     from sumo_adv.app import load, play
-    from sumo_adv.drivers.given import pack
-    from sumo_adv.drivers.registry import trusted_driver
+    from sumo_adv.drivers.registry import pack, trusted_driver
     from sumo_adv.simulation.inputs import own_simulation
 
     given = load(Path(source), record)
@@ -213,7 +212,7 @@ def judge(
     Raises UsageError: a column is missing or bad, an id is not in the table, or the tracks do not overlap.
     """
     from sumo_adv.metrics.levels import with_level
-    from sumo_adv.metrics.user_tracks import split, track_of
+    from sumo_adv.metrics.own_data import split, track_of
     from sumo_adv.metrics.validity import judge as gates
 
     if isinstance(ego, str) or isinstance(adversary, str):

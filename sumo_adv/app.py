@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from sumo_adv.config import Settings
     from sumo_adv.datatypes import LibraryEntry
     from sumo_adv.driver_check import Checked, DriverCheck
-    from sumo_adv.drivers.given import GivenEgo
+    from sumo_adv.drivers.registry import GivenEgo
     from sumo_adv.episode.episode import Episode
     from sumo_adv.llm.chat import ChatModel
     from sumo_adv.memory.bank import MemoryBank

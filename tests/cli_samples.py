@@ -6,15 +6,21 @@ import csv
 import gzip
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import chdir
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import pytest
+
+from sumo_adv.errors import SumoAdvError
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.records import IntentRecord
 from sumo_adv.planners.source import make_planner
@@ -107,10 +113,43 @@ class Program:
                 raise
         return Done(process.returncode, out, err, self.folder / "out")
 
+    def here(self, *arguments: str | Path) -> Done:
+        """The same in this process, which saves a start of Python: for tests that ask nothing of the process itself,
+        of its signals, and of what SUMO says on its own stderr. ``Runs`` and the tests of interrupts show those."""
+        from typer.testing import CliRunner
+
+        from sumo_adv.cli.main import app
+
+        unset = dict.fromkeys(name for name in os.environ if name.startswith(("SUMO_ADV_", "XDG_", "MPL")))
+        before, tempfile.tempdir = tempfile.tempdir, str(self.temporary)
+        try:
+            with chdir(self.folder):
+                done = CliRunner().invoke(app, [*map(str, arguments)], env={**unset, **self.environment()})
+        finally:
+            tempfile.tempdir = before
+        status, err = done.exit_code, done.stderr
+        if isinstance(done.exception, SumoAdvError):
+            status, err = done.exception.exit_status, f"{err}sumo-adv: {done.exception}\n"
+        elif done.exception is not None and not isinstance(done.exception, SystemExit):
+            raise done.exception
+        return Done(status, done.stdout, err, self.folder / "out")
+
     def leftovers(self) -> list[str]:
         """What lies in the folder besides the home and the temporary folder, and what lies in the latter."""
         own = sorted(p.name for p in self.folder.iterdir() if p not in (self.home, self.temporary))
         return own + sorted(f"temporary/{p.name}" for p in self.temporary.iterdir())
+
+
+def tiny_disk(folder: Path, size: str, then: str) -> tuple[str, ...]:
+    """What to put before a command that is to have a disk of a ``size`` in ``folder``, and a line of shell for after
+    it. Skips the test where nothing can be mounted."""
+    folder.mkdir()
+    if not shutil.which("unshare") or subprocess.run(["unshare", "-rm", "true"], capture_output=True).returncode:
+        pytest.skip("no tiny disk can be mounted here (unshare is missing or not allowed)")
+    mount = f'mount -t tmpfs -o size={size} tmpfs "{folder}"'
+    if subprocess.run(["unshare", "-rm", "sh", "-c", mount], capture_output=True).returncode:
+        pytest.skip("no tiny disk can be mounted here (mount is not allowed)")
+    return ("unshare", "-rm", "sh", "-c", f'{mount} || exit 77; "$@"; status=$?; {then}; exit $status', "sh")
 
 
 def let_interrupt() -> None:

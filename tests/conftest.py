@@ -13,6 +13,7 @@ from cli_samples import ROOT, Program, Runs
 from hypothesis import settings
 
 from sumo_adv.errors import SimulationError
+from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.simulation.programs import load_libsumo
 
 settings.register_profile("patient", deadline=None)  # a busy machine fails no test
@@ -59,6 +60,13 @@ def runs(tmp_path_factory: pytest.TempPathFactory, caches: Path) -> Iterator[Run
     shared = Runs(tmp_path_factory.mktemp("runs"), caches, at_once=min(4, os.cpu_count() or 1))
     yield shared
     shared.close()
+
+
+@pytest.fixture(scope="session")
+def sandbox() -> Iterator[Sandbox]:
+    """A sandbox with its usual limits, started once."""
+    with Sandbox() as opened:
+        yield opened
 
 
 @pytest.fixture(scope="session")

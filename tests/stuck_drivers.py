@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import sys
 import time
 from pathlib import Path
@@ -73,14 +72,6 @@ class ExitsProcess(SleepsForked):
     def stick(self) -> None:
         """The fault."""
         os._exit(4)
-
-
-class CrashesProcess(ExitsProcess):
-    """Ends its process as a fault in C code does."""
-
-    def stick(self) -> None:
-        """The fault."""
-        os.kill(os.getpid(), signal.SIGSEGV)
 
 
 class Leaks(SleepsForked):

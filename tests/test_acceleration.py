@@ -159,14 +159,14 @@ def test_a_bank_of_the_first_version_keeps_its_evidence(tmp_path: Path) -> None:
 
 
 def test_knots_are_replayed_and_written_as_a_list_of_lists(program: Program) -> None:
-    first = program("run", "leader_middle_lane", "--attempts", "1", "--out", "out", "--json")
+    first = program.here("run", "leader_middle_lane", "--attempts", "1", "--out", "out", "--json")
     assert first.status == 0, first.err
     number = first.manifest["attempt"]["acceleration"]
     assert isinstance(number, float)
     knots = [[0.0, number], [9.0, number]]  # the same at all times, so the same run
     file = first.folder / "manifest.json"
     file.write_text(json.dumps({**first.manifest, "attempt": {**first.manifest["attempt"], "acceleration": knots}}))
-    again = program("run", "--replay", first.folder, "--out", "again", "--json")
+    again = program.here("run", "--replay", first.folder, "--out", "again", "--json")
     assert again.status == 0, again.err
     outcome = json.loads((program.folder / "again" / "outcome.json").read_text())
     assert outcome["intent"]["acceleration"] == outcome["attempts"][0]["acceleration"] == knots
@@ -176,6 +176,6 @@ def test_knots_are_replayed_and_written_as_a_list_of_lists(program: Program) -> 
     file.write_text(
         json.dumps({**first.manifest, "attempt": {**first.manifest["attempt"], "acceleration": [[2, 1], [1, 1]]}})
     )
-    refused = program("run", "--replay", first.folder, "--out", "never", "--json")
+    refused = program.here("run", "--replay", first.folder, "--out", "never", "--json")
     assert refused.status == 2
     assert "ascending" in refused.err and len(refused.err.splitlines()) == 1

@@ -207,7 +207,7 @@ def test_a_bad_included_file_is_one_sentence(program: Program, included: str | N
     if included is not None:
         write(program.folder / "b.add.xml", included)
     configured(program.folder, "a.add.xml")
-    done = program("run", "own.sumocfg", "--out", "out")
+    done = program.here("run", "own.sumocfg", "--out", "out")
     assert done.status == 2
     assert says in done.err
     assert done.err.count("\n") == 1
@@ -234,13 +234,13 @@ def test_a_run_and_its_replay_write_nothing_beside_the_configuration(program: Pr
     configured(home, "all.add.xml")
     before = files_in(home)
     options = ("--ego-id", "ego", "--trigger", "7", "--attempts", "3", "--until", "critical", "--out", "out")
-    done = program("run", "town/own.sumocfg", *options)
+    done = program.here("run", "town/own.sumocfg", *options)
     assert (done.status, done.err) == (0, "")
     assert done.outcome["attempts"]
     assert files_in(home) == before
     for file in home.rglob("*.xml"):
         file.unlink()
-    again = program("run", "--replay", "out", "--out", "again")
+    again = program.here("run", "--replay", "out", "--out", "again")
     assert (again.status, again.err) == (0, "")
     assert again.outcome["outcome"] == done.outcome["outcome"]
     assert list(program.folder.glob("*.xml")) == []

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import pytest
@@ -24,12 +24,6 @@ NUDGE = {
 }  # fmt: skip
 LABELS = {"straddle": "Opposite Direction Intrusion", "nudge": "Straight Lane Shift"}
 AGO = {"x": 0.0, "y": 0.0, "heading": 0.0, "speed": 24.0, "time": 2.0}
-
-
-@pytest.fixture(scope="module")
-def sandbox() -> Iterator[Sandbox]:
-    with Sandbox() as opened:
-        yield opened
 
 
 def planner(mode: str) -> Planner:

@@ -7,7 +7,6 @@ import multiprocessing
 import os
 import shutil
 import signal
-import subprocess
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import Any
 
 import pytest
 from batch_samples import CRASHED, INPUTS, QUICK, RUN, SETTINGS_FILE, SMALL, clean, summary, table, workers_of
-from cli_samples import PATIENCE, ROOT, TRAIL, Done, Program, bank_with, files_of, lacking, untimed
+from cli_samples import PATIENCE, ROOT, TRAIL, Done, Program, bank_with, files_of, lacking, tiny_disk, untimed
 from test_cli_bad_input import powerless, refused, shelf  # noqa: F401 - a fixture
 from test_interrupt import alive, children_of, wait_until
 
@@ -95,9 +94,9 @@ def test_any_number_of_workers_gives_the_same_rows(
 
 
 def test_a_dry_run_prints_the_episodes_and_runs_none(program: Program, whole: tuple[Program, Done]) -> None:
-    report = summary(program(*SMALL, "--dry-run", "--json"))
+    report = summary(program.here(*SMALL, "--dry-run", "--json"))
     assert [e["id"] for e in report["episodes"]] == [r["id"] for r in table(whole[1].folder)]
-    done = program(*SMALL, "--dry-run")
+    done = program.here(*SMALL, "--dry-run")
     assert done.out.splitlines()[-1] == "4 episodes, into out."
     assert program.leftovers() == []
 
@@ -105,7 +104,7 @@ def test_a_dry_run_prints_the_episodes_and_runs_none(program: Program, whole: tu
 def test_a_plan_file_is_the_same_as_its_options(program: Program, whole: tuple[Program, Done]) -> None:
     text = f"inputs = {json.dumps(INPUTS)}\nseeds = [0, 1]\n[settings]\n{SETTINGS_FILE}"
     (program.folder / "plan.toml").write_text(text)
-    report = summary(program("batch", "plan.toml", "--dry-run", "--json"))
+    report = summary(program.here("batch", "plan.toml", "--dry-run", "--json"))
     assert [e["id"] for e in report["episodes"]] == [r["id"] for r in table(whole[1].folder)]
     assert report["out"] == "runs/plan"
 
@@ -123,15 +122,15 @@ def test_the_same_again_does_only_what_is_missing(program: Program, whole: tuple
     report = summary(program(*SMALL, "--workers", "1", "--json"))
     assert (report["finished"], report["ran"]) == (4, 2)
     assert table(out) == before
-    assert summary(program(*SMALL, "--json"))["ran"] == 0
+    assert summary(program.here(*SMALL, "--json"))["ran"] == 0
     clean(program)
 
 
 def test_another_plan_in_the_same_folder_says_what_differs(program: Program, whole: tuple[Program, Done]) -> None:
     out = again(program, whole)
     more = ("batch", *INPUTS, "--seeds", "3", *QUICK, "--out", "out")
-    refused(program(*more), 2, "seeds were 0, 1, are 0, 1, 2", "--force")
-    refused(program(*SMALL, "--learn", "after"), 2, "learn: off then, after now", "another --out")
+    refused(program.here(*more), 2, "seeds were 0, 1, are 0, 1, 2", "--force")
+    refused(program.here(*SMALL, "--learn", "after"), 2, "learn: off then, after now", "another --out")
     before = table(out)
     report = summary(program(*more, "--force", "--json"))
     assert (report["episodes"], report["ran"]) == (6, 2)
@@ -141,14 +140,14 @@ def test_another_plan_in_the_same_folder_says_what_differs(program: Program, who
 def test_packed_runs_count_as_done_and_come_back_as_they_were(program: Program, whole: tuple[Program, Done]) -> None:
     out = again(program, whole)
     before, rows = files_of(out / "runs"), table(out)
-    assert json.loads(program("batch", "pack", "out", "--json").out)["files"] == [len(before), 2]
+    assert json.loads(program.here("batch", "pack", "out", "--json").out)["files"] == [len(before), 2]
     (out / "results.csv").unlink()
-    assert summary(program(*SMALL, "--json"))["ran"] == 0
+    assert summary(program.here(*SMALL, "--json"))["ran"] == 0
     assert table(out) == rows
-    program("batch", "unpack", "out")
+    program.here("batch", "unpack", "out")
     assert files_of(out / "unpacked") == before
-    refused(program("batch", "unpack", "out", "nothing"), 2, "holds the run nothing")
-    refused(program("batch", "pack", "home"), 2, "is not the folder of a batch")
+    refused(program.here("batch", "unpack", "out", "nothing"), 2, "holds the run nothing")
+    refused(program.here("batch", "pack", "home"), 2, "is not the folder of a batch")
 
 
 # -- faults
@@ -232,7 +231,7 @@ def test_a_worker_that_starts_as_its_parent_dies_ends_without_a_word(
     assert process.exitcode == 0 and capfd.readouterr().err == ""
 
 
-@pytest.mark.parametrize("victim", ["worker", "parent"])
+@pytest.mark.parametrize("victim", [pytest.param("worker", marks=pytest.mark.soak), "parent"])
 def test_kill_9_loses_nothing(program: Program, whole: tuple[Program, Done], victim: str) -> None:
     with program.start(*SMALL, "--workers", "2") as process:
         runs = program.folder / "out" / "runs"
@@ -309,17 +308,8 @@ def test_a_folder_that_becomes_read_only_stops_the_batch(program: Program, whole
 
 def test_a_full_disk_is_a_sentence_and_nothing_is_half_written(program: Program) -> None:
     disk = program.folder / "disk"
-    disk.mkdir()
-    if not shutil.which("unshare") or subprocess.run(["unshare", "-rm", "true"], capture_output=True).returncode:
-        pytest.skip("no tiny disk can be mounted here (unshare is missing or not allowed)")
-    script = (
-        f'mount -t tmpfs -o size=300k tmpfs "{disk}" || exit 77; "$@"; status=$?; '
-        f'find "{disk}/out/runs" -mindepth 1 -maxdepth 1 -name ".*"; exit $status'
-    )
-    before = ("unshare", "-rm", "sh", "-c", script, "sh")
+    before = tiny_disk(disk, "300k", f'find "{disk}/out/runs" -mindepth 1 -maxdepth 1 -name ".*"')
     done = program(*SMALL[:-1], disk / "out", "--workers", "1", before=before)
-    if done.status == 77:
-        pytest.skip("no tiny disk can be mounted here (mount is not allowed)")
     refused(done, 1, "no space left")
 
 
@@ -333,7 +323,7 @@ def test_off_learns_nothing_and_after_learns_in_the_plans_order(
     assert first == second and [report["learnt"] for _, report in taught] == [len(first), len(second)]
     assert first
     program, _ = taught[0]
-    again = summary(program(*TAUGHT, "--json"))
+    again = summary(program.here(*TAUGHT, "--json"))
     assert again["ran"] == 0 and evidence_of(program.folder / "bank.sqlite") == first
     assert evidence_of(whole[0].home / "data" / "sumo_adv" / "memory_bank.sqlite") == []
 

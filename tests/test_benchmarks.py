@@ -25,6 +25,7 @@ def printed(program: Program, name: str, *arguments: str, statuses: tuple[int, .
     return done.stdout
 
 
+@pytest.mark.soak
 def test_step_overhead_has_a_row_for_each_case(program: Program) -> None:
     """Over its bound (status 1) is allowed: a window this short is mostly its verdict."""
     output = printed(
@@ -43,6 +44,7 @@ def test_step_overhead_has_a_row_for_each_case(program: Program) -> None:
         assert 1.0 < float(low) <= float(middle) <= float(high)
 
 
+@pytest.mark.soak
 def test_environment_speed_has_a_row_for_an_environment(program: Program) -> None:
     """Below its bound (status 1) is allowed: one episode is too short to measure."""
     output = printed(
@@ -53,6 +55,7 @@ def test_environment_speed_has_a_row_for_an_environment(program: Program) -> Non
     assert speed_line is not None, output
 
 
+@pytest.mark.soak
 def test_attempt_cost_compares_the_same_attempt(program: Program) -> None:
     """Over a bound (status 1) is allowed: other tests run beside it."""
     output = printed(
@@ -71,6 +74,7 @@ def test_attempt_cost_compares_the_same_attempt(program: Program) -> None:
     assert 1e-3 * float(batch[2]) < float(call[2])  # us a call in a batch, ms a call by itself
 
 
+@pytest.mark.soak
 def test_batch_scaling_compares_ways_of_the_same_episodes(program: Program) -> None:
     """How the ways compare is not asked: four short episodes are mostly the start of processes."""
     options = ("--episodes", "4", "--pairs", "1", "--proposals", "8", "--ways", "warm,one,two,apart")

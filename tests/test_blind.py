@@ -9,7 +9,7 @@ from situation_samples import car
 
 from sumo_adv.drivers import Observation, Steer
 from sumo_adv.drivers.blind import BlindEgo
-from sumo_adv.drivers.road import Road, StopLine
+from sumo_adv.drivers.protocol import Road, StopLine
 
 EAST = [(float(x), 0.0) for x in range(0, 200, 5)]
 

@@ -191,7 +191,7 @@ QUICK = ("--attempts", "1", "--learn", "off", "--out", "out")
 
 
 def refused(program: Program, *options: str) -> str:
-    done = program(*options)
+    done = program.here(*options)
     assert (done.status, done.out, program.leftovers()) == (2, "", []), done.err
     return done.err
 
@@ -214,13 +214,13 @@ def test_a_run_tries_what_was_chosen_records_it_and_replays(program: Program) ->
         "0.4",
         "1.8",
     )
-    done = program("run", "motorway_cut_in_left", *chosen, *QUICK, "--json")
+    done = program.here("run", "motorway_cut_in_left", *chosen, *QUICK, "--json")
     assert done.status == 0, done.err
     assert {i["label"] for i in done.outcome["intents"]} == {"Straight Lane Shift"}
     assert done.outcome["goal"] == "near miss with a min TTC of 0.4 to 1.8 s"
     settings = done.manifest["settings"]
     assert settings["intents"] == ["Straight Lane Shift", "Aggressive Cut-in"] and settings["ttc"] == [0.4, 1.8]
-    again = json.loads(program("run", "--replay", "out", "--out", "again", "--json").out)
+    again = json.loads(program.here("run", "--replay", "out", "--out", "again", "--json").out)
     assert again["outcome"] == done.outcome["outcome"]
 
 

@@ -10,7 +10,6 @@ import resource
 import shutil
 import subprocess
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -26,6 +25,7 @@ from cli_samples import (
     files_of,
     lacking,
     let_interrupt,
+    tiny_disk,
 )  # fmt: skip
 
 from sumo_adv.datatypes import Ending
@@ -99,7 +99,7 @@ def odd_scenario(folder: Path) -> Path:
 def test_what_cannot_be_run_is_refused(program: Program, make: Callable[[Path], Path], says: str) -> None:
     given = program.folder / "given"
     given.mkdir()
-    refused(program("run", make(given), "--out", "new/out"), 2, says)
+    refused(program.here("run", make(given), "--out", "new/out"), 2, says)
     assert program.leftovers() == ["given"]
     assert not (program.home / "data").exists()
 
@@ -120,7 +120,7 @@ def test_what_cannot_be_run_is_refused(program: Program, make: Callable[[Path], 
     ids=lambda value: " ".join(value) if isinstance(value, tuple) else "",
 )  # fmt: skip
 def test_what_makes_no_sense_is_refused(program: Program, options: tuple[str, ...], says: str) -> None:
-    refused(program("run", "leader_two_lanes", "--out", "new/out", *options), 2, says)
+    refused(program.here("run", "leader_two_lanes", "--out", "new/out", *options), 2, says)
     assert program.leftovers() == []
 
 
@@ -133,7 +133,7 @@ def test_what_makes_no_sense_is_refused(program: Program, options: tuple[str, ..
     ids=["until", "unknown option", "not a number", "unknown command"],
 )  # fmt: skip
 def test_misuse_gets_the_usage(program: Program, options: tuple[str, ...], says: str) -> None:
-    misused(program(*options), says)
+    misused(program.here(*options), says)
     assert program.leftovers() == []
 
 
@@ -145,14 +145,14 @@ def test_misuse_gets_the_usage(program: Program, options: tuple[str, ...], says:
 )  # fmt: skip
 def test_a_bad_settings_file_is_refused(program: Program, text: str, says: str) -> None:
     (program.folder / "settings.toml").write_text(text)
-    refused(program("run", "motorway_cut_in_left", "--out", "new/out", "--settings", "settings.toml"), 2, says)
+    refused(program.here("run", "motorway_cut_in_left", "--out", "new/out", "--settings", "settings.toml"), 2, says)
     assert program.leftovers() == ["settings.toml"]
 
 
 def test_input_and_replay_exclude_one_another(program: Program) -> None:
-    refused(program("run", "motorway_cut_in_left", "--replay", "somewhere"), 2, "--replay")
-    refused(program("run"), 2, "INPUT")
-    refused(program("run", "--replay", "somewhere"), 2, "manifest.json")
+    refused(program.here("run", "motorway_cut_in_left", "--replay", "somewhere"), 2, "--replay")
+    refused(program.here("run"), 2, "INPUT")
+    refused(program.here("run", "--replay", "somewhere"), 2, "manifest.json")
     assert program.leftovers() == []
 
 
@@ -165,11 +165,11 @@ def test_input_and_replay_exclude_one_another(program: Program) -> None:
     ],
 )
 def test_a_replay_refuses_what_it_would_ignore(program: Program, options: tuple[str, ...], says: str) -> None:
-    refused(program("run", "--replay", "somewhere", *options), 2, says)
+    refused(program.here("run", "--replay", "somewhere", *options), 2, says)
 
 
 def test_a_replay_with_another_ego_is_refused(program: Program, runs: Runs) -> None:
-    refused(program("run", "--replay", runs["first"].folder, "--ego", "krauss"), 2, "was driven by 'idm'")
+    refused(program.here("run", "--replay", runs["first"].folder, "--ego", "krauss"), 2, "was driven by 'idm'")
 
 
 def test_a_run_folder_runs_no_class_that_the_command_line_does_not_name(program: Program, runs: Runs) -> None:
@@ -178,12 +178,12 @@ def test_a_run_folder_runs_no_class_that_the_command_line_does_not_name(program:
         (program.folder / "copy" / name).parent.mkdir(parents=True, exist_ok=True)
         (program.folder / "copy" / name).write_bytes(files_of(runs["calm"].folder)[name])
     replay = ("run", "--replay", program.folder / "copy", "--out", "again")
-    refused(program(*replay), 2, "name it yourself with --ego ego_samples:CalmEgo")
+    refused(program.here(*replay), 2, "name it yourself with --ego ego_samples:CalmEgo")
     manifest = json.loads((program.folder / "copy" / "manifest.json").read_text(encoding="utf-8"))
     manifest |= {"ego_driver": "subprocess:Popen", "ego_parameters": {"args": "touch proof", "shell": True}}
     (program.folder / "copy" / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
-    refused(program(*replay), 2, "name it yourself with --ego subprocess:Popen")
-    named = program(*replay, "--ego", "subprocess:Popen")
+    refused(program.here(*replay), 2, "name it yourself with --ego subprocess:Popen")
+    named = program.here(*replay, "--ego", "subprocess:Popen")
     assert named.status != 0 and "is a class of Python's standard library" in named.err
     assert program.leftovers() == ["copy"]
 
@@ -192,7 +192,7 @@ def test_a_scenario_runs_no_class_that_the_command_line_does_not_name(program: P
     network = ROOT / "networks" / "motorway.net.xml"
     table = "[ego]\ncontroller = 'subprocess:Popen'\nparameters = { args = 'touch proof', shell = true }\n"
     (program.folder / "strange.toml").write_text(f"schema = 1\nnetwork = '{network}'\n{table}", encoding="utf-8")
-    refused(program("run", "strange.toml"), 2, "name it yourself with --ego subprocess:Popen")
+    refused(program.here("run", "strange.toml"), 2, "name it yourself with --ego subprocess:Popen")
     assert program.leftovers() == ["strange.toml"]
 
 
@@ -213,7 +213,7 @@ def test_a_folder_that_is_taken_needs_force(program: Program, runs: Runs) -> Non
     shutil.copytree(runs["nothing"].folder, program.folder / "out")
     (program.folder / "out" / "old.txt").write_text("old")
     arguments = ("run", "straight_3lane", "--density", "1", "--end", "15", "--out", "out")
-    refused(program(*arguments), 2, "--force")
+    refused(program.here(*arguments), 2, "--force")
     assert (program.folder / "out" / "old.txt").exists()
     done = program(*arguments, "--force")
     assert (done.status, done.err) == (0, "")
@@ -225,11 +225,11 @@ def test_a_folder_that_is_taken_needs_force(program: Program, runs: Runs) -> Non
 def test_force_does_not_replace_what_is_no_run(program: Program) -> None:
     (program.folder / "out").mkdir()
     (program.folder / "out" / "thesis.txt").write_text("five years of work")
-    refused(program("run", *QUICK, "--out", "out", "--force"), 2, "is not the folder of a run")
+    refused(program.here("run", *QUICK, "--out", "out", "--force"), 2, "is not the folder of a run")
     assert (program.folder / "out" / "thesis.txt").read_text() == "five years of work"
     (program.folder / "file").write_text("a file")
-    refused(program("run", *QUICK, "--out", "file", "--force"), 2, "file")
-    refused(program("run", *QUICK, "--out", "file/out"), 2, "file/out")
+    refused(program.here("run", *QUICK, "--out", "file", "--force"), 2, "file")
+    refused(program.here("run", *QUICK, "--out", "file/out"), 2, "file/out")
     assert program.leftovers() == ["file", "out"]
 
 
@@ -250,14 +250,8 @@ def test_files_that_cannot_grow_leave_no_folder(program: Program) -> None:
 
 def test_a_full_disk_leaves_no_folder(program: Program) -> None:
     disk = program.folder / "disk"
-    disk.mkdir()
-    if not shutil.which("unshare") or subprocess.run(["unshare", "-rm", "true"], capture_output=True).returncode:
-        pytest.skip("no tiny disk can be mounted here (unshare is missing or not allowed)")
-    script = f'mount -t tmpfs -o size=48k tmpfs "{disk}" || exit 77; "$@"; status=$?; ls -A "{disk}"; exit $status'
-    before = ("unshare", "-rm", "sh", "-c", script, "sh")
+    before = tiny_disk(disk, "48k", f'ls -A "{disk}"')
     done = program("run", *QUICK, "--out", disk / "out", "--json", before=before)
-    if done.status == 77:
-        pytest.skip("no tiny disk can be mounted here (mount is not allowed)")
     refused(done, 1, "no space left")
     assert program.leftovers() == ["disk"]
 
@@ -305,27 +299,19 @@ def test_no_right_to_write_is_a_sentence(program: Program, shelf: Path) -> None:
 # -- planners
 
 
-@pytest.fixture(scope="module")
-def misplanned(tmp_path_factory: pytest.TempPathFactory, caches: Path) -> Iterator[dict[str, Future[Done]]]:
-    """A run with each bad planner as the only one of its bank, as many at a time as there are processors."""
-
-    def run(wrong: str) -> Done:
-        program = Program(tmp_path_factory.mktemp("planner"), caches)
-        bank = bank_with(program.folder / "bank.sqlite", BAD_PLANNERS[wrong])
-        (program.folder / "few.toml").write_text("proposals = 4\n")
-        options = ("--memory", bank, "--settings", "few.toml", "--tuner", "off", "--out", "out", "--json")
-        done = program("run", *QUICK, *options)
-        assert program.leftovers() == ["bank.sqlite", "few.toml", "out"]
-        return done
-
-    with ThreadPoolExecutor(min(4, os.cpu_count() or 1)) as pool:
-        yield {wrong: pool.submit(run, wrong) for wrong in BAD_PLANNERS}
-        pool.shutdown(cancel_futures=True)
+IN_EVERY_TEST = ("loops", "teleports", "raises")  # the sandbox's own tests have all kinds
 
 
-@pytest.mark.parametrize("wrong", BAD_PLANNERS)
-def test_a_bad_planner_cannot_break_a_run(misplanned: dict[str, Future[Done]], wrong: str) -> None:
-    done = misplanned[wrong].result()
+@pytest.mark.parametrize(
+    "wrong", [pytest.param(wrong, marks=[] if wrong in IN_EVERY_TEST else pytest.mark.soak) for wrong in BAD_PLANNERS]
+)
+def test_a_bad_planner_cannot_break_a_run(program: Program, wrong: str) -> None:
+    """It is the only one of its bank."""
+    bank = bank_with(program.folder / "bank.sqlite", BAD_PLANNERS[wrong])
+    (program.folder / "few.toml").write_text("proposals = 4\n")
+    options = ("--memory", bank, "--settings", "few.toml", "--tuner", "off", "--out", "out", "--json")
+    done = program("run", *QUICK, *options)
+    assert program.leftovers() == ["bank.sqlite", "few.toml", "out"]
     outcome = done.outcome
     assert outcome["ending"] in set(Ending) and outcome["reason"]
     assert done.status == (1 if outcome["ending"] == "planner_failed" else 0), done.err

@@ -243,7 +243,7 @@ def test_a_changed_run_is_not_replayed(runs: Runs, program: Program, change: str
     else:
         changed(manifest, change)
         (folder / "manifest.json").write_text(json.dumps(manifest))
-    done = program("run", "--replay", folder, "--out", "out", "--json")
+    done = program.here("run", "--replay", folder, "--out", "out", "--json")
     assert done.status in (1, 2)
     assert done.err.startswith("sumo-adv: ") and len(done.err.splitlines()) == 1
     assert says in done.err

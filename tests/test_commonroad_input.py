@@ -132,11 +132,11 @@ def test_an_ego_that_comes_later_begins_at_its_own_step(tmp_path: Path) -> None:
 
 def test_convert_takes_it(program: Program) -> None:
     write(program.folder, *LANES, CAR, PROBLEM)
-    done = program("convert", "hand.xml", "--out", "made", "--no-traffic")
+    done = program.here("convert", "hand.xml", "--out", "made", "--no-traffic")
     assert done.status == 0, done.err
     given = load_input(program.folder / "made" / "ZAM_Hand-1_1_T-1" / "scenario.toml")
     assert given.ego == "7" and given.playback is not None and given.playback.vehicles == {"5", "7"}
-    refused = program("convert", "hand.xml", "--out", "made", "--first", "1")
+    refused = program.here("convert", "hand.xml", "--out", "made", "--first", "1")
     assert (refused.status, "choose among records of a TFRecord file" in refused.err) == (2, True)
 
 
@@ -152,7 +152,7 @@ def test_batch_runs_it(program: Program) -> None:
 
 def test_serve_refuses_it_and_says_why(program: Program) -> None:
     write(program.folder, *LANES, CAR, PROBLEM)
-    refused = program("serve", "hand.xml")
+    refused = program.here("serve", "hand.xml")
     assert refused.status == 2 and "hand.xml plays a log back, which serve does not do" in refused.err
 
 

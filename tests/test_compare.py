@@ -150,17 +150,17 @@ def test_the_command_links_the_replays_of_both(program: Program) -> None:
         folder.symlink_to(attacked())
         document = {"schema": 1, "suite": "s", "cases": [case("crossing", level, 2.0, ego=name)]}
         (program.folder / name / "regress.json").write_text(json.dumps(document))
-    done = program("compare", "one", "two", "--out", "out")
+    done = program.here("compare", "one", "two", "--out", "out")
     assert (done.status, done.err) == (0, "")
     assert "[one](one/runs/crossing)" in done.out and "[two](two/runs/crossing)" in done.out
     page = (program.folder / "out" / "compare.html").read_text()
     assert '<a href="pages/1-1.html">fail: serious, delta-v 2.0 m/s</a>' in page
     assert {p.name for p in (program.folder / "out" / "pages").iterdir()} == {"1-1.html", "1-2.html"}
-    data = json.loads(program("compare", "one", "two", "--json").out)
+    data = json.loads(program.here("compare", "one", "two", "--json").out)
     assert data["encounters"] == 1 and data["changes"][0]["second"]["run"] == "two/runs/crossing"
-    assert program("compare", "one", "two", "--egos", "one").status == 2
+    assert program.here("compare", "one", "two", "--egos", "one").status == 2
 
 
 def test_a_run_is_compared_with_itself(program: Program) -> None:
-    done = json.loads(program("compare", attacked(), attacked(), "--json").out)
+    done = json.loads(program.here("compare", attacked(), attacked(), "--json").out)
     assert done["encounters"] == 1 and done["changes"] == []

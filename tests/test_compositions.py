@@ -135,13 +135,13 @@ def test_the_commands_list_show_and_check_compositions(program: Program) -> None
     path = program.folder / "bank.sqlite"
     with filled(path) as bank:
         bank.retire(CUT_IN.label)
-    listed = program("memory", "list", "--memory", path)
+    listed = program.here("memory", "list", "--memory", path)
     assert "Squeeze: composed of Aggressive Cut-in + Escape Block Left; 2 attempts succeeded, 1 failed" in listed.out
     assert "; forgotten" in listed.out
-    shown = json.loads(program("memory", "show", "squeeze", "--json", "--memory", path).out)
+    shown = json.loads(program.here("memory", "show", "squeeze", "--json", "--memory", path).out)
     assert [part["role"] for part in shown["parts"]] == ["collider", "block_left"]
-    assert "hide: View Screen\n" in program("memory", "show", "Trap", "--memory", path).out
-    checked = json.loads(program("memory", "verify", "--json", "--memory", path).out)
+    assert "hide: View Screen\n" in program.here("memory", "show", "Trap", "--memory", path).out
+    checked = json.loads(program.here("memory", "verify", "--json", "--memory", path).out)
     assert checked["compositions"] == [
         {"label": "Squeeze", "ok": False, "failure": f"there is no active {CUT_IN.label} / {CUT_PLANNER.mode}."}
     ]  # fmt: skip

@@ -8,8 +8,8 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -17,17 +17,22 @@ from cli_samples import PATIENCE, ROOT, Program
 from docs_blocks import Block, blocks, pages
 
 STORIES = {str(page.relative_to(ROOT)): page for page in pages() if any(b.mark == "run" for b in blocks(page))}
-Played = Mapping[str, tuple[Path, Future[list[str]]]]
+Played = Callable[[str], tuple[Path, list[str]]]
+LATER = ("choose", "rate", "several", "vulnerable")  # pages whose commands other tests run too: only in make soak
 SAID = "said.txt"  # in a story's folder: what its blocks printed
 AT_HAND = ("scenarios", "networks", "memory_bank", "prompts")  # of the checkout, which no block writes to
 
 
 @pytest.fixture(scope="module")
-def played(tmp_path_factory: pytest.TempPathFactory, caches: Path) -> Iterator[Played]:
-    """The folder of each story, and what went wrong in it; as many are played at a time as there are processors."""
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        folders = {name: tmp_path_factory.mktemp(page.stem) for name, page in STORIES.items()}
-        yield {name: (folders[name], pool.submit(tell, page, folders[name], caches)) for name, page in STORIES.items()}
+def played(tmp_path_factory: pytest.TempPathFactory, caches: Path) -> Played:
+    """The folder of a story, and what went wrong in it; each is played once."""
+
+    @cache
+    def play(name: str) -> tuple[Path, list[str]]:
+        folder = tmp_path_factory.mktemp(STORIES[name].stem)
+        return folder, tell(STORIES[name], folder, caches)
+
+    return play
 
 
 def tell(page: Path, folder: Path, caches: Path) -> list[str]:
@@ -58,24 +63,26 @@ def run(block: Block, folder: Path, environment: dict[str, str]) -> str | None:
     return None if done.returncode == 0 else f"{block.location}: status {done.returncode}: {done.stderr[-600:]}"
 
 
-@pytest.mark.parametrize("name", STORIES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.soak if page.stem in LATER else []) for n, page in STORIES.items()]
+)
 def test_what_a_page_says_works(name: str, played: Played) -> None:
-    assert played[name][1].result() == []
+    assert played(name)[1] == []
 
 
 @pytest.mark.parametrize(
     ("page", "run_folder"), [("docs/first_hour.md", "runs/first"), ("docs/planner.md", "runs/squeeze")]
 )
 def test_what_newcomers_try_first_succeeds(page: str, run_folder: str, played: Played) -> None:
-    folder, wrong = played[page]
-    assert wrong.result() == []
+    folder, wrong = played(page)
+    assert wrong == []
     outcome = json.loads((folder / run_folder / "outcome.json").read_text(encoding="utf-8"))
     assert (outcome["ending"], outcome["outcome"]["valid"]) == ("critical", True)
 
 
 def test_the_second_version_passes_what_the_first_one_fails(played: Played) -> None:
-    folder, wrong = played["docs/first_week.md"]
-    assert wrong.result() == []
+    folder, wrong = played("docs/first_week.md")
+    assert wrong == []
     counts = {}
     for version in ("First", "Second"):
         file = folder / "runs" / f"two_versions:{version}" / "regress.json"
@@ -86,8 +93,8 @@ def test_the_second_version_passes_what_the_first_one_fails(played: Played) -> N
 
 @pytest.mark.parametrize("page", ["README.md", "docs/first_hour.md"])
 def test_the_output_shown_is_the_output(page: str, played: Played) -> None:
-    folder, wrong = played["docs/first_hour.md"]
-    assert wrong.result() == []
+    folder, wrong = played("docs/first_hour.md")
+    assert wrong == []
     printed = (folder / SAID).read_text(encoding="utf-8")
     shown = next(b.text for b in blocks(ROOT / page) if b.text.startswith("Encounter at"))
     lines = [line.split(" (risk")[0] for line in shown.splitlines() if not line.startswith("Files:")]

@@ -51,7 +51,7 @@ def test_what_is_broken_fails_and_says_how_to_mend_it(program: Program) -> None:
     (program.folder / "bank.sqlite").write_text("no bank")
     key = "sk-secret-word"
     program.variables = {"SUMO_ADV_LLM_API_KEY": key, "SUMO_ADV_LLM_BASE_URL": "http://127.0.0.1:1/v1"}
-    done = program("doctor", "--memory", "bank.sqlite", "--llm", "mine")
+    done = program.here("doctor", "--memory", "bank.sqlite", "--llm", "mine")
     failed = [line for line in done.out.splitlines() if line.startswith("fail")]
     assert done.status == 1
     assert [line.split(": ")[0].split()[1] for line in failed] == ["model", "memory"]
@@ -63,7 +63,7 @@ def test_what_is_broken_fails_and_says_how_to_mend_it(program: Program) -> None:
 
 def test_a_bad_setting_is_one_line(program: Program) -> None:
     program.variables = {"SUMO_ADV_ATTEMPTS": "many"}
-    done = program("doctor")
+    done = program.here("doctor")
     assert done.status == 1
     assert "fail  settings: Setting 'attempts' cannot be 'many'" in done.out
 
@@ -76,13 +76,13 @@ def test_a_variable_that_is_no_setting_is_named() -> None:
 
 
 def test_the_version_names_sumo_and_the_bank(program: Program) -> None:
-    done = program("--version")
+    done = program.here("--version")
     assert done.out.startswith(f"sumo-adv {__version__} (SUMO 1.28.0; memory bank: schema 3, content ")
     assert done.out == program("--version").out
     bank = program.home / "data" / "sumo_adv"
     bank.mkdir(parents=True)
     (bank / "memory_bank.sqlite").write_text("no bank")
-    done = program("--version")
+    done = program.here("--version")
     assert (done.status, done.err) == (0, "")
     assert "is not a SQLite file" in done.out
 

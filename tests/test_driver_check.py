@@ -176,9 +176,9 @@ def test_the_command_says_what_is_wrong_and_exits_with_3(program: Program) -> No
 
 
 def test_wrong_use_of_the_command(program: Program) -> None:
-    done = program("doctor", "--scenario", "leader_two_lanes")
+    done = program.here("doctor", "--scenario", "leader_two_lanes")
     assert (done.status, "name the driver as well" in done.err) == (2, True)
-    done = program("doctor", "--ego", "idm", "--llm", "mine")
+    done = program.here("doctor", "--ego", "idm", "--llm", "mine")
     assert (done.status, "leave out --llm and --memory" in done.err) == (2, True)
     with pytest.raises(UsageError, match="There is no ego 'wild'"):
         checked("wild", STOP_AND_GO, seconds=1.0)

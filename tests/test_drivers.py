@@ -14,10 +14,8 @@ import pytest
 from situation_samples import KRAUSS, changed, leader, situation
 
 from sumo_adv.datatypes import DriverModel, Floats
-from sumo_adv.drivers.car_following import CarFollowing
-from sumo_adv.drivers.junctions import AtJunction, seconds
 from sumo_adv.drivers.prediction import PredictedEgos
-from sumo_adv.drivers.scenes import Scenes
+from sumo_adv.drivers.sumo_rules import AtJunction, CarFollowing, Scenes, seconds
 from sumo_adv.situation import Situation
 
 KINDS = pytest.mark.parametrize("kind", ["krauss", "idm"])

@@ -23,8 +23,8 @@ from sumo_adv.drivers import (
     make_ego,
     model_of,
 )
+from sumo_adv.drivers.protocol import read_wishes, wishes_of
 from sumo_adv.drivers.registry import trusted_driver
-from sumo_adv.drivers.wishes import read_wishes, wishes_of
 from sumo_adv.errors import SimulationError, UsageError
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"

@@ -94,7 +94,7 @@ def test_a_bad_odd_is_refused_in_one_sentence(tmp_path: Path, text: str, sentenc
 def test_batch_refuses_a_bad_odd_before_anything_runs(program: Program) -> None:
     (program.folder / "odd.toml").write_text('road = ["urban"]\n')
     batch = ("batch", "motorway_cut_in_left", "--odd", "odd.toml", "--out", "out")
-    refused(program(*batch), 2, "unknown key 'road'", "known keys are roads")
+    refused(program.here(*batch), 2, "unknown key 'road'", "known keys are roads")
     assert program.leftovers() == ["odd.toml"]
 
 

@@ -106,13 +106,6 @@ def test_a_candidate_in_which_sumo_crashes_twice_is_skipped(program: Program) ->
 
 
 @needs_fork
-def test_a_crash_that_a_repetition_does_not_show_costs_nothing(program: Program) -> None:
-    (program.folder / "crashes").write_text("2")
-    done = program(*CRASHING, "--json")
-    assert done.status == 0 and [a["ending"] for a in done.outcome["attempts"] if a["ending"] == "crashed"] == []
-
-
-@needs_fork
 def test_where_every_attempt_crashes_the_run_says_so(program: Program) -> None:
     (program.folder / "crashes").write_text(" ".join(map(str, range(2, 50))))
     done = program(*CRASHING)

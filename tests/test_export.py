@@ -24,7 +24,7 @@ from sumo_adv.report.export.replay import CONFIGURATION, write_replay
 from sumo_adv.simulation.network import read_network
 from sumo_adv.simulation.programs import find_netconvert
 
-CASES = [(geometry, unattacked) for geometry in GEOMETRIES for unattacked in (False, True)]
+CASES = [*((geometry, False) for geometry in GEOMETRIES), ("straight", True)]
 IDS = [f"{geometry}, {'unattacked' if unattacked else 'attacked'}" for geometry, unattacked in CASES]
 CENTIMETRE, MILLISECOND = 0.01, 0.001
 
@@ -65,8 +65,9 @@ def test_asams_checker_finds_nothing(scenario: Path) -> None:
     assert found_by_asam(scenario) == []
 
 
-def test_asams_checker_finds_what_is_wrong(scenario: Path, tmp_path: Path) -> None:
-    text = scenario.read_text(encoding="utf-8")
+def test_asams_checker_finds_what_is_wrong(tmp_path: Path) -> None:
+    write_openscenario(tmp_path, read_piece(run_folder("straight")), find_netconvert())
+    text = (tmp_path / SCENARIO).read_text(encoding="utf-8")
     (tmp_path / "bad.xosc").write_text(text.replace("<CatalogLocations />", ""), encoding="utf-8")
     assert found_by_asam(tmp_path / "bad.xosc") != []
 

@@ -44,7 +44,7 @@ def test_a_hunt_writes_each_failure(hunted: Path) -> None:
 
 
 def test_a_suite_of_them_is_exported_once_it_has_run(hunted: Path, program: Program) -> None:
-    kept = program("keep", hunted / "failures", "--suite", "suite")
+    kept = program.here("keep", hunted / "failures", "--suite", "suite")
     assert kept.status == 0, kept.err
     error = CliRunner().invoke(app, ["export", str(program.folder / "suite"), "--format", "csv"]).exception
     assert isinstance(error, UsageError) and "what regress wrote of a suite" in str(error)
@@ -57,7 +57,7 @@ def test_a_packed_campaign_needs_no_unpacking(program: Program) -> None:
     batch = program("batch", "motorway_cut_in_left", *QUICK, "--seeds", "2", "--workers", "1", "--out", "out")
     assert batch.status == 0
     names = {run.name for run in (batch.folder / "runs").iterdir()}
-    assert program("batch", "pack", "out").status == 0
+    assert program.here("batch", "pack", "out").status == 0
     assert not list((batch.folder / "runs").iterdir())
     made = exported(batch.folder, "fcd")
     assert {Path(each["out"]).name for each in made} == {f"{name}.fcd.xml" for name in names} and len(names) == 2

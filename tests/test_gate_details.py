@@ -6,7 +6,7 @@ import numpy as np
 from metrics_tracks import braking, cruise, drift
 
 from sumo_adv.datatypes import Floats, Limits
-from sumo_adv.metrics.gate_details import explained_gates
+from sumo_adv.metrics.gates import explained_gates
 
 LIMITS = Limits()
 

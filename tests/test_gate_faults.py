@@ -58,7 +58,7 @@ def test_a_late_client_gets_the_next_turn_and_its_close_ends_only_itself(tmp_pat
         simulation.end()
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_killed_at_a_random_time(tmp_path: Path, seed: int) -> None:
     with scene(tmp_path) as simulation:
         script = Script(simulation.gate.port, connected(DRIVE))
@@ -141,20 +141,21 @@ LIES = {
 
 
 @pytest.mark.parametrize("begin", ["", r'raw.sendall(b"\0\0\0\6\2\0"); raw.recv(100)' + "\n"], ids=["first", "later"])
-@pytest.mark.parametrize("lie", LIES)
-def test_what_is_no_message_is_cut(tmp_path: Path, lie: str, begin: str) -> None:
+def test_what_is_no_message_is_cut(tmp_path: Path, begin: str) -> None:
+    """One liar after the other, in one simulation."""
     with scene(tmp_path, deadline=0.3) as simulation:
-        script = Script(simulation.gate.port, RAW + begin + LIES[lie] + '\nprint("sent", flush=True)\n' + HANG)
-        assert script.line() == "sent"
-        time.sleep(0.1)
-        simulation.step(10)
-        assert simulation.time() == 1.0
-        until = time.monotonic() + 5.0
-        while not {EventKind.LOST, EventKind.LATE, EventKind.REFUSED} & set(simulation.kinds()):
-            assert time.monotonic() < until
-            time.sleep(0.02)
-        assert not simulation.gate.connected
-        script.kill()
+        for number, lie in enumerate(LIES.values(), 1):
+            script = Script(simulation.gate.port, RAW + begin + lie + '\nprint("sent", flush=True)\n' + HANG)
+            assert script.line() == "sent"
+            time.sleep(0.1)
+            simulation.step(10)
+            assert simulation.time() == pytest.approx(number)
+            until = time.monotonic() + 5.0
+            while sum(map(simulation.kinds().count, (EventKind.LOST, EventKind.LATE, EventKind.REFUSED))) < number:
+                assert time.monotonic() < until, lie
+                time.sleep(0.02)
+            assert not simulation.gate.connected
+            script.kill()
         simulation.end()
 
 
@@ -222,35 +223,6 @@ def test_unknown_and_misshapen_commands_are_answered_as_errors(tmp_path: Path) -
         *answers, last = script.end().split("\n")[:-1]
         assert len(answers) == 18 and all(answer.endswith("True") for answer in answers), answers
         assert last == "0"
-        simulation.end()
-
-
-def test_three_thousand_random_commands(tmp_path: Path) -> None:
-    """Framed as they should be, with random numbers, variables, names and values."""
-    ask = r"""
-        import random
-        chance = random.Random(3)
-        names = [struct.pack("!i", len(n)) + n for n in (b"ego", b"other", b"car", b"centre", b"", b"x" * 200)]
-        values = [b"", bytes(1), bytes(9), b"\x0b" + bytes(8), b"\x09" + bytes(4), b"\x0c" + names[0],
-                  b"\x0e\0\0\0\1" + names[1], b"\x0f\0\0\0\2" + b"\x0b" + bytes(8) + b"\x08\0", b"\x0f\x7f\0\0\0"]
-        for k in range(3000):
-            number = chance.choice([n for n in range(256) if n not in (0x02, 0x7f)])
-            head = bytes(16) if number & 0xf0 in (0x80, 0xd0, 0x50) else bytes([chance.randrange(256)])
-            payload = head + chance.choice(names) + chance.choice([*values, chance.randbytes(chance.randrange(12))])
-            body = bytes([0]) + struct.pack("!i", 6 + len(payload)) + bytes([number]) + payload
-            raw.sendall(struct.pack("!i", 4 + len(body)) + body)
-            answer = b""
-            while len(answer) < 4 or len(answer) < struct.unpack("!i", answer[:4])[0]:
-                answer += raw.recv(65536) or sys.exit("cut")
-        print("all answered", flush=True)
-    """
-    with scene(tmp_path, deadline=60.0) as simulation:
-        simulation.step()
-        script = Script(simulation.gate.port, RAW + dedent(ask))
-        assert simulation.gate.wait_connected(10.0)
-        simulation.step()
-        assert script.end() == "all answered\n"
-        simulation.step(5)
         simulation.end()
 
 

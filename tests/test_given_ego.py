@@ -13,8 +13,7 @@ import sumo_adv
 from sumo_adv import LaneSpeed, Observation, Pose, Steer
 from sumo_adv.cli.progress import summary
 from sumo_adv.drivers import make_ego
-from sumo_adv.drivers.given import pack
-from sumo_adv.drivers.registry import trusted_driver
+from sumo_adv.drivers.registry import pack, trusted_driver
 from sumo_adv.episode.drive import ActionCount
 from sumo_adv.errors import UsageError
 

@@ -52,11 +52,11 @@ def test_the_help_fits_a_terminal(program: Program) -> None:
 
 
 def test_the_shipped_scenarios_are_listed(program: Program) -> None:
-    listing = json.loads(program("scenarios", "--json").out)
+    listing = json.loads(program.here("scenarios", "--json").out)
     names = {p.stem for p in (ROOT / "scenarios").glob("*.toml")}
     assert {s["name"] for s in listing["scenarios"]} == names and "motorway" in listing["networks"]
     assert all(s["description"] and s["road"] in listing["networks"] and s["intents"] for s in listing["scenarios"])
-    text = program("scenarios").out
+    text = program.here("scenarios").out
     assert all(name in text for name in names)
 
 

@@ -189,10 +189,10 @@ def test_the_failures_over_time_are_drawn(tmp_path: Path, program: Program) -> N
     after = over_time(tmp_path / "out")
     assert [found for _, found in after] == [dict.fromkeys(("valid", "strict", "serious"), k) for k in (1, 2, 3, 4)]
     assert [minutes for minutes, _ in after] == sorted(minutes for minutes, _ in after)
-    done = program("figure", tmp_path / "out", "--out", "over_time.svg")
+    done = program.here("figure", tmp_path / "out", "--out", "over_time.svg")
     assert done.status == 0, done.err
     assert "<svg" in (program.folder / "over_time.svg").read_text()
-    film = program("figure", tmp_path / "out", "--out", "over_time.gif")
+    film = program.here("figure", tmp_path / "out", "--out", "over_time.gif")
     assert (film.status, "A hunt has no film" in film.err) == (2, True)
 
 
@@ -225,10 +225,10 @@ def test_a_hunt_from_the_command_line_goes_on_from_python_and_is_kept(program: P
     assert done.status == 0, done.err
     assert "Enough distinct failures were found: " in done.out
     assert (program.folder / "hunt" / "report" / "index.html").is_file()
-    kept = program("keep", "hunt/failures", "--suite", "suite")
+    kept = program.here("keep", "hunt/failures", "--suite", "suite")
     assert kept.status == 0, kept.err
     assert "into suite" in kept.out
-    refused = program("hunt", "motorway", *options)
+    refused = program.here("hunt", "motorway", *options)
     assert (refused.status, "holds a hunt with other inputs" in refused.err) == (2, True)
 
 

@@ -119,7 +119,7 @@ def test_ctrl_c_while_an_encounter_is_looked_for(program: Program) -> None:
     whole_or_nothing(program, done, [])
 
 
-@pytest.mark.parametrize("mark", ["Encounter at", "Most dangerous", "attempt  1"])
+@pytest.mark.parametrize("mark", ["Encounter at", pytest.param("Most dangerous", marks=pytest.mark.soak), "attempt  1"])
 def test_ctrl_c_in_the_middle(program: Program, mark: str) -> None:
     """Twenty kinds of attacks are more than there are, so there is always another candidate to look for."""
     options = ("--diverse", "20", "--until", "valid", "--memory", "bank.sqlite", "--out", "out")
@@ -132,8 +132,11 @@ def test_ctrl_c_in_the_middle(program: Program, mark: str) -> None:
         assert len(done.outcome["attempts"]) >= int(mark.split()[1])
 
 
-@pytest.mark.parametrize("group", [False, True], ids=["to the program", "to all of its processes"])
-@pytest.mark.parametrize("mark", ["Encounter at", "attempt  1"])
+@pytest.mark.parametrize(
+    ("mark", "group"),
+    [("Encounter at", False), ("attempt  1", True)],
+    ids=["to the program", "to all of its processes"],
+)
 def test_sigterm_in_the_middle(program: Program, mark: str, group: bool) -> None:
     """As services, containers and time limits end a program."""
     options = ("--diverse", "20", "--until", "valid", "--memory", "bank.sqlite", "--out", "out")
@@ -163,8 +166,10 @@ def has_handler(process: subprocess.Popen[str]) -> bool:
     return bool(caught >> (signal.SIGTERM - 1) & 1)
 
 
-@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("delay", [0.0, 0.03, 0.06, 0.1, 0.2, 0.3])
+@pytest.mark.parametrize(
+    ("delay", "sent"),
+    [(0.0, signal.SIGINT), (0.03, signal.SIGTERM), (0.1, signal.SIGINT), (0.2, signal.SIGTERM), (0.3, signal.SIGINT)],
+)
 def test_a_signal_in_the_first_moments(program: Program, delay: float, sent: signal.Signals) -> None:
     """While its modules are loaded, from its first instruction on."""
     with program.start("run", "motorway_cut_in_left", "--out", "out") as process:

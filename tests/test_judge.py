@@ -58,7 +58,7 @@ def test_a_run_of_version_2_is_judged_from_its_files_alone() -> None:
 
 
 def test_the_command_prints_a_line_a_run_and_counts(program: Program, runs: Runs) -> None:
-    done = program("judge", runs["first"].folder)
+    done = program.here("judge", runs["first"].folder)
     assert done.status == 0 and done.err == ""
     first, count = done.out.splitlines()
     assert str(runs["first"].folder) in first and "delta-v" in first
@@ -73,7 +73,7 @@ def test_a_run_of_version_1_is_replayed(program: Program, runs: Runs, tmp_path: 
     del outcome["verdict_version"]
     (old / "outcome.json").write_text(json.dumps(outcome), encoding="utf-8")
     (old / "plan.csv.gz").unlink()
-    done = program("judge", old, "--json")
+    done = program.here("judge", old, "--json")
     assert done.status == 0, done.err
     (row,) = json.loads(done.out)["runs"]
     assert (row["how"], row["level"], row["simulated"]) == ("replay", runs["first"].outcome["outcome"]["level"], True)
@@ -89,7 +89,7 @@ def test_a_run_of_version_1_is_replayed(program: Program, runs: Runs, tmp_path: 
     ],
 )
 def test_what_cannot_be_judged_is_refused(program: Program, arguments: tuple[str, ...], says: str) -> None:
-    done = program("judge", *arguments)
+    done = program.here("judge", *arguments)
     assert done.status == 2 and says in done.err and len(done.err.splitlines()) == 1
 
 
@@ -98,7 +98,7 @@ def test_what_cannot_be_judged_is_refused(program: Program, arguments: tuple[str
 
 def test_cut_ins_come_back_with_the_answers(program: Program) -> None:
     (program.folder / "cases.csv").write_text(HEAD + "50,50,10,1.0\n60,5,20,1.8\n50,30,55,1\n", encoding="utf-8")
-    done = program("judge", "--cut-ins", "cases.csv", "--out", "answers.csv")
+    done = program.here("judge", "--cut-ins", "cases.csv", "--out", "answers.csv")
     assert done.status == 0, done.err
     with (program.folder / "answers.csv").open(newline="", encoding="utf-8") as text:
         rows = list(csv.DictReader(text))
@@ -114,7 +114,7 @@ def test_cut_ins_come_back_with_the_answers(program: Program) -> None:
 )  # fmt: skip
 def test_bad_cut_ins_are_refused(program: Program, text: str, says: str) -> None:
     (program.folder / "cases.csv").write_text(text, encoding="utf-8")
-    done = program("judge", "--cut-ins", "cases.csv")
+    done = program.here("judge", "--cut-ins", "cases.csv")
     assert done.status == 2 and says in done.err
 
 

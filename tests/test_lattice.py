@@ -19,11 +19,10 @@ from sumo_adv.datatypes import Boxes, DriverModel, Floats, VehicleState
 from sumo_adv.drivers import LatticeEgo, Observation, Steer, apply_steer, make_ego
 from sumo_adv.drivers.lattice import Egos, Expected, LatticeSettings, Size
 from sumo_adv.drivers.lattice_candidates import Space, aside, choose
+from sumo_adv.drivers.lattice_ego import LatticeDrivers
 from sumo_adv.drivers.lattice_frame import RoadFrame, Watch, expect, others_on
-from sumo_adv.drivers.lattice_model import LatticeDrivers
-from sumo_adv.drivers.road import Road, StopLine
-from sumo_adv.drivers.scenes import Scenes
-from sumo_adv.drivers.wishes import wishes_of
+from sumo_adv.drivers.protocol import Road, StopLine, wishes_of
+from sumo_adv.drivers.sumo_rules import Scenes
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.right_of_way import Meetings
 from sumo_adv.episode.surroundings import Surroundings
@@ -358,7 +357,7 @@ def test_forked_and_loaded_attempts_are_the_same(program: Program) -> None:
     scenario = str(ROOT / "scenarios" / "leader_two_lanes.toml")
     for name, options in (("forked", ()), ("loaded", ("--no-fork",))):
         same = ("--ego", "lattice", "--attempts", "2", "--learn", "off")  # the second one knows no more than the first
-        done = program("run", scenario, *same, "--out", name, "--json", *options)
+        done = program.here("run", scenario, *same, "--out", name, "--json", *options)
         assert done.status == 0, done.err
     for file in ("states.csv.gz", "raw.csv.gz", "criticality.csv.gz"):
         assert (program.folder / "forked" / file).read_bytes() == (program.folder / "loaded" / file).read_bytes()

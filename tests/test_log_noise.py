@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from sumo_adv.datatypes import Limits, Role, Track
-from sumo_adv.metrics.case import make_case
+from sumo_adv.metrics.case import log_breaches, make_case, smoothed
 from sumo_adv.metrics.gates import failed_gates
-from sumo_adv.metrics.log_noise import log_breaches, smoothed
 
 TIME = 0.1 * np.arange(31)
 NOISE = np.array(

@@ -32,9 +32,9 @@ def done(case: Path, tmp_path_factory: pytest.TempPathFactory, caches: Path) -> 
     runs = {}
     for name, more in {"forked": (), "loaded": ("--no-fork",)}.items():
         program = Program(tmp_path_factory.mktemp(name), caches)
-        runs[name] = program("run", case, "--ego", "idm", "--attempts", "3", "--json", "--out", "out", *more)
+        runs[name] = program.here("run", case, "--ego", "idm", "--attempts", "3", "--json", "--out", "out", *more)
     program = Program(tmp_path_factory.mktemp("replayed"), caches)
-    runs["replayed"] = program("run", "--replay", runs["forked"].folder, "--json", "--out", "out")
+    runs["replayed"] = program.here("run", "--replay", runs["forked"].folder, "--json", "--out", "out")
     return runs
 
 
@@ -81,14 +81,16 @@ def test_a_log_that_was_changed_is_not_replayed(done: dict[str, Done], program: 
     tracks = done["loaded"].folder / "inputs" / done["loaded"].manifest["playback"]["tracks"]
     kept = tracks.read_bytes()
     tracks.write_bytes(kept + b" ")
-    again = program("run", "--replay", done["loaded"].folder, "--out", "out")
+    again = program.here("run", "--replay", done["loaded"].folder, "--out", "out")
     tracks.write_bytes(kept)
     assert again.status == 2
     assert "was changed after the run" in again.err
 
 
 def test_the_command_line_chooses_who_drives_the_background(program: Program, case: Path) -> None:
-    run = program("run", case, "--background", "sumo", "--ego", "replay", "--attempts", "1", "--json", "--out", "out")
+    run = program.here(
+        "run", case, "--background", "sumo", "--ego", "replay", "--attempts", "1", "--json", "--out", "out"
+    )
     assert run.status == 0
     assert run.manifest["playback"]["background"] == "sumo"
     raw = read_states(run.folder / "raw.csv.gz")
@@ -98,7 +100,7 @@ def test_the_command_line_chooses_who_drives_the_background(program: Program, ca
 
 def test_where_nobody_is_near_it_ends_with_the_log_and_says_so(program: Program, tmp_path: Path) -> None:
     case = write_scenario(tmp_path, [moving("e", 60.0, RIGHT, 14.0)], routed=("e",))
-    run = program("run", case, "--ego", "replay", "--json", "--out", "out")
+    run = program.here("run", case, "--ego", "replay", "--json", "--out", "out")
     assert run.status == 0
     assert json.loads(run.out)["ending"] == "no_encounter"
     assert "In the rest of the recording no other vehicle is there" in run.outcome["reason"]
@@ -111,7 +113,7 @@ def test_a_short_log_is_attacked_from_its_second_second_on_however_low_the_risk(
     """The leader drives away, 62 m ahead: its risk never reaches the 0.40 of an encounter in traffic."""
     tracks = [moving("e", 60.0, RIGHT, 14.0), moving("lead", 121.5, RIGHT, 14.5)]
     case = write_scenario(tmp_path, tracks, routed=("e", "lead"))
-    run = program("run", case, "--ego", "replay", "--attempts", "1", "--json", "--out", "out")
+    run = program.here("run", case, "--ego", "replay", "--attempts", "1", "--json", "--out", "out")
     assert run.status == 0 and run.outcome["ending"] != "no_encounter"
     assert run.outcome["encounter"]["time"] == pytest.approx(1.2, abs=0.11)
 
@@ -121,14 +123,16 @@ def test_a_log_that_becomes_dangerous_by_itself_is_attacked_before(program: Prog
     after (136.5 - 4.5 - 14) / 14 = 8.4 s. The attempts and the unattacked run end 0.3 s before."""
     tracks = [moving("e", 60.0, RIGHT, 14.0), moving("wall", 196.5, RIGHT, 0.0)]
     case = write_scenario(tmp_path, tracks, routed=("e", "wall"))
-    run = program("run", case, "--background", "log", "--ego", "replay", "--attempts", "1", "--json", "--out", "out")
+    run = program.here(
+        "run", case, "--background", "log", "--ego", "replay", "--attempts", "1", "--json", "--out", "out"
+    )
     assert [a["adversaries"] for a in run.outcome["attempts"]] == [["wall"]]
     assert max(max(rows) for rows in read_states(run.folder / "raw.csv.gz").values()) == pytest.approx(8.1, abs=0.11)
 
 
 def test_an_ego_that_is_never_on_a_lane_cannot_be_taken_over(program: Program, tmp_path: Path) -> None:
     case = write_scenario(tmp_path, [moving("e", 60.0, 40.0, 5.0), moving("bv", 60.0, RIGHT, 14.0)], routed=("bv",))
-    run = program("run", case, "--ego", "idm", "--json", "--out", "out")
+    run = program.here("run", case, "--ego", "idm", "--json", "--out", "out")
     assert run.status == 0
     assert "was on no lane" in run.outcome["reason"]
 
@@ -141,7 +145,7 @@ def test_an_ego_that_is_never_on_a_lane_cannot_be_taken_over(program: Program, t
     ],
 )
 def test_a_background_that_cannot_be_is_wrong_use(program: Program, arguments: tuple[str, ...], part: str) -> None:
-    run = program("run", *arguments, "--out", "out")
+    run = program.here("run", *arguments, "--out", "out")
     assert run.status == 2
     assert part in run.err
     assert not run.folder.exists()

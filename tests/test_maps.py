@@ -43,14 +43,16 @@ def _needs_netconvert() -> None:
 def test_a_town_of_openstreetmap_runs_and_says_what_is_left_out(program: Program) -> None:
     """Two ways both ways meet in a junction: four arms of two edges. The railway is no road for cars."""
     (program.folder / "town.osm.gz").write_bytes(gzip.compress(osm(*CROSSING, RAILWAY).encode()))
-    done = program("run", "town.osm.gz", "--until", "collision", "--learn", "off", "--attempts", "8", "--out", "out")
+    done = program.here(
+        "run", "town.osm.gz", "--until", "collision", "--learn", "off", "--attempts", "8", "--out", "out"
+    )
     assert done.status == 0, done.err
     assert "Converted town.osm.gz with netconvert: 8 edges with 8 lanes for cars" in done.out
     assert "Left out: 1 railway rail." in done.out
     manifest = json.loads((program.folder / "out" / "manifest.json").read_text(encoding="utf-8"))
     assert manifest["conversion"]["lost"] == {"railway rail": 1}
     (program.folder / "town.osm.gz").unlink()
-    again = program("run", "--replay", "out", "--out", "again")  # the run's folder has the network
+    again = program.here("run", "--replay", "out", "--out", "again")  # the run's folder has the network
     assert again.status == 0, again.err
 
 
@@ -91,10 +93,10 @@ def test_a_map_without_a_road_for_cars_is_refused_in_a_sentence(
 def test_an_exported_road_comes_back_as_an_input(program: Program) -> None:
     """The junction with lights has eight edges; our OpenDRIVE of it has them when netconvert has read it."""
     options = ("--until", "collision", "--learn", "off", "--attempts", "3", "--out")
-    assert program("run", "signals_red_light", *options, "first").status == 0
-    assert program("export", "first", "--format", "openscenario", "--out", "scenario").status == 0
+    assert program.here("run", "signals_red_light", *options, "first").status == 0
+    assert program.here("export", "first", "--format", "openscenario", "--out", "scenario").status == 0
     (road,) = (program.folder / "scenario").glob("*.xodr")
-    done = program("run", road, *options, "out")
+    done = program.here("run", road, *options, "out")
     assert done.status == 0, done.err
     assert "Converted road.xodr with netconvert: 8 edges" in done.out
 
@@ -114,6 +116,6 @@ def test_a_network_without_internal_links_runs(program: Program) -> None:
         [find_netconvert(), "--osm-files", program.folder / "town.osm", "--no-internal-links", "-o", made], check=True
     )
     assert 'function="internal"' not in made.read_text()
-    done = program("run", made, "--until", "collision", "--learn", "off", "--attempts", "3", "--out", "out")
+    done = program.here("run", made, "--until", "collision", "--learn", "off", "--attempts", "3", "--out", "out")
     assert done.status == 0, done.err
     assert "attempt  1" in done.out

@@ -23,45 +23,45 @@ def succeeded(done: Done) -> str:
 
 
 def test_a_new_home_gets_the_seven_intents_of_the_paper(program: Program) -> None:
-    listing = json.loads(succeeded(program("memory", "list", "--json")))
+    listing = json.loads(succeeded(program.here("memory", "list", "--json")))
     assert {row["label"] for row in listing["intents"]} == SEVEN
     assert all(row["modes"] and row["evidence"] == 0 and row["status"] == "active" for row in listing["intents"])
     assert (program.home / "data" / "sumo_adv" / "memory_bank.sqlite").is_file()
-    lines = succeeded(program("memory", "list")).splitlines()
+    lines = succeeded(program.here("memory", "list")).splitlines()
     assert len(lines) == 7 and any(line.startswith("Straight Lane Shift: modes ") for line in lines)
 
 
 def test_the_bank_of_the_variable_is_the_one_that_runs_use(program: Program) -> None:
-    succeeded(program("memory", "new", "one.sqlite", "--only", "Emergency Braking"))
+    succeeded(program.here("memory", "new", "one.sqlite", "--only", "Emergency Braking"))
     program.variables["SUMO_ADV_MEMORY"] = "one.sqlite"
-    said = json.loads(succeeded(program("memory", "list", "--json")))
+    said = json.loads(succeeded(program.here("memory", "list", "--json")))
     assert [row["label"] for row in said["intents"]] == ["Emergency Braking"]
-    assert json.loads(succeeded(program("memory", "list", "--json", "--memory", "one.sqlite"))) == said
+    assert json.loads(succeeded(program.here("memory", "list", "--json", "--memory", "one.sqlite"))) == said
     assert not (program.home / "data" / "sumo_adv" / "memory_bank.sqlite").exists()
 
 
 def test_show_prints_the_sources(program: Program) -> None:
-    text = succeeded(program("memory", "show", "straight lane-shift"))
+    text = succeeded(program.here("memory", "show", "straight lane-shift"))
     assert text.splitlines()[0] == "Straight Lane Shift"
     sources = [p.source for p in shipped_planners().values() if p.label == "Straight Lane Shift"]
     assert len(sources) == 4 and all(source in text for source in sources)
-    done = program("memory", "show", "Dancing")
+    done = program.here("memory", "show", "Dancing")
     assert (done.status, done.out) == (2, "")
     assert done.err.startswith("sumo-adv: ") and "Dancing" in done.err and "Aggressive Cut-in" in done.err
 
 
 def test_find_says_how_near(program: Program) -> None:
-    same = json.loads(succeeded(program("memory", "find", "aggressive cut in", "--json")))
+    same = json.loads(succeeded(program.here("memory", "find", "aggressive cut in", "--json")))
     assert same["hit"] == "Aggressive Cut-in" and same["nearest"][0] == {"label": "Aggressive Cut-in", "distance": 0.0}
-    far = json.loads(succeeded(program("memory", "find", "zebra xylophone quartz", "--json")))
+    far = json.loads(succeeded(program.here("memory", "find", "zebra xylophone quartz", "--json")))
     assert far["hit"] is None
     assert all(n["distance"] > far["epsilon"] for n in far["nearest"])
-    assert succeeded(program("memory", "find", "zebra xylophone quartz")).startswith("No hit")
+    assert succeeded(program.here("memory", "find", "zebra xylophone quartz")).startswith("No hit")
 
 
 def test_a_bank_of_ones_own(program: Program) -> None:
     bank = bank_with(program.folder / "bank.sqlite", TRAIL)
-    listing = json.loads(succeeded(program("memory", "list", "--json", "--memory", bank)))
+    listing = json.loads(succeeded(program.here("memory", "list", "--json", "--memory", bank)))
     assert listing["intents"] == [
         {
             "label": "Odd Driving",
@@ -73,13 +73,13 @@ def test_a_bank_of_ones_own(program: Program) -> None:
     ]
     assert not (program.home / "data").exists()
     (program.folder / "diary").write_text("Dear diary, ...\n" * 100)
-    done = program("memory", "list", "--memory", "diary")
+    done = program.here("memory", "list", "--memory", "diary")
     assert done.status == 2 and done.err.startswith("sumo-adv: ") and "diary" in done.err
 
 
 def test_build_gives_the_shipped_bank(program: Program) -> None:
     target = program.folder / "built.sqlite"
-    succeeded(program("memory", "build", ROOT / "memory_bank", target))
+    succeeded(program.here("memory", "build", ROOT / "memory_bank", target))
     shipped = ROOT / "memory_bank.sqlite"
     with MemoryBank.open(target, read_only=True) as built, MemoryBank.open(shipped, read_only=True) as expected:
         assert built.content_hash() == expected.content_hash()
@@ -88,7 +88,7 @@ def test_build_gives_the_shipped_bank(program: Program) -> None:
 
 @pytest.mark.parametrize("folder", ["nowhere", "."])
 def test_build_from_nothing_is_refused(program: Program, folder: str) -> None:
-    done = program("memory", "build", folder, "built.sqlite")
+    done = program.here("memory", "build", folder, "built.sqlite")
     assert (done.status, done.out) == (2, "")
     assert done.err.startswith("sumo-adv: ") and len(done.err.splitlines()) == 1
     assert program.leftovers() == []
@@ -116,7 +116,7 @@ def test_an_intent_that_was_composed_is_kept_with_all_its_modes(program: Program
     for another movement. All its modes are kept, since the next time nothing is composed."""
     merge = ROOT / "suites" / "suite81" / "intersection-30.toml"
     succeeded(program("run", merge, "--seed", "2", "--out", "out", "--json"))
-    listing = json.loads(succeeded(program("memory", "list", "--json")))
+    listing = json.loads(succeeded(program.here("memory", "list", "--json")))
     modes = {intent["label"]: intent["modes"] for intent in listing["intents"]}
     pattern = next(v for k, v in modes.items() if k == "Intersection Rush-through Go-straight")
     assert sorted(modes["Ramp Merge Rush"]) == sorted(pattern)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -40,10 +39,12 @@ def refused(done: Done, words: str) -> None:
 
 
 def test_every_command_has_help_with_an_example(program: Program) -> None:
-    listed = program("memory", "--help").out
+    listed = program.here("memory", "--help").out
     for command in COMMANDS:
         assert command in listed
-    assert "Example: sumo-adv memory merge" in program("memory", "merge", "--help").out  # the others are made alike
+    assert (
+        "Example: sumo-adv memory merge" in program.here("memory", "merge", "--help").out
+    )  # the others are made alike
 
 
 def test_a_planner_of_ones_own_is_tried_added_merged_and_retired(program: Program) -> None:
@@ -53,29 +54,33 @@ def test_a_planner_of_ones_own_is_tried_added_merged_and_retired(program: Progra
     shutil.copy(SHIPPED, bank)
     use = ("--memory", bank)
     new_intent = ("--label", "Trailing Along", "--description", "It drives beside the ego.", "--applies", "neighbour")
-    refused(program("memory", "add", "bad.py", *new_intent, *use), "division by zero")
-    refused(program("memory", "add", "trail.py", "--label", "Trailing Along", *use), "is new: give --description")
+    refused(program.here("memory", "add", "bad.py", *new_intent, *use), "division by zero")
+    refused(program.here("memory", "add", "trail.py", "--label", "Trailing Along", *use), "is new: give --description")
     with MemoryBank.open(bank) as opened, MemoryBank.open(SHIPPED, read_only=True) as shipped:
         assert opened.content_hash() == shipped.content_hash()
-    added = printed_json(program("memory", "add", "trail.py", *new_intent, *use, "--json"))
+    added = printed_json(program.here("memory", "add", "trail.py", *new_intent, *use, "--json"))
     assert (added["label"], added["mode"]) == ("Trailing Along", "trail")
-    refused(program("memory", "add", "trail.py", "--label", "trailing along", *use), "already, as the mode 'trail'")
-    refused(program("memory", "merge", "Trailing Along", "Straight Lane Shift", *use), "Say which: memory merge")
-    merged = printed_json(program("memory", "merge", "trailing along", "into", "straight lane shift", *use, "--json"))
+    refused(
+        program.here("memory", "add", "trail.py", "--label", "trailing along", *use), "already, as the mode 'trail'"
+    )
+    refused(program.here("memory", "merge", "Trailing Along", "Straight Lane Shift", *use), "Say which: memory merge")
+    merged = printed_json(
+        program.here("memory", "merge", "trailing along", "into", "straight lane shift", *use, "--json")
+    )
     assert merged == {
         "merged": "Trailing Along",
         "into": "Straight Lane Shift",
         "modes": ["nudge", "side", "tail", "trail", "weave"],
     }
-    retired = printed_json(program("memory", "retire", "Straight Lane Shift", "--mode", "trail", *use, "--json"))
+    retired = printed_json(program.here("memory", "retire", "Straight Lane Shift", "--mode", "trail", *use, "--json"))
     assert retired == {"label": "Straight Lane Shift", "status": "active", "modes": ["nudge", "side", "tail", "weave"]}
-    recalled = printed_json(program("memory", "find", "Trailing along", *use, "--json"))
+    recalled = printed_json(program.here("memory", "find", "Trailing along", *use, "--json"))
     assert recalled["hit"] == "Straight Lane Shift"
     assert recalled["band"] is False
-    counts = printed_json(program("memory", "stats", *use, "--json"))
+    counts = printed_json(program.here("memory", "stats", *use, "--json"))
     assert (counts["intents"], counts["active"], counts["planners"], counts["evidence"]) == (8, 7, 24, 0)
     assert [p["mode"] for p in counts["by_planner"] if p["retired"]] == ["trail"]
-    shown = printed_json(program("memory", "show", "Straight Lane Shift", *use, "--json"))
+    shown = printed_json(program.here("memory", "show", "Straight Lane Shift", *use, "--json"))
     assert [(p["mode"], p["origin"], p["status"]) for p in shown["planners"]] == [
         ("nudge", "seed", "active"), ("side", "seed", "active"), ("tail", "seed", "active"),
         ("trail", "person", "retired"), ("weave", "seed", "active"),
@@ -84,17 +89,17 @@ def test_a_planner_of_ones_own_is_tried_added_merged_and_retired(program: Progra
 
 def test_a_bank_goes_out_and_comes_in_and_code_that_attacks_stays_out(program: Program) -> None:
     out = program.folder / "shared"
-    exported = printed_json(program("memory", "export", out, "--memory", SHIPPED, "--json"))
+    exported = printed_json(program.here("memory", "export", out, "--memory", SHIPPED, "--json"))
     made = printed_json(
-        program("memory", "new", "two.sqlite", "--only", "emergency braking,Close Car-following", "--json")
+        program.here("memory", "new", "two.sqlite", "--only", "emergency braking,Close Car-following", "--json")
     )
     assert made["intents"] == ["Close Car-following", "Emergency Braking"]
     bad = out / "aggressive_cut_in" / "attack.py"
     bad.write_text(BAD_PLANNERS["allocates"])
-    refused(program("memory", "import", out, "--memory", "two.sqlite"), "Aggressive Cut-in / attack: ")
+    refused(program.here("memory", "import", out, "--memory", "two.sqlite"), "Aggressive Cut-in / attack: ")
     with MemoryBank.open(program.folder / "two.sqlite", read_only=True) as bank:
         assert len(bank.intents()) == 2
-    skipped = printed_json(program("memory", "import", out, "--memory", "two.sqlite", "--skip-refused", "--json"))
+    skipped = printed_json(program.here("memory", "import", out, "--memory", "two.sqlite", "--skip-refused", "--json"))
     assert (skipped["intents"], [each["mode"] for each in skipped["refused"]]) == (5, ["attack"])
     with MemoryBank.open(program.folder / "two.sqlite", read_only=True) as bank:
         assert bank.content_hash() == exported["hash"]
@@ -103,10 +108,10 @@ def test_a_bank_goes_out_and_comes_in_and_code_that_attacks_stays_out(program: P
 
 
 def test_verify_finds_the_planner_that_fails(program: Program) -> None:
-    good = printed_json(program("memory", "verify", "--memory", SHIPPED, "--label", "emergency braking", "--json"))
+    good = printed_json(program.here("memory", "verify", "--memory", SHIPPED, "--label", "emergency braking", "--json"))
     assert [(p["label"], p["ok"]) for p in good["planners"]] == [("Emergency Braking", True)]
     bank_with(program.folder / "bad.sqlite", BAD_PLANNERS["teleports"])
-    bad = program("memory", "verify", "--memory", "bad.sqlite", "--json")
+    bad = program.here("memory", "verify", "--memory", "bad.sqlite", "--json")
     assert bad.status == 1
     [planner] = json.loads(bad.out)["planners"]
     assert not planner["ok"]
@@ -123,7 +128,7 @@ def test_verify_runs_a_scenario_again_and_finds_the_evidence_that_is_not_so(prog
         bank.absorb([cut_in, Source(IntentRecord("Odd Driving", "It drives along.", ("neighbour",)), (trail,))])
         bank.record(evidence(label="Aggressive Cut-in", planner_hash=cut_in.planners[0].hash, **claims))
         bank.record(evidence(label="Odd Driving", planner_hash=trail.hash, **claims))
-    done = program(
+    done = program.here(
         "memory", "verify", "--memory", path, "--scenario", "motorway_cut_in_left", "--attempts", "3", "--json"
     )  # fmt: skip
     assert (done.status, done.err) == (1, "")
@@ -136,12 +141,14 @@ def test_verify_runs_a_scenario_again_and_finds_the_evidence_that_is_not_so(prog
 
 def test_calibration_is_printed_and_stored_only_when_asked(program: Program) -> None:
     shutil.copy(SHIPPED, program.folder / "bank.sqlite")
-    first = printed_json(program("memory", "calibrate", PARAPHRASES, "--memory", "bank.sqlite", "--json"))
+    first = printed_json(program.here("memory", "calibrate", PARAPHRASES, "--memory", "bank.sqlite", "--json"))
     assert (first["stored"], first["sets"][0]["known"], first["sets"][0]["novel"]) == (False, 77, 30)
     with MemoryBank.open(program.folder / "bank.sqlite") as bank:
         assert bank.epsilon()[0] == first["before"]
         bank.retire("Straight Lane Shift")
-    stored = printed_json(program("memory", "calibrate", PARAPHRASES, "--memory", "bank.sqlite", "--store", "--json"))
+    stored = printed_json(
+        program.here("memory", "calibrate", PARAPHRASES, "--memory", "bank.sqlite", "--store", "--json")
+    )
     assert (stored["sets"][0]["known"], stored["sets"][0]["novel"]) == (
         66,
         41,
@@ -159,12 +166,6 @@ def test_there_are_probes_for_every_relation() -> None:
     assert behind.name == "follower, fast, straight, after 0 s"
     assert (behind.bv["x"], behind.bv["ahead"], behind.bv["speed"]) == (-16.0, -16.0, 25.0)
     assert behind.ego["path"][2] == [2.0, 48.0, 0.0, 0.0, 24.0]
-
-
-@pytest.fixture(scope="module")
-def sandbox() -> Iterator[Sandbox]:
-    with Sandbox() as opened:
-        yield opened
 
 
 def test_every_planner_of_the_shipped_bank_passes(sandbox: Sandbox) -> None:

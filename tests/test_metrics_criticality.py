@@ -107,16 +107,6 @@ def test_ttc_is_symmetric_and_the_same_from_any_point_of_view(
     assert min(grazing) * (1 - 1e-6) - 1e-6 <= moved <= max(grazing) * (1 + 1e-6) + 1e-6
 
 
-def test_turning_ttc_sees_a_curve_that_the_straight_one_does_not() -> None:
-    """A quarter circle of radius 20 m at 10 m/s ends at (20, 20) heading north; a box stands there."""
-    ego, standing = box(0, 0, EAST, 10), box(20, 22, NORTH, 0)
-    assert float(ttc(ego, standing)) == np.inf
-    turning = float(ttc(ego, standing, turn_rate=(0.5, 0.0)))
-    assert 2.4 < turning < np.pi - 0.2  # 5 m of half lengths before the quarter's end at pi s
-    straight = box(0, 0, EAST, 10), box(65, 0, WEST, 10)
-    assert float(ttc(*straight, turn_rate=(0.0, 0.0))) == pytest.approx(3.0, abs=1e-6)
-
-
 def test_pet_of_two_cars_that_cross_one_after_the_other() -> None:
     """The ego's rear leaves x = 51 at 5.35 s; the other's front reaches y = -1 at (80 - 3.5) / 12 = 6.375 s."""
     ego, crossing_car = cruise("ego", 0, 0, 10), cruise("b", 50, -80, 12, NORTH)

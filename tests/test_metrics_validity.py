@@ -14,11 +14,10 @@ from sumo_adv.errors import UsageError
 from sumo_adv.metrics.avoidance import CAREFUL_BRAKING, avoidance
 from sumo_adv.metrics.boxes import at_time
 from sumo_adv.metrics.contact import CollisionClass, Side, collision_class, impact, rear_end
+from sumo_adv.metrics.criticality import COLUMNS, series
 from sumo_adv.metrics.fault import longitudinal_safe_distance, rss_opinion
 from sumo_adv.metrics.full import full_judge
-from sumo_adv.metrics.hazard import Kind
-from sumo_adv.metrics.series import COLUMNS, series
-from sumo_adv.metrics.validity import careful_driver_avoids, hazard_time, judge, manoeuvre_avoids
+from sumo_adv.metrics.validity import Kind, align, hazard_time, judge
 
 EGO = cruise("ego", 0, 0, 15)
 LATE_CUT_IN = drift("adversary", 3, 3.2, 15, 2.0, 2.5, 0.0)  # beside the ego, drifting into it
@@ -160,6 +159,12 @@ def test_min_ttc_any_sees_the_others() -> None:
     assert v.min_ttc == np.inf and v.min_ttc_any == pytest.approx(0.5)  # at 12 s: 5 m to go at 10 m/s
 
 
+def avoids(tier: str, ego: Track, adversary: Track, hazard: float) -> bool:
+    """Whether a tier avoids the collision of which the hazard shows at a time [s]."""
+    e = align(ego, adversary, hazard)
+    return bool(avoidance(e.ego, e.adversary, np.array([e.trigger]), e.dt, delays=(0.8,))[tier].all())
+
+
 def test_the_planned_continuation_past_the_contact_decides_whether_braking_helps() -> None:
     """Braking lets a crossing car pass if it goes on, and hits it if it stops in the way."""
     ego = cruise("ego", 0, 0, 10)
@@ -169,10 +174,10 @@ def test_the_planned_continuation_past_the_contact_decides_whether_braking_helps
     stops = replace(CROSSING, y=y, speed=np.where(TIME < 4.85, 12.0, 0.0))
     assert goes_on.collided is False  # the ego's track ends 8 ms before
     early = 1.2
-    assert careful_driver_avoids(ego.between(0, 4.8), CROSSING, early)
+    assert avoids("careful", ego.between(0, 4.8), CROSSING, early)
     assert judge(ego, CROSSING, [], trigger_time=1.0).contact_time == pytest.approx(contact)
-    assert not careful_driver_avoids(ego.between(0, 4.8), stops, 2.7)
-    assert manoeuvre_avoids(ego.between(0, 4.8), CROSSING, 2.7)
+    assert not avoids("careful", ego.between(0, 4.8), stops, 2.7)
+    assert avoids("manoeuvre", ego.between(0, 4.8), CROSSING, 2.7)
 
 
 def test_the_careful_driver_s_stopping_distance() -> None:
@@ -183,7 +188,7 @@ def test_the_careful_driver_s_stopping_distance() -> None:
     ego = cruise("ego", 0, 0, 15)
     for margin, expected in ((-0.3, False), (0.3, True)):
         wall = cruise("adversary", 15 * 2.0 + distance + 5.0 + margin, 0, 0)
-        assert careful_driver_avoids(ego, wall, 2.0) is expected
+        assert avoids("careful", ego, wall, 2.0) is expected
 
 
 def stack(tracks: list[Track]) -> Boxes:

@@ -44,12 +44,12 @@ def test_the_mildest_variant_keeps_the_level_and_is_no_harder(run: Path, program
     after = json.loads(done.out)
     assert LEVELS.index(after["outcome"]["level"]) >= LEVELS.index(before["level"])
     assert len(after["attempts"]) <= 5 and after["attempts"][0]["delta_v"] == before["delta_v"]
-    again = program("run", "--replay", "mild", "--out", "again", "--json")
+    again = program.here("run", "--replay", "mild", "--out", "again", "--json")
     assert json.loads(again.out)["outcome"]["contact_time"] == after["outcome"]["contact_time"]
 
 
 def test_what_cannot_be_minimised_is_said_in_one_sentence(run: Path, program: Program) -> None:
-    no_run = program("minimise", "nothing")
+    no_run = program.here("minimise", "nothing")
     assert (no_run.status, no_run.err.count("\n")) == (2, 1) and "manifest.json" in no_run.err
-    low = program("minimise", str(run), "--until", "critical")
+    low = program.here("minimise", str(run), "--until", "critical")
     assert low.status == 2 and "keeps a collision" in low.err

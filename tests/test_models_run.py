@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -65,28 +65,33 @@ def play(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Play]:
         program = Program(tmp_path_factory.mktemp("run"), caches)
         with ModelServer(script) as server:
             program.variables = server.environment()
-            done = program("run", *arguments, "--llm", "scripted", "--out", "out", "--memory", "bank.sqlite")
+            done = program.here("run", *arguments, "--llm", "scripted", "--out", "out", "--memory", "bank.sqlite")
             return ModelRun(done, list(server.asked))
 
     yield run
 
 
+Told = Callable[[str], ModelRun]
+
+
 @pytest.fixture(scope="module")
-def stories(play: Play) -> Iterator[Mapping[str, Callable[[], ModelRun]]]:
-    """All seven, two at a time."""
-    with ThreadPoolExecutor(2) as pool:
-        runs = {
-            name: pool.submit(play, replace(author, questions=[]), scenario, "--ego", ego, "--tuner", "off")
-            for name, (scenario, ego, author) in STORIES.items()
-        }
-        yield {name: run.result for name, run in runs.items()}
+def told(play: Play) -> Told:
+    """The run of a story, made once."""
+
+    @cache
+    def tell(name: str) -> ModelRun:
+        scenario, ego, author = STORIES[name]
+        return play(replace(author, questions=[]), scenario, "--ego", ego, "--tuner", "off")
+
+    return tell
 
 
-@pytest.mark.parametrize("name", STORIES)
-def test_each_intent_of_the_library_becomes_critical_by_the_models_word_alone(
-    stories: Mapping[str, Callable[[], ModelRun]], name: str
-) -> None:
-    run = stories[name]()
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[] if name in ("cut-in", "push", "left") else pytest.mark.soak) for name in STORIES],
+)
+def test_each_intent_of_the_library_becomes_critical_by_the_models_word_alone(told: Told, name: str) -> None:
+    run = told(name)
     assert run.done.status == 0, run.done.err
     outcome = run.outcome
     assert outcome["ending"] == "critical", answered(outcome)
@@ -97,16 +102,14 @@ def test_each_intent_of_the_library_becomes_critical_by_the_models_word_alone(
     assert outcome["llm"]["calls"] == len(run.questions)
 
 
-def test_a_known_intent_needs_no_planner_written(stories: Mapping[str, Callable[[], ModelRun]]) -> None:
-    run = stories["cut-in"]()
+def test_a_known_intent_needs_no_planner_written(told: Told) -> None:
+    run = told("cut-in")
     assert [agent_of(a) for a in run.questions] == ["analyzer"]
     assert run.outcome["agents"]["calls"] == {"analyzer": 1, "generator": 0, "modifier": 0}
 
 
-def test_the_modified_planner_is_critical_where_the_first_one_missed(
-    stories: Mapping[str, Callable[[], ModelRun]],
-) -> None:
-    run = stories["push"]()
+def test_the_modified_planner_is_critical_where_the_first_one_missed(told: Told) -> None:
+    run = told("push")
     first, second = run.outcome["attempts"]
     assert (first["phase"], first["critical"]) == ("analyzer", False)
     assert (second["phase"], second["critical"], second["by"]) == ("modifier", True, "scripted")
@@ -116,8 +119,8 @@ def test_the_modified_planner_is_critical_where_the_first_one_missed(
     assert run.outcome["llm"]["bought"][1]["attempts"] == 1
 
 
-def test_a_late_arrival_is_diagnosed_as_late(stories: Mapping[str, Callable[[], ModelRun]]) -> None:
-    run = stories["left"]()
+def test_a_late_arrival_is_diagnosed_as_late(told: Told) -> None:
+    run = told("left")
     direct = run.outcome["attempts"][0]
     assert (direct["planner"]["mode"], len(run.outcome["attempts"])) == ("direct", 2)
     assert direct["diagnosis"]["early"] < -0.5
@@ -162,7 +165,7 @@ def test_a_recorded_run_is_repeated_bit_for_bit_and_the_key_is_in_no_file(play: 
     run = play(author, "neighbour_ahead_right", "--samples", "3", "--attempts", "3", "--until", "valid")
     recording = run.done.folder / "model.jsonl"
     program = Program(tmp_path, tmp_path)
-    again = program(
+    again = program.here(
         "run", "neighbour_ahead_right", "--samples", "3", "--attempts", "3", "--until", "valid", "--out", "out",
         "--llm", f"replay:{recording}", "--memory", "bank.sqlite",
     )  # fmt: skip
@@ -210,15 +213,6 @@ FAILING: Mapping[str, tuple[Script, Sequence[str], str, str]] = {
     "wrong ids": (
         lambda _: {"intents": [intent("BV9", "Straight Lane Shift")]}, (), "model_failed", "There is no vehicle 'BV9'",
     ),
-    "not its place": (
-        lambda _: {"intents": [intent("BV1", "Emergency Braking")]}, (), "model_failed", "does not apply to BV1",
-    ),
-    "not in the library": (
-        lambda _: {"intents": [intent("BV1", "Honking")]}, (), "model_failed", "'Honking' is not in the library",
-    ),
-    "too hard": (
-        lambda _: {"intents": [intent("BV1", "Straight Lane Shift", -20.0)]}, (), "model_failed", "limits",
-    ),
     "budget": (Author("Close Car-following"), ("--settings", "budget.toml"), "budget_exhausted", "0 calls"),
 }  # fmt: skip
 
@@ -232,7 +226,7 @@ def test_a_model_that_fails_ends_the_run_by_name(tmp_path_factory: pytest.TempPa
     with ModelServer(script) as server:
         program.variables = server.environment()
         settings = more or ("--settings", "quick.toml")
-        done = program("run", "neighbour_ahead_right", "--llm", "scripted", "--out", "out", *settings)
+        done = program.here("run", "neighbour_ahead_right", "--llm", "scripted", "--out", "out", *settings)
     assert done.status == 1
     assert done.outcome["ending"] == ending
     assert reason in done.outcome["reason"] and reason in done.err
@@ -258,14 +252,11 @@ def test_parts_may_be_mixed(play: Play, tmp_path: Path) -> None:
     assert (agents["analyzer"], agents["generator"]) == ("expert", "scripted")
 
 
-@pytest.mark.parametrize("fault", ["loops", "not a number", "eval", "syntax", "imports"])
+@pytest.mark.parametrize("fault", ["loops", "imports"])
 def test_hostile_planners_are_refused_with_the_sandboxs_words(play: Play, fault: str) -> None:
     head = "PARAMETERS = {}\n\n\ndef endpoint(bv, ego, road, parameters, acc, horizon):\n"
     bodies = {
         "loops": "    while True:\n        pass\n",
-        "not a number": '    return {"x": float("nan"), "y": 0.0, "heading": 0.0, "speed": 1.0, "time": 1.0}\n',
-        "eval": '    return eval("1")\n',
-        "syntax": "    return {\n",
         "imports": "    import os\n    return os.listdir('/')\n",
     }
     run = play(replace(NOVEL, texts=[head + bodies[fault]], questions=[]), BLIND_SIDE, "--tuner", "off")
@@ -296,7 +287,7 @@ def test_text_in_a_vehicles_name_does_not_reach_the_model(play: Play, tmp_path: 
 
 
 def test_prompts_can_be_read_without_a_model(tmp_path: Path) -> None:
-    done = Program(tmp_path, tmp_path)("run", "priority_crossing", "--show-prompts", "--json")
+    done = Program(tmp_path, tmp_path).here("run", "priority_crossing", "--show-prompts", "--json")
     assert done.status == 0, done.err
     prompts = {p["agent"]: p for p in json.loads(done.out)["prompts"]}
     assert set(prompts) == {"analyzer", "generator", "modifier"}
@@ -312,10 +303,10 @@ def test_the_example_of_a_novel_behaviour_runs_from_its_recording(tmp_path: Path
     program = Program(tmp_path, tmp_path)
     recording = ROOT / "examples" / "novel_behaviour" / "recording.jsonl"
     common = ("run", BLIND_SIDE, "--tuner", "off", "--memory", "bank.sqlite", "--llm", f"replay:{recording}")
-    done = program(*common, "--out", "out")
+    done = program.here(*common, "--out", "out")
     assert done.status == 0, done.err
     assert [a["critical"] for a in done.outcome["attempts"]] == [False, True]
-    again = program(*common, "--recall", "scene", "--out", "out", "--force")
+    again = program.here(*common, "--recall", "scene", "--out", "out", "--force")
     assert again.outcome["llm"]["calls"] == 0
     assert again.outcome["agents"]["calls"] == {"analyzer": 0, "generator": 0, "modifier": 0}
     assert again.outcome["ending"] == "critical"
@@ -327,12 +318,12 @@ def test_a_planner_is_generated_by_hand_from_words(tmp_path: Path) -> None:
     bank = ("--memory", "bank.sqlite")
     with ModelServer(replace(NOVEL, questions=[])) as server:
         program.variables = server.environment()
-        done = program(*common, *bank, "--llm", "scripted")
-        instructed = program(*common, *bank, "--llm", "scripted", "--trajectory", "a cubic spline", "--dry-run")
-        nobody = program(*common, *bank)
+        done = program.here(*common, *bank, "--llm", "scripted")
+        instructed = program.here(*common, *bank, "--llm", "scripted", "--trajectory", "a cubic spline", "--dry-run")
+        nobody = program.here(*common, *bank)
     value = json.loads(done.out)
     assert (value["label"], value["mode"], value["by"], value["added"]) == (NOVEL.label, "direct", "scripted", True)
-    shown = program("memory", "show", NOVEL.label, *bank, "--json")
+    shown = program.here("memory", "show", NOVEL.label, *bank, "--json")
     assert [p["mode"] for p in json.loads(shown.out)["planners"]] == ["direct"]
     assert instructed.status == 1 and "lacks trajectory(bv, endpoint, road, dt)" in instructed.err
     assert nobody.status == 2 and "--llm" in nobody.err

@@ -22,7 +22,7 @@ SCENARIOS = len(list((ROOT / "scenarios").glob("*.toml")))
 def refused(program: Program, *options: str) -> str:
     """One sentence, and nothing has begun."""
     before = program.leftovers()
-    done = program(*options)
+    done = program.here(*options)
     assert (done.status, done.out, program.leftovers()) == (2, "", before), done.err
     assert done.err.startswith("sumo-adv: ") and len(done.err.splitlines()) == 1
     return done.err
@@ -43,7 +43,7 @@ def test_a_batch_with_a_misspelt_ego_or_record_runs_nothing(program: Program) ->
 
 
 def test_the_shipped_scenarios_are_found_from_every_folder(program: Program) -> None:
-    done = program("batch", "scenarios", "--dry-run", "--json")
+    done = program.here("batch", "scenarios", "--dry-run", "--json")
     assert done.status == 0, done.err
     names = {e["input"] for e in json.loads(done.out)["episodes"]}
     assert len(names) == SCENARIOS and "motorway_cut_in_left" in names
@@ -101,7 +101,7 @@ def coarse(program: Program) -> str:
 
 def test_run_batch_and_serve_say_what_of_a_simulation_is_not_kept(program: Program, coarse: str) -> None:
     few = ("--attempts", "1", "--out")
-    run = program("run", coarse, "--total-seconds", "0", *few, "out")
+    run = program.here("run", coarse, "--total-seconds", "0", *few, "out")
     batch = program("batch", coarse, "--set", "total_seconds=0", "--workers", "1", *few, "batch")
     serve = program("serve", coarse, "--port", "0", "--patience", "1", "--out", "served")
     for done in (run, batch, serve):
@@ -109,7 +109,7 @@ def test_run_batch_and_serve_say_what_of_a_simulation_is_not_kept(program: Progr
 
 
 def test_files_of_a_run_say_what_was_not_kept_and_every_option_of_sumo(program: Program, coarse: str) -> None:
-    done = program("run", coarse, "--total-seconds", "0", "--attempts", "1", "--out", "out", "--option", "scale=1")
+    done = program.here("run", coarse, "--total-seconds", "0", "--attempts", "1", "--out", "out", "--option", "scale=1")
     manifest = json.loads((done.folder / "manifest.json").read_text(encoding="utf-8"))
     assert manifest["notes"] == done.outcome["notes"] == list(LEFT)
     assert manifest["step_length"] == 0.1

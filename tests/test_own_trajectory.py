@@ -44,12 +44,6 @@ SIT = situation([neighbour()], model=replace(KRAUSS, kind="replay"))  # the BV a
 HERE = Roads({0.0: SIT})
 
 
-@pytest.fixture(scope="module")
-def sandbox() -> Iterator[Sandbox]:
-    with Sandbox() as box:
-        yield box
-
-
 # ---- a line of states
 
 

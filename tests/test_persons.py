@@ -25,7 +25,7 @@ from sumo_adv.episode.surroundings import Surroundings
 from sumo_adv.errors import UsageError
 from sumo_adv.geometry import Pose
 from sumo_adv.metrics.case import make_case
-from sumo_adv.metrics.ego_contacts import first_other_contact
+from sumo_adv.metrics.contact import first_other_contact
 from sumo_adv.metrics.validity import judge
 from sumo_adv.simulation.inputs import load_input
 from sumo_adv.simulation.network import read_network
@@ -194,7 +194,9 @@ def done(tmp_path_factory: pytest.TempPathFactory, caches: Path) -> Done:
     """The person attacks an IDM driver."""
     program = Program(tmp_path_factory.mktemp("person"), caches)
     case = write_case(program.folder, PERSON)
-    return program("run", case, "--ego", "idm", "--until", "collision", "--attempts", "4", "--json", "--out", "out")
+    return program.here(
+        "run", case, "--ego", "idm", "--until", "collision", "--attempts", "4", "--json", "--out", "out"
+    )
 
 
 def test_a_person_attacks_as_a_pedestrian(done: Done) -> None:
@@ -212,8 +214,8 @@ def test_without_forks_it_is_the_same_and_it_repeats(done: Done, tmp_path: Path,
     states = read_states(done.folder / "states.csv.gz")
     loaded = Program(tmp_path / "loaded", caches)
     command = ("run", done.folder.parent / "case.toml", "--ego", "idm", "--until", "collision", "--attempts", "4")
-    assert read_states(loaded(*command, "--no-fork", "--json", "--out", "out").folder / "states.csv.gz") == states
-    again = Program(tmp_path / "again", caches)("run", "--replay", done.folder, "--json", "--out", "out")
+    assert read_states(loaded.here(*command, "--no-fork", "--json", "--out", "out").folder / "states.csv.gz") == states
+    again = Program(tmp_path / "again", caches).here("run", "--replay", done.folder, "--json", "--out", "out")
     assert read_states(again.folder / "states.csv.gz") == states
 
 
@@ -231,5 +233,5 @@ def test_names_of_persons_are_checked(tmp_path: Path, caches: Path) -> None:
         assert load_input(write_case(tmp_path, known)).candidates == (known,)
     with pytest.raises(UsageError, match="names the adversary candidate 'person:unknown', which is not in its demand"):
         load_input(write_case(tmp_path, "person:unknown"))
-    done = Program(tmp_path / "run", caches)("run", write_case(tmp_path, PERSON), "--ego-id", PERSON)
+    done = Program(tmp_path / "run", caches).here("run", write_case(tmp_path, PERSON), "--ego-id", PERSON)
     assert done.status == 2 and f"'{PERSON}' is no vehicle, so it cannot be the ego" in done.err

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
-import pytest
 from situation_samples import neighbour, situation
 
 from sumo_adv.config import Settings
@@ -23,12 +20,6 @@ def endpoint(bv, ego, road, parameters, acc, horizon):
     share = 1.0 / (bv["time"] < parameters["worst"])
     return {"x": bv["x"] + 10.0 * share, "y": 3.2, "heading": 0.0, "speed": 5.0, "time": 2.0}
 """
-
-
-@pytest.fixture(scope="module")
-def sandbox() -> Iterator[Sandbox]:
-    with Sandbox() as box:
-        yield box
 
 
 FAILED = ScoreSettings().failed

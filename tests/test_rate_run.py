@@ -83,7 +83,7 @@ def test_the_command_goes_on_in_its_folder(program: Program) -> None:
     assert block.read_bytes() == before
     assert first["runs"] == 20 and first["pilot"] == 20
     assert json.loads((folder / "rate.json").read_text())["levels"] == first["levels"]
-    refused = program(*words, "--seed", "1")
+    refused = program.here(*words, "--seed", "1")
     assert refused.status == 2 and "another seed" in refused.err and "--out" in refused.err
 
 
@@ -111,6 +111,6 @@ def test_what_is_refused(program: Program) -> None:
         ((BESIDE, "--density", "10"), "brings its own traffic"),
         (("straight_2lane", "--density", "0.0001", "--pilot", "1", "--workers", "1"), "give more --density"),
     ):
-        done = program("rate", *words, "--out", program.folder / "rate")
+        done = program.here("rate", *words, "--out", program.folder / "rate")
         assert (done.status, done.err.count("\n")) == (2, 1), done.err
         assert message in done.err

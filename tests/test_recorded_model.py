@@ -17,7 +17,7 @@ RECORDINGS = sorted((ROOT / "examples" / "recorded_model").glob("*.jsonl"))
 def test_a_recorded_run_repeats(tmp_path: Path, recording: Path) -> None:
     case = data_folder("suites") / "suite81" / f"{recording.stem}.toml"
     settings = ("--ego", "idm", "--seed", "0", "--until", "strict", "--tuner", "off", "--learn", "off")
-    done = Program(tmp_path, tmp_path)(
+    done = Program(tmp_path, tmp_path).here(
         "run", case, *settings, "--llm", f"replay:{recording}", "--memory", "bank.sqlite", "--out", "out"
     )  # fmt: skip
     assert done.status == 0, done.err  # the same questions were asked, else the run ends with model_failed
@@ -33,9 +33,9 @@ def test_a_model_invents_the_drift_out_of_the_blind_side(tmp_path: Path) -> None
         "Close Car-following,Emergency Braking,Intersection Rush-through Go-straight,"
         "Intersection Rush-through Turn Left,Opposite Direction Intrusion"
     )
-    assert program("memory", "new", "small.sqlite", "--only", labels).status == 0
+    assert program.here("memory", "new", "small.sqlite", "--only", labels).status == 0
     recording = ROOT / "examples" / "blind_side" / "recording.jsonl"
-    done = program(
+    done = program.here(
         "run", "dual_left_turn_blind_side", "--llm", f"replay:{recording}", "--tuner", "off", "--until", "collision",
         "--memory", "small.sqlite", "--out", "out",
     )  # fmt: skip

@@ -13,13 +13,12 @@ from hypothesis import strategies as st
 from metrics_tracks import DT, TIME, car, cruise, drift
 
 from sumo_adv.datatypes import Boxes, Level, Track, Verdict
-from sumo_adv.metrics.cut_ins import COLUMNS, judge_cut_ins
 from sumo_adv.metrics.levels import preventability, with_level
-from sumo_adv.metrics.paths import EgoPaths
+from sumo_adv.metrics.own_data import COLUMNS, judge_cut_ins
 from sumo_adv.metrics.reference import BRAKERS, REFERENCE_DRIVERS, SAME_DIRECTION_ONLY
-from sumo_adv.metrics.reference.brakers import FULL_BRAKING, speed_lost
+from sumo_adv.metrics.reference.brakers import FULL_BRAKING, critical, proactive, speed_lost
 from sumo_adv.metrics.reference.counterfactual import Counterfactual, Encounters
-from sumo_adv.metrics.reference.fsm import critical, proactive
+from sumo_adv.metrics.reference.view import EgoPaths
 from sumo_adv.metrics.validity import judge
 
 METRICS = Path(__file__).resolve().parent.parent / "sumo_adv" / "metrics"

@@ -76,7 +76,7 @@ def test_rows_come_back_with_their_types(batch: Path) -> None:
 
 
 def test_a_page_an_episode_and_the_second_time_none(batch: Path, program: Program) -> None:
-    done = program("report", batch, "--json")
+    done = program.here("report", batch, "--json")
     assert done.status == 0, done.err
     summary = json.loads(done.out)
     assert (summary["episodes"], summary["pages"], summary["made"], summary["damaged"]) == (3, 3, 3, [])
@@ -87,7 +87,7 @@ def test_a_page_an_episode_and_the_second_time_none(batch: Path, program: Progra
     before = changes(batch / "report" / "pages")
     outcome_file = batch / "runs" / "bbbb" / "outcome.json"
     outcome_file.write_text(outcome_file.read_text().replace('"seed": 7', '"seed": 8'))
-    again = json.loads(program("report", batch, "--json").out)
+    again = json.loads(program.here("report", batch, "--json").out)
     assert (again["pages"], again["made"]) == (3, 1)
     after = changes(batch / "report" / "pages")
     assert [n for n in after if after[n] != before[n]] == ["bbbb.html"]
@@ -124,7 +124,7 @@ def test_the_report_of_a_campaign_has_its_coverage(batch: Path, program: Program
     file.write_text(json.dumps(document))
     odd = {"roads": ["urban"], "relations": ["neighbour", "leader"], "speed": [8.0, 13.0]}
     (batch / "plan.json").write_text(json.dumps({"settings": [{"odd": odd}]}))
-    done = program("report", batch)
+    done = program.here("report", batch)
     assert done.status == 0, done.err
     # the shipped intents that a leader or a neighbour can try, on one road class, in one speed band
     assert "Coverage: 1 of 5 cells have an encounter. Table: " in done.out
@@ -168,13 +168,13 @@ def test_names_that_are_paths_open_nothing(batch: Path, tmp_path: Path) -> None:
 def test_packed_runs_have_pages(batch: Path, program: Program) -> None:
     pack(batch)
     assert not (batch / "runs" / "aaaa").exists()
-    summary = json.loads(program("report", batch, "--json").out)
+    summary = json.loads(program.here("report", batch, "--json").out)
     assert (summary["pages"], summary["made"]) == (3, 3) and not (batch / "runs" / "aaaa").exists()
     assert data_of((batch / "report" / "index.html").read_text())["map"] == [0, 0, -1]
 
 
 def test_runs_side_by_side_without_a_table(batch: Path, program: Program) -> None:
-    summary = json.loads(program("report", batch / "runs", "--json").out)
+    summary = json.loads(program.here("report", batch / "runs", "--json").out)
     assert (summary["episodes"], summary["pages"]) == (3, 3)
 
 

@@ -198,17 +198,17 @@ def test_the_first_attempt_is_kept_where_another_counts(real: Path) -> None:
 
 
 def test_the_command_writes_the_page(real: Path, program: Program) -> None:
-    done = program("report", real, "--json")
+    done = program.here("report", real, "--json")
     assert done.status == 0, done.err
     summary = json.loads(done.out)
     assert Path(summary["page"]) == real / "report.html" and summary["bytes"] == (real / "report.html").stat().st_size
     data = data_of((real / "report.html").read_text())
     assert [a["key"] for a in data["scene"]["attempts"]] == ["best", "first", "raw"]
     assert data["outcome"] == json.loads((real / "outcome.json").read_text())
-    assert program("report", real, "--out", "deep/page.html").status == 0
+    assert program.here("report", real, "--out", "deep/page.html").status == 0
     assert (program.folder / "deep" / "page.html").read_bytes() == (real / "report.html").read_bytes()
 
 
 def test_the_command_refuses_what_is_no_run(program: Program, tmp_path: Path) -> None:
-    done = program("report", tmp_path)
+    done = program.here("report", tmp_path)
     assert done.status == 2 and "is not the folder of a run or of a batch" in done.err and "Traceback" not in done.err

@@ -24,8 +24,8 @@ from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.build import build, read_sources
 from sumo_adv.metrics.gates import failed_gates, kinematic_gates
 from sumo_adv.metrics.levels import level_of, preventability, with_level
+from sumo_adv.metrics.reference.view import hidden
 from sumo_adv.metrics.severity import crash, hardness, unprotected_risk
-from sumo_adv.metrics.sight import hidden
 from sumo_adv.metrics.validity import judge
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import is_trusted

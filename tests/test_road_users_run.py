@@ -15,7 +15,7 @@ from sumo_adv.memory.bank import MemoryBank
 def done(tmp_path_factory: pytest.TempPathFactory, caches: Path) -> Done:
     """A pedestrian runs out from behind a van across the road, against IDM."""
     program = Program(tmp_path_factory.mktemp("foot"), caches)
-    return program(
+    return program.here(
         "run", "pedestrian_far_side_parked", "--ego", "idm", "--until", "strict", "--attempts", "6", "--memory",
         "bank.sqlite", "--json", "--out", "out",
     )  # fmt: skip
@@ -49,7 +49,7 @@ def test_the_bank_learns_the_intent(done: Done) -> None:
 
 
 def test_it_repeats(done: Done, tmp_path: Path, caches: Path) -> None:
-    again = Program(tmp_path, caches)("run", "--replay", done.folder, "--json", "--out", "out")
+    again = Program(tmp_path, caches).here("run", "--replay", done.folder, "--json", "--out", "out")
     assert again.status == 0
     assert read_states(again.folder / "states.csv.gz") == read_states(done.folder / "states.csv.gz")
 
@@ -61,6 +61,6 @@ def test_a_pedestrian_of_a_log_attacks_only_where_it_is_named(tmp_path: Path, ca
     ]
     case = write_scenario(tmp_path, tracks, routed=("e",))
     command = ("run", case, "--ego", "idm", "--attempts", "1", "--json", "--out", "out")
-    assert Program(tmp_path / "alone", caches)(*command).outcome["attempts"] == []
-    named = Program(tmp_path / "named", caches)(*command, "--adversary", "walker").outcome
+    assert Program(tmp_path / "alone", caches).here(*command).outcome["attempts"] == []
+    named = Program(tmp_path / "named", caches).here(*command, "--adversary", "walker").outcome
     assert [a["adversaries"] for a in named["attempts"]] == [["walker"]]

@@ -33,7 +33,9 @@ def test_both_ways_give_the_same_states(program: Program) -> None:
     scenario = program.folder / "routed.toml"
     scenario.write_text(SCENARIO.format(network=network, demand=demand))
     for name, options in (("forked", ()), ("loaded", ("--no-fork",))):
-        done = program("run", "routed.toml", "--attempts", "3", "--learn", "off", "--out", name, "--json", *options)
+        done = program.here(
+            "run", "routed.toml", "--attempts", "3", "--learn", "off", "--out", name, "--json", *options
+        )
         assert done.status == 0, done.err
     for file in ("states.csv.gz", "raw.csv.gz", "criticality.csv.gz"):
         assert (program.folder / "forked" / file).read_bytes() == (program.folder / "loaded" / file).read_bytes()

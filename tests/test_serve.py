@@ -7,12 +7,11 @@ import signal
 import socket
 import urllib.error
 import urllib.request
-from pathlib import Path
 from typing import Any
 
 import pytest
 from cli_samples import TESTS, Program, lacking, read_states
-from serve_samples import EXAMPLE, needs_sumo, serving
+from serve_samples import needs_sumo, serving
 
 CLIENT = TESTS / "serve_client.py"
 FILES = {"outcome.json", "manifest.json", "states.csv.gz", "criticality.csv.gz", "encounter.png", "inputs"}
@@ -34,7 +33,8 @@ def test_two_terminals_and_one_critical_encounter(program: Program) -> None:
         assert asked(page, "/health") == (200, {"status": "ok"})
         assert asked(page, "/status")[1]["client"] == "away"
         assert asked(page, "/nothing")[0] == 404
-        server.client()
+        seen = program.folder / "seen.jsonl"
+        client = server.client(CLIENT, str(seen))
         server.wait("outcome")
         code, status = asked(page, "/status")
         assert code == 200 and status["client"] == "connected" and status["encounters"] == 1
@@ -60,16 +60,13 @@ def test_two_terminals_and_one_critical_encounter(program: Program) -> None:
         ended = server.events("simulation")[-1]
         assert ended["state"] == "ended" and 0 <= ended["steps"] - ended["client_steps"] <= 1
         assert server.simulators() == []
-
-
-def test_what_was_critical_is_remembered(program: Program) -> None:
-    with serving(program, "straight_3lane", "--encounters", "1") as server:
-        server.client()
-        assert server.end()[0] == 0
-        learnt = [o["learnt"] for o in server.outcomes()]
-    done = program("memory", "list", "--json", "--memory", "bank.sqlite")
+        client.wait()
+        (row,) = [json.loads(line) for line in seen.read_text().splitlines()]  # times of both sides are one
+        assert row["last"] - row["first"] == pytest.approx(0.1 * (row["steps"] - 1))
+        assert row["last"] == pytest.approx(ended["time"], abs=0.11)
+    done = program.here("memory", "list", "--json", "--memory", "bank.sqlite")
     evidence = sum(entry["evidence"] for entry in json.loads(done.out)["intents"])
-    assert learnt == [True] and evidence == 1
+    assert evidence >= sum(o["learnt"] for o in outcomes) >= 1  # what was critical is remembered
 
 
 def test_the_same_encounter_again_until_the_collision_is_valid(program: Program) -> None:
@@ -93,7 +90,9 @@ def test_the_same_encounter_again_until_the_collision_is_valid(program: Program)
         assert came[0] is False and came[1 : len(attempts)] == [True] * (len(attempts) - 1)
 
 
-@pytest.mark.parametrize(("policy", "status"), [("sumo", 0), ("brake", 0), ("end", 1)])
+@pytest.mark.parametrize(
+    ("policy", "status"), [("sumo", 0), pytest.param("brake", 0, marks=pytest.mark.soak), ("end", 1)]
+)
 def test_a_client_that_is_killed_costs_one_encounter(program: Program, policy: str, status: int) -> None:
     with serving(program, "straight_3lane", "--encounters", "2", "--on-loss", policy) as server:
         first = server.client()
@@ -112,7 +111,9 @@ def test_a_client_that_is_killed_costs_one_encounter(program: Program, policy: s
         assert server.simulators() == []
 
 
-@pytest.mark.parametrize("ask", ["step(1e3)", "step(0.0) * 3000"], ids=["to a time", "one by one"])
+@pytest.mark.parametrize(
+    "ask", [pytest.param("step(1e3)", marks=pytest.mark.soak), "step(0.0) * 3000"], ids=["to a time", "one by one"]
+)
 def test_a_client_that_asks_for_very_many_steps_and_vanishes_is_lost(program: Program, ask: str) -> None:
     """In the middle of an attack: it never ends with a contact without a driver of the ego."""
     flag, script = program.folder / "attack", program.folder / "vanishing.py"
@@ -146,12 +147,11 @@ def test_a_client_that_hangs_is_late(program: Program) -> None:
         assert [o["ending"] for o in server.outcomes()] == ["ego_lost"]
 
 
-@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM], ids=["ctrl-c", "terminate"])
-def test_an_end_from_outside_leaves_whole_files_and_no_sumo(program: Program, sent: signal.Signals) -> None:
+def test_an_end_from_outside_leaves_whole_files_and_no_sumo(program: Program) -> None:
     with serving(program, "straight_3lane") as server:
         server.client()
         server.wait("attack", 2)
-        server.process.send_signal(sent)
+        server.process.send_signal(signal.SIGTERM)  # the next story has Ctrl-C
         code, out, err = server.end()
         assert (code, err) == (0, "") and "Encounters: 2" in out
         outcomes = server.outcomes()
@@ -185,17 +185,6 @@ def test_an_ego_of_the_demand(program: Program) -> None:
         assert code == 0 and outcome["encounter"]["time"] == 5.0 and len(outcome["attempts"]) == 1
 
 
-def test_times_of_both_sides_are_one(program: Program) -> None:
-    with serving(program, "straight_3lane", "--encounters", "2") as server:
-        seen = program.folder / "seen.jsonl"
-        client = server.client(CLIENT, str(seen))
-        assert server.end()[0] == 0
-        client.wait()
-        (row,) = [json.loads(line) for line in seen.read_text().splitlines()]
-        assert row["last"] - row["first"] == pytest.approx(0.1 * (row["steps"] - 1))
-        assert row["last"] == pytest.approx(server.events("simulation")[-1]["time"], abs=0.11)
-
-
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
@@ -206,7 +195,8 @@ def test_times_of_both_sides_are_one(program: Program) -> None:
     ],
 )
 def test_wrong_use_is_one_sentence(program: Program, arguments: tuple[str, ...], sentence: str) -> None:
-    done = program("serve", *arguments, "--port", "0", "--out", "out", "--memory", "b.sqlite", "--patience", "0.2")
+    start = program if "nobody" in arguments else program.here  # that one needs SUMO
+    done = start("serve", *arguments, "--port", "0", "--out", "out", "--memory", "b.sqlite", "--patience", "0.2")
     assert done.status in (1, 2) and done.err.startswith("sumo-adv: ") and done.err.count("\n") == 1
     assert "Traceback" not in done.err
     if "nobody" not in arguments:
@@ -216,10 +206,10 @@ def test_wrong_use_is_one_sentence(program: Program, arguments: tuple[str, ...],
 def test_a_port_in_use(program: Program) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
-        done = program("serve", "straight_3lane", "--port", port, "--out", "out", "--memory", "bank.sqlite")
+        done = program.here("serve", "straight_3lane", "--port", port, "--out", "out", "--memory", "bank.sqlite")
         assert done.status == 2 and port in done.err and done.err.count("\n") == 1
         assert not done.folder.exists()
-        done = program("serve", "straight_3lane", "--port", "0", "--status-port", port, "--memory", "bank.sqlite")
+        done = program.here("serve", "straight_3lane", "--port", "0", "--status-port", port, "--memory", "bank.sqlite")
         assert done.status == 2 and "status port" in done.err
 
 
@@ -232,10 +222,6 @@ def test_a_folder_is_not_overwritten(program: Program) -> None:
     (program.folder / "out" / "other").write_text("mine")
     done = program(*arguments, "--force")
     assert done.status == 2 and "not the folder of a server" in done.err
-
-
-def test_the_example_is_short() -> None:
-    assert len(Path(EXAMPLE).read_text(encoding="utf-8").splitlines()) < 65
 
 
 def test_a_bridge_that_adds_and_moves_its_own_ego(program: Program) -> None:

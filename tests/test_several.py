@@ -27,7 +27,7 @@ from sumo_adv.datatypes import (
     Proposal,
 )
 from sumo_adv.drivers.prediction import PredictedEgos
-from sumo_adv.drivers.scenes import Scenes
+from sumo_adv.drivers.sumo_rules import Scenes
 from sumo_adv.episode.task import make_task
 from sumo_adv.errors import BankError
 from sumo_adv.memory.bank import MemoryBank, compositions, retrieve_composition

@@ -7,7 +7,7 @@ import pytest
 from metrics_tracks import TIME, car, cruise, drift
 
 from sumo_adv.metrics.contact import Side
-from sumo_adv.metrics.human import outside
+from sumo_adv.metrics.realism import outside
 from sumo_adv.metrics.severity import Severity, crash, injury_risk, mass_of, severity_of
 
 

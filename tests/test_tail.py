@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -23,12 +23,6 @@ LEADS = {
 TURNS = {
     "pace": 6.0, "past": 10.0, "braking": 2.0, "creep": 0.0, "turn": 0.0, "drift": 4.0, "aside": 2.0, "side": -1.0,
 }  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def sandbox() -> Iterator[Sandbox]:
-    with Sandbox() as opened:
-        yield opened
 
 
 def planner(label: str) -> Planner:

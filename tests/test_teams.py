@@ -211,7 +211,7 @@ def test_what_succeeds_beside_a_models_composition_is_learnt_under_its_label(tmp
     program = Program(tmp_path, tmp_path / "caches")
     with ModelServer(squeezing) as server:
         program.variables = server.environment()
-        done = program(
+        done = program.here(
             "run", "box_in_motorway", "--adversaries", "2", "--until", "valid", "--attempts", "3", "--llm", "scripted",
             "--out", "out", "--memory", "bank.sqlite",
         )  # fmt: skip

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,12 +28,6 @@ from sumo_adv.search.support_intents import SUPPORT_INTENTS
 SHIPPED = [*shipped_planners().values(), *(p for entry in unprotected_library() for p in entry.planners)]
 SIDE = shipped_planners()["Straight Lane Shift", "side"].source
 BESIDE = situation([neighbour()])
-
-
-@pytest.fixture(scope="module")
-def sandbox() -> Iterator[Sandbox]:
-    with Sandbox() as box:
-        yield box
 
 
 def planner(source: str) -> Planner:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -22,12 +22,6 @@ NUMBERS = {
     "lane_2": 0.0, "stray_2": -0.5, "drift": 4.0,
 }  # fmt: skip
 BESIDE = probes("neighbour")[6]  # on the left at y = 3.2, 4 m ahead at 25 m/s; lanes 3.2 m to its left and right
-
-
-@pytest.fixture(scope="module")
-def sandbox() -> Iterator[Sandbox]:
-    with Sandbox() as opened:
-        yield opened
 
 
 def planner(label: str = "Straight Lane Shift") -> Planner:

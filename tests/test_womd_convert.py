@@ -229,7 +229,7 @@ def test_real_records_are_kept(tmp_path: Path, name: str) -> None:
 
 def test_convert_writes_a_folder_a_record(program: Program) -> None:
     write(program.folder / "two.tfrecord", straight(), four_way())
-    done = program("convert", "two.tfrecord", "--out", "scenes", "--json", "--no-traffic")
+    done = program.here("convert", "two.tfrecord", "--out", "scenes", "--json", "--no-traffic")
     assert (done.status, done.err) == (0, "")
     report = json.loads(done.out)
     assert [(r["scenario_id"], r["folder"], r["cached"]) for r in report["records"]] == [
@@ -239,9 +239,9 @@ def test_convert_writes_a_folder_a_record(program: Program) -> None:
     for name in ("straight", "four_way"):
         assert lacking(program.folder / "scenes" / name, FILES) == set()
     assert program.leftovers() == ["scenes", "two.tfrecord"]
-    refused = program("convert", "two.tfrecord", "--out", "scenes", "--id", "straight", "--no-traffic")
+    refused = program.here("convert", "two.tfrecord", "--out", "scenes", "--id", "straight", "--no-traffic")
     assert refused.status == 2 and "scenes/straight is there already" in refused.err
-    again = program("convert", "two.tfrecord", "--out", "scenes", "--id", "straight", "--force", "--no-traffic")
+    again = program.here("convert", "two.tfrecord", "--out", "scenes", "--id", "straight", "--force", "--no-traffic")
     assert again.status == 0 and "straight: scenes/straight" in again.out and "signals" in again.out
 
 
@@ -249,10 +249,10 @@ def test_convert_keeps_going_or_stops(program: Program) -> None:
     """A record without a map between two good ones."""
     messages = [straight(), no_map("nowhere"), four_way()]
     write(program.folder / "three.tfrecord", *messages)
-    stopped = program("convert", "three.tfrecord", "--out", "a", "--no-traffic")
+    stopped = program.here("convert", "three.tfrecord", "--out", "a", "--no-traffic")
     assert stopped.status == 2 and stopped.err.startswith("sumo-adv: Record 1 of three.tfrecord ('nowhere') has no map")
     assert "Traceback" not in stopped.err and len(stopped.err.splitlines()) == 1
-    going = program("convert", "three.tfrecord", "--out", "b", "--keep-going", "--json", "--no-traffic")
+    going = program.here("convert", "three.tfrecord", "--out", "b", "--keep-going", "--json", "--no-traffic")
     report = json.loads(going.out)
     assert going.status == 0 and [r["scenario_id"] for r in report["records"]] == ["straight", "four_way"]
     assert [s.split(":")[0] for s in report["failed"]] == ["Record 1 of three.tfrecord ('nowhere') has no map"]
@@ -263,7 +263,7 @@ def test_a_coordinate_at_10_000_km_costs_nothing_and_does_not_stop_the_next_reco
     far = straight()
     far.scenario_id, far.map_features[0].lane.polyline[3].x = "far", 1e7
     write(program.folder / "two.tfrecord", far, four_way())
-    going = program("convert", "two.tfrecord", "--out", "b", "--keep-going", "--json", "--no-traffic")
+    going = program.here("convert", "two.tfrecord", "--out", "b", "--keep-going", "--json", "--no-traffic")
     report = json.loads(going.out)
     assert going.status == 0 and [r["scenario_id"] for r in report["records"]] == ["four_way"]
     assert "1e+07 m from the origin" in report["failed"][0] and len(going.err.splitlines()) == 1
@@ -271,10 +271,10 @@ def test_a_coordinate_at_10_000_km_costs_nothing_and_does_not_stop_the_next_reco
 
 def test_convert_of_nothing_good_fails(program: Program) -> None:
     (program.folder / "bad.tfrecord").write_bytes(frame(empty("bad").SerializeToString()) + b"cut")
-    done = program("convert", "bad.tfrecord", "--out", "scenes", "--keep-going")
+    done = program.here("convert", "bad.tfrecord", "--out", "scenes", "--keep-going")
     assert done.status == 1 and len(done.err.splitlines()) == 2 and "Traceback" not in done.err
     assert program.leftovers() == ["bad.tfrecord"]
-    both = program("convert", "bad.tfrecord", "--out", "scenes", "--id", "a", "--first", "2")
+    both = program.here("convert", "bad.tfrecord", "--out", "scenes", "--id", "a", "--first", "2")
     assert both.status == 2 and "not several" in both.err
 
 
@@ -290,5 +290,5 @@ def test_run_on_a_record(program: Program) -> None:
     again = program("run", "two.tfrecord", "--record", "1", "--attempts", "2", "--json", "--out", "again")
     assert again.status == 0 and list(cache.rglob("fidelity.json")) == [kept]
     assert kept.stat().st_mtime_ns == stamp
-    wrong = program("run", "straight_3lane", "--record", "1")
+    wrong = program.here("run", "straight_3lane", "--record", "1")
     assert wrong.status == 2 and "--record chooses among the records" in wrong.err

@@ -36,7 +36,7 @@ def run(folder: Path, server: ModelServer | None, *arguments: str) -> Done:
     program = Program(folder, folder)
     program.variables.update(server.environment() if server is not None else {})
     more = ("--memory", "bank.sqlite", "--learn", "off", "--out", "out", "--attempts", "40", "--seconds", "3600")
-    return program("run", *arguments, *more)
+    return program.here("run", *arguments, *more)
 
 
 def test_only_the_attack_that_was_asked_for_is_tried(tmp_path: Path) -> None:

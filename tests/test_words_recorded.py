@@ -16,7 +16,7 @@ REQUESTS = tomllib.loads((FOLDER / "requests.toml").read_text(encoding="utf-8"))
 @pytest.mark.parametrize("name", REQUESTS)
 def test_a_recorded_request_becomes_the_same_scenario(tmp_path: Path, name: str) -> None:
     recording, words = FOLDER / f"{name}.jsonl", REQUESTS[name]["words"]
-    done = Program(tmp_path, tmp_path)(
+    done = Program(tmp_path, tmp_path).here(
         "write", words, "--attempts", "40", "--seconds", "3600", "--llm", f"replay:{recording}",
         "--memory", "bank.sqlite", "--out", "made.toml", "--run-out", "run", "--json",
     )  # fmt: skip

@@ -46,7 +46,7 @@ def is_reader(request: Asked) -> bool:
 
 def test_words_become_a_scenario_that_runs_and_fits(tmp_path: Path) -> None:
     with ModelServer(lambda request: READ if is_reader(request) else cut_in()) as server:
-        done = program(tmp_path, server)("write", CUT_IN, "--llm", "gpt-test", *QUICK)
+        done = program(tmp_path, server).here("write", CUT_IN, "--llm", "gpt-test", *QUICK)
     assert done.status == 0, done.err
     built, happened, fits = done.out.strip().splitlines()
     assert built.startswith("Built: A van changes") and "my.toml" in built
@@ -64,7 +64,7 @@ def test_words_become_a_scenario_that_runs_and_fits(tmp_path: Path) -> None:
 def test_the_exact_error_goes_back_to_the_model(tmp_path: Path) -> None:
     drafts = iter([cut_in(route=["forward", "backwards"]), cut_in(gap=-90), cut_in()])
     with ModelServer(lambda request: READ if is_reader(request) else next(drafts)) as server:
-        done = program(tmp_path, server)("write", CUT_IN, "--llm", "gpt-test", *QUICK, "--json")
+        done = program(tmp_path, server).here("write", CUT_IN, "--llm", "gpt-test", *QUICK, "--json")
     assert done.status == 0, done.err
     faults = [request.last for request in server.asked if not is_reader(request)][1:]
     assert "There is no edge 'backwards' for 'van'; there are forward." in faults[0]
@@ -80,7 +80,7 @@ def test_the_exact_error_goes_back_to_the_model(tmp_path: Path) -> None:
     ],
 )
 def test_words_that_cannot_be_a_request_are_refused(tmp_path: Path, words: str, says: str) -> None:
-    done = program(tmp_path)("write", words, "--llm", "gpt-test", "--out", "my.toml")
+    done = program(tmp_path).here("write", words, "--llm", "gpt-test", "--out", "my.toml")
     assert (done.status, says in done.err, len(done.err.splitlines())) == (2, True, 1)
     assert not (tmp_path / "my.toml").exists()
 
@@ -88,14 +88,14 @@ def test_words_that_cannot_be_a_request_are_refused(tmp_path: Path, words: str, 
 def test_what_no_road_can_hold_ends_in_a_sentence(tmp_path: Path) -> None:
     cannot = {"understood": "A plane.", "left_out": "", "cannot": "A plane that lands is no road user.", "scene": None}
     with ModelServer(lambda _: cannot) as server:
-        done = program(tmp_path, server)("write", "A plane lands on me.", "--llm", "gpt-test", *QUICK)
+        done = program(tmp_path, server).here("write", "A plane lands on me.", "--llm", "gpt-test", *QUICK)
     assert done.status == 1
     assert done.err.strip() == ("sumo-adv: There is no scenario for these words: A plane that lands is no road user.")
     assert not (tmp_path / "my.toml").exists() and not (tmp_path / "run").exists()
 
 
 def test_without_a_model_the_nearest_shipped_scenarios_are_named(tmp_path: Path) -> None:
-    done = program(tmp_path)("write", "A pedestrian runs out from behind a parked van.", "--out", "my.toml")
+    done = program(tmp_path).here("write", "A pedestrian runs out from behind a parked van.", "--out", "my.toml")
     assert done.status == 2
     assert "needs a language model" in done.err and "pedestrian_from_behind_parked" in done.err
 
@@ -105,13 +105,13 @@ def test_a_report_is_read_from_a_file_and_nothing_is_overwritten(tmp_path: Path)
     (tmp_path / "my.rou.xml").write_text("mine")
     with ModelServer(lambda request: READ if is_reader(request) else cut_in()) as server:
         run = program(tmp_path, server)
-        taken = run("write", "--report", "report.txt", "--llm", "gpt-test", *QUICK)
+        taken = run.here("write", "--report", "report.txt", "--llm", "gpt-test", *QUICK)
         assert (taken.status, "my.rou.xml is there already" in taken.err, server.asked) == (2, True, [])
-        both = run("write", CUT_IN, "--report", "report.txt", "--llm", "gpt-test", *QUICK)
+        both = run.here("write", CUT_IN, "--report", "report.txt", "--llm", "gpt-test", *QUICK)
         assert both.status == 2 and "not both" in both.err
-        missing = run("write", "--report", "none.txt", "--llm", "gpt-test", *QUICK)
+        missing = run.here("write", "--report", "none.txt", "--llm", "gpt-test", *QUICK)
         assert missing.status == 2 and "The report none.txt cannot be read" in missing.err
-        done = run("write", "--report", "report.txt", "--llm", "gpt-test", *QUICK, "--force")
+        done = run.here("write", "--report", "report.txt", "--llm", "gpt-test", *QUICK, "--force")
     assert done.status == 0, done.err
     assert tomllib.loads((tmp_path / "my.toml").read_text())["written"]["words"] == CUT_IN
 
@@ -120,14 +120,14 @@ def test_the_scenario_asks_for_its_attack_again(tmp_path: Path) -> None:
     """Without a model: the rules in the file decide, and its level is the goal."""
     with ModelServer(lambda request: READ if is_reader(request) else cut_in()) as server:
         run = program(tmp_path, server)
-        assert run("write", CUT_IN, "--llm", "gpt-test", *QUICK).status == 0
+        assert run.here("write", CUT_IN, "--llm", "gpt-test", *QUICK).status == 0
         questions = len(server.asked)
         text = (tmp_path / "my.toml").read_text()
         (tmp_path / "my.toml").write_text(text.replace("[asked]", '[asked]\nlevel = "near_miss"'))
-        done = run(
+        done = run.here(
             "run", "my.toml", "--learn", "off", "--attempts", "40", "--seconds", "3600", "--out", "out", "--json"
         )
-        repeated = run("run", "--replay", "out", "--out", "again", "--json")
+        repeated = run.here("run", "--replay", "out", "--out", "again", "--json")
     assert done.status == 0 and len(server.asked) == questions
     assert done.outcome["goal"] == "near miss with a min TTC of 0.2 to 1.5 s"
     assert done.outcome["ending"] == "critical" and done.outcome["asked"]["fits"]

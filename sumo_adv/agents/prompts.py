@@ -15,8 +15,8 @@ from string import Template
 
 from sumo_adv.errors import UsageError
 from sumo_adv.llm.chat import estimate_tokens, one_line
+from sumo_adv.metrics.avoidance import DELAY
 from sumo_adv.metrics.reference import brakers, cc_human
-from sumo_adv.metrics.reference.manoeuvre import DELAY
 
 NAMES = ("analyzer", "confirm", "danger", "generator", "modifier", "planner", "reading", "request", "teams", "write")
 MAX_TEXT = 600  # characters of a label or description in a prompt

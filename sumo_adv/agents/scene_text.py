@@ -13,7 +13,7 @@ import numpy as np
 
 from sumo_adv.agents.prompts import sanitize
 from sumo_adv.datatypes import Track
-from sumo_adv.drivers.junctions import AHEAD, SEES
+from sumo_adv.drivers.sumo_rules import AHEAD, SEES
 from sumo_adv.metrics.severity import UNPROTECTED_TENTH
 from sumo_adv.road_users import LIMITS, RoadUser, is_unprotected, road_user
 from sumo_adv.situation import ReferencePath, Signal, Situation, Target

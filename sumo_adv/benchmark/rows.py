@@ -18,7 +18,7 @@ from sumo_adv.benchmark.nouns import Cell, Encounter, Opponent, counts
 from sumo_adv.benchmark.resampling import Resampling
 from sumo_adv.benchmark.transformer import Transformer
 from sumo_adv.datatypes import Attempt, Planner, PrescribedMotion, Proposal, acceleration_of
-from sumo_adv.drivers.user import in_one_line, make_object
+from sumo_adv.drivers.registry import in_one_line, make_object
 from sumo_adv.errors import PlannerResultError, PlannerRuntimeError, UsageError
 from sumo_adv.search.sampling import BRAKING_LABEL, AttackTemplate, templates_of
 from sumo_adv.situation import Situation

@@ -124,7 +124,7 @@ def _line(row: dict[str, Any]) -> str:
 def _cut_ins(file: Path, out: Path | None, *, as_json: bool) -> None:
     import numpy as np
 
-    from sumo_adv.metrics.cut_ins import ANSWERS, COLUMNS, judge_cut_ins
+    from sumo_adv.metrics.own_data import ANSWERS, COLUMNS, judge_cut_ins
 
     try:
         with file.open(newline="", encoding="utf-8") as text:

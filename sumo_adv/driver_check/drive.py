@@ -18,7 +18,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats, Track, VehicleState
 from sumo_adv.drivers import Action, EgoController, Observation, Pose, StopLine, make_ego
-from sumo_adv.drivers.wishes import wishes_of
+from sumo_adv.drivers.protocol import wishes_of
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.encounter_search import EncounterSearch
 from sumo_adv.episode.right_of_way import PASSED

@@ -4,16 +4,26 @@
 driver is any class with ``reset(seed)`` and ``act(observation)``: see ``examples/``.
 """
 
-from sumo_adv.drivers.bicycle import apply_steer
 from sumo_adv.drivers.careful import CarefulEgo
 from sumo_adv.drivers.lattice_ego import LatticeEgo
-from sumo_adv.drivers.protocol import Action, EgoController, LaneSpeed, Observation, Pose, Steer, model_of
-from sumo_adv.drivers.registry import ExternalEgo, make_ego
-from sumo_adv.drivers.replay import ReplayEgo
-from sumo_adv.drivers.road import Conflict, Lane, Road, SpeedLimit, StopLine
-from sumo_adv.drivers.sumo_driven import SumoEgo
-from sumo_adv.drivers.user import UserEgo
-from sumo_adv.drivers.vehicle import Vehicle
+from sumo_adv.drivers.protocol import (
+    Action,
+    Conflict,
+    EgoController,
+    Lane,
+    LaneSpeed,
+    Observation,
+    Pose,
+    Road,
+    SpeedLimit,
+    Steer,
+    StopLine,
+    Vehicle,
+    apply_steer,
+    model_of,
+)
+from sumo_adv.drivers.registry import ExternalEgo, UserEgo, make_ego
+from sumo_adv.drivers.sumo_driven import ReplayEgo, SumoEgo
 
 __all__ = [
     "Action",

@@ -15,10 +15,8 @@ import numpy as np
 from sumo_adv.datatypes import DriverModel, VehicleState
 from sumo_adv.drivers.lattice import look_ahead, steering
 from sumo_adv.drivers.lattice_frame import RoadFrame
-from sumo_adv.drivers.protocol import Action, Observation, Steer
-from sumo_adv.drivers.road import Road
+from sumo_adv.drivers.protocol import Action, Observation, Road, Steer, Wishes
 from sumo_adv.drivers.sumo_driven import Idm, known_model, sumo_type
-from sumo_adv.drivers.wishes import Wishes
 from sumo_adv.geometry import wrap
 
 HELD = -3.0  # m/s2 at a line where it must wait

@@ -22,14 +22,12 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.datatypes import Boxes, DriverModel, Floats, VehicleState
-from sumo_adv.drivers.protocol import Action, LaneSpeed, Observation
+from sumo_adv.drivers.protocol import Action, LaneSpeed, Observation, Vehicle
 from sumo_adv.drivers.sumo_driven import MODELS, known_model, sumo_type
-from sumo_adv.drivers.vehicle import Vehicle
 from sumo_adv.errors import UsageError
 from sumo_adv.geometry import wrap_below_pi
-from sumo_adv.metrics.paths import EgoPaths
 from sumo_adv.metrics.reference.cc_human import CcHuman
-from sumo_adv.metrics.reference.view import HISTORY, View
+from sumo_adv.metrics.reference.view import HISTORY, EgoPaths, View
 from sumo_adv.road_users import is_unprotected
 
 HALF_LANE = 1.6  # m, half of SUMO's default lane

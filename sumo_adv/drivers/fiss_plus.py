@@ -23,15 +23,13 @@ import fiss_planner as fiss
 import numpy as np
 
 from sumo_adv.datatypes import VehicleState
-from sumo_adv.drivers.bicycle import WHEELBASE
 from sumo_adv.drivers.lattice import look_ahead, steering
 from sumo_adv.drivers.lattice_frame import RoadFrame
-from sumo_adv.drivers.protocol import Action, Observation, Steer
-from sumo_adv.drivers.road import Road
+from sumo_adv.drivers.protocol import WHEELBASE, Action, Observation, Road, Steer
 from sumo_adv.drivers.sumo_driven import sumo_type
 from sumo_adv.geometry import wrap
 
-REAR_AXLE = WHEELBASE / 2  # m behind the centre, as in ``bicycle.py``
+REAR_AXLE = WHEELBASE / 2  # m behind the centre, as in ``protocol.py``
 HORIZON, STEP = 6.0, 0.1  # s, of predictions: a second more than the longest plan
 BRAKING = 8.0  # m/s2, the hardest
 LATERAL = 4.0  # m/s2, the planner's own limit

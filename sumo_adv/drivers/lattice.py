@@ -3,7 +3,7 @@
 The driver lays candidate motions along its path (``lattice_candidates.py``), expects other vehicles there
 (``lattice_frame.py``) and carries out the beginning of the cheapest candidate.  It perceives at once and exactly, and
 knows no intentions of others.  The rules hold for ``n`` egos at once.  ``lattice_ego.py`` drives one ego in SUMO by
-them, and ``lattice_model.py`` predicts many.
+them, and predicts many.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sumo_adv.datatypes import Floats
-from sumo_adv.drivers.bicycle import MAX_STEERING, WHEELBASE
+from sumo_adv.drivers.protocol import MAX_STEERING, WHEELBASE
 from sumo_adv.drivers.sumo_driven import Idm
 
 STEP = 0.2  # s between the compared times

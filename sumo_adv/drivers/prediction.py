@@ -11,11 +11,9 @@ from __future__ import annotations
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats
-from sumo_adv.drivers.car_following import CarFollowing
 from sumo_adv.drivers.careful import CarefulDrivers
-from sumo_adv.drivers.junctions import AtJunction, Junctions
-from sumo_adv.drivers.lattice_model import LatticeDrivers
-from sumo_adv.drivers.scenes import Scenes
+from sumo_adv.drivers.lattice_ego import LatticeDrivers
+from sumo_adv.drivers.sumo_rules import AtJunction, CarFollowing, Junctions, Scenes
 from sumo_adv.road_users import unprotected
 
 NOTICED = 0.005  # m/s below the unattacked speed after a step, from which on an ego no longer moves as unattacked

@@ -1,26 +1,228 @@
 """From a driver's name to its controller.
 
 Built-in drivers stand in ``DRIVERS``. Drivers of other packages are found by their entry point in the group
-``sumo_adv.drivers``; any other class is named ``module:Class``.
+``sumo_adv.drivers``; any other class is named ``module:Class``, or given as a class or an object.
+
+A driver of a user has ``reset(seed)`` and ``act(observation)``. Its constructor gets the scenario's parameters by name.
+It may have these attributes and this method:
+
+- ``name``; ``forkable`` (default False); ``sumo_type`` (default IDM's); ``needs_observation`` (default True);
+- ``needs_road``, ``visible_only``, ``sees_buildings`` and the numbers of its bicycle (``protocol.py``);
+- ``model_of(numbers)``: how it is predicted (default: as an unknown driver).
+
+Drivers that are given as a class or an object (``GivenEgo``) travel to the engine's process by value. A class of a
+script or a notebook cannot be imported in another process. cloudpickle sends its code along.
 """
 
 from __future__ import annotations
 
+import importlib
+import math
+import sys
 from collections.abc import Callable, Mapping
+from dataclasses import astuple, dataclass
 from functools import partial
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any
+from traceback import extract_tb
+from typing import Any, TypeVar
 
+from sumo_adv.datatypes import DriverModel
 from sumo_adv.drivers.blind import BlindEgo
 from sumo_adv.drivers.careful import CarefulEgo
-from sumo_adv.drivers.given import PREFIX, GivenEgo, lost, unpack
 from sumo_adv.drivers.lattice_ego import LatticeEgo
-from sumo_adv.drivers.protocol import Action, EgoController, Observation
-from sumo_adv.drivers.replay import ReplayEgo
-from sumo_adv.drivers.sumo_driven import MODELS, SumoEgo
-from sumo_adv.drivers.user import METHODS, UserEgo, make_object
-from sumo_adv.errors import UsageError, nearest
+from sumo_adv.drivers.protocol import Action, EgoController, LaneSpeed, Observation, Pose, Steer, model_of, read_wishes
+from sumo_adv.drivers.sumo_driven import MODELS, ReplayEgo, SumoEgo, sumo_type
+from sumo_adv.errors import SimulationError, UsageError, nearest, ran_out_of_memory
+
+T = TypeVar("T")
+METHODS = {"reset": "reset(seed)", "act": "act(observation)"}  # of a driver
+
+
+class UserEgo:
+    """A user's driver: each of its errors becomes one sentence that names it."""
+
+    def __init__(self, spec: str, driver: Any) -> None:
+        """``spec``: what messages call the driver. Raises UsageError: its bicycle cannot be used."""
+        self._driver, self._spec = driver, spec
+        self.name = str(getattr(self._driver, "name", spec))
+        self.forkable = bool(getattr(self._driver, "forkable", False))
+        self.needs_observation = bool(getattr(self._driver, "needs_observation", True))
+        self.wishes = read_wishes(self._driver, spec)
+        attributes = getattr(self._driver, "sumo_type", None)
+        self.sumo_type: Mapping[str, str] = sumo_type("idm", {}) if attributes is None else dict(attributes)
+
+    def reset(self, seed: int) -> None:
+        """Raises SimulationError if the user's code fails."""
+        self._call("failed in reset", lambda: self._driver.reset(seed))
+
+    def act(self, observation: Observation) -> Action:
+        """Raises SimulationError if the user's code fails, or returns something other than a valid action."""
+        action = self._call(f"failed in act at {observation.time:.1f} s", lambda: self._driver.act(observation))
+        if action is None:
+            return None
+        if not isinstance(action, Steer | LaneSpeed | Pose):
+            raise SimulationError(
+                f"The ego {self._spec!r} returned {type(action).__name__}; "
+                "act must return Steer, LaneSpeed, Pose or None."
+            )
+        for value in astuple(action):
+            if value is None and isinstance(action, LaneSpeed):
+                continue
+            if not isinstance(value, int | float) or not math.isfinite(value):
+                raise SimulationError(f"The ego {self._spec!r} returned {action!r}; its numbers must be finite.")
+        return action
+
+    def model_of(self, numbers: DriverModel) -> DriverModel:
+        """Raises SimulationError if the user's code fails, or returns something other than a DriverModel."""
+        model = self._call("failed in model_of", lambda: model_of(self._driver, numbers))
+        if not isinstance(model, DriverModel):
+            raise SimulationError(f"The ego {self._spec!r} returned {model!r}; model_of must return a DriverModel.")
+        return model
+
+    def _call(self, failure: str, call: Callable[[], T]) -> T:
+        try:
+            return call()
+        except Exception as error:  # user code
+            if ran_out_of_memory(error):
+                raise
+            raise SimulationError(f"The ego {self._spec!r} {failure}: {in_one_line(error)}{_place(error)}.") from error
+
+
+def _place(error: Exception) -> str:
+    """The file and line of an error in a user's code: the deepest call in the file that was called first."""
+    frames = [f for f in extract_tb(error.__traceback__) if f.filename != __file__]
+    if not frames:
+        return ""
+    deepest = [f for f in frames if f.filename == frames[0].filename][-1]
+    return f" ({Path(deepest.filename).name}, line {deepest.lineno})"
+
+
+def find_class(kind: str, spec: str) -> type:
+    """The class ``module:Class``, found on ``sys.path`` or in the current folder. Error messages call it ``kind``.
+
+    Classes of Python's standard library are refused before anything is imported. None of them is a driver, and making
+    an object of one can have effects: ``subprocess:Popen`` starts a program.
+
+    Raises:
+        UsageError: another form, a class of the standard library, a module that cannot be imported, no such class.
+    """
+    module_name, _, class_name = spec.partition(":")
+    if not module_name or not class_name:
+        raise UsageError(f"The {kind} {spec!r} is not of the form 'module:Class'.")
+    if _in_standard_library(module_name):
+        raise _not_yours(kind, spec)
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.append(here)  # last, so that no file of the user hides an installed package
+    try:
+        module = importlib.import_module(module_name)
+    except (Exception, SystemExit) as error:  # user code runs on import
+        reason = in_one_line(error)
+        raise UsageError(
+            f"The module of the {kind} {spec!r} could not be imported from {here} or Python's path: {reason}."
+        ) from error
+    user_class = getattr(module, class_name, None)
+    if not isinstance(user_class, type):
+        raise UsageError(f"The module {module_name!r} has no class {class_name!r} for the {kind} {spec!r}.")
+    if _in_standard_library(user_class.__module__):  # the user's module may have imported it
+        raise _not_yours(kind, spec)
+    return user_class
+
+
+def make_object(kind: str, spec: str, parameters: Mapping[str, Any], methods: Mapping[str, str]) -> Any:
+    """An object of the class ``module:Class``; ``methods``: name -> signature, for the error message.
+
+    The class is checked for its methods before an object is made, so that no code of an unsuitable class runs.
+
+    Raises:
+        UsageError: as ``find_class``, or the class lacks a method, or the object cannot be made.
+    """
+    user_class = find_class(kind, spec)
+    missing = lacking(user_class, methods)
+    if missing:
+        raise UsageError(f"The {kind} {spec!r} has no method {missing!r}; it needs {' and '.join(methods.values())}.")
+    try:
+        return user_class(**parameters)
+    except (Exception, SystemExit) as error:  # user code
+        raise UsageError(f"The {kind} {spec!r} could not be made: {in_one_line(error)}.") from error
+
+
+def lacking(thing: Any, methods: Mapping[str, str]) -> str | None:
+    """The first of ``methods`` (name -> signature) that a class or an object does not have."""
+    return next((name for name in methods if not callable(getattr(thing, name, None))), None)
+
+
+def in_one_line(error: BaseException) -> str:
+    """Exception type and message on one line, without a full stop at the end."""
+    message = " ".join(str(error).split()).rstrip(".")
+    return f"{type(error).__name__}: {message}" if message else type(error).__name__
+
+
+def _in_standard_library(module_name: str) -> bool:
+    """Whether the module belongs to Python's standard library; a script that runs as ``__main__`` does not."""
+    top = module_name.partition(".")[0]
+    return top != "__main__" and (top in sys.stdlib_module_names or top in sys.builtin_module_names)
+
+
+def _not_yours(kind: str, spec: str) -> UsageError:
+    return UsageError(f"The {kind} {spec!r} is a class of Python's standard library: name a class of your own.")
+
+
+PREFIX = "object:"  # of the names of such drivers; no module can be called so, because a colon follows
+
+
+@dataclass(frozen=True, slots=True)
+class GivenEgo:
+    """A driver as bytes. name: ``object:`` and its class; made: it is an object, else a class to make one of."""
+
+    name: str
+    made: bool
+    content: bytes
+
+
+def pack(ego: Any) -> GivenEgo:
+    """A class or an object as bytes.
+
+    Raises UsageError: it lacks a method that a driver needs, or cannot be turned into bytes.
+    """
+    import cloudpickle
+
+    made = not isinstance(ego, type)
+    name = PREFIX + (type(ego) if made else ego).__name__
+    missing = lacking(ego, METHODS)
+    if missing:
+        raise UsageError(f"The ego {name!r} has no method {missing!r}; it needs {' and '.join(METHODS.values())}.")
+    try:
+        return GivenEgo(name, made, cloudpickle.dumps(ego))
+    except Exception as error:  # whatever the user's object raises
+        raise UsageError(
+            f"The ego {name!r} cannot be sent to the engine's process ({in_one_line(error)}): make in reset what "
+            "cannot be copied, or give the class instead of an object."
+        ) from error
+
+
+def unpack(given: GivenEgo, parameters: Mapping[str, Any]) -> Any:
+    """The driver; ``parameters`` are those of its constructor, if it is still to be made.
+
+    Raises UsageError: it cannot be made.
+    """
+    import cloudpickle
+
+    try:
+        ego = cloudpickle.loads(given.content)
+        return ego if given.made else ego(**parameters)
+    except Exception as error:  # user code
+        raise UsageError(f"The ego {given.name!r} could not be made: {in_one_line(error)}.") from error
+
+
+def lost(name: str, source: str) -> UsageError:
+    """That a driver was given as an object, and ``source`` does not hold it."""
+    return UsageError(
+        f"{source} was driven by an object from Python, {name.removeprefix(PREFIX)!r}, which no file holds: "
+        "give it again with sumo_adv.run(ego=...)."
+    )
+
 
 ENTRY_POINTS = "sumo_adv.drivers"
 

@@ -13,8 +13,7 @@ from typing import NamedTuple
 
 from sumo_adv.datatypes import Role, Track, VehicleState
 from sumo_adv.drivers import Action, EgoController, LaneSpeed, Observation, ReplayEgo, Steer, Vehicle, apply_steer
-from sumo_adv.drivers.vehicle import Senses
-from sumo_adv.drivers.wishes import wishes_of
+from sumo_adv.drivers.protocol import Senses, wishes_of
 from sumo_adv.errors import DriverError
 from sumo_adv.geometry import Pose
 from sumo_adv.simulation.playback import Playback

@@ -21,7 +21,7 @@ from sumo_adv.datatypes import Attempt, Intent, LibraryEntry, Planner, Proposal,
 from sumo_adv.episode.assessment import rank
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.geometry import Frame, wrap
-from sumo_adv.metrics.gate_details import explained_gates
+from sumo_adv.metrics.gates import explained_gates
 from sumo_adv.search.ranking import chosen
 from sumo_adv.search.sampling import AttackTemplate
 from sumo_adv.situation import ReferencePath

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sumo_adv.datatypes import Floats, VehicleState
-from sumo_adv.drivers.road import Conflict, Lane, Road, SpeedLimit, StopLine
+from sumo_adv.drivers.protocol import Conflict, Lane, Road, SpeedLimit, StopLine
 from sumo_adv.episode.right_of_way import Foe, Line, Link, Meetings, RightOfWay, sign_of, signal_of
 from sumo_adv.episode.road_near import Place, RoadNear
 from sumo_adv.errors import SimulationError

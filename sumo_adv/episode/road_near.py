@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.datatypes import Floats, VehicleState
-from sumo_adv.drivers.road import Lane
+from sumo_adv.drivers.protocol import Lane
 from sumo_adv.episode.right_of_way import Link, Meetings
 from sumo_adv.geometry import along, wrap
 from sumo_adv.simulation.network import Lane as NetLane

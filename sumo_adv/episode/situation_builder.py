@@ -16,8 +16,7 @@ from sumo_adv.episode.encounter_detector import REACH, RankedVehicle
 from sumo_adv.episode.surroundings import Sight
 from sumo_adv.episode.unprotected import STANDS, unprotected_ways
 from sumo_adv.geometry import PATH_STEP, Frame, Path, along, make_path, wrap
-from sumo_adv.metrics.case import closest
-from sumo_adv.metrics.log_noise import smoothed
+from sumo_adv.metrics.case import closest, smoothed
 from sumo_adv.road_users import is_unprotected
 from sumo_adv.simulation.network import Connection, RoadMap, Way
 from sumo_adv.situation import (

@@ -15,7 +15,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats, VehicleState
 from sumo_adv.drivers import Observation, Vehicle
-from sumo_adv.drivers.wishes import wishes_of
+from sumo_adv.drivers.protocol import wishes_of
 from sumo_adv.episode.encounter_detector import REACH, logged_path
 from sumo_adv.episode.right_of_way import Meetings
 from sumo_adv.episode.road_here import RoadHere

@@ -9,7 +9,7 @@ from typing import Any
 
 from sumo_adv.config import Settings, reachable
 from sumo_adv.datatypes import Ending, Place, Role, Track, Verdict
-from sumo_adv.drivers.given import GivenEgo
+from sumo_adv.drivers.registry import GivenEgo
 from sumo_adv.episode.attempt import Driven
 from sumo_adv.episode.drive import EgoActions
 from sumo_adv.errors import UsageError

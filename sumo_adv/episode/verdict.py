@@ -21,15 +21,13 @@ from sumo_adv.drivers.careful import is_noticed
 from sumo_adv.episode.attempt import Driven
 from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
-from sumo_adv.metrics.avoidance import OnRoad
+from sumo_adv.metrics.avoidance import OnRoad, manoeuvre_poses
 from sumo_adv.metrics.boxes import on_grid, row_of
 from sumo_adv.metrics.case import Case, make_case
 from sumo_adv.metrics.levels import AVOIDS, COLLIDES, NOT_APPLICABLE, encounter_of, judged, with_level
-from sumo_adv.metrics.paths import EgoPaths
 from sumo_adv.metrics.reference import BRAKERS, REFERENCE_DRIVERS, Braker
 from sumo_adv.metrics.reference.counterfactual import Counterfactual, Encounters
-from sumo_adv.metrics.reference.manoeuvre import manoeuvre_poses
-from sumo_adv.metrics.reference.view import HISTORY, Views
+from sumo_adv.metrics.reference.view import HISTORY, EgoPaths, Views
 from sumo_adv.metrics.validity import judge
 from sumo_adv.simulation.tracks import tracks_of
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from sumo_adv.datatypes import Endpoint, Limits, VehicleState
 from sumo_adv.drivers import Action, LaneSpeed, Steer
-from sumo_adv.drivers.bicycle import MAX_ACCELERATION, MAX_BRAKING, MAX_STEERING, WHEELBASE
+from sumo_adv.drivers.protocol import MAX_ACCELERATION, MAX_BRAKING, MAX_STEERING, WHEELBASE
 from sumo_adv.errors import UsageError
 from sumo_adv.geometry import Path, Pose, wrap
 

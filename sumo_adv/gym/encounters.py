@@ -15,7 +15,7 @@ from sumo_adv.app import load, new_engine, new_sandbox, open_agents, open_for_ru
 from sumo_adv.config import Settings, load_settings
 from sumo_adv.datatypes import Proposal
 from sumo_adv.drivers import Action, Observation
-from sumo_adv.drivers.given import PREFIX, GivenEgo, pack
+from sumo_adv.drivers.registry import PREFIX, GivenEgo, pack
 from sumo_adv.drivers.sumo_driven import sumo_type
 from sumo_adv.episode.assessment import AttemptRunner, answer_of, attempt_of, observed_motion
 from sumo_adv.episode.episode import Episode

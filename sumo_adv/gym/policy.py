@@ -8,7 +8,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from sumo_adv.drivers import Action, Observation
-from sumo_adv.drivers.road import Road
+from sumo_adv.drivers.protocol import Road
 from sumo_adv.gym.actions import EGO_ACTIONS, action_space, ego_action
 from sumo_adv.gym.environments import Observations, viewing_of
 from sumo_adv.gym.views import FAST, view_of_ego

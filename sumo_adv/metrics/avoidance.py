@@ -4,18 +4,24 @@ Two tiers, both open loop against the adversary's motion as given.  *Careful*: U
 brake only (0.4 s to perceive, 0.75 s to react, up to 0.774 g within 0.6 s).  *Manoeuvre*: some combination of braking
 and a lateral shift begun a delay after the hazard shows, within a friction circle of 8 m/s2.  Positions are sampled at
 the step; boxes nearer than ``MARGIN`` count as a collision, so a corner cannot slip through between samples unseen.
+
+The reference driver ``manoeuvre`` begins 0.8 s after the hazard shows. That is when
+:class:`~sumo_adv.metrics.reference.cc_human.CcHuman` begins to perceive it, 0.4 s before that driver is alarmed.  Some
+combination of braking (up to 8 m/s2) and a lateral shift (up to 3.2 m at a peak of 4.5 m/s2, with at most 6 m/s2 of
+braking) must touch no vehicle (swept) and stay on the road.  Source of the tier: ISO 34502's "reasonably foreseeable
+and preventable"; the friction circle of 8 m/s2 is that of a dry road.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sumo_adv.datatypes import Bools, Boxes, Floats
-from sumo_adv.metrics.boxes import Half, corners, sat
+from sumo_adv.datatypes import Bools, Boxes, Floats, Ints
+from sumo_adv.metrics.boxes import Half, corners, sat, touches
 
 PERCEPTION, REACTION = 0.4, 0.75  # s, UN R157 annex 3
 CAREFUL_BRAKING = 0.774 * 9.81  # m/s2, UN R157
@@ -27,6 +33,7 @@ BRAKING = (8.0, 4.0)  # m/s2, without
 SHIFTS = (1.0, -1.0, 2.0, -2.0, 3.2, -3.2)  # m, left positive
 SLOPE = 0.4  # lateral over longitudinal motion at most
 MARGIN = 0.05  # m, nearer than this is not avoided
+HORIZON = 6.0  # s that a manoeuvre is followed
 ROAD_TOLERANCE = 0.15  # m a corner may be off the road
 SAME_LANE, NEARBY = 1.8, 150.0  # m, a vehicle behind in the lane is not an obstacle to braking; beyond 150 m none is
 OnRoad = Callable[[Floats, Floats], Bools]
@@ -56,9 +63,7 @@ def avoidance(
     dt: float,
     *,
     delays: Sequence[float] = (0.6, 0.8, 1.0),
-    careful: bool = True,
     careful_delay: float = PERCEPTION + REACTION,
-    horizon: float = 6.0,
     on_road: OnRoad | None = None,
     others: Boxes | None = None,
     reacting: Manoeuvre | None = None,
@@ -72,15 +77,11 @@ def avoidance(
     Returns ``careful (N,)`` and ``manoeuvre (N, len(delays))``.
     """
     careful_driver = Manoeuvre(careful_delay, CAREFUL_BRAKING, CAREFUL_RAMP)
-    table = ((careful_driver,) if careful else ()) + tuple(m for d in delays for m in manoeuvres(d))
-    steps = round(horizon / dt)
+    table = (careful_driver, *(m for d in delays for m in manoeuvres(d)))
+    steps = round(HORIZON / dt)
     clear = _clear(ego, adversary, hazard_index, dt, table, steps, on_road, others, reacting)
-    first = 1 if careful else 0
-    groups = clear[first:].reshape(len(delays), len(manoeuvres(0.0)), clear.shape[1])
-    result: dict[str, Bools] = {"manoeuvre": np.asarray(groups.any(axis=1).T)}
-    if careful:
-        result["careful"] = clear[0]
-    return result
+    groups = clear[1:].reshape(len(delays), len(manoeuvres(0.0)), clear.shape[1])
+    return {"careful": clear[0], "manoeuvre": np.asarray(groups.any(axis=1).T)}
 
 
 def _clear(
@@ -257,3 +258,40 @@ def stays_on_road(
 def _duration(shift: float) -> float:
     """Seconds a quintic shift [m] takes at a peak of ``LATERAL``; any positive number for no shift."""
     return float(np.sqrt(5.7735 * abs(shift) / LATERAL)) or 1.0
+
+
+DELAY = 0.8  # s after the hazard shows
+TABLE: tuple[Manoeuvre, ...] = manoeuvres(DELAY - PERCEPTION)
+"""The combinations tried, with their delay after the alarm."""
+
+
+def manoeuvre_poses(ego: Boxes, alarm: Ints, steps: int, dt: float) -> tuple[Boxes, Boxes]:
+    """The ego from the alarm on, ``(N, steps + 1)``, and where ``TABLE`` takes it, ``(len(TABLE), N, steps + 1)``.
+
+    ``ego`` ``(N, T)``: its unchanged motion.
+    """
+    own = window(ego, alarm, steps, dt)
+    poses = poses_of(own, TABLE, dt)
+    return own, _boxes(poses, own, dt)
+
+
+def _boxes(poses: Poses, own: Boxes, dt: float) -> Boxes:
+    moved = np.hypot(np.diff(poses.x, axis=-1), np.diff(poses.y, axis=-1)) / dt
+    speed = np.concatenate([moved, moved[..., -1:]], axis=-1)
+    return Boxes(poses.x, poses.y, np.arctan2(poses.sin, poses.cos), speed, own.length, own.width)
+
+
+def escapes(
+    ego: Boxes, adversary: Boxes, alarm: Ints, steps: Ints, dt: float, on_road: OnRoad | None = None
+) -> tuple[Boxes, Bools]:
+    """The poses of :func:`manoeuvre_poses`, and which of them touch the adversary nowhere (swept) within ``steps``
+    ``(N,)`` after the alarm and stay on the road, ``(len(TABLE), N)``."""
+    longest = int(steps.max())
+    own, poses = manoeuvre_poses(ego, alarm, longest, dt)
+    foe = window(adversary, alarm, longest, dt)
+    foe = replace(foe, x=np.where(np.arange(longest + 1) > steps[:, None], np.nan, foe.x))  # absent afterwards
+    clear = ~touches(poses, foe)
+    if on_road is not None:
+        flat = Poses(poses.x, poses.y, np.cos(poses.heading), np.sin(poses.heading))
+        clear &= stays_on_road(flat, own, TABLE, clear, on_road, dt)
+    return poses, clear

@@ -38,9 +38,10 @@ from enum import StrEnum
 import numpy as np
 
 from sumo_adv.datatypes import Floats, Track, Verdict
+from sumo_adv.metrics.avoidance import DELAY
 from sumo_adv.metrics.levels import encounter_of
 from sumo_adv.metrics.reaction import braking_of, missed_on_its_way, steering_of
-from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, SAME_DIRECTION_ONLY, Braker, fsm, manoeuvre, reg157, rss
+from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, SAME_DIRECTION_ONLY, Braker
 from sumo_adv.metrics.reference.brakers import FULL_BRAKING
 from sumo_adv.metrics.reference.cc_human import PERCEPTION, REACTION, CcHuman
 from sumo_adv.metrics.reference.counterfactual import Counterfactual
@@ -51,10 +52,7 @@ CALM = 2.0  # s without a danger, after which the next one is another
 SOON = 0.05  # s before the moment, which is 0.0 s in words
 STEP, COARSE = 0.1, 5  # m/s2 between the constant brakings that are tried; every fifth one is tried first
 CAREFUL = CcHuman.name
-DELAYS = {
-    CAREFUL: REACTION, MANOEUVRE: manoeuvre.DELAY - PERCEPTION, reg157.Reg157.name: reg157.DELAY,
-    rss.RssDriver.name: rss.NUMBERS.response, fsm.Fsm.name: fsm.REACTION,
-}  # fmt: skip
+DELAYS = {name: braker.delay for name, braker in BRAKERS.items()} | {MANOEUVRE: DELAY - PERCEPTION}
 """Seconds from a reference driver's alarm until it acts."""
 
 

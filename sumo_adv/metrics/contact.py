@@ -6,6 +6,7 @@ they were last apart.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -13,7 +14,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Bools, Boxes, Floats, Ints, Track
 from sumo_adv.geometry import wrap_below_pi
-from sumo_adv.metrics.boxes import at_time, axis_separations, corners, overlaps
+from sumo_adv.metrics.boxes import at_time, axis_separations, corners, first_contact, on_grid, overlaps
 
 STOPPED = 0.05  # m/s, nuPlan's threshold for a stopped vehicle
 SAME_DIRECTION = np.pi / 4  # rad, heading difference up to which two vehicles or lanes go the same way
@@ -161,3 +162,24 @@ def impact(ego: Track, adversary: Track, contact_time: float) -> Impact:
         contact_time, closing, float(a.speed), float(b.speed), closing * mass_b / (mass_a + mass_b),
         float(wrap_below_pi(np.asarray(b.heading - a.heading))), in_frame(a, point), in_frame(b, point), *sides,
     )  # fmt: skip
+
+
+def first_other_contact(ego: Track, others: Sequence[Track], start: float) -> tuple[str, float] | None:
+    """The first vehicle or object that the ego touches from ``start`` [s] on, and when [s]; None if there is none.
+
+    All tracks lie on one regular grid. Boxes that overlap at ``start`` already are left out (errors of a log), and so
+    is a vehicle that runs into the ego's back.
+    """
+    driven = ego.between(start, np.inf)
+    near = [t for t in others if len(t.between(start, np.inf).time) > 1]
+    if len(driven.time) < 2 or not near:
+        return None
+    me, them = on_grid([driven], driven.time), on_grid(near, driven.time)
+    times = first_contact(me, them, driven.time)
+    for k in np.argsort(times):
+        when, vehicle = float(times[k]), near[int(k)]
+        if not np.isfinite(when):
+            return None
+        if when > driven.time[0] and not rear_end(at_time(driven, when), at_time(vehicle, when)):
+            return vehicle.id, when
+    return None

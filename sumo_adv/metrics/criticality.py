@@ -5,6 +5,7 @@ Everything broadcasts: ego ``(time,)`` against vehicles ``(n, time)`` gives ``(n
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,23 +13,18 @@ from numpy.typing import NDArray
 
 from sumo_adv.datatypes import Boxes, Floats, Track
 from sumo_adv.geometry import wrap_below_pi
-from sumo_adv.metrics.boxes import corners, first_contact, half, overlaps
+from sumo_adv.metrics.boxes import corners, gap, half, on_grid, overlaps
 
-TURNING_HORIZON = 10.0  # s, how far a TTC with turn rates looks
-TURNING_STEP = 0.05  # s
 AVAILABLE = 8.0  # m/s2, the braking of a car on a dry road
 FINE = 51  # parts of a step in which PET is refined
 
 
-def ttc(a: Boxes, b: Boxes, turn_rate: tuple[Floats | float, Floats | float] | None = None) -> Floats:
+def ttc(a: Boxes, b: Boxes) -> Floats:
     """Two-dimensional time to collision [s] of boxes at constant velocity and heading; 0 touching, inf never.
 
     Exact: with fixed headings the boxes overlap at t where on each of the four separating axes |p + u t| <= R, an
-    interval in t; TTC is the start of the four intervals' intersection with t >= 0.  ``turn_rate`` (of a, of b) [rad/s]
-    lets both drive circular arcs instead (constant turn rate and speed), up to 10 s ahead, in steps of 0.05 s.
+    interval in t; TTC is the start of the four intervals' intersection with t >= 0.
     """
-    if turn_rate is not None:
-        return _turning_ttc(a, b, turn_rate)
     ca, sa, cb, sb = np.cos(a.heading), np.sin(a.heading), np.cos(b.heading), np.sin(b.heading)
     dx, dy = b.x - a.x, b.y - a.y
     ux, uy = b.speed * cb - a.speed * ca, b.speed * sb - a.speed * sa
@@ -51,23 +47,6 @@ def ttc(a: Boxes, b: Boxes, turn_rate: tuple[Floats | float, Floats | float] | N
             enter = np.maximum(enter, np.where(still, np.where(inside, 0.0, np.inf), middle - width))
             leave = np.minimum(leave, np.where(still, np.inf, middle + width))
     return np.where(enter <= leave, enter, np.inf)
-
-
-def _turning_ttc(a: Boxes, b: Boxes, turn_rate: tuple[Floats | float, Floats | float]) -> Floats:
-    time = np.arange(0.0, TURNING_HORIZON + TURNING_STEP / 2, TURNING_STEP)
-    return first_contact(_arc(a, turn_rate[0], time), _arc(b, turn_rate[1], time), time)
-
-
-def _arc(b: Boxes, rate: Floats | float, time: Floats) -> Boxes:
-    """The box driving a circular arc: arrays get a last axis of ``len(time)``."""
-    speed, heading, w = (np.asarray(v, dtype=float)[..., None] for v in (b.speed, b.heading, rate))
-    ahead = heading + w * time
-    chord = speed * time * np.sinc(w * time / (2 * np.pi))  # 2 v / w sin(w t / 2)
-    middle = heading + w * time / 2
-    x = np.asarray(b.x, dtype=float)[..., None] + chord * np.cos(middle)
-    y = np.asarray(b.y, dtype=float)[..., None] + chord * np.sin(middle)
-    size = [np.asarray(v, dtype=float)[..., None] for v in (b.length, b.width)]
-    return Boxes(x, y, ahead, speed, size[0], size[1])
 
 
 def drac(ego: Boxes, other: Boxes, times: Floats | None = None) -> Floats:
@@ -197,3 +176,27 @@ def _between(track: Track, start: int, stop: int, part: Floats) -> tuple[Floats,
     turn = wrap_below_pi(np.asarray(track.heading[stop] - track.heading[start]))
     time, x, y, speed = (v[start] + part * (v[stop] - v[start]) for v in (track.time, track.x, track.y, track.speed))
     return time, x, y, track.heading[start] + part * turn, speed
+
+
+COLUMNS = ("ttc", "gap", "centre_distance", "drac", "btn", "headway", "required_lateral")
+
+
+def series(ego: Track, others: Sequence[Track]) -> dict[str, Floats]:
+    """Measures of the ego against every other vehicle over the ego's steps: each of ``COLUMNS`` as ``(n, steps)``.
+
+    Plus ``time`` ``(steps,)`` [s].  Rows are in the order of ``others``; where a vehicle is not there TTC, gap, headway
+    and centre distance are inf and the rates 0.
+    """
+    own, them = ego.boxes(), on_grid(others, ego.time)
+    times = ttc(own, them)
+    absent = np.isnan(them.x)
+    return {
+        "time": ego.time,
+        "ttc": times,
+        "gap": np.where(absent, np.inf, gap(own, them)),
+        "centre_distance": np.where(absent, np.inf, np.hypot(them.x - own.x, them.y - own.y)),
+        "drac": drac(own, them, times),
+        "btn": btn(own, them, times=times),
+        "headway": headway(own, them),
+        "required_lateral": required_lateral(own, them, times),
+    }

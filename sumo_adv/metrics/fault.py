@@ -1,8 +1,10 @@
 """Fault: nuPlan's at-fault rules, and Responsibility-Sensitive Safety as a second opinion.
 
 nuPlan (nuplan-devkit, ``no_ego_at_fault_collisions``): the ego is at fault when it runs into a stopped vehicle or hits
-with its front bumper, and in a lateral collision while between lanes or off the road; never when it stands or is hit
-from behind.  RSS: Shalev-Shwartz, Shammah, Shashua 2017, definitions 1, 6 and the blame rule, same direction only.
+with its front bumper; never when it stands or is hit from behind.  Its rule for lateral collisions of an ego that is
+between lanes or off the road is left out.
+
+RSS: Shalev-Shwartz, Shammah, Shashua 2017, definitions 1, 6 and the blame rule, same direction only.
 """
 
 from __future__ import annotations
@@ -37,12 +39,10 @@ class Rss:
 DEFAULT_RSS = Rss()
 
 
-def nuplan_fault(ego: Track, adversary: Track, contact_time: float, *, between_lanes: bool = False) -> str:
-    """``ego`` or ``adversary`` by nuPlan's rules; ``between_lanes``: the ego straddles lanes or is off the road."""
+def nuplan_fault(ego: Track, adversary: Track, contact_time: float) -> str:
+    """``ego`` or ``adversary`` by nuPlan's rules."""
     kind = collision_class(ego, adversary, contact_time)
-    if kind in (CollisionClass.STOPPED_TRACK, CollisionClass.ACTIVE_FRONT):
-        return EGO
-    return EGO if kind is CollisionClass.ACTIVE_LATERAL and between_lanes else ADVERSARY
+    return EGO if kind in (CollisionClass.STOPPED_TRACK, CollisionClass.ACTIVE_FRONT) else ADVERSARY
 
 
 def fault(ego: Track, adversary: Track, contact_time: float) -> str:

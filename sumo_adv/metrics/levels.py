@@ -27,10 +27,10 @@ from sumo_adv.geometry import wrap_below_pi
 from sumo_adv.metrics.avoidance import OnRoad
 from sumo_adv.metrics.boxes import on_grid, row_of
 from sumo_adv.metrics.contact import SAME_DIRECTION
-from sumo_adv.metrics.human import outside
-from sumo_adv.metrics.paths import EgoPaths
+from sumo_adv.metrics.realism import outside
 from sumo_adv.metrics.reference import REFERENCE_DRIVERS, SAME_DIRECTION_ONLY
 from sumo_adv.metrics.reference.counterfactual import Answer, Encounters, answers
+from sumo_adv.metrics.reference.view import EgoPaths
 from sumo_adv.metrics.severity import SERIOUS_DELTA_V, crash
 from sumo_adv.road_users import RoadUser, is_unprotected, road_user
 

@@ -11,9 +11,9 @@ import numpy as np
 from sumo_adv.datatypes import Bools, Floats, Track
 from sumo_adv.metrics.boxes import at_time, row_of
 from sumo_adv.metrics.levels import encounter_of
-from sumo_adv.metrics.paths import EgoPaths
 from sumo_adv.metrics.reference.cc_human import WANDERING
 from sumo_adv.metrics.reference.counterfactual import Counterfactual
+from sumo_adv.metrics.reference.view import EgoPaths
 
 MORE = 1.0  # m/s2 more braking than without the attack is a reaction
 LOSING = 0.5  # m/s2 that the ego loses at least while it brakes

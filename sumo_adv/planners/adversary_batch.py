@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.datatypes import Endpoint, Floats
-from sumo_adv.drivers.junctions import AtJunction
-from sumo_adv.drivers.scenes import Scenes
+from sumo_adv.drivers.sumo_rules import AtJunction, Scenes
 from sumo_adv.geometry import PATH_STEP, wrap
 from sumo_adv.planners.answers import LOOK, PlannerObservation, arrivals, stations
 from sumo_adv.planners.follower import Follower, Line, aligned

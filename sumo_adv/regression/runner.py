@@ -24,7 +24,7 @@ from sumo_adv.episode.task import FoundEncounter, Task, make_task
 from sumo_adv.episode.warm import WarmEngine, WarmSandboxes
 from sumo_adv.errors import SumoAdvError
 from sumo_adv.files import is_storage_error
-from sumo_adv.metrics.ego_contacts import first_other_contact
+from sumo_adv.metrics.contact import first_other_contact
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.regression.case import Case, read_case
 from sumo_adv.regression.measured import Measured

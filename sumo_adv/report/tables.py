@@ -11,8 +11,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Role, Track
 from sumo_adv.metrics.case import NEAR
-from sumo_adv.metrics.criticality import AVAILABLE
-from sumo_adv.metrics.series import series
+from sumo_adv.metrics.criticality import AVAILABLE, series
 from sumo_adv.metrics.validity import MOST
 from sumo_adv.simulation.signals import COLUMNS
 from sumo_adv.simulation.simulation import Snapshot

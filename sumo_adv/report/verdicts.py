@@ -24,8 +24,7 @@ from sumo_adv.metrics.case import Case, make_case
 from sumo_adv.metrics.cause import Cause, cause_of
 from sumo_adv.metrics.contact import Impact
 from sumo_adv.metrics.fault import SecondOpinion
-from sumo_adv.metrics.full import PAPER_EPSILON, FullVerdict, full_judge
-from sumo_adv.metrics.markings import Crossing, Strip, markings_crossed
+from sumo_adv.metrics.full import PAPER_EPSILON, Crossing, FullVerdict, Strip, full_judge, markings_crossed
 from sumo_adv.metrics.realism import PAPER_BINS, WOSAC_BINS, distances, own_figures, realism, wosac_features
 from sumo_adv.report.outcome import number
 from sumo_adv.report.tables import series_rows

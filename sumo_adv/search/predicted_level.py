@@ -14,8 +14,8 @@ import numpy as np
 from sumo_adv.datatypes import Bools, Boxes, Floats, Ints, Level
 from sumo_adv.metrics.boxes import on_grid, pick
 from sumo_adv.metrics.gates import largest_acceleration
-from sumo_adv.metrics.human import envelope_left
 from sumo_adv.metrics.levels import STATIONARY, STATIONARY_FOR
+from sumo_adv.metrics.realism import envelope_left
 from sumo_adv.metrics.reference.cc_human import CcHuman
 from sumo_adv.metrics.reference.counterfactual import BEYOND, Counterfactual, Encounters
 from sumo_adv.metrics.severity import crash_of, hardness

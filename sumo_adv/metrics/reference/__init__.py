@@ -8,10 +8,10 @@ Until its own rule says that a danger shows, the ego moves as it was recorded; f
 name        rule                                                                         judges
 =========== ============================================================================ ===================
 cc_human    UN R157's careful and competent human driver (``cc_human.py``)               every encounter
-manoeuvre   braking and steering within a friction circle (``manoeuvre.py``)             every encounter
-reg157      UN R157's requirement for cut-ins, 5.2.5.2 (``reg157.py``)                   same direction
-rss         Responsibility-Sensitive Safety (``rss.py``)                                 same direction
-fsm         JRC's Fuzzy Safety Model (``fsm.py``)                                        same direction
+manoeuvre   braking and steering within a friction circle (``avoidance.py``)             every encounter
+reg157      UN R157's requirement for cut-ins, 5.2.5.2 (``brakers.py``)                  same direction
+rss         Responsibility-Sensitive Safety (``brakers.py``)                             same direction
+fsm         JRC's Fuzzy Safety Model (``brakers.py``)                                    same direction
 =========== ============================================================================ ===================
 
 The drivers for the same direction have rules for vehicles, cyclists among them, and none for pedestrians.
@@ -19,11 +19,8 @@ The drivers for the same direction have rules for vehicles, cyclists among them,
 
 from __future__ import annotations
 
-from sumo_adv.metrics.reference.brakers import Braker
+from sumo_adv.metrics.reference.brakers import Braker, Fsm, Reg157, RssDriver
 from sumo_adv.metrics.reference.cc_human import CcHuman
-from sumo_adv.metrics.reference.fsm import Fsm
-from sumo_adv.metrics.reference.reg157 import Reg157
-from sumo_adv.metrics.reference.rss import RssDriver
 
 BRAKERS: dict[str, type[Braker]] = {"cc_human": CcHuman, "reg157": Reg157, "rss": RssDriver, "fsm": Fsm}
 """Reference drivers that brake and do not steer."""

@@ -1,4 +1,4 @@
-"""The protocol of reference drivers that brake, and what their rules share."""
+"""Reference drivers that brake: their protocol, what their rules share, and those for one direction."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import ClassVar, Protocol
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats
+from sumo_adv.metrics.fault import Rss, lateral_way, longitudinal_safe_distance
 from sumo_adv.metrics.reference.view import View
 
 RAMP = 0.6  # s until full braking, UN R157
@@ -24,7 +25,8 @@ class Braker(Protocol):
     """N drivers that watch M vehicles each, in steps of ``dt`` [s]; their state is what they have seen."""
 
     name: ClassVar[str]
-    source: ClassVar[str]
+    delay: ClassVar[float]
+    """From the alarm until the driver acts [s]."""
 
     def __init__(self, shape: tuple[int, int], dt: float) -> None: ...
 
@@ -65,3 +67,171 @@ class Delay:
         lasted = np.where(cause, self._now - self._since - self._seconds, -np.inf)
         self._now += self._dt
         return np.where(np.isfinite(lasted), np.round(lasted, 9), lasted)
+
+
+BRAKING = 6.0  # m/s2, UN R157
+INTRUSION = 0.3  # m beyond the line, UN R157
+SOON = 2.0  # s, time to collision
+
+
+class Reg157:
+    """UN R157's requirement for cut-ins: avoid each collision that braking at 6 m/s2 after 0.35 s avoids.
+
+    Source: UN Regulation No. 157, 5.2.5.2: the system avoids a collision with a vehicle that cuts in if the time to
+    collision at the moment of intrusion is more than v_rel / (2 * 6 m/s2) + 0.35 s; the vehicle has intruded once it is
+    0.3 m beyond the line of the ego's lane.
+
+    As a driver: once a slower vehicle ahead has intruded (or drives in the lane), braking at 6 m/s2 begins 0.35 s after
+    the time to collision is at most 2 s or, at high closing speeds, at most what the requirement takes.  Braking
+    earlier than that changes no outcome and would make the driver an alarmist.  Where the regulation leaves room: the
+    braking is there at once, without a ramp, and lasts until the ego is no longer faster.
+    """
+
+    name: ClassVar[str] = "reg157"
+    delay: ClassVar[float] = 0.35  # s, UN R157
+
+    def __init__(self, shape: tuple[int, int], dt: float) -> None:
+        self._dt = dt
+        self._delay = Delay(shape, self.delay, dt)
+        self._danger = np.zeros(shape, bool)
+        self.alarmed: Bools = np.zeros(shape[0], bool)
+
+    def step(self, view: View) -> Floats:
+        """The acceleration [m/s2] over the step to come, ``(N,)``; NaN where the driver does not brake."""
+        intrudes = view.same_direction & view.ahead & (view.near_edge < view.lane_half_width - INTRUSION + 1e-9)
+        faster = intrudes & (view.closing > 0.0)
+        needed = view.closing / (2 * BRAKING) + self.delay + self._dt
+        begins = faster & (view.gap > 0.0) & (view.time_to_reach <= np.maximum(SOON, needed))
+        self._danger = (self._danger & faster) | begins
+        self.alarmed |= self._danger.any(axis=1)
+        lasted = self._delay.step(self._danger).max(axis=1, initial=-np.inf)
+        part = np.clip((lasted + self._dt) / self._dt, 0.0, 1.0)  # of the step in which braking begins
+        return np.where(part > 1e-9, -BRAKING * part, np.nan)
+
+
+NUMBERS = Rss(
+    response=0.75, acceleration=3.0, braking=6.0, hard_braking=6.0, lateral_acceleration=1.0, lateral_braking=1.0
+)  # fmt: skip
+WOBBLE = 0.3  # m of lateral distance that is kept beyond RSS's own
+
+
+class RssDriver:
+    """Responsibility-Sensitive Safety as a driver: it keeps the safe distances and brakes when both are broken.
+
+    Source: Shalev-Shwartz, Shammah, Shashua 2017, "On a Formal Model of Safe and Scalable Self-driving Cars",
+    definitions 1 (longitudinal), 6 (lateral) and 4 (proper response).  A situation is dangerous when the longitudinal
+    and the lateral distance are both unsafe; after the response time the driver brakes until it is safe again.
+
+    The paper gives no numbers.  These are those of the JRC's implementation (ec-jrc/JRC-FSM): both vehicles brake at 6
+    m/s2 in the safe distance, the other moves sideways with 1 m/s2, and the driver responds after 0.75 s with the
+    braking of UN R157's human driver, so that the drivers differ by their rules and not by their reaction.  The lateral
+    part of the proper response is left out: the driver does not steer, and its own way sideways is none.
+    """
+
+    name: ClassVar[str] = "rss"
+    delay: ClassVar[float] = NUMBERS.response
+
+    def __init__(self, shape: tuple[int, int], dt: float) -> None:
+        self._dt = dt
+        self._delay = Delay(shape, self.delay, dt)
+        self.alarmed: Bools = np.zeros(shape[0], bool)
+
+    def step(self, view: View) -> Floats:
+        """The acceleration [m/s2] over the step to come, ``(N,)``; NaN where the driver does not brake."""
+        along = np.maximum(view.along, 0.0)
+        own = np.broadcast_to(view.ego_speed, along.shape)
+        unsafe_along = view.gap < longitudinal_safe_distance(own, along, NUMBERS)
+        unsafe_across = view.side_gap < WOBBLE + lateral_way(view.towards, NUMBERS)
+        dangerous = view.same_direction & view.ahead & unsafe_along & unsafe_across
+        self.alarmed |= dangerous.any(axis=1)
+        lasted = self._delay.step(dangerous).max(axis=1, initial=-np.inf)
+        lost = speed_lost(lasted + self._dt) - speed_lost(lasted)
+        return np.where(lost > 1e-9, -lost / self._dt, np.nan)
+
+
+REACTION = 0.75  # s
+COMFORTABLE, MOST = 4.0, 6.0  # m/s2 of the ego
+LEADER = 7.0  # m/s2, the most that the other brakes
+STANDING_GAP = 2.0  # m between two vehicles that stand
+LATERAL_SLACK = 0.1  # s
+JERK = 12.65  # m/s3
+
+
+def proactive(gap: Floats, ego: Floats, other: Floats) -> Floats:
+    """PFS: 1 where even braking at most would not do if the other brakes at most, 0 where comfortable braking does."""
+    stopping = ego * REACTION - other**2 / (2 * LEADER)
+    safe = stopping + ego**2 / (2 * COMFORTABLE) + STANDING_GAP
+    return _between(gap, stopping + ego**2 / (2 * MOST), safe)
+
+
+def critical(gap: Floats, ego: Floats, other: Floats, acceleration: Floats) -> Floats:
+    """CFS: 1 where braking at most would not do if the other keeps its speed, 0 where comfortable braking does."""
+    held = np.maximum(acceleration, -COMFORTABLE)
+    after = np.maximum(ego + held * REACTION, 0.0)
+    nearer = ((ego + after) / 2 - other) * REACTION
+    closing = np.maximum(after - other, 0.0)
+    degree = _between(gap, nearer + closing**2 / (2 * MOST), nearer + closing**2 / (2 * COMFORTABLE))
+    stopping = (ego - other) ** 2 / (2 * np.maximum(np.abs(held), 1e-9))
+    degree = np.where(after <= other, np.where(gap <= stopping, 1.0, 0.0), degree)
+    return np.where(ego > other, degree, 0.0)
+
+
+def _between(gap: Floats, unsafe: Floats, safe: Floats) -> Floats:
+    """1 at most at ``unsafe``, 0 from ``safe`` on, linear between."""
+    span = np.maximum(safe - unsafe, 1e-9)
+    return np.clip((safe - gap) / span, 0.0, 1.0)
+
+
+class Fsm:
+    """JRC's Fuzzy Safety Model: a driver that anticipates, and brakes comfortably before it has to brake hard.
+
+    Source: Mattas et al. 2020, "Fuzzy Surrogate Safety Metrics for real-time assessment of rear-end collision risk",
+    and 2022, "Driver models for the definition of safety requirements of automated vehicles in international
+    regulations"; performance model 2 of UN R157 (01 series).
+
+    Lateral check: a vehicle beside the ego's corridor matters if its rear is ahead of the ego's front, it moves towards
+    the ego, the ego is faster, and side_gap / v_lateral < (gap + both lengths) / closing speed + 0.1 s.  A vehicle in
+    the corridor always matters.  Longitudinal check: the proactive (PFS) and the critical (CFS) fuzzy metrics, in [0,
+    1]. Reaction: 0.75 s after the risk shows, CFS * (6 - 4) + 4 m/s2 where CFS > 0, else PFS * 4 m/s2; braking changes
+    by at most 12.65 m/s3.
+
+    Where the papers leave room: the delay runs while the risk lasts, and once the driver brakes it follows the risk
+    without a further delay.
+    """
+
+    name: ClassVar[str] = "fsm"
+    delay: ClassVar[float] = REACTION
+
+    def __init__(self, shape: tuple[int, int], dt: float) -> None:
+        self._dt = dt
+        self._delay = Delay((shape[0],), self.delay, dt)
+        self._braking = np.zeros(shape[0])
+        self.alarmed: Bools = np.zeros(shape[0], bool)
+
+    def step(self, view: View) -> Floats:
+        """The acceleration [m/s2] over the step to come, ``(N,)``; NaN where the driver does not brake."""
+        matters = view.same_direction & view.ahead & (view.in_corridor | self._moves_in(view))
+        ego, leader = view.ego_speed + 0.0 * view.along, np.maximum(view.along, 0.0)
+        gap = np.maximum(view.gap, 0.0)
+        gap = np.where(matters, gap, 1e9)
+        cfs = critical(gap, ego, leader, view.ego_acceleration + 0.0 * leader)
+        pfs = proactive(gap, ego, leader)
+        braking = np.where(cfs > 0.0, cfs * (MOST - COMFORTABLE) + COMFORTABLE, pfs * COMFORTABLE)
+        braking = np.where(matters, braking, 0.0).max(axis=1, initial=0.0)
+        risk = braking > 0.0
+        self.alarmed |= risk
+        acts = self._delay.step(risk) > -1e-9
+        change = JERK * self._dt
+        target = np.where(acts, braking, 0.0)
+        self._braking = np.clip(target, self._braking - change, self._braking + change)
+        return np.where(self._braking > 1e-9, -self._braking, np.nan)
+
+    @staticmethod
+    def _moves_in(view: View) -> Bools:
+        """The lateral check."""
+        sideways = view.towards > 1e-9
+        across = view.side_gap / np.where(sideways, view.towards, 1.0)
+        closing = view.closing
+        lengths = view.gap + view.ego_length + view.length
+        along = lengths / np.where(closing > 1e-9, closing, 1.0)
+        return (view.gap > 0.0) & sideways & (closing > 1e-9) & (across < along + LATERAL_SLACK)

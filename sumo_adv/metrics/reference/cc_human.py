@@ -71,7 +71,7 @@ class CcHuman:
     """N drivers that watch M vehicles each.  Pass one view a step, in order."""
 
     name: ClassVar[str] = "cc_human"
-    source: ClassVar[str] = "UN R157, careful and competent human driver"
+    delay: ClassVar[float] = REACTION
 
     def __init__(self, shape: tuple[int, int], dt: float) -> None:
         """``shape``: (N, M); ``dt`` [s]."""

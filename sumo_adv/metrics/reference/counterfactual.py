@@ -7,7 +7,7 @@ does not brake, the ego's speed changes as it was recorded, up to the recorded s
 A driver avoids the collision if it touches no vehicle but those that run into it from behind in its lane.
 
 A pedestrian or cyclist is seen only while nothing is in the way of the line of sight from the unchanged ego's centre to
-its centre or a corner (``metrics/sight.py``): until then no danger shows to any driver.
+its centre or a corner (``metrics/reference/view.py``): until then no danger shows to any driver.
 
 The unchanged ego (recorded motion, then constant speed) is rolled out by the same code: a collision that it does not
 have in this check is inconclusive.
@@ -22,15 +22,12 @@ from functools import cached_property
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Boxes, Floats, Ints
-from sumo_adv.metrics.avoidance import OnRoad
+from sumo_adv.metrics.avoidance import OnRoad, escapes
 from sumo_adv.metrics.boxes import first_contact, touches
 from sumo_adv.metrics.contact import SAME_DIRECTION
-from sumo_adv.metrics.paths import EgoPaths
 from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, REFERENCE_DRIVERS, Braker
 from sumo_adv.metrics.reference.cc_human import CcHuman
-from sumo_adv.metrics.reference.manoeuvre import escapes
-from sumo_adv.metrics.reference.view import Views, located_on
-from sumo_adv.metrics.sight import seen
+from sumo_adv.metrics.reference.view import EgoPaths, Views, located_on, seen
 
 MakeDriver = Callable[[tuple[int, int], float], Braker]
 """Makes drivers for a shape (N, M) and a step [s]: a class of ``BRAKERS``, or one with other numbers."""

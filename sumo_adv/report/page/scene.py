@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.datatypes import Floats, Track
-from sumo_adv.metrics.series import series
+from sumo_adv.metrics.criticality import series
 from sumo_adv.report.page.encode import Ints, packed, whole
 from sumo_adv.report.page.markings import lights_of
 from sumo_adv.report.page.read import RunRead

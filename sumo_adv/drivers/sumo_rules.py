@@ -1,20 +1,177 @@
-"""Junctions as SUMO's drivers see them: they keep clear of a vehicle on the junction, and give way at their line.
+"""SUMO's drivers as they are predicted: the situations of many adversaries as arrays, car following, and junctions.
 
-After ``MSLink::getLeaderInfo``, ``MSLink::blockedByFoe``, ``MSVehicle::isLeader`` and
-``MSVehicle::adaptToJunctionLeader`` of SUMO 1.28.
+Attacks that begin at different moments of one encounter are predicted together. Each moment has its own frame, path,
+lane and unattacked ego (``Scenes``).
+
+Krauss follows ``MSCFModel_Krauss`` (Krauß 1998); all other drivers follow ``MSCFModel_IDM`` (Treiber, Hennecke and
+Helbing 2000). Speeds are in m/s and gaps in m; arrays are ``(n,)`` or any shape that broadcasts.
+
+On junctions drivers keep clear of a vehicle on the junction, and give way at their line, after
+``MSLink::getLeaderInfo``, ``MSLink::blockedByFoe``, ``MSVehicle::isLeader`` and ``MSVehicle::adaptToJunctionLeader`` of
+SUMO 1.28.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from sumo_adv.datatypes import Bools, Floats
-from sumo_adv.drivers.car_following import CarFollowing, brake_gap
-from sumo_adv.drivers.scenes import Scenes
+from sumo_adv.datatypes import Bools, DriverModel, Floats
+from sumo_adv.geometry import Paths, wrap
 from sumo_adv.situation import Situation
+
+
+class Scenes:
+    """A situation for each of ``n`` adversaries. All are of one encounter: ego, driver and step are the same."""
+
+    def __init__(self, situations: Sequence[Situation]) -> None:
+        self.of = list(situations)
+        distinct = list({id(s): s for s in situations}.values())
+        place = {id(s): k for k, s in enumerate(distinct)}
+        self._distinct, self._row = distinct, np.array([place[id(s)] for s in situations], np.intp)
+        self._rows = [np.flatnonzero(self._row == k) for k in range(len(distinct))]
+        self._paths = Paths([s.baseline.path for s in distinct])
+        frames = [s.frame for s in distinct]
+        self._frame = np.array(
+            [(f.x, f.y, math.cos(f.heading), math.sin(f.heading), f.heading, f.hand) for f in frames]
+        )
+        self._profiles = [(s.baseline.s.tolist(), s.baseline.v.tolist()) for s in distinct]
+        self.dt, self.ego, self.driver = distinct[0].dt, distinct[0].ego, distinct[0].baseline.model
+
+    def each(self, value: Callable[[Situation], float]) -> Floats:
+        """``value(situation)`` for each adversary, ``(n,)``."""
+        return np.array([value(s) for s in self._distinct], float)[self._row]
+
+    def profile(self, time: Floats) -> tuple[Floats, Floats]:
+        """Stations [m] and speeds [m/s] of the unattacked egos ``time`` (k,) s after their triggers, ``(n, k)``."""
+        profiles = [profile_at(s, time) for s in self._distinct]
+        return np.stack([s for s, _ in profiles])[self._row], np.stack([v for _, v in profiles])[self._row]
+
+    def profile_now(self, time: float) -> tuple[Floats, Floats]:
+        """The same at one time, ``(n,)``."""
+        profiles = np.array([_profile_at_once(s, v, time, self.dt) for s, v in self._profiles])[self._row]
+        return profiles[:, 0], profiles[:, 1]
+
+    def pace(self, station: Floats) -> Floats:
+        """The unattacked egos' speeds [m/s] at stations (n,)."""
+        speed = np.empty(len(station))
+        for situation, rows in zip(self._distinct, self._rows, strict=True):
+            speed[rows] = np.interp(station[rows], situation.baseline.s, situation.baseline.v)
+        return speed
+
+    def ego_at(self, s: Floats, d: Floats | float = 0.0) -> tuple[Floats, Floats, Floats]:
+        """x, y, heading at stations and offsets [m] of the egos' paths, ``(n,)`` or ``(n, k)``."""
+        return self._paths.at(_fit(self._row, s), s, d)
+
+    def to_local(self, x: Floats, y: Floats, heading: Floats) -> tuple[Floats, Floats, Floats]:
+        """World poses, ``(n,)`` or ``(n, k)``, in the frames of the egos at their triggers."""
+        x0, y0, c, s, h, hand = (_fit(q, x) for q in self._frame[self._row].T)
+        dx, dy = x - x0, y - y0
+        return c * dx + s * dy, hand * (-s * dx + c * dy), hand * wrap(heading - h)
+
+
+def _fit(values: Any, like: Floats) -> Any:
+    """Values of the rows ``(n,)`` in a shape that broadcasts with ``(n,)`` or ``(n, k)``."""
+    return values if np.ndim(like) == 1 else values[:, None]
+
+
+def profile_at(situation: Situation, time: Floats) -> tuple[Floats, Floats]:
+    """Station [m] and speed [m/s] of the unattacked ego ``time`` s after the trigger; constant speed past the end."""
+    s, v = situation.baseline.s, situation.baseline.v
+    last = len(s) - 1
+    u = np.minimum(np.maximum(time / situation.dt, 0.0), last)
+    i = np.minimum(u.astype(np.intp), last - 1)
+    w = u - i
+    beyond = np.maximum(time - last * situation.dt, 0.0)
+    return s[i] * (1 - w) + s[i + 1] * w + beyond * v[-1], v[i] * (1 - w) + v[i + 1] * w
+
+
+def _profile_at_once(s: Sequence[float], v: Sequence[float], time: float, dt: float) -> tuple[float, float]:
+    """``profile_at`` for one time, in plain floats because numpy is slow on scalars."""
+    last = len(s) - 1
+    u = min(max(time / dt, 0.0), last)
+    i = min(int(u), last - 1)
+    w = u - i
+    beyond = max(time - last * dt, 0.0)
+    return s[i] * (1 - w) + s[i + 1] * w + beyond * v[-1], v[i] * (1 - w) + v[i + 1] * w
+
+
+AMPLIFIED = 1.2  # -, in an emergency Krauss's driver brakes harder than necessary by this factor
+NUMERICAL = 0.001  # SUMO's NUMERICAL_EPS
+
+
+class CarFollowing:
+    """The car following of a driver model in steps of ``dt`` [s]."""
+
+    def __init__(self, model: DriverModel, dt: float) -> None:
+        self.krauss = model.kind == "krauss"
+        self.acceleration, self.deceleration = model.acceleration, model.deceleration
+        self._hardest = model.hardest_braking
+        self.tau, self.min_gap, self.desired_speed = model.tau, model.min_gap, max(model.speed, 1.0)
+        self._dt = dt
+        self._twice_root = float(2 * np.sqrt(self.acceleration * self.deceleration))
+
+    def free(self, v: Floats) -> Floats:
+        """The speed after the step without a leader, from a speed ``v``."""
+        a = self.acceleration if self.krauss else self.acceleration * (1 - (v / self.desired_speed) ** 4)
+        return np.asarray(np.maximum(v + a * self._dt, 0.0))
+
+    def behind(self, v: Floats, gap: Floats, leader: Floats) -> Floats:
+        """The speed behind leaders at speeds ``leader``; ``gap``: between the bumpers."""
+        if self.krauss:
+            return self._safe_behind(v, gap - self.min_gap, leader)
+        desired_gap = self.min_gap + np.maximum(0.0, v * self.tau + v * (v - leader) / self._twice_root)
+        return self._idm(v, desired_gap, gap)
+
+    def stopping(self, v: Floats, room: Floats) -> Floats:
+        """The speed ``room`` metres before the place where the driver stops, without a headway (``stopSpeed``)."""
+        if self.krauss:
+            return self._safe(room, self._dt)
+        desired_gap = v * self.tau + v * v / self._twice_root
+        return np.where(room < 0.01, 0.0, self._idm(v, desired_gap, room))
+
+    def _safe(self, room: Floats, headway: float) -> Floats:
+        """The speed from which even braking in steps ends within ``room`` [m] (``maximumSafeStopSpeedEuler``)."""
+        b, dt, t, usable = self.deceleration * self._dt, self._dt, headway, np.maximum(room - NUMERICAL, 0.0)
+        root = np.sqrt(np.maximum(dt * dt + 4.0 * (dt * (2.0 * usable / b - t) + t * t), 0.0))
+        n = np.floor(0.5 - (t - root / 2.0) / dt)
+        distance = 0.5 * n * (n - 1.0) * b * dt + n * b * t
+        return np.asarray(np.where(room < NUMERICAL, 0.0, n * b + (usable - distance) / (n * dt + t)))
+
+    def _braking(self, v: Floats) -> Floats:
+        return brake_gap(v, self.deceleration, self._dt)
+
+    def _safe_behind(self, v: Floats, room: Floats, leader: Floats) -> Floats:
+        """Krauss's safe speed (``maximumSafeFollowSpeed``). Where comfortable braking is not enough, the driver brakes
+        harder than necessary by ``AMPLIFIED``."""
+        dt = self._dt
+        safe = self._safe(np.maximum(room, 0.0) + self._braking(leader), self.tau)
+        safe = np.where(room >= 0.0, safe, v - self._hardest * dt)
+        hard = (v - safe) / dt
+        if not (hard > self.deceleration + NUMERICAL).any():
+            return safe
+        usable = np.maximum(room, NUMERICAL)
+        needed = 0.5 * v * v / (usable + 0.5 * leader * leader / self.deceleration)
+        needed = np.where(needed <= self.deceleration, needed, 0.5 * (v * v - leader * leader) / usable)
+        needed = np.minimum(
+            np.maximum(AMPLIFIED * np.where(room > 0.0, needed, self._hardest), self.deceleration), hard
+        )
+        return np.where(hard > self.deceleration + NUMERICAL, np.maximum(v - needed * dt, 0.0), safe)
+
+    def _idm(self, v: Floats, desired_gap: Floats, gap: Floats) -> Floats:
+        a = self.acceleration * (1 - (v / self.desired_speed) ** 4 - (desired_gap / np.maximum(gap, 0.1)) ** 2)
+        return np.maximum(v + a * self._dt, 0.0)
+
+
+def brake_gap(v: Floats, deceleration: float, dt: float) -> Floats:
+    """The distance [m] to a standstill from speeds ``v`` with even braking in steps of ``dt`` s (``brakeGapEuler``)."""
+    b = deceleration * dt
+    steps = np.floor(v / b)
+    return dt * (steps * v - b * steps * (steps + 1.0) / 2.0)
+
 
 FAR = 1e4  # m
 FOE_ACCELERATION, FOE_SPEED = 2.6, 13.9  # m/s2, m/s: how a driver expects other vehicles to approach a junction

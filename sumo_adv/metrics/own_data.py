@@ -1,0 +1,179 @@
+"""Data of users' own: tracks from arrays or a table, as verdicts take them; and standard cut-ins.
+
+Cut-ins are for comparing reference drivers with other implementations of them.  Lanes are 3.5 m wide, both boxes
+4.3 x 1.9 m, steps 0.1 s.  The other vehicle is in the lane beside the ego's, ``gap`` m ahead (bumper to bumper), at
+constant speed; it moves sideways at a constant speed until it is in the middle of the ego's lane.  The ego keeps its
+speed unless a driver reacts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.datatypes import Boxes, Floats, Ints, Role, Track
+from sumo_adv.errors import UsageError
+from sumo_adv.geometry import wrap_below_pi
+from sumo_adv.metrics.contact import Side, contact_sides
+from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, REFERENCE_DRIVERS
+from sumo_adv.metrics.reference.counterfactual import Counterfactual, Encounters
+
+NEEDED = ("time", "x", "y", "heading", "speed")
+LENGTH, WIDTH = 4.8, 1.8  # m, where a table does not say
+LEAST = 4  # states
+
+
+def track_of(name: str, columns: Mapping[str, Any], role: Role) -> Track:
+    """A track from columns by name: time [s] on a regular grid, x, y of the box's centre [m], heading [rad], speed
+    [m/s], and if given length and width [m] and lane.
+
+    Raises:
+        UsageError: a column is missing, too short, of another length or not finite, or times are not regular.
+    """
+    values = {}
+    for key in NEEDED:
+        if key not in columns:
+            raise UsageError(f"The track of {name!r} has no column '{key}': it needs {', '.join(NEEDED)}.")
+        values[key] = _numbers(name, key, columns[key])
+    time = values["time"]
+    if len(time) < LEAST or any(len(v) != len(time) for v in values.values()):
+        raise UsageError(f"The track of {name!r} needs {LEAST} states or more, and columns of one length.")
+    steps = np.diff(time)
+    if not (steps > 0).all() or float(np.ptp(steps)) > 1e-3:
+        raise UsageError(f"The times of {name!r} must ascend in even steps: resample the track.")
+    dt = float(np.mean(steps))
+    length = _size(name, "length", columns, LENGTH)
+    width = _size(name, "width", columns, WIDTH)
+    acceleration = np.diff(values["speed"], prepend=values["speed"][:1]) / dt
+    lane = tuple(str(v) for v in columns["lane"]) if "lane" in columns else ()
+    heading = wrap_below_pi(values["heading"])
+    return Track(
+        name, role, np.round(time, 6), values["x"], values["y"], heading, values["speed"], acceleration, length, width,
+        lane,
+    )  # fmt: skip
+
+
+def split(table: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """The columns of each vehicle of a table with the column ``id``, in order of appearance. Raises UsageError."""
+    if "id" not in table:
+        raise UsageError("The table has no column 'id': it tells the vehicles apart.")
+    names = np.array([str(v) for v in table["id"]])
+    given = [key for key in (*NEEDED, "length", "width", "lane") if key in table]
+    uneven = [key for key in given if np.size(table[key]) != len(names)]
+    if uneven:
+        raise UsageError(f"The table's column '{uneven[0]}' is not as long as its column 'id'.")
+    columns_of: dict[str, dict[str, Any]] = {}
+    for name in dict.fromkeys(names.tolist()):
+        rows = names == name
+        columns_of[name] = {key: np.asarray(table[key])[rows] for key in given}
+    return columns_of
+
+
+def _numbers(name: str, key: str, values: Any) -> Floats:
+    try:
+        numbers = np.asarray(values, dtype=np.float64).ravel()
+    except (TypeError, ValueError) as error:
+        raise UsageError(f"The column '{key}' of {name!r} must hold numbers ({error}).") from error
+    if not np.isfinite(numbers).all():
+        raise UsageError(f"The column '{key}' of {name!r} holds a number that is not finite: leave those states out.")
+    return numbers
+
+
+def _size(name: str, key: str, columns: Mapping[str, Any], default: float) -> float:
+    if key not in columns:
+        return default
+    size = float(_numbers(name, key, columns[key])[0])
+    if not 0.1 < size < 60.0:
+        raise UsageError(f"The {key} of {name!r} is {size:g} m: give one between 0.1 and 60 m.")
+    return size
+
+
+LANE, CAR_LENGTH, CAR_WIDTH, DT = 3.5, 4.3, 1.9, 0.1  # m, m, m, s
+COLUMNS = ("ego_kmh", "other_kmh", "gap_m", "lateral_ms")
+ANSWERS = ("unchanged", *REFERENCE_DRIVERS)
+AT_ONCE = 100  # cases in one batch
+LONGEST = 120.0  # s: a contact that would come later counts as none
+AFTER = 8.0  # s that a case goes on after the unchanged ego's contact
+NONE = "none"
+
+
+def judge_cut_ins(cases: Floats) -> list[dict[str, str]]:
+    """For each case, a row of ``COLUMNS`` ``(n, 4)``: ``none`` or the kind of contact of the unchanged ego and of each
+    reference driver: ``front_to_rear`` (the ego runs into the other's rear), ``side``.
+
+    Raises UsageError: numbers that make no cut-in.
+    """
+    bad = (cases[:, :2] < 0) | ~np.isfinite(cases[:, :2])
+    if bad.any() or not np.isfinite(cases).all() or (cases[:, 2:] <= 0).any():
+        raise UsageError("A cut-in needs speeds of 0 km/h or more, and a gap and a lateral speed above 0.")
+    rows_by_case: list[dict[str, str]] = [{} for _ in cases]
+    for rows, duration in _batches(cases):
+        for row, answer in zip(rows, _batch(cases[rows], duration), strict=True):
+            rows_by_case[int(row)] = answer
+    return rows_by_case
+
+
+def _batches(cases: Floats) -> Iterator[tuple[Ints, float]]:
+    """Rows that take about equally long, and for how long [s] they are rolled out."""
+    ego, leader, gap, lateral = cases.T
+    closing = np.maximum((ego - leader) / 3.6, 1e-9)
+    until = np.minimum(np.maximum(gap / closing, 0.0), LONGEST)
+    until = np.maximum(until, LANE / np.maximum(lateral, 0.05))
+    order = np.argsort(until, kind="stable")
+    for first in range(0, len(order), AT_ONCE):
+        rows = order[first : first + AT_ONCE]
+        yield rows, float(min(until[rows].max() + AFTER, LONGEST + AFTER))
+
+
+def _batch(cases: Floats, duration: float) -> list[dict[str, str]]:
+    check = Counterfactual(encounters(cases, duration), beyond=0.0)
+    kinds = {"unchanged": _kinds(check, check.ego)}
+    alarm = np.full(len(cases), np.inf)
+    for name, driver in BRAKERS.items():
+        station, speed, shown = check.roll_out(driver)
+        x, y, heading = check.paths.poses(station)
+        kinds[name] = _kinds(check, Boxes(x, y, heading, speed, CAR_LENGTH, CAR_WIDTH))
+        alarm = shown if name == "cc_human" else alarm
+    answer, _ = check.manoeuvring(alarm)
+    kinds[MANOEUVRE] = [
+        NONE if avoids else kind for avoids, kind in zip(answer.avoids, kinds["unchanged"], strict=True)
+    ]
+    return [{name: kinds[name][k] for name in ANSWERS} for k in range(len(cases))]
+
+
+def encounters(cases: Floats, duration: float) -> Encounters:
+    """The cut-ins of rows of ``COLUMNS``, rolled out for ``duration`` [s]."""
+    time = np.arange(round(duration / DT) + 1) * DT
+    ego, leader = cases[:, :1] / 3.6, cases[:, 1:2] / 3.6
+    zero = np.zeros((len(cases), len(time)))
+    ego_boxes = Boxes(ego * time, zero, zero, ego + zero, CAR_LENGTH, CAR_WIDTH)
+    aside = np.maximum(LANE - cases[:, 3:4] * time, 0.0)
+    leader_boxes = Boxes(cases[:, 2:3] + CAR_LENGTH + leader * time, aside, zero, leader + zero, CAR_LENGTH, CAR_WIDTH)
+    n = len(cases)
+    return Encounters(ego_boxes, leader_boxes, np.zeros(n, int), np.full(n, len(time) - 1), DT, None, LANE / 2)
+
+
+def _kinds(check: Counterfactual, ego: Boxes) -> Sequence[str]:
+    from sumo_adv.metrics.boxes import first_contact
+
+    when = first_contact(ego, check.adversary, check.time)
+    kinds = []
+    for row, time in enumerate(when):
+        if not np.isfinite(time):
+            kinds.append(NONE)
+            continue
+        side, _ = contact_sides(_at(ego, row, float(time)), _at(check.adversary, row, float(time)))
+        kinds.append("front_to_rear" if side is Side.FRONT else "side")
+    return kinds
+
+
+def _at(b: Boxes, row: int, time: float) -> Boxes:
+    """A box at a time between steps, as 0-d arrays."""
+    k = min(int(time / DT + 1e-9), b.x.shape[1] - 2)
+    part = time / DT - k
+    x, y, heading, speed = (
+        np.asarray(v[row, k] + part * (v[row, k + 1] - v[row, k])) for v in (b.x, b.y, b.heading, b.speed)
+    )
+    return Boxes(x, y, heading, speed, CAR_LENGTH, CAR_WIDTH)
