@@ -52,7 +52,7 @@ class Campaign:
         """Encounters and failures by intent, relation, road class and speed. Raises UsageError or BankError."""
         from sumo_adv.app import shipped_bank
         from sumo_adv.campaigns.pack import packed_texts
-        from sumo_adv.report.campaign_coverage import OUTCOME, campaign_coverage
+        from sumo_adv.report.coverage import OUTCOME, campaign_coverage
 
         runs = [self.folder / RUNS / str(name) for name in self.table["id"]]
         return campaign_coverage(self.folder, runs, packed_texts(self.folder, OUTCOME), shipped_bank())

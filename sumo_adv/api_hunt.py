@@ -126,9 +126,8 @@ def _index(found: Found, workers: int) -> Path:
     """The page of all failures, with a picture and a replay of each."""
     from sumo_adv.app import shipped_bank
     from sumo_adv.campaigns.results import read_row
-    from sumo_adv.report.campaign_coverage import campaign_coverage, write_coverage
-    from sumo_adv.report.index.build import Packs, write_report
-    from sumo_adv.report.index.rows import table_of
+    from sumo_adv.report.coverage import campaign_coverage, write_coverage
+    from sumo_adv.report.index import Packs, table_of, write_report
 
     runs = [failure.run for failure in found.failures]
     target = found.folder / "report"

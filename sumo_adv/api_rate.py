@@ -50,7 +50,7 @@ def crash_rate(
         UsageError: bad input, or ``out`` holds runs of another estimate. SimulationError: a run failed twice.
     """
     from sumo_adv.app import estimate_rate
-    from sumo_adv.rate.plan import RatePlan
+    from sumo_adv.rate.blocks import RatePlan
 
     if ego is not None and not isinstance(ego, str):
         raise UsageError("Give the ego of a crash rate as a name (module:Class): its workers import it.")

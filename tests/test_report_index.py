@@ -18,10 +18,7 @@ from sumo_adv.campaigns.pack import pack
 from sumo_adv.campaigns.results import read_row, write_csv
 from sumo_adv.errors import UsageError
 from sumo_adv.report.coverage import make_coverage
-from sumo_adv.report.index.build import Packs, write_report
-from sumo_adv.report.index.make import Made, make_index, road_of
-from sumo_adv.report.index.rows import Table, read_rows
-from sumo_adv.report.index.summary import summarise
+from sumo_adv.report.index import Made, Packs, Table, make_index, read_rows, road_of, summarise, write_report
 
 MANY = 5000
 HITS = ((0, "serious", 4.0), (1, "valid", 2.0), (2, "collision", 1.0))

@@ -30,9 +30,8 @@ def compare(
     Differences are B - A: a negative one means that B is hit less often or less hard.
     """
     from sumo_adv.comparison.compare import compare as compared
-    from sumo_adv.comparison.markdown import to_markdown
-    from sumo_adv.comparison.page import write_comparison
-    from sumo_adv.comparison.side import read_side
+    from sumo_adv.comparison.compare import read_side
+    from sumo_adv.comparison.page import to_markdown, write_comparison
 
     done = compared(read_side(first), read_side(second), _two(egos))
     page = None if out is None else write_comparison(out, done, force=force)

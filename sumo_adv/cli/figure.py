@@ -42,8 +42,7 @@ def figure(
 def _draw_hunt(folder: Path, target: Path, kind: str) -> None:
     from sumo_adv.files import sentences
     from sumo_adv.hunting.hunt import over_time
-    from sumo_adv.report.figures.over_time import draw_over_time
-    from sumo_adv.report.figures.paper import save
+    from sumo_adv.report.figures import draw_over_time, save
 
     if kind in FILMS:
         raise UsageError(f"A hunt has no film: give --out a file that ends in one of .{', .'.join(PICTURES)}.")
@@ -55,17 +54,17 @@ def _draw_hunt(folder: Path, target: Path, kind: str) -> None:
 
 def _draw_run(folder: Path, target: Path, kind: str) -> None:
     from sumo_adv.files import sentences
-    from sumo_adv.report.figures.story import read_story
-    from sumo_adv.report.page.read import reading
+    from sumo_adv.report.figures import read_story
+    from sumo_adv.report.read import reading
 
     with reading(folder), sentences(target):
         story = read_story(folder)
         target.parent.mkdir(parents=True, exist_ok=True)
         if kind in FILMS:
-            from sumo_adv.report.figures.film import write_film
+            from sumo_adv.report.figures import write_film
 
             write_film(story, target, kind)
         else:
-            from sumo_adv.report.figures.paper import draw_paper, save
+            from sumo_adv.report.figures import draw_paper, save
 
             save(draw_paper(story), target, kind)

@@ -80,7 +80,7 @@ def _runs(folders: list[Path], replay: bool, ego: str | None, out: Path | None, 
 
 def _judged(folder: Path, replay: bool, ego: str | None) -> Judgement:
     from sumo_adv.report.judging import is_version_2, judge_files
-    from sumo_adv.report.page.read import reading
+    from sumo_adv.report.read import reading
 
     with reading(folder):
         return _replayed(folder, ego) if replay or not is_version_2(folder) else judge_files(folder)
@@ -93,7 +93,7 @@ def _replayed(folder: Path, ego: str | None) -> Judgement:
     from sumo_adv.report.judging import Judgement
     from sumo_adv.report.manifest import read_manifest
     from sumo_adv.report.outcome import verdict
-    from sumo_adv.report.page.read import read_run
+    from sumo_adv.report.read import read_run
 
     before = read_run(folder).outcome.get("outcome") or {}
     recorded = read_manifest(folder)

@@ -37,7 +37,7 @@ def keep(
     from sumo_adv.regression.case import Expectation
     from sumo_adv.regression.keep import keep_run, level_of
     from sumo_adv.report.judging import run_folders
-    from sumo_adv.report.page.read import read_outcome
+    from sumo_adv.report.read import read_outcome
 
     if avoid is None and min_ttc is None and not no_worse:
         avoid = Until.COLLISION

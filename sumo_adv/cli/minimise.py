@@ -33,7 +33,7 @@ def minimise(
     from sumo_adv.cli.run import finish
     from sumo_adv.drivers.registry import trusted_driver
     from sumo_adv.report.manifest import read_manifest
-    from sumo_adv.report.page.read import read_run, reading
+    from sumo_adv.report.read import read_run, reading
     from sumo_adv.report.staging import staged
 
     recorded = read_manifest(run)

@@ -51,7 +51,7 @@ def rate(
     figures may be used for.
     """
     from sumo_adv.app import estimate_rate
-    from sumo_adv.rate.plan import RatePlan
+    from sumo_adv.rate.blocks import RatePlan
     from sumo_adv.simulation.inputs import input_name
 
     plan = RatePlan(

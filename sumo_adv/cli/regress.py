@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from sumo_adv.regression.measured import Judged
+    from sumo_adv.regression.runner import Judged
 
 EXAMPLE = "Example: sumo-adv regress regression --ego my_package.driver:MyDriver --junit regression.xml"
 NOT_PASSED = 3  # exit status
@@ -38,9 +38,7 @@ def regress(
     trigger. Exit status 0: all cases pass; 3: a case does not; 2: bad input.
     """
     from sumo_adv.regression.case import read_suite
-    from sumo_adv.regression.junit import write_junit
-    from sumo_adv.regression.suite import read_baseline, run_suite
-    from sumo_adv.regression.table import lines
+    from sumo_adv.regression.suite import lines, read_baseline, run_suite, write_junit
 
     cases = read_suite(suite)
     before = None if baseline is None else read_baseline(baseline)

@@ -14,8 +14,7 @@ import typer
 from sumo_adv.errors import UsageError
 
 if TYPE_CHECKING:
-    from sumo_adv.report.index.build import Packs, Report
-    from sumo_adv.report.index.rows import Table
+    from sumo_adv.report.index import Packs, Report, Table
 
 EXAMPLE = "Example: sumo-adv report runs/priority_crossing-3"
 OUTCOME, RESULTS = "outcome.json", "results.csv"
@@ -51,8 +50,8 @@ def report(
 
 
 def _run(folder: Path, out: Path | None) -> dict[str, Any]:
+    from sumo_adv.report.document import write_document
     from sumo_adv.report.page import make_page
-    from sumo_adv.report.page.document import write_document
 
     html = make_page(folder)
     target = out or folder / "report.html"
@@ -67,9 +66,8 @@ def _batch(
     folder: Path, out: Path | None, pages: int | None, workers: int, *, force: bool, quiet: bool
 ) -> dict[str, Any]:
     from sumo_adv.app import shipped_bank
-    from sumo_adv.report.campaign_coverage import campaign_coverage, write_coverage
-    from sumo_adv.report.index.build import write_report
-    from sumo_adv.report.index.rows import read_rows
+    from sumo_adv.report.coverage import campaign_coverage, write_coverage
+    from sumo_adv.report.index import read_rows, write_report
 
     target = out or folder / "report"
     if target.is_file():
@@ -106,13 +104,13 @@ def _loose(folder: Path) -> list[Path]:
 
 def _table(runs: Sequence[Path]) -> Table:
     from sumo_adv.campaigns.results import read_row
-    from sumo_adv.report.index.rows import table_of
+    from sumo_adv.report.index import table_of
 
     return table_of(row for run in runs if (row := read_row(run)) is not None)
 
 
 def _packs(folder: Path) -> Packs:
-    from sumo_adv.report.index.build import Packs
+    from sumo_adv.report.index import Packs
 
     if not (folder / "packs").is_dir():
         return Packs()

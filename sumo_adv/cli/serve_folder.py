@@ -11,7 +11,7 @@ from typing import Any
 
 from sumo_adv.config import Settings
 from sumo_adv.errors import UsageError
-from sumo_adv.serve.options import Options
+from sumo_adv.serve import Options
 
 SERVE_FILE = "serve.json"
 

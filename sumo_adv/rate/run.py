@@ -15,13 +15,11 @@ from sumo_adv.metrics.boxes import first_contact
 from sumo_adv.metrics.case import make_case
 from sumo_adv.metrics.levels import with_level
 from sumo_adv.metrics.validity import judge
-from sumo_adv.rate.danger import danger
-from sumo_adv.rate.estimator import SECONDS_PER_HOUR
-from sumo_adv.rate.model import KINDS, NEAR, SLOT
-from sumo_adv.rate.proposal import LEVELS, Counts, Decisions, Proposal
+from sumo_adv.rate.proposal import KINDS, LEVELS, NEAR, SLOT, Counts, Decisions, Proposal, danger
 from sumo_adv.simulation.human_errors import HumanErrors
 from sumo_adv.simulation.remote import RawState
 
+SECONDS_PER_HOUR = 3600.0
 GOES_ON = 4.0  # s after a contact, which show what the other vehicle would have done
 BEFORE = 4.0  # s before a contact from which it is judged, if the other vehicle made no error
 MEMORY = 10.0  # s before a contact: an earlier error has nothing to do with it

@@ -24,7 +24,7 @@ from sumo_adv.regression.case import (
     read_case,
 )
 from sumo_adv.report.manifest import Recorded, read_manifest
-from sumo_adv.report.page.read import read_outcome
+from sumo_adv.report.read import read_outcome
 from sumo_adv.report.staging import staged
 from sumo_adv.simulation.inputs import EgoRoute, data_folder
 from sumo_adv.simulation.props import Prop

@@ -3,22 +3,29 @@
 A cell is one combination of the four. An encounter counts in a cell if one of its attempts had the cell's intent and
 came from a vehicle of the cell's relation; it counts once, however many such attempts there were. It is a failure of
 the ego if one of these attempts reached the level ``valid``: a collision that a reference driver avoids.
+
+The coverage of a campaign: its runs, its bank and its ODDs, read from its folder.
 """
 
 from __future__ import annotations
 
 import csv
 import io
+import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 from sumo_adv.config_odd import Odd
 from sumo_adv.datatypes import Level, RoadClass
+from sumo_adv.errors import UsageError
+from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.records import IntentRecord
 from sumo_adv.metrics.statistics import Estimate, wilson
+from sumo_adv.report.document import write_document
 from sumo_adv.report.run_outcome import level_of
 
 BANDS = ((0.0, 8.0), (8.0, 14.0), (14.0, 22.0), (22.0, math.inf))  # m/s; the bounds are about 30, 50 and 80 km/h
@@ -149,3 +156,47 @@ def coverage_csv(coverage: Coverage) -> str:
             speeds = (f"{low:g}", "" if math.isinf(high) else f"{high:g}")
             writer.writerow((ego, cell.intent, cell.relation, cell.road, *speeds, row.encounters, row.failures, *shown))
     return text.getvalue()
+
+
+OUTCOME, PLAN, BANK, TABLE = "outcome.json", "plan.json", "bank.sqlite", "coverage.csv"
+
+
+def campaign_coverage(folder: Path, runs: Sequence[Path], packed: Mapping[str, str], bank: Path) -> Coverage:
+    """The coverage of the runs in a campaign's folder.
+
+    packed: the outcomes of packed runs as text, by id. bank: its intents make the cells if the folder has no bank.
+    Raises UsageError or BankError.
+    """
+    own = folder / BANK
+    with MemoryBank.open(own if own.is_file() else bank, read_only=True) as opened:
+        library = opened.intents()
+    return make_coverage(_outcomes(runs, packed), library, _odds(folder / PLAN))
+
+
+def write_coverage(target: Path, coverage: Coverage) -> Path:
+    """Write ``coverage.csv`` into the folder of the pages. Raises UsageError: it cannot be written."""
+    write_document(target / TABLE, coverage_csv(coverage))
+    return target / TABLE
+
+
+def _outcomes(runs: Sequence[Path], packed: Mapping[str, str]) -> Iterator[dict[str, Any]]:
+    """The outcomes that can be read. Damaged ones are told where their pages are made."""
+    for run in runs:
+        try:
+            file = run / OUTCOME
+            document = json.loads(file.read_text(encoding="utf-8") if file.is_file() else packed[run.name])
+            _ = document["encounter"], document["attempts"], document["ego"]["controller"]
+            yield document
+        except (OSError, ValueError, KeyError, TypeError):
+            continue
+
+
+def _odds(plan: Path) -> list[Odd]:
+    """The ODDs of a campaign's variants; none if a variant has none. Raises UsageError: the plan is damaged."""
+    if not plan.is_file():
+        return []
+    try:
+        odds = [variant.get("odd") for variant in json.loads(plan.read_text(encoding="utf-8")).get("settings", ())]
+        return [Odd.model_validate(odd) for odd in odds] if all(odds) else []
+    except (ValueError, AttributeError) as error:
+        raise UsageError(f"{plan} is damaged ({error}); restore it from a copy.") from error

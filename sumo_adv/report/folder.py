@@ -1,21 +1,26 @@
-"""The files of a run's folder."""
+"""The files of a run's folder.
+
+``attempts.csv.gz``: a row for each attempt of a run, of encounters that gave nothing, too.
+"""
 
 from __future__ import annotations
 
+import csv
 import hashlib
-from collections.abc import Mapping
+import io
+import json
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import MOST_ADVERSARIES, Track
+from sumo_adv.datatypes import MOST_ADVERSARIES, Attempt, Track, plain_acceleration
 from sumo_adv.episode.episode import Episode
 from sumo_adv.files import json_text
 from sumo_adv.metrics.boxes import first_contact, on_grid
 from sumo_adv.metrics.criticality import ttc
-from sumo_adv.report.attempts import ATTEMPTS, write_attempts
 from sumo_adv.report.outcome import manifest, number, outcome
 from sumo_adv.report.staging import RunFolder
 from sumo_adv.report.tables import SERIES_HEADER, write_gzip, write_plan, write_signals, write_states
@@ -177,7 +182,7 @@ def _figure_or_note(target: Path, episode: Episode, result: dict[str, Any]) -> N
 
 
 def _figure(target: Path, episode: Episode) -> None:
-    from sumo_adv.report.figure import draw_encounter
+    from sumo_adv.report.encounter_figure import draw_encounter
 
     best, encounter, prefix = episode.best, episode.found, episode.prefix
     assert best is not None and encounter is not None and prefix is not None
@@ -198,3 +203,51 @@ def _figure(target: Path, episode: Episode) -> None:
         title=f"{episode.source.name}: {' + '.join(p.bvs)} — {p.composition or p.label} "
         f"against {encounter.ego} ({episode.task.ego_driver})",
     )  # fmt: skip
+
+
+ATTEMPTS = "attempts.csv.gz"
+COLUMNS = (
+    "encounter", "attempt", "by", "phase", "adversaries", "intent", "mode", "planner", "parameters", "acceleration",
+    "delay", "level", "min_ttc", "min_distance", "delta_v", "contact_time", "contact_side", "preventable_by",
+    "failed_gates", "ending",
+)  # fmt: skip
+
+
+def write_attempts(target: Path, episode: Episode) -> None:
+    """The table, if an attempt was made. Times in s, distances in m, speeds in m/s; never = empty.
+
+    encounter: its time; attempt: its number in the encounter, from 1; parameters: of the planner, as JSON; delay: from
+    the encounter to the start.
+    """
+    rows = list(_rows(episode))
+    if not rows:
+        return
+    text = io.StringIO()
+    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_gzip(target, text.getvalue())
+
+
+def _rows(episode: Episode) -> Iterator[dict[str, Any]]:
+    now = getattr(episode.found, "time", None)
+    encounters = {t.time: t.made for t in episode.tried}
+    if now is not None:
+        encounters[now] = episode.refinement.attempts
+    for time, made in sorted(encounters.items()):
+        for attempt in made:
+            yield _row(time, attempt)
+
+
+def _row(encounter: float, a: Attempt) -> dict[str, Any]:
+    v, p = a.verdict, a.proposal
+    return {
+        "encounter": number(encounter), "attempt": a.index + 1, "by": p.by, "phase": a.phase,
+        "adversaries": " ".join(p.bvs), "intent": p.composition or p.label, "mode": p.planner.mode,
+        "planner": p.planner.hash, "parameters": json.dumps({k: number(q) for k, q in p.parameters.items()}),
+        "acceleration": plain_acceleration(p.acceleration), "delay": number(p.delay), "level": str(v.level),
+        "min_ttc": number(v.min_ttc), "min_distance": number(v.min_distance), "delta_v": number(v.delta_v),
+        "contact_time": number(v.contact_time), "contact_side": v.contact_side,
+        "preventable_by": None if v.preventability is None else " ".join(v.preventability.by),
+        "failed_gates": " ".join(v.failed_gates), "ending": a.ending,
+    }  # fmt: skip

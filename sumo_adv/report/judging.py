@@ -23,7 +23,7 @@ from sumo_adv.metrics.levels import with_level
 from sumo_adv.parsing import parse_json
 from sumo_adv.report.folder import plan_names
 from sumo_adv.report.outcome import level_figures
-from sumo_adv.report.page.read import OUTCOME, RunRead, damaged, read_run
+from sumo_adv.report.read import OUTCOME, RunRead, damaged, read_run
 from sumo_adv.report.tables import PLAN_HEADER
 from sumo_adv.simulation.network import read_network
 

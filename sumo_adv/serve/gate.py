@@ -16,10 +16,9 @@ from collections.abc import Callable, Iterable, Sequence
 from sumo_adv.errors import SimulationError, UsageError
 from sumo_adv.serve import link
 from sumo_adv.serve.framing import LONGEST, FramingError, Gone, Line
-from sumo_adv.serve.gate_events import EventKind, GateEvent, Stepper
 from sumo_adv.serve.link import Link
 from sumo_adv.serve.policy import Policy, Rules
-from sumo_adv.serve.seat import Client, ClientSlot, Interrupted, Late
+from sumo_adv.serve.seat import Client, ClientSlot, EventKind, GateEvent, Interrupted, Late, Stepper
 from sumo_adv.serve.sumo_process import SumoProcess
 from sumo_adv.serve.turns import Turns
 

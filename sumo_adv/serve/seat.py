@@ -1,4 +1,7 @@
-"""The one seat at the gate: the client that drives the ego, and other visitors."""
+"""What happens at the gate, for people and programs.
+
+The one seat at the gate: the client that drives the ego, and other visitors.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +9,40 @@ import logging
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
 
 from sumo_adv.errors import SumoAdvError
 from sumo_adv.serve import framing
 from sumo_adv.serve.framing import FramingError, Gone, Line
-from sumo_adv.serve.gate_events import EventKind, GateEvent
+
+
+class EventKind(StrEnum):
+    """What happened."""
+
+    CONNECTED = "connected"  # a client took its seat
+    CLOSED = "closed"  # it said close
+    LOST = "lost"  # its connection broke, or it sent what is no message
+    LATE = "late"  # it used up its time for a turn
+    REFUSED = "refused"  # a call, or a connection
+    RESTARTED = "restarted"  # the simulation ended in good order
+    ENDED = "ended"  # SUMO went away by itself
+
+
+class Stepper(StrEnum):
+    """The maker of a step on the ego's side."""
+
+    CLIENT = "client"
+    GATE = "gate"
+
+
+@dataclass(frozen=True, slots=True)
+class GateEvent:
+    """Something that happened at the gate, in a sentence."""
+
+    kind: EventKind
+    sentence: str
+
 
 FAREWELL = 60.0  # s in which a client that was sent away may still hear why
 

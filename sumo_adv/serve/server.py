@@ -20,13 +20,11 @@ from sumo_adv.episode.planned_encounter import PlannedEncounter, with_prediction
 from sumo_adv.episode.task import Prefix, Task
 from sumo_adv.errors import ModelError, SumoAdvError, UsageError, fault_sentence
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.serve.encounter import LiveAttempts, Scene, describe
-from sumo_adv.serve.events import Events, helpers
+from sumo_adv.serve import Mode, OnLoss, Options
+from sumo_adv.serve.encounter import EncounterMonitor, LiveAttempts, Scene, describe
+from sumo_adv.serve.events import Events, ResultWriter, helpers
 from sumo_adv.serve.gate import Gate
-from sumo_adv.serve.options import Mode, OnLoss, Options
-from sumo_adv.serve.result_writer import ResultWriter
 from sumo_adv.serve.session import ClientGone, EgoLost, EgoPlan, Session
-from sumo_adv.serve.watch import EncounterMonitor
 from sumo_adv.simulation.demand import journeys
 from sumo_adv.simulation.inputs import EgoRoute, RunInput
 from sumo_adv.simulation.network import RoadMap

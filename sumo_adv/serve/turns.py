@@ -9,13 +9,10 @@ from collections.abc import Callable
 
 from sumo_adv.serve import framing
 from sumo_adv.serve.framing import Command, FramingError, Gone, Line, make_command, make_message, make_status
-from sumo_adv.serve.gate_events import EventKind, GateEvent, Stepper
-from sumo_adv.serve.link import Link, SumoGone
-from sumo_adv.serve.older_clients import OlderClients
+from sumo_adv.serve.link import Link, OlderClients, Subscriptions, SumoGone
 from sumo_adv.serve.policy import CONTEXTS, GETTERS, LONGEST_STEP, SETTERS, SUBSCRIPTIONS, Policy, removed, step_until
-from sumo_adv.serve.seat import Client, ClientSlot, Interrupted, Late, errors
+from sumo_adv.serve.seat import Client, ClientSlot, EventKind, GateEvent, Interrupted, Late, Stepper, errors
 from sumo_adv.serve.shapes import Misfit
-from sumo_adv.serve.subscriptions import Subscriptions
 
 MOST_UNHEARD = 1000  # answers without SUMO outside a client's turn, before it waits for its turn
 _EMPTY_STEP = make_message(make_status(framing.SIMSTEP), bytes(4))

@@ -3,26 +3,44 @@
 Time step 0 is the first exported step; a step is the run's. The ego is the planning problem, and no obstacle; its
 goal is where it was at the end. Obstacles are numbered in the order of the run after the lanelets; a comment in the
 file gives each number's id, and the ego's size. Speed limits are signs, the numbers behind the ego's.
+
+A run as a ScenarioNet database of one scenario, which MetaDrive replays: a folder of three pickled dictionaries.
+
+Plain dictionaries, lists, text, numbers and numpy arrays. Time 0 is the first exported step; positions are box
+centres in the network's coordinates.
 """
 
 from __future__ import annotations
 
 import math
+import pickle
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
+import numpy as np
+
 from sumo_adv import __version__
-from sumo_adv.datatypes import Role, Track
-from sumo_adv.report.export.entities import kind, metres, printable, steering
-from sumo_adv.report.export.piece import Piece
-from sumo_adv.report.export.road import MapLane, map_lanes
+from sumo_adv.datatypes import Floats, Role, Track
+from sumo_adv.report.export.piece import (
+    HEIGHT,
+    LARGEST_STEER,
+    WHEELBASE,
+    MapLane,
+    Piece,
+    kind,
+    map_lanes,
+    metres,
+    printable,
+)
 
 SCENARIO, SOLUTION = "scenario.xml", "solution.xml"
 GOAL = 10.0, 4.0  # m, length and width of the goal around the ego's last place
 VEHICLES = {"KS1": (4.298, 1.674), "KS2": (4.508, 1.610), "KS3": (4.569, 1.844)}
 """Kinematic single-track models of CommonRoad with length and width [m]: Ford Escort, BMW 320i, VW Vanagon."""
+SLOWEST = 1.0  # m/s, below which no steering angle follows from the motion
 SPEED_LIMIT = "274"  # the sign's number in Germany and in CommonRoad's Zamunda
 
 
@@ -150,13 +168,22 @@ def _add_problem(root: Element, piece: Piece, number: int) -> None:
     SubElement(centre, "x").text, SubElement(centre, "y").text = metres(float(ego.x[-1])), metres(float(ego.y[-1]))
 
 
+def _steering(track: Track) -> Floats:
+    """Steering angles [rad] of a single-track model from heading over distance, 0 where it hardly moves."""
+    if len(track.time) < 2:
+        return np.zeros(len(track.time))
+    turn = np.gradient(np.unwrap(track.heading), track.time)
+    curvature = np.divide(turn, track.speed, out=np.zeros_like(turn), where=track.speed > SLOWEST)
+    return np.clip(np.arctan(WHEELBASE * track.length * curvature), -LARGEST_STEER, LARGEST_STEER)
+
+
 def _solution(piece: Piece, problem: int) -> Element:
     ego = piece.track(piece.ego)
     vehicle = min(VEHICLES, key=lambda name: math.dist(VEHICLES[name], (ego.length, ego.width)))
     root = Element("CommonRoadSolution", benchmark_id=f"{vehicle}:JB1:{benchmark_id(piece)}:2020a")
     root.set("date", piece.written.strftime("%Y-%m-%dT%H:%M:%S"))
     trajectory = SubElement(root, "ksTrajectory", planningProblem=str(problem))
-    for k, (step, steer) in enumerate(zip(_steps(ego, piece), steering(ego).tolist(), strict=True)):
+    for k, (step, steer) in enumerate(zip(_steps(ego, piece), _steering(ego).tolist(), strict=True)):
         state = SubElement(trajectory, "ksState")
         for name, value in (
             ("x", metres(float(ego.x[k]))), ("y", metres(float(ego.y[k]))), ("steeringAngle", f"{steer:.6f}"),
@@ -164,3 +191,94 @@ def _solution(piece: Piece, problem: int) -> Element:
         ):  # fmt: skip
             SubElement(state, name).text = value
     return root
+
+
+SUMMARY, MAPPING = "dataset_summary.pkl", "dataset_mapping.pkl"
+TYPES = {"car": "VEHICLE", "truck": "VEHICLE", "obstacle": "VEHICLE", "bicycle": "CYCLIST", "pedestrian": "PEDESTRIAN"}
+DATASET, VERSION = "sumo_adv", "1"
+PROTOCOL = 4  # of pickle: Python 3.4 and later
+
+
+def write_scenarionet(folder: Path, piece: Piece) -> None:
+    """Write the database into ``folder``. Raises UsageError: the network is unreadable."""
+    scenario = description(piece)
+    file = f"sd_{DATASET}_{VERSION}_{scenario['id']}.pkl"
+    for name, value in ((file, scenario), (SUMMARY, {file: scenario["metadata"]}), (MAPPING, {file: ""})):
+        (folder / name).write_bytes(pickle.dumps(value, protocol=PROTOCOL))
+
+
+def description(piece: Piece) -> dict[str, Any]:
+    """MetaDrive's scenario description."""
+    length = round((piece.end - piece.begin) / piece.step) + 1
+    name = re.sub(r"[^A-Za-z0-9_.-]", "_", piece.name)
+    tracks = {track.id: _track(track, piece, length) for track in piece.tracks}
+    return {
+        "id": name,
+        "version": VERSION,
+        "length": length,
+        "tracks": tracks,
+        "dynamic_map_states": {},
+        "map_features": {str(key): value for lane in map_lanes(piece) for key, value in _features(lane)},
+        "metadata": {
+            "id": name, "scenario_id": name, "dataset": DATASET, "coordinate": "right-handed",
+            "metadrive_processed": False, "sdc_id": piece.ego, "ts": piece.step * np.arange(length, dtype=np.float64),
+            "sample_rate": piece.step, "current_time_index": 0, "source_file": piece.name,
+            "tracks_to_predict": {
+                t.id: {"track_id": t.id, "object_type": TYPES[kind(t)]} for t in piece.tracks
+                if t.role is Role.ADVERSARY
+            },
+            "object_summary": {
+                key: {"type": value["type"], "object_id": key, "track_length": length} for key, value in tracks.items()
+            },
+        },
+    }  # fmt: skip
+
+
+def _track(track: Track, piece: Piece, length: int) -> dict[str, Any]:
+    """States over all steps, zero where the vehicle is not there."""
+    first, category = round((float(track.time[0]) - piece.begin) / piece.step), kind(track)
+    at = slice(first, first + len(track.time))
+
+    def filled(*columns: Any) -> Any:
+        values = np.zeros((length, len(columns)), np.float64)
+        values[at] = np.column_stack([np.broadcast_to(c, track.time.shape) for c in columns])
+        return values[:, 0] if len(columns) == 1 else values
+
+    valid = np.zeros(length, bool)
+    valid[at] = True
+    return {
+        "type": TYPES[category],
+        "state": {
+            "position": filled(track.x, track.y, HEIGHT[category] / 2), "heading": filled(track.heading),
+            "velocity": filled(track.speed * np.cos(track.heading), track.speed * np.sin(track.heading)),
+            "length": filled(track.length), "width": filled(track.width), "height": filled(HEIGHT[category]),
+            "valid": valid,
+        },
+        "metadata": {
+            "type": TYPES[category], "object_id": track.id, "dataset": DATASET, "track_length": length,
+            "role": str(track.role),
+        },
+    }  # fmt: skip
+
+
+def _features(each: MapLane) -> list[tuple[str, dict[str, Any]]]:
+    """A lane, and the lines at its sides outside junctions."""
+    lane = {
+        "type": "LANE_SURFACE_STREET", "polyline": _flat(each.lane.shape),
+        "polygon": np.concatenate([each.left, each.right[::-1]]),
+        "speed_limit_kmh": each.lane.speed * 3.6, "interpolating": each.lane.internal,
+        "entry_lanes": [str(n) for n in each.entries], "exit_lanes": [str(n) for n in each.exits],
+        "left_neighbor": [] if each.beside_left is None else [str(each.beside_left)],
+        "right_neighbor": [] if each.beside_right is None else [str(each.beside_right)],
+    }  # fmt: skip
+    features = [(str(each.number), lane)]
+    for side, line, beside in (("left", each.left, each.beside_left), ("right", each.right, each.beside_right)):
+        if not each.lane.internal:
+            sort = "ROAD_EDGE_BOUNDARY" if beside is None else "ROAD_LINE_BROKEN_SINGLE_WHITE"
+            features.append((f"{each.number}_{side}", {"type": sort, "polyline": _flat(line)}))
+    return features
+
+
+def _flat(line: Any) -> Any:
+    """A line ``(n, 3)`` on the ground."""
+    return np.column_stack([line, np.zeros(len(line))])

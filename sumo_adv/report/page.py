@@ -1,20 +1,27 @@
-"""What the page draws: up to three attempts on one grid of frames, the series under them, the road around them."""
+"""What the page draws: up to three attempts on one grid of frames, the series under them, the road around them.
+
+The planners of a run as texts: which attempts used each, and what changed from the version it was made of.
+
+From a run's folder to the text of its page.
+"""
 
 from __future__ import annotations
 
+import difflib
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Floats, Track
+from sumo_adv.datatypes import FAILED_ENDINGS, Floats, Track
+from sumo_adv.metrics.gates import GATES
 from sumo_adv.metrics.series import series
-from sumo_adv.report.page.encode import Ints, packed, whole
-from sumo_adv.report.page.markings import lights_of
-from sumo_adv.report.page.read import RunRead
-from sumo_adv.report.page.road import RoadNear
+from sumo_adv.report.document import Ints, asset, document, packed, whole
+from sumo_adv.report.page_road import RoadNear, lane_changes, lights_of, network, road_near
+from sumo_adv.report.read import RunRead, read_run, reading
 from sumo_adv.simulation.signals import SignalLog
 
 BEFORE = 60.0  # s, shown before the trigger at most
@@ -238,3 +245,136 @@ def _curves(ego: Track, foe: Track | None, measures: Mapping[str, Floats], grid:
         full[frames - frames[0]] = np.where(np.isfinite(row), np.clip(row, -MOST, MOST), np.nan)
         curves.append(whole(full, HUNDREDTH))
     return curves
+
+
+MOST_LINES = 2000  # of a planner that is compared with another
+
+
+def planner_versions(outcome: Mapping[str, Any], manifest: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The planners that attempts used, in the order of first use, each with a unified diff from its parent if known."""
+    planners: Mapping[str, Any] = manifest.get("planners") or {}
+    used: dict[str, list[int]] = {}
+    for attempt in outcome.get("attempts") or []:
+        used.setdefault(attempt["planner"]["hash"], []).append(attempt["index"])
+    counts = (manifest.get("attempt") or {}).get("planner")
+    return [
+        {
+            "hash": name, "label": planners[name]["label"], "mode": planners[name]["mode"],
+            "origin": planners[name]["origin"], "parent": planners[name]["parent"], "source": planners[name]["source"],
+            "attempts": attempts, "counts": name == counts, "diff": _diff(planners, name),
+        }
+        for name, attempts in used.items() if name in planners
+    ]  # fmt: skip
+
+
+def _diff(planners: Mapping[str, Any], name: str) -> list[str] | None:
+    """Lines of a unified diff without its file names; None without a parent, or for what is too long."""
+    parent = planners[name]["parent"]
+    if parent not in planners:
+        return None
+    before, after = (planners[n]["source"].splitlines() for n in (parent, name))
+    if max(len(before), len(after)) > MOST_LINES:
+        return None
+    return list(difflib.unified_diff(before, after, lineterm=""))[2:]
+
+
+SCHEMA = 1
+SCRIPTS = ("common.js", "decode.js", "model.js", "map.js", "charts.js", "words.js", "replay.js")
+STYLES = ("common.css", "replay.css")
+REACTIONS = {"braked": "begins to brake", "steered": "begins to steer away"}  # actions of the cause, in words
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """A run's page: its text, where the encounter came to its point (the ego's centre [m], None if nowhere), and the
+    name of the network's copy in ``inputs/`` ('' if there is none)."""
+
+    html: str
+    place: tuple[float, float] | None
+    network: str
+
+
+def make_page(folder: Path) -> str:
+    """The page of a run as HTML, in one file. Raises UsageError: no run's folder, or a file in it is damaged."""
+    return page_of(folder).html
+
+
+def page_of(folder: Path, back: str | None = None) -> Page:
+    """The page of a run. ``back``: where its index lies, as a link. Raises UsageError."""
+    with reading(folder):
+        run = read_run(folder)
+        made = make_attempts(run)
+        scene, moments, place = None, [], None
+        if made is not None:
+            grid, attempts = made
+            scene = make_scene(_road(run, attempts), grid, attempts, run.lights)
+            moments = _moments(run.outcome, attempts)
+            place = _place(run, attempts)
+        data = {
+            "schema": SCHEMA, "outcome": run.outcome, "scene": scene, "moments": moments, "gates": list(GATES),
+            "planners": planner_versions(run.outcome, run.manifest), "about": _about(run.manifest), "back": back,
+            "failed": run.outcome["ending"] in FAILED_ENDINGS,
+        }  # fmt: skip
+        page = document("Replay", asset("replay.html"), STYLES, SCRIPTS, data)
+        return Page(page, place, network_name(run.manifest))
+
+
+def _road(run: RunRead, attempts: Sequence[Shown]) -> RoadNear:
+    name = network_name(run.manifest)
+    file = run.folder / "inputs" / name
+    if not name or not file.is_file():
+        return RoadNear()
+    paths = [t for a in attempts for t, _ in a.vehicles if t.id in (a.ego, a.adversary)]
+    return road_near(network(file), lane_changes(file), paths) if paths else RoadNear()
+
+
+def network_name(manifest: Mapping[str, Any]) -> str:
+    """The name of the network's copy, a plain file name; '' where none is told."""
+    return Path(str(manifest.get("network") or "")).name
+
+
+def _about(manifest: Mapping[str, Any]) -> dict[str, Any]:
+    return {k: manifest.get(k) for k in ("name", "versions", "seed", "settings")}
+
+
+def _moments(outcome: Mapping[str, Any], attempts: Sequence[Shown]) -> list[dict[str, Any]]:
+    """Links into the time line, by time: a key for the address, words, and the time [s]."""
+    verdict = outcome.get("outcome") or {}
+    shown = {a.key: a for a in attempts}
+    best, cause = shown.get("best"), verdict.get("cause") or {}
+    reacts = REACTIONS.get(str(cause.get("action")), "reacts")
+    moments = [
+        ("trigger", "trigger", outcome.get("trigger_time")),
+        ("hazard", "hazard shows", verdict.get("hazard_time")),
+        ("alarm", "the careful driver is alarmed", cause.get("alarm")),
+        ("began", f"the ego {reacts}", cause.get("began")),
+        ("contact", "contact", verdict.get("contact_time")),
+    ]
+    if best is not None and best.closest is not None and verdict.get("contact_time") is None:
+        moments.append(("closest", "closest approach", best.closest[0]))
+    if best is not None and verdict.get("contact_time") is None and verdict.get("min_ttc_time") is not None:
+        moments.append(("min_ttc", "least TTC", verdict["min_ttc_time"]))
+    raw = shown.get("raw")
+    if best is not None and raw is not None and raw.closest is not None:
+        moments.append(("raw_closest", "closest approach, unattacked", raw.closest[0]))
+    rows = [{"key": key, "name": name, "time": float(t)} for key, name, t in moments if t is not None]
+    return sorted(rows, key=lambda m: m["time"])
+
+
+def _place(run: RunRead, attempts: Sequence[Shown]) -> tuple[float, float] | None:
+    """The ego's centre at contact, else at the closest approach, else at the end."""
+    if not attempts:
+        return None
+    verdict, shown = run.outcome.get("outcome") or {}, attempts[0]
+    ego = next((t for t, _ in shown.vehicles if t.id == shown.ego), None)
+    if ego is None:
+        return None
+    time = verdict.get("contact_time")
+    if time is None:
+        time = shown.closest[0] if shown.closest else float(ego.time[-1])
+    return _at(ego, float(time))
+
+
+def _at(track: Track, time: float) -> tuple[float, float]:
+    x, y = (round(float(np.interp(time, track.time, values)), 1) for values in (track.x, track.y))
+    return x, y
