@@ -195,7 +195,6 @@ class Figure:
 
     @property
     def change(self) -> float:
-        """Second - first."""
         return self.second.value - self.first.value
 
 
@@ -209,7 +208,6 @@ class Change:
 
     @property
     def worse(self) -> bool:
-        """Whether the second side is worse."""
         return _badness(self.second) > _badness(self.first)
 
 
@@ -225,11 +223,9 @@ class Comparison:
     alone: tuple[int, int]
 
     def counts(self, what: Callable[[Compared], bool]) -> tuple[int, int]:
-        """Of how many pairs something holds, by side."""
         return sum(what(a) for a, _ in self.pairs), sum(what(b) for _, b in self.pairs)
 
     def document(self) -> dict[str, Any]:
-        """As data."""
         sides = [
             {"name": name, "path": str(side.path), "egos": list(side.egos), "alone": alone}
             for name, side, alone in zip(self.names, self.sides, self.alone, strict=True)

@@ -52,13 +52,11 @@ def to_markdown(done: Comparison, link: Link) -> str:
 
 
 def rows(done: Comparison) -> list[list[str]]:
-    """The figures as a table, its head first."""
     first, second = done.names
     return [["", first, second, f"{second} - {first}"], *(_row(figure) for figure in done.figures)]
 
 
 def notes(done: Comparison) -> list[str]:
-    """What the figures rest on."""
     failed, missed = done.counts(lambda e: e.failed), done.counts(lambda e: not e.attacked and not e.failed)
     sentences = [f"{len(done.pairs)} encounters in common."]
     for label, (a, b) in (("only on one side", done.alone), ("failed", failed), ("without an attack", missed)):
@@ -68,7 +66,6 @@ def notes(done: Comparison) -> list[str]:
 
 
 def words(e: Compared) -> str:
-    """What an episode came to."""
     if e.failed:
         return "failed"
     if not e.attacked:
@@ -159,12 +156,10 @@ def html(done: Comparison, links: Mapping[Path, str]) -> str:
 
 
 def _shown(episode: Compared, links: Mapping[Path, str]) -> str:
-    """What an episode came to; it leads to its replay."""
     text, link = escape(words(episode)), _link(episode, links)
     return text if link is None else f'<a href="{escape(link)}">{text}</a>'
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """A table of cells that are HTML."""
     lines = ['<div class="scroll"><table>', f"<tr>{''.join(f'<th>{cell}</th>' for cell in head)}</tr>"]
     return [*lines, *(f"<tr>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>" for row in rows), "</table></div>"]

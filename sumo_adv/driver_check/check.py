@@ -44,7 +44,6 @@ def twelve() -> tuple[RunInput, ...]:
 
 
 def named(scenario: str, vehicle: str) -> RunInput:
-    """The input of a shipped scenario with another vehicle for its ego."""
     given = load_input(data_folder("scenarios") / f"{scenario}.toml")
     return replace(given, name=f"{given.name}:{vehicle}", ego=vehicle)
 
@@ -78,7 +77,6 @@ class DriverCheck:
 
     @property
     def kinds(self) -> tuple[Kind, ...]:
-        """The kinds of findings, in the order of ``Kind``."""
         present = {finding.kind for checked in self.scenarios for finding in checked.findings}
         return tuple(kind for kind in Kind if kind in present)
 

@@ -80,11 +80,9 @@ class ObservedDriver:
         self.lines: list[PassedLine] = []
 
     def reset(self, seed: int) -> None:
-        """Have the driver forget everything."""
         self._driver.reset(seed)
 
     def act(self, observation: Observation) -> Action:
-        """The driver's answer."""
         self._watch_lines(observation)
         seen = replace(observation, time=observation.time + self._later) if self._later else observation
         begun = time.perf_counter()
@@ -216,7 +214,6 @@ def _from_lane(shape: Floats, track: Track) -> Floats:
 
 
 def body(slots: list[Connection]) -> Mapping[str, Callable[..., Any]]:
-    """The commands of the engine process."""
     worker = CheckWorker()
     return {
         "choose": worker.choose, "drive": worker.drive,

@@ -173,7 +173,6 @@ def _jump(drive: UnattackedDrive) -> Finding | None:
 
 
 def _time_of(drive: UnattackedDrive, pose: int) -> float:
-    """When a pose was returned [s]."""
     before = drive.poses[pose][0]
     return float(drive.ego.time[int(np.argmin(np.hypot(drive.ego.x - before.x, drive.ego.y - before.y)))])
 

@@ -8,8 +8,6 @@ at its end, so the same command goes on.
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import os
 import shutil
@@ -19,17 +17,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from random import Random
 from statistics import median
-from typing import Any, Protocol
+from typing import Any
 
 from sumo_adv.campaigns.campaign import Orders, Summary
 from sumo_adv.campaigns.plan import Plan
-from sumo_adv.campaigns.results import OUTCOME, failed, read_csv, read_row
+from sumo_adv.campaigns.results import OUTCOME, failed, read_row
 from sumo_adv.datatypes import Level
 from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.files import sentences, write_text
 from sumo_adv.hunting.failures import COLUMNS, Failure, distinct, failure_of, table
 from sumo_adv.parsing import parse_json
 from sumo_adv.report.outcome import ATTACKS
+from sumo_adv.report.tables import csv_text
 
 SCHEMA = 1
 STATE, RESULTS, FAILURES, ROUNDS = "hunt.json", "results.csv", "failures", "rounds"
@@ -42,12 +41,8 @@ SHARE = 0.1  # of the time that is left: the most that an encounter may take
 LEVELS = (Level.VALID, Level.STRICT, Level.SERIOUS)
 
 
-class RunCampaign(Protocol):
-    """Runs what is missing of a plan."""
-
-    def __call__(self, plan: Plan, orders: Orders) -> Summary:
-        """The outcome. Raises SumoAdvError."""
-        ...
+RunCampaign = Callable[[Plan, Orders], Summary]
+"""Runs what is missing of a plan. Raises SumoAdvError."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +132,6 @@ class Hunt:
     # -- rounds -------------------------------------------------------------------------------------------------
 
     def _round(self, k: int) -> Summary:
-        """Run what is missing of a round."""
         order = self._state["rounds"][k]
         inputs = [self._inputs[content] for content in order["inputs"] if content in self._inputs]
         bounds = {
@@ -267,12 +261,8 @@ class Hunt:
             write_text(self.folder / STATE, json.dumps(self._state, indent=1) + "\n")
 
     def _write_table(self, found: Sequence[Failure]) -> None:
-        text = io.StringIO()
-        writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(table(found, self.folder))
         with sentences(self.folder):
-            write_text(self.folder / RESULTS, text.getvalue())
+            write_text(self.folder / RESULTS, csv_text(COLUMNS, table(found, self.folder)))
 
     def _collected(self) -> list[Failure]:
         """Copies of the representatives' folders in ``failures/``, best first, and the table that names them."""
@@ -352,10 +342,3 @@ def over_time(folder: Path) -> list[tuple[float, Mapping[str, int]]]:
     if not after:
         raise UsageError(f"The hunt in {folder} has finished no round: say its command again.")
     return after
-
-
-def read_table(folder: Path) -> dict[str, list[Any]]:
-    """``results.csv`` of a hunt, columns by name. Raises UsageError: it is none, or damaged."""
-    if not (folder / STATE).is_file():
-        raise UsageError(f"{folder} is not the folder of a hunt: it has no {STATE}.")
-    return read_csv(folder / RESULTS)

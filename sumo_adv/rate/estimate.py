@@ -39,6 +39,7 @@ from sumo_adv.rate.proposal import KINDS, MOST_WEIGHT, Counts, Proposal, chances
 from sumo_adv.rate.run import Record
 from sumo_adv.report.outcome import versions
 
+CONFIDENCE = 0.95
 ENOUGH = 10  # crashes: the weights of fewer do not tell how large those are that were not seen
 
 
@@ -65,7 +66,7 @@ class Rate:
         return (self.high - self.low) / (2 * self.value) if self.value > 0 else None
 
 
-def rate(weights: Floats, exposure: Floats, most_weight: float = 1.0, confidence: float = 0.95) -> Rate:
+def rate(weights: Floats, exposure: Floats, most_weight: float = 1.0) -> Rate:
     """The rate of crashes.
 
     weights ``(runs,)``: the weight of each run that crashed, at the crash; 0 for others. exposure ``(runs,)``:
@@ -75,7 +76,7 @@ def rate(weights: Floats, exposure: Floats, most_weight: float = 1.0, confidence
     seen = int((weights > 0).sum())
     if over <= 0.0:
         return Rate(math.nan, 0.0, math.inf, seen, 0.0, None, None)
-    tail = (1 - confidence) / 2
+    tail = (1 - CONFIDENCE) / 2
     if not seen:
         return Rate(0.0, 0.0, float(gammaincinv(1.0, 1 - tail)) * most_weight / over, 0, 0.0, None, None)
     square, seen_largest = float((weights**2).sum()), float(weights.max())
@@ -125,7 +126,6 @@ class Estimate:
     plain_km: float | None
 
     def document(self) -> dict[str, Any]:
-        """As JSON."""
 
         def plain(found: Rate) -> dict[str, Any]:
             return {

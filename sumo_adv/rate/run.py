@@ -65,7 +65,6 @@ class Run:
 
     @property
     def counts(self) -> Counts:
-        """What a pilot run saw."""
         return Counts(self.tried, self.begun, self.crashed)
 
     def until(self, ego: str | None, start: float, end: float, duration: float) -> Record:
@@ -157,7 +156,6 @@ class Run:
         return (min(contacts)[1], min(contacts)[0]) if contacts else None
 
     def _judged(self, foe: str, when: float) -> Record:
-        """The record of a run that ended in a contact."""
         record, drive = self._record(), self.drive
         error = self.errors.last.get(foe)
         recent = error is not None and when - error.since < MEMORY
@@ -187,7 +185,6 @@ def _box(v: VehicleState) -> Boxes:
 
 
 def boxes_of(states: Sequence[VehicleState]) -> Boxes:
-    """Vehicles as boxes ``(vehicles,)``."""
     x, y, heading, speed, length, width = (
         np.array([getattr(s, name) for s in states]) for name in ("x", "y", "heading", "speed", "length", "width")
     )

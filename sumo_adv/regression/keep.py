@@ -40,9 +40,8 @@ def keep_run(run: Path, suite: Path, expect: Expectation, name: str | None = Non
 
     name: of the case; by default that of the input with the seed, and a number where that is taken by another attack.
 
-    Raises:
-        UsageError: no run's folder, a run without a collision or a low TTC, a name that is taken, or a suite that
-            cannot be written.
+    Raises UsageError: no run's folder, a run without a collision or a low TTC, a name that is taken, or a suite that
+    cannot be written.
     """
     recorded, outcome = read_manifest(run), read_outcome(run)
     level = level_of(outcome)
@@ -73,7 +72,6 @@ def keep_run(run: Path, suite: Path, expect: Expectation, name: str | None = Non
 
 
 def level_of(outcome: Mapping[str, Any]) -> Level:
-    """The level that the attempt that counts reached."""
     return Level[str((outcome.get("outcome") or {}).get("level") or "none").upper()]
 
 
@@ -169,7 +167,6 @@ def _scenario(recorded: Recorded, outcome: Mapping[str, Any], suite: Path) -> st
 
 
 def _ego(ego: str | EgoRoute | None, name: str) -> dict[str, Any]:
-    """An ego that the run chose among the traffic is named."""
     if not isinstance(ego, EgoRoute):
         return {"id": name}
     return {

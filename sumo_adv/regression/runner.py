@@ -102,12 +102,10 @@ class Judged:
 
     @property
     def sentence(self) -> str:
-        """The reason, and why the ego was hit or nearly hit where the case fails."""
         cause = self.measured.cause_sentence if self.result is Result.FAIL and self.measured.touched is None else ""
         return " ".join(filter(None, (self.why, cause)))
 
     def row(self) -> dict[str, Any]:
-        """As the JSON file has it."""
         return {"result": str(self.result), "why": self.why, **asdict(self.measured)}
 
 
@@ -292,7 +290,6 @@ def _elsewhere(case: Case, encounter: FoundEncounter) -> str:
 
 
 def measure(case: Case, episode: Episode, outcome: Mapping[str, Any]) -> Measured:
-    """What the attempt of a case came to, from the episode and its ``outcome.json``."""
     best, verdict = episode.best, outcome["outcome"]
     assert best is not None
     cause = verdict["cause"] or {}

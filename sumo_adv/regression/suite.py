@@ -61,7 +61,6 @@ class SuiteRun:
 
     @property
     def counts(self) -> Mapping[Result, int]:
-        """How many cases have each result."""
         counts = Counter(case.result for case in self.cases)
         return {result: counts[result] for result in Result}
 
@@ -71,7 +70,6 @@ class SuiteRun:
         return all(case.result in fine for case in self.cases)
 
     def document(self) -> dict[str, Any]:
-        """As the JSON file has it."""
         return {
             "schema": SCHEMA, "suite": self.suite, "ego": self.ego, "versions": versions(),
             "counts": {str(result): many for result, many in self.counts.items()},
@@ -188,7 +186,6 @@ def _kind(case: Judged, allow_untested: bool) -> str:
 
 
 def _clean(text: str) -> str:
-    """Without characters that XML cannot hold."""
     return FORBIDDEN.sub("\ufffd", text)
 
 
@@ -205,7 +202,6 @@ def lines(run: SuiteRun) -> list[str]:
 
 
 def sentence(run: SuiteRun) -> str:
-    """How many cases have which result."""
     counts = [f"{many} {result}" for result, many in run.counts.items() if many or result is Result.PASS]
     return f"{len(run.cases)} case{'s' * (len(run.cases) != 1)} of {run.suite} against {run.ego}: {', '.join(counts)}."
 

@@ -3,8 +3,6 @@
 A cell is one combination of the four. An encounter counts in a cell if one of its attempts had the cell's intent and
 came from a vehicle of the cell's relation; it counts once, however many such attempts there were. It is a failure of
 the ego if one of these attempts reached the level ``valid``: a collision that a reference driver avoids.
-
-The coverage of a campaign: its runs, its bank and its ODDs, read from its folder.
 """
 
 from __future__ import annotations
@@ -33,6 +31,7 @@ HEADER = (
     "ego", "intent", "relation", "road", "speed_from", "speed_to", "encounters", "failures", "rate", "low", "high",
 )  # fmt: skip
 ALL = "all"  # egos together
+NOWHERE = "oncoming", str(RoadClass.MOTORWAY)
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -55,7 +54,6 @@ class Row:
 
     @property
     def rate(self) -> Estimate:
-        """The share of failures, with Wilson's 95 % interval; an empty cell has the value nan."""
         return wilson(self.failures, self.encounters)
 
 
@@ -123,16 +121,12 @@ def make_coverage(
     pairs = pairs_of(library) | {(cell.intent, cell.relation) for cell in counts[ALL]}
     roads, bands = tuple(str(road) for road in RoadClass), range(len(BANDS))
     every = {Cell(*pair, road, band) for pair, road, band in product(pairs, roads, bands)}
-    possible = {cell for cell in every if _exists(cell) and (not odds or any(_within(cell, odd) for odd in odds))}
+    exist = {cell for cell in every if (cell.relation, cell.road) != NOWHERE}
+    possible = {cell for cell in exist if not odds or any(_within(cell, odd) for odd in odds)}
     return Coverage({ego: _rows(possible | counts[ALL].keys(), tally) for ego, tally in counts.items()}, unplaced)
 
 
-def _exists(cell: Cell) -> bool:
-    return (cell.relation, cell.road) != ("oncoming", str(RoadClass.MOTORWAY))
-
-
 def _within(cell: Cell, odd: Odd) -> bool:
-    """Whether an ODD contains some encounter of a cell."""
     low, high = BANDS[cell.band]
     slowest, fastest = odd.speed or (0.0, math.inf)
     on_road = not odd.roads or cell.road in odd.roads

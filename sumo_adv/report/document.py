@@ -1,10 +1,8 @@
 """An HTML document that is one file: style, script and data inside, and nothing may be loaded or sent.
 
-What comes from files is data alone: JSON in which no ``<`` is left, read by the script and shown as text.
-
-Many numbers in few characters: rounded to whole units, differences, variable-length bytes, deflate, base64.
-
-The page's script reads it back (``assets/decode.js``).  Nothing is lost but the rounding.
+What comes from files is data alone: JSON in which no ``<`` is left, read by the script and shown as text. Many numbers
+take few characters: rounded to whole units, differences, variable-length bytes, deflate, base64. The page's script
+reads them back (``assets/decode.js``); nothing is lost but the rounding.
 """
 
 from __future__ import annotations
@@ -12,10 +10,8 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-import os
 import zlib
 from collections.abc import Sequence
-from contextlib import suppress
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -25,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_adv.errors import UsageError
+from sumo_adv.files import write_text
 
 HEAD = """<!DOCTYPE html>
 <html lang="en">
@@ -50,7 +47,6 @@ style-src {style_hash}; img-src data:; base-uri 'none'; form-action 'none'">
 
 @cache
 def asset(name: str) -> str:
-    """A file that travels with the package."""
     return (files("sumo_adv.report") / "assets" / name).read_text(encoding="utf-8")
 
 
@@ -58,9 +54,12 @@ def document(title: str, body: str, styles: Sequence[str], scripts: Sequence[str
     """The text of the file. ``title`` and ``body`` are ours; whatever a run wrote belongs into ``data``."""
     style = "\n".join(asset(name) for name in styles)
     script = '(() => {\n"use strict";\n' + "\n".join(asset(name) for name in scripts) + "\n})();\n"
+    script_hash, style_hash = (
+        f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'" for text in (script, style)
+    )
     return HEAD.format(
-        title=title, body=body, style=style, script=script, data=embedded(data),
-        script_hash=_hash(script), style_hash=_hash(style),
+        title=title, body=body, style=style, script=script, data=embedded(data), script_hash=script_hash,
+        style_hash=style_hash,
     )  # fmt: skip
 
 
@@ -70,22 +69,13 @@ def embedded(data: Any) -> str:
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
-def _hash(text: str) -> str:
-    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
-
-
 def write_document(target: Path, html: str) -> None:
     """Write a page, whole or not at all. Raises UsageError where it cannot be written."""
-    part = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        part.write_text(html, encoding="utf-8")
-        part.replace(target)
+        write_text(target, html)
     except OSError as error:
         raise UsageError(f"{target} cannot be written ({error.strerror or error}); give another --out.") from error
-    finally:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
 
 
 Ints = NDArray[np.int64]

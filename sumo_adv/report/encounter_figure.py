@@ -1,17 +1,13 @@
-"""What pictures of an encounter are put together from: the road, vehicles as boxes, marks of time, a scale bar.
+"""One picture of an attempt: what ego and adversaries did and would have done on the road, and where they came closest.
 
-Colours are Okabe and Ito's, which colour-blind readers can tell apart.
-
-One picture of an attempt: what ego and adversaries did and would have done on the road, and where they came closest.
-
-Colours are Okabe and Ito's, which colour-blind readers can tell apart. The file's bytes depend on the arguments and the
-version of matplotlib alone.
+Its parts (road, vehicles as boxes, marks of time, a scale bar) are those of other figures, too. Colours are Okabe and
+Ito's, which colour-blind readers can tell apart. The file's bytes depend on the arguments and the version of matplotlib
+alone.
 """
 
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.datatypes import Floats, Role, Track, Verdict
+from sumo_adv.files import write_whole
 from sumo_adv.road_users import RoadUser, road_user
 
 EGO, ADVERSARY, SUPPORT, OTHER = "#0072B2", "#D55E00", "#E69F00", "#8C8C8C"
@@ -83,7 +80,6 @@ def pose_at(track: Track, time: float) -> tuple[float, float, float] | None:
 
 
 def draw_lanes(axes: Any, lanes: Lanes, style: Style = LARGE) -> None:
-    """The road: lanes, and what is inside junctions below them."""
     from matplotlib.collections import PolyCollection
 
     for inside in (True, False):
@@ -249,7 +245,7 @@ def draw_encounter(
     line = shortened(title, LONGEST)
     figure.text(0.055, 1.0 - 0.15 / height, line, ha="left", va="top", fontsize=15, parse_math=False)
     _draw_summary(figure, verdict, height)
-    _save(figure, target)
+    write_whole(target, lambda part: figure.savefig(part, format="png", metadata={"Software": None}))
 
 
 def decisive_time(ego: Track, adversary: Track, trigger_time: float, verdict: Verdict) -> float:
@@ -276,7 +272,6 @@ def _view(parts: Sequence[Track], tracks: Sequence[Track], shown: float) -> tupl
 
 
 def _frame(axes: Any, view: tuple[float, float, float, float], height: float) -> None:
-    """Limits, labels and a scale bar in the lower left corner."""
     left, bottom, width, tall = view
     axes.set_aspect("equal", adjustable="box")
     axes.set_xlim(left, left + width)
@@ -334,12 +329,3 @@ def _draw_summary(figure: Any, verdict: Verdict, height: float) -> None:
     words += ["rear-end"] if verdict.rear_end else []
     text = "  ·  ".join(words)
     figure.text(0.055, 1.0 - 0.47 / height, text, ha="left", va="top", fontsize=12, color="#333333", parse_math=False)
-
-
-def _save(figure: Any, target: Path) -> None:
-    unfinished = target.with_name(f".{target.name}.{os.getpid()}.part")
-    try:
-        figure.savefig(unfinished, format="png", metadata={"Software": None})
-        unfinished.replace(target)
-    finally:
-        unfinished.unlink(missing_ok=True)

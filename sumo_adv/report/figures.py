@@ -1,10 +1,7 @@
-"""What a figure or a film of a run shows: ego and adversaries with and without the attack, others, road, moments.
+"""Pictures of a run as papers have them, and films; a figure of a hunt.
 
-A figure as papers have it: the encounter without and with the attack, two maps of one scale with marks of time.
-
-A film of the attack: GIF by pillow, MP4 by ffmpeg, in real time.
-
-A figure of a hunt: how many distinct failures had been found after which time, by level.
+A picture shows the encounter without and with the attack, two maps of one scale with marks of time. A film is in real
+time: GIF by pillow, MP4 by ffmpeg.
 """
 
 from __future__ import annotations
@@ -45,7 +42,7 @@ from sumo_adv.report.encounter_figure import (
     pose_at,
     shortened,
 )
-from sumo_adv.report.read import RunRead, read_run
+from sumo_adv.report.read import RunRead, read_run, reading
 from sumo_adv.simulation.network import read_network
 
 BEFORE, AFTER = 1.0, 1.5  # s shown before the trigger and after the decisive moment
@@ -62,7 +59,6 @@ class Scene:
     supports: Sequence[Track] = ()
 
     def pair(self) -> tuple[Track, Track]:
-        """Ego and collider."""
         return self.ego, self.adversary
 
     def coloured(self) -> tuple[tuple[Track, str], ...]:
@@ -90,7 +86,6 @@ class Story:
 
     @property
     def collided(self) -> bool:
-        """Whether the attack ended in a contact."""
         return bool(self.outcome["collided"])
 
     def view(self, widest: float) -> View:
@@ -115,12 +110,8 @@ def read_story(folder: Path) -> Story:
     run = read_run(folder)
     if run.outcome.get("best") is None or not run.best:
         raise UsageError(f"The run in {folder} made no attempt, so there is nothing to draw.")
-    try:
+    with reading(folder):
         return _story(run)
-    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
-        raise UsageError(
-            f"The run in {folder} is not as this program writes it ({type(error).__name__}: {error}); run it again."
-        ) from error
 
 
 def _story(run: RunRead) -> Story:
@@ -218,7 +209,6 @@ def _draw_map(axes: Any, story: Story, scene: Scene, view: View, height: float) 
 
 
 def _words(story: Story, scene: Scene) -> str:
-    """What a map shows, in a line."""
     if scene is story.raw:
         return "Unattacked"
     least = story.outcome["min_ttc"]
@@ -246,8 +236,6 @@ def _draw_key(figure: Figure, story: Story, total: float) -> None:
 
 def save(figure: Figure, target: Path, kind: str) -> None:
     """Write a figure as png, svg or pdf, whole, with the same bytes for the same figure. Raises OSError."""
-    from sumo_adv.files import write_whole
-
     metadata: dict[str, Any] = {
         "png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None, "Producer": None},
     }[kind]  # fmt: skip
@@ -266,9 +254,7 @@ LOOK = Style(text=9, lane=1.2, box=0.8, hollow=0.9, bar=2.5)
 def write_film(story: Story, target: Path, kind: str) -> None:
     """Write the film; faint outlines show where ego and adversaries would be without the attack.
 
-    Raises:
-        UsageError: an MP4 without ffmpeg.
-        OSError: the file cannot be written.
+    Raises UsageError: an MP4 without ffmpeg; OSError: the file cannot be written.
     """
     if kind == "mp4" and shutil.which("ffmpeg") is None:
         raise UsageError("An MP4 needs ffmpeg: install it (Debian: apt-get install ffmpeg), or make a .gif.")
@@ -277,7 +263,9 @@ def write_film(story: Story, target: Path, kind: str) -> None:
 
 def _film(story: Story, target: Path, kind: str) -> None:
     view = story.view(widest=3.0)
-    height = _even(HEAD + FILM_WIDTH * view[3] / view[2])
+    height = (
+        round((HEAD + FILM_WIDTH * view[3] / view[2]) * FILM_DPI / 2) * 2 / FILM_DPI
+    )  # of even pixels, for the codec
     figure = Figure(figsize=(FILM_WIDTH, height), dpi=FILM_DPI, facecolor="white")
     FigureCanvasAgg(figure)
     share = 1.0 - HEAD / height
@@ -292,7 +280,10 @@ def _film(story: Story, target: Path, kind: str) -> None:
     title = figure.text(0.01, 1.0 - 0.5 * HEAD / height, "", va="center", fontsize=11, parse_math=False)
     times = story.start + np.arange(round((story.end - story.start) * RATE) + 1) / RATE
     still = len(axes.patches)
-    writer: Any = PillowWriter(fps=RATE) if kind == "gif" else _mp4_writer()
+    writer: Any = PillowWriter(fps=RATE)
+    if kind == "mp4":
+        options = ["-pix_fmt", "yuv420p", "-bitexact", "-f", "mp4"]
+        writer = FFMpegWriter(fps=RATE, codec="libx264", extra_args=options)
     with writer.saving(figure, str(target), FILM_DPI):
         for time in [*times.tolist(), *[float(times[-1])] * HOLD]:
             _draw_moment(axes, story, time)
@@ -300,15 +291,6 @@ def _film(story: Story, target: Path, kind: str) -> None:
             writer.grab_frame()
             for patch in list(axes.patches)[still:]:
                 patch.remove()
-
-
-def _mp4_writer() -> Any:
-    return FFMpegWriter(fps=RATE, codec="libx264", extra_args=["-pix_fmt", "yuv420p", "-bitexact", "-f", "mp4"])
-
-
-def _even(height: float) -> float:
-    """A height of an even number of pixels, which the codec needs."""
-    return round(height * FILM_DPI / 2) * 2 / FILM_DPI
 
 
 def _draw_moment(axes: Any, story: Story, time: float) -> None:

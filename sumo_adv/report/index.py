@@ -1,10 +1,4 @@
-"""The rows of a batch's ``results.csv``, read back with their types.
-
-Each ego of a campaign against what its episodes came to: rates with intervals, severity of the collisions.
-
-From rows, places and networks to the text of the index.
-
-All pages of a batch, those that are there left as they are, and the index over them.
+"""The index of a batch: all episodes in one page that sorts, filters and leads to each one's replay.
 
 OUT/index.html      all episodes
 OUT/pages/ID.html   the replay of one
@@ -23,6 +17,7 @@ import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from multiprocessing import get_context
@@ -38,7 +33,7 @@ from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.metrics.severity import Severity
 from sumo_adv.metrics.statistics import Estimate, wilson
 from sumo_adv.parsing import parse_json
-from sumo_adv.report.coverage import ALL, BANDS, Coverage, Row
+from sumo_adv.report.coverage import ALL, BANDS, Coverage
 from sumo_adv.report.document import asset, document, packed, whole, write_document
 from sumo_adv.report.page import page_of
 from sumo_adv.report.page_road import network
@@ -115,7 +110,6 @@ class EgoSummary:
 
 
 def summarise(rows: Sequence[Mapping[str, Any]]) -> list[EgoSummary]:
-    """A summary for each ego, in the order of their names."""
     return [_of(ego, [row for row in rows if row["ego"] == ego]) for ego in sorted({str(row["ego"]) for row in rows})]
 
 
@@ -137,18 +131,7 @@ STYLES = ("common.css", "index.css")
 MOST_LANES = 4000  # on the map of a network
 DECIMETRE = 0.1
 THINNED = 0.5  # m a line on such a map may be off
-CODED = (
-    "network",
-    "ego",
-    "intent",
-    "ending",
-    "level",
-    "severity",
-    "relation",
-    "road",
-    "preventable_by",
-    "cause",
-)  # few values, many rows
+CODED = {*WORDS, "cause"} - {"id", "failure"}  # few values, many rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,15 +168,13 @@ def make_index(
 
 
 def _ego(summary: EgoSummary) -> dict[str, Any]:
+    failed, *reached = (
+        [round(value, 4) for value in (rate.value, rate.low, rate.high)] for rate in (summary.failed, *summary.reached)
+    )
     return {
-        "ego": summary.ego, "episodes": summary.episodes, "reached": [_rate(rate) for rate in summary.reached],
-        "failed": _rate(summary.failed), "severity": list(summary.severity.values()), "delta_v": summary.delta_v,
+        "ego": summary.ego, "episodes": summary.episodes, "reached": reached, "failed": failed,
+        "severity": list(summary.severity.values()), "delta_v": summary.delta_v,
     }  # fmt: skip
-
-
-def _rate(rate: Estimate) -> list[float]:
-    """Value, low and high of a rate of at least one episode."""
-    return [round(value, 4) for value in (rate.value, rate.low, rate.high)]
 
 
 def _cells(coverage: Coverage) -> dict[str, Any]:
@@ -205,13 +186,14 @@ def _cells(coverage: Coverage) -> dict[str, Any]:
         "bands": [[low, None if math.isinf(high) else high] for low, high in BANDS], "unplaced": coverage.unplaced,
         "intent": _coded([cell.intent for cell in cells]), "relation": _coded([cell.relation for cell in cells]),
         "road": _coded([cell.road for cell in cells]), "band": [cell.band for cell in cells],
-        "egos": {ego: [_counts(rows[cell]) for cell in cells] for ego, rows in shown.items()},
+        "egos": {
+            ego: [
+                [row.encounters, row.failures, round(row.rate.low, 4), round(row.rate.high, 4)]
+                for row in map(rows.__getitem__, cells)
+            ]
+            for ego, rows in shown.items()
+        },
     }  # fmt: skip
-
-
-def _counts(row: Row) -> list[float]:
-    rate = row.rate
-    return [row.encounters, row.failures, round(rate.low, 4), round(rate.high, 4)]
 
 
 def _coded(values: Sequence[str]) -> dict[str, Any]:
@@ -283,8 +265,8 @@ def write_report(
     made, roads = _read(out) if not again else ({}, {})
     stamps = _stamps(runs, table, packs)
     made = {n: m for n, m in made.items() if stamps.get(n) == m.stamp and (out / PAGES / f"{n}.html").is_file()}
-    order = sorted((r for r in table.rows if str(r["id"]) in stamps), key=_urgency)
-    missing = [str(r["id"]) for r in order if str(r["id"]) not in made][:most]
+    least = {str(r["id"]): (bool(r["failure"]), math.inf if r["min_ttc"] is None else r["min_ttc"]) for r in table.rows}
+    missing = sorted((name for name in least if name in stamps and name not in made), key=least.__getitem__)[:most]
     damaged: list[str] = []
     done = 0
     (out / PAGES).mkdir(parents=True, exist_ok=True)
@@ -300,11 +282,6 @@ def write_report(
         _write(out, made, roads)
         write_document(out / INDEX, make_index(name, table, made, roads, coverage))
     return Report(out / INDEX, len(table.rows), len(made), done - len(damaged), damaged)
-
-
-def _urgency(row: Mapping[str, Any]) -> tuple[bool, float]:
-    least = row["min_ttc"]
-    return bool(row["failure"]), float("inf") if least is None else least
 
 
 def _stamps(runs: Path, table: Table, packs: Packs) -> dict[str, int]:
@@ -328,7 +305,7 @@ def _all_pages(
     """Each name with its place and network, or its fault; networks' maps are added to ``roads``."""
     plain = [n for n in names if (runs / n / OUTCOME).is_file()]
     others = [n for n in names if n not in set(plain)]
-    with _Mapper(workers if len(names) > FEW else 1) as every:
+    with _mapper(workers if len(names) > FEW else 1) as every:
         yield from _some_pages(every, plain, runs, target, roads)
         for start in range(0, len(others), PORTION):
             some = others[start : start + PORTION]
@@ -339,7 +316,7 @@ def _all_pages(
 
 
 def _some_pages(
-    every: _Mapper, names: Sequence[str], runs: Path, target: Path, roads: dict[str, Any]
+    every: Callable[..., Iterator[Any]], names: Sequence[str], runs: Path, target: Path, roads: dict[str, Any]
 ) -> Iterator[tuple[str, tuple[tuple[float, float] | None, str] | str]]:
     for name, result in zip(names, every(partial(write_page, runs, target), names), strict=True):
         if not isinstance(result, str) and result[1] not in roads and len(roads) < MOST_MAPS:
@@ -359,23 +336,19 @@ def write_page(runs: Path, target: Path, name: str) -> tuple[tuple[float, float]
     return page.place, page.network
 
 
-class _Mapper:
-    """Applies a function to many things, here or in processes of its own, in order."""
-
-    def __init__(self, workers: int) -> None:
-        self._pool = None
-        if workers > 1:
-            self._pool = ProcessPoolExecutor(workers, get_context("spawn"), _ignore_interrupts)
-
-    def __enter__(self) -> _Mapper:
-        return self
-
-    def __exit__(self, kind: object, *_: object) -> None:
-        if self._pool is not None:
-            self._pool.shutdown(cancel_futures=kind is not None)
-
-    def __call__(self, act: Callable[[str], Any], names: Sequence[str]) -> Iterator[Any]:
-        return map(act, names) if self._pool is None else self._pool.map(act, names, chunksize=4)
+@contextmanager
+def _mapper(workers: int) -> Iterator[Callable[..., Iterator[Any]]]:
+    """``map``, here or in processes of its own; after an error, also Ctrl-C, what has not begun is left out."""
+    if workers == 1:
+        yield map
+        return
+    pool = ProcessPoolExecutor(workers, get_context("spawn"), _ignore_interrupts)
+    try:
+        yield partial(pool.map, chunksize=4)
+    except BaseException:
+        pool.shutdown(cancel_futures=True)
+        raise
+    pool.shutdown()
 
 
 def _ignore_interrupts() -> None:

@@ -1,8 +1,6 @@
-"""What the page draws: up to three attempts on one grid of frames, the series under them, the road around them.
+"""The replay page of a run: one HTML file that needs nothing else.
 
-The planners of a run as texts: which attempts used each, and what changed from the version it was made of.
-
-From a run's folder to the text of its page.
+It draws up to three attempts on one grid of frames, the series under them, and the road around them.
 """
 
 from __future__ import annotations
@@ -72,7 +70,6 @@ class Grid:
     origin: tuple[float, float]
 
     def frame(self, time: float) -> int:
-        """The frame nearest to a time."""
         return round((time - self.start) / self.step)
 
 
@@ -127,12 +124,9 @@ def make_attempts(run: RunRead) -> tuple[Grid, list[Shown]] | None:
         return None
     tracks = {t.id: t for t in played}
     lead = tracks.get(str(ego), played[0])
-    step = _step(run, played)
-    first = min(t.time[0] for t in played)
-    last = max(t.time[-1] for t in played)
+    step, first, last = _step(run, played), min(t.time[0] for t in played), max(t.time[-1] for t in played)
     pivot = last if pivot is None else pivot
-    ends = [last, *(t.time[-1] for t in run.first), *(t.time[-1] for _, tracks in run.attacks for t in tracks)]
-    end = max(ends)
+    end = max([last, *(t.time[-1] for t in run.first), *(t.time[-1] for _, tracks in run.attacks for t in tracks)])
     if run.raw:
         end = max(end, min(max(t.time[-1] for t in run.raw), end + AFTER))
     start = max(first, pivot - BEFORE)
@@ -157,28 +151,20 @@ def _step(run: RunRead, tracks: Sequence[Track]) -> float:
 
 
 def _attempts(run: RunRead, grid: Grid, lead: Track) -> list[Shown]:
-    outcome = run.outcome
-    listed = outcome.get("attempts") or []
-    best = outcome.get("best")
+    outcome, pivot = run.outcome, _pivot(run.outcome)
+    listed, begun = outcome.get("attempts") or [], outcome.get("trigger_time")
     names = [str(a["id"]) for a in outcome.get("adversaries") or []]
-    pivot = _pivot(outcome)
+    foe = names[0] if names else ""
     common = grid.start if pivot is None else pivot
-    whole_run = "raw" if best is None and not names else "best"
-    shown = [_shown(whole_run, run.best, grid, lead.id, names[0] if names else "", outcome.get("trigger_time"), None)]
-    if run.first and listed:
-        attempt = listed[0]
-        shown.append(
-            _shown("first", run.first, grid, lead.id, str(attempt["adversaries"][0]), attempt["trigger_time"], common)
-        )
-    for k, tracks in run.attacks:
-        attempt = listed[k]
-        key = f"attack {k + 1}: {attempt['kind']}"
-        shown.append(
-            _shown(key, tracks, grid, lead.id, str(attempt["adversaries"][0]), attempt["trigger_time"], common)
-        )
+    whole_run = "raw" if outcome.get("best") is None and not names else "best"
+    shown = [_shown(whole_run, run.best, grid, lead.id, foe, begun, None)]
+    others = [("first", listed[0], run.first)] if run.first and listed else []
+    others += [(f"attack {k + 1}: {listed[k]['kind']}", listed[k], tracks) for k, tracks in run.attacks]
+    for key, attempt, tracks in others:
+        adversary, trigger = str(attempt["adversaries"][0]), attempt["trigger_time"]
+        shown.append(_shown(key, tracks, grid, lead.id, adversary, trigger, common))
     if run.raw and whole_run == "best":
-        trigger = outcome.get("trigger_time")
-        shown.append(_shown("raw", run.raw, grid, lead.id, names[0] if names else "", trigger, common))
+        shown.append(_shown("raw", run.raw, grid, lead.id, foe, begun, common))
     return shown
 
 
@@ -217,16 +203,15 @@ def _segments(track: Track, grid: Grid, lead: Track | None) -> list[Segment]:
         x, y = (np.interp(track.time, lead.time, v) for v in (lead.x, lead.y))
         keep = np.hypot(track.x - x, track.y - y) <= NEAR
     heading = np.unwrap(track.heading)
-    segments = []
     places = np.flatnonzero(keep)
-    for piece in np.split(places, np.flatnonzero(np.diff(frames[places]) != 1) + 1) if len(places) else []:
-        segments.append(
-            Segment(
-                int(frames[piece[0]]), whole(track.x[piece] - grid.origin[0], CENTIMETRE),
-                whole(track.y[piece] - grid.origin[1], CENTIMETRE), whole(heading[piece], MILLIRADIAN),
-            )
-        )  # fmt: skip
-    return segments
+    pieces = np.split(places, np.flatnonzero(np.diff(frames[places]) != 1) + 1) if len(places) else []
+    return [
+        Segment(
+            int(frames[piece[0]]), whole(track.x[piece] - grid.origin[0], CENTIMETRE),
+            whole(track.y[piece] - grid.origin[1], CENTIMETRE), whole(heading[piece], MILLIRADIAN),
+        )
+        for piece in pieces
+    ]  # fmt: skip
 
 
 def _curves(ego: Track, foe: Track | None, measures: Mapping[str, Floats], grid: Grid) -> list[Ints]:
@@ -312,7 +297,8 @@ def page_of(folder: Path, back: str | None = None) -> Page:
             place = _place(run, attempts)
         data = {
             "schema": SCHEMA, "outcome": run.outcome, "scene": scene, "moments": moments, "gates": list(GATES),
-            "planners": planner_versions(run.outcome, run.manifest), "about": _about(run.manifest), "back": back,
+            "planners": planner_versions(run.outcome, run.manifest),
+            "about": {k: run.manifest.get(k) for k in ("name", "versions", "seed", "settings")}, "back": back,
             "failed": run.outcome["ending"] in FAILED_ENDINGS,
         }  # fmt: skip
         page = document("Replay", asset("replay.html"), STYLES, SCRIPTS, data)
@@ -331,10 +317,6 @@ def _road(run: RunRead, attempts: Sequence[Shown]) -> RoadNear:
 def network_name(manifest: Mapping[str, Any]) -> str:
     """The name of the network's copy, a plain file name; '' where none is told."""
     return Path(str(manifest.get("network") or "")).name
-
-
-def _about(manifest: Mapping[str, Any]) -> dict[str, Any]:
-    return {k: manifest.get(k) for k in ("name", "versions", "seed", "settings")}
 
 
 def _moments(outcome: Mapping[str, Any], attempts: Sequence[Shown]) -> list[dict[str, Any]]:
@@ -372,9 +354,5 @@ def _place(run: RunRead, attempts: Sequence[Shown]) -> tuple[float, float] | Non
     time = verdict.get("contact_time")
     if time is None:
         time = shown.closest[0] if shown.closest else float(ego.time[-1])
-    return _at(ego, float(time))
-
-
-def _at(track: Track, time: float) -> tuple[float, float]:
-    x, y = (round(float(np.interp(time, track.time, values)), 1) for values in (track.x, track.y))
+    x, y = (round(float(np.interp(float(time), ego.time, values)), 1) for values in (ego.x, ego.y))
     return x, y

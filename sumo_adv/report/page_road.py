@@ -1,4 +1,4 @@
-"""What is painted on the road: lines beside lanes, stop lines and give-way lines, from a network.
+"""The road near the action, from the network's copy in a run's folder, and what is painted on it.
 
 A network says little about paint, so these rules stand for it:
 
@@ -6,8 +6,6 @@ between lanes of one direction   dashed if cars may change lanes over it from bo
                                  ``changeRight``), else solid
 edges of a carriageway           solid
 end of a lane                    a stop line at a traffic light or a stop sign; a dashed line if every way on gives way
-
-The road near the action, from the network's copy in a run's folder.
 """
 
 from __future__ import annotations
@@ -122,7 +120,6 @@ def _across(lane: Lane) -> Floats:
 
 
 def lights_of(stops: Sequence[StopLine]) -> list[str]:
-    """The ids of the lights of some stop lines, each once."""
     return sorted({stop.light for stop in stops if stop.light})
 
 
@@ -167,7 +164,10 @@ def road_near(road: RoadMap, changes: Changes, tracks: Sequence[Track]) -> RoadN
     points = np.concatenate([np.column_stack([t.x, t.y])[:: max(1, len(t.x) // 100)] for t in tracks])
     path = LineString(points) if len(points) > 1 else MultiPoint(points)
     lanes = [lane for lane in road.lanes.values() if len(lane.shape) > 1]
-    strips = [Strip(lane.shape, lane.width, _kind(lane)) for lane in lanes]
+    strips = [
+        Strip(lane.shape, lane.width, OTHER if not lane.passenger else INSIDE if lane.internal else ROAD)
+        for lane in lanes
+    ]
     strips += [Strip(area, 0.0, AREA) for area in road.junctions]
     return RoadNear(
         [_thinned(s) for s in _near(strips, path)], [_thinned(m) for m in _near(markings_of(road, changes), path)],
@@ -182,12 +182,6 @@ def _near(lines: Iterable[Line], path: Any) -> list[Line]:
     every = list(lines)
     near = dwithin([linestrings(each.line) for each in every], path, REACH)
     return [each for each, is_near in zip(every, near, strict=True) if is_near]
-
-
-def _kind(lane: Lane) -> int:
-    if not lane.passenger:
-        return OTHER
-    return INSIDE if lane.internal else ROAD
 
 
 def _thinned(line: Along) -> Along:

@@ -1,7 +1,4 @@
-"""A run's folder, read back: what happened in words and numbers, and the tracks of up to three attempts.
-
-The states of all vehicles of many runs as one Parquet file: a row a vehicle and step, a row group a run.
-"""
+"""A run's folder, read back: what happened in words and numbers, and the tracks of up to three attempts."""
 
 from __future__ import annotations
 
@@ -125,33 +122,28 @@ def columns_of(file: Path, expected: str = HEADER) -> dict[str, tuple[str, ...]]
 def _tracks(file: Path) -> list[Track]:
     """Tracks in order of first appearance; none where there is no such file."""
     columns = columns_of(file)
-    try:
-        return _of_columns(columns)
-    except ValueError as error:
-        raise damaged(file, error) from error
-
-
-def _of_columns(columns: Mapping[str, Sequence[str]]) -> list[Track]:
-    values = {name: np.array(columns[name], dtype=np.float64) for name in NUMBERS}
-    if not all(np.isfinite(v).all() for v in values.values()):
-        raise ValueError("a number is not finite")
     places: dict[str, list[int]] = {}
     for place, name in enumerate(columns["id"]):
         places.setdefault(name, []).append(place)
-    tracks = []
-    for name, of in places.items():
-        time, x, y, heading, speed, acceleration = (values[n][of] for n in NUMBERS[:6])
-        length, width = (float(values[n][of[0]]) for n in ("length", "width"))
-        role = Role(columns["role"][of[0]])
-        lane = tuple(columns["lane"][i] for i in of)
-        tracks.append(Track(name, role, time, x, y, heading, speed, acceleration, length, width, lane))
-    return tracks
+    try:
+        values = {name: np.array(columns[name], dtype=np.float64) for name in NUMBERS}
+        if not all(np.isfinite(v).all() for v in values.values()):
+            raise ValueError("a number is not finite")
+        return [
+            Track(
+                name, Role(columns["role"][of[0]]), *(values[n][of] for n in NUMBERS[:6]),
+                *(float(values[n][of[0]]) for n in NUMBERS[6:]), tuple(columns["lane"][i] for i in of),
+            )
+            for name, of in places.items()
+        ]  # fmt: skip
+    except ValueError as error:
+        raise damaged(file, error) from error
 
 
 def write_states_parquet(target: Path, runs: Iterable[tuple[str, Path]]) -> int:
     """Write the states of runs, given by id and folder, whole or not at all; the number of rows.
 
-    The columns are ``run`` and those of ``states.csv.gz``. A run that recorded nothing has no rows. Needs pyarrow.
+    The columns are ``run`` and those of ``states.csv.gz``. Needs pyarrow.
     Raises UsageError: a table is damaged; OSError.
     """
     import pyarrow as pa
@@ -169,13 +161,9 @@ def write_states_parquet(target: Path, runs: Iterable[tuple[str, Path]]) -> int:
                 columns = columns_of(folder / "states.csv.gz")
                 count = len(columns["time"])
                 if count:
-                    values = {name: _typed(name, columns[name]) for name in names}
+                    values = {n: [float(v) for v in columns[n]] if n in NUMBERS else list(columns[n]) for n in names}
                     writer.write_table(pa.table({"run": [run] * count, **values}, schema))
                     rows += count
 
     write_whole(target, write)
     return rows
-
-
-def _typed(name: str, values: tuple[str, ...]) -> list[Any]:
-    return [float(value) for value in values] if name in NUMBERS else list(values)

@@ -51,8 +51,7 @@ class EncounterMonitor:
 
         ``trigger``: attack from this time on whatever the risk; ``quiet``: s from now on in which none may begin.
 
-        Raises:
-            ClientGone: the client did not come back in time.
+        Raises ClientGone: the client did not come back in time.
         """
         session, every = self._session, self._settings.steps(LOOK_EVERY)
         from_here = session.now + quiet
@@ -75,8 +74,7 @@ class EncounterMonitor:
     def until(self, time: float) -> bool:
         """Step until ``time`` [s]; True if the ego is there then and its client drives it.
 
-        Raises:
-            ClientGone: the client did not come (back) in time.
+        Raises ClientGone: the client did not come (back) in time.
         """
         session = self._session
         while session.now < time - 1e-6:

@@ -42,7 +42,6 @@ class Events:
         self._lock = threading.RLock()
 
     def tell(self, kind: str, **facts: Any) -> None:
-        """One event."""
         event = {"event": kind, "clock": round(time.time(), 3), **facts}
         with self._lock:
             for listener in self._listeners:
@@ -69,7 +68,6 @@ class EventFile:
             self.close()
 
     def close(self) -> None:
-        """End the file."""
         try:
             self._file.close()
         except OSError:
@@ -99,7 +97,6 @@ class Status:
                 handler(event)
 
     def report(self) -> dict[str, Any]:
-        """All of it."""
         with self._lock:
             return {**self._now, "uptime": round(time.time() - self._began, 1), "outcomes": list(self._outcomes)}
 
@@ -160,7 +157,6 @@ class StatusPage:
         self._thread.start()
 
     def close(self) -> None:
-        """Stop answering."""
         self._server.shutdown()
         self._server.server_close()
         self._thread.join()
@@ -223,7 +219,6 @@ class ResultWriter:
         self._tray.put((episode, number))
 
     def close(self) -> None:
-        """Wait until all is written."""
         if self._thread.is_alive():
             self._tray.put(None)
             self._thread.join()

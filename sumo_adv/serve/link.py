@@ -63,12 +63,10 @@ class Link:
             raise SumoGone("SUMO is no more.") from error
 
     def ask(self, message: bytes) -> bytes:
-        """SUMO's answer to a message of one command."""
         self._send(message)
         return self._receive()
 
     def step(self) -> bytes:
-        """Let SUMO step once."""
         return self.ask(_STEP)
 
     def now(self) -> float:
@@ -77,7 +75,6 @@ class Link:
         return float(struct.unpack("!d", answer[-8:])[0]) if framing.accepted(answer) else math.nan
 
     def step_length(self) -> float:
-        """SUMO's step [s]."""
         if not self._step_length:
             self._step_length = float(struct.unpack("!d", self.ask(_STEP_LENGTH)[-8:])[0])
         return self._step_length
@@ -95,7 +92,6 @@ class Link:
             self._idle()
 
     def unsubscribe(self, command: Command) -> None:
-        """End what a subscription began."""
         end = 20 + int.from_bytes(command.payload[16:20], "big")
         rest = command.payload[end : end + 9] if command.number in CONTEXTS else b""
         self.ask(make_message(make_command(command.number, _INVALID * 2 + command.payload[16:end] + rest + b"\0")))
@@ -108,7 +104,6 @@ class Link:
                 self._receive()
 
     def close(self) -> None:
-        """Close the connection."""
         self._line.close()
 
 
@@ -136,7 +131,6 @@ class Subscriptions:
             self._kept.pop(key, None)
 
     def end(self) -> None:
-        """End all of them."""
         for command in list(self._kept.values()):
             self._link.unsubscribe(command)
         self._kept.clear()
@@ -214,7 +208,6 @@ class OlderClients:
         return make_message(*parts)
 
     def _result(self, result: bytes, head: int) -> bytes:
-        """The result of one subscription."""
         if result[head] != _RESULT:
             return result
         payload = result[head + 1 :]

@@ -82,12 +82,7 @@ class Client:
         return self.line.receive(idle)
 
     def send(self, message: bytes, deadline: float) -> None:
-        """Send it an answer.
-
-        Raises:
-            Late: it did not take it within ``deadline`` seconds.
-            Gone: see Line.
-        """
+        """Send it an answer. Raises Late: it did not take it within ``deadline`` seconds; Gone: see Line."""
         until = time.monotonic() + deadline
 
         def idle() -> None:
@@ -109,8 +104,7 @@ class Client:
 def errors(message: bytes, reason: str) -> bytes:
     """The answer that refuses every command of a message, but for saying close. The first says why.
 
-    Raises:
-        FramingError: it is no message.
+    Raises FramingError: it is no message.
     """
     answers: list[bytes] = []
     for number, _, _ in framing.split(message):
@@ -137,7 +131,6 @@ class ClientSlot:
 
     @property
     def client(self) -> Client | None:
-        """The client on the seat."""
         return self._client
 
     def take(self, client: Client) -> bool:
@@ -167,6 +160,5 @@ class ClientSlot:
         self.tell(GateEvent(kind, sentence))
 
     def wait(self, timeout: float) -> bool:
-        """Wait up to ``timeout`` seconds until a client sits there."""
         with self._changed:
             return self._changed.wait_for(lambda: self._client is not None, timeout)

@@ -68,7 +68,6 @@ class Server:
 
     @property
     def ego(self) -> str:
-        """The vehicle that the client drives."""
         return self._task.ego if isinstance(self._task.ego, str) else INSERTED_EGO
 
     @property
@@ -110,7 +109,6 @@ class Server:
         return None
 
     def _wanted(self) -> bool:
-        """Whether another encounter is to come."""
         most = self._parts.options.encounters
         if self._fruitless >= FRUITLESS and not self.reason:
             self.reason = f"The last {FRUITLESS} simulations had no encounter."
@@ -145,7 +143,6 @@ class Server:
         self._end_session(clean=True)
 
     def _start(self) -> tuple[Session, EncounterMonitor]:
-        """A new simulation, and its client."""
         parts, task = self._parts, self._task
         self._session = session = Session(
             task.spec, parts.gate, parts.options, self._ego(task), parts.events, parts.check
@@ -285,8 +282,7 @@ class Server:
         """The predictions and the library for an encounter. The world waits for it; with ``real_time`` it goes on
         meanwhile.
 
-        Raises:
-            ModelError: a model plays a part and failed.
+        Raises ModelError: a model plays a part and failed.
         """
         began = time.perf_counter()
 
@@ -328,7 +324,6 @@ class Decision:
 
     @property
     def best(self) -> Proposal:
-        """What is predicted to be most dangerous."""
         return min(self.planned.search.pool, key=self.planned.search.price)
 
 

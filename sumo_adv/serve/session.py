@@ -44,8 +44,7 @@ def shared_sumo(
 ) -> tuple[SumoProcess, Connection]:  # fmt: skip
     """SUMO and our connection to it. ``own``, ``kept``: see ``Gate.attach``; ``private``: see ``SumoProcess``.
 
-    Raises:
-        SimulationError, UsageError: SUMO does not start, or is not installed, or others are always faster.
+    Raises SimulationError, UsageError: SUMO does not start, or is not installed, or others are always faster.
     """
     for tries in range(1, TRIES + 1):
         sumo = SumoProcess(arguments, private=private)
@@ -120,7 +119,6 @@ class Pace:
     _next: float | None = field(default=None)
 
     def wait(self) -> None:
-        """Until the next step is due."""
         time_now = time.monotonic()
         due = time_now if self._next is None else self._next
         if due > time_now:
@@ -140,8 +138,7 @@ class Session(Drive):
     ) -> None:  # fmt: skip
         """Start SUMO behind the gate. ``check`` is called every step and may raise.
 
-        Raises:
-            SimulationError, UsageError: SUMO does not start, or is not installed.
+        Raises SimulationError, UsageError: SUMO does not start, or is not installed.
         """
         self._gate, self._options, self._plan, self._events, self._check = gate, options, ego, events, check
         kept = () if ego.added else (ego.id,)
@@ -193,8 +190,7 @@ class Session(Drive):
     def hold(self) -> None:
         """Between encounters: wait for a client that has been away for a while.
 
-        Raises:
-            ClientGone: it does not come within ``patience``.
+        Raises ClientGone: it does not come within ``patience``.
         """
         if self._gate.connected or (self.steps and (self.pace is not None or self.now - self.away_since < ALONE)):
             return
@@ -234,7 +230,6 @@ class Session(Drive):
 
     @property
     def spec(self) -> SimulationSpec:
-        """What SUMO was started with."""
         return self.simulation.spec
 
     # -- the ego ------------------------------------------------------------------------------------------------
@@ -308,7 +303,6 @@ class Session(Drive):
             self.simulation.set_speed(self._plan.id, None)
 
     def _stand_in(self) -> None:
-        """Drive the ego in its client's stead."""
         if self.steps and self._options.on_loss is OnLoss.BRAKE and self.present_since is not None:
             speed = self.snapshot.raw[self._plan.id][3] - STAND_IN_BRAKING * self.spec.step_length
             self.simulation.set_speed(self._plan.id, speed)

@@ -24,15 +24,9 @@ class Turns:
     """One simulation, from attach to its end. ``run`` in one thread; everything else from any."""
 
     def __init__(
-        self,
-        connect: Callable[[Callable[[], None]], Link],
-        policy: Policy,
-        seat: ClientSlot,
-        deadline: float,
-        stopping: Callable[[], bool],
-        why_ended: Callable[[], str],
-        older: bool = False,
-    ) -> None:
+        self, connect: Callable[[Callable[[], None]], Link], policy: Policy, seat: ClientSlot, deadline: float,
+        stopping: Callable[[], bool], why_ended: Callable[[], str], older: bool = False,
+    ) -> None:  # fmt: skip
         """``connect`` makes the link to SUMO, given what to call while waiting for it; ``older``: see OlderClients."""
         self.policy = policy
         self.stepped_by = Stepper.GATE
@@ -71,7 +65,6 @@ class Turns:
         return self._parting or self._stopping()
 
     def _next(self) -> None:
-        """One message of the client, or a step in its stead."""
         client = self._seat.client
         if client is not self._served:
             self._subscriptions.end()
@@ -82,7 +75,6 @@ class Turns:
             self._guarded(client, self._converse)
 
     def _converse(self, client: Client) -> None:
-        """One message of the client and its answer."""
         message = self._listen(client)
         commands = framing.split(message)
         try:
@@ -269,18 +261,15 @@ class Turns:
             if until > present + LONGEST_STEP:
                 return self._refuse(client, command, f"A step cannot be longer than {LONGEST_STEP:g} s.")
             if until <= present:
-                return self._shown(
-                    self._link.ask(make_message(make_command(framing.SIMSTEP, struct.pack("!d", present))))
-                )
+                return self._link.ask(make_message(make_command(framing.SIMSTEP, struct.pack("!d", present))))
             count = max(1, math.ceil((until - present) / self._link.step_length() - 1e-6))
-        return self._shown(self._steps(client, count))
+        return self._steps(client, count)
 
     def _steps(self, client: Client, count: int) -> bytes:
         """Step one at a time, and only while the client is there: a client that asked for an hour and went drives no
         longer.
 
-        Raises:
-            Gone: it is not there any longer.
+        Raises Gone: it is not there any longer.
         """
         answer = _EMPTY_STEP
         for k in range(count):
@@ -293,10 +282,6 @@ class Turns:
             self.client_steps += 1
             self._our_turn = False
         return answer
-
-    def _shown(self, answer: bytes) -> bytes:
-        """The answer to a step as the client may see it."""
-        return framing.without(answer, self.policy.hidden) if self.policy.hidden else answer
 
     def _while_sumo_works(self) -> None:
         """Look after the client while SUMO takes its time."""

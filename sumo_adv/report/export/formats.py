@@ -1,9 +1,4 @@
-"""What may be chosen of an export. Light: the command line imports it.
-
-The formats: what each is called, what it needs and which function writes it.
-
-Writes runs in the formats of other tools.
-"""
+"""The formats: what each is called, what it needs, and writing a run in one of them."""
 
 from __future__ import annotations
 
@@ -47,7 +42,13 @@ class Entry:
     @property
     def missing(self) -> str:
         """The packages that do not import, separated by commas."""
-        return ", ".join(name for name in self.packages if not _imports(name))
+        lacking = []
+        for name in self.packages:
+            try:
+                import_module(name)
+            except ImportError:
+                lacking.append(name)
+        return ", ".join(lacking)
 
     def need(self, format: Format) -> None:
         """Raise UsageError, saying what to install, if a package is missing."""
@@ -55,14 +56,6 @@ class Entry:
             raise UsageError(
                 f"The format {format} needs what is not installed ({missing}): pip install 'sumo-adv[{self.extra}]'."
             )
-
-
-def _imports(name: str) -> bool:
-    try:
-        import_module(name)
-    except ImportError:
-        return False
-    return True
 
 
 def _text(of: Callable[[Piece], str]) -> Write:
@@ -96,16 +89,11 @@ FORMATS: dict[Format, Entry] = {
     Format.OSI: Entry("_gt.osi", _replayed(write_osi), "osi", ("osi3.osi_groundtruth_pb2",)),
     Format.SCENARIONET: Entry("-scenarionet", _replayed(write_scenarionet), marker=SUMMARY),
 }  # fmt: skip
-
-
 HOLDERS = (".", "failures", "runs")  # where hunts, regression suites and campaigns keep their runs
 
 
 def chosen(format: Format) -> list[Format]:
-    """The formats that ``format`` stands for.
-
-    Raises UsageError: a package of the one format is missing.
-    """
+    """The formats that ``format`` stands for. Raises UsageError: a package of the one format is missing."""
     if format is Format.ALL:
         return [each for each, entry in FORMATS.items() if not entry.missing]
     FORMATS[format].need(format)
@@ -141,14 +129,10 @@ def write_export(target: Path, piece: Piece, format: Format, variant: Variant, *
             lost = entry.write(folder.stage, piece, variant)
             folder.keep(force=force)
         return lost
-    return _file(target, piece, entry, variant, force=force)
-
-
-def _file(target: Path, piece: Piece, entry: Entry, variant: Variant, *, force: bool) -> str | None:
     if target.is_dir() or (target.exists() and not force):
         raise UsageError(f"{target} is there already; give another --out, or --force to replace a file.")
     with sentences(target):
         target.parent.mkdir(parents=True, exist_ok=True)
-        lost: list[str | None] = []
-        write_whole(target, lambda part: lost.append(entry.write(part, piece, variant)))
-        return lost[0]
+        said: list[str | None] = []
+        write_whole(target, lambda part: said.append(entry.write(part, piece, variant)))
+        return said[0]

@@ -1,12 +1,9 @@
-"""A run as MCAP with Foxglove's schemas, for Lichtblick and Foxglove: vehicles, road, the ego's pose, a log.
+"""A run as MCAP with Foxglove's schemas (for Lichtblick and Foxglove), and as an ASAM OSI trace.
 
-Topics: ``/vehicles`` and ``/road`` (SceneUpdate), ``/ego`` (PoseInFrame), ``/adversaries`` (PosesInFrame), ``/log``
-(Log). Times are simulation times since 1970; the frame ``world`` is the network's.
-
-A run as an ASAM OSI trace: a GroundTruth a step, each after its length in 4 bytes (little-endian).
-
-Positions are centres of boxes, timestamps are simulation times. The lanes are in the first message only: they do not
-change. Objects are numbered in the order of the run from 1; their ids are in ``source_reference``.
+MCAP topics: ``/vehicles`` and ``/road`` (SceneUpdate), ``/ego`` (PoseInFrame), ``/adversaries`` (PosesInFrame),
+``/log`` (Log). The frame ``world`` is the network's. OSI: a GroundTruth a step, each after its length in 4 bytes
+(little-endian); the lanes are in the first message only, because they do not change. Objects are numbered in the order
+of the run from 1; their ids are in ``source_reference``. Times are simulation times, positions are centres of boxes.
 """
 
 from __future__ import annotations
@@ -26,12 +23,15 @@ COLOURS = {
 }  # fmt: skip
 LINE = 0.15  # m, how thick lines of the road are drawn
 NANO = 1_000_000_000
+LANES = 100_000  # ids of OSI's lanes begin behind it
+KINDS = {"car": "TYPE_CAR", "truck": "TYPE_HEAVY_TRUCK", "bicycle": "TYPE_BICYCLE"}
 
 
 def write_mcap(target: Path, piece: Piece) -> None:
     """Write one message a topic and step. Needs foxglove-sdk. Raises UsageError: the network is unreadable."""
     import foxglove
     from foxglove import channels
+    from foxglove import messages as m
 
     context = foxglove.Context()
     vehicles, road = (channels.SceneUpdateChannel(name, context=context) for name in ("/vehicles", "/road"))
@@ -48,12 +48,14 @@ def write_mcap(target: Path, piece: Piece) -> None:
             vehicles.log(_scene(there, time, piece.step), log_time=at)
             poses = {t.id: _pose(t, k) for t, k in there}
             if piece.ego in poses:
-                ego.log(_messages().PoseInFrame(**_stamp(time), pose=poses[piece.ego]), log_time=at)
+                ego.log(m.PoseInFrame(timestamp=_stamp(time), frame_id=FRAME, pose=poses[piece.ego]), log_time=at)
             attack = [poses[t.id] for t, _ in there if t.role is Role.ADVERSARY]
-            adversaries.log(_messages().PosesInFrame(**_stamp(time), poses=attack), log_time=at)
+            adversaries.log(m.PosesInFrame(timestamp=_stamp(time), frame_id=FRAME, poses=attack), log_time=at)
             while said and said[0][0] < time + piece.step / 2:
                 when, text, severe = said.pop(0)
-                log.log(_log(when, text, severe), log_time=max(at, nanoseconds(when)))
+                level = m.LogLevel.Warning if severe else m.LogLevel.Info
+                words = m.Log(timestamp=_stamp(when), level=level, message=text, name="sumo_adv")
+                log.log(words, log_time=max(at, nanoseconds(when)))
 
 
 def nanoseconds(time: float) -> int:
@@ -61,33 +63,34 @@ def nanoseconds(time: float) -> int:
     return round(time * 1e6) * 1000
 
 
-def _messages() -> Any:
-    from foxglove import messages
+def _stamp(time: float) -> Any:
+    from foxglove.messages import Timestamp
 
-    return messages
-
-
-def _stamp(time: float, name: str = "timestamp") -> dict[str, Any]:
     sec, nsec = divmod(nanoseconds(time), NANO)
-    return {name: _messages().Timestamp(sec=sec, nsec=nsec), "frame_id": FRAME}
+    return Timestamp(sec=sec, nsec=nsec)
 
 
 def _index(track: Track, time: float, step: float) -> int | None:
+    """The place of a time among the track's states; None where it has none."""
     k = round((time - float(track.time[0])) / step)
     return k if 0 <= k < len(track.time) else None
 
 
 def _pose(track: Track, k: int, z: float = 0.0) -> Any:
-    m, half = _messages(), float(track.heading[k]) / 2
-    return m.Pose(
-        position=m.Vector3(x=float(track.x[k]), y=float(track.y[k]), z=z),
-        orientation=m.Quaternion(x=0.0, y=0.0, z=math.sin(half), w=math.cos(half)),
+    from foxglove.messages import Pose, Quaternion, Vector3
+
+    half = float(track.heading[k]) / 2
+    return Pose(
+        position=Vector3(x=float(track.x[k]), y=float(track.y[k]), z=z),
+        orientation=Quaternion(x=0.0, y=0.0, z=math.sin(half), w=math.cos(half)),
     )
 
 
 def _scene(there: list[tuple[Track, int]], time: float, step: float) -> Any:
     """A box a vehicle, which lasts until the next step."""
-    m, entities = _messages(), []
+    from foxglove import messages as m
+
+    entities = []
     for track, k in there:
         height = HEIGHT[kind(track)]
         red, green, blue = COLOURS[track.role]
@@ -96,30 +99,26 @@ def _scene(there: list[tuple[Track, int]], time: float, step: float) -> Any:
             color=m.Color(r=red, g=green, b=blue, a=0.9),
         )  # fmt: skip
         known = {"role": str(track.role), "speed_m_s": f"{track.speed[k]:.4f}", "lane": track.lane[k]}
-        entities.append(
-            m.SceneEntity(
-                **_stamp(time),
-                id=track.id,
-                lifetime=m.Duration(sec=0, nsec=round(step * NANO)),
-                cubes=[cube],
-                metadata=[m.KeyValuePair(key=key, value=value) for key, value in known.items()],
-            )
-        )
+        entity = m.SceneEntity(
+            timestamp=_stamp(time), frame_id=FRAME, id=track.id, cubes=[cube],
+            lifetime=m.Duration(sec=0, nsec=round(step * NANO)),
+            metadata=[m.KeyValuePair(key=key, value=value) for key, value in known.items()],
+        )  # fmt: skip
+        entities.append(entity)
     return m.SceneUpdate(entities=entities)
 
 
 def _road(piece: Piece) -> Any:
     """Both sides of each lane, once."""
-    m, entities = _messages(), []
+    from foxglove import messages as m
+
+    entities, strip, grey = [], m.LinePrimitiveLineType.LineStrip, m.Color(r=0.8, g=0.8, b=0.8, a=1.0)
     for each in map_lanes(piece):
-        lines = [
-            m.LinePrimitive(
-                type=m.LinePrimitiveLineType.LineStrip, thickness=LINE, color=m.Color(r=0.8, g=0.8, b=0.8, a=1.0),
-                points=[m.Point3(x=x, y=y, z=0.0) for x, y in line.tolist()],
-            )
-            for line in (each.left, each.right)
-        ]  # fmt: skip
-        entities.append(m.SceneEntity(**_stamp(piece.begin), id=each.lane.id, lines=lines))
+        points = [[m.Point3(x=x, y=y, z=0.0) for x, y in line.tolist()] for line in (each.left, each.right)]
+        lines = [m.LinePrimitive(type=strip, thickness=LINE, color=grey, points=some) for some in points]
+        entities.append(
+            m.SceneEntity(timestamp=_stamp(piece.begin), frame_id=FRAME, id=each.lane.id, lines=lines)
+        )  # fmt: skip
     return m.SceneUpdate(entities=entities)
 
 
@@ -134,26 +133,15 @@ def _said(piece: Piece) -> list[tuple[float, str, bool]]:
     return said
 
 
-def _log(time: float, text: str, severe: bool) -> Any:
-    m = _messages()
-    sec, nsec = divmod(nanoseconds(time), NANO)
-    level = m.LogLevel.Warning if severe else m.LogLevel.Info
-    return m.Log(timestamp=m.Timestamp(sec=sec, nsec=nsec), level=level, message=text, name="sumo_adv")
-
-
-LANES = 100_000  # ids of lanes begin behind it
-KINDS = {"car": "TYPE_CAR", "truck": "TYPE_HEAVY_TRUCK", "bicycle": "TYPE_BICYCLE"}
-
-
 def write_osi(target: Path, piece: Piece) -> None:
     """Write the trace. Needs osi-python. Raises UsageError: the network is unreadable."""
     with target.open("wb") as file:
         for step in range(round((piece.end - piece.begin) / piece.step) + 1):
-            data = ground_truth(piece, step).SerializeToString(deterministic=True)
+            data = _ground_truth(piece, step).SerializeToString(deterministic=True)
             file.write(struct.pack("<I", len(data)) + data)
 
 
-def ground_truth(piece: Piece, step: int) -> Any:
+def _ground_truth(piece: Piece, step: int) -> Any:
     """The GroundTruth message of a step, counted from the first exported one."""
     from osi3.osi_groundtruth_pb2 import GroundTruth
     from osi3.osi_version_pb2 import DESCRIPTOR, current_interface_version
@@ -164,8 +152,7 @@ def ground_truth(piece: Piece, step: int) -> Any:
     for number, track in enumerate(piece.tracks, 1):
         if track.id == piece.ego:
             truth.host_vehicle_id.value = number
-        k = round((time - float(track.time[0])) / piece.step)
-        if 0 <= k < len(track.time):
+        if (k := _index(track, time, piece.step)) is not None:
             _add_object(truth, number, track, k)
     if step == 0:
         _add_lanes(truth, piece)

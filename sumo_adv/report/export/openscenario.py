@@ -1,21 +1,10 @@
-"""Vehicles and obstacles as OpenSCENARIO entities: sizes, boxes and reference points.
+"""A run as ASAM OpenSCENARIO 1.2 with its road as OpenDRIVE: a folder of two files.
 
-An OpenSCENARIO vehicle stands where the middle of its rear axle is, on the ground.  SUMO's vehicle types have no axles,
-so a convention stands in, the same for every vehicle: wheelbase 0.6 of the length, equal overhangs, hence the box's
-centre 0.3 of the length ahead of the rear axle.  The reference point of other objects is their box's centre.
-
-A run as ASAM OpenSCENARIO 1.2 with its road as OpenDRIVE: a folder of two files.
-
-World x, y, h are SUMO's coordinates of the network; where a vehicle stands is said in ``entities.py``.
-
-What happens in the OpenSCENARIO file: the positions at its start, and the timed trajectories from then on.
-
-Time 0 of the file is the piece's begin.  A vehicle that comes later is added by an action; it is deleted when it
-leaves.
-
-The network as OpenDRIVE, by SUMO's netconvert, in the network's own coordinates.
-
-The ASAM schemas, as ``asam-qc-openscenarioxml`` carries them, and checking against them.
+World x, y, h are SUMO's coordinates of the network; time 0 is the piece's begin. An OpenSCENARIO vehicle stands where
+the middle of its rear axle is, on the ground. SUMO's vehicle types have no axles, so a convention stands in, the same
+for every vehicle: wheelbase 0.6 of the length, equal overhangs, hence the box's centre 0.3 of the length ahead of the
+rear axle. The reference point of other objects is their box's centre. A vehicle that comes later is added by an action;
+it is deleted when it leaves.
 """
 
 from __future__ import annotations
@@ -25,7 +14,7 @@ import math
 import re
 import subprocess
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from functools import cache
 from pathlib import Path
@@ -41,80 +30,16 @@ from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.report.export import Variant
 from sumo_adv.report.export.piece import HEIGHT, LARGEST_STEER, WHEELBASE, Piece, kind, metres, printable
 
+SCENARIO, ROAD = "scenario.xosc", "road.xodr"
+VERSION = "1.2.0"  # of the schema
 CENTRE = 0.3  # of the length, from the rear axle to the box's centre
 TRACK_WIDTH = 0.85  # of the width
 WHEEL = 0.65  # m
 MASS = {"car": 1500, "truck": 12000, "bicycle": 90, "pedestrian": 75, "obstacle": 500}  # kg
 FASTEST, ACCELERATION, BRAKING = 70.0, 4.0, 9.0  # m/s, m/s2: wide enough for every trajectory
-
-
-def centre_ahead(track: Track) -> float:
-    """How far the box's centre is ahead of the reference point [m]."""
-    return 0.0 if kind(track) in ("pedestrian", "obstacle") else CENTRE * track.length
-
-
-def reference_points(track: Track) -> tuple[Floats, Floats, Floats]:
-    """x, y [m] of the reference point and heading [rad], unwrapped, at the track's times."""
-    ahead = centre_ahead(track)
-    x, y = track.x - ahead * np.cos(track.heading), track.y - ahead * np.sin(track.heading)
-    return x, y, np.unwrap(track.heading)
-
-
-def entity_names(tracks: Sequence[Track]) -> dict[str, str]:
-    """A name that OpenSCENARIO takes for each id: no control character, no ``$`` (a parameter), each its own."""
-    names: dict[str, str] = {}
-    for track in tracks:
-        name = "".join(c if c.isprintable() and c not in "$:" else "_" for c in track.id).strip() or "_"
-        while name in names.values():
-            name += "_"
-        names[track.id] = name
-    return names
-
-
-def add_entities(parent: Element, tracks: Sequence[Track], names: dict[str, str]) -> None:
-    """``Entities`` with a ``ScenarioObject`` a track."""
-    entities = SubElement(parent, "Entities")
-    for track in tracks:
-        scenario_object = SubElement(entities, "ScenarioObject", name=names[track.id])
-        category = kind(track)
-        if category == "pedestrian":
-            thing = SubElement(scenario_object, "Pedestrian", pedestrianCategory="pedestrian")
-        elif category == "obstacle":
-            thing = SubElement(scenario_object, "MiscObject", miscObjectCategory="obstacle")
-        else:
-            thing = SubElement(scenario_object, "Vehicle", vehicleCategory=category)
-        thing.set("name", f"{category}_{track.length:.2f}x{track.width:.2f}")
-        thing.set("mass", str(MASS[category]))
-        _add_box(thing, track, category)
-        if thing.tag == "Vehicle":
-            _add_vehicle_parts(thing, track)
-        properties = SubElement(thing, "Properties")
-        SubElement(properties, "Property", name="sumo_adv_id", value=printable(track.id))
-        SubElement(properties, "Property", name="sumo_adv_role", value=str(track.role))
-
-
-def _add_box(thing: Element, track: Track, category: str) -> None:
-    box = SubElement(thing, "BoundingBox")
-    height = HEIGHT[category]
-    SubElement(box, "Center", x=metres(centre_ahead(track)), y="0.0", z=metres(height / 2))
-    SubElement(
-        box, "Dimensions", length=metres(track.length), width=metres(track.width), height=metres(height)
-    )  # fmt: skip
-
-
-def _add_vehicle_parts(thing: Element, track: Track) -> None:
-    SubElement(
-        thing, "Performance", maxSpeed=f"{FASTEST}", maxAcceleration=f"{ACCELERATION}", maxDeceleration=f"{BRAKING}"
-    )
-    axles = SubElement(thing, "Axles")
-    for name, at, steer in (("FrontAxle", WHEELBASE * track.length, LARGEST_STEER), ("RearAxle", 0.0, 0.0)):
-        SubElement(
-            axles, name, maxSteering=f"{steer}", wheelDiameter=f"{WHEEL}", trackWidth=metres(TRACK_WIDTH * track.width),
-            positionX=metres(at), positionZ=metres(WHEEL / 2),
-        )  # fmt: skip
-
-
-SCENARIO, ROAD = "scenario.xosc", "road.xodr"
+SLACK = 0.5  # s: how much before its time a free ego's nearness may start the attack
+PATIENCE = 600.0  # s for netconvert: a town takes seconds
+Names = Mapping[str, str]
 
 
 def write_openscenario(folder: Path, piece: Piece, netconvert: Path, variant: Variant = Variant.REPLAY) -> None:
@@ -131,90 +56,127 @@ def write_openscenario(folder: Path, piece: Piece, netconvert: Path, variant: Va
 
 
 def openscenario(piece: Piece, variant: Variant = Variant.REPLAY) -> str:
-    """The document. Raises UsageError: a free ego needs an adversary."""
+    """The document: all vehicles as recorded, or all but the ego, which then starts so and is the player's.
+
+    Adversaries follow their recording to the takeover. From the takeover's time on they attack, or with a free ego up
+    to ``SLACK`` earlier if it is as near to the collider by then as at the recorded takeover: all begin together.
+
+    Raises UsageError: a free ego needs an adversary.
+    """
     if variant is Variant.FREE_EGO and (piece.adversary is None or piece.takeover is None):
         raise UsageError("A free ego needs an adversary: export a run that was attacked, without --unattacked.")
     names = entity_names(piece.tracks)
     root = Element("OpenSCENARIO")
     header = SubElement(
-        root, "FileHeader", revMajor="1", revMinor="2", date=piece.written.strftime("%Y-%m-%dT%H:%M:%S")
-    )
-    header.set("author", f"sumo_adv {__version__}")
-    header.set("description", printable(f"{piece.name}, {variant}; time 0 is {piece.begin:.3f} s of the simulation"))
+        root, "FileHeader", revMajor="1", revMinor="2", date=piece.written.strftime("%Y-%m-%dT%H:%M:%S"),
+        author=f"sumo_adv {__version__}",
+        description=printable(f"{piece.name}, {variant}; time 0 is {piece.begin:.3f} s of the simulation"),
+    )  # fmt: skip
+    known = {"begin": f"{piece.begin:.3f}", "end": f"{piece.end:.3f}", "ego": names[piece.ego]}
+    if piece.adversary is not None:
+        known |= {"adversary": names[piece.adversary], "takeover": f"{piece.takeover:.3f}"}
+    known |= {f"support_{k}": names[support] for k, support in enumerate(piece.supports, 1)}
     properties = SubElement(header, "Properties")
-    for name, value in _properties(piece, names).items():
+    for name, value in known.items():  # what a reader needs to find its way back to the run
         SubElement(properties, "Property", name=f"sumo_adv_{name}", value=value)
     SubElement(root, "CatalogLocations")
     SubElement(SubElement(root, "RoadNetwork"), "LogicFile", filepath=ROAD)
-    add_entities(root, piece.tracks, names)
-    (add_replay if variant is Variant.REPLAY else add_free_ego)(root, piece, names)
+    _add_entities(root, piece.tracks, names)
+    _add_storyboard(root, piece, variant, names)
     indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + tostring(root, encoding="unicode") + "\n"
 
 
-def _properties(piece: Piece, names: dict[str, str]) -> dict[str, str]:
-    """What a reader needs to find its way back to the run."""
-    properties = {"begin": f"{piece.begin:.3f}", "end": f"{piece.end:.3f}", "ego": names[piece.ego]}
-    if piece.adversary is not None:
-        properties |= {"adversary": names[piece.adversary], "takeover": f"{piece.takeover:.3f}"}
-    return properties | {f"support_{k}": names[support] for k, support in enumerate(piece.supports, 1)}
+# -- entities ---------------------------------------------------------------------------------------------------------
 
 
-SLACK = 0.5  # s: how much before its time a free ego's nearness may start the attack
-Names = dict[str, str]
+def entity_names(tracks: Sequence[Track]) -> dict[str, str]:
+    """A name that OpenSCENARIO takes for each id: no control character, no ``$`` (a parameter), each its own."""
+    names: dict[str, str] = {}
+    for track in tracks:
+        name = "".join(c if c.isprintable() and c not in "$:" else "_" for c in track.id).strip() or "_"
+        while name in names.values():
+            name += "_"
+        names[track.id] = name
+    return names
 
 
-def add_replay(parent: Element, piece: Piece, names: Names) -> None:
-    """All vehicles as recorded."""
-    act = _add_story(parent, piece, names)
-    for track in piece.tracks:
-        _add_recorded(act, piece, track, names)
-    _finish(parent, act, piece)
+def _centre_ahead(track: Track) -> float:
+    """How far the box's centre is ahead of the reference point [m]."""
+    return 0.0 if kind(track) in ("pedestrian", "obstacle") else CENTRE * track.length
 
 
-def add_free_ego(parent: Element, piece: Piece, names: Names) -> None:
-    """The ego starts as recorded and is then the player's; adversaries attack when triggered; others as recorded.
-
-    An adversary follows its recording to the takeover.  From the takeover's time on it attacks, or up to ``SLACK``
-    earlier if the ego is as near to the collider by then as it was at the recorded takeover: all begin together.
-    """
-    act = _add_story(parent, piece, names)
-    for track in piece.tracks:
-        if track.role is Role.ADVERSARY:
-            _add_attacker(act, piece, track, names)
-        elif track.id != piece.ego:
-            _add_recorded(act, piece, track, names)
-    _finish(parent, act, piece)
+def reference_points(track: Track) -> tuple[Floats, Floats, Floats]:
+    """x, y [m] of the reference point and heading [rad], unwrapped, at the track's times."""
+    ahead = _centre_ahead(track)
+    x, y = track.x - ahead * np.cos(track.heading), track.y - ahead * np.sin(track.heading)
+    return x, y, np.unwrap(track.heading)
 
 
-def _add_story(parent: Element, piece: Piece, names: Names) -> Element:
-    """Storyboard, Init and an Act to fill."""
+def _add_entities(parent: Element, tracks: Sequence[Track], names: Names) -> None:
+    entities = SubElement(parent, "Entities")
+    for track in tracks:
+        scenario_object = SubElement(entities, "ScenarioObject", name=names[track.id])
+        category = kind(track)
+        if category == "pedestrian":
+            thing = SubElement(scenario_object, "Pedestrian", pedestrianCategory="pedestrian")
+        elif category == "obstacle":
+            thing = SubElement(scenario_object, "MiscObject", miscObjectCategory="obstacle")
+        else:
+            thing = SubElement(scenario_object, "Vehicle", vehicleCategory=category)
+        thing.set("name", f"{category}_{track.length:.2f}x{track.width:.2f}")
+        thing.set("mass", str(MASS[category]))
+        box, height = SubElement(thing, "BoundingBox"), HEIGHT[category]
+        SubElement(box, "Center", x=metres(_centre_ahead(track)), y="0.0", z=metres(height / 2))
+        size = {"length": metres(track.length), "width": metres(track.width), "height": metres(height)}
+        SubElement(box, "Dimensions", size)
+        if thing.tag == "Vehicle":
+            _add_vehicle_parts(thing, track)
+        properties = SubElement(thing, "Properties")
+        SubElement(properties, "Property", name="sumo_adv_id", value=printable(track.id))
+        SubElement(properties, "Property", name="sumo_adv_role", value=str(track.role))
+
+
+def _add_vehicle_parts(thing: Element, track: Track) -> None:
+    SubElement(
+        thing, "Performance", maxSpeed=f"{FASTEST}", maxAcceleration=f"{ACCELERATION}", maxDeceleration=f"{BRAKING}"
+    )
+    axles = SubElement(thing, "Axles")
+    for name, at, steer in (("FrontAxle", WHEELBASE * track.length, LARGEST_STEER), ("RearAxle", 0.0, 0.0)):
+        SubElement(
+            axles, name, maxSteering=f"{steer}", wheelDiameter=f"{WHEEL}", trackWidth=metres(TRACK_WIDTH * track.width),
+            positionX=metres(at), positionZ=metres(WHEEL / 2),
+        )  # fmt: skip
+
+
+# -- what happens -----------------------------------------------------------------------------------------------------
+
+
+def _add_storyboard(parent: Element, piece: Piece, variant: Variant, names: Names) -> None:
+    """The positions at the start, and the timed trajectories from then on."""
     storyboard = SubElement(parent, "Storyboard")
     actions = SubElement(SubElement(storyboard, "Init"), "Actions")
     for track in piece.tracks:
         if _is_late(track, piece):
             continue
         private = SubElement(actions, "Private", entityRef=names[track.id])
-        _add_position(SubElement(SubElement(private, "PrivateAction"), "TeleportAction"), track, 0)
-        speed = SubElement(
-            SubElement(SubElement(private, "PrivateAction"), "LongitudinalAction"), "SpeedAction"
-        )  # fmt: skip
+        _add_position(_nested(private, "PrivateAction", "TeleportAction"), track, 0)
+        speed = _nested(private, "PrivateAction", "LongitudinalAction", "SpeedAction")
         SubElement(speed, "SpeedActionDynamics", dynamicsShape="step", dynamicsDimension="time", value="0.0")
         target = SubElement(speed, "SpeedActionTarget")
         SubElement(target, "AbsoluteTargetSpeed", value=metres(float(track.speed[0])))
-    return SubElement(SubElement(storyboard, "Story", name="recording"), "Act", name="act")
-
-
-def _finish(parent: Element, act: Element, piece: Piece) -> None:
+    act = SubElement(SubElement(storyboard, "Story", name="recording"), "Act", name="act")
+    for track in piece.tracks:
+        if variant is Variant.FREE_EGO and track.role is Role.ADVERSARY:
+            _add_attacker(act, piece, track, names)
+        elif variant is Variant.REPLAY or track.id != piece.ego:
+            _add_recorded(act, piece, track, names[track.id])
     _add_time_trigger(act, "StartTrigger", 0.0, "start")
-    storyboard = parent.find("Storyboard")
-    assert storyboard is not None
     _add_time_trigger(storyboard, "StopTrigger", piece.end - piece.begin, "end")
 
 
-def _add_recorded(act: Element, piece: Piece, track: Track, names: Names) -> None:
+def _add_recorded(act: Element, piece: Piece, track: Track, name: str) -> None:
     """Come, follow the recording, go."""
-    name = names[track.id]
     begin, end = float(track.time[0]) - piece.begin, float(track.time[-1]) - piece.begin
     maneuver = _add_maneuver(act, name)
     if _is_late(track, piece):
@@ -236,7 +198,7 @@ def _add_recorded(act: Element, piece: Piece, track: Track, names: Names) -> Non
 def _add_attacker(act: Element, piece: Piece, track: Track, names: Names) -> None:
     """The recording up to the takeover, then the attack on a clock of its own."""
     assert piece.takeover is not None and piece.adversary is not None
-    name, collider = names[track.id], piece.track(piece.adversary)
+    name, takeover = names[track.id], piece.takeover - piece.begin
     maneuver = _add_maneuver(act, name)
     lead, attack = track.between(track.time[0], piece.takeover), track.between(piece.takeover, piece.end)
     if len(lead.time) > 1:
@@ -246,27 +208,25 @@ def _add_attacker(act: Element, piece: Piece, track: Track, names: Names) -> Non
     event = _add_event(maneuver, f"{name} attacks")
     _add_following(event, f"{name} follows its attack", attack, attack.time - attack.time[0], absolute=False)
     trigger = SubElement(event, "StartTrigger")
-    takeover = piece.takeover - piece.begin
     _add_time(SubElement(trigger, "ConditionGroup"), takeover, "time of the takeover")
     group = SubElement(trigger, "ConditionGroup")
     _add_time(group, max(0.0, takeover - SLACK), "shortly before the takeover")
-    _add_nearness(group, names[collider.id], names[piece.ego], _distance(piece, collider))
-
-
-def _distance(piece: Piece, track: Track) -> float:
-    """m between the reference points of adversary and ego at the takeover."""
-    assert piece.takeover is not None
-    (x, y), (ego_x, ego_y) = (_reference_point(each, piece.takeover) for each in (track, piece.track(piece.ego)))
-    return math.hypot(x - ego_x, y - ego_y)
-
-
-def _reference_point(track: Track, time: float) -> tuple[float, float]:
-    x, y, _ = reference_points(track)
-    return float(np.interp(time, track.time, x)), float(np.interp(time, track.time, y))
+    (x, y), (ego_x, ego_y) = (
+        [float(np.interp(piece.takeover, each.time, values)) for values in reference_points(each)[:2]]
+        for each in (piece.track(piece.adversary), piece.track(piece.ego))
+    )
+    _add_nearness(group, names[piece.adversary], names[piece.ego], math.hypot(x - ego_x, y - ego_y))
 
 
 def _is_late(track: Track, piece: Piece) -> bool:
     return bool(track.time[0] > piece.begin + piece.step / 2)
+
+
+def _nested(parent: Element, *tags: str) -> Element:
+    """The innermost of new elements, each in the one before."""
+    for tag in tags:
+        parent = SubElement(parent, tag)
+    return parent
 
 
 def _add_maneuver(act: Element, name: str) -> Element:
@@ -286,9 +246,7 @@ def _add_action(event: Element, name: str, sort: str) -> Element:
 
 def _add_following(event: Element, name: str, track: Track, time: Floats, *, absolute: bool) -> None:
     """FollowTrajectoryAction with a vertex a state; ``time`` [s] on the file's clock, or from the action's start on."""
-    action = SubElement(
-        SubElement(_add_action(event, name, "PrivateAction"), "RoutingAction"), "FollowTrajectoryAction"
-    )
+    action = _nested(_add_action(event, name, "PrivateAction"), "RoutingAction", "FollowTrajectoryAction")
     reference = SubElement(action, "TimeReference")
     domain = "absolute" if absolute else "relative"
     SubElement(reference, "Timing", domainAbsoluteRelative=domain, offset="0.0", scale="1.0")
@@ -296,31 +254,25 @@ def _add_following(event: Element, name: str, track: Track, time: Floats, *, abs
     trajectory = SubElement(
         SubElement(action, "TrajectoryRef"), "Trajectory", name=f"{name}: trajectory", closed="false"
     )
-    line = SubElement(SubElement(trajectory, "Shape"), "Polyline")
+    line = _nested(trajectory, "Shape", "Polyline")
     for k, t in enumerate(time.tolist()):
         _add_position(SubElement(line, "Vertex", time=_seconds(t)), track, k)
 
 
 def _add_position(parent: Element, track: Track, k: int) -> None:
     x, y, heading = reference_points(track)
-    SubElement(
-        SubElement(parent, "Position"), "WorldPosition",
-        x=metres(float(x[k])), y=metres(float(y[k])), h=f"{heading[k] + 0.0:.6f}",
-    )  # fmt: skip
+    place = {"x": metres(float(x[k])), "y": metres(float(y[k])), "h": f"{heading[k] + 0.0:.6f}"}
+    SubElement(SubElement(parent, "Position"), "WorldPosition", place)
 
 
 def _add_time_trigger(parent: Element, tag: str, time: float, name: str) -> None:
-    _add_time(SubElement(SubElement(parent, tag), "ConditionGroup"), time, name)
+    _add_time(_nested(parent, tag, "ConditionGroup"), time, name)
 
 
 def _add_time(group: Element, time: float, name: str) -> None:
     condition = SubElement(group, "Condition", name=name, delay="0.0", conditionEdge="none")
-    SubElement(
-        SubElement(condition, "ByValueCondition"),
-        "SimulationTimeCondition",
-        value=_seconds(time),
-        rule="greaterOrEqual",
-    )
+    by_value = SubElement(condition, "ByValueCondition")
+    SubElement(by_value, "SimulationTimeCondition", value=_seconds(time), rule="greaterOrEqual")
 
 
 def _add_nearness(group: Element, name: str, ego: str, distance: float) -> None:
@@ -335,11 +287,10 @@ def _add_nearness(group: Element, name: str, ego: str, distance: float) -> None:
 
 
 def _seconds(value: float) -> str:
-    """Milliseconds."""
     return f"{value + 0.0:.3f}"
 
 
-PATIENCE = 600.0  # s: a town takes seconds
+# -- the road ---------------------------------------------------------------------------------------------------------
 
 
 def write_opendrive(netconvert: Path, network: Path, target: Path, written: datetime) -> None:
@@ -388,14 +339,11 @@ def _net_offset(network: Path) -> str:
     return "0.00,0.00"
 
 
-VERSION = "1.2.0"
+# -- the schema -------------------------------------------------------------------------------------------------------
 
 
 def check_openscenario(text: str) -> None:
-    """Nothing, if the document is valid against ASAM OpenSCENARIO 1.2.
-
-    Raises SumoAdvError: the document is not valid (a fault of ours).
-    """
+    """Check the document against ASAM OpenSCENARIO 1.2. Raises SumoAdvError: it is not valid (a fault of ours)."""
     from lxml import etree
 
     schema = _schema()
@@ -408,6 +356,7 @@ def check_openscenario(text: str) -> None:
 
 @cache
 def _schema() -> Any:
+    """ASAM's, as ``asam-qc-openscenarioxml`` carries it."""
     from importlib.resources import files
 
     from lxml import etree

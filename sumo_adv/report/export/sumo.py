@@ -1,13 +1,12 @@
-"""SUMO's floating car data: where each vehicle's front bumper is, step by step, as ``sumo --fcd-output`` writes it.
+"""A run as SUMO's floating car data (FCD), as a folder that SUMO plays, and as one tidy CSV.
 
-A folder that plain ``sumo`` or ``sumo-gui`` plays by itself: network, vehicle types, trajectories, configuration.
+FCD: where each vehicle's front bumper is, step by step, as ``sumo --fcd-output`` writes it.
 
-SUMO's own ``fcd-replay`` device moves every vehicle along its trajectory.  Two things about it (SUMO 1.28, measured):
-a vehicle comes in at a place on a lane, so a vehicle that is first seen beside a lane's middle is let in a step
-earlier; and the route is put together from the lanes in the file, which fails for a vehicle that drives against the
-traffic, so each is said to be on one lane throughout: where it is placed does not depend on it.
-
-One tidy CSV: a row a vehicle and step, with units in the names of its columns.
+The folder (network, vehicle types, trajectories, configuration) is played by plain ``sumo`` or ``sumo-gui``. SUMO's own
+``fcd-replay`` device moves every vehicle along its trajectory. Two things about it (SUMO 1.28, measured): a vehicle
+comes in at a place on a lane, so a vehicle that is first seen beside a lane's middle is let in a step earlier; and the
+route is put together from the lanes in the file, which fails for a vehicle that drives against the traffic, so each is
+said to be on one lane throughout: where it is placed does not depend on it.
 """
 
 from __future__ import annotations
@@ -15,8 +14,9 @@ from __future__ import annotations
 import math
 import shutil
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from itertools import repeat
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
@@ -48,7 +48,6 @@ class Row:
     position: float
 
     def text(self) -> str:
-        """The ``vehicle`` element."""
         return (
             f'        <vehicle id={quoteattr(self.id)} x="{self.x:.4f}" y="{self.y:.4f}" angle="{self.angle:.4f}" '
             f'type={quoteattr(self.kind)} speed="{self.speed:.4f}" pos="{self.position:.4f}" '
@@ -59,29 +58,22 @@ class Row:
 def fcd(piece: Piece) -> str:
     """The piece as FCD. ``lane`` is empty and ``pos`` 0 off the road. Raises UsageError: the network is unreadable."""
     road = read_network(piece.network)
-    rows = (
-        row for track in piece.tracks for row in track_rows(track, road, lambda track, k, road: _lane(track, k, road))
-    )
-    return fcd_text(rows, piece)
+    rows = (row for track in piece.tracks for row in _track_rows(track, [road.lanes.get(name) for name in track.lane]))
+    return _fcd_text(rows, piece)
 
 
-def _lane(track: Track, k: int, road: RoadMap) -> Lane | None:
-    return road.lanes.get(track.lane[k])
-
-
-def track_rows(track: Track, road: RoadMap, lane_of: Callable[[Track, int, RoadMap], Lane | None]) -> Iterator[Row]:
-    """A row a state; ``lane_of`` says on which lane SUMO has it."""
-    kind = type_name(track)
-    for k in range(len(track.time)):
+def _track_rows(track: Track, lanes: Iterable[Lane | None]) -> Iterator[Row]:
+    """A row a state; ``lanes``: those on which SUMO has it."""
+    kind = _type_name(track)
+    for k, lane in zip(range(len(track.time)), lanes, strict=False):
         x, y = front(track, k)
-        lane = lane_of(track, k, road)
         yield Row(
             float(track.time[k]), track.id, kind, x, y, angle_deg_of(float(track.heading[k])), float(track.speed[k]),
-            float(track.acceleration[k]), lane.id if lane else "", place_on(lane, x, y) if lane else 0.0,
+            float(track.acceleration[k]), lane.id if lane else "", _place_on(lane, x, y) if lane else 0.0,
         )  # fmt: skip
 
 
-def fcd_text(rows: Iterator[Row] | Sequence[Row], piece: Piece) -> str:
+def _fcd_text(rows: Iterable[Row], piece: Piece) -> str:
     """Rows by time; a step without vehicles has none."""
     steps: dict[int, list[Row]] = defaultdict(list)
     for row in rows:
@@ -101,12 +93,11 @@ def front(track: Track, k: int) -> tuple[float, float]:
     return float(track.x[k]) + ahead * math.cos(heading), float(track.y[k]) + ahead * math.sin(heading)
 
 
-def type_name(track: Track) -> str:
-    """A vehicle type for each role and size."""
+def _type_name(track: Track) -> str:
     return f"{track.role}_{track.length:.2f}x{track.width:.2f}"
 
 
-def place_on(lane: Lane, x: float, y: float) -> float:
+def _place_on(lane: Lane, x: float, y: float) -> float:
     """How far along a lane a point is, in SUMO's length of the lane [m], which may differ from its line's."""
     a, along = lane.shape[:-1], np.diff(lane.shape, axis=0)
     length = np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)
@@ -131,15 +122,15 @@ def write_replay(folder: Path, piece: Piece) -> None:
     rows = [row for track in piece.tracks for row in _rows(track, road, piece)]
     begin = min(row.time for row in rows)
     shutil.copyfile(piece.network, folder / network)
-    (folder / TRAJECTORIES).write_text(fcd_text(rows, piece), encoding="utf-8")
+    (folder / TRAJECTORIES).write_text(_fcd_text(rows, piece), encoding="utf-8")
     (folder / TYPES).write_text(_types(piece), encoding="utf-8")
-    (folder / VIEW).write_text(_view(piece), encoding="utf-8")
+    (folder / VIEW).write_text(_view(piece, road), encoding="utf-8")
     (folder / CONFIGURATION).write_text(_configuration(piece, network, begin), encoding="utf-8")
 
 
 def _rows(track: Track, road: RoadMap, piece: Piece) -> Iterator[Row]:
     home = _home(track, road)
-    first, *others = track_rows(track, road, lambda *_: home)
+    first, *others = _track_rows(track, repeat(home))
     heading = float(track.heading[0])
     point = _point_at(home, first.position)
     if math.dist(point[:2], (first.x, first.y)) > OFF_CENTRE or math.cos(point[2] - heading) < math.cos(1e-3):
@@ -173,7 +164,7 @@ def _point_at(lane: Lane, position: float) -> tuple[float, float, float]:
 
 def _types(piece: Piece) -> str:
     """A vType a role and size; its class may be anywhere, its size is the recorded one."""
-    by_name = {type_name(track): track for track in piece.tracks}
+    by_name = {_type_name(track): track for track in piece.tracks}
     lines = [
         f'    <vType id={quoteattr(name)} vClass="ignoring" length="{track.length:.2f}" width="{track.width:.2f}" '
         f'minGap="0" maxSpeed="100" guiShape="{_shape(track)}" color="{COLOURS[track.role]}"/>\n'
@@ -191,7 +182,7 @@ def _shape(track: Track) -> str:
     return "passenger" if track.length < 6.5 else "truck"
 
 
-def _view(piece: Piece) -> str:
+def _view(piece: Piece, road: RoadMap) -> str:
     """The view follows no vehicle: it stands over where ego and adversary come closest, or over the ego's middle."""
     ego = piece.track(piece.ego)
     x, y = float(ego.x[len(ego.x) // 2]), float(ego.y[len(ego.y) // 2])
@@ -203,19 +194,13 @@ def _view(piece: Piece) -> str:
         )
         k = int(np.argmin(gap))
         x, y = float(ego.x[k]), float(ego.y[k])
-    left, right, low, high = x - SHOWN / 2, x + SHOWN / 2, y - SHOWN / 2, y + SHOWN / 2
+    extent = np.ptp(np.vstack([lane.shape for lane in road.lanes.values()]), axis=0)
+    zoom = 100.0 * max(1.0, float(max(extent) / SHOWN))  # sumo-gui's, in percent of the whole network's extent
     return (
         '<viewsettings>\n    <scheme name="real world"/>\n'
-        f'    <viewport x="{x:.2f}" y="{y:.2f}" zoom="{_zoom(piece, right - left, high - low):.0f}"/>\n'
+        f'    <viewport x="{x:.2f}" y="{y:.2f}" zoom="{zoom:.0f}"/>\n'
         f'    <delay value="{DELAY}"/>\n</viewsettings>\n'
     )
-
-
-def _zoom(piece: Piece, width: float, height: float) -> float:
-    """sumo-gui's zoom in percent of the whole network's extent."""
-    points = np.vstack([lane.shape for lane in read_network(piece.network).lanes.values()])
-    extent = np.ptp(points, axis=0)
-    return 100.0 * max(1.0, float(max(extent[0] / width, extent[1] / height)))
 
 
 def _configuration(piece: Piece, network: str, begin: float) -> str:

@@ -2,9 +2,7 @@
 
 The takeover is at the current step, 10; where the contact comes more than 8 s after it, the record begins later.
 The ego is ``sdc_track_index``; the adversaries are ``objects_of_interest`` and ``tracks_to_predict``. A run that was
-made of such a record keeps the record's map, signals, numbers and kinds of objects.
-
-The map and the signals of a Waymo record: those of the record that a run was made of, else those of its network.
+made of such a record keeps the record's map, signals, numbers and kinds of objects; else they are the network's.
 """
 
 from __future__ import annotations
@@ -41,7 +39,9 @@ def _scenario(piece: Piece, record: Any | None) -> Any:
     from sumo_adv.womd.scenario_pb2 import Scenario
 
     time: Floats = first_step(piece) + STEP * np.arange(STEPS, dtype=np.float64)
-    message = Scenario(scenario_id=_safe(piece.name), current_time_index=CURRENT)
+    message = Scenario(
+        scenario_id=re.sub(r"[^A-Za-z0-9_.-]", "_", piece.name)[:100] or "run", current_time_index=CURRENT
+    )
     message.timestamps_seconds.extend((STEP * np.arange(STEPS)).tolist())
     known = {} if record is None else {track.id: track.object_type for track in record.tracks}
     numbers = track_numbers(piece, known)
@@ -77,11 +77,6 @@ def track_numbers(piece: Piece, taken: Collection[int] = ()) -> dict[str, int]:
     numbers = {i: int(i) for i in ids if i.isascii() and i.isdigit() and len(i) < 10 and str(int(i)) == i}
     others = [name for name in ids if name not in numbers]
     return numbers | {name: k for k, name in enumerate(others, 1 + max({*numbers.values(), *taken}, default=0))}
-
-
-def _safe(name: str) -> str:
-    """The name as the record's id."""
-    return re.sub(r"[^A-Za-z0-9_.-]", "_", name)[:100] or "run"
 
 
 def _valid(track: Track, time: Floats) -> Any:
@@ -161,7 +156,7 @@ def add_net_map(message: Any, piece: Piece, time: Floats) -> None:
     lines = {each.number: spaced(each.lane.shape) for each in lanes}
     for each in lanes:
         _add_lane(message, each, lines)
-    _add_edges(message, lanes, network_of(piece).junctions)
+    _add_edges(message, lanes, network_of(piece.network).junctions)
     _add_signals(message, piece, lanes, time)
 
 
