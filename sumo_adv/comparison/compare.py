@@ -1,6 +1,6 @@
-"""One side of a comparison: the episodes of a run, a campaign, a bench or a regression, whichever a path holds.
+"""Two sides over the encounters that both have: rates, severity, attempts, and the cases that changed.
 
-Two sides over the encounters that both have: rates, severity, attempts, and the cases that changed.
+A side is the episodes of a run, a campaign, a bench or a regression, whichever a path holds.
 """
 
 from __future__ import annotations
@@ -29,6 +29,8 @@ from sumo_adv.report.read import MANIFEST, OUTCOME, damaged, read_outcome
 
 BATCH_PLAN = "plan.json"
 ATTEMPTS = int(Settings.model_fields["attempts"].default)
+SCHEMA = 1
+LEAST = 6  # pairs: with fewer no paired test can reach p 0.05 (2 / 2**5 = 0.06), and a bootstrap means nothing
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,10 +181,6 @@ def _of_case(m: Measured, result: str, folder: Path) -> Compared:
     )  # fmt: skip
 
 
-SCHEMA = 1
-LEAST = 6  # pairs: with fewer no paired test can reach p 0.05 (2 / 2**5 = 0.06), and a bootstrap means nothing
-
-
 @dataclass(frozen=True, slots=True)
 class Figure:
     """One figure of both sides; ``difference``: second - first, paired, None with fewer than ``LEAST`` pairs."""
@@ -253,7 +251,9 @@ def compare(first: Side, second: Side, egos: tuple[str, str] | None = None) -> C
             f"{first.path} has the egos {', '.join(first.egos)}, {second.path} has {', '.join(second.egos)}: "
             "choose one of each with --egos A,B."
         )
-    first_by_key, second_by_key = ({_key(e, several): e for e in side.episodes} for side in (first, second))
+    first_by_key, second_by_key = (
+        {f"{e.key} ({e.ego})" if several else e.key: e for e in side.episodes} for side in (first, second)
+    )
     both = [key for key in first_by_key if key in second_by_key]
     if not both:
         raise UsageError(f"{first.path} and {second.path} have no encounter in common, so nothing can be compared.")
@@ -274,19 +274,11 @@ def _of_ego(side: Side, ego: str) -> Side:
     return Side(side.path, side.budget, episodes)
 
 
-def _key(e: Compared, several: bool) -> str:
-    return f"{e.key} ({e.ego})" if several else e.key
-
-
 def _names(first: Side, second: Side) -> tuple[str, str]:
     """The drivers where they differ, else the folders, else A and B."""
-    for a, b in (
-        ((*first.egos, "")[0], (*second.egos, "")[0]),
-        (first.path.resolve().name, second.path.resolve().name),
-    ):
-        if a != b:
-            return a, b
-    return "A", "B"
+    egos = (*first.egos, "")[0], (*second.egos, "")[0]
+    folders = first.path.resolve().name, second.path.resolve().name
+    return next(((a, b) for a, b in (egos, folders) if a != b), ("A", "B"))
 
 
 def _badness(e: Compared) -> float:

@@ -1,6 +1,4 @@
-"""A comparison as Markdown.
-
-A comparison as a folder to look at: one page, and beside it the replay of both runs of each case that changed.
+"""A comparison as Markdown, and as a folder: one page, and beside it the replays of each case that changed.
 
 OUT/compare.html    figures, and the cases that changed with links
 OUT/compare.md      the same as text
@@ -30,6 +28,26 @@ HOW = (
 MOST = 30  # changes shown
 Link = Callable[[Compared], str | None]
 """Where the replay of an episode is, None if there is none."""
+PAGE = "compare.html"
+HEAD = """<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta http-equiv="Content-Security-Policy" content="default-src 'none'; style-src 'unsafe-inline'">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta name="color-scheme" content="light dark">
+<title>{title}</title>
+<style>
+body {{ font: 15px/1.5 system-ui, sans-serif; max-width: 75rem; margin: 2rem auto; padding: 0 1rem }}
+table {{ border-collapse: collapse; margin: 1rem 0 }}
+th, td {{ text-align: left; padding: .3rem .8rem; border-bottom: 1px solid #8886 }}
+td:first-child {{ min-width: 9rem; overflow-wrap: anywhere }}
+h1 {{ overflow-wrap: anywhere }}
+.scroll {{ overflow-x: auto }}
+</style>
+</head>
+<body>
+"""
 
 
 def to_markdown(done: Comparison, link: Link) -> str:
@@ -39,10 +57,11 @@ def to_markdown(done: Comparison, link: Link) -> str:
     head, *figures = rows(done)
     lines += grid(head, figures)
     worse = sum(change.worse for change in done.changes)
-    shown = [
-        [c.key, words(c.first), words(c.second), _as_link(link(c.first), first), _as_link(link(c.second), second)]
-        for c in done.changes[:MOST]
-    ]
+    shown = []
+    for c in done.changes[:MOST]:
+        places = zip(done.names, map(link, (c.first, c.second)), strict=True)
+        links = ["-" if place is None else f"[{name}]({place})" for name, place in places]
+        shown.append([c.key, words(c.first), words(c.second), *links])
     lines += [f"## Changed: {len(done.changes)} of {len(done.pairs)} ({worse} worse)", ""]
     if shown:
         lines += grid(["case", first, second, "run", "run"], shown, words=True)
@@ -83,32 +102,6 @@ def _row(figure: Figure) -> list[str]:
 def _value(estimate: Estimate, unit: str) -> str:
     """With an interval if it rests on enough encounters. Wilson's interval of a rate holds for any number."""
     return number(estimate) if unit == "rate" or estimate.n >= LEAST else f"{estimate.value:.2f}"
-
-
-def _as_link(place: str | None, name: str) -> str:
-    return "-" if place is None else f"[{name}]({place})"
-
-
-PAGE = "compare.html"
-HEAD = """<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta http-equiv="Content-Security-Policy" content="default-src 'none'; style-src 'unsafe-inline'">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<meta name="color-scheme" content="light dark">
-<title>{title}</title>
-<style>
-body {{ font: 15px/1.5 system-ui, sans-serif; max-width: 75rem; margin: 2rem auto; padding: 0 1rem }}
-table {{ border-collapse: collapse; margin: 1rem 0 }}
-th, td {{ text-align: left; padding: .3rem .8rem; border-bottom: 1px solid #8886 }}
-td:first-child {{ min-width: 9rem; overflow-wrap: anywhere }}
-h1 {{ overflow-wrap: anywhere }}
-.scroll {{ overflow-x: auto }}
-</style>
-</head>
-<body>
-"""
 
 
 def write_comparison(out: Path, done: Comparison, *, force: bool) -> Path:

@@ -1,9 +1,7 @@
-"""The scenarios in which a driver is checked, and which vehicle it drives in each.
+"""The check of one driver: which scenarios, how often each is driven, and what the drives come to.
 
-``run`` attacks the ego of the scenario, which mostly has the right of way. The check has the driver drive another
-vehicle there, because it is to turn, wait and give way.
-
-The check of one driver: which scenarios, how often each is driven, and what the drives come to.
+``run`` attacks the ego of a scenario, which mostly has the right of way. The check has the driver drive another vehicle
+there, because it is to turn, wait and give way.
 """
 
 from __future__ import annotations
@@ -36,6 +34,10 @@ TWELVE = (
     ("roundabout_entry", "entering"),  # enters a roundabout and goes half around
 )
 """Shipped scenarios, with the vehicle that is driven."""
+DURATION = 45.0  # s from the begin of a scenario: SUMO's drivers wait for the light and have passed it in that time
+LATER = 997.3  # s by which a clock is set forward: 9973 steps, a prime number, so that no plan's length divides it
+REPEATED = 1e-6  # m by which a drive may differ that is repeated
+ROUNDED = 1.0  # m by which it may differ with another clock: larger numbers are rounded otherwise, which tips a choice
 
 
 def twelve() -> tuple[RunInput, ...]:
@@ -46,14 +48,6 @@ def twelve() -> tuple[RunInput, ...]:
 def named(scenario: str, vehicle: str) -> RunInput:
     given = load_input(data_folder("scenarios") / f"{scenario}.toml")
     return replace(given, name=f"{given.name}:{vehicle}", ego=vehicle)
-
-
-DURATION = 45.0  # s from the begin of a scenario: SUMO's drivers wait for the light and have passed it in that time
-LATER = 997.3  # s by which a clock is set forward: 9973 steps, a prime number, so that no plan's length divides it
-REPEATED = 1e-6  # m by which a drive may differ that is repeated
-ROUNDED = (
-    1.0  # m by which it may differ with another clock: its larger numbers are rounded otherwise, which tips a choice
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,17 +134,14 @@ def _repeated(engine: Engine, task: Task, first: UnattackedDrive) -> list[Findin
         return []
     new: UnattackedDrive = engine.request("drive", task)
     again: UnattackedDrive = engine.request("drive_again", task, 0.0)
-    for kind, drive, subject in (
-        (Kind.RANDOM, new, "two drives"),
-        (Kind.RESET, again, "the drives before and after it"),
-    ):
+    subjects = (Kind.RANDOM, new, "two drives"), (Kind.RESET, again, "the drives before and after it")
+    for kind, drive, subject in subjects:
         since, most = apart(first.ego, drive.ego, REPEATED)
         if math.isfinite(since):
             return [Finding(kind, since, f"{subject} are {_far(most)} apart")]
     when, far = apart(first.ego, later.ego, ROUNDED)
-    return (
-        [] if math.isinf(when) else [Finding(Kind.TIME_BASE, when, f"with a clock {LATER:g} s ahead, {_far(far)} off")]
-    )
+    words = f"with a clock {LATER:g} s ahead, {_far(far)} off"
+    return [] if math.isinf(when) else [Finding(Kind.TIME_BASE, when, words)]
 
 
 def _far(metres: float) -> str:

@@ -147,12 +147,8 @@ class CheckWorker:
 
     def _made(self, task: Task, driver: EgoController) -> Drive:
         types = ego_type_file(driver, Path(self._folder.name))
-        return Drive(
-            replace(task.spec, additional=(*task.spec.additional, types)),
-            driver,
-            task.settings.seed,
-            deadline=task.settings.ego_deadline,
-        )
+        spec = replace(task.spec, additional=(*task.spec.additional, types))
+        return Drive(spec, driver, task.settings.seed, deadline=task.settings.ego_deadline)
 
     def _road(self, task: Task) -> RoadMap:
         network = task.spec.network

@@ -1,12 +1,9 @@
-"""What an estimate is of: the input, the ego, the traffic and the model. All of it is in ``plan.json``.
+"""What an estimate is of, all of it in ``plan.json``; and its blocks of runs, here or on a Ray cluster.
 
-Blocks of runs, one after another in one process: SUMO is loaded once and loaded again for each run.
-
-The same estimate on a Ray cluster. Each block is a task. Its worker runs the block in a watched process of its own,
-as on one machine, and sends the records back.
-
-Inputs are found on the nodes under the same paths (a shared file system) or are shipped ones; their content is compared
-with the plan's.
+The runs of a block follow each other in one process: SUMO is loaded once and loaded again for each run. On a cluster
+each block is a task. Its worker runs the block in a watched process of its own, as on one machine, and sends the
+records back. Inputs are found on the nodes under the same paths (a shared file system) or are shipped ones; their
+content is compared with the plan's.
 """
 
 from __future__ import annotations
@@ -41,6 +38,9 @@ from sumo_adv.simulation.scan import scan_demand
 
 SCHEMA = 1
 WAIT = 60.0  # s after the warm-up within which the ego must come
+BLOCK = 20  # runs
+PHASES = ("pilot", "runs", "plain")
+_workers: list[LocalWorkers] = []  # of this Ray worker process: one, from its first block on
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,10 +92,6 @@ class RatePlan:
             "schema": SCHEMA, **asdict(self), "source": str(self.source), "parameters": dict(self.parameters),
             "content": self.content(), "errors_per_hour": {str(kind): value for kind, value in PER_HOUR.items()},
         }  # fmt: skip
-
-
-BLOCK = 20  # runs
-PHASES = ("pilot", "runs", "plain")
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,8 +194,6 @@ class ClusterBlocks:
 
 
 # -- on a node ---------------------------------------------------------------------------------------------------------
-
-_workers: list[LocalWorkers] = []  # of this Ray worker process: one, from its first block on
 
 
 def block(sent: Sent, job: Block) -> Done:

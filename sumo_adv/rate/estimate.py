@@ -1,16 +1,14 @@
-"""Rates from weighted runs: pure functions of arrays.
-
-The rate is a ratio of sums over runs, weighted crashes by weighted exposure. The interval is that of Fay and Feuer
-(1997) for a weighted sum of rare events: gamma quantiles with the mean and the variance of the sum, the upper one with
-one more event of the largest weight. The variance is the sum of the squared weights, and what uneven exposures of the
-runs add. With equal weights and exposures it is the exact interval of a Poisson count (Garwood 1936). It
-is never negative, and unlike the normal interval it covers where few crashes with uneven weights were seen.
-
-An estimate from its plan to its rates: pilot runs, what they teach, runs, the sums.
+"""An estimate from its plan to its rates: pilot runs, what they teach, runs, the sums.
 
 OUT/plan.json      what the estimate is of
 OUT/blocks/ID.json the records of 20 runs each; a finished block is not run again
 OUT/rate.json      the result
+
+A rate is a ratio of sums over runs, weighted crashes by weighted exposure. Its interval is that of Fay and Feuer (1997)
+for a weighted sum of rare events: gamma quantiles with the mean and the variance of the sum, the upper one with one
+more event of the largest weight. The variance is the sum of the squared weights, and what uneven exposures of the runs
+add. With equal weights and exposures it is the exact interval of a Poisson count (Garwood 1936). It is never negative,
+and unlike the normal interval it covers where few crashes with uneven weights were seen.
 """
 
 from __future__ import annotations
@@ -41,6 +39,10 @@ from sumo_adv.report.outcome import versions
 
 CONFIDENCE = 0.95
 ENOUGH = 10  # crashes: the weights of fewer do not tell how large those are that were not seen
+PLAN, RESULT, LOCK = "plan.json", "rate.json", "rate.lock"
+DEADLINE, RECYCLE = 600.0, 200  # s for a block, blocks after which a worker is replaced
+CONTACT = "contact"
+LEVELS = (CONTACT, *(str(level) for level in Level if level >= Level.COLLISION))
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,12 +100,6 @@ def _quantile(mean: float, variance: float, share: float) -> float:
 def effective_runs(weights: Floats) -> float:
     """How many runs of equal weight the weighted runs are worth (Kish 1965)."""
     return float(weights.sum() ** 2 / (weights**2).sum())
-
-
-PLAN, RESULT, LOCK = "plan.json", "rate.json", "rate.lock"
-DEADLINE, RECYCLE = 600.0, 200  # s for a block, blocks after which a worker is replaced
-CONTACT = "contact"
-LEVELS = (CONTACT, *(str(level) for level in Level if level >= Level.COLLISION))
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,16 +1,13 @@
-"""How often drivers err: the rates that ``docs/rate.md`` derives, each with its source.
+"""How often drivers err, how dangerous an error would be, and where errors are drawn; each run keeps its likelihood.
 
-How dangerous an error would be if it began now: both vehicles extrapolated, from their present states alone.
-
-The other vehicle drives straight on as the error has it. The ego goes straight on, once at its speed, once braking.
-Whether such an error ends in a collision is learnt from pilot runs for each level (``proposal.py``); the extrapolation
-only has to sort errors.
-
-Where errors are drawn: the proposal raises the rates of errors that look dangerous; each run keeps its likelihood.
+The rates are those that ``docs/rate.md`` derives, each with its source. The danger of an error is extrapolated from the
+present states alone: the other vehicle drives straight on as the error has it; the ego goes straight on, once at its
+speed, once braking. That only has to sort errors: whether one ends in a collision is learnt from pilot runs for each
+level of danger.
 
 The model P starts an error of kind k with its probability p. The raised proposal R starts it with r >= p, which depends
-on how dangerous the error would be (``danger.py``), so on the past alone. It goes back to p for the rest of a run as
-soon as an error has begun, or when it has spent ``BUDGET``.
+on how dangerous the error would be, so on the past alone. It goes back to p for the rest of a run as soon as an error
+has begun, or when it has spent ``BUDGET``.
 
 Before a run, a coin is tossed: with probability ``MODEL_SHARE`` the whole run is drawn from P, else from R. Its weight
 is that of the mixture, whichever side the coin fell (the balance heuristic, Veach and Guibas 1995; Hesterberg 1995):
@@ -47,18 +44,25 @@ PER_HOUR = {
     ErrorKind.RED_LIGHT: 0.1,
 }
 """Errors that a driver begins in an hour in which the error is possible (``HumanErrors.possible``)."""
-
-
-def chances(factor: float) -> Floats:
-    """The probability ``(kinds,)`` that a driver begins each error in a slot, with all rates times ``factor``."""
-    return np.array([PER_HOUR[kind] for kind in KINDS]) * factor * SLOT / 3600.0
-
-
 AHEAD = np.arange(0.25, 6.01, 0.25)  # s
 CLOSE = 1.5  # m between the boxes
 EGO_REACTION, EGO_BRAKING = 1.0, 4.5  # s, m/s2
 SIDEWAYS, LANE = 1.0, 3.2  # m/s of SUMO's lane changes, m
 GO_SPEED, GO_ACCELERATION = 8.0, 2.0  # m/s, m/s2 of a driver that enters a junction from a low speed
+MODEL_SHARE = 0.1  # of the runs that are drawn from the model
+MOST_WEIGHT = 1.0 / MODEL_SHARE
+BUDGET = 3.0  # the sum of -log(1 - r) that is spent in a run: without an error it leaves 5 % (exp -3) of runs
+STARTS = 1.5  # errors that the proposal would begin in a run if it did not stop after the first
+MOST = 0.5  # the highest probability of an error in one decision
+LEVELS = 4  # of danger
+PRIOR = np.array([0.002, 0.02, 0.1, 0.3])  # guess of the share of errors that end in a collision, by level of danger
+PRIOR_STARTS = 1.0  # errors that the guess weighs as much as
+PILOT = np.array([0.01, 0.05, 0.05, 0.1])  # probabilities in the pilot runs, by level of danger
+
+
+def chances(factor: float) -> Floats:
+    """The probability ``(kinds,)`` that a driver begins each error in a slot, with all rates times ``factor``."""
+    return np.array([PER_HOUR[kind] for kind in KINDS]) * factor * SLOT / 3600.0
 
 
 def danger(ego: Boxes, others: Boxes) -> Ints:
@@ -106,17 +110,6 @@ def _motions(speed: Floats) -> tuple[Floats, Floats]:
             wide = DRIFT if kind in (ErrorKind.DRIFT_LEFT, ErrorKind.DRIFT_RIGHT) else LANE
             left[:, k] = SIDE[kind] * np.minimum(SIDEWAYS * AHEAD, wide)
     return along, left
-
-
-MODEL_SHARE = 0.1  # of the runs that are drawn from the model
-MOST_WEIGHT = 1.0 / MODEL_SHARE
-BUDGET = 3.0  # the sum of -log(1 - r) that is spent in a run: without an error it leaves 5 % (exp -3) of runs
-STARTS = 1.5  # errors that the proposal would begin in a run if it did not stop after the first
-MOST = 0.5  # the highest probability of an error in one decision
-LEVELS = 4  # of danger
-PRIOR = np.array([0.002, 0.02, 0.1, 0.3])  # guess of the share of errors that end in a collision, by level of danger
-PRIOR_STARTS = 1.0  # errors that the guess weighs as much as
-PILOT = np.array([0.01, 0.05, 0.05, 0.1])  # probabilities in the pilot runs, by level of danger
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -25,6 +24,7 @@ BEFORE = 4.0  # s before a contact from which it is judged, if the other vehicle
 MEMORY = 10.0  # s before a contact: an earlier error has nothing to do with it
 HISTORY = 2.0  # s before that, which the judge may look at
 UNLIMITED = Limits(*[1e9] * 5)  # the traffic is the model's own: the limits of an adversary do not apply to it
+BOX = ("x", "y", "heading", "speed", "length", "width")
 CLEAR = 0.2  # m that two boxes are apart for certain, beside what they move in a step
 
 
@@ -102,9 +102,8 @@ class Run:
         return self._record()
 
     def _record(self) -> Record:
-        return Record(
-            self.seed, self._hours, self._km, self._weighted_hours, self._weighted_km, self.decisions.weight
-        )  # fmt: skip
+        weighted = self._weighted_hours, self._weighted_km
+        return Record(self.seed, self._hours, self._km, *weighted, self.decisions.weight)
 
     # -- errors -------------------------------------------------------------------------------------------------
 
@@ -122,7 +121,8 @@ class Run:
             return
         levels: Ints | None = None
         if self.decisions.raising:
-            levels = danger(_box(ego), boxes_of([drive.state(name) for name in names]))
+            box = Boxes(*(np.array(getattr(ego, key)) for key in BOX[:4]), ego.length, ego.width)
+            levels = danger(box, boxes_of([drive.state(name) for name in names]))
         kinds = self.decisions.next(model, levels)
         for row, (name, kind) in enumerate(zip(names, kinds, strict=True)):
             if kind >= 0:
@@ -180,23 +180,13 @@ class Run:
         )  # fmt: skip
 
 
-def _box(v: VehicleState) -> Boxes:
-    return Boxes(np.array(v.x), np.array(v.y), np.array(v.heading), np.array(v.speed), v.length, v.width)
-
-
 def boxes_of(states: Sequence[VehicleState]) -> Boxes:
-    x, y, heading, speed, length, width = (
-        np.array([getattr(s, name) for s in states]) for name in ("x", "y", "heading", "speed", "length", "width")
-    )
-    return Boxes(x, y, heading, speed, length, width)
+    return Boxes(*(np.array([getattr(s, name) for s in states]) for name in BOX))
 
 
 def _rows(drive: Drive, vehicle: str) -> Boxes:
     """A vehicle's last two states ``(2,)``."""
-    states: list[Any] = [
-        drive.simulation.state(snapshot, vehicle) for snapshot in drive.recording.snapshots[-2:]
-    ]  # fmt: skip
-    return boxes_of(states)
+    return boxes_of([drive.simulation.state(snapshot, vehicle) for snapshot in drive.recording.snapshots[-2:]])
 
 
 def _clear(a: RawState, b: RawState, size_a: tuple[float, float], size_b: tuple[float, float], dt: float) -> bool:

@@ -122,19 +122,17 @@ def _network(network: Path, suite: Path) -> str:
     return f"../{NETWORKS}/{_copy_of(network, suite).name}"
 
 
+def _copy_network(network: Path, suite: Path) -> None:
+    target = _copy_of(network, suite)
+    if _network(network, suite).startswith("..") and not target.exists():
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(network, target)
+
+
 def _copy_of(network: Path, suite: Path) -> Path:
     """Where the suite has its copy of a network; with its hash in the name if another network has that name."""
     copy = suite / NETWORKS / network.name[HASH_AND_DASH:]
     return copy.with_name(network.name) if copy.exists() and hash_of(copy) != hash_of(network) else copy
-
-
-def _copy_network(network: Path, suite: Path) -> None:
-    if not _network(network, suite).startswith(".."):
-        return
-    target = _copy_of(network, suite)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    if not target.exists():
-        shutil.copyfile(network, target)
 
 
 # -- the texts --------------------------------------------------------------------------------------------------------

@@ -1,6 +1,6 @@
-"""What a case came to when it ran, and what that means for what is expected of the ego.
+"""Runs cases one after another in one process, where sandbox, engine and imports stay warm.
 
-Runs cases one after another in one process: sandbox, engine and imports stay warm.
+A case is measured, and judged by what is expected of the ego.
 """
 
 from __future__ import annotations
@@ -41,6 +41,7 @@ from sumo_adv.simulation.recording import tracks_of
 NO_CONCERN = 4.0  # s: a larger TTC is no danger to a driver (Minderhoud and Bovy 2001), so it is not compared
 LOWER_TTC = 0.1  # s, a step of the simulation: a smaller loss of TTC is not worse
 HARDER = 0.447  # m/s (1 mph, the bound of negligible severity): a smaller gain of delta-v is not worse
+INPUTS = "inputs"  # beside the runs: networks and demand, each content once
 
 
 class Result(StrEnum):
@@ -123,8 +124,9 @@ def judged(case: Case, measured: Measured, before: Measured | None) -> Judged:
     if m.collided and m.failed_gates:
         gates = ", ".join(m.failed_gates)
         return Judged(m, Result.INVALID, f"The adversary collides, but no car can drive so ({gates}).", before)
+    remark = "The adversary runs into the ego's back, which is not held against the ego." if m.rear_end else ""
     why = _broken_expectation(case.expect, m, before)
-    return Judged(m, Result.FAIL if why else Result.PASS, why or _remark(m), before)
+    return Judged(m, Result.FAIL if why else Result.PASS, why or remark, before)
 
 
 def _broken_expectation(expect: Expectation, m: Measured, before: Measured | None) -> str:
@@ -152,12 +154,6 @@ def _worse(measured: Measured, before: Measured | None) -> str:
     return f"The least TTC is {lost:.2f} s lower than in the baseline." if lost > LOWER_TTC else ""
 
 
-def _remark(m: Measured) -> str:
-    if m.rear_end:
-        return "The adversary runs into the ego's back, which is not held against the ego."
-    return ""
-
-
 MEASURED = TypeAdapter(Measured)
 
 
@@ -165,9 +161,6 @@ def measured_of(row: Mapping[str, Any]) -> Measured:
     """A measurement from a row of the JSON file. Raises ValidationError."""
     names = {f.name for f in fields(Measured)}
     return MEASURED.validate_python({k: v for k, v in row.items() if k in names})
-
-
-INPUTS = "inputs"  # beside the runs: networks and demand, each content once
 
 
 @dataclass(frozen=True, slots=True)

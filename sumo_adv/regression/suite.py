@@ -1,12 +1,8 @@
-"""All cases of a suite against one driver: run on worker processes, judged, and kept in a folder.
+"""All cases of a suite against one driver: run on worker processes, judged, kept in a folder, and told.
 
 OUT/regress.json    results and measurements; the file that --baseline takes
 OUT/results.csv     a row a case, as a batch has it: sumo-adv report OUT makes an index with the replays
 OUT/runs/CASE/      the run of each case that came to its encounter
-
-The results of a suite as JUnit XML, the format that build servers show.
-
-The results of a suite as a table for a terminal.
 """
 
 from __future__ import annotations
@@ -49,6 +45,8 @@ SCHEMA = 1
 RESULTS = "regress.json"
 DEADLINE = 300.0  # s after which a case is held to be stuck; one takes a few seconds
 RECYCLE = 200  # cases after which a worker process is replaced
+FORBIDDEN = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")  # XML 1.0, section 2.2
+HEAD = ("case", "result", "level", "min TTC", "delta-v", "baseline", "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,15 +111,11 @@ def run_suite(
             pool.run(jobs, finished)
         shutil.rmtree(scratch, ignore_errors=True)
         whole = SuiteRun(suite, ego, [results[case.name] for case in cases])
-        _write(folder.stage, whole)
+        write_text(folder.stage / RESULTS, json_text(whole.document(), 2))
+        rows: list[Row] = [row for run in sorted(runs.iterdir()) if (row := read_row(run)) is not None]
+        write_csv(folder.stage / "results.csv", rows, [])
         folder.keep(force=force)
     return whole
-
-
-def _write(folder: Path, whole: SuiteRun) -> None:
-    write_text(folder / RESULTS, json_text(whole.document(), 2))
-    rows: list[Row] = [row for run in sorted((folder / "runs").iterdir()) if (row := read_row(run)) is not None]
-    write_csv(folder / "results.csv", rows, [])
 
 
 def read_results(path: Path) -> dict[str, Any]:
@@ -142,9 +136,6 @@ def read_baseline(path: Path) -> dict[str, Measured]:
         return {measured.case: measured for measured in map(measured_of, read_results(path)["cases"])}
     except (ValidationError, AttributeError) as error:
         raise UsageError(f"The baseline {path} cannot be read; run it again.") from error
-
-
-FORBIDDEN = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")  # XML 1.0, section 2.2
 
 
 def write_junit(file: Path, run: SuiteRun, *, allow_untested: bool) -> None:
@@ -189,21 +180,15 @@ def _clean(text: str) -> str:
     return FORBIDDEN.sub("\ufffd", text)
 
 
-HEAD = ("case", "result", "level", "min TTC", "delta-v", "baseline", "")
-
-
 def lines(run: SuiteRun) -> list[str]:
     """A line a case, and a sum; the baseline's column only if there is a baseline."""
     rows = [_row(case) for case in run.cases]
     shown = [k for k in range(len(HEAD)) if k != 5 or any(case.before for case in run.cases)]
     widths = [max(len(row[k]) for row in (HEAD, *rows)) for k in range(len(HEAD))]
     table = ["  ".join(row[k].ljust(widths[k]) for k in shown).rstrip() for row in (HEAD, *rows)]
-    return [*table, "", sentence(run)]
-
-
-def sentence(run: SuiteRun) -> str:
     counts = [f"{many} {result}" for result, many in run.counts.items() if many or result is Result.PASS]
-    return f"{len(run.cases)} case{'s' * (len(run.cases) != 1)} of {run.suite} against {run.ego}: {', '.join(counts)}."
+    cases = f"{len(run.cases)} case{'s' * (len(run.cases) != 1)}"
+    return [*table, "", f"{cases} of {run.suite} against {run.ego}: {', '.join(counts)}."]
 
 
 def _row(case: Judged) -> Sequence[str]:

@@ -32,6 +32,7 @@ HEADER = (
 )  # fmt: skip
 ALL = "all"  # egos together
 NOWHERE = "oncoming", str(RoadClass.MOTORWAY)
+OUTCOME, PLAN, BANK, TABLE = "outcome.json", "plan.json", "bank.sqlite", "coverage.csv"
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -150,9 +151,6 @@ def coverage_csv(coverage: Coverage) -> str:
             speeds = (f"{low:g}", "" if math.isinf(high) else f"{high:g}")
             writer.writerow((ego, cell.intent, cell.relation, cell.road, *speeds, row.encounters, row.failures, *shown))
     return text.getvalue()
-
-
-OUTCOME, PLAN, BANK, TABLE = "outcome.json", "plan.json", "bank.sqlite", "coverage.csv"
 
 
 def campaign_coverage(folder: Path, runs: Sequence[Path], packed: Mapping[str, str], bank: Path) -> Coverage:

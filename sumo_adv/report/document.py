@@ -43,6 +43,9 @@ style-src {style_hash}; img-src data:; base-uri 'none'; form-action 'none'">
 </body>
 </html>
 """
+Ints = NDArray[np.int64]
+ABSENT = -1_000_000
+"""In a series: not there, or never. No value is that far out: series are capped below it."""
 
 
 @cache
@@ -76,11 +79,6 @@ def write_document(target: Path, html: str) -> None:
         write_text(target, html)
     except OSError as error:
         raise UsageError(f"{target} cannot be written ({error.strerror or error}); give another --out.") from error
-
-
-Ints = NDArray[np.int64]
-ABSENT = -1_000_000
-"""In a series: not there, or never. No value is that far out: series are capped below it."""
 
 
 def packed(columns: Sequence[tuple[int, Ints]]) -> str:

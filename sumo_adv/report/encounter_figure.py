@@ -28,6 +28,11 @@ Lanes = Sequence[tuple[Floats, float, bool]]
 """Centreline (n, 2) [m], width [m], inside a junction or not."""
 View = tuple[float, float, float, float]
 """Left, bottom, width, height [m] of the shown area."""
+WIDTH, LEAST_HEIGHT, MOST_HEIGHT = 16.0, 6.0, 14.0  # inches; 100 dots an inch
+HEAD, INSIDE = 1.5, 0.935  # inches above and below the map; its share of the width
+LONGEST = 130  # characters of a title that fit
+MARGIN = 12.0  # m around the action
+BEFORE = 1.0  # s, shown before the trigger
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,13 +177,6 @@ def draw_scale_bar(axes: Any, view: View, height: float, style: Style = LARGE) -
         f"{bar} m", (x + bar / 2, y), xytext=(0, style.text), textcoords="offset points", ha="center", va="center",
         fontsize=style.text, zorder=12, bbox=halo,
     )  # fmt: skip
-
-
-WIDTH, LEAST_HEIGHT, MOST_HEIGHT = 16.0, 6.0, 14.0  # inches; 100 dots an inch
-HEAD, INSIDE = 1.5, 0.935  # inches above and below the map; its share of the width
-LONGEST = 130  # characters of a title that fit
-MARGIN = 12.0  # m around the action
-BEFORE = 1.0  # s, shown before the trigger
 
 
 def load_matplotlib() -> None:

@@ -47,6 +47,21 @@ from sumo_adv.simulation.network import read_network
 
 BEFORE, AFTER = 1.0, 1.5  # s shown before the trigger and after the decisive moment
 MARGIN = 12.0  # m around the action
+WIDTH = 7.16  # inches: two columns of an IEEE page
+WIDE = 2.2  # width over height of a map from which on the two stand one over the other
+TITLE, KEY, GAP, SIDE = 0.24, 0.30, 0.10, 0.02  # inches
+DPI = 300
+CHARACTERS = 19  # of a title, an inch
+SMALL = Style(text=6.5, lane=0.8, box=0.6, hollow=0.8, mark=3.4, mark_line=0.9, away=7.0, bar=2.0, apart=2.5)
+FILM_WIDTH, FILM_DPI = 8.0, 100  # inches, dots an inch: 800 pixels
+HEAD = 0.35  # inches above the map
+RATE = 10  # frames a second, which is SUMO's step too
+MOST = 70  # characters of the title
+HOLD = 10  # frames for which the end stands
+LOOK = Style(text=9, lane=1.2, box=0.8, hollow=0.9, bar=2.5)
+SIZE = (3.5, 2.4)  # inches: a column of an IEEE page
+TEXT = 7.5  # points
+COLOURS = {"valid": EGO, "strict": SUPPORT, "serious": ADVERSARY}
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,14 +160,6 @@ def _scene(tracks: Sequence[Track], ego: str, adversaries: Sequence[str]) -> Sce
     return Scene(by_id[ego], by_id[collider], others, [by_id[name] for name in supports if name in by_id])
 
 
-WIDTH = 7.16  # inches: two columns of an IEEE page
-WIDE = 2.2  # width over height of a map from which on the two stand one over the other
-TITLE, KEY, GAP, SIDE = 0.24, 0.30, 0.10, 0.02  # inches
-DPI = 300
-CHARACTERS = 19  # of a title, an inch
-SMALL = Style(text=6.5, lane=0.8, box=0.6, hollow=0.8, mark=3.4, mark_line=0.9, away=7.0, bar=2.0, apart=2.5)
-
-
 class Picture(Figure):
     """A figure that notebooks show without pyplot."""
 
@@ -243,14 +250,6 @@ def save(figure: Figure, target: Path, kind: str) -> None:
         write_whole(target, lambda part: figure.savefig(part, format=kind, metadata=metadata, dpi=DPI))
 
 
-FILM_WIDTH, FILM_DPI = 8.0, 100  # inches, dots an inch: 800 pixels
-HEAD = 0.35  # inches above the map
-RATE = 10  # frames a second, which is SUMO's step too
-MOST = 70  # characters of the title
-HOLD = 10  # frames for which the end stands
-LOOK = Style(text=9, lane=1.2, box=0.8, hollow=0.9, bar=2.5)
-
-
 def write_film(story: Story, target: Path, kind: str) -> None:
     """Write the film; faint outlines show where ego and adversaries would be without the attack.
 
@@ -309,11 +308,6 @@ def _caption(story: Story, time: float) -> str:
     if story.collided and time >= story.decisive - 1e-6:
         return f"{caption}   contact"
     return caption
-
-
-SIZE = (3.5, 2.4)  # inches: a column of an IEEE page
-TEXT = 7.5  # points
-COLOURS = {"valid": EGO, "strict": SUPPORT, "serious": ADVERSARY}
 
 
 def draw_over_time(after: Sequence[tuple[float, Mapping[str, int]]]) -> Picture:

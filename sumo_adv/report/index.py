@@ -48,6 +48,19 @@ LATER = ("cause", "cause_sentence")  # words that tables of earlier versions lac
 NUMBERS = ("seed", "raw_min_ttc", "min_ttc", "attempts", "seconds", "delta_v")
 TRUTHS = ("collided", "valid", "critical")
 VARIED = "set_"
+LEVELS = (Level.CRITICAL, Level.COLLISION, Level.VALID, Level.STRICT, Level.SERIOUS)
+SCHEMA = 1
+SCRIPTS = ("common.js", "decode.js", "rows.js", "bars.js", "places.js", "egos.js", "cells.js", "index.js")
+STYLES = ("common.css", "index.css")
+MOST_LANES = 4000  # on the map of a network
+DECIMETRE = 0.1
+THINNED = 0.5  # m a line on such a map may be off
+CODED = {*WORDS, "cause"} - {"id", "failure"}  # few values, many rows
+INDEX, PAGES, MADE = "index.html", "pages", "made.json"
+SAFE = re.compile(r"[0-9A-Za-z][0-9A-Za-z._-]{0,127}")
+MOST_MAPS = 40  # networks on the index's map
+FEW = 12  # pages that are made without starting processes
+PORTION = 200  # runs unpacked at a time
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,9 +102,6 @@ def _number(text: str | None) -> float | None:
     return value if math.isfinite(value) else None
 
 
-LEVELS = (Level.CRITICAL, Level.COLLISION, Level.VALID, Level.STRICT, Level.SERIOUS)
-
-
 @dataclass(frozen=True, slots=True)
 class EgoSummary:
     """An ego's episodes. All rates have all ``episodes`` below them, failed ones too.
@@ -123,15 +133,6 @@ def _of(ego: str, rows: Sequence[Mapping[str, Any]]) -> EgoSummary:
         wilson(sum(bool(row["failure"]) for row in rows), total), {str(name): counted[name] for name in Severity},
         median(speeds) if speeds else None,
     )  # fmt: skip
-
-
-SCHEMA = 1
-SCRIPTS = ("common.js", "decode.js", "rows.js", "bars.js", "places.js", "egos.js", "cells.js", "index.js")
-STYLES = ("common.css", "index.css")
-MOST_LANES = 4000  # on the map of a network
-DECIMETRE = 0.1
-THINNED = 0.5  # m a line on such a map may be off
-CODED = {*WORDS, "cause"} - {"id", "failure"}  # few values, many rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,13 +217,6 @@ def road_of(file: Path) -> dict[str, Any]:
     origin = np.rint(lines[0][0]) if lines else np.zeros(2)
     columns = [(1, whole(line[:, axis] - origin[axis], DECIMETRE)) for axis in (0, 1) for line in lines]
     return {"lines": [len(line) for line in lines], "origin": origin.tolist(), "blob": packed(columns)}
-
-
-INDEX, PAGES, MADE = "index.html", "pages", "made.json"
-SAFE = re.compile(r"[0-9A-Za-z][0-9A-Za-z._-]{0,127}")
-MOST_MAPS = 40  # networks on the index's map
-FEW = 12  # pages that are made without starting processes
-PORTION = 200  # runs unpacked at a time
 
 
 @dataclass(frozen=True, slots=True)

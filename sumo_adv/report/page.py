@@ -28,6 +28,11 @@ NEAR = 200.0  # m around the ego: other vehicles are shown
 CENTIMETRE, MILLIRADIAN, HUNDREDTH = 0.01, 0.001, 0.01
 MOST = 9_000.0  # a series' cap, in its unit
 NAMES = {"best": "attacked", "first": "first attempt", "raw": "unattacked"}
+MOST_LINES = 2000  # of a planner that is compared with another
+SCHEMA = 1
+SCRIPTS = ("common.js", "decode.js", "model.js", "map.js", "charts.js", "words.js", "replay.js")
+STYLES = ("common.css", "replay.css")
+REACTIONS = {"braked": "begins to brake", "steered": "begins to steer away"}  # actions of the cause, in words
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,9 +237,6 @@ def _curves(ego: Track, foe: Track | None, measures: Mapping[str, Floats], grid:
     return curves
 
 
-MOST_LINES = 2000  # of a planner that is compared with another
-
-
 def planner_versions(outcome: Mapping[str, Any], manifest: Mapping[str, Any]) -> list[dict[str, Any]]:
     """The planners that attempts used, in the order of first use, each with a unified diff from its parent if known."""
     planners: Mapping[str, Any] = manifest.get("planners") or {}
@@ -261,12 +263,6 @@ def _diff(planners: Mapping[str, Any], name: str) -> list[str] | None:
     if max(len(before), len(after)) > MOST_LINES:
         return None
     return list(difflib.unified_diff(before, after, lineterm=""))[2:]
-
-
-SCHEMA = 1
-SCRIPTS = ("common.js", "decode.js", "model.js", "map.js", "charts.js", "words.js", "replay.js")
-STYLES = ("common.css", "replay.css")
-REACTIONS = {"braked": "begins to brake", "steered": "begins to steer away"}  # actions of the cause, in words
 
 
 @dataclass(frozen=True, slots=True)

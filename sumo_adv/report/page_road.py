@@ -31,6 +31,9 @@ MUST_STOP, MUST_YIELD = "sw", "m"  # SUMO's letters of right of way
 
 Changes = Mapping[str, tuple[bool, bool]]
 """By lane, whether passenger cars may leave it to the left and to the right."""
+REACH = 220.0  # m around the ego's path
+THINNED = 0.02  # m a lane's line may be off when points are left out
+ROAD, INSIDE, OTHER, AREA = 0, 1, 2, 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,11 +126,8 @@ def lights_of(stops: Sequence[StopLine]) -> list[str]:
     return sorted({stop.light for stop in stops if stop.light})
 
 
-REACH = 220.0  # m around the ego's path
-THINNED = 0.02  # m a lane's line may be off when points are left out
 Along = TypeVar("Along", "Strip", Marking)
 Line = TypeVar("Line", "Strip", Marking, StopLine)
-ROAD, INSIDE, OTHER, AREA = 0, 1, 2, 3
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,4 @@
-"""Waits for an encounter in a session, and says whether what was decided about one still holds.
-
-One encounter of a server: described from the states up to now alone, decided, and attacked while the client drives.
+"""One encounter of a server: waited for, described from the states up to now alone, decided, and attacked.
 
 What ``run`` learns from an unattacked fork is foreseen here (``episode.traffic_forecast``), and again when the attack
 begins; each adversary then replans every half second against what the ego really does.
@@ -36,6 +34,8 @@ from sumo_adv.situation import Situation
 
 STRAYED = 4.0, 2.5  # m, m/s from where ego or BV was foreseen to be: the scene is another one
 EGO_PAUSE = 2.0  # s the ego is on the road before anything may happen to it
+FORESEEN = 2.0  # s within which an encounter must not be dangerous by itself
+LOST = "The ego's client was lost or late."
 
 
 class EncounterMonitor:
@@ -97,17 +97,12 @@ class EncounterMonitor:
             if away > STRAYED[0] or faster > STRAYED[1]:
                 return f"{name} is {away:.1f} m and {faster:.1f} m/s from where it was foreseen"
         present = {c.id: c.relation for c in EncounterDetector(self._road, len(raw), (bv,)).rank(session)}
-        return (
-            "" if present.get(bv) == relation else f"{bv} is no longer {relation} but {present.get(bv, 'out of reach')}"
-        )
+        now = present.get(bv, "out of reach")
+        return "" if now == relation else f"{bv} is no longer {relation} but {now}"
 
     def _fresh(self) -> EncounterDetector:
         settings = self._settings
         return EncounterDetector(self._road, settings.shortlist, self._only, settings.kind, odd=settings.odd)
-
-
-FORESEEN = 2.0  # s within which an encounter must not be dangerous by itself
-LOST = "The ego's client was lost or late."
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,8 +1,7 @@
 """What happens while a server runs, for those that listen: the terminal, a file of JSON lines, the status page.
 
-A small HTTP server on the loopback interface that says how the server is: ``/health`` and ``/status``, as JSON.
-
-Writes the folders of encounters in a thread of its own, so that no simulation waits for a picture.
+The status page is a small HTTP server on the loopback interface: ``/health`` and ``/status``, as JSON. The folders of
+encounters are written in a thread of their own, so that no simulation waits for a picture.
 """
 
 from __future__ import annotations
@@ -24,6 +23,9 @@ from sumo_adv.files import json_text
 Event = Mapping[str, Any]
 Listener = Callable[[Event], None]
 KEPT = 200  # outcomes that the status page lists
+LOOPBACK = "127.0.0.1"
+WAITING = 2  # encounters that may wait to be written; then the simulation waits
+Write = Callable[[Episode, int], Mapping[str, Any]]
 
 
 def helpers(p: Proposal) -> dict[str, Any]:
@@ -139,9 +141,6 @@ class Status:
         self._now["health"] = "stopped"
 
 
-LOOPBACK = "127.0.0.1"
-
-
 class StatusPage:
     """Answers in threads of its own until it is closed; a context manager."""
 
@@ -196,11 +195,6 @@ def _handler(report: Callable[[], dict[str, Any]]) -> type[BaseHTTPRequestHandle
     return Handler
 
 
-WAITING = 2  # encounters that may wait to be written; then the simulation waits
-
-Write = Callable[[Episode, int], Mapping[str, Any]]
-
-
 class ResultWriter:
     """``write`` gets an episode and its number and gives back what ``outcome.json`` holds, with its ``folder``."""
 
@@ -225,19 +219,15 @@ class ResultWriter:
 
     def _work(self) -> None:
         while (item := self._tray.get()) is not None:
+            episode, number = item
             if self.failure is None:
-                self._write_one(*item)
-            del item  # nothing of it is kept while the next one is waited for
-
-    def _write_one(self, episode: Episode, number: int) -> None:
-        try:
-            result = self._write(episode, number)
-        except SumoAdvError as error:
-            self.failure = error
-        except Exception as error:  # a fault of ours: the run ends with a sentence
-            self.failure = SumoAdvError(f"Encounter {number} could not be written. {fault_sentence(error)}")
-        else:
-            self._report(result, number)
+                try:
+                    self._report(self._write(episode, number), number)
+                except SumoAdvError as error:
+                    self.failure = error
+                except Exception as error:  # a fault of ours: the run ends with a sentence
+                    self.failure = SumoAdvError(f"Encounter {number} could not be written. {fault_sentence(error)}")
+            del item, episode  # nothing of it is kept while the next one is waited for
 
     def _report(self, result: Mapping[str, Any], number: int) -> None:
         best, supports = result["outcome"] or {}, result["adversaries"][1:]

@@ -1,11 +1,9 @@
-"""SUMO's second client: the connection through which the gate speaks for the ego.
+"""SUMO's second client, through which the gate speaks for the ego; what the ego's client subscribed to; older clients.
 
-What the ego's client has subscribed to: it ends with the client, and before an object that it removes.
-
-For clients that know TraCI only up to version 21: they are told that version, and subscribe to stops as then.
-
-SUMO 1.23 made it version 22.  Its getter 0x73 (``getNextStops``) still answers in the old form, but subscribing to it
-is refused (measured with 1.28).  So it becomes one to 0x74 (``getStops``); its results are rewritten.
+Subscriptions end with the client, and before an object that it removes. Clients that know TraCI only up to version 21
+are told that version, and subscribe to stops as then: SUMO 1.23 made it version 22. Its getter 0x73 (``getNextStops``)
+still answers in the old form, but subscribing to it is refused (measured with 1.28). So it becomes one to 0x74
+(``getStops``); its results are rewritten.
 """
 
 from __future__ import annotations
@@ -26,6 +24,16 @@ _TIME = make_message(make_command(0xAB, b"\x66" + bytes(4)))
 _STEP_LENGTH = make_message(make_command(0xAB, b"\x7b" + bytes(4)))
 _STEP = make_message(make_command(framing.SIMSTEP, bytes(8)))
 _INVALID = struct.pack("!d", -1073741824.0)
+LONGEST_COMPLAINT = 200  # bytes of an error that SUMO survives in any case
+_SUBSCRIPTION = {name: number + 0x10 for number, name in SETTERS.items()}
+_CONTEXT = {name: number - 0x40 for number, name in SETTERS.items()}
+NEWEST, OLDER = 22, 21  # versions of TraCI
+_OF_VEHICLE, _RESULT = 0xD4, 0xE4  # of a vehicle
+_NEXT_STOPS, _STOPS = 0x73, 0x74
+_NO_LIMIT = b"\x09" + bytes(4)
+_BEGIN = bytes((_STOPS, 0, 0x0F))  # variable, status, compound: before the count of a result
+_FIELDS = "sdsiddddddsssssd"  # types of a stop: those of 0x73, starts and times, words, speed
+_INT = struct.Struct("!i")
 
 
 class SumoGone(SumoAdvError):
@@ -107,11 +115,6 @@ class Link:
         self._line.close()
 
 
-LONGEST_COMPLAINT = 200  # bytes of an error that SUMO survives in any case
-_SUBSCRIPTION = {name: number + 0x10 for number, name in SETTERS.items()}
-_CONTEXT = {name: number - 0x40 for number, name in SETTERS.items()}
-
-
 class Subscriptions:
     """Of one simulation. Every method that speaks with SUMO may raise SumoGone."""
 
@@ -153,15 +156,6 @@ class Subscriptions:
         complaints = [framing.complaint(self._link.ask(make_message(question))) for question in questions]
         whole = f"Could not add subscription. {' '.join(complaints).strip()}"
         return whole if len(whole.encode()) > LONGEST_COMPLAINT else ""
-
-
-NEWEST, OLDER = 22, 21  # versions of TraCI
-_OF_VEHICLE, _RESULT = 0xD4, 0xE4  # of a vehicle
-_NEXT_STOPS, _STOPS = 0x73, 0x74
-_NO_LIMIT = b"\x09" + bytes(4)
-_BEGIN = bytes((_STOPS, 0, 0x0F))  # variable, status, compound: before the count of a result
-_FIELDS = "sdsiddddddsssssd"  # types of a stop: those of 0x73, starts and times, words, speed
-_INT = struct.Struct("!i")
 
 
 class OlderClients:

@@ -1,7 +1,4 @@
-"""What happens at the gate, for people and programs.
-
-The one seat at the gate: the client that drives the ego, and other visitors.
-"""
+"""The one seat at the gate: the client that drives the ego, other visitors, and what happens there."""
 
 from __future__ import annotations
 

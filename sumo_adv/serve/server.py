@@ -9,6 +9,7 @@ import random
 import threading
 import time
 from collections.abc import Callable, Collection, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any
 
@@ -147,10 +148,8 @@ class Server:
         self._session = session = Session(
             task.spec, parts.gate, parts.options, self._ego(task), parts.events, parts.check
         )
-        only = tuple(n for n in task.only)
-        return session, EncounterMonitor(
-            session, parts.road, self._settings, only, task.warm_up if task.ego is not None else 0.0
-        )
+        warm_up = task.warm_up if task.ego is not None else 0.0
+        return session, EncounterMonitor(session, parts.road, self._settings, tuple(task.only), warm_up)
 
     def _ego(self, task: Task) -> EgoPlan:
         """The vehicle under test: the demand's, a scenario's own, or one on routes that are drawn."""
@@ -329,19 +328,15 @@ class Decision:
 
 def _meanwhile(work: Callable[[], Decision], tick: Callable[[], object]) -> Decision:
     """Do ``work`` in a thread and ``tick`` until it is done."""
-    results: list[Decision] = []
-    errors: list[BaseException] = []
+    decision: Future[Decision] = Future()
 
     def body() -> None:
         try:
-            results.append(work())
+            decision.set_result(work())
         except BaseException as error:
-            errors.append(error)
+            decision.set_exception(error)
 
-    thread = threading.Thread(target=body, name="decision", daemon=True)
-    thread.start()
-    while thread.is_alive():
+    threading.Thread(target=body, name="decision", daemon=True).start()
+    while not decision.done():
         tick()
-    if errors:
-        raise errors[0]
-    return results[0]
+    return decision.result()

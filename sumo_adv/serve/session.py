@@ -1,9 +1,8 @@
-"""A new ``sumo`` with its two clients, the gate and our own connection, and with no third one.
+"""One simulation that a client shares with us: it is stepped, paced and recorded, and always has an ego.
 
-One simulation that a client shares with us: it is stepped, paced and recorded, and always has an ego.
-
-We are SUMO's first client: a step is our turn, then the ego's client's, then SUMO moves.  While one of the two
-waits (we for the client, the client for a decision of ours), simulated time stands, unless ``real_time`` is set.
+We are SUMO's first client, the gate is the second, and there is no third. A step is our turn, then the ego's client's,
+then SUMO moves. While one of the two waits (we for the client, the client for a decision of ours), simulated time
+stands, unless ``real_time`` is set.
 """
 
 from __future__ import annotations
@@ -36,6 +35,11 @@ if TYPE_CHECKING:
 
 OUR_ORDER = 1
 TRIES = 5  # starts of SUMO, where another program connects to its port before we do
+KEPT = 15.0  # s of states that are kept while nothing happens
+STAND_IN_BRAKING = 4.5  # m/s2
+ALONE = 10.0  # s the simulation goes on without its client before it waits (never with ``real_time``)
+DOUBTED, FASTEST = 1.0, 80.0  # m/s: another speed than SUMO says is believed from, and up to (else it was a jump)
+SLICE = 0.2  # s between two looks whether we are to stop
 
 
 def shared_sumo(
@@ -78,13 +82,6 @@ def connect(sumo: SumoProcess) -> Connection:
     except (traci.TraCIException, traci.FatalTraCIError, OSError) as error:
         raise SimulationError(f"SUMO did not take our connection ({sumo.last_error or error}).") from error
     return connection
-
-
-KEPT = 15.0  # s of states that are kept while nothing happens
-STAND_IN_BRAKING = 4.5  # m/s2
-ALONE = 10.0  # s the simulation goes on without its client before it waits (never with ``real_time``)
-DOUBTED, FASTEST = 1.0, 80.0  # m/s: another speed than SUMO says is believed from, and up to (else it was a jump)
-SLICE = 0.2  # s between two looks whether we are to stop
 
 
 class EgoLost(Exception):

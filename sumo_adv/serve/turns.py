@@ -243,9 +243,8 @@ class Turns:
         key = (command.number, command.payload[:64])
         if key not in client.refused and len(client.refused) < 1000:
             client.refused.add(key)
-            self._seat.tell(
-                GateEvent(EventKind.REFUSED, f"A call of the client at {client.peer} was refused: {reason}")
-            )
+            sentence = f"A call of the client at {client.peer} was refused: {reason}"
+            self._seat.tell(GateEvent(EventKind.REFUSED, sentence))
         return make_message(make_status(command.number, framing.ERROR, reason))
 
     def _step(self, client: Client, command: Command) -> bytes:
@@ -294,9 +293,9 @@ class Turns:
     def _send_client_away(self) -> None:
         client, parting = self._seat.client, self._parting
         kind = EventKind.RESTARTED if parting else EventKind.ENDED
-        reason = (
-            "The simulation ended" if parting else f"SUMO ended by itself ({self._why_ended() or 'it says nothing'})"
-        )
+        reason = "The simulation ended"
+        if not parting:
+            reason = f"SUMO ended by itself ({self._why_ended() or 'it says nothing'})"
         if client is None or (parting and self._keep):
             self._seat.tell(GateEvent(kind, f"{reason}."))
             return

@@ -41,6 +41,10 @@ VEHICLES = {"KS1": (4.298, 1.674), "KS2": (4.508, 1.610), "KS3": (4.569, 1.844)}
 """Kinematic single-track models of CommonRoad with length and width [m]: Ford Escort, BMW 320i, VW Vanagon."""
 SLOWEST = 1.0  # m/s, below which no steering angle follows from the motion
 SPEED_LIMIT = "274"  # the sign's number in Germany and in CommonRoad's Zamunda
+SUMMARY, MAPPING = "dataset_summary.pkl", "dataset_mapping.pkl"
+TYPES = {"car": "VEHICLE", "truck": "VEHICLE", "obstacle": "VEHICLE", "bicycle": "CYCLIST", "pedestrian": "PEDESTRIAN"}
+DATASET, VERSION = "sumo_adv", "1"
+PROTOCOL = 4  # of pickle: Python 3.4 and later
 
 
 def write_commonroad(folder: Path, piece: Piece) -> None:
@@ -184,12 +188,6 @@ def _solution(piece: Piece, problem: int) -> Element:
             time=str(step),
         )  # fmt: skip
     return root
-
-
-SUMMARY, MAPPING = "dataset_summary.pkl", "dataset_mapping.pkl"
-TYPES = {"car": "VEHICLE", "truck": "VEHICLE", "obstacle": "VEHICLE", "bicycle": "CYCLIST", "pedestrian": "PEDESTRIAN"}
-DATASET, VERSION = "sumo_adv", "1"
-PROTOCOL = 4  # of pickle: Python 3.4 and later
 
 
 def write_scenarionet(folder: Path, piece: Piece) -> None:

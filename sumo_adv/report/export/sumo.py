@@ -30,6 +30,16 @@ from sumo_adv.simulation.network import Lane, RoadMap, read_network
 from sumo_adv.simulation.simulation import angle_deg_of
 
 HEAD = '<?xml version="1.0" encoding="UTF-8"?>\n<fcd-export>\n'
+CONFIGURATION, TYPES, TRAJECTORIES, VIEW = "replay.sumocfg", "types.add.xml", "replay.fcd.xml", "view.xml"
+COLOURS = {Role.EGO: "0,114,178", Role.ADVERSARY: "213,94,0", Role.BACKGROUND: "140,140,140", Role.OBSTACLE: "90,90,90"}
+OFF_CENTRE = 0.005  # m from the middle of a lane at which a vehicle is let in earlier
+SEARCHED = (10.0, 100.0, 1000.0, 100_000.0)  # m
+DELAY = 100  # ms a step that sumo-gui waits
+SHOWN = 120.0  # m of road in sumo-gui's window
+HEADER = (
+    "time_s,vehicle,role,x_m,y_m,heading_rad,speed_m_s,acceleration_m_s2,length_m,width_m,lane,driven_by_attack,"
+    "distance_to_ego_m\n"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,14 +115,6 @@ def _place_on(lane: Lane, x: float, y: float) -> float:
     away = np.hypot(a[:, 0] + t * along[:, 0] - x, a[:, 1] + t * along[:, 1] - y)
     i = int(np.argmin(away))
     return float(length[:i].sum() + t[i] * length[i]) * lane.length / float(length.sum())
-
-
-CONFIGURATION, TYPES, TRAJECTORIES, VIEW = "replay.sumocfg", "types.add.xml", "replay.fcd.xml", "view.xml"
-COLOURS = {Role.EGO: "0,114,178", Role.ADVERSARY: "213,94,0", Role.BACKGROUND: "140,140,140", Role.OBSTACLE: "90,90,90"}
-OFF_CENTRE = 0.005  # m from the middle of a lane at which a vehicle is let in earlier
-SEARCHED = (10.0, 100.0, 1000.0, 100_000.0)  # m
-DELAY = 100  # ms a step that sumo-gui waits
-SHOWN = 120.0  # m of road in sumo-gui's window
 
 
 def write_replay(folder: Path, piece: Piece) -> None:
@@ -233,12 +235,6 @@ def _configuration(piece: Piece, network: str, begin: float) -> str:
     </gui_only>
 </configuration>
 """
-
-
-HEADER = (
-    "time_s,vehicle,role,x_m,y_m,heading_rad,speed_m_s,acceleration_m_s2,length_m,width_m,lane,driven_by_attack,"
-    "distance_to_ego_m\n"
-)
 
 
 def table(piece: Piece) -> str:

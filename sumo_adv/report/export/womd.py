@@ -23,6 +23,17 @@ from sumo_adv.womd.outline import road_outline
 STEPS, CURRENT, STEP = 91, 10, 0.1
 AFTER = 0.5  # s that a record goes on after the contact
 TYPES = {"car": 1, "truck": 1, "obstacle": 1, "pedestrian": 2, "bicycle": 3}  # Track.ObjectType
+MPH = 0.44704  # m/s
+FREEWAY, SURFACE = 1, 2  # LaneCenter.LaneType
+FREEWAY_SPEED = 22.5  # m/s, from which a lane is a freeway's
+EDGE_BOUNDARY, BROKEN_WHITE = 1, 1  # RoadEdgeType, RoadLineType
+STOP, CAUTION, GO, FLASHING_STOP, FLASHING_CAUTION = 4, 5, 6, 7, 8  # TrafficSignalLaneState.State
+SIGNALS = {
+    "r": STOP, "u": STOP, "y": CAUTION, "Y": CAUTION, "g": GO, "G": GO, "s": FLASHING_STOP, "o": FLASHING_CAUTION,
+}  # fmt: skip
+"""By SUMO's letter; a light that is off (O) is unknown."""
+CLOCK = 1e-3  # s
+Heights = Callable[[Floats, Floats], Floats]
 
 
 def write_womd(target: Path, piece: Piece) -> str | None:
@@ -101,19 +112,6 @@ def _add_track(
             height=height, heading=np.remainder(heading[k] + np.pi, 2 * np.pi) - np.pi,
             velocity_x=speed[k] * np.cos(heading[k]), velocity_y=speed[k] * np.sin(heading[k]), valid=True,
         )  # fmt: skip
-
-
-MPH = 0.44704  # m/s
-FREEWAY, SURFACE = 1, 2  # LaneCenter.LaneType
-FREEWAY_SPEED = 22.5  # m/s, from which a lane is a freeway's
-EDGE_BOUNDARY, BROKEN_WHITE = 1, 1  # RoadEdgeType, RoadLineType
-STOP, CAUTION, GO, FLASHING_STOP, FLASHING_CAUTION = 4, 5, 6, 7, 8  # TrafficSignalLaneState.State
-SIGNALS = {
-    "r": STOP, "u": STOP, "y": CAUTION, "Y": CAUTION, "g": GO, "G": GO, "s": FLASHING_STOP, "o": FLASHING_CAUTION,
-}  # fmt: skip
-"""By SUMO's letter; a light that is off (O) is unknown."""
-CLOCK = 1e-3  # s
-Heights = Callable[[Floats, Floats], Floats]
 
 
 def record_of(piece: Piece) -> tuple[Any | None, str | None]:
