@@ -82,16 +82,11 @@ def read_side(path: Path) -> Side:
         raise UsageError(f"{path} holds no run, campaign, bench or regression.")
     read = [(read_outcome(run), run) for run in runs]
     keyed = _numbered((f"{o.get('network')} seed {o.get('seed')}", o, run) for o, run in read)
-    return Side(path, max(_attempts_of(run) for run in runs), [_of_outcome(*each) for each in keyed])
-
-
-def _attempts_of(run: Path) -> int:
-    """The budget of a run: a setting in its manifest."""
-    file = run / MANIFEST
-    try:
-        return int(json.loads(file.read_text(encoding="utf-8"))["settings"]["attempts"]) if file.is_file() else ATTEMPTS
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise damaged(file, error) from error
+    return Side(
+        path,
+        max(_budget(run / MANIFEST) if (run / MANIFEST).is_file() else ATTEMPTS for run in runs),
+        [_of_outcome(*each) for each in keyed],
+    )
 
 
 def _campaign(folder: Path) -> Side:
@@ -109,7 +104,7 @@ def _campaign(folder: Path) -> Side:
 
 
 def _budget(plan: Path) -> int:
-    """The largest number of attempts among the settings of a campaign or a bench."""
+    """The largest number of attempts among the settings of a run, a campaign or a bench."""
     try:
         settings = json.loads(plan.read_text(encoding="utf-8"))["settings"]
         variants = settings if isinstance(settings, list) else [settings]

@@ -165,8 +165,7 @@ class Hunt:
             self._state["rounds"][len(self._rows) - 1]["found"] = {
                 str(level): sum(f.level >= level for f in found) for level in LEVELS
             }
-        self._write()
-        self._write_table(found)
+        self._write(found)
         return found
 
     def _next(self) -> dict[str, Any]:
@@ -255,14 +254,13 @@ class Hunt:
             )
         return state
 
-    def _write(self) -> None:
+    def _write(self, found: Sequence[Failure] | None = None) -> None:
+        """The state, and the table of distinct failures."""
         with sentences(self.folder):
             self.folder.mkdir(parents=True, exist_ok=True)
             write_text(self.folder / STATE, json.dumps(self._state, indent=1) + "\n")
-
-    def _write_table(self, found: Sequence[Failure]) -> None:
-        with sentences(self.folder):
-            write_text(self.folder / RESULTS, csv_text(COLUMNS, table(found, self.folder)))
+            if found is not None:
+                write_text(self.folder / RESULTS, csv_text(COLUMNS, table(found, self.folder)))
 
     def _collected(self) -> list[Failure]:
         """Copies of the representatives' folders in ``failures/``, best first, and the table that names them."""
@@ -275,7 +273,7 @@ class Hunt:
                 copy = target / f"{k + 1:03d}-{failure.level}-{_slug(failure.cell.intent)}"
                 _copy(failure.run, copy)
                 found.append(replace(failure, run=copy))
-        self._write_table(found)
+        self._write(found)
         return found
 
 

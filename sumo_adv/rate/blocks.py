@@ -199,19 +199,16 @@ class ClusterBlocks:
 def block(sent: Sent, job: Block) -> Done:
     """One block on this node. Raises UsageError: the input is another one here; SimulationError: it failed twice."""
     if not _workers:
-        _check(sent)
+        try:
+            same = sent.plan.content() == sent.content
+        except (UsageError, OSError) as error:
+            raise UsageError(f"On a node: {error}") from error
+        if not same:
+            fault = f"On a node {sent.plan.source} has another content than here"
+            raise UsageError(f"{fault}; give all nodes the same files.")
         workers = LocalWorkers(sent.plan, sent.pace, desk_folder(), failed, Stop(), BlockRunner)
         atexit.register(workers.close)
         _workers.append(workers)
     results: list[Done] = []
     _workers[0].run([job], lambda _, done: results.append(done))
     return results[0]
-
-
-def _check(sent: Sent) -> None:
-    try:
-        same = sent.plan.content() == sent.content
-    except (UsageError, OSError) as error:
-        raise UsageError(f"On a node: {error}") from error
-    if not same:
-        raise UsageError(f"On a node {sent.plan.source} has another content than here; give all nodes the same files.")

@@ -120,16 +120,12 @@ class Status:
     def _on_encounter(self, event: Event) -> None:
         self._now["encounter"] = {k: event[k] for k in ("number", "time", "ranking")}
 
-    def _on_passed_over(self, event: Event) -> None:
-        self._now["passed_over"] += 1
-        self._now["encounter"] = None
-
-    def _on_dropped(self, event: Event) -> None:
-        self._now["dropped"] += 1
-        self._now["encounter"] = None
-
     def _on_released(self, event: Event) -> None:
         self._now["encounter"] = None
+        if event["event"] in self._now:
+            self._now[event["event"]] += 1
+
+    _on_passed_over = _on_dropped = _on_released
 
     def _on_outcome(self, event: Event) -> None:
         self._now["encounters"] += 1

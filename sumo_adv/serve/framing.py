@@ -218,20 +218,17 @@ class Line:
         Systems without POLLRDHUP (all but Linux) see that only once all is read.
         """
         if hasattr(select, "POLLRDHUP"):
-            return self._hung_up()
+            poll = select.poll()
+            try:
+                poll.register(self._connection, select.POLLRDHUP)
+                return bool(poll.poll(0))
+            except (OSError, ValueError):  # it is closed here
+                return True
         try:
             return not self._connection.recv(1, socket.MSG_PEEK | getattr(socket, "MSG_DONTWAIT", 0))
         except BlockingIOError:
             return False
         except OSError:
-            return True
-
-    def _hung_up(self) -> bool:
-        poll = select.poll()
-        try:
-            poll.register(self._connection, select.POLLRDHUP)
-            return bool(poll.poll(0))
-        except (OSError, ValueError):  # it is closed here
             return True
 
     def hang_up(self) -> None:

@@ -122,14 +122,9 @@ class Policy:
         if expected is None or not shapes.fits(payload, end, expected):
             return _misfit(number)
         if variable == _COPY and domain == "vehicletype":
-            return self._copy(payload[end + 5 :])
+            name = payload[end + 5 :]
+            return _OURS if name.startswith(OURS.encode()) else None if _is_printable(name) else _ODD_NAME
         return None
-
-    def _copy(self, name: bytes) -> str | None:
-        """Why no type can be copied to this name."""
-        if name.startswith(OURS.encode()):
-            return _OURS
-        return None if _is_printable(name) else _ODD_NAME
 
     def _may(self, domain: str, variable: int, name: bytes) -> bool:
         if domain not in ADDED:

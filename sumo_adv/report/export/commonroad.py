@@ -192,13 +192,13 @@ def _solution(piece: Piece, problem: int) -> Element:
 
 def write_scenarionet(folder: Path, piece: Piece) -> None:
     """Write the database into ``folder``. Raises UsageError: the network is unreadable."""
-    scenario = description(piece)
+    scenario = _description(piece)
     file = f"sd_{DATASET}_{VERSION}_{scenario['id']}.pkl"
     for name, value in ((file, scenario), (SUMMARY, {file: scenario["metadata"]}), (MAPPING, {file: ""})):
         (folder / name).write_bytes(pickle.dumps(value, protocol=PROTOCOL))
 
 
-def description(piece: Piece) -> dict[str, Any]:
+def _description(piece: Piece) -> dict[str, Any]:
     length = round((piece.end - piece.begin) / piece.step) + 1
     name = re.sub(r"[^A-Za-z0-9_.-]", "_", piece.name)
     tracks = {track.id: _track(track, piece, length) for track in piece.tracks}
