@@ -39,8 +39,6 @@ PATIENCE = 3.0  # an encounter may take this many times the median time to the f
 KINDS = 3  # kinds of attacks that are looked for in an encounter once fresh encounters brought nothing new
 SHARE = 0.1  # of the time that is left: the most that an encounter may take
 LEVELS = (Level.VALID, Level.STRICT, Level.SERIOUS)
-
-
 RunCampaign = Callable[[Plan, Orders], Summary]
 """Runs what is missing of a plan. Raises SumoAdvError."""
 
@@ -103,18 +101,16 @@ class Hunt:
 
         Raises SumoAdvError: no episode can be run, none was, or the disk is full.
         """
-        ended = "time"
-        for k in range(len(self._state["rounds"])):  # finished ones are read, an interrupted one is completed
-            if self._round(k).interrupted:
-                ended = "stopped"
-                break
+        rounds = range(len(self._state["rounds"]))  # finished ones are read, an interrupted one is completed
+        ended = "stopped" if any(self._round(k).interrupted for k in rounds) else "time"
         before = len(self._remember())
         while ended == "time" and not self._enough() and self._left() > 0:
             self._state["rounds"].append(self._next())
             self._write()
             summary = self._round(len(self._state["rounds"]) - 1)
             found = self._remember()
-            newest = self._newest(found) if len(found) > before else None
+            runs = self._runs_of(len(self._rows) - 1)
+            newest = next((f for f in found if runs in f.run.parents), None) if len(found) > before else None
             before = len(found)
             tell(self._progress(found, newest))
             if summary.interrupted:
@@ -134,11 +130,8 @@ class Hunt:
     def _round(self, k: int) -> Summary:
         order = self._state["rounds"][k]
         inputs = [self._inputs[content] for content in order["inputs"] if content in self._inputs]
-        bounds = {
-            "seconds": order["seconds"],
-            "total_seconds": 2 * order["seconds"],
-            "diverse": order.get("kinds", KINDS),
-        }
+        seconds, kinds = order["seconds"], order.get("kinds", KINDS)
+        bounds = {"seconds": seconds, "total_seconds": 2 * seconds, "diverse": kinds}
         plan = replace(
             self._plan, inputs=inputs, seeds=tuple(order["seeds"]),
             variants=[{**variant, **bounds} for variant in self._plan.variants],
@@ -210,10 +203,6 @@ class Hunt:
     def _failures(self, k: int, rows: Sequence[Mapping[str, Any]]) -> list[Failure]:
         first = [f for row in rows if (f := failure_of(row, self._runs_of(k))) is not None]
         return first + [f for row in rows for f in self._more[k].get(str(row["id"]), ())]
-
-    def _newest(self, found: Sequence[Failure]) -> Failure | None:
-        runs = self._runs_of(len(self._rows) - 1)
-        return next((f for f in found if runs in f.run.parents), None)
 
     def _enough(self) -> bool:
         return self._most is not None and len(self.found()) >= self._most
@@ -302,10 +291,7 @@ def _lost(rows: Sequence[Mapping[str, Any]], outcomes: Sequence[Mapping[str, Any
 
 
 def _copy(source: Path, target: Path) -> None:
-    """The files of a folder in a new one, as links (which take no space) where the file system has them.
-
-    Raises OSError.
-    """
+    """The files of a folder in a new one, as links (which take no space) where the file system has them."""
     target.mkdir(parents=True)
     for file in sorted(source.iterdir()):
         if file.is_dir():

@@ -32,7 +32,7 @@ from sumo_adv.datatypes import Floats, Level
 from sumo_adv.errors import UsageError
 from sumo_adv.files import held, json_text, sentences, write_text
 from sumo_adv.parsing import parse_json
-from sumo_adv.rate.blocks import BLOCK, WAIT, Block, BlockRunner, RatePlan, failed
+from sumo_adv.rate.blocks import BLOCK, WAIT, Block, BlockRunner, ClusterBlocks, RatePlan, failed
 from sumo_adv.rate.proposal import KINDS, MOST_WEIGHT, Counts, Proposal, chances, learnt, pilot_proposal
 from sumo_adv.rate.run import Record
 from sumo_adv.report.outcome import versions
@@ -87,9 +87,8 @@ def rate(weights: Floats, exposure: Floats, most_weight: float = 1.0) -> Rate:
     low = _quantile(total, variance, tail)
     high = _quantile(total + largest, variance + largest**2, 1 - tail)
     plain_runs = len(weights) * total / variance
-    return Rate(
-        total / over, low / over, high / over, seen, total**2 / square, seen_largest / total, plain_runs
-    )  # fmt: skip
+    share = seen_largest / total
+    return Rate(total / over, low / over, high / over, seen, total**2 / square, share, plain_runs)
 
 
 def _quantile(mean: float, variance: float, share: float) -> float:
@@ -146,17 +145,15 @@ def estimated(plan: RatePlan, records: Sequence[Record], pilot: Sequence[Record]
     weight, hours, km = (_column(records, name) for name in ("weight", "weighted_hours", "weighted_km"))
     most = 1.0 if plan.plain else MOST_WEIGHT
     reached = {CONTACT: [r.contact for r in records]}
-    for level in Level:
-        if level >= Level.COLLISION:
-            reached[str(level)] = [r.contact and Level[r.level.upper()] >= level for r in records]
+    for name in LEVELS[1:]:
+        least = Level[name.upper()]
+        reached[name] = [r.contact and Level[r.level.upper()] >= least for r in records]
     per_hour = {name: rate(weight * np.array(flags), hours, most) for name, flags in reached.items()}
     per_km = {name: rate(weight * np.array(flags), km, most) for name, flags in reached.items()}
     collided = weight * np.array(reached["collision"])
     errors = np.array([r.error or "none" for r in records])
-    total = float(collided.sum())
-    by_error = {
-        str(name): float(collided[errors == name].sum()) / total for name in np.unique(errors[collided > 0])
-    }  # fmt: skip
+    total, seen = float(collided.sum()), np.unique(errors[collided > 0])
+    by_error = {str(name): float(collided[errors == name].sum()) / total for name in seen}
     plain_runs = per_hour["collision"].plain_runs
     driven = [*records, *pilot]
     return Estimate(
@@ -229,24 +226,22 @@ class Estimation:
         pace = Pace(self.workers, DEADLINE, RECYCLE)
         if self.ray is None:
             return LocalWorkers(self.plan, pace, scratch, failed, stop, BlockRunner)
-        from sumo_adv.rate.blocks import ClusterBlocks
-
         return ClusterBlocks(self.plan, pace, self.ray, versions(), stop)
 
     def _blocks(self, phase: str, runs: int, proposal: Proposal | None, pool: Workers) -> list[dict[str, Any]] | None:
         """The blocks of a phase, those that are missing run now; None if the user stopped it."""
         starts = None if proposal is None else proposal.starts.tolist()
         jobs = [Block(phase, first, starts) for first in range(0, runs, BLOCK)]
-        by_id = {job.id: block for job in jobs if (block := read_block(self._file(job))) is not None}
+        files = {job.id: self.out / "blocks" / f"{job.id}.json" for job in jobs}
+        by_id = {name: block for name, file in files.items() if (block := read_block(file)) is not None}
         self.watcher.begin(len(jobs), list(by_id.values()))
 
         def keep(job: Any, done: Done) -> None:
             by_id[job.id] = dict(done.row or {})
-            write_text(self._file(job), json_text(by_id[job.id]))
+            write_text(files[job.id], json_text(by_id[job.id]))
             self.watcher.finished(job, by_id[job.id])
 
-        missing = [job for job in jobs if job.id not in by_id]
-        if missing:
+        if missing := [job for job in jobs if job.id not in by_id]:
             pool.run(missing, keep)
         if len(by_id) < len(jobs):
             return None
@@ -257,9 +252,6 @@ class Estimation:
                 "input with an ego that departs earlier."
             )
         return blocks
-
-    def _file(self, job: Block) -> Path:
-        return self.out / "blocks" / f"{job.id}.json"
 
 
 def read_block(file: Path) -> dict[str, Any] | None:

@@ -203,6 +203,7 @@ class CaseRunner:
         Raises OSError: nothing can be written.
         """
         began = time.perf_counter()
+        text = ""
         try:
             measured = self._run(read_case(job.folder))
         except Exception as error:
@@ -211,8 +212,6 @@ class CaseRunner:
             reason = str(error) if isinstance(error, SumoAdvError) else f"{type(error).__name__}: {error}"
             measured = Measured(job.id, self._setup.ego, broken=reason)
             text = traceback.format_exc()
-        else:
-            text = ""
         return Done(job.id, asdict(replace(measured, seconds=time.perf_counter() - began)), text=text)
 
     def _run(self, case: Case) -> Measured:

@@ -31,7 +31,7 @@ from sumo_adv import __version__
 from sumo_adv.datatypes import Floats, Level
 from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.metrics.severity import Severity
-from sumo_adv.metrics.statistics import Estimate, wilson
+from sumo_adv.metrics.statistics import wilson
 from sumo_adv.parsing import parse_json
 from sumo_adv.report.coverage import ALL, BANDS, Coverage
 from sumo_adv.report.document import asset, document, packed, whole, write_document
@@ -102,37 +102,30 @@ def _number(text: str | None) -> float | None:
     return value if math.isfinite(value) else None
 
 
-@dataclass(frozen=True, slots=True)
-class EgoSummary:
-    """An ego's episodes. All rates have all ``episodes`` below them, failed ones too.
+def summarise(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Each ego's episodes, by name. All rates have all episodes below them, failed ones too: value, low and high.
 
-    reached: for each of ``LEVELS`` the share of episodes that reached at least this level. failed: the share of failed
-    episodes. severity: how many collisions that reached ``valid`` had each severity. delta_v: their median [m/s], None
-    without any.
+    reached: the share of episodes that reached at least each of ``LEVELS``. failed: the share of failed episodes.
+    severity: how many collisions that reached ``valid`` had each one. delta_v: their median [m/s], None without any.
     """
-
-    ego: str
-    episodes: int
-    reached: tuple[Estimate, ...]
-    failed: Estimate
-    severity: Mapping[str, int]
-    delta_v: float | None
-
-
-def summarise(rows: Sequence[Mapping[str, Any]]) -> list[EgoSummary]:
-    return [_of(ego, [row for row in rows if row["ego"] == ego]) for ego in sorted({str(row["ego"]) for row in rows})]
-
-
-def _of(ego: str, rows: Sequence[Mapping[str, Any]]) -> EgoSummary:
-    total, levels = len(rows), [level_of(row["level"] or None) for row in rows]
-    hits = [row for row, level in zip(rows, levels, strict=True) if level >= Level.VALID]
-    counted = Counter(row["severity"] for row in hits)
-    speeds = [row["delta_v"] for row in hits if row["delta_v"] is not None]
-    return EgoSummary(
-        ego, total, tuple(wilson(sum(level >= least for level in levels), total) for least in LEVELS),
-        wilson(sum(bool(row["failure"]) for row in rows), total), {str(name): counted[name] for name in Severity},
-        median(speeds) if speeds else None,
-    )  # fmt: skip
+    summaries = []
+    for ego in sorted({str(row["ego"]) for row in rows}):
+        own = [row for row in rows if row["ego"] == ego]
+        levels = [level_of(row["level"] or None) for row in own]
+        hits = [row for row, level in zip(own, levels, strict=True) if level >= Level.VALID]
+        counted = Counter(row["severity"] for row in hits)
+        speeds = [row["delta_v"] for row in hits if row["delta_v"] is not None]
+        counts = [
+            sum(bool(row["failure"]) for row in own),
+            *(sum(level >= least for level in levels) for least in LEVELS),
+        ]
+        rates = [wilson(count, len(own)) for count in counts]
+        failed, *reached = [[round(value, 4) for value in (rate.value, rate.low, rate.high)] for rate in rates]
+        summaries.append({
+            "ego": ego, "episodes": len(own), "reached": reached, "failed": failed,
+            "severity": [counted[name] for name in Severity], "delta_v": median(speeds) if speeds else None,
+        })  # fmt: skip
+    return summaries
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,20 +155,10 @@ def make_index(
         "x": [m.place[0] if m and m.place else None for m in pages],
         "y": [m.place[1] if m and m.place else None for m in pages],
         "maps": [{"name": n, **roads[n]} for n in maps],
-        "egos": [_ego(summary) for summary in summarise(rows)],
+        "egos": summarise(rows),
         "coverage": None if coverage is None else _cells(coverage),
     }  # fmt: skip
     return document("Episodes", asset("index.html"), STYLES, SCRIPTS, data)
-
-
-def _ego(summary: EgoSummary) -> dict[str, Any]:
-    failed, *reached = (
-        [round(value, 4) for value in (rate.value, rate.low, rate.high)] for rate in (summary.failed, *summary.reached)
-    )
-    return {
-        "ego": summary.ego, "episodes": summary.episodes, "reached": reached, "failed": failed,
-        "severity": list(summary.severity.values()), "delta_v": summary.delta_v,
-    }  # fmt: skip
 
 
 def _cells(coverage: Coverage) -> dict[str, Any]:

@@ -195,7 +195,10 @@ class Server:
             "encounter", time=encounter.time, number=self._number + 1, ego=encounter.ego,
             ranking=[{"id": i, "relation": r, "risk": k} for i, r, k in encounter.ranking],
         )  # fmt: skip
-        episode = self._episode(scene)
+        episode = Episode(
+            parts.source, self._settings, self._task, bank_hash=parts.bank.content_hash(), agents=parts.agents
+        )
+        episode.found, episode.lanes = encounter, parts.road.strips(*encounter.area)
         try:
             decision = self._decided(session, episode, scene)
         except ModelError as error:
@@ -203,27 +206,16 @@ class Server:
             episode.ending, episode.reason = model_ending(error), str(error)
             parts.writer.keep(episode, self._number)
             raise
-        if not decision.planned.reaches and self._task.trigger is None:
-            self._pass_over(session, "no intent reaches the ego, by prediction", passed)
+        if decision.entries is None or (not decision.planned.reaches and self._task.trigger is None):
+            given = decision.planned.reaches or self._task.trigger is not None
+            self._pass_over(session, episode.reason if given else "no intent reaches the ego, by prediction", passed)
             return False
-        if decision.entries is None:
-            self._pass_over(session, episode.reason, passed)
-            return False
-        stale = self._stale(session, watch, scene, {episode.intents[0].bv, *decision.best.bvs})
-        if stale:
+        if stale := self._stale(session, watch, scene, {episode.intents[0].bv, *decision.best.bvs}):
             parts.events.tell("dropped", time=session.now, reason=stale)
             return False
         self._number += 1
         self._pursue(session, scene, episode, decision)
         return True
-
-    def _episode(self, scene: Scene) -> Episode:
-        parts, encounter = self._parts, scene.found
-        episode = Episode(
-            parts.source, self._settings, self._task, bank_hash=parts.bank.content_hash(), agents=parts.agents
-        )
-        episode.found, episode.lanes = encounter, parts.road.strips(*encounter.area)
-        return episode
 
     def _pursue(self, session: Session, scene: Scene, episode: Episode, decision: Decision) -> None:
         parts, settings = self._parts, self._settings
