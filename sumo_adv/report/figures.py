@@ -42,7 +42,7 @@ from sumo_adv.report.encounter_figure import (
     pose_at,
     shortened,
 )
-from sumo_adv.report.read import RunRead, read_run, reading
+from sumo_adv.report.read import read_run, reading
 from sumo_adv.simulation.network import read_network
 
 BEFORE, AFTER = 1.0, 1.5  # s shown before the trigger and after the decisive moment
@@ -126,29 +126,25 @@ def read_story(folder: Path) -> Story:
     if run.outcome.get("best") is None or not run.best:
         raise UsageError(f"The run in {folder} made no attempt, so there is nothing to draw.")
     with reading(folder):
-        return _story(run)
-
-
-def _story(run: RunRead) -> Story:
-    ego, adversaries = run.outcome["ego"]["id"], [a["id"] for a in run.outcome["adversaries"]]
-    trigger, verdict = float(run.outcome["trigger_time"]), run.outcome["outcome"]
-    attacked = _scene(run.best, ego, adversaries)
-    if attacked is None:
-        raise UsageError(f"Ego or adversary is not in the states of the run in {run.folder}; run it again.")
-    contact = verdict["contact_time"]
-    decisive = closest_time(*attacked.pair(), trigger) if contact is None else float(contact)
-    end = min(decisive + AFTER, float(max(t.time[-1] for t in attacked.pair())))
-    network = run.folder / "inputs" / Path(run.manifest["network"]).name
-    lanes: Lanes = ()
-    if network.is_file():
-        x, y, _ = pose_at(attacked.ego, decisive) or (float(attacked.ego.x[-1]), float(attacked.ego.y[-1]), 0.0)
-        lanes = read_network(network).strips(x, y, 400.0)
-    best = run.outcome["attempts"][run.outcome["best"]]
-    intent = best.get("composition") or best["intent"]
-    return Story(
-        str(run.manifest["name"]), str(intent), lanes, attacked, _scene(run.raw, ego, adversaries), trigger, decisive,
-        end, verdict,
-    )  # fmt: skip
+        ego, adversaries = run.outcome["ego"]["id"], [a["id"] for a in run.outcome["adversaries"]]
+        trigger, verdict = float(run.outcome["trigger_time"]), run.outcome["outcome"]
+        attacked = _scene(run.best, ego, adversaries)
+        if attacked is None:
+            raise UsageError(f"Ego or adversary is not in the states of the run in {run.folder}; run it again.")
+        contact = verdict["contact_time"]
+        decisive = closest_time(*attacked.pair(), trigger) if contact is None else float(contact)
+        end = min(decisive + AFTER, float(max(t.time[-1] for t in attacked.pair())))
+        network = run.folder / "inputs" / Path(run.manifest["network"]).name
+        lanes: Lanes = ()
+        if network.is_file():
+            x, y, _ = pose_at(attacked.ego, decisive) or (float(attacked.ego.x[-1]), float(attacked.ego.y[-1]), 0.0)
+            lanes = read_network(network).strips(x, y, 400.0)
+        best = run.outcome["attempts"][run.outcome["best"]]
+        intent = best.get("composition") or best["intent"]
+        return Story(
+            str(run.manifest["name"]), str(intent), lanes, attacked, _scene(run.raw, ego, adversaries), trigger,
+            decisive, end, verdict,
+        )  # fmt: skip
 
 
 def _scene(tracks: Sequence[Track], ego: str, adversaries: Sequence[str]) -> Scene | None:

@@ -9,7 +9,6 @@ from datetime import UTC, datetime
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from sumo_adv.datatypes import Floats, Role, Track
 from sumo_adv.errors import UsageError
 from sumo_adv.metrics.boxes import first_contact, row_of
 from sumo_adv.report.manifest import waymo_source
-from sumo_adv.report.read import MANIFEST, RunRead, read_run, reading
+from sumo_adv.report.read import MANIFEST, read_run, reading
 from sumo_adv.road_users import RoadUser, road_user
 from sumo_adv.simulation.inputs import WaymoSource
 from sumo_adv.simulation.network import Lane, RoadMap, read_network
@@ -85,35 +84,31 @@ def read_piece(folder: Path, *, unattacked: bool = False, before: float | None =
         fault = "no states of the unattacked run" if unattacked else "no states: it met no encounter"
         raise UsageError(f"The run in {folder} has {fault}, so there is nothing to export.")
     with reading(folder):
-        return _piece(run, tracks, unattacked, before, whole)
-
-
-def _piece(run: RunRead, tracks: Sequence[Track], unattacked: bool, before: float | None, whole: bool) -> Piece:
-    settings: Mapping[str, Any] = run.manifest["settings"]
-    network = run.folder / "inputs" / Path(run.manifest["network"]).name
-    if not network.is_file():
-        raise UsageError(f"{network} is missing, so the run in {run.folder} cannot be exported.")
-    takeover = run.outcome["trigger_time"]
-    moment = run.outcome["encounter"]["time"] if takeover is None else takeover
-    first, end = min(t.time[0] for t in tracks), max(t.time[-1] for t in tracks)
-    lead = settings["history"] if before is None else before
-    begin = first if whole else max(first, float(moment) - lead)
-    shown = [part for t in tracks if (part := t.between(begin, end)).time.size]
-    ego = run.outcome["ego"]["id"]
-    adversaries = [str(a["id"]) for a in run.outcome.get("adversaries") or []]
-    driven = {t.id for t in shown if t.role is Role.ADVERSARY}
-    attacked = None if unattacked or not adversaries or adversaries[0] not in driven else adversaries[0]
-    supports = [name for name in adversaries[1:] if name in driven and attacked is not None]
-    if ego not in {t.id for t in shown}:
-        raise UsageError(f"The ego is not in the exported part of the run in {run.folder}; give --whole.")
-    best = None if attacked is None else run.outcome.get("best")
-    level = "" if best is None else str(run.outcome["attempts"][best]["level"] or "")
-    return Piece(
-        str(run.manifest["name"]), network, tuple(shown), float(min(t.time[0] for t in shown)), float(end),
-        float(settings["step_length"]), ego, attacked, float(takeover) if attacked is not None else None,
-        datetime.fromtimestamp((run.folder / MANIFEST).stat().st_mtime, UTC).replace(microsecond=0),
-        tuple(supports), level, SignalLog({}) if unattacked else run.lights, waymo_source(run.manifest),
-    )  # fmt: skip
+        settings = run.manifest["settings"]
+        network = run.folder / "inputs" / Path(run.manifest["network"]).name
+        if not network.is_file():
+            raise UsageError(f"{network} is missing, so the run in {run.folder} cannot be exported.")
+        takeover = run.outcome["trigger_time"]
+        moment = run.outcome["encounter"]["time"] if takeover is None else takeover
+        first, end = min(t.time[0] for t in tracks), max(t.time[-1] for t in tracks)
+        lead = settings["history"] if before is None else before
+        begin = first if whole else max(first, float(moment) - lead)
+        shown = [part for t in tracks if (part := t.between(begin, end)).time.size]
+        ego = run.outcome["ego"]["id"]
+        adversaries = [str(a["id"]) for a in run.outcome.get("adversaries") or []]
+        driven = {t.id for t in shown if t.role is Role.ADVERSARY}
+        attacked = None if unattacked or not adversaries or adversaries[0] not in driven else adversaries[0]
+        supports = [name for name in adversaries[1:] if name in driven and attacked is not None]
+        if ego not in {t.id for t in shown}:
+            raise UsageError(f"The ego is not in the exported part of the run in {run.folder}; give --whole.")
+        best = None if attacked is None else run.outcome.get("best")
+        level = "" if best is None else str(run.outcome["attempts"][best]["level"] or "")
+        return Piece(
+            str(run.manifest["name"]), network, tuple(shown), float(min(t.time[0] for t in shown)), float(end),
+            float(settings["step_length"]), ego, attacked, float(takeover) if attacked is not None else None,
+            datetime.fromtimestamp((run.folder / MANIFEST).stat().st_mtime, UTC).replace(microsecond=0),
+            tuple(supports), level, SignalLog({}) if unattacked else run.lights, waymo_source(run.manifest),
+        )  # fmt: skip
 
 
 # -- vehicles and words -----------------------------------------------------------------------------------------------
