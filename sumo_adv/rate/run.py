@@ -121,7 +121,8 @@ class Run:
             return
         levels: Ints | None = None
         if self.decisions.raising:
-            box = Boxes(*(np.array(getattr(ego, key)) for key in BOX[:4]), ego.length, ego.width)
+            x, y, heading, speed = (np.array(getattr(ego, key)) for key in BOX[:4])
+            box = Boxes(x, y, heading, speed, ego.length, ego.width)
             levels = danger(box, boxes_of([drive.state(name) for name in names]))
         kinds = self.decisions.next(model, levels)
         for row, (name, kind) in enumerate(zip(names, kinds, strict=True)):

@@ -112,11 +112,12 @@ def _read_plan(file: Path, adversary: str, tracks: Sequence[Track]) -> Track | N
     if not file.is_file():
         return None
     try:
-        values = [np.array(column, dtype=np.float64) for column in columns_of(file, PLAN_HEADER).values()]
+        columns = columns_of(file, PLAN_HEADER).values()
+        time, x, y, heading, speed, acceleration = (np.array(column, dtype=np.float64) for column in columns)
     except ValueError as error:
         raise damaged(file, error) from error
     size = next(((t.length, t.width) for t in tracks if t.id == adversary), (4.8, 1.8))
-    return Track(adversary, Role.ADVERSARY, *values, *size)
+    return Track(adversary, Role.ADVERSARY, time, x, y, heading, speed, acceleration, *size)
 
 
 def _road(run: RunRead, case: Case, start: float) -> tuple[float, Any]:

@@ -129,13 +129,13 @@ def _tracks(file: Path) -> list[Track]:
         values = {name: np.array(columns[name], dtype=np.float64) for name in NUMBERS}
         if not all(np.isfinite(v).all() for v in values.values()):
             raise ValueError("a number is not finite")
-        return [
-            Track(
-                name, Role(columns["role"][of[0]]), *(values[n][of] for n in NUMBERS[:6]),
-                *(float(values[n][of[0]]) for n in NUMBERS[6:]), tuple(columns["lane"][i] for i in of),
-            )
-            for name, of in places.items()
-        ]  # fmt: skip
+        tracks = []
+        for name, of in places.items():
+            time, x, y, heading, speed, acceleration = (values[n][of] for n in NUMBERS[:6])
+            length, width = (float(values[n][of[0]]) for n in NUMBERS[6:])
+            role, lane = Role(columns["role"][of[0]]), tuple(columns["lane"][i] for i in of)
+            tracks.append(Track(name, role, time, x, y, heading, speed, acceleration, length, width, lane))
+        return tracks
     except ValueError as error:
         raise damaged(file, error) from error
 
