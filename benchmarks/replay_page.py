@@ -20,8 +20,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
 from page_samples import Visit, chromium, make_run, outcome
 
-from sumo_adv.report.index.make import Made, make_index, road_of
-from sumo_adv.report.index.rows import Table
+from sumo_adv.report.index import Made, Table, make_index, road_of
 from sumo_adv.report.page import make_page
 
 SECONDS = 8.0  # of playing

@@ -23,7 +23,7 @@ from sumo_adv.report.staging import scratch_folder, staged
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from sumo_adv.report.export.choices import Format, Variant
+    from sumo_adv.report.export import Format, Variant
     from sumo_adv.report.run_outcome import Outcome
 
 HEIGHT = 720  # pixels of a page inside a notebook
@@ -45,7 +45,7 @@ class Result:
 
         Raises UsageError: ``outcome.json`` is missing or damaged.
         """
-        from sumo_adv.report.page.read import OUTCOME, read_run
+        from sumo_adv.report.read import OUTCOME, read_run
         from sumo_adv.report.run_outcome import outcome_of
 
         return outcome_of(read_run(self.folder).outcome, self.folder / OUTCOME)
@@ -78,8 +78,7 @@ class Result:
 
     def plot(self) -> Figure:
         """A figure of the encounter without and with the attack. Raises UsageError: no attempt was made."""
-        from sumo_adv.report.figures.paper import draw_paper
-        from sumo_adv.report.figures.story import read_story
+        from sumo_adv.report.figures import draw_paper, read_story
 
         return draw_paper(read_story(self.folder))
 
@@ -96,10 +95,9 @@ class Result:
 
         Raises UsageError: an unknown format, ``out`` is there already, or nothing to export.
         """
-        from sumo_adv.report.export.choices import Format, Variant
-        from sumo_adv.report.export.formats import FORMATS
+        from sumo_adv.report.export import Format, Variant
+        from sumo_adv.report.export.formats import FORMATS, chosen, write_export
         from sumo_adv.report.export.piece import read_piece
-        from sumo_adv.report.export.write import chosen, write_export
 
         try:
             kind, driven = Format(format), Variant(variant)
@@ -241,7 +239,7 @@ def judge(
 
 def _table(file: Path, header: str | None = None) -> Table:
     """The columns of a table of states, or of one with another ``header``, in its order."""
-    from sumo_adv.report.page.read import columns_of
+    from sumo_adv.report.read import columns_of
     from sumo_adv.report.tables import HEADER
 
     columns = columns_of(file, header or HEADER)

@@ -62,7 +62,7 @@ class Campaign:
     def coverage(self) -> Coverage:
         """Encounters and failures by intent, relation, road class and speed. Raises UsageError or BankError."""
         from sumo_adv.campaigns.store import packed_texts
-        from sumo_adv.report.campaign_coverage import OUTCOME, campaign_coverage
+        from sumo_adv.report.coverage import OUTCOME, campaign_coverage
 
         runs = [self.folder / RUNS / str(name) for name in self.table["id"]]
         return campaign_coverage(self.folder, runs, packed_texts(self.folder, OUTCOME), shipped_bank())
@@ -271,9 +271,8 @@ def hunt(
 
 def _index(found: Found, workers: int) -> Path:
     """The page of all failures, with a picture and a replay of each."""
-    from sumo_adv.report.campaign_coverage import campaign_coverage, write_coverage
-    from sumo_adv.report.index.build import Packs, write_report
-    from sumo_adv.report.index.rows import table_of
+    from sumo_adv.report.coverage import campaign_coverage, write_coverage
+    from sumo_adv.report.index import Packs, table_of, write_report
 
     runs = [failure.run for failure in found.failures]
     target = found.folder / "report"
@@ -326,7 +325,7 @@ def crash_rate(
     Raises:
         UsageError: bad input, or ``out`` holds runs of another estimate. SimulationError: a run failed twice.
     """
-    from sumo_adv.rate.plan import RatePlan
+    from sumo_adv.rate.blocks import RatePlan
 
     if ego is not None and not isinstance(ego, str):
         raise UsageError("Give the ego of a crash rate as a name (module:Class): its workers import it.")

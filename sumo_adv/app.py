@@ -37,8 +37,8 @@ if TYPE_CHECKING:
     from sumo_adv.llm.chat import ChatModel
     from sumo_adv.memory.bank import MemoryBank
     from sumo_adv.planners.sandbox import Sandbox
+    from sumo_adv.rate.blocks import RatePlan
     from sumo_adv.rate.estimate import Estimate
-    from sumo_adv.rate.plan import RatePlan
     from sumo_adv.report.manifest import Recorded
     from sumo_adv.simulation.engine import Engine
     from sumo_adv.simulation.inputs import RunInput
@@ -196,7 +196,7 @@ def play(
     with new_engine() as engine:  # first: it loads its modules while this process loads others
         from sumo_adv.episode.loop import run_episode
         from sumo_adv.episode.task import make_task
-        from sumo_adv.report.figure import load_matplotlib
+        from sumo_adv.report.encounter_figure import load_matplotlib
         from sumo_adv.report.outcome import MODEL_FILE
 
         load_matplotlib()
@@ -254,9 +254,8 @@ def check_driver(
     tell: called with each scenario as soon as it is done. seconds: how long each is driven [s].
     Raises UsageError or SimulationError.
     """
-    from sumo_adv.driver_check.check import DURATION, check_driver
+    from sumo_adv.driver_check.check import DURATION, check_driver, twelve
     from sumo_adv.driver_check.drive import body
-    from sumo_adv.driver_check.scenarios import twelve
     from sumo_adv.simulation.engine import Engine, deaf
 
     with _without_main(), deaf():
@@ -336,7 +335,7 @@ def run_campaign(plan: Plan, orders: Orders, watcher: Watcher, *, states: bool =
 def _write_states(folder: Path, names: Sequence[str]) -> None:
     """Write ``states.parquet`` of a batch; packed runs are unpacked for it, one at a time."""
     from sumo_adv.files import sentences
-    from sumo_adv.report.states_parquet import write_states_parquet
+    from sumo_adv.report.read import write_states_parquet
 
     def runs() -> Iterator[tuple[str, Path]]:
         for name in names:
@@ -416,8 +415,7 @@ def keep_run(target: Path, episode: Episode, exchanges: Path | None = None) -> N
 def draw_example(target: Path, episode: Episode) -> None:
     """Draw the encounter without and with the attack, as ``figure`` does. Raises UsageError."""
     from sumo_adv.files import sentences
-    from sumo_adv.report.figures.paper import draw_paper, save
-    from sumo_adv.report.figures.story import read_story
+    from sumo_adv.report.figures import draw_paper, read_story, save
     from sumo_adv.report.folder import write_run
     from sumo_adv.report.staging import staged
 

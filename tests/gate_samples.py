@@ -152,10 +152,10 @@ def opened(
 
 
 @contextmanager
-def attached(gate: Gate, events: list[GateEvent], folder: Path, hidden: tuple[str, ...] = ()) -> Iterator[Scene]:
+def attached(gate: Gate, events: list[GateEvent], folder: Path) -> Iterator[Scene]:
     """A simulation behind the gate, before its first step. No SUMO is left behind."""
     with SumoProcess(spec(folder).arguments()) as sumo:
-        gate.attach(sumo, own={"ego"}, hidden=hidden)
+        gate.attach(sumo, own={"ego"})
         ours = traci.connect(sumo.port, numRetries=0, host="127.0.0.1")
         ours.setOrder(1)
         yield Scene(gate, sumo, ours, events)

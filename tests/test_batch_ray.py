@@ -29,9 +29,12 @@ from sumo_adv.campaigns.cluster import (  # noqa: E402
 from sumo_adv.campaigns.local import Pace  # noqa: E402
 from sumo_adv.errors import UsageError  # noqa: E402
 from sumo_adv.memory.bank import MemoryBank  # noqa: E402
-from sumo_adv.rate.blocks import Block  # noqa: E402
-from sumo_adv.rate.cluster import Sent, block  # noqa: E402
-from sumo_adv.rate.plan import RatePlan  # noqa: E402
+from sumo_adv.rate.blocks import (  # noqa: E402
+    Block,
+    RatePlan,
+    Sent,
+    block,
+)
 
 
 @pytest.fixture(scope="module")

@@ -16,8 +16,7 @@ from sumo_adv.campaigns.cluster import wrong_content
 from sumo_adv.campaigns.plan import hash_of
 from sumo_adv.errors import UsageError
 from sumo_adv.report.export.commonroad import SCENARIO, write_commonroad
-from sumo_adv.report.export.piece import read_piece
-from sumo_adv.report.export.road import map_lanes
+from sumo_adv.report.export.piece import map_lanes, read_piece
 from sumo_adv.simulation.inputs import is_commonroad, load_input
 from sumo_adv.womd.commonroad import read_commonroad
 

@@ -12,10 +12,8 @@ from cli_samples import Program
 from regression_samples import attacked
 
 from sumo_adv.campaigns.results import row_of, write_csv
-from sumo_adv.comparison.compare import Comparison, compare
-from sumo_adv.comparison.markdown import to_markdown
-from sumo_adv.comparison.page import html
-from sumo_adv.comparison.side import read_side
+from sumo_adv.comparison.compare import Comparison, compare, read_side
+from sumo_adv.comparison.page import html, to_markdown
 from sumo_adv.errors import UsageError
 
 

@@ -159,7 +159,7 @@ def answer(tmp_path: Path, *words: str) -> int:
 def test_health_asks_a_server_and_leaves_other_commands_alone(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from sumo_adv.serve.status import StatusPage
+    from sumo_adv.serve.events import StatusPage
 
     state = {"health": "ok"}
     python, program = "/opt/sumo_adv/bin/python", "/opt/sumo_adv/bin/sumo-adv"

@@ -16,11 +16,10 @@ from xodr_reader import lane_centres
 from xosc_reader import entity, events, motion, number, properties, replayed
 
 from sumo_adv.datatypes import Role
-from sumo_adv.report.export.choices import Variant
-from sumo_adv.report.export.fcd import fcd, front
+from sumo_adv.report.export import Variant
 from sumo_adv.report.export.openscenario import ROAD, SCENARIO, write_openscenario
 from sumo_adv.report.export.piece import Piece, read_piece
-from sumo_adv.report.export.replay import CONFIGURATION, write_replay
+from sumo_adv.report.export.sumo import CONFIGURATION, fcd, front, write_replay
 from sumo_adv.simulation.network import read_network
 from sumo_adv.simulation.programs import find_netconvert
 

@@ -11,10 +11,10 @@ from xodr_reader import lane_centres
 
 import sumo_adv
 from sumo_adv.datatypes import Floats
-from sumo_adv.report.export.choices import Format, Variant
+from sumo_adv.report.export import Format, Variant
 from sumo_adv.report.export.commonroad import SCENARIO
+from sumo_adv.report.export.formats import write_export
 from sumo_adv.report.export.piece import Piece, read_piece
-from sumo_adv.report.export.write import write_export
 from sumo_adv.simulation.network import read_network
 from sumo_adv.womd.commonroad import read_commonroad
 from sumo_adv.womd.reader import read_records

@@ -25,13 +25,10 @@ from xosc_reader import entity, events, number
 from sumo_adv.cli.main import app
 from sumo_adv.datatypes import Role, Track
 from sumo_adv.errors import SumoAdvError, UsageError
-from sumo_adv.report.export.choices import Variant
-from sumo_adv.report.export.entities import entity_names, reference_points
-from sumo_adv.report.export.fcd import fcd, front
-from sumo_adv.report.export.openscenario import openscenario
+from sumo_adv.report.export import Variant
+from sumo_adv.report.export.openscenario import check_openscenario, entity_names, openscenario, reference_points
 from sumo_adv.report.export.piece import Piece, read_piece
-from sumo_adv.report.export.schema import check_openscenario
-from sumo_adv.report.export.table import table
+from sumo_adv.report.export.sumo import fcd, front, table
 
 NETWORK = ROOT / "networks" / "two_way.net.xml"
 HOSTILE = 'a"<b>&$c\x07 ]]>é'

@@ -16,12 +16,10 @@ from typer.testing import CliRunner
 
 from sumo_adv.cli.main import app
 from sumo_adv.errors import UsageError
-from sumo_adv.report.export.choices import Format, Variant
-from sumo_adv.report.export.formats import FORMATS, Entry
-from sumo_adv.report.export.piece import Piece, read_piece
-from sumo_adv.report.export.road import map_lanes
+from sumo_adv.report.export import Format, Variant
+from sumo_adv.report.export.formats import FORMATS, Entry, write_export
+from sumo_adv.report.export.piece import Piece, map_lanes, read_piece
 from sumo_adv.report.export.womd import first_step
-from sumo_adv.report.export.write import write_export
 from sumo_adv.womd.convert import convert_record
 from sumo_adv.womd.reader import read_records
 

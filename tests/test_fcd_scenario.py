@@ -14,9 +14,8 @@ from typer.testing import CliRunner
 import sumo_adv
 from sumo_adv.cli.main import app
 from sumo_adv.errors import UsageError
-from sumo_adv.report.export.fcd import fcd
 from sumo_adv.report.export.piece import read_piece
-from sumo_adv.report.export.replay import TYPES, write_replay
+from sumo_adv.report.export.sumo import TYPES, fcd, write_replay
 from sumo_adv.simulation.fcd_scenario import ROUTES, SCENARIO, TRACKS, write_scenario
 from sumo_adv.simulation.inputs import load_input
 from sumo_adv.simulation.tracks import read_tracks

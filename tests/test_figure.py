@@ -10,8 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from sumo_adv.datatypes import Role, Track, Verdict
-from sumo_adv.report.figure import decisive_time, draw_encounter
-from sumo_adv.report.figures.parts import lane_polygon
+from sumo_adv.report.encounter_figure import decisive_time, draw_encounter, lane_polygon
 
 
 def track(id: str, role: Role, x: NDArray[np.floating], y: NDArray[np.floating]) -> Track:

@@ -18,9 +18,7 @@ from typer.testing import CliRunner
 
 from sumo_adv.cli.main import app
 from sumo_adv.errors import SumoAdvError, UsageError
-from sumo_adv.report.figures.film import write_film
-from sumo_adv.report.figures.paper import draw_paper, save
-from sumo_adv.report.figures.story import Scene, Story, read_story
+from sumo_adv.report.figures import Scene, Story, draw_paper, read_story, save, write_film
 
 OUTCOME: Mapping[str, Any] = {"collided": False, "min_ttc": 0.7}
 WITH, WITHOUT = Scene(EGO, CUT, [OTHER]), Scene(EGO, RAW, [OTHER])

@@ -56,7 +56,7 @@ def test_any_bytes_are_split_whole_or_refused(body: bytes) -> None:
 
 @given(st.binary(max_size=60), st.sampled_from(sorted(shapes.SET)), st.binary(min_size=1, max_size=1))
 def test_no_payload_raises(body: bytes, setter: int, variable: bytes) -> None:
-    policy = Policy(Rules(), ["ego"], [])
+    policy = Policy(Rules(), ["ego"])
     for number in (setter, setter - 0x20, setter + 0x10, setter - 0x40, framing.FILTER, 0x99):
         for payload in (body, variable + NAME + body, bytes(16) + NAME + body):
             policy.refusal(split(make_message(make_command(number, payload)))[0])
@@ -83,22 +83,6 @@ def test_lengths_that_do_not_add_up(body: bytes) -> None:
 def test_a_refusal_answers_every_command_and_lets_close_be() -> None:
     answers = split(errors(make_message(make_command(0xA4, b"x"), make_command(framing.CLOSE)), "No."))
     assert [(answer.number, answer.payload[0]) for answer in answers] == [(0xA4, 0xFF), (framing.CLOSE, 0)]
-
-
-def test_subscription_results_of_hidden_objects_are_taken_out() -> None:
-    def entry(name: bytes, size: int) -> bytes:
-        body = b"\xe4" + struct.pack("!i", len(name)) + name + bytes(size)
-        return b"\0" + struct.pack("!i", len(body) + 5) + body
-
-    ego_entry, server, more = entry(b"ego", 300), entry(b"server", 20), entry(b"other", 3)
-    answer = make_message(make_status(framing.SIMSTEP), struct.pack("!i", 3), ego_entry, server, more)
-    left = make_message(make_status(framing.SIMSTEP), struct.pack("!i", 2), ego_entry, more)
-    assert framing.without(answer, {b"server"}) == left
-    assert framing.without(left, {b"server"}) == left
-    failed = make_message(make_status(framing.SIMSTEP, framing.ERROR, "no"))
-    assert framing.without(failed, {b"server"}) == failed
-    with pytest.raises(FramingError):
-        framing.without(answer[:-4], {b"server"})
 
 
 @given(st.lists(st.integers(1, 40), min_size=1, max_size=12), st.integers(1, 4))
@@ -164,14 +148,13 @@ def refused(policy: Policy, number: int, payload: bytes) -> bool:
 
 
 def test_rules_by_hand() -> None:
-    policy = Policy(Rules(), ["ego"], ["server"])
+    policy = Policy(Rules(), ["ego"])
     other_name = struct.pack("!i", 5) + b"other"
     assert not refused(policy, 0xA4, b"\x40" + other_name)
     assert not refused(policy, 0xC4, b"\x40" + NAME + SPEED) and refused(policy, 0xC4, b"\x40" + other_name + SPEED)
     assert refused(policy, 0xC4, b"\xfe" + NAME + SPEED)
     assert refused(policy, 0xCB, b"\x95" + bytes(4) + b"\x0c" + NAME) and refused(policy, framing.LOAD, b"")
     assert refused(policy, framing.EXECUTEMOVE, b"")
-    assert refused(policy, 0xD7, bytes(16) + struct.pack("!i", 6) + b"server" + b"\1\x40")
     add = split(make_message(make_command(0xC6, b"\x80" + other_name + b"\x0e\0\0\0\1" + NAME)))[0]
     assert policy.refusal(add) is None and refused(policy, 0xC6, b"\x81" + other_name)
     policy.took(add)
@@ -185,7 +168,7 @@ def named(name: bytes) -> bytes:
 @pytest.mark.parametrize("name", [b"\xff\xfe", b"a\0b", b"two\nlines", b"sumo_adv.ego.route.0"])
 def test_nothing_is_added_under_a_name_that_is_no_text_or_ours(name: bytes) -> None:
     """The server reads all names, and adds routes of its own."""
-    policy = Policy(Rules(), ["ego"], [])
+    policy = Policy(Rules(), ["ego"])
     edges = b"\x0e\0\0\0\1" + NAME
     assert not refused(policy, 0xC6, b"\x80" + named(b"mine") + edges)
     assert refused(policy, 0xC6, b"\x80" + named(name) + edges)
@@ -195,13 +178,13 @@ def test_nothing_is_added_under_a_name_that_is_no_text_or_ours(name: bytes) -> N
 
 def test_an_ego_that_the_server_inserts_is_neither_added_nor_removed_by_its_client() -> None:
     remove = b"\x81" + NAME + b"\x08\0"
-    assert not refused(Policy(Rules(), ["ego"], []), 0xC4, remove)
-    assert refused(Policy(Rules(), ["ego"], [], ["ego"]), 0xC4, remove)
-    assert not refused(Policy(Rules(), ["ego"], [], ["ego"]), 0xC4, b"\x40" + NAME + SPEED)
+    assert not refused(Policy(Rules(), ["ego"]), 0xC4, remove)
+    assert refused(Policy(Rules(), ["ego"], ["ego"]), 0xC4, remove)
+    assert not refused(Policy(Rules(), ["ego"], ["ego"]), 0xC4, b"\x40" + NAME + SPEED)
 
 
 def test_contexts_only_of_variables_that_the_objects_have() -> None:
-    policy = Policy(Rules(), [], [])
+    policy = Policy(Rules(), [])
     begin = bytes(16) + NAME
     reach = struct.pack("!d", 50.0)
     assert not refused(policy, 0x84, begin + b"\xa4" + reach + b"\2\x40\x42")

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sumo_adv.datatypes import Boxes
-from sumo_adv.rate.danger import danger
-from sumo_adv.rate.model import KINDS
+from sumo_adv.rate.proposal import KINDS, danger
 from sumo_adv.simulation.human_errors import ErrorKind
 
 EGO = Boxes(*(np.array(v) for v in (0.0, 0.0, 0.0, 15.0)), 4.8, 1.8)

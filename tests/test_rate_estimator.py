@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sumo_adv.datatypes import Floats
-from sumo_adv.rate.estimator import effective_runs, rate
+from sumo_adv.rate.estimate import effective_runs, rate
 from sumo_adv.rate.proposal import MOST_WEIGHT, Counts, Decisions, Proposal, learnt, pilot_proposal
 
 

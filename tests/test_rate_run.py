@@ -12,10 +12,9 @@ from cli_samples import Program
 import sumo_adv
 from sumo_adv.cli.rate import lines
 from sumo_adv.errors import UsageError
-from sumo_adv.rate.blocks import Block, BlockRunner, seed_of
+from sumo_adv.rate.blocks import Block, BlockRunner, RatePlan, seed_of
 from sumo_adv.rate.estimate import estimated
-from sumo_adv.rate.model import KINDS
-from sumo_adv.rate.plan import RatePlan
+from sumo_adv.rate.proposal import KINDS
 from sumo_adv.rate.run import Record
 from sumo_adv.simulation.human_errors import ErrorKind
 

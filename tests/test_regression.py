@@ -22,11 +22,9 @@ from sumo_adv.errors import UsageError
 from sumo_adv.files import toml_lines
 from sumo_adv.metrics.contact import first_other_contact
 from sumo_adv.regression.case import Case, Expectation, read_case, read_suite
-from sumo_adv.regression.junit import junit
 from sumo_adv.regression.keep import keep_run
-from sumo_adv.regression.measured import Judged, Measured, Result, judged
-from sumo_adv.regression.suite import SuiteRun
-from sumo_adv.regression.table import lines
+from sumo_adv.regression.runner import Judged, Measured, Result, judged
+from sumo_adv.regression.suite import SuiteRun, junit, lines
 from sumo_adv.simulation.inputs import load_input
 
 CALM = Measured("one", "mine", min_ttc=2.0)

@@ -17,11 +17,9 @@ from test_report_page import HOSTILE, data_of
 from sumo_adv.campaigns.results import read_row, write_csv
 from sumo_adv.campaigns.store import pack
 from sumo_adv.errors import UsageError
+from sumo_adv.metrics.severity import Severity
 from sumo_adv.report.coverage import make_coverage
-from sumo_adv.report.index.build import Packs, write_report
-from sumo_adv.report.index.make import Made, make_index, road_of
-from sumo_adv.report.index.rows import Table, read_rows
-from sumo_adv.report.index.summary import summarise
+from sumo_adv.report.index import Made, Packs, Table, make_index, read_rows, road_of, summarise, write_report
 
 MANY = 5000
 HITS = ((0, "serious", 4.0), (1, "valid", 2.0), (2, "collision", 1.0))
@@ -106,14 +104,15 @@ def test_egos_against_outcomes_with_intervals() -> None:
     failed = row(7, ego="idm", level="", severity="", delta_v=None, failure="It broke.", ending="simulation_failed")
     critical = row(8, ego="careful", level="critical", severity="", delta_v=None, failure="")
     careful, idm = summarise([*hits, failed, critical])
-    assert (careful.ego, careful.episodes, idm.ego, idm.episodes) == ("careful", 1, "idm", 4)
+    assert [(each["ego"], each["episodes"]) for each in (careful, idm)] == [("careful", 1), ("idm", 4)]
     # critical, collision, valid, strict, serious; the failed episode is in every denominator
-    assert [rate.value for rate in idm.reached] == [0.75, 0.75, 0.5, 0.25, 0.25]
-    assert (idm.failed.value, idm.failed.n) == (0.25, 4)
-    assert (idm.severity["minor"], idm.delta_v) == (2, 3.0)  # of the two that are valid: 2 and 4 m/s
+    assert [value for value, _, _ in idm["reached"]] == [0.75, 0.75, 0.5, 0.25, 0.25]
+    assert idm["failed"][0] == 0.25
+    minor = idm["severity"][list(Severity).index(Severity.MINOR)]
+    assert (minor, idm["delta_v"]) == (2, 3.0)  # of the two that are valid: 2 and 4 m/s
     # Wilson's interval of two of four: (0.5 + 1.92/4) / (1 + 3.84/4) -+ 0.35
-    assert (idm.reached[2].low, idm.reached[2].high) == pytest.approx((0.150, 0.850), abs=1e-3)
-    assert careful.delta_v is None and careful.reached[0].value == 1.0
+    assert idm["reached"][2][1:] == pytest.approx([0.150, 0.850], abs=1e-3)
+    assert careful["delta_v"] is None and careful["reached"][0][0] == 1.0
 
 
 def test_the_report_of_a_campaign_has_its_coverage(batch: Path, program: Program) -> None:

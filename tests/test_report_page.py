@@ -20,8 +20,8 @@ from hypothesis import strategies as st
 from page_samples import HEADER, attempt, make_run, manifest, meeting, outcome
 
 from sumo_adv.errors import UsageError
+from sumo_adv.report.document import ABSENT, differences, packed, varints, whole
 from sumo_adv.report.page import make_page
-from sumo_adv.report.page.encode import ABSENT, differences, packed, varints, whole
 
 HOSTILE = "</script><img src=x onerror=alert(1)>\"'<!--\u202e\u2066"
 

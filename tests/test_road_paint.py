@@ -15,7 +15,7 @@ from test_report_page import data_of
 
 import sumo_adv
 from sumo_adv.report.page import make_page
-from sumo_adv.report.page.markings import (
+from sumo_adv.report.page_road import (
     DASHED,
     GIVE_WAY,
     LIGHT,

@@ -31,7 +31,7 @@ from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import is_trusted
 from sumo_adv.planners.source import parse_parameters
 from sumo_adv.planners.trial import trial
-from sumo_adv.report.export.entities import kind
+from sumo_adv.report.export.openscenario import kind
 from sumo_adv.road_users import LIMITS, RoadUser, road_user
 from sumo_adv.simulation.simulation import Simulation
 from sumo_adv.situation import Target

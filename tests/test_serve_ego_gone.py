@@ -10,9 +10,9 @@ from gate_samples import Script, connected
 from serve_samples import needs_sumo
 from sumo_samples import make_spec, vehicle
 
+from sumo_adv.serve import Options
 from sumo_adv.serve.events import Event, Events
 from sumo_adv.serve.gate import Gate
-from sumo_adv.serve.options import Options
 from sumo_adv.serve.session import EgoPlan, Session
 from sumo_adv.simulation.inputs import EgoRoute
 

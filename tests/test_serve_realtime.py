@@ -23,10 +23,9 @@ from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.search.intents import Selection
 from sumo_adv.search.search import AttackSearch
-from sumo_adv.serve.events import Events
+from sumo_adv.serve import Options
+from sumo_adv.serve.events import Events, ResultWriter
 from sumo_adv.serve.gate import Gate
-from sumo_adv.serve.options import Options
-from sumo_adv.serve.result_writer import ResultWriter
 from sumo_adv.serve.server import MOST_AGE, Server, ServerDependencies
 from sumo_adv.simulation.inputs import data_folder, load_input
 from sumo_adv.simulation.network import read_network

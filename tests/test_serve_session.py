@@ -20,11 +20,11 @@ from sumo_samples import make_spec, vehicle
 from sumo_adv.config import load_settings
 from sumo_adv.episode.traffic_forecast import traffic_forecast
 from sumo_adv.geometry import Pose
+from sumo_adv.serve import OnLoss, Options
+from sumo_adv.serve.encounter import EncounterMonitor
 from sumo_adv.serve.events import Events
 from sumo_adv.serve.gate import Gate
-from sumo_adv.serve.options import OnLoss, Options
 from sumo_adv.serve.session import KEPT, EgoLost, EgoPlan, Pace, Session
-from sumo_adv.serve.watch import EncounterMonitor
 from sumo_adv.simulation.inputs import EgoRoute
 from sumo_adv.simulation.network import read_network
 

@@ -15,12 +15,11 @@ from sumo_samples import make_spec, vehicle
 from sumo_adv.config import load_settings
 from sumo_adv.geometry import Pose
 from sumo_adv.planners.sandbox import Sandbox
-from sumo_adv.serve.encounter import LiveAttempts, Scene, collided, describe
+from sumo_adv.serve import Options
+from sumo_adv.serve.encounter import EncounterMonitor, LiveAttempts, Scene, collided, describe
 from sumo_adv.serve.events import Events
 from sumo_adv.serve.gate import Gate
-from sumo_adv.serve.options import Options
 from sumo_adv.serve.session import EgoPlan, Session
-from sumo_adv.serve.watch import EncounterMonitor
 from sumo_adv.simulation.inputs import EgoRoute
 from sumo_adv.simulation.network import read_network
 

@@ -14,7 +14,7 @@ from gate_samples import Script, connected, needs_sumo, spec
 from sumo_adv.errors import SimulationError
 from sumo_adv.serve.events import Event, Events
 from sumo_adv.serve.gate import Gate
-from sumo_adv.serve.sharing import TRIES, shared_sumo
+from sumo_adv.serve.session import TRIES, shared_sumo
 from sumo_adv.serve.sumo_process import SumoProcess, strangers
 
 pytestmark = [

@@ -13,13 +13,12 @@ from page_samples import Visit, chromium
 from several_samples import COLLIDER, SUPPORT, pinch, pinched
 
 import sumo_adv
-from sumo_adv.report.export.choices import Variant
+from sumo_adv.report.encounter_figure import SUPPORT as SUPPORT_COLOUR
+from sumo_adv.report.export import Variant
 from sumo_adv.report.export.openscenario import openscenario
 from sumo_adv.report.export.piece import Piece, read_piece
-from sumo_adv.report.export.table import table
-from sumo_adv.report.figures.paper import draw_paper
-from sumo_adv.report.figures.parts import SUPPORT as SUPPORT_COLOUR
-from sumo_adv.report.figures.story import read_story
+from sumo_adv.report.export.sumo import table
+from sumo_adv.report.figures import draw_paper, read_story
 from sumo_adv.report.page import make_page
 
 

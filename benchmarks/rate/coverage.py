@@ -23,12 +23,9 @@ from scipy.stats import norm
 
 from sumo_adv.datatypes import Floats
 from sumo_adv.files import json_text, write_text
-from sumo_adv.rate.blocks import BLOCK, Block, BlockRunner, seed_of
-from sumo_adv.rate.estimate import Estimate, Estimation, counts_of, estimated, records_of
-from sumo_adv.rate.estimator import Rate, rate
-from sumo_adv.rate.model import KINDS, SLOT, chances
-from sumo_adv.rate.plan import RatePlan
-from sumo_adv.rate.proposal import Proposal, learnt, pilot_proposal
+from sumo_adv.rate.blocks import BLOCK, Block, BlockRunner, RatePlan, seed_of
+from sumo_adv.rate.estimate import Estimate, Estimation, Rate, counts_of, estimated, rate, records_of
+from sumo_adv.rate.proposal import KINDS, SLOT, Proposal, chances, learnt, pilot_proposal
 
 CHUNK = 800_000  # plain runs in a file
 

@@ -11,7 +11,7 @@ import typer
 
 from sumo_adv.app import unpacked
 from sumo_adv.errors import UsageError
-from sumo_adv.report.export.choices import Format, Variant
+from sumo_adv.report.export import Format, Variant
 
 if TYPE_CHECKING:
     from sumo_adv.report.export.piece import Piece
@@ -48,10 +48,9 @@ def export(
     if variant is not Variant.REPLAY and format is not Format.OPENSCENARIO:
         raise UsageError("Only --format openscenario has a --variant.")
     from sumo_adv.campaigns.store import packed_rows
-    from sumo_adv.report.export.formats import FORMATS
+    from sumo_adv.report.export.formats import FORMATS, chosen, left_out, runs_in, write_export
     from sumo_adv.report.export.piece import read_piece
-    from sumo_adv.report.export.write import chosen, left_out, runs_in, write_export
-    from sumo_adv.report.page.read import reading
+    from sumo_adv.report.read import reading
 
     runs, packed, formats = runs_in(folder), packed_rows(folder), chosen(format)
     if not runs and not packed:

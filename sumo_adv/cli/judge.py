@@ -83,7 +83,7 @@ def _runs(folders: list[Path], replay: bool, ego: str | None, out: Path | None, 
 
 def _judged(folder: Path, replay: bool, ego: str | None) -> Judgement:
     from sumo_adv.report.judging import is_version_2, judge_files
-    from sumo_adv.report.page.read import reading
+    from sumo_adv.report.read import reading
 
     with reading(folder):
         return _replayed(folder, ego) if replay or not is_version_2(folder) else judge_files(folder)
@@ -96,7 +96,7 @@ def _replayed(folder: Path, ego: str | None) -> Judgement:
     from sumo_adv.report.judging import Judgement
     from sumo_adv.report.manifest import read_manifest
     from sumo_adv.report.outcome import verdict
-    from sumo_adv.report.page.read import read_run
+    from sumo_adv.report.read import read_run
 
     before = read_run(folder).outcome.get("outcome") or {}
     recorded = read_manifest(folder)
@@ -190,9 +190,8 @@ def compare(
     Differences are B - A: a negative one means that B is hit less often or less hard.
     """
     from sumo_adv.comparison.compare import compare as compared
-    from sumo_adv.comparison.markdown import to_markdown
-    from sumo_adv.comparison.page import write_comparison
-    from sumo_adv.comparison.side import read_side
+    from sumo_adv.comparison.compare import read_side
+    from sumo_adv.comparison.page import to_markdown, write_comparison
 
     done = compared(read_side(first), read_side(second), _two(egos))
     page = None if out is None else write_comparison(out, done, force=force)

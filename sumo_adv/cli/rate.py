@@ -51,7 +51,7 @@ def rate(
     """
     from sumo_adv.api_batch import Teller
     from sumo_adv.cli.progress import Counter
-    from sumo_adv.rate.plan import RatePlan
+    from sumo_adv.rate.blocks import RatePlan
     from sumo_adv.simulation.inputs import input_name
 
     plan = RatePlan(

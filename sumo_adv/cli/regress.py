@@ -39,7 +39,7 @@ def keep(
     from sumo_adv.regression.case import Expectation
     from sumo_adv.regression.keep import keep_run, level_of
     from sumo_adv.report.judging import run_folders
-    from sumo_adv.report.page.read import read_outcome
+    from sumo_adv.report.read import read_outcome
 
     if avoid is None and min_ttc is None and not no_worse:
         avoid = Until.COLLISION
@@ -92,9 +92,7 @@ def regress(
     """
     from sumo_adv.cli.progress import Counter
     from sumo_adv.regression.case import read_suite
-    from sumo_adv.regression.junit import write_junit
-    from sumo_adv.regression.suite import read_baseline, run_suite
-    from sumo_adv.regression.table import lines
+    from sumo_adv.regression.suite import lines, read_baseline, run_suite, write_junit
 
     cases = read_suite(suite)
     before = None if baseline is None else read_baseline(baseline)

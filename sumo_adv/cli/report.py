@@ -17,8 +17,7 @@ from sumo_adv.files import sentences
 from sumo_adv.report.staging import staged
 
 if TYPE_CHECKING:
-    from sumo_adv.report.index.build import Packs, Report
-    from sumo_adv.report.index.rows import Table
+    from sumo_adv.report.index import Packs, Report, Table
 
 EXAMPLE = "Example: sumo-adv report runs/priority_crossing-3"
 OUTCOME, RESULTS = "outcome.json", "results.csv"
@@ -54,8 +53,8 @@ def report(
 
 
 def _run(folder: Path, out: Path | None) -> dict[str, Any]:
+    from sumo_adv.report.document import write_document
     from sumo_adv.report.page import make_page
-    from sumo_adv.report.page.document import write_document
 
     html = make_page(folder)
     target = out or folder / "report.html"
@@ -70,9 +69,8 @@ def _batch(
     folder: Path, out: Path | None, pages: int | None, workers: int, *, force: bool, quiet: bool
 ) -> dict[str, Any]:
     from sumo_adv.cli.progress import Counter
-    from sumo_adv.report.campaign_coverage import campaign_coverage, write_coverage
-    from sumo_adv.report.index.build import write_report
-    from sumo_adv.report.index.rows import read_rows
+    from sumo_adv.report.coverage import campaign_coverage, write_coverage
+    from sumo_adv.report.index import read_rows, write_report
 
     target = out or folder / "report"
     if target.is_file():
@@ -108,13 +106,13 @@ def _loose(folder: Path) -> list[Path]:
 
 
 def _table(runs: Sequence[Path]) -> Table:
-    from sumo_adv.report.index.rows import table_of
+    from sumo_adv.report.index import table_of
 
     return table_of(row for run in runs if (row := read_row(run)) is not None)
 
 
 def _packs(folder: Path) -> Packs:
-    from sumo_adv.report.index.build import Packs
+    from sumo_adv.report.index import Packs
 
     if not (folder / "packs").is_dir():
         return Packs()
@@ -154,8 +152,7 @@ def figure(
 
 def _draw_hunt(folder: Path, target: Path, kind: str) -> None:
     from sumo_adv.hunting.hunt import over_time
-    from sumo_adv.report.figures.over_time import draw_over_time
-    from sumo_adv.report.figures.paper import save
+    from sumo_adv.report.figures import draw_over_time, save
 
     if kind in FILMS:
         raise UsageError(f"A hunt has no film: give --out a file that ends in one of .{', .'.join(PICTURES)}.")
@@ -166,17 +163,17 @@ def _draw_hunt(folder: Path, target: Path, kind: str) -> None:
 
 
 def _draw_run(folder: Path, target: Path, kind: str) -> None:
-    from sumo_adv.report.figures.story import read_story
-    from sumo_adv.report.page.read import reading
+    from sumo_adv.report.figures import read_story
+    from sumo_adv.report.read import reading
 
     with reading(folder), sentences(target):
         story = read_story(folder)
         target.parent.mkdir(parents=True, exist_ok=True)
         if kind in FILMS:
-            from sumo_adv.report.figures.film import write_film
+            from sumo_adv.report.figures import write_film
 
             write_film(story, target, kind)
         else:
-            from sumo_adv.report.figures.paper import draw_paper, save
+            from sumo_adv.report.figures import draw_paper, save
 
             save(draw_paper(story), target, kind)

@@ -288,7 +288,7 @@ def minimise(
     from sumo_adv.cli.progress import RunProgress
     from sumo_adv.drivers.registry import trusted_driver
     from sumo_adv.report.manifest import read_manifest
-    from sumo_adv.report.page.read import read_run, reading
+    from sumo_adv.report.read import read_run, reading
 
     recorded = read_manifest(run)
     driver = recorded.task.ego_driver

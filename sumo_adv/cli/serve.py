@@ -20,15 +20,14 @@ from sumo_adv.datatypes import Ending
 from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.files import json_text, write_text
 from sumo_adv.report.staging import scratch_folder, staged
-from sumo_adv.serve.older_clients import NEWEST
-from sumo_adv.serve.options import Mode, OnLoss, Options
+from sumo_adv.serve import Mode, OnLoss, Options
+from sumo_adv.serve.link import NEWEST
 
 if TYPE_CHECKING:
     from sumo_adv.episode.task import Task
-    from sumo_adv.serve.events import Events, Status
+    from sumo_adv.serve.events import Events, ResultWriter, Status
     from sumo_adv.serve.gate import Gate
-    from sumo_adv.serve.gate_events import GateEvent
-    from sumo_adv.serve.result_writer import ResultWriter
+    from sumo_adv.serve.seat import GateEvent
     from sumo_adv.serve.server import Server
 
 SERVE_FILE = "serve.json"
@@ -178,8 +177,7 @@ def _serve(
     from sumo_adv.cli.progress import ServeProgress
     from sumo_adv.cli.run import Interrupts
     from sumo_adv.report.outcome import MODEL_FILE
-    from sumo_adv.serve.events import EventFile, Events, Status
-    from sumo_adv.serve.result_writer import ResultWriter
+    from sumo_adv.serve.events import EventFile, Events, ResultWriter, Status
     from sumo_adv.serve.server import Server, ServerDependencies
     from sumo_adv.simulation.network import read_network
 
@@ -237,7 +235,7 @@ def _gate(options: Options, events: Events) -> Gate:
 
 
 def _open_status_page(stack: ExitStack, port: int, status: Status, server: Server, events: Events) -> None:
-    from sumo_adv.serve.status import StatusPage
+    from sumo_adv.serve.events import StatusPage
 
     page = stack.enter_context(StatusPage(port, lambda: {**status.report(), "time": server.time}))
     events.tell("status_page", port=page.port)
@@ -245,7 +243,7 @@ def _open_status_page(stack: ExitStack, port: int, status: Status, server: Serve
 
 def _teller(events: Events) -> Callable[[GateEvent], None]:
     """Tells what happens at the gate; ``again`` where a client only comes back to a new simulation."""
-    from sumo_adv.serve.gate_events import EventKind
+    from sumo_adv.serve.seat import EventKind
 
     before = EventKind.CLOSED
 

@@ -1,4 +1,4 @@
-"""A comparison as a folder to look at: one page, and beside it the replay of both runs of each case that changed.
+"""A comparison as Markdown, and as a folder: one page, and beside it the replays of each case that changed.
 
 OUT/compare.html    figures, and the cases that changed with links
 OUT/compare.md      the same as text
@@ -8,19 +8,26 @@ OUT/pages/          the replays; by the place of the case among those that chang
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from pathlib import Path
 
-from sumo_adv.comparison.compare import Comparison
-from sumo_adv.comparison.markdown import HOW, notes, rows, to_markdown, words
-from sumo_adv.comparison.side import Compared
+from sumo_adv.benchmark.table import grid, number, signed
+from sumo_adv.comparison.compare import LEAST, Compared, Comparison, Figure
 from sumo_adv.errors import UsageError
 from sumo_adv.files import json_text, sentences, write_text
-from sumo_adv.report.page.document import write_document
-from sumo_adv.report.page.make import page_of
+from sumo_adv.metrics.statistics import Estimate
+from sumo_adv.report.document import write_document
+from sumo_adv.report.page import page_of
 from sumo_adv.report.staging import staged
 
+HOW = (
+    "Rates: Wilson's 95 % interval. Means and differences: bootstrap, paired, 95 %; "
+    f"without an interval where there are fewer than {LEAST} encounters."
+)
+MOST = 30  # changes shown
+Link = Callable[[Compared], str | None]
+"""Where the replay of an episode is, None if there is none."""
 PAGE = "compare.html"
 HEAD = """<!DOCTYPE html>
 <html lang="en">
@@ -41,6 +48,60 @@ h1 {{ overflow-wrap: anywhere }}
 </head>
 <body>
 """
+
+
+def to_markdown(done: Comparison, link: Link) -> str:
+    """Figures of both sides, and the cases that changed with links to their runs."""
+    first, second = done.names
+    lines = [f"# {first} and {second}", "", *notes(done), ""]
+    head, *figures = rows(done)
+    lines += grid(head, figures)
+    worse = sum(change.worse for change in done.changes)
+    shown = []
+    for c in done.changes[:MOST]:
+        places = zip(done.names, map(link, (c.first, c.second)), strict=True)
+        links = ["-" if place is None else f"[{name}]({place})" for name, place in places]
+        shown.append([c.key, words(c.first), words(c.second), *links])
+    lines += [f"## Changed: {len(done.changes)} of {len(done.pairs)} ({worse} worse)", ""]
+    if shown:
+        lines += grid(["case", first, second, "run", "run"], shown, words=True)
+    if len(done.changes) > MOST:
+        lines += [f"{len(done.changes) - MOST} more are in the output of --json.", ""]
+    return "\n".join([*lines, HOW])
+
+
+def rows(done: Comparison) -> list[list[str]]:
+    first, second = done.names
+    return [["", first, second, f"{second} - {first}"], *(_row(figure) for figure in done.figures)]
+
+
+def notes(done: Comparison) -> list[str]:
+    failed, missed = done.counts(lambda e: e.failed), done.counts(lambda e: not e.attacked and not e.failed)
+    sentences = [f"{len(done.pairs)} encounters in common."]
+    for label, (a, b) in (("only on one side", done.alone), ("failed", failed), ("without an attack", missed)):
+        if a or b:
+            sentences.append(f"{label[0].upper()}{label[1:]}: {a} of {done.names[0]}, {b} of {done.names[1]}.")
+    return sentences
+
+
+def words(e: Compared) -> str:
+    if e.failed:
+        return "failed"
+    if not e.attacked:
+        return e.result or "no encounter"
+    hit = f", delta-v {e.delta_v:.1f} m/s" if e.delta_v else ""
+    return f"{e.result + ': ' if e.result else ''}{e.level}{hit}"
+
+
+def _row(figure: Figure) -> list[str]:
+    unit = f" [{figure.unit}]" if figure.unit not in ("", "rate") else ""
+    change = signed(figure.difference) if figure.difference is not None else f"{figure.change:+.2f}"
+    return [f"{figure.name}{unit}", *(_value(each, figure.unit) for each in (figure.first, figure.second)), change]
+
+
+def _value(estimate: Estimate, unit: str) -> str:
+    """With an interval if it rests on enough encounters. Wilson's interval of a rate holds for any number."""
+    return number(estimate) if unit == "rate" or estimate.n >= LEAST else f"{estimate.value:.2f}"
 
 
 def write_comparison(out: Path, done: Comparison, *, force: bool) -> Path:
@@ -88,12 +149,10 @@ def html(done: Comparison, links: Mapping[Path, str]) -> str:
 
 
 def _shown(episode: Compared, links: Mapping[Path, str]) -> str:
-    """What an episode came to; it leads to its replay."""
     text, link = escape(words(episode)), _link(episode, links)
     return text if link is None else f'<a href="{escape(link)}">{text}</a>'
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """A table of cells that are HTML."""
     lines = ['<div class="scroll"><table>', f"<tr>{''.join(f'<th>{cell}</th>' for cell in head)}</tr>"]
     return [*lines, *(f"<tr>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>" for row in rows), "</table></div>"]

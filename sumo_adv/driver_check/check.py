@@ -1,4 +1,8 @@
-"""The check of one driver: which scenarios, how often each is driven, and what the drives come to."""
+"""The check of one driver: which scenarios, how often each is driven, and what the drives come to.
+
+``run`` attacks the ego of a scenario, which mostly has the right of way. The check has the driver drive another vehicle
+there, because it is to turn, wait and give way.
+"""
 
 from __future__ import annotations
 
@@ -13,14 +17,37 @@ from sumo_adv.driver_check.findings import Finding, Kind, apart, judge, millisec
 from sumo_adv.episode.task import Task, make_task
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.engine import Engine
-from sumo_adv.simulation.inputs import RunInput
+from sumo_adv.simulation.inputs import RunInput, data_folder, load_input
 
+TWELVE = (
+    ("check/stop_and_go", "ego"),  # follows, stops behind a leader, goes on; traffic in the other direction
+    ("motorway_cut_in_left", "ego"),  # a motorway with traffic beside it
+    ("onramp_cut_in", "ego"),  # passes an on-ramp from which others merge
+    ("oncoming_in_bend", "ego"),  # a bend with traffic in the other direction
+    ("priority_straight_from_left", "from_north"),  # gives way, then crosses
+    ("priority_left_turn_oncoming", "turning"),  # turns left through traffic that has priority
+    ("t_junction_left_from_stem", "from_south"),  # turns left from the minor road
+    ("t_junction_left_from_stem", "south_second"),  # turns right from the minor road
+    ("signals_red_light", "red_south"),  # waits for a light, then goes on
+    ("signals_left_turn", "turning"),  # turns left at a light through traffic that has green, too
+    ("allway_stop_from_right", "ego"),  # all must stop
+    ("roundabout_entry", "entering"),  # enters a roundabout and goes half around
+)
+"""Shipped scenarios, with the vehicle that is driven."""
 DURATION = 45.0  # s from the begin of a scenario: SUMO's drivers wait for the light and have passed it in that time
 LATER = 997.3  # s by which a clock is set forward: 9973 steps, a prime number, so that no plan's length divides it
 REPEATED = 1e-6  # m by which a drive may differ that is repeated
-ROUNDED = (
-    1.0  # m by which it may differ with another clock: its larger numbers are rounded otherwise, which tips a choice
-)
+ROUNDED = 1.0  # m by which it may differ with another clock: larger numbers are rounded otherwise, which tips a choice
+
+
+def twelve() -> tuple[RunInput, ...]:
+    """The inputs; each is named ``scenario:vehicle``. Raises UsageError: shipped files are missing."""
+    return tuple(named(scenario, vehicle) for scenario, vehicle in TWELVE)
+
+
+def named(scenario: str, vehicle: str) -> RunInput:
+    given = load_input(data_folder("scenarios") / f"{scenario}.toml")
+    return replace(given, name=f"{given.name}:{vehicle}", ego=vehicle)
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +71,6 @@ class DriverCheck:
 
     @property
     def kinds(self) -> tuple[Kind, ...]:
-        """The kinds of findings, in the order of ``Kind``."""
         present = {finding.kind for checked in self.scenarios for finding in checked.findings}
         return tuple(kind for kind in Kind if kind in present)
 
@@ -108,17 +134,14 @@ def _repeated(engine: Engine, task: Task, first: UnattackedDrive) -> list[Findin
         return []
     new: UnattackedDrive = engine.request("drive", task)
     again: UnattackedDrive = engine.request("drive_again", task, 0.0)
-    for kind, drive, subject in (
-        (Kind.RANDOM, new, "two drives"),
-        (Kind.RESET, again, "the drives before and after it"),
-    ):
+    subjects = (Kind.RANDOM, new, "two drives"), (Kind.RESET, again, "the drives before and after it")
+    for kind, drive, subject in subjects:
         since, most = apart(first.ego, drive.ego, REPEATED)
         if math.isfinite(since):
             return [Finding(kind, since, f"{subject} are {_far(most)} apart")]
     when, far = apart(first.ego, later.ego, ROUNDED)
-    return (
-        [] if math.isinf(when) else [Finding(Kind.TIME_BASE, when, f"with a clock {LATER:g} s ahead, {_far(far)} off")]
-    )
+    words = f"with a clock {LATER:g} s ahead, {_far(far)} off"
+    return [] if math.isinf(when) else [Finding(Kind.TIME_BASE, when, words)]
 
 
 def _far(metres: float) -> str:

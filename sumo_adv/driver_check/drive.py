@@ -80,11 +80,9 @@ class ObservedDriver:
         self.lines: list[PassedLine] = []
 
     def reset(self, seed: int) -> None:
-        """Have the driver forget everything."""
         self._driver.reset(seed)
 
     def act(self, observation: Observation) -> Action:
-        """The driver's answer."""
         self._watch_lines(observation)
         seen = replace(observation, time=observation.time + self._later) if self._later else observation
         begun = time.perf_counter()
@@ -149,12 +147,8 @@ class CheckWorker:
 
     def _made(self, task: Task, driver: EgoController) -> Drive:
         types = ego_type_file(driver, Path(self._folder.name))
-        return Drive(
-            replace(task.spec, additional=(*task.spec.additional, types)),
-            driver,
-            task.settings.seed,
-            deadline=task.settings.ego_deadline,
-        )
+        spec = replace(task.spec, additional=(*task.spec.additional, types))
+        return Drive(spec, driver, task.settings.seed, deadline=task.settings.ego_deadline)
 
     def _road(self, task: Task) -> RoadMap:
         network = task.spec.network
@@ -216,7 +210,6 @@ def _from_lane(shape: Floats, track: Track) -> Floats:
 
 
 def body(slots: list[Connection]) -> Mapping[str, Callable[..., Any]]:
-    """The commands of the engine process."""
     worker = CheckWorker()
     return {
         "choose": worker.choose, "drive": worker.drive,

@@ -82,13 +82,10 @@ def judge(drive: UnattackedDrive, idm: UnattackedDrive) -> list[Finding]:
     idm: the drive of SUMO's IDM in the same scenario.
     """
     findings = [Finding(Kind.FAILS, float(drive.ego.time[-1]), drive.failure)] if drive.failure else []
-    contact = _contact(drive)
+    contact, jump = _contact(drive), _jump(drive)
     end = float(drive.ego.time[-1]) if contact is None else contact.time
-    findings += [contact] if contact is not None else []
-    steps = len(drive.ego.between(float(drive.ego.time[0]), end).time)
-    jump = _jump(drive)
-    findings += [jump] if jump is not None else []
-    findings += _outside(drive, steps)
+    findings += [finding for finding in (contact, jump) if finding is not None]
+    findings += _outside(drive, len(drive.ego.between(float(drive.ego.time[0]), end).time))
     findings += [_passed(line) for line in drive.lines[:1] if line.time <= end]
     if contact is None and not drive.failure:
         findings += _lags(drive.ego, idm.ego)
@@ -173,7 +170,6 @@ def _jump(drive: UnattackedDrive) -> Finding | None:
 
 
 def _time_of(drive: UnattackedDrive, pose: int) -> float:
-    """When a pose was returned [s]."""
     before = drive.poses[pose][0]
     return float(drive.ego.time[int(np.argmin(np.hypot(drive.ego.x - before.x, drive.ego.y - before.y)))])
 

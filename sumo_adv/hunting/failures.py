@@ -54,7 +54,6 @@ class Failure:
 
     @property
     def words(self) -> str:
-        """The failure for people."""
         c = self.cell
         hit = f"{self.level}: {c.intent} ({c.relation}, {c.road}), hit on the {c.side} with {self.delta_v:.1f} m/s"
         return f"{hit}. {self.why.removesuffix('.')}" if self.why else hit

@@ -8,8 +8,6 @@ at its end, so the same command goes on.
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import os
 import shutil
@@ -19,17 +17,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from random import Random
 from statistics import median
-from typing import Any, Protocol
+from typing import Any
 
 from sumo_adv.campaigns.campaign import Orders, Summary
 from sumo_adv.campaigns.plan import Plan
-from sumo_adv.campaigns.results import OUTCOME, failed, read_csv, read_row
+from sumo_adv.campaigns.results import OUTCOME, failed, read_row
 from sumo_adv.datatypes import Level
 from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.files import sentences, write_text
 from sumo_adv.hunting.failures import COLUMNS, Failure, distinct, failure_of, table
 from sumo_adv.parsing import parse_json
 from sumo_adv.report.outcome import ATTACKS
+from sumo_adv.report.tables import csv_text
 
 SCHEMA = 1
 STATE, RESULTS, FAILURES, ROUNDS = "hunt.json", "results.csv", "failures", "rounds"
@@ -40,14 +39,8 @@ PATIENCE = 3.0  # an encounter may take this many times the median time to the f
 KINDS = 3  # kinds of attacks that are looked for in an encounter once fresh encounters brought nothing new
 SHARE = 0.1  # of the time that is left: the most that an encounter may take
 LEVELS = (Level.VALID, Level.STRICT, Level.SERIOUS)
-
-
-class RunCampaign(Protocol):
-    """Runs what is missing of a plan."""
-
-    def __call__(self, plan: Plan, orders: Orders) -> Summary:
-        """The outcome. Raises SumoAdvError."""
-        ...
+RunCampaign = Callable[[Plan, Orders], Summary]
+"""Runs what is missing of a plan. Raises SumoAdvError."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,18 +101,16 @@ class Hunt:
 
         Raises SumoAdvError: no episode can be run, none was, or the disk is full.
         """
-        ended = "time"
-        for k in range(len(self._state["rounds"])):  # finished ones are read, an interrupted one is completed
-            if self._round(k).interrupted:
-                ended = "stopped"
-                break
+        rounds = range(len(self._state["rounds"]))  # finished ones are read, an interrupted one is completed
+        ended = "stopped" if any(self._round(k).interrupted for k in rounds) else "time"
         before = len(self._remember())
         while ended == "time" and not self._enough() and self._left() > 0:
             self._state["rounds"].append(self._next())
             self._write()
             summary = self._round(len(self._state["rounds"]) - 1)
             found = self._remember()
-            newest = self._newest(found) if len(found) > before else None
+            runs = self._runs_of(len(self._rows) - 1)
+            newest = next((f for f in found if runs in f.run.parents), None) if len(found) > before else None
             before = len(found)
             tell(self._progress(found, newest))
             if summary.interrupted:
@@ -137,14 +128,10 @@ class Hunt:
     # -- rounds -------------------------------------------------------------------------------------------------
 
     def _round(self, k: int) -> Summary:
-        """Run what is missing of a round."""
         order = self._state["rounds"][k]
         inputs = [self._inputs[content] for content in order["inputs"] if content in self._inputs]
-        bounds = {
-            "seconds": order["seconds"],
-            "total_seconds": 2 * order["seconds"],
-            "diverse": order.get("kinds", KINDS),
-        }
+        seconds, kinds = order["seconds"], order.get("kinds", KINDS)
+        bounds = {"seconds": seconds, "total_seconds": 2 * seconds, "diverse": kinds}
         plan = replace(
             self._plan, inputs=inputs, seeds=tuple(order["seeds"]),
             variants=[{**variant, **bounds} for variant in self._plan.variants],
@@ -171,8 +158,7 @@ class Hunt:
             self._state["rounds"][len(self._rows) - 1]["found"] = {
                 str(level): sum(f.level >= level for f in found) for level in LEVELS
             }
-        self._write()
-        self._write_table(found)
+        self._write(found)
         return found
 
     def _next(self) -> dict[str, Any]:
@@ -218,10 +204,6 @@ class Hunt:
         first = [f for row in rows if (f := failure_of(row, self._runs_of(k))) is not None]
         return first + [f for row in rows for f in self._more[k].get(str(row["id"]), ())]
 
-    def _newest(self, found: Sequence[Failure]) -> Failure | None:
-        runs = self._runs_of(len(self._rows) - 1)
-        return next((f for f in found if runs in f.run.parents), None)
-
     def _enough(self) -> bool:
         return self._most is not None and len(self.found()) >= self._most
 
@@ -261,18 +243,13 @@ class Hunt:
             )
         return state
 
-    def _write(self) -> None:
+    def _write(self, found: Sequence[Failure] | None = None) -> None:
+        """The state, and the table of distinct failures."""
         with sentences(self.folder):
             self.folder.mkdir(parents=True, exist_ok=True)
             write_text(self.folder / STATE, json.dumps(self._state, indent=1) + "\n")
-
-    def _write_table(self, found: Sequence[Failure]) -> None:
-        text = io.StringIO()
-        writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(table(found, self.folder))
-        with sentences(self.folder):
-            write_text(self.folder / RESULTS, text.getvalue())
+            if found is not None:
+                write_text(self.folder / RESULTS, csv_text(COLUMNS, table(found, self.folder)))
 
     def _collected(self) -> list[Failure]:
         """Copies of the representatives' folders in ``failures/``, best first, and the table that names them."""
@@ -285,7 +262,7 @@ class Hunt:
                 copy = target / f"{k + 1:03d}-{failure.level}-{_slug(failure.cell.intent)}"
                 _copy(failure.run, copy)
                 found.append(replace(failure, run=copy))
-        self._write_table(found)
+        self._write(found)
         return found
 
 
@@ -314,10 +291,7 @@ def _lost(rows: Sequence[Mapping[str, Any]], outcomes: Sequence[Mapping[str, Any
 
 
 def _copy(source: Path, target: Path) -> None:
-    """The files of a folder in a new one, as links (which take no space) where the file system has them.
-
-    Raises OSError.
-    """
+    """The files of a folder in a new one, as links (which take no space) where the file system has them."""
     target.mkdir(parents=True)
     for file in sorted(source.iterdir()):
         if file.is_dir():
@@ -352,10 +326,3 @@ def over_time(folder: Path) -> list[tuple[float, Mapping[str, int]]]:
     if not after:
         raise UsageError(f"The hunt in {folder} has finished no round: say its command again.")
     return after
-
-
-def read_table(folder: Path) -> dict[str, list[Any]]:
-    """``results.csv`` of a hunt, columns by name. Raises UsageError: it is none, or damaged."""
-    if not (folder / STATE).is_file():
-        raise UsageError(f"{folder} is not the folder of a hunt: it has no {STATE}.")
-    return read_csv(folder / RESULTS)

@@ -1,31 +1,97 @@
-"""Blocks of runs, one after another in one process: SUMO is loaded once and loaded again for each run."""
+"""What an estimate is of, all of it in ``plan.json``; and its blocks of runs, here or on a Ray cluster.
+
+The runs of a block follow each other in one process: SUMO is loaded once and loaded again for each run. On a cluster
+each block is a task. Its worker runs the block in a watched process of its own, as on one machine, and sends the
+records back. Inputs are found on the nodes under the same paths (a shared file system) or are shipped ones; their
+content is compared with the plan's.
+"""
 
 from __future__ import annotations
 
+import atexit
 import tempfile
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from hashlib import sha256
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
+from sumo_adv.campaigns.cluster import RayPool, desk_folder
+from sumo_adv.campaigns.local import LocalWorkers, Pace, Stop
 from sumo_adv.campaigns.results import Done
-from sumo_adv.config import forget_environment
+from sumo_adv.config import forget_environment, load_settings
 from sumo_adv.drivers import make_ego
+from sumo_adv.drivers.registry import trusted_driver
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.encounter_search import INSERTED_EGO, EncounterSearch
-from sumo_adv.errors import SimulationError
-from sumo_adv.rate.model import chances
-from sumo_adv.rate.plan import WAIT, RatePlan
-from sumo_adv.rate.proposal import Proposal
+from sumo_adv.episode.task import Task, make_task, refuse_density
+from sumo_adv.errors import SimulationError, UsageError
+from sumo_adv.rate.proposal import PER_HOUR, Proposal, chances
 from sumo_adv.rate.run import Record, Run
-from sumo_adv.simulation.inputs import EgoRoute
+from sumo_adv.simulation.demand import generate_flows
+from sumo_adv.simulation.inputs import EgoRoute, load_input
 from sumo_adv.simulation.network import read_network
+from sumo_adv.simulation.scan import scan_demand
 
+SCHEMA = 1
+WAIT = 60.0  # s after the warm-up within which the ego must come
 BLOCK = 20  # runs
 PHASES = ("pilot", "runs", "plain")
+_workers: list[LocalWorkers] = []  # of this Ray worker process: one, from its first block on
+
+
+@dataclass(frozen=True, slots=True)
+class RatePlan:
+    """An estimate. source: as the command line names it; ego None = as the input says, else idm; density: departures a
+    minute of generated traffic; warm_up, duration [s]: of a run; factor: of all error rates; pilot: number of runs."""
+
+    source: Path
+    ego: str | None = None
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    density: float | None = None
+    warm_up: float = 20.0
+    duration: float = 60.0
+    factor: float = 1.0
+    pilot: int = 200
+    plain: bool = False
+    seed: int = 0
+
+    def task(self, folder: Path) -> Task:
+        """What SUMO is started with; traffic is generated into ``folder`` if the input has none.
+
+        Raises UsageError: the input cannot be read, or is a recording; there is no such ego.
+        """
+        given = load_input(self.source)
+        if given.playback is not None:
+            raise UsageError(f"{self.source} plays a recording, where vehicles do not react; give a network.")
+        refuse_density(given, self.density)
+        driven = any(scan.vehicles or scan.flows for scan in map(scan_demand, given.additional))
+        if not given.routes and not driven:
+            end = self.warm_up + WAIT + self.duration
+            density = given.density if self.density is None else self.density
+            flows = generate_flows(given.network, folder / "flows.rou.xml", density=density, end=end)
+            given = replace(given, routes=(flows,), begin=0.0)
+        ego = trusted_driver(self.ego, given.ego_controller, given.source)
+        chosen = {} if ego is None else {"ego": ego}
+        settings = load_settings(None, **chosen, ego_parameters=dict(self.parameters), seed=self.seed)
+        task = make_task(given, settings, folder)
+        make_ego(task.ego_driver, task.ego_parameters)
+        return task
+
+    def content(self) -> str:
+        """The SHA-256 of all files of the input. Raises UsageError or OSError."""
+        files = load_input(self.source).files
+        return sha256(b"".join(sha256(file.read_bytes()).digest() for file in files)).hexdigest()
+
+    def document(self) -> dict[str, Any]:
+        """The plan as JSON, with the content of the input and the rates of the model."""
+        return {
+            "schema": SCHEMA, **asdict(self), "source": str(self.source), "parameters": dict(self.parameters),
+            "content": self.content(), "errors_per_hour": {str(kind): value for kind, value in PER_HOUR.items()},
+        }  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,3 +165,50 @@ class BlockRunner:
         ego = INSERTED_EGO if isinstance(task.ego, EgoRoute) else task.ego
         start = task.spec.begin + (plan.warm_up if ego is None else 0.0)
         return run, run.until(ego, start, start + WAIT + plan.duration, plan.duration)
+
+
+@dataclass(frozen=True, slots=True)
+class Sent:
+    """What a node needs for all blocks."""
+
+    plan: RatePlan
+    pace: Pace
+    content: str
+
+
+class ClusterBlocks:
+    """Runs blocks as Ray tasks. Raises UsageError as ``RayPool`` does."""
+
+    def __init__(self, plan: RatePlan, pace: Pace, address: str, versions: Mapping[str, str], stop: Stop) -> None:
+        source = plan.source.absolute() if plan.source.is_file() else plan.source  # nodes work in other folders
+        self._pool = RayPool(block, pace, address, versions, stop)
+        self._sent = self._pool.put(Sent(replace(plan, source=source), replace(pace, workers=1), plan.content()))
+
+    def run(self, jobs: Iterable[Any], told: Callable[[Any, Done], None]) -> None:
+        """Each block, ``told`` of each that is finished. Raises SumoAdvError."""
+        self._pool.run(jobs, lambda: self._sent, lambda _, done: done, failed, told)
+
+    def close(self) -> None:
+        """Leave the cluster; what still runs there is ended by Ray."""
+        self._pool.close()
+
+
+# -- on a node ---------------------------------------------------------------------------------------------------------
+
+
+def block(sent: Sent, job: Block) -> Done:
+    """One block on this node. Raises UsageError: the input is another one here; SimulationError: it failed twice."""
+    if not _workers:
+        try:
+            same = sent.plan.content() == sent.content
+        except (UsageError, OSError) as error:
+            raise UsageError(f"On a node: {error}") from error
+        if not same:
+            fault = f"On a node {sent.plan.source} has another content than here"
+            raise UsageError(f"{fault}; give all nodes the same files.")
+        workers = LocalWorkers(sent.plan, sent.pace, desk_folder(), failed, Stop(), BlockRunner)
+        atexit.register(workers.close)
+        _workers.append(workers)
+    results: list[Done] = []
+    _workers[0].run([job], lambda _, done: results.append(done))
+    return results[0]

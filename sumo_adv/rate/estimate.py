@@ -3,11 +3,18 @@
 OUT/plan.json      what the estimate is of
 OUT/blocks/ID.json the records of 20 runs each; a finished block is not run again
 OUT/rate.json      the result
+
+A rate is a ratio of sums over runs, weighted crashes by weighted exposure. Its interval is that of Fay and Feuer (1997)
+for a weighted sum of rare events: gamma quantiles with the mean and the variance of the sum, the upper one with one
+more event of the largest weight. The variance is the sum of the squared weights, and what uneven exposures of the runs
+add. With equal weights and exposures it is the exact interval of a Poisson count (Garwood 1936). It is never negative,
+and unlike the normal interval it covers where few crashes with uneven weights were seen.
 """
 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -16,6 +23,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from scipy.special import gammaincinv
 
 from sumo_adv.campaigns.campaign import Watcher, Workers, stopping
 from sumo_adv.campaigns.local import LocalWorkers, Pace, Stop
@@ -24,18 +32,73 @@ from sumo_adv.datatypes import Floats, Level
 from sumo_adv.errors import UsageError
 from sumo_adv.files import held, json_text, sentences, write_text
 from sumo_adv.parsing import parse_json
-from sumo_adv.rate.blocks import BLOCK, Block, BlockRunner, failed
-from sumo_adv.rate.estimator import Rate, effective_runs, rate
-from sumo_adv.rate.model import KINDS, chances
-from sumo_adv.rate.plan import WAIT, RatePlan
-from sumo_adv.rate.proposal import MOST_WEIGHT, Counts, Proposal, learnt, pilot_proposal
+from sumo_adv.rate.blocks import BLOCK, WAIT, Block, BlockRunner, ClusterBlocks, RatePlan, failed
+from sumo_adv.rate.proposal import KINDS, MOST_WEIGHT, Counts, Proposal, chances, learnt, pilot_proposal
 from sumo_adv.rate.run import Record
 from sumo_adv.report.outcome import versions
 
+CONFIDENCE = 0.95
+ENOUGH = 10  # crashes: the weights of fewer do not tell how large those are that were not seen
 PLAN, RESULT, LOCK = "plan.json", "rate.json", "rate.lock"
 DEADLINE, RECYCLE = 600.0, 200  # s for a block, blocks after which a worker is replaced
 CONTACT = "contact"
 LEVELS = (CONTACT, *(str(level) for level in Level if level >= Level.COLLISION))
+
+
+@dataclass(frozen=True, slots=True)
+class Rate:
+    """A rate with its interval, per unit of exposure.
+
+    crashes: how many were seen. effective: how many of equal weight tell as much (Kish 1965). largest_share: of the
+    estimate, that the crash with the largest weight has. plain_runs: how many runs of the model itself give the same
+    variance. These are None without a crash.
+    """
+
+    value: float
+    low: float
+    high: float
+    crashes: int
+    effective: float
+    largest_share: float | None
+    plain_runs: float | None
+
+    @property
+    def half_width(self) -> float | None:
+        """Half the interval over the estimate; None without a crash."""
+        return (self.high - self.low) / (2 * self.value) if self.value > 0 else None
+
+
+def rate(weights: Floats, exposure: Floats, most_weight: float = 1.0) -> Rate:
+    """The rate of crashes.
+
+    weights ``(runs,)``: the weight of each run that crashed, at the crash; 0 for others. exposure ``(runs,)``:
+    weighted, in any unit. most_weight: that a crash can have; the upper limit rests on it unless ``ENOUGH`` were seen.
+    """
+    total, over = float(weights.sum()), float(exposure.sum())
+    seen = int((weights > 0).sum())
+    if over <= 0.0:
+        return Rate(math.nan, 0.0, math.inf, seen, 0.0, None, None)
+    tail = (1 - CONFIDENCE) / 2
+    if not seen:
+        return Rate(0.0, 0.0, float(gammaincinv(1.0, 1 - tail)) * most_weight / over, 0, 0.0, None, None)
+    square, seen_largest = float((weights**2).sum()), float(weights.max())
+    largest = seen_largest if seen >= ENOUGH else most_weight
+    variance = square + (total / over) ** 2 * float(((exposure - exposure.mean()) ** 2).sum())
+    low = _quantile(total, variance, tail)
+    high = _quantile(total + largest, variance + largest**2, 1 - tail)
+    plain_runs = len(weights) * total / variance
+    share = seen_largest / total
+    return Rate(total / over, low / over, high / over, seen, total**2 / square, share, plain_runs)
+
+
+def _quantile(mean: float, variance: float, share: float) -> float:
+    """That of the gamma distribution with this mean and variance."""
+    return float(gammaincinv(mean**2 / variance, share)) * variance / mean
+
+
+def effective_runs(weights: Floats) -> float:
+    """How many runs of equal weight the weighted runs are worth (Kish 1965)."""
+    return float(weights.sum() ** 2 / (weights**2).sum())
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +121,6 @@ class Estimate:
     plain_km: float | None
 
     def document(self) -> dict[str, Any]:
-        """As JSON."""
 
         def plain(found: Rate) -> dict[str, Any]:
             return {
@@ -83,17 +145,15 @@ def estimated(plan: RatePlan, records: Sequence[Record], pilot: Sequence[Record]
     weight, hours, km = (_column(records, name) for name in ("weight", "weighted_hours", "weighted_km"))
     most = 1.0 if plan.plain else MOST_WEIGHT
     reached = {CONTACT: [r.contact for r in records]}
-    for level in Level:
-        if level >= Level.COLLISION:
-            reached[str(level)] = [r.contact and Level[r.level.upper()] >= level for r in records]
+    for name in LEVELS[1:]:
+        least = Level[name.upper()]
+        reached[name] = [r.contact and Level[r.level.upper()] >= least for r in records]
     per_hour = {name: rate(weight * np.array(flags), hours, most) for name, flags in reached.items()}
     per_km = {name: rate(weight * np.array(flags), km, most) for name, flags in reached.items()}
     collided = weight * np.array(reached["collision"])
     errors = np.array([r.error or "none" for r in records])
-    total = float(collided.sum())
-    by_error = {
-        str(name): float(collided[errors == name].sum()) / total for name in np.unique(errors[collided > 0])
-    }  # fmt: skip
+    total, seen = float(collided.sum()), np.unique(errors[collided > 0])
+    by_error = {str(name): float(collided[errors == name].sum()) / total for name in seen}
     plain_runs = per_hour["collision"].plain_runs
     driven = [*records, *pilot]
     return Estimate(
@@ -166,24 +226,22 @@ class Estimation:
         pace = Pace(self.workers, DEADLINE, RECYCLE)
         if self.ray is None:
             return LocalWorkers(self.plan, pace, scratch, failed, stop, BlockRunner)
-        from sumo_adv.rate.cluster import ClusterBlocks
-
         return ClusterBlocks(self.plan, pace, self.ray, versions(), stop)
 
     def _blocks(self, phase: str, runs: int, proposal: Proposal | None, pool: Workers) -> list[dict[str, Any]] | None:
         """The blocks of a phase, those that are missing run now; None if the user stopped it."""
         starts = None if proposal is None else proposal.starts.tolist()
         jobs = [Block(phase, first, starts) for first in range(0, runs, BLOCK)]
-        by_id = {job.id: block for job in jobs if (block := read_block(self._file(job))) is not None}
+        files = {job.id: self.out / "blocks" / f"{job.id}.json" for job in jobs}
+        by_id = {name: block for name, file in files.items() if (block := read_block(file)) is not None}
         self.watcher.begin(len(jobs), list(by_id.values()))
 
         def keep(job: Any, done: Done) -> None:
             by_id[job.id] = dict(done.row or {})
-            write_text(self._file(job), json_text(by_id[job.id]))
+            write_text(files[job.id], json_text(by_id[job.id]))
             self.watcher.finished(job, by_id[job.id])
 
-        missing = [job for job in jobs if job.id not in by_id]
-        if missing:
+        if missing := [job for job in jobs if job.id not in by_id]:
             pool.run(missing, keep)
         if len(by_id) < len(jobs):
             return None
@@ -194,9 +252,6 @@ class Estimation:
                 "input with an ego that departs earlier."
             )
         return blocks
-
-    def _file(self, job: Block) -> Path:
-        return self.out / "blocks" / f"{job.id}.json"
 
 
 def read_block(file: Path) -> dict[str, Any] | None:

@@ -1,8 +1,13 @@
-"""Where errors are drawn: the proposal raises the rates of errors that look dangerous; each run keeps its likelihood.
+"""How often drivers err, how dangerous an error would be, and where errors are drawn; each run keeps its likelihood.
+
+The rates are those that ``docs/rate.md`` derives, each with its source. The danger of an error is extrapolated from the
+present states alone: the other vehicle drives straight on as the error has it; the ego goes straight on, once at its
+speed, once braking. That only has to sort errors: whether one ends in a collision is learnt from pilot runs for each
+level of danger.
 
 The model P starts an error of kind k with its probability p. The raised proposal R starts it with r >= p, which depends
-on how dangerous the error would be (``danger.py``), so on the past alone. It goes back to p for the rest of a run as
-soon as an error has begun, or when it has spent ``BUDGET``.
+on how dangerous the error would be, so on the past alone. It goes back to p for the rest of a run as soon as an error
+has begun, or when it has spent ``BUDGET``.
 
 Before a run, a coin is tossed: with probability ``MODEL_SHARE`` the whole run is drawn from P, else from R. Its weight
 is that of the mixture, whichever side the coin fell (the balance heuristic, Veach and Guibas 1995; Hesterberg 1995):
@@ -21,8 +26,29 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sumo_adv.datatypes import Floats, Ints
+from sumo_adv.datatypes import Boxes, Floats, Ints
+from sumo_adv.metrics.boxes import separation
+from sumo_adv.simulation.human_errors import BRAKING, DRIFT, REACTION, SIDE, ErrorKind
 
+KINDS = tuple(ErrorKind)
+SLOT = 1.0  # s between two decisions of a driver
+NEAR = 100.0  # m around the ego in which drivers err
+PER_HOUR = {
+    ErrorKind.INATTENTION: 0.14,
+    ErrorKind.LATE_BRAKING: 0.07,
+    ErrorKind.CHANGE_LEFT: 0.005,
+    ErrorKind.CHANGE_RIGHT: 0.005,
+    ErrorKind.DRIFT_LEFT: 0.025,
+    ErrorKind.DRIFT_RIGHT: 0.025,
+    ErrorKind.PRIORITY: 0.1,
+    ErrorKind.RED_LIGHT: 0.1,
+}
+"""Errors that a driver begins in an hour in which the error is possible (``HumanErrors.possible``)."""
+AHEAD = np.arange(0.25, 6.01, 0.25)  # s
+CLOSE = 1.5  # m between the boxes
+EGO_REACTION, EGO_BRAKING = 1.0, 4.5  # s, m/s2
+SIDEWAYS, LANE = 1.0, 3.2  # m/s of SUMO's lane changes, m
+GO_SPEED, GO_ACCELERATION = 8.0, 2.0  # m/s, m/s2 of a driver that enters a junction from a low speed
 MODEL_SHARE = 0.1  # of the runs that are drawn from the model
 MOST_WEIGHT = 1.0 / MODEL_SHARE
 BUDGET = 3.0  # the sum of -log(1 - r) that is spent in a run: without an error it leaves 5 % (exp -3) of runs
@@ -32,6 +58,58 @@ LEVELS = 4  # of danger
 PRIOR = np.array([0.002, 0.02, 0.1, 0.3])  # guess of the share of errors that end in a collision, by level of danger
 PRIOR_STARTS = 1.0  # errors that the guess weighs as much as
 PILOT = np.array([0.01, 0.05, 0.05, 0.1])  # probabilities in the pilot runs, by level of danger
+
+
+def chances(factor: float) -> Floats:
+    """The probability ``(kinds,)`` that a driver begins each error in a slot, with all rates times ``factor``."""
+    return np.array([PER_HOUR[kind] for kind in KINDS]) * factor * SLOT / 3600.0
+
+
+def danger(ego: Boxes, others: Boxes) -> Ints:
+    """The level of danger of each kind of error ``(vehicles, kinds)``, from 0 to 3.
+
+    0: nothing comes near; 1: less than 1.5 m apart; 2: contact if the ego does not brake; 3: also if it brakes.
+    ego: 0-d arrays; others: ``(vehicles,)``.
+    """
+    speed = np.asarray(others.speed, float)[:, None, None]
+    along, left = _motions(speed)
+    c, s = np.cos(others.heading)[:, None, None], np.sin(others.heading)[:, None, None]
+    size = [np.asarray(v, float).reshape(-1, 1, 1) for v in (others.length, others.width)]
+    x, y = others.x[:, None, None] + along * c - left * s, others.y[:, None, None] + along * s + left * c
+    moved = Boxes(x, y, np.broadcast_to(others.heading[:, None, None], x.shape), speed, *size)
+    keeps, brakes = (separation(_straight(ego, d), moved).min(axis=-1) for d in _distances(float(ego.speed)))
+    return (np.asarray(keeps < CLOSE, np.intp) + (keeps <= 0.0) + ((keeps <= 0.0) & (brakes <= 0.0))).astype(np.intp)
+
+
+def _distances(speed: float) -> tuple[Floats, Floats]:
+    """How far the ego goes at its speed, and braking, by ``AHEAD`` [m]."""
+    braking = np.clip(AHEAD - EGO_REACTION, 0.0, speed / EGO_BRAKING)
+    return speed * AHEAD, speed * (np.minimum(AHEAD, EGO_REACTION) + braking) - EGO_BRAKING * braking**2 / 2
+
+
+def _straight(ego: Boxes, distance: Floats) -> Boxes:
+    x, y = ego.x + distance * np.cos(ego.heading), ego.y + distance * np.sin(ego.heading)
+    return Boxes(x, y, np.asarray(ego.heading), ego.speed, ego.length, ego.width)
+
+
+def _motions(speed: Floats) -> tuple[Floats, Floats]:
+    """How far a vehicle goes along its heading and to the left of it [m], ``(vehicles, kinds, times)``."""
+    along = np.repeat(speed * AHEAD, len(KINDS), axis=1)
+    left = np.zeros_like(along)
+    braking = np.clip(AHEAD - REACTION, 0.0, speed[:, 0] / BRAKING)
+    stopped = speed[:, 0] * (np.minimum(AHEAD, REACTION) + braking) - BRAKING * braking**2 / 2
+    begun = np.minimum(speed[:, 0], GO_SPEED)
+    gaining = np.minimum(AHEAD, (GO_SPEED - begun) / GO_ACCELERATION)
+    gone = begun * gaining + GO_ACCELERATION * gaining**2 / 2 + np.maximum(speed[:, 0], GO_SPEED) * (AHEAD - gaining)
+    for k, kind in enumerate(KINDS):
+        if kind is ErrorKind.LATE_BRAKING:
+            along[:, k] = stopped
+        elif kind in (ErrorKind.PRIORITY, ErrorKind.RED_LIGHT):
+            along[:, k] = gone
+        elif kind in SIDE:
+            wide = DRIFT if kind in (ErrorKind.DRIFT_LEFT, ErrorKind.DRIFT_RIGHT) else LANE
+            left[:, k] = SIDE[kind] * np.minimum(SIDEWAYS * AHEAD, wide)
+    return along, left
 
 
 @dataclass(frozen=True)

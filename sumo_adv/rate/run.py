@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -15,18 +14,17 @@ from sumo_adv.metrics.boxes import first_contact
 from sumo_adv.metrics.case import make_case
 from sumo_adv.metrics.levels import with_level
 from sumo_adv.metrics.validity import judge
-from sumo_adv.rate.danger import danger
-from sumo_adv.rate.estimator import SECONDS_PER_HOUR
-from sumo_adv.rate.model import KINDS, NEAR, SLOT
-from sumo_adv.rate.proposal import LEVELS, Counts, Decisions, Proposal
+from sumo_adv.rate.proposal import KINDS, LEVELS, NEAR, SLOT, Counts, Decisions, Proposal, danger
 from sumo_adv.simulation.human_errors import HumanErrors
 from sumo_adv.simulation.remote import RawState
 
+SECONDS_PER_HOUR = 3600.0
 GOES_ON = 4.0  # s after a contact, which show what the other vehicle would have done
 BEFORE = 4.0  # s before a contact from which it is judged, if the other vehicle made no error
 MEMORY = 10.0  # s before a contact: an earlier error has nothing to do with it
 HISTORY = 2.0  # s before that, which the judge may look at
 UNLIMITED = Limits(*[1e9] * 5)  # the traffic is the model's own: the limits of an adversary do not apply to it
+BOX = ("x", "y", "heading", "speed", "length", "width")
 CLEAR = 0.2  # m that two boxes are apart for certain, beside what they move in a step
 
 
@@ -67,7 +65,6 @@ class Run:
 
     @property
     def counts(self) -> Counts:
-        """What a pilot run saw."""
         return Counts(self.tried, self.begun, self.crashed)
 
     def until(self, ego: str | None, start: float, end: float, duration: float) -> Record:
@@ -105,9 +102,8 @@ class Run:
         return self._record()
 
     def _record(self) -> Record:
-        return Record(
-            self.seed, self._hours, self._km, self._weighted_hours, self._weighted_km, self.decisions.weight
-        )  # fmt: skip
+        weighted = self._weighted_hours, self._weighted_km
+        return Record(self.seed, self._hours, self._km, *weighted, self.decisions.weight)
 
     # -- errors -------------------------------------------------------------------------------------------------
 
@@ -125,7 +121,9 @@ class Run:
             return
         levels: Ints | None = None
         if self.decisions.raising:
-            levels = danger(_box(ego), boxes_of([drive.state(name) for name in names]))
+            x, y, heading, speed = (np.array(getattr(ego, key)) for key in BOX[:4])
+            box = Boxes(x, y, heading, speed, ego.length, ego.width)
+            levels = danger(box, boxes_of([drive.state(name) for name in names]))
         kinds = self.decisions.next(model, levels)
         for row, (name, kind) in enumerate(zip(names, kinds, strict=True)):
             if kind >= 0:
@@ -159,7 +157,6 @@ class Run:
         return (min(contacts)[1], min(contacts)[0]) if contacts else None
 
     def _judged(self, foe: str, when: float) -> Record:
-        """The record of a run that ended in a contact."""
         record, drive = self._record(), self.drive
         error = self.errors.last.get(foe)
         recent = error is not None and when - error.since < MEMORY
@@ -184,24 +181,13 @@ class Run:
         )  # fmt: skip
 
 
-def _box(v: VehicleState) -> Boxes:
-    return Boxes(np.array(v.x), np.array(v.y), np.array(v.heading), np.array(v.speed), v.length, v.width)
-
-
 def boxes_of(states: Sequence[VehicleState]) -> Boxes:
-    """Vehicles as boxes ``(vehicles,)``."""
-    x, y, heading, speed, length, width = (
-        np.array([getattr(s, name) for s in states]) for name in ("x", "y", "heading", "speed", "length", "width")
-    )
-    return Boxes(x, y, heading, speed, length, width)
+    return Boxes(*(np.array([getattr(s, name) for s in states]) for name in BOX))
 
 
 def _rows(drive: Drive, vehicle: str) -> Boxes:
     """A vehicle's last two states ``(2,)``."""
-    states: list[Any] = [
-        drive.simulation.state(snapshot, vehicle) for snapshot in drive.recording.snapshots[-2:]
-    ]  # fmt: skip
-    return boxes_of(states)
+    return boxes_of([drive.simulation.state(snapshot, vehicle) for snapshot in drive.recording.snapshots[-2:]])
 
 
 def _clear(a: RawState, b: RawState, size_a: tuple[float, float], size_b: tuple[float, float], dt: float) -> bool:

@@ -1,33 +1,10 @@
-"""One kept attack: the folder of a case, read and checked.
+"""One kept attack: the folder of a case, read and checked. ``docs/regression.md`` says what case.toml holds.
 
 SUITE/networks/NAME.net.xml    networks that do not come with the program, once each
 SUITE/CASE/scenario.toml       road, traffic, ego and trigger: an input of ``sumo-adv run`` like any other
 SUITE/CASE/planner.py          the adversary's planner; it only ever runs in the sandbox, unless it is a shipped one
 SUITE/CASE/planner_2.py, _3    those of supports, in the order of case.toml
-SUITE/CASE/case.toml           the attack and what is expected of the ego:
-
-schema = 1
-[expect]                       # all that stand here must hold; edit them
-avoid = "collision"            # the attack must not reach this level: critical, collision, valid, strict, serious
-min_ttc = 1.5                  # the least TTC must stay above this [s]
-no_worse = true                # than in the file of --baseline
-[attack]
-adversary = "beside"           # drives again by its planner, against what this ego does
-relation = "neighbour"         # of the adversary to the ego at the trigger; with another one there is no encounter
-intent = "Straight Lane Shift"
-mode = "drift"
-origin = "seed"                # of the planner: seed, expert, person, or a model's name
-delay = 1.5                    # s after the trigger until the adversary is taken over
-acceleration = 0.5             # m/s2, or knots [[s, m/s2], ..]
-ego_driven_from = 4.0          # s: the ego's driver takes over then (left out: as soon as the ego is there)
-ego_before = [["bv1", 0.1, 3.5]]    # what it drove before, from and until [s] (left out: nothing)
-network = "0b6a5f1c2d3e"       # the first digits of the network's SHA-256
-[attack.parameters]            # of the planner
-[[attack.supports]]            # one or two other adversaries, if there are any; ``attack.composition`` names them all
-role = "block_left"            # what it does in the attack; and as for the collider: adversary, relation, intent,
-                               # mode, origin, acceleration, parameters
-[settings]                     # those that shape the run
-[found]                        # what the attack came to where it was found; nothing depends on it
+SUITE/CASE/case.toml           the attack and what is expected of the ego
 """
 
 from __future__ import annotations
@@ -51,17 +28,8 @@ SCHEMA = 1
 CASE_FILE, SCENARIO_FILE, PLANNER_FILE, NETWORKS = "case.toml", "scenario.toml", "planner.py", "networks"
 HASH_DIGITS = 12
 SHAPING = (
-    "seed",
-    "step_length",
-    "history",
-    "duration",
-    "replan",
-    "delays",
-    "forecast",
-    "ttc",
-    "limits",
-    "sumo_options",
-)
+    "seed", "step_length", "history", "duration", "replan", "delays", "forecast", "ttc", "limits", "sumo_options",
+)  # fmt: skip
 """The settings that shape the run of one given attack, all that a case may set; the horizon stands in its scenario."""
 Avoided = Literal["critical", "collision", "valid", "strict", "serious"]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -86,7 +54,6 @@ class Expectation(_Table):
 
     @property
     def level(self) -> Level | None:
-        """The level that must not be reached."""
         return None if self.avoid is None else Level[self.avoid.upper()]
 
 
@@ -228,7 +195,6 @@ def hash_of(file: Path) -> str:
 
 
 def needs_baseline(cases: Sequence[Case]) -> list[str]:
-    """The names of the cases that are compared with a baseline."""
     return [case.name for case in cases if case.expect.no_worse]
 
 

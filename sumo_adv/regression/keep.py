@@ -24,7 +24,7 @@ from sumo_adv.regression.case import (
     read_case,
 )
 from sumo_adv.report.manifest import Recorded, read_manifest
-from sumo_adv.report.page.read import read_outcome
+from sumo_adv.report.read import read_outcome
 from sumo_adv.report.staging import staged
 from sumo_adv.simulation.inputs import EgoRoute, data_folder
 from sumo_adv.simulation.playback_spec import Prop
@@ -40,9 +40,8 @@ def keep_run(run: Path, suite: Path, expect: Expectation, name: str | None = Non
 
     name: of the case; by default that of the input with the seed, and a number where that is taken by another attack.
 
-    Raises:
-        UsageError: no run's folder, a run without a collision or a low TTC, a name that is taken, or a suite that
-            cannot be written.
+    Raises UsageError: no run's folder, a run without a collision or a low TTC, a name that is taken, or a suite that
+    cannot be written.
     """
     recorded, outcome = read_manifest(run), read_outcome(run)
     level = level_of(outcome)
@@ -73,7 +72,6 @@ def keep_run(run: Path, suite: Path, expect: Expectation, name: str | None = Non
 
 
 def level_of(outcome: Mapping[str, Any]) -> Level:
-    """The level that the attempt that counts reached."""
     return Level[str((outcome.get("outcome") or {}).get("level") or "none").upper()]
 
 
@@ -124,19 +122,17 @@ def _network(network: Path, suite: Path) -> str:
     return f"../{NETWORKS}/{_copy_of(network, suite).name}"
 
 
+def _copy_network(network: Path, suite: Path) -> None:
+    target = _copy_of(network, suite)
+    if _network(network, suite).startswith("..") and not target.exists():
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(network, target)
+
+
 def _copy_of(network: Path, suite: Path) -> Path:
     """Where the suite has its copy of a network; with its hash in the name if another network has that name."""
     copy = suite / NETWORKS / network.name[HASH_AND_DASH:]
     return copy.with_name(network.name) if copy.exists() and hash_of(copy) != hash_of(network) else copy
-
-
-def _copy_network(network: Path, suite: Path) -> None:
-    if not _network(network, suite).startswith(".."):
-        return
-    target = _copy_of(network, suite)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    if not target.exists():
-        shutil.copyfile(network, target)
 
 
 # -- the texts --------------------------------------------------------------------------------------------------------
@@ -169,7 +165,6 @@ def _scenario(recorded: Recorded, outcome: Mapping[str, Any], suite: Path) -> st
 
 
 def _ego(ego: str | EgoRoute | None, name: str) -> dict[str, Any]:
-    """An ego that the run chose among the traffic is named."""
     if not isinstance(ego, EgoRoute):
         return {"id": name}
     return {

@@ -1,4 +1,7 @@
-"""Runs cases one after another in one process: sandbox, engine and imports stay warm."""
+"""Runs cases one after another in one process, where sandbox, engine and imports stay warm.
+
+A case is measured, and judged by what is expected of the ego.
+"""
 
 from __future__ import annotations
 
@@ -6,17 +9,19 @@ import tempfile
 import time
 import traceback
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
+from enum import StrEnum
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from sumo_adv.campaigns.results import OUTCOME, Done
 from sumo_adv.campaigns.worker import share
 from sumo_adv.config import Settings, Until, forget_environment, load_settings
-from sumo_adv.datatypes import Attempt, Ending, Intent
+from sumo_adv.datatypes import Attempt, Ending, Intent, Level
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.loop import attack_once
 from sumo_adv.episode.planned_encounter import seek
@@ -26,14 +31,135 @@ from sumo_adv.errors import SumoAdvError
 from sumo_adv.files import is_storage_error
 from sumo_adv.metrics.contact import first_other_contact
 from sumo_adv.planners.sandbox import Sandbox
-from sumo_adv.regression.case import Case, read_case
-from sumo_adv.regression.measured import Measured
+from sumo_adv.regression.case import Case, Expectation, read_case
 from sumo_adv.report.folder import all_sizes, write_run
 from sumo_adv.report.staging import staged
 from sumo_adv.simulation.engine import Engine
 from sumo_adv.simulation.tracks import tracks_of
 
+NO_CONCERN = 4.0  # s: a larger TTC is no danger to a driver (Minderhoud and Bovy 2001), so it is not compared
+LOWER_TTC = 0.1  # s, a step of the simulation: a smaller loss of TTC is not worse
+HARDER = 0.447  # m/s (1 mph, the bound of negligible severity): a smaller gain of delta-v is not worse
 INPUTS = "inputs"  # beside the runs: networks and demand, each content once
+
+
+class Result(StrEnum):
+    """How a case ended. Only ``PASS`` passes; ``NO_ENCOUNTER`` and ``INVALID`` say nothing about the ego."""
+
+    PASS = "pass"
+    FAIL = "fail"
+    NO_ENCOUNTER = "no encounter"  # the ego never came into the trigger's situation
+    INVALID = "invalid"  # the adversary could not drive the attack as a car can
+    ERROR = "error"  # the ego's driver or the simulation broke
+
+
+UNTESTED = (Result.NO_ENCOUNTER, Result.INVALID)
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """The outcome of a case. Times in s, speeds in m/s, never = None.
+
+    broken: why nothing was measured, with ``missed``: because there was no encounter. level, collided, rear_end,
+    failed_gates, min_ttc, delta_v, severity, contact_time, preventable_by: of the attempt's verdict. touched: another
+    vehicle or object that the ego ran into. planner: why the adversary's planner failed. seconds: that it took. cause,
+    cause_sentence: the kind of cause of a contact or near miss, and the cause in words.
+    """
+
+    case: str
+    ego: str
+    broken: str = ""
+    missed: bool = False
+    level: str = "none"
+    collided: bool = False
+    rear_end: bool = False
+    failed_gates: tuple[str, ...] = ()
+    min_ttc: float | None = None
+    delta_v: float | None = None
+    severity: str | None = None
+    contact_time: float | None = None
+    preventable_by: tuple[str, ...] = ()
+    touched: str | None = None
+    planner: str = ""
+    seconds: float = 0.0
+    cause: str | None = None
+    cause_sentence: str = ""
+
+    @property
+    def compared_ttc(self) -> float:
+        """The least TTC as far as it matters [s]."""
+        return NO_CONCERN if self.min_ttc is None else min(self.min_ttc, NO_CONCERN)
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """A case with its result and the reason, in a sentence. ``before``: the same case in the baseline."""
+
+    measured: Measured
+    result: Result
+    why: str
+    before: Measured | None = None
+
+    @property
+    def sentence(self) -> str:
+        cause = self.measured.cause_sentence if self.result is Result.FAIL and self.measured.touched is None else ""
+        return " ".join(filter(None, (self.why, cause)))
+
+    def row(self) -> dict[str, Any]:
+        return {"result": str(self.result), "why": self.why, **asdict(self.measured)}
+
+
+def judged(case: Case, measured: Measured, before: Measured | None) -> Judged:
+    """Whether a case came to what is expected of the ego. ``before``: what the baseline measured, None without one."""
+    m = measured
+    if m.missed:
+        return Judged(m, Result.NO_ENCOUNTER, m.broken, before)
+    if m.broken:
+        return Judged(m, Result.ERROR, m.broken, before)
+    if m.planner:
+        return Judged(m, Result.INVALID, f"The adversary's planner failed: {m.planner}", before)
+    if m.touched is not None:
+        return Judged(m, Result.FAIL, f"The ego ran into {m.touched}.", before)
+    if m.collided and m.failed_gates:
+        gates = ", ".join(m.failed_gates)
+        return Judged(m, Result.INVALID, f"The adversary collides, but no car can drive so ({gates}).", before)
+    remark = "The adversary runs into the ego's back, which is not held against the ego." if m.rear_end else ""
+    why = _broken_expectation(case.expect, m, before)
+    return Judged(m, Result.FAIL if why else Result.PASS, why or remark, before)
+
+
+def _broken_expectation(expect: Expectation, m: Measured, before: Measured | None) -> str:
+    """What does not hold, or empty."""
+    if expect.level is not None and Level[m.level.upper()] >= expect.level:
+        return f"The attack reaches {m.level}; it must stay below {expect.avoid}."
+    counts = not m.rear_end and not m.failed_gates
+    if expect.min_ttc is not None and counts and m.min_ttc is not None and m.min_ttc <= expect.min_ttc:
+        return f"The least TTC is {m.min_ttc:.2f} s; it must stay above {expect.min_ttc:g} s."
+    return _worse(m, before) if expect.no_worse else ""
+
+
+def _worse(measured: Measured, before: Measured | None) -> str:
+    """Why a case is worse than in the baseline, or empty. A baseline that broke or missed the encounter had no hit."""
+    before = before or Measured(measured.case, "")
+    hit, hit_before = (m.collided and not m.rear_end for m in (measured, before))
+    if hit and not hit_before:
+        return "The ego is hit, and was not in the baseline."
+    if hit:
+        harder = (measured.delta_v or 0.0) - (before.delta_v or 0.0)
+        return f"The ego is hit {harder:.1f} m/s harder than in the baseline." if harder > HARDER else ""
+    if before.broken or hit_before or measured.rear_end or measured.failed_gates:
+        return ""
+    lost = before.compared_ttc - measured.compared_ttc
+    return f"The least TTC is {lost:.2f} s lower than in the baseline." if lost > LOWER_TTC else ""
+
+
+MEASURED = TypeAdapter(Measured)
+
+
+def measured_of(row: Mapping[str, Any]) -> Measured:
+    """A measurement from a row of the JSON file. Raises ValidationError."""
+    names = {f.name for f in fields(Measured)}
+    return MEASURED.validate_python({k: v for k, v in row.items() if k in names})
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +202,7 @@ class CaseRunner:
         Raises OSError: nothing can be written.
         """
         began = time.perf_counter()
+        text = ""
         try:
             measured = self._run(read_case(job.folder))
         except Exception as error:
@@ -84,8 +211,6 @@ class CaseRunner:
             reason = str(error) if isinstance(error, SumoAdvError) else f"{type(error).__name__}: {error}"
             measured = Measured(job.id, self._setup.ego, broken=reason)
             text = traceback.format_exc()
-        else:
-            text = ""
         return Done(job.id, asdict(replace(measured, seconds=time.perf_counter() - began)), text=text)
 
     def _run(self, case: Case) -> Measured:
@@ -156,7 +281,6 @@ def _elsewhere(case: Case, encounter: FoundEncounter) -> str:
 
 
 def measure(case: Case, episode: Episode, outcome: Mapping[str, Any]) -> Measured:
-    """What the attempt of a case came to, from the episode and its ``outcome.json``."""
     best, verdict = episode.best, outcome["outcome"]
     assert best is not None
     cause = verdict["cause"] or {}

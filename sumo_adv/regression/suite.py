@@ -1,4 +1,4 @@
-"""All cases of a suite against one driver: run on worker processes, judged, and kept in a folder.
+"""All cases of a suite against one driver: run on worker processes, judged, kept in a folder, and told.
 
 OUT/regress.json    results and measurements; the file that --baseline takes
 OUT/results.csv     a row a case, as a batch has it: sumo-adv report OUT makes an index with the replays
@@ -8,7 +8,9 @@ OUT/runs/CASE/      the run of each case that came to its encounter
 from __future__ import annotations
 
 import json
+import re
 import shutil
+import xml.etree.ElementTree as ElementTree
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
@@ -24,8 +26,17 @@ from sumo_adv.drivers import make_ego
 from sumo_adv.errors import UsageError
 from sumo_adv.files import json_text, sentences, write_text
 from sumo_adv.regression.case import Case, needs_baseline
-from sumo_adv.regression.measured import UNTESTED, Judged, Measured, Result, judged, measured_of
-from sumo_adv.regression.runner import CaseJob, CaseRunner, Setup
+from sumo_adv.regression.runner import (
+    UNTESTED,
+    CaseJob,
+    CaseRunner,
+    Judged,
+    Measured,
+    Result,
+    Setup,
+    judged,
+    measured_of,
+)
 from sumo_adv.report.outcome import versions
 from sumo_adv.report.staging import staged
 
@@ -33,6 +44,8 @@ SCHEMA = 1
 RESULTS = "regress.json"
 DEADLINE = 300.0  # s after which a case is held to be stuck; one takes a few seconds
 RECYCLE = 200  # cases after which a worker process is replaced
+FORBIDDEN = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")  # XML 1.0, section 2.2
+HEAD = ("case", "result", "level", "min TTC", "delta-v", "baseline", "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +58,6 @@ class SuiteRun:
 
     @property
     def counts(self) -> Mapping[Result, int]:
-        """How many cases have each result."""
         counts = Counter(case.result for case in self.cases)
         return {result: counts[result] for result in Result}
 
@@ -55,7 +67,6 @@ class SuiteRun:
         return all(case.result in fine for case in self.cases)
 
     def document(self) -> dict[str, Any]:
-        """As the JSON file has it."""
         return {
             "schema": SCHEMA, "suite": self.suite, "ego": self.ego, "versions": versions(),
             "counts": {str(result): many for result, many in self.counts.items()},
@@ -99,15 +110,11 @@ def run_suite(
             pool.run(jobs, finished)
         shutil.rmtree(scratch, ignore_errors=True)
         whole = SuiteRun(suite, ego, [results[case.name] for case in cases])
-        _write(folder.stage, whole)
+        write_text(folder.stage / RESULTS, json_text(whole.document(), 2))
+        rows: list[Row] = [row for run in sorted(runs.iterdir()) if (row := read_row(run)) is not None]
+        write_csv(folder.stage / "results.csv", rows, [])
         folder.keep(force=force)
     return whole
-
-
-def _write(folder: Path, whole: SuiteRun) -> None:
-    write_text(folder / RESULTS, json_text(whole.document(), 2))
-    rows: list[Row] = [row for run in sorted((folder / "runs").iterdir()) if (row := read_row(run)) is not None]
-    write_csv(folder / "results.csv", rows, [])
 
 
 def read_results(path: Path) -> dict[str, Any]:
@@ -128,3 +135,73 @@ def read_baseline(path: Path) -> dict[str, Measured]:
         return {measured.case: measured for measured in map(measured_of, read_results(path)["cases"])}
     except (ValidationError, AttributeError) as error:
         raise UsageError(f"The baseline {path} cannot be read; run it again.") from error
+
+
+def write_junit(file: Path, run: SuiteRun, *, allow_untested: bool) -> None:
+    """Write the file, whole or not at all. Raises UsageError, SumoAdvError."""
+    with sentences(file):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_text(file, junit(run, allow_untested=allow_untested))
+
+
+def junit(run: SuiteRun, *, allow_untested: bool) -> str:
+    """The text. A case that says nothing about the ego is a failure, or skipped if such cases are allowed."""
+    kinds = [_kind(case, allow_untested) for case in run.cases]
+    suite = ElementTree.Element("testsuite", {
+        "name": _clean(run.suite), "tests": str(len(run.cases)), "failures": str(kinds.count("failure")),
+        "errors": str(kinds.count("error")), "skipped": str(kinds.count("skipped")),
+        "time": f"{sum(case.measured.seconds for case in run.cases):.3f}",
+    })  # fmt: skip
+    for case, kind in zip(run.cases, kinds, strict=True):
+        m = case.measured
+        test = ElementTree.SubElement(suite, "testcase", {
+            "classname": _clean(f"{run.suite}.{run.ego}"), "name": _clean(m.case), "time": f"{m.seconds:.3f}",
+        })  # fmt: skip
+        if kind:
+            about = {"message": _clean(case.sentence)} | ({"type": str(case.result)} if kind != "skipped" else {})
+            ElementTree.SubElement(test, kind, about)
+    whole = ElementTree.Element("testsuites")
+    whole.append(suite)
+    ElementTree.indent(whole)
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(whole, encoding="unicode") + "\n"
+
+
+def _kind(case: Judged, allow_untested: bool) -> str:
+    """The element inside the test case; empty if it passes."""
+    if case.result is Result.PASS:
+        return ""
+    if case.result is Result.ERROR:
+        return "error"
+    return "skipped" if allow_untested and case.result is not Result.FAIL else "failure"
+
+
+def _clean(text: str) -> str:
+    return FORBIDDEN.sub("\ufffd", text)
+
+
+def lines(run: SuiteRun) -> list[str]:
+    """A line a case, and a sum; the baseline's column only if there is a baseline."""
+    rows = [_row(case) for case in run.cases]
+    shown = [k for k in range(len(HEAD)) if k != 5 or any(case.before for case in run.cases)]
+    widths = [max(len(row[k]) for row in (HEAD, *rows)) for k in range(len(HEAD))]
+    table = ["  ".join(row[k].ljust(widths[k]) for k in shown).rstrip() for row in (HEAD, *rows)]
+    counts = [f"{many} {result}" for result, many in run.counts.items() if many or result is Result.PASS]
+    cases = f"{len(run.cases)} case{'s' * (len(run.cases) != 1)}"
+    return [*table, "", f"{cases} of {run.suite} against {run.ego}: {', '.join(counts)}."]
+
+
+def _row(case: Judged) -> Sequence[str]:
+    m = case.measured
+    measured = case.result not in (Result.NO_ENCOUNTER, Result.ERROR)
+    figures = (m.level, _number(m.min_ttc, "s"), _number(m.delta_v, "m/s")) if measured else ("-", "-", "-")
+    return (m.case, str(case.result), *figures, _before(case.before), case.sentence.split("\n")[0])
+
+
+def _number(value: float | None, unit: str) -> str:
+    return "-" if value is None else f"{value:.2f} {unit}"
+
+
+def _before(m: Measured | None) -> str:
+    if m is None or m.broken:
+        return "-"
+    return f"{m.level}, {_number(m.min_ttc, 's')}" if not m.collided else f"{m.level}, {_number(m.delta_v, 'm/s')}"

@@ -9,16 +9,21 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
+from pathlib import Path
 from typing import Any
 
 from sumo_adv.config_odd import Odd
 from sumo_adv.datatypes import Level, RoadClass
+from sumo_adv.errors import UsageError
+from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.records import IntentRecord
 from sumo_adv.metrics.statistics import Estimate, wilson
+from sumo_adv.report.document import write_document
 from sumo_adv.report.run_outcome import level_of
 
 BANDS = ((0.0, 8.0), (8.0, 14.0), (14.0, 22.0), (22.0, math.inf))  # m/s; the bounds are about 30, 50 and 80 km/h
@@ -26,6 +31,8 @@ HEADER = (
     "ego", "intent", "relation", "road", "speed_from", "speed_to", "encounters", "failures", "rate", "low", "high",
 )  # fmt: skip
 ALL = "all"  # egos together
+NOWHERE = "oncoming", str(RoadClass.MOTORWAY)
+OUTCOME, PLAN, BANK, TABLE = "outcome.json", "plan.json", "bank.sqlite", "coverage.csv"
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -48,7 +55,6 @@ class Row:
 
     @property
     def rate(self) -> Estimate:
-        """The share of failures, with Wilson's 95 % interval; an empty cell has the value nan."""
         return wilson(self.failures, self.encounters)
 
 
@@ -116,16 +122,12 @@ def make_coverage(
     pairs = pairs_of(library) | {(cell.intent, cell.relation) for cell in counts[ALL]}
     roads, bands = tuple(str(road) for road in RoadClass), range(len(BANDS))
     every = {Cell(*pair, road, band) for pair, road, band in product(pairs, roads, bands)}
-    possible = {cell for cell in every if _exists(cell) and (not odds or any(_within(cell, odd) for odd in odds))}
+    exist = {cell for cell in every if (cell.relation, cell.road) != NOWHERE}
+    possible = {cell for cell in exist if not odds or any(_within(cell, odd) for odd in odds)}
     return Coverage({ego: _rows(possible | counts[ALL].keys(), tally) for ego, tally in counts.items()}, unplaced)
 
 
-def _exists(cell: Cell) -> bool:
-    return (cell.relation, cell.road) != ("oncoming", str(RoadClass.MOTORWAY))
-
-
 def _within(cell: Cell, odd: Odd) -> bool:
-    """Whether an ODD contains some encounter of a cell."""
     low, high = BANDS[cell.band]
     slowest, fastest = odd.speed or (0.0, math.inf)
     on_road = not odd.roads or cell.road in odd.roads
@@ -149,3 +151,44 @@ def coverage_csv(coverage: Coverage) -> str:
             speeds = (f"{low:g}", "" if math.isinf(high) else f"{high:g}")
             writer.writerow((ego, cell.intent, cell.relation, cell.road, *speeds, row.encounters, row.failures, *shown))
     return text.getvalue()
+
+
+def campaign_coverage(folder: Path, runs: Sequence[Path], packed: Mapping[str, str], bank: Path) -> Coverage:
+    """The coverage of the runs in a campaign's folder.
+
+    packed: the outcomes of packed runs as text, by id. bank: its intents make the cells if the folder has no bank.
+    Raises UsageError or BankError.
+    """
+    own = folder / BANK
+    with MemoryBank.open(own if own.is_file() else bank, read_only=True) as opened:
+        library = opened.intents()
+    return make_coverage(_outcomes(runs, packed), library, _odds(folder / PLAN))
+
+
+def write_coverage(target: Path, coverage: Coverage) -> Path:
+    """Write ``coverage.csv`` into the folder of the pages. Raises UsageError: it cannot be written."""
+    write_document(target / TABLE, coverage_csv(coverage))
+    return target / TABLE
+
+
+def _outcomes(runs: Sequence[Path], packed: Mapping[str, str]) -> Iterator[dict[str, Any]]:
+    """The outcomes that can be read. Damaged ones are told where their pages are made."""
+    for run in runs:
+        try:
+            file = run / OUTCOME
+            document = json.loads(file.read_text(encoding="utf-8") if file.is_file() else packed[run.name])
+            _ = document["encounter"], document["attempts"], document["ego"]["controller"]
+            yield document
+        except (OSError, ValueError, KeyError, TypeError):
+            continue
+
+
+def _odds(plan: Path) -> list[Odd]:
+    """The ODDs of a campaign's variants; none if a variant has none. Raises UsageError: the plan is damaged."""
+    if not plan.is_file():
+        return []
+    try:
+        odds = [variant.get("odd") for variant in json.loads(plan.read_text(encoding="utf-8")).get("settings", ())]
+        return [Odd.model_validate(odd) for odd in odds] if all(odds) else []
+    except (ValueError, AttributeError) as error:
+        raise UsageError(f"{plan} is damaged ({error}); restore it from a copy.") from error

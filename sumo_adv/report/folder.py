@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+import json
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import MOST_ADVERSARIES, Track
+from sumo_adv.datatypes import MOST_ADVERSARIES, Attempt, plain_acceleration
 from sumo_adv.episode.episode import Episode
 from sumo_adv.files import json_text
 from sumo_adv.metrics.boxes import first_contact, on_grid
 from sumo_adv.metrics.criticality import ttc
-from sumo_adv.report.attempts import ATTEMPTS, write_attempts
 from sumo_adv.report.outcome import manifest, number, outcome
 from sumo_adv.report.staging import RunFolder
-from sumo_adv.report.tables import SERIES_HEADER, write_gzip, write_plan, write_signals, write_states
+from sumo_adv.report.tables import SERIES_HEADER, csv_text, write_gzip, write_plan, write_signals, write_states
 from sumo_adv.report.verdicts import figures, judge_best
 from sumo_adv.simulation.simulation import Snapshot
 from sumo_adv.simulation.tracks import tracks_of
@@ -39,25 +38,27 @@ def write_run(folder: RunFolder, episode: Episode, *, figure: bool = True) -> di
     realism = judged.realism if judged is not None else None
     result = outcome(episode, raw_figures(episode), figures(judged), realism)
     (stage / "manifest.json").write_text(json_text(manifest(episode, inputs), 2), encoding="utf-8")
-    write_attempts(stage / ATTEMPTS, episode)
+    _write_attempts(stage / "attempts.csv.gz", episode)
     if episode.found is not None and episode.prefix is not None:
-        _tables(stage, episode)
-        if episode.best is not None:
-            _plans(stage, episode)
+        _write_tables(stage, episode)
         if judged is not None:
             write_gzip(stage / "criticality.csv.gz", SERIES_HEADER + "".join(judged.rows))
         if episode.best is not None and figure:
-            _figure_or_note(stage / "encounter.png", episode, result)
+            picture = stage / "encounter.png"
+            try:
+                _figure(picture, episode)
+            except OSError:
+                raise
+            except Exception as error:  # odd values that no plotting library takes: the run is kept without it
+                why = f"{picture.name} could not be drawn ({type(error).__name__}: {error})."
+                result["notes"] = [*result["notes"], why]
     (stage / "outcome.json").write_text(json_text(result, 2), encoding="utf-8")
     for success in result["successes"]:
         if success["folder"] is not None:
             attack_stage = stage / success["folder"]
             attack_stage.mkdir(parents=True)
-            write_run(
-                RunFolder(folder.target / success["folder"], attack_stage),
-                episode.of_attempt(success["attempt"]),
-                figure=figure,
-            )
+            inside = RunFolder(folder.target / success["folder"], attack_stage)
+            write_run(inside, episode.of_attempt(success["attempt"]), figure=figure)
     return result
 
 
@@ -82,38 +83,24 @@ def _attempt_snapshots(episode: Episode) -> list[Snapshot]:
     return [*episode.prefix.snapshots, *after]
 
 
-def _tables(stage: Path, episode: Episode) -> None:
+def _write_tables(stage: Path, episode: Episode) -> None:
+    """States, lights, and what the adversaries were to do after the contact."""
     assert episode.found is not None and episode.prefix is not None
-    best = episode.best
-    roles = episode.task.roles(episode.found.ego)
-    sizes, step = all_sizes(episode), episode.settings.step_length
-    if episode.found.baseline:
-        write_states(stage / "raw.csv.gz", [*episode.prefix.snapshots, *episode.found.baseline], sizes, roles, step)
-    if best is not None:
-        roles = episode.task.roles(episode.found.ego, *best.proposal.bvs)
-    write_states(stage / "states.csv.gz", _attempt_snapshots(episode), sizes, roles, step)
+    ego, before, baseline = episode.found.ego, episode.prefix.snapshots, episode.found.baseline
+    sizes, step, roles, done = all_sizes(episode), episode.settings.step_length, episode.task.roles, episode.refinement
+    if baseline:
+        write_states(stage / "raw.csv.gz", [*before, *baseline], sizes, roles(ego), step)
+    bvs = () if episode.best is None else episode.best.proposal.bvs
+    write_states(stage / "states.csv.gz", _attempt_snapshots(episode), sizes, roles(ego, *bvs), step)
     write_signals(stage / SIGNALS, _attempt_snapshots(episode))
-    if episode.refinement.best:
-        _first(stage / FIRST, episode, sizes)
-
-
-def _first(target: Path, episode: Episode, sizes: Mapping[str, tuple[float, float]]) -> None:
-    """The ego and the adversaries of the first attempt, from the step before the trigger on."""
-    assert episode.found is not None and episode.prefix is not None
-    after = episode.refinement.results[0].snapshots
-    names = (episode.found.ego, *episode.refinement.attempts[0].proposal.bvs)
-    if after:
-        snapshots = [*episode.prefix.snapshots[-2:], *after]
-        write_states(target, snapshots, sizes, episode.task.roles(*names), episode.settings.step_length, names)
-
-
-def _plans(stage: Path, episode: Episode) -> None:
-    """What the adversaries were to do after the contact, as the verdict takes it."""
-    best = episode.refinement.best or 0
-    beyond = episode.refinement.results[best].driven.beyond
-    for name, bv in zip(plan_names(), episode.refinement.attempts[best].proposal.bvs, strict=False):
-        if bv in beyond:
-            write_plan(stage / name, beyond[bv])
+    if done.best and done.results[0].snapshots:  # of the first attempt, from the step before the trigger on
+        names = (ego, *done.attempts[0].proposal.bvs)
+        write_states(stage / FIRST, [*before[-2:], *done.results[0].snapshots], sizes, roles(*names), step, names)
+    if episode.best is not None:
+        beyond = done.results[done.best or 0].driven.beyond
+        for name, bv in zip(plan_names(), bvs, strict=False):
+            if bv in beyond:
+                write_plan(stage / name, beyond[bv])
 
 
 def plan_names() -> tuple[str, ...]:
@@ -122,7 +109,6 @@ def plan_names() -> tuple[str, ...]:
 
 
 def all_sizes(episode: Episode) -> dict[str, tuple[float, float]]:
-    """Sizes of every vehicle of the episode."""
     assert episode.prefix is not None
     sizes = dict(episode.prefix.sizes)
     for result in episode.refinement.results:
@@ -140,44 +126,23 @@ def raw_figures(episode: Episode) -> dict[str, Any] | None:
     after = episode.refinement.results[episode.refinement.best or 0].snapshots
     if not after:  # its planner failed before the first step
         return {"min_ttc": None, "collided": False}
-    end = after[-1].time
-    pair = _pair(episode, [*episode.prefix.snapshots[-5:], *encounter.baseline], best.trigger_time, end)
-    if pair is None:
+    names = (encounter.ego, best.proposal.bv)
+    step, snapshots = episode.settings.step_length, [*episode.prefix.snapshots[-5:], *encounter.baseline]
+    tracks = tracks_of(snapshots, all_sizes(episode), {}, step, names)
+    low = max([best.trigger_time, *(t.time[0] for t in tracks)])
+    high = min([after[-1].time, *(t.time[-1] for t in tracks)])
+    if len(tracks) < 2 or high - low < step:
         return {"min_ttc": None, "collided": False}
-    time = pair[0].time
-    a, b = (on_grid([t], time) for t in pair)
-    least = ttc(a, b)
-    contact = first_contact(a, b, time)
+    by_id = {t.id: t.between(low, high) for t in tracks}
+    time = by_id[names[0]].time
+    a, b = (on_grid([by_id[name]], time) for name in names)
+    least, contact = ttc(a, b), first_contact(a, b, time)
     return {"min_ttc": number(float(np.nanmin(least)) if np.isfinite(least).any() else None),
             "collided": bool(np.isfinite(contact).any())}  # fmt: skip
 
 
-def _pair(episode: Episode, snapshots: list[Snapshot], start: float, end: float) -> tuple[Track, Track] | None:
-    assert episode.found is not None and episode.best is not None
-    names = (episode.found.ego, episode.best.proposal.bv)
-    tracks = {t.id: t for t in tracks_of(snapshots, all_sizes(episode), {}, episode.settings.step_length, names)}
-    if any(n not in tracks for n in names):
-        return None
-    first, second = tracks[names[0]], tracks[names[1]]
-    low, high = max(start, first.time[0], second.time[0]), min(end, first.time[-1], second.time[-1])
-    if high - low < episode.settings.step_length:
-        return None
-    return first.between(low, high), second.between(low, high)
-
-
-def _figure_or_note(target: Path, episode: Episode, result: dict[str, Any]) -> None:
-    """Draw the picture; if drawing fails the run is kept without it, and a note of the outcome says why."""
-    try:
-        _figure(target, episode)
-    except OSError:
-        raise
-    except Exception as error:  # odd values that no plotting library takes
-        target.unlink(missing_ok=True)
-        result["notes"] = [*result["notes"], f"{target.name} could not be drawn ({type(error).__name__}: {error})."]
-
-
 def _figure(target: Path, episode: Episode) -> None:
-    from sumo_adv.report.figure import draw_encounter
+    from sumo_adv.report.encounter_figure import draw_encounter
 
     best, encounter, prefix = episode.best, episode.found, episode.prefix
     assert best is not None and encounter is not None and prefix is not None
@@ -185,9 +150,8 @@ def _figure(target: Path, episode: Episode) -> None:
     roles = episode.task.roles(encounter.ego, *best.proposal.bvs)
     sizes, step = all_sizes(episode), episode.settings.step_length
     history = episode.settings.steps(episode.settings.history)
-    attacked = {
-        t.id: t for t in tracks_of(_attempt_snapshots(episode)[len(prefix.snapshots) - history :], sizes, roles, step)
-    }
+    since = _attempt_snapshots(episode)[len(prefix.snapshots) - history :]
+    attacked = {t.id: t for t in tracks_of(since, sizes, roles, step)}
     raw = {t.id: t for t in tracks_of([*prefix.snapshots[-history:], *encounter.baseline], sizes, roles, step, names)}
     others = [t for n, t in attacked.items() if n not in names]
     p = best.proposal
@@ -198,3 +162,30 @@ def _figure(target: Path, episode: Episode) -> None:
         title=f"{episode.source.name}: {' + '.join(p.bvs)} — {p.composition or p.label} "
         f"against {encounter.ego} ({episode.task.ego_driver})",
     )  # fmt: skip
+
+
+def _write_attempts(target: Path, episode: Episode) -> None:
+    """A row for each attempt, of encounters that gave nothing, too. Times s, distances m, speeds m/s; never = empty.
+
+    encounter: its time; attempt: its number there, from 1; delay: from the encounter to the start.
+    """
+    encounters = {t.time: t.made for t in episode.tried}
+    if episode.found is not None:
+        encounters[episode.found.time] = episode.refinement.attempts
+    rows = [_row(time, attempt) for time, made in sorted(encounters.items()) for attempt in made]
+    if rows:
+        write_gzip(target, csv_text(list(rows[0]), rows))
+
+
+def _row(encounter: float, a: Attempt) -> dict[str, Any]:
+    v, p = a.verdict, a.proposal
+    return {
+        "encounter": number(encounter), "attempt": a.index + 1, "by": p.by, "phase": a.phase,
+        "adversaries": " ".join(p.bvs), "intent": p.composition or p.label, "mode": p.planner.mode,
+        "planner": p.planner.hash, "parameters": json.dumps({k: number(q) for k, q in p.parameters.items()}),
+        "acceleration": plain_acceleration(p.acceleration), "delay": number(p.delay), "level": str(v.level),
+        "min_ttc": number(v.min_ttc), "min_distance": number(v.min_distance), "delta_v": number(v.delta_v),
+        "contact_time": number(v.contact_time), "contact_side": v.contact_side,
+        "preventable_by": None if v.preventability is None else " ".join(v.preventability.by),
+        "failed_gates": " ".join(v.failed_gates), "ending": a.ending,
+    }  # fmt: skip

@@ -6,9 +6,6 @@ counterfactual.  A run of version 1 does not: ``sumo-adv judge`` replays it (``c
 
 from __future__ import annotations
 
-import csv
-import gzip
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,12 +20,16 @@ from sumo_adv.metrics.levels import with_level
 from sumo_adv.parsing import parse_json
 from sumo_adv.report.folder import plan_names
 from sumo_adv.report.outcome import level_figures
-from sumo_adv.report.page.read import OUTCOME, RunRead, damaged, read_run
+from sumo_adv.report.read import OUTCOME, RunRead, columns_of, damaged, read_run
 from sumo_adv.report.tables import PLAN_HEADER
 from sumo_adv.simulation.network import read_network
 
 ROAD_MARGIN = 150.0  # m around the ego's way within which the road is read
 HISTORY = 1.1  # s before the trigger
+SHOWN = (
+    "level", "preventable_by", "inconclusive", "ego_stationary", "ego_blocking", "humanlike", "delta_v", "severity",
+    "impact_speed", "simulated",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,15 +43,10 @@ class Judgement:
     how: str  # files | replay
 
     def row(self) -> dict[str, Any]:
-        """For tables."""
-        kept = (
-            "level", "preventable_by", "inconclusive", "ego_stationary", "ego_blocking", "humanlike", "delta_v",
-            "severity", "impact_speed", "simulated",
-        )  # fmt: skip
         return {
             "run": str(self.folder), "ego": self.ego, "how": self.how, "collided": self.now.get("collided"),
             "valid_before": self.before.get("valid"), "strict_before": self.before.get("strict"),
-            **{name: self.now.get(name) for name in kept},
+            **{name: self.now.get(name) for name in SHOWN},
         }  # fmt: skip
 
 
@@ -106,21 +102,19 @@ def _case(run: RunRead) -> tuple[Case | None, float]:
     tracks = [t.between(float(start) - HISTORY, np.inf) for t in run.best]
     kept = [t for t in tracks if len(t.time)]
     ids = [str(adversary["id"]) for adversary in adversaries]
-    plans = [read_plan(run.folder / file, bv, kept) for file, bv in zip(plan_names(), ids, strict=False)]
+    plans = [_read_plan(run.folder / file, bv, kept) for file, bv in zip(plan_names(), ids, strict=False)]
     beyond = {plan.id: plan for plan in plans if plan is not None}
     return make_case(kept, str(ego), ids, float(start), beyond), float(start)
 
 
-def read_plan(file: Path, adversary: str, tracks: Sequence[Track]) -> Track | None:
+def _read_plan(file: Path, adversary: str, tracks: Sequence[Track]) -> Track | None:
     """The adversary's planned motion after the contact; None where there is no such file. Raises UsageError."""
     if not file.is_file():
         return None
     try:
-        header, *rows = csv.reader(io.StringIO(gzip.decompress(file.read_bytes()).decode(), newline=""))
-        if ",".join(header) != PLAN_HEADER.strip():
-            raise ValueError("its columns are others")
-        time, x, y, heading, speed, acceleration = np.array(rows, dtype=np.float64).reshape(-1, 6).T
-    except (OSError, EOFError, ValueError, csv.Error) as error:
+        columns = columns_of(file, PLAN_HEADER).values()
+        time, x, y, heading, speed, acceleration = (np.array(column, dtype=np.float64) for column in columns)
+    except ValueError as error:
         raise damaged(file, error) from error
     size = next(((t.length, t.width) for t in tracks if t.id == adversary), (4.8, 1.8))
     return Track(adversary, Role.ADVERSARY, time, x, y, heading, speed, acceleration, *size)
@@ -143,19 +137,14 @@ def counts(judgements: Sequence[Judgement]) -> dict[str, dict[str, int]]:
     """By ego: how many runs reach each level or a higher one, collide, are inconclusive, or hit a standing ego."""
     by_ego: dict[str, dict[str, int]] = {}
     for j in judgements:
-        row = by_ego.setdefault(j.ego, dict.fromkeys(("runs", *COUNTED), 0))
-        row["runs"] += 1
         level = Level[str(j.now.get("level", "none")).upper()]
-        for name in ("critical", "collision", "valid", "strict", "serious"):
-            row[name] += level >= Level[name.upper()]
-        row["valid before"] += j.before.get("valid") is True
-        row["strict before"] += j.before.get("strict") is True
-        row["inconclusive"] += bool(j.now.get("inconclusive"))
-        row["stationary"] += bool(j.now.get("ego_stationary"))
+        holds = {
+            "runs": True, "valid before": j.before.get("valid") is True,
+            "strict before": j.before.get("strict") is True,
+            **{str(least): level >= least for least in Level if least is not Level.NONE},
+            "inconclusive": bool(j.now.get("inconclusive")), "stationary": bool(j.now.get("ego_stationary")),
+        }  # fmt: skip
+        row = by_ego.setdefault(j.ego, dict.fromkeys(holds, 0))
+        for name, held in holds.items():
+            row[name] += held
     return by_ego
-
-
-COUNTED = (
-    "valid before", "strict before", "critical", "collision", "valid", "strict", "serious", "inconclusive",
-    "stationary",
-)  # fmt: skip

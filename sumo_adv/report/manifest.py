@@ -23,6 +23,8 @@ from sumo_adv.simulation.playback_spec import PlaybackSpec, Prop, make_playback
 from sumo_adv.simulation.simulation import SimulationSpec
 from sumo_adv.simulation.sumo_options import DEFAULTS
 
+RETIRED = ("experience",)  # settings of earlier versions; a replay drives the recorded attempt and needs none of them
+
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
@@ -38,8 +40,7 @@ class Recorded:
 def read_manifest(folder: Path) -> Recorded:
     """The manifest of a run's folder.
 
-    Raises:
-        UsageError: no manifest, another schema, no attempt in it, or an input's copy that is missing or changed.
+    Raises UsageError: no manifest, another schema, no attempt in it, or an input's copy that is missing or changed.
     """
     file = folder / "manifest.json"
     if not file.is_file():
@@ -55,9 +56,6 @@ def read_manifest(folder: Path) -> Recorded:
         return _recorded(folder, m)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise UsageError(f"{file} is not a manifest of this program ({type(error).__name__}: {error}).") from error
-
-
-RETIRED = ("experience",)  # settings of earlier versions; a replay drives the recorded attempt and needs none of them
 
 
 def _recorded(folder: Path, m: dict[str, Any]) -> Recorded:
@@ -77,18 +75,20 @@ def _recorded(folder: Path, m: dict[str, Any]) -> Recorded:
         driven_before=[(name, begin, end) for name, begin, end in m.get("driven_before", ())],
     )  # fmt: skip
     proposal = _proposal(folder, m["attempt"], m["planners"])
-    asked = m.get("asked")
+    asked, made = m.get("asked"), m.get("conversion")
+    conversion = None if made is None else Conversion(
+        Path(made["map"]), spec.network, tuple(made["options"]), dict(made["lost"]), tuple(made["said"])
+    )  # fmt: skip
     source = RunInput(
         name=m["name"], source=folder, network=spec.network, intents=tuple(m["intents_allowed"]),
         asked=None if asked is None else Asked.model_validate(asked), words=m.get("words") or "",
-        conversion=_conversion(m.get("conversion"), spec.network), notes=tuple(m.get("notes", ())),
+        conversion=conversion, notes=tuple(m.get("notes", ())),
         waymo=waymo_source(m),
     )  # fmt: skip
     return Recorded(source, settings, task, proposal, m["skips"])
 
 
 def _proposal(folder: Path, a: dict[str, Any], planners: dict[str, Any]) -> Proposal:
-    """An attack as the manifest has it, with its supports."""
     p = planners[a["planner"]]
     planner = make_planner(p["label"], p["mode"], p["source"], p["origin"], p["parent"])
     if planner.hash != a["planner"]:
@@ -115,12 +115,6 @@ def _playback(folder: Path, p: dict[str, Any] | None, routes: Sequence[Path]) ->
     return make_playback(tracks, p["background"], signals, props, routes)
 
 
-def _conversion(made: dict[str, Any] | None, network: Path) -> Conversion | None:
-    if made is None:
-        return None
-    return Conversion(Path(made["map"]), network, tuple(made["options"]), dict(made["lost"]), tuple(made["said"]))
-
-
 def waymo_source(m: Mapping[str, Any]) -> WaymoSource | None:
     """The record that the input of a manifest was converted from; None where it was none, or an earlier version's."""
     made = m.get("waymo")
@@ -128,7 +122,6 @@ def waymo_source(m: Mapping[str, Any]) -> WaymoSource | None:
 
 
 def _copy(folder: Path, name: str) -> Path:
-    """A content-addressed input, checked."""
     file = folder / "inputs" / Path(name).name
     if not file.is_file():
         raise UsageError(f"{file} is missing, so the run in {folder} cannot be replayed.")

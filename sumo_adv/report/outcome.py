@@ -19,18 +19,15 @@ from sumo_adv.datatypes import (
     Duty,
     Intent,
     Level,
-    Planner,
-    Prediction,
     Proposal,
     Verdict,
     plain_acceleration,
 )
 from sumo_adv.episode.assessment import motion_of
-from sumo_adv.episode.episode import Episode, Tried
+from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.llm.chat import Ledger
-from sumo_adv.simulation.inputs import WaymoSource
-from sumo_adv.simulation.maps import Conversion
+from sumo_adv.simulation.inputs import EgoRoute
 from sumo_adv.simulation.playback_spec import PlaybackSpec
 from sumo_adv.words.motion import misfits
 
@@ -51,13 +48,14 @@ def outcome(
 
     ``further``: what the full verdict adds to the attempt that counts; ``realism``: the block of that name.
     """
-    best, settings, encounter = episode.best, episode.settings, episode.found
-    sentence = ENDING_SENTENCES[episode.ending]
+    chosen = episode.task.ego if isinstance(episode.task.ego, str) else None
+    best, settings, encounter, robust = episode.best, episode.settings, episode.found, episode.refinement.robustness
     return {
         "schema": SCHEMA, "verdict_version": VERDICT_VERSION,
-        "ending": str(episode.ending), "reason": " ".join(filter(None, (sentence, episode.reason))),
+        "ending": str(episode.ending),
+        "reason": " ".join(filter(None, (ENDING_SENTENCES[episode.ending], episode.reason))),
         "network": episode.source.name, "seed": settings.seed,
-        "ego": {"id": encounter.ego if encounter else episode_ego(episode), "controller": episode.task.ego_driver},
+        "ego": {"id": encounter.ego if encounter else chosen, "controller": episode.task.ego_driver},
         "adversaries": [p.as_adversary() for p in best.proposal.members] if best else [],
         "trigger_time": number(best.trigger_time) if best else None,
         "encounter": None if encounter is None else _encounter(encounter),
@@ -65,8 +63,12 @@ def outcome(
         "intent": _intent(episode.intent, settings.recall),
         "intents": [_intent(i, settings.recall) for i in episode.intents[:10]],
         "raw": raw, "attempts": [_attempt(a) for a in episode.refinement.attempts],
-        "encounters_tried": [_tried(t) for t in episode.tried], "seconds_allowed": settings.seconds,
-        "best": episode.refinement.best, "robust": _robust(episode),
+        "encounters_tried": [
+            {"time": number(t.time), "ego": t.ego, "attempts": t.attempts, "level": str(t.level), "reason": t.reason}
+            for t in episode.tried
+        ],
+        "seconds_allowed": settings.seconds, "best": episode.refinement.best,
+        "robust": None if robust is None else {**asdict(robust), "robust": robust.enough},
         "successes": _successes(episode), "until": str(settings.until), "goal": _goal(settings),
         "attempts_allowed": settings.attempts,
         "outcome": None if best is None else {**verdict(best.verdict), **(further or {})},
@@ -97,7 +99,6 @@ def _asked(episode: Episode) -> dict[str, Any] | None:
 
 
 def _encounter(encounter: FoundEncounter) -> dict[str, Any]:
-    """When and where the attack could begin, and the vehicles that could attack."""
     place = encounter.place
     return {
         "time": number(encounter.time), "passed_over": list(encounter.passed_over),
@@ -112,22 +113,7 @@ def _encounter(encounter: FoundEncounter) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _robust(episode: Episode) -> dict[str, Any] | None:
-    """How many neighbours of the attack succeed, too; None where none was simulated."""
-    made = episode.refinement.robustness
-    return None if made is None else {**asdict(made), "robust": made.enough}
-
-
-def _tried(tried: Tried) -> dict[str, Any]:
-    """An encounter that was attacked without success."""
-    return {
-        "time": number(tried.time), "ego": tried.ego, "attempts": tried.attempts, "level": str(tried.level),
-        "reason": tried.reason,
-    }  # fmt: skip
-
-
 def _goal(settings: Settings) -> str:
-    """What an attempt had to come to, in words."""
     goal = settings.goal
     plain = goal.ttc is None and not goal.min_delta_v and goal.level is Level.CRITICAL
     return f"min TTC of {settings.critical_ttc:g} s or less" if plain else str(goal)
@@ -169,20 +155,10 @@ def _bought(episode: Episode) -> list[dict[str, Any]]:
     """The result of each question to a model; of a planner's text, also the attempts with it and their best level."""
     rows = []
     for each in [] if episode.agents is None else episode.agents.bought:
-        own = [a for a in episode.refinement.attempts if a.proposal.planner.hash == each.planner]
-        level = max((a.verdict.level for a in own), default=None)
-        rows.append(
-            {
-                "agent": each.agent, "what": each.what, "planner": each.planner, "attempts": len(own),
-                "level": None if level is None else str(level),
-            }
-        )  # fmt: skip
+        own = [a.verdict.level for a in episode.refinement.attempts if a.proposal.planner.hash == each.planner]
+        row = {"agent": each.agent, "what": each.what, "planner": each.planner, "attempts": len(own)}
+        rows.append({**row, "level": str(max(own)) if own else None})
     return rows
-
-
-def episode_ego(episode: Episode) -> str | None:
-    """The ego's id as far as it was asked for."""
-    return episode.task.ego if isinstance(episode.task.ego, str) else None
 
 
 def number(value: float | None) -> float | None:
@@ -191,7 +167,6 @@ def number(value: float | None) -> float | None:
 
 
 def verdict(v: Verdict) -> dict[str, Any]:
-    """A verdict as the contract's ``outcome``."""
     return {
         "min_ttc": number(v.min_ttc), "min_ttc_any": number(v.min_ttc_any), "min_pet": number(v.min_pet),
         "max_drac": number(v.max_drac), "min_distance": number(v.min_distance), "collided": v.collided,
@@ -228,12 +203,15 @@ def _intent(intent: Intent | None, recall: str) -> dict[str, Any] | None:
 
 def _attempt(a: Attempt) -> dict[str, Any]:
     v, p = a.verdict, a.proposal
+    level = None if p.prediction is None else p.prediction.level
+    valid = None if level is None else float(level >= Level.VALID)
+    predicted = {"predicted_level": None if level is None else str(level), "predicted_valid": valid}
     return {
         "index": a.index, "by": p.by, "phase": a.phase, "adversaries": list(p.bvs), "intent": p.label,
         "planner": {"mode": p.planner.mode, "hash": p.planner.hash, "origin": p.planner.origin},
         "parameters": {k: number(q) for k, q in p.parameters.items()},
         "acceleration": plain_acceleration(p.acceleration),
-        "trigger_time": number(a.trigger_time), "predicted_score": number(p.score), **_predicted(p.prediction),
+        "trigger_time": number(a.trigger_time), "predicted_score": number(p.score), **predicted,
         "min_ttc": number(v.min_ttc),
         "min_distance": number(v.min_distance), "collided": v.collided, "critical": v.critical, "feasible": v.feasible,
         "rear_end": v.rear_end, "valid": v.valid, "strict": v.strict, "avoidable": v.avoidable,
@@ -257,13 +235,6 @@ def _composed(p: Proposal) -> dict[str, Any]:
     return {"composition": p.composition, "supports": supports}
 
 
-def _predicted(made: Prediction | None) -> dict[str, Any]:
-    """The level that was predicted, and whether that is a valid collision: 1 or 0."""
-    if made is None:
-        return {"predicted_level": None, "predicted_valid": None}
-    return {"predicted_level": str(made.level), "predicted_valid": number(float(made.level >= Level.VALID))}
-
-
 def _successes(episode: Episode) -> list[dict[str, Any]]:
     """The attacks of different kinds that reached the level; ``folder``: where the run's folder holds another one."""
     done = episode.refinement
@@ -275,9 +246,8 @@ def _successes(episode: Episode) -> list[dict[str, Any]]:
 
 
 def _timing(episode: Episode) -> dict[str, float | None]:
-    times: dict[str, float | None] = {k: round(v, 4) for k, v in episode.timing.items()}
-    times["first_success"] = number(episode.refinement.first_success_seconds)
-    return times
+    times = {k: round(v, 4) for k, v in episode.timing.items()}
+    return {**times, "first_success": number(episode.refinement.first_success_seconds)}
 
 
 def versions() -> dict[str, str]:
@@ -291,7 +261,7 @@ def manifest(episode: Episode, inputs: Mapping[Path, str]) -> dict[str, Any]:
     task, best = episode.task, episode.best
     model_agents = episode.agents if episode.agents is not None and episode.agents.models else None
     used = {p.planner.hash: p.planner for a in episode.refinement.attempts for p in a.proposal.members}
-    spec = task.spec
+    spec, made, record = task.spec, episode.source.conversion, episode.source.waymo
     return {
         "schema": SCHEMA, "versions": versions(), "name": episode.source.name,
         "settings": episode.settings.model_dump(mode="json", exclude={"memory"}),
@@ -299,10 +269,13 @@ def manifest(episode: Episode, inputs: Mapping[Path, str]) -> dict[str, Any]:
         "additional": [inputs[p] for p in spec.additional], "begin": spec.begin, "end": task.end,
         "seed": spec.seed, "step_length": spec.step_length, "sumo_options": spec.all_options,
         "trigger": task.trigger, "warm_up": task.warm_up, "only": list(task.only),
-        "playback": _playback(task.playback, inputs), "conversion": _conversion(episode.source.conversion),
-        "waymo": _waymo(episode.source.waymo),
+        "playback": _playback(task.playback, inputs), "conversion": None if made is None else {
+            "map": made.source.name, "options": list(made.options), "lost": dict(made.lost), "said": list(made.said),
+        },
+        "waymo": None if record is None else {**asdict(record), "file": str(record.file)},
         "notes": list(episode.source.notes),
-        "ego": _ego(task.ego), "ego_base_type": task.ego_base_type, "ego_driver": task.ego_driver,
+        "ego": asdict(task.ego) if isinstance(task.ego, EgoRoute) else task.ego,
+        "ego_base_type": task.ego_base_type, "ego_driver": task.ego_driver,
         "ego_parameters": dict(task.ego_parameters), "driven_from": task.driven_from,
         "driven_before": [list(each) for each in task.driven_before], "delay": task.delay,
         "skips": episode.skips,
@@ -311,35 +284,12 @@ def manifest(episode: Episode, inputs: Mapping[Path, str]) -> dict[str, Any]:
         "bank_hash": episode.bank_hash, "bandit": episode.bandit,
         "model_answers": None if model_agents is None else MODEL_FILE,
         "prompts": None if model_agents is None else model_agents.prompts.versions,
-        "planners": {name: _planner(p) for name, p in used.items()},
+        "planners": {
+            name: {"label": p.label, "mode": p.mode, "origin": p.origin, "parent": p.parent, "source": p.source}
+            for name, p in used.items()
+        },
         "attempt": None if best is None else _proposal(best.proposal),
     }  # fmt: skip
-
-
-def _conversion(made: Conversion | None) -> dict[str, Any] | None:
-    """How the network was made of a map."""
-    if made is None:
-        return None
-    return {
-        "map": made.source.name, "options": list(made.options), "lost": dict(made.lost), "said": list(made.said),
-    }  # fmt: skip
-
-
-def _waymo(record: WaymoSource | None) -> dict[str, Any] | None:
-    """The record that the input was converted from."""
-    return None if record is None else {**asdict(record), "file": str(record.file)}
-
-
-def _ego(ego: Any) -> Any:
-    if ego is None or isinstance(ego, str):
-        return ego
-    return {
-        "edges": list(ego.edges),
-        "depart": ego.depart,
-        "lane": ego.lane,
-        "position": ego.position,
-        "speed": ego.speed,
-    }
 
 
 def _playback(p: PlaybackSpec | None, inputs: Mapping[Path, str]) -> dict[str, Any] | None:
@@ -350,10 +300,6 @@ def _playback(p: PlaybackSpec | None, inputs: Mapping[Path, str]) -> dict[str, A
         "signals": inputs[p.signals] if p.signals else None,
         "props": [{**asdict(q), "end": None if math.isinf(q.end) else q.end} for q in p.props],
     }  # fmt: skip
-
-
-def _planner(p: Planner) -> dict[str, Any]:
-    return {"label": p.label, "mode": p.mode, "origin": p.origin, "parent": p.parent, "source": p.source}
 
 
 def _proposal(p: Proposal) -> dict[str, Any]:

@@ -44,7 +44,6 @@ class EncounterRecord:
     vehicles_near: int | None = None
 
     def relation(self, vehicle: str) -> str | None:
-        """The relation of a ranked vehicle to the ego; None for a vehicle that is not ranked."""
         return next((relation for name, relation, _ in self.ranking if name == vehicle), None)
 
 
@@ -120,12 +119,10 @@ class Outcome:
 
     @property
     def level(self) -> Level:
-        """The level of the attempt that counts; ``Level.NONE`` without an attempt."""
         return Level.NONE if self.verdict is None else self.verdict.level
 
     @property
     def relation(self) -> str | None:
-        """The adversary's relation to the ego at the encounter; None without an attempt."""
         attacked = self.encounter is not None and self.adversary is not None
         return self.encounter.relation(self.adversary) if attacked else None  # type: ignore[union-attr, arg-type]
 
@@ -142,7 +139,7 @@ def outcome_of(document: Mapping[str, Any], file: Path) -> Outcome:
             tuple(_intent(i) for i in document["intents"]),
             None if raw is None else Unattacked(_time(raw["min_ttc"]), bool(raw["collided"])),
             tuple(_attempt(a) for a in document["attempts"]), document["best"],
-            None if verdict is None else verdict_of(verdict), cause_read(verdict), dict(document["timing"] or {}),
+            None if verdict is None else verdict_of(verdict), _cause(verdict), dict(document["timing"] or {}),
             tuple(document["notes"]), dict(document),
         )  # fmt: skip
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
@@ -152,7 +149,6 @@ def outcome_of(document: Mapping[str, Any], file: Path) -> Outcome:
 
 
 def verdict_of(written: Mapping[str, Any]) -> Verdict:
-    """The verdict that ``outcome`` of the file holds."""
     names = {f.name for f in fields(Verdict)} & written.keys()
     values = {name: written[name] for name in names}
     values |= {name: _time(written[name]) for name in NEVER if name in names}
@@ -166,8 +162,7 @@ def verdict_of(written: Mapping[str, Any]) -> Verdict:
     return Verdict(**values)
 
 
-def cause_read(written: Mapping[str, Any] | None) -> Cause | None:
-    """The cause that ``outcome`` of the file holds; None where it has none."""
+def _cause(written: Mapping[str, Any] | None) -> Cause | None:
     cause = (written or {}).get("cause")
     if cause is None:
         return None

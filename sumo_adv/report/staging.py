@@ -31,8 +31,7 @@ def staged(target: Path, *, force: bool, marker: str = "manifest.json") -> Itera
     """A folder to write into; removed again unless it was kept. ``force`` replaces a folder that holds the file
     ``marker``.
 
-    Raises:
-        UsageError: the place is taken (without ``force``), or cannot be written.
+    Raises UsageError: the place is taken (without ``force``), or cannot be written.
     """
     if target.exists() and not force:
         raise UsageError(f"The output folder {target} is there already; give another --out, or --force to replace it.")

@@ -9,21 +9,18 @@ from __future__ import annotations
 import gzip
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from functools import partial
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Attempt, Floats, Role, Track, Verdict
+from sumo_adv.datatypes import Attempt, Floats, Role, Track
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.task import AttemptResult, FoundEncounter, Prefix
 from sumo_adv.episode.verdict import first_judged, unattacked
-from sumo_adv.metrics.case import Case, make_case
+from sumo_adv.metrics.case import make_case
 from sumo_adv.metrics.cause import Cause, cause_of
-from sumo_adv.metrics.contact import Impact
-from sumo_adv.metrics.fault import SecondOpinion
 from sumo_adv.metrics.full import PAPER_EPSILON, Crossing, FullVerdict, Strip, full_judge, markings_crossed
 from sumo_adv.metrics.realism import PAPER_BINS, WOSAC_BINS, distances, own_figures, realism, wosac_features
 from sumo_adv.report.outcome import number
@@ -80,15 +77,21 @@ def judge_best(episode: Episode) -> Judged | None:
         return Judged(None, None, (), {}, ())
     recorded = {t.id: t for t in tracks}
     rows = series_rows(case.ego.between(result.start, np.inf), tracks, bv)
-    full = _full(episode, case, encounter, result)
-    full = replace(full, verdict=_leveled(full.verdict, best.verdict))
+    lane_half = encounter.first.road.lane_width / 2
+    full = full_judge(
+        case.ego, case.adversary, case.others, trigger_time=result.start, ttc_threshold=episode.settings.critical_ttc,
+        limits=episode.settings.limits.of(case.adversary), on_road=encounter.drivable, lane_half_width=lane_half,
+        supports=case.supports,
+    )  # fmt: skip
+    levels = {name: getattr(best.verdict, name) for name in LEVEL_FIELDS}  # the engine drove the reference drivers
+    full = replace(full, verdict=replace(full.verdict, **levels))
     contact = full.verdict.contact_time
     end = float(min(case.ego.time[-1], recorded[bv].time[-1])) if contact is None else contact
     moved = recorded[bv].between(result.start + episode.settings.step_length / 2, end)
     strips = [Strip(shape, width, internal) for shape, width, internal in episode.lanes]
     cause = cause_of(
         case.ego, case.adversary, case.others, full.verdict, trigger_time=result.start,
-        lane_half_width=encounter.first.road.lane_width / 2, unattacked=_unattacked(episode, best, encounter),
+        lane_half_width=lane_half, unattacked=_unattacked(episode, best, encounter),
     )  # fmt: skip
     return Judged(
         full, cause, markings_crossed(moved, strips, encounter.drivable), _realism(episode, moved, encounter, prefix),
@@ -108,11 +111,6 @@ def _unattacked(episode: Episode, best: Attempt, encounter: FoundEncounter) -> T
     return Track(encounter.ego, Role.EGO, time, x, y, heading, b.v, b.a, 0.0, 0.0)
 
 
-def _leveled(gates: Verdict, engine: Verdict) -> Verdict:
-    """The verdict made here, with the levels that the engine found (its reference drivers drove in the simulation)."""
-    return replace(gates, **{name: getattr(engine, name) for name in LEVEL_FIELDS})
-
-
 def _tracks(
     episode: Episode, best: Attempt, encounter: FoundEncounter, prefix: Prefix, result: AttemptResult
 ) -> list[Track]:
@@ -124,68 +122,40 @@ def _tracks(
     return tracks_of(snapshots, {**prefix.sizes, **result.sizes}, roles, settings.step_length)
 
 
-def _full(episode: Episode, case: Case, encounter: FoundEncounter, result: AttemptResult) -> FullVerdict:
-    return full_judge(
-        case.ego, case.adversary, case.others, trigger_time=result.start, ttc_threshold=episode.settings.critical_ttc,
-        limits=episode.settings.limits.of(case.adversary), on_road=encounter.drivable,
-        lane_half_width=encounter.first.road.lane_width / 2, supports=case.supports,
-    )  # fmt: skip
-
-
 # -- the outcome's further keys -------------------------------------------------------------------------------------
 
 
 def figures(judged: Judged | None) -> dict[str, Any]:
     """What the full verdict adds to ``outcome``; null where the question does not arise."""
     full = judged.full if judged is not None else None
-    markings = [] if judged is None else [{"time": number(c.time), "kind": str(c.kind)} for c in judged.markings]
+    markings = [] if judged is None else _plain(list(judged.markings))
     if judged is None or full is None:
         return {**dict.fromkeys(FULL_KEYS), "markings_crossed": markings}
-    met = full.impact is not None
+    impact = None if full.impact is None else {k: v for k, v in _plain(full.impact).items() if k != "time"}
     return {
-        "kind": str(full.kind), "collision_class": None if full.collision_class is None else str(full.collision_class),
-        "impact": _impact(full.impact), "rss": _rss(full.rss), "sensitivity": dict(full.sensitivity) if met else None,
+        "kind": str(full.kind), "collision_class": _plain(full.collision_class), "impact": impact,
+        "rss": _plain(full.rss), "sensitivity": None if impact is None else dict(full.sensitivity),
         "latest_careful": number(full.latest_careful), "latest_manoeuvre": number(full.latest_manoeuvre),
         "reacting": full.reacting, "tet": number(full.tet), "tit": number(full.tit),
         "min_headway": number(full.min_headway), "max_btn": number(full.max_btn),
-        "max_required_lateral": number(full.max_required_lateral), "conflict_point": numbers(full.conflict_point),
+        "max_required_lateral": number(full.max_required_lateral), "conflict_point": _plain(full.conflict_point),
         "paper_centre_distance": {
             "minimum": number(full.min_centre_distance), "epsilon": PAPER_EPSILON,
             "within": full.min_centre_distance <= PAPER_EPSILON,
         },
-        "min_ttc_time": number(full.verdict.min_ttc_time), "cause": _cause(judged.cause), "markings_crossed": markings,
+        "min_ttc_time": number(full.verdict.min_ttc_time), "cause": _plain(judged.cause), "markings_crossed": markings,
     }  # fmt: skip
 
 
-def _cause(c: Cause | None) -> dict[str, Any] | None:
-    if c is None:
-        return None
-    plain = {name: str(value) if isinstance(value, str) else value for name, value in asdict(c).items()}
-    return {name: number(value) if isinstance(value, float) else value for name, value in plain.items()}
-
-
-def _impact(i: Impact | None) -> dict[str, Any] | None:
-    if i is None:
-        return None
-    return {
-        "speed": number(i.speed), "ego_speed": number(i.ego_speed), "adversary_speed": number(i.adversary_speed),
-        "delta_v": number(i.delta_v), "angle": number(i.angle), "ego_point": numbers(i.ego_point),
-        "adversary_point": numbers(i.adversary_point), "ego_side": str(i.ego_side),
-        "adversary_side": str(i.adversary_side),
-    }  # fmt: skip
-
-
-def numbers(values: tuple[float, ...] | None) -> list[float | None] | None:
-    """A point, rounded."""
-    return None if values is None else [number(v) for v in values]
-
-
-def _rss(opinion: SecondOpinion | None) -> dict[str, Any] | None:
-    if opinion is None:
-        return None
-    return {
-        "dangerous_since": number(opinion.dangerous_since), "trigger": opinion.trigger, "blame": opinion.blame
-    }  # fmt: skip
+def _plain(value: Any) -> Any:
+    """Numbers rounded, enumerations as text, a dataclass as its fields by name."""
+    if is_dataclass(value):
+        return {f.name: _plain(getattr(value, f.name)) for f in fields(value)}
+    if isinstance(value, Mapping):
+        return {name: _plain(v) for name, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(v) for v in value]
+    return str(value) if isinstance(value, str) else value if isinstance(value, bool) else number(value)
 
 
 # -- realism --------------------------------------------------------------------------------------------------------
@@ -203,7 +173,7 @@ def _realism(episode: Episode, moved: Track, encounter: FoundEncounter, prefix: 
     who = "as recorded" if played is not None and played.follows_log else "driven by SUMO"
     sigmas = demand_sigmas([*episode.task.spec.routes, *episode.task.spec.additional])
     return {
-        **{k: _rounded(v) for k, v in realism_figures(moved, traffic, encounter.drivable).items()},
+        **_plain(realism_figures(moved, traffic, encounter.drivable)),
         "steps": len(moved.time),
         "reference": {
             "what": f"background vehicles of the unattacked run, {who}, in the same window",
@@ -211,10 +181,6 @@ def _realism(episode: Episode, moved: Track, encounter: FoundEncounter, prefix: 
             "to": number(end), "sigma": sigmas,
         },
     }  # fmt: skip
-
-
-def _rounded(value: Any) -> Any:
-    return {k: number(v) for k, v in value.items()} if isinstance(value, dict) else number(value)
 
 
 def realism_figures(moved: Track, traffic: Sequence[Track], drivable: Drivable) -> dict[str, Any]:
@@ -249,21 +215,19 @@ def _wosac(moved: Track, traffic: Sequence[Track], drivable: Drivable) -> dict[s
 
 def edge_distance(drivable: Drivable) -> Callable[[Floats, Floats], Floats]:
     """Signed distance [m] of points to the edge of the drivable area, positive on it."""
-    from shapely import STRtree, get_coordinates, linestrings
+    from shapely import STRtree, get_coordinates, linestrings, points
 
     area = drivable.area.boundary
     lines = [get_coordinates(line) for line in getattr(area, "geoms", [area])]
-    pieces = np.concatenate([np.stack([line[:-1], line[1:]], axis=1) for line in lines])
-    return partial(_signed_distance, drivable, STRtree(linestrings(pieces)))
+    tree = STRtree(linestrings(np.concatenate([np.stack([line[:-1], line[1:]], axis=1) for line in lines])))
 
+    def signed(x: Floats, y: Floats) -> Floats:
+        nearest, away = tree.query_nearest(points(np.ravel(x), np.ravel(y)), return_distance=True, all_matches=False)
+        distance = np.empty(np.size(x))
+        distance[nearest[0]] = away
+        return np.where(drivable(x, y), 1.0, -1.0) * distance.reshape(np.shape(x))
 
-def _signed_distance(drivable: Drivable, tree: Any, x: Floats, y: Floats) -> Floats:
-    from shapely import points
-
-    nearest, away = tree.query_nearest(points(np.ravel(x), np.ravel(y)), return_distance=True, all_matches=False)
-    distance = np.empty(np.size(x))
-    distance[nearest[0]] = away
-    return np.where(drivable(x, y), 1.0, -1.0) * distance.reshape(np.shape(x))
+    return signed
 
 
 def demand_sigmas(files: Sequence[Path]) -> list[float]:

@@ -1,4 +1,4 @@
-"""One encounter of a server: described from the states up to now alone, decided, and attacked while the client drives.
+"""One encounter of a server: waited for, described from the states up to now alone, decided, and attacked.
 
 What ``run`` learns from an unattacked fork is foreseen here (``episode.traffic_forecast``), and again when the attack
 begins; each adversary then replans every half second against what the ego really does.
@@ -17,10 +17,10 @@ from sumo_adv.datatypes import Proposal, Track
 from sumo_adv.episode.assessment import answer_of
 from sumo_adv.episode.attempt import Driven, apart_of, attack, controller_of
 from sumo_adv.episode.encounter_builder import UnattackedMotion, build_encounter
-from sumo_adv.episode.encounter_detector import RankedVehicle
+from sumo_adv.episode.encounter_detector import LOOK_EVERY, EncounterDetector, RankedVehicle
 from sumo_adv.episode.situation_builder import build_situation, trigger_state
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
-from sumo_adv.episode.traffic_forecast import traffic_forecast
+from sumo_adv.episode.traffic_forecast import apart, traffic_forecast
 from sumo_adv.episode.verdict import gate_verdict
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Roads, Sessions
@@ -31,8 +31,77 @@ from sumo_adv.simulation.simulation import Snapshot
 from sumo_adv.simulation.stage import Stage
 from sumo_adv.situation import Situation
 
+STRAYED = 4.0, 2.5  # m, m/s from where ego or BV was foreseen to be: the scene is another one
+EGO_PAUSE = 2.0  # s the ego is on the road before anything may happen to it
 FORESEEN = 2.0  # s within which an encounter must not be dangerous by itself
 LOST = "The ego's client was lost or late."
+
+
+class EncounterMonitor:
+    """Looks at one session every half second."""
+
+    def __init__(self, session: Session, road: RoadMap, settings: Settings, only: tuple[str, ...], warm_up: float):
+        self._session, self._road, self._settings, self._only = session, road, settings, only
+        self._since = max(settings.history, EGO_PAUSE, warm_up)
+        self._encounter = self._fresh()
+
+    def until_encounter(self, end: float, *, trigger: float | None = None, quiet: float = 0.0) -> list[RankedVehicle]:
+        """Step until one begins: possible adversaries, most dangerous first; empty at ``end`` [s] or without traffic.
+
+        ``trigger``: attack from this time on whatever the risk; ``quiet``: s from now on in which none may begin.
+
+        Raises ClientGone: the client did not come back in time.
+        """
+        session, every = self._session, self._settings.steps(LOOK_EVERY)
+        from_here = session.now + quiet
+        self._encounter = self._fresh()
+        while session.now < end:
+            session.hold()
+            session.tick()
+            ready = session.now >= from_here and session.ready(self._since)
+            if not ready:
+                self._encounter = self._fresh()
+            elif trigger is not None:
+                if session.now >= trigger - 1e-6:
+                    return self._encounter.rank(session)
+            elif session.steps % every == 0 and (ranking := self._encounter.look(session)):
+                return ranking
+            if session.steps % every == 0 and session.deserted():
+                break
+        return []
+
+    def until(self, time: float) -> bool:
+        """Step until ``time`` [s]; True if the ego is there then and its client drives it.
+
+        Raises ClientGone: the client did not come (back) in time.
+        """
+        session = self._session
+        while session.now < time - 1e-6:
+            session.hold()
+            try:
+                session.tick()
+            except EgoLost:
+                return False
+        return session.ready(0.0)
+
+    def changed(self, tracks: Mapping[str, Track], bv: str, relation: str) -> str:
+        """Why the scene differs from the predicted one; empty if it does not."""
+        session = self._session
+        raw = session.snapshot.raw
+        assert session.ego is not None
+        for name in (session.ego, bv):
+            if name not in raw:
+                return f"{name} is gone"
+            away, faster = apart(tracks, session.state(name), session.now)
+            if away > STRAYED[0] or faster > STRAYED[1]:
+                return f"{name} is {away:.1f} m and {faster:.1f} m/s from where it was foreseen"
+        present = {c.id: c.relation for c in EncounterDetector(self._road, len(raw), (bv,)).rank(session)}
+        now = present.get(bv, "out of reach")
+        return "" if now == relation else f"{bv} is no longer {relation} but {now}"
+
+    def _fresh(self) -> EncounterDetector:
+        settings = self._settings
+        return EncounterDetector(self._road, settings.shortlist, self._only, settings.kind, odd=settings.odd)
 
 
 @dataclass(frozen=True, slots=True)

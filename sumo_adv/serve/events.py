@@ -1,21 +1,31 @@
-"""What happens while a server runs, for those that listen: the terminal, a file of JSON lines, the status page."""
+"""What happens while a server runs, for those that listen: the terminal, a file of JSON lines, the status page.
+
+The status page is a small HTTP server on the loopback interface: ``/health`` and ``/status``, as JSON. The folders of
+encounters are written in a thread of their own, so that no simulation waits for a picture.
+"""
 
 from __future__ import annotations
 
+import queue
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
 from sumo_adv.datatypes import Proposal
-from sumo_adv.errors import UsageError
+from sumo_adv.episode.episode import Episode
+from sumo_adv.errors import SumoAdvError, UsageError, fault_sentence
 from sumo_adv.files import json_text
 
 Event = Mapping[str, Any]
 Listener = Callable[[Event], None]
 KEPT = 200  # outcomes that the status page lists
+LOOPBACK = "127.0.0.1"
+WAITING = 2  # encounters that may wait to be written; then the simulation waits
+Write = Callable[[Episode, int], Mapping[str, Any]]
 
 
 def helpers(p: Proposal) -> dict[str, Any]:
@@ -34,7 +44,6 @@ class Events:
         self._lock = threading.RLock()
 
     def tell(self, kind: str, **facts: Any) -> None:
-        """One event."""
         event = {"event": kind, "clock": round(time.time(), 3), **facts}
         with self._lock:
             for listener in self._listeners:
@@ -61,7 +70,6 @@ class EventFile:
             self.close()
 
     def close(self) -> None:
-        """End the file."""
         try:
             self._file.close()
         except OSError:
@@ -91,7 +99,6 @@ class Status:
                 handler(event)
 
     def report(self) -> dict[str, Any]:
-        """All of it."""
         with self._lock:
             return {**self._now, "uptime": round(time.time() - self._began, 1), "outcomes": list(self._outcomes)}
 
@@ -113,16 +120,12 @@ class Status:
     def _on_encounter(self, event: Event) -> None:
         self._now["encounter"] = {k: event[k] for k in ("number", "time", "ranking")}
 
-    def _on_passed_over(self, event: Event) -> None:
-        self._now["passed_over"] += 1
-        self._now["encounter"] = None
-
-    def _on_dropped(self, event: Event) -> None:
-        self._now["dropped"] += 1
-        self._now["encounter"] = None
-
     def _on_released(self, event: Event) -> None:
         self._now["encounter"] = None
+        if event["event"] in self._now:
+            self._now[event["event"]] += 1
+
+    _on_passed_over = _on_dropped = _on_released
 
     def _on_outcome(self, event: Event) -> None:
         self._now["encounters"] += 1
@@ -132,3 +135,106 @@ class Status:
 
     def _on_stopped(self, event: Event) -> None:
         self._now["health"] = "stopped"
+
+
+class StatusPage:
+    """Answers in threads of its own until it is closed; a context manager."""
+
+    def __init__(self, port: int, report: Callable[[], dict[str, Any]]) -> None:
+        """Listen on ``port`` (0 = any free one). Raises UsageError if it is taken."""
+        try:
+            self._server = ThreadingHTTPServer((LOOPBACK, port), _handler(report))
+        except (OSError, OverflowError) as error:
+            raise UsageError(f"The status port {port} cannot be opened ({error}); give another.") from error
+        self._server.daemon_threads = True
+        self.port = int(self._server.server_address[1])
+        self._thread = threading.Thread(target=self._server.serve_forever, args=(0.1,), name="status", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        self._server.shutdown()
+        self._server.server_close()
+        self._thread.join()
+
+    def __enter__(self) -> StatusPage:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _handler(report: Callable[[], dict[str, Any]]) -> type[BaseHTTPRequestHandler]:
+    class Handler(BaseHTTPRequestHandler):
+        timeout = 5.0  # s for a whole request
+
+        def do_GET(self) -> None:
+            """``/health`` and ``/status``."""
+            state = report()
+            if self.path == "/health":
+                self._answer(200 if state["health"] == "ok" else 503, {"status": state["health"]})
+            elif self.path == "/status":
+                self._answer(200, state)
+            else:
+                self._answer(404, {"error": "There is /health and /status."})
+
+        def _answer(self, code: int, value: dict[str, Any]) -> None:
+            body = json_text(value).encode()
+            self.send_response(code)
+            self.send_header("Content-Type", "application/json")
+            self.send_header("Content-Length", str(len(body)))
+            self.end_headers()
+            self.wfile.write(body)
+
+        def log_message(self, format: str, *arguments: Any) -> None:
+            """Requests are not logged."""
+
+    return Handler
+
+
+class ResultWriter:
+    """``write`` gets an episode and its number and gives back what ``outcome.json`` holds, with its ``folder``."""
+
+    def __init__(self, write: Write, events: Events) -> None:
+        self._write, self._events = write, events
+        self.critical = self.collided = self.written = 0
+        self.failure: SumoAdvError | None = None
+        self._tray: queue.Queue[tuple[Episode, int] | None] = queue.Queue(WAITING)
+        self._thread = threading.Thread(target=self._work, name="result writer", daemon=True)
+        self._thread.start()
+
+    def keep(self, episode: Episode, number: int) -> None:
+        """Have an encounter written. Raises SumoAdvError if an earlier one could not be."""
+        if self.failure is not None:
+            raise self.failure
+        self._tray.put((episode, number))
+
+    def close(self) -> None:
+        if self._thread.is_alive():
+            self._tray.put(None)
+            self._thread.join()
+
+    def _work(self) -> None:
+        while (item := self._tray.get()) is not None:
+            episode, number = item
+            if self.failure is None:
+                try:
+                    self._report(self._write(episode, number), number)
+                except SumoAdvError as error:
+                    self.failure = error
+                except Exception as error:  # a fault of ours: the run ends with a sentence
+                    self.failure = SumoAdvError(f"Encounter {number} could not be written. {fault_sentence(error)}")
+            del item, episode  # nothing of it is kept while the next one is waited for
+
+    def _report(self, result: Mapping[str, Any], number: int) -> None:
+        best, supports = result["outcome"] or {}, result["adversaries"][1:]
+        critical = result["ending"] == "critical"
+        self.written += 1
+        self.critical += critical
+        self.collided += bool(best.get("collided"))
+        self._events.tell(
+            "outcome", number=number, ending=result["ending"], reason=result["reason"], critical=critical,
+            collided=bool(best.get("collided")), valid=best.get("valid"), min_ttc=best.get("min_ttc"),
+            adversary=next((a["id"] for a in result["adversaries"]), None),
+            intent=(result["intent"] or {}).get("label"), attempts=len(result["attempts"]),
+            folder=str(result["folder"]), **({"supports": supports} if supports else {}),
+        )  # fmt: skip

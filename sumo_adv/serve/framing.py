@@ -15,7 +15,7 @@ import socket
 import struct
 import sys
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from typing import NamedTuple
 
 from sumo_adv.errors import SumoAdvError
@@ -48,7 +48,6 @@ class Command(NamedTuple):
 
 
 def make_command(number: int, payload: bytes = b"") -> bytes:
-    """The bytes of a command."""
     length = 2 + len(payload)
     if length < 256:
         return bytes((length, number)) + payload
@@ -56,7 +55,6 @@ def make_command(number: int, payload: bytes = b"") -> bytes:
 
 
 def make_message(*commands: bytes) -> bytes:
-    """A message of commands, or of answers."""
     body = b"".join(commands)
     return _INT.pack(4 + len(body)) + body
 
@@ -85,8 +83,7 @@ def complaint(answer: bytes) -> str:
 def split(message: bytes) -> list[Command]:
     """The commands of a message.
 
-    Raises:
-        FramingError: the lengths do not add up, or there are more than ``MOST_COMMANDS``.
+    Raises FramingError: the lengths do not add up, or there are more than ``MOST_COMMANDS``.
     """
     at, end = 4, len(message)
     commands: list[Command] = []
@@ -104,34 +101,6 @@ def split(message: bytes) -> list[Command]:
         commands.append(Command(raw[head], raw[head + 1 :], raw))
         at += length
     return commands
-
-
-def without(answer: bytes, hidden: Collection[bytes]) -> bytes:
-    """The answer to a step without the subscription results of the objects named in ``hidden``.
-
-    Raises:
-        FramingError: it is no such answer.
-    """
-    try:
-        status = answer[4]
-        head = 4 + status + 4
-        if not status or answer[6] != OK:
-            return answer
-        count, at, kept = _INT.unpack_from(answer, 4 + status)[0], head, []
-        for _ in range(count):
-            start, length = (1, answer[at]) if answer[at] else (5, _INT.unpack_from(answer, at + 1)[0])
-            name = at + start + 5
-            size = _INT.unpack_from(answer, name - 4)[0]
-            if length <= start:
-                raise FramingError("SUMO's answer to a step cannot be read.")
-            if answer[name : name + size] not in hidden:
-                kept.append(answer[at : at + length])
-            at += length
-        if at != len(answer):
-            raise FramingError("SUMO's answer to a step cannot be read.")
-    except (IndexError, struct.error) as error:
-        raise FramingError("SUMO's answer to a step cannot be read.") from error
-    return make_message(answer[4 : 4 + status], _INT.pack(len(kept)), *kept)
 
 
 def _wait_at_most(connection: socket.socket, seconds: float) -> None:
@@ -159,8 +128,7 @@ class Line:
         """Send a whole message, calling ``idle`` (which may raise) every ``SLICE`` seconds until it is taken, also
         while the other end takes it in drops.
 
-        Raises:
-            Gone: the connection is closed or broken.
+        Raises Gone: the connection is closed or broken.
         """
         looked = time.monotonic()
         while message:
@@ -250,20 +218,17 @@ class Line:
         Systems without POLLRDHUP (all but Linux) see that only once all is read.
         """
         if hasattr(select, "POLLRDHUP"):
-            return self._hung_up()
+            poll = select.poll()
+            try:
+                poll.register(self._connection, select.POLLRDHUP)
+                return bool(poll.poll(0))
+            except (OSError, ValueError):  # it is closed here
+                return True
         try:
             return not self._connection.recv(1, socket.MSG_PEEK | getattr(socket, "MSG_DONTWAIT", 0))
         except BlockingIOError:
             return False
         except OSError:
-            return True
-
-    def _hung_up(self) -> bool:
-        poll = select.poll()
-        try:
-            poll.register(self._connection, select.POLLRDHUP)
-            return bool(poll.poll(0))
-        except (OSError, ValueError):  # it is closed here
             return True
 
     def hang_up(self) -> None:

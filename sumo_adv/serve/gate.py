@@ -16,10 +16,9 @@ from collections.abc import Callable, Iterable, Sequence
 from sumo_adv.errors import SimulationError, UsageError
 from sumo_adv.serve import link
 from sumo_adv.serve.framing import LONGEST, FramingError, Gone, Line
-from sumo_adv.serve.gate_events import EventKind, GateEvent, Stepper
 from sumo_adv.serve.link import Link
 from sumo_adv.serve.policy import Policy, Rules
-from sumo_adv.serve.seat import Client, ClientSlot, Interrupted, Late
+from sumo_adv.serve.seat import Client, ClientSlot, EventKind, GateEvent, Interrupted, Late, Stepper
 from sumo_adv.serve.sumo_process import SumoProcess
 from sumo_adv.serve.turns import Turns
 
@@ -48,8 +47,7 @@ class Gate:
         """Nothing is opened yet. ``allow``: addresses or networks that may connect, needed unless host is loopback.
         ``older``: clients know TraCI only up to version 21.
 
-        Raises:
-            UsageError: an address is invalid, or the host is not loopback and no address is allowed.
+        Raises UsageError: an address is invalid, or the host is not loopback and no address is allowed.
         """
         self._host, self._wanted_port, self._deadline, self._rules = host, port, deadline, rules
         self._older = older
@@ -65,11 +63,7 @@ class Gate:
         self._threads: list[threading.Thread] = []
 
     def start(self) -> None:
-        """Listen.
-
-        Raises:
-            UsageError: the address or port cannot be used.
-        """
+        """Listen. Raises UsageError: the address or port cannot be used."""
         family = socket.AF_INET6 if ":" in self._host else socket.AF_INET
         try:
             self._listener = socket.create_server((self._host, self._wanted_port), family=family)
@@ -103,7 +97,6 @@ class Gate:
 
     @property
     def port(self) -> int:
-        """Where the client is to connect."""
         assert self._listener is not None, "the gate was not started"
         port: int = self._listener.getsockname()[1]
         return port
@@ -121,7 +114,6 @@ class Gate:
 
     @property
     def connected(self) -> bool:
-        """Whether a client has its seat."""
         return self._seat.client is not None
 
     def wait_connected(self, timeout: float) -> bool:
@@ -130,12 +122,10 @@ class Gate:
 
     @property
     def stepped_by(self) -> Stepper:
-        """The maker of the last step on the ego's side."""
         return self._turns.stepped_by if self._turns else Stepper.GATE
 
     @property
     def client_steps(self) -> int:
-        """How many steps clients made in the last simulation."""
         return self._turns.client_steps if self._turns else 0
 
     @property
@@ -143,34 +133,10 @@ class Gate:
         """The vehicles the client may set: those given to it, and those it added."""
         return self._turns.policy.own if self._turns else frozenset()
 
-    def give(self, vehicle: str) -> None:
-        """Let the client set a vehicle of this simulation.
-
-        Raises:
-            SimulationError: there is none.
-        """
-        self._attached().policy.give(vehicle)
-
-    def take(self, vehicle: str) -> None:
-        """Do not let the client set a vehicle any longer.
-
-        Raises:
-            SimulationError: there is no simulation.
-        """
-        self._attached().policy.take(vehicle)
-
-    def _attached(self) -> Turns:
-        if self._turns is None:
-            raise SimulationError("The gate is not attached to a simulation.")
-        return self._turns
-
-    def attach(
-        self, sumo: SumoProcess, own: Iterable[str] = (), hidden: Iterable[str] = (), kept: Iterable[str] = ()
-    ) -> None:
+    def attach(self, sumo: SumoProcess, own: Iterable[str] = (), kept: Iterable[str] = ()) -> None:
         """Become SUMO's second client. Do it before your own connection asks for its order.
 
-        ``own``: vehicles the client may set; ``kept``: those of them that it neither adds nor removes. ``hidden``:
-        objects with subscription results for the server alone.
+        ``own``: vehicles the client may set; ``kept``: those of them that it neither adds nor removes.
 
         Raises:
             StrangerError: another program connected to SUMO first.
@@ -179,16 +145,11 @@ class Gate:
         if not self.wait_detached(PATIENCE):
             raise SimulationError("The gate is still attached to another simulation: detach it and end that SUMO.")
         line = Line(sumo.dial(PATIENCE), link.LONGEST)
-        policy = Policy(self._rules, own, tuple(hidden), tuple(kept))
+        policy = Policy(self._rules, own, tuple(kept))
         turns = Turns(
-            lambda idle: Link(line, idle),
-            policy,
-            self._seat,
-            self._deadline,
-            lambda: self._stopping,
-            sumo.why_ended,
+            lambda idle: Link(line, idle), policy, self._seat, self._deadline, lambda: self._stopping, sumo.why_ended,
             self._older,
-        )
+        )  # fmt: skip
         with self._changed:
             self._turns, self._running = turns, True
             self._changed.notify_all()

@@ -1,4 +1,10 @@
-"""SUMO's second client: the connection through which the gate speaks for the ego."""
+"""SUMO's second client, through which the gate speaks for the ego; what the ego's client subscribed to; older clients.
+
+Subscriptions end with the client, and before an object that it removes. Clients that know TraCI only up to version 21
+are told that version, and subscribe to stops as then: SUMO 1.23 made it version 22. Its getter 0x73 (``getNextStops``)
+still answers in the old form, but subscribing to it is refused (measured with 1.28). So it becomes one to 0x74
+(``getStops``); its results are rewritten.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +14,9 @@ import struct
 from collections.abc import Callable
 
 from sumo_adv.errors import SumoAdvError
-from sumo_adv.serve import framing
-from sumo_adv.serve.framing import Command, FramingError, Gone, Line, make_command, make_message
-from sumo_adv.serve.policy import CONTEXTS
+from sumo_adv.serve import framing, shapes
+from sumo_adv.serve.framing import SIMSTEP, Command, FramingError, Gone, Line, make_command, make_message
+from sumo_adv.serve.policy import CONTEXTS, GETTER_TO_SUBSCRIPTION, SETTERS
 
 ORDER = 2
 LONGEST = 2**31 - 1  # bytes of an answer of SUMO
@@ -18,6 +24,16 @@ _TIME = make_message(make_command(0xAB, b"\x66" + bytes(4)))
 _STEP_LENGTH = make_message(make_command(0xAB, b"\x7b" + bytes(4)))
 _STEP = make_message(make_command(framing.SIMSTEP, bytes(8)))
 _INVALID = struct.pack("!d", -1073741824.0)
+LONGEST_COMPLAINT = 200  # bytes of an error that SUMO survives in any case
+_SUBSCRIPTION = {name: number + 0x10 for number, name in SETTERS.items()}
+_CONTEXT = {name: number - 0x40 for number, name in SETTERS.items()}
+NEWEST, OLDER = 22, 21  # versions of TraCI
+_OF_VEHICLE, _RESULT = 0xD4, 0xE4  # of a vehicle
+_NEXT_STOPS, _STOPS = 0x73, 0x74
+_NO_LIMIT = b"\x09" + bytes(4)
+_BEGIN = bytes((_STOPS, 0, 0x0F))  # variable, status, compound: before the count of a result
+_FIELDS = "sdsiddddddsssssd"  # types of a stop: those of 0x73, starts and times, words, speed
+_INT = struct.Struct("!i")
 
 
 class SumoGone(SumoAdvError):
@@ -55,12 +71,10 @@ class Link:
             raise SumoGone("SUMO is no more.") from error
 
     def ask(self, message: bytes) -> bytes:
-        """SUMO's answer to a message of one command."""
         self._send(message)
         return self._receive()
 
     def step(self) -> bytes:
-        """Let SUMO step once."""
         return self.ask(_STEP)
 
     def now(self) -> float:
@@ -69,7 +83,6 @@ class Link:
         return float(struct.unpack("!d", answer[-8:])[0]) if framing.accepted(answer) else math.nan
 
     def step_length(self) -> float:
-        """SUMO's step [s]."""
         if not self._step_length:
             self._step_length = float(struct.unpack("!d", self.ask(_STEP_LENGTH)[-8:])[0])
         return self._step_length
@@ -87,7 +100,6 @@ class Link:
             self._idle()
 
     def unsubscribe(self, command: Command) -> None:
-        """End what a subscription began."""
         end = 20 + int.from_bytes(command.payload[16:20], "big")
         rest = command.payload[end : end + 9] if command.number in CONTEXTS else b""
         self.ask(make_message(make_command(command.number, _INVALID * 2 + command.payload[16:end] + rest + b"\0")))
@@ -100,5 +112,131 @@ class Link:
                 self._receive()
 
     def close(self) -> None:
-        """Close the connection."""
         self._line.close()
+
+
+class Subscriptions:
+    """Of one simulation. Every method that speaks with SUMO may raise SumoGone."""
+
+    def __init__(self, link: Link) -> None:
+        self._link = link
+        self._kept: dict[tuple[int, bytes, bytes], Command] = {}  # by number, domain of a context, name of the object
+
+    def note(self, command: Command) -> None:
+        """SUMO accepted a subscription, or the end of one."""
+        end = shapes.name_end(command.payload, 16)
+        context = command.number in CONTEXTS
+        domain = command.payload[end : end + 1] if context else b""
+        key = command.number, domain, command.payload[20:end]
+        if command.payload[end + (9 if context else 0)]:
+            self._kept[key] = command
+        else:
+            self._kept.pop(key, None)
+
+    def end(self) -> None:
+        for command in list(self._kept.values()):
+            self._link.unsubscribe(command)
+        self._kept.clear()
+
+    def end_of(self, domain: str, name: bytes) -> None:
+        """End those of an object that is about to be removed: SUMO fails in every step after that otherwise."""
+        numbers = _SUBSCRIPTION[domain], _CONTEXT[domain]
+        for key in [key for key in self._kept if key[0] in numbers and key[2] == name]:
+            self._link.unsubscribe(self._kept.pop(key))
+
+    def deadly(self, command: Command) -> str:
+        """What SUMO would complain of, if it would be too long for it: it puts a sentence a variable into one error."""
+        end = shapes.name_end(command.payload, 16)
+        getter = command.number - GETTER_TO_SUBSCRIPTION
+        variables = shapes.subscribed(command.payload, end, getter)
+        if len(variables) < 2:
+            return ""
+        name = command.payload[16:end]
+        questions = (make_command(getter, variable[:1] + name + variable[1:]) for variable in variables)
+        complaints = [framing.complaint(self._link.ask(make_message(question))) for question in questions]
+        whole = f"Could not add subscription. {' '.join(complaints).strip()}"
+        return whole if len(whole.encode()) > LONGEST_COMPLAINT else ""
+
+
+class OlderClients:
+    """Translates for one client in one simulation."""
+
+    def __init__(self) -> None:
+        self._names: set[bytes] = set()  # vehicles of which it subscribed to the stops
+
+    def version(self, answer: bytes) -> bytes:
+        """SUMO's answer about its version, with the older number: it stands behind status, length and command."""
+        at = 4 + answer[4] + 2
+        return answer[:at] + _INT.pack(OLDER) + answer[at + 4 :]
+
+    def asked(self, command: Command) -> Command:
+        """A subscription as SUMO takes it: stops come last. Other commands stay as they are."""
+        if command.number != _OF_VEHICLE:
+            return command
+        try:
+            end = shapes.name_end(command.payload, 16)
+            variables = shapes.subscribed(command.payload, end, _OF_VEHICLE - 0x30)
+        except shapes.Misfit:
+            return command
+        kept = [variable for variable in variables if variable[0] != _NEXT_STOPS]
+        name = command.payload[20:end]
+        if not variables:  # it ends; others only add to what is subscribed to already
+            self._names.discard(name)
+        if len(kept) == len(variables) or any(variable[0] == _STOPS for variable in kept):
+            return command
+        self._names.add(name)
+        kept.append(bytes((_STOPS,)) + _NO_LIMIT)
+        payload = command.payload[:end] + bytes((len(kept),)) + b"".join(kept)
+        return Command(command.number, payload, make_command(command.number, payload))
+
+    def answered(self, number: int, answer: bytes) -> bytes:
+        """The answer to a subscription or a step, with stops in the old form."""
+        if not self._names or number not in (_OF_VEHICLE, SIMSTEP) or answer[6] != 0:
+            return answer
+        at = 4 + answer[4] + (4 if number == SIMSTEP else 0)
+        parts = [answer[4:at]]
+        while at < len(answer):
+            head, length = (1, answer[at]) if answer[at] else (5, _INT.unpack_from(answer, at + 1)[0])
+            parts.append(self._result(answer[at : at + length], head))
+            at += length
+        return make_message(*parts)
+
+    def _result(self, result: bytes, head: int) -> bytes:
+        if result[head] != _RESULT:
+            return result
+        payload = result[head + 1 :]
+        if payload[4 : shapes.name_end(payload, 0)] not in self._names:
+            return result
+        at = payload.find(_BEGIN)
+        while at >= 0:  # a match too early is part of another value: stops come last and end with the result
+            stops = _old_form(payload, at + len(_BEGIN))
+            if stops is not None:
+                return make_command(_RESULT, payload[:at] + bytes((_NEXT_STOPS, 0, 0x0F)) + stops)
+            at = payload.find(_BEGIN, at + 1)
+        return result
+
+
+def _old_form(payload: bytes, at: int) -> bytes | None:
+    """Count and stops of 0x73 for those of 0x74 that begin at ``at`` and end with the payload; None if they do not."""
+    try:
+        count = _INT.unpack_from(payload, at + 5)[0]
+        at += 9
+        stops = []
+        for _ in range(count):
+            fields = []
+            for kind in _FIELDS:
+                end = shapes.name_end(payload, at + 1) if kind == "s" else at + (9 if kind == "d" else 5)
+                fields.append(payload[at:end])
+                at = end
+            stops.append(_old_stop(fields))
+    except (shapes.Misfit, struct.error, IndexError):
+        return None
+    return None if at != len(payload) else _INT.pack(1 + 4 * count) + b"\x09" + _INT.pack(count) + b"".join(stops)
+
+
+def _old_stop(fields: list[bytes]) -> bytes:
+    """Lane, end, place, flags, duration, until. The old flags are shifted by one; the lowest says that it stands there,
+    which is so once it has an arrival (the ninth field)."""
+    arrived = struct.unpack("!d", fields[8][1:])[0] >= 0.0
+    flags = 2 * _INT.unpack(fields[3][1:])[0] + arrived
+    return b"".join((*fields[:3], b"\x09" + _INT.pack(flags), *fields[4:6]))

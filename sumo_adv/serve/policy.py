@@ -35,7 +35,7 @@ _GUI = 0xAC
 _CALIBRATOR = 0x07  # SUMO dies of a context around one
 _ACTING = {(0xA2, 0x32): "trafficlight", (0xAE, 0xC7): "person"}  # getters that change something
 _TOO_LONG = "A name as long as this is not passed on: SUMO could end on it."
-_HIDDEN = "This object is sumo_adv's own."
+_OURS = "This object is sumo_adv's own."
 _KEPT = "The ego departs and leaves by sumo_adv: its client neither adds nor removes it."
 _ODD_NAME = "An object that is added needs a name of printable characters in UTF-8."
 OURS = "sumo_adv."
@@ -49,11 +49,7 @@ class Rules:
     also: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
-        """Refuse what is no domain, or never allowed.
-
-        Raises:
-            UsageError: with what may be given.
-        """
+        """Refuse what is no domain, or never allowed. Raises UsageError: with what may be given."""
         if wrong := sorted(self.also - (frozenset(GETTERS.values()) - NEVER)):
             allowed = ", ".join(sorted(frozenset(GETTERS.values()) - NEVER))
             raise UsageError(f"The ego's client cannot be allowed to set {wrong[0]}; what can be allowed: {allowed}.")
@@ -62,26 +58,16 @@ class Rules:
 class Policy:
     """The rules in one simulation: it remembers what the client added."""
 
-    def __init__(self, rules: Rules, own: Iterable[str], hidden: Collection[str], kept: Collection[str] = ()) -> None:
+    def __init__(self, rules: Rules, own: Iterable[str], kept: Collection[str] = ()) -> None:
         """``own``, ``kept``: vehicles that the client may set, and those of them that it neither adds nor removes."""
         self._rules = rules
         self._own: dict[str, set[bytes]] = {domain: set() for domain in ADDED}
         self._own["vehicle"] |= {name.encode() for name in own}
-        self.hidden = frozenset(name.encode() for name in hidden)
         self._kept = frozenset(name.encode() for name in kept)
 
     @property
     def own(self) -> frozenset[str]:
-        """The vehicles that the client may set."""
         return frozenset(name.decode(errors="replace") for name in list(self._own["vehicle"]))
-
-    def give(self, vehicle: str) -> None:
-        """Let the client set a vehicle."""
-        self._own["vehicle"].add(vehicle.encode())
-
-    def take(self, vehicle: str) -> None:
-        """Do not let the client set a vehicle any longer."""
-        self._own["vehicle"].discard(vehicle.encode())
 
     def refusal(self, command: Command) -> str | None:
         """Why SUMO must not see a command, or None. Step, order, version and close are not asked about here."""
@@ -125,8 +111,8 @@ class Policy:
             return _TOO_LONG
         if domain in NEVER:
             return f"Setting the {domain} is not for a client of sumo_adv."
-        if name in self.hidden or name.startswith(OURS.encode()):
-            return _HIDDEN
+        if name.startswith(OURS.encode()):
+            return _OURS
         if domain == "vehicle" and name in self._kept and variable in (_ADD, _ADD_FULL, _REMOVE):
             return _KEPT
         if variable in (_ADD, _ADD_FULL) and domain in ADDED and not _is_printable(name):
@@ -136,14 +122,9 @@ class Policy:
         if expected is None or not shapes.fits(payload, end, expected):
             return _misfit(number)
         if variable == _COPY and domain == "vehicletype":
-            return self._copy(payload[end + 5 :])
+            name = payload[end + 5 :]
+            return _OURS if name.startswith(OURS.encode()) else None if _is_printable(name) else _ODD_NAME
         return None
-
-    def _copy(self, name: bytes) -> str | None:
-        """Why no type can be copied to this name."""
-        if name.startswith(OURS.encode()):
-            return _HIDDEN
-        return None if _is_printable(name) else _ODD_NAME
 
     def _may(self, domain: str, variable: int, name: bytes) -> bool:
         if domain not in ADDED:
@@ -156,8 +137,6 @@ class Policy:
     def _subscription(self, number: int, payload: bytes) -> str | None:
         end = shapes.name_end(payload, 16)
         name = payload[20:end]
-        if name in self.hidden:
-            return _HIDDEN
         if len(name) > shapes.LONGEST_OBJECT:
             return _TOO_LONG
         if not all(map(math.isfinite, struct.unpack_from("!2d", payload))):
@@ -195,11 +174,7 @@ def removed(command: Command) -> tuple[str, bytes] | None:
 
 
 def step_until(payload: bytes) -> float:
-    """The time [s] to which a SIMSTEP asks to go, 0 for one step.
-
-    Raises:
-        Misfit: it is no time.
-    """
+    """The time [s] to which a SIMSTEP asks to go, 0 for one step. Raises Misfit: it is no time."""
     if len(payload) != 8:
         raise Misfit
     until: float = struct.unpack("!d", payload)[0]

@@ -1,4 +1,4 @@
-"""The one seat at the gate: the client that drives the ego, and other visitors."""
+"""The one seat at the gate: the client that drives the ego, other visitors, and what happens there."""
 
 from __future__ import annotations
 
@@ -6,11 +6,40 @@ import logging
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
 
 from sumo_adv.errors import SumoAdvError
 from sumo_adv.serve import framing
 from sumo_adv.serve.framing import FramingError, Gone, Line
-from sumo_adv.serve.gate_events import EventKind, GateEvent
+
+
+class EventKind(StrEnum):
+    """What happened."""
+
+    CONNECTED = "connected"  # a client took its seat
+    CLOSED = "closed"  # it said close
+    LOST = "lost"  # its connection broke, or it sent what is no message
+    LATE = "late"  # it used up its time for a turn
+    REFUSED = "refused"  # a call, or a connection
+    RESTARTED = "restarted"  # the simulation ended in good order
+    ENDED = "ended"  # SUMO went away by itself
+
+
+class Stepper(StrEnum):
+    """The maker of a step on the ego's side."""
+
+    CLIENT = "client"
+    GATE = "gate"
+
+
+@dataclass(frozen=True, slots=True)
+class GateEvent:
+    """Something that happened at the gate, in a sentence."""
+
+    kind: EventKind
+    sentence: str
+
 
 FAREWELL = 60.0  # s in which a client that was sent away may still hear why
 
@@ -50,12 +79,7 @@ class Client:
         return self.line.receive(idle)
 
     def send(self, message: bytes, deadline: float) -> None:
-        """Send it an answer.
-
-        Raises:
-            Late: it did not take it within ``deadline`` seconds.
-            Gone: see Line.
-        """
+        """Send it an answer. Raises Late: it did not take it within ``deadline`` seconds; Gone: see Line."""
         until = time.monotonic() + deadline
 
         def idle() -> None:
@@ -77,8 +101,7 @@ class Client:
 def errors(message: bytes, reason: str) -> bytes:
     """The answer that refuses every command of a message, but for saying close. The first says why.
 
-    Raises:
-        FramingError: it is no message.
+    Raises FramingError: it is no message.
     """
     answers: list[bytes] = []
     for number, _, _ in framing.split(message):
@@ -105,7 +128,6 @@ class ClientSlot:
 
     @property
     def client(self) -> Client | None:
-        """The client on the seat."""
         return self._client
 
     def take(self, client: Client) -> bool:
@@ -135,6 +157,5 @@ class ClientSlot:
         self.tell(GateEvent(kind, sentence))
 
     def wait(self, timeout: float) -> bool:
-        """Wait up to ``timeout`` seconds until a client sits there."""
         with self._changed:
             return self._changed.wait_for(lambda: self._client is not None, timeout)

@@ -9,6 +9,7 @@ import random
 import threading
 import time
 from collections.abc import Callable, Collection, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,13 +21,11 @@ from sumo_adv.episode.planned_encounter import PlannedEncounter, with_prediction
 from sumo_adv.episode.task import Prefix, Task
 from sumo_adv.errors import ModelError, SumoAdvError, UsageError, fault_sentence
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.serve.encounter import LiveAttempts, Scene, describe
-from sumo_adv.serve.events import Events, helpers
+from sumo_adv.serve import Mode, OnLoss, Options
+from sumo_adv.serve.encounter import EncounterMonitor, LiveAttempts, Scene, describe
+from sumo_adv.serve.events import Events, ResultWriter, helpers
 from sumo_adv.serve.gate import Gate
-from sumo_adv.serve.options import Mode, OnLoss, Options
-from sumo_adv.serve.result_writer import ResultWriter
 from sumo_adv.serve.session import ClientGone, EgoLost, EgoPlan, Session
-from sumo_adv.serve.watch import EncounterMonitor
 from sumo_adv.simulation.demand import journeys
 from sumo_adv.simulation.inputs import EgoRoute, RunInput
 from sumo_adv.simulation.network import RoadMap
@@ -70,7 +69,6 @@ class Server:
 
     @property
     def ego(self) -> str:
-        """The vehicle that the client drives."""
         return self._task.ego if isinstance(self._task.ego, str) else INSERTED_EGO
 
     @property
@@ -112,7 +110,6 @@ class Server:
         return None
 
     def _wanted(self) -> bool:
-        """Whether another encounter is to come."""
         most = self._parts.options.encounters
         if self._fruitless >= FRUITLESS and not self.reason:
             self.reason = f"The last {FRUITLESS} simulations had no encounter."
@@ -147,15 +144,12 @@ class Server:
         self._end_session(clean=True)
 
     def _start(self) -> tuple[Session, EncounterMonitor]:
-        """A new simulation, and its client."""
         parts, task = self._parts, self._task
         self._session = session = Session(
             task.spec, parts.gate, parts.options, self._ego(task), parts.events, parts.check
         )
-        only = tuple(n for n in task.only)
-        return session, EncounterMonitor(
-            session, parts.road, self._settings, only, task.warm_up if task.ego is not None else 0.0
-        )
+        warm_up = task.warm_up if task.ego is not None else 0.0
+        return session, EncounterMonitor(session, parts.road, self._settings, tuple(task.only), warm_up)
 
     def _ego(self, task: Task) -> EgoPlan:
         """The vehicle under test: the demand's, a scenario's own, or one on routes that are drawn."""
@@ -201,7 +195,10 @@ class Server:
             "encounter", time=encounter.time, number=self._number + 1, ego=encounter.ego,
             ranking=[{"id": i, "relation": r, "risk": k} for i, r, k in encounter.ranking],
         )  # fmt: skip
-        episode = self._episode(scene)
+        episode = Episode(
+            parts.source, self._settings, self._task, bank_hash=parts.bank.content_hash(), agents=parts.agents
+        )
+        episode.found, episode.lanes = encounter, parts.road.strips(*encounter.area)
         try:
             decision = self._decided(session, episode, scene)
         except ModelError as error:
@@ -209,27 +206,16 @@ class Server:
             episode.ending, episode.reason = model_ending(error), str(error)
             parts.writer.keep(episode, self._number)
             raise
-        if not decision.planned.reaches and self._task.trigger is None:
-            self._pass_over(session, "no intent reaches the ego, by prediction", passed)
+        if decision.entries is None or (not decision.planned.reaches and self._task.trigger is None):
+            given = decision.planned.reaches or self._task.trigger is not None
+            self._pass_over(session, episode.reason if given else "no intent reaches the ego, by prediction", passed)
             return False
-        if decision.entries is None:
-            self._pass_over(session, episode.reason, passed)
-            return False
-        stale = self._stale(session, watch, scene, {episode.intents[0].bv, *decision.best.bvs})
-        if stale:
+        if stale := self._stale(session, watch, scene, {episode.intents[0].bv, *decision.best.bvs}):
             parts.events.tell("dropped", time=session.now, reason=stale)
             return False
         self._number += 1
         self._pursue(session, scene, episode, decision)
         return True
-
-    def _episode(self, scene: Scene) -> Episode:
-        parts, encounter = self._parts, scene.found
-        episode = Episode(
-            parts.source, self._settings, self._task, bank_hash=parts.bank.content_hash(), agents=parts.agents
-        )
-        episode.found, episode.lanes = encounter, parts.road.strips(*encounter.area)
-        return episode
 
     def _pursue(self, session: Session, scene: Scene, episode: Episode, decision: Decision) -> None:
         parts, settings = self._parts, self._settings
@@ -287,8 +273,7 @@ class Server:
         """The predictions and the library for an encounter. The world waits for it; with ``real_time`` it goes on
         meanwhile.
 
-        Raises:
-            ModelError: a model plays a part and failed.
+        Raises ModelError: a model plays a part and failed.
         """
         began = time.perf_counter()
 
@@ -330,25 +315,20 @@ class Decision:
 
     @property
     def best(self) -> Proposal:
-        """What is predicted to be most dangerous."""
         return min(self.planned.search.pool, key=self.planned.search.price)
 
 
 def _meanwhile(work: Callable[[], Decision], tick: Callable[[], object]) -> Decision:
     """Do ``work`` in a thread and ``tick`` until it is done."""
-    results: list[Decision] = []
-    errors: list[BaseException] = []
+    decision: Future[Decision] = Future()
 
     def body() -> None:
         try:
-            results.append(work())
+            decision.set_result(work())
         except BaseException as error:
-            errors.append(error)
+            decision.set_exception(error)
 
-    thread = threading.Thread(target=body, name="decision", daemon=True)
-    thread.start()
-    while thread.is_alive():
+    threading.Thread(target=body, name="decision", daemon=True).start()
+    while not decision.done():
         tick()
-    if errors:
-        raise errors[0]
-    return results[0]
+    return decision.result()

@@ -1,35 +1,87 @@
 """One simulation that a client shares with us: it is stepped, paced and recorded, and always has an ego.
 
-We are SUMO's first client: a step is our turn, then the ego's client's, then SUMO moves.  While one of the two
-waits (we for the client, the client for a decision of ours), simulated time stands, unless ``real_time`` is set.
+We are SUMO's first client, the gate is the second, and there is no third. A step is our turn, then the ego's client's,
+then SUMO moves. While one of the two waits (we for the client, the client for a decision of ours), simulated time
+stands, unless ``real_time`` is set.
 """
 
 from __future__ import annotations
 
 import math
+import socket
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 from sumo_adv.drivers import Action, ExternalEgo
 from sumo_adv.episode.drive import Drive
+from sumo_adv.errors import SimulationError
 from sumo_adv.geometry import Pose
+from sumo_adv.serve import OnLoss, Options
 from sumo_adv.serve.events import Events
-from sumo_adv.serve.gate import Gate
-from sumo_adv.serve.gate_events import Stepper
-from sumo_adv.serve.options import OnLoss, Options
+from sumo_adv.serve.gate import PATIENCE, Gate
 from sumo_adv.serve.policy import OURS
-from sumo_adv.serve.sharing import shared_sumo
+from sumo_adv.serve.seat import Stepper
+from sumo_adv.serve.sumo_process import StrangerError, SumoProcess
 from sumo_adv.simulation.inputs import EgoRoute
 from sumo_adv.simulation.remote import Remote
 from sumo_adv.simulation.simulation import SimulationSpec, Snapshot, pose_of
 
+if TYPE_CHECKING:
+    from traci.connection import Connection
+
+
+OUR_ORDER = 1
+TRIES = 5  # starts of SUMO, where another program connects to its port before we do
 KEPT = 15.0  # s of states that are kept while nothing happens
 STAND_IN_BRAKING = 4.5  # m/s2
 ALONE = 10.0  # s the simulation goes on without its client before it waits (never with ``real_time``)
 DOUBTED, FASTEST = 1.0, 80.0  # m/s: another speed than SUMO says is believed from, and up to (else it was a jump)
 SLICE = 0.2  # s between two looks whether we are to stop
+
+
+def shared_sumo(
+    arguments: Sequence[str], gate: Gate, *, own: Collection[str], kept: Collection[str], events: Events,
+    private: bool = True,
+) -> tuple[SumoProcess, Connection]:  # fmt: skip
+    """SUMO and our connection to it. ``own``, ``kept``: see ``Gate.attach``; ``private``: see ``SumoProcess``.
+
+    Raises SimulationError, UsageError: SUMO does not start, or is not installed, or others are always faster.
+    """
+    for tries in range(1, TRIES + 1):
+        sumo = SumoProcess(arguments, private=private)
+        try:
+            gate.attach(sumo, own=own, kept=kept)
+            return sumo, connect(sumo)
+        except StrangerError as error:
+            gate.detach(keep=True)
+            sumo.close()
+            events.tell("stranger", tries=tries, sentence=f"{error} SUMO is started again.")
+        except BaseException:
+            gate.detach()
+            sumo.close()
+            raise
+    raise SimulationError(
+        f"Another program connected to SUMO's port first, {TRIES} times in a row: end it, or run this in a container."
+    )
+
+
+def connect(sumo: SumoProcess) -> Connection:
+    """Our own connection, the first in order. Raises StrangerError, SimulationError."""
+    import traci
+
+    try:
+        with socket.create_server(("127.0.0.1", 0)) as nobody:  # traci connects by itself and takes no socket
+            connection = traci.connect(nobody.getsockname()[1], numRetries=0, host="127.0.0.1")
+        connection._socket.close()
+        connection._socket = sumo.dial(PATIENCE)
+        connection._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        connection.setOrder(OUR_ORDER)
+    except (traci.TraCIException, traci.FatalTraCIError, OSError) as error:
+        raise SimulationError(f"SUMO did not take our connection ({sumo.last_error or error}).") from error
+    return connection
 
 
 class EgoLost(Exception):
@@ -64,7 +116,6 @@ class Pace:
     _next: float | None = field(default=None)
 
     def wait(self) -> None:
-        """Until the next step is due."""
         time_now = time.monotonic()
         due = time_now if self._next is None else self._next
         if due > time_now:
@@ -84,8 +135,7 @@ class Session(Drive):
     ) -> None:  # fmt: skip
         """Start SUMO behind the gate. ``check`` is called every step and may raise.
 
-        Raises:
-            SimulationError, UsageError: SUMO does not start, or is not installed.
+        Raises SimulationError, UsageError: SUMO does not start, or is not installed.
         """
         self._gate, self._options, self._plan, self._events, self._check = gate, options, ego, events, check
         kept = () if ego.added else (ego.id,)
@@ -137,8 +187,7 @@ class Session(Drive):
     def hold(self) -> None:
         """Between encounters: wait for a client that has been away for a while.
 
-        Raises:
-            ClientGone: it does not come within ``patience``.
+        Raises ClientGone: it does not come within ``patience``.
         """
         if self._gate.connected or (self.steps and (self.pace is not None or self.now - self.away_since < ALONE)):
             return
@@ -178,7 +227,6 @@ class Session(Drive):
 
     @property
     def spec(self) -> SimulationSpec:
-        """What SUMO was started with."""
         return self.simulation.spec
 
     # -- the ego ------------------------------------------------------------------------------------------------
@@ -252,7 +300,6 @@ class Session(Drive):
             self.simulation.set_speed(self._plan.id, None)
 
     def _stand_in(self) -> None:
-        """Drive the ego in its client's stead."""
         if self.steps and self._options.on_loss is OnLoss.BRAKE and self.present_since is not None:
             speed = self.snapshot.raw[self._plan.id][3] - STAND_IN_BRAKING * self.spec.step_length
             self.simulation.set_speed(self._plan.id, speed)

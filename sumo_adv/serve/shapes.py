@@ -146,11 +146,7 @@ def fits(payload: bytes, at: int, shapes: Shapes) -> bool:
 
 
 def name_end(payload: bytes, at: int) -> int:
-    """Where the string that begins at ``at`` with its length ends.
-
-    Raises:
-        Misfit: the payload ends before.
-    """
+    """Where the string that begins at ``at`` with its length ends. Raises Misfit: the payload ends before."""
     if at + 4 > len(payload):
         raise Misfit
     size = _INT.unpack_from(payload, at)[0]
@@ -179,8 +175,7 @@ def set_shapes(number: int, variable: int) -> Shapes | None:
 def subscribed(payload: bytes, at: int, domain: int) -> list[bytes]:
     """The variables of a subscription, each with its parameters. ``at``: their count; ``domain``: its getter.
 
-    Raises:
-        Misfit: SUMO could not read it.
+    Raises Misfit: SUMO could not read it.
     """
     if at >= len(payload):
         raise Misfit
@@ -210,7 +205,6 @@ class _Compound:
 
 @cache
 def _items(shape: str) -> tuple[str | _Compound, ...]:
-    """The values of a shape."""
     stack: list[list[str | _Compound]] = [[]]
     least: list[int | None] = [None]
     for letter in shape:

@@ -9,13 +9,10 @@ from collections.abc import Callable
 
 from sumo_adv.serve import framing
 from sumo_adv.serve.framing import Command, FramingError, Gone, Line, make_command, make_message, make_status
-from sumo_adv.serve.gate_events import EventKind, GateEvent, Stepper
-from sumo_adv.serve.link import Link, SumoGone
-from sumo_adv.serve.older_clients import OlderClients
+from sumo_adv.serve.link import Link, OlderClients, Subscriptions, SumoGone
 from sumo_adv.serve.policy import CONTEXTS, GETTERS, LONGEST_STEP, SETTERS, SUBSCRIPTIONS, Policy, removed, step_until
-from sumo_adv.serve.seat import Client, ClientSlot, Interrupted, Late, errors
+from sumo_adv.serve.seat import Client, ClientSlot, EventKind, GateEvent, Interrupted, Late, Stepper, errors
 from sumo_adv.serve.shapes import Misfit
-from sumo_adv.serve.subscriptions import Subscriptions
 
 MOST_UNHEARD = 1000  # answers without SUMO outside a client's turn, before it waits for its turn
 _EMPTY_STEP = make_message(make_status(framing.SIMSTEP), bytes(4))
@@ -27,15 +24,9 @@ class Turns:
     """One simulation, from attach to its end. ``run`` in one thread; everything else from any."""
 
     def __init__(
-        self,
-        connect: Callable[[Callable[[], None]], Link],
-        policy: Policy,
-        seat: ClientSlot,
-        deadline: float,
-        stopping: Callable[[], bool],
-        why_ended: Callable[[], str],
-        older: bool = False,
-    ) -> None:
+        self, connect: Callable[[Callable[[], None]], Link], policy: Policy, seat: ClientSlot, deadline: float,
+        stopping: Callable[[], bool], why_ended: Callable[[], str], older: bool = False,
+    ) -> None:  # fmt: skip
         """``connect`` makes the link to SUMO, given what to call while waiting for it; ``older``: see OlderClients."""
         self.policy = policy
         self.stepped_by = Stepper.GATE
@@ -74,7 +65,6 @@ class Turns:
         return self._parting or self._stopping()
 
     def _next(self) -> None:
-        """One message of the client, or a step in its stead."""
         client = self._seat.client
         if client is not self._served:
             self._subscriptions.end()
@@ -85,7 +75,6 @@ class Turns:
             self._guarded(client, self._converse)
 
     def _converse(self, client: Client) -> None:
-        """One message of the client and its answer."""
         message = self._listen(client)
         commands = framing.split(message)
         try:
@@ -254,9 +243,8 @@ class Turns:
         key = (command.number, command.payload[:64])
         if key not in client.refused and len(client.refused) < 1000:
             client.refused.add(key)
-            self._seat.tell(
-                GateEvent(EventKind.REFUSED, f"A call of the client at {client.peer} was refused: {reason}")
-            )
+            sentence = f"A call of the client at {client.peer} was refused: {reason}"
+            self._seat.tell(GateEvent(EventKind.REFUSED, sentence))
         return make_message(make_status(command.number, framing.ERROR, reason))
 
     def _step(self, client: Client, command: Command) -> bytes:
@@ -272,18 +260,15 @@ class Turns:
             if until > present + LONGEST_STEP:
                 return self._refuse(client, command, f"A step cannot be longer than {LONGEST_STEP:g} s.")
             if until <= present:
-                return self._shown(
-                    self._link.ask(make_message(make_command(framing.SIMSTEP, struct.pack("!d", present))))
-                )
+                return self._link.ask(make_message(make_command(framing.SIMSTEP, struct.pack("!d", present))))
             count = max(1, math.ceil((until - present) / self._link.step_length() - 1e-6))
-        return self._shown(self._steps(client, count))
+        return self._steps(client, count)
 
     def _steps(self, client: Client, count: int) -> bytes:
         """Step one at a time, and only while the client is there: a client that asked for an hour and went drives no
         longer.
 
-        Raises:
-            Gone: it is not there any longer.
+        Raises Gone: it is not there any longer.
         """
         answer = _EMPTY_STEP
         for k in range(count):
@@ -297,10 +282,6 @@ class Turns:
             self._our_turn = False
         return answer
 
-    def _shown(self, answer: bytes) -> bytes:
-        """The answer to a step as the client may see it."""
-        return framing.without(answer, self.policy.hidden) if self.policy.hidden else answer
-
     def _while_sumo_works(self) -> None:
         """Look after the client while SUMO takes its time."""
         if self._stopping():
@@ -312,9 +293,9 @@ class Turns:
     def _send_client_away(self) -> None:
         client, parting = self._seat.client, self._parting
         kind = EventKind.RESTARTED if parting else EventKind.ENDED
-        reason = (
-            "The simulation ended" if parting else f"SUMO ended by itself ({self._why_ended() or 'it says nothing'})"
-        )
+        reason = "The simulation ended"
+        if not parting:
+            reason = f"SUMO ended by itself ({self._why_ended() or 'it says nothing'})"
         if client is None or (parting and self._keep):
             self._seat.tell(GateEvent(kind, f"{reason}."))
             return

@@ -1,29 +1,50 @@
-"""A run as a CommonRoad scenario (XML, format 2020a) with the ego's recorded motion as a solution: two files.
+"""A run as a CommonRoad scenario with a solution, and as a ScenarioNet database, which MetaDrive replays.
 
-Time step 0 is the first exported step; a step is the run's. The ego is the planning problem, and no obstacle; its
-goal is where it was at the end. Obstacles are numbered in the order of the run after the lanelets; a comment in the
-file gives each number's id, and the ego's size. Speed limits are signs, the numbers behind the ego's.
+CommonRoad: XML of format 2020a, and the ego's recorded motion as a solution: two files. Time step 0 is the first
+exported step; a step is the run's. The ego is the planning problem, and no obstacle; its goal is where it was at the
+end. Obstacles are numbered in the order of the run after the lanelets; a comment in the file gives each number's id,
+and the ego's size. Speed limits are signs, the numbers behind the ego's.
+
+ScenarioNet: one scenario, a folder of three pickled dictionaries, of plain values and numpy arrays. Time 0 is the first
+exported step; positions are box centres in the network's coordinates.
 """
 
 from __future__ import annotations
 
 import math
+import pickle
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 from xml.etree.ElementTree import Comment, Element, SubElement, indent, tostring
 
+import numpy as np
+
 from sumo_adv import __version__
-from sumo_adv.datatypes import Role, Track
-from sumo_adv.report.export.entities import kind, metres, printable, steering
-from sumo_adv.report.export.piece import Piece
-from sumo_adv.report.export.road import MapLane, map_lanes
+from sumo_adv.datatypes import Floats, Role, Track
+from sumo_adv.report.export.piece import (
+    HEIGHT,
+    LARGEST_STEER,
+    WHEELBASE,
+    MapLane,
+    Piece,
+    kind,
+    map_lanes,
+    metres,
+    printable,
+)
 
 SCENARIO, SOLUTION = "scenario.xml", "solution.xml"
 GOAL = 10.0, 4.0  # m, length and width of the goal around the ego's last place
 VEHICLES = {"KS1": (4.298, 1.674), "KS2": (4.508, 1.610), "KS3": (4.569, 1.844)}
 """Kinematic single-track models of CommonRoad with length and width [m]: Ford Escort, BMW 320i, VW Vanagon."""
+SLOWEST = 1.0  # m/s, below which no steering angle follows from the motion
 SPEED_LIMIT = "274"  # the sign's number in Germany and in CommonRoad's Zamunda
+SUMMARY, MAPPING = "dataset_summary.pkl", "dataset_mapping.pkl"
+TYPES = {"car": "VEHICLE", "truck": "VEHICLE", "obstacle": "VEHICLE", "bicycle": "CYCLIST", "pedestrian": "PEDESTRIAN"}
+DATASET, VERSION = "sumo_adv", "1"
+PROTOCOL = 4  # of pickle: Python 3.4 and later
 
 
 def write_commonroad(folder: Path, piece: Piece) -> None:
@@ -36,7 +57,7 @@ def write_commonroad(folder: Path, piece: Piece) -> None:
         (folder / name).write_text(f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n', encoding="utf-8")
 
 
-def benchmark_id(piece: Piece) -> str:
+def _benchmark_id(piece: Piece) -> str:
     """The scenario's name as CommonRoad spells names: ``ZAM_PriorityCrossing-1_1_T-1``."""
     words = re.findall(r"[A-Za-z0-9]+", piece.name)
     return f"ZAM_{''.join(w[:1].upper() + w[1:] for w in words) or 'Run'}-1_1_T-1"
@@ -44,12 +65,11 @@ def benchmark_id(piece: Piece) -> str:
 
 def _scenario(piece: Piece, lanes: Sequence[MapLane], problem: int) -> Element:
     root = Element(
-        "commonRoad", commonRoadVersion="2020a", benchmarkID=benchmark_id(piece), author=f"sumo_adv {__version__}",
+        "commonRoad", commonRoadVersion="2020a", benchmarkID=_benchmark_id(piece), author=f"sumo_adv {__version__}",
         date=piece.written.strftime("%Y-%m-%d"), affiliation="", source="sumo_adv", timeStepSize=f"{piece.step:g}",
     )  # fmt: skip
     location = SubElement(root, "location")
-    for name, value in (("geoNameId", "-999"), ("gpsLatitude", "999"), ("gpsLongitude", "999")):  # not given
-        SubElement(location, name).text = value
+    _add_texts(location, geoNameId="-999", gpsLatitude="999", gpsLongitude="999")  # not given
     SubElement(SubElement(root, "scenarioTags"), "critical")
     limits = {metres(speed): k for k, speed in enumerate(sorted({each.lane.speed for each in lanes}), problem + 1)}
     for lane in lanes:
@@ -76,28 +96,23 @@ def _add_lanelet(root: Element, lane: MapLane, limit: int) -> None:
     for name, beside in (("adjacentLeft", lane.beside_left), ("adjacentRight", lane.beside_right)):
         if beside is not None:
             SubElement(lanelet, name, ref=str(beside), drivingDir="same")
-    SubElement(lanelet, "laneletType").text = "intersection" if lane.lane.internal else "unknown"
-    SubElement(lanelet, "userOneWay").text = "vehicle"
+    _add_texts(lanelet, laneletType="intersection" if lane.lane.internal else "unknown", userOneWay="vehicle")
     SubElement(lanelet, "trafficSignRef", ref=str(limit))
 
 
 def _add_limit(root: Element, number: int, limit: str) -> None:
     sign = SubElement(root, "trafficSign", id=str(number))
-    element = SubElement(sign, "trafficSignElement")
-    SubElement(element, "trafficSignID").text, SubElement(element, "additionalValue").text = SPEED_LIMIT, limit
-    SubElement(sign, "virtual").text = "true"
+    _add_texts(SubElement(sign, "trafficSignElement"), trafficSignID=SPEED_LIMIT, additionalValue=limit)
+    _add_texts(sign, virtual="true")
 
 
 def _add_obstacle(root: Element, number: int, track: Track, piece: Piece) -> None:
     static = track.role is Role.OBSTACLE
-    root.append(Comment(f" {number}: {_name(track)}, {track.role} "))
+    root.append(Comment(f" {number}: {_safe(track)}, {track.role} "))
     obstacle = SubElement(root, "staticObstacle" if static else "dynamicObstacle", id=str(number))
     SubElement(obstacle, "type").text = "parkedVehicle" if static else kind(track)
     rectangle = SubElement(SubElement(obstacle, "shape"), "rectangle")
-    SubElement(rectangle, "length").text, SubElement(rectangle, "width").text = (
-        metres(track.length),
-        metres(track.width),
-    )
+    _add_texts(rectangle, length=metres(track.length), width=metres(track.width))
     steps = _steps(track, piece)
     _add_state(obstacle, "initialState", track, 0, 0 if static else steps[0])
     if static or len(steps) == 1:
@@ -107,13 +122,12 @@ def _add_obstacle(root: Element, number: int, track: Track, piece: Piece) -> Non
         _add_state(trajectory, "state", track, k, step)
 
 
-def _name(track: Track) -> str:
+def _safe(track: Track) -> str:
     """Its id as a comment can hold it."""
     return printable(track.id).replace("-", "_")
 
 
 def _steps(track: Track, piece: Piece) -> list[int]:
-    """The time steps of a track's states."""
     return [round((time - piece.begin) / piece.step) for time in track.time.tolist()]
 
 
@@ -129,38 +143,131 @@ def _add_state(parent: Element, tag: str, track: Track, k: int, step: int) -> El
 
 
 def _add_point(parent: Element, x: float, y: float) -> None:
-    point = SubElement(parent, "point")
-    SubElement(point, "x").text, SubElement(point, "y").text = metres(x), metres(y)
+    _add_texts(SubElement(parent, "point"), x=metres(x), y=metres(y))
+
+
+def _add_texts(parent: Element, **texts: str) -> None:
+    for name, text in texts.items():
+        SubElement(parent, name).text = text
 
 
 def _add_problem(root: Element, piece: Piece, number: int) -> None:
     ego = piece.track(piece.ego)
-    root.append(Comment(f" {number}: {_name(ego)}, ego, {metres(ego.length)} m long, {metres(ego.width)} m wide "))
+    root.append(Comment(f" {number}: {_safe(ego)}, ego, {metres(ego.length)} m long, {metres(ego.width)} m wide "))
     problem = SubElement(root, "planningProblem", id=str(number))
     state = _add_state(problem, "initialState", ego, 0, _steps(ego, piece)[0])
     for name in ("yawRate", "slipAngle"):
         SubElement(SubElement(state, name), "exact").text = "0.0"
     goal = SubElement(problem, "goalState")
     last, time = _steps(ego, piece)[-1], SubElement(goal, "time")
-    SubElement(time, "intervalStart").text, SubElement(time, "intervalEnd").text = str(max(0, last - 1)), str(last)
+    _add_texts(time, intervalStart=str(max(0, last - 1)), intervalEnd=str(last))
     rectangle = SubElement(SubElement(goal, "position"), "rectangle")
-    SubElement(rectangle, "length").text, SubElement(rectangle, "width").text = map(str, GOAL)
-    SubElement(rectangle, "orientation").text = f"{ego.heading[-1]:.6f}"
-    centre = SubElement(rectangle, "center")
-    SubElement(centre, "x").text, SubElement(centre, "y").text = metres(float(ego.x[-1])), metres(float(ego.y[-1]))
+    _add_texts(rectangle, length=str(GOAL[0]), width=str(GOAL[1]), orientation=f"{ego.heading[-1]:.6f}")
+    _add_texts(SubElement(rectangle, "center"), x=metres(float(ego.x[-1])), y=metres(float(ego.y[-1])))
+
+
+def _steering(track: Track) -> Floats:
+    """Steering angles [rad] of a single-track model from heading over distance, 0 where it hardly moves."""
+    if len(track.time) < 2:
+        return np.zeros(len(track.time))
+    turn = np.gradient(np.unwrap(track.heading), track.time)
+    curvature = np.divide(turn, track.speed, out=np.zeros_like(turn), where=track.speed > SLOWEST)
+    return np.clip(np.arctan(WHEELBASE * track.length * curvature), -LARGEST_STEER, LARGEST_STEER)
 
 
 def _solution(piece: Piece, problem: int) -> Element:
     ego = piece.track(piece.ego)
     vehicle = min(VEHICLES, key=lambda name: math.dist(VEHICLES[name], (ego.length, ego.width)))
-    root = Element("CommonRoadSolution", benchmark_id=f"{vehicle}:JB1:{benchmark_id(piece)}:2020a")
+    root = Element("CommonRoadSolution", benchmark_id=f"{vehicle}:JB1:{_benchmark_id(piece)}:2020a")
     root.set("date", piece.written.strftime("%Y-%m-%dT%H:%M:%S"))
     trajectory = SubElement(root, "ksTrajectory", planningProblem=str(problem))
-    for k, (step, steer) in enumerate(zip(_steps(ego, piece), steering(ego).tolist(), strict=True)):
-        state = SubElement(trajectory, "ksState")
-        for name, value in (
-            ("x", metres(float(ego.x[k]))), ("y", metres(float(ego.y[k]))), ("steeringAngle", f"{steer:.6f}"),
-            ("velocity", metres(float(ego.speed[k]))), ("orientation", f"{ego.heading[k]:.6f}"), ("time", str(step)),
-        ):  # fmt: skip
-            SubElement(state, name).text = value
+    for k, (step, steer) in enumerate(zip(_steps(ego, piece), _steering(ego).tolist(), strict=True)):
+        _add_texts(
+            SubElement(trajectory, "ksState"), x=metres(float(ego.x[k])), y=metres(float(ego.y[k])),
+            steeringAngle=f"{steer:.6f}", velocity=metres(float(ego.speed[k])), orientation=f"{ego.heading[k]:.6f}",
+            time=str(step),
+        )  # fmt: skip
     return root
+
+
+def write_scenarionet(folder: Path, piece: Piece) -> None:
+    """Write the database into ``folder``. Raises UsageError: the network is unreadable."""
+    scenario = _description(piece)
+    file = f"sd_{DATASET}_{VERSION}_{scenario['id']}.pkl"
+    for name, value in ((file, scenario), (SUMMARY, {file: scenario["metadata"]}), (MAPPING, {file: ""})):
+        (folder / name).write_bytes(pickle.dumps(value, protocol=PROTOCOL))
+
+
+def _description(piece: Piece) -> dict[str, Any]:
+    length = round((piece.end - piece.begin) / piece.step) + 1
+    name = re.sub(r"[^A-Za-z0-9_.-]", "_", piece.name)
+    tracks = {track.id: _track(track, piece, length) for track in piece.tracks}
+    return {
+        "id": name,
+        "version": VERSION,
+        "length": length,
+        "tracks": tracks,
+        "dynamic_map_states": {},
+        "map_features": {str(key): value for lane in map_lanes(piece) for key, value in _features(lane)},
+        "metadata": {
+            "id": name, "scenario_id": name, "dataset": DATASET, "coordinate": "right-handed",
+            "metadrive_processed": False, "sdc_id": piece.ego, "ts": piece.step * np.arange(length, dtype=np.float64),
+            "sample_rate": piece.step, "current_time_index": 0, "source_file": piece.name,
+            "tracks_to_predict": {
+                t.id: {"track_id": t.id, "object_type": TYPES[kind(t)]} for t in piece.tracks
+                if t.role is Role.ADVERSARY
+            },
+            "object_summary": {
+                key: {"type": value["type"], "object_id": key, "track_length": length} for key, value in tracks.items()
+            },
+        },
+    }  # fmt: skip
+
+
+def _track(track: Track, piece: Piece, length: int) -> dict[str, Any]:
+    """States over all steps, zero where the vehicle is not there."""
+    first, category = round((float(track.time[0]) - piece.begin) / piece.step), kind(track)
+    at = slice(first, first + len(track.time))
+
+    def filled(*columns: Any) -> Any:
+        values = np.zeros((length, len(columns)), np.float64)
+        values[at] = np.column_stack([np.broadcast_to(c, track.time.shape) for c in columns])
+        return values[:, 0] if len(columns) == 1 else values
+
+    valid = np.zeros(length, bool)
+    valid[at] = True
+    return {
+        "type": TYPES[category],
+        "state": {
+            "position": filled(track.x, track.y, HEIGHT[category] / 2), "heading": filled(track.heading),
+            "velocity": filled(track.speed * np.cos(track.heading), track.speed * np.sin(track.heading)),
+            "length": filled(track.length), "width": filled(track.width), "height": filled(HEIGHT[category]),
+            "valid": valid,
+        },
+        "metadata": {
+            "type": TYPES[category], "object_id": track.id, "dataset": DATASET, "track_length": length,
+            "role": str(track.role),
+        },
+    }  # fmt: skip
+
+
+def _features(each: MapLane) -> list[tuple[str, dict[str, Any]]]:
+    """A lane, and the lines at its sides outside junctions."""
+    lane = {
+        "type": "LANE_SURFACE_STREET", "polyline": _flat(each.lane.shape),
+        "polygon": np.concatenate([each.left, each.right[::-1]]),
+        "speed_limit_kmh": each.lane.speed * 3.6, "interpolating": each.lane.internal,
+        "entry_lanes": [str(n) for n in each.entries], "exit_lanes": [str(n) for n in each.exits],
+        "left_neighbor": [] if each.beside_left is None else [str(each.beside_left)],
+        "right_neighbor": [] if each.beside_right is None else [str(each.beside_right)],
+    }  # fmt: skip
+    features = [(str(each.number), lane)]
+    for side, line, beside in (("left", each.left, each.beside_left), ("right", each.right, each.beside_right)):
+        if not each.lane.internal:
+            sort = "ROAD_EDGE_BOUNDARY" if beside is None else "ROAD_LINE_BROKEN_SINGLE_WHITE"
+            features.append((f"{each.number}_{side}", {"type": sort, "polyline": _flat(line)}))
+    return features
+
+
+def _flat(line: Any) -> Any:
+    return np.column_stack([line, np.zeros(len(line))])

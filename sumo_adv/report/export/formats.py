@@ -1,25 +1,24 @@
-"""The formats: what each is called, what it needs and which function writes it."""
+"""The formats: what each is called, what it needs, and writing a run in one of them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 
 from sumo_adv.errors import UsageError
-from sumo_adv.report.export.choices import Format, Variant
+from sumo_adv.files import sentences, write_whole
+from sumo_adv.report.export import Format, Variant
 from sumo_adv.report.export.commonroad import SCENARIO as COMMONROAD_SCENARIO
-from sumo_adv.report.export.commonroad import write_commonroad
-from sumo_adv.report.export.fcd import fcd
-from sumo_adv.report.export.mcap import write_mcap
+from sumo_adv.report.export.commonroad import SUMMARY, write_commonroad, write_scenarionet
+from sumo_adv.report.export.messages import write_mcap, write_osi
 from sumo_adv.report.export.openscenario import SCENARIO, write_openscenario
-from sumo_adv.report.export.osi import write_osi
 from sumo_adv.report.export.piece import Piece
-from sumo_adv.report.export.replay import CONFIGURATION, write_replay
-from sumo_adv.report.export.scenarionet import SUMMARY, write_scenarionet
-from sumo_adv.report.export.table import table
+from sumo_adv.report.export.sumo import CONFIGURATION, fcd, table, write_replay
 from sumo_adv.report.export.womd import write_womd
+from sumo_adv.report.read import OUTCOME
+from sumo_adv.report.staging import staged
 from sumo_adv.report.tables import write_gzip
 from sumo_adv.simulation.programs import find_netconvert
 
@@ -43,7 +42,13 @@ class Entry:
     @property
     def missing(self) -> str:
         """The packages that do not import, separated by commas."""
-        return ", ".join(name for name in self.packages if not _imports(name))
+        lacking = []
+        for name in self.packages:
+            try:
+                import_module(name)
+            except ImportError:
+                lacking.append(name)
+        return ", ".join(lacking)
 
     def need(self, format: Format) -> None:
         """Raise UsageError, saying what to install, if a package is missing."""
@@ -51,14 +56,6 @@ class Entry:
             raise UsageError(
                 f"The format {format} needs what is not installed ({missing}): pip install 'sumo-adv[{self.extra}]'."
             )
-
-
-def _imports(name: str) -> bool:
-    try:
-        import_module(name)
-    except ImportError:
-        return False
-    return True
 
 
 def _text(of: Callable[[Piece], str]) -> Write:
@@ -92,3 +89,50 @@ FORMATS: dict[Format, Entry] = {
     Format.OSI: Entry("_gt.osi", _replayed(write_osi), "osi", ("osi3.osi_groundtruth_pb2",)),
     Format.SCENARIONET: Entry("-scenarionet", _replayed(write_scenarionet), marker=SUMMARY),
 }  # fmt: skip
+HOLDERS = (".", "failures", "runs")  # where hunts, regression suites and campaigns keep their runs
+
+
+def chosen(format: Format) -> list[Format]:
+    """The formats that ``format`` stands for. Raises UsageError: a package of the one format is missing."""
+    if format is Format.ALL:
+        return [each for each, entry in FORMATS.items() if not entry.missing]
+    FORMATS[format].need(format)
+    return [format]
+
+
+def left_out() -> Iterator[str]:
+    """A sentence for each format that lacks a package."""
+    for format, entry in FORMATS.items():
+        try:
+            entry.need(format)
+        except UsageError as error:
+            yield str(error)
+
+
+def runs_in(folder: Path) -> list[Path]:
+    """``folder`` itself if it is a run's, or none at all; else the runs of a hunt, a regression suite or a campaign."""
+    if (folder / OUTCOME).is_file() or not folder.is_dir():
+        return [folder]
+    places = [folder / holder for holder in HOLDERS if (folder / holder).is_dir()]
+    return [run for place in places for run in sorted(place.iterdir()) if (run / OUTCOME).is_file()]
+
+
+def write_export(target: Path, piece: Piece, format: Format, variant: Variant, *, force: bool) -> str | None:
+    """Write a run in one format: the whole file or folder, or nothing. Gives a sentence if something is lost.
+
+    Raises UsageError: ``target`` exists, a package of the format is missing, or an error of the format.
+    """
+    entry = FORMATS[format]
+    entry.need(format)
+    if entry.marker:
+        with staged(target, force=force, marker=entry.marker) as folder:
+            lost = entry.write(folder.stage, piece, variant)
+            folder.keep(force=force)
+        return lost
+    if target.is_dir() or (target.exists() and not force):
+        raise UsageError(f"{target} is there already; give another --out, or --force to replace a file.")
+    with sentences(target):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        said: list[str | None] = []
+        write_whole(target, lambda part: said.append(entry.write(part, piece, variant)))
+        return said[0]

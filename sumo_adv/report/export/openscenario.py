@@ -1,23 +1,45 @@
 """A run as ASAM OpenSCENARIO 1.2 with its road as OpenDRIVE: a folder of two files.
 
-World x, y, h are SUMO's coordinates of the network; where a vehicle stands is said in ``entities.py``.
+World x, y, h are SUMO's coordinates of the network; time 0 is the piece's begin. An OpenSCENARIO vehicle stands where
+the middle of its rear axle is, on the ground. SUMO's vehicle types have no axles, so a convention stands in, the same
+for every vehicle: wheelbase 0.6 of the length, equal overhangs, hence the box's centre 0.3 of the length ahead of the
+rear axle. The reference point of other objects is their box's centre. A vehicle that comes later is added by an action;
+it is deleted when it leaves.
 """
 
 from __future__ import annotations
 
+import gzip
+import math
+import re
+import subprocess
+import tempfile
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from functools import cache
 from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
+import numpy as np
+
 from sumo_adv import __version__
-from sumo_adv.errors import UsageError
-from sumo_adv.report.export.choices import Variant
-from sumo_adv.report.export.entities import add_entities, entity_names, printable
-from sumo_adv.report.export.opendrive import write_opendrive
-from sumo_adv.report.export.piece import Piece
-from sumo_adv.report.export.schema import check_openscenario
-from sumo_adv.report.export.storyboard import add_free_ego, add_replay
+from sumo_adv.datatypes import Floats, Role, Track
+from sumo_adv.errors import SumoAdvError, UsageError
+from sumo_adv.report.export import Variant
+from sumo_adv.report.export.piece import HEIGHT, LARGEST_STEER, WHEELBASE, Piece, kind, metres, printable
 
 SCENARIO, ROAD = "scenario.xosc", "road.xodr"
+VERSION = "1.2.0"  # of the schema
+CENTRE = 0.3  # of the length, from the rear axle to the box's centre
+TRACK_WIDTH = 0.85  # of the width
+WHEEL = 0.65  # m
+MASS = {"car": 1500, "truck": 12000, "bicycle": 90, "pedestrian": 75, "obstacle": 500}  # kg
+FASTEST, ACCELERATION, BRAKING = 70.0, 4.0, 9.0  # m/s, m/s2: wide enough for every trajectory
+SLACK = 0.5  # s: how much before its time a free ego's nearness may start the attack
+PATIENCE = 600.0  # s for netconvert: a town takes seconds
+Names = Mapping[str, str]
 
 
 def write_openscenario(folder: Path, piece: Piece, netconvert: Path, variant: Variant = Variant.REPLAY) -> None:
@@ -34,30 +56,310 @@ def write_openscenario(folder: Path, piece: Piece, netconvert: Path, variant: Va
 
 
 def openscenario(piece: Piece, variant: Variant = Variant.REPLAY) -> str:
-    """The document. Raises UsageError: a free ego needs an adversary."""
+    """The document: all vehicles as recorded, or all but the ego, which then starts so and is the player's.
+
+    Adversaries follow their recording to the takeover. From the takeover's time on they attack, or with a free ego up
+    to ``SLACK`` earlier if it is as near to the collider by then as at the recorded takeover: all begin together.
+
+    Raises UsageError: a free ego needs an adversary.
+    """
     if variant is Variant.FREE_EGO and (piece.adversary is None or piece.takeover is None):
         raise UsageError("A free ego needs an adversary: export a run that was attacked, without --unattacked.")
     names = entity_names(piece.tracks)
     root = Element("OpenSCENARIO")
     header = SubElement(
-        root, "FileHeader", revMajor="1", revMinor="2", date=piece.written.strftime("%Y-%m-%dT%H:%M:%S")
-    )
-    header.set("author", f"sumo_adv {__version__}")
-    header.set("description", printable(f"{piece.name}, {variant}; time 0 is {piece.begin:.3f} s of the simulation"))
+        root, "FileHeader", revMajor="1", revMinor="2", date=piece.written.strftime("%Y-%m-%dT%H:%M:%S"),
+        author=f"sumo_adv {__version__}",
+        description=printable(f"{piece.name}, {variant}; time 0 is {piece.begin:.3f} s of the simulation"),
+    )  # fmt: skip
+    known = {"begin": f"{piece.begin:.3f}", "end": f"{piece.end:.3f}", "ego": names[piece.ego]}
+    if piece.adversary is not None:
+        known |= {"adversary": names[piece.adversary], "takeover": f"{piece.takeover:.3f}"}
+    known |= {f"support_{k}": names[support] for k, support in enumerate(piece.supports, 1)}
     properties = SubElement(header, "Properties")
-    for name, value in _properties(piece, names).items():
+    for name, value in known.items():  # what a reader needs to find its way back to the run
         SubElement(properties, "Property", name=f"sumo_adv_{name}", value=value)
     SubElement(root, "CatalogLocations")
     SubElement(SubElement(root, "RoadNetwork"), "LogicFile", filepath=ROAD)
-    add_entities(root, piece.tracks, names)
-    (add_replay if variant is Variant.REPLAY else add_free_ego)(root, piece, names)
+    _add_entities(root, piece.tracks, names)
+    _add_storyboard(root, piece, variant, names)
     indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + tostring(root, encoding="unicode") + "\n"
 
 
-def _properties(piece: Piece, names: dict[str, str]) -> dict[str, str]:
-    """What a reader needs to find its way back to the run."""
-    properties = {"begin": f"{piece.begin:.3f}", "end": f"{piece.end:.3f}", "ego": names[piece.ego]}
-    if piece.adversary is not None:
-        properties |= {"adversary": names[piece.adversary], "takeover": f"{piece.takeover:.3f}"}
-    return properties | {f"support_{k}": names[support] for k, support in enumerate(piece.supports, 1)}
+# -- entities ---------------------------------------------------------------------------------------------------------
+
+
+def entity_names(tracks: Sequence[Track]) -> dict[str, str]:
+    """A name that OpenSCENARIO takes for each id: no control character, no ``$`` (a parameter), each its own."""
+    names: dict[str, str] = {}
+    for track in tracks:
+        name = "".join(c if c.isprintable() and c not in "$:" else "_" for c in track.id).strip() or "_"
+        while name in names.values():
+            name += "_"
+        names[track.id] = name
+    return names
+
+
+def _centre_ahead(track: Track) -> float:
+    """How far the box's centre is ahead of the reference point [m]."""
+    return 0.0 if kind(track) in ("pedestrian", "obstacle") else CENTRE * track.length
+
+
+def reference_points(track: Track) -> tuple[Floats, Floats, Floats]:
+    """x, y [m] of the reference point and heading [rad], unwrapped, at the track's times."""
+    ahead = _centre_ahead(track)
+    x, y = track.x - ahead * np.cos(track.heading), track.y - ahead * np.sin(track.heading)
+    return x, y, np.unwrap(track.heading)
+
+
+def _add_entities(parent: Element, tracks: Sequence[Track], names: Names) -> None:
+    entities = SubElement(parent, "Entities")
+    for track in tracks:
+        scenario_object = SubElement(entities, "ScenarioObject", name=names[track.id])
+        category = kind(track)
+        if category == "pedestrian":
+            thing = SubElement(scenario_object, "Pedestrian", pedestrianCategory="pedestrian")
+        elif category == "obstacle":
+            thing = SubElement(scenario_object, "MiscObject", miscObjectCategory="obstacle")
+        else:
+            thing = SubElement(scenario_object, "Vehicle", vehicleCategory=category)
+        thing.set("name", f"{category}_{track.length:.2f}x{track.width:.2f}")
+        thing.set("mass", str(MASS[category]))
+        box, height = SubElement(thing, "BoundingBox"), HEIGHT[category]
+        SubElement(box, "Center", x=metres(_centre_ahead(track)), y="0.0", z=metres(height / 2))
+        size = {"length": metres(track.length), "width": metres(track.width), "height": metres(height)}
+        SubElement(box, "Dimensions", size)
+        if thing.tag == "Vehicle":
+            _add_vehicle_parts(thing, track)
+        properties = SubElement(thing, "Properties")
+        SubElement(properties, "Property", name="sumo_adv_id", value=printable(track.id))
+        SubElement(properties, "Property", name="sumo_adv_role", value=str(track.role))
+
+
+def _add_vehicle_parts(thing: Element, track: Track) -> None:
+    SubElement(
+        thing, "Performance", maxSpeed=f"{FASTEST}", maxAcceleration=f"{ACCELERATION}", maxDeceleration=f"{BRAKING}"
+    )
+    axles = SubElement(thing, "Axles")
+    for name, at, steer in (("FrontAxle", WHEELBASE * track.length, LARGEST_STEER), ("RearAxle", 0.0, 0.0)):
+        SubElement(
+            axles, name, maxSteering=f"{steer}", wheelDiameter=f"{WHEEL}", trackWidth=metres(TRACK_WIDTH * track.width),
+            positionX=metres(at), positionZ=metres(WHEEL / 2),
+        )  # fmt: skip
+
+
+# -- what happens -----------------------------------------------------------------------------------------------------
+
+
+def _add_storyboard(parent: Element, piece: Piece, variant: Variant, names: Names) -> None:
+    """The positions at the start, and the timed trajectories from then on."""
+    storyboard = SubElement(parent, "Storyboard")
+    actions = SubElement(SubElement(storyboard, "Init"), "Actions")
+    for track in piece.tracks:
+        if _is_late(track, piece):
+            continue
+        private = SubElement(actions, "Private", entityRef=names[track.id])
+        _add_position(_nested(private, "PrivateAction", "TeleportAction"), track, 0)
+        speed = _nested(private, "PrivateAction", "LongitudinalAction", "SpeedAction")
+        SubElement(speed, "SpeedActionDynamics", dynamicsShape="step", dynamicsDimension="time", value="0.0")
+        target = SubElement(speed, "SpeedActionTarget")
+        SubElement(target, "AbsoluteTargetSpeed", value=metres(float(track.speed[0])))
+    act = SubElement(SubElement(storyboard, "Story", name="recording"), "Act", name="act")
+    for track in piece.tracks:
+        if variant is Variant.FREE_EGO and track.role is Role.ADVERSARY:
+            _add_attacker(act, piece, track, names)
+        elif variant is Variant.REPLAY or track.id != piece.ego:
+            _add_recorded(act, piece, track, names[track.id])
+    _add_time_trigger(act, "StartTrigger", 0.0, "start")
+    _add_time_trigger(storyboard, "StopTrigger", piece.end - piece.begin, "end")
+
+
+def _add_recorded(act: Element, piece: Piece, track: Track, name: str) -> None:
+    """Come, follow the recording, go."""
+    begin, end = float(track.time[0]) - piece.begin, float(track.time[-1]) - piece.begin
+    maneuver = _add_maneuver(act, name)
+    if _is_late(track, piece):
+        event = _add_event(maneuver, f"{name} comes")
+        entity = SubElement(_add_action(event, f"{name} is added", "GlobalAction"), "EntityAction", entityRef=name)
+        _add_position(SubElement(entity, "AddEntityAction"), track, 0)
+        _add_time_trigger(event, "StartTrigger", begin, f"{name} comes")
+    if len(track.time) > 1:
+        event = _add_event(maneuver, f"{name} drives")
+        _add_following(event, f"{name} follows", track, track.time - piece.begin, absolute=True)
+        _add_time_trigger(event, "StartTrigger", begin, f"{name} drives")
+    if track.time[-1] < piece.end - piece.step / 2:
+        event = _add_event(maneuver, f"{name} goes")
+        entity = SubElement(_add_action(event, f"{name} is deleted", "GlobalAction"), "EntityAction", entityRef=name)
+        SubElement(entity, "DeleteEntityAction")
+        _add_time_trigger(event, "StartTrigger", end + piece.step, f"{name} goes")
+
+
+def _add_attacker(act: Element, piece: Piece, track: Track, names: Names) -> None:
+    """The recording up to the takeover, then the attack on a clock of its own."""
+    assert piece.takeover is not None and piece.adversary is not None
+    name, takeover = names[track.id], piece.takeover - piece.begin
+    maneuver = _add_maneuver(act, name)
+    lead, attack = track.between(track.time[0], piece.takeover), track.between(piece.takeover, piece.end)
+    if len(lead.time) > 1:
+        event = _add_event(maneuver, f"{name} approaches")
+        _add_following(event, f"{name} follows its recording", lead, lead.time - piece.begin, absolute=True)
+        _add_time_trigger(event, "StartTrigger", 0.0, f"{name} approaches")
+    event = _add_event(maneuver, f"{name} attacks")
+    _add_following(event, f"{name} follows its attack", attack, attack.time - attack.time[0], absolute=False)
+    trigger = SubElement(event, "StartTrigger")
+    _add_time(SubElement(trigger, "ConditionGroup"), takeover, "time of the takeover")
+    group = SubElement(trigger, "ConditionGroup")
+    _add_time(group, max(0.0, takeover - SLACK), "shortly before the takeover")
+    (x, y), (ego_x, ego_y) = (
+        [float(np.interp(piece.takeover, each.time, values)) for values in reference_points(each)[:2]]
+        for each in (piece.track(piece.adversary), piece.track(piece.ego))
+    )
+    _add_nearness(group, names[piece.adversary], names[piece.ego], math.hypot(x - ego_x, y - ego_y))
+
+
+def _is_late(track: Track, piece: Piece) -> bool:
+    return bool(track.time[0] > piece.begin + piece.step / 2)
+
+
+def _nested(parent: Element, *tags: str) -> Element:
+    """The innermost of new elements, each in the one before."""
+    for tag in tags:
+        parent = SubElement(parent, tag)
+    return parent
+
+
+def _add_maneuver(act: Element, name: str) -> Element:
+    group = SubElement(act, "ManeuverGroup", name=f"group of {name}", maximumExecutionCount="1")
+    actors = SubElement(group, "Actors", selectTriggeringEntities="false")
+    SubElement(actors, "EntityRef", entityRef=name)
+    return SubElement(group, "Maneuver", name=f"maneuver of {name}")
+
+
+def _add_event(maneuver: Element, name: str) -> Element:
+    return SubElement(maneuver, "Event", name=name, priority="override", maximumExecutionCount="1")
+
+
+def _add_action(event: Element, name: str, sort: str) -> Element:
+    return SubElement(SubElement(event, "Action", name=name), sort)
+
+
+def _add_following(event: Element, name: str, track: Track, time: Floats, *, absolute: bool) -> None:
+    """FollowTrajectoryAction with a vertex a state; ``time`` [s] on the file's clock, or from the action's start on."""
+    action = _nested(_add_action(event, name, "PrivateAction"), "RoutingAction", "FollowTrajectoryAction")
+    reference = SubElement(action, "TimeReference")
+    domain = "absolute" if absolute else "relative"
+    SubElement(reference, "Timing", domainAbsoluteRelative=domain, offset="0.0", scale="1.0")
+    SubElement(action, "TrajectoryFollowingMode", followingMode="position" if absolute else "follow")
+    trajectory = SubElement(
+        SubElement(action, "TrajectoryRef"), "Trajectory", name=f"{name}: trajectory", closed="false"
+    )
+    line = _nested(trajectory, "Shape", "Polyline")
+    for k, t in enumerate(time.tolist()):
+        _add_position(SubElement(line, "Vertex", time=_seconds(t)), track, k)
+
+
+def _add_position(parent: Element, track: Track, k: int) -> None:
+    x, y, heading = reference_points(track)
+    place = {"x": metres(float(x[k])), "y": metres(float(y[k])), "h": f"{heading[k] + 0.0:.6f}"}
+    SubElement(SubElement(parent, "Position"), "WorldPosition", place)
+
+
+def _add_time_trigger(parent: Element, tag: str, time: float, name: str) -> None:
+    _add_time(_nested(parent, tag, "ConditionGroup"), time, name)
+
+
+def _add_time(group: Element, time: float, name: str) -> None:
+    condition = SubElement(group, "Condition", name=name, delay="0.0", conditionEdge="none")
+    by_value = SubElement(condition, "ByValueCondition")
+    SubElement(by_value, "SimulationTimeCondition", value=_seconds(time), rule="greaterOrEqual")
+
+
+def _add_nearness(group: Element, name: str, ego: str, distance: float) -> None:
+    condition = SubElement(group, "Condition", name=f"{name} is near", delay="0.0", conditionEdge="none")
+    by_entity = SubElement(condition, "ByEntityCondition")
+    triggering = SubElement(by_entity, "TriggeringEntities", triggeringEntitiesRule="any")
+    SubElement(triggering, "EntityRef", entityRef=name)
+    SubElement(
+        SubElement(by_entity, "EntityCondition"), "RelativeDistanceCondition", entityRef=ego, freespace="false",
+        relativeDistanceType="euclidianDistance", coordinateSystem="entity", rule="lessOrEqual", value=metres(distance),
+    )  # fmt: skip
+
+
+def _seconds(value: float) -> str:
+    return f"{value + 0.0:.3f}"
+
+
+# -- the road ---------------------------------------------------------------------------------------------------------
+
+
+def write_opendrive(netconvert: Path, network: Path, target: Path, written: datetime) -> None:
+    """Write the network at ``network`` as OpenDRIVE. World x, y of the file are those of the net.xml.
+
+    netconvert's comment (its command line, the time) is left out, and so is an ``offset`` in the header, which some
+    players would add to every position: the net's offset is kept as ``userData``. In left-hand traffic netconvert puts
+    the lanes of junctions, which are to the right of their reference line, into ``left``; they are moved.
+
+    Raises SumoAdvError: it failed.
+    """
+    with tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
+        made = Path(scratch) / "network.xodr"
+        command = [str(netconvert), "-s", str(network.resolve()), "--opendrive-output", str(made)]
+        command += ["--precision", "4", "--xml-validation", "never"]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False, cwd=scratch)
+        if done.returncode or not made.is_file():
+            reason = (done.stderr.strip().splitlines() or ["no reason given"])[0].removeprefix("Error: ")
+            raise SumoAdvError(
+                f"netconvert made no OpenDRIVE of {network.name} ({reason.rstrip('.')}); check the network."
+            )
+        tree = ElementTree.parse(made)
+    header = tree.getroot().find("header")
+    assert header is not None
+    header.set("date", written.strftime("%Y-%m-%dT%H:%M:%S"))
+    header.set("name", network.name)
+    for offset in header.findall("offset"):
+        header.remove(offset)
+    ElementTree.SubElement(header, "userData", code="sumoNetOffset", value=_net_offset(network))
+    for section in tree.iter("laneSection"):
+        left = section.find("left")
+        if left is not None and all(lane.get("id", "").startswith("-") for lane in left):
+            left.tag = "right"
+            section.remove(left)
+            section.append(left)  # behind the centre
+    tree.write(target, encoding="UTF-8", xml_declaration=True)
+
+
+def _net_offset(network: Path) -> str:
+    """``netOffset`` of a net.xml(.gz), "x,y" [m]."""
+    opened = gzip.open if network.suffix == ".gz" else open
+    with opened(network, "rt", encoding="utf-8") as file:
+        for line in file:
+            if match := re.search(r'netOffset="([^"]*)"', line):
+                return match.group(1)
+    return "0.00,0.00"
+
+
+# -- the schema -------------------------------------------------------------------------------------------------------
+
+
+def check_openscenario(text: str) -> None:
+    """Check the document against ASAM OpenSCENARIO 1.2. Raises SumoAdvError: it is not valid (a fault of ours)."""
+    from lxml import etree
+
+    schema = _schema()
+    if not schema.validate(etree.fromstring(text.encode())):
+        first = schema.error_log[0]
+        raise SumoAdvError(
+            f"The OpenSCENARIO made from this run is not valid (line {first.line}: {first.message}); please report it."
+        )
+
+
+@cache
+def _schema() -> Any:
+    """ASAM's, as ``asam-qc-openscenarioxml`` carries it."""
+    from importlib.resources import files
+
+    from lxml import etree
+
+    file = files("qc_openscenario") / "schema" / VERSION / "OpenSCENARIO.xsd"
+    return etree.XMLSchema(etree.fromstring(file.read_bytes()))

@@ -1,4 +1,4 @@
-"""What is exported of a run: a stretch of the attempt that counts, or of the unattacked run."""
+"""What is exported of a run: a stretch of the attempt that counts or of the unattacked run, and the lanes around it."""
 
 from __future__ import annotations
 
@@ -6,16 +6,27 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
-from sumo_adv.datatypes import Role, Track
+import numpy as np
+
+from sumo_adv.datatypes import Floats, Role, Track
 from sumo_adv.errors import UsageError
 from sumo_adv.metrics.boxes import first_contact, row_of
 from sumo_adv.report.manifest import waymo_source
-from sumo_adv.report.page.read import MANIFEST, RunRead, read_run
+from sumo_adv.report.read import MANIFEST, read_run, reading
+from sumo_adv.road_users import RoadUser, road_user
 from sumo_adv.simulation.inputs import WaymoSource
+from sumo_adv.simulation.network import Lane, RoadMap, read_network
 from sumo_adv.simulation.signals import SignalLog
+
+HEIGHT = {"car": 1.5, "truck": 3.2, "bicycle": 1.7, "pedestrian": 1.75, "obstacle": 1.5}  # m: SUMO has none
+WHEELBASE, LARGEST_STEER = 0.6, 0.6  # of the length; rad
+SHORTEST_TRUCK, NARROWEST_CAR = 6.5, 1.0  # m
+REACH = 220.0  # m around the vehicles' paths
+SPACING = 0.5  # m between points of a spaced line
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,51 +76,145 @@ def read_piece(folder: Path, *, unattacked: bool = False, before: float | None =
 
     ``unattacked``: of the run without an attack. ``whole``: from the start of the simulation on.
 
-    Raises:
-        UsageError: no run's folder, nothing in it to export, or a damaged file.
+    Raises UsageError: no run's folder, nothing in it to export, or a damaged file.
     """
     run = read_run(folder)
     tracks = run.raw if unattacked else run.best
     if not tracks:
         fault = "no states of the unattacked run" if unattacked else "no states: it met no encounter"
         raise UsageError(f"The run in {folder} has {fault}, so there is nothing to export.")
-    try:
-        return _piece(run, tracks, unattacked, before, whole)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise UsageError(
-            f"The run in {folder} is not as this program writes it ({type(error).__name__}: {error}); run it again."
-        ) from error
+    with reading(folder):
+        settings = run.manifest["settings"]
+        network = run.folder / "inputs" / Path(run.manifest["network"]).name
+        if not network.is_file():
+            raise UsageError(f"{network} is missing, so the run in {run.folder} cannot be exported.")
+        takeover = run.outcome["trigger_time"]
+        moment = run.outcome["encounter"]["time"] if takeover is None else takeover
+        first, end = min(t.time[0] for t in tracks), max(t.time[-1] for t in tracks)
+        lead = settings["history"] if before is None else before
+        begin = first if whole else max(first, float(moment) - lead)
+        shown = [part for t in tracks if (part := t.between(begin, end)).time.size]
+        ego = run.outcome["ego"]["id"]
+        adversaries = [str(a["id"]) for a in run.outcome.get("adversaries") or []]
+        driven = {t.id for t in shown if t.role is Role.ADVERSARY}
+        attacked = None if unattacked or not adversaries or adversaries[0] not in driven else adversaries[0]
+        supports = [name for name in adversaries[1:] if name in driven and attacked is not None]
+        if ego not in {t.id for t in shown}:
+            raise UsageError(f"The ego is not in the exported part of the run in {run.folder}; give --whole.")
+        best = None if attacked is None else run.outcome.get("best")
+        level = "" if best is None else str(run.outcome["attempts"][best]["level"] or "")
+        return Piece(
+            str(run.manifest["name"]), network, tuple(shown), float(min(t.time[0] for t in shown)), float(end),
+            float(settings["step_length"]), ego, attacked, float(takeover) if attacked is not None else None,
+            datetime.fromtimestamp((run.folder / MANIFEST).stat().st_mtime, UTC).replace(microsecond=0),
+            tuple(supports), level, SignalLog({}) if unattacked else run.lights, waymo_source(run.manifest),
+        )  # fmt: skip
 
 
-def _piece(run: RunRead, tracks: Sequence[Track], unattacked: bool, before: float | None, whole: bool) -> Piece:
-    settings: Mapping[str, Any] = run.manifest["settings"]
-    network = run.folder / "inputs" / Path(run.manifest["network"]).name
-    if not network.is_file():
-        raise UsageError(f"{network} is missing, so the run in {run.folder} cannot be exported.")
-    takeover = run.outcome["trigger_time"]
-    moment = run.outcome["encounter"]["time"] if takeover is None else takeover
-    first, end = min(t.time[0] for t in tracks), max(t.time[-1] for t in tracks)
-    lead = settings["history"] if before is None else before
-    begin = first if whole else max(first, float(moment) - lead)
-    shown = [part for t in tracks if (part := t.between(begin, end)).time.size]
-    ego = run.outcome["ego"]["id"]
-    adversaries = run.outcome.get("adversaries") or []
-    driven = {t.id for t in shown if t.role is Role.ADVERSARY}
-    colliders = driven & {str(a["id"]) for a in adversaries[:1]}
-    attacked = None if unattacked or not colliders else colliders.pop()
-    supports = [name for a in adversaries[1:] if (name := str(a["id"])) in driven and attacked is not None]
-    if ego not in {t.id for t in shown}:
-        raise UsageError(f"The ego is not in the exported part of the run in {run.folder}; give --whole.")
-    return Piece(
-        str(run.manifest["name"]), network, tuple(shown), float(min(t.time[0] for t in shown)), float(end),
-        float(settings["step_length"]), ego, attacked, float(takeover) if attacked is not None else None,
-        datetime.fromtimestamp((run.folder / MANIFEST).stat().st_mtime, UTC).replace(microsecond=0),
-        tuple(supports), _level(run, attacked), SignalLog({}) if unattacked else run.lights,
-        waymo_source(run.manifest),
+# -- vehicles and words -----------------------------------------------------------------------------------------------
+
+
+def kind(track: Track) -> str:
+    """car, truck, bicycle, pedestrian or obstacle, by role and size."""
+    if road_user(track) is RoadUser.PEDESTRIAN:
+        return "pedestrian"
+    if track.role is Role.OBSTACLE:
+        return "obstacle"
+    if track.width < NARROWEST_CAR:
+        return "bicycle"
+    return "truck" if track.length >= SHORTEST_TRUCK else "car"
+
+
+def printable(text: str) -> str:
+    """Text that XML 1.0 can hold and that OpenSCENARIO does not take for a parameter."""
+    return "".join(c if c.isprintable() and c != "$" else "_" for c in text)
+
+
+def metres(value: float) -> str:
+    """0.1 mm."""
+    return f"{value + 0.0:.4f}"
+
+
+# -- the lanes around the vehicles ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class MapLane:
+    """A lane under a number. Lines are ``(n, 2)`` [m], in the direction of travel; links are numbers of lanes."""
+
+    number: int
+    lane: Lane
+    left: Floats
+    right: Floats
+    entries: tuple[int, ...]
+    exits: tuple[int, ...]
+    beside_left: int | None
+    beside_right: int | None
+
+
+def map_lanes(piece: Piece) -> list[MapLane]:
+    """The passenger lanes within ``REACH`` of the vehicles' paths, also those within junctions, numbered from 1.
+
+    Raises UsageError: the network is unreadable.
+    """
+    from shapely import MultiPoint, dwithin, linestrings
+
+    road = network_of(piece.network)
+    lanes = [lane for lane in road.lanes.values() if lane.passenger and len(lane.shape) > 1]
+    points = np.concatenate([np.column_stack([t.x, t.y])[::10] for t in piece.tracks])
+    near = dwithin([linestrings(lane.shape) for lane in lanes], MultiPoint(points), REACH)
+    kept = [lane for lane, is_near in zip(lanes, near, strict=True) if is_near]
+    numbers = {lane.id: k for k, lane in enumerate(kept, 1)}
+    exits = _exits(road, numbers)
+    return [_map_lane(lane, road, numbers, exits) for lane in kept]
+
+
+@lru_cache(maxsize=2)
+def network_of(file: Path) -> RoadMap:
+    """The network of a run, which its formats share. Raises UsageError: it is unreadable."""
+    return read_network(file)
+
+
+def _exits(road: RoadMap, numbers: Mapping[str, int]) -> dict[int, list[int]]:
+    """For each lane the lanes that follow, through junctions lane by lane."""
+    exits: dict[int, list[int]] = {number: [] for number in numbers.values()}
+    for lane in road.lanes.values():
+        for connection in () if lane.internal else lane.connections:
+            for a, b in pairwise((lane.id, *connection.via, connection.to)):
+                if a in numbers and b in numbers and numbers[b] not in exits[numbers[a]]:
+                    exits[numbers[a]].append(numbers[b])
+    return exits
+
+
+def _map_lane(lane: Lane, road: RoadMap, numbers: Mapping[str, int], exits: Mapping[int, Sequence[int]]) -> MapLane:
+    number, row = numbers[lane.id], road.edges[lane.edge]
+    at = row.index(lane.id)
+    beside: dict[bool, int | None] = {
+        True: None,
+        False: None,
+    }  # SUMO counts from the kerb: in left-hand traffic the left
+    for k in (at - 1, at + 1):
+        if not lane.internal and 0 <= k < len(row) and row[k] in numbers:
+            (ax, ay), (dx, dy) = lane.shape[1] - lane.shape[0], road.lanes[row[k]].shape[0] - lane.shape[0]
+            beside[bool(ax * dy - ay * dx > 0.0)] = numbers[row[k]]
+    return MapLane(
+        number, lane, _shifted(lane.shape, lane.width / 2), _shifted(lane.shape, -lane.width / 2),
+        tuple(a for a, following in exits.items() if number in following), tuple(exits[number]), beside[True],
+        beside[False],
     )  # fmt: skip
 
 
-def _level(run: RunRead, attacked: str | None) -> str:
-    """The level of the attempt that counts."""
-    best = run.outcome.get("best")
-    return "" if attacked is None or best is None else str(run.outcome["attempts"][best]["level"] or "")
+def _shifted(line: Floats, offset: float) -> Floats:
+    """A line ``(n, 2)`` moved to the left by ``offset`` [m], each vertex along the mean normal of its segments."""
+    along = np.diff(line, axis=0)
+    along = along / np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)[:, None]
+    mean = np.concatenate([along[:1], along[:-1] + along[1:], along[-1:]])
+    mean = mean / np.maximum(np.hypot(mean[:, 0], mean[:, 1]), 1e-9)[:, None]
+    return line + offset * np.column_stack([-mean[:, 1], mean[:, 0]])
+
+
+def spaced(line: Floats) -> Floats:
+    """A line ``(n, 2)`` with a point every ``SPACING`` m and at its ends."""
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+    stations = np.linspace(0.0, along[-1], max(2, round(along[-1] / SPACING) + 1))
+    return np.column_stack([np.interp(stations, along, line[:, k]) for k in (0, 1)])

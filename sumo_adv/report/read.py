@@ -6,7 +6,7 @@ import csv
 import gzip
 import io
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +16,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Role, Track
 from sumo_adv.errors import SumoAdvError, UsageError
+from sumo_adv.files import write_whole
 from sumo_adv.parsing import parse_json
 from sumo_adv.report.folder import FIRST, SIGNALS
 from sumo_adv.report.outcome import ATTACKS
@@ -121,24 +122,48 @@ def columns_of(file: Path, expected: str = HEADER) -> dict[str, tuple[str, ...]]
 def _tracks(file: Path) -> list[Track]:
     """Tracks in order of first appearance; none where there is no such file."""
     columns = columns_of(file)
+    places: dict[str, list[int]] = {}
+    for place, name in enumerate(columns["id"]):
+        places.setdefault(name, []).append(place)
     try:
-        return _of_columns(columns)
+        values = {name: np.array(columns[name], dtype=np.float64) for name in NUMBERS}
+        if not all(np.isfinite(v).all() for v in values.values()):
+            raise ValueError("a number is not finite")
+        tracks = []
+        for name, of in places.items():
+            time, x, y, heading, speed, acceleration = (values[n][of] for n in NUMBERS[:6])
+            length, width = (float(values[n][of[0]]) for n in NUMBERS[6:])
+            role, lane = Role(columns["role"][of[0]]), tuple(columns["lane"][i] for i in of)
+            tracks.append(Track(name, role, time, x, y, heading, speed, acceleration, length, width, lane))
+        return tracks
     except ValueError as error:
         raise damaged(file, error) from error
 
 
-def _of_columns(columns: Mapping[str, Sequence[str]]) -> list[Track]:
-    values = {name: np.array(columns[name], dtype=np.float64) for name in NUMBERS}
-    if not all(np.isfinite(v).all() for v in values.values()):
-        raise ValueError("a number is not finite")
-    places: dict[str, list[int]] = {}
-    for place, name in enumerate(columns["id"]):
-        places.setdefault(name, []).append(place)
-    tracks = []
-    for name, of in places.items():
-        time, x, y, heading, speed, acceleration = (values[n][of] for n in NUMBERS[:6])
-        length, width = (float(values[n][of[0]]) for n in ("length", "width"))
-        role = Role(columns["role"][of[0]])
-        lane = tuple(columns["lane"][i] for i in of)
-        tracks.append(Track(name, role, time, x, y, heading, speed, acceleration, length, width, lane))
-    return tracks
+def write_states_parquet(target: Path, runs: Iterable[tuple[str, Path]]) -> int:
+    """Write the states of runs, given by id and folder, whole or not at all; the number of rows.
+
+    The columns are ``run`` and those of ``states.csv.gz``. Needs pyarrow.
+    Raises UsageError: a table is damaged; OSError.
+    """
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    names = HEADER.strip().split(",")
+    kinds = {name: pa.float64() if name in NUMBERS else pa.string() for name in names}
+    schema = pa.schema({"run": pa.string(), **kinds})
+    rows = 0
+
+    def write(part: Path) -> None:
+        nonlocal rows
+        with parquet.ParquetWriter(part, schema, compression="zstd") as writer:
+            for run, folder in runs:
+                columns = columns_of(folder / "states.csv.gz")
+                count = len(columns["time"])
+                if count:
+                    values = {n: [float(v) for v in columns[n]] if n in NUMBERS else list(columns[n]) for n in names}
+                    writer.write_table(pa.table({"run": [run] * count, **values}, schema))
+                    rows += count
+
+    write_whole(target, write)
+    return rows

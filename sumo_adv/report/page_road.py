@@ -1,4 +1,4 @@
-"""What is painted on the road: lines beside lanes, stop lines and give-way lines, from a network.
+"""The road near the action, from the network's copy in a run's folder, and what is painted on it.
 
 A network says little about paint, so these rules stand for it:
 
@@ -10,16 +10,17 @@ end of a lane                    a stop line at a traffic light or a stop sign; 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 
-from sumo_adv.datatypes import Floats
-from sumo_adv.simulation.network import Lane, RoadMap
+from sumo_adv.datatypes import Floats, Track
+from sumo_adv.simulation.network import Lane, RoadMap, read_network
 from sumo_adv.simulation.scan import parse
 
 SOLID, DASHED = 0, 1
@@ -30,6 +31,9 @@ MUST_STOP, MUST_YIELD = "sw", "m"  # SUMO's letters of right of way
 
 Changes = Mapping[str, tuple[bool, bool]]
 """By lane, whether passenger cars may leave it to the left and to the right."""
+REACH = 220.0  # m around the ego's path
+THINNED = 0.02  # m a lane's line may be off when points are left out
+ROAD, INSIDE, OTHER, AREA = 0, 1, 2, 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,5 +123,68 @@ def _across(lane: Lane) -> Floats:
 
 
 def lights_of(stops: Sequence[StopLine]) -> list[str]:
-    """The ids of the lights of some stop lines, each once."""
     return sorted({stop.light for stop in stops if stop.light})
+
+
+Along = TypeVar("Along", "Strip", Marking)
+Line = TypeVar("Line", "Strip", Marking, StopLine)
+
+
+@dataclass(frozen=True, slots=True)
+class Strip:
+    """A lane: centreline (n, 2) [m], width [m], kind: on a road, inside a junction, or not for cars.
+
+    Or the outline of a junction, of kind ``AREA``.
+    """
+
+    line: Floats
+    width: float
+    kind: int
+
+
+@dataclass(frozen=True, slots=True)
+class RoadNear:
+    """The road that a page draws: its surface, the lines along it and the lines across it."""
+
+    strips: Sequence[Strip] = ()
+    markings: Sequence[Marking] = ()
+    stops: Sequence[StopLine] = ()
+
+
+@lru_cache(maxsize=4)
+def network(path: Path) -> RoadMap:
+    """A network, the last few kept: the runs of a batch share theirs."""
+    return read_network(path)
+
+
+def road_near(road: RoadMap, changes: Changes, tracks: Sequence[Track]) -> RoadNear:
+    """Lanes, junctions and lines within ``REACH`` of the tracks' paths."""
+    from shapely import LineString, MultiPoint
+
+    points = np.concatenate([np.column_stack([t.x, t.y])[:: max(1, len(t.x) // 100)] for t in tracks])
+    path = LineString(points) if len(points) > 1 else MultiPoint(points)
+    lanes = [lane for lane in road.lanes.values() if len(lane.shape) > 1]
+    strips = [
+        Strip(lane.shape, lane.width, OTHER if not lane.passenger else INSIDE if lane.internal else ROAD)
+        for lane in lanes
+    ]
+    strips += [Strip(area, 0.0, AREA) for area in road.junctions]
+    return RoadNear(
+        [_thinned(s) for s in _near(strips, path)], [_thinned(m) for m in _near(markings_of(road, changes), path)],
+        _near(stop_lines(road), path),
+    )  # fmt: skip
+
+
+def _near(lines: Iterable[Line], path: Any) -> list[Line]:
+    """Those within ``REACH`` of a path (a shapely geometry)."""
+    from shapely import dwithin, linestrings
+
+    every = list(lines)
+    near = dwithin([linestrings(each.line) for each in every], path, REACH)
+    return [each for each, is_near in zip(every, near, strict=True) if is_near]
+
+
+def _thinned(line: Along) -> Along:
+    from shapely import linestrings, simplify
+
+    return replace(line, line=np.asarray(simplify(linestrings(line.line), THINNED).coords, float))

@@ -1,20 +1,25 @@
-"""What the page draws: up to three attempts on one grid of frames, the series under them, the road around them."""
+"""The replay page of a run: one HTML file that needs nothing else.
+
+It draws up to three attempts on one grid of frames, the series under them, and the road around them.
+"""
 
 from __future__ import annotations
 
+import difflib
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Floats, Track
+from sumo_adv.datatypes import FAILED_ENDINGS, Floats, Track
 from sumo_adv.metrics.criticality import series
-from sumo_adv.report.page.encode import Ints, packed, whole
-from sumo_adv.report.page.markings import lights_of
-from sumo_adv.report.page.read import RunRead
-from sumo_adv.report.page.road import RoadNear
+from sumo_adv.metrics.gates import GATES
+from sumo_adv.report.document import Ints, asset, document, packed, whole
+from sumo_adv.report.page_road import RoadNear, lane_changes, lights_of, network, road_near
+from sumo_adv.report.read import RunRead, read_run, reading
 from sumo_adv.simulation.signals import SignalLog
 
 BEFORE = 60.0  # s, shown before the trigger at most
@@ -23,6 +28,11 @@ NEAR = 200.0  # m around the ego: other vehicles are shown
 CENTIMETRE, MILLIRADIAN, HUNDREDTH = 0.01, 0.001, 0.01
 MOST = 9_000.0  # a series' cap, in its unit
 NAMES = {"best": "attacked", "first": "first attempt", "raw": "unattacked"}
+MOST_LINES = 2000  # of a planner that is compared with another
+SCHEMA = 1
+SCRIPTS = ("common.js", "decode.js", "model.js", "map.js", "charts.js", "words.js", "replay.js")
+STYLES = ("common.css", "replay.css")
+REACTIONS = {"braked": "begins to brake", "steered": "begins to steer away"}  # actions of the cause, in words
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +75,6 @@ class Grid:
     origin: tuple[float, float]
 
     def frame(self, time: float) -> int:
-        """The frame nearest to a time."""
         return round((time - self.start) / self.step)
 
 
@@ -120,12 +129,9 @@ def make_attempts(run: RunRead) -> tuple[Grid, list[Shown]] | None:
         return None
     tracks = {t.id: t for t in played}
     lead = tracks.get(str(ego), played[0])
-    step = _step(run, played)
-    first = min(t.time[0] for t in played)
-    last = max(t.time[-1] for t in played)
+    step, first, last = _step(run, played), min(t.time[0] for t in played), max(t.time[-1] for t in played)
     pivot = last if pivot is None else pivot
-    ends = [last, *(t.time[-1] for t in run.first), *(t.time[-1] for _, tracks in run.attacks for t in tracks)]
-    end = max(ends)
+    end = max([last, *(t.time[-1] for t in run.first), *(t.time[-1] for _, tracks in run.attacks for t in tracks)])
     if run.raw:
         end = max(end, min(max(t.time[-1] for t in run.raw), end + AFTER))
     start = max(first, pivot - BEFORE)
@@ -150,28 +156,20 @@ def _step(run: RunRead, tracks: Sequence[Track]) -> float:
 
 
 def _attempts(run: RunRead, grid: Grid, lead: Track) -> list[Shown]:
-    outcome = run.outcome
-    listed = outcome.get("attempts") or []
-    best = outcome.get("best")
+    outcome, pivot = run.outcome, _pivot(run.outcome)
+    listed, begun = outcome.get("attempts") or [], outcome.get("trigger_time")
     names = [str(a["id"]) for a in outcome.get("adversaries") or []]
-    pivot = _pivot(outcome)
+    foe = names[0] if names else ""
     common = grid.start if pivot is None else pivot
-    whole_run = "raw" if best is None and not names else "best"
-    shown = [_shown(whole_run, run.best, grid, lead.id, names[0] if names else "", outcome.get("trigger_time"), None)]
-    if run.first and listed:
-        attempt = listed[0]
-        shown.append(
-            _shown("first", run.first, grid, lead.id, str(attempt["adversaries"][0]), attempt["trigger_time"], common)
-        )
-    for k, tracks in run.attacks:
-        attempt = listed[k]
-        key = f"attack {k + 1}: {attempt['kind']}"
-        shown.append(
-            _shown(key, tracks, grid, lead.id, str(attempt["adversaries"][0]), attempt["trigger_time"], common)
-        )
+    whole_run = "raw" if outcome.get("best") is None and not names else "best"
+    shown = [_shown(whole_run, run.best, grid, lead.id, foe, begun, None)]
+    others = [("first", listed[0], run.first)] if run.first and listed else []
+    others += [(f"attack {k + 1}: {listed[k]['kind']}", listed[k], tracks) for k, tracks in run.attacks]
+    for key, attempt, tracks in others:
+        adversary, trigger = str(attempt["adversaries"][0]), attempt["trigger_time"]
+        shown.append(_shown(key, tracks, grid, lead.id, adversary, trigger, common))
     if run.raw and whole_run == "best":
-        trigger = outcome.get("trigger_time")
-        shown.append(_shown("raw", run.raw, grid, lead.id, names[0] if names else "", trigger, common))
+        shown.append(_shown("raw", run.raw, grid, lead.id, foe, begun, common))
     return shown
 
 
@@ -210,16 +208,15 @@ def _segments(track: Track, grid: Grid, lead: Track | None) -> list[Segment]:
         x, y = (np.interp(track.time, lead.time, v) for v in (lead.x, lead.y))
         keep = np.hypot(track.x - x, track.y - y) <= NEAR
     heading = np.unwrap(track.heading)
-    segments = []
     places = np.flatnonzero(keep)
-    for piece in np.split(places, np.flatnonzero(np.diff(frames[places]) != 1) + 1) if len(places) else []:
-        segments.append(
-            Segment(
-                int(frames[piece[0]]), whole(track.x[piece] - grid.origin[0], CENTIMETRE),
-                whole(track.y[piece] - grid.origin[1], CENTIMETRE), whole(heading[piece], MILLIRADIAN),
-            )
-        )  # fmt: skip
-    return segments
+    pieces = np.split(places, np.flatnonzero(np.diff(frames[places]) != 1) + 1) if len(places) else []
+    return [
+        Segment(
+            int(frames[piece[0]]), whole(track.x[piece] - grid.origin[0], CENTIMETRE),
+            whole(track.y[piece] - grid.origin[1], CENTIMETRE), whole(heading[piece], MILLIRADIAN),
+        )
+        for piece in pieces
+    ]  # fmt: skip
 
 
 def _curves(ego: Track, foe: Track | None, measures: Mapping[str, Floats], grid: Grid) -> list[Ints]:
@@ -238,3 +235,120 @@ def _curves(ego: Track, foe: Track | None, measures: Mapping[str, Floats], grid:
         full[frames - frames[0]] = np.where(np.isfinite(row), np.clip(row, -MOST, MOST), np.nan)
         curves.append(whole(full, HUNDREDTH))
     return curves
+
+
+def planner_versions(outcome: Mapping[str, Any], manifest: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The planners that attempts used, in the order of first use, each with a unified diff from its parent if known."""
+    planners: Mapping[str, Any] = manifest.get("planners") or {}
+    used: dict[str, list[int]] = {}
+    for attempt in outcome.get("attempts") or []:
+        used.setdefault(attempt["planner"]["hash"], []).append(attempt["index"])
+    counts = (manifest.get("attempt") or {}).get("planner")
+    return [
+        {
+            "hash": name, "label": planners[name]["label"], "mode": planners[name]["mode"],
+            "origin": planners[name]["origin"], "parent": planners[name]["parent"], "source": planners[name]["source"],
+            "attempts": attempts, "counts": name == counts, "diff": _diff(planners, name),
+        }
+        for name, attempts in used.items() if name in planners
+    ]  # fmt: skip
+
+
+def _diff(planners: Mapping[str, Any], name: str) -> list[str] | None:
+    """Lines of a unified diff without its file names; None without a parent, or for what is too long."""
+    parent = planners[name]["parent"]
+    if parent not in planners:
+        return None
+    before, after = (planners[n]["source"].splitlines() for n in (parent, name))
+    if max(len(before), len(after)) > MOST_LINES:
+        return None
+    return list(difflib.unified_diff(before, after, lineterm=""))[2:]
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """A run's page: its text, where the encounter came to its point (the ego's centre [m], None if nowhere), and the
+    name of the network's copy in ``inputs/`` ('' if there is none)."""
+
+    html: str
+    place: tuple[float, float] | None
+    network: str
+
+
+def make_page(folder: Path) -> str:
+    """The page of a run as HTML, in one file. Raises UsageError: no run's folder, or a file in it is damaged."""
+    return page_of(folder).html
+
+
+def page_of(folder: Path, back: str | None = None) -> Page:
+    """The page of a run. ``back``: where its index lies, as a link. Raises UsageError."""
+    with reading(folder):
+        run = read_run(folder)
+        made = make_attempts(run)
+        scene, moments, place = None, [], None
+        if made is not None:
+            grid, attempts = made
+            scene = make_scene(_road(run, attempts), grid, attempts, run.lights)
+            moments = _moments(run.outcome, attempts)
+            place = _place(run, attempts)
+        data = {
+            "schema": SCHEMA, "outcome": run.outcome, "scene": scene, "moments": moments, "gates": list(GATES),
+            "planners": planner_versions(run.outcome, run.manifest),
+            "about": {k: run.manifest.get(k) for k in ("name", "versions", "seed", "settings")}, "back": back,
+            "failed": run.outcome["ending"] in FAILED_ENDINGS,
+        }  # fmt: skip
+        page = document("Replay", asset("replay.html"), STYLES, SCRIPTS, data)
+        return Page(page, place, network_name(run.manifest))
+
+
+def _road(run: RunRead, attempts: Sequence[Shown]) -> RoadNear:
+    name = network_name(run.manifest)
+    file = run.folder / "inputs" / name
+    if not name or not file.is_file():
+        return RoadNear()
+    paths = [t for a in attempts for t, _ in a.vehicles if t.id in (a.ego, a.adversary)]
+    return road_near(network(file), lane_changes(file), paths) if paths else RoadNear()
+
+
+def network_name(manifest: Mapping[str, Any]) -> str:
+    """The name of the network's copy, a plain file name; '' where none is told."""
+    return Path(str(manifest.get("network") or "")).name
+
+
+def _moments(outcome: Mapping[str, Any], attempts: Sequence[Shown]) -> list[dict[str, Any]]:
+    """Links into the time line, by time: a key for the address, words, and the time [s]."""
+    verdict = outcome.get("outcome") or {}
+    shown = {a.key: a for a in attempts}
+    best, cause = shown.get("best"), verdict.get("cause") or {}
+    reacts = REACTIONS.get(str(cause.get("action")), "reacts")
+    moments = [
+        ("trigger", "trigger", outcome.get("trigger_time")),
+        ("hazard", "hazard shows", verdict.get("hazard_time")),
+        ("alarm", "the careful driver is alarmed", cause.get("alarm")),
+        ("began", f"the ego {reacts}", cause.get("began")),
+        ("contact", "contact", verdict.get("contact_time")),
+    ]
+    if best is not None and best.closest is not None and verdict.get("contact_time") is None:
+        moments.append(("closest", "closest approach", best.closest[0]))
+    if best is not None and verdict.get("contact_time") is None and verdict.get("min_ttc_time") is not None:
+        moments.append(("min_ttc", "least TTC", verdict["min_ttc_time"]))
+    raw = shown.get("raw")
+    if best is not None and raw is not None and raw.closest is not None:
+        moments.append(("raw_closest", "closest approach, unattacked", raw.closest[0]))
+    rows = [{"key": key, "name": name, "time": float(t)} for key, name, t in moments if t is not None]
+    return sorted(rows, key=lambda m: m["time"])
+
+
+def _place(run: RunRead, attempts: Sequence[Shown]) -> tuple[float, float] | None:
+    """The ego's centre at contact, else at the closest approach, else at the end."""
+    if not attempts:
+        return None
+    verdict, shown = run.outcome.get("outcome") or {}, attempts[0]
+    ego = next((t for t, _ in shown.vehicles if t.id == shown.ego), None)
+    if ego is None:
+        return None
+    time = verdict.get("contact_time")
+    if time is None:
+        time = shown.closest[0] if shown.closest else float(ego.time[-1])
+    x, y = (round(float(np.interp(float(time), ego.time, values)), 1) for values in (ego.x, ego.y))
+    return x, y

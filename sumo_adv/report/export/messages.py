@@ -1,0 +1,205 @@
+"""A run as MCAP with Foxglove's schemas (for Lichtblick and Foxglove), and as an ASAM OSI trace.
+
+MCAP topics: ``/vehicles`` and ``/road`` (SceneUpdate), ``/ego`` (PoseInFrame), ``/adversaries`` (PosesInFrame),
+``/log`` (Log). The frame ``world`` is the network's. OSI: a GroundTruth a step, each after its length in 4 bytes
+(little-endian); the lanes are in the first message only, because they do not change. Objects are numbered in the order
+of the run from 1; their ids are in ``source_reference``. Times are simulation times, positions are centres of boxes.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from pathlib import Path
+from typing import Any
+
+from sumo_adv.datatypes import Role, Track
+from sumo_adv.report.export.piece import HEIGHT, Piece, kind, map_lanes
+
+FRAME = "world"
+COLOURS = {
+    Role.EGO: (0.1, 0.4, 0.9), Role.ADVERSARY: (0.95, 0.5, 0.1), Role.BACKGROUND: (0.6, 0.6, 0.6),
+    Role.OBSTACLE: (0.4, 0.35, 0.3),
+}  # fmt: skip
+LINE = 0.15  # m, how thick lines of the road are drawn
+NANO = 1_000_000_000
+LANES = 100_000  # ids of OSI's lanes begin behind it
+KINDS = {"car": "TYPE_CAR", "truck": "TYPE_HEAVY_TRUCK", "bicycle": "TYPE_BICYCLE"}
+
+
+def write_mcap(target: Path, piece: Piece) -> None:
+    """Write one message a topic and step. Needs foxglove-sdk. Raises UsageError: the network is unreadable."""
+    import foxglove
+    from foxglove import channels
+    from foxglove import messages as m
+
+    context = foxglove.Context()
+    vehicles, road = (channels.SceneUpdateChannel(name, context=context) for name in ("/vehicles", "/road"))
+    ego = channels.PoseInFrameChannel("/ego", context=context)
+    adversaries = channels.PosesInFrameChannel("/adversaries", context=context)
+    log = channels.LogChannel("/log", context=context)
+    with foxglove.open_mcap(target, allow_overwrite=True, context=context):
+        road.log(_road(piece), log_time=nanoseconds(piece.begin))
+        said = sorted(_said(piece), key=lambda pair: pair[0])
+        for step in range(round((piece.end - piece.begin) / piece.step) + 1):
+            time = piece.begin + step * piece.step
+            at = nanoseconds(time)
+            there = [(t, k) for t in piece.tracks if (k := _index(t, time, piece.step)) is not None]
+            vehicles.log(_scene(there, time, piece.step), log_time=at)
+            poses = {t.id: _pose(t, k) for t, k in there}
+            if piece.ego in poses:
+                ego.log(m.PoseInFrame(timestamp=_stamp(time), frame_id=FRAME, pose=poses[piece.ego]), log_time=at)
+            attack = [poses[t.id] for t, _ in there if t.role is Role.ADVERSARY]
+            adversaries.log(m.PosesInFrame(timestamp=_stamp(time), frame_id=FRAME, poses=attack), log_time=at)
+            while said and said[0][0] < time + piece.step / 2:
+                when, text, severe = said.pop(0)
+                level = m.LogLevel.Warning if severe else m.LogLevel.Info
+                words = m.Log(timestamp=_stamp(when), level=level, message=text, name="sumo_adv")
+                log.log(words, log_time=max(at, nanoseconds(when)))
+
+
+def nanoseconds(time: float) -> int:
+    """A time [s] as MCAP has it, whole microseconds."""
+    return round(time * 1e6) * 1000
+
+
+def _stamp(time: float) -> Any:
+    from foxglove.messages import Timestamp
+
+    sec, nsec = divmod(nanoseconds(time), NANO)
+    return Timestamp(sec=sec, nsec=nsec)
+
+
+def _index(track: Track, time: float, step: float) -> int | None:
+    """The place of a time among the track's states; None where it has none."""
+    k = round((time - float(track.time[0])) / step)
+    return k if 0 <= k < len(track.time) else None
+
+
+def _pose(track: Track, k: int, z: float = 0.0) -> Any:
+    from foxglove.messages import Pose, Quaternion, Vector3
+
+    half = float(track.heading[k]) / 2
+    return Pose(
+        position=Vector3(x=float(track.x[k]), y=float(track.y[k]), z=z),
+        orientation=Quaternion(x=0.0, y=0.0, z=math.sin(half), w=math.cos(half)),
+    )
+
+
+def _scene(there: list[tuple[Track, int]], time: float, step: float) -> Any:
+    """A box a vehicle, which lasts until the next step."""
+    from foxglove import messages as m
+
+    entities = []
+    for track, k in there:
+        height = HEIGHT[kind(track)]
+        red, green, blue = COLOURS[track.role]
+        cube = m.CubePrimitive(
+            pose=_pose(track, k, height / 2), size=m.Vector3(x=track.length, y=track.width, z=height),
+            color=m.Color(r=red, g=green, b=blue, a=0.9),
+        )  # fmt: skip
+        known = {"role": str(track.role), "speed_m_s": f"{track.speed[k]:.4f}", "lane": track.lane[k]}
+        entity = m.SceneEntity(
+            timestamp=_stamp(time), frame_id=FRAME, id=track.id, cubes=[cube],
+            lifetime=m.Duration(sec=0, nsec=round(step * NANO)),
+            metadata=[m.KeyValuePair(key=key, value=value) for key, value in known.items()],
+        )  # fmt: skip
+        entities.append(entity)
+    return m.SceneUpdate(entities=entities)
+
+
+def _road(piece: Piece) -> Any:
+    """Both sides of each lane, once."""
+    from foxglove import messages as m
+
+    entities, strip, grey = [], m.LinePrimitiveLineType.LineStrip, m.Color(r=0.8, g=0.8, b=0.8, a=1.0)
+    for each in map_lanes(piece):
+        points = [[m.Point3(x=x, y=y, z=0.0) for x, y in line.tolist()] for line in (each.left, each.right)]
+        lines = [m.LinePrimitive(type=strip, thickness=LINE, color=grey, points=some) for some in points]
+        entities.append(
+            m.SceneEntity(timestamp=_stamp(piece.begin), frame_id=FRAME, id=each.lane.id, lines=lines)
+        )  # fmt: skip
+    return m.SceneUpdate(entities=entities)
+
+
+def _said(piece: Piece) -> list[tuple[float, str, bool]]:
+    """Time [s], words, and whether it is bad news."""
+    said = [(piece.begin, f"{piece.name}: ego {piece.ego}", False)]
+    if piece.adversary is not None and piece.takeover is not None:
+        said.append((piece.takeover, f"takeover of {', '.join((piece.adversary, *piece.supports))}", False))
+        if (time := piece.contact()) is not None:
+            said.append((time, f"contact of {piece.ego} and {piece.adversary}", True))
+        said.append((piece.end, f"level: {piece.level}", False))
+    return said
+
+
+def write_osi(target: Path, piece: Piece) -> None:
+    """Write the trace. Needs osi-python. Raises UsageError: the network is unreadable."""
+    with target.open("wb") as file:
+        for step in range(round((piece.end - piece.begin) / piece.step) + 1):
+            data = _ground_truth(piece, step).SerializeToString(deterministic=True)
+            file.write(struct.pack("<I", len(data)) + data)
+
+
+def _ground_truth(piece: Piece, step: int) -> Any:
+    """The GroundTruth message of a step, counted from the first exported one."""
+    from osi3.osi_groundtruth_pb2 import GroundTruth
+    from osi3.osi_version_pb2 import DESCRIPTOR, current_interface_version
+
+    truth, time = GroundTruth(), piece.begin + step * piece.step
+    truth.version.CopyFrom(DESCRIPTOR.GetOptions().Extensions[current_interface_version])
+    truth.timestamp.seconds, truth.timestamp.nanos = divmod(nanoseconds(time), NANO)
+    for number, track in enumerate(piece.tracks, 1):
+        if track.id == piece.ego:
+            truth.host_vehicle_id.value = number
+        if (k := _index(track, time, piece.step)) is not None:
+            _add_object(truth, number, track, k)
+    if step == 0:
+        _add_lanes(truth, piece)
+    return truth
+
+
+def _add_object(truth: Any, number: int, track: Track, k: int) -> None:
+    still = track.role is Role.OBSTACLE
+    made = (truth.stationary_object if still else truth.moving_object).add()
+    made.id.value = number
+    reference = made.source_reference.add(type="sumo_adv")
+    reference.identifier.extend([track.id, str(track.role)])
+    category, heading, speed = kind(track), float(track.heading[k]), float(track.speed[k])
+    base = made.base
+    base.dimension.length, base.dimension.width, base.dimension.height = track.length, track.width, HEIGHT[category]
+    base.position.x, base.position.y, base.position.z = float(track.x[k]), float(track.y[k]), HEIGHT[category] / 2
+    base.orientation.roll = base.orientation.pitch = 0.0
+    base.orientation.yaw = heading
+    if still:
+        made.classification.type = made.classification.TYPE_OTHER
+        return
+    for vector, value in ((base.velocity, speed), (base.acceleration, float(track.acceleration[k]))):
+        vector.x, vector.y, vector.z = value * math.cos(heading), value * math.sin(heading), 0.0
+    if category == "pedestrian":
+        made.type = made.TYPE_PEDESTRIAN
+    else:
+        made.type = made.TYPE_VEHICLE
+        made.vehicle_classification.type = getattr(made.vehicle_classification, KINDS[category])
+
+
+def _add_lanes(truth: Any, piece: Piece) -> None:
+    for each in map_lanes(piece):
+        lane = truth.lane.add()
+        lane.id.value = LANES + each.number
+        what = lane.classification
+        what.type = what.TYPE_INTERSECTION if each.lane.internal else what.TYPE_DRIVING
+        what.centerline_is_driving_direction = True
+        for x, y in each.lane.shape.tolist():
+            what.centerline.add(x=x, y=y, z=0.0)
+        sides = (each.beside_left, what.left_adjacent_lane_id), (each.beside_right, what.right_adjacent_lane_id)
+        for beside, ids in sides:
+            if beside is not None:
+                ids.add(value=LANES + beside)
+        for before in each.entries or (None,):
+            for after in each.exits or (None,):
+                pairing = what.lane_pairing.add()
+                if before is not None:
+                    pairing.antecessor_lane_id.value = LANES + before
+                if after is not None:
+                    pairing.successor_lane_id.value = LANES + after

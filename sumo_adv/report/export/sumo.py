@@ -1,0 +1,261 @@
+"""A run as SUMO's floating car data (FCD), as a folder that SUMO plays, and as one tidy CSV.
+
+FCD: where each vehicle's front bumper is, step by step, as ``sumo --fcd-output`` writes it.
+
+The folder (network, vehicle types, trajectories, configuration) is played by plain ``sumo`` or ``sumo-gui``. SUMO's own
+``fcd-replay`` device moves every vehicle along its trajectory. Two things about it (SUMO 1.28, measured): a vehicle
+comes in at a place on a lane, so a vehicle that is first seen beside a lane's middle is let in a step earlier; and the
+route is put together from the lanes in the file, which fails for a vehicle that drives against the traffic, so each is
+said to be on one lane throughout: where it is placed does not depend on it.
+"""
+
+from __future__ import annotations
+
+import math
+import shutil
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from itertools import repeat
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from sumo_adv.datatypes import Role, Track
+from sumo_adv.report.export.piece import Piece
+from sumo_adv.report.tables import quoted
+from sumo_adv.road_users import RoadUser, road_user
+from sumo_adv.simulation.network import Lane, RoadMap, read_network
+from sumo_adv.simulation.simulation import angle_deg_of
+
+HEAD = '<?xml version="1.0" encoding="UTF-8"?>\n<fcd-export>\n'
+CONFIGURATION, TYPES, TRAJECTORIES, VIEW = "replay.sumocfg", "types.add.xml", "replay.fcd.xml", "view.xml"
+COLOURS = {Role.EGO: "0,114,178", Role.ADVERSARY: "213,94,0", Role.BACKGROUND: "140,140,140", Role.OBSTACLE: "90,90,90"}
+OFF_CENTRE = 0.005  # m from the middle of a lane at which a vehicle is let in earlier
+SEARCHED = (10.0, 100.0, 1000.0, 100_000.0)  # m
+DELAY = 100  # ms a step that sumo-gui waits
+SHOWN = 120.0  # m of road in sumo-gui's window
+HEADER = (
+    "time_s,vehicle,role,x_m,y_m,heading_rad,speed_m_s,acceleration_m_s2,length_m,width_m,lane,driven_by_attack,"
+    "distance_to_ego_m\n"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A vehicle at a time [s]: front bumper x, y [m], SUMO's angle [deg], speed [m/s], lane and place on it [m]."""
+
+    time: float
+    id: str
+    kind: str
+    x: float
+    y: float
+    angle: float
+    speed: float
+    acceleration: float
+    lane: str
+    position: float
+
+    def text(self) -> str:
+        return (
+            f'        <vehicle id={quoteattr(self.id)} x="{self.x:.4f}" y="{self.y:.4f}" angle="{self.angle:.4f}" '
+            f'type={quoteattr(self.kind)} speed="{self.speed:.4f}" pos="{self.position:.4f}" '
+            f'lane={quoteattr(self.lane)} slope="0.00" acceleration="{self.acceleration:.4f}"/>\n'
+        )
+
+
+def fcd(piece: Piece) -> str:
+    """The piece as FCD. ``lane`` is empty and ``pos`` 0 off the road. Raises UsageError: the network is unreadable."""
+    road = read_network(piece.network)
+    rows = (row for track in piece.tracks for row in _track_rows(track, [road.lanes.get(name) for name in track.lane]))
+    return _fcd_text(rows, piece)
+
+
+def _track_rows(track: Track, lanes: Iterable[Lane | None]) -> Iterator[Row]:
+    """A row a state; ``lanes``: those on which SUMO has it."""
+    kind = _type_name(track)
+    for k, lane in zip(range(len(track.time)), lanes, strict=False):
+        x, y = front(track, k)
+        yield Row(
+            float(track.time[k]), track.id, kind, x, y, angle_deg_of(float(track.heading[k])), float(track.speed[k]),
+            float(track.acceleration[k]), lane.id if lane else "", _place_on(lane, x, y) if lane else 0.0,
+        )  # fmt: skip
+
+
+def _fcd_text(rows: Iterable[Row], piece: Piece) -> str:
+    """Rows by time; a step without vehicles has none."""
+    steps: dict[int, list[Row]] = defaultdict(list)
+    for row in rows:
+        steps[round(row.time / piece.step)].append(row)
+    parts = [HEAD]
+    for step in sorted(steps):
+        parts.append(f'    <timestep time="{steps[step][0].time:.2f}">\n')
+        parts += [row.text() for row in steps[step]]
+        parts.append("    </timestep>\n")
+    parts.append("</fcd-export>\n")
+    return "".join(parts)
+
+
+def front(track: Track, k: int) -> tuple[float, float]:
+    """The middle of the front bumper [m]: SUMO's reference point."""
+    ahead, heading = track.length / 2, float(track.heading[k])
+    return float(track.x[k]) + ahead * math.cos(heading), float(track.y[k]) + ahead * math.sin(heading)
+
+
+def _type_name(track: Track) -> str:
+    return f"{track.role}_{track.length:.2f}x{track.width:.2f}"
+
+
+def _place_on(lane: Lane, x: float, y: float) -> float:
+    """How far along a lane a point is, in SUMO's length of the lane [m], which may differ from its line's."""
+    a, along = lane.shape[:-1], np.diff(lane.shape, axis=0)
+    length = np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)
+    t = np.clip(((x - a[:, 0]) * along[:, 0] + (y - a[:, 1]) * along[:, 1]) / length**2, 0.0, 1.0)
+    away = np.hypot(a[:, 0] + t * along[:, 0] - x, a[:, 1] + t * along[:, 1] - y)
+    i = int(np.argmin(away))
+    return float(length[:i].sum() + t[i] * length[i]) * lane.length / float(length.sum())
+
+
+def write_replay(folder: Path, piece: Piece) -> None:
+    """Write the folder. Raises UsageError: the network cannot be read."""
+    road = read_network(piece.network)
+    network = "net.net.xml.gz" if piece.network.suffix == ".gz" else "net.net.xml"
+    rows = [row for track in piece.tracks for row in _rows(track, road, piece)]
+    begin = min(row.time for row in rows)
+    shutil.copyfile(piece.network, folder / network)
+    (folder / TRAJECTORIES).write_text(_fcd_text(rows, piece), encoding="utf-8")
+    (folder / TYPES).write_text(_types(piece), encoding="utf-8")
+    (folder / VIEW).write_text(_view(piece, road), encoding="utf-8")
+    (folder / CONFIGURATION).write_text(_configuration(piece, network, begin), encoding="utf-8")
+
+
+def _rows(track: Track, road: RoadMap, piece: Piece) -> Iterator[Row]:
+    home = _home(track, road)
+    first, *others = _track_rows(track, repeat(home))
+    heading = float(track.heading[0])
+    point = _point_at(home, first.position)
+    if math.dist(point[:2], (first.x, first.y)) > OFF_CENTRE or math.cos(point[2] - heading) < math.cos(1e-3):
+        before = first.time - piece.step
+        yield replace(first, time=before) if before >= 0 else first
+    yield first
+    yield from others
+
+
+def _home(track: Track, road: RoadMap) -> Lane:
+    """The first lane outside junctions that it is on, else the nearest to where it begins."""
+    for name in track.lane:
+        lane = road.lanes.get(name)
+        if lane is not None and not lane.internal:
+            return lane
+    x, y = float(track.x[0]), float(track.y[0])
+    near: list[Lane] = next((lanes for radius in SEARCHED if (lanes := road.lanes_near(x, y, radius))), [])
+    return min(near, key=lambda lane: float(np.min(np.hypot(lane.shape[:, 0] - x, lane.shape[:, 1] - y))))
+
+
+def _point_at(lane: Lane, position: float) -> tuple[float, float, float]:
+    """x, y [m] and heading [rad] of a place on a lane."""
+    step = np.diff(lane.shape, axis=0)
+    length = np.hypot(step[:, 0], step[:, 1])
+    station = np.concatenate([[0.0], np.cumsum(length)])
+    s = position * station[-1] / lane.length
+    i = min(int(np.searchsorted(station, s, side="right")) - 1, len(step) - 1)
+    x, y = (float(np.interp(s, station, lane.shape[:, axis])) for axis in (0, 1))
+    return x, y, math.atan2(step[i, 1], step[i, 0])
+
+
+def _types(piece: Piece) -> str:
+    """A vType a role and size; its class may be anywhere, its size is the recorded one."""
+    by_name = {_type_name(track): track for track in piece.tracks}
+    lines = [
+        f'    <vType id={quoteattr(name)} vClass="ignoring" length="{track.length:.2f}" width="{track.width:.2f}" '
+        f'minGap="0" maxSpeed="100" guiShape="{_shape(track)}" color="{COLOURS[track.role]}"/>\n'
+        for name, track in sorted(by_name.items())
+    ]
+    return "<additional>\n" + "".join(lines) + "</additional>\n"
+
+
+def _shape(track: Track) -> str:
+    user = road_user(track)
+    if user is not RoadUser.VEHICLE:
+        return "pedestrian" if user is RoadUser.PEDESTRIAN else "bicycle"
+    if track.role is Role.OBSTACLE:
+        return "passenger/van"
+    return "passenger" if track.length < 6.5 else "truck"
+
+
+def _view(piece: Piece, road: RoadMap) -> str:
+    """The view follows no vehicle: it stands over where ego and adversary come closest, or over the ego's middle."""
+    ego = piece.track(piece.ego)
+    x, y = float(ego.x[len(ego.x) // 2]), float(ego.y[len(ego.y) // 2])
+    if piece.adversary is not None:
+        adversary = piece.track(piece.adversary)
+        gap = np.hypot(
+            ego.x - np.interp(ego.time, adversary.time, adversary.x),
+            ego.y - np.interp(ego.time, adversary.time, adversary.y),
+        )
+        k = int(np.argmin(gap))
+        x, y = float(ego.x[k]), float(ego.y[k])
+    extent = np.ptp(np.vstack([lane.shape for lane in road.lanes.values()]), axis=0)
+    zoom = 100.0 * max(1.0, float(max(extent) / SHOWN))  # sumo-gui's, in percent of the whole network's extent
+    return (
+        '<viewsettings>\n    <scheme name="real world"/>\n'
+        f'    <viewport x="{x:.2f}" y="{y:.2f}" zoom="{zoom:.0f}"/>\n'
+        f'    <delay value="{DELAY}"/>\n</viewsettings>\n'
+    )
+
+
+def _configuration(piece: Piece, network: str, begin: float) -> str:
+    return f"""<configuration>
+    <input>
+        <net-file value="{network}"/>
+        <additional-files value="{TYPES}"/>
+    </input>
+    <time>
+        <begin value="{begin:.2f}"/>
+        <end value="{piece.end + piece.step:.2f}"/>
+        <step-length value="{piece.step:g}"/>
+    </time>
+    <processing>
+        <time-to-teleport value="-1"/>
+        <collision.action value="none"/>
+        <insertion-checks value="none"/>
+    </processing>
+    <fcd_replay_device>
+        <device.fcd-replay.files value="{TRAJECTORIES}"/>
+    </fcd_replay_device>
+    <report>
+        <xml-validation value="never"/>
+        <no-step-log value="true"/>
+        <no-warnings value="true"/>
+    </report>
+    <gui_only>
+        <gui-settings-file value="{VIEW}"/>
+        <start value="true"/>
+    </gui_only>
+</configuration>
+"""
+
+
+def table(piece: Piece) -> str:
+    """x, y are box centres; the distance is between centres, empty while the ego is not there.
+
+    ``driven_by_attack``: 1 for an adversary after the takeover, else 0. Rows by time, then by first appearance.
+    """
+    ego = piece.track(piece.ego)
+    rows: list[tuple[float, int, str]] = []
+    for order, track in enumerate(piece.tracks):
+        distance = np.hypot(
+            track.x - np.interp(track.time, ego.time, ego.x), track.y - np.interp(track.time, ego.time, ego.y)
+        )
+        there = (track.time > ego.time[0] - piece.step / 2) & (track.time < ego.time[-1] + piece.step / 2)
+        for k, time in enumerate(track.time.tolist()):
+            numbers = f"{track.x[k]:.4f},{track.y[k]:.4f},{track.heading[k]:.6f},{track.speed[k]:.4f}"
+            driven = track.role is Role.ADVERSARY and piece.takeover is not None and time > piece.takeover + 5e-4
+            text = (
+                f"{time:.2f},{quoted(track.id)},{track.role},{numbers},{track.acceleration[k]:.4f},{track.length:.2f},"
+                f"{track.width:.2f},{quoted(track.lane[k])},{int(driven)},{f'{distance[k]:.4f}' if there[k] else ''}\n"
+            )
+            rows.append((time, order, text))
+    rows.sort(key=lambda row: row[:2])
+    return HEADER + "".join(row[2] for row in rows)

@@ -1,0 +1,327 @@
+"""Pictures of a run as papers have them, and films; a figure of a hunt.
+
+A picture shows the encounter without and with the attack, two maps of one scale with marks of time. A film is in real
+time: GIF by pillow, MP4 by ffmpeg.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.animation import FFMpegWriter, PillowWriter
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
+
+from sumo_adv.datatypes import Track
+from sumo_adv.errors import UsageError
+from sumo_adv.files import write_whole
+from sumo_adv.report.encounter_figure import (
+    ADVERSARY,
+    EGO,
+    GROUND,
+    LEAST_EXTENT,
+    OTHER,
+    SUPPORT,
+    Lanes,
+    Style,
+    View,
+    closest_time,
+    draw_box,
+    draw_lanes,
+    draw_marks,
+    draw_scale_bar,
+    pose_at,
+    shortened,
+)
+from sumo_adv.report.read import read_run, reading
+from sumo_adv.simulation.network import read_network
+
+BEFORE, AFTER = 1.0, 1.5  # s shown before the trigger and after the decisive moment
+MARGIN = 12.0  # m around the action
+WIDTH = 7.16  # inches: two columns of an IEEE page
+WIDE = 2.2  # width over height of a map from which on the two stand one over the other
+TITLE, KEY, GAP, SIDE = 0.24, 0.30, 0.10, 0.02  # inches
+DPI = 300
+CHARACTERS = 19  # of a title, an inch
+SMALL = Style(text=6.5, lane=0.8, box=0.6, hollow=0.8, mark=3.4, mark_line=0.9, away=7.0, bar=2.0, apart=2.5)
+FILM_WIDTH, FILM_DPI = 8.0, 100  # inches, dots an inch: 800 pixels
+HEAD = 0.35  # inches above the map
+RATE = 10  # frames a second, which is SUMO's step too
+MOST = 70  # characters of the title
+HOLD = 10  # frames for which the end stands
+LOOK = Style(text=9, lane=1.2, box=0.8, hollow=0.9, bar=2.5)
+SIZE = (3.5, 2.4)  # inches: a column of an IEEE page
+TEXT = 7.5  # points
+COLOURS = {"valid": EGO, "strict": SUPPORT, "serious": ADVERSARY}
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """Vehicles over the shown time. ``adversary``: the collider; it and the supports also where they do not attack."""
+
+    ego: Track
+    adversary: Track
+    others: Sequence[Track]
+    supports: Sequence[Track] = ()
+
+    def pair(self) -> tuple[Track, Track]:
+        return self.ego, self.adversary
+
+    def coloured(self) -> tuple[tuple[Track, str], ...]:
+        """Ego, collider and supports, each with its colour."""
+        return (self.ego, EGO), (self.adversary, ADVERSARY), *((t, SUPPORT) for t in self.supports)
+
+
+@dataclass(frozen=True, slots=True)
+class Story:
+    """A run's encounter. ``raw`` is None where there are no states of the unattacked run. ``intent``: the collider's,
+    or the label of the composition.
+
+    trigger: when the attack begins; decisive: contact, else closest approach; end: of what is shown [s].
+    """
+
+    name: str
+    intent: str
+    lanes: Lanes
+    attacked: Scene
+    raw: Scene | None
+    trigger: float
+    decisive: float
+    end: float
+    outcome: Mapping[str, Any]
+
+    @property
+    def collided(self) -> bool:
+        return bool(self.outcome["collided"])
+
+    def view(self, widest: float) -> View:
+        """The area around the paths of ego and adversaries, at least as wide as high, at most ``widest`` times."""
+        scenes = [self.attacked] if self.raw is None else [self.attacked, self.raw]
+        shown = [t.between(self.start, self.end) for scene in scenes for t, _ in scene.coloured()]
+        tracks = [part for part in shown if part.time.size]
+        x, y = (np.concatenate([getattr(t, axis) for t in tracks]) for axis in ("x", "y"))
+        width = max(float(np.ptp(x)) + 2 * MARGIN, LEAST_EXTENT)
+        height = max(float(np.ptp(y)) + 2 * MARGIN, LEAST_EXTENT * 0.4)
+        width, height = max(width, height), max(height, width / widest)
+        return float(x.max() + x.min() - width) / 2, float(y.max() + y.min() - height) / 2, width, height
+
+    @property
+    def start(self) -> float:
+        """When what is shown begins [s]."""
+        return self.trigger - BEFORE
+
+
+def read_story(folder: Path) -> Story:
+    """The story of the run in ``folder``. Raises UsageError: no run, no attempt in it, or a damaged file."""
+    run = read_run(folder)
+    if run.outcome.get("best") is None or not run.best:
+        raise UsageError(f"The run in {folder} made no attempt, so there is nothing to draw.")
+    with reading(folder):
+        ego, adversaries = run.outcome["ego"]["id"], [a["id"] for a in run.outcome["adversaries"]]
+        trigger, verdict = float(run.outcome["trigger_time"]), run.outcome["outcome"]
+        attacked = _scene(run.best, ego, adversaries)
+        if attacked is None:
+            raise UsageError(f"Ego or adversary is not in the states of the run in {run.folder}; run it again.")
+        contact = verdict["contact_time"]
+        decisive = closest_time(*attacked.pair(), trigger) if contact is None else float(contact)
+        end = min(decisive + AFTER, float(max(t.time[-1] for t in attacked.pair())))
+        network = run.folder / "inputs" / Path(run.manifest["network"]).name
+        lanes: Lanes = ()
+        if network.is_file():
+            x, y, _ = pose_at(attacked.ego, decisive) or (float(attacked.ego.x[-1]), float(attacked.ego.y[-1]), 0.0)
+            lanes = read_network(network).strips(x, y, 400.0)
+        best = run.outcome["attempts"][run.outcome["best"]]
+        intent = best.get("composition") or best["intent"]
+        return Story(
+            str(run.manifest["name"]), str(intent), lanes, attacked, _scene(run.raw, ego, adversaries), trigger,
+            decisive, end, verdict,
+        )  # fmt: skip
+
+
+def _scene(tracks: Sequence[Track], ego: str, adversaries: Sequence[str]) -> Scene | None:
+    by_id = {t.id: t for t in tracks}
+    collider, *supports = adversaries
+    if ego not in by_id or collider not in by_id:
+        return None
+    others = [t for t in tracks if t.id not in (ego, *adversaries)]
+    return Scene(by_id[ego], by_id[collider], others, [by_id[name] for name in supports if name in by_id])
+
+
+class Picture(Figure):
+    """A figure that notebooks show without pyplot."""
+
+    def _repr_png_(self) -> bytes:
+        from io import BytesIO
+
+        buffer = BytesIO()
+        self.savefig(buffer, format="png", dpi=150)
+        return buffer.getvalue()
+
+
+def draw_paper(story: Story) -> Picture:
+    """The figure: (a) unattacked, (b) attacked; only (b) where the unattacked run is not known."""
+    scenes = [s for s in (story.raw, story.attacked) if s is not None]
+    view = story.view(widest=4.0)
+    stacked = view[2] / view[3] > WIDE
+    columns, rows = (1, len(scenes)) if stacked else (len(scenes), 1)
+    width = (WIDTH - 2 * SIDE - (columns - 1) * GAP) / columns
+    height = width * view[3] / view[2]
+    total = rows * (height + TITLE) + KEY
+    figure = Picture(figsize=(WIDTH, total), dpi=DPI, facecolor="white")
+    FigureCanvasAgg(figure)
+    for k, scene in enumerate(scenes):
+        column, row = (0, k) if stacked else (k, 0)
+        left, bottom = SIDE + column * (width + GAP), KEY + (rows - 1 - row) * (height + TITLE)
+        axes = figure.add_axes((left / WIDTH, bottom / total, width / WIDTH, height / total), facecolor=GROUND)
+        _draw_map(axes, story, scene, view, height)
+        letter = "" if len(scenes) == 1 else f"({'ab'[k]}) "
+        words = shortened(f"{letter}{_words(story, scene)}", int(width * CHARACTERS))
+        axes.set_title(words, fontsize=6.5, loc="left", pad=3, parse_math=False)
+    _draw_key(figure, story, total)
+    return figure
+
+
+def _draw_map(axes: Any, story: Story, scene: Scene, view: View, height: float) -> None:
+    left, bottom, width, tall = view
+    draw_lanes(axes, story.lanes, SMALL)
+    for track in scene.others:
+        draw_box(axes, track, story.decisive, OTHER, 7, style=SMALL)
+    for track, colour in scene.coloured():
+        part = track.between(story.trigger, story.end)
+        axes.plot(part.x, part.y, color=colour, lw=1.2, zorder=6, solid_capstyle="round")
+        draw_box(axes, track, story.trigger, colour, 5, filled=False, style=SMALL)
+        draw_box(axes, track, story.decisive, colour, 8, style=SMALL)
+    draw_marks(axes, [track.between(story.trigger, story.end) for track in scene.pair()], story.trigger, SMALL)
+    axes.set_aspect("equal", adjustable="box")
+    axes.set_xlim(left, left + width)
+    axes.set_ylim(bottom, bottom + tall)
+    axes.set_xticks([])
+    axes.set_yticks([])
+    for spine in axes.spines.values():
+        spine.set_linewidth(0.6)
+    draw_scale_bar(axes, view, height, SMALL)
+
+
+def _words(story: Story, scene: Scene) -> str:
+    if scene is story.raw:
+        return "Unattacked"
+    least = story.outcome["min_ttc"]
+    came_to = f"min TTC {least:.2f} s" if least is not None else "no conflict"
+    names = " + ".join(track.id for track in (scene.adversary, *scene.supports))
+    return f"{story.intent} by {names}: {'collision' if story.collided else came_to}"
+
+
+def _draw_key(figure: Figure, story: Story, total: float) -> None:
+    moment = "contact" if story.collided else "closest approach"
+    after = f"{story.decisive - story.trigger:.1f} s"
+    entries: list[Any] = [
+        Patch(facecolor=EGO, edgecolor="black", lw=0.6, label="ego"),
+        Patch(facecolor=ADVERSARY, edgecolor="black", lw=0.6, label="adversary"),
+        *([Patch(facecolor=SUPPORT, edgecolor="black", lw=0.6, label="support")] if story.attacked.supports else []),
+        Patch(facecolor=OTHER, edgecolor="black", lw=0.6, label=f"others, all at the {moment} ({after})"),
+        Patch(facecolor="none", edgecolor="black", lw=0.8, label="at the trigger"),
+        Line2D([], [], color="black", marker="o", mfc="white", ms=3.4, mew=0.9, lw=1.2, label="s since the trigger"),
+    ]
+    figure.legend(
+        handles=entries, loc="lower center", ncols=len(entries), fontsize=6.5, frameon=False, borderpad=0.0,
+        bbox_to_anchor=(0.5, 0.06 / total), handlelength=1.6, columnspacing=1.4,
+    )  # fmt: skip
+
+
+def save(figure: Figure, target: Path, kind: str) -> None:
+    """Write a figure as png, svg or pdf, whole, with the same bytes for the same figure. Raises OSError."""
+    metadata: dict[str, Any] = {
+        "png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None, "Producer": None},
+    }[kind]  # fmt: skip
+    with matplotlib.rc_context({"svg.hashsalt": "sumo_adv", "pdf.fonttype": 42}):
+        write_whole(target, lambda part: figure.savefig(part, format=kind, metadata=metadata, dpi=DPI))
+
+
+def write_film(story: Story, target: Path, kind: str) -> None:
+    """Write the film; faint outlines show where ego and adversaries would be without the attack.
+
+    Raises UsageError: an MP4 without ffmpeg; OSError: the file cannot be written.
+    """
+    if kind == "mp4" and shutil.which("ffmpeg") is None:
+        raise UsageError("An MP4 needs ffmpeg: install it (Debian: apt-get install ffmpeg), or make a .gif.")
+    write_whole(target, lambda part: _film(story, part, kind))
+
+
+def _film(story: Story, target: Path, kind: str) -> None:
+    view = story.view(widest=3.0)
+    height = (
+        round((HEAD + FILM_WIDTH * view[3] / view[2]) * FILM_DPI / 2) * 2 / FILM_DPI
+    )  # of even pixels, for the codec
+    figure = Figure(figsize=(FILM_WIDTH, height), dpi=FILM_DPI, facecolor="white")
+    FigureCanvasAgg(figure)
+    share = 1.0 - HEAD / height
+    axes = figure.add_axes((0.0, 0.0, 1.0, share), facecolor=GROUND)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_xlim(view[0], view[0] + view[2])
+    axes.set_ylim(view[1], view[1] + view[3])
+    axes.set_xticks([])
+    axes.set_yticks([])
+    draw_lanes(axes, story.lanes, LOOK)
+    draw_scale_bar(axes, view, height - HEAD, LOOK)
+    title = figure.text(0.01, 1.0 - 0.5 * HEAD / height, "", va="center", fontsize=11, parse_math=False)
+    times = story.start + np.arange(round((story.end - story.start) * RATE) + 1) / RATE
+    still = len(axes.patches)
+    writer: Any = PillowWriter(fps=RATE)
+    if kind == "mp4":
+        options = ["-pix_fmt", "yuv420p", "-bitexact", "-f", "mp4"]
+        writer = FFMpegWriter(fps=RATE, codec="libx264", extra_args=options)
+    with writer.saving(figure, str(target), FILM_DPI):
+        for time in [*times.tolist(), *[float(times[-1])] * HOLD]:
+            _draw_moment(axes, story, time)
+            title.set_text(_caption(story, time))
+            writer.grab_frame()
+            for patch in list(axes.patches)[still:]:
+                patch.remove()
+
+
+def _draw_moment(axes: Any, story: Story, time: float) -> None:
+    for track in story.attacked.others:
+        draw_box(axes, track, time, OTHER, 5, style=LOOK)
+    if story.raw is not None and time > story.trigger:
+        for track, colour in story.raw.coloured():
+            draw_box(axes, track, time, colour, 6, filled=False, style=LOOK)
+    for track, colour in story.attacked.coloured():
+        draw_box(axes, track, time, colour, 8, style=LOOK)
+
+
+def _caption(story: Story, time: float) -> str:
+    since = time - story.trigger
+    caption = f"{since:+.1f} s   {shortened(f'{story.name}: {story.intent}', MOST)}"
+    if story.collided and time >= story.decisive - 1e-6:
+        return f"{caption}   contact"
+    return caption
+
+
+def draw_over_time(after: Sequence[tuple[float, Mapping[str, int]]]) -> Picture:
+    """Steps that rise at the end of each round. after: minutes, and the failures by level, that or worse."""
+    figure = Picture(figsize=SIZE, facecolor="white", layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    minutes = [0.0, *(time for time, _ in after)]
+    for level, colour in COLOURS.items():
+        counts = [0, *(found[level] for _, found in after)]
+        label = level if level == "serious" else f"{level} or worse"
+        axes.step(minutes, counts, where="post", color=colour, lw=1.4, marker="o", ms=2.5, label=label)
+    axes.set_xlim(0.0, max(minutes[-1], 1e-3))
+    axes.set_ylim(0.0, max(1.0, 1.1 * max(found["valid"] for _, found in after)))
+    axes.set_xlabel("time of the hunt [min]", fontsize=TEXT)
+    axes.set_ylabel("distinct failures", fontsize=TEXT)
+    axes.yaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.tick_params(labelsize=TEXT)
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=TEXT, loc="upper left")
+    return figure
