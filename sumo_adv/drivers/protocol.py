@@ -170,11 +170,6 @@ class Road:
         """Whether the ego must not pass the next stop line now."""
         return bool(self.stop_lines) and self.stop_lines[0].must_wait
 
-    @property
-    def held(self) -> bool:
-        """``must_wait`` by its name of version 0.1; goes with 0.3."""
-        return self.must_wait
-
 
 @dataclass(frozen=True, slots=True)
 class Observation:
