@@ -20,8 +20,10 @@ BOUND = 500.0  # steps a second
 FEW = {"proposals": 4, "delays": (0.0,)}  # little to plan: what happens once is uncertain by a tenth of itself
 ROWS: dict[str, tuple[str, dict[str, Any]]] = {
     "Ego-v0, nothing attacks": ("Ego-v0", {"attacker": None}),
-    "Ego-v0, the expert attacks": ("Ego-v0", {"settings": FEW}),
-    "Ego-v0, speed and lane": ("Ego-v0", {"settings": FEW, "actions": "lane"}),
+    "Ego-v0, the expert attacks": ("Ego-v0", {"settings": FEW, "unattacked": 0.0}),
+    "Ego-v0, attacks keep up": ("Ego-v0", {"settings": FEW, "unattacked": 0.0, "adapts": True}),
+    "Ego-v0, speed and lane": ("Ego-v0", {"settings": FEW, "unattacked": 0.0, "actions": "lane"}),
+    "Ego-v0, controls": ("Ego-v0", {"settings": FEW, "unattacked": 0.0, "actions": "controls"}),
     "Adversary-v0, endpoints": ("Adversary-v0", {"interval": 0.1}),
     "Adversary-v0, controls": ("Adversary-v0", {"actions": "controls"}),
     "parallel": ("parallel", {}),
@@ -77,7 +79,7 @@ def run(row: str, scenario: str, episodes: int) -> int:
         return steps
     env = gymnasium.make(f"sumo_adv/{name}", scenario=scenario, **options)
     for _ in range(episodes):
-        env.reset(seed=0)
+        env.reset(seed=None if steps else 0)
         over = False
         while not over:
             *_, terminated, truncated, _ = env.step(np.zeros(env.action_space.shape, np.float32))

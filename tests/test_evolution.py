@@ -142,3 +142,17 @@ def test_a_driver_that_is_not_known_is_asked_and_not_predicted() -> None:
     for p in tried:
         search.observe(p, None, MISS)
     assert search.propose(1)
+
+
+def test_a_search_that_begins_anew_tries_what_it_is_given_and_forgets_what_it_knew() -> None:
+    situations, settings = {0.0: situation([neighbour()])}, SearchSettings(share=3)
+    search = AttackSearch(Refuses(), situations, [ENTRY], settings, seed=1, predicts=False)  # type: ignore[arg-type]
+    search.follow(search.ranking([ENTRY]), [ENTRY])
+    tried = search.propose(9)
+    assert len(tried) == 3
+    for p in tried:
+        search.observe(p, None, collision(Level.SERIOUS, human=True))
+    search.begin_anew([tried[2]])
+    again = search.propose(9)
+    assert again[0] is tried[2]
+    assert len(again) == 3

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import copy
+import importlib.util
+import subprocess
+import sys
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,10 +24,10 @@ import sumo_adv.gym
 from sumo_adv.datatypes import Verdict
 from sumo_adv.drivers import Action, Observation
 from sumo_adv.errors import UsageError
-from sumo_adv.gym.rewards import Transition
+from sumo_adv.gym.rewards import CONTACT, HARM, Transition
 
 QUICK = {"proposals": 4, "delays": (0.0,), "duration": 6.0}  # little to predict
-STILL = np.zeros(2, np.float32)
+STILL, COAST = np.zeros(2, np.float32), np.zeros(1, np.float32)  # of two numbers, and of pedals
 
 
 @pytest.fixture(autouse=True)
@@ -57,7 +60,7 @@ def episode(env: gymnasium.Env[Any, Any], action: np.ndarray, seed: int | None =
     ("name", "options"),
     [
         ("Ego-v0", {"attacker": None, "actions": "lane", "observations": "dict"}),
-        ("Ego-v0", {"settings": QUICK}),
+        ("Ego-v0", {"settings": QUICK, "unattacked": 0.0}),
         ("Adversary-v0", {"actions": "endpoint", "observations": "dict"}),
         ("Adversary-v0", {"actions": "controls", "ego": "careful"}),
     ],
@@ -92,12 +95,12 @@ def test_without_an_attack_the_time_is_over_after_the_duration() -> None:
 
 
 def test_the_expert_hits_an_ego_that_goes_straight_on() -> None:
-    env = made("Ego-v0", settings=QUICK)
-    _, (_, reward, terminated, truncated, _), info = episode(env, STILL, seed=0)
+    env = made("Ego-v0", settings=QUICK, unattacked=0.0)
+    _, (_, reward, terminated, truncated, _), info = episode(env, COAST, seed=0)
     env.close()
     assert info["ending"] == "contact"
     assert (terminated, truncated) == (True, False)
-    assert reward < -9.0
+    assert reward < -(CONTACT + HARM * info["verdict"].delta_v) + 0.1
     assert info["touched"]
     assert isinstance(info["verdict"], Verdict)
     assert info["verdict"].collided
@@ -108,7 +111,7 @@ def test_a_language_model_attacks_as_it_chose(monkeypatch: pytest.MonkeyPatch) -
     with ModelServer(Author("Aggressive Cut-in")) as server:
         for name, value in server.environment().items():
             monkeypatch.setenv(name, value)
-        env = made("Ego-v0", attacker="scripted", settings=QUICK)
+        env = made("Ego-v0", attacker="scripted", settings=QUICK, unattacked=0.0)
         attacks = [env.reset(seed=0)[1]["attack"], env.reset()[1]["attack"]]
         env.close()
     assert attacks == ["Aggressive Cut-in"] * 2
@@ -117,8 +120,8 @@ def test_a_language_model_attacks_as_it_chose(monkeypatch: pytest.MonkeyPatch) -
 
 @pytest.mark.parametrize("name", ["Ego-v0", "Adversary-v0"])
 def test_a_vehicle_that_turns_off_the_road_ends_the_episode(name: str) -> None:
-    options: dict[str, Any] = {"attacker": None} if name == "Ego-v0" else {"actions": "controls"}
-    env = made(name, **options)
+    options: dict[str, Any] = {"attacker": None} if name == "Ego-v0" else {}
+    env = made(name, actions="controls", **options)
     _, last, info = episode(env, np.array([0.0, 1.0], np.float32))
     env.close()
     assert (info["ending"], last[2], last[3]) == ("off_road", True, False)
@@ -183,13 +186,34 @@ def test_a_seed_repeats_its_episodes_bit_for_bit(fork: bool) -> None:
 
 
 def test_an_expert_that_adapts_tries_other_attacks_until_a_seed_makes_it_forget() -> None:
-    env = made("Ego-v0", adapts=True, settings=QUICK, interval=0.5)
-    first = episode(env, STILL, seed=2)
-    second = episode(env, STILL)
-    again = episode(env, STILL, seed=2)
+    env = made("Ego-v0", adapts=True, unattacked=0.0, settings=QUICK, interval=0.5)
+    first = episode(env, COAST, seed=2)
+    second = episode(env, COAST)
+    again = episode(env, COAST, seed=2)
     env.close()
     assert not np.array_equal(first[0][-1], second[0][-1])
     assert np.array_equal(np.array(first[0]), np.array(again[0]))
+
+
+def test_a_share_of_the_episodes_has_no_attack() -> None:
+    env = made("Ego-v0", unattacked=0.5, settings=QUICK, interval=0.5)
+    env.reset(seed=0)
+    attacks = [env.reset()[1]["attack"] for _ in range(12)]
+    env.close()
+    assert 2 <= attacks.count("") <= 10
+
+
+def test_who_drives_on_as_unattacked_loses_nothing_and_who_stands_falls_behind() -> None:
+    env = made("Ego-v0", attacker=None, settings={"duration": 4.0}, interval=0.5)
+    env.reset(seed=0)
+    gone = [env.step(np.array([0.5], np.float32)) for _ in range(4)]
+    env.reset(seed=0)
+    braked = [env.step(np.array([-1.0], np.float32)) for _ in range(4)]
+    env.close()
+    assert sum(reward for _, reward, *_ in gone) == pytest.approx(0.0, abs=0.02)
+    assert gone[-1][4]["behind"] < 0.5
+    assert braked[-1][4]["behind"] > 10.0  # 8 m/s2 for 2 s
+    assert sum(reward for _, reward, *_ in braked) < -1.0
 
 
 def test_the_reward_is_the_users_own_function() -> None:
@@ -214,13 +238,14 @@ def test_the_reward_is_the_users_own_function() -> None:
 
 def test_environments_run_side_by_side_in_processes() -> None:
     many = gymnasium.make_vec(
-        "sumo_adv/Ego-v0", num_envs=2, vectorization_mode="async", scenario="neighbour_ahead_left", attacker=None,
+        "sumo_adv/Ego-v0", num_envs=2, scenario=["neighbour_ahead_left", "leader_two_lanes"], attacker=None,
         settings={"duration": 1.0},
     )  # fmt: skip
-    seen, _ = many.reset(seed=4)
-    assert seen.shape == (2, 93)
+    seen, info = many.reset(seed=4)
+    assert seen.shape == (2, 133)
+    assert list(info["scenario"]) == ["neighbour_ahead_left", "leader_two_lanes"]
     for _ in range(12):
-        *_, truncated, info = many.step(np.zeros((2, 2), np.float32))
+        *_, truncated, info = many.step(np.zeros((2, 1), np.float32))
         if truncated.any():
             break
     many.close()
@@ -230,11 +255,11 @@ def test_environments_run_side_by_side_in_processes() -> None:
 def test_two_in_one_process_do_not_disturb_each_other() -> None:
     alone, beside = made("Ego-v0", attacker=None), made("Ego-v0", "motorway_cut_in_left", attacker=None)
     alone.reset(seed=0)
-    undisturbed = copy.deepcopy(alone.step(STILL)[0])
+    undisturbed = copy.deepcopy(alone.step(COAST)[0])
     alone.reset(seed=0)
     beside.reset(seed=0)
-    beside.step(STILL)
-    assert np.array_equal(alone.step(STILL)[0], undisturbed)
+    beside.step(COAST)
+    assert np.array_equal(alone.step(COAST)[0], undisturbed)
     alone.close()
     beside.close()
 
@@ -258,11 +283,12 @@ def test_a_picture_shows_ego_and_adversary_in_their_colours() -> None:
 @pytest.mark.parametrize(
     ("name", "options", "sentence"),
     [
-        ("Ego-v0", {"actions": "wheel"}, "There are no actions 'wheel'; choose controls or lane."),
+        ("Ego-v0", {"actions": "wheel"}, "There are no actions 'wheel'; choose pedals or controls or lane."),
         ("Adversary-v0", {"actions": "lane"}, "There are no actions 'lane'; choose endpoint or controls."),
         ("Ego-v0", {"observations": "image"}, "There are no observations 'image'; choose vector or dict."),
         ("Ego-v0", {"interval": 0.0}, "interval is 0 s; it must be above 0 and at most 5."),
         ("Ego-v0", {"vehicles": 0}, "vehicles is 0; it must be 1 or more."),
+        ("Ego-v0", {"unattacked": 30.0}, "unattacked is 30; it is a share, from 0 to 1."),
         ("Ego-v0", {"scenario": []}, "An environment needs a scenario."),
         ("Ego-v0", {"scenario": "no_such_place"}, "no_such_place"),
         ("Ego-v0", {"settings": {"ego": "idm"}}, "The setting 'ego' of an environment follows from"),
@@ -279,20 +305,32 @@ def test_wrong_use_is_refused_in_a_sentence(name: str, options: dict[str, Any], 
 # ---- the example
 
 
+def test_the_shipped_policy_drives() -> None:
+    env = made("Ego-v0", attacker=None, settings={"duration": 2.0}, interval=0.5)
+    spec = importlib.util.spec_from_file_location("trained_ego", ROOT / "examples" / "train_ego" / "trained_ego.py")
+    assert spec is not None
+    assert spec.loader is not None
+    example = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(example)
+    seen, _ = env.reset(seed=0)
+    env.close()
+    with np.load(example.FILE) as weights:
+        action = example.Network(weights)(seen)
+    assert action.shape == (1,)
+    assert np.isfinite(action).all()
+
+
 def test_the_example_trains(tmp_path: Path) -> None:
     pytest.importorskip("stable_baselines3", reason="stable-baselines3 is not installed (extra ppo)")
-    import subprocess
-    import sys
-
     folder = ROOT / "examples" / "train_ego"
     done = subprocess.run(
-        [sys.executable, str(folder / "train_ego.py"), "--steps", "64", "--episodes", "2", "--scenario",
-         "neighbour_ahead_left", "--out", str(tmp_path / "ego.zip")],
+        [sys.executable, str(folder / "train_ego.py"), "--minutes", "0.01", "--actors", "1", "--scenario",
+         "neighbour_ahead_left", "--out", str(tmp_path / "ego.npz")],
         cwd=tmp_path, capture_output=True, text=True, timeout=300.0, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr[-2000:]
-    header, _, before, after = done.stdout.splitlines()
-    assert header.startswith("| ego | valid | serious |")
-    assert before.startswith("| before training | ")
-    assert after.startswith("| after 64 steps | ")
-    assert (tmp_path / "ego.zip").is_file()
+    header, first = (tmp_path / "ego.csv").read_text().splitlines()
+    assert header.startswith("minutes,steps,episodes,return")
+    assert first.split(",")[1] == "256"
+    with np.load(tmp_path / "ego.npz") as weights:
+        assert weights["encoder.0.weight"].shape == (48, 15)

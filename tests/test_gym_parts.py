@@ -36,7 +36,11 @@ def test_the_ego_sees_all_in_its_own_frame() -> None:
     view = view_of_ego(seen, 3)
     own = [20.0, 1.0, 0.5, math.sin(0.1), math.cos(0.1), 60.0, 0.0, 0.0, 120.0]
     assert view["own"] == pytest.approx(own, abs=1e-6)
-    assert view["vehicles"][0] == pytest.approx([1.0, 20.0, -10.0, 0.0, 1.0, 12.0, 4.0, 1.8], abs=1e-6)
+    near = [1.0, 20.0, -10.0, 0.0, 1.0, 12.0, 4.0, 1.8]
+    near += [-20.0, 12.0]  # it drives to the left, and the ego ahead
+    near += [20.0, -9.5]  # the way is half a metre to the right
+    near += [(20.0 * 20.0 + 10.0 * 12.0) / 500.0]  # of its distance a second
+    assert view["vehicles"][0] == pytest.approx(near, abs=1e-5)
     assert view["vehicles"][1, :3] == pytest.approx([1.0, 40.0, 0.0], abs=1e-6)
     assert not view["vehicles"][2].any()
     assert view["path"][0] == pytest.approx([5.0, -0.5], abs=1e-5)
@@ -59,9 +63,9 @@ def test_a_vector_is_the_dictionary_by_its_largest_values(adversary: bool) -> No
     vector = as_vector.given(view)
     assert as_vector.space(adversary=adversary).contains(vector)
     assert isinstance(vector, np.ndarray)
-    assert len(vector) == 9 + 20 + 16 + (8 if adversary else 0)
+    assert len(vector) == 9 + 20 + 26 + (13 if adversary else 0)
     assert vector[[0, 1]] == pytest.approx([20 / 60, 1 / 15])
-    assert vector[-15] == 1.0  # 400 m ahead is cut to 120 m
+    assert vector[-25] == 1.0  # 400 m ahead is cut to 120 m
 
 
 # ---- actions
@@ -98,6 +102,21 @@ def test_speed_and_lane(numbers: tuple[float, float], lane: str, expected: LaneS
     assert (action.lane, action.speed) == (expected.lane, pytest.approx(expected.speed))
 
 
+@pytest.mark.parametrize(
+    ("speed", "pedal", "expected"),
+    [
+        (20.0, 1.0, 20.3),  # 3 m/s2
+        (20.0, -1.0, 19.2),  # 8 m/s2
+        (29.9, 1.0, 30.0),  # the speed limit
+        (35.0, 1.0, 34.7),  # above it, gently towards it
+        (0.2, -1.0, 0.0),
+    ],
+)
+def test_pedals_keep_the_lane_and_the_speed_limit(speed: float, pedal: float, expected: float) -> None:
+    action = ego_action("pedals", np.array([pedal]), replace(ME, speed=speed), 30.0, 0.1)
+    assert action == LaneSpeed(None, pytest.approx(expected))
+
+
 def test_an_endpoint_is_along_the_way_of_the_adversary() -> None:
     end = endpoint(np.array([0.0, 0.5, 1.0, -1.0]), ROAD, 100.0, 25.0)
     assert (end.x, end.y, end.heading, end.speed, end.time) == pytest.approx((135.0, 4.0, 0.0, 25.0, 0.5))
@@ -115,7 +134,7 @@ def test_an_adversarys_controls_stay_within_its_limits() -> None:
 
 
 def test_unknown_actions_are_refused_with_the_known_ones() -> None:
-    with pytest.raises(UsageError, match="no actions 'wheel'; choose controls or lane"):
+    with pytest.raises(UsageError, match="no actions 'wheel'; choose pedals or controls or lane"):
         action_space(EGO_ACTIONS, "wheel")
 
 
@@ -127,13 +146,24 @@ def moved(**changes: object) -> Transition:
     return replace(t, **changes)  # type: ignore[arg-type]
 
 
-def test_the_ego_is_rewarded_for_progress_and_loses_by_a_crash() -> None:
-    """15 of 20 m/s for half a second, braking with 2 m/s2: (0.75 - 0.01 * 4) * 0.5."""
-    assert ego_reward(moved()) == pytest.approx(0.355)
-    assert ego_reward(moved(touched="bv")) == pytest.approx(0.355 - 10.0)
-    assert ego_reward(moved(off_road="ego")) == pytest.approx(0.355 - 10.0)
-    assert ego_reward(moved(off_road="bv")) == pytest.approx(0.355)
+def test_the_ego_loses_what_it_falls_behind_and_wins_it_back() -> None:
+    """Half a metre of a second at 20 m/s; the ego in its lane alone pays 0.1 a second for each m/s2 beyond 2."""
+    assert ego_reward(moved(attacked=True)) == 0.0
+    assert ego_reward(moved(attacked=True, behind=3.0, behind_before=2.0)) == pytest.approx(-0.05)
+    assert ego_reward(moved(attacked=True, behind=2.0, behind_before=3.0)) == pytest.approx(0.05)
+    harder = replace(ME, speed=18.0)  # before: 6 m/s2
+    assert ego_reward(moved(before=harder)) == pytest.approx(-0.1 * 4.0 * 0.5)
+    assert ego_reward(moved(before=harder, attacked=True)) == 0.0
     assert ego_reward(moved(ego=None)) == 0.0
+
+
+def test_the_ego_pays_for_harm_and_for_blocking() -> None:
+    assert ego_reward(moved(touched="bv", delta_v=3.0)) == pytest.approx(-(2.0 + 4.0 * 3.0))
+    assert ego_reward(moved(off_road="ego")) == pytest.approx(-20.0)
+    assert ego_reward(moved(off_road="bv")) == 0.0
+    assert ego_reward(moved(unattacked=31.0)) == 0.0
+    assert ego_reward(moved(unattacked=31.0, followed=True)) == pytest.approx(-0.25)
+    assert ego_reward(moved(unattacked=29.0, followed=True)) == 0.0
 
 
 def test_the_adversary_is_rewarded_for_the_level_it_reaches() -> None:
@@ -154,7 +184,7 @@ def test_a_policy_decides_every_so_often_and_its_action_holds_until_then() -> No
         speeds_seen.append(float(vector[0]) * 60.0)
         return np.array([1.0, 0.0])
 
-    driver = PolicyDriver(policy, vehicles=2, interval=0.2)
+    driver = PolicyDriver(policy, actions="controls", vehicles=2, interval=0.2)
     driver.reset(0)
     for k in range(5):
         action = driver.act(replace(SEEN, time=3.0 + 0.1 * k, ego=replace(ME, speed=20.0 + k)))

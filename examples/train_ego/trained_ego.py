@@ -1,23 +1,62 @@
-"""The trained ego as a driver: ``sumo-adv run SCENARIO --ego trained_ego:TrainedEgo`` in the folder of its file."""
+"""The trained ego as a driver: ``sumo-adv run SCENARIO --ego trained_ego:TrainedEgo`` in this folder.
+
+The policy is a small network in numpy: it needs neither torch nor stable-baselines3.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from stable_baselines3 import PPO
+import numpy as np
+from numpy.typing import NDArray
 
 from sumo_adv.gym import PolicyDriver
 
-FILE = "trained_ego.zip"
-ENVIRONMENT: dict[str, Any] = {"actions": "lane", "observations": "vector", "vehicles": 6, "interval": 0.2}
+FILE = Path(__file__).with_name("trained_ego.npz")
+VEHICLES = 8
+ENVIRONMENT: dict[str, Any] = {"actions": "pedals", "observations": "vector", "vehicles": VEHICLES, "interval": 0.2}
+"""What the environment and the driver must have in common."""
+
+OWN, PATH, OTHER = 9, 20, 13  # numbers of the ego, of its path and of each vehicle in an observation
+ROW = OTHER + 2  # what the network sees of a vehicle: its numbers, the ego's speed and the speed limit
+_OWN = (4, 3, 3, 3, 1, 4, 1, 1, 4)  # observations are shares of the largest values; these bring them to about 1
+_PATH = (2.4, 12.0) * 10
+_OTHER = (1, 4, 20, 1, 1, 4, 3, 2.5, 6, 20, 4, 7.5, 4)
+SCALE = np.array([*_OWN, *_PATH, *_OTHER * VEHICLES], np.float32)
+CUT = 5.0
+
+Numbers = NDArray[np.float32]
+
+
+class Network:
+    """From an observation to an action: the vehicles, one by one and the most of each feature, then all together."""
+
+    def __init__(self, weights: Mapping[str, Numbers]) -> None:
+        self.weights = dict(weights)
+
+    def __call__(self, seen: Numbers) -> Numbers:
+        """The action, about from -1 to 1."""
+        w = self.weights
+        x = np.clip(seen * SCALE, -CUT, CUT)
+        vehicles = x[OWN + PATH :].reshape(VEHICLES, OTHER)
+        rows = np.concatenate([vehicles, np.broadcast_to(x[[0, 5]], (VEHICLES, 2))], axis=1)
+        for k in (0, 2):
+            rows = np.tanh(rows @ w[f"encoder.{k}.weight"].T + w[f"encoder.{k}.bias"])
+        x = np.concatenate([x[: OWN + PATH], rows.max(axis=0)])
+        for k in (0, 2):
+            x = np.tanh(w[f"policy.{k}.weight"] @ x + w[f"policy.{k}.bias"])
+        action: Numbers = w["action.weight"] @ x + w["action.bias"]
+        return action
 
 
 class TrainedEgo(PolicyDriver):
     """Drives as the policy in ``file``."""
 
     name = "trained_ego"
+    forkable = True
 
-    def __init__(self, file: str = FILE) -> None:
-        model = PPO.load(Path(file), device="cpu")
-        super().__init__(lambda seen: model.predict(seen, deterministic=True)[0], **ENVIRONMENT)
+    def __init__(self, file: str | Path = FILE) -> None:
+        with np.load(file) as weights:
+            super().__init__(Network(weights), **ENVIRONMENT)

@@ -37,8 +37,13 @@ _HOMES = {
     **dict.fromkeys(("Transition", "adversary_reward", "ego_reward"), "sumo_adv.gym.rewards"),
 }
 
-register("sumo_adv/Ego-v0", "sumo_adv.gym.environments:EgoEnv")
-register("sumo_adv/Adversary-v0", "sumo_adv.gym.environments:AdversaryEnv")
+register(
+    "sumo_adv/Ego-v0", "sumo_adv.gym.environments:EgoEnv", vector_entry_point="sumo_adv.gym.vector:ego_vec"
+)  # fmt: skip
+register(
+    "sumo_adv/Adversary-v0", "sumo_adv.gym.environments:AdversaryEnv",
+    vector_entry_point="sumo_adv.gym.vector:adversary_vec",
+)  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

@@ -1,7 +1,8 @@
 """What an agent's action means. All actions are numbers from -1 to 1; ``docs/gym.md`` has their table.
 
-The ego has ``controls`` (acceleration and steering) or ``lane`` (target speed and lane); the adversary has ``endpoint``
-(a place on its way with a speed and a time) or ``controls`` within the limits of an adversary's motion.
+The ego has ``pedals`` (acceleration), ``controls`` (acceleration and steering) or ``lane`` (target speed and lane). The
+adversary has ``endpoint`` (a place on its way with a speed and a time) or ``controls`` within the limits of an
+adversary's motion.
 """
 
 from __future__ import annotations
@@ -21,13 +22,13 @@ from sumo_adv.errors import UsageError
 from sumo_adv.geometry import Path, Pose, wrap
 
 Numbers = NDArray[Any]
-EGO_ACTIONS: Mapping[str, int] = {"controls": 2, "lane": 2}
+EGO_ACTIONS: Mapping[str, int] = {"pedals": 1, "controls": 2, "lane": 2}
 ADVERSARY_ACTIONS: Mapping[str, int] = {"endpoint": 4, "controls": 2}
 """Kind -> how many numbers an action has."""
 
 LATERAL = 6.0  # m/s2: full steering of the ego; about what a car on a dry road can do
 FASTER = 1.3  # of the speed limit: the highest target speed
-GENTLE, HARD = 3.0, 8.0  # m/s2: how fast a target speed is approached, accelerating and braking
+GENTLE, HARD = 3.0, 8.0  # m/s2: most acceleration and braking with ``pedals`` and ``lane``
 CHANGES = 1 / 3  # beyond it the second number of ``lane`` asks for the lane beside
 REACH = (5.0, 65.0)  # m ahead: where an endpoint may be
 ASIDE = 8.0  # m to either side of the way
@@ -44,7 +45,11 @@ def action_space(kinds: Mapping[str, int], kind: str) -> Any:
 
 def ego_action(kind: str, numbers: Numbers, me: VehicleState, limit: float, dt: float) -> Action:
     """The ego's action for the next step; ``limit``: of its speed [m/s]."""
-    first, second = (float(v) for v in np.clip(numbers, -1.0, 1.0))
+    first, *others = (float(v) for v in np.clip(numbers, -1.0, 1.0))
+    if kind == "pedals":
+        speed = me.speed + first * (GENTLE if first > 0 else HARD) * dt
+        return LaneSpeed(None, max(min(speed, max(limit, me.speed - GENTLE * dt)), 0.0))
+    second = others[0]
     if kind == "controls":
         acceleration = first * (MAX_ACCELERATION if first > 0 else MAX_BRAKING)
         sharpest = min(MAX_STEERING, math.atan(LATERAL * WHEELBASE / max(me.speed, 1.0) ** 2))

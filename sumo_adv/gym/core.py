@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_adv.errors import SimulationError, UsageError
-from sumo_adv.gym.encounters import Attacker, Encounter, Plan, Played
+from sumo_adv.gym.encounters import Attacker, Attacks, Encounter, Played
 from sumo_adv.gym.picture import EMPTY
 from sumo_adv.gym.play import DRAW, TERMINATED, Moment, Play
 from sumo_adv.gym.views import Viewing
 
-CRASHED = "crashed"
+CRASHED, PLANNER_FAILED = "crashed", "planner_failed"
 Scenarios = str | Path | Sequence[str | Path]
 
 
@@ -26,21 +26,27 @@ class Core:
 
     def __init__(
         self, scenarios: Scenarios, viewing: Viewing, interval: float, settings: Mapping[str, Any] | None, *,
-        ego: Any, attacker: Attacker, adapts: bool, ego_actions: str | None, adversary_actions: str | None,
+        ego: Any, attacker: Attacker, adapts: bool, unattacked: float, ego_actions: str | None,
+        adversary_actions: str | None,
     ) -> None:  # fmt: skip
-        """``ego``: the driver, None = an agent. Raises UsageError."""
+        """``ego``: the driver, None = an agent. unattacked: the share of episodes without an attack.
+
+        Raises UsageError.
+        """
         self._scenarios = [scenarios] if isinstance(scenarios, str | Path) else list(scenarios)
         if not self._scenarios:
             raise UsageError("An environment needs a scenario.")
         if not 0.0 < interval <= 5.0:
             raise UsageError(f"interval is {interval:g} s; it must be above 0 and at most 5.")
+        if not 0.0 <= unattacked <= 1.0:
+            raise UsageError(f"unattacked is {unattacked:g}; it is a share, from 0 to 1.")
         if viewing.vehicles < 1:
             raise UsageError(f"vehicles is {viewing.vehicles}; it must be 1 or more.")
         self._viewing, self._interval, self._settings = viewing, interval, dict(settings or {})
-        self._ego, self._attacker, self._adapts = ego, attacker, adapts
+        self._ego, self._attacker, self._adapts, self._unattacked = ego, attacker, adapts, unattacked
         self._kinds = (ego_actions, adversary_actions)
         self._opened: dict[int, Encounter] = {}
-        self._plans: dict[int, Plan] = {}
+        self._plans: dict[int, Attacks] = {}
         self._played: Played | None = None
         self._last: Moment | None = None
         self._at = 0
@@ -78,14 +84,14 @@ class Core:
         if adversary is not None:
             bv = situations[delay].target_list()[0].state.id
             return Play(self._viewing, every, ego, adversary, None, bv, delay)
-        if self._attacker is None:
+        if self._attacker is None or draws.random() < self._unattacked:
             return Play(self._viewing, every, ego)
         if self._at not in self._plans:
             self._plans[self._at] = encounter.plan(adapts=self._adapts)
         attack = self._plans[self._at].next(draws)
         if attack is None:
             return Play(self._viewing, every, ego)
-        return Play(self._viewing, every, ego, None, attack, attack.bv, attack.delay, recorded=self._adapts)
+        return Play(self._viewing, every, ego, None, attack, attack.bv, attack.delay)
 
     def step(self, actions: Mapping[str, NDArray[Any]]) -> tuple[Moment, bool, bool, dict[str, Any]]:
         """A moment, whether the episode is terminated, whether it is truncated, and what is told of it.
@@ -98,12 +104,12 @@ class Core:
         except SimulationError as error:
             t = self._last.transition
             over = replace(t, seconds=0.0, before=t.ego or t.before, apart_before=t.apart, ending=CRASHED, verdict=None)
-            self._last = replace(self._last, transition=over, result=None)
+            self._last = replace(self._last, transition=over)
             return self._last, False, True, {**self._told(self._last), "why": str(error)}
         moment: Moment = self._last
-        ending, proposal = moment.transition.ending, self._played.play.proposal
-        if moment.result is not None and proposal is not None:
-            self._plans[self._at].observe(proposal, moment.result)
+        ending, verdict, proposal = moment.transition.ending, moment.transition.verdict, self._played.play.proposal
+        if proposal is not None and verdict is not None and ending != PLANNER_FAILED:
+            self._plans[self._at].observe(proposal, verdict)
         return moment, ending in TERMINATED, bool(ending) and ending not in TERMINATED, self._told(moment)
 
     def _told(self, moment: Moment) -> dict[str, Any]:
@@ -112,6 +118,7 @@ class Core:
         info: dict[str, Any] = {
             "time": moment.time, "scenario": self._played.encounter.name,
             "attack": "" if play.proposal is None else play.proposal.label, "apart": t.apart,
+            "behind": t.behind,
         }  # fmt: skip
         if t.ending:
             info |= {"ending": t.ending, "touched": t.touched or ""}

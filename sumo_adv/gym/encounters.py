@@ -3,36 +3,53 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
 from sumo_adv.app import load, new_engine, new_sandbox, open_agents, open_for_run
 from sumo_adv.config import Settings, load_settings
-from sumo_adv.datatypes import Proposal
+from sumo_adv.datatypes import Proposal, Verdict
 from sumo_adv.drivers import Action, Observation
 from sumo_adv.drivers.registry import PREFIX, GivenEgo, pack
 from sumo_adv.drivers.sumo_driven import sumo_type
-from sumo_adv.episode.assessment import AttemptRunner, answer_of, attempt_of, observed_motion
+from sumo_adv.episode.assessment import AttemptRunner, answer_of
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.loop import decide
-from sumo_adv.episode.planned_encounter import PlannedEncounter, find_attackable, seek, with_predictions
-from sumo_adv.episode.refinement import Optimizer, Refiner
-from sumo_adv.episode.task import AttemptResult, FoundEncounter, make_task
+from sumo_adv.episode.planned_encounter import find_attackable, seek, with_predictions
+from sumo_adv.episode.refinement import Refiner
+from sumo_adv.episode.task import FoundEncounter, make_task
 from sumo_adv.errors import UsageError
+from sumo_adv.gym.curriculum import Curriculum
 from sumo_adv.gym.play import Play
 from sumo_adv.planners.answers import Answer, PlannerObservation
 from sumo_adv.planners.sessions import Roads, Sessions
+from sumo_adv.search.ranking import FixedOrder
+from sumo_adv.search.search import AttackSearch
 from sumo_adv.simulation.engine import Conversation
+
+
+class Attacks(Protocol):
+    """Chooses the attacks of one encounter, one for each episode."""
+
+    def next(self, draws: np.random.Generator) -> Proposal | None:
+        """The next attack; None if there is none at all."""
+        ...
+
+    def observe(self, attack: Proposal, verdict: Verdict) -> None:
+        """Take note of what an attack came to."""
+        ...
+
 
 Attacker = Literal["expert"] | str | None
 """What attacks the ego: the built-in expert, a language model by its name, or nothing."""
 
 EXPERT = "expert"
+PLANNED = 25  # attacks in an encounter, unless they keep up with the ego
 
 
 class AgentEgo:
@@ -69,7 +86,7 @@ def settings_of(given: Mapping[str, Any], ego: str | None, attacker: Attacker, h
     model = None if attacker in (None, EXPERT) else attacker
     defaults: dict[str, Any] = {"horizon": horizon}
     if ego is None:
-        defaults["until"] = "serious"  # what attacks on an agent are planned for
+        defaults |= {"until": "serious", "attempts": PLANNED}  # what attacks on an agent are planned for
     if model is not None:
         defaults["tuner"] = "off"  # its attacks, and none of the search
     return load_settings(None, **{**defaults, **given, "ego": ego or AGENT, "llm": model, "learn": "off"})
@@ -110,23 +127,34 @@ class Encounter:
         self.found: FoundEncounter = self._episode.found
         self.roads = Roads(self.found.situations)
 
-    def plan(self, *, adapts: bool) -> Plan:
-        """What the attacker does in this encounter, episode after episode. Takes a second or two.
+    def plan(self, *, adapts: bool) -> Attacks:
+        """What the attacker does in this encounter, episode after episode. Planning takes a second or two.
 
-        adapts: the search goes on as it learns how the ego drives.
+        adapts: the attacks that are predicted to collide are the first ones of a ``Curriculum``, which keeps up with
+        the ego; else there are no others. Attacks that a language model chose never change.
 
         Raises:
             ModelError: a language model plans and failed.
         """
+        search = self._search(forecast=True)
+        if isinstance(search, FixedOrder):
+            return Plan(search.propose(self.settings.attempts))
+        colliding = [p for p in search.pool if p.prediction is not None and p.prediction.hit]
+        best = sorted(colliding, key=search.price)[: self.settings.attempts]
+        asked = self._search(forecast=False) if adapts else None
+        return Curriculum(asked, self.settings.goal, best) if isinstance(asked, AttackSearch) else Plan(best)
+
+    def _search(self, *, forecast: bool) -> AttackSearch | FixedOrder:
+        """The search for attacks; ``forecast``: one that predicts, though how the agent drives is unknown."""
         settings, episode = self.settings, replace(self._episode)
         with open_for_run(settings) as bank:
-            planned = with_predictions(episode, self.found, self._sandbox, bank, forecast=True)
+            planned = with_predictions(episode, self.found, self._sandbox, bank, forecast=forecast)
             entries = decide(episode, planned, self._agents, bank)
         if entries is None:
             raise UsageError(f"Nothing attacks in the scenario {self.name!r}: {episode.reason}")
         runner = AttemptRunner(self.engine, self._sandbox, self.found, settings.seed)
         refiner = Refiner(runner, self.found, planned.search, self._agents, entries, settings, _silent)
-        return Plan(planned, refiner.optimizer(episode.intents), settings, adapts=adapts)
+        return refiner.optimizer(episode.intents)
 
     def play(self, play: Play) -> Played:
         """Begin an episode; the one before must have ended."""
@@ -143,43 +171,18 @@ class Encounter:
 
 
 class Plan:
-    """Attacks in one encounter, one for each episode.
+    """Attacks in one encounter that were planned before: the best that are predicted to collide, or those that the
+    analyzer chose. Each episode draws one."""
 
-    They are drawn among the best that are predicted to collide, or with ``tuner = off`` among those that the analyzer
-    chose. Where the attacker ``adapts``, the search goes on before that, as in a run: it proposes attacks and observes
-    how the ego drove in them. That takes a second or two for each episode.
-    """
-
-    def __init__(self, planned: PlannedEncounter, optimizer: Optimizer, settings: Settings, *, adapts: bool) -> None:
-        self._planned, self._optimizer, self._settings = planned, optimizer, settings
-        self._tried: list[Proposal] = []
-        self._known = None if adapts else self._best()  # what is drawn from; None while the search goes on
-
-    def _best(self) -> list[Proposal]:
-        most, search = self._settings.attempts, self._planned.search
-        if self._settings.tuner == "off":
-            return self._optimizer.propose(most)
-        colliding = [p for p in search.pool if p.prediction is not None and p.prediction.hit]
-        return sorted(colliding, key=search.price)[:most]
+    def __init__(self, attacks: Sequence[Proposal]) -> None:
+        self._attacks = attacks
 
     def next(self, draws: np.random.Generator) -> Proposal | None:
         """The next attack; None if there is none at all."""
-        if self._known is None:
-            proposed = self._optimizer.propose(1) if len(self._tried) < self._settings.attempts else []
-            if proposed:
-                self._tried += proposed
-                return self._tried[-1]
-            self._known = [*self._tried, *self._best()]
-        return self._known[int(draws.integers(len(self._known)))] if self._known else None
+        return self._attacks[int(draws.integers(len(self._attacks)))] if self._attacks else None
 
-    def observe(self, proposal: Proposal, result: AttemptResult) -> None:
-        """Take note of how an attack went, as long as the search goes on."""
-        if self._known is not None:
-            return
-        encounter = self._planned.found
-        attempt = attempt_of(len(self._tried), "tuner", proposal, result, encounter, self._settings)
-        motion = observed_motion(result, encounter, proposal.delay, self._settings)
-        self._optimizer.observe(proposal, motion, attempt.verdict)
+    def observe(self, attack: Proposal, verdict: Verdict) -> None:
+        """Nothing."""
 
 
 class Played:

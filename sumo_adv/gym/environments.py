@@ -69,7 +69,8 @@ class EgoEnv(OneAgentEnv):
         *,
         attacker: Attacker = EXPERT,
         adapts: bool = False,
-        actions: str = "controls",
+        unattacked: float = 0.3,
+        actions: str = "pedals",
         observations: Observations = "vector",
         vehicles: int = 8,
         interval: float = 0.1,
@@ -81,8 +82,8 @@ class EgoEnv(OneAgentEnv):
         viewing = viewing_of(observations, vehicles)
         self.action_space = action_space(EGO_ACTIONS, actions)
         core = Core(
-            scenario, viewing, interval, settings, ego=None, attacker=attacker, adapts=adapts, ego_actions=actions,
-            adversary_actions=None,
+            scenario, viewing, interval, settings, ego=None, attacker=attacker, adapts=adapts, unattacked=unattacked,
+            ego_actions=actions, adversary_actions=None,
         )  # fmt: skip
         super().__init__("ego", core, viewing, reward, render_mode)
 
@@ -108,8 +109,8 @@ class AdversaryEnv(OneAgentEnv):
         self.action_space = action_space(ADVERSARY_ACTIONS, actions)
         seconds = interval if interval is not None else INTERVALS[actions]
         core = Core(
-            scenario, viewing, seconds, settings, ego=ego, attacker=None, adapts=False, ego_actions=None,
-            adversary_actions=actions,
+            scenario, viewing, seconds, settings, ego=ego, attacker=None, adapts=False, unattacked=0.0,
+            ego_actions=None, adversary_actions=actions,
         )  # fmt: skip
         super().__init__("adversary", core, viewing, reward, render_mode)
 

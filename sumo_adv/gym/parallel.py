@@ -56,7 +56,7 @@ class BothEnv(Shown, ParallelEnv[str, Any, Box]):
             EGO: action_space(EGO_ACTIONS, ego_actions), ADVERSARY: action_space(ADVERSARY_ACTIONS, adversary_actions)
         }  # fmt: skip
         self._core = Core(
-            scenario, self._viewing, interval, settings, ego=None, attacker=None, adapts=False,
+            scenario, self._viewing, interval, settings, ego=None, attacker=None, adapts=False, unattacked=0.0,
             ego_actions=ego_actions, adversary_actions=adversary_actions,
         )  # fmt: skip
         self.render_mode, self._window = render_mode, Window()

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sumo_adv.datatypes import Limits, Proposal, VehicleState
+from sumo_adv.datatypes import Limits, Proposal, VehicleState, Verdict
 from sumo_adv.drivers import Action, LaneSpeed
 from sumo_adv.episode.attempt import (
     AdversaryController,
@@ -22,8 +22,7 @@ from sumo_adv.episode.attempt import (
     apart_of,
     controller_of,
 )
-from sumo_adv.episode.task import AttemptResult
-from sumo_adv.episode.verdict import gate_verdict
+from sumo_adv.episode.verdict import gate_verdict, unattacked
 from sumo_adv.episode.worker import OpenEncounter
 from sumo_adv.geometry import Pose
 from sumo_adv.gym.actions import controlled, ego_action, endpoint
@@ -38,17 +37,18 @@ Numbers = NDArray[Any]
 DRAW = "draw"  # what the front sends for a picture
 CONTACT, THIRD_PARTY, OFF_ROAD = "contact", "third_party", "off_road"
 REACH = 25.0  # m between centres: vehicles further apart do not touch, long ones included
+STEERED = "controls"  # actions of an ego that may leave its lane
+CLOSE = 30.0  # m: a vehicle that follows
 TERMINATED = frozenset({CONTACT, THIRD_PARTY, OFF_ROAD})
 
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """Where an episode stands after a step. views: by agent. result: at the end of an episode that wants it."""
+    """Where an episode stands after a step. views: by agent."""
 
     time: float
     views: Mapping[str, View]
     transition: Transition
-    result: AttemptResult | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +57,7 @@ class Play:
 
     ego, adversary: the kind of actions of these agents, None = no agent. proposal: what else attacks, None = nothing
     does. bv: the adversary, None without an attack. delay: from the trigger to the attack [s]. every: simulation steps
-    in a step of the environment. recorded: whether the result of the attack is wanted.
+    in a step of the environment.
     """
 
     viewing: Viewing
@@ -67,7 +67,6 @@ class Play:
     proposal: Proposal | None = None
     bv: str | None = None
     delay: float = 0.0
-    recorded: bool = False
 
     def __call__(self, here: OpenEncounter) -> Callable[[], None]:
         """What makes the steps that the front asks for until it sends None. A planner's text is read already here."""
@@ -97,7 +96,8 @@ class Playing:
         self._attempt: OngoingAttempt | None = None
         self._start = here.drive.now
         self._me = here.drive.state(self._ego)  # where it is, or was last
-        self._seen = here.drive.observation() if play.ego is not None else None
+        self._pace, self._driven, self._behind = Pace(here), 0.0, 0.0
+        self._seen = here.drive.observation() if play.ego == STEERED else None
         self._actions: Mapping[str, Numbers] = {}
         self._ending = ""
         self._touched: str | None = None
@@ -118,29 +118,33 @@ class Playing:
     def step(self, actions: Mapping[str, Numbers]) -> Moment:
         """One step of the environment: ``every`` steps of the simulation, fewer if the episode ends in them."""
         self._actions, before, apart, began = actions, self._me, self._apart, self._drive.now
+        behind = self._behind
         for _ in range(self._play.every):
             if self._ending:
                 break
             self._advance()
         self._apart = self._distance()
-        result = self._result() if self._ending and self._attempt is not None else None
-        verdict = None if result is None else result.verdict
+        verdict = self._verdict() if self._ending and self._attempt is not None else None
+        unattacked, speed = self._pace.at(self._drive.now)
+        self._behind = max(unattacked - self._driven, 0.0)
         self._transition = Transition(
             self._drive.now - began, self._there(self._ego), before, self._there(self._play.bv), self._limit(),
-            self._apart, apart, self._touched, self._off_road, self._ending, verdict,
+            self._apart, apart, self._touched, self._off_road, self._ending, verdict, self._behind, behind, speed,
+            self._play.bv is not None, self._followed(), self._delta_v(verdict),
         )  # fmt: skip
-        return self.moment(result if self._play.recorded else None)
+        return self.moment()
 
-    def moment(self, result: AttemptResult | None = None) -> Moment:
+    def moment(self) -> Moment:
         """Where the episode stands. A vehicle that is gone has its last view."""
         ego, bv = self._there(self._ego), self._there(self._play.bv)
-        if self._seen is not None and ego is not None:
-            self._views["ego"] = view_of_ego(self._seen, self._play.viewing.vehicles)
+        if self._play.ego is not None and ego is not None:
+            seen = self._drive.observation() if self._seen is None else self._seen
+            self._views["ego"] = view_of_ego(seen, self._play.viewing.vehicles)
         if self._view is not None and bv is not None and ego is not None:
             near = self._drive.near(bv, FAR)
             others = [self._drive.state(name) for name in near if name != self._ego]
             self._views["adversary"] = self._view(bv, ego, others)
-        return Moment(self._drive.now, dict(self._views), self._transition, result)
+        return Moment(self._drive.now, dict(self._views), self._transition)
 
     def picture(self) -> NDArray[np.uint8]:
         """The road and the vehicles around the ego, from above."""
@@ -156,8 +160,10 @@ class Playing:
             self._attack()
         self._left -= 1
         if self._ego in self._drive.snapshot.raw:
-            self._me = self._drive.state(self._ego)
-            if self._play.ego is not None:  # in every step: it keeps the route of an ego that leaves its lane
+            me = self._drive.state(self._ego)
+            self._driven += math.hypot(me.x - self._me.x, me.y - self._me.y)
+            self._me = me
+            if self._play.ego == STEERED:  # in every step: it keeps the route of an ego that leaves its lane
                 self._seen = self._drive.observation()
         self._end()
 
@@ -261,13 +267,51 @@ class Playing:
             return self._transition.limit
         return self._drive.simulation.limit(self._ego)
 
-    def _result(self) -> AttemptResult:
-        """What the attack came to, as of any attempt."""
-        here, drive = self._here, self._drive
+    def _followed(self) -> bool:
+        """Whether a vehicle in the ego's lane is close behind it."""
+        me = self._there(self._ego)
+        if me is None or not me.lane:
+            return False
+        near = (self._drive.state(name) for name in self._drive.near(me, CLOSE))
+        ahead = math.cos(me.heading), math.sin(me.heading)
+        return any(v.lane == me.lane and (v.x - me.x) * ahead[0] + (v.y - me.y) * ahead[1] < 0 for v in near)
+
+    def _delta_v(self, verdict: Verdict | None) -> float:
+        """The ego's by the contact [m/s]. With another vehicle than the adversary: of two equal masses that stick
+        together."""
+        touched = self._there(self._touched)
+        if touched is None:
+            return 0.0
+        if verdict is not None and verdict.delta_v is not None and self._touched == self._play.bv:
+            return verdict.delta_v
+        me = self._me
+        x = me.speed * math.cos(me.heading) - touched.speed * math.cos(touched.heading)
+        y = me.speed * math.sin(me.heading) - touched.speed * math.sin(touched.heading)
+        return math.hypot(x, y) / 2
+
+    def _verdict(self) -> Verdict | None:
+        """On the attack, as of any attempt."""
+        here = self._here
         assert self._attempt is not None and self._play.bv is not None
         driven = self._attempt.state.driven or Driven("time_limit")
-        verdict = gate_verdict(
-            drive, here.found, here.settings, here.trigger_step, (self._play.bv,), self._start, driven
+        return gate_verdict(
+            self._drive, here.found, here.settings, here.trigger_step, (self._play.bv,), self._start, driven
         )  # fmt: skip
-        snapshots = drive.recording.snapshots[here.trigger_step :]
-        return AttemptResult(driven, verdict, self._start, snapshots, dict(drive.simulation.fleet.sizes))
+
+
+class Pace:
+    """How far and how fast the ego drives in an encounter unattacked. Beyond what was recorded it keeps its speed."""
+
+    def __init__(self, here: OpenEncounter) -> None:
+        me, track = here.drive.state(here.found.ego), unattacked(here.found, here.settings)
+        self._time, self._speed, x, y = (np.array([v]) for v in (here.drive.now, me.speed, me.x, me.y))
+        if track is not None:  # else it was only foreseen
+            self._time, self._speed = np.append(self._time, track.time), np.append(self._speed, track.speed)
+            x, y = np.append(x, track.x), np.append(y, track.y)
+        self._driven = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
+
+    def at(self, time: float) -> tuple[float, float]:
+        """Metres driven since the trigger, and speed [m/s]."""
+        speed = float(np.interp(time, self._time, self._speed))
+        beyond = max(time - float(self._time[-1]), 0.0) * speed
+        return float(np.interp(time, self._time, self._driven)) + beyond, speed

@@ -27,7 +27,7 @@ class PolicyDriver:
         self,
         policy: Policy,
         *,
-        actions: str = "controls",
+        actions: str = "pedals",
         observations: Observations = "vector",
         vehicles: int = 8,
         interval: float = 0.1,

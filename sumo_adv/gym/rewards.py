@@ -17,6 +17,11 @@ class Transition:
     0 only if their boxes overlap, inf without an adversary; apart_before: before the step. touched: the vehicle that
     the ego touches. off_road: an agent's vehicle, if its centre is off the road. ending: how the episode ended,
     empty while it goes on; see ``docs/gym.md``. verdict: on the attack, at the end of an episode with one.
+
+    behind: how much less the ego has driven than in the same encounter unattacked, driven by SUMO's IDM [m], 0 if it
+    has driven more; behind_before: before the step. unattacked: its speed there, now [m/s]. attacked: whether this
+    episode has an adversary. followed: whether a vehicle in the ego's lane is at most 30 m behind it. delta_v: of the
+    ego by the contact [m/s], 0 without one.
     """
 
     seconds: float
@@ -30,24 +35,45 @@ class Transition:
     off_road: str | None
     ending: str = ""
     verdict: Verdict | None = None
+    behind: float = 0.0
+    behind_before: float = 0.0
+    unattacked: float = 0.0
+    attacked: bool = False
+    followed: bool = False
+    delta_v: float = 0.0
 
 
 Reward = Callable[[Transition], float]
 
-CRASH = 10.0  # the ego's loss by a contact or by leaving the road: as much as ten seconds of driving
-ROUGH = 0.01  # a second, for each (m/s2)^2 of acceleration
+# of the ego, in seconds of driving at the speed limit
+CONTACT = 2.0  # loss by any contact,
+HARM = 4.0  # and for each m/s of its delta-v: a serious one (2.24 m/s) costs 11, as much as standing for an episode
+OFF_ROAD = 20.0
+BLOCKING = 0.5  # a second, at less than half of the speed that it has unattacked, with a vehicle close behind
+COMFORT = 2.0  # m/s2: softer braking costs nothing,
+NEEDLESS = 0.1  # a second, for each m/s2 of harder braking where nothing attacks
+SLOWEST = 10.0  # m/s: a lower speed limit counts as this
+
 BEST = 10.0  # the adversary's gain by a serious collision
 NEARER = 0.02  # its gain for each metre nearer, at most: far below that of a collision
 
 
 def ego_reward(t: Transition) -> float:
-    """One a second at the speed limit or above, less for a lower speed and for rough driving; a crash costs ten."""
+    """0 for driving as in the same encounter unattacked; what is lost against that, and the price of harm.
+
+    A metre behind costs what it takes to drive it at the speed limit, and is won back by catching up.
+    """
     if t.ego is None:
         return 0.0
-    crashed = t.touched is not None or t.off_road == t.ego.id
-    progress = min(t.ego.speed / max(t.limit, 1.0), 1.0)
-    acceleration = (t.ego.speed - t.before.speed) / t.seconds if t.seconds else 0.0
-    return (progress - ROUGH * acceleration**2) * t.seconds - (CRASH if crashed else 0.0)
+    worth = (t.behind_before - t.behind) / max(t.limit, SLOWEST)
+    braking = (t.before.speed - t.ego.speed) / t.seconds if t.seconds else 0.0
+    if not t.attacked:
+        worth -= NEEDLESS * max(braking - COMFORT, 0.0) * t.seconds
+    if t.followed and t.ego.speed < t.unattacked / 2:
+        worth -= BLOCKING * t.seconds
+    if t.touched is not None:
+        worth -= CONTACT + HARM * t.delta_v
+    return worth - (OFF_ROAD if t.off_road == t.ego.id else 0.0)
 
 
 def adversary_reward(t: Transition) -> float:

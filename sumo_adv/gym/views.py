@@ -17,23 +17,25 @@ from numpy.typing import NDArray
 
 from sumo_adv.datatypes import VehicleState
 from sumo_adv.drivers import Observation
-from sumo_adv.geometry import Path, wrap
+from sumo_adv.geometry import Path
 from sumo_adv.situation import Target
 
 Numbers = NDArray[np.float32]
 View = dict[str, Numbers]
-"""``own`` (9,), ``path`` (10, 2), ``vehicles`` (n, 8), and for an adversary ``ego`` (8,)."""
+"""``own`` (9,), ``path`` (10, 2), ``vehicles`` (n, 13), and for an adversary ``ego`` (13,)."""
 
 FAR = 120.0  # m: how far a driver sees
 FAST = 60.0  # m/s
 OWN = (FAST, 15.0, 10.0, 1.0, 1.0, FAST, 1.0, 1.0, FAR)
 """Largest values of speed, acceleration, offset from the way, sine and cosine of the heading against it, speed limit,
 lane to the left, lane to the right, metres to the next line at which it must wait (``FAR``: none)."""
-OTHER = (1.0, FAR, FAR, 1.0, 1.0, FAST, 30.0, 5.0)
+OTHER = (1.0, FAR, FAR, 1.0, 1.0, FAST, 30.0, 5.0, FAST, FAST, FAR, 30.0, 2.0)
 """Largest values of there or not, metres ahead, metres to the left, cosine and sine of the heading, speed, length,
-width."""
-SIGNED_OWN, SIGNED_OTHER = (1, 2, 3, 4), (1, 2, 3, 4)  # columns that may be negative
+width, velocity relative to the agent's ahead and to the left, metres ahead along its way, metres to the left of its
+way, how fast it approaches [1/s]: by which share of the distance a second."""
+SIGNED_OWN, SIGNED_OTHER = (1, 2, 3, 4), (1, 2, 3, 4, 8, 9, 10, 11, 12)  # columns that may be negative
 AHEAD = tuple(5.0 * k for k in range(1, 11))  # m: the points of the way
+SAME = 1e-3  # m: nearer points of a way are one, as where it ends
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,9 +96,8 @@ def view_of_ego(seen: Observation, vehicles: int) -> View:
         stop = next((line.ahead for line in road.stop_lines if line.must_wait), FAR)
     own = (me.speed, me.acceleration, offset, math.sin(turned), math.cos(turned), limit, left, right, stop)
     points = None if seen.path is None else np.asarray(seen.path)
-    return _bounded({
-        "own": own, "path": _in_frame(me, _onward(me, points)), "vehicles": _nearest(me, seen.others, vehicles)
-    })  # fmt: skip
+    path = _in_frame(me, _onward(me, points))
+    return _bounded({"own": own, "path": path, "vehicles": _nearest(me, path, seen.others, vehicles)})
 
 
 class ViewOfAdversary:
@@ -118,9 +119,10 @@ class ViewOfAdversary:
             me.speed, me.acceleration, self.offset, math.sin(turned), math.cos(turned), self._target.fastest, left,
             right, FAR,
         )  # fmt: skip
+        path = _in_frame(me, np.column_stack([x, y])[1:])
         return _bounded({
-            "own": own, "path": _in_frame(me, np.column_stack([x, y])[1:]), "ego": _row(me, ego),
-            "vehicles": _nearest(me, others, self._vehicles),
+            "own": own, "path": path, "ego": _rows(me, path, [ego])[0],
+            "vehicles": _nearest(me, path, others, self._vehicles),
         })  # fmt: skip
 
 
@@ -149,16 +151,41 @@ def _in_frame(me: VehicleState, points: NDArray[Any]) -> NDArray[Any]:
     return np.column_stack([c * dx + s * dy, c * dy - s * dx])
 
 
-def _row(me: VehicleState, v: VehicleState) -> tuple[float, ...]:
-    dx, dy, c, s = v.x - me.x, v.y - me.y, math.cos(me.heading), math.sin(me.heading)
-    turn = wrap(v.heading - me.heading)
-    return (1.0, c * dx + s * dy, c * dy - s * dx, math.cos(turn), math.sin(turn), v.speed, v.length, v.width)
-
-
-def _nearest(me: VehicleState, others: Sequence[VehicleState], count: int) -> NDArray[Any]:
+def _nearest(me: VehicleState, path: NDArray[Any], others: Sequence[VehicleState], count: int) -> NDArray[Any]:
     """The rows of the nearest vehicles; rows of zeros where there are fewer."""
     near = sorted(others, key=lambda v: (v.x - me.x) ** 2 + (v.y - me.y) ** 2)[:count]
     rows = np.zeros((count, len(OTHER)))
-    for k, v in enumerate(near):
-        rows[k] = _row(me, v)
+    if near:
+        rows[: len(near)] = _rows(me, path, near)
     return rows
+
+
+def _rows(me: VehicleState, path: NDArray[Any], others: Sequence[VehicleState]) -> NDArray[Any]:
+    """A row of ``OTHER`` for each vehicle; ``path``: the agent's way in its frame."""
+    states = np.array([(v.x, v.y, v.heading, v.speed, v.length, v.width) for v in others])
+    x, y = _in_frame(me, states[:, :2]).T
+    turn, speed = states[:, 2] - me.heading, states[:, 3]
+    cos, sin = np.cos(turn), np.sin(turn)
+    ahead, left = speed * cos - me.speed, speed * sin
+    along, aside = _beside(path, x, y)
+    approach = -(x * ahead + y * left) / np.maximum(x**2 + y**2, 1.0)
+    there = np.ones(len(states))
+    return np.column_stack([there, x, y, cos, sin, speed, *states[:, 4:].T, ahead, left, along, aside, approach])
+
+
+def _beside(path: NDArray[Any], x: NDArray[Any], y: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Where places are along a way and to the left of it [m]. The way goes straight on at both ends."""
+    path = path[np.concatenate([[True], np.hypot(*np.diff(path, axis=0).T) > SAME])]
+    if len(path) < 2:
+        return x, y - path[0, 1]
+    starts, steps = path[:-1], np.diff(path, axis=0)
+    lengths = np.hypot(*steps.T)
+    stations = AHEAD[0] + np.concatenate([[0.0], np.cumsum(lengths[:-1])])
+    c, s = (steps / lengths[:, None]).T
+    dx, dy = x[:, None] - starts[:, 0], y[:, None] - starts[:, 1]
+    along, aside = c * dx + s * dy, c * dy - s * dx
+    low, high = np.zeros(len(lengths)), lengths.copy()
+    low[0], high[-1] = -math.inf, math.inf
+    off = np.hypot(along - np.clip(along, low, high), aside)
+    rows, nearest = np.arange(len(x)), np.argmin(off, axis=1)
+    return (stations + along)[rows, nearest], aside[rows, nearest]

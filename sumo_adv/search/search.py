@@ -156,6 +156,15 @@ class AttackSearch:
         """Predict candidates of compositions that an analyzer (``by``: its name) proposes; they join the pool."""
         self.pool += self._support.proposed(casts, by, self.pool, self.price)
 
+    def begin_anew(self, chosen: Sequence[Proposal]) -> None:
+        """Forget what attempts came to, because the driver has changed, and try these candidates first."""
+        self._tried, self._best = [], Level.NONE
+        self._by_family.clear()
+        self._by_planner.clear()
+        self._evolution = Evolution(self._sampler, self._goal, self._settings.evolution)
+        self._evolution.draw_from(self._templates)
+        self._evolution.add(chosen)
+
     def propose(self, budget: int) -> list[Proposal]:
         """The next candidates to try, at most ``budget``; none when nothing is left. They leave the pool."""
         selected = list[Proposal]()

@@ -1,0 +1,64 @@
+"""Attacks that keep up with an ego that learns: each episode is an attempt of the search, or repeats an earlier one.
+
+The search begins with attacks that were predicted to collide. From then on it asks the ego as it drives now: what an
+episode came to is what it learns from.
+Attacks that came near are kept by the level that they last came to. As the ego learns to avoid some, they fall to a
+lower level, and the search, which begins anew with the best ones every ``ROUND`` attempts, looks for others. Repeating
+and varying what is hard for the learner follows ACCEL (Parker-Holder et al. 2022, "Evolving curricula with regret-based
+environment design").
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from sumo_adv.datatypes import Level, Proposal, Verdict
+from sumo_adv.goal import Goal
+from sumo_adv.search.evolution import badness
+from sumo_adv.search.search import AttackSearch
+
+REPEATED = 0.5  # share of episodes with an attack that is known
+KEPT = 16  # attacks of each level, the newest
+ROUND = 60  # attempts of the search on one state of the ego: it has learnt since
+FIRST = 6  # known attacks with which a round begins
+NEAR = 3.0  # m: what comes no nearer, and is not critical, is not kept
+
+
+class Curriculum:
+    """The attacks of one encounter, by difficulty."""
+
+    def __init__(self, search: AttackSearch, goal: Goal, first: Sequence[Proposal] = ()) -> None:
+        """``search``: one that predicts nothing; first: what it tries first."""
+        self._search, self._goal = search, goal
+        search.begin_anew(first)
+        self._known: dict[Level, list[tuple[Proposal, float]]] = {}  # with their badness, the newest last
+        self._tried = 0
+
+    def next(self, draws: np.random.Generator) -> Proposal | None:
+        """A known attack, whose level is drawn first, each as often; or an attempt of the search."""
+        levels = [level for level, known in self._known.items() if known]
+        if levels and draws.random() < REPEATED:
+            known = self._known[levels[int(draws.integers(len(levels)))]]
+            return known[int(draws.integers(len(known)))][0]
+        if self._tried and self._tried % ROUND == 0:
+            best = sorted((worth, k, p) for k, (p, worth) in enumerate(self._all()))[:FIRST]
+            self._search.begin_anew([p for _, _, p in best])
+        self._tried += 1
+        proposed = self._search.propose(1)
+        return proposed[0] if proposed else None
+
+    def observe(self, attack: Proposal, verdict: Verdict) -> None:
+        """Keep an attack by the level that it came to, and tell the search of it."""
+        for known in self._known.values():
+            known[:] = [(p, worth) for p, worth in known if p is not attack]
+        self._search.observe(attack, None, verdict)
+        near = verdict.counts and (verdict.level > Level.NONE or verdict.min_distance < NEAR)
+        if near:
+            known = self._known.setdefault(verdict.level, [])
+            known.append((attack, badness(verdict, self._goal)))
+            del known[:-KEPT]
+
+    def _all(self) -> list[tuple[Proposal, float]]:
+        return [one for known in self._known.values() for one in known]
