@@ -275,7 +275,7 @@ def test_convert_of_nothing_good_fails(program: Program) -> None:
     assert done.status == 1 and len(done.err.splitlines()) == 2 and "Traceback" not in done.err
     assert program.leftovers() == ["bad.tfrecord"]
     both = program.here("convert", "bad.tfrecord", "--out", "scenes", "--id", "a", "--first", "2")
-    assert both.status == 2 and "not several" in both.err
+    assert both.status == 2 and "not both" in both.err
 
 
 def test_run_on_a_record(program: Program) -> None:
