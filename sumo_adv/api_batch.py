@@ -166,7 +166,7 @@ def orders_of(
 
 
 class Teller:
-    """Watches a batch, a hunt or an estimate, and passes on what it is given functions for. ``total`` and ``done``
+    """Watches a batch, a hunt or an estimate, and calls the functions that it was given. ``total`` and ``done``
     count episodes, or blocks of a phase."""
 
     def __init__(

@@ -141,7 +141,7 @@ class Program:
 
 
 def tiny_disk(folder: Path, size: str, then: str) -> tuple[str, ...]:
-    """What to put before a command that is to have a disk of a ``size`` in ``folder``, and a line of shell for after
+    """What to put before a command to give it a disk of a ``size`` in ``folder``, and a line of shell for after
     it. Skips the test where nothing can be mounted."""
     folder.mkdir()
     if not shutil.which("unshare") or subprocess.run(["unshare", "-rm", "true"], capture_output=True).returncode:

@@ -20,7 +20,6 @@ from sumo_adv.campaigns.worker import (
     Collector,
     CompositionLesson,
     Lesson,
-    SettingLesson,
     as_text,
     lessons_of,
     share,
@@ -332,14 +331,16 @@ ODD_PAIR = Composition("Odd Pair", "One vehicle slows down and the other drives 
 
 def test_lessons_survive_as_text() -> None:
     lessons = [
-        lesson(0), lesson(1, success=False), Lesson(lesson(2).evidence, None, None),
-        CompositionLesson(ODD_PAIR, (True, False)), SettingLesson("driver.mine:Ego", {"idm": 0.75, "lattice": 0.25}),
-    ]  # fmt: skip
+        lesson(0),
+        lesson(1, success=False),
+        Lesson(lesson(2).evidence, None, None),
+        CompositionLesson(ODD_PAIR, (True, False)),
+    ]
     assert lessons_of(as_text(lessons), "it") == lessons
     assert "Infinity" not in as_text(lessons)
 
 
-def test_compositions_and_drivers_are_learnt_after_the_runs(tmp_path: Path) -> None:
+def test_compositions_are_learnt_after_the_runs(tmp_path: Path) -> None:
     file = tmp_path / "bank.sqlite"
     MemoryBank.open(file).close()
     with Collector.open(file, read_only=True) as collector:
@@ -347,13 +348,11 @@ def test_compositions_and_drivers_are_learnt_after_the_runs(tmp_path: Path) -> N
         assert not collector.record_composition(ODD_PAIR, [False])
         assert collector.record_composition(ODD_PAIR, [False, True])
         assert collector.record_composition(ODD_PAIR, [True, False])
-        collector.keep("driver.mine:Ego", {"idm": 0.75, "lattice": 0.25})
         lessons = lessons_of(as_text(collector.lessons), "it")
     with MemoryBank.open(file) as bank:
         assert compositions(bank) == []  # a collector only reads
         assert teach(bank, lessons) == 2  # the first one had no success, and the bank did not know it
         assert compositions(bank) == [replace(ODD_PAIR, succeeded=2, failed=1)]
-        assert bank.settings("driver.") == {"driver.mine:Ego": {"idm": 0.75, "lattice": 0.25}}
 
 
 def test_teaching_twice_teaches_once(tmp_path: Path) -> None:

@@ -18,7 +18,12 @@ from docs_blocks import Block, blocks, pages
 
 STORIES = {str(page.relative_to(ROOT)): page for page in pages() if any(b.mark == "run" for b in blocks(page))}
 Played = Callable[[str], tuple[Path, list[str]]]
-LATER = ("choose", "rate", "several", "vulnerable")  # pages whose commands other tests run too: only in make soak
+LATER = (
+    "choose",
+    "rate",
+    "several",
+    "vulnerable",
+)  # only in make soak, as other tests run their commands
 SAID = "said.txt"  # in a story's folder: what its blocks printed
 AT_HAND = ("scenarios", "networks", "memory_bank", "prompts")  # of the checkout, which no block writes to
 

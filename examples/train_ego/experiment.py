@@ -56,7 +56,7 @@ COLUMNS = (
     "why",
 )
 VALID = ("valid", "strict", "serious")
-HARD = 2.0  # m/s2: braking that nobody needs where nothing happens
+HARD = 2.0  # m/s2: braking harder is needless where nothing happens
 FILE = "measured.csv"
 
 
@@ -64,7 +64,7 @@ FILE = "measured.csv"
 
 
 def train(out: Path, encounters: Sequence[Path], minutes: float, cores: int, seed: int) -> None:
-    """Train all rows at the same time. What a row prints is in its log; one that fails is not measured."""
+    """Train all rows at the same time. What a row prints is in its log. A row that fails is not measured."""
     actors = max(cores // sum(row != "untrained" for row in TRAINED), 1)
     began, scenarios = {}, [argument for e in encounters for argument in ("--scenario", str(e))]
     for row, attacks in TRAINED.items():

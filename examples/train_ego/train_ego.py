@@ -97,7 +97,7 @@ def weights_of(model: PPO) -> dict[str, np.ndarray[Any, Any]]:
 
 
 def save(model: PPO, out: Path) -> None:
-    """Write the weights; whoever ends this program finds the last ones whole."""
+    """Write the weights. Where the program is ended, the last ones are whole."""
     half = out.with_suffix(".half.npz")
     np.savez_compressed(half, **weights_of(model))
     half.replace(out)

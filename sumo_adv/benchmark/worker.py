@@ -10,8 +10,7 @@ import traceback
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from sumo_adv.benchmark.arena import Arena, motion_of, unattacked
 from sumo_adv.benchmark.jobs import RAW, Job, Setup, bank_of, cell_path, example_path, method_of, slug
@@ -22,7 +21,7 @@ from sumo_adv.config import Settings, forget_environment, load_settings, reachab
 from sumo_adv.datatypes import Ending
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.task import make_task
-from sumo_adv.episode.warm import WarmEngine, WarmSandboxes
+from sumo_adv.episode.warm import WarmEngine, WarmProcesses, WarmSandboxes
 from sumo_adv.errors import BankError, SumoAdvError, UsageError, fault_sentence
 from sumo_adv.files import is_storage_error, json_text, storage_error, write_text
 from sumo_adv.llm.chat import Ledger
@@ -72,25 +71,15 @@ def missing_rows(setup: Setup, job: Job) -> tuple[str, ...]:
     return tuple(r for r in job.rows if not cell_path(setup.folder, job.ego, job.case.name, r).exists())
 
 
-class Bencher:
+class Bencher(WarmProcesses):
     """Holds what stays warm; a context manager. ``given``: the setup, and the folder for temporary files."""
 
     def __init__(self, given: tuple[Setup, Path]) -> None:
         self._setup, self.scratch = given
-        self._engine = WarmEngine()
-        self._sandboxes = WarmSandboxes()
+        super().__init__()
         self._began = time.perf_counter()  # the row that is under way
         tempfile.tempdir = str(self.scratch)
         forget_environment()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._engine.close()
-        self._sandboxes.close()
 
     def run(self, job: Job, *, last: bool) -> Done:
         """The cells of a job. A row that breaks becomes a failed cell, and those after it begin afresh.
@@ -108,7 +97,7 @@ class Bencher:
                 if isinstance(error, BankError) or is_storage_error(error):
                     raise
                 sentence = str(error) if isinstance(error, SumoAdvError) else _fault(error)
-                self.__exit__(None, None, None)
+                self.close()
                 self._engine, self._sandboxes = WarmEngine(), WarmSandboxes()
                 if left:
                     seconds = time.perf_counter() - self._began

@@ -79,9 +79,9 @@ class LocalWorkers:
     """Runs jobs on worker processes. ``fail`` writes down an episode that could not be run: (job, why, text).
 
     setup: what ``make`` makes each worker's runner from; both go to the worker. make: None = episodes of a batch, with
-    jobs of the type ``Job``. The jobs of another runner are anything with an ``id``. seen: how far a job is, whose
-    deadline begins anew when that changes, and the seconds [s] of it that do not count. hangs: tries of a job that is
-    not done in time.
+    jobs of the type ``Job``. The jobs of another runner are anything with an ``id``. seen: how far a job is, and the
+    seconds [s] of it that do not count. The job's deadline begins anew when it gets further. hangs: tries of a
+    job that is not done in time.
     """
 
     setup: Any

@@ -1,5 +1,5 @@
 """Runs episodes one after another in one process: sandbox, engine and imports stay warm, and nothing else of one
-episode is there for the next. What they learn is collected, and written into the bank at the end, in the plan's order.
+episode is there for the next. Lessons are collected, and written into the bank at the end, in the plan's order.
 """
 
 from __future__ import annotations
@@ -9,11 +9,9 @@ import os
 import tempfile
 import traceback
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from sumo_adv.campaigns.results import LEARNT, OUTCOME, TRACEBACK, Done, Job, Learn, Row, Setup, row_of, write_failure
 from sumo_adv.config import Settings, forget_environment, load_settings
@@ -22,7 +20,7 @@ from sumo_adv.drivers.registry import trusted_driver
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.loop import run_episode
 from sumo_adv.episode.task import make_task
-from sumo_adv.episode.warm import WarmEngine, WarmSandboxes
+from sumo_adv.episode.warm import WarmProcesses
 from sumo_adv.errors import BankError, SumoAdvError, UsageError, fault_sentence
 from sumo_adv.files import FULL, StorageError, is_storage_error
 from sumo_adv.memory.bank import MemoryBank
@@ -51,13 +49,7 @@ class CompositionLesson:
     attempts: tuple[bool, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class SettingLesson:
-    key: str
-    value: object
-
-
-Lessons = Lesson | CompositionLesson | SettingLesson
+Lessons = Lesson | CompositionLesson
 
 
 class Collector(MemoryBank):
@@ -71,9 +63,6 @@ class Collector(MemoryBank):
     def record_composition(self, composition: Composition, attempts: Sequence[bool]) -> bool:
         self.lessons.append(CompositionLesson(composition, tuple(attempts)))
         return any(attempts) or composition.key in self.settings(composition.key)
-
-    def keep(self, key: str, value: object) -> None:
-        self.lessons.append(SettingLesson(key, value))
 
 
 def as_text(lessons: Iterable[Lessons]) -> str:
@@ -105,8 +94,6 @@ def _lesson(entry: dict[str, Any]) -> Lessons:
         if not all(isinstance(succeeded, bool) for succeeded in attempts):
             raise ValueError("the attempts with a composition must be true or false")
         return CompositionLesson(composition_of(entry["composition"]), attempts)
-    if "key" in entry:
-        return SettingLesson(str(entry["key"]), entry["value"])
     return Lesson(_evidence(entry["evidence"]), _intent(entry["intent"]), _planner(entry["planner"]))
 
 
@@ -131,12 +118,12 @@ def _planner(p: dict[str, Any] | None) -> Planner | None:
 def teach(bank: MemoryBank, lessons: Iterable[Lessons]) -> int:
     """Record lessons in their order, but evidence that the bank holds; the number of pieces written.
 
-    Evidence comes first, then compositions and settings. So it may be broken off among the evidence and done again.
+    Evidence comes first, then compositions. So it may be broken off among the evidence and done again.
     Raises BankError.
     """
     held = {_key(e) for e in bank.evidence()}
     written = 0
-    later = list[CompositionLesson | SettingLesson]()
+    later = list[CompositionLesson]()
     for lesson in lessons:
         if not isinstance(lesson, Lesson):
             later.append(lesson)
@@ -150,10 +137,7 @@ def teach(bank: MemoryBank, lessons: Iterable[Lessons]) -> int:
         bank.record(lesson.evidence, intent=lesson.intent, planner=None if in_bank else lesson.planner)
         written += 1
     for lesson in later:
-        if isinstance(lesson, CompositionLesson):
-            written += bank.record_composition(lesson.composition, lesson.attempts)
-        else:
-            bank.keep(lesson.key, lesson.value)
+        written += bank.record_composition(lesson.composition, lesson.attempts)
     return written
 
 
@@ -164,28 +148,22 @@ def _key(evidence: Evidence) -> str:
 # -- running
 
 
-class Runner:
+class Runner(WarmProcesses):
     """Holds what stays warm; a context manager. Raises BankError if the bank cannot be opened."""
 
     def __init__(self, setup: Setup) -> None:
         self._setup, self._parts = setup, setup.parts
-        self._engine = WarmEngine()
-        self._sandboxes = WarmSandboxes()
+        super().__init__()
         self._opened: MemoryBank | None = None
         self._stamp = 0
         forget_environment()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        with ExitStack() as stack:
+    def close(self) -> None:
+        try:
+            super().close()
+        finally:
             if self._opened is not None:
-                stack.callback(self._opened.close)
-            stack.callback(self._sandboxes.close)
-            stack.callback(self._engine.close)
+                self._opened.close()
 
     def run(self, job: Job, *, last: bool) -> Done:
         """One episode, and its folder in its place. Unless this is the ``last`` try, a failed simulation is not

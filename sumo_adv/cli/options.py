@@ -116,7 +116,7 @@ Density = Annotated[
 Background = Annotated[
     str | None,
     option(
-        INPUT, "What drives recorded vehicles: log, sumo, or mixed (SUMO drives those near the adversary).",
+        INPUT, "What drives recorded vehicles: log or sumo.",
         default="as the input says, else log for a replayed ego",
     ),
 ]  # fmt: skip

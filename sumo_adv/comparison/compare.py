@@ -35,7 +35,7 @@ LEAST = 6  # pairs: with fewer no paired test can reach p 0.05 (2 / 2**5 = 0.06)
 
 @dataclass(frozen=True, slots=True)
 class Compared:
-    """One episode. ``key``: what it is paired by.
+    """One episode. ``key``: pairs it with the other side's.
 
     level: of the attempt that counts; min_ttc [s]: 10 if never, 0 with a collision; delta_v [m/s]: 0 without a
     collision that counts; until_valid: attempts until the first valid one, None if none was; failed: the work failed;

@@ -81,6 +81,26 @@ class WarmSandboxes:
             sandbox.close()
 
 
+class WarmProcesses:
+    """An engine and sandboxes for many episodes; a context manager."""
+
+    def __init__(self) -> None:
+        self._engine, self._sandboxes = WarmEngine(), WarmSandboxes()
+
+    def close(self) -> None:
+        """End all processes."""
+        try:
+            self._engine.close()
+        finally:
+            self._sandboxes.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
 class _Nursery:
     """The commands ``begin`` and ``end``, and those of the episode in between."""
 

@@ -61,7 +61,7 @@ NEARER = 0.02  # its gain for each metre nearer, at most: far below that of a co
 def ego_reward(t: Transition) -> float:
     """0 for driving as in the same encounter unattacked; what is lost against that, and the price of harm.
 
-    A metre behind costs what it takes to drive it at the speed limit, and is won back by catching up.
+    A metre behind costs the time to drive it at the speed limit. Catching up wins it back.
     """
     if t.ego is None:
         return 0.0

@@ -229,11 +229,6 @@ class MemoryBank:
             known_intent = rows.read_intent(self._connection, label) or known_intent
         self._remember(rows.stored(evidence, known_intent.label, stamp), known_intent, *known_planner)
 
-    def keep(self, key: str, value: object) -> None:
-        """Set one setting, a JSON value, in one transaction. Raises BankError."""
-        with self._writing():
-            rows.write_setting(self._connection, key, value)
-
     def record_composition(self, composition: Composition, attempts: Sequence[bool]) -> bool:
         """Count attempts with a composition, True for each success, in one transaction. An unknown composition is added
         by a success only, as an intent is; the result tells whether the bank knows it now. Raises BankError."""
@@ -285,7 +280,9 @@ class MemoryBank:
 
     def set_epsilon(self, epsilon: float, calibrated_on: str) -> None:
         """Store the epsilon and its calibration data. Raises BankError."""
-        self.keep(EPSILON_KEY, {"epsilon": epsilon, "calibrated_on": calibrated_on})
+        with self._writing():
+            setting = {"epsilon": epsilon, "calibrated_on": calibrated_on}
+            rows.write_setting(self._connection, EPSILON_KEY, setting)
 
     @contextlib.contextmanager
     def _writing(self, *, refresh: bool = True) -> Iterator[str]:

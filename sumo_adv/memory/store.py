@@ -164,7 +164,7 @@ def _check(connection: sqlite3.Connection, path: Path) -> int:
 def make_file(path: Path, fill: Callable[[sqlite3.Connection], None], *, replace: bool = False) -> None:
     """A new file at ``path`` that ``fill`` makes a bank; it appears whole or not at all.
 
-    One that exists, or that another process makes meanwhile, is kept unless ``replace``. Raises BankError, OSError,
+    A file that exists, or that another process makes meanwhile, is kept unless ``replace``. Raises BankError, OSError,
     sqlite3.Error.
     """
     path.parent.mkdir(parents=True, exist_ok=True)

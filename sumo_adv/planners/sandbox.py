@@ -185,7 +185,7 @@ class Sandbox:
             SandboxError: no worker is available.
         """
         self._open()
-        return PlannerSession(self, planner, roads, seed, type_check)
+        return PlannerSession(self.checkout, self.check_usable, self.limits, planner, roads, seed, type_check)
 
     def close(self) -> None:
         """Stop the workers. May be called twice."""

@@ -6,7 +6,7 @@ import math
 import re
 import secrets
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self
@@ -19,7 +19,6 @@ from sumo_adv.planners.source import HELPERS_CODE, read_source
 if TYPE_CHECKING:
     from pydantic_monty import MontyError, MontySession
 
-    from sumo_adv.planners.sandbox import Sandbox
 
 MOST_STOPPED = 3  # calls that may run into a limit: a quarter of a second each, where an honest one takes about 10 us
 BATCH_FEED = 256  # calls in a feed: a feed has ``call_seconds``, and an honest call takes about 10 us
@@ -50,10 +49,15 @@ class PlannerSession:
     ``PlannerLimitError``. Only ``endpoints`` starts the session again by itself, with fresh globals.
     """
 
-    def __init__(self, pool: Sandbox, planner: Planner, roads: Mapping[str, Data], seed: int, type_check: bool) -> None:
+    def __init__(
+        self, start: Callable[[int, bool], MontySession], usable: Callable[[], None], limits: SandboxLimits,
+        planner: Planner, roads: Mapping[str, Data], seed: int, type_check: bool,
+    ) -> None:  # fmt: skip
+        """start: an interpreter with nothing in it, for a seed and with or without type checks. usable: raises
+        SandboxError where no interpreter may be used any more."""
         self.planner = planner
         self.has_trajectory = read_source(planner.source).has_trajectory
-        self._pool = pool
+        self._new, self._usable, self._limits = start, usable, limits
         self._roads = {str(key): road for key, road in roads.items()}
         self._seed = seed
         self._id = secrets.token_hex(8)
@@ -105,7 +109,7 @@ class PlannerSession:
         Raises PlannerLimitError: the session had ended before.
         """
         self._alive()
-        deadline = time.monotonic() + self._pool.limits.batch_seconds
+        deadline = time.monotonic() + self._limits.batch_seconds
         results: list[dict[str, float] | SandboxError] = []
         stopped = 0
         for start in range(0, len(calls), BATCH_FEED):
@@ -138,7 +142,7 @@ class PlannerSession:
 
     def _start(self, type_check: bool) -> None:
         """Load the helpers and roads, then the planner, into a fresh interpreter."""
-        self._session = self._pool.checkout(self._seed, type_check)
+        self._session = self._new(self._seed, type_check)
         try:
             self._feed(HELPERS_CODE + REDUCERS.replace("ID", self._id), {f"roads_{self._id}": self._roads})
             self._feed(self.planner.source + "\nNone\n", {}, loading=True)
@@ -160,8 +164,8 @@ class PlannerSession:
         from pydantic_monty import MontyConversionError, MontyError
 
         session = self._alive()
-        self._pool.check_usable()
-        printed = _Prints(self._pool.limits.output_bytes)
+        self._usable()
+        printed = _Prints(self._limits.output_bytes)
         try:
             try:
                 return session.feed_run(code, inputs=inputs, print_callback=printed, skip_type_check=not loading)

@@ -12,8 +12,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from enum import StrEnum
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from pydantic import TypeAdapter
@@ -26,7 +25,7 @@ from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.loop import attack_once
 from sumo_adv.episode.planned_encounter import seek
 from sumo_adv.episode.task import FoundEncounter, Task, make_task
-from sumo_adv.episode.warm import WarmEngine, WarmSandboxes
+from sumo_adv.episode.warm import WarmProcesses
 from sumo_adv.errors import SumoAdvError
 from sumo_adv.files import is_storage_error
 from sumo_adv.metrics.contact import first_other_contact
@@ -178,23 +177,13 @@ class Setup:
     ego: str
 
 
-class CaseRunner:
+class CaseRunner(WarmProcesses):
     """Holds what stays warm; a context manager."""
 
     def __init__(self, setup: Setup) -> None:
         self._setup = setup
-        self._engine = WarmEngine()
-        self._sandboxes = WarmSandboxes()
+        super().__init__()
         forget_environment()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._engine.close()
-        self._sandboxes.close()
 
     def run(self, job: CaseJob, *, last: bool) -> Done:
         """One case, and the folder of its run in its place. A driver that breaks is what the case came to.

@@ -215,7 +215,7 @@ class SupportSearch:
         return [p for p in scored if p.prediction is not None and not p.prediction.hopeless]
 
     def _escaping(self, colliders: Sequence[Proposal]) -> list[Base]:
-        """Colliders with what is to be done against the predicted escape of the ego from each."""
+        """Colliders, each with the ego's predicted escape from it that a support must block."""
         return list(zip(colliders, self._scorer.escapes(colliders) if colliders else (), strict=True))
 
     def _supported(self, bases: Iterable[Base]) -> list[Proposal]:
