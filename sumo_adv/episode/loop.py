@@ -129,11 +129,7 @@ def pursue(
     if episode.asked is not None:
         reader = reader_of(agents, episode.words)
         episode.refinement.fitting = Fitting(episode.asked, planned.found, settings, reader)
-    log = episode.task.playback
-    logged = log is not None and log.tracks is not None
-    refiner = Refiner(
-        runner, planned.found, planned.search, agents, entries, settings, tell, another=another, recorded=logged
-    )
+    refiner = Refiner(runner, planned.found, planned.search, agents, entries, settings, tell, another=another)
     try:
         refiner.run(episode.intents, episode.refinement)
         episode.ending, episode.reason = episode.refinement.ending, episode.refinement.reason

@@ -1,14 +1,11 @@
-"""Variants of an attack that succeeded: its neighbours, and how unlike the log it is.
+"""Neighbours of an attack: the same attack with slightly other numbers, or a little earlier or later.
 
-Neighbours are the same attack with slightly other numbers, or a little earlier or later. A search can find a collision
-that only just happens. Neighbours that are simulated tell whether it holds (a robust optimum; Beyer and Sendhoff 2007,
-"Robust optimization").
+A search can find a collision that only just happens. Neighbours that are simulated tell whether it holds (a robust
+optimum; Beyer and Sendhoff 2007, "Robust optimization").
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from random import Random
 
@@ -16,10 +13,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Attempt, Floats, PrescribedMotion, Proposal
 from sumo_adv.episode.task import AttemptResult
-from sumo_adv.metrics.realism import wasserstein
 from sumo_adv.search.sampling import moved
-from sumo_adv.simulation.simulation import Snapshot
-from sumo_adv.simulation.tracks import tracks_of
 
 NUMBERS, SPREAD = 4, 0.05  # neighbours with other numbers, and by which share of their ranges at most
 SHIFT = 0.2  # s by which the adversary comes to the contact earlier in one more neighbour, and later in another
@@ -77,26 +71,3 @@ def retimed(course: PrescribedMotion, rate: float, dt: float) -> PrescribedMotio
     x = at(course.x) + beyond * np.cos(heading[-1])
     y = at(course.y) + beyond * np.sin(heading[-1])
     return PrescribedMotion(x, y, at(heading), at(course.speed) * pace)
-
-
-SPEED, ACCELERATION = 5.0, 2.0  # m/s and m/s2: distances of the distributions that weigh the same
-
-
-def unlikeness(
-    attempt: Attempt, result: AttemptResult, log: Sequence[Snapshot], sizes: Mapping[str, tuple[float, float]],
-    dt: float,
-) -> float:  # fmt: skip
-    """How unlike the log an attack is: the sum of the Wasserstein-1 distances of the adversary's speeds and
-    accelerations from its own logged ones, from the start to the contact, in shares of ``SPEED`` and ``ACCELERATION``;
-    ``inf`` where the log has no such motion. log: the states without an attack, with the sizes [m] of its vehicles."""
-    bv, contact = attempt.proposal.bv, attempt.verdict.contact_time
-    end = math.inf if contact is None else contact
-    driven, logged = result.tracks(dt, bv), tracks_of(log, sizes, {}, dt, (bv,))
-    if not driven or not logged:
-        return math.inf
-    attacking, own = driven[bv].between(result.start + dt / 2, end), logged[0].between(result.start + dt / 2, end)
-    if not len(attacking.time) or not len(own.time):
-        return math.inf
-    return wasserstein(attacking.speed, own.speed) / SPEED + (
-        wasserstein(attacking.acceleration, own.acceleration) / ACCELERATION
-    )

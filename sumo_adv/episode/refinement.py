@@ -16,12 +16,11 @@ from sumo_adv.agents.agents import Agents
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Intent, Level, LibraryEntry, Proposal
 from sumo_adv.episode.assessment import Attempts, Fitting, attempt_of, checked, confirmed, observed_motion, rank
-from sumo_adv.episode.neighbours import Robustness, neighbours, unlikeness
+from sumo_adv.episode.neighbours import Robustness, neighbours
 from sumo_adv.episode.repairs import Repairs
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.goal import Goal
 from sumo_adv.search.ranking import FixedOrder, as_written, chosen
-from sumo_adv.search.sampling import varied
 from sumo_adv.search.search import AttackSearch
 
 GENERATION = 8  # attempts that are chosen at a time: fixed, so that results do not depend on the number of cores
@@ -29,7 +28,6 @@ ALONE = 2 * GENERATION  # attempts before which fewer are made at a time: most s
 HOPEFUL = 120  # attempts without a higher level after which an encounter is left, if another one may come;
 HOPELESS = 40  # the same number where no attempt has been critical
 REMEMBERED, KEPT = 25, 10  # the first and the best attempts keep their recorded states
-LIKE_STEPS = (0.2, 0.1, 0.05)  # of a generation of variations of a winner in a recording: shares of their ranges
 FAVOURITES = 2  # intents that are tried first where a model's answers disagree
 Optimizer = AttackSearch | FixedOrder
 """Chooses the candidates that are tried (``propose``), and takes note of the attempts (``observe``)."""
@@ -86,11 +84,9 @@ class Refiner:
     def __init__(
         self, runner: Attempts, found: FoundEncounter, search: AttackSearch, agents: Agents,
         library: Sequence[LibraryEntry], settings: Settings, tell: Callable[[str, Any], None], *, another: bool = False,
-        recorded: bool = False,
     ) -> None:  # fmt: skip
-        """``another``: there may be another encounter, so this one is left where nothing comes near. ``recorded``: the
-        vehicles follow a log, and of attacks that succeed the one most like it is kept."""
-        self._another, self._recorded = another, recorded
+        """``another``: there may be another encounter, so this one is left where nothing comes near."""
+        self._another = another
         self._runner, self._found, self._search, self._agents = runner, found, search, agents
         self._library, self._settings, self._tell = library, settings, tell
         self._repairs = Repairs(agents, found, library, (), settings)
@@ -120,7 +116,6 @@ class Refiner:
         if found.attempts and all(a.ending == "crashed" for a in found.attempts):
             found.ending, found.reason = Ending.SIMULATION_FAILED, found.attempts[-1].message
         settle_best(found, self._runner)
-        self._approach_log(found, began)
         self._measure_robustness(found, began)
         found.seconds = time.perf_counter() - began
 
@@ -173,55 +168,6 @@ class Refiner:
         for k, result in enumerate(found.results):
             if k >= REMEMBERED and k not in kept and len(result.snapshots):
                 found.results[k] = replace(result, snapshots=(), sizes={})
-
-    def _approach_log(self, found: Refinement, began: float) -> None:
-        """In a recording, vary the success that counts. Of those of its kind that reach its level, too, the one most
-        like the log takes its place."""
-        if not self._recorded or self._settings.tuner == "off" or found.goal.level < Level.VALID:
-            return
-        if not found.successes or found.fitting is not None:
-            return
-        random = Random(self._settings.seed)
-        for step in LIKE_STEPS:
-            if self._used_up(found, began):
-                return
-            k = found.best
-            assert k is not None
-            winner, result = found.attempts[k], found.results[k]
-            plans = [varied(winner.proposal, random, step) for _ in range(GENERATION)]
-            if (better := self._more_like_log(plans, winner, self._unlike(winner, result), found)) is not None:
-                found.attempts.append(better[0])
-                found.results.append(better[1])
-                found.chosen = better[0].index
-                found.successes = [
-                    found.chosen if found.attempts[s].kind == winner.kind else s for s in found.successes
-                ]
-                self._tell("attempt", better[0])
-
-    def _more_like_log(
-        self, plans: Sequence[Proposal], winner: Attempt, least: float, found: Refinement
-    ) -> tuple[Attempt, AttemptResult] | None:
-        """The attempt most like the log that is more so than ``least`` and takes nothing from the winner."""
-        results = list(self._runner.attempt(plans))
-        tried = [self._attempt(len(found.attempts), p, r) for p, r in zip(plans, results, strict=True)]
-        unlike = [self._unlike(a, r) for a, r in zip(tried, results, strict=True)]
-        for k in sorted(range(len(tried)), key=unlike.__getitem__):
-            if unlike[k] >= least:
-                break
-            if self._equals(tried[k], winner, found):  # only then is it worth its reference drivers
-                attempt = checked(tried[k], results[k], self._runner, found.goal)
-                if self._equals(attempt, winner, found):
-                    return attempt, results[k]
-        return None
-
-    def _equals(self, attempt: Attempt, winner: Attempt, found: Refinement) -> bool:
-        """Whether an attempt reaches the goal by the same kind of attack and at the winner's level, or a higher one."""
-        same = attempt.kind == winner.kind and attempt.verdict.level >= winner.verdict.level
-        return same and found.goal.met(attempt.verdict)
-
-    def _unlike(self, attempt: Attempt, result: AttemptResult) -> float:
-        log, sizes = self._found.baseline, self._found.sizes
-        return unlikeness(attempt, result, log, sizes, self._settings.step_length)
 
     def _measure_robustness(self, found: Refinement, began: float) -> None:
         """Simulate neighbours of the success that counts, if attempts and seconds are left."""
