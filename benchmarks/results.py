@@ -1,6 +1,6 @@
 """``make results``: measure the tables of docs/results.md with one revision of the program, and write them there.
 
-    python benchmarks/results.py                    every table of results.toml but those of records: hours
+    python benchmarks/results.py                    every table of results.toml but those of records: three hours
     python benchmarks/results.py --records DIR      Waymo records as well
     python benchmarks/results.py --table drivers --ego idm --suite smoke --attempts 2     a trial: minutes
 
@@ -34,7 +34,7 @@ CODE = (  # what figures depend on
     "sumo_adv", "memory_bank", "memory_bank.sqlite", "prompts", "networks", "suites", "examples/recorded_model",
 )  # fmt: skip
 FRESH, RECORDS = "fresh:", "records"
-ATTEMPTS = 25  # the budget of an encounter
+SECONDS, ATTEMPTS = 60.0, 400  # the budget of an encounter
 COLUMN = {column.key: column for column in COLUMNS}
 PAIRED = ("valid", "strict", "serious")  # columns with paired differences
 OF_PAPER = {"mean_min_ttc": "mean_min_ttc", "collision": "collision"}  # column -> field of paper.Reported
@@ -53,6 +53,8 @@ class Table:
     settings: Sequence[str] = ()
     paper: bool = False
     every: int = 1
+    parts: Sequence[str] = ("all",)
+    cells: str = ""
 
 
 def read_tables(file: Path) -> list[Table]:
@@ -80,32 +82,35 @@ def _git(*words: str) -> str:
     return done.stdout.strip()
 
 
-def suites_of(table: Table) -> list[str]:
-    """The suites of a table; where only every n-th encounter of a shipped one counts, its files."""
-    if isinstance(table.suite, str) and table.every > 1:
-        files = sorted(f for f in (ROOT / "suites" / table.suite).glob("*.toml") if f.name != "suite.toml")
-        return [file.relative_to(ROOT).as_posix() for file in files[:: table.every]]
-    return [table.suite] if isinstance(table.suite, str) else list(table.suite)
+def suites_of(table: Table, folder: Path) -> list[str]:
+    """What ``bench table --suite`` takes for a table; where only every n-th encounter of a suite counts, its files. A
+    fresh suite is made first, in ``folder``."""
+    if not isinstance(table.suite, str):
+        return list(table.suite)
+    suite = ROOT / "suites" / table.suite
+    if table.suite.startswith(FRESH):
+        suite = made_suite(table.suite.removeprefix(FRESH), folder)
+    elif table.every == 1:
+        return [table.suite]
+    files = sorted(f for f in suite.glob("*.toml") if f.name != "suite.toml")[:: table.every]
+    return [(f.relative_to(ROOT) if f.is_relative_to(ROOT) else f).as_posix() for f in files]
 
 
-def command(table: Table, suites: Sequence[str], attempts: int) -> list[str]:
-    """The bench that makes a table, without the folder of its cells."""
+def command(table: Table, suites: Sequence[str], budget: tuple[float, int]) -> list[str]:
+    """The bench that makes a table, without the folder of its cells. ``budget``: seconds and attempts an encounter."""
     words = ["bench", "table", *(word for suite in suites for word in ("--suite", suite))]
     words += ["--ego", ",".join(table.egos), "--until", table.until]
     words += [word for row in table.rows for word in ("--row", row)]
     words += [word for setting in table.settings for word in ("--set", setting)]
-    return [*words, "--attempts", str(attempts)]
+    return [*words, "--seconds", f"{budget[0]:g}", "--attempts", str(budget[1])]
 
 
-def made_suite(spec: str, folder: Path) -> str:
-    """What ``bench table --suite`` takes; a fresh suite is made first, in ``folder``."""
-    if not spec.startswith(FRESH):
-        return spec
-    seed = spec.removeprefix(FRESH)
+def made_suite(seed: str, folder: Path) -> Path:
+    """A fresh suite, in ``folder``."""
     made = folder / f"fresh-{seed}"
     if not (made / "suite.toml").is_file():
         _run(["bench", "make", "--seed", seed, "--out", str(made)])
-    return str(made)
+    return made
 
 
 def _run(words: Sequence[str]) -> None:
@@ -114,15 +119,16 @@ def _run(words: Sequence[str]) -> None:
         raise SystemExit(status)
 
 
-def _about(revision: str, table: Table, suites: Sequence[str], attempts: int) -> str:
+def _about(revision: str, table: Table, suites: Sequence[str], budget: tuple[float, int]) -> str:
     """What stands above a table: the revision, and the command that makes it again."""
     with_model = any(row.startswith("llm") for row in table.rows)
     answers = "recorded answers of a language model" if with_model else "no language model"
     several = len(suites) > 1
-    typed = shlex.join(["sumo-adv", *command(table, ["FILE"] if several else suites, attempts)])
+    typed = shlex.join(["sumo-adv", *command(table, ["FILE"] if several else suites, budget)])
     note = f" FILE ...: {len(suites)} encounters, listed in `benchmarks/results.toml`." if several else ""
     if several and table.every > 1:
-        note = f" FILE ...: one in {table.every} of the files of `suites/{table.suite}`, {len(suites)} in all."
+        suite = str(table.suite).replace(FRESH, "fresh-")
+        note = f" FILE ...: one in {table.every} of the files of `suites/{suite}`, {len(suites)} in all."
     typed = typed.replace("--suite FILE", "--suite FILE ...")
     return f"Revision {revision}, seed 0, {answers}.{note}\n\n<!-- not run: make results runs it -->\n    {typed}"
 
@@ -130,13 +136,14 @@ def _about(revision: str, table: Table, suites: Sequence[str], attempts: int) ->
 def markdown(table: Table, file: Path) -> str:
     """The chosen columns of a bench's table.csv, with intervals; below them the paper's figures."""
     with file.open(newline="", encoding="utf-8") as opened:
-        figures = {(r["ego"], r["row"], r["column"]): r for r in csv.DictReader(opened) if r["part"] == "all"}
+        entries = {(r["part"], r["ego"], r["row"], r["column"]): r for r in csv.DictReader(opened)}
+    figures = {(ego, row, key): entry for (part, ego, row, key), entry in entries.items() if part == "all"}
     lines = ["| ego | row | " + " | ".join(map(_title, table.columns)) + " |"]
     lines.append("|---|---|" + "---|" * len(table.columns))
-    for ego in table.egos:
-        for row in table.rows:
-            cells = [_figure(figures.get((ego, row, key)), COLUMN[key].digits) for key in table.columns]
-            lines.append(f"| {ego} | `{row}` | " + " | ".join(cells) + " |")
+    for part, ego, row in product(table.parts, table.egos, table.rows):
+        cells = [_figure(entries.get((part, ego, row, key)), COLUMN[key].digits) for key in table.columns]
+        name = ego if part == "all" else f"{ego}, {part.replace('_', ' ')}"
+        lines.append(f"| {name} | `{row}` | " + " | ".join(cells) + " |")
     for reported in TABLE_I if table.paper else ():
         cells = [f"{getattr(reported, OF_PAPER[key]):.2f}" if key in OF_PAPER else "" for key in table.columns]
         if reported == TABLE_I[-1]:
@@ -200,14 +207,16 @@ def main() -> None:
     parser.add_argument("--records", type=Path, help="a folder of Waymo records with manifest.csv")
     parser.add_argument("--suite", help="a trial: this suite for all tables")
     parser.add_argument("--ego", help="a trial: these drivers for all tables, separated by commas")
+    parser.add_argument("--seconds", type=float, help="a trial: the budget of each encounter")
     parser.add_argument("--attempts", type=int, help="a trial: the budget of each encounter")
     parser.add_argument("--workers", type=int, help="processes (default: one a core)")
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "results", help="folder of the cells")
     given = parser.parse_args()
 
     name, changed = revision()
-    folder, page, attempts = given.out.resolve() / name, PAGE, given.attempts or ATTEMPTS
-    trial = (given.suite, given.ego, given.attempts)
+    folder, page = given.out.resolve() / name, PAGE
+    budget = (given.seconds or SECONDS, given.attempts or ATTEMPTS)
+    trial = (given.suite, given.ego, given.seconds, given.attempts)
     if changed or any(trial):
         folder /= f"trial-{hashlib.sha256(repr(trial).encode()).hexdigest()[:8]}"
         folder.mkdir(parents=True, exist_ok=True)
@@ -219,15 +228,13 @@ def main() -> None:
         if table.suite == RECORDS and not (given.records or given.suite):
             print(f"{table.name}: left as it is; --records DIR measures it.", file=sys.stderr)
             continue
-        own = suites_of(table)
-        specs = [given.suite] if given.suite else [f"womd:{given.records}" if s == RECORDS else s for s in own]
+        own = [given.suite] if given.suite else suites_of(table, folder)
+        specs = [f"womd:{given.records}" if s == RECORDS else s for s in own]
         measured = replace(table, egos=given.ego.split(",")) if given.ego else table
         workers = ["--workers", str(given.workers)] if given.workers else []
-        cells = folder / table.name
-        made = [made_suite(spec, folder) for spec in specs]
-        _run([*command(measured, made, attempts), *workers, "--out", str(cells)])
-        shown = [given.suite] if given.suite else ["womd:RECORDS" if s == RECORDS else s for s in own]
-        about = _about(name, measured, [s.replace(FRESH, "suites/fresh-") for s in shown], attempts)
+        cells = folder / (table.cells or table.name)
+        _run([*command(measured, specs, budget), *workers, "--out", str(cells)])
+        about = _about(name, measured, ["womd:RECORDS" if s == RECORDS else s for s in own], budget)
         text = put(
             page.read_text(encoding="utf-8"), table.name, f"{about}\n\n{markdown(measured, cells / 'table.csv')}"
         )

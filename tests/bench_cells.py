@@ -29,7 +29,7 @@ def cell(case: str, row: str = "expert", *tried: dict[str, Any], **given: Any) -
     straight = case.startswith("straight")
     verdict = None if not tried else {k: v for k, v in tried[-1].items() if k not in ("intent", "phase")}
     if verdict is not None and "paper_centre_distance" not in verdict:
-        verdict["paper_centre_distance"] = {"within": verdict["collided"]}
+        verdict["paper_centre_distance"] = {"minimum": 0.0 if verdict["collided"] else 9.0}
     valid = bool(verdict and verdict["valid"])
     made: Cell = {
         "schema": 1, "suite": "made", "case": case, "kind": "leader" if straight else "crossing_priority",

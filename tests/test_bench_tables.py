@@ -79,11 +79,11 @@ def test_attempts_and_modification() -> None:
 
 
 def test_the_gates_and_the_papers_criterion() -> None:
-    near = attempt(min_ttc=0.4, paper_centre_distance={"within": True})
+    near = attempt(min_ttc=0.4, paper_centre_distance={"minimum": 3.0})
     off = attempt(collided=True, feasible=False, failed_gates=["off_road", "third_party"])
     table = make_table([cell("straight-1", "expert", near), cell("straight-2", "expert", off)], title="Made")
-    keys = ("collision", "no_rear", "paper_collision", "off_road", "third_party", "infeasible")
-    assert [value(table, k) for k in keys] == [0.5, 0, 1, 0.5, 0.5, 0.5]
+    keys = ("collision", "no_rear", "paper_collision", "paper_collision_2_5", "off_road", "third_party", "infeasible")
+    assert [value(table, k) for k in keys] == [0.5, 0, 1, 0.5, 0.5, 0.5, 0.5]
     assert (value(table, "mean_min_ttc"), value(table, "mean_min_ttc_paper")) == (pytest.approx(0.2), 0)
 
 

@@ -60,7 +60,7 @@ def episode(env: gymnasium.Env[Any, Any], action: np.ndarray, seed: int | None =
     ("name", "options"),
     [
         ("Ego-v0", {"attacker": None, "actions": "lane", "observations": "dict"}),
-        ("Ego-v0", {"settings": QUICK, "unattacked": 0.0}),
+        ("Ego-v0", {"settings": QUICK, "unattacked": 0.0, "danger": True}),
         ("Adversary-v0", {"actions": "endpoint", "observations": "dict"}),
         ("Adversary-v0", {"actions": "controls", "ego": "careful"}),
     ],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ from sumo_adv.metrics.statistics import Estimate, bootstrap, wilson
 
 BUDGETS = (1, 5, 10, 25)
 SECONDS = (10, 60)
+EPSILONS = (2.5, 5.0)  # m between centres: the paper does not give its own
 UNSEEN = ("reg157", "rss", "fsm")  # reference drivers that the search never asks
 CRITICAL_TTC = 1.0  # s, the unattacked run is critical below it; the program's default of --critical-ttc
 RATE, MEAN, MEDIAN = "rate", "mean", "median"
@@ -75,16 +77,22 @@ def _gate(name: str) -> Callable[[Cell], Value]:
     return lambda cell: name in (c.counted(cell).get("failed_gates") or ())
 
 
-def _paper_collision(cell: Cell) -> Value:
-    verdict = c.counted(cell)
-    if c.is_raw(cell) and "paper_centre_distance" not in verdict:
-        return None
-    return (verdict.get("paper_centre_distance") or {}).get("within") is True
+def _paper_collision(epsilon: float) -> Callable[[Cell], Value]:
+    """A touch, or centres within ``epsilon`` [m]."""
+
+    def of(cell: Cell) -> Value:
+        verdict = c.counted(cell)
+        centres = verdict.get("paper_centre_distance")
+        if c.is_raw(cell) and centres is None:
+            return None
+        return verdict.get("collided") is True or (centres or {}).get("minimum", math.inf) <= epsilon
+
+    return of
 
 
 def _paper_ttc(cell: Cell) -> Value:
     """Min TTC [s] with the paper's kind of collision, of the centres, as 0."""
-    near = _paper_collision(cell)
+    near = _paper_collision(EPSILONS[-1])(cell)
     return None if near is None else (0.0 if near else c.capped_ttc(c.counted(cell)))
 
 
@@ -238,8 +246,10 @@ COLUMNS: tuple[Column, ...] = (
            asked_of_all=False),
     Column("mean_min_ttc_paper", "mean (paper) [s]", "Min TTC", "0 also where the centres came within 5 m", MEAN,
            _paper_ttc, raw=True),
-    Column("paper_collision", "collision rate (paper)", "Min TTC", "the centres came within 5 m", of=_paper_collision,
-           raw=True),
+    Column("paper_collision_2_5", "collision rate (paper, 2.5 m)", "Min TTC", "a touch, or centres within 2.5 m",
+           of=_paper_collision(EPSILONS[0]), raw=True),
+    Column("paper_collision", "collision rate (paper)", "Min TTC", "a touch, or centres within 5 m",
+           of=_paper_collision(EPSILONS[1]), raw=True),
     Column("attempts", "attempts until valid", "Attempts", "median, of encounters where some attempt was valid", MEDIAN,
            lambda cell: None if (k := c.first_valid(cell)) is None else float(k), asked_of_all=False, digits=1),
     *(Column(f"valid_{k}", f"valid after {k}", "Attempts", f"one of the first {k} attempts was valid",
@@ -267,6 +277,8 @@ COLUMNS: tuple[Column, ...] = (
              pooled=distance(name, measure), digits=3)
       for name, title, unit in (("speed", "speed", "m/s"), ("acceleration", "acceleration", "m/s²"))
       for measure, label in (("kl", "KL [nat]"), ("js", "JS [nat]"), ("wasserstein", f"W1 [{unit}]"))),
+    Column("yaw_rate_wasserstein", "yaw rate W1 [rad/s]", "Realism", "as W1 of speeds, mean over encounters", MEAN,
+           lambda cell: (cell.get("realism") or {}).get("yaw_rate_wasserstein"), asked_of_all=False, digits=3),
     Column("abnormal_lateral", "steps with a_lat > 4", "Realism", "share of the adversary's steps",
            pooled=step_share("abnormal_lateral_share"), digits=4),
     Column("off_road_steps", "steps off-road", "Realism", "share of the adversary's steps, by its box centre",
@@ -293,7 +305,10 @@ COLUMNS: tuple[Column, ...] = (
            of=lambda cell: (cell.get("robust") or {}).get("robust"), asked_of_all=False),
 )  # fmt: skip
 
-BY_PART = ("collision", "no_rear", "valid", "strict", "serious", "critical", "mean_min_ttc")
+BY_PART = (
+    "collision", "no_rear", "valid", "strict", "serious", "critical", "mean_min_ttc", "paper_collision_2_5",
+    "paper_collision", "speed_kl", "acceleration_kl",
+)  # fmt: skip
 """What is shown of groups and kinds too."""
 
 COMPARED = (

@@ -192,8 +192,9 @@ ABNORMAL_LATERAL = 0.0017  # share with a lateral acceleration above 4 m/s2, sec
 
 COLLISION_NOTE = (
     "The paper calls it a collision when the centres come within an epsilon that it does not give; ours is a touch of "
-    "the boxes, and the column 'collision rate (paper)' takes 5 m. The paper does not say which driver its ego is, "
-    "whether an adversary's motion had to be feasible, nor whether running into the ego's back counts."
+    "the boxes, and the columns 'collision rate (paper)' add centres within 2.5 and 5 m. The paper does not say which "
+    "driver its ego is, whether an adversary's motion had to be feasible, nor whether a contact with the ego's back "
+    "counts."
 )
 TTC_NOTE = (
     "The paper does not define its TTC nor say how collisions and encounters that never close in are averaged: with "

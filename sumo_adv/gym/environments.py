@@ -23,11 +23,11 @@ METADATA = {"render_modes": list(RENDER_MODES), "render_fps": 10}
 Observations = Literal["vector", "dict"]
 
 
-def viewing_of(observations: str, vehicles: int) -> Viewing:
+def viewing_of(observations: str, vehicles: int, danger: bool = False) -> Viewing:
     """What observations hold. Raises UsageError."""
     if observations not in ("vector", "dict"):
         raise UsageError(f"There are no observations {observations!r}; choose vector or dict.")
-    return Viewing(vehicles, observations == "vector")
+    return Viewing(vehicles, observations == "vector", danger)
 
 
 class OneAgentEnv(Shown, gymnasium.Env[Any, NDArray[np.float32]]):
@@ -73,13 +73,14 @@ class EgoEnv(OneAgentEnv):
         actions: str = "pedals",
         observations: Observations = "vector",
         vehicles: int = 8,
+        danger: bool = False,
         interval: float = 0.1,
         reward: Reward = ego_reward,
         settings: Mapping[str, Any] | None = None,
         render_mode: str | None = None,
     ) -> None:
         """``docs/gym.md`` describes the arguments. Raises UsageError."""
-        viewing = viewing_of(observations, vehicles)
+        viewing = viewing_of(observations, vehicles, danger)
         self.action_space = action_space(EGO_ACTIONS, actions)
         core = Core(
             scenario, viewing, interval, settings, ego=None, attacker=attacker, adapts=adapts, unattacked=unattacked,

@@ -37,6 +37,7 @@ class BothEnv(Shown, ParallelEnv[str, Any, Box]):
         adversary_actions: str = "controls",
         observations: Observations = "vector",
         vehicles: int = 8,
+        danger: bool = False,
         interval: float = 0.1,
         rewards: Mapping[str, Reward] | None = None,
         settings: Mapping[str, Any] | None = None,
@@ -45,7 +46,7 @@ class BothEnv(Shown, ParallelEnv[str, Any, Box]):
         """``docs/gym.md`` describes the arguments. Raises UsageError."""
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise UsageError(f"There is no render_mode {render_mode!r}; choose {' or '.join(RENDER_MODES)}.")
-        self._viewing = viewing_of(observations, vehicles)
+        self._viewing = viewing_of(observations, vehicles, danger)
         self._rewards: dict[str, Reward] = {EGO: ego_reward, ADVERSARY: adversary_reward, **(rewards or {})}
         self.possible_agents = [EGO, ADVERSARY]
         self.agents: list[str] = []

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_adv.datatypes import Limits, Proposal, VehicleState, Verdict
-from sumo_adv.drivers import Action, LaneSpeed
+from sumo_adv.drivers import Action, LaneSpeed, Observation
 from sumo_adv.episode.attempt import (
     AdversaryController,
     Command,
@@ -28,7 +28,7 @@ from sumo_adv.geometry import Pose
 from sumo_adv.gym.actions import controlled, ego_action, endpoint
 from sumo_adv.gym.picture import draw
 from sumo_adv.gym.rewards import Transition
-from sumo_adv.gym.views import FAR, View, Viewing, ViewOfAdversary, view_of_ego
+from sumo_adv.gym.views import FAR, View, Viewing, ViewOfAdversary, Watch, view_of_ego
 from sumo_adv.planners.answers import Answer, AskOne, PlannerObservation
 from sumo_adv.planners.sessions import ask_trusted
 from sumo_adv.situation import Target
@@ -97,7 +97,9 @@ class Playing:
         self._start = here.drive.now
         self._me = here.drive.state(self._ego)  # where it is, or was last
         self._pace, self._driven, self._behind = Pace(here), 0.0, 0.0
-        self._seen = here.drive.observation() if play.ego == STEERED else None
+        self._watch = Watch() if play.viewing.danger and play.ego is not None else None
+        self._every_step = play.ego == STEERED or self._watch is not None
+        self._seen = self._look() if self._every_step else None
         self._actions: Mapping[str, Numbers] = {}
         self._ending = ""
         self._touched: str | None = None
@@ -112,6 +114,12 @@ class Playing:
     def _target(self) -> Target:
         assert self._play.bv is not None
         return self._here.found.situations[self._play.delay].targets[self._play.bv]
+
+    def _look(self) -> Observation:
+        seen = self._drive.observation()
+        if self._watch is not None:
+            self._watch.step(seen)
+        return seen
 
     # -- what the front asks for --------------------------------------------------------------------------------
 
@@ -139,7 +147,7 @@ class Playing:
         ego, bv = self._there(self._ego), self._there(self._play.bv)
         if self._play.ego is not None and ego is not None:
             seen = self._drive.observation() if self._seen is None else self._seen
-            self._views["ego"] = view_of_ego(seen, self._play.viewing.vehicles)
+            self._views["ego"] = view_of_ego(seen, self._play.viewing.vehicles, self._watch)
         if self._view is not None and bv is not None and ego is not None:
             near = self._drive.near(bv, FAR)
             others = [self._drive.state(name) for name in near if name != self._ego]
@@ -163,8 +171,8 @@ class Playing:
             me = self._drive.state(self._ego)
             self._driven += math.hypot(me.x - self._me.x, me.y - self._me.y)
             self._me = me
-            if self._play.ego == STEERED:  # in every step: it keeps the route of an ego that leaves its lane
-                self._seen = self._drive.observation()
+            if self._every_step:  # it keeps the route of an ego that leaves its lane, and what was watched
+                self._seen = self._look()
         self._end()
 
     def _attack(self) -> None:

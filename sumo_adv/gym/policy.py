@@ -11,7 +11,7 @@ from sumo_adv.drivers import Action, Observation
 from sumo_adv.drivers.protocol import Road
 from sumo_adv.gym.actions import EGO_ACTIONS, action_space, ego_action
 from sumo_adv.gym.environments import Observations, viewing_of
-from sumo_adv.gym.views import FAST, view_of_ego
+from sumo_adv.gym.views import FAST, Watch, view_of_ego
 
 Policy = Callable[[Any], NDArray[Any]]
 """From an observation of ``sumo_adv/Ego-v0`` to an action."""
@@ -30,23 +30,28 @@ class PolicyDriver:
         actions: str = "pedals",
         observations: Observations = "vector",
         vehicles: int = 8,
+        danger: bool = False,
         interval: float = 0.1,
     ) -> None:
         """Raises UsageError."""
         action_space(EGO_ACTIONS, actions)
         self._policy, self._actions, self._interval = policy, actions, interval
-        self._viewing = viewing_of(observations, vehicles)
+        self._viewing = viewing_of(observations, vehicles, danger)
         self._numbers: NDArray[Any] | None = None
         self._due = 0.0
+        PolicyDriver.reset(self, 0)
 
     def reset(self, seed: int) -> None:
-        """Forget the last action."""
+        """Forget the last action, and what was seen."""
         self._numbers = None
+        self._watch = Watch() if self._viewing.danger else None
 
     def act(self, observation: Observation) -> Action:
         """What the policy does; it decides every ``interval`` seconds."""
+        if self._watch is not None:
+            self._watch.step(observation)
         if self._numbers is None or observation.time > self._due - observation.dt / 2:
-            view = view_of_ego(observation, self._viewing.vehicles)
+            view = view_of_ego(observation, self._viewing.vehicles, self._watch)
             self._numbers = self._policy(self._viewing.given(view))
             self._due = observation.time + self._interval
         numbers = self._numbers

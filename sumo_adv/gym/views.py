@@ -16,13 +16,15 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from sumo_adv.datatypes import VehicleState
-from sumo_adv.drivers import Observation
+from sumo_adv.drivers import LaneSpeed, Observation
+from sumo_adv.drivers.careful import CarefulEgo
 from sumo_adv.geometry import Path
 from sumo_adv.situation import Target
 
 Numbers = NDArray[np.float32]
 View = dict[str, Numbers]
-"""``own`` (9,), ``path`` (10, 2), ``vehicles`` (n, 13), and for an adversary ``ego`` (13,)."""
+"""``own`` (9,), ``path`` (10, 2), ``vehicles`` (n, 13); an ego's may have ``danger`` (2,), an adversary's has ``ego``
+(13,)."""
 
 FAR = 120.0  # m: how far a driver sees
 FAST = 60.0  # m/s
@@ -33,6 +35,8 @@ OTHER = (1.0, FAR, FAR, 1.0, 1.0, FAST, 30.0, 5.0, FAST, FAST, FAR, 30.0, 2.0)
 """Largest values of there or not, metres ahead, metres to the left, cosine and sine of the heading, speed, length,
 width, velocity relative to the agent's ahead and to the left, metres ahead along its way, metres to the left of its
 way, how fast it approaches [1/s]: by which share of the distance a second."""
+DANGER = (1.0, 10.0)
+"""Largest values of whether a careful driver sees a danger, and how hard it brakes now [m/s2]."""
 SIGNED_OWN, SIGNED_OTHER = (1, 2, 3, 4), (1, 2, 3, 4, 8, 9, 10, 11, 12)  # columns that may be negative
 AHEAD = tuple(5.0 * k for k in range(1, 11))  # m: the points of the way
 SAME = 1e-3  # m: nearer points of a way are one, as where it ends
@@ -40,15 +44,20 @@ SAME = 1e-3  # m: nearer points of a way are one, as where it ends
 
 @dataclass(frozen=True, slots=True)
 class Viewing:
-    """What views hold. vehicles: how many others; vector: one vector instead of a dictionary."""
+    """What views hold. vehicles: how many others; vector: one vector instead of a dictionary; danger: for the ego, what
+    the reference driver ``cc_human`` would call a danger."""
 
     vehicles: int = 8
     vector: bool = True
+    danger: bool = False
 
     def space(self, *, adversary: bool) -> spaces.Space[Any]:
         """The space of an agent's observations."""
-        highs: dict[str, Numbers] = {"own": _highs(OWN, ()), "path": np.full((len(AHEAD), 2), FAR, np.float32)}
-        lows: dict[str, Numbers] = {"own": _lows(OWN, SIGNED_OWN), "path": -highs["path"]}
+        highs, lows = {"own": _highs(OWN, ())}, {"own": _lows(OWN, SIGNED_OWN)}
+        if self.danger and not adversary:
+            highs["danger"], lows["danger"] = _highs(DANGER, ()), _lows(DANGER, ())
+        highs["path"] = np.full((len(AHEAD), 2), FAR, np.float32)
+        lows["path"] = -highs["path"]
         if adversary:
             highs["ego"], lows["ego"] = _highs(OTHER, ()), _lows(OTHER, SIGNED_OTHER)
         highs["vehicles"] = _highs(OTHER, (self.vehicles, len(OTHER)))
@@ -76,16 +85,35 @@ def _lows(values: Sequence[float], signed: Sequence[int]) -> Numbers:
 
 _POINT = np.full(2, FAR, np.float32)
 _LARGEST: Mapping[str, Numbers] = {
-    "own": _highs(OWN, ()), "path": _POINT, "ego": _highs(OTHER, ()), "vehicles": _highs(OTHER, ()),
+    "own": _highs(OWN, ()), "danger": _highs(DANGER, ()), "path": _POINT, "ego": _highs(OTHER, ()),
+    "vehicles": _highs(OTHER, ()),
 }  # fmt: skip
 _SMALLEST: Mapping[str, Numbers] = {
-    "own": _lows(OWN, SIGNED_OWN), "path": -_POINT, "ego": _lows(OTHER, SIGNED_OTHER),
+    "own": _lows(OWN, SIGNED_OWN), "danger": _lows(DANGER, ()), "path": -_POINT, "ego": _lows(OTHER, SIGNED_OTHER),
     "vehicles": _lows(OTHER, SIGNED_OTHER),
 }  # fmt: skip
 
 
-def view_of_ego(seen: Observation, vehicles: int) -> View:
-    """What the ego observes, from what its driver sees."""
+class Watch:
+    """The careful driver as a passenger: it watches every step of the simulation and does not drive."""
+
+    def __init__(self) -> None:
+        self._driver, self._braking = CarefulEgo(), 0.0
+
+    def step(self, seen: Observation) -> None:
+        """Look at this step."""
+        action = self._driver.act(seen)
+        speed = action.speed if isinstance(action, LaneSpeed) else None
+        self._braking = 0.0 if speed is None else (seen.ego.speed - speed) / seen.dt
+
+    @property
+    def danger(self) -> tuple[float, float]:
+        """The numbers of ``DANGER``."""
+        return float(bool(self._driver.dangers)), self._braking
+
+
+def view_of_ego(seen: Observation, vehicles: int, watch: Watch | None = None) -> View:
+    """What the ego observes, from what its driver sees. watch: has looked at this step and those before."""
     me, road = seen.ego, seen.road
     turned = 0.0 if seen.lane_heading is None else me.heading - seen.lane_heading
     offset = 0.0 if seen.lane_offset is None else seen.lane_offset
@@ -97,7 +125,8 @@ def view_of_ego(seen: Observation, vehicles: int) -> View:
     own = (me.speed, me.acceleration, offset, math.sin(turned), math.cos(turned), limit, left, right, stop)
     points = None if seen.path is None else np.asarray(seen.path)
     path = _in_frame(me, _onward(me, points))
-    return _bounded({"own": own, "path": path, "vehicles": _nearest(me, path, seen.others, vehicles)})
+    danger = {} if watch is None else {"danger": watch.danger}
+    return _bounded({"own": own, **danger, "path": path, "vehicles": _nearest(me, path, seen.others, vehicles)})
 
 
 class ViewOfAdversary:
