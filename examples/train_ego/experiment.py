@@ -1,14 +1,14 @@
-"""Train an ego in three ways and measure it beside others, on encounters and networks that it never saw.
+"""Train an ego in four ways and measure it beside others, on encounters and networks that it never saw.
 
-    python experiment.py --out results                          an hour and a half on two cores
-    python experiment.py --out results --minutes 5 --measuring 3 --cores 16
+    python experiment.py --out results                          three hours on two cores
+    python experiment.py --out results --minutes 5 --measuring 15 --cores 16
     python experiment.py --out results --minutes 1 --measuring 1 --encounters 2      a try
     python experiment.py --out results --table                  the table again, of what was measured
 
-The rows are trained at the same time, each in a process with its share of the cores (``train_ego.py``). Then the full
-search attacks each row in each encounter of ``encounters.held_out``; it is told nothing about any of the drivers. An
-encounter is measured with all rows before the next one, so that rows stay comparable where the time is over. What is
-measured is in ``measured.csv``, from which the table is made; with ``--minutes 0`` the rows are measured as they are.
+The rows are trained one after the other on all cores (``train_ego.py``). Then the full search attacks each row in each
+encounter of ``encounters.held_out``; it is told nothing about any of the drivers. An encounter is measured with all
+rows before the next one, so that rows stay comparable where the time is over. What is measured is in ``measured.csv``,
+from which the table is made; with ``--minutes 0`` the rows are measured as they are.
 """
 
 from __future__ import annotations
@@ -35,11 +35,15 @@ import sumo_adv
 from sumo_adv.benchmark.unknown import CarefulAsUnknown
 from sumo_adv.metrics.statistics import wilson
 
-TRAINED = {"untrained": "none", "no_attacks": "none", "fixed_set": "fixed", "keep_up": "keep_up"}
-"""Row -> the attacks that it is trained against."""
+TRAINED = {
+    "untrained": ("none", "nothing"), "no_attacks": ("none", "idm"), "fixed_set": ("fixed", "idm"),
+    "keep_up": ("keep_up", "idm"), "from_nothing": ("keep_up", "nothing"),
+}  # fmt: skip
+"""Row -> the attacks that it is trained against, and how it drives before."""
 NAMES = {
     "untrained": "untrained", "no_attacks": "trained without attacks", "fixed_set": "trained against a fixed set",
-    "keep_up": "trained against attacks that keep up", "idm": "`idm`", "careful": "`careful`",
+    "keep_up": "trained against attacks that keep up", "from_nothing": "the same, from scratch", "idm": "`idm`",
+    "careful": "`careful`",
 }  # fmt: skip
 COLUMNS = (
     "encounter",
@@ -55,6 +59,7 @@ COLUMNS = (
     "ending",
     "why",
 )
+GRACE = 300.0  # s: for opening all encounters, and for the last update
 VALID = ("valid", "strict", "serious")
 HARD = 2.0  # m/s2: braking harder is needless where nothing happens
 FILE = "measured.csv"
@@ -64,21 +69,20 @@ FILE = "measured.csv"
 
 
 def train(out: Path, encounters: Sequence[Path], minutes: float, cores: int, seed: int) -> None:
-    """Train all rows at the same time. What a row prints is in its log. A row that fails is not measured."""
-    actors = max(cores // sum(row != "untrained" for row in TRAINED), 1)
-    began, scenarios = {}, [argument for e in encounters for argument in ("--scenario", str(e))]
-    for row, attacks in TRAINED.items():
+    """Train the rows that are not there yet. What a row prints is in its log. A row that fails is not measured."""
+    scenarios = [argument for e in encounters for argument in ("--scenario", str(e))]
+    for row, (attacks, start) in TRAINED.items():
+        if (out / f"{row}.npz").is_file():
+            continue
         spent = "0" if row == "untrained" else str(minutes)
         command = [
             sys.executable, str(Path(__file__).with_name("train_ego.py")), "--attacks", attacks, "--minutes", spent,
-            "--actors", str(actors), "--seed", str(seed), "--out", str(out / f"{row}.npz"), *scenarios,
+            "--start", start, "--actors", str(cores), "--seed", str(seed), "--out", str(out / f"{row}.npz"), *scenarios,
         ]  # fmt: skip
         with (out / f"{row}.log").open("w") as log:
-            began[row] = subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True)
-    until = time.monotonic() + 60 * minutes + 60
-    for row, process in began.items():
+            process = subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True)
         try:
-            process.wait(max(until - time.monotonic(), 1.0))
+            process.wait(60 * minutes + GRACE)
         except subprocess.TimeoutExpired:
             os.killpg(process.pid, signal.SIGKILL)  # with its actors
             process.wait()
@@ -193,9 +197,9 @@ def mixed(encounters: Sequence[Path]) -> list[Path]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--minutes", type=float, default=30.0, help="of training")
+    parser.add_argument("--minutes", type=float, default=30.0, help="of training, for each row")
     parser.add_argument("--measuring", type=float, default=60.0, help="minutes, after which no encounter is begun")
-    parser.add_argument("--attempts", type=int, default=400, help="of the search, in an encounter")
+    parser.add_argument("--attempts", type=int, default=100, help="of the search, in an encounter")
     parser.add_argument("--encounters", type=int, default=1000, help="to train with, and to measure, at most")
     parser.add_argument("--cores", type=int, default=os.cpu_count() or 2)
     parser.add_argument("--seed", type=int, default=0, help="of the training")

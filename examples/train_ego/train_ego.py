@@ -31,7 +31,7 @@ from stable_baselines3.common.logger import configure
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.vec_env import DummyVecEnv
 from torch import nn
-from trained_ego import CUT, ENVIRONMENT, FILE, OTHER, OWN, PATH, ROW, SCALE, VEHICLES, Network
+from trained_ego import CUT, ENVIRONMENT, FILE, FIRST, OTHER, ROW, SCALE, VEHICLES, Network
 
 import sumo_adv.gym  # registers the environment
 from sumo_adv.errors import SumoAdvError
@@ -41,6 +41,9 @@ ATTACKS: dict[str, dict[str, Any]] = {
     "fixed": {"attacker": "expert", "unattacked": 0.3},
     "keep_up": {"attacker": "expert", "unattacked": 0.3, "adapts": True},
 }
+STARTS = {"idm": 1.0, "nothing": 0.0}
+"""The pedal before anything is learnt. Who always accelerates drives as SUMO's IDM, so this imitates it at no cost."""
+NOISE = -0.2  # logarithm of the actions' first spread: so that full acceleration still brakes in one decision of twenty
 STEPS = 256  # of an actor at a time, of 0.2 s each
 REWARD = 0.2  # rewards are multiplied by it, so that returns are about 1
 WIDTH = 48  # features of a vehicle
@@ -53,34 +56,36 @@ class Vehicles(BaseFeaturesExtractor):
     """The part of ``trained_ego.Network`` that looks at the vehicles, in torch."""
 
     def __init__(self, observation_space: spaces.Box) -> None:
-        super().__init__(observation_space, OWN + PATH + WIDTH)
+        super().__init__(observation_space, FIRST + WIDTH)
         self.register_buffer("scale", torch.as_tensor(SCALE))
         self.encoder = nn.Sequential(nn.Linear(ROW, WIDTH), nn.Tanh(), nn.Linear(WIDTH, WIDTH), nn.Tanh())
 
     def forward(self, observations: torch.Tensor) -> torch.Tensor:
         x = torch.clip(observations * self.scale, -CUT, CUT)
-        vehicles = x[:, OWN + PATH :].reshape(-1, VEHICLES, OTHER)
+        vehicles = x[:, FIRST:].reshape(-1, VEHICLES, OTHER)
         rows = torch.cat([vehicles, x[:, None, [0, 5]].expand(-1, VEHICLES, -1)], dim=2)
-        return torch.cat([x[:, : OWN + PATH], self.encoder(rows).amax(dim=1)], dim=1)
+        return torch.cat([x[:, :FIRST], self.encoder(rows).amax(dim=1)], dim=1)
 
 
 class Spaces(gymnasium.Env[Any, Any]):
     """Tells stable-baselines3 what the actors' environments look like."""
 
-    observation_space = sumo_adv.gym.views.Viewing(VEHICLES).space(adversary=False)
+    observation_space = sumo_adv.gym.views.Viewing(VEHICLES, danger=True).space(adversary=False)
     action_space = spaces.Box(-1.0, 1.0, (1,), np.float32)
 
 
-def learner(actors: int, seed: int) -> PPO:
-    """A policy that has learnt nothing yet, and what trains it."""
+def learner(actors: int, seed: int, start: str) -> PPO:
+    """A policy that has learnt nothing yet, and what trains it. ``start``: one of ``STARTS``."""
     torch.set_num_threads(1)
     model = PPO(
         "MlpPolicy", DummyVecEnv([Spaces] * actors), n_steps=STEPS, batch_size=256, n_epochs=6, gamma=0.98,
         learning_rate=4e-4, target_kl=0.05, seed=seed, device="cpu",
         policy_kwargs={
-            "features_extractor_class": Vehicles, "net_arch": [64, 64], "log_std_init": -0.5,
+            "features_extractor_class": Vehicles, "net_arch": [64, 64], "log_std_init": NOISE,
         },
     )  # fmt: skip
+    with torch.no_grad():
+        model.policy.action_net.bias.fill_(STARTS[start])
     model.set_logger(configure(None, [""]))
     return model
 
@@ -173,9 +178,11 @@ def running(scenarios: Sequence[Any], attacks: str, actors: int, seed: int) -> I
 # -- the learner --------------------------------------------------------------------------------------------------
 
 
-def train(scenarios: Sequence[Any], attacks: str, minutes: float, actors: int, seed: int, out: Path) -> None:
+def train(
+    scenarios: Sequence[Any], attacks: str, minutes: float, actors: int, seed: int, start: str, out: Path
+) -> None:
     """Train for some minutes; the weights and the course of the training are written all the while."""
-    model = learner(actors, seed)
+    model = learner(actors, seed, start)
     episodes: list[dict[str, Any]] = []
     began = time.monotonic()
     with running(scenarios, attacks, actors, seed) as connections, out.with_suffix(".csv").open("w") as file:
@@ -245,6 +252,7 @@ def _mean(values: Sequence[float]) -> float:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--attacks", choices=ATTACKS, default="keep_up")
+    parser.add_argument("--start", choices=STARTS, default="idm", help="how the ego drives before it has learnt")
     parser.add_argument("--minutes", type=float, default=30.0, help="0: leave the policy untrained")
     parser.add_argument("--actors", type=int, default=os.cpu_count() or 2, help="processes that drive")
     parser.add_argument("--scenario", action="append", help="repeatable (default: those of encounters.py)")
@@ -253,9 +261,9 @@ def main() -> None:
     given = parser.parse_args()
     if given.minutes > 0:
         scenarios = given.scenario or training()
-        train(scenarios, given.attacks, given.minutes, given.actors, given.seed, given.out)
+        train(scenarios, given.attacks, given.minutes, given.actors, given.seed, given.start, given.out)
     else:
-        save(learner(1, given.seed), given.out)
+        save(learner(1, given.seed, given.start), given.out)
 
 
 if __name__ == "__main__":

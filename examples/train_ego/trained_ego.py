@@ -16,15 +16,19 @@ from sumo_adv.gym import PolicyDriver
 
 FILE = Path(__file__).with_name("trained_ego.npz")
 VEHICLES = 8
-ENVIRONMENT: dict[str, Any] = {"actions": "pedals", "observations": "vector", "vehicles": VEHICLES, "interval": 0.2}
+ENVIRONMENT: dict[str, Any] = {
+    "actions": "pedals", "observations": "vector", "vehicles": VEHICLES, "danger": True, "interval": 0.2
+}  # fmt: skip
 """What the environment and the driver must have in common."""
 
-OWN, PATH, OTHER = 9, 20, 13  # numbers of the ego, of its path and of each vehicle in an observation
+OWN, DANGER, PATH, OTHER = 9, 2, 20, 13  # numbers in an observation: of the ego, a danger, the path, each vehicle
+FIRST = OWN + DANGER + PATH
 ROW = OTHER + 2  # what the network sees of a vehicle: its numbers, the ego's speed and the speed limit
 _OWN = (4, 3, 3, 3, 1, 4, 1, 1, 4)  # observations are shares of the largest values; these bring them to about 1
+_DANGER = (2, 2)
 _PATH = (2.4, 12.0) * 10
 _OTHER = (1, 4, 20, 1, 1, 4, 3, 2.5, 6, 20, 4, 7.5, 4)
-SCALE = np.array([*_OWN, *_PATH, *_OTHER * VEHICLES], np.float32)
+SCALE = np.array([*_OWN, *_DANGER, *_PATH, *_OTHER * VEHICLES], np.float32)
 CUT = 5.0
 
 Numbers = NDArray[np.float32]
@@ -40,11 +44,11 @@ class Network:
         """The action, about from -1 to 1."""
         w = self.weights
         x = np.clip(seen * SCALE, -CUT, CUT)
-        vehicles = x[OWN + PATH :].reshape(VEHICLES, OTHER)
+        vehicles = x[FIRST:].reshape(VEHICLES, OTHER)
         rows = np.concatenate([vehicles, np.broadcast_to(x[[0, 5]], (VEHICLES, 2))], axis=1)
         for k in (0, 2):
             rows = np.tanh(rows @ w[f"encoder.{k}.weight"].T + w[f"encoder.{k}.bias"])
-        x = np.concatenate([x[: OWN + PATH], rows.max(axis=0)])
+        x = np.concatenate([x[:FIRST], rows.max(axis=0)])
         for k in (0, 2):
             x = np.tanh(w[f"policy.{k}.weight"] @ x + w[f"policy.{k}.bias"])
         action: Numbers = w["action.weight"] @ x + w["action.bias"]
