@@ -7,7 +7,7 @@
 
 The rows are trained one after the other on all cores (``train_ego.py``). Then the full search attacks each row in each
 encounter of ``encounters.held_out``; it is told nothing about any of the drivers. An encounter is measured with all
-rows before the next one, so that rows stay comparable where the time is over. What is measured is in ``measured.csv``,
+rows before the next one, so that rows stay comparable where the time is over. ``measured.csv`` has all measurements,
 from which the table is made; with ``--minutes 0`` the rows are measured as they are.
 """
 
@@ -68,11 +68,13 @@ FILE = "measured.csv"
 # -- training -----------------------------------------------------------------------------------------------------
 
 
-def train(out: Path, encounters: Sequence[Path], minutes: float, cores: int, seed: int) -> None:
-    """Train the rows that are not there yet. What a row prints is in its log. A row that fails is not measured."""
+def train(
+    out: Path, rows: Sequence[str], encounters: Sequence[Path], minutes: float, cores: int, seed: int
+) -> None:  # fmt: skip
+    """Train those rows that are not there yet. A log has what a row prints. A row that fails is not measured."""
     scenarios = [argument for e in encounters for argument in ("--scenario", str(e))]
     for row, (attacks, start) in TRAINED.items():
-        if (out / f"{row}.npz").is_file():
+        if row not in rows or (out / f"{row}.npz").is_file():
             continue
         spent = "0" if row == "untrained" else str(minutes)
         command = [
@@ -132,15 +134,17 @@ def unattacked(raw: Mapping[str, Any], ego: str | None) -> dict[str, float]:
     }  # fmt: skip
 
 
-def measure_all(out: Path, encounters: Sequence[Path], minutes: float, attempts: int, cores: int) -> None:
-    """Measure all rows that are there; results are written as they come."""
-    rows = [row for row in NAMES if row not in TRAINED or (out / f"{row}.npz").is_file()]
+def measure_all(
+    out: Path, rows: Sequence[str], encounters: Sequence[Path], minutes: float, attempts: int, cores: int
+) -> None:  # fmt: skip
+    """Measure those of the rows that are there; results are written as they come."""
+    rows = [row for row in rows if row not in TRAINED or (out / f"{row}.npz").is_file()]
     known = {(r["encounter"], r["row"]) for r in read(out)} if (out / FILE).is_file() else set()
     until = time.time() + 60 * minutes
     tasks = [(e, row, out, attempts, until) for e in encounters for row in rows if (e.stem, row) not in known]
     with (out / FILE).open("a", newline="") as file, mp.get_context("spawn").Pool(cores, maxtasksperchild=20) as pool:
         table = csv.DictWriter(file, COLUMNS, restval="")
-        if not known:
+        if not file.tell():
             table.writeheader()
         for told in pool.imap_unordered(measure, tasks):
             if told is not None:
@@ -197,9 +201,10 @@ def mixed(encounters: Sequence[Path]) -> list[Path]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--row", action="append", choices=NAMES, help="repeatable (default: all)")
     parser.add_argument("--minutes", type=float, default=30.0, help="of training, for each row")
     parser.add_argument("--measuring", type=float, default=60.0, help="minutes, after which no encounter is begun")
-    parser.add_argument("--attempts", type=int, default=100, help="of the search, in an encounter")
+    parser.add_argument("--attempts", type=int, default=25, help="of the search, in an encounter")
     parser.add_argument("--encounters", type=int, default=1000, help="to train with, and to measure, at most")
     parser.add_argument("--cores", type=int, default=os.cpu_count() or 2)
     parser.add_argument("--seed", type=int, default=0, help="of the training")
@@ -207,10 +212,13 @@ def main() -> None:
     parser.add_argument("--table", action="store_true", help="measure nothing")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
+    rows = given.row or list(NAMES)
     if not given.table:
         if given.minutes > 0:
-            train(given.out, mixed(training())[: given.encounters], given.minutes, given.cores, given.seed)
-        measure_all(given.out, mixed(held_out())[: given.encounters], given.measuring, given.attempts, given.cores)
+            learnt = mixed(training())[: given.encounters]
+            train(given.out, rows, learnt, given.minutes, given.cores, given.seed)
+        measured = mixed(held_out())[: given.encounters]
+        measure_all(given.out, rows, measured, given.measuring, given.attempts, given.cores)
     text = "\n".join(tables(read(given.out)))
     (given.out / "table.md").write_text(text + "\n")
     print(text)

@@ -31,7 +31,7 @@ from stable_baselines3.common.logger import configure
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.vec_env import DummyVecEnv
 from torch import nn
-from trained_ego import CUT, ENVIRONMENT, FILE, FIRST, OTHER, ROW, SCALE, VEHICLES, Network
+from trained_ego import CUT, ENVIRONMENT, FILE, FIRST, OTHER, PEDALS, ROW, SCALE, VEHICLES, Network
 
 import sumo_adv.gym  # registers the environment
 from sumo_adv.errors import SumoAdvError
@@ -41,13 +41,13 @@ ATTACKS: dict[str, dict[str, Any]] = {
     "fixed": {"attacker": "expert", "unattacked": 0.3},
     "keep_up": {"attacker": "expert", "unattacked": 0.3, "adapts": True},
 }
-STARTS = {"idm": 1.0, "nothing": 0.0}
-"""The pedal before anything is learnt. Who always accelerates drives as SUMO's IDM, so this imitates it at no cost."""
-NOISE = -0.2  # logarithm of the actions' first spread: so that full acceleration still brakes in one decision of twenty
-STEPS = 256  # of an actor at a time, of 0.2 s each
+STARTS = {"idm": 1.5, "nothing": 0.0}
+"""What is added to the logit of full acceleration before anything is learnt. An ego that always accelerates drives as
+SUMO's IDM, so that imitates it at no cost, and still brakes in one decision of seven."""
+STEPS = 256  # of an actor at a time, of 0.3 s each
 REWARD = 0.2  # rewards are multiplied by it, so that returns are about 1
 WIDTH = 48  # features of a vehicle
-COLUMNS = ("minutes", "steps", "episodes", "return", "attacked", "contact", "valid", "serious", "behind", "noise")
+COLUMNS = ("minutes", "steps", "episodes", "return", "attacked", "contact", "valid", "serious", "behind")
 FAILURES = 20  # scenarios in a row that cannot be opened
 OPENED = 5  # resets for each scenario before the first step: opening one takes seconds, in which all others would wait
 
@@ -71,34 +71,31 @@ class Spaces(gymnasium.Env[Any, Any]):
     """Tells stable-baselines3 what the actors' environments look like."""
 
     observation_space = sumo_adv.gym.views.Viewing(VEHICLES, danger=True).space(adversary=False)
-    action_space = spaces.Box(-1.0, 1.0, (1,), np.float32)
+    action_space = spaces.Discrete(len(PEDALS))
 
 
 def learner(actors: int, seed: int, start: str) -> PPO:
     """A policy that has learnt nothing yet, and what trains it. ``start``: one of ``STARTS``."""
     torch.set_num_threads(1)
     model = PPO(
-        "MlpPolicy", DummyVecEnv([Spaces] * actors), n_steps=STEPS, batch_size=256, n_epochs=6, gamma=0.98,
-        learning_rate=4e-4, target_kl=0.05, seed=seed, device="cpu",
-        policy_kwargs={
-            "features_extractor_class": Vehicles, "net_arch": [64, 64], "log_std_init": NOISE,
-        },
+        "MlpPolicy", DummyVecEnv([Spaces] * actors), n_steps=STEPS, batch_size=128, n_epochs=8, gamma=0.97,
+        learning_rate=1e-3, ent_coef=0.01, target_kl=0.08, seed=seed, device="cpu",
+        policy_kwargs={"features_extractor_class": Vehicles, "net_arch": [64, 64]},
     )  # fmt: skip
     with torch.no_grad():
-        model.policy.action_net.bias.fill_(STARTS[start])
+        model.policy.action_net.bias[-1] = STARTS[start]
     model.set_logger(configure(None, [""]))
     return model
 
 
 def weights_of(model: PPO) -> dict[str, np.ndarray[Any, Any]]:
-    """The weights of the policy as ``trained_ego.Network`` wants them, and the noise of its actions."""
+    """The weights of the policy as ``trained_ego.Network`` wants them."""
     policy = model.policy
     parts = (
         ("encoder", policy.features_extractor.encoder), ("policy", policy.mlp_extractor.policy_net),
         ("action", policy.action_net),
     )  # fmt: skip
-    weights = {f"{part}.{n}": v.detach().numpy().copy() for part, module in parts for n, v in module.named_parameters()}
-    return {**weights, "noise": np.exp(policy.log_std.detach().numpy())}
+    return {f"{part}.{n}": v.detach().numpy().copy() for part, module in parts for n, v in module.named_parameters()}
 
 
 def save(model: PPO, out: Path) -> None:
@@ -124,8 +121,8 @@ def drive(connection: Connection, options: dict[str, Any], seed: int) -> None:
         cut: list[tuple[int, Any]] = []  # step and last observation of episodes that were truncated
         episodes: list[dict[str, Any]] = []
         for k in range(STEPS):
-            action = network(seen) + weights["noise"] * draws.standard_normal(1).astype(np.float32)
-            after, reward, terminated, truncated, info = env.step(np.clip(action, -1.0, 1.0))
+            action = int(np.argmax(network.logits(seen) + draws.gumbel(size=len(PEDALS))))  # a draw by their chances
+            after, reward, terminated, truncated, info = env.step(PEDALS[[action]])
             for name, value in zip(steps, (seen, action, REWARD * float(reward), start), strict=True):
                 steps[name].append(value)
             seen, start, total = after, terminated or truncated, total + float(reward)
@@ -216,7 +213,7 @@ def _learn(model: PPO, rollouts: Sequence[Any]) -> None:
         with torch.no_grad():
             seen, action = torch.as_tensor(steps["seen"]), torch.as_tensor(steps["action"])
             values, log_probs, _ = policy.evaluate_actions(seen, action)
-        buffer.observations[:, k], buffer.actions[:, k] = steps["seen"], steps["action"]
+        buffer.observations[:, k], buffer.actions[:, k, 0] = steps["seen"], steps["action"]
         buffer.rewards[:, k], buffer.episode_starts[:, k] = steps["reward"], steps["start"]
         buffer.values[:, k], buffer.log_probs[:, k] = values.flatten().numpy(), log_probs.numpy()
     buffer.full = True
@@ -241,7 +238,7 @@ def _row(minutes: float, model: PPO, count: int, fresh: Sequence[dict[str, Any]]
     return (
         minutes, model.num_timesteps, count, _mean([e["return"] for e in fresh]), len(attacked),
         _mean([e["contact"] for e in fresh]), share("valid", "strict", "serious"), share("serious"),
-        _mean([e["behind"] for e in alone]), float(torch.exp(model.policy.log_std.detach()).mean()),
+        _mean([e["behind"] for e in alone]),
     )  # fmt: skip
 
 

@@ -17,7 +17,7 @@ from sumo_adv.gym import PolicyDriver
 FILE = Path(__file__).with_name("trained_ego.npz")
 VEHICLES = 8
 ENVIRONMENT: dict[str, Any] = {
-    "actions": "pedals", "observations": "vector", "vehicles": VEHICLES, "danger": True, "interval": 0.2
+    "actions": "pedals", "observations": "vector", "vehicles": VEHICLES, "danger": True, "interval": 0.3
 }  # fmt: skip
 """What the environment and the driver must have in common."""
 
@@ -30,18 +30,24 @@ _PATH = (2.4, 12.0) * 10
 _OTHER = (1, 4, 20, 1, 1, 4, 3, 2.5, 6, 20, 4, 7.5, 4)
 SCALE = np.array([*_OWN, *_DANGER, *_PATH, *_OTHER * VEHICLES], np.float32)
 CUT = 5.0
+PEDALS = np.array([-1.0, -0.4, 0.0, 1.0], np.float32)
+"""Between these it chooses: a Gaussian that is cut at full acceleration soon forgets to try the brake."""
 
 Numbers = NDArray[np.float32]
 
 
 class Network:
-    """From an observation to an action: the vehicles, one by one and the most of each feature, then all together."""
+    """From an observation to a pedal: the vehicles, one by one and the most of each feature, then all together."""
 
     def __init__(self, weights: Mapping[str, Numbers]) -> None:
         self.weights = dict(weights)
 
     def __call__(self, seen: Numbers) -> Numbers:
-        """The action, about from -1 to 1."""
+        """The best of ``PEDALS``, ``(1,)``."""
+        return PEDALS[[int(np.argmax(self.logits(seen)))]]
+
+    def logits(self, seen: Numbers) -> Numbers:
+        """Logarithms of the chances of ``PEDALS``, but for a constant."""
         w = self.weights
         x = np.clip(seen * SCALE, -CUT, CUT)
         vehicles = x[FIRST:].reshape(VEHICLES, OTHER)
@@ -51,8 +57,8 @@ class Network:
         x = np.concatenate([x[:FIRST], rows.max(axis=0)])
         for k in (0, 2):
             x = np.tanh(w[f"policy.{k}.weight"] @ x + w[f"policy.{k}.bias"])
-        action: Numbers = w["action.weight"] @ x + w["action.bias"]
-        return action
+        logits: Numbers = w["action.weight"] @ x + w["action.bias"]
+        return logits
 
 
 class TrainedEgo(PolicyDriver):
