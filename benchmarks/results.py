@@ -1,6 +1,6 @@
 """``make results``: measure the tables of docs/results.md with one revision of the program, and write them there.
 
-    python benchmarks/results.py                    every table of results.toml but those of records: three hours
+    python benchmarks/results.py                    every table of results.toml but those of records: hours
     python benchmarks/results.py --records DIR      Waymo records as well
     python benchmarks/results.py --table drivers --ego idm --suite smoke --attempts 2     a trial: minutes
 

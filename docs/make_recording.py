@@ -1,6 +1,6 @@
 """Write ``docs/images/hunt.svg``, a recording of a hunt in a terminal. (Linux and macOS.)
 
-    python docs/make_recording.py                         two minutes; the command is COMMAND
+    python docs/make_recording.py                         a minute and a half; it runs COMMAND
     python docs/make_recording.py --minutes 0.2 --out hunt.svg
 
 The command runs in a terminal of its own, and each line appears when it was printed, ``FASTER`` times as fast. Where
@@ -87,7 +87,7 @@ def drawing(command: str, lines: Sequence[Line]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--minutes", type=float, default=2.0)
+    parser.add_argument("--minutes", type=float, default=1.5)
     parser.add_argument("--out", type=Path, default=OUT)
     given = parser.parse_args()
     shown = [*COMMAND, "--minutes", f"{given.minutes:g}"]

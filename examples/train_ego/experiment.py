@@ -61,7 +61,7 @@ COLUMNS = (
 )
 GRACE = 300.0  # s: for opening all encounters, and for the last update
 VALID = ("valid", "strict", "serious")
-HARD = 2.0  # m/s2: braking harder is needless where nothing happens
+NEEDLESS = 2.0  # m/s2: braking harder is needless where nothing happens
 FILE = "measured.csv"
 
 
@@ -128,7 +128,7 @@ def unattacked(raw: Mapping[str, Any], ego: str | None) -> dict[str, float]:
     if len(time_) < 2:
         return {}
     steps = np.diff(time_)
-    braking = -np.diff(speed) / steps > HARD
+    braking = -np.diff(speed) / steps > NEEDLESS
     return {
         "metres": float((speed[1:] * steps).sum()), "time": float(steps.sum()), "braking": float(steps[braking].sum())
     }  # fmt: skip

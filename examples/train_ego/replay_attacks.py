@@ -15,23 +15,24 @@ import multiprocessing as mp
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
 from encounters import held_out
-from experiment import NAMES, TRAINED, VALID, mixed
+from experiment import NAMES, NEEDLESS, TRAINED, VALID, mixed
 from trained_ego import ENVIRONMENT, OWN, Network
 
 import sumo_adv.gym  # registers the environment
 from sumo_adv.gym.actions import HARD
 from sumo_adv.gym.views import DANGER, FAST
-from sumo_adv.metrics.statistics import bootstrap, wilson
+from sumo_adv.metrics.statistics import bootstrap
 
 FILE = "attacks.csv"
+BASE = "no_attacks"  # the row that the others are compared with
 COLUMNS = ("encounter", "row", "attack", "contact", "level", "delta_v", "driven", "behind", "braking")
-NEEDLESS = 2.0  # m/s2: braking harder is needless where nothing happens
 
 
 def policy(row: str, out: Path) -> Callable[[Any], Any]:
@@ -89,30 +90,47 @@ def measure(task: tuple[Path, Sequence[str], Path, int, float]) -> list[dict[str
     return told
 
 
+FIGURES: Mapping[str, Callable[[Mapping[str, str]], float]] = {
+    "contact": lambda r: r["contact"] == "True",
+    **{level: partial(lambda k, r: r["level"] in VALID[k:], k) for k, level in enumerate(VALID)},
+    "delta-v [m/s]": lambda r: float(r["delta_v"]),
+}  # fmt: skip
+
+
 def table(rows: Sequence[Mapping[str, str]]) -> str:
-    """By ego: rates of attacks with Wilson's intervals; delta-v and progress with bootstrap intervals."""
-    lines = [
-        "| ego | attacks | contact | valid | strict | serious | delta-v [m/s] | progress | needless braking [s/min] |"
-    ]
-    lines.append("|---|---|---|---|---|---|---|---|---|")
+    """By ego: figures of its attacks, and the differences to the ego that was trained without attacks. The attacks of
+    one encounter are alike, so all intervals are bootstrapped over encounters."""
+    titles = "ego", "attacks", *FIGURES, "progress", "needless braking unattacked [s]"
+    lines = [f"| {' | '.join(titles)} |", "|---" * len(titles) + "|"]
+    differences = []
+    means = {(row, name): _by_encounter(rows, row, of) for row in NAMES for name, of in FIGURES.items()}
     for row, name in NAMES.items():
         attacked = [r for r in rows if r["row"] == row and r["attack"]]
         alone = [r for r in rows if r["row"] == row and not r["attack"]]
         if not attacked or not alone:
             continue
-        n, levels = len(attacked), [r["level"] for r in attacked]
-        rates = [sum(r["contact"] == "True" for r in attacked), *(
-            sum(level in VALID[k:] for level in levels) for k in range(3)
-        )]  # fmt: skip
-        harm = bootstrap([float(r["delta_v"]) for r in attacked], seed=0, of=np.mean)
-        driven, behind = (np.array([float(r[key]) for r in alone]) for key in ("driven", "behind"))
-        seconds = sum(float(r["braking"]) for r in alone)
-        minutes = len(alone) * 12.0 / 60  # the environment's duration
+        figures = [bootstrap(means[row, figure]).text() for figure in FIGURES]
+        driven, behind = (sum(float(r[key]) for r in alone) for key in ("driven", "behind"))
+        braking = sum(float(r["braking"]) for r in alone) / len(alone)
         lines.append(
-            f"| {name} | {n} | {' | '.join(wilson(k, n).text() for k in rates)} | {harm.text()} "
-            f"| {driven.sum() / (driven + behind).sum():.2f} | {seconds / minutes:.2f} |"
+            f"| {name} | {len(attacked)} | {' | '.join(figures)} | {driven / (driven + behind):.2f} | {braking:.2f} |"
         )
-    return "\n".join(lines)
+        if row != BASE and means[BASE, "valid"]:
+            estimates = {f: bootstrap(np.subtract(means[row, f], means[BASE, f])) for f in FIGURES}
+            shown = [f"{f} {e.value:+.2f} [{e.low:+.2f}, {e.high:+.2f}]" for f, e in estimates.items()]
+            differences.append(f"- {name}: {', '.join(shown)}")
+    return "\n".join([*lines, "", f"Against the ego {NAMES[BASE]}:", "", *differences])
+
+
+def _by_encounter(
+    rows: Sequence[Mapping[str, str]], row: str, of: Callable[[Mapping[str, str]], float]
+) -> list[float]:  # fmt: skip
+    """The mean of a figure over the attacks of each encounter."""
+    values: dict[str, list[float]] = {}
+    for r in rows:
+        if r["row"] == row and r["attack"]:
+            values.setdefault(r["encounter"], []).append(of(r))
+    return [float(np.mean(each)) for _, each in sorted(values.items())]
 
 
 def main() -> None:
