@@ -126,9 +126,6 @@ class Refuses:
     def score(self, proposals: Sequence[Proposal], motions: object = None) -> list[Proposal]:
         raise AssertionError("nothing is predicted of a driver that is not known")
 
-    def escapes(self, proposals: Sequence[Proposal]) -> list[tuple[()]]:
-        raise AssertionError("nothing is predicted of a driver that is not known")
-
 
 def test_a_driver_that_is_not_known_is_asked_and_not_predicted() -> None:
     situations = {0.0: situation([neighbour()])}

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from random import Random
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ from sumo_adv.datatypes import (
     Planner,
     Prediction,
     Proposal,
+    Verdict,
 )
 from sumo_adv.drivers.prediction import PredictedEgos
 from sumo_adv.drivers.sumo_rules import Scenes
@@ -41,12 +43,13 @@ from sumo_adv.report.manifest import Recorded, read_manifest
 from sumo_adv.report.staging import staged
 from sumo_adv.search.rollouts import predict
 from sumo_adv.search.search import AttackSearch
-from sumo_adv.search.settings import SearchSettings
+from sumo_adv.search.settings import EvolutionSettings, SearchSettings
 from sumo_adv.search.support_intents import SUPPORT_INTENTS, fits
-from sumo_adv.search.supports import against, named, observed_escape
+from sumo_adv.search.supports import Supports, against, named, observed_escape
 from sumo_adv.situation import Target
 
 PLANNER = Planner("Shift", "side", "", (), "seed")
+MISS = Verdict(10.0, 30.0, False, False, True, False, None, None, None)
 
 
 def beside(name: str, x: float, y: float, speed: float = 10.0, relation: str = "neighbour") -> Target:
@@ -187,12 +190,9 @@ class Saved:
             for p, b in zip(proposals, blocked, strict=True)
         ]
 
-    def escapes(self, proposals: Sequence[Proposal]) -> list[tuple[Duty, ...]]:
-        return [(Duty.BLOCK_LEFT,)] * len(proposals)
-
 
 def first(adversaries: int, colliders: tuple[str, ...] = ()) -> Proposal:
-    """The first candidate that a search proposes."""
+    """The first candidate that a search proposes by prediction."""
     settings = SearchSettings(proposals=10)
     search = AttackSearch(
         Saved(), {0.0: SCENE}, [SHIFT], settings, seed=0, adversaries=adversaries, colliders=colliders
@@ -202,7 +202,7 @@ def first(adversaries: int, colliders: tuple[str, ...] = ()) -> Proposal:
     return proposed
 
 
-def test_a_collider_that_nearly_succeeds_gets_a_support_against_the_escape() -> None:
+def test_where_no_collider_alone_promises_anything_supports_are_predicted() -> None:
     assert first(1).supports == ()
     proposed = first(2, ("right",))
     assert proposed.bv == "right"
@@ -211,6 +211,45 @@ def test_a_collider_that_nearly_succeeds_gets_a_support_against_the_escape() -> 
     assert support.bv in ("left", "ahead")
     assert proposed.bvs == ("right", support.bv)
     assert proposed.composition == "Shift + Escape Block Left"
+
+
+def supports(most: int = 2, seed: int = 0) -> Supports:
+    return Supports({0.0: SCENE}, Random(seed), most)
+
+
+def test_a_variation_gets_a_support_against_the_escape_of_its_attempt() -> None:
+    """On the left only two vehicles can block: the neighbour there, and the leader, which has a lane to the left."""
+    alone = attack("right")
+    given = [supports(seed=k).changed(alone, (Duty.BLOCK_LEFT,)) for k in range(20)]
+    assert {(p.supports[0].duty, p.supports[0].bv) for p in given} == {
+        (Duty.BLOCK_LEFT, "left"), (Duty.BLOCK_LEFT, "ahead"),
+    }  # fmt: skip
+    any_duty = {supports(seed=k).changed(alone, ()).supports[0].duty for k in range(60)}
+    assert any_duty >= {Duty.BLOCK_LEFT, Duty.SLOW, Duty.OPEN}
+    assert Duty.HIDE not in any_duty  # a collider beside the ego cannot be hidden by another one
+
+
+def test_a_candidate_with_all_its_adversaries_loses_a_support_again() -> None:
+    helped = attack("right", ("left", Duty.BLOCK_LEFT))
+    assert supports(2).changed(helped, ()).supports == ()
+    three = [supports(3, seed=k).changed(helped, (Duty.SLOW,)) for k in range(20)]
+    assert {p.bvs for p in three} == {("right",), ("right", "left", "ahead")}
+
+
+def test_an_attempt_that_a_swerve_saved_is_varied_with_the_left_side_blocked() -> None:
+    """Nothing is predicted: the search asks, sees the ego swerve to the left, and blocks it there."""
+    settings = SearchSettings(evolution=EvolutionSettings(first=1, anew=0.0, accompany=1.0))
+    search = AttackSearch(
+        Saved(), {0.0: SCENE}, [SHIFT], settings, seed=0, adversaries=2, colliders=("right",), predicts=False
+    )  # fmt: skip
+    search.follow(search.ranking([SHIFT]), [SHIFT])
+    swerved = ObservedMotion(10.0 * np.arange(5), np.array([0.0, 0.5, 1.2, 1.2, 1.2]), np.full(5, 10.0), 4)
+    seen = []
+    for _ in range(12):
+        (tried,) = search.propose(1)
+        seen += [s.duty for s in tried.supports]
+        search.observe(tried, swerved, MISS)
+    assert set(seen) == {Duty.BLOCK_LEFT}
 
 
 # ---- compositions

@@ -151,9 +151,6 @@ class Near:
         hit = Prediction(hit=True, level=Level.VALID, min_ttc=0.0)
         return [replace(p, score=0.6, prediction=hit) for p in proposals]
 
-    def escapes(self, proposals: Sequence[Proposal]) -> list[tuple[Duty, ...]]:
-        return [()] * len(proposals)
-
 
 def search(adversaries: int) -> AttackSearch:
     return AttackSearch(
@@ -206,8 +203,7 @@ def squeezing(asked: Asked) -> Mapping[str, Any]:
 
 
 def test_what_succeeds_beside_a_models_composition_is_learnt_under_its_label(tmp_path: Path) -> None:
-    """The vehicle on the right is too slow to reach the ego alone. The search may have varied the numbers, and then the
-    success is its own, and so is the composition that succeeds here first."""
+    """The vehicle on the right is too slow to reach the ego alone."""
     program = Program(tmp_path, tmp_path / "caches")
     with ModelServer(squeezing) as server:
         program.variables = server.environment()
@@ -217,9 +213,9 @@ def test_what_succeeds_beside_a_models_composition_is_learnt_under_its_label(tmp
         )  # fmt: skip
     assert done.status == 0, done.err
     attempt = done.outcome["attempts"][-1]
-    assert (attempt["level"], attempt["composition"]) == ("valid", "Straight Lane Shift + Slow Leader")
+    assert (attempt["level"], attempt["composition"]) == ("valid", "Held-up Cut-in")
     assert done.outcome["llm"]["bought"][0]["what"].endswith(", compositions: 1")
     with MemoryBank.open(tmp_path / "bank.sqlite") as bank:
         (kept,) = compositions(bank)
-    assert (kept.label, kept.succeeded) == ("Straight Lane Shift + Slow Leader", 1)
-    assert [part.intent for part in kept.parts] == ["Straight Lane Shift", "Slow Leader"]
+    assert (kept.label, kept.succeeded) == ("Held-up Cut-in", 1)
+    assert [part.intent for part in kept.parts] == ["Aggressive Cut-in", "Slow Leader"]

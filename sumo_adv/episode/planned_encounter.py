@@ -99,7 +99,7 @@ def with_predictions(
         predictor, found.situations, library, weights, seed=settings.seed, goal=settings.goal,
         selection=selection_of(episode, bank), recalled=first, adversaries=settings.adversaries,
         colliders=episode.task.colliders, compositions=compositions(bank) if settings.adversaries > 1 else (),
-        predicts=forecast or found.first.baseline.model.known or settings.adversaries > 1 or evidence,
+        predicts=forecast or found.first.baseline.model.known or evidence,
     )  # fmt: skip
     return PlannedEncounter(found, predictor, library, scene, search, intent)
 

@@ -12,10 +12,11 @@ import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
-from sumo_adv.datatypes import Level, Proposal, Verdict
+from sumo_adv.datatypes import Duty, Level, Proposal, Verdict
 from sumo_adv.goal import Goal
 from sumo_adv.search.sampling import BRAKING_LABEL, BRAKING_RANGE, AttackTemplate, Sampler, originals, varied
 from sumo_adv.search.settings import EvolutionSettings
+from sumo_adv.search.supports import Supports
 
 ENOUGH_WARNING = 2.0  # s from the alarm of ``cc_human`` to the contact: more makes a collision no more avoidable
 HARD = 10.0  # m/s of delta-v: more counts as this
@@ -58,17 +59,23 @@ def _warning(verdict: Verdict) -> float:
 
 @dataclass(slots=True)
 class _Elite:
-    """The best attempt of a cell. step: standard deviation of its variations, as a share of a parameter's range."""
+    """The best attempt of a cell. step: standard deviation of its variations, as a share of a parameter's range.
+    escape: what a support had to do in it."""
 
     proposal: Proposal
     badness: float
     step: float
+    escape: Sequence[Duty]
 
 
 class Evolution:
     """Proposes candidates and learns from what they came to. The same seed and verdicts give the same candidates."""
 
-    def __init__(self, sampler: Sampler, goal: Goal, settings: EvolutionSettings) -> None:
+    def __init__(
+        self, sampler: Sampler, goal: Goal, settings: EvolutionSettings, supports: Supports | None = None
+    ) -> None:
+        """``supports``: gives variations supports; None where one adversary is all that is allowed."""
+        self._supports = supports
         self._sampler, self._random = sampler, sampler.random
         self._goal, self._settings = goal, settings
         self._templates: list[AttackTemplate] = []
@@ -95,6 +102,7 @@ class Evolution:
         first = self._sampler.earliest(fresh)
         drawn = self._sampler.uniform(originals(fresh), max(self._settings.first - len(first), 0))
         self._random.shuffle(drawn)
+        drawn = [self._accompanied(p) for p in drawn]
         self._waiting += _by_turns(first, [t.target.state.id for t in fresh]) + drawn
 
     def add(self, proposals: Sequence[Proposal]) -> None:
@@ -117,9 +125,11 @@ class Evolution:
             return self._drawn(templates)
         return self._variation(elites) if elites else None
 
-    def observe(self, tried: Proposal, verdict: Verdict, kind: str) -> None:
-        """Take note of an attempt; ``kind``: of attack, by the side of the ego that was hit."""
-        worth, settings = badness(verdict, self._goal), self._settings
+    def observe(self, tried: Proposal, verdict: Verdict, kind: str, escape: Sequence[Duty] = ()) -> None:
+        """Take note of an attempt; ``kind``: of attack, by the side of the ego that was hit; ``escape``: what a support
+        had to do in it."""
+        settings = self._settings
+        worth = badness(verdict, self._goal) + settings.support * len(tried.supports)
         family = tried.family
         self._families[family] = min(worth, self._families.get(family, math.inf))
         side = verdict.contact_side or ("contact" if verdict.collided else "miss")
@@ -131,14 +141,20 @@ class Evolution:
             parent.step = min(max(parent.step * factor, settings.least_step), settings.most_step)
         if elite is None or worth < elite.badness:
             step = settings.step if parent is None else parent.step
-            self._elites[cell] = _Elite(tried, worth, step)
+            self._elites[cell] = _Elite(tried, worth, step, escape)
 
     def _drawn(self, templates: Sequence[AttackTemplate]) -> Proposal:
         """Uniform numbers for the better of two templates, by the best attempt of their families; an untried one is
         good."""
         pair = [self._random.choice(templates) for _ in range(2)]
         best = min(pair, key=lambda t: self._families.get((t.target.state.id, t.entry.label, t.planner.mode), 0.0))
-        return best.proposal(self._random)
+        return self._accompanied(best.proposal(self._random))
+
+    def _accompanied(self, p: Proposal, escape: Sequence[Duty] = ()) -> Proposal:
+        """Now and then, the candidate with a support more or fewer."""
+        if self._supports is None or self._random.random() >= self._settings.accompany:
+            return p
+        return self._supports.changed(p, escape)
 
     def _variation(self, elites: Sequence[_Elite]) -> Proposal:
         """Near one of the best elites: the better its rank, the likelier."""
@@ -149,6 +165,7 @@ class Evolution:
         child = varied(parent.proposal, self._random, parent.step)
         if self._random.random() < settings.other_start:
             child = self._begun_elsewhen(child)
+        child = self._accompanied(child, parent.escape)
         if child.label == BRAKING_LABEL and isinstance(child.acceleration, float):
             low, high = BRAKING_RANGE
             braking = -child.acceleration + self._random.gauss(0.0, parent.step * (high - low))

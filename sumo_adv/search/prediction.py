@@ -9,14 +9,13 @@ from contextlib import contextmanager
 from dataclasses import replace
 
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Duty, Limits, Prediction, Proposal
+from sumo_adv.datatypes import Limits, Prediction, Proposal
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Roads, Sessions, is_trusted
 from sumo_adv.road_users import road_user
 from sumo_adv.search.rollouts import Rollouts, lined_up, predict
 from sumo_adv.search.scoring import goal_score, judge_all, touch_of
 from sumo_adv.search.settings import ScoreSettings
-from sumo_adv.search.supports import predicted_escapes
 from sumo_adv.simulation.network import Drivable
 from sumo_adv.situation import Situation
 
@@ -53,18 +52,6 @@ class Predictor:
         self.seconds += time.perf_counter() - began
         self.count += len(proposals)
         return [scored[k] for k in range(len(proposals))]
-
-    def escapes(self, proposals: Sequence[Proposal]) -> list[tuple[Duty, ...]]:
-        """What supports have to do against the predicted escape of the ego from each candidate."""
-        began = time.perf_counter()
-        duties: dict[int, tuple[Duty, ...]] = {}
-        for size in dict.fromkeys(len(p.supports) for p in proposals):
-            rows = [k for k, p in enumerate(proposals) if len(p.supports) == size]
-            same = [proposals[k] for k in rows]
-            rolled = self.rolled(self._situations, same)
-            duties |= zip(rows, predicted_escapes(self._situations, same, rolled), strict=True)
-        self.seconds += time.perf_counter() - began
-        return [duties[k] for k in range(len(proposals))]
 
     def _limits(self, situations: Mapping[float, Situation], proposals: Sequence[Proposal]) -> Limits:
         """The limits of candidates that are all of one kind of road user."""

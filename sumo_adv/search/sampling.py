@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from random import Random
 from typing import Protocol
 
-from sumo_adv.datatypes import Duty, LibraryEntry, Planner, Proposal
+from sumo_adv.datatypes import LibraryEntry, Planner, Proposal
 from sumo_adv.search.settings import SamplingSettings
 from sumo_adv.situation import Situation, Target
 
@@ -84,10 +84,6 @@ class Scorer(Protocol):
 
     def score(self, proposals: Sequence[Proposal]) -> list[Proposal]:
         """The same candidates with ``score`` and ``prediction``."""
-        ...
-
-    def escapes(self, proposals: Sequence[Proposal]) -> list[tuple[Duty, ...]]:
-        """What supports have to do against the predicted escape of the ego from each candidate."""
         ...
 
 

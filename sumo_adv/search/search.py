@@ -4,9 +4,6 @@
 none is good. ``propose`` takes the candidate with the least price: its score, and what else counts
 (``settings.PriceSettings``), as long as one promises a higher level than the attempts so far reached. After a few of
 them it varies what attempts came to (``evolution``). It plays the analyzer where no language model does (``ranking``).
-
-Where no candidate promises a valid collision, colliders that nearly succeed get supports, if more than one adversary is
-allowed (``supports``).
 """
 
 from __future__ import annotations
@@ -14,8 +11,9 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
+from random import Random
 
-from sumo_adv.datatypes import Intent, Level, LibraryEntry, ObservedMotion, Planner, Proposal, Verdict
+from sumo_adv.datatypes import Duty, Intent, Level, LibraryEntry, ObservedMotion, Planner, Proposal, Verdict
 from sumo_adv.goal import Goal
 from sumo_adv.memory.records import Composition
 from sumo_adv.search.evolution import Evolution
@@ -23,7 +21,7 @@ from sumo_adv.search.intents import Selection, compose, composed
 from sumo_adv.search.ranking import ranked_intents, unpredicted_intents
 from sumo_adv.search.sampling import AttackTemplate, Sampler, Scorer, elites, kind_of, templates_of
 from sumo_adv.search.settings import SearchSettings
-from sumo_adv.search.supports import Cast, SupportSearch
+from sumo_adv.search.supports import Cast, Supports, observed_escape
 from sumo_adv.situation import Situation
 
 
@@ -56,15 +54,16 @@ class AttackSearch:
         self._kinds: set[str] = set()  # of successes, if more than one kind is wanted
         self._added: set[str] = set()  # hashes of planners with a share of attempts of their own
         self._templates: list[AttackTemplate] = []
-        self._support = SupportSearch(
-            scorer, self._situations, self._sampler.random, settings.supports, adversaries, compositions, library
+        several = adversaries > 1
+        self._support = (
+            Supports(self._situations, Random(seed), adversaries, compositions, library) if several else None
         )
+        self._supported = False  # whether supports have been predicted
         self._colliders = frozenset(colliders)
         self._redrawn = 0  # candidates drawn, with those of the first analysis
-        self._evolution = Evolution(Sampler(settings.sampling, seed), self._goal, settings.evolution)
         self._predicts, self._seed = predicts, seed
+        self._evolution = self._new_evolution()
         self._pairs: frozenset[tuple[str, str]] = frozenset()  # vehicles with intents that alone may be tried
-        self._most_predicted = settings.predicted if adversaries == 1 else settings.predicted_together
         self.pool: list[Proposal] = []
         if recalled is not None:
             self.pool = [recalled]
@@ -118,7 +117,8 @@ class AttackSearch:
         weights, seen = self._settings.price, p.prediction
         if seen is None:
             return p.score
-        return p.score + weights.late * seen.time + weights.harsh * seen.braking + weights.support * len(p.supports)
+        supports = self._settings.evolution.support * len(p.supports)
+        return p.score + weights.late * seen.time + weights.harsh * seen.braking + supports
 
     # -- attempts -----------------------------------------------------------------------------------------------
 
@@ -135,13 +135,15 @@ class AttackSearch:
             self._ranks.setdefault((i.bv, i.label), len(self._ranks))
         self._redrawn = len(self.pool)
         self._evolution.draw_from(self._templates)
+        if self._support is not None:
+            self._evolution.add(self._support.known(self._templates))
         return list(self._templates)
 
     def confine(self, pairs: Collection[tuple[str, str]]) -> None:
         """From now on try these vehicles with these intents (id, label) and no others."""
         self._pairs = frozenset(pairs)
         self.pool = [p for p in self.pool if (p.bv, p.label) in self._pairs]
-        self._evolution = Evolution(Sampler(self._settings.sampling, self._seed), self._goal, self._settings.evolution)
+        self._evolution = self._new_evolution()
         self._evolution.draw_from(self._templates)
 
     def add_chosen(self, chosen: Sequence[Proposal]) -> None:
@@ -153,15 +155,21 @@ class AttackSearch:
         self.pool += self._scored([*chosen, *variations])
 
     def add_casts(self, casts: Sequence[Cast], by: str) -> None:
-        """Predict candidates of compositions that an analyzer (``by``: its name) proposes; they join the pool."""
-        self.pool += self._support.proposed(casts, by, self.pool, self.price)
+        """Candidates of compositions that an analyzer (``by``: its name) proposes join those of the search."""
+        if self._support is None:
+            return
+        made = self._support.proposed(casts, by, self._evolution.templates)
+        if self._predicts:
+            self.pool += self._scored(made)
+        else:
+            self._evolution.add(made)
 
     def begin_anew(self, chosen: Sequence[Proposal]) -> None:
         """Forget what attempts came to, because the driver has changed, and try these candidates first."""
         self._tried, self._best = [], Level.NONE
         self._by_family.clear()
         self._by_planner.clear()
-        self._evolution = Evolution(self._sampler, self._goal, self._settings.evolution)
+        self._evolution = self._new_evolution(self._sampler)
         self._evolution.draw_from(self._templates)
         self._evolution.add(chosen)
 
@@ -175,7 +183,7 @@ class AttackSearch:
     def _predicted_or_drawn(self) -> Proposal | None:
         """A candidate that promises something by its prediction, as long as there is one; then one from what attempts
         came to."""
-        if self._predicts and len(self._tried) < self._most_predicted and (best := self._next()) is not None:
+        if self._predicts and len(self._tried) < self._settings.predicted and (best := self._next()) is not None:
             return best
         over = self._used_up()
         shares = {f"{t.entry.label}/{t.planner.mode}" for t in self._evolution.templates} - over
@@ -195,11 +203,12 @@ class AttackSearch:
         reached = self._goal.reached(verdict)
         if not self._kinds or reached < self._level:  # a success is of a kind that is no longer looked for
             self._best = max(self._best, reached)
-        self._evolution.observe(tried, verdict, self._kind_of(tried, verdict.contact_side))
-        if motion is None or not self._predicts or len(self._tried) >= self._most_predicted:
-            return
-        if reached < Level.VALID:
-            self._support.observe(tried, motion)
+        escape: tuple[Duty, ...] = ()
+        if self._support is not None and "third_party" in verdict.failed_gates:
+            escape = (Duty.OPEN,)
+        elif self._support is not None and motion is not None:
+            escape = observed_escape(self._situations[tried.delay], motion)
+        self._evolution.observe(tried, verdict, self._kind_of(tried, verdict.contact_side), escape)
 
     def succeeded(self, kind: str) -> None:
         """From now on look for an attack of another kind; see ``sampling.kind_of``."""
@@ -242,7 +251,7 @@ class AttackSearch:
     # -- choosing -----------------------------------------------------------------------------------------------
 
     def _next(self) -> Proposal | None:
-        open_ = self._open()
+        open_, avoidable = self._open(), self._settings.avoidable
         while self._redrawn < self._wanted(open_):
             over = self._used_up()
             templates = [t for t in self._templates if self._share_of(t.planner) not in over]
@@ -252,10 +261,18 @@ class AttackSearch:
             self._redrawn += len(fresh)
             self.pool += fresh
             open_ = self._open()
-        if self._support.due or not any(p.score < self._settings.avoidable for p in open_):
-            self.pool += self._support.candidates(self.pool, self.price)
+        if self._support is not None and not self._supported and not any(p.score < avoidable for p in open_):
+            self._supported = True
+            self.pool += self._scored(self._with_supports(self._support))
             open_ = self._open()
         return self._take(self._choice(open_)) if open_ else None
+
+    def _with_supports(self, support: Supports) -> list[Proposal]:
+        """Known compositions, and the best candidates with a support each."""
+        settings = self._settings.sampling
+        best = elites(sorted(self.pool, key=self.price))[: settings.nearest]
+        alone = [p for p in best for _ in range(settings.supported)]
+        return support.known(self._templates) + [q for p in alone if (q := support.changed(p, ())) is not p]
 
     def _open(self) -> list[Proposal]:
         """The candidates that may be tried: they promise more than was reached. Before the first attempt all may be."""
@@ -276,12 +293,8 @@ class AttackSearch:
         return kind_of(p.label, self._situations[p.delay].targets[p.bv].relation, side)
 
     def _choice(self, open_: Sequence[Proposal]) -> Proposal:
-        """The cheapest candidate. Every other attempt has supports, where candidates with supports promise a valid
-        collision."""
+        """The cheapest candidate."""
         weights = self._settings.price
-        supported = [p for p in open_ if p.supports and p.score < self._settings.avoidable]
-        if supported and len(self._tried) % 2 == 1:
-            open_ = supported
         return min(open_, key=lambda p: self._price_now(p) + weights.tried * self._by_family[p.family])
 
     def _price_now(self, p: Proposal) -> float:
@@ -309,6 +322,11 @@ class AttackSearch:
     def _share_of(self, planner: Planner) -> str:
         """The name of the share of attempts that a planner counts towards."""
         return planner.hash if planner.hash in self._added else f"{planner.label}/{planner.mode}"
+
+    def _new_evolution(self, sampler: Sampler | None = None) -> Evolution:
+        settings = self._settings
+        sampler = sampler or Sampler(settings.sampling, self._seed)
+        return Evolution(sampler, self._goal, settings.evolution, self._support)
 
     def _templates_of(self, library: Sequence[LibraryEntry], allowed: Collection[str]) -> list[AttackTemplate]:
         """The templates of vehicles that may be the collider."""

@@ -45,7 +45,6 @@ class PriceSettings:
     late: float = 0.02  # 1/s until the predicted contact: the later, the less sure
     tried: float = 0.12  # for each attempt with the same vehicle, intent and mode
     rank: float = 0.03  # for each place in a model's ranking
-    support: float = 0.03  # for each support: fewer adversaries are more likely in traffic
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,19 +56,7 @@ class SamplingSettings:
     spread: float = 0.12  # of a parameter's range: standard deviation of a variation
     more: int = 450  # drawn at most beside the first ones, where none reaches the goal with something to spare
     around_chosen: int = 5  # variations of each candidate that a model chose
-
-
-@dataclass(frozen=True, slots=True)
-class SupportSettings:
-    """How colliders that nearly succeed get supports (``supports.py``)."""
-
-    bases: int = 10  # colliders that get a support at once
-    tried: int = 4  # of them at most, attempts that failed
-    drawn: int = 8  # candidates for each collider, duty and vehicle
-    spread: float = 0.06  # of a parameter's range: standard deviation of the collider's numbers in every other one
-    again: int = 6  # candidates with one support that still miss and get a second one
-    after: int = 2  # attempts that failed, before a round begins though other candidates promise something
-    rounds: int = 3  # in an encounter
+    supported: int = 24  # candidates with a support that are drawn from each of the ``nearest``
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +74,8 @@ class EvolutionSettings:
     grow: float = 1.5  # after a variation that is better than its parent,
     shrink: float = 0.9  # and after one that is not: steady at one better one in five
     other_start: float = 0.2  # share of variations with another start
+    accompany: float = 0.5  # where several adversaries are allowed: share of candidates with a support more or fewer
+    support: float = 0.03  # the price of each support: fewer adversaries are more likely in traffic
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,8 +85,8 @@ class SearchSettings:
     proposals: candidates drawn before the first ranking. share: attempts for the versions of a mode together, where a
     modifier may write new ones. reaches, avoidable: lower scores mean a contact that counts, and an avoidable one.
     spare: what a candidate's score must be below that of its level, so that no better one is looked for. few: with
-    fewer avoidable candidates, intents that the library lacks are composed. predicted, predicted_together: attempts at
-    most that are chosen by prediction, with one adversary and with several; later ones vary attempts.
+    fewer avoidable candidates, intents that the library lacks are composed. predicted: attempts at most
+    that are chosen by prediction; later ones vary attempts.
     """
 
     proposals: int = 80
@@ -107,11 +96,9 @@ class SearchSettings:
     spare: float = 0.15
     few: int = 5
     predicted: int = 3
-    predicted_together: int = 25
     score: ScoreSettings = field(default_factory=ScoreSettings)
     price: PriceSettings = field(default_factory=PriceSettings)
     sampling: SamplingSettings = field(default_factory=SamplingSettings)
-    supports: SupportSettings = field(default_factory=SupportSettings)
     evolution: EvolutionSettings = field(default_factory=EvolutionSettings)
 
     def bound(self, reached: Level) -> float:

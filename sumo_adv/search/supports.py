@@ -1,16 +1,14 @@
-"""Supports for colliders that nearly succeed.
+"""Supports: what other vehicles do so that a collider succeeds.
 
-Where no candidate with one adversary promises a valid collision, the colliders that come nearest get a support against
-the escape that saves the ego: brake, swerve left, swerve right, or a third party in the collider's way. The candidates
-that still miss may get another one. Compositions that the bank or the expert knows are tried in the same way.
+In an attempt the ego may escape: it brakes, swerves left or right, or a third party is in the collider's way. A
+variation of that attempt may get a support against this escape, or lose one again (``evolution``). Compositions that
+the bank, the expert or an analyzer knows are tried as they are.
 """
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 from random import Random
 
 import numpy as np
@@ -18,16 +16,13 @@ import numpy as np
 from sumo_adv.datatypes import Duty, LibraryEntry, ObservedMotion, Proposal
 from sumo_adv.memory.records import Composition, Part
 from sumo_adv.road_users import is_unprotected
-from sumo_adv.search.rollouts import Rollouts
-from sumo_adv.search.sampling import AttackTemplate, Scorer, varied
-from sumo_adv.search.settings import SupportSettings
+from sumo_adv.search.sampling import AttackTemplate
 from sumo_adv.search.support_intents import SUPPORT_INTENTS, fits
 from sumo_adv.situation import MEET_AHEAD, Situation
 
 # -- how an ego escapes ---------------------------------------------------------------------------------------------
 
 ASIDE = 0.4  # m from its path, from which on the ego has swerved
-BEHIND = 5.0  # m from centre to centre along the ego's path, from which on a vehicle is behind it
 SLOWER = 0.5  # m/s below its unattacked speed, from which on it has braked
 
 
@@ -39,29 +34,6 @@ def against(offset: float, speed: float, unattacked: float) -> tuple[Duty, ...]:
     if offset < -ASIDE:
         return (Duty.BLOCK_RIGHT,)
     return (Duty.SLOW, Duty.HIDE) if speed < unattacked - SLOWER else ()
-
-
-def predicted_escapes(
-    situations: Mapping[float, Situation], proposals: Sequence[Proposal], rollouts: Rollouts
-) -> list[tuple[Duty, ...]]:
-    """What supports have to do so that each candidate succeeds, by its rollout.
-
-    Where a third party is in the collider's way, it is to make room. Where the ego does not react and the collider
-    stays behind it, a support has to hold the ego up; there is nothing to do where the collider does not stay behind.
-    """
-    x, y, _, v = rollouts.ego
-    steps = np.hypot(x - rollouts.adversary[0], y - rollouts.adversary[1]).argmin(axis=1).tolist()
-    duties = list[tuple[Duty, ...]]()
-    for row, (p, k) in enumerate(zip(proposals, steps, strict=True)):
-        if p.prediction is not None and p.prediction.third_party:
-            duties.append((Duty.OPEN,))
-            continue
-        baseline = situations[p.delay].baseline
-        station, offset = baseline.path.project(float(x[row, k]), float(y[row, k]))
-        escape = against(offset, float(v[row, k]), float(baseline.v[min(k, len(baseline.v) - 1)]))
-        behind, _ = baseline.path.project(*(float(q[row, k]) for q in rollouts.adversary[:2]))
-        duties.append(escape or ((Duty.SLOW,) if behind < station - BEHIND else ()))
-    return duties
 
 
 def observed_escape(situation: Situation, motion: ObservedMotion) -> tuple[Duty, ...]:
@@ -150,150 +122,88 @@ def description_of(p: Proposal, library: Sequence[LibraryEntry], proposed: Itera
     return own or " ".join(words.get(q.label, q.label) for q in p.members)
 
 
-# -- the search for supports ----------------------------------------------------------------------------------------
+# -- giving and taking supports --------------------------------------------------------------------------------------
 
-MOST_OF_A_FAMILY = 2  # bases of one vehicle, intent and mode
-Base = tuple[Proposal, tuple[Duty, ...]]
-"""A collider, and what supports have to do against the escape from it."""
-Price = Callable[[Proposal], float]
+COLLIDERS = 2  # of a composition, at most: each costs an attempt
 
 
-class SupportSearch:
-    """Adds supports in one encounter; ``most``: adversaries of a candidate."""
+class Supports:
+    """Gives candidates supports in one encounter, and takes them away; ``most``: adversaries of a candidate."""
 
     def __init__(
-        self, scorer: Scorer, situations: Mapping[float, Situation], random: Random, settings: SupportSettings,
-        most: int, known: Sequence[Composition] = (), library: Sequence[LibraryEntry] = (),
+        self, situations: Mapping[float, Situation], random: Random, most: int, known: Sequence[Composition] = (),
+        library: Sequence[LibraryEntry] = (),
     ) -> None:  # fmt: skip
-        """known: compositions that are tried whatever the escape, as the expert's are; library: intents that their
-        parts may name."""
+        """known: compositions that are tried beside the expert's; library: intents that their parts may name."""
         self._compositions, self._library = (*known, *EXPERT_COMPOSITIONS), library
-        self._scorer, self._situations, self._random, self._settings = scorer, situations, random, settings
-        self._most, self._rounds = most, 0
+        self._situations, self._random, self._most = situations, random, most
         self._proposed: tuple[Composition, ...] = ()  # by the analyzer
-        self._failures = 0  # attempts since the last round
-        self._failed: list[Base] = []
 
-    def observe(self, tried: Proposal, motion: ObservedMotion) -> None:
-        """Take note of an attempt that failed, and of how the ego escaped in it."""
-        if len(tried.supports) < self._most - 1:
-            self._failed.append((tried, observed_escape(self._situations[tried.delay], motion)))
-        self._failures += 1
+    def known(self, templates: Sequence[AttackTemplate]) -> list[Proposal]:
+        """Candidates of the known compositions, with the authors' numbers; ``templates``: of the colliders."""
+        return self._carried_out([Cast(c) for c in self._compositions], templates)
 
-    @property
-    def due(self) -> bool:
-        """Whether enough attempts have failed since the last round."""
-        return self._most > 1 and self._failures >= self._settings.after
-
-    def candidates(self, pool: Sequence[Proposal], price: Price) -> list[Proposal]:
-        """Predicted candidates with supports that come nearer to a collision than their colliders alone; none if only
-        one adversary is allowed, or if no attempt has failed since the last round."""
-        settings = self._settings
-        if self._most < 2 or self._rounds >= settings.rounds or (self._rounds > 0 and not self._failures):
-            return []
-        self._failures, self._rounds = 0, self._rounds + 1
-        failed = sorted(self._failed, key=lambda each: price(each[0]))[: settings.tried]
-        self._failed = []
-        alone = nearly_succeeding((p for p in pool if not p.supports), price, settings.bases - len(failed))
-        candidates = self._scored(self._supported([*failed, *self._escaping(alone)]))
-        if self._rounds == 1:
-            candidates += self._scored(self._carried_out([Cast(c) for c in self._compositions], pool, price))
-        if self._most > 2:
-            missing = nearly_succeeding(candidates, price, settings.again)
-            candidates += self._scored(self._supported(self._escaping(missing)))
-        return candidates
-
-    def proposed(self, casts: Sequence[Cast], by: str, pool: Sequence[Proposal], price: Price) -> list[Proposal]:
-        """Predicted candidates of compositions that an analyzer (``by``: its name) proposes; from now on supports that
-        make one of them up have its label."""
+    def proposed(self, casts: Sequence[Cast], by: str, templates: Sequence[AttackTemplate]) -> list[Proposal]:
+        """Candidates of compositions that an analyzer (``by``: its name) proposes; from now on supports that make one
+        of them up have its label."""
         self._proposed = tuple(cast.composition for cast in casts)
-        return self._scored([replace(p, by=by) for p in self._carried_out(casts, pool, price)])
+        return [replace(p, by=by) for p in self._carried_out(casts, templates)]
 
-    def _scored(self, drawn: Sequence[Proposal]) -> list[Proposal]:
-        """The candidates with predictions, without those that fail a gate."""
-        scored = self._scorer.score(drawn) if drawn else []
-        return [p for p in scored if p.prediction is not None and not p.prediction.hopeless]
+    def changed(self, p: Proposal, escape: Sequence[Duty]) -> Proposal:
+        """The candidate with one support more or fewer; ``escape``: what a support had to do in an attempt of it, empty
+        if that is not known. The same candidate where nothing fits."""
+        if p.supports and (len(p.supports) == self._most - 1 or self._random.random() < 0.5):
+            gone = self._random.randrange(len(p.supports))
+            return self._together(p, (*p.supports[:gone], *p.supports[gone + 1 :]))
+        collider = self._situations[p.delay].targets[p.bv]
+        if is_unprotected(collider.state):  # all of a candidate's adversaries have the same limits
+            return p
+        meets = collider.relation in MEET_AHEAD  # only such a one can be hidden by a vehicle beside the ego
+        duties = [duty for duty in escape or SUPPORT_INTENTS if meets or duty is not Duty.HIDE]
+        fitting = [each for duty in duties for each in self._fitting(p, duty, SUPPORT_INTENTS[duty])]
+        if not fitting:
+            return p
+        duty, template = self._random.choice(fitting)
+        numbers = None if self._random.random() < 0.5 else self._random
+        return self._together(p, (*p.supports, replace(template.proposal(numbers), duty=duty)))
 
-    def _escaping(self, colliders: Sequence[Proposal]) -> list[Base]:
-        """Colliders, each with the ego's predicted escape from it that a support must block."""
-        return list(zip(colliders, self._scorer.escapes(colliders) if colliders else (), strict=True))
+    def _fitting(
+        self, p: Proposal, duty: Duty, entries: Iterable[LibraryEntry], mode: str = ANY, vehicle: str = ANY
+    ) -> list[tuple[Duty, AttackTemplate]]:
+        """The vehicles that can do a duty for a candidate, each with an intent and a planner."""
+        return [
+            (duty, AttackTemplate(p.delay, target, entry, planner))
+            for target in self._situations[p.delay].target_list()
+            if target.state.id not in p.bvs and vehicle in (ANY, target.state.id)
+            for entry in entries if fits(duty, entry, target)
+            for planner in entry.planners if mode in (ANY, planner.mode)
+        ]  # fmt: skip
 
-    def _supported(self, bases: Iterable[Base]) -> list[Proposal]:
-        """Candidates that give each base one support more, for each of its duties; without predictions."""
-        made = []
-        for base, duties in bases:
-            situation = self._situations[base.delay]
-            collider = situation.targets[base.bv]
-            if is_unprotected(collider.state):  # all of a candidate's adversaries have the same limits
-                continue
-            others = [t for t in situation.target_list() if t.state.id not in base.bvs]
-            meets = collider.relation in MEET_AHEAD  # only such a one can be hidden by a vehicle beside the ego
-            for duty, target in product((d for d in duties if meets or d is not Duty.HIDE), others):
-                for entry in SUPPORT_INTENTS[duty]:
-                    if fits(duty, entry, target):
-                        made += self._drawn(base, AttackTemplate(base.delay, target, entry, entry.planners[0]), duty)
-        return made
-
-    def _drawn(self, base: Proposal, template: AttackTemplate, duty: Duty) -> list[Proposal]:
-        """Candidates with a support of that template; every other one with other numbers of the base, too."""
-        made = []
-        for k in range(self._settings.drawn):
-            support = replace(template.proposal(None if k == 0 else self._random), duty=duty)
-            collider = self._varied(base) if k % 2 else base.unscored()
-            made.append(replace(self._together(collider, (*collider.supports, support)), by="tuner"))
-        return made
-
-    def _carried_out(self, casts: Sequence[Cast], pool: Sequence[Proposal], price: Price) -> list[Proposal]:
-        """Candidates of compositions, each with the best colliders of its intent and mode; without predictions."""
-        drawn = list[Proposal]()
-        alone = sorted((p for p in pool if not p.supports and p.prediction is not None), key=price)
+    def _carried_out(self, casts: Sequence[Cast], templates: Sequence[AttackTemplate]) -> list[Proposal]:
+        """Candidates of compositions, each with the most dangerous colliders that fit, as early as possible."""
+        made = list[Proposal]()
         for cast in (c for c in casts if len(c.composition.parts) <= self._most):
-            first = cast.composition.parts[0]
-            fitting = [p for p in alone if p.label == first.intent and first.mode in (ANY, p.planner.mode)]
-            fitting = [p for p in fitting if cast.vehicle(0) in (ANY, p.bv)]
-            for base in fitting[:MOST_OF_A_FAMILY]:
-                drawn += self._cast(cast, base)
-        return drawn
-
-    def _cast(self, cast: Cast, base: Proposal) -> list[Proposal]:
-        """Candidates in which vehicles support a base as a composition says; none where a part fits no vehicle, or not
-        the vehicle of the cast."""
-        made = []
-        for _ in range(self._settings.drawn):
-            supports = list[Proposal]()
-            for k, part in enumerate(cast.composition.parts[1:], start=1):
-                used = (base.bv, *(p.bv for p in supports))
-                templates = [
-                    AttackTemplate(base.delay, target, entry, planner)
-                    for target in self._situations[base.delay].target_list()
-                    if target.state.id not in used and cast.vehicle(k) in (ANY, target.state.id)
-                    for entry in (*SUPPORT_INTENTS[part.duty], *self._library) if entry.label == part.intent
-                    for planner in entry.planners if part.mode in (ANY, planner.mode) and fits(part.duty, entry, target)
-                ]  # fmt: skip
-                if not templates:
-                    return []
-                supports.append(replace(self._random.choice(templates).proposal(self._random), duty=part.duty))
-            made.append(self._together(self._varied(base), tuple(supports)))
+            first, colliders = cast.composition.parts[0], dict[str, AttackTemplate]()
+            for t in templates:
+                fitting = t.entry.label == first.intent and first.mode in (ANY, t.planner.mode)
+                if fitting and cast.vehicle(0) in (ANY, t.target.state.id):
+                    colliders.setdefault(t.target.state.id, t)
+            complete = [q for t in colliders.values() if (q := self._cast(cast, t.proposal(None))) is not None]
+            made += complete[:COLLIDERS]
         return made
 
-    def _varied(self, base: Proposal) -> Proposal:
-        return varied(base, self._random, self._settings.spread)
+    def _cast(self, cast: Cast, p: Proposal) -> Proposal | None:
+        """The collider with supports as a composition says; None where a part fits no vehicle, or not the vehicle of
+        the cast."""
+        for k, part in enumerate(cast.composition.parts[1:], start=1):
+            entries = [e for e in (*SUPPORT_INTENTS[part.duty], *self._library) if e.label == part.intent]
+            fitting = self._fitting(p, part.duty, entries, part.mode, cast.vehicle(k))
+            if not fitting:
+                return None
+            duty, template = self._random.choice(fitting)
+            p = self._together(p, (*p.supports, replace(template.proposal(None), duty=duty)))
+        return p
 
     def _together(self, collider: Proposal, supports: tuple[Proposal, ...]) -> Proposal:
-        label = named(collider, supports, (*self._compositions, *self._proposed))
-        return replace(collider, supports=supports, composition=label)
-
-
-def nearly_succeeding(pool: Iterable[Proposal], price: Price, most: int) -> list[Proposal]:
-    """The best colliders that miss or have a third party in their way, at most ``most``; of a family at most
-    ``MOST_OF_A_FAMILY`` of each."""
-    count = Counter[tuple[tuple[str, str, str], bool]]()
-    selected = list[Proposal]()
-    for p in sorted(pool, key=price):
-        seen = p.prediction
-        if seen is None or seen.failure or seen.off_road or seen.beyond_limits or (seen.hit and not seen.third_party):
-            continue
-        count[p.family, seen.third_party] += 1
-        if count[p.family, seen.third_party] <= MOST_OF_A_FAMILY and len(selected) < most:
-            selected.append(p)
-    return selected
+        label = named(collider, supports, (*self._compositions, *self._proposed)) if supports else ""
+        return replace(collider.unscored(), supports=supports, composition=label, by="tuner")
