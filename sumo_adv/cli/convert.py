@@ -159,7 +159,7 @@ def import_fcd(
 
 SCENARIOS_EXAMPLE = "Example: sumo-adv scenarios"
 MEANS = (
-    "Adversary, level and intent are those of the best attack: sumo-adv run SCENARIO --until serious --learn off,\n"
+    "A run finds such an attack in at most 400 attempts: sumo-adv run SCENARIO --until LEVEL --learn off,\n"
     "with --adversaries 2 for one of 2."
 )
 
@@ -167,7 +167,7 @@ MEANS = (
 def scenarios(
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
 ) -> None:
-    """List the shipped scenarios with road, best attack and a description, and the shipped networks."""
+    """List the shipped scenarios with road, a dangerous attack and a description, and the shipped networks."""
     from sumo_adv.simulation.shipped import shipped_files, shipped_scenarios
 
     shipped, networks = shipped_scenarios(), shipped_files("networks", ".net.xml")

@@ -129,8 +129,8 @@ class Signals(_Table):
 class Label(_Table):
     """The intents held to be the most dangerous here. source: people's annotation, or an oracle's simulations.
 
-    relation, level: of the best attack of a run until serious with this number of ``adversaries``. All shipped
-    scenarios have them; their best attack is of the first intent.
+    relation, level: of an attack with one of the intents and this number of ``adversaries``. All shipped scenarios have
+    them; a run until this level finds such an attack in at most 400 attempts.
     """
 
     intents: Annotated[tuple[Name, ...], Field(min_length=1)]

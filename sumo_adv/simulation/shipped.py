@@ -13,8 +13,8 @@ from sumo_adv.simulation.scenario import load_scenario
 class ShippedScenario:
     """One scenario. road: the name of its network.
 
-    intents: those held to be the most dangerous, the one of the best attack first. relation, level: of the best attack
-    of a run until serious with the default settings, ``adversaries`` and a bank that has learnt nothing.
+    intents: those held to be the most dangerous. relation, level: of an attack with one of them that a run until this
+    level finds in at most 400 attempts with ``adversaries`` and a bank that has learnt nothing.
     """
 
     name: str
