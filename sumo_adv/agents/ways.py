@@ -140,10 +140,11 @@ def evidence_words(
 ) -> str:
     """A line for each BV and behaviour in the ``pool`` of predicted proposals, and one for each of its modes; then the
     bank's evidence. Empty without such a proposal. remembered: label -> the bank's evidence in words."""
+    names = {vehicle: alias for alias, vehicle in aliases.bvs.items()}
     groups: dict[tuple[str, str], list[Proposal]] = {}
     for p in pool:
-        if p.bv in aliases.by_id:
-            groups.setdefault((aliases.by_id[p.bv], p.label), []).append(p)
+        if p.bv in names:
+            groups.setdefault((names[p.bv], p.label), []).append(p)
     if not groups:
         return ""
     begin = min(p.delay for p in pool)

@@ -68,6 +68,7 @@ def applies_of(label: str) -> tuple[str, ...]:
 
 _SOURCE = """\
 # Free Motion, mode "free"
+# Leaves its way and meets the ego at a place beside or ahead of it, at a time and with a speed of its own.
 PARAMETERS = {
     "meet": (4.0, 1.5, 7.5, "s", "how long after its start it meets the ego"),
     "ahead": (2.0, -4.0, 7.0, "m", "how far ahead of the ego's centre its own is then"),
