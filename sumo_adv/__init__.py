@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from sumo_adv.api_batch import Campaign, batch, crash_rate, hunt
     from sumo_adv.drivers import LaneSpeed, Observation, Pose, Steer
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 __all__ = [
     "Campaign", "LaneSpeed", "Observation", "Pose", "Result", "Steer", "__version__", "batch", "crash_rate",
     "hunt", "judge", "load", "run",
