@@ -54,11 +54,9 @@ class AttackSearch:
         self._kinds: set[str] = set()  # of successes, if more than one kind is wanted
         self._added: set[str] = set()  # hashes of planners with a share of attempts of their own
         self._templates: list[AttackTemplate] = []
-        several = adversaries > 1
-        self._support = (
-            Supports(self._situations, Random(seed), adversaries, compositions, library) if several else None
-        )
-        self._supported = False  # whether supports have been predicted
+        supports = Supports(self._situations, Random(seed), adversaries, compositions, library)
+        self._support = supports if adversaries > 1 else None
+        self._supports_predicted = False
         self._colliders = frozenset(colliders)
         self._redrawn = 0  # candidates drawn, with those of the first analysis
         self._predicts, self._seed = predicts, seed
@@ -204,9 +202,9 @@ class AttackSearch:
         if not self._kinds or reached < self._level:  # a success is of a kind that is no longer looked for
             self._best = max(self._best, reached)
         escape: tuple[Duty, ...] = ()
-        if self._support is not None and "third_party" in verdict.failed_gates:
+        if "third_party" in verdict.failed_gates:
             escape = (Duty.OPEN,)
-        elif self._support is not None and motion is not None:
+        elif motion is not None:
             escape = observed_escape(self._situations[tried.delay], motion)
         self._evolution.observe(tried, verdict, self._kind_of(tried, verdict.contact_side), escape)
 
@@ -261,8 +259,8 @@ class AttackSearch:
             self._redrawn += len(fresh)
             self.pool += fresh
             open_ = self._open()
-        if self._support is not None and not self._supported and not any(p.score < avoidable for p in open_):
-            self._supported = True
+        if self._support is not None and not self._supports_predicted and not any(p.score < avoidable for p in open_):
+            self._supports_predicted = True
             self.pool += self._scored(self._with_supports(self._support))
             open_ = self._open()
         return self._take(self._choice(open_)) if open_ else None
