@@ -7,11 +7,12 @@ from dataclasses import replace
 import pytest
 from situation_samples import crossing, leader, neighbour, situation
 
-from sumo_adv.datatypes import Proposal, Verdict
-from sumo_adv.search.intents import FREE, FREE_MOTION, named
+from sumo_adv.datatypes import LibraryEntry, Proposal, Verdict
+from sumo_adv.search.intents import FREE, FREE_MOTION, entry_of, named
 from sumo_adv.search.sampling import templates_of
 from sumo_adv.situation import Target
 
+BRAKING = LibraryEntry("Emergency Braking", "It brakes.", ("leader",), ())
 MISS = Verdict(1.0, 2.0, False, False, True, False, None, None, None, ())
 
 
@@ -37,6 +38,9 @@ def test_one_that_hits_is_named_by_where_it_came_from_and_the_side_that_it_hits(
     hit = replace(MISS, collided=True, contact_side=side)
     found = named(free(target.state.id), target, hit)
     assert (found.label, found.planner.label) == (label, label)
+    assert entry_of(found, [BRAKING, FREE]) is FREE  # it was drawn from there, also where the library knows the label
+    changed = replace(found, planner=replace(found.planner, source="changed by a model"))
+    assert entry_of(changed, [BRAKING, FREE]) is (BRAKING if label == "Emergency Braking" else FREE)
 
 
 def test_one_that_misses_keeps_its_name() -> None:

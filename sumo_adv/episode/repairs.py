@@ -22,6 +22,7 @@ from sumo_adv.episode.assessment import rank
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.geometry import Frame, wrap
 from sumo_adv.metrics.gates import explained_gates
+from sumo_adv.search.intents import entry_of
 from sumo_adv.search.ranking import chosen
 from sumo_adv.search.sampling import AttackTemplate
 from sumo_adv.situation import ReferencePath
@@ -166,8 +167,7 @@ class Repairs:
         own = [(a, r) for a, r in tried if a.proposal.planner.hash == p.planner.hash and a.proposal.bv == p.bv]
         own.sort(key=lambda each: (each[0] is not attempt, rank(each[0].verdict)))
         reports = [report_of(a, r, encounter, self._settings) for a, r in own]
-        entry = next(e for e in self._library if e.label == p.label)
-        scene = scene_of(p.bv, entry, [a for a, _ in tried], encounter, self._library)
+        scene = scene_of(p.bv, entry_of(p, self._library), [a for a, _ in tried], encounter, self._library)
         return self._agents.modify(p.planner, reports, scene)
 
     def _as_candidates(self, change: Change, p: Proposal) -> list[Proposal]:

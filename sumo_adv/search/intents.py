@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 from sumo_adv.datatypes import Intent, LibraryEntry, Proposal, Verdict
 from sumo_adv.errors import UsageError, nearest
@@ -134,6 +135,14 @@ def named(p: Proposal, target: Target, verdict: Verdict) -> Proposal:
     if label is None:
         label = next((_WORDS[word] for word in _by_conflict(target) if word in _WORDS), None)
     return p if label is None else replace(p, label=label, planner=replace(p.planner, label=label))
+
+
+def entry_of(p: Proposal, library: Sequence[LibraryEntry]) -> LibraryEntry:
+    """The intent of the library that a candidate was drawn from. A free motion that collided has another intent's
+    label, which the library may lack."""
+    drawn_from = (e for e in library if p.planner.hash in {planner.hash for planner in e.planners})
+    changed = (e for e in library if e.label == p.label)  # its planner is a version that the library lacks
+    return next(chain(drawn_from, changed, (e for e in library if e.label == FREE_MOTION)))
 
 
 def _by_conflict(target: Target) -> list[str]:
