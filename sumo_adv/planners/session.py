@@ -39,7 +39,7 @@ class SandboxLimits:
     recursion: int = 200
     output_bytes: int = 64 * 1024
     suspensions: int = 100  # failed name look-ups and refused system calls in a session
-    grace_seconds: float = 0.5  # after it a worker that does not stop is killed
+    grace_seconds: float = 3.0  # after it a worker is killed; a type check takes .1 s, on a busy machine a second
 
 
 class PlannerSession:
