@@ -1,9 +1,10 @@
 """A search that predicts nothing: candidates are drawn, tried against the real driver, and the best ones are varied.
 
-Generation 0 has the candidates that were handed in (memory, analyzer, forecast), the planners' own numbers and uniform
-draws. Later candidates vary an elite: the best attempt of its cell, which is a vehicle, intent, mode and side of the
-ego (MAP-Elites; Mouret and Clune 2015, "Illuminating search spaces by mapping elites"). The step of a cell grows where
-a variation improves it and shrinks where none does (the one-fifth rule; Rechenberg 1973). Some are drawn anew.
+Generation 0 has the candidates that were handed in (memory, analyzer, forecast), the planners' own numbers and
+uniform draws. Later candidates vary an elite: the best attempt of its cell, which is a vehicle, intent, mode and side
+of the ego (MAP-Elites; Mouret and Clune 2015, "Illuminating search spaces by mapping elites"). The step of a cell
+grows where a variation improves it and shrinks where none does (the one-fifth rule; Rechenberg 1973). Some are drawn
+anew. Where several adversaries are allowed, a part of the candidates gets or loses a support (``supports``).
 """
 
 from __future__ import annotations
