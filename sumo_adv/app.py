@@ -8,6 +8,7 @@ name.
 from __future__ import annotations
 
 import atexit
+import os
 import shutil
 import sys
 import tempfile
@@ -21,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 from sumo_adv.errors import BankError, UsageError
 
 if TYPE_CHECKING:
-    from multiprocessing.connection import Connection
+    from multiprocessing.util import Finalize
 
     from sumo_adv.agents.agents import Agents
     from sumo_adv.agents.prompts import Prompts
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from sumo_adv.driver_check import Checked, DriverCheck
     from sumo_adv.drivers.registry import GivenEgo
     from sumo_adv.episode.episode import Episode
+    from sumo_adv.episode.warm import WarmEngine
     from sumo_adv.llm.chat import ChatModel
     from sumo_adv.memory.bank import MemoryBank
     from sumo_adv.planners.sandbox import Sandbox
@@ -271,19 +273,34 @@ def check_driver(
         )
 
 
-def new_engine() -> Engine:
-    """An engine process that does not run the user's script again, and that no Ctrl-C reaches while it starts."""
-    from sumo_adv.simulation.engine import Engine, deaf
-
-    with _without_main(), deaf():
-        return Engine(_episode_body)
+_idle: list[tuple[WarmEngine, Finalize]] = []  # with what ends it where this process ends before
+_of_parents: list[tuple[WarmEngine, Finalize]] = []  # in a fork of a user's process: neither used nor ended
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=lambda: (_of_parents.extend(_idle), _idle.clear()))
 
 
-def _episode_body(slots: list[Connection]) -> Mapping[str, Callable[..., Any]]:
-    """The commands of an episode's engine, which only its own process loads."""
-    from sumo_adv.episode.worker import body
+@contextmanager
+def new_engine() -> Iterator[Engine]:
+    """An engine process that does not run the user's script again, and that no Ctrl-C reaches while it starts. It stays
+    for the next run of this process, which so begins a second sooner."""
+    from multiprocessing.util import Finalize
 
-    return body(slots)
+    from sumo_adv.episode.warm import WarmEngine
+    from sumo_adv.simulation.engine import SLOTS, deaf
+
+    if _idle:
+        warm, ending = _idle.pop()
+        ending.cancel()
+    else:
+        warm = WarmEngine(SLOTS)
+    with ExitStack() as stack:
+        with _without_main(), deaf():
+            engine = stack.enter_context(warm.episode())
+        yield engine
+    if _idle:  # that of a run beside this one
+        warm.close()
+    else:
+        _idle.append((warm, Finalize(None, warm.close, exitpriority=1)))
 
 
 @contextmanager

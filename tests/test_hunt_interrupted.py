@@ -1,4 +1,7 @@
-"""What breaks a hunt: Ctrl-C, a full disk, a driver that hangs. What was found stays, and the same command goes on."""
+"""What breaks a hunt: Ctrl-C, a full disk, a driver that hangs. What was found stays, and the same command goes on.
+
+``test_batch_run.py`` interrupts what a hunt is made of, so that its own two long stories are in ``make soak``.
+"""
 
 from __future__ import annotations
 
@@ -29,6 +32,7 @@ def table(hunt: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(text))
 
 
+@pytest.mark.soak
 def test_ctrl_c_finishes_what_runs_and_the_same_command_goes_on(program: Program) -> None:
     """Pressed after the first of three runs: the second one is finished if it has begun; the third one is left out."""
     hunt = program.folder / "hunt"
@@ -46,6 +50,7 @@ def test_ctrl_c_finishes_what_runs_and_the_same_command_goes_on(program: Program
     assert len(whole(hunt)) >= 3 and before < whole(hunt) and table(hunt)
 
 
+@pytest.mark.soak
 def test_a_full_disk_is_a_sentence_and_what_was_found_stays(program: Program) -> None:
     """A disk of 500 kB takes the memory bank and a run or two. On a larger one the hunt goes on."""
     disk, saved = program.folder / "disk", program.folder / "saved"

@@ -1,8 +1,8 @@
 """An engine and sandboxes for many episodes.
 
 Each episode runs in a fork of a process that has imported all modules and run nothing. It has the same surroundings as
-in a new process, and starts in milliseconds. The fork answers the front itself. Its parent waits, and answers instead
-if the fork dies. Without forks each episode gets a new process.
+in a new process, and starts in milliseconds. The fork answers the front itself. Its parent waits, and ends as the fork
+does if that dies. Without forks each episode gets a new process.
 """
 
 from __future__ import annotations
@@ -17,37 +17,42 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any, Self
 
 from sumo_adv.config import Settings
-from sumo_adv.errors import DriverError, SimulationError
 from sumo_adv.planners.sandbox import Sandbox
-from sumo_adv.simulation.engine import Engine, can_fork, how
+from sumo_adv.simulation.engine import QUIET_VARIABLES, Engine, can_fork
 from sumo_adv.simulation.programs import load_libsumo
-from sumo_adv.simulation.watch import died_in
 
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
+OWN_VARIABLES = {*QUIET_VARIABLES, "TMPDIR"}  # of the engine process, whatever its front has
 
 
 class WarmEngine:
-    """One engine process for many episodes, started again after a failure."""
+    """One engine process for many episodes, started again after a failure; ``slots``: see ``Engine``."""
 
-    def __init__(self) -> None:
+    def __init__(self, slots: int = 1) -> None:
         self._engine: Engine | None = None
+        self._slots = slots
 
     @contextmanager
     def episode(self) -> Iterator[Engine]:
-        """The engine for one episode. Raises SimulationError if it does not start."""
+        """The engine for one episode; the process loads its modules meanwhile. Raises SimulationError if it does not
+        start."""
         if self._engine is None:
-            self._engine = Engine(body, slots=1)
+            self._engine = Engine(body, self._slots)
+        engine = self._engine
         try:
-            self._engine.request("begin")
-            yield self._engine
-            self._engine.request("end")
+            engine.post("begin", dict(os.environ), str(Path.cwd()), sys.path)
+            yield engine
+            in_order = not (engine.lost or engine.talks)
+            if in_order:
+                engine.request("end")
         except BaseException:
             self.close()
             raise
-        if not can_fork():
+        if not in_order or not can_fork():
             self.close()
 
     def close(self) -> None:
@@ -109,29 +114,32 @@ class _Nursery:
         self._handlers: dict[str, Callable[..., Any]] = {}
         self._in_fork = False
 
-    def begin(self) -> None:
-        """Begin an episode. Returns in the fork that serves it; and in the parent when the fork has ended, in answer to
-        the last command. Raises SimulationError in the parent if the fork did not end by itself."""
+    def begin(self, environment: dict[str, str], folder: str, path: list[str]) -> None:
+        """Begin an episode with its front's environment, working folder and ``sys.path``.
+
+        Returns in the fork that serves it; and in the parent when the fork has ended, in answer to the last command. A
+        fork that does not end by itself takes its parent along.
+        """
         from sumo_adv.episode.worker import body as episode_body
 
-        if not can_fork():
-            self._handlers = episode_body(self._slots)
-            return
-        folder = tempfile.mkdtemp()
-        pid = os.fork()
-        if pid == 0:
+        if can_fork():
+            own = tempfile.mkdtemp()
+            pid = os.fork()
+            if pid != 0:
+                _, status = os.waitpid(pid, 0)
+                shutil.rmtree(own, ignore_errors=True)
+                if status != 0:
+                    _end_as(os.waitstatus_to_exitcode(status))
+                return
             self._in_fork = True
             die_with_parent()
-            tempfile.tempdir = folder
-            self._handlers = episode_body(self._slots)
-            return
-        _, status = os.waitpid(pid, 0)
-        shutil.rmtree(folder, ignore_errors=True)
-        if status != 0:
-            exitcode = how(os.waitstatus_to_exitcode(status))
-            if (call := died_in()) is not None:
-                raise DriverError(call.ended(exitcode))
-            raise SimulationError(f"The simulation process ended unexpectedly ({exitcode}).")
+            tempfile.tempdir = own
+        os.environ.update({k: v for k, v in environment.items() if k not in OWN_VARIABLES})
+        for name in os.environ.keys() - environment.keys() - OWN_VARIABLES:
+            del os.environ[name]
+        os.chdir(folder)
+        sys.path[:] = path
+        self._handlers = episode_body(self._slots)
 
     def end(self) -> None:
         """End the fork. Its parent answers."""
@@ -144,7 +152,16 @@ class _Nursery:
         return lambda *arguments: self._handlers[name](*arguments)
 
 
-COMMANDS = ("open", "forks", "seek", "prefix", "lanes", "attempts", "references")
+def _end_as(exitcode: int) -> None:
+    """End this process as another one ended: by that signal if negative."""
+    if exitcode < 0:
+        faulthandler.disable()
+        signal.signal(-exitcode, signal.SIG_DFL)
+        os.kill(os.getpid(), -exitcode)
+    os._exit(exitcode)
+
+
+COMMANDS = ("open", "forks", "seek", "prefix", "lanes", "attempts", "references", "converse")
 
 
 def body(slots: list[Connection]) -> dict[str, Callable[..., Any]]:

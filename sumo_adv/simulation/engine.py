@@ -38,6 +38,9 @@ class Engine:
     def __init__(self, body: Body, slots: int = SLOTS) -> None:
         self.at_once = slots
         self.lost = False  # its process has died
+        self.talks = False  # a conversation goes on
+        self._owed = 0  # replies to commands that were posted
+        self._heard = 0  # bytes of the log that belong to earlier episodes
         context = multiprocessing.get_context("spawn")
         self._folder = tempfile.TemporaryDirectory(prefix="sumo_adv-engine-")  # the process may be killed: not its own
         self._log = Path(self._folder.name) / "log"
@@ -68,7 +71,7 @@ class Engine:
         """Have the engine do something, answering its questions meanwhile. Raises SumoAdvError: what the engine raised,
         or SimulationError if its process died."""
         with self._alive():
-            self._control.send((command, arguments))
+            self._order(command, arguments)
             while True:
                 for ready in self._ready(self._control, *self._slots):
                     if ready is self._control:
@@ -84,6 +87,20 @@ class Engine:
         Raises as ``request``.
         """
         return Conversation(self, (command, arguments), answer)
+
+    def post(self, command: str, *arguments: Any) -> None:
+        """Have the engine do something, and go on meanwhile; what it raises the next request raises. Its words from now
+        on are those of an episode of their own. Raises SimulationError if its process died."""
+        self._heard = self._log.stat().st_size
+        with self._alive():
+            self._order(command, arguments)
+        self._owed += 1
+
+    def _order(self, command: str, arguments: tuple[Any, ...]) -> None:
+        while self._owed:
+            self._owed -= 1
+            self._reply()
+        self._control.send((command, arguments))
 
     def _reply(self) -> Any:
         kind, value = self._control.recv()
@@ -115,8 +132,8 @@ class Engine:
         return [each for each in ready if isinstance(each, Connection)]
 
     def said(self) -> str:
-        """What its process printed: SUMO's words, tracebacks."""
-        return self._log.read_text(errors="replace")
+        """What its process printed in this episode: SUMO's words, tracebacks."""
+        return self._log.read_bytes()[self._heard :].decode(errors="replace")
 
     def _last_words(self) -> str:
         lines = [line for line in self.said().splitlines() if line.strip()]
@@ -145,7 +162,8 @@ class Conversation:
     def __init__(self, engine: Engine, order: tuple[str, tuple[Any, ...]], answer: Answer | None) -> None:
         self._engine, self._answer, self._over = engine, answer, False
         with engine._alive():
-            engine._control.send(order)
+            engine._order(*order)
+        engine.talks = True
         self.said = self._listen()
 
     def ask(self, message: Any) -> Any:
@@ -167,7 +185,7 @@ class Conversation:
                 if first in ready:
                     return first.recv()
                 if engine._control in ready:
-                    self._over = True
+                    self._over, engine.talks = True, False
                     return engine._reply()
                 for slot in ready:
                     question = slot.recv()
@@ -181,6 +199,7 @@ class Conversation:
         with engine._alive():
             engine._slots[0].send(None)
             engine._ready(engine._control)
+            engine.talks = False
             while engine._slots[0].poll():  # a reply that was not read: asking was interrupted
                 engine._slots[0].recv()
             engine._reply()

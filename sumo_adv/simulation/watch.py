@@ -93,13 +93,6 @@ def keep(watch: Watch) -> None:
     _mine[0] = watch
 
 
-def died_in() -> Call | None:
-    """The call in which a fork that wrote into this process's note has died. It is forgotten then."""
-    call = _mine[0].running()
-    _mine[0].end()
-    return call
-
-
 @contextmanager
 def watched(call: Call) -> Iterator[None]:
     """Note a call while it runs, and interrupt it after ``call.limit`` s (0: never) where alarms can do so. Raises
