@@ -90,8 +90,9 @@ def with_predictions(
     predictor = Predictor(sandbox, settings, found.drivable, found.situations, weights.score, episode.stopped)
     scene = signature(found.first, found.first.target_list()[0].state.id, episode.task.ego_driver)
     library, episode.bandit = read_library(bank, scene, settings.seed, found.situations)
+    predicts = forecast or found.first.baseline.model.known or evidence
     log = episode.task.playback
-    if log is not None and log.tracks is not None and settings.tuner == "builtin":
+    if settings.tuner == "builtin" and (not predicts or (log is not None and log.tracks is not None)):
         library = [*library, FREE]
     recalled = recall(episode, found, library, bank) if settings.recall == "scene" else None
     intent, first = (None, None) if recalled is None else recalled
@@ -99,7 +100,7 @@ def with_predictions(
         predictor, found.situations, library, weights, seed=settings.seed, goal=settings.goal,
         selection=selection_of(episode, bank), recalled=first, adversaries=settings.adversaries,
         colliders=episode.task.colliders, compositions=compositions(bank) if settings.adversaries > 1 else (),
-        predicts=forecast or found.first.baseline.model.known or evidence,
+        predicts=predicts,
     )  # fmt: skip
     return PlannedEncounter(found, predictor, library, scene, search, intent)
 
