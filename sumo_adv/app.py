@@ -288,11 +288,12 @@ def new_engine() -> Iterator[Engine]:
     from sumo_adv.episode.warm import WarmEngine
     from sumo_adv.simulation.engine import SLOTS, deaf
 
-    if _idle:
+    try:
         warm, ending = _idle.pop()
-        ending.cancel()
-    else:
+    except IndexError:
         warm = WarmEngine(SLOTS)
+    else:
+        ending.cancel()
     with ExitStack() as stack:
         with _without_main(), deaf():
             engine = stack.enter_context(warm.episode())

@@ -27,6 +27,18 @@ def test_a_run_makes_its_bank_from_the_shipped_one(tmp_path: Path) -> None:
         assert len(again.intents()) == 7
 
 
+def test_the_engine_of_a_run_serves_the_next_one_unless_it_failed() -> None:
+    with app.new_engine() as first, app.new_engine() as beside:
+        assert beside is not first
+    with app.new_engine() as second:
+        assert second is beside  # it was there first; the other one ended with its run
+    with pytest.raises(UsageError), app.new_engine() as failed:
+        assert failed is beside
+        raise UsageError("The run stops here.")
+    with app.new_engine() as third:
+        assert third is not beside
+
+
 def test_a_record_can_only_be_chosen_from_a_file_of_records(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="--record chooses among the records"):
         app.load(tmp_path / "network.net.xml", "3")
