@@ -378,7 +378,7 @@ class Verdict:
 class DriverModel:
     """How the ego's driver is predicted: which rules it follows, and the numbers of its car following.
 
-    kind: ``krauss``, ``idm``, ``eidm``, ``careful``, ``lattice`` or ``replay``. acceleration, deceleration: both
+    kind: ``krauss``, ``idm``, ``eidm``, ``careful`` or ``replay``. acceleration, deceleration: both
     positive [m/s2]; tau: headway [s]; min_gap: gap at standstill [m]; speed: desired speed [m/s].
     hardest_braking: positive [m/s2].
     known: False if the model is an assumption.

@@ -1,4 +1,4 @@
-"""The lattice driver, as an ego and as predicted: stories on a straight road worked out by hand, and drives in SUMO."""
+"""The lattice driver: stories on a straight road worked out by hand, and drives in SUMO."""
 
 from __future__ import annotations
 
@@ -6,23 +6,18 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
 from cli_samples import Program
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from sumo_adv.datatypes import Boxes, DriverModel, Floats, VehicleState
+from sumo_adv.datatypes import Boxes, VehicleState
 from sumo_adv.drivers import LatticeEgo, Observation, Steer, apply_steer, make_ego
 from sumo_adv.drivers.lattice import Egos, Expected, LatticeSettings, Size
 from sumo_adv.drivers.lattice_candidates import Space, aside, choose
-from sumo_adv.drivers.lattice_ego import LatticeDrivers
 from sumo_adv.drivers.lattice_frame import RoadFrame, Watch, expect, others_on
 from sumo_adv.drivers.protocol import Road, StopLine, wishes_of
-from sumo_adv.drivers.sumo_rules import Scenes
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.right_of_way import Meetings
 from sumo_adv.episode.surroundings import Surroundings
@@ -32,7 +27,6 @@ from sumo_adv.simulation.engine import in_forks
 from sumo_adv.simulation.network import read_network
 from sumo_adv.simulation.scenario import load_scenario
 from sumo_adv.simulation.simulation import SimulationSpec
-from sumo_adv.situation import RoadAhead
 
 ROOT = Path(__file__).resolve().parent.parent
 STRAIGHT = [(float(x), 0.0) for x in range(400)]
@@ -232,110 +226,6 @@ def test_wrong_settings_are_named() -> None:
     assert make_ego("lattice", {"horizon": 3.0, "tau": 1.5}).sumo_type["tau"] == "1.5"
     tables: list[dict[str, Any]] = [{}, {"visible_only": True}]
     assert [wishes_of(make_ego("lattice", table)).visible_only for table in tables] == [False, True]
-
-
-# ---- as predicted: the same as in the simulation
-
-Motion = tuple[float, float, float, float, float, float]  # x, y, heading, speed, acceleration, turn rate
-
-
-class StraightScenes:
-    """Egos alone on a straight road at ``speed`` [m/s], 3.2 m lanes, with a lane to the left if there is one."""
-
-    def __init__(self, speed: float, sides: tuple[float, ...]) -> None:
-        self.dt, self.speed, self.ego = 0.1, speed, SimpleNamespace(length=5.0, width=2.0)
-        beside = tuple((offset, "same") for offset in sides)
-        self.of = [SimpleNamespace(road=RoadAhead(3.2, beside), baseline=SimpleNamespace(a=[0.0]))]
-
-    def each(self, value: Any) -> Floats:
-        return np.array([value(s) for s in self.of], float)
-
-    def profile_now(self, time: float) -> tuple[Floats, Floats]:
-        return np.array([self.speed * time]), np.array([self.speed])
-
-    def profile(self, time: Floats) -> tuple[Floats, Floats]:
-        return self.speed * time[None], np.full((1, len(time)), self.speed)
-
-    def pace(self, station: Floats) -> Floats:
-        return np.full(len(station), self.speed)
-
-
-def driven(speed: float, motion: Motion, sides: tuple[float, ...] = (), steps: int = 50) -> tuple[Floats, Floats]:
-    """x, y, heading, speed by step of the ego in the simulation, and as predicted; ``(steps, 4)``."""
-    x, y, heading, v, acceleration, turn = motion
-    real, road = LatticeEgo(), Road(limit=speed, sides=sides, until=400.0)
-    model = DriverModel("lattice", 2.6, 4.5, 1.0, 2.5, speed)  # IDM's defaults
-    scenes = cast(Scenes, StraightScenes(speed, sides))
-    many = LatticeDrivers(scenes, np.array([5.0]), np.array([2.0]), model)
-    ego, at, pace = car("ego", 0.0, speed=speed), np.zeros(1), np.array([speed])
-    simulated, predicted = [], []
-    for k in range(steps):
-        vehicle = replace(car("bv", x, y, v, heading), acceleration=acceleration)
-        action = real.act(Observation(k / 10, 0.1, ego, (vehicle,), path=STRAIGHT, road=road))
-        assert isinstance(action, Steer)
-        ego = apply_steer(ego, action, 0.1)
-        simulated.append((ego.x, ego.y, ego.heading, ego.speed))
-        place = (np.array([x]), np.array([y]), np.array([heading]))
-        at, pace = many.step(k / 10, (at, pace), place, np.array([v]), np.array([np.inf]))
-        predicted.append((at[0], many.d[0], many.turn[0], pace[0]))
-        x, y = x + v * 0.1 * math.cos(heading), y + v * 0.1 * math.sin(heading)
-        heading, v = heading + turn * 0.1, max(v + acceleration * 0.1, 0.0)
-    return np.array(simulated), np.array(predicted)
-
-
-def test_predicted_alone_it_goes_on_as_unattacked() -> None:
-    """50 steps of 0.1 s at 15 m/s: 75 m."""
-    simulated, predicted = driven(15.0, (300.0, 0.0, 0.0, 15.0, 0.0, 0.0))
-    assert predicted[-1] == pytest.approx((75.0, 0.0, 0.0, 15.0), abs=1e-6)
-    assert simulated == pytest.approx(predicted, abs=0.05)
-
-
-def test_it_brakes_for_an_adversary_that_cuts_in() -> None:
-    """On one lane there is nowhere to go: it brakes, hard at first."""
-    simulated, predicted = driven(15.0, (4.0, 3.2, -0.12, 15.0, 0.0, 0.0))
-    assert predicted[:, 3].min() < 9.0
-    assert abs(predicted[:, 1]).max() < 0.01
-    assert simulated == pytest.approx(predicted, abs=0.3)
-
-
-def test_it_is_predicted_to_swerve_into_a_free_lane_for_a_wreck() -> None:
-    """A stopped car 25 m ahead, which full braking from 20 m/s (25 m) cannot stop short of: it goes round on the left
-    of it, at more than the boxes' width of 2 m."""
-    simulated, predicted = driven(20.0, (27.0, -0.4, 0.0, 0.0, 0.0, 0.0), sides=(3.2,))
-    passing = predicted[(predicted[:, 0] > 22.0) & (predicted[:, 0] < 32.0), 1]
-    assert len(passing)
-    assert passing.min() > 1.6
-    assert simulated == pytest.approx(predicted, abs=0.3)
-
-
-def test_an_adversary_wholly_behind_in_its_lane_is_ignored() -> None:
-    _, predicted = driven(15.0, (-12.0, 0.0, 0.0, 20.0, 0.0, 0.0), steps=8)
-    assert predicted[-1] == pytest.approx((12.0, 0.0, 0.0, 15.0), abs=1e-6)
-
-
-@settings(max_examples=60, deadline=None, derandomize=True)
-@given(
-    st.floats(6.0, 28.0), st.floats(3.0, 60.0), st.floats(-5.0, 5.0), st.floats(-0.15, 0.15), st.floats(0.0, 28.0),
-    st.floats(-4.0, 2.0), st.booleans(),
-)  # fmt: skip
-def test_an_adversary_the_same_way_is_met_as_the_ego_meets_it(
-    speed: float, x: float, y: float, heading: float, other: float, acceleration: float, two: bool
-) -> None:
-    """For two seconds within a metre: where two candidates cost nearly the same either may be taken for a step."""
-    simulated, predicted = driven(speed, (x, y, heading, other, acceleration, 0.0), (3.2,) if two else (), steps=20)
-    assert np.abs(simulated[:, :2] - predicted[:, :2]).max() < 1.0
-
-
-@settings(max_examples=40, deadline=None, derandomize=True)
-@given(
-    st.floats(6.0, 20.0), st.floats(10.0, 50.0), st.floats(-25.0, -8.0), st.floats(1.2, 1.9), st.floats(2.0, 15.0),
-    st.floats(-0.3, 0.3),
-)  # fmt: skip
-def test_a_crossing_adversary_is_met_as_the_ego_meets_it(
-    speed: float, x: float, y: float, heading: float, adversary_speed: float, turn: float
-) -> None:
-    simulated, predicted = driven(speed, (x, y, heading, adversary_speed, 0.0, turn), steps=20)
-    assert np.abs(simulated[:, :2] - predicted[:, :2]).max() < 1.0
 
 
 # ---- the same again

@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from typing import Any
 
 from sumo_adv.drivers.careful import CarefulEgo
-from sumo_adv.drivers.lattice_ego import LatticeEgo
 from sumo_adv.drivers.protocol import Action, EgoController, Observation
 
 
@@ -36,10 +35,3 @@ class CarefulAsUnknown(_AsUnknown):
 
     def __init__(self, **parameters: Any) -> None:
         super().__init__(CarefulEgo(parameters), "careful")
-
-
-class LatticeAsUnknown(_AsUnknown):
-    """The lattice planner."""
-
-    def __init__(self, **parameters: Any) -> None:
-        super().__init__(LatticeEgo(parameters), "lattice")

@@ -2,14 +2,14 @@
 
 The driver lays candidate motions along its path (``lattice_candidates.py``), expects other vehicles there
 (``lattice_frame.py``) and carries out the beginning of the cheapest candidate.  It perceives at once and exactly, and
-knows no intentions of others.  The rules hold for ``n`` egos at once.  ``lattice_ego.py`` drives one ego in SUMO by
-them, and predicts many.
+knows no intentions of others.  The rules hold for ``n`` egos at once.
+``lattice_ego.py`` drives one ego in SUMO by them.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -62,10 +62,6 @@ class Egos(NamedTuple):
     target: Floats
     left: Floats
 
-    def of(self, rows: Any) -> Egos:
-        """The egos at ``rows``."""
-        return Egos(*(q[rows] for q in self))
-
 
 class Expected(NamedTuple):
     """Expected boxes of ``m`` vehicles for each ego, along the axes of its path.
@@ -79,10 +75,6 @@ class Expected(NamedTuple):
     half_s: Floats
     half_d: Floats
     speed: Floats
-
-    def of(self, rows: Any) -> Expected:
-        """The vehicles that the egos at ``rows`` expect."""
-        return Expected(*(q[rows] for q in self))
 
 
 class Memory(NamedTuple):
@@ -107,34 +99,24 @@ class Memory(NamedTuple):
         return Egos(s, d, speed, self.acceleration, rate, self.second, self.target, self.left)
 
 
-class Cruise(NamedTuple):
-    """Speeds [m/s] by time, ``(n, time)``: ``desired`` on a free road, ``fastest`` behind a leader.  ``exact``,
-    ``(n,)``: the ego takes the desired speed at once, and does not approach it as IDM does."""
-
-    desired: Floats
-    fastest: Floats
-    exact: Floats
-
-
 def reference(
-    egos: Egos, size: Size, others: Expected, cruise: Cruise, cap: Floats, settings: LatticeSettings
+    egos: Egos, size: Size, others: Expected, desired: Floats, cap: Floats, settings: LatticeSettings
 ) -> Floats:
     """Accelerations [m/s2] of ordinary driving (IDM behind the expected leader) by time, ``(n, time)``.
 
-    ``cap``, ``(n,)``: the maximum now. A braking cap holds for all times, any other for the first one only.
+    ``desired``, ``(n, time)``: speeds [m/s] on a free road. ``cap``, ``(n,)``: the maximum now. A braking cap holds for
+    all times, any other for the first one only.
     """
     idm = settings.idm
     rear, pace = _leader(egos, size, others, len(settings.times))
     v, front, root = egos.speed, egos.s + size.length / 2, 2 * np.sqrt(idm.accel * idm.decel)
     result = np.empty_like(rear)
     for k in range(rear.shape[1]):
-        desired = cruise.desired[:, k]
-        free = idm.accel * _free(v, np.maximum(desired, SLOWEST), idm)
-        free = np.where(cruise.exact, (desired - v) / STEP, free)
+        free_road = _free(v, np.maximum(desired[:, k], SLOWEST), idm)
         wish = idm.minGap + np.maximum(0.0, v * idm.tau + v * (v - pace[:, k]) / root)
         gap = np.maximum(rear[:, k] - front, 0.1)
-        held = idm.accel * (_free(v, cruise.fastest[:, k], idm) - (wish / gap) ** 2)
-        a = np.minimum(np.minimum(free, np.where(np.isfinite(gap), held, np.inf)), cap)
+        held = idm.accel * (_free(v, desired[:, k], idm) - (wish / gap) ** 2)
+        a = np.minimum(np.minimum(idm.accel * free_road, np.where(np.isfinite(gap), held, np.inf)), cap)
         result[:, k] = a = np.minimum(np.maximum(a, np.maximum(-settings.braking, -v / STEP)), idm.accel)
         front = front + np.maximum(v * STEP + a * STEP * STEP / 2, 0.0)
         v = np.maximum(v + a * STEP, 0.0)

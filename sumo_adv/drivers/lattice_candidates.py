@@ -14,7 +14,7 @@ Arrays are ``(n, along, time)`` and ``(n, aside, time)`` for the candidates of `
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -63,10 +63,6 @@ class Space(NamedTuple):
         right, left = right - half, left + half
         steps = [d for d in STEPS_ASIDE if right[0] + width / 2 <= d <= left[0] - width / 2]
         return Space(np.array([0.0, *steps, *sides[0]]), half, right, left, until)
-
-    def of(self, rows: Any) -> Space:
-        """The space of the egos at ``rows``."""
-        return Space(self.offsets, *(q[rows] for q in self[1:]))
 
 
 class Along(NamedTuple):
@@ -132,16 +128,6 @@ def choose(
         k, np.where(k == 0, reference[:, 0], a), second, off.target[rows, j], off.duration[rows, j], on.s[rows, k],
         off.d[rows, j],
     )  # fmt: skip
-
-
-def in_conflict(egos: Egos, size: Size, reference: Floats, others: Expected) -> Bools:
-    """Whether egos come close to another vehicle by their reference on the lane's centre, ``(n,)``."""
-    v = np.maximum(egos.speed[:, None] + _summed(reference), 0.0)
-    s = egos.s[:, None] + _summed(v)
-    gap_s = np.abs(others.s - s[:, None]) - others.half_s - size.length / 2
-    gap_d = np.abs(others.d) - others.half_d - size.width / 2
-    close = (gap_s < (CLOSE_MARGIN[0] + CLOSE_HEADWAY * v)[:, None]) & (gap_d < CLOSE_MARGIN[1])
-    return np.asarray(close.any(axis=(1, 2)))
 
 
 def along(egos: Egos, reference: Floats, fastest: Floats, settings: LatticeSettings) -> Along:

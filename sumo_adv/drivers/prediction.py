@@ -2,7 +2,7 @@
 
 An ego follows its unattacked profile until it is disturbed: the adversary is its leader or in its way at a junction,
 and a safe speed falls below the profile. From then on its driver model drives (Krauss's safe speed, IDM, the careful
-driver's brake). Only the lattice driver steers. An adversary leads once the middle of its front is in the ego's lane;
+driver's brake). None steers. An adversary leads once the middle of its front is in the ego's lane;
 at junctions SUMO's drivers follow ``MSLink``.
 """
 
@@ -12,7 +12,6 @@ import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats
 from sumo_adv.drivers.careful import CarefulDrivers
-from sumo_adv.drivers.lattice_ego import LatticeDrivers
 from sumo_adv.drivers.sumo_rules import AtJunction, CarFollowing, Junctions, Scenes
 from sumo_adv.road_users import unprotected
 
@@ -23,8 +22,8 @@ ACROSS = (0.9, 2.2)  # rad: a vehicle at such an angle is no leader
 class PredictedEgos:
     """``n`` copies of the ego along its path, each against one adversary or more.
 
-    s, d: station and offset [m]; v: speed [m/s]; a: acceleration [m/s2]; turn: heading against the path [rad];
-    disturbed: whether it has left its unattacked profile. All are ``(n,)``.
+    s: station [m]; v: speed [m/s]; a: acceleration [m/s2]; disturbed: whether it has left its unattacked profile. All
+    are ``(n,)``.
 
     With ``each`` adversaries per ego there are ``N = each * n`` pairs: the first adversaries of all egos, then their
     second ones. Arrays of adversaries are ``(N,)``, and the cost grows with N.
@@ -39,7 +38,6 @@ class PredictedEgos:
         self.s = scenes.each(lambda s: float(s.baseline.s[0]))
         self.v = scenes.each(lambda s: float(s.baseline.v[0]))
         self.a = scenes.each(lambda s: float(s.baseline.a[0]))
-        self.d, self.turn = np.zeros(n), np.zeros(n)
         self.disturbed = np.zeros(n, bool)
         size = (scenes.ego.length, scenes.ego.width)
         self._lane = self._pairs.each(lambda s: s.road.lane_width)
@@ -47,8 +45,6 @@ class PredictedEgos:
         self._junctions = Junctions(self._pairs, self._driver)
         careful = self.model.kind == "careful"
         self._careful = CarefulDrivers(size, length, width, scenes.dt) if careful else None
-        lattice = self.model.kind == "lattice"
-        self._lattice = LatticeDrivers(scenes, length, width, self.model) if lattice else None
         self._unprotected = unprotected(length, width)  # SUMO's drivers brake for these at any angle (measured)
 
     def step(
@@ -69,11 +65,6 @@ class PredictedEgos:
         front_d = d + half * np.sin(h)
         ahead = s + half * np.cos(h) > self._of_pairs(self.s) + self.scenes.ego.length / 2
         bound = self._bound(adversary, speed, (ahead, front_d), at_junction)
-        if self._lattice is not None:
-            self.s, v = self._lattice.step(now, (self.s, self.v), adversary, speed, bound)
-            self.a, self.v, self.disturbed = (v - self.v) / dt, v, self._lattice.disturbed
-            self.d, self.turn = self._lattice.d, self._lattice.turn
-            return
         self.disturbed |= bound < next_v - NOTICED
         v = next_v
         if self.disturbed.any():
@@ -98,13 +89,12 @@ class PredictedEgos:
 
     def pose(self) -> tuple[Floats, Floats, Floats, Floats]:
         """x, y, heading, speed, each ``(n,)``."""
-        x, y, h = self.scenes.ego_at(self.s, self.d)
-        return x, y, h + self.turn, self.v
+        return (*self.scenes.ego_at(self.s), self.v)
 
     def onwards(self, steps: int) -> Floats:
-        """x, y, heading, speed for the next ``steps`` at constant speeds and offsets, ``(4, n, steps)``."""
+        """x, y, heading, speed for the next ``steps`` at constant speeds, ``(4, n, steps)``."""
         s = self.s[:, None] + self.v[:, None] * self.scenes.dt * np.arange(steps)
-        return np.stack([*self.scenes.ego_at(s, self.d[:, None]), np.broadcast_to(self.v[:, None], s.shape)])
+        return np.stack([*self.scenes.ego_at(s), np.broadcast_to(self.v[:, None], s.shape)])
 
     def _bound(
         self, adversary: tuple[Floats, Floats, Floats], speed: Floats, front: tuple[Bools, Floats],

@@ -69,7 +69,7 @@ def predict(
         if k % replan == 0 and not over.all():
             rows = np.flatnonzero(np.tile(~over, each)).tolist()
             mean = egos.a if k == 0 else (egos.v - speed_before) / (replan * dt)  # as in an attempt
-            own = tuple(np.tile(q, each) for q in (egos.s, egos.d, egos.v, mean))
+            own = tuple(np.tile(q, each) for q in (egos.s, np.zeros(n), egos.v, mean))
             goal, motion = _replan(ground, motion, own, goal, last, followers, moment, rows, ask)  # type: ignore[arg-type]
             speed_before = egos.v
         adversary[k] = (*pose(Batch, motion, ground.rows), motion.v)
