@@ -108,12 +108,9 @@ def test_drivers_that_sumo_moves_are_predicted_by_their_kind_and_keep_its_lane_r
     assert model == DriverModel(name, 2.0, 4.0, 1.2, 2.0, 15.0, known=True)
 
 
-@pytest.mark.parametrize(("parameters", "braking"), [({}, 8.0), ({"braking": 2.5}, 2.5)])
-def test_the_lattice_driver_is_known_with_its_braking_and_keeps_no_lane_rules(
-    parameters: dict[str, float], braking: float
-) -> None:
-    expected = replace(NUMBERS, kind="lattice", known=True, hardest_braking=braking)
-    assert model_of(make_ego("lattice", parameters), NUMBERS) == expected
+def test_the_lattice_driver_is_asked_and_not_predicted() -> None:
+    assert model_of(make_ego("lattice", {}), NUMBERS) == NUMBERS
+    assert not NUMBERS.known
 
 
 def test_a_users_class_is_unknown_unless_it_says_how_it_is_predicted(user_module: str) -> None:
