@@ -275,8 +275,15 @@ def check_driver(
 
 _idle: list[tuple[WarmEngine, Finalize]] = []  # with what ends it where this process ends before
 _of_parents: list[tuple[WarmEngine, Finalize]] = []  # in a fork of a user's process: neither used nor ended
+
+
+def _leave_to_parent() -> None:
+    _of_parents.extend(_idle)
+    _idle.clear()
+
+
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=lambda: (_of_parents.extend(_idle), _idle.clear()))
+    os.register_at_fork(after_in_child=_leave_to_parent)
 
 
 @contextmanager
