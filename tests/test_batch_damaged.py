@@ -55,6 +55,7 @@ DAMAGES: tuple[Callable[[Path], None], ...] = (
 )  # fmt: skip
 
 
+@pytest.mark.soak
 def test_a_campaign_with_damaged_runs_is_resumed(program: Program) -> None:
     """Six runs, each damaged in another way, and run again: the table is the same."""
     summary(program(*ONE))

@@ -66,6 +66,7 @@ def test_labels_are_what_the_oracle_finds(folder: Program) -> None:
     assert set(labels) == {"collision", "valid"} and labels["valid"] and set(labels["valid"]) <= won
 
 
+@pytest.mark.soak
 def test_every_ablation_stands_beside_the_expert_that_does_not_learn(folder: Program) -> None:
     run(folder, "ablations")
     valid = {r["row"]: r for r in lines(folder, "ablations.csv") if (r["part"], r["column"]) == ("all", "valid")}

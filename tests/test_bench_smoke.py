@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 from collections import Counter
 
+import pytest
 from cli_samples import Program
 
 from sumo_adv.benchmark.suites import load_suite
@@ -19,6 +20,7 @@ def test_suite81_has_fifty_straight_and_thirty_one_intersection_encounters() -> 
     assert {case.name for case in small.cases} <= {case.name for case in suite.cases}
 
 
+@pytest.mark.soak
 def test_the_table_of_smoke(program: Program) -> None:
     """In no encounter the ego is in danger unattacked; with three attempts the expert makes most of them critical."""
     done = program(
