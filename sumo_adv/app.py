@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from multiprocessing.util import Finalize
 
     from sumo_adv.agents.agents import Agents
-    from sumo_adv.agents.prompts import Prompts
     from sumo_adv.benchmark.jobs import Parts as BenchParts
     from sumo_adv.campaigns.campaign import Orders, Summary, Watcher
     from sumo_adv.campaigns.plan import Plan
@@ -37,6 +36,7 @@ if TYPE_CHECKING:
     from sumo_adv.episode.episode import Episode
     from sumo_adv.episode.warm import WarmEngine
     from sumo_adv.llm.chat import ChatModel
+    from sumo_adv.llm.prompts import Prompts
     from sumo_adv.memory.bank import MemoryBank
     from sumo_adv.planners.sandbox import Sandbox
     from sumo_adv.rate.blocks import RatePlan
@@ -167,7 +167,7 @@ def open_agents(settings: Settings, sandbox: Sandbox, record: Path | None = None
 
 def shipped_prompts() -> Prompts:
     """The prompts that come with the program."""
-    from sumo_adv.agents.prompts import Prompts
+    from sumo_adv.llm.prompts import Prompts
     from sumo_adv.simulation.inputs import data_folder
 
     return Prompts(data_folder("prompts"))

@@ -15,7 +15,7 @@ from situation_samples import KRAUSS, changed, leader, situation
 
 from sumo_adv.datatypes import DriverModel, Floats
 from sumo_adv.drivers.prediction import PredictedEgos
-from sumo_adv.drivers.sumo_rules import AtJunction, CarFollowing, Scenes, seconds
+from sumo_adv.simulation.sumo_rules import AtJunction, CarFollowing, Scenes, seconds
 from sumo_adv.situation import Situation
 
 KINDS = pytest.mark.parametrize("kind", ["krauss", "idm"])

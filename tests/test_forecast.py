@@ -12,10 +12,10 @@ import pytest
 from situation_samples import KRAUSS, changed, crossing, leader, neighbour, situation
 
 from sumo_adv.datatypes import Bools, Floats, Limits, Planner, Proposal
-from sumo_adv.drivers.sumo_rules import Scenes, profile_at
 from sumo_adv.geometry import Frame
 from sumo_adv.planners.answers import Answer, PlannerObservation, arrivals, local_endpoint, stations, world_endpoint
 from sumo_adv.search.rollouts import Ask, Rollouts, predict
+from sumo_adv.simulation.sumo_rules import Scenes, profile_at
 from sumo_adv.situation import NO_ARRIVAL, Situation
 
 SIT = situation([neighbour()])  # an ego at 10 m/s for 5 s

@@ -15,7 +15,6 @@ from situation_samples import changed, crossing, leader, neighbour, situation
 from sumo_adv.agents.analyzer import Analysis, Choice, ModelAnalyzer, analyzer_prompt
 from sumo_adv.agents.generator import mode_name, without_fence
 from sumo_adv.agents.modifier import MAX_EARLIER, AttemptReport, Row, earlier_words, report_words
-from sumo_adv.agents.prompts import MAX_TEXT, NAMES, Prompts, danger_words, sanitize
 from sumo_adv.agents.scene_text import Aliases, driver_words, relative_words, road_words, state_words
 from sumo_adv.agents.ways import evidence_words, modes_words, opening_comment
 from sumo_adv.datatypes import (
@@ -41,6 +40,7 @@ from sumo_adv.errors import ModelError, UsageError
 from sumo_adv.geometry import make_path
 from sumo_adv.llm.asking import MeteredModel
 from sumo_adv.llm.chat import Ledger
+from sumo_adv.llm.prompts import MAX_TEXT, NAMES, Prompts, danger_words, sanitize
 from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.simulation.simulation import Snapshot
 

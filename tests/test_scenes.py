@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from situation_samples import KRAUSS, changed, crossing, neighbour, situation
 
 from sumo_adv.datatypes import Limits, Planner, Proposal
-from sumo_adv.drivers.sumo_rules import Scenes, profile_at
 from sumo_adv.geometry import Frame
 from sumo_adv.planners.answers import Answer, PlannerObservation, world_endpoint
 from sumo_adv.search.rollouts import Rollouts, predict
+from sumo_adv.simulation.sumo_rules import Scenes, profile_at
 from sumo_adv.situation import Situation
 
 IDM = replace(KRAUSS, kind="idm")

@@ -29,7 +29,6 @@ from sumo_adv.datatypes import (
     Verdict,
 )
 from sumo_adv.drivers.prediction import PredictedEgos
-from sumo_adv.drivers.sumo_rules import Scenes
 from sumo_adv.episode.task import make_task
 from sumo_adv.errors import BankError
 from sumo_adv.memory.bank import MemoryBank, compositions, retrieve_composition
@@ -46,6 +45,7 @@ from sumo_adv.search.search import AttackSearch
 from sumo_adv.search.settings import EvolutionSettings, SearchSettings
 from sumo_adv.search.support_intents import SUPPORT_INTENTS, fits
 from sumo_adv.search.supports import Supports, against, named, observed_escape
+from sumo_adv.simulation.sumo_rules import Scenes
 from sumo_adv.situation import Target
 
 PLANNER = Planner("Shift", "side", "", (), "seed")

@@ -16,16 +16,13 @@ PACKAGE = ROOT / "sumo_adv"
 LEVELS = (
     ("asked", "datatypes", "errors", "files", "geometry", "goal", "parsing", "road_users", "situation"),
     ("config", "config_odd", "metrics", "simulation", "memory"),
-    ("drivers", "llm", "transformer"),
-    ("planners",),
+    ("planners", "drivers", "llm", "transformer"),
     ("search",),
-    ("agents",),
-    ("words",),
+    ("agents", "words"),
     ("episode",),
     ("serve", "campaigns", "benchmark", "womd", "report", "driver_check"),
     ("regression", "rate", "hunting"),
-    ("comparison",),
-    ("app",),
+    ("app", "comparison"),
     ("cli", "api", "api_batch", "gym", "__main__"),
 )
 """From the bottom up: a part may import what stands below it, not its neighbours and not what is above."""

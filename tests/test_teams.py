@@ -17,13 +17,13 @@ from scripted_models import intent
 from situation_samples import EGO_PATH, car, line, situation, target
 
 from sumo_adv.agents.analyzer import Analysis, Choice, ModelAnalyzer, TeamAnalysis, analyzer_prompt
-from sumo_adv.agents.prompts import Prompts
 from sumo_adv.agents.teams import Teamwork
 from sumo_adv.datatypes import Duty, Level, LibraryEntry, Limits, Prediction, Proposal
 from sumo_adv.episode.memory_access import known_casts
 from sumo_adv.errors import ModelError
 from sumo_adv.llm.asking import MeteredModel
 from sumo_adv.llm.chat import Ledger
+from sumo_adv.llm.prompts import Prompts
 from sumo_adv.memory.bank import MemoryBank, compositions
 from sumo_adv.memory.records import Composition, Part
 from sumo_adv.planners.source import make_planner

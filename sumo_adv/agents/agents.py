@@ -17,7 +17,6 @@ from typing import Any, TypeVar
 from sumo_adv.agents.analyzer import Distribution, ModelAnalyzer
 from sumo_adv.agents.generator import ModelGenerator, Trial, expert_planners
 from sumo_adv.agents.modifier import AttemptReport, Change, ModelModifier, RepairScene
-from sumo_adv.agents.prompts import Prompts
 from sumo_adv.agents.teams import Teamwork
 from sumo_adv.agents.ways import evidence_words
 from sumo_adv.asked import Asked
@@ -26,6 +25,7 @@ from sumo_adv.datatypes import Intent, LibraryEntry, Planner
 from sumo_adv.errors import ModelError
 from sumo_adv.llm.asking import MeteredModel
 from sumo_adv.llm.chat import ChatModel, Ledger
+from sumo_adv.llm.prompts import Prompts
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.trial import trial
 from sumo_adv.search.intents import COMPOSED, EXPERT, Selection

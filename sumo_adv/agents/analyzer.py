@@ -16,13 +16,13 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, Field
 
-from sumo_adv.agents.prompts import MAX_TEXT, Prompt, Prompts, danger_words, fenced, sanitize
 from sumo_adv.agents.scene_text import Aliases, driver_words, outlook_words, relative_words, road_words, state_words
 from sumo_adv.agents.teams import MOST_PROPOSED, Team, Teamwork, casts_of, team_fault, teams_words
 from sumo_adv.agents.ways import MOST_WAYS, HowTo, library_words, modes_words, starts_words, way_fault, way_of
 from sumo_adv.asked import MEANINGS, Asked
 from sumo_adv.datatypes import Intent, LibraryEntry, Limits, acceleration_of
 from sumo_adv.llm.asking import MeteredModel, ask, ask_many
+from sumo_adv.llm.prompts import MAX_TEXT, Prompt, Prompts, danger_words, fenced, sanitize
 from sumo_adv.search.supports import Cast
 from sumo_adv.situation import Situation
 

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 from pydantic import BaseModel, Field
 
-from sumo_adv.agents.prompts import Prompt, Prompts, danger_words, sanitize
 from sumo_adv.agents.scene_text import Aliases, driver_words, scene_words
 from sumo_adv.datatypes import Intent, LibraryEntry, Limits, Planner
 from sumo_adv.errors import SandboxError
 from sumo_adv.llm.asking import MeteredModel, ask
+from sumo_adv.llm.prompts import Prompt, Prompts, danger_words, sanitize
 from sumo_adv.planners.sessions import MOVEMENT
 from sumo_adv.planners.source import HELPERS_TEXT, make_planner
 from sumo_adv.search.intents import EXPERT, NEW_INTENTS

@@ -13,11 +13,11 @@ from typing import Literal
 from pydantic import BaseModel, Field
 
 from sumo_adv.agents.generator import Trial, planner_fault, planner_rules, without_fence
-from sumo_adv.agents.prompts import Prompt, Prompts, danger_words, sanitize
 from sumo_adv.agents.ways import HowTo, library_words, way_fault
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Diagnosis, Level, LibraryEntry, Limits, Planner, Verdict
 from sumo_adv.llm.asking import MeteredModel, ask
+from sumo_adv.llm.prompts import Prompt, Prompts, danger_words, sanitize
 from sumo_adv.metrics.levels import SERIOUS_RISK
 from sumo_adv.metrics.reference.brakers import FULL_BRAKING
 from sumo_adv.metrics.reference.cc_human import REACTION

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sumo_adv.agents.prompts import sanitize
 from sumo_adv.datatypes import Track
-from sumo_adv.drivers.sumo_rules import AHEAD, SEES
+from sumo_adv.llm.prompts import sanitize
 from sumo_adv.metrics.severity import UNPROTECTED_TENTH
 from sumo_adv.road_users import LIMITS, RoadUser, is_unprotected, road_user
+from sumo_adv.simulation.sumo_rules import AHEAD, SEES
 from sumo_adv.situation import ReferencePath, Signal, Situation, Target
 
 MAX_OTHERS = 8  # vehicles besides the ego and the possible adversaries, the nearest ones

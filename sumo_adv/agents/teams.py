@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 from pydantic import BaseModel, Field
 
-from sumo_adv.agents.prompts import MAX_TEXT, Prompts, sanitize
 from sumo_adv.agents.scene_text import Aliases
 from sumo_adv.datatypes import Duty, LibraryEntry
+from sumo_adv.llm.prompts import MAX_TEXT, Prompts, sanitize
 from sumo_adv.memory.records import Composition, Part, canonical
 from sumo_adv.road_users import is_unprotected
 from sumo_adv.search.support_intents import SUPPORT_INTENTS, fits

@@ -10,9 +10,9 @@ from typing import Literal
 
 from pydantic import BaseModel, Field
 
-from sumo_adv.agents.prompts import sanitize
 from sumo_adv.agents.scene_text import Aliases
 from sumo_adv.datatypes import Level, LibraryEntry, Planner, Prediction, Proposal, Way
+from sumo_adv.llm.prompts import sanitize
 from sumo_adv.planners.source import uses_acceleration
 from sumo_adv.search.settings import SearchSettings
 from sumo_adv.situation import Situation

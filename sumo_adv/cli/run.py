@@ -22,9 +22,9 @@ from sumo_adv.errors import UsageError
 from sumo_adv.report.staging import RunFolder, scratch_folder, staged
 
 if TYPE_CHECKING:
-    from sumo_adv.agents.prompts import Prompt
     from sumo_adv.episode.episode import Episode
     from sumo_adv.episode.planned_encounter import PlannedEncounter
+    from sumo_adv.llm.prompts import Prompt
     from sumo_adv.simulation.engine import Engine
     from sumo_adv.simulation.inputs import RunInput
 

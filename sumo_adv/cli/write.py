@@ -159,7 +159,7 @@ def _as_json(made: Played, out: Path, folder: Path) -> dict[str, Any]:
 
 
 def _three_lines(made: Played, out: Path, folder: Path) -> str:
-    from sumo_adv.agents.prompts import sanitize
+    from sumo_adv.llm.prompts import sanitize
 
     scene, reading = made.scene, made.reading
     others = len(scene.vehicles) + len(scene.walkers) + len(scene.parked)

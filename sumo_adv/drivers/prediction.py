@@ -12,8 +12,8 @@ import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats
 from sumo_adv.drivers.careful import CarefulDrivers
-from sumo_adv.drivers.sumo_rules import AtJunction, CarFollowing, Junctions, Scenes
 from sumo_adv.road_users import unprotected
+from sumo_adv.simulation.sumo_rules import AtJunction, CarFollowing, Junctions, Scenes
 
 NOTICED = 0.005  # m/s below the unattacked speed after a step, from which on an ego no longer moves as unattacked
 ACROSS = (0.9, 2.2)  # rad: a vehicle at such an angle is no leader

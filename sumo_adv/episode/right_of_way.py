@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.datatypes import Floats
-from sumo_adv.drivers.sumo_rules import AHEAD, CLEARANCE, FOE_ACCELERATION, FOE_SPEED, HALTING, seconds
 from sumo_adv.geometry import along
 from sumo_adv.simulation.network import Connection, RoadMap
+from sumo_adv.simulation.sumo_rules import AHEAD, CLEARANCE, FOE_ACCELERATION, FOE_SPEED, HALTING, seconds
 
 # -- where ways meet ------------------------------------------------------------------------------------------------
 

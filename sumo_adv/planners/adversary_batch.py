@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.datatypes import Endpoint, Floats
-from sumo_adv.drivers.sumo_rules import AtJunction, Scenes
 from sumo_adv.geometry import PATH_STEP, wrap
 from sumo_adv.planners.answers import LOOK, PlannerObservation, arrivals, stations
 from sumo_adv.planners.follower import Follower, Line, aligned
 from sumo_adv.planners.trajectory import Batch, Goal, Motion, PathRow, PathRows, pose, start
+from sumo_adv.simulation.sumo_rules import AtJunction, Scenes
 from sumo_adv.situation import ReferencePath, Situation, Target
 
 TURN_COST = 4.0  # m per rad: cost of a heading difference when the way of an endpoint is chosen

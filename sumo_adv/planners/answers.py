@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.datatypes import Endpoint, Floats, Proposal, acceleration_at
-from sumo_adv.drivers.sumo_rules import Scenes
 from sumo_adv.planners.session import Call
+from sumo_adv.simulation.sumo_rules import Scenes
 from sumo_adv.situation import NO_ARRIVAL, Situation, mirrored
 
 PlannerObservation = tuple[dict[str, Any], dict[str, Any]]

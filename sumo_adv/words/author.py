@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.agents.prompts import Prompts, fenced, sanitize
 from sumo_adv.asked import MEANINGS, Written
 from sumo_adv.datatypes import Level, LibraryEntry
 from sumo_adv.errors import ModelError, SumoAdvError, UsageError
 from sumo_adv.llm.asking import MeteredModel, ask
+from sumo_adv.llm.prompts import Prompts, fenced, sanitize
 from sumo_adv.memory.records import canonical
 from sumo_adv.simulation.inputs import data_folder, load_input
 from sumo_adv.simulation.shipped import shipped_files

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from pydantic import BaseModel, Field
 
-from sumo_adv.agents.prompts import Prompts, fenced
 from sumo_adv.asked import LONGEST_WORDS
 from sumo_adv.errors import UsageError
 from sumo_adv.llm.asking import MeteredModel, ask
 from sumo_adv.llm.chat import one_line
+from sumo_adv.llm.prompts import Prompts, fenced
 from sumo_adv.memory.similarity import TfIdf
 from sumo_adv.simulation.shipped import shipped_scenarios
 
