@@ -40,7 +40,7 @@ def taught(tmp_path_factory: pytest.TempPathFactory, caches: Path) -> list[tuple
     for k, workers in enumerate((("1", "--recycle", "2"), ("2",))):
         program = Program(tmp_path_factory.mktemp(f"taught{k}"), caches)
         shutil.copy(ROOT / "memory_bank.sqlite", program.folder / "bank.sqlite")
-        done.append((program, summary(program(*TAUGHT, "--workers", *workers, "--json"))))
+        done.append((program, summary(program.here(*TAUGHT, "--workers", *workers, "--json"))))
     return done
 
 
@@ -75,7 +75,7 @@ def test_a_batch_leaves_whole_folders_and_a_table_in_the_plans_order(whole: tupl
 def test_an_episode_is_what_run_makes_of_it(program: Program, whole: tuple[Program, Done]) -> None:
     (program.folder / "quick.toml").write_text(SETTINGS_FILE)
     options = ("--seed", "1", "--learn", "off", "--settings", "quick.toml", "--out", "alone")
-    program("run", INPUTS[0], *options)
+    program.here("run", INPUTS[0], *options)
     folder = whole[1].folder / "runs" / table(whole[1].folder)[1]["id"]
     ours, alone = files_of(folder), files_of(program.folder / "alone")
     assert set(alone) - set(ours) == {"encounter.png"} and set(ours) <= set(alone)
@@ -119,7 +119,7 @@ def test_the_same_again_does_only_what_is_missing(program: Program, whole: tuple
     (out / "runs" / f".{before[2]['id']}.half").mkdir()  # what a kill leaves
     (out / "runs" / before[0]["id"] / "outcome.json").write_text("{")  # damaged
     (out / "results.csv").unlink()
-    report = summary(program(*SMALL, "--workers", "1", "--json"))
+    report = summary(program.here(*SMALL, "--workers", "1", "--json"))
     assert (report["finished"], report["ran"]) == (4, 2)
     assert table(out) == before
     assert summary(program.here(*SMALL, "--json"))["ran"] == 0
@@ -132,7 +132,7 @@ def test_another_plan_in_the_same_folder_says_what_differs(program: Program, who
     refused(program.here(*more), 2, "seeds were 0, 1, are 0, 1, 2", "--force")
     refused(program.here(*SMALL, "--learn", "after"), 2, "learn: off then, after now", "another --out")
     before = table(out)
-    report = summary(program(*more, "--force", "--json"))
+    report = summary(program.here(*more, "--force", "--json"))
     assert (report["episodes"], report["ran"]) == (6, 2)
     assert [r for r in table(out) if r["seed"] != "2"] == before
 
@@ -214,7 +214,7 @@ def test_drivers_that_hang_are_ended_twice_and_fail_by_name(program: Program) ->
 def test_planners_that_hang_cost_their_attempts(program: Program) -> None:
     loops = "".join(TRAIL.partition("    pose")[:1]) + "    while True:\n        pass\n"
     bank_with(program.folder / "bank.sqlite", loops)
-    done = program("batch", INPUTS[0], *QUICK, "--memory", "bank.sqlite", "--out", "out")
+    done = program.here("batch", INPUTS[0], *QUICK, "--memory", "bank.sqlite", "--out", "out")
     (row,) = table(done.folder)
     assert done.status == 1 and row["ending"] in ("planner_failed", "no_encounter") and row["failure"]
 
@@ -242,7 +242,7 @@ def test_kill_9_loses_nothing(program: Program, whole: tuple[Program, Done], vic
         process.communicate(timeout=PATIENCE)
     assert left_of(family) == set()
     assert process.returncode == (0 if victim == "worker" else -signal.SIGKILL)
-    report = summary(program(*SMALL, "--json"))
+    report = summary(program.here(*SMALL, "--json"))
     assert report["ran"] == 0 if victim == "worker" else 0 < report["ran"] < 4
     assert table(program.folder / "out") == table(whole[1].folder)
     clean(program)
@@ -254,7 +254,7 @@ def test_ctrl_c_lets_finish_what_runs(program: Program, whole: tuple[Program, Do
     kept = table(done.folder)
     assert 0 < len(kept) < 4 and [r for r in table(whole[1].folder) if r in kept] == kept
     clean(program)
-    report = summary(program(*SMALL, "--json"))
+    report = summary(program.here(*SMALL, "--json"))
     assert report["ran"] == 4 - len(kept)
     assert table(done.folder) == table(whole[1].folder)
 
@@ -337,7 +337,7 @@ def evidence_of(bank: Path) -> Sequence[Any]:
 def test_during_is_said_aloud(program: Program) -> None:
     shutil.copy(ROOT / "memory_bank.sqlite", program.folder / "bank.sqlite")
     options = ("--seeds", "1", *QUICK, "--learn", "during", "--memory", "bank.sqlite", "--out", "out")
-    done = program("batch", INPUTS[0], *options)
+    done = program.here("batch", INPUTS[0], *options)
     assert done.status == 0 and "depend on the order" in done.err
     with MemoryBank.open(program.folder / "bank.sqlite", read_only=True) as bank:
         assert bank.evidence()

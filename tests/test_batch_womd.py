@@ -24,7 +24,7 @@ def done(tmp_path_factory: pytest.TempPathFactory, caches: Path) -> tuple[Progra
     first, second, third = (file.read_bytes() for file in small)
     (program.folder / "all.tfrecord").write_bytes(first + frame(b"no scenario") + second + third)
     options = ("--egos", ",".join(EGOS), *QUICK, "--workers", "2", "--out", "out")
-    return program, program("batch", "all.tfrecord", *options), [p.name.partition(".")[0] for p in small]
+    return program, program.here("batch", "all.tfrecord", *options), [p.name.partition(".")[0] for p in small]
 
 
 def test_records_are_run_and_a_corrupt_one_fails_by_name(done: tuple[Program, Done, list[str]]) -> None:
@@ -47,6 +47,6 @@ def test_records_are_run_and_a_corrupt_one_fails_by_name(done: tuple[Program, Do
 def test_going_on_converts_and_runs_nothing_again(done: tuple[Program, Done, list[str]]) -> None:
     program, batch, _ = done
     before = table(batch.folder)
-    again = program("batch", "all.tfrecord", "--egos", ",".join(EGOS), *QUICK, "--out", "out", "--json")
+    again = program.here("batch", "all.tfrecord", "--egos", ",".join(EGOS), *QUICK, "--out", "out", "--json")
     assert '"ran": 0' in again.out
     assert table(batch.folder) == before

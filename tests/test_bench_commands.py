@@ -28,7 +28,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory, caches: Path) -> Program:
 
 
 def run(program: Program, command: str, *more: str) -> Done:
-    done = program("bench", command, *SMALL, *more)
+    done = program.here("bench", command, *SMALL, *more)
     assert done.status == 0, done.err
     return done
 

@@ -44,7 +44,7 @@ def unhurried(cell: dict[str, Any]) -> dict[str, Any]:
 def whole(tmp_path_factory: pytest.TempPathFactory, caches: Path) -> Iterator[tuple[Program, Done]]:
     """The small table, undisturbed."""
     program = Program(tmp_path_factory.mktemp("bench"), caches)
-    yield program, program(*SMALL, "--out", "out")
+    yield program, program.here(*SMALL, "--out", "out")
 
 
 def test_a_table_is_made_of_cells_and_says_what_it_means(whole: tuple[Program, Done]) -> None:
@@ -96,7 +96,7 @@ def test_a_cell_that_is_gone_is_made_again_and_is_the_same(whole: tuple[Program,
     for row in ("expert", "random"):
         (out / "cells" / "idm" / "t_junction_left_from_stem" / f"{row}.json").unlink()
     kept = (out / "cells" / "idm" / "motorway_cut_in_left" / "expert.json").stat().st_mtime_ns
-    done = program(*SMALL, "--out", "resumed")
+    done = program.here(*SMALL, "--out", "resumed")
     assert done.status == 0 and "8 cells, 6 of them there." in done.err
     after = {row: cell(out, "t_junction_left_from_stem", row) for row in ROWS}
     assert {r: unhurried(c) for r, c in after.items()} == {r: unhurried(c) for r, c in before.items()}
@@ -177,7 +177,7 @@ def test_a_scenario_that_breaks_is_a_failed_cell_and_the_rest_goes_on(program: P
     text = text.replace('"demand/', f'"{ROOT}/scenarios/demand/').replace("trigger = 5.0", "trigger = 500.0")
     assert "trigger = 500.0" in text  # long after its end
     (program.folder / "broken.toml").write_text(text)
-    done = program(
+    done = program.here(
         "bench", "table", "--suite", "broken.toml", "--suite", MOTORWAY, "--row", "random", "--row", "expert",
         "--attempts", "1", "--set", "proposals=20", "--out", "out", "--workers", "1",
     )  # fmt: skip
@@ -189,7 +189,7 @@ def test_a_scenario_that_breaks_is_a_failed_cell_and_the_rest_goes_on(program: P
 
 def test_where_the_trigger_is_open_a_row_shifts_the_one_that_the_others_find(program: Program) -> None:
     assert 'trigger = "auto"' in (ROOT / OPEN).read_text(encoding="utf-8")
-    done = program(
+    done = program.here(
         "bench", "table", "--suite", OPEN, "--row", "random", "--row", "llm-f+shift=0.5", "--row", "llm-f+shift=-500",
         "--attempts", "1", "--set", "proposals=20", "--out", "out",
     )  # fmt: skip

@@ -232,7 +232,7 @@ def test_only_vehicles_of_the_kind_are_candidates(program: Program) -> None:
 
 
 def test_a_batch_takes_the_same_options(program: Program) -> None:
-    done = program(
+    done = program.here(
         "batch", "motorway_cut_in_left", "--kind", "neighbour", "--min-delta-v", "3", "--until", "valid", "--attempts",
         "1", "--set", "proposals=8", "--out", "out", "--json",
     )  # fmt: skip

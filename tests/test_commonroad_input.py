@@ -142,7 +142,7 @@ def test_convert_takes_it(program: Program) -> None:
 def test_batch_runs_it(program: Program) -> None:
     """Batches, hunts and benchmarks find their inputs in the same way."""
     file = write(program.folder, *LANES, CAR, PROBLEM)
-    batch = program("batch", "*.xml", "--egos", "idm", *QUICK, "--workers", "1", "--out", "out")
+    batch = program.here("batch", "*.xml", "--egos", "idm", *QUICK, "--workers", "1", "--out", "out")
     assert batch.status == 0, batch.err
     (row,) = table(batch.folder)
     assert (row["network"], row["ego"], row["failure"]) == ("ZAM_Hand-1_1_T-1", "idm", "")

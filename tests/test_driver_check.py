@@ -167,9 +167,9 @@ def test_there_are_twelve_scenarios() -> None:
 
 def test_the_command_says_what_is_wrong_and_exits_with_3(program: Program) -> None:
     scenario = ROOT / "scenarios" / "check" / "stop_and_go.toml"
-    good = program("doctor", "--ego", "ego_samples:CalmEgo", "--scenario", scenario)
+    good = program.here("doctor", "--ego", "ego_samples:CalmEgo", "--scenario", scenario)
     assert (good.status, good.out.splitlines()[-1]) == (0, "ego_samples:CalmEgo drives well in all 1 scenarios.")
-    wrong = program("doctor", "--ego", "ego_samples:FailingEgo", "--scenario", scenario, "--json")
+    wrong = program.here("doctor", "--ego", "ego_samples:FailingEgo", "--scenario", scenario, "--json")
     report = json.loads(wrong.out)
     assert (wrong.status, report["ok"], list(report["findings"])) == (3, False, ["fails"])
     assert "the driver fell asleep" in report["scenarios"][0]["findings"][0]["words"]

@@ -48,13 +48,13 @@ def test_a_suite_of_them_is_exported_once_it_has_run(hunted: Path, program: Prog
     assert kept.status == 0, kept.err
     error = CliRunner().invoke(app, ["export", str(program.folder / "suite"), "--format", "csv"]).exception
     assert isinstance(error, UsageError) and "what regress wrote of a suite" in str(error)
-    assert program("regress", "suite", "--ego", "idm", "--workers", "1", "--out", "ran").status in (0, 3)
+    assert program.here("regress", "suite", "--ego", "idm", "--workers", "1", "--out", "ran").status in (0, 3)
     made = exported(program.folder / "ran", "csv")
     assert {Path(each["out"]).stem for each in made} == {p.name for p in (program.folder / "ran" / "runs").iterdir()}
 
 
 def test_a_packed_campaign_needs_no_unpacking(program: Program) -> None:
-    batch = program("batch", "motorway_cut_in_left", *QUICK, "--seeds", "2", "--workers", "1", "--out", "out")
+    batch = program.here("batch", "motorway_cut_in_left", *QUICK, "--seeds", "2", "--workers", "1", "--out", "out")
     assert batch.status == 0
     names = {run.name for run in (batch.folder / "runs").iterdir()}
     assert program.here("batch", "pack", "out").status == 0

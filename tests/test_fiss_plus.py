@@ -74,7 +74,7 @@ def test_a_forked_attempt_is_a_reloaded_one(program: Program) -> None:
     package = Path(str(find_spec("fiss_planner").origin)).parent.parent  # type: ignore[union-attr]
     program.variables = {"PYTHONPATH": os.pathsep.join(map(str, (ROOT, package)))}
     for name, options in (("forked", ()), ("loaded", ("--no-fork",))):
-        done = program(
+        done = program.here(
             "run", "motorway_cut_in_left", "--ego", "fiss_plus", "--attempts", "1", "--learn", "off", "--out", name,
             "--json", *options,
         )  # fmt: skip

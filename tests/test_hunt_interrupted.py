@@ -45,7 +45,7 @@ def test_ctrl_c_finishes_what_runs_and_the_same_command_goes_on(program: Program
     before = whole(hunt)
     assert 1 <= len(before) <= 2
     assert len(table(hunt)) == len(list((hunt / "failures").glob("*")))
-    again = program(*HUNT, "--distinct", "1", "--out", "hunt")
+    again = program.here(*HUNT, "--distinct", "1", "--out", "hunt")
     assert again.status == 0, again.err
     assert len(whole(hunt)) >= 3 and before < whole(hunt) and table(hunt)
 
@@ -60,7 +60,7 @@ def test_a_full_disk_is_a_sentence_and_what_was_found_stays(program: Program) ->
     assert len(done.err.splitlines()) == 1 and "no space left" in done.err
     runs = whole(saved)
     assert runs
-    again = program(*HUNT, "--distinct", "1", "--out", "saved")
+    again = program.here(*HUNT, "--distinct", "1", "--out", "saved")
     assert again.status == 0, again.err
     assert runs <= whole(saved) and table(saved)
 
@@ -70,7 +70,7 @@ def test_a_driver_that_hangs_loses_that_attempt_alone(program: Program) -> None:
     """In its first attempt the driver does not return; the hunt says so at the end, with the step."""
     (program.folder / "settings.toml").write_text("ego_deadline = 1.0\n")
     options = ("--settings", "settings.toml", "--workers", "1", "--no-pages", "--out", "hunt", "--json")
-    done = program(
+    done = program.here(
         "hunt", "motorway_cut_in_left", "--ego", "stuck_drivers:SleepsForked", "--distinct", "1", "--minutes", "0.5",
         *options,
     )  # fmt: skip

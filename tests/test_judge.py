@@ -156,7 +156,7 @@ def test_an_id_that_is_not_in_the_table_is_named() -> None:
 
 
 def test_strict_is_refused_against_the_driver_that_it_is_judged_by(program: Program) -> None:
-    done = program("run", "motorway_cut_in_left", "--ego", "careful", "--until", "strict")
+    done = program.here("run", "motorway_cut_in_left", "--ego", "careful", "--until", "strict")
     assert done.status == 2 and "--until strict cannot be reached against the ego 'careful'" in done.err
 
 

@@ -20,7 +20,7 @@ def test_one_vehicle_is_left_out_and_named(program: Program, tmp_path: Path) -> 
     routes = tmp_path / "log.rou.xml"
     later = '<vehicle id="third" route="n" depart="60"/>'
     routes.write_text(routes.read_text().replace("</routes>", f"{later}</routes>"))
-    done = program("run", case, "--background", "log", "--attempts", "1", "--learn", "off", "--out", "out")
+    done = program.here("run", case, "--background", "log", "--attempts", "1", "--learn", "off", "--out", "out")
     assert done.status == 0, done.err
     assert "SUMO crashes on third, so it does not drive there" in done.out
     encounter = done.outcome["encounter"]

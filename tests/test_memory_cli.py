@@ -115,7 +115,7 @@ def test_an_intent_that_was_composed_is_kept_with_all_its_modes(program: Program
     """Nothing in the library is for a vehicle from a road that joins. The success there is the rush through a junction
     for another movement. All its modes are kept, since the next time nothing is composed."""
     merge = ROOT / "suites" / "suite81" / "intersection-30.toml"
-    succeeded(program("run", merge, "--seed", "2", "--out", "out", "--json"))
+    succeeded(program.here("run", merge, "--seed", "2", "--out", "out", "--json"))
     listing = json.loads(succeeded(program.here("memory", "list", "--json")))
     modes = {intent["label"]: intent["modes"] for intent in listing["intents"]}
     pattern = next(v for k, v in modes.items() if k == "Intersection Rush-through Go-straight")

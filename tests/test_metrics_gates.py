@@ -54,6 +54,14 @@ def test_a_wobble_that_turns_on_the_spot_shows_but_noise_at_a_stand_does_not() -
     assert gates(shaking) == ()
 
 
+def test_a_step_follows_the_mean_of_its_headings() -> None:
+    turned = np.where(TIME < 3.0, 0.0, 0.6)  # within one step, far tighter than any car turns
+    x, y = (np.cumsum(of(np.where(TIME < 3.0, 0.0, np.where(TIME < 3.05, 0.3, 0.6)))) for of in (np.cos, np.sin))
+    assert "continuity" not in gates(car("adversary", x, y, 10.0, turned))
+    x, y = np.cumsum(np.cos(turned)), np.cumsum(np.sin(turned - 0.6 * (np.abs(TIME - 3.0) < 0.05)))
+    assert "continuity" in gates(car("adversary", x, y, 10.0, -turned))
+
+
 def test_braking_and_accelerating_beyond_the_limits_and_the_jerk_of_getting_there() -> None:
     ramp = np.clip((TIME - 2.0) * 10.0, 0.0, 1.0)  # 0.1 s to full
     gentle = np.clip((TIME - 2.0) * 1.25, 0.0, 1.0) * (TIME < 3.6)

@@ -39,7 +39,7 @@ def test_each_kind_has_its_files_and_its_place_on_the_page(run: Path) -> None:
 
 def test_the_mildest_variant_keeps_the_level_and_is_no_harder(run: Path, program: Program) -> None:
     before = outcome(run)["outcome"]
-    done = program("minimise", str(run), "--attempts", "5", "--out", "mild", "--json")
+    done = program.here("minimise", str(run), "--attempts", "5", "--out", "mild", "--json")
     assert done.status == 0, done.err
     after = json.loads(done.out)
     assert LEVELS.index(after["outcome"]["level"]) >= LEVELS.index(before["level"])

@@ -102,8 +102,8 @@ def coarse(program: Program) -> str:
 def test_run_batch_and_serve_say_what_of_a_simulation_is_not_kept(program: Program, coarse: str) -> None:
     few = ("--attempts", "1", "--out")
     run = program.here("run", coarse, "--total-seconds", "0", *few, "out")
-    batch = program("batch", coarse, "--set", "total_seconds=0", "--workers", "1", *few, "batch")
-    serve = program("serve", coarse, "--port", "0", "--patience", "1", "--out", "served")
+    batch = program.here("batch", coarse, "--set", "total_seconds=0", "--workers", "1", *few, "batch")
+    serve = program.here("serve", coarse, "--port", "0", "--patience", "1", "--out", "served")
     for done in (run, batch, serve):
         assert [line for line in done.out.splitlines() if "not kept" in line.lower()] == list(LEFT)
 

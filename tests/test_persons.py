@@ -222,9 +222,9 @@ def test_without_forks_it_is_the_same_and_it_repeats(done: Done, tmp_path: Path,
 def test_the_check_of_a_driver_tells_a_hit(tmp_path: Path, caches: Path) -> None:
     """The ego is at the crossing after 13.6 s, when the person that walks north is in its lane."""
     program, case = Program(tmp_path / "check", caches), write_case(tmp_path, PERSON, depart=4.0)
-    blind = program("doctor", "--ego", "ego_samples:OnwardEgo", "--scenario", case)
+    blind = program.here("doctor", "--ego", "ego_samples:OnwardEgo", "--scenario", case)
     assert f"collides by itself at 13.6 s: its front meets the left of '{PERSON}' (ego 10.0 m/s" in blind.out
-    careful = program("doctor", "--ego", "careful", "--scenario", case)
+    careful = program.here("doctor", "--ego", "careful", "--scenario", case)
     assert (careful.status, careful.out.splitlines()[-1]) == (0, "careful drives well in all 1 scenarios.")
 
 

@@ -73,12 +73,12 @@ def test_the_command_goes_on_in_its_folder(program: Program) -> None:
     folder = program.folder / "rate"
     words = ["rate", BESIDE, "--ego", "idm", "--errors", "100", "--duration", "6", "--workers", "1", "--json"]
     words += ["--pilot", "20", "--runs", "20", "--out", folder]
-    done = program(*words)
+    done = program.here(*words)
     assert done.status == 0, done.err
     first, block = json.loads(done.out), folder / "blocks" / "runs-0.json"
     before = block.read_bytes()
     block.unlink()
-    assert json.loads(program(*words).out) == first
+    assert json.loads(program.here(*words).out) == first
     assert block.read_bytes() == before
     assert first["runs"] == 20 and first["pilot"] == 20
     assert json.loads((folder / "rate.json").read_text())["levels"] == first["levels"]

@@ -43,7 +43,7 @@ def case_of(suite: Path, **expect: Any) -> Case:
 
 
 def regress(program: Program, suite: Path, *options: str | Path) -> Done:
-    return program("regress", suite, "--workers", "1", "--out", "out", *options)
+    return program.here("regress", suite, "--workers", "1", "--out", "out", *options)
 
 
 # -- what is expected of the ego
@@ -192,7 +192,7 @@ def test_the_driver_of_the_run_meets_the_attack_as_it_was_found(program: Program
     assert [case[key] for key in ("contact_time", "delta_v", "preventable_by")] == [
         original[key] for key in ("contact_time", "delta_v", "preventable_by")
     ]
-    again = program("run", "--replay", "out/runs/crossing", "--out", "again", "--json")
+    again = program.here("run", "--replay", "out/runs/crossing", "--out", "again", "--json")
     assert json.loads(again.out)["outcome"]["contact_time"] == original["contact_time"]
     (test,) = ElementTree.parse(program.folder / "out.xml").iter("testcase")
     assert test.find("failure") is not None and test.get("name") == "crossing"

@@ -176,7 +176,7 @@ def real(tmp_path_factory: pytest.TempPathFactory, caches: Path) -> Path:
     program = Program(tmp_path_factory.mktemp("real"), caches)
     for seed in range(3, 20):
         command = ("run", "motorway_cut_in_left", "--seed", str(seed), "--until", "valid", "--learn", "off")
-        done = program(*command, "--tuner", "off", "--out", "out", "--force")
+        done = program.here(*command, "--tuner", "off", "--out", "out", "--force")
         assert done.status == 0, done.err
         if done.outcome["best"] > 0:
             return done.folder

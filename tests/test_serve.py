@@ -215,12 +215,12 @@ def test_a_port_in_use(program: Program) -> None:
 
 def test_a_folder_is_not_overwritten(program: Program) -> None:
     arguments = ("serve", "straight_3lane", "--port", "0", "--out", "out", "--patience", "0.1", "--memory", "b.sqlite")
-    assert program(*arguments).status == 1
-    assert "is there already" in program(*arguments).err
-    assert program(*arguments, "--force").status == 1
+    assert program.here(*arguments).status == 1
+    assert "is there already" in program.here(*arguments).err
+    assert program.here(*arguments, "--force").status == 1
     (program.folder / "out" / "serve.json").unlink()
     (program.folder / "out" / "other").write_text("mine")
-    done = program(*arguments, "--force")
+    done = program.here(*arguments, "--force")
     assert done.status == 2 and "not the folder of a server" in done.err
 
 

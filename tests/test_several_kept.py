@@ -34,7 +34,7 @@ def test_a_case_holds_all_adversaries_and_regress_repeats_them(program: Program)
     assert case.relations == {COLLIDER: "neighbour", SUPPORT: "neighbour"}
 
     original = json.loads((pinched() / "outcome.json").read_text())
-    done = program("regress", suite, "--ego", "idm", "--workers", "1", "--out", "out")
+    done = program.here("regress", suite, "--ego", "idm", "--workers", "1", "--out", "out")
     assert (done.status, done.err) == (3, "")
     (measured,) = json.loads((program.folder / "out" / "regress.json").read_text())["cases"]
     assert original["outcome"]["contact_time"] == measured["contact_time"] is not None

@@ -281,13 +281,13 @@ def test_convert_of_nothing_good_fails(program: Program) -> None:
 def test_run_on_a_record(program: Program) -> None:
     """The whole job on a file of records; the second run finds the conversion."""
     write(program.folder / "two.tfrecord", four_way(), straight())
-    done = program("run", "two.tfrecord", "--record", "straight", "--attempts", "2", "--json", "--out", "out")
+    done = program.here("run", "two.tfrecord", "--record", "straight", "--attempts", "2", "--json", "--out", "out")
     assert done.status == 0, done.err
     assert done.outcome["ego"]["id"] == "1" and done.outcome["ending"] in ("critical", "attempts_exhausted")
     cache = program.home / ".cache" / "sumo_adv" / "womd"
     (kept,) = list(cache.rglob("fidelity.json"))
     stamp = kept.stat().st_mtime_ns
-    again = program("run", "two.tfrecord", "--record", "1", "--attempts", "2", "--json", "--out", "again")
+    again = program.here("run", "two.tfrecord", "--record", "1", "--attempts", "2", "--json", "--out", "again")
     assert again.status == 0 and list(cache.rglob("fidelity.json")) == [kept]
     assert kept.stat().st_mtime_ns == stamp
     wrong = program.here("run", "straight_3lane", "--record", "1")
