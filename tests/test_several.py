@@ -168,7 +168,7 @@ def test_a_support_fits_where_it_can_do_its_duty() -> None:
     keep, oncoming = SUPPORT_INTENTS[Duty.BLOCK_LEFT]
     assert fits(Duty.BLOCK_LEFT, keep, LEFT)
     assert not fits(Duty.BLOCK_LEFT, keep, RIGHT)
-    assert not fits(Duty.BLOCK_LEFT, keep, replace(LEFT, offset=-7.0))  # it has gone from 3.5 m left to 3.5 m right
+    assert not fits(Duty.BLOCK_LEFT, keep, replace(LEFT, offset=-7.0))  # it has gone from 3.2 m left to 3.8 m right
     assert fits(Duty.BLOCK_LEFT, keep, AHEAD)  # it has a lane to the left (situation_samples)
     assert not fits(Duty.BLOCK_RIGHT, SUPPORT_INTENTS[Duty.BLOCK_RIGHT][0], AHEAD)
     assert fits(Duty.BLOCK_LEFT, oncoming, replace(LEFT, relation="oncoming"))

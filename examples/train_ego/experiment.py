@@ -69,7 +69,7 @@ FILE = "measured.csv"
 
 
 def train(
-    out: Path, rows: Sequence[str], encounters: Sequence[Path], minutes: float, cores: int, seed: int
+    out: Path, rows: Sequence[str], encounters: Sequence[Path], minutes: float, decisions: int, cores: int, seed: int
 ) -> None:  # fmt: skip
     """Train those rows that are not there yet. A log has what a row prints. A row that fails is not measured."""
     scenarios = [argument for e in encounters for argument in ("--scenario", str(e))]
@@ -79,7 +79,8 @@ def train(
         spent = "0" if row == "untrained" else str(minutes)
         command = [
             sys.executable, str(Path(__file__).with_name("train_ego.py")), "--attacks", attacks, "--minutes", spent,
-            "--start", start, "--actors", str(cores), "--seed", str(seed), "--out", str(out / f"{row}.npz"), *scenarios,
+            "--decisions", str(decisions), "--start", start, "--actors", str(cores), "--seed", str(seed),
+            "--out", str(out / f"{row}.npz"), *scenarios,
         ]  # fmt: skip
         with (out / f"{row}.log").open("w") as log:
             process = subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True)
@@ -203,6 +204,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--row", action="append", choices=NAMES, help="repeatable (default: all)")
     parser.add_argument("--minutes", type=float, default=30.0, help="of training, for each row")
+    parser.add_argument("--decisions", type=int, default=sys.maxsize, help="of a row, after which its training ends")
     parser.add_argument("--measuring", type=float, default=60.0, help="minutes, after which no encounter is begun")
     parser.add_argument("--attempts", type=int, default=25, help="of the search, in an encounter")
     parser.add_argument("--encounters", type=int, default=1000, help="to train with, and to measure, at most")
@@ -216,7 +218,7 @@ def main() -> None:
     if not given.table:
         if given.minutes > 0:
             learnt = mixed(training())[: given.encounters]
-            train(given.out, rows, learnt, given.minutes, given.cores, given.seed)
+            train(given.out, rows, learnt, given.minutes, given.decisions, given.cores, given.seed)
         measured = mixed(held_out())[: given.encounters]
         measure_all(given.out, rows, measured, given.measuring, given.attempts, given.cores)
     text = "\n".join(tables(read(given.out)))

@@ -2,6 +2,7 @@
 
     python train_ego.py                     half an hour; writes trained_ego.npz and trained_ego.csv
     python train_ego.py --attacks fixed --minutes 5 --actors 2 --scenario motorway_cut_in_left
+    python train_ego.py --decisions 100000  so that egos are comparable that a busy machine trained
 
 Each actor is a process with an environment and a copy of the policy in numpy; it drives for ``STEPS`` steps at a time,
 while stable-baselines3 learns from the steps before. (``PPO(.., SubprocVecEnv(..))`` works, too, but then all
@@ -14,6 +15,7 @@ import argparse
 import csv
 import multiprocessing as mp
 import os
+import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -176,9 +178,10 @@ def running(scenarios: Sequence[Any], attacks: str, actors: int, seed: int) -> I
 
 
 def train(
-    scenarios: Sequence[Any], attacks: str, minutes: float, actors: int, seed: int, start: str, out: Path
+    scenarios: Sequence[Any], attacks: str, minutes: float, most: int, actors: int, seed: int, start: str, out: Path
 ) -> None:
-    """Train for some minutes; the weights and the course of the training are written all the while."""
+    """Train for some minutes, or until ``most`` decisions; the weights and the course of the training are written all
+    the while."""
     model = learner(actors, seed, start)
     episodes: list[dict[str, Any]] = []
     began = time.monotonic()
@@ -190,15 +193,16 @@ def train(
         while True:
             rollouts = [connection.recv() for connection in connections]
             spent = (time.monotonic() - began) / 60
+            goes_on = spent < minutes and model.num_timesteps + STEPS * actors < most
             for connection in connections:  # they drive on while the learner learns
-                connection.send(weights_of(model) if spent < minutes else None)
+                connection.send(weights_of(model) if goes_on else None)
             _learn(model, rollouts)
             fresh = [episode for *_, ended in rollouts for episode in ended]
             episodes += fresh
             course.writerow([f"{v:.4g}" for v in _row(spent, model, len(episodes), fresh)])
             file.flush()
             save(model, out)
-            if spent >= minutes:
+            if not goes_on:
                 break
 
 
@@ -251,6 +255,7 @@ def main() -> None:
     parser.add_argument("--attacks", choices=ATTACKS, default="keep_up")
     parser.add_argument("--start", choices=STARTS, default="idm", help="how the ego drives before it has learnt")
     parser.add_argument("--minutes", type=float, default=30.0, help="0: leave the policy untrained")
+    parser.add_argument("--decisions", type=int, default=sys.maxsize, help="end sooner, after so many (default: none)")
     parser.add_argument("--actors", type=int, default=os.cpu_count() or 2, help="processes that drive")
     parser.add_argument("--scenario", action="append", help="repeatable (default: those of encounters.py)")
     parser.add_argument("--seed", type=int, default=0)
@@ -258,7 +263,9 @@ def main() -> None:
     given = parser.parse_args()
     if given.minutes > 0:
         scenarios = given.scenario or training()
-        train(scenarios, given.attacks, given.minutes, given.actors, given.seed, given.start, given.out)
+        train(
+            scenarios, given.attacks, given.minutes, given.decisions, given.actors, given.seed, given.start, given.out
+        )
     else:
         save(learner(1, given.seed, given.start), given.out)
 
