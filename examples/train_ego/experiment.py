@@ -1,4 +1,4 @@
-"""Train an ego in four ways and measure it beside others, on encounters and networks that it never saw.
+"""Train an ego in five ways and measure it beside others, on encounters and networks that it never saw.
 
     python experiment.py --out results                          three hours on two cores
     python experiment.py --out results --minutes 5 --measuring 15 --cores 16
@@ -36,14 +36,16 @@ from sumo_adv.benchmark.unknown import CarefulAsUnknown
 from sumo_adv.metrics.statistics import wilson
 
 TRAINED = {
-    "untrained": ("none", "nothing"), "no_attacks": ("none", "idm"), "fixed_set": ("fixed", "idm"),
-    "keep_up": ("keep_up", "idm"), "from_nothing": ("keep_up", "nothing"),
+    "untrained": (None, "idm"), "no_attacks": ("none", "idm"), "fixed_set": ("fixed", "idm"),
+    "keep_up": ("keep_up", "idm"), "from_nothing": ("keep_up", "nothing"), "braking": (None, "braking"),
+    "braking_fixed": ("fixed", "braking"),
 }  # fmt: skip
-"""Row -> the attacks that it is trained against, and how it drives before."""
+"""Row -> the attacks that it is trained against, None for one that is not trained; and how it drives before."""
 NAMES = {
     "untrained": "untrained", "no_attacks": "trained without attacks", "fixed_set": "trained against a fixed set",
-    "keep_up": "trained against attacks that keep up", "from_nothing": "the same, from scratch", "idm": "`idm`",
-    "careful": "`careful`",
+    "keep_up": "trained against attacks that keep up", "from_nothing": "the same, from scratch",
+    "braking": "untrained, brakes at a danger", "braking_fixed": "the same, trained against a fixed set",
+    "idm": "`idm`", "careful": "`careful`",
 }  # fmt: skip
 COLUMNS = (
     "encounter",
@@ -76,11 +78,11 @@ def train(
     for row, (attacks, start) in TRAINED.items():
         if row not in rows or (out / f"{row}.npz").is_file():
             continue
-        spent = "0" if row == "untrained" else str(minutes)
+        spent = "0" if attacks is None else str(minutes)
         command = [
-            sys.executable, str(Path(__file__).with_name("train_ego.py")), "--attacks", attacks, "--minutes", spent,
-            "--decisions", str(decisions), "--start", start, "--actors", str(cores), "--seed", str(seed),
-            "--out", str(out / f"{row}.npz"), *scenarios,
+            sys.executable, str(Path(__file__).with_name("train_ego.py")), "--attacks", attacks or "none",
+            "--minutes", spent, "--decisions", str(decisions), "--start", start, "--actors", str(cores),
+            "--seed", str(seed), "--out", str(out / f"{row}.npz"), *scenarios,
         ]  # fmt: skip
         with (out / f"{row}.log").open("w") as log:
             process = subprocess.Popen(command, stdout=log, stderr=log, start_new_session=True)

@@ -33,7 +33,7 @@ from stable_baselines3.common.logger import configure
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.vec_env import DummyVecEnv
 from torch import nn
-from trained_ego import CUT, ENVIRONMENT, FILE, FIRST, OTHER, PEDALS, ROW, SCALE, VEHICLES, Network
+from trained_ego import CUT, ENVIRONMENT, FILE, FIRST, OTHER, OWN, PEDALS, ROW, SCALE, VEHICLES, Network
 
 import sumo_adv.gym  # registers the environment
 from sumo_adv.errors import SumoAdvError
@@ -43,9 +43,10 @@ ATTACKS: dict[str, dict[str, Any]] = {
     "fixed": {"attacker": "expert", "unattacked": 0.3},
     "keep_up": {"attacker": "expert", "unattacked": 0.3, "adapts": True},
 }
-STARTS = {"idm": 1.5, "nothing": 0.0}
-"""What is added to the logit of full acceleration before anything is learnt. An ego that always accelerates drives as
-SUMO's IDM, so that imitates it at no cost, and still brakes in one decision of seven."""
+STARTS = {"idm": (1.5, 0.0), "braking": (1.5, 3.0), "nothing": (0.0, 0.0)}
+"""What is added, before anything is learnt, to the logit of full acceleration, and to that of full braking while the
+observation shows a danger. An ego that always accelerates drives as SUMO's IDM, so the first imitates that at no cost,
+and still brakes in one decision of seven. The second also brakes where the careful driver sees a danger."""
 STEPS = 256  # of an actor at a time, of 0.3 s each
 REWARD = 0.2  # rewards are multiplied by it, so that returns are about 1
 WIDTH = 48  # features of a vehicle
@@ -84,8 +85,15 @@ def learner(actors: int, seed: int, start: str) -> PPO:
         learning_rate=1e-3, ent_coef=0.01, target_kl=0.08, seed=seed, device="cpu",
         policy_kwargs={"features_extractor_class": Vehicles, "net_arch": [64, 64]},
     )  # fmt: skip
+    accelerating, braking = STARTS[start]
     with torch.no_grad():
-        model.policy.action_net.bias[-1] = STARTS[start]
+        policy = model.policy
+        policy.action_net.bias[-1] = accelerating
+        if braking:  # one unit of each layer passes the danger on, as about 1
+            for layer, source in zip(policy.mlp_extractor.policy_net[::2], (OWN, 0), strict=True):
+                layer.weight[0], layer.bias[0] = 0.0, 0.0
+                layer.weight[0, source] = 2.0
+            policy.action_net.weight[:, 0] = torch.tensor([braking, 0.0, 0.0, -accelerating])
     model.set_logger(configure(None, [""]))
     return model
 
