@@ -225,7 +225,7 @@ class AdversaryBatch:
         for column, values in enumerate((LOOK, px, py, ph, ahead_v)):
             table[:, :, column] = values
         road_h = wrap(scenes.ego_at(rs)[2] - scenes.each(lambda s: s.frame.heading))
-        meet = self._arrivals(now, es, ev, ea)
+        meet = arrivals(scenes, now, es, ev, ea, self._conflicts).tolist()  # at the conflict of each way
         target_left = rd + (motion.target - motion.d) * np.cos(rh)
         busy = np.clip(motion.span - motion.clock, 0.0, LONGEST_MOVE) * (np.abs(motion.target - motion.d) > 0.05)
         columns = np.array(
@@ -247,14 +247,9 @@ class AdversaryBatch:
                 "length": state.length, "width": state.width, "time": now, "last": last[k],
             }, {
                 "x": ego_x, "y": ego_y, "heading": heading, "speed": speed, "acceleration": acceleration,
-                "length": length, "width": width, "path": path, "arrivals": meet[k],
+                "length": length, "width": width, "path": path, "arrivals": meet[k][: self._count[k]],
             }  # fmt: skip
         return observations
-
-    def _arrivals(self, now: float, s: Floats, v: Floats, a: Floats) -> list[list[float]]:
-        """Seconds until the ego is at the conflict, for each vehicle and each of its ways."""
-        times = arrivals(self.scenes, now, s, v, a, self._conflicts)
-        return [row[:count] for row, count in zip(times.tolist(), self._count.tolist(), strict=True)]
 
 
 def _nearest(place_x: Floats, place_y: Floats, x: Floats, y: Floats) -> Any:

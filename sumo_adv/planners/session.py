@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, Self
 
 from sumo_adv.datatypes import Planner
@@ -166,13 +167,12 @@ class PlannerSession:
         session = self._alive()
         self._usable()
         printed = _Prints(self._limits.output_bytes)
+        run = partial(session.feed_run, code, print_callback=printed, skip_type_check=not loading)
         try:
             try:
-                return session.feed_run(code, inputs=inputs, print_callback=printed, skip_type_check=not loading)
+                return run(inputs=inputs)
             except MontyConversionError:
-                return session.feed_run(
-                    code, inputs=_plain(inputs), print_callback=printed, skip_type_check=not loading
-                )
+                return run(inputs=_plain(inputs))
         except MontyError as error:
             if printed.over:
                 self.close()

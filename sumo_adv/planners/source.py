@@ -171,22 +171,15 @@ def _is_docstring(node: ast.stmt) -> bool:
 
 def _table(body: list[ast.stmt]) -> ast.Dict:
     """The dict display that the first statement binds to ``PARAMETERS``."""
-    first = body[0] if body else None
-    target: ast.expr | None = None
-    if isinstance(first, ast.Assign) and len(first.targets) == 1:
-        target = first.targets[0]
-    elif isinstance(first, ast.AnnAssign):
-        target = first.target
-    if (
-        isinstance(first, ast.Assign | ast.AnnAssign)
-        and isinstance(target, ast.Name)
-        and target.id == "PARAMETERS"
-        and isinstance(first.value, ast.Dict)
-    ):
-        return first.value
-    line = first.lineno if first is not None else None
+    match body[:1]:
+        case [
+            ast.Assign(targets=[ast.Name(id="PARAMETERS")], value=ast.Dict() as table)
+            | ast.AnnAssign(target=ast.Name(id="PARAMETERS"), value=ast.Dict() as table)
+        ]:
+            return table
     raise _syntax_error(
-        line, 'must begin with the table PARAMETERS = {"name": (default, low, high, "unit", "meaning")}'
+        body[0].lineno if body else None,
+        'must begin with the table PARAMETERS = {"name": (default, low, high, "unit", "meaning")}',
     )
 
 

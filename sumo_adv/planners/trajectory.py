@@ -62,7 +62,7 @@ class Scalar:
 
 
 class Batch:
-    """The operations of ``Scalar`` on arrays."""
+    """The operations of ``Scalar`` on arrays; ``worst`` and ``least`` are for each vehicle."""
 
     minimum, maximum, sqrt, arcsin = np.minimum, np.maximum, np.sqrt, np.arcsin
     cos, sin = np.cos, np.sin
@@ -72,12 +72,10 @@ class Batch:
 
     @staticmethod
     def worst(values: Sequence[Any]) -> Any:
-        """The largest of the values at all samples, for each vehicle."""
         return values[0].max(axis=0)
 
     @staticmethod
     def least(values: Sequence[Any]) -> Any:
-        """The smallest of the values at all times ahead, for each vehicle."""
         return values[0].min(axis=0)
 
 
