@@ -305,7 +305,7 @@ def encounter(tmp_path_factory: pytest.TempPathFactory, sandbox: Sandbox) -> Ite
 
 def attempt(runner: AttemptRunner, planner: Planner, **numbers: float) -> tuple[AttemptResult, Track | None]:
     proposal = Proposal("left_ahead", planner.label, planner, {**planner.defaults(), **numbers}, 0.0, 0.0)
-    result = runner.attempt([proposal])[0]
+    (result,) = runner.attempt([proposal])
     tracks = {t.id: t for t in tracks_of(result.snapshots, result.sizes, {}, DT)}
     return result, tracks.get("left_ahead")
 

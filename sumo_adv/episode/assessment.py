@@ -48,13 +48,21 @@ class Attempts(Protocol):
 
 
 class AttemptRunner:
-    """Runs attempts on the engine. A planner that is not ours gets a fresh sandbox session for each attempt."""
+    """Runs attempts on the engine. A planner that is not ours gets a fresh sandbox session for each attempt.
+
+    Attempts run when their results are requested, as many at a time as the engine can. So those behind a success are
+    not made.
+    """
 
     def __init__(self, engine: Engine, sandbox: Sandbox, found: FoundEncounter, seed: int) -> None:
         self._engine, self._sandbox, self._found, self._seed = engine, sandbox, found, seed
 
-    def attempt(self, proposals: Sequence[Proposal]) -> list[AttemptResult]:
-        """The results of the proposals, in order. They run at the same time if the engine can fork."""
+    def attempt(self, proposals: Sequence[Proposal]) -> Iterator[AttemptResult]:
+        """The results of the proposals, in order."""
+        for k in range(0, len(proposals), self._engine.at_once):
+            yield from self._at_once(proposals[k : k + self._engine.at_once])
+
+    def _at_once(self, proposals: Sequence[Proposal]) -> list[AttemptResult]:
         opened: dict[tuple[int, int], Sessions] = {}
         roads = Roads(self._found.situations)
 
@@ -75,22 +83,6 @@ class AttemptRunner:
     def references(self, proposal: Proposal, result: AttemptResult) -> dict[str, bool]:
         """Which reference drivers avoid an attempt's collision in the simulation."""
         return self._engine.request("references", proposal, result)
-
-
-class StepwiseRunner:
-    """Runs attempts when their results are requested, ``at_once`` at a time. The results are the same. Attempts behind
-    a success are then not made; for many episodes side by side, one at a time."""
-
-    def __init__(self, runner: AttemptRunner, at_once: int = 1) -> None:
-        self._runner, self._at_once = runner, at_once
-
-    def attempt(self, proposals: Sequence[Proposal]) -> Iterator[AttemptResult]:
-        for k in range(0, len(proposals), self._at_once):
-            yield from self._runner.attempt(proposals[k : k + self._at_once])
-
-    def references(self, proposal: Proposal, result: AttemptResult) -> dict[str, bool]:
-        """Which reference drivers avoid an attempt's collision in the simulation."""
-        return self._runner.references(proposal, result)
 
 
 def answer_of(proposal: Proposal, sessions: Sessions, observation: PlannerObservation) -> Answer | str:

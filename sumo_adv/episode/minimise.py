@@ -109,7 +109,7 @@ def minimise_episode(
     runner = AttemptRunner(engine, sandbox, encounter, settings.seed)
 
     def attempted(p: Proposal) -> tuple[Attempt, AttemptResult]:
-        result = runner.attempt([p])[0]
+        (result,) = runner.attempt([p])
         phase = "replay" if not done.attempts else "minimise"
         attempt = confirmed(attempt_of(len(done.attempts), phase, p, result, encounter, settings), result, runner)
         done.attempts.append(attempt)
