@@ -267,12 +267,18 @@ def _learn_one(episode: Episode, bank: MemoryBank, entries: Sequence[LibraryEntr
     An intent composed by the expert is written with all of its modes. They adapt the bank's own planners to another
     movement, and no planner is generated for an intent that the bank already has.
     """
-    evidence = _evidence(episode, attempt)
-    label = attempt.proposal.label
-    entry = next((e for e in entries if e.label == label), None)
+    assert episode.found is not None
+    p = attempt.proposal
+    entry = next((e for e in entries if e.label == p.label), None)
     if entry is None:  # a free motion that was named after an intent that was not composed here
         return False
-    planner = attempt.proposal.planner
+    planner = p.planner
+    evidence = evidence_of(
+        attempt.verdict, label=p.label, planner_hash=planner.hash,
+        scene=signature(episode.found.situations[p.delay], p.bv, episode.task.ego_driver), attempts=attempt.index + 1,
+        version=__version__, network=episode.source.name, seed=episode.settings.seed, parameters=dict(p.parameters),
+        acceleration=p.acceleration, delay=p.delay,
+    )  # fmt: skip
     in_bank = planner.hash in {p.hash for p in bank.planners(entry.label)}
     if not evidence.success and not in_bank:
         return False
@@ -293,14 +299,3 @@ def signature(situation: Situation, bv: str, driver: str) -> SceneSignature:
     geometry = "straight" if not kinds else ("crossing" if "crossing" in kinds else "merging")
     relative = {name: round(value, 3 if name == "heading" else 2) for name, value in zip(SCALES, scene, strict=True)}
     return SceneSignature(geometry, target.relation, relative, driver)
-
-
-def _evidence(episode: Episode, best: Attempt) -> Evidence:
-    assert episode.found is not None
-    p = best.proposal
-    scene = signature(episode.found.situations[p.delay], p.bv, episode.task.ego_driver)
-    return evidence_of(
-        best.verdict, label=p.label, planner_hash=p.planner.hash, scene=scene, attempts=best.index + 1,
-        version=__version__, network=episode.source.name, seed=episode.settings.seed, parameters=dict(p.parameters),
-        acceleration=p.acceleration, delay=p.delay,
-    )  # fmt: skip

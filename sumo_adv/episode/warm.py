@@ -61,12 +61,6 @@ class WarmEngine:
             self._engine.close()
             self._engine = None
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
 
 class WarmSandboxes:
     """Sandboxes for many episodes: one for each value of the setting ``bubblewrap``, opened when first needed."""
@@ -161,14 +155,11 @@ def _end_as(exitcode: int) -> None:
     os._exit(exitcode)
 
 
-COMMANDS = ("open", "forks", "seek", "prefix", "lanes", "attempts", "references", "converse")
-
-
 def body(slots: list[Connection]) -> dict[str, Callable[..., Any]]:
     """The commands of the engine process."""
     import shapely.geometry  # noqa: F401 - imported before the first fork, because every episode needs it
 
-    import sumo_adv.episode.worker  # noqa: F401
+    from sumo_adv.episode.worker import COMMANDS
 
     load_libsumo()
     faulthandler.enable()
