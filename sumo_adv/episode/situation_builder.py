@@ -178,7 +178,8 @@ def build_situation(
     ego = state_at(ego_track, time) if len(ego_track.time) > 1 else None
     if ego is None:
         return None
-    path = path_of(ego_track, road, trigger.route)
+    points = np.column_stack([ego_track.x, ego_track.y])
+    path = continued(points, _ways(road, ego_track.lane[-1], *points[-1], trigger.route))
     stations = _travelled(ego_track)
     onward = way_ahead(road, ego, trigger.route)
     first, rule = (None, "") if onward is None else (onward.first, onward.rule)
@@ -236,12 +237,6 @@ def state_at(track: Track, time: float) -> VehicleState | None:
         track.id, float(track.x[i]), float(track.y[i]), float(track.heading[i]), float(track.speed[i]),
         float(track.acceleration[i]), track.length, track.width, track.lane[i],
     )  # fmt: skip
-
-
-def path_of(track: Track, road: RoadMap, route: tuple[str, ...]) -> Path:
-    """The path of a track, continued along its lanes for ``REACH`` metres."""
-    points = np.column_stack([track.x, track.y])
-    return continued(points, _ways(road, track.lane[-1], *points[-1], route))
 
 
 def _ways(

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Boxes, Floats, Ints, Level
+from sumo_adv.geometry import wrap_below_pi
 from sumo_adv.metrics.boxes import on_grid, pick
 from sumo_adv.metrics.gates import largest_acceleration
 from sumo_adv.metrics.levels import STATIONARY, STATIONARY_FOR
@@ -191,8 +192,7 @@ def _human(check: Counterfactual, adversary: Boxes, last: Ints, dt: float) -> Bo
 def _yaw_rates(ego: Boxes, adversary: Boxes, row: int, step: int, dt: float) -> tuple[float, float]:
     """The yaw rates [rad/s] of both over the step to the contact."""
     before = max(step - 1, 0)
-    turns = (float(b.heading[row, step] - b.heading[row, before]) for b in (ego, adversary))
-    first, second = ((turn + np.pi) % (2 * np.pi) - np.pi for turn in turns)
+    first, second = (wrap_below_pi(float(b.heading[row, step] - b.heading[row, before])) for b in (ego, adversary))
     return first / dt, second / dt
 
 

@@ -31,6 +31,11 @@ class AttackTemplate:
     planner: Planner
     learnt: bool = False
 
+    @property
+    def key(self) -> tuple[float, str, str, str]:
+        """What identifies it: the start [s], the vehicle, the intent, and the planner's hash."""
+        return self.delay, self.target.state.id, self.entry.label, self.planner.hash
+
     def proposal(self, draw: Random | None) -> Proposal:
         """A candidate with the author's parameters (``draw`` None), or with uniform ones within their bounds."""
         if draw is None:
