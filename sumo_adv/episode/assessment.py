@@ -58,7 +58,6 @@ class AttemptRunner:
         self._engine, self._sandbox, self._found, self._seed = engine, sandbox, found, seed
 
     def attempt(self, proposals: Sequence[Proposal]) -> Iterator[AttemptResult]:
-        """The results of the proposals, in order."""
         for k in range(0, len(proposals), self._engine.at_once):
             yield from self._at_once(proposals[k : k + self._engine.at_once])
 
@@ -81,7 +80,6 @@ class AttemptRunner:
                 sessions.__exit__(None, None, None)
 
     def references(self, proposal: Proposal, result: AttemptResult) -> dict[str, bool]:
-        """Which reference drivers avoid an attempt's collision in the simulation."""
         return self._engine.request("references", proposal, result)
 
 

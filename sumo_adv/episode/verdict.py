@@ -178,18 +178,15 @@ class ReferenceEgo:
         if self._driver is None or self._ego.id not in tracks:
             return
         ego = tracks[self._ego.id]
-        others = on_grid([tracks[n] for n in self._names if n in tracks], ego.time) if self._names else None
-        rows = {n: k for k, n in enumerate(n for n in self._names if n in tracks)}
+        there = [n for n in self._names if n in tracks]
+        others = on_grid([tracks[n] for n in there], ego.time)
+        states = np.stack([others.x, others.y, others.heading, others.speed])
         for k in range(len(ego.time) - 1):  # the last state is seen when the driver acts
-            seen = {}
-            for name, row in rows.items():
-                if others is not None and np.isfinite(others.x[row, k]):
-                    seen[name] = tuple(float(v[row, k]) for v in (others.x, others.y, others.heading, others.speed))
-            self._look(seen)
+            self._look(dict(zip(there, states[:, :, k].T, strict=True)))
             station = float(self._paths.locate(ego.x[None, k : k + 1], ego.y[None, k : k + 1])[0][0, 0])
             self._driver.step(self._view(station, float(ego.speed[k]), float(ego.acceleration[k])))
 
-    def _look(self, vehicles: Mapping[str, tuple[float, ...]]) -> None:
+    def _look(self, vehicles: Mapping[str, Sequence[float] | Floats]) -> None:
         """Note where the vehicles are in a step: x, y, heading and speed, then station, offset and heading of the path
         there; those that are not there are NaN."""
         column: Floats = np.full((4, len(self._names)), np.nan)

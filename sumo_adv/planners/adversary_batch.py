@@ -50,9 +50,8 @@ class AdversaryBatch:
         longest = max(len(w.path.x) for w in ways)
         beyond = np.arange(0, longest, COARSE) > self.rows.last[:, None, None]
         self._coarse = np.where(beyond, np.inf, self.rows.table[:, :2, ::COARSE])
-        self._ego = np.stack(
-            [np.stack([np.pad(a, (0, longest - len(a)), "edge") for a in (w.ego_s, w.ego_d, w.ego_h)]) for w in ways]
-        )
+        relative = [(w.ego_s, w.ego_d, w.ego_h) for w in ways]
+        self._ego = np.array([[np.pad(a, (0, longest - len(a)), "edge") for a in own] for own in relative])
         conflicts = {id(t): [w.conflict.ego_s if w.conflict is not None else np.inf for w in t.ways] for t in unique}
         most = int(self._count.max())
         self._conflicts = np.array([conflicts[id(t)] + [np.inf] * (most - len(t.ways)) for t in self.targets])

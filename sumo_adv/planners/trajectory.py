@@ -146,14 +146,8 @@ class PathRows:
 
     def __init__(self, paths: Sequence[Path], row: Any) -> None:
         longest = max(len(p.x) for p in paths)
-        self.table = np.stack(
-            [
-                np.stack(
-                    [np.pad(a, (0, longest - len(p.x)), "edge") for a in (p.x, p.y, p.heading, p.curvature, p.speed)]
-                )
-                for p in paths
-            ]
-        )
+        columns = [(p.x, p.y, p.heading, p.curvature, p.speed) for p in paths]
+        self.table = np.array([[np.pad(a, (0, longest - len(a)), "edge") for a in own] for own in columns])
         self.last = np.array([len(p.x) - 1 for p in paths])
         self.row = np.asarray(row)
         self._last_input: tuple[Any, Any] = (None, None)

@@ -96,10 +96,9 @@ def _look_at(
     steps, begun = rollouts.ego[0].shape[1], [situations[p.delay] for p in proposals]
     ego_state, dt, time = begun[0].ego, begun[0].dt, rollouts.time
     ego = Boxes(*rollouts.ego, ego_state.length, ego_state.width)
-    ranks = zip(
-        zip(*(p.members for p in proposals), strict=True), (rollouts.adversary, *rollouts.supports), strict=True
-    )
-    driven = [_driven(begun, members, motions) for members, motions in ranks]
+    ranks = zip(*(p.members for p in proposals), strict=True)
+    motions = (rollouts.adversary, *rollouts.supports)
+    driven = [_driven(begun, members, motion) for members, motion in zip(ranks, motions, strict=True)]
     adversary, *supports = (boxes for boxes, _ in driven)
     left = np.array([situation.left for situation in begun])
     touches = touching(ego, adversary)
