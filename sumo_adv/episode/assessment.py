@@ -141,11 +141,18 @@ def _early(ego: Track, bv: Track) -> float | None:
 
 def _shift(ego: Track, path: Path) -> float:
     """The largest change of the ego's offset from its path [m]."""
-    station, offsets = 0.0, []
-    for x, y in zip(ego.x.tolist(), ego.y.tolist(), strict=True):
-        station, offset = path.project(x, y, near=station, reach=REACH)
-        offsets.append(offset)
-    return round(float(np.max(np.abs(np.array(offsets) - offsets[0]))), 2)
+    offsets = np.array([offset for _, offset in followed(path, ego.x, ego.y)])
+    return round(float(np.max(np.abs(offsets - offsets[0]))), 2)
+
+
+def followed(path: Path, x: Floats, y: Floats, reach: float = REACH) -> list[tuple[float, float]]:
+    """Stations and offsets [m] of places (x, y) on the way along a path, each within ``reach`` [m] of the one
+    before."""
+    places, station = list[tuple[float, float]](), 0.0
+    for at in zip(x.tolist(), y.tolist(), strict=True):
+        station, offset = path.project(*at, near=station, reach=reach)
+        places.append((station, offset))
+    return places
 
 
 def _bound(bv: Track, limits: Limits, dt: float) -> tuple[str, ...]:
@@ -295,12 +302,9 @@ def observed_motion(
     if track is None or len(track.time) < 2:
         return None
     missing = range(round((float(track.time[0]) - result.start) / dt))  # at the trigger itself nothing is recorded
-    path, station = situation.baseline.path, 0.0
     places = [(float(situation.baseline.s[k]), 0.0) for k in missing]
     speeds = np.concatenate([situation.baseline.v[: len(missing)], track.speed])
-    for x, y in zip(track.x.tolist(), track.y.tolist(), strict=True):
-        station, offset = path.project(x, y, near=station, reach=REACH)
-        places.append((station, offset))
+    places += followed(situation.baseline.path, track.x, track.y)
     steps = settings.steps(settings.duration)
     over = np.maximum(np.arange(steps + 1) - (len(places) - 1), 0) * dt
     k = np.minimum(np.arange(steps + 1), len(places) - 1)

@@ -53,7 +53,6 @@ def run_episode(
 
 
 def model_ending(error: ModelError) -> Ending:
-    """The ending of an episode that a language model ended."""
     return Ending.BUDGET_EXHAUSTED if isinstance(error, BudgetError) else Ending.MODEL_FAILED
 
 

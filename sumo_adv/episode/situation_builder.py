@@ -179,7 +179,7 @@ def build_situation(
     if ego is None:
         return None
     points = np.column_stack([ego_track.x, ego_track.y])
-    path = continued(points, _ways(road, ego_track.lane[-1], *points[-1], trigger.route))
+    path = continued(points, _ways(road, ego_track.lane[-1], ego_track.x[-1], ego_track.y[-1], trigger.route))
     stations = _travelled(ego_track)
     onward = way_ahead(road, ego, trigger.route)
     first, rule = (None, "") if onward is None else (onward.first, onward.rule)

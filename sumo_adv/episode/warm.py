@@ -69,7 +69,6 @@ class WarmSandboxes:
         self._by_bubblewrap: dict[bool, Sandbox] = {}
 
     def of(self, settings: Settings) -> Sandbox:
-        """The sandbox of an episode with these settings."""
         bubblewrap = settings.bubblewrap
         if bubblewrap not in self._by_bubblewrap:
             self._by_bubblewrap[bubblewrap] = Sandbox(bubblewrap=bubblewrap)
@@ -87,7 +86,6 @@ class WarmProcesses:
         self._engine, self._sandboxes = WarmEngine(), WarmSandboxes()
 
     def close(self) -> None:
-        """End all processes."""
         try:
             self._engine.close()
         finally:
@@ -142,7 +140,6 @@ class _Nursery:
             os._exit(0)
 
     def command(self, name: str) -> Callable[..., Any]:
-        """The command of that name in the present episode."""
         return lambda *arguments: self._handlers[name](*arguments)
 
 

@@ -180,7 +180,6 @@ class Worker:
             self._drive.tick()
 
     def prefix(self) -> Prefix:
-        """The recording up to the trigger."""
         self._at_trigger()
         return Prefix(self._drive.recording.snapshots[: self._trigger_step], dict(self._drive.simulation.fleet.sizes))
 
@@ -409,6 +408,5 @@ COMMANDS = ("open", "forks", "seek", "prefix", "lanes", "attempts", "references"
 
 
 def body(slots: list[Connection]) -> dict[str, Callable[..., Any]]:
-    """The commands of the engine process."""
     worker = Worker(slots)
     return {name: getattr(worker, name) for name in COMMANDS}

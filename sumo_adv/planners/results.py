@@ -55,13 +55,13 @@ def pick_ID(v):
     return (x, y, h, s, t)
 
 def one_ID(c):
-    return pick_ID(endpoint(c[0], c[1], roads_ID[c[2]], c[3], c[4], c[5]))
+    return pick_ID(endpoint(c[1], c[2], roads_ID[c[0]], c[3], c[4], c[5]))
 
 def many_ID(calls):
     out = []
     for c in calls:
         try:
-            out.append(pick_ID(endpoint(c[0], c[1], roads_ID[c[2]], c[3], c[4], c[5])))
+            out.append(pick_ID(endpoint(c[1], c[2], roads_ID[c[0]], c[3], c[4], c[5])))
         except:
             out.append(None)
     return out

@@ -97,7 +97,7 @@ class PlannerSession:
         something else.
         """
         self._known(key)
-        call = (bv, ego, key, parameters, acc, horizon)
+        call = (key, bv, ego, parameters, acc, horizon)
         return check_endpoint(self._subject, self._feed(f"one_{self._id}(call_{self._id})", {f"call_{self._id}": call}))
 
     def endpoints(self, calls: Sequence[Call]) -> list[dict[str, float] | SandboxError]:
@@ -191,9 +191,8 @@ class PlannerSession:
             return nothing
         for call in calls:
             self._known(call[0])
-        batch = [(bv, ego, key, parameters, acc, horizon) for key, bv, ego, parameters, acc, horizon in calls]
         try:
-            values = self._feed(f"many_{self._id}(call_{self._id})", {f"call_{self._id}": batch})
+            values = self._feed(f"many_{self._id}(call_{self._id})", {f"call_{self._id}": list(calls)})
         except SandboxError:
             return nothing
         return values if type(values) is list and len(values) == len(calls) else nothing

@@ -97,8 +97,6 @@ def wrap(angle: float) -> float: ...
 
 
 class SourceFacts(NamedTuple):
-    """The facts in a planner's text."""
-
     parameters: tuple[Parameter, ...]
     has_trajectory: bool
 
@@ -203,7 +201,6 @@ def _parameters(table: ast.Dict) -> Iterator[Parameter]:
 
 
 def _parameter(name: str, entry: object, line: int) -> Parameter:
-    """One checked entry of the table."""
     if not isinstance(entry, tuple | list) or len(entry) not in (4, 5):
         raise _syntax_error(line, f'must give the parameter {name} as (default, low, high, "unit", "meaning")')
     numbers = entry[:3]

@@ -58,7 +58,6 @@ Pose = tuple[float, float, float]
 
 
 def probes(relation: str) -> list[Probe]:
-    """All situations of one of the bank's relations."""
     make = _small if relation in SIZES else _crossing if relation in CROSSING_ANGLES else _lane
     return [
         make(f"{relation}, {pace}, {shape}, after {time:.0f} s", relation, curvature, speed, time)

@@ -165,7 +165,6 @@ class Selection:
     exclude: frozenset[str] = frozenset()
 
     def allows(self, label: str) -> bool:
-        """Whether an intent may be tried."""
         return label not in self.exclude and (self.only is None or label in self.only)
 
     def names(self, label: str) -> bool:

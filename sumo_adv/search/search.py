@@ -309,7 +309,6 @@ class AttackSearch:
         return chosen
 
     def _used_up(self) -> set[str]:
-        """Shares of attempts that are used up."""
         tries = Counter[str]()
         for planner, count in self._by_planner.items():
             tries[self._share_of(planner)] += count
