@@ -20,12 +20,11 @@ from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Diagnosis, Floats, Level, Limits, ObservedMotion, Proposal, Track, Verdict
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.episode.verdict import simulated
-from sumo_adv.errors import SandboxError
 from sumo_adv.geometry import Frame, Path, wrap
 from sumo_adv.goal import Goal
 from sumo_adv.llm.asking import MeteredModel
 from sumo_adv.metrics.levels import judged
-from sumo_adv.planners.answers import Answer, PlannerObservation
+from sumo_adv.planners.answers import Answer
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Roads, Sessions
 from sumo_adv.search.intents import named
@@ -71,7 +70,7 @@ class AttemptRunner:
             if (k, member) not in opened:
                 session = Sessions(self._sandbox, roads, [adversary], self._seed, drivable=self._found.drivable)
                 opened[k, member] = session.__enter__()
-            return answer_of(adversary, opened[k, member], observation)
+            return opened[k, member].answer(adversary, observation)
 
         try:
             return self._engine.request("attempts", list(proposals), answer=answer)
@@ -81,14 +80,6 @@ class AttemptRunner:
 
     def references(self, proposal: Proposal, result: AttemptResult) -> dict[str, bool]:
         return self._engine.request("references", proposal, result)
-
-
-def answer_of(proposal: Proposal, sessions: Sessions, observation: PlannerObservation) -> Answer | str:
-    """The answer of the proposal's planner, or a sentence why there is none."""
-    try:
-        return sessions.answer(proposal, observation)
-    except SandboxError as error:
-        return str(error)
 
 
 # -- diagnosis ------------------------------------------------------------------------------------------------------

@@ -100,7 +100,7 @@ class Evolution:
         known = {t.key for t in self._templates}
         fresh = [t for t in templates if t.key not in known]
         self._templates = list(templates)
-        first = self._sampler.earliest(fresh)
+        first = self._sampler.first(fresh, 0)  # no uniform ones
         drawn = self._sampler.uniform(originals(fresh), max(self._settings.first - len(first), 0))
         self._random.shuffle(drawn)
         drawn = [self._accompanied(p) for p in drawn]

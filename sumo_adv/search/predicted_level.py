@@ -150,10 +150,10 @@ def _others(collisions: Collisions, rows: Ints) -> Boxes | None:
     """The supports, and the other vehicles near each row's contact, ``(n, K, steps)``; absent ones are NaN. None if
     there are none."""
     steps = collisions.ego.x.shape[1]
-    tracks_of: dict[tuple[int, tuple[str, ...]], Boxes | None] = {}
+    boxes_of: dict[tuple[int, tuple[str, ...]], Boxes] = {}
     names = [(id(collisions.situations[k]), collisions.bvs[k]) for k in rows.tolist()]
     for key, row in zip(names, rows.tolist(), strict=True):
-        if key in tracks_of:
+        if key in boxes_of:
             continue
         situation, (_, bvs) = collisions.situations[row], key
         same = rows[[n == key for n in names]]
@@ -163,15 +163,15 @@ def _others(collisions: Collisions, rows: Ints) -> Boxes | None:
             if t.id not in bvs and (np.hypot(t.x[:, None] - ex, t.y[:, None] - ey) < NEAR).any()
         ]  # fmt: skip
         time = np.asarray(situation.time + np.arange(steps) * situation.dt, float)
-        tracks_of[key] = on_grid(tracks, time) if tracks else None
-    most = max(0 if b is None else len(b.x) for b in tracks_of.values()) + len(collisions.supports)
+        boxes_of[key] = on_grid(tracks, time)
+    most = max(len(b.x) for b in boxes_of.values()) + len(collisions.supports)
     if not most:
         return None
     motion, size = np.full((4, len(rows), most, steps), np.nan), np.zeros((2, len(rows), most, 1))
     for row, key in enumerate(names):
-        if (b := tracks_of[key]) is not None:
-            motion[:, row, : len(b.x)] = b.x, b.y, b.heading, b.speed
-            size[:, row, : len(b.x)] = [np.broadcast_to(v, (len(b.x), 1)) for v in (b.length, b.width)]
+        b = boxes_of[key]
+        motion[:, row, : len(b.x)] = b.x, b.y, b.heading, b.speed
+        size[:, row, : len(b.x)] = b.length, b.width
     for place, b in enumerate(collisions.supports, start=most - len(collisions.supports)):
         motion[:, :, place] = b.x[rows], b.y[rows], b.heading[rows], b.speed[rows]
         size[:, :, place] = np.asarray(b.length)[rows], np.asarray(b.width)[rows]

@@ -190,13 +190,9 @@ def _score(danger: Danger, weights: ScoreSettings) -> Floats:
     to_serious = weights.to_delta_v * (1.0 - hard) + weights.not_human * ~danger.human
     to_strict = weights.to_warning * (1.0 - warned) + weights.to_delta_v_early * (1.0 - hard)
     to_valid = np.where(danger.warning > 0, weights.to_warning * (1.0 - warned), weights.no_warning - weights.collision)
-    levels = (Level.SERIOUS, Level.STRICT, Level.VALID)
-    bases = (weights.serious, weights.strict, weights.valid)
-    score = weights.collision + to_valid
-    missing = (np.zeros(len(score)), to_serious, to_strict)
-    for level, base, rest in zip(levels, bases, missing, strict=True):
-        score = np.where(danger.level == level, base + rest, score)
-    return np.asarray(score)
+    reached = [danger.level == level for level in (Level.SERIOUS, Level.STRICT, Level.VALID)]
+    scores = [weights.serious, weights.strict + to_serious, weights.valid + to_strict]
+    return np.select(reached, scores, weights.collision + to_valid)
 
 
 def _ends(ego: Boxes, adversary: Boxes, last: Any, hit: Bools, time: Floats) -> tuple[Floats, tuple[Boxes, Boxes]]:
