@@ -39,7 +39,7 @@ class AdversaryBatch:
     holds all ways; ``rows.row`` is the way of each vehicle."""
 
     def __init__(self, situations: Sequence[Situation], names: Sequence[str]) -> None:
-        self.scenes, self.names = Scenes(situations), list(names)
+        self.scenes = Scenes(situations)
         self.targets: list[Target] = [s.targets[n] for s, n in zip(situations, names, strict=True)]
         unique = list({id(t): t for t in self.targets}.values())
         first = dict(zip(map(id, unique), accumulate((len(t.ways) for t in unique[:-1]), initial=0), strict=True))
