@@ -191,7 +191,7 @@ def _score(danger: Danger, weights: ScoreSettings) -> Floats:
     to_strict = weights.to_warning * (1.0 - warned) + weights.to_delta_v_early * (1.0 - hard)
     to_valid = np.where(danger.warning > 0, weights.to_warning * (1.0 - warned), weights.no_warning - weights.collision)
     reached = [danger.level == level for level in (Level.SERIOUS, Level.STRICT, Level.VALID)]
-    scores = [weights.serious, weights.strict + to_serious, weights.valid + to_strict]
+    scores = [np.asarray(weights.serious), weights.strict + to_serious, weights.valid + to_strict]
     return np.select(reached, scores, weights.collision + to_valid)
 
 
