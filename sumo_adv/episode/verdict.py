@@ -210,8 +210,7 @@ class ReferenceEgo:
 
 def order_of(
     proposal: Proposal, result: AttemptResult, case: Case, contact_time: float, lane_half_width: float,
-    on_road: OnRoad | None,
-    unattacked: Track | None,
+    on_road: OnRoad | None, unattacked: Track | None,
 ) -> Order:  # fmt: skip
     """The order for an attempt that collided; ``case``: the tracks that were judged."""
     driven = [t.between(result.start + 1e-3, np.inf) for t in (case.adversary, *case.supports)]
@@ -220,20 +219,17 @@ def order_of(
         case.ego, case.adversary, case.others, result.start, contact_time, lane_half_width, unattacked
     )  # fmt: skip
     check = Counterfactual(given)
-    dt = given.dt
     roster = {t.id: (t.length, t.width) for t in (case.adversary, *case.others)}
     begin = max(float(case.ego.time[0]), float(case.adversary.time[0]))
     e = check.ego
-    pace = np.diff(e.speed[0], prepend=e.speed[0, :1]) / dt
+    pace = np.diff(e.speed[0], prepend=e.speed[0, :1]) / given.dt
     ego = Track(
         case.ego.id, case.ego.role, np.round(begin + check.time, 6), e.x[0], e.y[0], e.heading[0], e.speed[0], pace,
         case.ego.length, case.ego.width,
     )  # fmt: skip
     steps = check.steps - 1 - int(given.start[0])
-    return Order(
-        proposal, courses, ego, result.start, steps, roster, lane_half_width,
-        _manoeuvre_plan(check, on_road),
-    )  # fmt: skip
+    plan = _manoeuvre_plan(check, on_road)
+    return Order(proposal, courses, ego, result.start, steps, roster, lane_half_width, plan)
 
 
 def _manoeuvre_plan(check: Counterfactual, on_road: OnRoad | None) -> Boxes | None:

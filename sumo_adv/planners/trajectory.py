@@ -37,10 +37,11 @@ JERK_RESERVE = 0.92  # share of the jerk limit that is used
 
 
 class Scalar:
-    """Operations on floats."""
+    """Operations on floats. ``worst``: the largest of the values at all samples; ``least``: the smallest of those at
+    all times ahead."""
 
     minimum, maximum, sqrt, arcsin = min, max, math.sqrt, math.asin
-    cos, sin = math.cos, math.sin
+    cos, sin, worst, least = math.cos, math.sin, max, min
 
     @staticmethod
     def where(condition: Any, a: Any, b: Any) -> Any:
@@ -49,16 +50,6 @@ class Scalar:
 
     samples: Sequence[Any] = SAMPLES
     ahead: Sequence[Any] = LOOK_AHEAD
-
-    @staticmethod
-    def worst(values: Sequence[Any]) -> Any:
-        """The largest of the values at all samples."""
-        return max(values)
-
-    @staticmethod
-    def least(values: Sequence[Any]) -> Any:
-        """The smallest of the values at all times ahead."""
-        return min(values)
 
 
 class Batch:
