@@ -129,13 +129,13 @@ def measure(name: str, pairs: int, proposals: int, entries: Sequence[LibraryEntr
         encounters = [encounter(e, source, s, folder) for e, s in zip(engines, ways, strict=True)]
         best, count, searched = search(sandbox, ways[0], encounters[0], entries)
         runners = [AttemptRunner(e, sandbox, f, ways[0].seed) for e, f in zip(engines, encounters, strict=True)]
-        results = [runner.attempt([best])[0] for runner in runners]
+        results = [next(runner.attempt([best])) for runner in runners]
         took: list[list[float]] = [[], []]
         twice = []
         for _ in range(pairs):
             for times, runner in zip(took, runners, strict=True):
-                times.append(seconds(lambda: runner.attempt([best])))  # noqa: B023 - called at once
-            twice.append(seconds(lambda: runners[0].attempt([best, best])) / 2)
+                times.append(seconds(lambda: list(runner.attempt([best]))))  # noqa: B023 - called at once
+            twice.append(seconds(lambda: list(runners[0].attempt([best, best]))) / 2)
         lines = calls(sandbox, encounters[0], best, max(3, pairs))
     same = states(results[0]) == states(results[1]) and results[0].verdict == results[1].verdict
     shares = [b / a for a, b in zip(*took, strict=True)]
@@ -168,7 +168,7 @@ def first_attempts(entries: Sequence[LibraryEntry]) -> bool:
         runner, vehicles = AttemptRunner(engine, sandbox, found, settings.seed), 0
         for proposal in search.propose(FIRST):
             began = time.perf_counter()
-            result = runner.attempt([proposal])[0]
+            (result,) = runner.attempt([proposal])
             cost = 1e3 * (time.perf_counter() - began)
             vehicles = max(vehicles, len(result.snapshots[0].raw) if len(result.snapshots) else 0)
             collided = result.verdict is not None and result.verdict.collided

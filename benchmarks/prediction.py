@@ -82,7 +82,7 @@ def compare(name: str, ego: str, count: int, seed: int, entries: Sequence[Librar
             print(f"  {source.name}: nothing applies")
             return []
         predictor = Predictor(sandbox, settings, encounter.drivable, encounter.situations)
-        expected, rollouts = predictor.score(drawn), predictor.rolled(encounter.situations, drawn)
+        expected, rollouts = predictor.score(drawn), predictor.rolled(drawn)
         runner = AttemptRunner(engine, sandbox, encounter, seed)
         came = [result for proposal in drawn for result in runner.attempt([proposal])]
     rows = []

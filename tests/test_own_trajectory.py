@@ -23,9 +23,8 @@ from sumo_adv.episode.assessment import AttemptRunner
 from sumo_adv.episode.attempt import PlannedAdversary
 from sumo_adv.episode.task import AttemptResult, FoundEncounter, make_task
 from sumo_adv.episode.worker import body
-from sumo_adv.errors import PlannerResultError, SandboxError
+from sumo_adv.errors import PlannerResultError
 from sumo_adv.metrics.gates import motion
-from sumo_adv.planners.answers import Answer, PlannerObservation
 from sumo_adv.planners.follower import Follower, Line, aligned, leaves_road
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Roads, Sessions
@@ -188,14 +187,8 @@ def lead(
     """The adversary of an attempt without SUMO against an ego that keeps 10 m/s, and the prediction of the same."""
     proposal = Proposal("bv", planner.label, planner, {**planner.defaults(), **numbers}, 0.0, 0.0)
     with Sessions(sandbox, HERE, [proposal], 0) as sessions:
-
-        def ask(told: PlannerObservation) -> Answer | str:
-            try:
-                return sessions.answer(proposal, told)
-            except SandboxError as error:
-                return str(error)
-
-        adversary, rows, failure = PlannedAdversary(SIT, "bv", LIMITS, ask), [], None
+        adversary = PlannedAdversary(SIT, "bv", LIMITS, partial(sessions.answer, proposal))
+        rows, failure = [], None
         for k in range(steps):
             if k % every == 0:
                 failure = adversary.replan(k * DT, (k * 1.0, 0.0, 10.0, 0.0))
@@ -305,7 +298,7 @@ def encounter(tmp_path_factory: pytest.TempPathFactory, sandbox: Sandbox) -> Ite
 
 def attempt(runner: AttemptRunner, planner: Planner, **numbers: float) -> tuple[AttemptResult, Track | None]:
     proposal = Proposal("left_ahead", planner.label, planner, {**planner.defaults(), **numbers}, 0.0, 0.0)
-    result = runner.attempt([proposal])[0]
+    (result,) = runner.attempt([proposal])
     tracks = {t.id: t for t in tracks_of(result.snapshots, result.sizes, {}, DT)}
     return result, tracks.get("left_ahead")
 

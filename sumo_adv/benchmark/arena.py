@@ -18,7 +18,7 @@ from sumo_adv.agents.agents import Agents
 from sumo_adv.benchmark.nouns import Encounter, Opponent
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Level, Proposal, Role, Track
-from sumo_adv.episode.assessment import AttemptRunner, StepwiseRunner, attempt_of, checked
+from sumo_adv.episode.assessment import AttemptRunner, attempt_of, checked
 from sumo_adv.episode.attempt import Driven
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.loop import decide, model_ending, pursue
@@ -93,8 +93,7 @@ class Arena:
             entries = decide(episode, planned, agents, bank)
             if entries is not None:
                 runner = AttemptRunner(self.engine, self.sandbox, planned.found, episode.settings.seed)
-                tries = StepwiseRunner(runner, self.engine.at_once)
-                pursue(episode, planned, entries, tries, agents, bank, clock.tell)
+                pursue(episode, planned, entries, runner, agents, bank, clock.tell)
         except ModelError as error:
             episode.ending, episode.reason = model_ending(error), str(error)
         clock.stop(episode)
@@ -152,7 +151,7 @@ class Arena:
         """What an attempt came to. A fork that SUMO's own crash took (a vehicle far off its lanes) is an attempt that
         failed; where there are no forks the simulation is lost with it. Raises SimulationError."""
         try:
-            return self._brain(encounter).attempt([proposal])[0]
+            return next(self._brain(encounter).attempt([proposal]))
         except SimulationError as error:
             if not self.episode.forked or self._lost():
                 raise

@@ -20,12 +20,11 @@ from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Diagnosis, Floats, Level, Limits, ObservedMotion, Proposal, Track, Verdict
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.episode.verdict import simulated
-from sumo_adv.errors import SandboxError
 from sumo_adv.geometry import Frame, Path, wrap
 from sumo_adv.goal import Goal
 from sumo_adv.llm.asking import MeteredModel
 from sumo_adv.metrics.levels import judged
-from sumo_adv.planners.answers import Answer, PlannerObservation
+from sumo_adv.planners.answers import Answer
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Roads, Sessions
 from sumo_adv.search.intents import named
@@ -48,13 +47,20 @@ class Attempts(Protocol):
 
 
 class AttemptRunner:
-    """Runs attempts on the engine. A planner that is not ours gets a fresh sandbox session for each attempt."""
+    """Runs attempts on the engine. A planner that is not ours gets a fresh sandbox session for each attempt.
+
+    Attempts run when their results are requested, as many at a time as the engine can. So those behind a success are
+    not made.
+    """
 
     def __init__(self, engine: Engine, sandbox: Sandbox, found: FoundEncounter, seed: int) -> None:
         self._engine, self._sandbox, self._found, self._seed = engine, sandbox, found, seed
 
-    def attempt(self, proposals: Sequence[Proposal]) -> list[AttemptResult]:
-        """The results of the proposals, in order. They run at the same time if the engine can fork."""
+    def attempt(self, proposals: Sequence[Proposal]) -> Iterator[AttemptResult]:
+        for k in range(0, len(proposals), self._engine.at_once):
+            yield from self._at_once(proposals[k : k + self._engine.at_once])
+
+    def _at_once(self, proposals: Sequence[Proposal]) -> list[AttemptResult]:
         opened: dict[tuple[int, int], Sessions] = {}
         roads = Roads(self._found.situations)
 
@@ -64,7 +70,7 @@ class AttemptRunner:
             if (k, member) not in opened:
                 session = Sessions(self._sandbox, roads, [adversary], self._seed, drivable=self._found.drivable)
                 opened[k, member] = session.__enter__()
-            return answer_of(adversary, opened[k, member], observation)
+            return opened[k, member].answer(adversary, observation)
 
         try:
             return self._engine.request("attempts", list(proposals), answer=answer)
@@ -73,32 +79,7 @@ class AttemptRunner:
                 sessions.__exit__(None, None, None)
 
     def references(self, proposal: Proposal, result: AttemptResult) -> dict[str, bool]:
-        """Which reference drivers avoid an attempt's collision in the simulation."""
         return self._engine.request("references", proposal, result)
-
-
-class StepwiseRunner:
-    """Runs attempts when their results are requested, ``at_once`` at a time. The results are the same. Attempts behind
-    a success are then not made; for many episodes side by side, one at a time."""
-
-    def __init__(self, runner: AttemptRunner, at_once: int = 1) -> None:
-        self._runner, self._at_once = runner, at_once
-
-    def attempt(self, proposals: Sequence[Proposal]) -> Iterator[AttemptResult]:
-        for k in range(0, len(proposals), self._at_once):
-            yield from self._runner.attempt(proposals[k : k + self._at_once])
-
-    def references(self, proposal: Proposal, result: AttemptResult) -> dict[str, bool]:
-        """Which reference drivers avoid an attempt's collision in the simulation."""
-        return self._runner.references(proposal, result)
-
-
-def answer_of(proposal: Proposal, sessions: Sessions, observation: PlannerObservation) -> Answer | str:
-    """The answer of the proposal's planner, or a sentence why there is none."""
-    try:
-        return sessions.answer(proposal, observation)
-    except SandboxError as error:
-        return str(error)
 
 
 # -- diagnosis ------------------------------------------------------------------------------------------------------
@@ -151,11 +132,18 @@ def _early(ego: Track, bv: Track) -> float | None:
 
 def _shift(ego: Track, path: Path) -> float:
     """The largest change of the ego's offset from its path [m]."""
-    station, offsets = 0.0, []
-    for x, y in zip(ego.x.tolist(), ego.y.tolist(), strict=True):
-        station, offset = path.project(x, y, near=station, reach=REACH)
-        offsets.append(offset)
-    return round(float(np.max(np.abs(np.array(offsets) - offsets[0]))), 2)
+    offsets = np.array([offset for _, offset in followed(path, ego.x, ego.y)])
+    return round(float(np.max(np.abs(offsets - offsets[0]))), 2)
+
+
+def followed(path: Path, x: Floats, y: Floats, reach: float = REACH) -> list[tuple[float, float]]:
+    """Stations and offsets [m] of places (x, y) on the way along a path, each within ``reach`` [m] of the one
+    before."""
+    places, station = list[tuple[float, float]](), 0.0
+    for at in zip(x.tolist(), y.tolist(), strict=True):
+        station, offset = path.project(*at, near=station, reach=reach)
+        places.append((station, offset))
+    return places
 
 
 def _bound(bv: Track, limits: Limits, dt: float) -> tuple[str, ...]:
@@ -305,12 +293,9 @@ def observed_motion(
     if track is None or len(track.time) < 2:
         return None
     missing = range(round((float(track.time[0]) - result.start) / dt))  # at the trigger itself nothing is recorded
-    path, station = situation.baseline.path, 0.0
     places = [(float(situation.baseline.s[k]), 0.0) for k in missing]
     speeds = np.concatenate([situation.baseline.v[: len(missing)], track.speed])
-    for x, y in zip(track.x.tolist(), track.y.tolist(), strict=True):
-        station, offset = path.project(x, y, near=station, reach=REACH)
-        places.append((station, offset))
+    places += followed(situation.baseline.path, track.x, track.y)
     steps = settings.steps(settings.duration)
     over = np.maximum(np.arange(steps + 1) - (len(places) - 1), 0) * dt
     k = np.minimum(np.arange(steps + 1), len(places) - 1)

@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -203,13 +202,11 @@ class AttemptState:
     """Where an attempt stands after a step.
 
     steps: made so far. apart: by adversary the distance [m] of its centre from the ego's; 0 only if their boxes
-    overlap, inf where one of the two is gone. touching: pairs of ids, of the ego and adversaries, with overlapping
-    boxes. driven: how the attempt went; None while it goes on.
+    overlap, inf where one of the two is gone. driven: how the attempt went; None while it goes on.
     """
 
     steps: int
     apart: Mapping[str, float]
-    touching: tuple[tuple[str, str], ...] = ()
     driven: Driven | None = None
 
 
@@ -227,7 +224,7 @@ class OngoingAttempt:
         self._drive, self._ego, self._adversaries = drive, drive.ego, dict(adversaries)
         self._steps, self._replan, self._dt = steps, replan, drive.recording.step_length
         ended = self._ended("time_limit") if steps <= 0 else None
-        self.state = AttemptState(0, dict.fromkeys(self._adversaries, math.inf), driven=ended)
+        self.state = AttemptState(0, dict.fromkeys(self._adversaries, math.inf), ended)
 
     def step(self, command: Command | None = None) -> AttemptState:
         """Make one step and return where the attempt stands. Without a command all controllers decide."""
@@ -240,19 +237,17 @@ class OngoingAttempt:
         there = [name for name in self._adversaries if name in drive.snapshot.raw]
         if self._ego not in drive.snapshot.raw or not there:
             gone = "passed" if self._ego in drive.snapshot.raw else "ego_left"
-            return AttemptState(before.steps, before.apart, driven=self._ended(gone))
+            return AttemptState(before.steps, before.apart, self._ended(gone))
         led = [name for name in there if name not in command.poses]
         if before.steps % self._replan == 0:
             failure = self._plan(led, before.steps * self._dt)
             if failure is not None:
-                return AttemptState(before.steps, before.apart, driven=Driven("planner_failed", failure))
+                return AttemptState(before.steps, before.apart, Driven("planner_failed", failure))
         poses = {name: command.poses[name] if name in command.poses else self._led(name) for name in there}
         drive.tick(poses, command.ego)
         apart = {name: apart_of(drive, self._ego, name) for name in self._adversaries}
-        hit = [(self._ego, name) for name, far in apart.items() if far == 0.0]
-        between = [(a, b) for a, b in combinations(apart, 2) if apart_of(drive, a, b) == 0.0]
         steps = before.steps + 1
-        return AttemptState(steps, apart, (*hit, *between), self._outcome(steps, before.apart, apart))
+        return AttemptState(steps, apart, self._outcome(steps, before.apart, apart))
 
     def _plan(self, names: list[str], now: float) -> str | None:
         """Have controllers plan anew, ``now`` s after the takeover. A sentence if one failed."""

@@ -37,8 +37,6 @@ class EgoActions:
 
 
 class ActionCount:
-    """Counts the answers of one driver."""
-
     def __init__(self) -> None:
         self._counts: Counter[str] = Counter()
         self._limited = 0
@@ -226,7 +224,6 @@ class Drive:
             self.release() if name is None else self.take_over(name)
 
     def state(self, vehicle: str) -> VehicleState:
-        """A vehicle's newest state."""
         return self.simulation.state(self.snapshot, vehicle, self.recording.acceleration(vehicle))
 
     def vehicle(self, name: str, senses: Senses) -> Vehicle:
@@ -255,7 +252,6 @@ class Drive:
         return tracks_of(recording.snapshots[start:], sizes, self.roles(*adversaries), recording.step_length)
 
     def roles(self, *adversaries: str) -> dict[str, Role]:
-        """The roles of all vehicles but background vehicles."""
         roles = dict.fromkeys(() if self.playback is None else self.playback.obstacles, Role.OBSTACLE)
         roles |= dict.fromkeys(adversaries, Role.ADVERSARY)
         if self.ego is not None:
@@ -282,7 +278,6 @@ class Drive:
         return logged or self.simulation.route(self.ego)[0]
 
     def recorded(self) -> bool:
-        """Whether a log is played back."""
         return self.playback is not None and self.playback.log is not None
 
     def follows_log(self) -> bool:

@@ -22,12 +22,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from sumo_adv.config_odd import Odd
-from sumo_adv.datatypes import Place, Relation, RoadClass, VehicleState
+from sumo_adv.datatypes import Floats, Place, Relation, RoadClass, VehicleState
 from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.unprotected import crossing_risk, may_attack, unprotected_ways
 from sumo_adv.geometry import Path, make_path, wrap
 from sumo_adv.road_users import is_unprotected
-from sumo_adv.simulation.network import Lane, RoadMap
+from sumo_adv.simulation.network import Lane, RoadMap, Way
 from sumo_adv.situation import MEET_AHEAD, ReferencePath, relate
 
 # -- what surrounds the ego -----------------------------------------------------------------------------------------
@@ -230,7 +230,8 @@ class EncounterDetector:
     def _place(self, drive: Drive, name: str, ego: VehicleState, path: Path, ahead: float) -> RankedVehicle | None:
         bv = drive.state(name)
         if is_unprotected(bv):
-            ways = small_ways(self.road, drive, bv, path)
+            on_lane = bv.id not in drive.obstacles and bv.lane in self.road.lanes
+            ways = unprotected_ways(bv, path, _ways(self.road, drive, bv) if on_lane else ())
             return RankedVehicle(name, Relation.CROSSING, crossing_risk(ways, bv, ego), ways, bv.lane)
         if bv.lane not in self.road.lanes:
             return None
@@ -248,7 +249,8 @@ class EncounterDetector:
                 relation, risk = "oncoming", _oncoming_risk(s, bv.speed + ego.speed)
         if relation in ("leader", "follower", "neighbour") and risk == 0.0:
             return None
-        ways = bv_ways(self.road, drive, bv, path)
+        onward = _ways(self.road, drive, bv)
+        ways = tuple(relate(w.path, w.movement, w.junction, w.gives_way, path) for w in onward)
         if relation in ("", "oncoming"):
             meeting = [(w.conflict.kind, _conflict_risk(w, bv, ego)) for w in ways if w.conflict is not None]
             kind, best = max(meeting, key=lambda m: m[1], default=("", 0.0))
@@ -303,9 +305,13 @@ def ego_path(road: RoadMap, drive: Drive) -> Path | None:
         return logged_path(road, drive)
     if ego.lane not in road.lanes:
         return None
-    position = drive.simulation.lane_position(drive.ego) - ego.length / 2
-    ways = road.ways(ego.lane, position, REACH, drive.simulation.ahead(drive.ego))
+    ways = _ways(road, drive, ego, drive.simulation.ahead(drive.ego))
     return ways[0].path if ways else None
+
+
+def _ways(road: RoadMap, drive: Drive, vehicle: VehicleState, route: tuple[str, ...] = ()) -> list[Way]:
+    """All ways on of a vehicle along its lane, or that of its route."""
+    return road.ways(vehicle.lane, drive.simulation.lane_position(vehicle.id) - vehicle.length / 2, REACH, route)
 
 
 def logged_path(road: RoadMap, drive: Drive) -> Path | None:
@@ -316,21 +322,13 @@ def logged_path(road: RoadMap, drive: Drive) -> Path | None:
         return None
     path = make_path(points)
     last = road.lane_at(float(path.x[-1]), float(path.y[-1]), float(path.heading[-1]))
-    ways = road.ways(*last, REACH, drive.route()) if last is not None else []
+    return continued(points, road.ways(*last, REACH, drive.route()) if last is not None else ())
+
+
+def continued(points: Floats, ways: Sequence[Way]) -> Path:
+    """The path through ``points`` ``(n, 2)`` and on along the first of the ways, if any, for ``REACH`` metres."""
     if ways:
         onward = np.column_stack([ways[0].path.x, ways[0].path.y])
-        path = make_path(np.vstack([points, onward[4:]]))  # 2 m on: no fold where the log is off the centre
+        points = np.vstack([points, onward[4:]])  # 2 m on: no fold where the points are off the centre
+    path = make_path(points)
     return path if path.length > REACH else path.extended(REACH - path.length)
-
-
-def bv_ways(road: RoadMap, drive: Drive, bv: VehicleState, path: Path) -> tuple[ReferencePath, ...]:
-    """All ways on of a vehicle, each related to the ego's path."""
-    position = drive.simulation.lane_position(bv.id) - bv.length / 2
-    return tuple(relate(w.path, w.movement, w.junction, w.gives_way, path) for w in road.ways(bv.lane, position, REACH))
-
-
-def small_ways(road: RoadMap, drive: Drive, bv: VehicleState, path: Path) -> tuple[ReferencePath, ...]:
-    """The ways of a pedestrian or cyclist, each related to the ego's path."""
-    if bv.id in drive.obstacles or bv.lane not in road.lanes:
-        return unprotected_ways(bv, path)
-    return unprotected_ways(bv, path, road.ways(bv.lane, drive.simulation.lane_position(bv.id) - bv.length / 2, REACH))

@@ -25,8 +25,6 @@ MOVING, CROWD, LEFT = 5.0, 60.0, 150.0  # a chosen ego: least speed [m/s], radiu
 
 
 class EncounterSearch:
-    """Finds encounters for one drive."""
-
     def __init__(self, drive: Drive, road: RoadMap, task: Task) -> None:
         self.drive, self.road, self.task = drive, road, task
         self._meetings = Meetings(road)

@@ -28,14 +28,11 @@ class Tried:
 
     @property
     def attempts(self) -> int:
-        """How many were made."""
         return len(self.made)
 
 
 @dataclass(slots=True)
 class Episode:
-    """The record of one run."""
-
     source: RunInput
     settings: Settings
     task: Task

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from sumo_adv.agents.agents import Agents
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Proposal
-from sumo_adv.episode.assessment import NOTHING, AttemptRunner, Attempts, Fitting, StepwiseRunner, rank, reader_of
+from sumo_adv.episode.assessment import NOTHING, AttemptRunner, Attempts, Fitting, rank, reader_of
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.memory_access import learn
 from sumo_adv.episode.planned_encounter import BankView, PlannedEncounter, Tell, analyze, find_attackable, seek
@@ -53,7 +53,6 @@ def run_episode(
 
 
 def model_ending(error: ModelError) -> Ending:
-    """The ending of an episode that a language model ended."""
     return Ending.BUDGET_EXHAUSTED if isinstance(error, BudgetError) else Ending.MODEL_FAILED
 
 
@@ -71,9 +70,8 @@ def _run(episode: Episode, engine: Engine, agents: Agents, bank: MemoryBank, tel
                 return
             tell("intents", episode.intents)
             runner = AttemptRunner(engine, agents.sandbox, planned.found, episode.settings.seed)
-            steps = StepwiseRunner(runner, engine.at_once)
             another = may_go_on(episode)
-            pursue(episode, planned, entries, steps, agents, bank, tell, another=another)
+            pursue(episode, planned, entries, runner, agents, bank, tell, another=another)
             if episode.ending is not Ending.ATTEMPTS_EXHAUSTED or not another:
                 return
             left = episode.leave()
@@ -163,7 +161,7 @@ def attack_once(episode: Episode, engine: Engine, sandbox: Sandbox, found: Found
     """Run one given attempt in an encounter, with its reference drivers, and keep it as the only one."""
     settings = episode.settings
     runner = AttemptRunner(engine, sandbox, found, settings.seed)
-    result = runner.attempt([proposal])[0]
+    (result,) = runner.attempt([proposal])
     verdict = result.verdict or NOTHING
     attempt = Attempt(0, "replay", proposal, result.start, verdict, result.driven.ending, result.driven.message)
     if episode.asked is not None:

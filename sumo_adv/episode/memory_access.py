@@ -230,35 +230,31 @@ def learn(episode: Episode, bank: MemoryBank, entries: Sequence[LibraryEntry]) -
     """
     if episode.settings.learn == "off" or episode.best is None or episode.found is None:
         return
-    tried: dict[str, Attempt] = {}
+    by_planner: dict[str, list[Attempt]] = {}
+    by_composition: dict[str, list[Attempt]] = {}  # those of several adversaries say nothing of a planner alone
     for attempt in episode.refinement.attempts:
-        name = attempt.proposal.planner.hash
-        if attempt.ending in ("ego_lost", "crashed"):  # it was not driven to its end: that says nothing of the planner
-            continue
-        if attempt.proposal.supports:  # that says something of the composition, see below
-            continue
-        if name not in tried or rank(attempt.verdict) < rank(tried[name].verdict):
-            tried[name] = attempt
+        p = attempt.proposal
+        if attempt.ending not in ("ego_lost", "crashed"):  # else it was not driven to its end, and says nothing
+            tried, key = (by_composition, p.composition) if p.supports else (by_planner, p.planner.hash)
+            tried.setdefault(key, []).append(attempt)
     try:
-        for attempt in tried.values():
-            episode.learnt |= _learn_one(episode, bank, entries, attempt)
-        _learn_compositions(episode, bank, entries)
+        for attempts in by_planner.values():
+            episode.learnt |= _learn_one(episode, bank, entries, min(attempts, key=lambda a: rank(a.verdict)))
+        for attempts in by_composition.values():
+            episode.learnt |= _learn_composition(episode, bank, entries, attempts)
     except BankError as error:
         episode.notes.append(f"Nothing was learnt: {error}")
 
 
-def _learn_compositions(episode: Episode, bank: MemoryBank, entries: Sequence[LibraryEntry]) -> None:
-    """Count the attempts of several adversaries for their compositions; a new one is added by a success."""
-    tried: dict[str, list[Attempt]] = {}
-    for attempt in episode.refinement.attempts:
-        if attempt.proposal.supports and attempt.ending not in ("ego_lost", "crashed"):
-            tried.setdefault(attempt.proposal.composition, []).append(attempt)
-    for label, attempts in tried.items():
-        best = min(attempts, key=lambda a: rank(a.verdict)).proposal
-        parts = tuple(Part(p.duty, p.label, p.planner.mode) for p in best.members)
-        composition = Composition(label, description_of(best, entries, episode.casts), parts)
-        met = [episode.settings.goal.met(a.verdict) for a in attempts]
-        episode.learnt |= bank.record_composition(composition, met) and any(met)
+def _learn_composition(
+    episode: Episode, bank: MemoryBank, entries: Sequence[LibraryEntry], attempts: Sequence[Attempt]
+) -> bool:
+    """Count the attempts of a composition, which a success adds if it is new; whether anything was learnt."""
+    best = min(attempts, key=lambda a: rank(a.verdict)).proposal
+    parts = tuple(Part(p.duty, p.label, p.planner.mode) for p in best.members)
+    composition = Composition(best.composition, description_of(best, entries, episode.casts), parts)
+    met = [episode.settings.goal.met(a.verdict) for a in attempts]
+    return bank.record_composition(composition, met) and any(met)
 
 
 def _learn_one(episode: Episode, bank: MemoryBank, entries: Sequence[LibraryEntry], attempt: Attempt) -> bool:
@@ -267,12 +263,18 @@ def _learn_one(episode: Episode, bank: MemoryBank, entries: Sequence[LibraryEntr
     An intent composed by the expert is written with all of its modes. They adapt the bank's own planners to another
     movement, and no planner is generated for an intent that the bank already has.
     """
-    evidence = _evidence(episode, attempt)
-    label = attempt.proposal.label
-    entry = next((e for e in entries if e.label == label), None)
+    assert episode.found is not None
+    p = attempt.proposal
+    entry = next((e for e in entries if e.label == p.label), None)
     if entry is None:  # a free motion that was named after an intent that was not composed here
         return False
-    planner = attempt.proposal.planner
+    planner = p.planner
+    evidence = evidence_of(
+        attempt.verdict, label=p.label, planner_hash=planner.hash,
+        scene=signature(episode.found.situations[p.delay], p.bv, episode.task.ego_driver), attempts=attempt.index + 1,
+        version=__version__, network=episode.source.name, seed=episode.settings.seed, parameters=dict(p.parameters),
+        acceleration=p.acceleration, delay=p.delay,
+    )  # fmt: skip
     in_bank = planner.hash in {p.hash for p in bank.planners(entry.label)}
     if not evidence.success and not in_bank:
         return False
@@ -293,14 +295,3 @@ def signature(situation: Situation, bv: str, driver: str) -> SceneSignature:
     geometry = "straight" if not kinds else ("crossing" if "crossing" in kinds else "merging")
     relative = {name: round(value, 3 if name == "heading" else 2) for name, value in zip(SCALES, scene, strict=True)}
     return SceneSignature(geometry, target.relation, relative, driver)
-
-
-def _evidence(episode: Episode, best: Attempt) -> Evidence:
-    assert episode.found is not None
-    p = best.proposal
-    scene = signature(episode.found.situations[p.delay], p.bv, episode.task.ego_driver)
-    return evidence_of(
-        best.verdict, label=p.label, planner_hash=p.planner.hash, scene=scene, attempts=best.index + 1,
-        version=__version__, network=episode.source.name, seed=episode.settings.seed, parameters=dict(p.parameters),
-        acceleration=p.acceleration, delay=p.delay,
-    )  # fmt: skip

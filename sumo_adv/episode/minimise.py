@@ -10,6 +10,7 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import cycle
 from random import Random
 
 from sumo_adv.config import Settings
@@ -45,7 +46,7 @@ class Minimiser:
         """first: the attack, with ``harshness`` in the simulation; starts: delays at which variants may begin [s]."""
         self._scorer, self._level, self._starts, self._random = scorer, level, tuple(starts), Random(seed)
         self.best, self.harshness = first, harshness
-        self._latest, self._failed, self._round = max(starts), 0, 0
+        self._latest, self._failed, self._spreads = max(starts), 0, cycle(SPREADS)
 
     def harshness_of(self, acceleration: float, delta_v: float, delay: float) -> float:
         """Harshness [m/s2] from the largest acceleration [m/s2], the ego's delta-v [m/s] and the delay [s]."""
@@ -54,8 +55,7 @@ class Minimiser:
     def propose(self) -> Proposal | None:
         """The variant to try next; None when no variant has been milder for some rounds."""
         while self._failed < ROUNDS:
-            spread = SPREADS[self._round % len(SPREADS)]
-            self._round += 1
+            spread = next(self._spreads)
             variants = [varied(self.best, self._random, spread) for _ in range(DRAWN)]
             variants = [self._begun_elsewhen(p) for p in variants]
             scored = [(self._predicted(p), k, p) for k, p in enumerate(self._scorer.score(variants))]
@@ -109,7 +109,7 @@ def minimise_episode(
     runner = AttemptRunner(engine, sandbox, encounter, settings.seed)
 
     def attempted(p: Proposal) -> tuple[Attempt, AttemptResult]:
-        result = runner.attempt([p])[0]
+        (result,) = runner.attempt([p])
         phase = "replay" if not done.attempts else "minimise"
         attempt = confirmed(attempt_of(len(done.attempts), phase, p, result, encounter, settings), result, runner)
         done.attempts.append(attempt)

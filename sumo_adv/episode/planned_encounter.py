@@ -182,16 +182,13 @@ def seek(episode: Episode, engine: Engine, tell: Tell) -> FoundEncounter | None:
 
 # -- what the next run would see of the bank ------------------------------------------------------------------------
 
-Template = tuple[float, str, str, str]
-"""Delay [s], vehicle, intent, hash of the planner."""
-
 
 @dataclass(frozen=True, slots=True)
 class BankView:
-    """What an encounter depends on. templates: what the search draws from, in order where nothing but the order is
-    tried. evidence: number of pieces, 0 where no model is shown them and no scene is recalled."""
+    """What an encounter depends on. templates: keys of what the search draws from, in order where nothing but the order
+    is tried. evidence: number of pieces, 0 where no model is shown them and no scene is recalled."""
 
-    templates: tuple[Template, ...]
+    templates: tuple[tuple[float, str, str, str], ...]
     evidence: int
 
     @classmethod
@@ -200,8 +197,7 @@ class BankView:
         settings, agents = episode.settings, episode.agents
         library, _ = read_library(bank, planned.scene, settings.seed, planned.found.situations)
         plain = [e for e in library if not composed(e)]  # the expert composes the others anyway
-        all_templates = templates_of(planned.found.situations, plain)
-        templates = [(t.delay, t.target.state.id, t.entry.label, t.planner.hash) for t in all_templates]
+        templates = [t.key for t in templates_of(planned.found.situations, plain)]
         shown = agents is not None and agents.by_model("analyzer") and settings.evidence == "on"
         counts = shown or settings.recall == "scene"
         return cls(

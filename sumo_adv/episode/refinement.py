@@ -172,8 +172,9 @@ class Refiner:
     def _measure_robustness(self, found: Refinement, began: float) -> None:
         """Simulate neighbours of the success that counts, if attempts and seconds are left."""
         settings, best = self._settings, found.best if found.successes else None
-        if best is None or settings.tuner == "off" or self._used_up(found, began):  # off: the paper's loop
-            return
+        few = settings.attempts - len(found.attempts) < GENERATION
+        if best is None or settings.tuner == "off" or few or time.perf_counter() - began >= settings.seconds:
+            return  # off: the paper's loop
         random, dt = Random(settings.seed), settings.step_length
         near = neighbours(found.attempts[best], found.results[best], random, dt)
         tried = [
@@ -181,11 +182,6 @@ class Refiner:
             for p, result in zip(near, self._runner.attempt(near), strict=True)
         ]
         found.robustness = Robustness(sum(found.goal.met(a.verdict) for a in tried), len(tried))
-
-    def _used_up(self, found: Refinement, began: float) -> bool:
-        """Whether too few attempts or seconds are left for a generation more."""
-        left = self._settings.attempts - len(found.attempts)
-        return left < GENERATION or time.perf_counter() - began >= self._settings.seconds
 
     def _keep(self, attempt: Attempt, found: Refinement, began: float) -> bool:
         """Take note of a success; whether there are enough of different kinds now."""

@@ -7,7 +7,7 @@ links, and it is asked no more after two changes in a row that brought nothing, 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +18,7 @@ from sumo_adv.agents.scene_text import Aliases, driver_words, scene_words
 from sumo_adv.agents.ways import begin_of, starts_words, way_of
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Intent, LibraryEntry, Planner, Proposal, Track
-from sumo_adv.episode.assessment import rank
+from sumo_adv.episode.assessment import followed, rank
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.geometry import Frame, wrap
 from sumo_adv.metrics.gates import explained_gates
@@ -57,16 +57,7 @@ def report_of(attempt: Attempt, result: AttemptResult, found: FoundEncounter, se
 def way_taken(track: Track, ways: Sequence[ReferencePath]) -> ReferencePath:
     """The way that a vehicle followed: the one from which its centre was the least off, in the mean; of equals the
     first."""
-    return min(ways, key=lambda way: sum(map(abs, _offsets(track, way, range(len(track.time))))))
-
-
-def _offsets(track: Track, way: ReferencePath, steps: Iterable[int]) -> list[float]:
-    """How far a vehicle's centre was to the left of a way in some steps [m]."""
-    offsets, station = list[float](), 0.0
-    for k in steps:
-        station, offset = way.path.project(float(track.x[k]), float(track.y[k]), near=station, reach=NEAR_WAY)
-        offsets.append(offset)
-    return offsets
+    return min(ways, key=lambda way: sum(abs(d) for _, d in followed(way.path, track.x, track.y, NEAR_WAY)))
 
 
 def _rows(ego: Track, bv: Track, start: float, way: ReferencePath | None) -> tuple[Row, ...]:
@@ -75,9 +66,9 @@ def _rows(ego: Track, bv: Track, start: float, way: ReferencePath | None) -> tup
         return ()
     every = max(1, round(EVERY / float(np.diff(ego.time).min())))
     steps = sorted({*range(0, count, every), count - 1})
-    offsets = [0.0] * len(steps) if way is None else _offsets(bv, way, steps)
+    places = [(0.0, 0.0)] * len(steps) if way is None else followed(way.path, bv.x[steps], bv.y[steps], NEAR_WAY)
     rows = list[Row]()
-    for k, offset in zip(steps, offsets, strict=True):
+    for k, (_, offset) in zip(steps, places, strict=True):
         frame = Frame(float(ego.x[k]), float(ego.y[k]), float(ego.heading[k]))
         ahead, left, _ = frame.to_local(float(bv.x[k]), float(bv.y[k]), 0.0)
         heading = math.degrees(float(wrap(bv.heading[k] - ego.heading[k])))

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -77,7 +76,7 @@ class Meetings:
 
     def _between(self, mine: Link, other: Link) -> Iterator[Meeting]:
         """The first place where two ways meet, if they do."""
-        from shapely import LineString
+        from shapely import LineString, Point
 
         way, other_way = self.ways[mine], self.ways[other]
         a, b = self.line(mine), self.line(other)
@@ -87,24 +86,14 @@ class Meetings:
         if joins:
             x, y = a[-1]
         else:
-            points = _points(LineString(a).intersection(LineString(b)))
+            shared = LineString(a).intersection(LineString(b))  # of a stretch that they share, its ends count
+            points = [p for part in getattr(shared, "geoms", [shared]) for p in part.coords]
             if not points:
                 return
             x, y = min(points, key=lambda p: float(along(a, *p)))
         at, other_at = float(along(a, x, y)), float(along(b, x, y))
-        lane = min(other_way.via, key=lambda n: _distance(self._road.lanes[n].shape, x, y))
+        lane = min(other_way.via, key=lambda n: LineString(self._road.lanes[n].shape).distance(Point(x, y)))
         yield Meeting(other, lane, at, other_at, float(x), float(y), joins, other[1] in way.yields_to)
-
-
-def _points(shape: Any) -> list[tuple[float, float]]:
-    """Where two lines meet; of a stretch that they share, its ends."""
-    return [(float(p[0]), float(p[1])) for part in getattr(shape, "geoms", [shape]) for p in part.coords]
-
-
-def _distance(shape: Floats, x: float, y: float) -> float:
-    from shapely import LineString, Point
-
-    return float(LineString(shape).distance(Point(x, y)))
 
 
 # -- who waits ------------------------------------------------------------------------------------------------------

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property, partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -207,12 +207,12 @@ class RoadNow(Road):
         """SUMO's letter for a way over a junction: of its light now, else of its sign."""
         way = self._here.meetings.ways[link]
         name, index = way.light
-        return way.state if index < 0 else self._lights[name][index]
+        return way.state if index < 0 else self._light(name)[index]
 
     @cached_property
-    def _lights(self) -> dict[str, str]:
-        """The states of the lights that were asked for."""
-        return _Lights(self._now().drive)
+    def _light(self) -> Callable[[str], str]:
+        """The state of a traffic light, asked of SUMO once each."""
+        return cache(self._now().drive.simulation.light)
 
     @cached_property
     def _foes(self) -> Sequence[Foe]:
@@ -225,7 +225,9 @@ class RoadNow(Road):
             if at is None or at[0][0] not in ahead:
                 continue
             length = here.drive.simulation.fleet.sizes[name][0]
-            foes.append(Foe(name, *at, length, raw[name][3], _Stood(here.drive, name), self._letter(at[0])))
+            foes.append(
+                Foe(name, *at, length, raw[name][3], partial(here.drive.simulation.stood, name), self._letter(at[0]))
+            )
         return foes
 
     def _approach(self, name: str) -> tuple[Link, float] | None:
@@ -249,29 +251,6 @@ class RoadNow(Road):
             lane = here.map.lanes[onward[0].to]
             room += _length(lane)
         return None
-
-
-class _Lights(dict[str, str]):
-    """States of traffic lights, asked of SUMO once each."""
-
-    def __init__(self, drive: Drive) -> None:
-        super().__init__()
-        self._drive = drive
-
-    def __missing__(self, name: str) -> str:
-        self[name] = self._drive.simulation.light(name)
-        return self[name]
-
-
-@dataclass(frozen=True, slots=True)
-class _Stood:
-    """Asks for how long a vehicle has been standing."""
-
-    drive: Drive
-    name: str
-
-    def __call__(self) -> float:
-        return self.drive.simulation.stood(self.name)
 
 
 def _lit(line: Line) -> bool:

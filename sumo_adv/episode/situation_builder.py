@@ -12,10 +12,10 @@ from sumo_adv.config import Settings
 from sumo_adv.datatypes import DriverModel, Floats, Track, VehicleState
 from sumo_adv.drivers import model_of
 from sumo_adv.episode.drive import Drive
-from sumo_adv.episode.encounter_detector import REACH, RankedVehicle
+from sumo_adv.episode.encounter_detector import REACH, RankedVehicle, continued
 from sumo_adv.episode.surroundings import Sight
 from sumo_adv.episode.unprotected import STANDS, unprotected_ways
-from sumo_adv.geometry import PATH_STEP, Frame, Path, along, make_path, wrap
+from sumo_adv.geometry import PATH_STEP, Frame, Path, along, wrap
 from sumo_adv.metrics.case import closest, smoothed
 from sumo_adv.road_users import is_unprotected
 from sumo_adv.simulation.network import Connection, RoadMap, Way
@@ -28,7 +28,6 @@ from sumo_adv.situation import (
     Situation,
     Target,
     Traffic,
-    fastest_of,
     on_path,
     relate,
     top_speed,
@@ -179,9 +178,9 @@ def build_situation(
     ego = state_at(ego_track, time) if len(ego_track.time) > 1 else None
     if ego is None:
         return None
-    path = path_of(ego_track, road, trigger.route)
-    step = np.hypot(np.diff(ego_track.x), np.diff(ego_track.y))
-    stations = np.concatenate([[0.0], np.cumsum(step)])
+    points = np.column_stack([ego_track.x, ego_track.y])
+    path = continued(points, _ways(road, ego_track.lane[-1], ego_track.x[-1], ego_track.y[-1], trigger.route))
+    stations = _travelled(ego_track)
     onward = way_ahead(road, ego, trigger.route)
     first, rule = (None, "") if onward is None else (onward.first, onward.rule)
     junction, bay = (math.inf, math.inf) if onward is None else (onward.junction, onward.bay)
@@ -191,10 +190,9 @@ def build_situation(
         if track is not None and trigger.follows_log:  # the adversary begins without the noise of the log
             track = smoothed(track, time, settings.limits.limits())
         target = _target(road, track, ranked, time, path, first, trigger.routes.get(ranked.id, ()))
-        if target is not None and is_unprotected(target.state):
-            target = replace(target, hidden=_is_hidden(target.state, ego, tracks, time))
         if target is not None:
-            targets[ranked.id] = target
+            hidden = is_unprotected(target.state) and _is_hidden(target.state, ego, tracks, time)
+            targets[ranked.id] = replace(target, hidden=hidden)
     if not targets:
         return None
     others = tuple(
@@ -241,21 +239,13 @@ def state_at(track: Track, time: float) -> VehicleState | None:
     )  # fmt: skip
 
 
-def path_of(track: Track, road: RoadMap, route: tuple[str, ...]) -> Path:
-    """The path of a track, continued along its lanes for ``REACH`` metres."""
-    points = np.column_stack([track.x, track.y])
-    lane, last = track.lane[-1], points[-1]
-    onward = None
-    if lane in road.lanes:
-        shape = road.lanes[lane].shape
-        position = float(along(shape, last[0], last[1]))
-        ways = road.ways(lane, position, REACH, route)
-        onward = ways[0].path if ways else None
-    if onward is not None:
-        ahead = np.column_stack([onward.x, onward.y])[4:]  # 2 m on: no fold where the track is off the centre
-        points = np.vstack([points, ahead])
-    path = make_path(points)
-    return path if path.length > REACH else path.extended(REACH - path.length)
+def _ways(
+    road: RoadMap, lane: str, x: float, y: float, route: tuple[str, ...] = (), farthest: float = 0.0
+) -> list[Way]:
+    """The ways on from the place on a lane that is nearest to (x, y); see ``RoadMap.ways``. None off all lanes."""
+    if lane not in road.lanes:
+        return []
+    return road.ways(lane, float(along(road.lanes[lane].shape, x, y)), REACH, route, farthest)
 
 
 def _junctions(road: RoadMap, ego: Track, path: Path, stations: Floats) -> list[float]:
@@ -284,9 +274,7 @@ def _ahead(
 
 def way_ahead(road: RoadMap, ego: VehicleState, route: tuple[str, ...]) -> Way | None:
     """The ego's way on; None if it is on no lane."""
-    if ego.lane not in road.lanes:
-        return None
-    ways = road.ways(ego.lane, float(along(road.lanes[ego.lane].shape, ego.x, ego.y)), REACH, route)
+    ways = _ways(road, ego.lane, ego.x, ego.y, route)
     return ways[0] if ways else None
 
 
@@ -303,12 +291,13 @@ def _target(
 ) -> Target | None:  # fmt: skip
     """``ego``: the ego's connection at its junction; ``route``: the vehicle's own edges, empty if unknown."""
     bv = state_at(track, time) if track is not None else None
-    if bv is None or (bv.lane not in road.lanes and not is_unprotected(bv)):
+    if bv is None:
         return None
+    onward = _ways(road, bv.lane, bv.x, bv.y, farthest=FARTHEST_TIME * top_speed(bv))
     if is_unprotected(bv):
-        return _small_target(road, bv, ranked, path)
-    position = float(along(road.lanes[bv.lane].shape, bv.x, bv.y))
-    onward = road.ways(bv.lane, position, REACH, farthest=FARTHEST_TIME * fastest_of(bv.speed))
+        small = unprotected_ways(bv, path, onward)
+        turn = 0.0 if bv.speed < STANDS else wrap(bv.heading - float(small[0].path.heading[0]))
+        return Target(bv, ranked.relation, small, 0.0, 0.0, turn, (), ranked.risk, hand=road.hand)
     related = [relate(w.path, w.movement, w.junction, w.gives_way, path) for w in onward]
     ways = [replace(r, before_ego=goes_first(w.first, ego), bay=w.bay) for r, w in zip(related, onward, strict=True)]
     if not ways:
@@ -321,16 +310,6 @@ def _target(
     return Target(
         bv, ranked.relation, tuple(ways), station, offset, turn, sides, ranked.risk, unattacked, hand=road.hand
     )
-
-
-def _small_target(road: RoadMap, bv: VehicleState, ranked: RankedVehicle, path: Path) -> Target:
-    lanes: Sequence[Way] = ()
-    if bv.lane in road.lanes:
-        position = float(along(road.lanes[bv.lane].shape, bv.x, bv.y))
-        lanes = road.ways(bv.lane, position, REACH, farthest=FARTHEST_TIME * top_speed(bv))
-    ways = unprotected_ways(bv, path, lanes)
-    turn = 0.0 if bv.speed < STANDS else wrap(bv.heading - float(ways[0].path.heading[0]))
-    return Target(bv, ranked.relation, ways, 0.0, 0.0, turn, (), ranked.risk, hand=road.hand)
 
 
 def _is_hidden(bv: VehicleState, ego: VehicleState, tracks: Mapping[str, Track], time: float) -> bool:

@@ -87,8 +87,6 @@ class FoundEncounter:
 
 @dataclass(frozen=True, slots=True)
 class NoEncounter:
-    """Why there is no encounter."""
-
     ending: Ending
     reason: str
 

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from sumo_adv.datatypes import Floats, VehicleState
+from sumo_adv.datatypes import VehicleState
 from sumo_adv.episode.drive import Drive
 from sumo_adv.geometry import PATH_STEP, Path, make_path, wrap
 from sumo_adv.road_users import FASTEST, LIMITS, RoadUser, is_unprotected, road_user
@@ -93,13 +93,7 @@ def _across(state: VehicleState, user: RoadUser, ego_path: Path, after: float, *
         )  # fmt: skip
     end = points[-1]
     points.append((end[0] + ACROSS * math.cos(heading), end[1] + ACROSS * math.sin(heading)))
-    return make_path(_distinct(np.array(points)), tightest=LIMITS[user].curvature, lateral=LEAN)
-
-
-def _distinct(points: Floats) -> Floats:
-    """The points without repetitions."""
-    moved = np.concatenate([[True], np.hypot(*np.diff(points, axis=0).T) > 1e-6])
-    return points[moved]
+    return make_path(points, tightest=LIMITS[user].curvature, lateral=LEAN)
 
 
 def crossing_risk(ways: Sequence[ReferencePath], state: VehicleState, ego: VehicleState) -> float:

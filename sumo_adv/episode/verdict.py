@@ -178,18 +178,15 @@ class ReferenceEgo:
         if self._driver is None or self._ego.id not in tracks:
             return
         ego = tracks[self._ego.id]
-        others = on_grid([tracks[n] for n in self._names if n in tracks], ego.time) if self._names else None
-        rows = {n: k for k, n in enumerate(n for n in self._names if n in tracks)}
+        there = [n for n in self._names if n in tracks]
+        others = on_grid([tracks[n] for n in there], ego.time)
+        states = np.stack([others.x, others.y, others.heading, others.speed])
         for k in range(len(ego.time) - 1):  # the last state is seen when the driver acts
-            seen = {}
-            for name, row in rows.items():
-                if others is not None and np.isfinite(others.x[row, k]):
-                    seen[name] = tuple(float(v[row, k]) for v in (others.x, others.y, others.heading, others.speed))
-            self._look(seen)
+            self._look(dict(zip(there, states[:, :, k].T, strict=True)))
             station = float(self._paths.locate(ego.x[None, k : k + 1], ego.y[None, k : k + 1])[0][0, 0])
             self._driver.step(self._view(station, float(ego.speed[k]), float(ego.acceleration[k])))
 
-    def _look(self, vehicles: Mapping[str, tuple[float, ...]]) -> None:
+    def _look(self, vehicles: Mapping[str, Sequence[float] | Floats]) -> None:
         """Note where the vehicles are in a step: x, y, heading and speed, then station, offset and heading of the path
         there; those that are not there are NaN."""
         column: Floats = np.full((4, len(self._names)), np.nan)
@@ -213,8 +210,7 @@ class ReferenceEgo:
 
 def order_of(
     proposal: Proposal, result: AttemptResult, case: Case, contact_time: float, lane_half_width: float,
-    on_road: OnRoad | None,
-    unattacked: Track | None,
+    on_road: OnRoad | None, unattacked: Track | None,
 ) -> Order:  # fmt: skip
     """The order for an attempt that collided; ``case``: the tracks that were judged."""
     driven = [t.between(result.start + 1e-3, np.inf) for t in (case.adversary, *case.supports)]
@@ -223,20 +219,17 @@ def order_of(
         case.ego, case.adversary, case.others, result.start, contact_time, lane_half_width, unattacked
     )  # fmt: skip
     check = Counterfactual(given)
-    dt = given.dt
     roster = {t.id: (t.length, t.width) for t in (case.adversary, *case.others)}
     begin = max(float(case.ego.time[0]), float(case.adversary.time[0]))
     e = check.ego
-    pace = np.diff(e.speed[0], prepend=e.speed[0, :1]) / dt
+    pace = np.diff(e.speed[0], prepend=e.speed[0, :1]) / given.dt
     ego = Track(
         case.ego.id, case.ego.role, np.round(begin + check.time, 6), e.x[0], e.y[0], e.heading[0], e.speed[0], pace,
         case.ego.length, case.ego.width,
     )  # fmt: skip
     steps = check.steps - 1 - int(given.start[0])
-    return Order(
-        proposal, courses, ego, result.start, steps, roster, lane_half_width,
-        _manoeuvre_plan(check, on_road),
-    )  # fmt: skip
+    plan = _manoeuvre_plan(check, on_road)
+    return Order(proposal, courses, ego, result.start, steps, roster, lane_half_width, plan)
 
 
 def _manoeuvre_plan(check: Counterfactual, on_road: OnRoad | None) -> Boxes | None:

@@ -61,12 +61,6 @@ class WarmEngine:
             self._engine.close()
             self._engine = None
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
 
 class WarmSandboxes:
     """Sandboxes for many episodes: one for each value of the setting ``bubblewrap``, opened when first needed."""
@@ -75,7 +69,6 @@ class WarmSandboxes:
         self._by_bubblewrap: dict[bool, Sandbox] = {}
 
     def of(self, settings: Settings) -> Sandbox:
-        """The sandbox of an episode with these settings."""
         bubblewrap = settings.bubblewrap
         if bubblewrap not in self._by_bubblewrap:
             self._by_bubblewrap[bubblewrap] = Sandbox(bubblewrap=bubblewrap)
@@ -93,7 +86,6 @@ class WarmProcesses:
         self._engine, self._sandboxes = WarmEngine(), WarmSandboxes()
 
     def close(self) -> None:
-        """End all processes."""
         try:
             self._engine.close()
         finally:
@@ -148,7 +140,6 @@ class _Nursery:
             os._exit(0)
 
     def command(self, name: str) -> Callable[..., Any]:
-        """The command of that name in the present episode."""
         return lambda *arguments: self._handlers[name](*arguments)
 
 
@@ -161,14 +152,11 @@ def _end_as(exitcode: int) -> None:
     os._exit(exitcode)
 
 
-COMMANDS = ("open", "forks", "seek", "prefix", "lanes", "attempts", "references", "converse")
-
-
 def body(slots: list[Connection]) -> dict[str, Callable[..., Any]]:
     """The commands of the engine process."""
     import shapely.geometry  # noqa: F401 - imported before the first fork, because every episode needs it
 
-    import sumo_adv.episode.worker  # noqa: F401
+    from sumo_adv.episode.worker import COMMANDS
 
     load_libsumo()
     faulthandler.enable()

@@ -180,11 +180,10 @@ class Worker:
             self._drive.tick()
 
     def prefix(self) -> Prefix:
-        """The recording up to the trigger."""
         self._at_trigger()
         return Prefix(self._drive.recording.snapshots[: self._trigger_step], dict(self._drive.simulation.fleet.sizes))
 
-    def lanes_near(self, x: float, y: float, radius: float) -> list[tuple[Any, float, bool]]:
+    def lanes(self, x: float, y: float, radius: float) -> list[tuple[Any, float, bool]]:
         """Shape, width [m] and whether internal, of all lanes within ``radius`` [m] of a place. For pictures."""
         return self._road.strips(x, y, radius)
 
@@ -405,11 +404,9 @@ class Worker:
         return situation
 
 
+COMMANDS = ("open", "forks", "seek", "prefix", "lanes", "attempts", "references", "converse")
+
+
 def body(slots: list[Connection]) -> dict[str, Callable[..., Any]]:
-    """The commands of the engine process."""
     worker = Worker(slots)
-    return {
-        "open": worker.open, "forks": worker.forks, "seek": worker.seek, "prefix": worker.prefix,
-        "lanes": worker.lanes_near, "attempts": worker.attempts, "references": worker.references,
-        "converse": worker.converse,
-    }  # fmt: skip
+    return {name: getattr(worker, name) for name in COMMANDS}

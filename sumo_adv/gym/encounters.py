@@ -17,7 +17,7 @@ from sumo_adv.datatypes import Proposal, Verdict
 from sumo_adv.drivers import Action, Observation
 from sumo_adv.drivers.registry import PREFIX, GivenEgo, pack
 from sumo_adv.drivers.sumo_driven import sumo_type
-from sumo_adv.episode.assessment import AttemptRunner, answer_of
+from sumo_adv.episode.assessment import AttemptRunner
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.loop import decide
 from sumo_adv.episode.planned_encounter import find_attackable, seek, with_predictions
@@ -207,7 +207,7 @@ class Played:
                 self._sandbox, encounter.roads, [proposal], encounter.settings.seed, drivable=encounter.found.drivable
             )
             self._sessions = sessions.__enter__()
-        return answer_of(proposal, self._sessions, observation)
+        return self._sessions.answer(proposal, observation)
 
     def end(self) -> None:
         """Go back to the trigger. May be called twice."""

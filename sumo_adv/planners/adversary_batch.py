@@ -39,7 +39,7 @@ class AdversaryBatch:
     holds all ways; ``rows.row`` is the way of each vehicle."""
 
     def __init__(self, situations: Sequence[Situation], names: Sequence[str]) -> None:
-        self.scenes, self.names = Scenes(situations), list(names)
+        self.scenes = Scenes(situations)
         self.targets: list[Target] = [s.targets[n] for s, n in zip(situations, names, strict=True)]
         unique = list({id(t): t for t in self.targets}.values())
         first = dict(zip(map(id, unique), accumulate((len(t.ways) for t in unique[:-1]), initial=0), strict=True))
@@ -50,9 +50,8 @@ class AdversaryBatch:
         longest = max(len(w.path.x) for w in ways)
         beyond = np.arange(0, longest, COARSE) > self.rows.last[:, None, None]
         self._coarse = np.where(beyond, np.inf, self.rows.table[:, :2, ::COARSE])
-        self._ego = np.stack(
-            [np.stack([np.pad(a, (0, longest - len(a)), "edge") for a in (w.ego_s, w.ego_d, w.ego_h)]) for w in ways]
-        )
+        relative = [(w.ego_s, w.ego_d, w.ego_h) for w in ways]
+        self._ego = np.array([[np.pad(a, (0, longest - len(a)), "edge") for a in own] for own in relative])
         conflicts = {id(t): [w.conflict.ego_s if w.conflict is not None else np.inf for w in t.ways] for t in unique}
         most = int(self._count.max())
         self._conflicts = np.array([conflicts[id(t)] + [np.inf] * (most - len(t.ways)) for t in self.targets])
@@ -225,7 +224,7 @@ class AdversaryBatch:
         for column, values in enumerate((LOOK, px, py, ph, ahead_v)):
             table[:, :, column] = values
         road_h = wrap(scenes.ego_at(rs)[2] - scenes.each(lambda s: s.frame.heading))
-        meet = self._arrivals(now, es, ev, ea)
+        meet = arrivals(scenes, now, es, ev, ea, self._conflicts).tolist()  # at the conflict of each way
         target_left = rd + (motion.target - motion.d) * np.cos(rh)
         busy = np.clip(motion.span - motion.clock, 0.0, LONGEST_MOVE) * (np.abs(motion.target - motion.d) > 0.05)
         columns = np.array(
@@ -247,14 +246,9 @@ class AdversaryBatch:
                 "length": state.length, "width": state.width, "time": now, "last": last[k],
             }, {
                 "x": ego_x, "y": ego_y, "heading": heading, "speed": speed, "acceleration": acceleration,
-                "length": length, "width": width, "path": path, "arrivals": meet[k],
+                "length": length, "width": width, "path": path, "arrivals": meet[k][: self._count[k]],
             }  # fmt: skip
         return observations
-
-    def _arrivals(self, now: float, s: Floats, v: Floats, a: Floats) -> list[list[float]]:
-        """Seconds until the ego is at the conflict, for each vehicle and each of its ways."""
-        times = arrivals(self.scenes, now, s, v, a, self._conflicts)
-        return [row[:count] for row, count in zip(times.tolist(), self._count.tolist(), strict=True)]
 
 
 def _nearest(place_x: Floats, place_y: Floats, x: Floats, y: Floats) -> Any:

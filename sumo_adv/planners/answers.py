@@ -66,11 +66,9 @@ def road_of(situation: Situation, name: str) -> dict[str, Any]:
     ways = []
     for way in target.ways:
         entry: dict[str, Any] = {
-            "movement": mirrored(way.movement, hand),
-            "junction": min(way.junction, NO_ARRIVAL),
-            "conflict": None,
-        }
-        entry["centreline"] = _points(situation, way.path)
+            "movement": mirrored(way.movement, hand), "junction": min(way.junction, NO_ARRIVAL), "conflict": None,
+            "centreline": _points(situation, way.path),
+        }  # fmt: skip
         if way.conflict is not None:
             c = way.conflict
             cx, cy, ch = frame.to_local(c.x, c.y, c.heading)

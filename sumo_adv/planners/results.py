@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from itertools import chain
 from typing import Any
 
 from sumo_adv.datatypes import Planner
@@ -56,13 +55,13 @@ def pick_ID(v):
     return (x, y, h, s, t)
 
 def one_ID(c):
-    return pick_ID(endpoint(c[0], c[1], roads_ID[c[2]], c[3], c[4], c[5]))
+    return pick_ID(endpoint(c[1], c[2], roads_ID[c[0]], c[3], c[4], c[5]))
 
 def many_ID(calls):
     out = []
     for c in calls:
         try:
-            out.append(pick_ID(endpoint(c[0], c[1], roads_ID[c[2]], c[3], c[4], c[5])))
+            out.append(pick_ID(endpoint(c[1], c[2], roads_ID[c[0]], c[3], c[4], c[5])))
         except:
             out.append(None)
     return out
@@ -84,28 +83,6 @@ def path_ID(c):
     return out
 """.replace("MAX_TRAJECTORY", str(MAX_TRAJECTORY))
 """Code of the session's helpers. A session replaces ``ID`` by its own random digits."""
-
-
-def packed(calls: Sequence[Any]) -> list[Any] | None:
-    """Calls (key, bv, ego, parameters, acc, horizon) as rows of numbers for the session's ``rows_ID``.
-
-    The keys are sent once and not with every call, which saves about a third of a call's time. None if the calls do
-    not all have the same keys in the same order.
-    """
-    bv_keys, ego_keys, names = (list(calls[0][k]) for k in (1, 2, 3))
-    if bv_keys[-1:] != ["last"] or ego_keys[-2:] != ["path", "arrivals"]:
-        return None
-    rows = []
-    for key, bv, ego, parameters, acc, horizon in calls:
-        if list(bv) != bv_keys or list(ego) != ego_keys or list(parameters) != names:
-            return None
-        *of_bv, last = bv.values()
-        *of_ego, path, arrivals = ego.values()
-        row = [*of_bv, *of_ego, *parameters.values(), *chain.from_iterable(path)]
-        if any(len(pose) != 5 for pose in path):
-            return None
-        rows.append(([*row, *arrivals], last, key, acc, horizon, len(row)))
-    return [bv_keys[:-1], ego_keys[:-2], names, rows]
 
 
 def check_endpoint(subject: str, value: Any) -> dict[str, float]:

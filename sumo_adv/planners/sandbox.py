@@ -163,7 +163,6 @@ class Sandbox:
 
     @property
     def isolation(self) -> str:
-        """``bubblewrap`` or ``process``."""
         return self._open().isolation
 
     @property

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, Self
 
 from sumo_adv.datatypes import Planner
@@ -96,7 +97,7 @@ class PlannerSession:
         something else.
         """
         self._known(key)
-        call = (bv, ego, key, parameters, acc, horizon)
+        call = (key, bv, ego, parameters, acc, horizon)
         return check_endpoint(self._subject, self._feed(f"one_{self._id}(call_{self._id})", {f"call_{self._id}": call}))
 
     def endpoints(self, calls: Sequence[Call]) -> list[dict[str, float] | SandboxError]:
@@ -166,13 +167,12 @@ class PlannerSession:
         session = self._alive()
         self._usable()
         printed = _Prints(self._limits.output_bytes)
+        run = partial(session.feed_run, code, print_callback=printed, skip_type_check=not loading)
         try:
             try:
-                return session.feed_run(code, inputs=inputs, print_callback=printed, skip_type_check=not loading)
+                return run(inputs=inputs)
             except MontyConversionError:
-                return session.feed_run(
-                    code, inputs=_plain(inputs), print_callback=printed, skip_type_check=not loading
-                )
+                return run(inputs=_plain(inputs))
         except MontyError as error:
             if printed.over:
                 self.close()
@@ -191,9 +191,8 @@ class PlannerSession:
             return nothing
         for call in calls:
             self._known(call[0])
-        batch = [(bv, ego, key, parameters, acc, horizon) for key, bv, ego, parameters, acc, horizon in calls]
         try:
-            values = self._feed(f"many_{self._id}(call_{self._id})", {f"call_{self._id}": batch})
+            values = self._feed(f"many_{self._id}(call_{self._id})", {f"call_{self._id}": list(calls)})
         except SandboxError:
             return nothing
         return values if type(values) is list and len(values) == len(calls) else nothing

@@ -245,13 +245,16 @@ class Sessions:
         for session in self._open.values():
             session.close()
 
-    def answer(self, proposal: Proposal, observation: PlannerObservation) -> Answer:
-        """The answer of a proposal's planner. Raises SandboxError."""
+    def answer(self, proposal: Proposal, observation: PlannerObservation) -> Answer | str:
+        """The answer of a proposal's planner, or a sentence why there is none."""
         name = proposal.planner.hash
         if name in self.failures:
-            raise SandboxError(self.failures[name])
-        end: dict[str, float] = self._open[name].endpoint(*self._call(proposal, observation))
-        return self._answer(proposal, observation, end, math.inf)
+            return self.failures[name]
+        try:
+            end: dict[str, float] = self._open[name].endpoint(*self._call(proposal, observation))
+            return self._answer(proposal, observation, end, math.inf)
+        except SandboxError as error:
+            return str(error)
 
     def answers(
         self, proposals: Sequence[Proposal], rows: Sequence[int], observations: Sequence[PlannerObservation]

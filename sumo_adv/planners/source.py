@@ -97,8 +97,6 @@ def wrap(angle: float) -> float: ...
 
 
 class SourceFacts(NamedTuple):
-    """The facts in a planner's text."""
-
     parameters: tuple[Parameter, ...]
     has_trajectory: bool
 
@@ -171,22 +169,15 @@ def _is_docstring(node: ast.stmt) -> bool:
 
 def _table(body: list[ast.stmt]) -> ast.Dict:
     """The dict display that the first statement binds to ``PARAMETERS``."""
-    first = body[0] if body else None
-    target: ast.expr | None = None
-    if isinstance(first, ast.Assign) and len(first.targets) == 1:
-        target = first.targets[0]
-    elif isinstance(first, ast.AnnAssign):
-        target = first.target
-    if (
-        isinstance(first, ast.Assign | ast.AnnAssign)
-        and isinstance(target, ast.Name)
-        and target.id == "PARAMETERS"
-        and isinstance(first.value, ast.Dict)
-    ):
-        return first.value
-    line = first.lineno if first is not None else None
+    match body[:1]:
+        case [
+            ast.Assign(targets=[ast.Name(id="PARAMETERS")], value=ast.Dict() as table)
+            | ast.AnnAssign(target=ast.Name(id="PARAMETERS"), value=ast.Dict() as table)
+        ]:
+            return table
     raise _syntax_error(
-        line, 'must begin with the table PARAMETERS = {"name": (default, low, high, "unit", "meaning")}'
+        body[0].lineno if body else None,
+        'must begin with the table PARAMETERS = {"name": (default, low, high, "unit", "meaning")}',
     )
 
 
@@ -210,7 +201,6 @@ def _parameters(table: ast.Dict) -> Iterator[Parameter]:
 
 
 def _parameter(name: str, entry: object, line: int) -> Parameter:
-    """One checked entry of the table."""
     if not isinstance(entry, tuple | list) or len(entry) not in (4, 5):
         raise _syntax_error(line, f'must give the parameter {name} as (default, low, high, "unit", "meaning")')
     numbers = entry[:3]

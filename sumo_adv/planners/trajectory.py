@@ -37,10 +37,11 @@ JERK_RESERVE = 0.92  # share of the jerk limit that is used
 
 
 class Scalar:
-    """Operations on floats."""
+    """Operations on floats. ``worst``: the largest of the values at all samples; ``least``: the smallest of those at
+    all times ahead."""
 
     minimum, maximum, sqrt, arcsin = min, max, math.sqrt, math.asin
-    cos, sin = math.cos, math.sin
+    cos, sin, worst, least = math.cos, math.sin, max, min
 
     @staticmethod
     def where(condition: Any, a: Any, b: Any) -> Any:
@@ -50,19 +51,9 @@ class Scalar:
     samples: Sequence[Any] = SAMPLES
     ahead: Sequence[Any] = LOOK_AHEAD
 
-    @staticmethod
-    def worst(values: Sequence[Any]) -> Any:
-        """The largest of the values at all samples."""
-        return max(values)
-
-    @staticmethod
-    def least(values: Sequence[Any]) -> Any:
-        """The smallest of the values at all times ahead."""
-        return min(values)
-
 
 class Batch:
-    """The operations of ``Scalar`` on arrays."""
+    """The operations of ``Scalar`` on arrays; ``worst`` and ``least`` are for each vehicle."""
 
     minimum, maximum, sqrt, arcsin = np.minimum, np.maximum, np.sqrt, np.arcsin
     cos, sin = np.cos, np.sin
@@ -72,12 +63,10 @@ class Batch:
 
     @staticmethod
     def worst(values: Sequence[Any]) -> Any:
-        """The largest of the values at all samples, for each vehicle."""
         return values[0].max(axis=0)
 
     @staticmethod
     def least(values: Sequence[Any]) -> Any:
-        """The smallest of the values at all times ahead, for each vehicle."""
         return values[0].min(axis=0)
 
 
@@ -148,14 +137,8 @@ class PathRows:
 
     def __init__(self, paths: Sequence[Path], row: Any) -> None:
         longest = max(len(p.x) for p in paths)
-        self.table = np.stack(
-            [
-                np.stack(
-                    [np.pad(a, (0, longest - len(p.x)), "edge") for a in (p.x, p.y, p.heading, p.curvature, p.speed)]
-                )
-                for p in paths
-            ]
-        )
+        columns = [(p.x, p.y, p.heading, p.curvature, p.speed) for p in paths]
+        self.table = np.array([[np.pad(a, (0, longest - len(a)), "edge") for a in own] for own in columns])
         self.last = np.array([len(p.x) - 1 for p in paths])
         self.row = np.asarray(row)
         self._last_input: tuple[Any, Any] = (None, None)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -58,18 +58,13 @@ Pose = tuple[float, float, float]
 
 
 def probes(relation: str) -> list[Probe]:
-    """All situations of one of the bank's relations."""
-    return list(_probes(relation))
-
-
-def _probes(relation: str) -> Iterator[Probe]:
-    small = relation in SIZES
-    for curvature, shape in ((0.0, "straight"), (CURVATURE, "curve")):
-        for pace, speed in SPEEDS.items():
-            for time in TIMES:
-                name = f"{relation}, {pace}, {shape}, after {time:.0f} s"
-                crossing = relation in CROSSING_ANGLES
-                yield (_small if small else _crossing if crossing else _lane)(name, relation, curvature, speed, time)
+    make = _small if relation in SIZES else _crossing if relation in CROSSING_ANGLES else _lane
+    return [
+        make(f"{relation}, {pace}, {shape}, after {time:.0f} s", relation, curvature, speed, time)
+        for curvature, shape in ((0.0, "straight"), (CURVATURE, "curve"))
+        for pace, speed in SPEEDS.items()
+        for time in TIMES
+    ]
 
 
 def on_arc(station: float, left: float, curvature: float) -> Pose:
@@ -81,9 +76,7 @@ def on_arc(station: float, left: float, curvature: float) -> Pose:
 
 
 def _ego(curvature: float, speed: float, time: float, arrivals: list[float]) -> dict[str, Any]:
-    path = []
-    for t in range(9):
-        path.append([float(t), *on_arc(speed * (time + t), 0.0, curvature), speed])
+    path = [[float(t), *on_arc(speed * (time + t), 0.0, curvature), speed] for t in range(9)]
     x, y, heading = path[0][1:4]
     return {
         "x": x, "y": y, "heading": heading, "speed": speed, "acceleration": 0.0, "length": LENGTH, "width": WIDTH,
@@ -103,7 +96,7 @@ def _lane(name: str, relation: str, curvature: float, speed: float, time: float)
     step = -2.0 if oncoming else 2.0
     line = [list(on_arc(ahead + step * i, left, curvature)[:2]) for i in range(60)]
     way = {"movement": "straight", "junction": NO_ARRIVAL, "conflict": None, "centreline": line}
-    bv = _bv((x, y, wrap(h + turned)), bv_speed, travelled, time, (x, y))
+    bv = _bv((x, y, wrap(h + turned)), bv_speed, travelled, time)
     bv |= {
         "ahead": station - speed * time, "left": left, "relative_heading": turned, "road_heading": h,
         "target_left": 0.0 if time else left, "lateral_time": 1.5 if time == TIMES[1] else 0.0,
@@ -144,7 +137,7 @@ def _crossing(name: str, relation: str, curvature: float, speed: float, time: fl
     movement = relation.removeprefix("crossing_") if relation != "merging" else "right"
     way, at = _meeting(kind, movement, away - 8.0, angle, away, 60, curvature)
     x, y, heading = at(pace * time)
-    bv = _bv((x, y, heading), pace, pace * time, time, (x, y))
+    bv = _bv((x, y, heading), pace, pace * time, time)
     bv |= {
         "ahead": x - speed * time, "left": y, "relative_heading": angle,
         "road_heading": on_arc(CONFLICT, 0.0, curvature)[2], "target_left": y, "lateral_time": 0.0,
@@ -165,7 +158,7 @@ def _small(name: str, relation: str, curvature: float, speed: float, time: float
     travelled = min(pace * time, 20.0)
     x, y, heading = on_arc(CONFLICT + travelled, -BESIDE, curvature) if cyclist else at(travelled)
     turned, speed_now = heading - ch, pace if cyclist or time else 0.0
-    bv = _bv((x, y, heading), speed_now, travelled, time, (x, y))
+    bv = _bv((x, y, heading), speed_now, travelled, time)
     left = -BESIDE if cyclist else travelled - BESIDE
     bv |= {
         "ahead": CONFLICT + (travelled if cyclist else 0.0) - speed * time, "left": left, "relative_heading": turned,
@@ -178,9 +171,9 @@ def _small(name: str, relation: str, curvature: float, speed: float, time: float
     return Probe(name, bv, _ego(curvature, speed, time, arrivals), road)
 
 
-def _bv(pose: Pose, speed: float, travelled: float, time: float, here: tuple[float, float]) -> dict[str, Any]:
+def _bv(pose: Pose, speed: float, travelled: float, time: float) -> dict[str, Any]:
     x, y, heading = pose
-    last = {"x": here[0], "y": here[1], "heading": heading, "speed": speed, "time": 2.0} if time else None
+    last = {"x": x, "y": y, "heading": heading, "speed": speed, "time": 2.0} if time else None
     return {
         "x": x, "y": y, "heading": heading, "speed": speed, "acceleration": 0.0, "travelled": travelled, "offset": 0.0,
         "length": LENGTH, "width": WIDTH, "time": time, "last": last,

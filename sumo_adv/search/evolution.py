@@ -97,10 +97,10 @@ class Evolution:
     def draw_from(self, templates: Sequence[AttackTemplate]) -> None:
         """From now on draw from these templates. Planners' own numbers of new ones are tried first, most dangerous
         vehicle first, then uniform draws."""
-        known = {_key(t) for t in self._templates}
-        fresh = [t for t in templates if _key(t) not in known]
+        known = {t.key for t in self._templates}
+        fresh = [t for t in templates if t.key not in known]
         self._templates = list(templates)
-        first = self._sampler.earliest(fresh)
+        first = self._sampler.first(fresh, 0)  # no uniform ones
         drawn = self._sampler.uniform(originals(fresh), max(self._settings.first - len(first), 0))
         self._random.shuffle(drawn)
         drawn = [self._accompanied(p) for p in drawn]
@@ -180,10 +180,6 @@ class Evolution:
         if p.supports or not delays:
             return p
         return replace(p, delay=self._random.choice(delays))
-
-
-def _key(t: AttackTemplate) -> tuple[float, str, str, str]:
-    return t.delay, t.target.state.id, t.entry.label, t.planner.hash
 
 
 def _by_turns(proposals: Sequence[Proposal], vehicles: Sequence[str]) -> list[Proposal]:

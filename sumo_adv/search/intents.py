@@ -14,7 +14,7 @@ from itertools import chain
 
 from sumo_adv.datatypes import Intent, LibraryEntry, Proposal, Verdict
 from sumo_adv.errors import UsageError, nearest
-from sumo_adv.memory.records import canonical
+from sumo_adv.memory.records import RELATIONS, canonical
 from sumo_adv.planners.source import make_planner
 from sumo_adv.situation import Situation, Target
 
@@ -99,13 +99,10 @@ def endpoint(bv, ego, road, parameters, acc, horizon):
 """
 
 FREE_MOTION = "Free Motion"
-VEHICLES = (
-    "leader", "follower", "neighbour", "oncoming", "crossing_left", "crossing_straight", "crossing_right", "merging",
-)  # fmt: skip
 FREE = LibraryEntry(
     FREE_MOTION,
     "The vehicle leaves its way and goes to where the ego will be, at a time and a speed of its own.",
-    VEHICLES,
+    tuple(word for word in RELATIONS if not word.startswith(("cyclist", "pedestrian"))),
     (make_planner(FREE_MOTION, "free", _SOURCE, EXPERT),),
     "generated",
 )
@@ -165,7 +162,6 @@ class Selection:
     exclude: frozenset[str] = frozenset()
 
     def allows(self, label: str) -> bool:
-        """Whether an intent may be tried."""
         return label not in self.exclude and (self.only is None or label in self.only)
 
     def names(self, label: str) -> bool:

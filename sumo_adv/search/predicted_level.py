@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Boxes, Floats, Ints, Level
+from sumo_adv.geometry import wrap_below_pi
 from sumo_adv.metrics.boxes import on_grid, pick
 from sumo_adv.metrics.gates import largest_acceleration
 from sumo_adv.metrics.levels import STATIONARY, STATIONARY_FOR
@@ -149,10 +150,10 @@ def _others(collisions: Collisions, rows: Ints) -> Boxes | None:
     """The supports, and the other vehicles near each row's contact, ``(n, K, steps)``; absent ones are NaN. None if
     there are none."""
     steps = collisions.ego.x.shape[1]
-    tracks_of: dict[tuple[int, tuple[str, ...]], Boxes | None] = {}
+    boxes_of: dict[tuple[int, tuple[str, ...]], Boxes] = {}
     names = [(id(collisions.situations[k]), collisions.bvs[k]) for k in rows.tolist()]
     for key, row in zip(names, rows.tolist(), strict=True):
-        if key in tracks_of:
+        if key in boxes_of:
             continue
         situation, (_, bvs) = collisions.situations[row], key
         same = rows[[n == key for n in names]]
@@ -162,15 +163,15 @@ def _others(collisions: Collisions, rows: Ints) -> Boxes | None:
             if t.id not in bvs and (np.hypot(t.x[:, None] - ex, t.y[:, None] - ey) < NEAR).any()
         ]  # fmt: skip
         time = np.asarray(situation.time + np.arange(steps) * situation.dt, float)
-        tracks_of[key] = on_grid(tracks, time) if tracks else None
-    most = max(0 if b is None else len(b.x) for b in tracks_of.values()) + len(collisions.supports)
+        boxes_of[key] = on_grid(tracks, time)
+    most = max(len(b.x) for b in boxes_of.values()) + len(collisions.supports)
     if not most:
         return None
     motion, size = np.full((4, len(rows), most, steps), np.nan), np.zeros((2, len(rows), most, 1))
     for row, key in enumerate(names):
-        if (b := tracks_of[key]) is not None:
-            motion[:, row, : len(b.x)] = b.x, b.y, b.heading, b.speed
-            size[:, row, : len(b.x)] = [np.broadcast_to(v, (len(b.x), 1)) for v in (b.length, b.width)]
+        b = boxes_of[key]
+        motion[:, row, : len(b.x)] = b.x, b.y, b.heading, b.speed
+        size[:, row, : len(b.x)] = b.length, b.width
     for place, b in enumerate(collisions.supports, start=most - len(collisions.supports)):
         motion[:, :, place] = b.x[rows], b.y[rows], b.heading[rows], b.speed[rows]
         size[:, :, place] = np.asarray(b.length)[rows], np.asarray(b.width)[rows]
@@ -191,8 +192,7 @@ def _human(check: Counterfactual, adversary: Boxes, last: Ints, dt: float) -> Bo
 def _yaw_rates(ego: Boxes, adversary: Boxes, row: int, step: int, dt: float) -> tuple[float, float]:
     """The yaw rates [rad/s] of both over the step to the contact."""
     before = max(step - 1, 0)
-    turns = (float(b.heading[row, step] - b.heading[row, before]) for b in (ego, adversary))
-    first, second = ((turn + np.pi) % (2 * np.pi) - np.pi for turn in turns)
+    first, second = (wrap_below_pi(float(b.heading[row, step] - b.heading[row, before])) for b in (ego, adversary))
     return first / dt, second / dt
 
 

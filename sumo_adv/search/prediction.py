@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Limits, Prediction, Proposal
@@ -45,22 +46,20 @@ class Predictor:
         kinds = list(zip(users, (len(p.supports) for p in proposals), strict=True))
         for kind, hashes in ((kind, hashes) for kind in dict.fromkeys(kinds) for hashes in batches_of(proposals)):
             rows = [k for k, p in enumerate(proposals) if p.planner.hash in hashes and kinds[k] == kind]
-            if not rows:
-                continue
-            for k, p in zip(rows, self._together([proposals[k] for k in rows]), strict=True):
-                scored[k] = p
+            if rows:
+                scored.update(zip(rows, self._together([proposals[k] for k in rows]), strict=True))
         self.seconds += time.perf_counter() - began
         self.count += len(proposals)
         return [scored[k] for k in range(len(proposals))]
 
-    def _limits(self, situations: Mapping[float, Situation], proposals: Sequence[Proposal]) -> Limits:
+    def _limits(self, proposals: Sequence[Proposal]) -> Limits:
         """The limits of candidates that are all of one kind of road user."""
-        return self._settings.limits.of(situations[proposals[0].delay].targets[proposals[0].bv].state)
+        return self._settings.limits.of(self._situations[proposals[0].delay].targets[proposals[0].bv].state)
 
     def _together(self, proposals: list[Proposal]) -> list[Proposal]:
-        limits = self._limits(self._situations, proposals)
         with _no_garbage_collection():
-            rollouts, failures = self._rolled(self._situations, proposals)
+            rollouts, failures = self._rolled(proposals)
+            limits = self._limits(proposals)
             judged = judge_all(self._situations, proposals, rollouts, self._drivable, limits, self._weights)
         goal, weights = self._settings.goal, self._weights
         judged = [(goal_score(goal, score, made, weights), made) for score, made in judged]
@@ -68,13 +67,11 @@ class Predictor:
             judged[k] = self._weights.failed, Prediction(failure)
         return [replace(p, score=score, prediction=made) for p, (score, made) in zip(proposals, judged, strict=True)]
 
-    def rolled(self, situations: Mapping[float, Situation], proposals: Sequence[Proposal]) -> Rollouts:
-        """The predicted motions, row by row, also after a contact; ``situations``: by delay [s]."""
-        return self._rolled(situations, proposals, to_the_end=True)[0]
+    def rolled(self, proposals: Sequence[Proposal]) -> Rollouts:
+        """The predicted motions, row by row, also after a contact."""
+        return self._rolled(proposals, to_the_end=True)[0]
 
-    def _rolled(
-        self, situations: Mapping[float, Situation], proposals: Sequence[Proposal], to_the_end: bool = False
-    ) -> tuple[Rollouts, dict[int, str]]:
+    def _rolled(self, proposals: Sequence[Proposal], to_the_end: bool = False) -> tuple[Rollouts, dict[int, str]]:
         """As ``rolled``; and by row why a planner failed."""
         settings, failures, road = self._settings, self.failures, self._drivable
         members, n = lined_up(proposals), len(proposals)
@@ -83,10 +80,9 @@ class Predictor:
             stopped=self.stopped,
         ) as sessions:  # fmt: skip
             rollouts = predict(
-                situations, proposals, lambda rows, observations: sessions.answers(members, rows, observations),
-                limits=self._limits(situations, proposals), steps=settings.steps(settings.duration),
-                replan=settings.steps(settings.replan),
-                touch=touch_of(situations, proposals), to_the_end=to_the_end,
+                self._situations, proposals, partial(sessions.answers, members), limits=self._limits(proposals),
+                steps=settings.steps(settings.duration), replan=settings.steps(settings.replan),
+                touch=touch_of(self._situations, proposals), to_the_end=to_the_end,
             )  # fmt: skip
             self.failures |= sessions.failures
             self.stopped = sessions.stopped

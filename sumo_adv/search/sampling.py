@@ -31,6 +31,11 @@ class AttackTemplate:
     planner: Planner
     learnt: bool = False
 
+    @property
+    def key(self) -> tuple[float, str, str, str]:
+        """What identifies it: the start [s], the vehicle, the intent, and the planner's hash."""
+        return self.delay, self.target.state.id, self.entry.label, self.planner.hash
+
     def proposal(self, draw: Random | None) -> Proposal:
         """A candidate with the author's parameters (``draw`` None), or with uniform ones within their bounds."""
         if draw is None:
@@ -94,8 +99,8 @@ class Sampler:
         self.settings, self.random = settings, Random(seed)
 
     def first(self, templates: Sequence[AttackTemplate], count: int) -> list[Proposal]:
-        """``count`` candidates: of each vehicle's planners one with the author's parameters, as early as possible; the
-        rest uniform, of each template in turn.
+        """At least ``count`` candidates: of each vehicle's planners one with the author's parameters, as early as
+        possible; the rest uniform, of each template in turn.
 
         Learnt versions come on top, with their own parameters, so that they do not change what else is drawn.
         """
@@ -103,10 +108,6 @@ class Sampler:
         candidates = [t.proposal(None) for t in _earliest(drawn_from)]
         candidates += self.uniform(drawn_from, count - len(candidates))
         return candidates + _learnt(templates)
-
-    def earliest(self, templates: Sequence[AttackTemplate]) -> list[Proposal]:
-        """With the authors' parameters, as early as possible: of each vehicle's planners one, learnt ones last."""
-        return [t.proposal(None) for t in _earliest(originals(templates))] + _learnt(templates)
 
     def each(self, templates: Sequence[AttackTemplate], count: int) -> list[Proposal]:
         """At least ``count`` candidates: one of each template with its author's parameters, the rest uniform."""

@@ -96,10 +96,9 @@ def _look_at(
     steps, begun = rollouts.ego[0].shape[1], [situations[p.delay] for p in proposals]
     ego_state, dt, time = begun[0].ego, begun[0].dt, rollouts.time
     ego = Boxes(*rollouts.ego, ego_state.length, ego_state.width)
-    ranks = zip(
-        zip(*(p.members for p in proposals), strict=True), (rollouts.adversary, *rollouts.supports), strict=True
-    )
-    driven = [_driven(begun, members, motions) for members, motions in ranks]
+    ranks = zip(*(p.members for p in proposals), strict=True)
+    motions = (rollouts.adversary, *rollouts.supports)
+    driven = [_driven(begun, members, motion) for members, motion in zip(ranks, motions, strict=True)]
     adversary, *supports = (boxes for boxes, _ in driven)
     left = np.array([situation.left for situation in begun])
     touches = touching(ego, adversary)
@@ -191,13 +190,9 @@ def _score(danger: Danger, weights: ScoreSettings) -> Floats:
     to_serious = weights.to_delta_v * (1.0 - hard) + weights.not_human * ~danger.human
     to_strict = weights.to_warning * (1.0 - warned) + weights.to_delta_v_early * (1.0 - hard)
     to_valid = np.where(danger.warning > 0, weights.to_warning * (1.0 - warned), weights.no_warning - weights.collision)
-    levels = (Level.SERIOUS, Level.STRICT, Level.VALID)
-    bases = (weights.serious, weights.strict, weights.valid)
-    score = weights.collision + to_valid
-    missing = (np.zeros(len(score)), to_serious, to_strict)
-    for level, base, rest in zip(levels, bases, missing, strict=True):
-        score = np.where(danger.level == level, base + rest, score)
-    return np.asarray(score)
+    reached = [danger.level == level for level in (Level.SERIOUS, Level.STRICT, Level.VALID)]
+    scores = [np.asarray(weights.serious), weights.strict + to_serious, weights.valid + to_strict]
+    return np.select(reached, scores, weights.collision + to_valid)
 
 
 def _ends(ego: Boxes, adversary: Boxes, last: Any, hit: Bools, time: Floats) -> tuple[Floats, tuple[Boxes, Boxes]]:

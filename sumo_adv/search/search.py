@@ -87,10 +87,10 @@ class AttackSearch:
         if not self._predicts:
             return
         present = {(p.delay, p.bv, p.label, p.planner.hash) for p in self.pool}
-        fresh = [t for t in templates if (t.delay, t.target.state.id, t.entry.label, t.planner.hash) not in present]
-        self.pool += self._scored(self._sampler.first(fresh, count // 2 if self.pool else count))
+        fresh = [t for t in templates if t.key not in present]
+        self.pool += self._scorer.score(self._sampler.first(fresh, count // 2 if self.pool else count))
         while templates and len(self.pool) < self._wanted(self.pool):
-            self.pool += self._scored(self._sampler.more(templates, elites(sorted(self.pool, key=self.price))))
+            self.pool += self._scorer.score(self._sampler.more(templates, elites(sorted(self.pool, key=self.price))))
 
     def ranking(self, library: Sequence[LibraryEntry]) -> list[Intent]:
         """The intents of the pool, most dangerous first.
@@ -150,7 +150,7 @@ class AttackSearch:
             self._evolution.add(chosen)
             return
         variations = self._sampler.variations(chosen, self._settings.sampling.around_chosen * len(chosen))
-        self.pool += self._scored([*chosen, *variations])
+        self.pool += self._scorer.score([*chosen, *variations])
 
     def add_casts(self, casts: Sequence[Cast], by: str) -> None:
         """Candidates of compositions that an analyzer (``by``: its name) proposes join those of the search."""
@@ -158,7 +158,7 @@ class AttackSearch:
             return
         made = self._support.proposed(casts, by, self._evolution.templates)
         if self._predicts:
-            self.pool += self._scored(made)
+            self.pool += self._scorer.score(made)
         else:
             self._evolution.add(made)
 
@@ -190,10 +190,10 @@ class AttackSearch:
 
     def take_best(self, bv: str, label: str) -> Proposal | None:
         """The best candidate of an intent, or None; it leaves the pool."""
-        pool = [p for p in self.pool if (p.bv, p.label) == (bv, label)]
         if not self._predicts:
             own = [t for t in self._evolution.templates if (t.target.state.id, t.entry.label) == (bv, label)]
             return self._count(own[0].proposal(None)) if own else None
+        pool = [p for p in self.pool if (p.bv, p.label) == (bv, label)]
         return self._take(min(pool, key=lambda p: p.score)) if pool else None
 
     def observe(self, tried: Proposal, motion: ObservedMotion | None, verdict: Verdict) -> None:
@@ -241,10 +241,10 @@ class AttackSearch:
         fresh = [AttackTemplate(t.delay, t.target, t.entry, planner) for t in same.values()]
         self._templates += fresh
         self._added.add(planner.hash)
-        if not self._predicts:
+        if self._predicts:
+            self.pool += self._scorer.score(self._sampler.each(fresh, 3 * len(fresh)))
+        else:
             self._evolution.add(self._sampler.each(fresh, len(fresh)))
-            return
-        self.pool += self._scored(self._sampler.each(fresh, 3 * len(fresh)))
 
     # -- choosing -----------------------------------------------------------------------------------------------
 
@@ -255,15 +255,18 @@ class AttackSearch:
             templates = [t for t in self._templates if self._share_of(t.planner) not in over]
             if not templates:
                 break
-            fresh = self._scored(self._sampler.more(templates, elites(sorted(self.pool, key=self._price_now))))
+            fresh = self._scorer.score(self._sampler.more(templates, elites(sorted(self.pool, key=self._price_now))))
             self._redrawn += len(fresh)
             self.pool += fresh
             open_ = self._open()
         if self._support is not None and not self._supports_predicted and not any(p.score < avoidable for p in open_):
             self._supports_predicted = True
-            self.pool += self._scored(self._with_supports(self._support))
+            self.pool += self._scorer.score(self._with_supports(self._support))
             open_ = self._open()
-        return self._take(self._choice(open_)) if open_ else None
+        if not open_:
+            return None
+        weight = self._settings.price.tried
+        return self._take(min(open_, key=lambda p: self._price_now(p) + weight * self._by_family[p.family]))
 
     def _with_supports(self, support: Supports) -> list[Proposal]:
         """Known compositions, and the best candidates with a support each."""
@@ -290,11 +293,6 @@ class AttackSearch:
     def _kind_of(self, p: Proposal, side: str | None) -> str:
         return kind_of(p.label, self._situations[p.delay].targets[p.bv].relation, side)
 
-    def _choice(self, open_: Sequence[Proposal]) -> Proposal:
-        """The cheapest candidate."""
-        weights = self._settings.price
-        return min(open_, key=lambda p: self._price_now(p) + weights.tried * self._by_family[p.family])
-
     def _price_now(self, p: Proposal) -> float:
         """The price, with what the analyzer's order adds."""
         ranks = self._ranks.get((p.bv, p.label), len(self._ranks))
@@ -311,7 +309,6 @@ class AttackSearch:
         return chosen
 
     def _used_up(self) -> set[str]:
-        """Shares of attempts that are used up."""
         tries = Counter[str]()
         for planner, count in self._by_planner.items():
             tries[self._share_of(planner)] += count
@@ -334,10 +331,6 @@ class AttackSearch:
         return [t for t in templates if not self._colliders or t.target.state.id in self._colliders]
 
     # -- predicting ---------------------------------------------------------------------------------------------
-
-    def _scored(self, proposals: Sequence[Proposal]) -> list[Proposal]:
-        """All predicted together, which takes less time than one by one."""
-        return self._scorer.score(proposals) if proposals else []
 
     def _wanted(self, pool: Sequence[Proposal]) -> int:
         """The number of candidates to draw at most: more where none reaches the goal with something to spare."""

@@ -14,7 +14,6 @@ from itertools import combinations
 
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Proposal, Track
-from sumo_adv.episode.assessment import answer_of
 from sumo_adv.episode.attempt import Driven, apart_of, attack, controller_of
 from sumo_adv.episode.encounter_builder import UnattackedMotion, build_encounter
 from sumo_adv.episode.encounter_detector import LOOK_EVERY, EncounterDetector, RankedVehicle
@@ -203,7 +202,7 @@ class LiveAttempts:
                     Sessions(self._sandbox, roads, [p], settings.seed, drivable=self._scene.found.drivable)
                 )
                 limits = settings.limits.of(situation.targets[p.bv].state)
-                members[p.bv] = controller_of(situation, p, limits, partial(answer_of, p, planner))
+                members[p.bv] = controller_of(situation, p, limits, partial(planner.answer, p))
             return attack(
                 session, members, steps=settings.steps(settings.duration), replan=settings.steps(settings.replan)
             )
