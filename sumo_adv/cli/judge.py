@@ -82,11 +82,12 @@ def _runs(folders: list[Path], replay: bool, ego: str | None, out: Path | None, 
 
 
 def _judged(folder: Path, replay: bool, ego: str | None) -> Judgement:
-    from sumo_adv.report.judging import is_version_2, judge_files
-    from sumo_adv.report.read import reading
+    from sumo_adv.report.judging import judge_files
+    from sumo_adv.report.read import read_outcome, reading
 
     with reading(folder):
-        return _replayed(folder, ego) if replay or not is_version_2(folder) else judge_files(folder)
+        version_2 = not replay and read_outcome(folder).get("verdict_version") == 2
+        return judge_files(folder) if version_2 else _replayed(folder, ego)
 
 
 def _replayed(folder: Path, ego: str | None) -> Judgement:

@@ -26,6 +26,7 @@ from sumo_adv.regression.suite import RESULTS, read_results
 from sumo_adv.report.index import RESULTS as TABLE
 from sumo_adv.report.index import read_rows
 from sumo_adv.report.read import MANIFEST, OUTCOME, damaged, read_outcome
+from sumo_adv.report.run_outcome import level_of
 
 BATCH_PLAN = "plan.json"
 ATTEMPTS = int(Settings.model_fields["attempts"].default)
@@ -91,7 +92,7 @@ def read_side(path: Path) -> Side:
 
 def _campaign(folder: Path) -> Side:
     table = read_rows(folder / TABLE)
-    packed = packed_texts(folder, OUTCOME) if (folder / "packs").is_dir() else {}
+    packed = packed_texts(folder, OUTCOME)
     read = []
     for row in table.rows:
         name = str(row["id"])
@@ -146,17 +147,13 @@ def _of_outcome(key: str, outcome: Mapping[str, Any], run: Path | None) -> Compa
     failed = outcome.get("ending") in FAILED
     verdict = {} if failed else outcome.get("outcome") or {}
     attempts = () if failed else outcome.get("attempts") or ()
-    level = _level(verdict.get("level"))
+    level = level_of(verdict.get("level"))
     return Compared(
         key, _ego(outcome), level, capped_ttc(verdict),
         float(verdict.get("delta_v") or 0.0) if level >= Level.COLLISION else 0.0, verdict.get("severity"),
-        next((k for k, a in enumerate(attempts, 1) if _level(a.get("level")) >= Level.VALID), None), failed,
+        next((k for k, a in enumerate(attempts, 1) if level_of(a.get("level")) >= Level.VALID), None), failed,
         outcome.get("best") is not None, None, run,
     )  # fmt: skip
-
-
-def _level(name: Any) -> Level:
-    return Level[str(name or "none").upper()]
 
 
 def _regression(path: Path) -> Side:
@@ -167,7 +164,7 @@ def _regression(path: Path) -> Side:
 
 
 def _of_case(m: Measured, result: str, folder: Path) -> Compared:
-    level, run = _level(m.level), folder / "runs" / m.case
+    level, run = level_of(m.level), folder / "runs" / m.case
     verdict = {"collided": m.collided, "min_ttc": m.min_ttc}
     delta_v = m.delta_v or 0.0 if level >= Level.COLLISION else 0.0
     return Compared(

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 from sumo_adv.datatypes import Level
 from sumo_adv.report.coverage import BANDS, band_of
+from sumo_adv.report.run_outcome import level_of
 
 COLUMNS = (
     "rank", "level", "intent", "relation", "road", "speed_band", "side", "delta_v", "count", "network", "seed",
@@ -61,7 +62,7 @@ class Failure:
 
 def failure_of(row: Mapping[str, Any], runs: Path) -> Failure | None:
     """The failure of an episode from its row of ``results.csv``; None if no valid collision counts."""
-    level = Level[str(row["level"] or "none").upper()]
+    level = level_of(row["level"])
     if level < Level.VALID:
         return None
     speed = row["ego_speed"]

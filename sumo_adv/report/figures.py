@@ -258,9 +258,8 @@ def write_film(story: Story, target: Path, kind: str) -> None:
 
 def _film(story: Story, target: Path, kind: str) -> None:
     view = story.view(widest=3.0)
-    height = (
-        round((HEAD + FILM_WIDTH * view[3] / view[2]) * FILM_DPI / 2) * 2 / FILM_DPI
-    )  # of even pixels, for the codec
+    pixels = (HEAD + FILM_WIDTH * view[3] / view[2]) * FILM_DPI
+    height = round(pixels / 2) * 2 / FILM_DPI  # even, for the codec
     figure = Figure(figsize=(FILM_WIDTH, height), dpi=FILM_DPI, facecolor="white")
     FigureCanvasAgg(figure)
     share = 1.0 - HEAD / height
@@ -300,10 +299,8 @@ def _draw_moment(axes: Any, story: Story, time: float) -> None:
 
 def _caption(story: Story, time: float) -> str:
     since = time - story.trigger
-    caption = f"{since:+.1f} s   {shortened(f'{story.name}: {story.intent}', MOST)}"
-    if story.collided and time >= story.decisive - 1e-6:
-        return f"{caption}   contact"
-    return caption
+    contact = "   contact" if story.collided and time >= story.decisive - 1e-6 else ""
+    return f"{since:+.1f} s   {shortened(f'{story.name}: {story.intent}', MOST)}{contact}"
 
 
 def draw_over_time(after: Sequence[tuple[float, Mapping[str, int]]]) -> Picture:
