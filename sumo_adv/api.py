@@ -229,12 +229,8 @@ def judge(
     third = [track_of(name, columns, Role.BACKGROUND) for name, columns in given.items()]
     start = float(first.time[2]) if trigger_time is None else trigger_time
     half = lane_width / 2
-    verdict = gates(
-        first, second, third, trigger_time=start, ttc_threshold=ttc, on_road=on_road, lane_half_width=half
-    )  # fmt: skip
-    return with_level(
-        verdict, first, second, third, trigger_time=start, on_road=on_road, lane_half_width=half
-    )  # fmt: skip
+    verdict = gates(first, second, third, trigger_time=start, ttc_threshold=ttc, on_road=on_road, lane_half_width=half)
+    return with_level(verdict, first, second, third, trigger_time=start, on_road=on_road, lane_half_width=half)
 
 
 def _table(file: Path, header: str | None = None) -> Table:

@@ -333,7 +333,7 @@ def crash_rate(
         raise UsageError("A crash rate needs at least one run and one pilot run.")
     plan = RatePlan(
         Path(source), ego, dict(ego_parameters or {}), density, warm_up, duration, errors, pilot, plain, seed
-    )  # fmt: skip
+    )
     watcher = Teller(None if tell is None else lambda told, job, _: tell(job.phase, told.done, told.total))
     with tempfile.TemporaryDirectory(prefix="sumo_adv-result-") as scratch:
         folder = Path(scratch) if out is None else Path(out)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sumo_adv.app import bench_parts
-from sumo_adv.cli.options import set_values
+from sumo_adv.cli.options import set_values, words
 from sumo_adv.config import BUILTIN, load_settings
 from sumo_adv.errors import UsageError
 from sumo_adv.files import sentences
@@ -276,7 +276,7 @@ def _run(
     from sumo_adv.report.outcome import versions
     from sumo_adv.simulation.inputs import data_folder
 
-    egos = _unique([e.strip() for e in ego.split(",") if e.strip()])
+    egos = _unique(words(ego))
     if not egos:
         raise UsageError("--ego names no driver; say for instance --ego idm,careful.")
     loaded = load_suite(*suite)

@@ -76,8 +76,7 @@ Kind = Annotated[
     ),
 ]  # fmt: skip
 Adversaries = Annotated[
-    int | None,
-    option(ATTACK, "Most adversaries of an attack, 1 to 3: a collider and supports.", setting="adversaries"),
+    int | None, option(ATTACK, "Most adversaries of an attack, 1 to 3: a collider and supports.", setting="adversaries")
 ]
 Attempts = Annotated[int | None, option(ATTACK, "Maximum number of attempts per encounter.", setting="attempts")]
 Seconds = Annotated[float | None, option(ATTACK, "Seconds of attempts per encounter at most.", setting="seconds")]
@@ -182,6 +181,11 @@ Force = Annotated[bool, option(OUTPUT, "Replace another run's folder.", "--force
 Replay = Annotated[
     Path | None, option(INPUT, "Run the attempt of that folder again, from its manifest.", default="none")
 ]
+
+
+def words(text: str) -> list[str]:
+    """The words of a text with commas between them."""
+    return [word.strip() for word in text.split(",") if word.strip()]
 
 
 def set_values(given: Sequence[str], example: str) -> dict[str, Any]:
