@@ -280,7 +280,7 @@ def _index(found: Found, workers: int) -> Path:
     made = write_report(
         found.folder / "failures", target, found.folder.resolve().name,
         table_of(row for run in runs if (row := read_row(run)) is not None), Packs(), coverage, most=PAGES,
-        workers=workers, again=True, tell=lambda done, of: None,
+        workers=workers, again=True,
     )  # fmt: skip
     write_coverage(target, coverage)
     return made.index

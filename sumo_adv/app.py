@@ -263,14 +263,8 @@ def check_driver(
     with _without_main(), deaf():
         engine = Engine(body, slots=0)
     with engine, tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
-        return check_driver(
-            engine,
-            twelve() if inputs is None else inputs,
-            settings,
-            Path(scratch),
-            seconds=seconds or DURATION,
-            tell=tell,
-        )
+        driven = twelve() if inputs is None else inputs
+        return check_driver(engine, driven, settings, Path(scratch), seconds=seconds or DURATION, tell=tell)
 
 
 _idle: list[tuple[WarmEngine, Finalize]] = []  # with what ends it where this process ends before

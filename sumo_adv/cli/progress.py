@@ -56,7 +56,6 @@ class Speaker(Shown):
             self._console.print(text, markup=False)
         elif text and not self._quiet:
             typer.echo(text)
-            sys.stdout.flush()
 
     def now(self, words: str) -> None:
         if self._display is not None:

@@ -14,8 +14,7 @@ from sumo_adv.report.run_outcome import level_of
 
 COLUMNS = (
     "rank", "level", "intent", "relation", "road", "speed_band", "side", "delta_v", "count", "network", "seed",
-    "adversary", "preventable_by", "run", "cause", "cause_sentence",
-    "robust",
+    "adversary", "preventable_by", "run", "cause", "cause_sentence", "robust",
 )  # fmt: skip
 
 
@@ -65,10 +64,10 @@ def failure_of(row: Mapping[str, Any], runs: Path) -> Failure | None:
     level = level_of(row["level"])
     if level < Level.VALID:
         return None
-    speed = row["ego_speed"]
-    low, high = BANDS[band_of(float(speed))] if speed is not None else (0.0, 0.0)
-    band = f"from {low:g} m/s" if math.isinf(high) else f"{low:g}-{high:g} m/s"
-    band = band if speed is not None else "unknown"
+    band = "unknown"
+    if row["ego_speed"] is not None:
+        low, high = BANDS[band_of(float(row["ego_speed"]))]
+        band = f"from {low:g} m/s" if math.isinf(high) else f"{low:g}-{high:g} m/s"
     side = str(row["kind"] or "").rsplit(" / ", 1)[-1] or "unknown"
     words = (row["composition"] or row["intent"], row["relation"], row["road"], row.get("cause"))
     intent, relation, road, cause = (str(word or "unknown") for word in words)

@@ -163,16 +163,16 @@ class Hunt:
 
     def _next(self) -> dict[str, Any]:
         """The inputs and seeds of the next round."""
-        k, random = len(self._state["rounds"]), Random(f"{self._plan.seeds[0]}-{len(self._state['rounds'])}")
+        rounds, seed = self._state["rounds"], self._plan.seeds[0]
+        random = Random(f"{seed}-{len(rounds)}")
         workers, rows = self._orders.pace.workers, sum(map(len, self._rows))
         lasts = self._seconds() * workers / rows if rows else 0.0  # s, an episode
         size = workers * (max(1, min(EACH, round(self._left() / lasts))) if lasts else EACH)
         tries, wins = self._tally()
         drawn = {c: random.betavariate(1 + wins.get(c, 0), 1 + tries.get(c, 0) - wins.get(c, 0)) for c in self._inputs}
         chosen = sorted(drawn, key=lambda c: -drawn[c])[:size]
-        fewer = max(1, size // len(chosen))
-        first = self._plan.seeds[0] + sum(len(r["seeds"]) for r in self._state["rounds"][:k])
-        seeds = [first + j for j in range(fewer)]
+        first = seed + sum(len(r["seeds"]) for r in rounds)
+        seeds = list(range(first, first + max(1, size // len(chosen))))
         return {"inputs": chosen, "seeds": seeds, "seconds": self._each(), "kinds": self._kinds()}
 
     def _each(self) -> float:
