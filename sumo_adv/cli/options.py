@@ -24,14 +24,11 @@ CHOICE = (
 
 def option(panel: str, help: str, *flags: str, setting: str = "", default: str = "", **more: Any) -> Any:
     """An option in a panel of the help, which tells its default: that of a ``setting``, or in words."""
-    shown = default or (_default_of(setting) if setting else "")
-    text = f"{help} (default: {shown})" if shown else help
+    if setting:
+        value = Settings.model_fields[setting].default
+        default = f"{value:g}" if isinstance(value, float) else str(value)
+    text = f"{help} (default: {default})" if default else help
     return typer.Option(*flags, help=text, rich_help_panel=panel, show_default=False, **more)
-
-
-def _default_of(name: str) -> str:
-    value = Settings.model_fields[name].default
-    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def given(params: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
