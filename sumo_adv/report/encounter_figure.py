@@ -264,8 +264,7 @@ def _view(parts: Sequence[Track], tracks: Sequence[Track], shown: float) -> View
 def _frame(axes: Any, view: View, height: float) -> None:
     left, bottom, width, tall = view
     axes.set_aspect("equal", adjustable="box")
-    axes.set_xlim(left, left + width)
-    axes.set_ylim(bottom, bottom + tall)
+    axes.set(xlim=(left, left + width), ylim=(bottom, bottom + tall))
     axes.set_xlabel("x [m]", fontsize=12)
     axes.set_ylabel("y [m]", fontsize=12)
     axes.tick_params(labelsize=11)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.datatypes import Ending, Intent, Level, Preventability, Verdict
+from sumo_adv.datatypes import Ending, Intent, Level, Preventability, Verdict, acceleration_of
 from sumo_adv.errors import UsageError
 from sumo_adv.metrics.cause import Action, Cause, CauseKind
 
@@ -187,11 +187,9 @@ def _encounter(written: Mapping[str, Any]) -> EncounterRecord:
 
 
 def _intent(written: Mapping[str, Any]) -> Intent:
-    knots = written["acceleration"]
-    acceleration = tuple((float(t), float(a)) for t, a in knots) if isinstance(knots, list) else float(knots)
     return Intent(
-        written["bv"], written["label"], written["description"], written["risk"], acceleration, written["reason"],
-        written["source"],
+        written["bv"], written["label"], written["description"], written["risk"],
+        acceleration_of(written["acceleration"]), written["reason"], written["source"],
     )  # fmt: skip
 
 
