@@ -415,7 +415,7 @@ def full_outcome(episode: Episode) -> dict[str, Any]:
     from sumo_adv.report.verdicts import figures, judge_best
 
     judged = judge_best(episode)
-    return outcome(episode, raw_figures(episode), figures(judged), judged.realism if judged is not None else None)
+    return outcome(episode, raw_figures(episode), figures(judged), judged.realism if judged is not None else {})
 
 
 def keep_run(target: Path, episode: Episode, exchanges: Path | None = None) -> None:

@@ -30,10 +30,7 @@ EXPERT_NOTE = "Built-in expert (kinematic prediction); no language model took pa
 
 
 def outcome(
-    episode: Episode,
-    raw: Mapping[str, Any] | None,
-    further: Mapping[str, Any] | None = None,
-    realism: Mapping[str, Any] | None = None,
+    episode: Episode, raw: Mapping[str, Any] | None, further: Mapping[str, Any], realism: Mapping[str, Any]
 ) -> dict[str, Any]:
     """The contract's ``outcome.json``. Times s, distances m, never = null.
 
@@ -63,8 +60,8 @@ def outcome(
         "robust": None if robust is None else {**asdict(robust), "robust": robust.enough},
         "successes": _successes(episode), "until": str(settings.until), "goal": _goal(settings),
         "attempts_allowed": settings.attempts,
-        "outcome": None if best is None else {**verdict(best.verdict), **(further or {})},
-        "ego_actions": _ego_actions(episode), "realism": dict(realism or {}),
+        "outcome": None if best is None else {**verdict(best.verdict), **further},
+        "ego_actions": _ego_actions(episode), "realism": dict(realism),
         "timing": {**times, "first_success": number(episode.refinement.first_success_seconds)}, "llm": _llm(episode),
         "sandbox": episode.isolation, "forked": episode.forked, "learnt": episode.learnt,
         "bank_change": episode.bank_change or None, "notes": [*episode.source.notes, *episode.notes],
