@@ -177,11 +177,11 @@ def pack(
     as_json: opt.AsJson = False,
 ) -> None:
     """Move finished runs into few zip files; the table, and going on with the batch, work as before."""
+    from sumo_adv.api_batch import Campaign
     from sumo_adv.campaigns.store import open_store
     from sumo_adv.campaigns.store import pack as pack_runs
 
-    _check(folder)
-    with open_store(folder, staged):
+    with open_store(Campaign(folder).folder, staged):
         done = pack_runs(folder, most)
     if as_json:
         typer.echo(json.dumps(asdict(done)))
@@ -197,18 +197,13 @@ def unpack(
     as_json: opt.AsJson = False,
 ) -> None:
     """Put packed runs into folders again, below OUT/unpacked; the packs stay."""
+    from sumo_adv.api_batch import Campaign
     from sumo_adv.campaigns.store import unpack as unpack_runs
 
-    _check(folder)
-    target = folder / "unpacked"
+    target = Campaign(folder).folder / "unpacked"
     with sentences(target):
         made = unpack_runs(folder, names or [], target, staged)
     if as_json:
         typer.echo(json.dumps({"folders": [str(p) for p in made]}))
     else:
         typer.echo(f"{len(made)} runs into {target}.")
-
-
-def _check(folder: Path) -> None:
-    if not (folder / "plan.json").is_file():
-        raise UsageError(f"{folder} is not the folder of a batch: it has no plan.json.")
