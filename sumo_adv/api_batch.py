@@ -337,4 +337,4 @@ def crash_rate(
     watcher = Teller(None if tell is None else lambda told, job, _: tell(job.phase, told.done, told.total))
     with tempfile.TemporaryDirectory(prefix="sumo_adv-result-") as scratch:
         folder = Path(scratch) if out is None else Path(out)
-        return estimate_rate(plan, folder, runs, workers or os.cpu_count() or 1, watcher, ray)
+        return estimate_rate(plan, folder, runs, workers, watcher, ray)

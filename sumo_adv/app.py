@@ -376,14 +376,14 @@ def unpacked(folder: Path, names: Iterable[str]) -> Iterator[Path]:
 
 
 def estimate_rate(
-    plan: RatePlan, out: Path, runs: int, workers: int, watcher: Watcher, ray: str | None = None
+    plan: RatePlan, out: Path, runs: int, workers: int | None, watcher: Watcher, ray: str | None
 ) -> Estimate | None:
     """Estimate a crash rate in the folder ``out``; None if it was stopped. The workers do not run the user's script
-    again. ray: address of a Ray cluster. Raises UsageError or SimulationError."""
+    again. workers: None = one a core; ray: address of a Ray cluster. Raises UsageError or SimulationError."""
     from sumo_adv.rate.estimate import Estimation
 
     with _without_main():
-        return Estimation(plan, out, workers, watcher, ray).run(runs)
+        return Estimation(plan, out, workers or os.cpu_count() or 1, watcher, ray).run(runs)
 
 
 def record_contents(path: Path) -> Iterator[tuple[str, str] | str]:

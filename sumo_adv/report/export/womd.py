@@ -83,7 +83,7 @@ def first_step(piece: Piece) -> float:
     return start + STEP * max(0, late)
 
 
-def track_numbers(piece: Piece, taken: Collection[int] = ()) -> dict[str, int]:
+def track_numbers(piece: Piece, taken: Collection[int]) -> dict[str, int]:
     """A number for each vehicle: its id where that is one (a converted record), else the next that is not taken."""
     ids = [t.id for t in piece.tracks]
     numbers = {i: int(i) for i in ids if i.isascii() and i.isdigit() and len(i) < 10 and str(int(i)) == i}
