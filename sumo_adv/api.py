@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import html
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -229,24 +229,16 @@ def judge(
     third = [track_of(name, columns, Role.BACKGROUND) for name, columns in given.items()]
     start = float(first.time[2]) if trigger_time is None else trigger_time
     half = lane_width / 2
-    verdict = gates(
-        first, second, third, trigger_time=start, ttc_threshold=ttc, on_road=on_road, lane_half_width=half
-    )  # fmt: skip
-    return with_level(
-        verdict, first, second, third, trigger_time=start, on_road=on_road, lane_half_width=half
-    )  # fmt: skip
+    verdict = gates(first, second, third, trigger_time=start, ttc_threshold=ttc, on_road=on_road, lane_half_width=half)
+    return with_level(verdict, first, second, third, trigger_time=start, on_road=on_road, lane_half_width=half)
 
 
 def _table(file: Path, header: str | None = None) -> Table:
     """The columns of a table of states, or of one with another ``header``, in its order."""
     from sumo_adv.report.read import columns_of
-    from sumo_adv.report.tables import HEADER
 
-    columns = columns_of(file, header or HEADER)
-    return {name: _column(name, values) for name, values in columns.items()}
-
-
-def _column(name: str, values: Sequence[str]) -> NDArray[Any]:
-    if name in WORDS:
-        return np.array(values, dtype=object)
-    return np.array([value or "nan" for value in values], dtype=np.float64)
+    columns = columns_of(file) if header is None else columns_of(file, header)
+    return {
+        name: np.array(values, object) if name in WORDS else np.array([v or "nan" for v in values], np.float64)
+        for name, values in columns.items()
+    }

@@ -280,7 +280,7 @@ def _index(found: Found, workers: int) -> Path:
     made = write_report(
         found.folder / "failures", target, found.folder.resolve().name,
         table_of(row for run in runs if (row := read_row(run)) is not None), Packs(), coverage, most=PAGES,
-        workers=workers, again=True, tell=lambda done, of: None,
+        workers=workers, again=True,
     )  # fmt: skip
     write_coverage(target, coverage)
     return made.index
@@ -333,8 +333,8 @@ def crash_rate(
         raise UsageError("A crash rate needs at least one run and one pilot run.")
     plan = RatePlan(
         Path(source), ego, dict(ego_parameters or {}), density, warm_up, duration, errors, pilot, plain, seed
-    )  # fmt: skip
+    )
     watcher = Teller(None if tell is None else lambda told, job, _: tell(job.phase, told.done, told.total))
     with tempfile.TemporaryDirectory(prefix="sumo_adv-result-") as scratch:
         folder = Path(scratch) if out is None else Path(out)
-        return estimate_rate(plan, folder, runs, workers or os.cpu_count() or 1, watcher, ray)
+        return estimate_rate(plan, folder, runs, workers, watcher, ray)

@@ -263,14 +263,8 @@ def check_driver(
     with _without_main(), deaf():
         engine = Engine(body, slots=0)
     with engine, tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
-        return check_driver(
-            engine,
-            twelve() if inputs is None else inputs,
-            settings,
-            Path(scratch),
-            seconds=seconds or DURATION,
-            tell=tell,
-        )
+        driven = twelve() if inputs is None else inputs
+        return check_driver(engine, driven, settings, Path(scratch), seconds=seconds or DURATION, tell=tell)
 
 
 _idle: list[tuple[WarmEngine, Finalize]] = []  # with what ends it where this process ends before
@@ -382,14 +376,14 @@ def unpacked(folder: Path, names: Iterable[str]) -> Iterator[Path]:
 
 
 def estimate_rate(
-    plan: RatePlan, out: Path, runs: int, workers: int, watcher: Watcher, ray: str | None = None
+    plan: RatePlan, out: Path, runs: int, workers: int | None, watcher: Watcher, ray: str | None
 ) -> Estimate | None:
     """Estimate a crash rate in the folder ``out``; None if it was stopped. The workers do not run the user's script
-    again. ray: address of a Ray cluster. Raises UsageError or SimulationError."""
+    again. workers: None = one a core; ray: address of a Ray cluster. Raises UsageError or SimulationError."""
     from sumo_adv.rate.estimate import Estimation
 
     with _without_main():
-        return Estimation(plan, out, workers, watcher, ray).run(runs)
+        return Estimation(plan, out, workers or os.cpu_count() or 1, watcher, ray).run(runs)
 
 
 def record_contents(path: Path) -> Iterator[tuple[str, str] | str]:
@@ -421,7 +415,7 @@ def full_outcome(episode: Episode) -> dict[str, Any]:
     from sumo_adv.report.verdicts import figures, judge_best
 
     judged = judge_best(episode)
-    return outcome(episode, raw_figures(episode), figures(judged), judged.realism if judged is not None else None)
+    return outcome(episode, raw_figures(episode), figures(judged), judged.realism if judged is not None else {})
 
 
 def keep_run(target: Path, episode: Episode, exchanges: Path | None = None) -> None:

@@ -11,8 +11,9 @@ import typer
 from typer.core import TyperGroup
 
 from sumo_adv.app import check_intents, run_campaign
+from sumo_adv.campaigns.results import Learn
 from sumo_adv.cli import options as opt
-from sumo_adv.cli.options import INPUT, OUTPUT, RUNNING, SEARCH, option, set_values
+from sumo_adv.cli.options import INPUT, OUTPUT, RUNNING, SEARCH, option, set_values, words
 from sumo_adv.errors import UsageError
 from sumo_adv.files import sentences
 from sumo_adv.memory.store import default_bank_path
@@ -21,9 +22,6 @@ from sumo_adv.report.staging import staged
 if TYPE_CHECKING:
     from sumo_adv.campaigns.campaign import Orders, Summary
     from sumo_adv.campaigns.plan import Plan
-    from sumo_adv.campaigns.results import Learn
-else:
-    from sumo_adv.campaigns.results import Learn
 
 EXAMPLE = "Example: sumo-adv batch scenarios --egos idm,careful --seeds 10 --out campaigns/first"
 
@@ -97,8 +95,8 @@ def batch(
 
         check_parquet()
     overrides = {
-        "seeds": None if seeds is None else _seeds(seeds), "egos": _words(egos), "records": _words(records),
-        "learn": learn, "memory": memory, "figures": figures,
+        "seeds": None if seeds is None else _seeds(seeds), "egos": None if egos is None else words(egos),
+        "records": None if records is None else words(records), "learn": learn, "memory": memory, "figures": figures,
     }  # fmt: skip
     chosen = {**set_values(setting or [], "attempts=5"), **opt.given(context.params, opt.CHOICE)}
     plan = planned(given, overrides, chosen, odd, settings_file)
@@ -114,25 +112,20 @@ def batch(
     _run(plan, orders, states=states, as_json=as_json)
 
 
-def _words(text: str | None) -> list[str] | None:
-    return None if text is None else [w.strip() for w in text.split(",") if w.strip()]
-
-
 def _seeds(text: str) -> int | list[int]:
-    words = text.split(",")
-    if not all(w.strip().isascii() and w.strip().isdigit() for w in words):
+    numbers = [word.strip() for word in text.split(",")]
+    if not all(each.isascii() and each.isdigit() for each in numbers):
         raise UsageError(f"--seeds takes a number of seeds or a list such as 3,7,11, not '{text}'.")
-    return int(words[0]) if len(words) == 1 else [int(w) for w in words]
+    return int(text) if len(numbers) == 1 else [int(each) for each in numbers]
 
 
 def _show(plan: Plan, out: Path, *, as_json: bool) -> None:
-    jobs = plan.jobs
     rows = [
         {
             "id": job.id, "input": job.input.name, "ego": job.ego, "seed": job.seed, **plan.varied[job.variant],
             "broken": job.input.error or None,
         }
-        for job in jobs
+        for job in plan.jobs
     ]  # fmt: skip
     if as_json:
         typer.echo(json.dumps({"out": str(out), "learn": str(plan.learn), "episodes": rows}))
@@ -142,8 +135,8 @@ def _show(plan: Plan, out: Path, *, as_json: bool) -> None:
         broken = f"  cannot be run: {row['broken']}" if row["broken"] else ""
         line = f"{row['id']}  {row['input']}  {row['ego'] or '-'}  seed {row['seed']}  {more}"
         typer.echo(f"{line.rstrip()}{broken}")
-    twice = f", {plan.size - len(jobs)} of the same content left out" if plan.size > len(jobs) else ""
-    typer.echo(f"{len(jobs)} episodes{twice}, into {out}.")
+    twice = f", {plan.size - len(rows)} of the same content left out" if plan.size > len(rows) else ""
+    typer.echo(f"{len(rows)} episodes{twice}, into {out}.")
 
 
 def _run(plan: Plan, orders: Orders, *, states: bool, as_json: bool) -> None:
@@ -184,11 +177,11 @@ def pack(
     as_json: opt.AsJson = False,
 ) -> None:
     """Move finished runs into few zip files; the table, and going on with the batch, work as before."""
+    from sumo_adv.api_batch import Campaign
     from sumo_adv.campaigns.store import open_store
     from sumo_adv.campaigns.store import pack as pack_runs
 
-    _check(folder)
-    with open_store(folder, staged):
+    with open_store(Campaign(folder).folder, staged):
         done = pack_runs(folder, most)
     if as_json:
         typer.echo(json.dumps(asdict(done)))
@@ -204,18 +197,13 @@ def unpack(
     as_json: opt.AsJson = False,
 ) -> None:
     """Put packed runs into folders again, below OUT/unpacked; the packs stay."""
+    from sumo_adv.api_batch import Campaign
     from sumo_adv.campaigns.store import unpack as unpack_runs
 
-    _check(folder)
-    target = folder / "unpacked"
+    target = Campaign(folder).folder / "unpacked"
     with sentences(target):
         made = unpack_runs(folder, names or [], target, staged)
     if as_json:
         typer.echo(json.dumps({"folders": [str(p) for p in made]}))
     else:
         typer.echo(f"{len(made)} runs into {target}.")
-
-
-def _check(folder: Path) -> None:
-    if not (folder / "plan.json").is_file():
-        raise UsageError(f"{folder} is not the folder of a batch: it has no plan.json.")

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sumo_adv.app import bench_parts
-from sumo_adv.cli.options import set_values
+from sumo_adv.cli.options import set_values, words
 from sumo_adv.config import BUILTIN, load_settings
 from sumo_adv.errors import UsageError
 from sumo_adv.files import sentences
@@ -276,7 +276,7 @@ def _run(
     from sumo_adv.report.outcome import versions
     from sumo_adv.simulation.inputs import data_folder
 
-    egos = _unique([e.strip() for e in ego.split(",") if e.strip()])
+    egos = _unique(words(ego))
     if not egos:
         raise UsageError("--ego names no driver; say for instance --ego idm,careful.")
     loaded = load_suite(*suite)
@@ -311,15 +311,11 @@ def _check_models(request: TableRequest) -> None:
 
 
 def _settings(given: Sequence[str]) -> dict[str, Any]:
-    """What ``SUMO_ADV_*`` variables and ``--set`` say, as data: a value is what TOML makes of it, else text."""
+    """What ``SUMO_ADV_*`` variables (but for those of tables' own) and ``--set`` say, as data; no server's key."""
     values = set_values(given, "proposals=60")
     for name in values:
         if name in SAID_ELSEWHERE:
             raise UsageError(f"--set {name} is not for all rows of a table; say it as {SAID_ELSEWHERE[name]}.")
-    return {**_of_variables(), **values}
-
-
-def _of_variables() -> dict[str, Any]:
-    """The settings that ``SUMO_ADV_*`` variables give, but for those of tables' own; a server's key is in none."""
     settings = load_settings()
-    return settings.model_dump(mode="json", include=settings.model_fields_set - SAID_ELSEWHERE.keys())
+    of_variables = settings.model_fields_set - SAID_ELSEWHERE.keys()
+    return {**settings.model_dump(mode="json", include=of_variables), **values}

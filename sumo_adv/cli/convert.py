@@ -124,8 +124,7 @@ def show(reports: list[dict[str, Any]]) -> None:
         table.add_column(name, no_wrap=True, justify="left" if name == "record" else "right")
     for report in reports:
         table.add_row(*row(report))
-    console = Console()
-    console = Console(width=max(console.width, TABLE_WIDTH))  # a narrow terminal wraps lines, but loses no cell
+    console = Console(width=max(Console().width, TABLE_WIDTH))  # a narrow terminal wraps lines, but loses no cell
     console.print(table)
     console.print(LEGEND, highlight=False)
 

@@ -111,8 +111,14 @@ def libraries(names: tuple[str, ...] = LIBRARIES) -> Iterator[Finding]:
         yield Finding("libraries", Level.OK, ", ".join(present))
 
 
-def extras(there: Callable[[str], bool] | None = None) -> Iterator[Finding]:
-    there = there or _installed
+def _installed(module: str) -> bool:
+    try:
+        return find_spec(module) is not None
+    except ImportError:  # of the package above it
+        return False
+
+
+def extras(there: Callable[[str], bool] = _installed) -> Iterator[Finding]:
     missing = [(extra, use) for module, extra, use in EXTRAS if not there(module)]
     names = ", ".join(extra for _, extra, _ in EXTRAS if extra not in {e for e, _ in missing})
     if not missing:
@@ -121,13 +127,6 @@ def extras(there: Callable[[str], bool] | None = None) -> Iterator[Finding]:
         yield Finding(
             f"extra {extra}", Level.WARN, f"not installed; it is for {use} alone", f"pip install 'sumo-adv[{extra}]'"
         )
-
-
-def _installed(module: str) -> bool:
-    try:
-        return find_spec(module) is not None
-    except ImportError:  # of the package above it
-        return False
 
 
 def simulator(network: Path) -> Iterator[Finding]:
@@ -298,31 +297,21 @@ def bank(path: Path | None) -> Iterator[Finding]:
     from sumo_adv.memory.migrations import MIGRATIONS
 
     used = path or default_bank_path()
+    there = used.exists()
     try:
-        if not used.exists():
-            with MemoryBank.open(shipped_bank(), read_only=True) as shipped:
-                says = (
-                    f"{len(shipped.intents())} intents, schema {len(MIGRATIONS)}, content {shipped.content_hash()[:12]}"
-                )
-            yield _made_later(used, says)
-            return
-        with MemoryBank.open(used) as bank:
-            says = (
-                f"{used}: {len(bank.intents())} intents, schema {len(MIGRATIONS)}, content {bank.content_hash()[:12]}"
-            )
+        with MemoryBank.open(used if there else shipped_bank(), read_only=not there) as bank:
+            says = f"{len(bank.intents())} intents, schema {len(MIGRATIONS)}, content {bank.content_hash()[:12]}"
             writable = bank.writable
     except SumoAdvError as error:
         yield Finding("memory bank", Level.FAIL, reason(error), "give another --memory, or move the file away")
         return
-    if writable:
-        yield Finding("memory bank", Level.OK, says)
+    if not there:
+        yield _made_later(used, says)
+    elif writable:
+        yield Finding("memory bank", Level.OK, f"{used}: {says}")
     else:
-        yield Finding(
-            "memory bank",
-            Level.WARN,
-            f"{says}; read-only, so nothing is learnt",
-            "make the file and its folder writable",
-        )
+        says = f"{used}: {says}; read-only, so nothing is learnt"
+        yield Finding("memory bank", Level.WARN, says, "make the file and its folder writable")
 
 
 def _made_later(path: Path, says: str) -> Finding:

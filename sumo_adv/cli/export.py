@@ -62,7 +62,8 @@ def export(
             typer.echo(f"Left out: {sentence}", err=True)
     single = runs == [folder]
     one = single and format is not Format.ALL
-    place = _place(folder, out, many=not single)
+    source = folder.resolve()
+    place = out or (source.parent if single else source.with_name(f"{source.name}-exports"))
     made = 0
     for run in chain(runs, unpacked(folder, packed)):
         try:
@@ -83,14 +84,6 @@ def export(
             made += 1
     if not made:
         raise UsageError(f"None of the {len(runs) + len(packed)} runs in {folder} could be exported.")
-
-
-def _place(folder: Path, out: Path | None, *, many: bool) -> Path:
-    """The folder of exports that are not named one by one."""
-    whole = folder.resolve()
-    if out is None:
-        return whole.with_name(f"{whole.name}-exports") if many else whole.parent
-    return out
 
 
 def _say(target: Path, piece: Piece, format: Format, *, as_json: bool) -> None:

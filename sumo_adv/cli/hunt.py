@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -52,14 +51,12 @@ def hunt(
     """
     from sumo_adv.api_batch import hunt as hunted
 
-    chosen = opt.given(
-        context.params, ("until", "min_delta_v", "intents", "exclude", "kind", "adversaries")
-    )  # fmt: skip
-    tell = None if as_json else _tell
+    chosen = opt.given(context.params, ("until", "min_delta_v", "intents", "exclude", "kind", "adversaries"))
     found = hunted(
         given, ego=ego, minutes=minutes, distinct=distinct, out=out or Path("runs") / "hunt", seed=seed, memory=memory,
-        workers=workers or os.cpu_count() or 1, deadline=deadline, cluster=cluster, settings_file=settings_file,
-        pages=not no_pages, tell=tell, stopping=_stopping, note=None if as_json else typer.echo, **chosen,
+        workers=workers, deadline=deadline, cluster=cluster, settings_file=settings_file,
+        pages=not no_pages, tell=None if as_json else _tell, stopping=_stopping, note=None if as_json else typer.echo,
+        **chosen,
     )  # fmt: skip
     if as_json:
         typer.echo(json.dumps(_document(found.found, found.rows)))

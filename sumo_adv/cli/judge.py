@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sumo_adv.errors import SumoAdvError, UsageError
-from sumo_adv.files import sentences, write_whole
+from sumo_adv.files import sentences, write_text
 
 if TYPE_CHECKING:
     from sumo_adv.report.judging import Judgement
@@ -82,11 +82,12 @@ def _runs(folders: list[Path], replay: bool, ego: str | None, out: Path | None, 
 
 
 def _judged(folder: Path, replay: bool, ego: str | None) -> Judgement:
-    from sumo_adv.report.judging import is_version_2, judge_files
-    from sumo_adv.report.read import reading
+    from sumo_adv.report.judging import judge_files
+    from sumo_adv.report.read import read_outcome, reading
 
     with reading(folder):
-        return _replayed(folder, ego) if replay or not is_version_2(folder) else judge_files(folder)
+        version_2 = not replay and read_outcome(folder).get("verdict_version") == 2
+        return judge_files(folder) if version_2 else _replayed(folder, ego)
 
 
 def _replayed(folder: Path, ego: str | None) -> Judgement:
@@ -158,16 +159,11 @@ def _prevented(rows: list[dict[str, Any]], names: tuple[str, ...]) -> dict[str, 
 
 
 def _write(out: Path, rows: list[dict[str, Any]]) -> None:
+    from sumo_adv.report.tables import csv_text
 
-    def fill(part: Path) -> None:
-        with part.open("w", newline="", encoding="utf-8") as text:
-            writer = csv.DictWriter(text, list(rows[0]) if rows else [], lineterminator="\n")
-            writer.writeheader()
-            for row in rows:
-                writer.writerow({k: " ".join(v) if isinstance(v, list) else v for k, v in row.items()})
-
+    plain = [{k: " ".join(v) if isinstance(v, list) else v for k, v in row.items()} for row in rows]
     with sentences(out):
-        write_whole(out, fill)
+        write_text(out, csv_text(list(rows[0]) if rows else [], plain))
 
 
 COMPARE_EXAMPLE = "Example: sumo-adv compare runs/regress-main runs/regress-branch --out runs/compared"

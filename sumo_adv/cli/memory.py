@@ -109,10 +109,7 @@ def find(text: str, memory: Bank = None, as_json: Json = False) -> None:
 
 
 @app.command("stats", epilog="Example: sumo-adv memory stats --json")
-def stats(
-    memory: Bank = None,
-    as_json: Json = False,
-) -> None:
+def stats(memory: Bank = None, as_json: Json = False) -> None:
     """Counts, successes and failures by intent and planner; what could be merged or retired (never done here)."""
     from sumo_adv.memory.curate import hopeless, near_duplicates, planner_counts, statistics
 

@@ -61,13 +61,9 @@ def rerun(
     given = load_input(scenario)
     with tempfile.TemporaryDirectory(prefix="sumo_adv-") as folder:
         settings = load_settings(
-            None,
-            ego=evidence.scene.controller,
-            seed=evidence.seed,
-            learn="off",
-            horizon=given.horizon,
+            None, ego=evidence.scene.controller, seed=evidence.seed, learn="off", horizon=given.horizon,
             attempts=attempts,
-        )
+        )  # fmt: skip
         task = make_task(given, settings, Path(folder))
         with MemoryBank.open(Path(folder) / "one.sqlite") as bank, Engine(body) as engine:
             bank.add(source.intent, [planner])
@@ -218,11 +214,10 @@ def _lines(name: str, figures: SetFigures) -> list[str]:
 
 def _as_known(bank: MemoryBank, half: list[Paraphrase]) -> list[Paraphrase]:
     """The paraphrases, those of intents that are not active in the bank as novel ones."""
-    active = {record.label for record in bank.intents() if record.status == "active"}
 
     def there(label: str) -> bool:
         record = bank.intent(label)
-        return record is not None and record.label in active
+        return record is not None and record.status == "active"
 
     return [p if p.intent is None or there(p.intent) else replace(p, intent=None) for p in half]
 

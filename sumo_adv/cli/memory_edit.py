@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sumo_adv.app import new_sandbox, open_bank, shipped_bank, shipped_prompts
+from sumo_adv.cli.options import words
 from sumo_adv.config import Settings, load_settings
 from sumo_adv.datatypes import Intent, LibraryEntry, Planner
 from sumo_adv.errors import UsageError
@@ -39,9 +40,9 @@ def known_intent(bank: MemoryBank, label: str) -> IntentRecord:
     return record
 
 
-def answer(value: dict[str, Any], as_json: bool, words: Callable[[], list[str]]) -> None:
-    """Print ``value`` as JSON, or the lines that ``words`` makes for people."""
-    for line in [json.dumps(value)] if as_json else words():
+def answer(value: dict[str, Any], as_json: bool, lines: Callable[[], list[str]]) -> None:
+    """Print ``value`` as JSON, or the ``lines`` for people."""
+    for line in [json.dumps(value)] if as_json else lines():
         typer.echo(line)
 
 
@@ -84,7 +85,6 @@ def add(
 
 
 def _read(file: Path) -> str:
-
     try:
         return file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -108,8 +108,7 @@ def _intent_to_add(bank: MemoryBank, label: str, description: str | None, applie
         )
     if not label.isprintable() or len(label) > 120:
         raise UsageError("A label has at most 120 characters that can be printed; give another --label.")
-    words = tuple(dict.fromkeys(word.strip() for word in applies.split(",") if word.strip()))
-    return IntentRecord(label, " ".join(description.split()), words)
+    return IntentRecord(label, " ".join(description.split()), tuple(dict.fromkeys(words(applies))))
 
 
 def merge(
@@ -171,7 +170,7 @@ def new(
     from sumo_adv.memory.migrations import utc_now
 
     with MemoryBank.open(memory or shipped_bank(), read_only=True) as bank:
-        labels = write_part(bank, path, [label.strip() for label in only.split(",") if label.strip()], utc_now)
+        labels = write_part(bank, path, words(only), utc_now)
     answer({"path": str(path), "intents": labels}, as_json, lambda: [f"Made {path} with {', '.join(labels)}."])
 
 
@@ -222,8 +221,8 @@ def _intent(
     existing = bank.intent(label)
     if existing is not None and existing.status == "active":
         return existing, near
-    words = [word.strip() for word in (applies or "").split(",") if word.strip()] or list(near[0].applies)
-    return IntentRecord(label, " ".join(description.split()), tuple(dict.fromkeys(words))), near
+    relations = words(applies or "") or near[0].applies
+    return IntentRecord(label, " ".join(description.split()), tuple(dict.fromkeys(relations))), near
 
 
 def _written(settings: Settings, name: str, intent: IntentRecord, near: list[LibraryEntry]) -> Planner:

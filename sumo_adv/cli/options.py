@@ -24,14 +24,11 @@ CHOICE = (
 
 def option(panel: str, help: str, *flags: str, setting: str = "", default: str = "", **more: Any) -> Any:
     """An option in a panel of the help, which tells its default: that of a ``setting``, or in words."""
-    shown = default or (_default_of(setting) if setting else "")
-    text = f"{help} (default: {shown})" if shown else help
+    if setting:
+        value = Settings.model_fields[setting].default
+        default = f"{value:g}" if isinstance(value, float) else str(value)
+    text = f"{help} (default: {default})" if default else help
     return typer.Option(*flags, help=text, rich_help_panel=panel, show_default=False, **more)
-
-
-def _default_of(name: str) -> str:
-    value = Settings.model_fields[name].default
-    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def given(params: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
@@ -76,8 +73,7 @@ Kind = Annotated[
     ),
 ]  # fmt: skip
 Adversaries = Annotated[
-    int | None,
-    option(ATTACK, "Most adversaries of an attack, 1 to 3: a collider and supports.", setting="adversaries"),
+    int | None, option(ATTACK, "Most adversaries of an attack, 1 to 3: a collider and supports.", setting="adversaries")
 ]
 Attempts = Annotated[int | None, option(ATTACK, "Maximum number of attempts per encounter.", setting="attempts")]
 Seconds = Annotated[float | None, option(ATTACK, "Seconds of attempts per encounter at most.", setting="seconds")]
@@ -182,6 +178,11 @@ Force = Annotated[bool, option(OUTPUT, "Replace another run's folder.", "--force
 Replay = Annotated[
     Path | None, option(INPUT, "Run the attempt of that folder again, from its manifest.", default="none")
 ]
+
+
+def words(text: str) -> list[str]:
+    """The words of a text with commas between them."""
+    return [word.strip() for word in text.split(",") if word.strip()]
 
 
 def set_values(given: Sequence[str], example: str) -> dict[str, Any]:

@@ -8,7 +8,6 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 import typer
@@ -33,9 +32,7 @@ class Shown:
             self._display.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._display is not None:
             self._display.stop()
 
@@ -56,7 +53,6 @@ class Speaker(Shown):
             self._console.print(text, markup=False)
         elif text and not self._quiet:
             typer.echo(text)
-            sys.stdout.flush()
 
     def now(self, words: str) -> None:
         if self._display is not None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -61,7 +60,7 @@ def rate(
     target = out or Path("runs") / f"rate-{input_name(source)}-{(ego or 'ego').replace(':', '.')}"
     counter = Counter("blocks", quiet=as_json)
     watcher = Teller(lambda told, job, _: counter.tell(told.done, told.total, f"{job.phase}: "), _stopping)
-    estimate = estimate_rate(plan, target, runs, workers or os.cpu_count() or 1, watcher, ray)
+    estimate = estimate_rate(plan, target, runs, workers, watcher, ray)
     counter.close()
     if estimate is None:
         typer.echo(f"sumo-adv: stopped; the same command goes on in {target}.", err=True)

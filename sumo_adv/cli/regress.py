@@ -37,9 +37,10 @@ def keep(
     The files are text, and stand on their own: put them under version control, and edit what is expected in case.toml.
     """
     from sumo_adv.regression.case import Expectation
-    from sumo_adv.regression.keep import keep_run, level_of
+    from sumo_adv.regression.keep import keep_run
     from sumo_adv.report.judging import run_folders
     from sumo_adv.report.read import read_outcome
+    from sumo_adv.report.run_outcome import level_of
 
     if avoid is None and min_ttc is None and not no_worse:
         avoid = Until.COLLISION
@@ -50,7 +51,7 @@ def keep(
         raise UsageError(f"--name is for one run, and {len(runs)} were given.")
     kept, again, left = list[Path](), list[Path](), list[Path]()
     for run in runs:
-        if run not in given and level_of(read_outcome(run)) < level.level:
+        if run not in given and level_of((read_outcome(run).get("outcome") or {}).get("level")) < level.level:
             left.append(run)
             continue
         folder, new = keep_run(run, suite, expect, name)

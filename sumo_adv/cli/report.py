@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,7 +16,7 @@ from sumo_adv.files import sentences
 from sumo_adv.report.staging import staged
 
 if TYPE_CHECKING:
-    from sumo_adv.report.index import Packs, Report, Table
+    from sumo_adv.report.index import Report
 
 EXAMPLE = "Example: sumo-adv report runs/priority_crossing-3"
 OUTCOME, RESULTS = "outcome.json", "results.csv"
@@ -68,16 +67,20 @@ def _run(folder: Path, out: Path | None) -> dict[str, Any]:
 def _batch(
     folder: Path, out: Path | None, pages: int | None, workers: int, *, force: bool, quiet: bool
 ) -> dict[str, Any]:
+    from sumo_adv.campaigns.store import packed_texts, unpack
     from sumo_adv.cli.progress import Counter
     from sumo_adv.report.coverage import campaign_coverage, write_coverage
-    from sumo_adv.report.index import read_rows, write_report
+    from sumo_adv.report.index import Packs, read_rows, table_of, write_report
 
     target = out or folder / "report"
     if target.is_file():
         raise UsageError(f"{target} is a file; give a folder as --out.")
-    table = read_rows(folder / RESULTS) if (folder / RESULTS).is_file() else _table(_loose(folder))
-    runs = folder / "runs" if (folder / RESULTS).is_file() else folder
-    packs, counter = _packs(folder), Counter("pages", quiet=quiet)
+    if (folder / RESULTS).is_file():
+        table, runs = read_rows(folder / RESULTS), folder / "runs"
+    else:
+        table, runs = table_of(row for run in _loose(folder) if (row := read_row(run)) is not None), folder
+    packs = Packs(packed_texts(folder, OUTCOME), lambda names, into: unpack(folder, names, into, staged))
+    counter = Counter("pages", quiet=quiet)
     of = [runs / str(row["id"]) for row in table.rows]
     coverage = campaign_coverage(folder, of, packs.outcomes, shipped_bank())
     made = write_report(
@@ -103,22 +106,6 @@ def _words(made: Report) -> str:
 def _loose(folder: Path) -> list[Path]:
     """Runs side by side in a folder, as ``serve`` leaves them."""
     return sorted(f.parent for f in folder.glob(f"*/{OUTCOME}")) if folder.is_dir() else []
-
-
-def _table(runs: Sequence[Path]) -> Table:
-    from sumo_adv.report.index import table_of
-
-    return table_of(row for run in runs if (row := read_row(run)) is not None)
-
-
-def _packs(folder: Path) -> Packs:
-    from sumo_adv.report.index import Packs
-
-    if not (folder / "packs").is_dir():
-        return Packs()
-    from sumo_adv.campaigns.store import packed_texts, unpack
-
-    return Packs(packed_texts(folder, OUTCOME), lambda names, into: unpack(folder, names, into, staged))
 
 
 FIGURE_EXAMPLE = "Example: sumo-adv figure runs/priority_crossing-3 --out encounter.pdf"
@@ -163,17 +150,13 @@ def _draw_hunt(folder: Path, target: Path, kind: str) -> None:
 
 
 def _draw_run(folder: Path, target: Path, kind: str) -> None:
-    from sumo_adv.report.figures import read_story
+    from sumo_adv.report.figures import draw_paper, read_story, save, write_film
     from sumo_adv.report.read import reading
 
     with reading(folder), sentences(target):
         story = read_story(folder)
         target.parent.mkdir(parents=True, exist_ok=True)
         if kind in FILMS:
-            from sumo_adv.report.figures import write_film
-
             write_film(story, target, kind)
         else:
-            from sumo_adv.report.figures import draw_paper, save
-
             save(draw_paper(story), target, kind)

@@ -8,7 +8,7 @@ import tempfile
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import typer
@@ -42,9 +42,7 @@ class Interrupts:
         self._before = {number: signal.signal(number, self._press) for number in SIGNALS}
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
@@ -134,11 +132,7 @@ def _run(source: RunInput, settings: Settings, target: Path, *, force: bool, as_
     from sumo_adv.cli.progress import RunProgress
 
     reporter = RunProgress(quiet=as_json, seconds=settings.seconds)
-    with (
-        Interrupts() as interrupts,
-        staged(target, force=force) as folder,
-        scratch_folder() as scratch,
-    ):
+    with Interrupts() as interrupts, staged(target, force=force) as folder, scratch_folder() as scratch:
         tell = interrupts.checked(reporter.tell)
         with reporter:
             episode = app.play(source, settings, folder.stage, scratch, tell, interrupts.hold)
@@ -214,11 +208,7 @@ def _prompts(given: RunInput, settings: Settings) -> list[Prompt]:
 
     with tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
         episode = Episode(given, settings, make_task(given, settings, Path(scratch)))
-        with (
-            open_for_run(settings) as bank,
-            new_sandbox(settings) as sandbox,
-            new_engine() as engine,
-        ):
+        with open_for_run(settings) as bank, new_sandbox(settings) as sandbox, new_engine() as engine:
             planned = find_attackable(episode, engine, sandbox, bank, lambda *_: None)
             if planned is None or not planned.search.pool:
                 raise UsageError(f"There is nothing to ask about here. {episode.reason}".rstrip())

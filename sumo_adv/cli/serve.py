@@ -25,10 +25,9 @@ from sumo_adv.serve.link import NEWEST
 
 if TYPE_CHECKING:
     from sumo_adv.episode.task import Task
-    from sumo_adv.serve.events import Events, ResultWriter, Status
+    from sumo_adv.serve.events import Events, ResultWriter
     from sumo_adv.serve.gate import Gate
     from sumo_adv.serve.seat import GateEvent
-    from sumo_adv.serve.server import Server
 
 SERVE_FILE = "serve.json"
 
@@ -51,7 +50,7 @@ def note(target: Path, given: Any, settings: Settings, options: Options, summary
     """``serve.json``: the job of this server, and at the end its outcome."""
     from sumo_adv.report.outcome import SCHEMA, versions
 
-    secret = {"memory", "llm_api_key", "llm_base_url"} & set(type(settings).model_fields)
+    secret = {"memory", "llm_api_key", "llm_base_url"}
     value = {
         "schema": SCHEMA, "input": given.name, "versions": versions(), "options": asdict(options),
         "settings": settings.model_dump(mode="json", exclude=secret), "summary": summary,
@@ -59,7 +58,7 @@ def note(target: Path, given: Any, settings: Settings, options: Options, summary
     write_text(target / SERVE_FILE, json_text(value, indent=2))
 
 
-def folder_writer(target: Path) -> Any:
+def folder_writer(target: Path) -> Callable[[Any, int], dict[str, Any]]:
     """Writes one encounter's folder whole; inputs that several have are on the disk once."""
     from sumo_adv.campaigns.worker import share
     from sumo_adv.report.folder import write_run
@@ -148,8 +147,8 @@ def serve(
     if mode is Mode.CONTINUOUS and "search" not in settings.model_fields_set:
         settings = settings.model_copy(update={"search": LONG})
     options = Options(
-        host, port, _words(allow), mode, on_loss, real_time, encounters, ego_type, _words(may_set), patience,
-        deadline, traci_version < NEWEST,
+        host, port, tuple(opt.words(allow)), mode, on_loss, real_time, encounters, ego_type, tuple(opt.words(may_set)),
+        patience, deadline, traci_version < NEWEST,
     )  # fmt: skip
     target = out or Path("runs") / f"serve-{given.name}-{settings.seed}"
     _serve(given, settings, options, target, events, status_port, force=force, as_json=as_json)
@@ -166,10 +165,6 @@ def _input(source: Path) -> Any:
     return given
 
 
-def _words(text: str) -> tuple[str, ...]:
-    return tuple(word.strip() for word in text.split(",") if word.strip())
-
-
 def _serve(
     given: Any, settings: Settings, options: Options, target: Path, events_file: Path | None,
     status_port: int | None, *, force: bool, as_json: bool,
@@ -177,7 +172,7 @@ def _serve(
     from sumo_adv.cli.progress import ServeProgress
     from sumo_adv.cli.run import Interrupts
     from sumo_adv.report.outcome import MODEL_FILE
-    from sumo_adv.serve.events import EventFile, Events, ResultWriter, Status
+    from sumo_adv.serve.events import EventFile, Events, ResultWriter, Status, StatusPage
     from sumo_adv.serve.server import Server, ServerDependencies
     from sumo_adv.simulation.network import read_network
 
@@ -203,7 +198,8 @@ def _serve(
         parts = ServerDependencies(given, options, task_for, road, agents, bank, gate, events, writer, interrupts.check)
         server = Server(parts)
         if status_port is not None:
-            _open_status_page(stack, status_port, status, server, events)
+            page = stack.enter_context(StatusPage(status_port, lambda: {**status.report(), "time": server.time}))
+            events.tell("status_page", port=page.port)
         events.tell(
             "listening", host=options.host, port=gate.port, ego=server.ego, mode=str(options.mode), opens=gate.opens,
             added=server.ego_is_added,
@@ -224,21 +220,9 @@ def _gate(options: Options, events: Events) -> Gate:
     from sumo_adv.serve.policy import Rules
 
     return Gate(
-        options.host,
-        options.port,
-        allow=options.allow,
-        deadline=options.turn,
-        rules=Rules(frozenset(options.may_set)),
-        older=options.older,
-        on_event=_teller(events),
-    )
-
-
-def _open_status_page(stack: ExitStack, port: int, status: Status, server: Server, events: Events) -> None:
-    from sumo_adv.serve.events import StatusPage
-
-    page = stack.enter_context(StatusPage(port, lambda: {**status.report(), "time": server.time}))
-    events.tell("status_page", port=page.port)
+        options.host, options.port, allow=options.allow, deadline=options.turn, older=options.older,
+        rules=Rules(frozenset(options.may_set)), on_event=_teller(events),
+    )  # fmt: skip
 
 
 def _teller(events: Events) -> Callable[[GateEvent], None]:
@@ -261,12 +245,7 @@ def _tasks(given: Any, settings: Settings, scratch: Path) -> Callable[[int], Tas
     from sumo_adv.episode.task import make_task
 
     @cache
-    def first() -> Task:
-        return make_task(given, settings, scratch)
-
     def task_for(round_: int) -> Task:
-        if round_ == 0:
-            return first()
         return make_task(given, settings.model_copy(update={"seed": settings.seed + round_}), scratch)
 
     return task_for

@@ -26,6 +26,7 @@ from sumo_adv.regression.suite import RESULTS, read_results
 from sumo_adv.report.index import RESULTS as TABLE
 from sumo_adv.report.index import read_rows
 from sumo_adv.report.read import MANIFEST, OUTCOME, damaged, read_outcome
+from sumo_adv.report.run_outcome import level_of
 
 BATCH_PLAN = "plan.json"
 ATTEMPTS = int(Settings.model_fields["attempts"].default)
@@ -91,7 +92,7 @@ def read_side(path: Path) -> Side:
 
 def _campaign(folder: Path) -> Side:
     table = read_rows(folder / TABLE)
-    packed = packed_texts(folder, OUTCOME) if (folder / "packs").is_dir() else {}
+    packed = packed_texts(folder, OUTCOME)
     read = []
     for row in table.rows:
         name = str(row["id"])
@@ -146,17 +147,13 @@ def _of_outcome(key: str, outcome: Mapping[str, Any], run: Path | None) -> Compa
     failed = outcome.get("ending") in FAILED
     verdict = {} if failed else outcome.get("outcome") or {}
     attempts = () if failed else outcome.get("attempts") or ()
-    level = _level(verdict.get("level"))
+    level = level_of(verdict.get("level"))
     return Compared(
         key, _ego(outcome), level, capped_ttc(verdict),
         float(verdict.get("delta_v") or 0.0) if level >= Level.COLLISION else 0.0, verdict.get("severity"),
-        next((k for k, a in enumerate(attempts, 1) if _level(a.get("level")) >= Level.VALID), None), failed,
+        next((k for k, a in enumerate(attempts, 1) if level_of(a.get("level")) >= Level.VALID), None), failed,
         outcome.get("best") is not None, None, run,
     )  # fmt: skip
-
-
-def _level(name: Any) -> Level:
-    return Level[str(name or "none").upper()]
 
 
 def _regression(path: Path) -> Side:
@@ -167,7 +164,7 @@ def _regression(path: Path) -> Side:
 
 
 def _of_case(m: Measured, result: str, folder: Path) -> Compared:
-    level, run = _level(m.level), folder / "runs" / m.case
+    level, run = level_of(m.level), folder / "runs" / m.case
     verdict = {"collided": m.collided, "min_ttc": m.min_ttc}
     delta_v = m.delta_v or 0.0 if level >= Level.COLLISION else 0.0
     return Compared(
@@ -282,32 +279,23 @@ def _badness(e: Compared) -> float:
 
 
 def _figures(pairs: Sequence[tuple[Compared, Compared]], budget: int) -> list[Figure]:
+    def figure(name: str, unit: str, of: Callable[[Compared], float]) -> Figure:
+        first, second = ([float(of(e)) for e in side] for side in zip(*pairs, strict=True))
+        rate = unit == "rate"
+        difference = paired(second, first, rate=rate) if len(pairs) >= LEAST else None
+        of_first, of_second = (wilson(int(sum(v)), len(v)) if rate else bootstrap(v) for v in (first, second))
+        return Figure(name, unit, of_first, of_second, difference)
+
     figures = []
     if all(a.result and b.result for a, b in pairs):
-        figures.append(_rate("case fails", pairs, lambda e: e.result == Result.FAIL))
+        figures.append(figure("case fails", "rate", lambda e: e.result == Result.FAIL))
     for level in (Level.COLLISION, Level.VALID, Level.STRICT, Level.SERIOUS):
-        figures.append(_rate(str(level), pairs, lambda e, least=level: e.level >= least))  # type: ignore[misc]
-    figures.append(_mean("delta-v, 0 without a collision", "m/s", pairs, lambda e: e.delta_v))
-    figures.append(_mean("min TTC, at most 10", "s", pairs, lambda e: e.min_ttc))
+        figures.append(figure(str(level), "rate", lambda e, least=level: e.level >= least))  # type: ignore[misc]
+    figures.append(figure("delta-v, 0 without a collision", "m/s", lambda e: e.delta_v))
+    figures.append(figure("min TTC, at most 10", "s", lambda e: e.min_ttc))
     if budget > 1:
-        figures.append(_mean("attempts until valid", "", pairs, lambda e: float(e.until_valid or budget + 1)))
+        figures.append(figure("attempts until valid", "", lambda e: e.until_valid or budget + 1))
     return figures
-
-
-def _rate(name: str, pairs: Sequence[tuple[Compared, Compared]], holds: Callable[[Compared], bool]) -> Figure:
-    values = [[float(holds(e)) for e in side] for side in zip(*pairs, strict=True)]
-    first, second = (wilson(int(sum(v)), len(v)) for v in values)
-    return Figure(name, "rate", first, second, _difference(values, rate=True))
-
-
-def _mean(name: str, unit: str, pairs: Sequence[tuple[Compared, Compared]], of: Callable[[Compared], float]) -> Figure:
-    values = [[of(e) for e in side] for side in zip(*pairs, strict=True)]
-    first, second = (bootstrap(v) for v in values)
-    return Figure(name, unit, first, second, _difference(values, rate=False))
-
-
-def _difference(values: Sequence[Sequence[float]], *, rate: bool) -> Paired | None:
-    return paired(values[1], values[0], rate=rate) if len(values[0]) >= LEAST else None
 
 
 def _as_data(e: Compared) -> dict[str, Any]:

@@ -8,7 +8,7 @@ OUT/pages/          the replays; by the place of the case among those that chang
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from html import escape
 from pathlib import Path
 
@@ -107,15 +107,19 @@ def _value(estimate: Estimate, unit: str) -> str:
 def write_comparison(out: Path, done: Comparison, *, force: bool) -> Path:
     """Write the folder; its page. Raises UsageError: it is taken or cannot be written."""
     with staged(out, force=force, marker=PAGE) as folder, sentences(out):
-        links: dict[Path, str] = {}
+        links: dict[Path | None, str] = {}
         for k, change in enumerate(done.changes, 1):
             for side, episode in enumerate((change.first, change.second), 1):
                 name = f"pages/{k}-{side}.html"
                 if episode.run is not None and _replay(episode.run, folder.stage / name):
                     links[episode.run] = name
-        write_text(folder.stage / "compare.md", to_markdown(done, lambda e: _link(e, links)) + "\n")
+
+        def link(episode: Compared) -> str | None:
+            return links.get(episode.run)
+
+        write_text(folder.stage / "compare.md", to_markdown(done, link) + "\n")
         write_text(folder.stage / "compare.json", json_text(done.document(), 2))
-        write_document(folder.stage / PAGE, html(done, links))
+        write_document(folder.stage / PAGE, html(done, link))
         folder.keep(force=force)
     return out / PAGE
 
@@ -129,16 +133,12 @@ def _replay(run: Path, target: Path) -> bool:
     return True
 
 
-def _link(episode: Compared, links: Mapping[Path, str]) -> str | None:
-    return None if episode.run is None else links.get(episode.run)
-
-
-def html(done: Comparison, links: Mapping[Path, str]) -> str:
-    """The page. ``links``: to the replays, by the folder of the run."""
+def html(done: Comparison, link: Link) -> str:
+    """The page, with links to the replays."""
     first, second = done.names
     head, *figures = rows(done)
     worse = sum(change.worse for change in done.changes)
-    changes = [[escape(c.key), *(_shown(e, links) for e in (c.first, c.second))] for c in done.changes]
+    changes = [[escape(c.key), *(_shown(e, link(e)) for e in (c.first, c.second))] for c in done.changes]
     return "\n".join([
         HEAD.format(title=escape(f"{first} and {second}")), f"<h1>{escape(f'{first} and {second}')}</h1>",
         f"<p>{escape(' '.join(notes(done)))}</p>",
@@ -148,9 +148,9 @@ def html(done: Comparison, links: Mapping[Path, str]) -> str:
     ])  # fmt: skip
 
 
-def _shown(episode: Compared, links: Mapping[Path, str]) -> str:
-    text, link = escape(words(episode)), _link(episode, links)
-    return text if link is None else f'<a href="{escape(link)}">{text}</a>'
+def _shown(episode: Compared, place: str | None) -> str:
+    text = escape(words(episode))
+    return text if place is None else f'<a href="{escape(place)}">{text}</a>'
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:

@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 
 from sumo_adv.datatypes import Level
 from sumo_adv.report.coverage import BANDS, band_of
+from sumo_adv.report.run_outcome import level_of
 
 COLUMNS = (
     "rank", "level", "intent", "relation", "road", "speed_band", "side", "delta_v", "count", "network", "seed",
-    "adversary", "preventable_by", "run", "cause", "cause_sentence",
-    "robust",
+    "adversary", "preventable_by", "run", "cause", "cause_sentence", "robust",
 )  # fmt: skip
 
 
@@ -61,13 +61,13 @@ class Failure:
 
 def failure_of(row: Mapping[str, Any], runs: Path) -> Failure | None:
     """The failure of an episode from its row of ``results.csv``; None if no valid collision counts."""
-    level = Level[str(row["level"] or "none").upper()]
+    level = level_of(row["level"])
     if level < Level.VALID:
         return None
-    speed = row["ego_speed"]
-    low, high = BANDS[band_of(float(speed))] if speed is not None else (0.0, 0.0)
-    band = f"from {low:g} m/s" if math.isinf(high) else f"{low:g}-{high:g} m/s"
-    band = band if speed is not None else "unknown"
+    band = "unknown"
+    if row["ego_speed"] is not None:
+        low, high = BANDS[band_of(float(row["ego_speed"]))]
+        band = f"from {low:g} m/s" if math.isinf(high) else f"{low:g}-{high:g} m/s"
     side = str(row["kind"] or "").rsplit(" / ", 1)[-1] or "unknown"
     words = (row["composition"] or row["intent"], row["relation"], row["road"], row.get("cause"))
     intent, relation, road, cause = (str(word or "unknown") for word in words)

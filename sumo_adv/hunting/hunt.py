@@ -12,6 +12,7 @@ import json
 import os
 import shutil
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -163,16 +164,16 @@ class Hunt:
 
     def _next(self) -> dict[str, Any]:
         """The inputs and seeds of the next round."""
-        k, random = len(self._state["rounds"]), Random(f"{self._plan.seeds[0]}-{len(self._state['rounds'])}")
+        rounds, seed = self._state["rounds"], self._plan.seeds[0]
+        random = Random(f"{seed}-{len(rounds)}")
         workers, rows = self._orders.pace.workers, sum(map(len, self._rows))
         lasts = self._seconds() * workers / rows if rows else 0.0  # s, an episode
         size = workers * (max(1, min(EACH, round(self._left() / lasts))) if lasts else EACH)
         tries, wins = self._tally()
-        drawn = {c: random.betavariate(1 + wins.get(c, 0), 1 + tries.get(c, 0) - wins.get(c, 0)) for c in self._inputs}
+        drawn = {c: random.betavariate(1 + wins[c], 1 + tries[c] - wins[c]) for c in self._inputs}
         chosen = sorted(drawn, key=lambda c: -drawn[c])[:size]
-        fewer = max(1, size // len(chosen))
-        first = self._plan.seeds[0] + sum(len(r["seeds"]) for r in self._state["rounds"][:k])
-        seeds = [first + j for j in range(fewer)]
+        first = seed + sum(len(r["seeds"]) for r in rounds)
+        seeds = list(range(first, first + max(1, size // len(chosen))))
         return {"inputs": chosen, "seeds": seeds, "seconds": self._each(), "kinds": self._kinds()}
 
     def _each(self) -> float:
@@ -189,14 +190,15 @@ class Hunt:
         known = [r.get("found") for r in self._state["rounds"]]
         return KINDS if known and known[-1] == (known[-2] if len(known) > 1 else None) else 1
 
-    def _tally(self) -> tuple[dict[str, int], dict[str, int]]:
+    def _tally(self) -> tuple[Counter[str], Counter[str]]:
         """By input the episodes, and those that were the first of a cell."""
-        tries, wins, cells = dict[str, int](), dict[str, int](), set[Any]()
+        tries, wins, cells = Counter[str](), Counter[str](), set[Any]()
         for k, rows in enumerate(self._rows):
             for row in rows:
                 content = self._input_of[str(row["id"])]
                 own = {f.cell for f in self._failures(k, [row])}
-                tries[content], wins[content] = tries.get(content, 0) + 1, wins.get(content, 0) + bool(own - cells)
+                tries[content] += 1
+                wins[content] += bool(own - cells)
                 cells |= own
         return tries, wins
 

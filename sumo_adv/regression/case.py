@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -19,7 +19,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from sumo_adv.config import load_settings
-from sumo_adv.datatypes import MOST_ADVERSARIES, Duty, Level, Planner, Proposal, acceleration_of
+from sumo_adv.datatypes import MOST_ADVERSARIES, Duty, Level, Proposal, acceleration_of
 from sumo_adv.errors import SandboxError, UsageError
 from sumo_adv.planners.source import make_planner
 from sumo_adv.simulation.inputs import RunInput, load_input
@@ -32,7 +32,6 @@ SHAPING = (
 )  # fmt: skip
 """The settings that shape the run of one given attack, all that a case may set; the horizon stands in its scenario."""
 Avoided = Literal["critical", "collision", "valid", "strict", "serious"]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class _Table(BaseModel):
@@ -64,7 +63,7 @@ class _Member(_Table):
     mode: str
     origin: str
     acceleration: Any
-    parameters: dict[str, Finite] = Field(default_factory=dict)
+    parameters: dict[str, float] = Field(default_factory=dict)
 
 
 class _Support(_Member):
@@ -79,8 +78,8 @@ class _Support(_Member):
 
 class _Attack(_Member):
     delay: Annotated[float, Field(ge=0.0)]
-    ego_driven_from: Finite | None = None
-    ego_before: tuple[tuple[str, Finite, Finite], ...] = ()
+    ego_driven_from: float | None = None
+    ego_before: tuple[tuple[str, float, float], ...] = ()
     network: str
     composition: str = ""
     supports: Annotated[tuple[_Support, ...], Field(max_length=MOST_ADVERSARIES - 1)] = ()
@@ -170,32 +169,24 @@ def planner_file(member: int) -> str:
 
 def _proposal(file: Path, planner: str, member: _Member, delay: float) -> Proposal:
     """What one adversary of the case in ``file`` does. Raises UsageError."""
-    made = _planner(file.parent / planner, member)
+    try:
+        acceleration, source = acceleration_of(member.acceleration), (file.parent / planner).read_text(encoding="utf-8")
+        made = make_planner(member.intent, member.mode, source, member.origin)
+    except (OSError, ValueError, SandboxError) as error:
+        raise UsageError(f"The planner of the case {file.parent} cannot be used ({error}).") from error
     numbers = {**made.defaults(), **member.parameters}
     unknown = sorted(numbers.keys() - made.defaults().keys())
     if unknown:
         raise UsageError(f"{file} has the parameter '{unknown[0]}', which the planner does not have.")
     return Proposal(
-        member.adversary, member.intent, made, numbers, acceleration_of(member.acceleration), delay, by="kept",
+        member.adversary, member.intent, made, numbers, acceleration, delay, by="kept",
         duty=member.role if isinstance(member, _Support) else Duty.COLLIDER,
     )  # fmt: skip
-
-
-def _planner(file: Path, member: _Member) -> Planner:
-    try:
-        acceleration_of(member.acceleration)
-        return make_planner(member.intent, member.mode, file.read_text(encoding="utf-8"), member.origin)
-    except (OSError, ValueError, SandboxError) as error:
-        raise UsageError(f"The planner of the case {file.parent} cannot be used ({error}).") from error
 
 
 def hash_of(file: Path) -> str:
     """The first digits of the SHA-256 of a file."""
     return hashlib.sha256(file.read_bytes()).hexdigest()[:HASH_DIGITS]
-
-
-def needs_baseline(cases: Sequence[Case]) -> list[str]:
-    return [case.name for case in cases if case.expect.no_worse]
 
 
 def _parsed(file: Path) -> _File:

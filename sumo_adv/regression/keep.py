@@ -25,6 +25,7 @@ from sumo_adv.regression.case import (
 )
 from sumo_adv.report.manifest import Recorded, read_manifest
 from sumo_adv.report.read import read_outcome
+from sumo_adv.report.run_outcome import level_of
 from sumo_adv.report.staging import staged
 from sumo_adv.simulation.inputs import EgoRoute, data_folder
 from sumo_adv.simulation.playback_spec import Prop
@@ -44,8 +45,7 @@ def keep_run(run: Path, suite: Path, expect: Expectation, name: str | None = Non
     cannot be written.
     """
     recorded, outcome = read_manifest(run), read_outcome(run)
-    level = level_of(outcome)
-    if level is Level.NONE:
+    if level_of((outcome.get("outcome") or {}).get("level")) is Level.NONE:
         raise UsageError(f"The attack of {run} reached no level, so there is nothing to keep.")
     encounter = outcome.get("encounter") or {}
     relations = {r["id"]: r["relation"] for r in encounter.get("ranking", ())}
@@ -69,10 +69,6 @@ def keep_run(run: Path, suite: Path, expect: Expectation, name: str | None = Non
             made.keep(force=False)
     read_case(folder)
     return folder, True
-
-
-def level_of(outcome: Mapping[str, Any]) -> Level:
-    return Level[str((outcome.get("outcome") or {}).get("level") or "none").upper()]
 
 
 def _place(suite: Path, name: str, texts: Mapping[str, str], *, fixed: str | None) -> Path:

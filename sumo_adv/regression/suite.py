@@ -25,7 +25,7 @@ from sumo_adv.campaigns.results import Done, Row, read_row, write_csv
 from sumo_adv.drivers import make_ego
 from sumo_adv.errors import UsageError
 from sumo_adv.files import json_text, sentences, write_text
-from sumo_adv.regression.case import Case, needs_baseline
+from sumo_adv.regression.case import Case
 from sumo_adv.regression.runner import (
     UNTESTED,
     CaseJob,
@@ -85,7 +85,8 @@ def run_suite(
         SumoAdvError: no worker process starts.
     """
     make_ego(ego, {})
-    lacking = [name for name in needs_baseline(cases) if baseline is None or name not in baseline]
+    known = baseline or {}
+    lacking = [case.name for case in cases if case.expect.no_worse and case.name not in known]
     if lacking:
         advice = "give --baseline FILE" if baseline is None else "which the baseline lacks: run the baseline again"
         raise UsageError(f"The case {lacking[0]} is to be no worse than a baseline; {advice}.")
@@ -94,7 +95,7 @@ def run_suite(
 
     def finished(job: Any, done: Done) -> None:
         measured = Measured(**(done.row or {}))
-        results[job.id] = judged(by_name[job.id], measured, (baseline or {}).get(job.id))
+        results[job.id] = judged(by_name[job.id], measured, known.get(job.id))
         tell(results[job.id])
 
     def failed(job: Any, why: str, text: str) -> Done:
@@ -133,7 +134,7 @@ def read_baseline(path: Path) -> dict[str, Measured]:
     """The measurements of another run of the suite, by case. Raises UsageError."""
     try:
         return {measured.case: measured for measured in map(measured_of, read_results(path)["cases"])}
-    except (ValidationError, AttributeError) as error:
+    except ValidationError as error:
         raise UsageError(f"The baseline {path} cannot be read; run it again.") from error
 
 

@@ -7,8 +7,6 @@ the ego if one of these attempts reached the level ``valid``: a collision that a
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -25,6 +23,7 @@ from sumo_adv.memory.records import IntentRecord
 from sumo_adv.metrics.statistics import Estimate, wilson
 from sumo_adv.report.document import write_document
 from sumo_adv.report.run_outcome import level_of
+from sumo_adv.report.tables import csv_text
 
 BANDS = ((0.0, 8.0), (8.0, 14.0), (14.0, 22.0), (22.0, math.inf))  # m/s; the bounds are about 30, 50 and 80 km/h
 HEADER = (
@@ -141,16 +140,14 @@ def _rows(cells: Iterable[Cell], tally: Mapping[Cell, Sequence[int]]) -> list[Ro
 
 def coverage_csv(coverage: Coverage) -> str:
     """All rows as CSV: the ego, the cell, counts, the rate of failures with its interval. An open end is empty."""
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(HEADER)
+    lines: list[tuple[Any, ...]] = []
     for ego, rows in coverage.rows.items():
         for row in rows:
             (low, high), rate, cell = BANDS[row.cell.band], row.rate, row.cell
             shown = (f"{rate.value:.4f}" if row.encounters else "", f"{rate.low:.4f}", f"{rate.high:.4f}")
             speeds = (f"{low:g}", "" if math.isinf(high) else f"{high:g}")
-            writer.writerow((ego, cell.intent, cell.relation, cell.road, *speeds, row.encounters, row.failures, *shown))
-    return text.getvalue()
+            lines.append((ego, cell.intent, cell.relation, cell.road, *speeds, row.encounters, row.failures, *shown))
+    return csv_text(HEADER, (dict(zip(HEADER, line, strict=True)) for line in lines))
 
 
 def campaign_coverage(folder: Path, runs: Sequence[Path], packed: Mapping[str, str], bank: Path) -> Coverage:

@@ -111,13 +111,7 @@ def lane_polygon(line: Floats, width: float) -> Floats:
 
 
 def draw_box(
-    axes: Any,
-    track: Track,
-    time: float,
-    colour: str,
-    zorder: int,
-    filled: bool = True,
-    style: Style = LARGE,
+    axes: Any, track: Track, time: float, colour: str, zorder: int, filled: bool = True, style: Style = LARGE
 ) -> None:
     """The vehicle as it stands at ``time`` [s], a circle for a pedestrian; nothing if it is not there."""
     from matplotlib.patches import Circle, Polygon
@@ -203,10 +197,9 @@ def draw_encounter(
 ) -> None:
     """Write a PNG, 1600 px wide, to ``target``.
 
-    ``others``: those with an adversary's role are drawn as its supports.
-    ``lanes``: centreline (n, 2) [m], width [m], inside a junction or not. ``raw_*``: the same vehicles unattacked.
-    ``trigger_time`` [s] on the tracks' clock. ``title`` is shown as it is, cut to one line. Raises OSError if
-    the file cannot be written.
+    ``others``: those with an adversary's role are drawn as its supports. ``raw_*``: the same vehicles unattacked.
+    ``trigger_time`` [s] on the tracks' clock. ``title`` is shown as it is, cut to one line. Raises OSError if the file
+    cannot be written.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -253,12 +246,11 @@ def decisive_time(ego: Track, adversary: Track, trigger_time: float, verdict: Ve
     return closest_time(ego, adversary, trigger_time)
 
 
-def _view(parts: Sequence[Track], tracks: Sequence[Track], shown: float) -> tuple[float, float, float, float]:
-    """Left, bottom, width, height [m] of the shown area: the paths until 1.5 s after the decisive moment."""
-    points = [(part.x[keep], part.y[keep]) for part in parts if (keep := part.time <= shown + 1.5).any()]
+def _view(parts: Sequence[Track], tracks: Sequence[Track], shown: float) -> View:
+    """The shown area: the paths until 1.5 s after the decisive moment."""
+    paths = [(part.x[keep], part.y[keep]) for part in parts if (keep := part.time <= shown + 1.5).any()]
     boxes = [pose for track in tracks if (pose := pose_at(track, shown)) is not None]
-    x = np.concatenate([p[0] for p in points] + [np.array([b[0] for b in boxes])])
-    y = np.concatenate([p[1] for p in points] + [np.array([b[1] for b in boxes])])
+    x, y = (np.concatenate([*(path[k] for path in paths), [box[k] for box in boxes]]) for k in (0, 1))
     if x.size == 0:
         return -LEAST_EXTENT / 2, -LEAST_EXTENT / 4, LEAST_EXTENT, LEAST_EXTENT / 2
     width = max(float(np.ptp(x)) + 2 * MARGIN, LEAST_EXTENT)
@@ -269,11 +261,10 @@ def _view(parts: Sequence[Track], tracks: Sequence[Track], shown: float) -> tupl
     return float(x.max() + x.min() - width) / 2, float(y.max() + y.min() - height) / 2, width, height
 
 
-def _frame(axes: Any, view: tuple[float, float, float, float], height: float) -> None:
+def _frame(axes: Any, view: View, height: float) -> None:
     left, bottom, width, tall = view
     axes.set_aspect("equal", adjustable="box")
-    axes.set_xlim(left, left + width)
-    axes.set_ylim(bottom, bottom + tall)
+    axes.set(xlim=(left, left + width), ylim=(bottom, bottom + tall))
     axes.set_xlabel("x [m]", fontsize=12)
     axes.set_ylabel("y [m]", fontsize=12)
     axes.tick_params(labelsize=11)
@@ -303,7 +294,7 @@ def _legend(axes: Any, groups: tuple[bool, bool, bool], verdict: Verdict, after:
     axes.legend(handles=entries, loc=corner, fontsize=11, framealpha=0.93).set_zorder(20)
 
 
-def _free_corner(parts: Sequence[Track], view: tuple[float, float, float, float]) -> str:
+def _free_corner(parts: Sequence[Track], view: View) -> str:
     """The upper corner of the map with less of the paths in it."""
     left, bottom, width, tall = view
     x = (np.concatenate([part.x for part in parts]) - left) / width

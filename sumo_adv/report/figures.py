@@ -9,6 +9,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -160,8 +161,6 @@ class Picture(Figure):
     """A figure that notebooks show without pyplot."""
 
     def _repr_png_(self) -> bytes:
-        from io import BytesIO
-
         buffer = BytesIO()
         self.savefig(buffer, format="png", dpi=150)
         return buffer.getvalue()
@@ -202,10 +201,7 @@ def _draw_map(axes: Any, story: Story, scene: Scene, view: View, height: float) 
         draw_box(axes, track, story.decisive, colour, 8, style=SMALL)
     draw_marks(axes, [track.between(story.trigger, story.end) for track in scene.pair()], story.trigger, SMALL)
     axes.set_aspect("equal", adjustable="box")
-    axes.set_xlim(left, left + width)
-    axes.set_ylim(bottom, bottom + tall)
-    axes.set_xticks([])
-    axes.set_yticks([])
+    axes.set(xlim=(left, left + width), ylim=(bottom, bottom + tall), xticks=[], yticks=[])
     for spine in axes.spines.values():
         spine.set_linewidth(0.6)
     draw_scale_bar(axes, view, height, SMALL)
@@ -258,18 +254,14 @@ def write_film(story: Story, target: Path, kind: str) -> None:
 
 def _film(story: Story, target: Path, kind: str) -> None:
     view = story.view(widest=3.0)
-    height = (
-        round((HEAD + FILM_WIDTH * view[3] / view[2]) * FILM_DPI / 2) * 2 / FILM_DPI
-    )  # of even pixels, for the codec
+    pixels = (HEAD + FILM_WIDTH * view[3] / view[2]) * FILM_DPI
+    height = round(pixels / 2) * 2 / FILM_DPI  # even, for the codec
     figure = Figure(figsize=(FILM_WIDTH, height), dpi=FILM_DPI, facecolor="white")
     FigureCanvasAgg(figure)
     share = 1.0 - HEAD / height
     axes = figure.add_axes((0.0, 0.0, 1.0, share), facecolor=GROUND)
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlim(view[0], view[0] + view[2])
-    axes.set_ylim(view[1], view[1] + view[3])
-    axes.set_xticks([])
-    axes.set_yticks([])
+    axes.set(xlim=(view[0], view[0] + view[2]), ylim=(view[1], view[1] + view[3]), xticks=[], yticks=[])
     draw_lanes(axes, story.lanes, LOOK)
     draw_scale_bar(axes, view, height - HEAD, LOOK)
     title = figure.text(0.01, 1.0 - 0.5 * HEAD / height, "", va="center", fontsize=11, parse_math=False)
@@ -300,10 +292,8 @@ def _draw_moment(axes: Any, story: Story, time: float) -> None:
 
 def _caption(story: Story, time: float) -> str:
     since = time - story.trigger
-    caption = f"{since:+.1f} s   {shortened(f'{story.name}: {story.intent}', MOST)}"
-    if story.collided and time >= story.decisive - 1e-6:
-        return f"{caption}   contact"
-    return caption
+    contact = "   contact" if story.collided and time >= story.decisive - 1e-6 else ""
+    return f"{since:+.1f} s   {shortened(f'{story.name}: {story.intent}', MOST)}{contact}"
 
 
 def draw_over_time(after: Sequence[tuple[float, Mapping[str, int]]]) -> Picture:

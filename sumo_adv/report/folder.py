@@ -35,7 +35,7 @@ def write_run(folder: RunFolder, episode: Episode, *, figure: bool = True) -> di
     began = perf_counter()
     judged = judge_best(episode)
     episode.timing["verdict"] = perf_counter() - began
-    realism = judged.realism if judged is not None else None
+    realism = judged.realism if judged is not None else {}
     result = outcome(episode, raw_figures(episode), figures(judged), realism)
     (stage / "manifest.json").write_text(json_text(manifest(episode, inputs), 2), encoding="utf-8")
     _write_attempts(stage / "attempts.csv.gz", episode)

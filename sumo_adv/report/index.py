@@ -111,7 +111,7 @@ def summarise(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     summaries = []
     for ego in sorted({str(row["ego"]) for row in rows}):
         own = [row for row in rows if row["ego"] == ego]
-        levels = [level_of(row["level"] or None) for row in own]
+        levels = [level_of(row["level"]) for row in own]
         hits = [row for row, level in zip(own, levels, strict=True) if level >= Level.VALID]
         counted = Counter(row["severity"] for row in hits)
         speeds = [row["delta_v"] for row in hits if row["delta_v"] is not None]

@@ -17,10 +17,10 @@ from sumo_adv.datatypes import Level, Role, Track, Verdict
 from sumo_adv.errors import UsageError
 from sumo_adv.metrics.case import Case, make_case
 from sumo_adv.metrics.levels import with_level
-from sumo_adv.parsing import parse_json
 from sumo_adv.report.folder import plan_names
 from sumo_adv.report.outcome import level_figures
 from sumo_adv.report.read import OUTCOME, RunRead, columns_of, damaged, read_run
+from sumo_adv.report.run_outcome import level_of
 from sumo_adv.report.tables import PLAN_HEADER
 from sumo_adv.simulation.network import read_network
 
@@ -61,15 +61,6 @@ def run_folders(given: Sequence[Path]) -> list[Path]:
             raise UsageError(f"{folder} holds no run: there is no {OUTCOME} in it or below.")
         folders += inside
     return folders
-
-
-def is_version_2(folder: Path) -> bool:
-    """Whether a run's files hold all that the kinematic verdict of version 2 needs."""
-    try:
-        outcome = parse_json((folder / OUTCOME).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise damaged(folder / OUTCOME, error) from error
-    return isinstance(outcome, dict) and outcome.get("verdict_version") == 2
 
 
 def judge_files(folder: Path) -> Judgement:
@@ -137,7 +128,7 @@ def counts(judgements: Sequence[Judgement]) -> dict[str, dict[str, int]]:
     """By ego: how many runs reach each level or a higher one, collide, are inconclusive, or hit a standing ego."""
     by_ego: dict[str, dict[str, int]] = {}
     for j in judgements:
-        level = Level[str(j.now.get("level", "none")).upper()]
+        level = level_of(j.now.get("level"))
         holds = {
             "runs": True, "valid before": j.before.get("valid") is True,
             "strict before": j.before.get("strict") is True,

@@ -13,16 +13,7 @@ from typing import Any
 from sumo_adv import __version__
 from sumo_adv.agents.agents import BUILT_IN, ROLES
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import (
-    ENDING_SENTENCES,
-    Attempt,
-    Duty,
-    Intent,
-    Level,
-    Proposal,
-    Verdict,
-    plain_acceleration,
-)
+from sumo_adv.datatypes import ENDING_SENTENCES, Attempt, Duty, Intent, Level, Proposal, Verdict, plain_acceleration
 from sumo_adv.episode.assessment import motion_of
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.task import FoundEncounter
@@ -39,10 +30,7 @@ EXPERT_NOTE = "Built-in expert (kinematic prediction); no language model took pa
 
 
 def outcome(
-    episode: Episode,
-    raw: Mapping[str, Any] | None,
-    further: Mapping[str, Any] | None = None,
-    realism: Mapping[str, Any] | None = None,
+    episode: Episode, raw: Mapping[str, Any] | None, further: Mapping[str, Any], realism: Mapping[str, Any]
 ) -> dict[str, Any]:
     """The contract's ``outcome.json``. Times s, distances m, never = null.
 
@@ -50,6 +38,7 @@ def outcome(
     """
     chosen = episode.task.ego if isinstance(episode.task.ego, str) else None
     best, settings, encounter, robust = episode.best, episode.settings, episode.found, episode.refinement.robustness
+    times = {name: round(seconds, 4) for name, seconds in episode.timing.items()}
     return {
         "schema": SCHEMA, "verdict_version": VERDICT_VERSION,
         "ending": str(episode.ending),
@@ -71,9 +60,9 @@ def outcome(
         "robust": None if robust is None else {**asdict(robust), "robust": robust.enough},
         "successes": _successes(episode), "until": str(settings.until), "goal": _goal(settings),
         "attempts_allowed": settings.attempts,
-        "outcome": None if best is None else {**verdict(best.verdict), **(further or {})},
-        "ego_actions": _ego_actions(episode), "realism": dict(realism or {}), "timing": _timing(episode),
-        "llm": _llm(episode),
+        "outcome": None if best is None else {**verdict(best.verdict), **further},
+        "ego_actions": _ego_actions(episode), "realism": dict(realism),
+        "timing": {**times, "first_success": number(episode.refinement.first_success_seconds)}, "llm": _llm(episode),
         "sandbox": episode.isolation, "forked": episode.forked, "learnt": episode.learnt,
         "bank_change": episode.bank_change or None, "notes": [*episode.source.notes, *episode.notes],
         "asked": _asked(episode),
@@ -237,17 +226,11 @@ def _composed(p: Proposal) -> dict[str, Any]:
 
 def _successes(episode: Episode) -> list[dict[str, Any]]:
     """The attacks of different kinds that reached the level; ``folder``: where the run's folder holds another one."""
-    done = episode.refinement
-    best, rows = done.best, []
+    done, rows = episode.refinement, []
     for k in done.successes:
-        folder = None if k == best or done.chosen is not None else f"{ATTACKS}/{k + 1}"
+        folder = None if k == done.best or done.chosen is not None else f"{ATTACKS}/{k + 1}"
         rows.append({"attempt": k, "kind": done.attempts[k].kind, "folder": folder})
     return rows
-
-
-def _timing(episode: Episode) -> dict[str, float | None]:
-    times = {k: round(v, 4) for k, v in episode.timing.items()}
-    return {**times, "first_success": number(episode.refinement.first_success_seconds)}
 
 
 def versions() -> dict[str, str]:

@@ -302,9 +302,8 @@ def page_of(folder: Path, back: str | None = None) -> Page:
 
 
 def _road(run: RunRead, attempts: Sequence[Shown]) -> RoadNear:
-    name = network_name(run.manifest)
-    file = run.folder / "inputs" / name
-    if not name or not file.is_file():
+    file = run.folder / "inputs" / network_name(run.manifest)
+    if not file.is_file():
         return RoadNear()
     paths = [t for a in attempts for t, _ in a.vehicles if t.id in (a.ego, a.adversary)]
     return road_near(network(file), lane_changes(file), paths) if paths else RoadNear()
@@ -341,8 +340,6 @@ def _moments(outcome: Mapping[str, Any], attempts: Sequence[Shown]) -> list[dict
 
 def _place(run: RunRead, attempts: Sequence[Shown]) -> tuple[float, float] | None:
     """The ego's centre at contact, else at the closest approach, else at the end."""
-    if not attempts:
-        return None
     verdict, shown = run.outcome.get("outcome") or {}, attempts[0]
     ego = next((t for t, _ in shown.vehicles if t.id == shown.ego), None)
     if ego is None:

@@ -153,7 +153,7 @@ class RoadNear:
 
 @lru_cache(maxsize=4)
 def network(path: Path) -> RoadMap:
-    """A network, the last few kept: the runs of a batch share theirs."""
+    """A network, the last few kept: the runs of a batch and the formats of a run share theirs. Raises UsageError."""
     return read_network(path)
 
 

@@ -140,8 +140,8 @@ def _tracks(file: Path) -> list[Track]:
         raise damaged(file, error) from error
 
 
-def write_states_parquet(target: Path, runs: Iterable[tuple[str, Path]]) -> int:
-    """Write the states of runs, given by id and folder, whole or not at all; the number of rows.
+def write_states_parquet(target: Path, runs: Iterable[tuple[str, Path]]) -> None:
+    """Write the states of runs, given by id and folder, whole or not at all.
 
     The columns are ``run`` and those of ``states.csv.gz``. Needs pyarrow.
     Raises UsageError: a table is damaged; OSError.
@@ -152,18 +152,13 @@ def write_states_parquet(target: Path, runs: Iterable[tuple[str, Path]]) -> int:
     names = HEADER.strip().split(",")
     kinds = {name: pa.float64() if name in NUMBERS else pa.string() for name in names}
     schema = pa.schema({"run": pa.string(), **kinds})
-    rows = 0
 
     def write(part: Path) -> None:
-        nonlocal rows
         with parquet.ParquetWriter(part, schema, compression="zstd") as writer:
             for run, folder in runs:
                 columns = columns_of(folder / "states.csv.gz")
-                count = len(columns["time"])
-                if count:
+                if columns["time"]:
                     values = {n: [float(v) for v in columns[n]] if n in NUMBERS else list(columns[n]) for n in names}
-                    writer.write_table(pa.table({"run": [run] * count, **values}, schema))
-                    rows += count
+                    writer.write_table(pa.table({"run": [run] * len(columns["time"]), **values}, schema))
 
     write_whole(target, write)
-    return rows

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.datatypes import Ending, Intent, Level, Preventability, Verdict
+from sumo_adv.datatypes import Ending, Intent, Level, Preventability, Verdict, acceleration_of
 from sumo_adv.errors import UsageError
 from sumo_adv.metrics.cause import Action, Cause, CauseKind
 
@@ -123,8 +123,9 @@ class Outcome:
 
     @property
     def relation(self) -> str | None:
-        attacked = self.encounter is not None and self.adversary is not None
-        return self.encounter.relation(self.adversary) if attacked else None  # type: ignore[union-attr, arg-type]
+        if self.encounter is None or self.adversary is None:
+            return None
+        return self.encounter.relation(self.adversary)
 
 
 def outcome_of(document: Mapping[str, Any], file: Path) -> Outcome:
@@ -155,9 +156,8 @@ def verdict_of(written: Mapping[str, Any]) -> Verdict:
     values |= {name: tuple(written[name] or ()) for name in LISTS if name in names}
     values |= {"level": level_of(written.get("level")), "max_drac": written.get("max_drac") or 0.0}
     if written.get("references") is not None:
-        alarms = written.get("alarms") or {}
         values["preventability"] = Preventability(
-            written["references"], alarms, written["inconclusive"], bool(written["simulated"])
+            written["references"], written.get("alarms") or {}, written["inconclusive"], bool(written["simulated"])
         )
     return Verdict(**values)
 
@@ -173,7 +173,7 @@ def _cause(written: Mapping[str, Any] | None) -> Cause | None:
 
 def level_of(name: str | None) -> Level:
     """The level of that name; ``Level.NONE`` where a run of an earlier version has none."""
-    return Level.NONE if name is None else Level[name.upper()]
+    return Level[name.upper()] if name else Level.NONE
 
 
 def _time(value: float | None) -> float:
@@ -187,11 +187,9 @@ def _encounter(written: Mapping[str, Any]) -> EncounterRecord:
 
 
 def _intent(written: Mapping[str, Any]) -> Intent:
-    knots = written["acceleration"]
-    acceleration = tuple((float(t), float(a)) for t, a in knots) if isinstance(knots, list) else float(knots)
     return Intent(
-        written["bv"], written["label"], written["description"], written["risk"], acceleration, written["reason"],
-        written["source"],
+        written["bv"], written["label"], written["description"], written["risk"],
+        acceleration_of(written["acceleration"]), written["reason"], written["source"],
     )  # fmt: skip
 
 

@@ -116,9 +116,7 @@ def _road(piece: Piece) -> Any:
     for each in map_lanes(piece):
         points = [[m.Point3(x=x, y=y, z=0.0) for x, y in line.tolist()] for line in (each.left, each.right)]
         lines = [m.LinePrimitive(type=strip, thickness=LINE, color=grey, points=some) for some in points]
-        entities.append(
-            m.SceneEntity(timestamp=_stamp(piece.begin), frame_id=FRAME, id=each.lane.id, lines=lines)
-        )  # fmt: skip
+        entities.append(m.SceneEntity(timestamp=_stamp(piece.begin), frame_id=FRAME, id=each.lane.id, lines=lines))
     return m.SceneUpdate(entities=entities)
 
 

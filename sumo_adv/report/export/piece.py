@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -16,10 +15,11 @@ from sumo_adv.datatypes import Floats, Role, Track
 from sumo_adv.errors import UsageError
 from sumo_adv.metrics.boxes import first_contact, row_of
 from sumo_adv.report.manifest import waymo_source
+from sumo_adv.report.page_road import network
 from sumo_adv.report.read import MANIFEST, read_run, reading
 from sumo_adv.road_users import RoadUser, road_user
 from sumo_adv.simulation.inputs import WaymoSource
-from sumo_adv.simulation.network import Lane, RoadMap, read_network
+from sumo_adv.simulation.network import Lane, RoadMap
 from sumo_adv.simulation.signals import SignalLog
 
 HEIGHT = {"car": 1.5, "truck": 3.2, "bicycle": 1.7, "pedestrian": 1.75, "obstacle": 1.5}  # m: SUMO has none
@@ -85,9 +85,9 @@ def read_piece(folder: Path, *, unattacked: bool = False, before: float | None =
         raise UsageError(f"The run in {folder} has {fault}, so there is nothing to export.")
     with reading(folder):
         settings = run.manifest["settings"]
-        network = run.folder / "inputs" / Path(run.manifest["network"]).name
-        if not network.is_file():
-            raise UsageError(f"{network} is missing, so the run in {run.folder} cannot be exported.")
+        file = run.folder / "inputs" / Path(run.manifest["network"]).name
+        if not file.is_file():
+            raise UsageError(f"{file} is missing, so the run in {run.folder} cannot be exported.")
         takeover = run.outcome["trigger_time"]
         moment = run.outcome["encounter"]["time"] if takeover is None else takeover
         first, end = min(t.time[0] for t in tracks), max(t.time[-1] for t in tracks)
@@ -104,7 +104,7 @@ def read_piece(folder: Path, *, unattacked: bool = False, before: float | None =
         best = None if attacked is None else run.outcome.get("best")
         level = "" if best is None else str(run.outcome["attempts"][best]["level"] or "")
         return Piece(
-            str(run.manifest["name"]), network, tuple(shown), float(min(t.time[0] for t in shown)), float(end),
+            str(run.manifest["name"]), file, tuple(shown), float(min(t.time[0] for t in shown)), float(end),
             float(settings["step_length"]), ego, attacked, float(takeover) if attacked is not None else None,
             datetime.fromtimestamp((run.folder / MANIFEST).stat().st_mtime, UTC).replace(microsecond=0),
             tuple(supports), level, SignalLog({}) if unattacked else run.lights, waymo_source(run.manifest),
@@ -159,7 +159,7 @@ def map_lanes(piece: Piece) -> list[MapLane]:
     """
     from shapely import MultiPoint, dwithin, linestrings
 
-    road = network_of(piece.network)
+    road = network(piece.network)
     lanes = [lane for lane in road.lanes.values() if lane.passenger and len(lane.shape) > 1]
     points = np.concatenate([np.column_stack([t.x, t.y])[::10] for t in piece.tracks])
     near = dwithin([linestrings(lane.shape) for lane in lanes], MultiPoint(points), REACH)
@@ -167,12 +167,6 @@ def map_lanes(piece: Piece) -> list[MapLane]:
     numbers = {lane.id: k for k, lane in enumerate(kept, 1)}
     exits = _exits(road, numbers)
     return [_map_lane(lane, road, numbers, exits) for lane in kept]
-
-
-@lru_cache(maxsize=2)
-def network_of(file: Path) -> RoadMap:
-    """The network of a run, which its formats share. Raises UsageError: it is unreadable."""
-    return read_network(file)
 
 
 def _exits(road: RoadMap, numbers: Mapping[str, int]) -> dict[int, list[int]]:
@@ -189,11 +183,8 @@ def _exits(road: RoadMap, numbers: Mapping[str, int]) -> dict[int, list[int]]:
 def _map_lane(lane: Lane, road: RoadMap, numbers: Mapping[str, int], exits: Mapping[int, Sequence[int]]) -> MapLane:
     number, row = numbers[lane.id], road.edges[lane.edge]
     at = row.index(lane.id)
-    beside: dict[bool, int | None] = {
-        True: None,
-        False: None,
-    }  # SUMO counts from the kerb: in left-hand traffic the left
-    for k in (at - 1, at + 1):
+    beside: dict[bool, int | None] = {True: None, False: None}  # by whether it is on the left
+    for k in (at - 1, at + 1):  # SUMO counts from the kerb: in left-hand traffic the left
         if not lane.internal and 0 <= k < len(row) and row[k] in numbers:
             (ax, ay), (dx, dy) = lane.shape[1] - lane.shape[0], road.lanes[row[k]].shape[0] - lane.shape[0]
             beside[bool(ax * dy - ay * dx > 0.0)] = numbers[row[k]]

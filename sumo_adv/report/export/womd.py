@@ -17,7 +17,8 @@ import numpy as np
 
 from sumo_adv.datatypes import Floats, Role, Track
 from sumo_adv.errors import UsageError
-from sumo_adv.report.export.piece import HEIGHT, MapLane, Piece, kind, map_lanes, network_of, spaced
+from sumo_adv.report.export.piece import HEIGHT, MapLane, Piece, kind, map_lanes, spaced
+from sumo_adv.report.page_road import network
 from sumo_adv.womd.lines import road_outline
 
 STEPS, CURRENT, STEP = 91, 10, 0.1
@@ -82,7 +83,7 @@ def first_step(piece: Piece) -> float:
     return start + STEP * max(0, late)
 
 
-def track_numbers(piece: Piece, taken: Collection[int] = ()) -> dict[str, int]:
+def track_numbers(piece: Piece, taken: Collection[int]) -> dict[str, int]:
     """A number for each vehicle: its id where that is one (a converted record), else the next that is not taken."""
     ids = [t.id for t in piece.tracks]
     numbers = {i: int(i) for i in ids if i.isascii() and i.isdigit() and len(i) < 10 and str(int(i)) == i}
@@ -96,7 +97,7 @@ def _valid(track: Track, time: Floats) -> Any:
 
 def _add_track(
     message: Any, track: Track, number: int, object_type: int, time: Floats, heights: Heights | None
-) -> None:  # fmt: skip
+) -> None:
     """Its states at the record's times, linear between those of the run; not valid before and after."""
     height = HEIGHT[kind(track)]
     made = message.tracks.add(id=number, object_type=object_type)
@@ -154,7 +155,7 @@ def add_net_map(message: Any, piece: Piece, time: Floats) -> None:
     lines = {each.number: spaced(each.lane.shape) for each in lanes}
     for each in lanes:
         _add_lane(message, each, lines)
-    _add_edges(message, lanes, network_of(piece.network).junctions)
+    _add_edges(message, lanes, network(piece.network).junctions)
     _add_signals(message, piece, lanes, time)
 
 
