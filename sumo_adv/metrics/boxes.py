@@ -87,7 +87,7 @@ def half_diagonal(b: Boxes) -> Floats:
 
 
 def pick(b: Boxes, k: Any) -> Boxes:
-    """The boxes at an index ``k`` of their positions."""
+    """The boxes at an index ``k`` of their positions; sizes then have the positions' shape."""
     size = [np.broadcast_to(np.asarray(v, float), b.x.shape)[k] for v in (b.length, b.width)]
     return Boxes(b.x[k], b.y[k], b.heading[k], b.speed[k], *size)
 

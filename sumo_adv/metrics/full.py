@@ -7,17 +7,17 @@ other direction a centre line, and where the drivable area ends an edge.  Inside
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sumo_adv.datatypes import Bools, Boxes, Floats, Limits, Track, Verdict
+from sumo_adv.datatypes import Bools, Floats, Limits, Track, Verdict
 from sumo_adv.geometry import wrap_below_pi
-from sumo_adv.metrics.avoidance import PERCEPTION, RAMP, REACTION, Manoeuvre, OnRoad, avoidance
-from sumo_adv.metrics.boxes import at_time, on_grid
+from sumo_adv.metrics.avoidance import DELAY, PERCEPTION, RAMP, REACTION, Manoeuvre, OnRoad, avoidance
+from sumo_adv.metrics.boxes import at_time, on_grid, pick
 from sumo_adv.metrics.contact import (
     OPPOSITE_DIRECTION,
     SAME_DIRECTION,
@@ -29,7 +29,7 @@ from sumo_adv.metrics.contact import (
 )
 from sumo_adv.metrics.criticality import AVAILABLE, exposure, pet, series
 from sumo_adv.metrics.fault import SecondOpinion, rss_opinion
-from sumo_adv.metrics.validity import MANOEUVRE_DELAY, MOST, Encounter, Kind, align, hazard_time, judge
+from sumo_adv.metrics.validity import MOST, Encounter, Kind, align, avoidable_by, hazard_of, judge
 
 END = 1e-6  # m: a point nearest to a lane's very end lies before or past it
 
@@ -59,9 +59,7 @@ class Crossing:
     kind: Marking
 
 
-def markings_crossed(
-    track: Track, strips: Sequence[Strip], on_road: Callable[[Floats, Floats], Bools] | None = None
-) -> list[Crossing]:
+def markings_crossed(track: Track, strips: Sequence[Strip], on_road: OnRoad | None = None) -> list[Crossing]:
     """All markings that the box centre crossed over a track, in order.
 
     A line between lanes is crossed where the centre is in another lane while it is still abreast of the one it was in
@@ -164,7 +162,7 @@ def full_judge(
     trigger_time: float,
     ttc_threshold: float = 1.0,
     limits: Limits = Limits(),  # noqa: B008 - frozen
-    on_road: Callable[[Floats, Floats], Bools] | None = None,
+    on_road: OnRoad | None = None,
     lane_half_width: float = 1.6,
     end: float | None = None,
     supports: Sequence[Track] = (),
@@ -176,10 +174,7 @@ def full_judge(
     )  # fmt: skip
     e = align(ego, adversary, trigger_time, end, verdict.contact_time)
     stop = float(e.time[-1])
-    hazard, kind = hazard_time(
-        ego.between(-np.inf, stop), adversary, trigger_time=trigger_time, contact_time=verdict.contact_time,
-        lane_half_width=lane_half_width,
-    )  # fmt: skip
+    hazard, kind = hazard_of(e, lane_half_width)
     measures = series(ego.between(trigger_time, stop), [adversary])
     tet, tit = exposure(measures["ttc"][0], EXPOSURE_TTC, e.dt)
     contact = verdict.contact_time
@@ -193,7 +188,7 @@ def full_judge(
         sensitivity={} if contact is None else _sensitivity(e, hazard, on_road, others),
         latest_careful=careful,
         latest_manoeuvre=manoeuvre,
-        reacting=None if contact is None else _reacting(e, hazard, on_road, others),
+        reacting=None if contact is None else avoidable_by(e, hazard, on_road, others, REACTING),
         tet=float(tet),
         tit=float(tit),
         min_headway=float(measures["headway"].min()),
@@ -226,35 +221,18 @@ def _largest(values: Floats) -> float:
     return float(np.minimum(values, MOST).max())
 
 
-def _at(e: Encounter, hazard: float) -> NDArray[np.intp]:
-    return np.array([int(np.searchsorted(e.time, hazard - 5e-4))])
-
-
-def _others(e: Encounter, others: Sequence[Track]) -> Boxes | None:
-    return on_grid(others, e.time) if others else None
-
-
 def _sensitivity(e: Encounter, hazard: float, on_road: OnRoad | None, others: Sequence[Track]) -> dict[str, bool]:
     """Both tiers begun 0.4 s earlier and later."""
     avoided: dict[str, bool] = {}
+    third = on_grid(others, e.time) if others else None
     for shift in (-SENSITIVITY, SENSITIVITY):
         answer = avoidance(
-            e.ego, e.adversary, _at(e, hazard), e.dt, delays=(MANOEUVRE_DELAY + shift,),
-            careful_delay=PERCEPTION + REACTION + shift, on_road=on_road, others=_others(e, others),
+            e.ego, e.adversary, np.array([e.step_of(hazard)]), e.dt, delays=(DELAY + shift,),
+            careful_delay=PERCEPTION + REACTION + shift, on_road=on_road, others=third,
         )  # fmt: skip
         avoided[f"careful_{shift:+.1f}"] = bool(answer["careful"][0])
         avoided[f"manoeuvre_{shift:+.1f}"] = bool(answer["manoeuvre"][0, 0])
     return avoided
-
-
-def _reacting(e: Encounter, hazard: float, on_road: OnRoad | None, others: Sequence[Track]) -> str:
-    answer = avoidance(
-        e.ego, e.adversary, _at(e, hazard), e.dt, delays=(MANOEUVRE_DELAY,), on_road=on_road,
-        others=_others(e, others), reacting=REACTING,
-    )  # fmt: skip
-    if answer["careful"][0]:
-        return "careful_driver"
-    return "any_manoeuvre" if answer["manoeuvre"][0, 0] else "unavoidable"
 
 
 def _latest(
@@ -262,24 +240,13 @@ def _latest(
 ) -> tuple[float | None, float | None]:
     """Seconds before contact of the last step at which acting at once still avoids, for both tiers; None = never."""
     steps = np.arange(e.trigger, e.last + 1)
-    rows = len(steps)
+    ego, adversary = (pick(b, np.zeros(len(steps), np.intp)) for b in (e.ego, e.adversary))
     answer = avoidance(
-        _repeat(e.ego, rows),
-        _repeat(e.adversary, rows),
-        steps,
-        e.dt,
-        delays=(0.0,),
-        careful_delay=0.0,
-        on_road=on_road,
-        others=_others(e, others),
-    )
+        ego, adversary, steps, e.dt, delays=(0.0,), careful_delay=0.0, on_road=on_road,
+        others=on_grid(others, e.time) if others else None,
+    )  # fmt: skip
     seconds: list[float | None] = []
     for works in (answer["careful"], answer["manoeuvre"][:, 0]):
         last = np.flatnonzero(works)
         seconds.append(float(contact - e.time[steps[last[-1]]]) if last.size else None)
     return seconds[0], seconds[1]
-
-
-def _repeat(b: Boxes, rows: int) -> Boxes:
-    x, y, heading, speed = (np.repeat(v, rows, axis=0) for v in (b.x, b.y, b.heading, b.speed))
-    return Boxes(x, y, heading, speed, b.length, b.width)
