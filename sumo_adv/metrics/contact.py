@@ -12,7 +12,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from sumo_adv.datatypes import Bools, Boxes, Floats, Ints, Track
+from sumo_adv.datatypes import Bools, Boxes, Ints, Track
 from sumo_adv.geometry import wrap_below_pi
 from sumo_adv.metrics.boxes import at_time, axis_separations, corners, first_contact, on_grid, overlaps
 
@@ -45,11 +45,6 @@ class Side(StrEnum):
 
 SIDES = tuple(Side)
 FRONT, REAR, LEFT, RIGHT = range(4)  # indices into SIDES
-
-
-def heading_difference(a: Boxes, b: Boxes) -> Floats:
-    """|heading of b - heading of a| in [0, pi] [rad]."""
-    return np.abs(wrap_below_pi(np.asarray(b.heading - a.heading)))
 
 
 def contact_sides(a: Boxes, b: Boxes) -> tuple[Side, Side]:
@@ -103,10 +98,10 @@ def rear_end(ego: Boxes, adversary: Boxes) -> Bools:
     faster along the ego's heading.
     """
     of_ego, of_adversary = _meeting_sides(ego, adversary)
-    faster = adversary.speed * np.cos(adversary.heading - ego.heading) > ego.speed
-    return np.asarray(
-        (heading_difference(ego, adversary) <= SAME_DIRECTION) & (of_ego == REAR) & (of_adversary == FRONT) & faster
-    )
+    turn = np.asarray(adversary.heading - ego.heading)
+    same_way = np.abs(wrap_below_pi(turn)) <= SAME_DIRECTION
+    faster = adversary.speed * np.cos(turn) > ego.speed
+    return np.asarray(same_way & (of_ego == REAR) & (of_adversary == FRONT) & faster)
 
 
 def collision_class(ego: Track, adversary: Track, contact_time: float) -> CollisionClass:

@@ -9,11 +9,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sumo_adv.datatypes import Boxes, Floats, Track
 from sumo_adv.geometry import wrap_below_pi
-from sumo_adv.metrics.boxes import corners, gap, half, on_grid, overlaps
+from sumo_adv.metrics.boxes import corners, gap, half, on_grid, overlaps, pick
 
 AVAILABLE = 8.0  # m/s2, the braking of a car on a dry road
 FINE = 51  # parts of a step in which PET is refined
@@ -136,7 +135,7 @@ def pet(a: Track, b: Track) -> Encroachment:
     """
     reach = (np.hypot(a.length, a.width) + np.hypot(b.length, b.width)) / 2
     i, j = np.nonzero(np.hypot(a.x[:, None] - b.x, a.y[:, None] - b.y) <= reach)
-    touching = overlaps(_pick(a, i), _pick(b, j))
+    touching = overlaps(pick(a.boxes(), i), pick(b.boxes(), j))
     i, j = i[touching], j[touching]
     if not len(i):
         return Encroachment(float("inf"), None, None)
@@ -149,12 +148,6 @@ def pet(a: Track, b: Track) -> Encroachment:
     return Encroachment(
         _refined(a, b, i0, j0) if value > 0 else _refined(b, a, j0, i0), point, "a" if value > 0 else "b"
     )
-
-
-def _pick(track: Track, index: NDArray[np.intp]) -> Boxes:
-    return Boxes(
-        track.x[index], track.y[index], track.heading[index], track.speed[index], track.length, track.width
-    )  # fmt: skip
 
 
 def _refined(a: Track, b: Track, i: int, j: int) -> float:

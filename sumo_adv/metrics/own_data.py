@@ -16,6 +16,7 @@ import numpy as np
 from sumo_adv.datatypes import Boxes, Floats, Ints, Role, Track
 from sumo_adv.errors import UsageError
 from sumo_adv.geometry import wrap_below_pi
+from sumo_adv.metrics.boxes import first_contact
 from sumo_adv.metrics.contact import Side, contact_sides
 from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, REFERENCE_DRIVERS
 from sumo_adv.metrics.reference.counterfactual import Counterfactual, Encounters
@@ -156,8 +157,6 @@ def encounters(cases: Floats, duration: float) -> Encounters:
 
 
 def _kinds(check: Counterfactual, ego: Boxes) -> Sequence[str]:
-    from sumo_adv.metrics.boxes import first_contact
-
     when = first_contact(ego, check.adversary, check.time)
     kinds = []
     for row, time in enumerate(when):

@@ -23,7 +23,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Bools, Boxes, Floats, Ints
 from sumo_adv.metrics.avoidance import OnRoad, escapes
-from sumo_adv.metrics.boxes import first_contact, touches
+from sumo_adv.metrics.boxes import first_contact, pick, touches
 from sumo_adv.metrics.contact import SAME_DIRECTION
 from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, REFERENCE_DRIVERS, Braker
 from sumo_adv.metrics.reference.cc_human import CcHuman
@@ -116,7 +116,7 @@ class Counterfactual:
         first = np.round(np.where(alarmed, alarm, 0.0) / self.given.dt).astype(np.intp)
         rows = np.flatnonzero(alarmed & (self._until - first >= 2))
         if len(rows):
-            ego, adversary = _rows(self.ego, rows), _rows(self.adversary, rows)
+            ego, adversary = pick(self.ego, rows), pick(self.adversary, rows)
             poses, clear = escapes(ego, adversary, first[rows], self._until[rows] - first[rows], self.given.dt, on_road)
             for place, row in enumerate(rows.tolist()):
                 good = np.flatnonzero(clear[:, place])
@@ -229,13 +229,7 @@ def answers(
 
 def _size(value: Floats | float, n: int) -> Floats:
     """A size as ``(N, 1, 1)``."""
-    return np.broadcast_to(np.reshape(np.broadcast_to(np.asarray(value, float), (n, 1)), (n, 1, 1)), (n, 1, 1))
-
-
-def _rows(b: Boxes, rows: Ints) -> Boxes:
-    """Some of the rows, with sizes ``(n, 1)``."""
-    size = [np.broadcast_to(np.reshape(v, (-1, 1)), (len(b.x), 1))[rows] for v in (b.length, b.width)]
-    return Boxes(b.x[rows], b.y[rows], b.heading[rows], b.speed[rows], *size)
+    return np.reshape(np.broadcast_to(np.asarray(value, float), (n, 1)), (n, 1, 1))
 
 
 def _cut(b: Boxes, last: Ints, dt: float) -> Boxes:
@@ -259,11 +253,8 @@ def _along(ego: Boxes, given: Encounters) -> Boxes:
             continue
         points = np.concatenate([[[x[row, last], y[row, last]]], ahead])
         turns = np.arctan2(*np.diff(points, axis=0).T[::-1])
-        way = EgoPaths(
-            Boxes(
-                points[None, :, 0], points[None, :, 1], np.append(turns, turns[-1])[None], ego.speed[:1, :1], 1.0, 1.0
-            )
-        )
+        px, py, ph = (v[None] for v in (*points.T, np.append(turns, turns[-1])))
+        way = EgoPaths(Boxes(px, py, ph, ego.speed[:1, :1], 1.0, 1.0))
         moved = ego.speed[row, last] * given.dt * np.arange(1, count + 1)
         x[row, last + 1 :], y[row, last + 1 :], _ = (v[0] for v in way.poses(moved[None]))
         steps = np.minimum(np.searchsorted(way.station[0], moved, side="right") - 1, len(turns) - 1)
@@ -290,9 +281,7 @@ def _for_all(others: Boxes, n: int) -> Boxes:
     """Others as ``(N, K, steps)`` with sizes ``(N, K, 1)``."""
     k = others.x.shape[-2]
     sizes = (np.asarray(v, float) for v in (others.length, others.width))
-    length, width = (
-        np.broadcast_to(v if v.ndim == 3 else np.reshape(np.broadcast_to(v, (k, 1)), (k, 1)), (n, k, 1)) for v in sizes
-    )
+    length, width = (np.broadcast_to(v if v.ndim == 3 else np.broadcast_to(v, (k, 1)), (n, k, 1)) for v in sizes)
     x, y, heading, speed = (
         np.broadcast_to(v, (n, *v.shape[-2:])) for v in (others.x, others.y, others.heading, others.speed)
     )
