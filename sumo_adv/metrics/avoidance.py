@@ -195,7 +195,7 @@ def _clear_of_others(
     """``(manoeuvres, N)``: no contact with a third vehicle, but for those that come from behind and would brake; of
     what is ``asked``, all else counts as clear."""
     clear = np.ones(asked.shape, dtype=bool)
-    half_own = half(own)
+    half_own = [np.asarray(size) for size in half(own)]
     for row in np.flatnonzero(asked.any(axis=0)):
         near = window(others, np.full(len(others.x), int(hazard_index[row])), own.x.shape[1] - 1, dt)
         c, s = np.cos(own.heading[row, 0]), np.sin(own.heading[row, 0])

@@ -122,5 +122,5 @@ def closest(ego: Track, other: Track, time: float) -> float:
 def joined(track: Track, more: Track) -> Track:
     """One track after the other; lane ids are dropped."""
     names = ("time", "x", "y", "heading", "speed", "acceleration")
-    states = (np.concatenate([getattr(track, name), getattr(more, name)]) for name in names)
-    return Track(track.id, track.role, *states, track.length, track.width)
+    states = {name: np.concatenate([getattr(track, name), getattr(more, name)]) for name in names}
+    return replace(track, **states, lane=())
