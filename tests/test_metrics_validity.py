@@ -146,7 +146,7 @@ def test_a_near_miss_has_no_validity_but_ttc_pet_and_distance() -> None:
 
 def test_criticality_runs_from_the_trigger_and_stops_at_the_end_given() -> None:
     ego = cruise("ego", 0, 0, 10)
-    assert judge(ego, ONCOMING, [], trigger_time=1.0, end=4.0).min_ttc == pytest.approx(0.75)
+    assert judge(ego.between(0.0, 4.0), ONCOMING, [], trigger_time=1.0).min_ttc == pytest.approx(0.75)
     assert judge(ego, CROSSING, [], trigger_time=6.5).min_ttc == np.inf
     with pytest.raises(UsageError, match="no step in common"):
         judge(ego.between(0, 2), ONCOMING, [], trigger_time=5.0)
@@ -169,7 +169,7 @@ def test_the_planned_continuation_past_the_contact_decides_whether_braking_helps
     """Braking lets a crossing car pass if it goes on, and hits it if it stops in the way."""
     ego = cruise("ego", 0, 0, 10)
     contact = 56.5 / 12
-    goes_on = judge(ego.between(0, 4.7), CROSSING, [], trigger_time=1.0, end=None)
+    goes_on = judge(ego.between(0, 4.7), CROSSING, [], trigger_time=1.0)
     y = np.minimum(-60 + 12 * TIME, -60 + 12 * 4.8)
     stops = replace(CROSSING, y=y, speed=np.where(TIME < 4.85, 12.0, 0.0))
     assert goes_on.collided is False  # the ego's track ends 8 ms before

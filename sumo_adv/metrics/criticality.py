@@ -103,9 +103,9 @@ def headway(ego: Boxes, other: Boxes) -> Floats:
     return np.where(centre_ahead & np.isfinite(nearest) & (np.asarray(ego.speed) > 0), time, np.inf)
 
 
-def btn(ego: Boxes, other: Boxes, available: float = AVAILABLE, times: Floats | None = None) -> Floats:
-    """Brake threat number: :func:`drac` over the deceleration available [m/s2]; >= 1: braking alone is too late."""
-    return drac(ego, other, times) / available
+def btn(ego: Boxes, other: Boxes, times: Floats | None = None) -> Floats:
+    """Brake threat number: :func:`drac` over the ``AVAILABLE`` braking; >= 1: braking alone is too late."""
+    return drac(ego, other, times) / AVAILABLE
 
 
 def exposure(times: Floats, threshold: float, dt: float) -> tuple[Floats, Floats]:
@@ -189,7 +189,7 @@ def series(ego: Track, others: Sequence[Track]) -> dict[str, Floats]:
         "gap": np.where(absent, np.inf, gap(own, them)),
         "centre_distance": np.where(absent, np.inf, np.hypot(them.x - own.x, them.y - own.y)),
         "drac": drac(own, them, times),
-        "btn": btn(own, them, times=times),
+        "btn": btn(own, them, times),
         "headway": headway(own, them),
         "required_lateral": required_lateral(own, them, times),
     }

@@ -68,7 +68,8 @@ def markings_crossed(track: Track, strips: Sequence[Strip], on_road: OnRoad | No
     open_road = [s for s in strips if not s.internal]
     abreast, offset, heading = _project(track, open_road)
     lane = _lane_of(abreast, offset, open_road)
-    inside = _inside_junction(track, [s for s in strips if s.internal])
+    in_junctions = [s for s in strips if s.internal]
+    inside = _lane_of(*_project(track, in_junctions)[:2], in_junctions) >= 0
     off = np.zeros(len(track.time), dtype=bool) if on_road is None else ~np.asarray(on_road(track.x, track.y))
     crossings: list[Crossing] = []
     held = -1
@@ -97,16 +98,12 @@ def _project(track: Track, strips: Sequence[Strip]) -> tuple[Bools, Floats, Floa
         px, py = track.x[:, None] - a[:, 0], track.y[:, None] - a[:, 1]
         along, across = px * ux + py * uy, py * ux - px * uy
         past = along - np.clip(along, 0.0, length)
-        nearest = np.argmin(np.hypot(past, across), axis=1)
-        steps = np.arange(len(nearest))
-        abreast[row] = ~(
-            ((nearest == 0) & (past[steps, nearest] < -END))
-            | ((nearest == len(length) - 1) & (past[steps, nearest] > END))
-        )
-        offset[row] = np.where(past[steps, nearest] == 0, across[steps, nearest], 0.0)
+        away = np.hypot(past, across)
+        nearest = np.argmin(away, axis=1)
+        at = (np.arange(len(nearest)), nearest)
+        abreast[row] = ~(((nearest == 0) & (past[at] < -END)) | ((nearest == len(length) - 1) & (past[at] > END)))
+        offset[row] = np.where(past[at] == 0, across[at], away[at])  # outside a bend's corner: to the corner itself
         heading[row] = np.arctan2(uy, ux)[nearest]
-        corner = past[steps, nearest] != 0  # outside a bend's corner the distance is to the corner itself
-        offset[row, corner] = np.hypot(past, across)[steps, nearest][corner]
     return abreast, offset, heading
 
 
@@ -118,12 +115,6 @@ def _lane_of(abreast: Bools, offset: Floats, strips: Sequence[Strip]) -> NDArray
     share = np.where(abreast & (np.abs(offset) <= width / 2), np.abs(offset) / width, np.inf)
     best = np.asarray(share.argmin(axis=0))
     return np.where(np.isfinite(share.min(axis=0)), best, -1)
-
-
-def _inside_junction(track: Track, strips: Sequence[Strip]) -> Bools:
-    """Whether a lane inside a junction holds the centre, at each step ``(n,)``."""
-    abreast, offset, _ = _project(track, strips)
-    return _lane_of(abreast, offset, strips) >= 0
 
 
 SENSITIVITY = 0.4  # s, earlier and later
@@ -164,15 +155,14 @@ def full_judge(
     limits: Limits = Limits(),  # noqa: B008 - frozen
     on_road: OnRoad | None = None,
     lane_half_width: float = 1.6,
-    end: float | None = None,
     supports: Sequence[Track] = (),
 ) -> FullVerdict:
     """:func:`~sumo_adv.metrics.validity.judge` and everything that only the attempt that counts needs."""
     verdict = judge(
         ego, adversary, others, trigger_time=trigger_time, ttc_threshold=ttc_threshold, limits=limits, on_road=on_road,
-        lane_half_width=lane_half_width, end=end, supports=supports,
+        lane_half_width=lane_half_width, supports=supports,
     )  # fmt: skip
-    e = align(ego, adversary, trigger_time, end, verdict.contact_time)
+    e = align(ego, adversary, trigger_time, verdict.contact_time)
     stop = float(e.time[-1])
     hazard, kind = hazard_of(e, lane_half_width)
     measures = series(ego.between(trigger_time, stop), [adversary])

@@ -29,9 +29,7 @@ STEP_SLACK, STEP_SHARE = 0.15, 0.05  # m, and share of v dt, by which a step may
 SLIP_ANGLE, SLIP_SLACK = 0.05, 0.02  # rad and m that the centre may slip sideways besides what a curve explains
 SIDEWAYS = 1.2  # m/s: the lateral speed of SUMO's own lane changes (3.2 m in 3 s) with a small margin
 CLOCK_SLACK = 5e-4  # s, times this close are equal
-GATES = (
-    "longitudinal", "lateral", "friction_circle", "curvature", "jerk", "continuity", "off_road", "third_party",
-)  # fmt: skip
+GATES = ("longitudinal", "lateral", "friction_circle", "curvature", "jerk", "continuity", "off_road", "third_party")
 
 
 @dataclass(frozen=True, slots=True)

@@ -52,7 +52,6 @@ def preventability(
     contact_time: float,
     on_road: OnRoad | None = None,
     lane_half_width: float = 1.6,
-    drivers: Sequence[str] = REFERENCE_DRIVERS,
     unattacked: Track | None = None,
     until_avoided: bool = False,
 ) -> Preventability:
@@ -64,7 +63,7 @@ def preventability(
     """
     given = encounter_of(ego, adversary, others, trigger_time, contact_time, lane_half_width, unattacked)
     ruled = has_rule(ego, adversary, contact_time)
-    applicable = [name for name in drivers if ruled or name not in SAME_DIRECTION_ONLY]
+    applicable = [name for name in REFERENCE_DRIVERS if ruled or name not in SAME_DIRECTION_ONLY]
     found = answers(given, applicable, on_road, until_avoided=until_avoided)
     in_words, alarms = {}, {}
     for name in REFERENCE_DRIVERS:
@@ -92,7 +91,7 @@ def encounter_of(
     trigger_time: float,
     contact_time: float,
     lane_half_width: float,
-    unattacked: Track | None = None,
+    unattacked: Track | None,
 ) -> Encounters:
     """The encounter of two tracks on their common grid, the ego up to the step in which the contact falls."""
     begin = _begin(ego, adversary)

@@ -143,18 +143,16 @@ class Encounter:
         return int(np.searchsorted(self.time, time - 5e-4))
 
 
-def align(
-    ego: Track, adversary: Track, trigger_time: float, end: float | None = None, contact_time: float | None = None
-) -> Encounter:
+def align(ego: Track, adversary: Track, trigger_time: float, contact_time: float | None = None) -> Encounter:
     """Both tracks on their common grid, cut at the first contact after the trigger (computed unless given).
 
     Raises:
         UsageError: the tracks do not overlap in time after the trigger.
     """
     start = max(ego.time[0], adversary.time[0])
-    stop = min(ego.time[-1], adversary.time[-1], np.inf if end is None else end)
-    time = ego.between(start, stop).time
-    own, foe, count = row_of(ego.between(start, stop)), row_of(adversary.between(start, np.inf)), len(time)
+    together = ego.between(start, min(ego.time[-1], adversary.time[-1]))
+    time, own, foe = together.time, row_of(together), row_of(adversary.between(start, np.inf))
+    count = len(time)
     trigger = int(np.searchsorted(time, trigger_time - 5e-4))
     if trigger >= count:
         raise UsageError(
@@ -213,7 +211,6 @@ def judge(
     limits: Limits = Limits(),  # noqa: B008 - frozen
     on_road: OnRoad | None = None,
     lane_half_width: float = 1.6,
-    end: float | None = None,
     supports: Sequence[Track] = (),
 ) -> Verdict:
     """The gate verdict of one attempt, on recorded motion.
@@ -221,9 +218,9 @@ def judge(
     The tracks lie on one grid and begin at least two steps before the trigger. The adversary's may go on past the
     contact with its planned motion. ``supports``: those of the others that are adversaries, too; their motion is judged
     by the gates as well. ``min_ttc``, ``min_distance``, ``max_drac`` and ``min_ttc_any`` run from the
-    trigger to the first contact or ``end``. ``avoidable``, ``valid`` and ``strict`` are None without a collision.
+    trigger to the first contact or the end. ``avoidable``, ``valid`` and ``strict`` are None without a collision.
     """
-    e = align(ego, adversary, trigger_time, end)
+    e = align(ego, adversary, trigger_time)
     collided = e.contact_time is not None
     stop = e.contact_time if e.contact_time is not None else float(e.time[-1])
     until_last = e.until_last()

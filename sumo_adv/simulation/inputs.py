@@ -171,11 +171,14 @@ def data_folder(name: str) -> Path:
     raise UsageError(f"The shipped '{name}' is missing: reinstall the package or run from a full checkout.")
 
 
+def shipped_files(folder: str, ending: str) -> list[str]:
+    """The names of what a shipped folder (``networks``, ``suites``) holds."""
+    return sorted(input_name(path) for path in data_folder(folder).glob(f"*{ending}"))
+
+
 def shipped_names() -> tuple[str, ...]:
     """The names that ``load_input`` takes instead of a path: scenarios, then networks."""
-    scenarios = sorted(data_folder("scenarios").glob("*.toml"))
-    networks = sorted(data_folder("networks").glob("*.net.xml"))
-    return tuple(input_name(path) for path in (*scenarios, *networks))
+    return (*shipped_files("scenarios", ".toml"), *shipped_files("networks", ".net.xml"))
 
 
 def resolve(path: Path) -> Path:
