@@ -122,5 +122,5 @@ def closest(ego: Track, other: Track, time: float) -> float:
 def joined(track: Track, more: Track) -> Track:
     """One track after the other; lane ids are dropped."""
     names = ("time", "x", "y", "heading", "speed", "acceleration")
-    states = {name: np.concatenate([getattr(track, name), getattr(more, name)]) for name in names}
-    return replace(track, **states, lane=())
+    time, x, y, heading, speed, acceleration = (np.concatenate([getattr(t, n) for t in (track, more)]) for n in names)
+    return Track(track.id, track.role, time, x, y, heading, speed, acceleration, track.length, track.width)

@@ -30,8 +30,7 @@ def track_of(name: str, columns: Mapping[str, Any], role: Role) -> Track:
     """A track from columns by name: time [s] on a regular grid, x, y of the box's centre [m], heading [rad], speed
     [m/s], and if given length and width [m] and lane.
 
-    Raises:
-        UsageError: a column is missing, too short, of another length or not finite, or times are not regular.
+    Raises UsageError: a column is missing, too short, of another length or not finite, or times are not regular.
     """
     values = {}
     for key in NEEDED:

@@ -146,8 +146,7 @@ class Encounter:
 def align(ego: Track, adversary: Track, trigger_time: float, contact_time: float | None = None) -> Encounter:
     """Both tracks on their common grid, cut at the first contact after the trigger (computed unless given).
 
-    Raises:
-        UsageError: the tracks do not overlap in time after the trigger.
+    Raises UsageError: the tracks do not overlap in time after the trigger.
     """
     start = max(ego.time[0], adversary.time[0])
     together = ego.between(start, min(ego.time[-1], adversary.time[-1]))
