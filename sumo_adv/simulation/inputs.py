@@ -336,12 +336,8 @@ def _scan_all(source: Path, network: Path, demand: tuple[Path, ...]) -> tuple[Ne
 def _check_ids(path: Path, scenario: Scenario, scans: tuple[DemandScan, ...], recorded: frozenset[str]) -> None:
     """Raises UsageError if the scenario names a vehicle that neither its route files nor its tracks hold."""
     adversary = scenario.adversary
-    named = (
-        ("ego", (scenario.ego.id,)),
-        ("adversary candidate", adversary.candidates),
-        ("support", adversary.supports),
-    )
-    for role, ids in named:
+    named = {"ego": (scenario.ego.id,), "adversary candidate": adversary.candidates, "support": adversary.supports}
+    for role, ids in named.items():
         for vehicle in ids:
             if vehicle is None or vehicle in recorded or any(scan.has(vehicle) for scan in scans):
                 continue

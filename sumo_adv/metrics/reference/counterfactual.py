@@ -82,6 +82,7 @@ class Counterfactual:
         self.others = (
             None if given.others is None else _for_all(_extended(given.others, self.steps, dt), len(self.ego.x))
         )
+        self.shape = (len(self.ego.x), 1 if self.others is None else 1 + self.others.x.shape[1])  # egos, vehicles
         self.paths = EgoPaths(self.ego)
 
     @cached_property
@@ -93,9 +94,7 @@ class Counterfactual:
 
     def unchanged(self) -> Answer:
         """The ego as it was."""
-        station = self.paths.station
-        contact = self._contact(self.ego, station)
-        return Answer(~np.isfinite(contact), np.full(len(contact), np.inf), contact)
+        return self._touched(self.ego, self.paths.station)
 
     def braking(self, driver: MakeDriver) -> Answer:
         """What a driver that brakes makes of them."""
@@ -105,8 +104,7 @@ class Counterfactual:
     def moving(self, station: Floats, speed: Floats) -> Answer:
         """What egos that go along their paths in a given way make of them: stations [m] and speeds ``(N, steps)``."""
         x, y, heading = self.paths.poses(station)
-        contact = self._contact(replace(self.ego, x=x, y=y, heading=heading, speed=speed), station)
-        return Answer(~np.isfinite(contact), np.full(len(contact), np.inf), contact)
+        return self._touched(replace(self.ego, x=x, y=y, heading=heading, speed=speed), station)
 
     def manoeuvring(self, alarm: Floats, on_road: OnRoad | None = None) -> tuple[Answer, Ints]:
         """What braking and steering make of them, begun after ``alarm`` [s]; and the best combination, -1 = none."""
@@ -128,8 +126,7 @@ class Counterfactual:
     def roll_out(self, driver: MakeDriver) -> tuple[Floats, Floats, Floats]:
         """Stations [m] and speeds [m/s] of the egos with a driver, ``(N, steps)``; when a danger first showed [s]."""
         n, dt = len(self.ego.x), self.given.dt
-        m = 1 if self.others is None else 1 + self.others.x.shape[1]
-        drivers = driver((n, m), dt)
+        drivers = driver(self.shape, dt)
         recorded, pace = self.paths.station, self.ego.speed
         change = np.diff(pace, axis=1, append=pace[:, -1:]) / dt
         station, speed = recorded.copy(), np.array(np.broadcast_to(pace, recorded.shape))
@@ -152,8 +149,8 @@ class Counterfactual:
             acceleration = (speed[:, k + 1] - present) / dt
         return station, speed, alarm
 
-    def _contact(self, ego: Boxes, station: Floats) -> Floats:
-        """When the egos first touch a vehicle that does not run into them from behind in their lane [s], ``(N,)``."""
+    def _touched(self, ego: Boxes, station: Floats) -> Answer:
+        """When the egos first touch a vehicle that does not run into them from behind in their lane."""
         n = len(ego.x)
         wide = Boxes(
             ego.x[:, None], ego.y[:, None], ego.heading[:, None], np.asarray(ego.speed)[:, None],
@@ -168,7 +165,8 @@ class Counterfactual:
             there, left, heading = self.views.place(rows, columns, k)
             behind = (there < station[rows, k]) & (np.abs(left) < self.given.lane_half_width)
             when[pairs] = np.where(behind & (np.abs(heading) < SAME_DIRECTION), np.inf, when[pairs])
-        return np.asarray(when.min(axis=1))
+        contact = np.asarray(when.min(axis=1))
+        return Answer(~np.isfinite(contact), np.full(n, np.inf), contact)
 
     def _clear_of_others(self, poses: Boxes, which: Ints, row: int, place: int, first: int) -> Bools:
         """Which of a row's manoeuvres touch none of the others but those that come from behind in the lane; the row's
