@@ -91,14 +91,15 @@ def avoidance(
     return {"careful": clear[0], "manoeuvre": np.asarray(groups.any(axis=1).T)}
 
 
-def window(b: Boxes, index: NDArray[np.integer], steps: int, dt: float) -> Boxes:
-    """``steps + 1`` states from each row's index on, ``(N, steps + 1)``; straight on at constant speed past the end."""
-    n, last = b.x.shape[0], b.x.shape[1] - 1
+def window(b: Boxes, index: NDArray[np.integer], steps: int, dt: float, last: Ints | None = None) -> Boxes:
+    """``steps + 1`` states from each row's index on, ``(N, steps + 1)``; straight on at constant speed past the end, or
+    past the step ``last`` ``(N,)``."""
+    n, end = b.x.shape[0], b.x.shape[1] - 1 if last is None else last[:, None]
     indices = np.asarray(index)[:, None] + np.arange(steps + 1)
     rows = np.arange(n)[:, None]
-    taken = np.clip(indices, 0, last)
+    taken = np.clip(indices, 0, end)
     x, y, heading, speed = (np.broadcast_to(v, b.x.shape)[rows, taken] for v in (b.x, b.y, b.heading, b.speed))
-    beyond = speed * (np.maximum(indices - last, 0) * dt)
+    beyond = speed * (np.maximum(indices - end, 0) * dt)
     size = [np.broadcast_to(np.asarray(v, dtype=float), b.x.shape)[:, :1] for v in (b.length, b.width)]
     return Boxes(x + beyond * np.cos(heading), y + beyond * np.sin(heading), heading, speed, size[0], size[1])
 

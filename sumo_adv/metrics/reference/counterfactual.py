@@ -22,7 +22,7 @@ from functools import cached_property
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Boxes, Floats, Ints
-from sumo_adv.metrics.avoidance import OnRoad, escapes
+from sumo_adv.metrics.avoidance import OnRoad, escapes, window
 from sumo_adv.metrics.boxes import first_contact, pick, touches
 from sumo_adv.metrics.contact import SAME_DIRECTION
 from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, REFERENCE_DRIVERS, Braker
@@ -77,7 +77,8 @@ class Counterfactual:
         self.steps = int(max(int(given.last.max(initial=0)) + round(beyond / dt), planned - 1)) + 1
         self._until = np.full(len(given.last), self.steps - 1) if given.until is None else given.until
         self.time: Floats = np.asarray(np.arange(self.steps) * dt, dtype=np.float64)
-        self.ego = _along(_extended(_cut(given.ego, given.last, dt), self.steps, dt), given)
+        first, count = np.zeros_like(given.last), given.ego.x.shape[1]
+        self.ego = _along(_extended(window(given.ego, first, count - 1, dt, given.last), self.steps, dt), given)
         self.adversary = _extended(given.adversary, self.steps, dt)
         self.others = (
             None if given.others is None else _for_all(_extended(given.others, self.steps, dt), len(self.ego.x))
@@ -228,15 +229,6 @@ def answers(
 def _size(value: Floats | float, n: int) -> Floats:
     """A size as ``(N, 1, 1)``."""
     return np.reshape(np.broadcast_to(np.asarray(value, float), (n, 1)), (n, 1, 1))
-
-
-def _cut(b: Boxes, last: Ints, dt: float) -> Boxes:
-    """Motions that go straight on at constant speed after the step ``last``."""
-    steps = np.arange(b.x.shape[1])[None, :]
-    k = (np.arange(len(b.x))[:, None], np.minimum(steps, last[:, None]))
-    over = np.maximum(steps - last[:, None], 0) * dt * b.speed[k]
-    x, y = b.x[k] + over * np.cos(b.heading[k]), b.y[k] + over * np.sin(b.heading[k])
-    return Boxes(x, y, b.heading[k], b.speed[k], b.length, b.width)
 
 
 def _along(ego: Boxes, given: Encounters) -> Boxes:
