@@ -91,6 +91,12 @@ def pick(b: Boxes, k: Any) -> Boxes:
     return Boxes(b.x[k], b.y[k], b.heading[k], b.speed[k], *size)
 
 
+def some_steps(b: Boxes, steps: slice) -> Boxes:
+    """The same boxes ``(..., steps)`` over some of the steps."""
+    x, y, heading, speed = (v[..., steps] for v in (b.x, b.y, b.heading, b.speed))
+    return Boxes(x, y, heading, speed, b.length, b.width)
+
+
 def gap(a: Boxes, b: Boxes) -> Floats:
     """Exact box-to-box distance [m], 0 where they overlap: the least corner-to-box distance, both ways round."""
     least = np.minimum(_corner_distance(a, b), _corner_distance(b, a))

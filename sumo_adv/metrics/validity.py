@@ -19,7 +19,7 @@ from sumo_adv.datatypes import Bools, Boxes, Floats, Limits, Track, Verdict
 from sumo_adv.errors import UsageError
 from sumo_adv.geometry import wrap_below_pi
 from sumo_adv.metrics.avoidance import DELAY, Manoeuvre, OnRoad, avoidance
-from sumo_adv.metrics.boxes import at_time, first_contact, gap, on_grid, row_of
+from sumo_adv.metrics.boxes import at_time, first_contact, gap, on_grid, row_of, some_steps
 from sumo_adv.metrics.contact import rear_end
 from sumo_adv.metrics.criticality import drac, pet, ttc
 from sumo_adv.metrics.fault import fault as fault_of
@@ -136,7 +136,7 @@ class Encounter:
 
     def until_last(self) -> Boxes:
         """The adversary over the ego's steps."""
-        return _steps(self.adversary, slice(self.last + 1))
+        return some_steps(self.adversary, slice(self.last + 1))
 
     def step_of(self, time: float) -> int:
         """The step at a time [s] of the grid."""
@@ -161,15 +161,11 @@ def align(ego: Track, adversary: Track, trigger_time: float, contact_time: float
     dt = float(ego.time[1] - ego.time[0]) if len(ego.time) > 1 else 0.1
     if contact_time is None:
         after = slice(trigger, count)
-        when = float(first_contact(_steps(own, after), _steps(foe, after), time[after])[0])
+        when = float(first_contact(some_steps(own, after), some_steps(foe, after), time[after])[0])
         contact_time = when if np.isfinite(when) else None
     last = count - 1 if contact_time is None else int(np.searchsorted(time, contact_time + 1e-9) - 1)
     last = min(max(last, trigger), count - 1)
-    return Encounter(time[: last + 1], dt, _steps(own, slice(last + 1)), foe, trigger, last, contact_time)
-
-
-def _steps(b: Boxes, part: slice) -> Boxes:
-    return Boxes(b.x[:, part], b.y[:, part], b.heading[:, part], b.speed[:, part], b.length, b.width)
+    return Encounter(time[: last + 1], dt, some_steps(own, slice(last + 1)), foe, trigger, last, contact_time)
 
 
 def hazard_of(e: Encounter, lane_half_width: float = 1.6) -> tuple[float, Kind]:
@@ -262,4 +258,4 @@ def _least_ttc(e: Encounter, others: Sequence[Track]) -> float:
     if not others:
         return float("inf")
     after = slice(e.trigger, None)
-    return float(ttc(_steps(e.ego, after), on_grid(others, e.time[after])).min())
+    return float(ttc(some_steps(e.ego, after), on_grid(others, e.time[after])).min())

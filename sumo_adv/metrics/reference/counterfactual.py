@@ -23,7 +23,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Bools, Boxes, Floats, Ints
 from sumo_adv.metrics.avoidance import OnRoad, escapes, window
-from sumo_adv.metrics.boxes import first_contact, pick, touches
+from sumo_adv.metrics.boxes import first_contact, pick, some_steps, touches
 from sumo_adv.metrics.contact import SAME_DIRECTION
 from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, REFERENCE_DRIVERS, Braker
 from sumo_adv.metrics.reference.cc_human import CcHuman
@@ -256,8 +256,7 @@ def _extended(b: Boxes, steps: int, dt: float) -> Boxes:
     """Motions (time is the last axis) that go straight on at constant speed past their end, up to ``steps``."""
     have = b.x.shape[-1]
     if have >= steps:
-        x, y, heading, speed = (v[..., :steps] for v in (b.x, b.y, b.heading, b.speed))
-        return Boxes(x, y, heading, speed, b.length, b.width)
+        return some_steps(b, slice(steps))
     on = np.arange(1, steps - have + 1) * dt * b.speed[..., -1:]
     x = np.concatenate([b.x, b.x[..., -1:] + on * np.cos(b.heading[..., -1:])], axis=-1)
     y = np.concatenate([b.y, b.y[..., -1:] + on * np.sin(b.heading[..., -1:])], axis=-1)
