@@ -73,10 +73,9 @@ def contact_point(a: Boxes, b: Boxes) -> tuple[float, float]:
     """Where two boxes at first contact touch (x, y) [m]: the mean of the corners in (or nearest to) the other box."""
     points = []
     for own, partner in ((a, b), (b, a)):
-        c, s = float(np.cos(partner.heading)), float(np.sin(partner.heading))
-        other_x, other_y, length, width = (float(v) for v in (partner.x, partner.y, partner.length, partner.width))
+        length, width = float(partner.length), float(partner.width)
         for x, y in corners(own).tolist():
-            px, py = (x - other_x) * c + (y - other_y) * s, (y - other_y) * c - (x - other_x) * s
+            px, py = in_frame(partner, (x, y))
             outside = np.hypot(max(abs(px) - length / 2, 0.0), max(abs(py) - width / 2, 0.0))
             points.append((float(outside), x, y))
     least = min(p[0] for p in points)

@@ -156,19 +156,16 @@ def _refined(a: Track, b: Track, i: int, j: int) -> float:
     ``a`` was there first.
     """
     part = np.linspace(0.0, 1.0, FINE)
-    leaving = _between(a, i, min(i + 1, len(a.time) - 1), part)
-    coming = _between(b, j, max(j - 1, 0), part)
-    _, x, y, heading, speed = (v[:, None] for v in leaving)
-    touching = overlaps(Boxes(x, y, heading, speed, a.length, a.width), Boxes(*coming[1:], b.length, b.width))
-    lag = coming[0] - leaving[0][:, None]
-    return max(float(np.where(touching, lag, np.inf).min()), 0.0)
+    left, leaving = _between(a, i, min(i + 1, len(a.time) - 1), part[:, None])
+    arrived, coming = _between(b, j, max(j - 1, 0), part)
+    return max(float(np.where(overlaps(leaving, coming), arrived - left, np.inf).min()), 0.0)
 
 
-def _between(track: Track, start: int, stop: int, part: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-    """Time, x, y, heading, speed between two steps of a track, at the given parts of the way."""
+def _between(track: Track, start: int, stop: int, part: Floats) -> tuple[Floats, Boxes]:
+    """Time and boxes between two steps of a track, at the given parts of the way."""
     turn = wrap_below_pi(np.asarray(track.heading[stop] - track.heading[start]))
     time, x, y, speed = (v[start] + part * (v[stop] - v[start]) for v in (track.time, track.x, track.y, track.speed))
-    return time, x, y, track.heading[start] + part * turn, speed
+    return time, Boxes(x, y, track.heading[start] + part * turn, speed, track.length, track.width)
 
 
 COLUMNS = ("ttc", "gap", "centre_distance", "drac", "btn", "headway", "required_lateral")
