@@ -77,7 +77,7 @@ def main() -> int:
     trigger, contact = np.full(60, 10), np.full(60, 80)
     road = Drivable(box(-500.0, -20.0, 2000.0, 20.0))
     strips = [Strip(np.array([[0.0, 3.2 * k], [900.0, 3.2 * k]]), 3.2, False) for k in range(-15, 15)]
-    hazards, _ = hazard_index(egos, foes, trigger, contact, DT)
+    hazards, _ = hazard_index(egos, foes, trigger, contact)
     gates = judge(ego, adversary, others, trigger_time=1.0, on_road=on_road)
     wide = rollouts([cut_in(9.0 + i / 25, 3.0 + i / 2, 1.5 + i / 40) for i in range(150)])
     encounters = Encounters(rollouts([ego] * 150), wide, np.full(150, 10), np.full(150, 80), DT)
@@ -99,7 +99,7 @@ def main() -> int:
         ("series rows, 120 steps, 10 others", 50.0, lambda: series_rows(ego, [ego, adversary, *others], "adversary")),
         ("markings, 120 steps, 30 lanes", 50.0, lambda: markings_crossed(adversary, strips, road)),
         ("realism, 120 steps, 10 others", 50.0, lambda: realism_figures(adversary, others, road)),
-        ("hazard of 60 rollouts", 10.0, lambda: hazard_index(egos, foes, trigger, contact, DT)),
+        ("hazard of 60 rollouts", 10.0, lambda: hazard_index(egos, foes, trigger, contact)),
         ("avoidability of 60 rollouts", 30.0, lambda: avoidance(egos, foes, hazards, DT)),
     )
     over = False

@@ -17,7 +17,7 @@ from sumo_adv.metrics.contact import CollisionClass, Side, collision_class, impa
 from sumo_adv.metrics.criticality import COLUMNS, series
 from sumo_adv.metrics.fault import longitudinal_safe_distance, rss_opinion
 from sumo_adv.metrics.full import full_judge
-from sumo_adv.metrics.validity import Kind, align, hazard_time, judge
+from sumo_adv.metrics.validity import Kind, align, hazard_of, judge
 
 EGO = cruise("ego", 0, 0, 15)
 LATE_CUT_IN = drift("adversary", 3, 3.2, 15, 2.0, 2.5, 0.0)  # beside the ego, drifting into it
@@ -79,7 +79,7 @@ def test_an_ego_that_runs_into_a_braking_leader_is_at_fault_and_could_have_brake
     assert v.collided and v.feasible and not v.rear_end and v.fault == "ego"
     assert v.avoidable == "careful_driver" and v.strict
     assert judge(EGO, soft_braking(3.0, 5.0, 45.0), [], trigger_time=1.0).avoidable == "any_manoeuvre"
-    assert hazard_time(EGO, leader, trigger_time=1.0, contact_time=v.contact_time)[1] is Kind.OTHER
+    assert hazard_of(align(EGO, leader, 1.0, contact_time=v.contact_time))[1] is Kind.OTHER
 
 
 def test_a_side_swipe_from_behind_is_not_a_rear_end() -> None:
@@ -97,7 +97,7 @@ def test_a_red_light_runner_leaves_time_to_swerve_or_brake_hard_but_not_for_the_
     assert v.contact_time == pytest.approx(56.5 / 12)  # its front needs 60 - 1 - 2.5 m
     assert v.hazard_time == pytest.approx(2.7, abs=0.051)
     assert (v.avoidable, v.valid, v.strict) == ("any_manoeuvre", True, False)
-    assert hazard_time(ego, CROSSING, trigger_time=1.0)[1] is Kind.CROSSING
+    assert hazard_of(align(ego, CROSSING, 1.0))[1] is Kind.CROSSING
 
 
 def test_an_oncoming_car_in_the_ego_s_lane_braking_cannot_avoid_a_swerve_can() -> None:
@@ -111,7 +111,7 @@ def test_an_oncoming_hazard_shows_when_the_box_crosses_the_edge_of_the_lane() ->
     """Half width 1: over 1.6 m when its centre passes 2.6 m, which 1 m/s from 3.65 m does after 1.05 s."""
     y = np.maximum(3.65 - np.maximum(TIME - 2.0, 0), 0.0)
     adversary = car("adversary", 120 - 10 * TIME, y, 10, np.pi)
-    when, kind = hazard_time(cruise("ego", 0, 0, 10), adversary, trigger_time=1.0)
+    when, kind = hazard_of(align(cruise("ego", 0, 0, 10), adversary, 1.0))
     assert kind is Kind.ONCOMING and when == pytest.approx(3.1, abs=0.01)
 
 
@@ -146,7 +146,7 @@ def test_a_near_miss_has_no_validity_but_ttc_pet_and_distance() -> None:
 
 def test_criticality_runs_from_the_trigger_and_stops_at_the_end_given() -> None:
     ego = cruise("ego", 0, 0, 10)
-    assert judge(ego, ONCOMING, [], trigger_time=1.0, end=4.0).min_ttc == pytest.approx(0.75)
+    assert judge(ego.between(0.0, 4.0), ONCOMING, [], trigger_time=1.0).min_ttc == pytest.approx(0.75)
     assert judge(ego, CROSSING, [], trigger_time=6.5).min_ttc == np.inf
     with pytest.raises(UsageError, match="no step in common"):
         judge(ego.between(0, 2), ONCOMING, [], trigger_time=5.0)
@@ -169,7 +169,7 @@ def test_the_planned_continuation_past_the_contact_decides_whether_braking_helps
     """Braking lets a crossing car pass if it goes on, and hits it if it stops in the way."""
     ego = cruise("ego", 0, 0, 10)
     contact = 56.5 / 12
-    goes_on = judge(ego.between(0, 4.7), CROSSING, [], trigger_time=1.0, end=None)
+    goes_on = judge(ego.between(0, 4.7), CROSSING, [], trigger_time=1.0)
     y = np.minimum(-60 + 12 * TIME, -60 + 12 * 4.8)
     stops = replace(CROSSING, y=y, speed=np.where(TIME < 4.85, 12.0, 0.0))
     assert goes_on.collided is False  # the ego's track ends 8 ms before

@@ -63,7 +63,7 @@ def test_states_are_those_of_the_getters_whatever_the_ids_are(tmp_path: Path) ->
             simulation.step()
         snapshot = simulation.read()
         assert set(snapshot.raw) == set(names) and snapshot.time == simulation.time == 1.0
-        ask = simulation._sumo.vehicle
+        ask = simulation.api.vehicle
         for name in names:
             expected = (*ask.getPosition(name), ask.getAngle(name), ask.getSpeed(name), ask.getLaneID(name))
             assert snapshot.raw[name] == expected

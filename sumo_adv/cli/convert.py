@@ -167,7 +167,8 @@ def scenarios(
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
 ) -> None:
     """List the shipped scenarios with road, a dangerous attack and a description, and the shipped networks."""
-    from sumo_adv.simulation.shipped import shipped_files, shipped_scenarios
+    from sumo_adv.simulation.inputs import shipped_files
+    from sumo_adv.simulation.shipped import shipped_scenarios
 
     shipped, networks = shipped_scenarios(), shipped_files("networks", ".net.xml")
     if as_json:

@@ -166,12 +166,8 @@ def _jump(drive: UnattackedDrive) -> Finding | None:
     beyond = (ahead - float(speed[k].mean()) * dt) / drive.ego.length
     if FRONT_SHARE[0] < beyond < FRONT_SHARE[1]:
         words += ", half its length too far: is that its front bumper?"
-    return Finding(Kind.JUMPS, _time_of(drive, k), words)
-
-
-def _time_of(drive: UnattackedDrive, pose: int) -> float:
-    before = drive.poses[pose][0]
-    return float(drive.ego.time[int(np.argmin(np.hypot(drive.ego.x - before.x, drive.ego.y - before.y)))])
+    when = drive.ego.time[int(np.argmin(np.hypot(drive.ego.x - x[k, 0], drive.ego.y - y[k, 0])))]
+    return Finding(Kind.JUMPS, float(when), words)
 
 
 def apart(a: Track, b: Track, beyond: float) -> tuple[float, float]:

@@ -13,11 +13,9 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.datatypes import DriverModel, VehicleState
-from sumo_adv.drivers.lattice import look_ahead, steering
 from sumo_adv.drivers.lattice_frame import RoadFrame
 from sumo_adv.drivers.protocol import Action, Observation, Road, Steer, Wishes
 from sumo_adv.drivers.sumo_driven import Idm, known_model, sumo_type
-from sumo_adv.geometry import wrap
 
 HELD = -3.0  # m/s2 at a line where it must wait
 GENTLE = 2.0  # m/s2: it begins to brake for a line when this is needed
@@ -55,16 +53,12 @@ class BlindEgo:
             self._points, self._frame = observation.path, RoadFrame(observation.path)
         if self._frame is None or road is None or road.leaves:
             return None
-        station, speed = float(self._frame.locate(ego)[0]), max(ego.speed, 0.1)
-        bends = self._frame.bend(np.array([station + ego.length / 2 + speed * AHEAD]))[1]
+        station = self._frame.locate(ego)[0]
+        bends = self._frame.bend(station + ego.length / 2 + max(ego.speed, 0.1) * AHEAD)[1]
         desired_speed = max(min(road.limit, float(np.min(bends))), 0.1)
         free = self._idm.accel * (1.0 - (ego.speed / desired_speed) ** self._idm.delta)
         pedal = min(max(free, -self._idm.decel), _stopping(road, ego) if road.must_wait else math.inf)
-        ahead = look_ahead(np.array([speed]))
-        x, y, _ = self._frame.path.at(station + ahead)
-        angle = wrap(math.atan2(float(y[0]) - ego.y, float(x[0]) - ego.x) - ego.heading)
-        wheel, _ = steering(np.array([angle]), ahead, np.array([speed]), LATERAL)
-        return Steer(pedal, float(wheel[0]))
+        return Steer(pedal, self._frame.wheel(ego, LATERAL))
 
 
 def _stopping(road: Road, ego: VehicleState) -> float:

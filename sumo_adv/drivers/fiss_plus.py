@@ -23,7 +23,6 @@ import fiss_planner as fiss
 import numpy as np
 
 from sumo_adv.datatypes import VehicleState
-from sumo_adv.drivers.lattice import look_ahead, steering
 from sumo_adv.drivers.lattice_frame import RoadFrame
 from sumo_adv.drivers.protocol import WHEELBASE, Action, Observation, Road, Steer
 from sumo_adv.drivers.sumo_driven import sumo_type
@@ -77,7 +76,7 @@ class FissPlusEgo:
         since = round(observation.time - self._begun, 6)  # its choices are discrete: the last digit could tip them
         plan = self._planner.step(since, self._rear_axle(ego), others, road.limit)
         if plan.emergency or len(np.asarray(plan.trajectory.t)) < 2:
-            self._wheel = _along_path(self._frame, ego)
+            self._wheel = self._frame.wheel(ego, LATERAL)
             return Steer(-BRAKING, self._wheel)
         command = self._controller.compute(self._rear_axle(ego), plan.trajectory, observation.dt)
         self._wheel = float(command.steer)
@@ -160,11 +159,3 @@ def _road_map(frame: RoadFrame, here: float, road: Road, line: float) -> Any:
 
 def _same(drawn: float, line: float) -> bool:
     return drawn == line or abs(drawn - line) < MOVED
-
-
-def _along_path(frame: RoadFrame, ego: VehicleState) -> float:
-    """The wheel [rad] that keeps to the path, where there is no plan."""
-    ahead = look_ahead(np.array([ego.speed]))
-    x, y, _ = frame.path.at(frame.locate(ego)[0] + ahead)
-    angle = wrap(math.atan2(float(y[0]) - ego.y, float(x[0]) - ego.x) - ego.heading)
-    return float(steering(np.array([angle]), ahead, np.array([ego.speed]), LATERAL)[0][0])

@@ -120,9 +120,7 @@ class LatticeEgo:
             self._cruising = max(ego.speed, 1.0)
         return self._cruising
 
-    def _reference(
-        self, frame: RoadFrame, egos: Egos, size: Size, others: Expected, road: Road, dt: float
-    ) -> Floats:  # fmt: skip
+    def _reference(self, frame: RoadFrame, egos: Egos, size: Size, others: Expected, road: Road, dt: float) -> Floats:
         """Accelerations [m/s2] of ordinary driving, ``(1, time)``."""
         assert self._memory is not None
         times, v = self.settings.times, egos.speed[:, None]

@@ -15,7 +15,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats, VehicleState
-from sumo_adv.drivers.lattice import Egos, Expected, Size
+from sumo_adv.drivers.lattice import Egos, Expected, Size, look_ahead, steering
 from sumo_adv.geometry import PATH_STEP, Path, make_path, wrap
 from sumo_adv.metrics.reference.cc_human import STOPPING_SHORT
 
@@ -71,6 +71,14 @@ class RoadFrame:
         """Curvature [1/m] and the fastest comfortable speed [m/s] at stations."""
         return np.interp(s, self._grid, self._curvature, right=0.0), np.interp(s, self._grid, self._pace)
 
+    def wheel(self, ego: VehicleState, lateral: float) -> float:
+        """The wheel [rad] that keeps a vehicle to the path, with at most ``lateral`` [m/s2] sideways."""
+        speed = np.array([ego.speed])
+        ahead = look_ahead(speed)
+        x, y, _ = self.path.at(self.locate(ego)[0] + ahead)
+        angle = wrap(math.atan2(float(y[0]) - ego.y, float(x[0]) - ego.x) - ego.heading)
+        return float(steering(np.array([angle]), ahead, speed, lateral)[0][0])
+
 
 class Others(NamedTuple):
     """Vehicles now, ``m`` for each of ``n`` egos, all ``(n, m)``.
@@ -105,7 +113,7 @@ class Watch:
                 before, x, y, h, rate = self._seen[o.id]
                 passed = max(time - before, 1e-3)
                 vx, vy = (o.x - x) / passed, (o.y - y) / passed
-                rate = float(smoothed(rate, o.heading - h, passed))
+                rate += SMOOTHING * (wrap(o.heading - h) / passed - rate)
             seen[o.id] = (time, o.x, o.y, o.heading, rate)
             rows[k] = vx, vy, rate
         self._seen = seen
@@ -120,30 +128,16 @@ def others_on(frame: RoadFrame, ego: VehicleState, others: Sequence[VehicleState
     s, d, turn = frame.project(x, y, h)
     direction = h - turn
     drift = vy * np.cos(direction) - vx * np.sin(direction)
+    keeps_lane = np.abs(drift) < DRIFT_RATE + DRIFT_BEND * (v * np.abs(frame.bend(s)[0]))
     unknown = (s >= frame.path.length) & (np.cos(turn) <= math.cos(ALONG))  # it comes from beyond the known path
     return Others(
-        (x, y, h), (s, d, turn), v, a, kept_drift(drift, v * np.abs(frame.bend(s)[0])), yaw_rate,
+        (x, y, h), (s, d, turn), v, a, np.where(keeps_lane, 0.0, drift), yaw_rate,
         np.where(unknown, np.inf, np.hypot(x - ego.x, y - ego.y)), length, width,
     )  # fmt: skip
 
 
-def smoothed(rate: Floats | float, turned: Floats | float, dt: float) -> Floats:
-    """The yaw rate [rad/s] after ``rate``, for a vehicle that ``turned`` [rad] within ``dt`` [s]."""
-    return np.asarray(rate + SMOOTHING * (wrap(np.asarray(turned)) / dt - rate))
-
-
-def kept_drift(drift: Floats, bend: Floats | float = 0.0) -> Floats:
-    """The drift [m/s], 0 for lane keeping; ``bend``: the yaw rate [rad/s] of following the path."""
-    return np.where(np.abs(drift) < DRIFT_RATE + DRIFT_BEND * bend, 0.0, drift)
-
-
-def expect(
-    others: Others, egos: Egos, size: Size, times: Floats, project: Callable[..., Poses] | None = None
-) -> Expected:
-    """Where other vehicles are expected at ``times`` [s] from now.
-
-    ``project`` puts poses of the plane on the path. None: the plane is the path's own.
-    """
+def expect(others: Others, egos: Egos, size: Size, times: Floats, project: Callable[..., Poses]) -> Expected:
+    """Where other vehicles are expected at ``times`` [s] from now. ``project`` puts poses of the plane on the path."""
     (s, d, turn), v = others.place, others.speed
     way = _travelled(v, others.acceleration, times)
     all_s, all_d = s[..., None] + np.cos(turn)[..., None] * way, _drifting(d, others.drift, turn, times)
@@ -152,8 +146,7 @@ def expect(
     if not along.all():
         free = ~along
         x, y, h = (q[free] for q in others.pose)
-        arcs = _arcs(x, y, h, others.yaw_rate[free], way[free], v[free])
-        all_s[free], all_d[free], angle[free] = arcs if project is None else project(*arcs)
+        all_s[free], all_d[free], angle[free] = project(*_arcs(x, y, h, others.yaw_rate[free], way[free], v[free]))
     cos, sin = np.abs(np.cos(angle)), np.abs(np.sin(angle))
     length, width = others.length[..., None], others.width[..., None]
     half_s, half_d = (cos * length + sin * width) / 2, (sin * length + cos * width) / 2

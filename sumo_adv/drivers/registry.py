@@ -45,11 +45,11 @@ class UserEgo:
     def __init__(self, spec: str, driver: Any) -> None:
         """``spec``: what messages call the driver. Raises UsageError: its bicycle cannot be used."""
         self._driver, self._spec = driver, spec
-        self.name = str(getattr(self._driver, "name", spec))
-        self.forkable = bool(getattr(self._driver, "forkable", False))
-        self.needs_observation = bool(getattr(self._driver, "needs_observation", True))
-        self.wishes = read_wishes(self._driver, spec)
-        attributes = getattr(self._driver, "sumo_type", None)
+        self.name = str(getattr(driver, "name", spec))
+        self.forkable = bool(getattr(driver, "forkable", False))
+        self.needs_observation = bool(getattr(driver, "needs_observation", True))
+        self.wishes = read_wishes(driver, spec)
+        attributes = getattr(driver, "sumo_type", None)
         self.sumo_type: Mapping[str, str] = sumo_type("idm", {}) if attributes is None else dict(attributes)
 
     def reset(self, seed: int) -> None:
@@ -104,8 +104,7 @@ def find_class(kind: str, spec: str) -> type:
     Classes of Python's standard library are refused before anything is imported. None of them is a driver, and making
     an object of one can have effects: ``subprocess:Popen`` starts a program.
 
-    Raises:
-        UsageError: another form, a class of the standard library, a module that cannot be imported, no such class.
+    Raises UsageError: another form, a class of the standard library, a module that cannot be imported, no such class.
     """
     module_name, _, class_name = spec.partition(":")
     if not module_name or not class_name:
@@ -135,22 +134,21 @@ def make_object(kind: str, spec: str, parameters: Mapping[str, Any], methods: Ma
 
     The class is checked for its methods before an object is made, so that no code of an unsuitable class runs.
 
-    Raises:
-        UsageError: as ``find_class``, or the class lacks a method, or the object cannot be made.
+    Raises UsageError: as ``find_class``, or the class lacks a method, or the object cannot be made.
     """
     user_class = find_class(kind, spec)
-    missing = lacking(user_class, methods)
-    if missing:
-        raise UsageError(f"The {kind} {spec!r} has no method {missing!r}; it needs {' and '.join(methods.values())}.")
+    _check_methods(kind, spec, user_class, methods)
     try:
         return user_class(**parameters)
     except (Exception, SystemExit) as error:  # user code
         raise UsageError(f"The {kind} {spec!r} could not be made: {in_one_line(error)}.") from error
 
 
-def lacking(thing: Any, methods: Mapping[str, str]) -> str | None:
-    """The first of ``methods`` (name -> signature) that a class or an object does not have."""
-    return next((name for name in methods if not callable(getattr(thing, name, None))), None)
+def _check_methods(kind: str, spec: str, thing: Any, methods: Mapping[str, str]) -> None:
+    """Raises UsageError if a class or an object lacks one of ``methods`` (name -> signature)."""
+    for name in methods:
+        if not callable(getattr(thing, name, None)):
+            raise UsageError(f"The {kind} {spec!r} has no method {name!r}; it needs {' and '.join(methods.values())}.")
 
 
 def in_one_line(error: BaseException) -> str:
@@ -190,9 +188,7 @@ def pack(ego: Any) -> GivenEgo:
 
     made = not isinstance(ego, type)
     name = PREFIX + (type(ego) if made else ego).__name__
-    missing = lacking(ego, METHODS)
-    if missing:
-        raise UsageError(f"The ego {name!r} has no method {missing!r}; it needs {' and '.join(METHODS.values())}.")
+    _check_methods("ego", name, ego, METHODS)
     try:
         return GivenEgo(name, made, cloudpickle.dumps(ego))
     except Exception as error:  # whatever the user's object raises
@@ -289,9 +285,7 @@ def trusted_driver(named: str | None, recorded: str | None, source: Path) -> str
     """The driver ``named`` by the user, else the driver that the file or folder ``source`` records; None if neither
     names one.
 
-    Raises:
-        UsageError: only ``source`` names the driver, and it is a class of another package; or the driver was given as
-            an object.
+    Raises UsageError: only ``source`` names the driver, and it is a class of another package or was given as an object.
     """
     if named is None and recorded is not None and recorded.startswith(PREFIX):
         raise lost(recorded, f"The run in {source}")

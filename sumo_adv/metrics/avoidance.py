@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_adv.datatypes import Bools, Boxes, Floats, Ints
-from sumo_adv.metrics.boxes import Half, corners, sat, touches
+from sumo_adv.metrics.boxes import Half, corners, half, pick, sat, touches
 
 PERCEPTION, REACTION = 0.4, 0.75  # s, UN R157 annex 3
 CAREFUL_BRAKING = 0.774 * 9.81  # m/s2, UN R157
@@ -79,16 +79,6 @@ def avoidance(
     careful_driver = Manoeuvre(careful_delay, CAREFUL_BRAKING, CAREFUL_RAMP)
     table = (careful_driver, *(m for d in delays for m in manoeuvres(d)))
     steps = round(HORIZON / dt)
-    clear = _clear(ego, adversary, hazard_index, dt, table, steps, on_road, others, reacting)
-    groups = clear[1:].reshape(len(delays), len(manoeuvres(0.0)), clear.shape[1])
-    return {"careful": clear[0], "manoeuvre": np.asarray(groups.any(axis=1).T)}
-
-
-def _clear(
-    ego: Boxes, adversary: Boxes, hazard_index: NDArray[np.integer], dt: float, table: Sequence[Manoeuvre], steps: int,
-    on_road: OnRoad | None, others: Boxes | None, reacting: Manoeuvre | None,
-) -> Bools:  # fmt: skip
-    """Which of the table's manoeuvres avoid it, ``(len(table), N)``."""
     own, foe = window(ego, hazard_index, steps, dt), window(adversary, hazard_index, steps, dt)
     poses = poses_of(own, table, dt)
     foe_poses = _straight(foe) if reacting is None else poses_of(foe, (reacting,), dt)
@@ -97,17 +87,19 @@ def _clear(
         clear &= _clear_of_others(poses, own, others, hazard_index, dt, clear)
     if on_road is not None:
         clear &= stays_on_road(poses, own, table, clear, on_road, dt)
-    return clear
+    groups = clear[1:].reshape(len(delays), len(manoeuvres(0.0)), clear.shape[1])
+    return {"careful": clear[0], "manoeuvre": np.asarray(groups.any(axis=1).T)}
 
 
-def window(b: Boxes, index: NDArray[np.integer], steps: int, dt: float) -> Boxes:
-    """``steps + 1`` states from each row's index on, ``(N, steps + 1)``; straight on at constant speed past the end."""
-    n, last = b.x.shape[0], b.x.shape[1] - 1
+def window(b: Boxes, index: NDArray[np.integer], steps: int, dt: float, last: Ints | None = None) -> Boxes:
+    """``steps + 1`` states from each row's index on, ``(N, steps + 1)``; straight on at constant speed past the end, or
+    past the step ``last`` ``(N,)``."""
+    n, end = b.x.shape[0], b.x.shape[1] - 1 if last is None else last[:, None]
     indices = np.asarray(index)[:, None] + np.arange(steps + 1)
     rows = np.arange(n)[:, None]
-    taken = np.clip(indices, 0, last)
+    taken = np.clip(indices, 0, end)
     x, y, heading, speed = (np.broadcast_to(v, b.x.shape)[rows, taken] for v in (b.x, b.y, b.heading, b.speed))
-    beyond = speed * (np.maximum(indices - last, 0) * dt)
+    beyond = speed * (np.maximum(indices - end, 0) * dt)
     size = [np.broadcast_to(np.asarray(v, dtype=float), b.x.shape)[:, :1] for v in (b.length, b.width)]
     return Boxes(x + beyond * np.cos(heading), y + beyond * np.sin(heading), heading, speed, size[0], size[1])
 
@@ -204,7 +196,7 @@ def _clear_of_others(
     """``(manoeuvres, N)``: no contact with a third vehicle, but for those that come from behind and would brake; of
     what is ``asked``, all else counts as clear."""
     clear = np.ones(asked.shape, dtype=bool)
-    half_own = np.asarray(own.length) / 2, np.asarray(own.width) / 2
+    half_own = [np.asarray(size) for size in half(own)]
     for row in np.flatnonzero(asked.any(axis=0)):
         near = window(others, np.full(len(others.x), int(hazard_index[row])), own.x.shape[1] - 1, dt)
         c, s = np.cos(own.heading[row, 0]), np.sin(own.heading[row, 0])
@@ -213,19 +205,12 @@ def _clear_of_others(
         keep = np.flatnonzero(~behind & (np.hypot(dx, dy) < NEARBY))  # an absent one is NaN and drops out here
         if not keep.size:
             continue
-        third = _rows(near, keep)
+        third = pick(near, keep)
         tried = np.flatnonzero(asked[:, row])
         ego_poses = Poses(*(v[tried, row : row + 1] for v in (poses.x, poses.y, poses.cos, poses.sin)))
-        half_third = np.asarray(third.length) / 2, np.asarray(third.width) / 2
-        touched = _hits(ego_poses, _straight(third), (half_own[0][row], half_own[1][row]), half_third)
+        touched = _hits(ego_poses, _straight(third), (half_own[0][row], half_own[1][row]), half(third))
         clear[tried, row] = ~touched.any(axis=(1, 2))
     return clear
-
-
-def _rows(b: Boxes, keep: NDArray[np.integer]) -> Boxes:
-    return Boxes(
-        b.x[keep], b.y[keep], b.heading[keep], b.speed[keep], np.asarray(b.length)[keep], np.asarray(b.width)[keep]
-    )
 
 
 def stays_on_road(
@@ -272,13 +257,9 @@ def manoeuvre_poses(ego: Boxes, alarm: Ints, steps: int, dt: float) -> tuple[Box
     """
     own = window(ego, alarm, steps, dt)
     poses = poses_of(own, TABLE, dt)
-    return own, _boxes(poses, own, dt)
-
-
-def _boxes(poses: Poses, own: Boxes, dt: float) -> Boxes:
     moved = np.hypot(np.diff(poses.x, axis=-1), np.diff(poses.y, axis=-1)) / dt
     speed = np.concatenate([moved, moved[..., -1:]], axis=-1)
-    return Boxes(poses.x, poses.y, np.arctan2(poses.sin, poses.cos), speed, own.length, own.width)
+    return own, Boxes(poses.x, poses.y, np.arctan2(poses.sin, poses.cos), speed, own.length, own.width)
 
 
 def escapes(

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sumo_adv.datatypes import Bools, Boxes, Floats, Ints, Track
 from sumo_adv.geometry import wrap_below_pi
@@ -87,9 +86,15 @@ def half_diagonal(b: Boxes) -> Floats:
 
 
 def pick(b: Boxes, k: Any) -> Boxes:
-    """The boxes at an index ``k`` of their positions."""
+    """The boxes at an index ``k`` of their positions; sizes then have the positions' shape."""
     size = [np.broadcast_to(np.asarray(v, float), b.x.shape)[k] for v in (b.length, b.width)]
     return Boxes(b.x[k], b.y[k], b.heading[k], b.speed[k], *size)
+
+
+def some_steps(b: Boxes, steps: slice) -> Boxes:
+    """The same boxes ``(..., steps)`` over some of the steps."""
+    x, y, heading, speed = (v[..., steps] for v in (b.x, b.y, b.heading, b.speed))
+    return Boxes(x, y, heading, speed, b.length, b.width)
 
 
 def gap(a: Boxes, b: Boxes) -> Floats:
@@ -143,8 +148,8 @@ def touches(a: Boxes, b: Boxes) -> Bools:
 def _near_intervals(a: Boxes, b: Boxes) -> tuple[Bools, list[Floats]]:
     """Which intervals between steps can have a contact, ``(..., n - 1)``, and the motions in these, ``(k,)`` each."""
     shape = np.broadcast_shapes(*(np.shape(v) for box in (a, b) for v in (box.x, box.y, box.heading)))
-    ends = [_ends(v, shape) for v in (b.x - a.x, b.y - a.y, a.heading, b.heading)]
-    (x0, x1), (y0, y1), (ha, ha1), (hb, hb1) = ends
+    steps = (np.broadcast_to(v, shape) for v in (b.x - a.x, b.y - a.y, a.heading, b.heading))
+    (x0, x1), (y0, y1), (ha, ha1), (hb, hb1) = ((v[..., :-1], v[..., 1:]) for v in steps)
     sizes = [np.broadcast_to(v, shape)[..., :-1] for v in (*half(a), *half(b))]
     reach = np.hypot(sizes[0], sizes[1]) + np.hypot(sizes[2], sizes[3])
     vx, vy = x1 - x0, y1 - y0
@@ -153,11 +158,6 @@ def _near_intervals(a: Boxes, b: Boxes) -> tuple[Bools, list[Floats]]:
     near = np.hypot(x0 + nearest * vx, y0 + nearest * vy) <= reach
     motion = (x0, y0, vx, vy, ha, wrap_below_pi(ha1 - ha), hb, wrap_below_pi(hb1 - hb), *sizes)
     return near, [v[near] for v in motion]
-
-
-def _ends(values: Floats, shape: tuple[int, ...]) -> tuple[Floats, Floats]:
-    full = np.broadcast_to(values, shape)
-    return full[..., :-1], full[..., 1:]
 
 
 def _advance(motion: list[Floats], group: Ints) -> Floats:
@@ -258,5 +258,6 @@ def on_grid(tracks: Sequence[Track], time: Floats) -> Boxes:
         if high > low:
             for values, source in zip(state, sources, strict=True):
                 values[row, low:high] = source[low - first : high - first]
-    sizes: list[NDArray[np.float64]] = [np.array([[getattr(t, n)] for t in tracks]) for n in ("length", "width")]
-    return Boxes(state[0], state[1], state[2], state[3], sizes[0].reshape(-1, 1), sizes[1].reshape(-1, 1))
+    x, y, heading, speed = state
+    length, width = (np.array([getattr(t, name) for t in tracks]).reshape(-1, 1) for name in ("length", "width"))
+    return Boxes(x, y, heading, speed, length, width)

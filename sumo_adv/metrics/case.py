@@ -15,12 +15,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sumo_adv.datatypes import Floats, Limits, Track
+from sumo_adv.datatypes import Limits, Track
 from sumo_adv.metrics.gates import CLOCK_SLACK, GATES, kinematic_gates
 
-SPAN = (
-    0.5  # s before the take-over that are smoothed: the shortest manoeuvre in a log, a tap on the brake, lasts longer
-)
+SPAN = 0.5  # s before the take-over that are smoothed: the shortest manoeuvre in a log, a brake tap, lasts longer
 FEWEST = 4  # states: a line through fewer says nothing of their noise
 
 
@@ -123,11 +121,6 @@ def closest(ego: Track, other: Track, time: float) -> float:
 
 def joined(track: Track, more: Track) -> Track:
     """One track after the other; lane ids are dropped."""
-
-    def both(name: str) -> Floats:
-        return np.concatenate([getattr(track, name), getattr(more, name)])
-
-    return Track(
-        track.id, track.role, both("time"), both("x"), both("y"), both("heading"), both("speed"),
-        both("acceleration"), track.length, track.width,
-    )  # fmt: skip
+    names = ("time", "x", "y", "heading", "speed", "acceleration")
+    time, x, y, heading, speed, acceleration = (np.concatenate([getattr(t, n) for t in (track, more)]) for n in names)
+    return Track(track.id, track.role, time, x, y, heading, speed, acceleration, track.length, track.width)

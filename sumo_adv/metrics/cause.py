@@ -54,8 +54,6 @@ STEP, COARSE = 0.1, 5  # m/s2 between the constant brakings that are tried; ever
 CAREFUL = CcHuman.name
 DELAYS = {name: braker.delay for name, braker in BRAKERS.items()} | {MANOEUVRE: DELAY - PERCEPTION}
 """Seconds from a reference driver's alarm until it acts."""
-
-
 NAMES = {CAREFUL: "the careful one", MANOEUVRE: "a driver that brakes and steers"}
 """Reference drivers in sentences."""
 
@@ -224,7 +222,7 @@ class _Watched(CcHuman):
 def _reference(check: Counterfactual, begin: float, moment: float, verdict: Verdict) -> _Reference:
     """The driver that the ego is compared with."""
     start = float(check.time[check.given.start[0]])
-    careful = _Watched(_shape(check), check.given.dt, start)
+    careful = _Watched(check.shape, check.given.dt, start)
     _watch(check, careful, moment - begin)
     alarm, brakes = begin + careful.first, begin + careful.brakes
     p = verdict.preventability
@@ -236,7 +234,7 @@ def _reference(check: Counterfactual, begin: float, moment: float, verdict: Verd
     acts = {n: max(alarms[n] + DELAYS[n], begin + start) for n in avoided if n in alarms}
     for name in acts:
         if name in SAME_DIRECTION_ONLY:
-            brakes_now = _watch(check, BRAKERS[name](_shape(check), check.given.dt), moment - begin)
+            brakes_now = _watch(check, BRAKERS[name](check.shape, check.given.dt), moment - begin)
             acts[name] = begin + _last_onset(brakes_now, check)
     acts = {n: when for n, when in acts.items() if when < moment}
     if acts:
@@ -244,10 +242,6 @@ def _reference(check: Counterfactual, begin: float, moment: float, verdict: Verd
         own = acts[name] - DELAYS[name]
         return _Reference(name, own, acts[name], own if known is None else known)
     return _Reference(CAREFUL, known, brakes if brakes < moment else None, known)
-
-
-def _shape(check: Counterfactual) -> tuple[int, int]:
-    return 1, 1 if check.others is None else 1 + check.others.x.shape[1]
 
 
 def _watch(check: Counterfactual, driver: Braker, moment: float) -> list[bool]:

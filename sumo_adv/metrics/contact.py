@@ -12,7 +12,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from sumo_adv.datatypes import Bools, Boxes, Floats, Ints, Track
+from sumo_adv.datatypes import Bools, Boxes, Ints, Track
 from sumo_adv.geometry import wrap_below_pi
 from sumo_adv.metrics.boxes import at_time, axis_separations, corners, first_contact, on_grid, overlaps
 
@@ -47,11 +47,6 @@ SIDES = tuple(Side)
 FRONT, REAR, LEFT, RIGHT = range(4)  # indices into SIDES
 
 
-def heading_difference(a: Boxes, b: Boxes) -> Floats:
-    """|heading of b - heading of a| in [0, pi] [rad]."""
-    return np.abs(wrap_below_pi(np.asarray(b.heading - a.heading)))
-
-
 def contact_sides(a: Boxes, b: Boxes) -> tuple[Side, Side]:
     """The side of a and the side of b that meet, for two boxes at first contact (0-d arrays)."""
     of_a, of_b = _meeting_sides(a, b)
@@ -78,10 +73,9 @@ def contact_point(a: Boxes, b: Boxes) -> tuple[float, float]:
     """Where two boxes at first contact touch (x, y) [m]: the mean of the corners in (or nearest to) the other box."""
     points = []
     for own, partner in ((a, b), (b, a)):
-        c, s = float(np.cos(partner.heading)), float(np.sin(partner.heading))
-        other_x, other_y, length, width = (float(v) for v in (partner.x, partner.y, partner.length, partner.width))
+        length, width = float(partner.length), float(partner.width)
         for x, y in corners(own).tolist():
-            px, py = (x - other_x) * c + (y - other_y) * s, (y - other_y) * c - (x - other_x) * s
+            px, py = in_frame(partner, (x, y))
             outside = np.hypot(max(abs(px) - length / 2, 0.0), max(abs(py) - width / 2, 0.0))
             points.append((float(outside), x, y))
     least = min(p[0] for p in points)
@@ -103,10 +97,10 @@ def rear_end(ego: Boxes, adversary: Boxes) -> Bools:
     faster along the ego's heading.
     """
     of_ego, of_adversary = _meeting_sides(ego, adversary)
-    faster = adversary.speed * np.cos(adversary.heading - ego.heading) > ego.speed
-    return np.asarray(
-        (heading_difference(ego, adversary) <= SAME_DIRECTION) & (of_ego == REAR) & (of_adversary == FRONT) & faster
-    )
+    turn = np.asarray(adversary.heading - ego.heading)
+    same_way = np.abs(wrap_below_pi(turn)) <= SAME_DIRECTION
+    faster = adversary.speed * np.cos(turn) > ego.speed
+    return np.asarray(same_way & (of_ego == REAR) & (of_adversary == FRONT) & faster)
 
 
 def collision_class(ego: Track, adversary: Track, contact_time: float) -> CollisionClass:

@@ -9,11 +9,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sumo_adv.datatypes import Boxes, Floats, Track
 from sumo_adv.geometry import wrap_below_pi
-from sumo_adv.metrics.boxes import corners, gap, half, on_grid, overlaps
+from sumo_adv.metrics.boxes import corners, gap, half, on_grid, overlaps, pick
 
 AVAILABLE = 8.0  # m/s2, the braking of a car on a dry road
 FINE = 51  # parts of a step in which PET is refined
@@ -104,9 +103,9 @@ def headway(ego: Boxes, other: Boxes) -> Floats:
     return np.where(centre_ahead & np.isfinite(nearest) & (np.asarray(ego.speed) > 0), time, np.inf)
 
 
-def btn(ego: Boxes, other: Boxes, available: float = AVAILABLE, times: Floats | None = None) -> Floats:
-    """Brake threat number: :func:`drac` over the deceleration available [m/s2]; >= 1: braking alone is too late."""
-    return drac(ego, other, times) / available
+def btn(ego: Boxes, other: Boxes, times: Floats | None = None) -> Floats:
+    """Brake threat number: :func:`drac` over the ``AVAILABLE`` braking; >= 1: braking alone is too late."""
+    return drac(ego, other, times) / AVAILABLE
 
 
 def exposure(times: Floats, threshold: float, dt: float) -> tuple[Floats, Floats]:
@@ -136,7 +135,7 @@ def pet(a: Track, b: Track) -> Encroachment:
     """
     reach = (np.hypot(a.length, a.width) + np.hypot(b.length, b.width)) / 2
     i, j = np.nonzero(np.hypot(a.x[:, None] - b.x, a.y[:, None] - b.y) <= reach)
-    touching = overlaps(_pick(a, i), _pick(b, j))
+    touching = overlaps(pick(a.boxes(), i), pick(b.boxes(), j))
     i, j = i[touching], j[touching]
     if not len(i):
         return Encroachment(float("inf"), None, None)
@@ -151,31 +150,22 @@ def pet(a: Track, b: Track) -> Encroachment:
     )
 
 
-def _pick(track: Track, index: NDArray[np.intp]) -> Boxes:
-    return Boxes(
-        track.x[index], track.y[index], track.heading[index], track.speed[index], track.length, track.width
-    )  # fmt: skip
-
-
 def _refined(a: Track, b: Track, i: int, j: int) -> float:
     """PET inside the last step: the least lag at which the boxes overlap, a later by up to a step, b earlier, in 50ths.
 
     ``a`` was there first.
     """
     part = np.linspace(0.0, 1.0, FINE)
-    leaving = _between(a, i, min(i + 1, len(a.time) - 1), part)
-    coming = _between(b, j, max(j - 1, 0), part)
-    _, x, y, heading, speed = (v[:, None] for v in leaving)
-    touching = overlaps(Boxes(x, y, heading, speed, a.length, a.width), Boxes(*coming[1:], b.length, b.width))
-    lag = coming[0] - leaving[0][:, None]
-    return max(float(np.where(touching, lag, np.inf).min()), 0.0)
+    left, leaving = _between(a, i, min(i + 1, len(a.time) - 1), part[:, None])
+    arrived, coming = _between(b, j, max(j - 1, 0), part)
+    return max(float(np.where(overlaps(leaving, coming), arrived - left, np.inf).min()), 0.0)
 
 
-def _between(track: Track, start: int, stop: int, part: Floats) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-    """Time, x, y, heading, speed between two steps of a track, at the given parts of the way."""
+def _between(track: Track, start: int, stop: int, part: Floats) -> tuple[Floats, Boxes]:
+    """Time and boxes between two steps of a track, at the given parts of the way."""
     turn = wrap_below_pi(np.asarray(track.heading[stop] - track.heading[start]))
     time, x, y, speed = (v[start] + part * (v[stop] - v[start]) for v in (track.time, track.x, track.y, track.speed))
-    return time, x, y, track.heading[start] + part * turn, speed
+    return time, Boxes(x, y, track.heading[start] + part * turn, speed, track.length, track.width)
 
 
 COLUMNS = ("ttc", "gap", "centre_distance", "drac", "btn", "headway", "required_lateral")
@@ -196,7 +186,7 @@ def series(ego: Track, others: Sequence[Track]) -> dict[str, Floats]:
         "gap": np.where(absent, np.inf, gap(own, them)),
         "centre_distance": np.where(absent, np.inf, np.hypot(them.x - own.x, them.y - own.y)),
         "drac": drac(own, them, times),
-        "btn": btn(own, them, times=times),
+        "btn": btn(own, them, times),
         "headway": headway(own, them),
         "required_lateral": required_lateral(own, them, times),
     }

@@ -94,11 +94,6 @@ def longitudinal_safe_distance(rear: Floats, front: Floats, rss: Rss = DEFAULT_R
     return np.maximum(needed - front**2 / (2 * rss.hard_braking), 0.0)
 
 
-def lateral_safe_distance(own: Floats, other: Floats, rss: Rss = DEFAULT_RSS) -> Floats:
-    """RSS's least lateral gap [m]; speeds [m/s] positive towards one another."""
-    return np.maximum(lateral_way(own, rss) + lateral_way(other, rss), 0.0)
-
-
 def lateral_way(speed: Floats, rss: Rss) -> Floats:
     """How far a vehicle at a lateral speed [m/s] comes sideways at most until it has none [m]; negative: away."""
     after = speed + rss.response * rss.lateral_acceleration
@@ -114,7 +109,7 @@ class SecondOpinion:
     blame: str
 
 
-def rss_opinion(ego: Track, adversary: Track, contact_time: float, rss: Rss = DEFAULT_RSS) -> SecondOpinion | None:
+def rss_opinion(ego: Track, adversary: Track, contact_time: float) -> SecondOpinion | None:
     """Blame by RSS, None unless both go the same way throughout the dangerous spell.
 
     Dangerous = both the longitudinal and the lateral distance are unsafe, from the start of the last such spell before
@@ -126,24 +121,21 @@ def rss_opinion(ego: Track, adversary: Track, contact_time: float, rss: Rss = DE
     a, b = ego.between(start, contact_time), adversary.between(start, contact_time)
     if not len(a.time) or abs(float(wrap_below_pi(b.heading[-1:] - a.heading[-1:])[0])) > SAME_DIRECTION:
         return None
-    across, behind, unsafe_along, unsafe_across = _unsafe(a, b, rss)
-    spell = _spell(unsafe_along & unsafe_across)
-    since_along, since_across = _spell(unsafe_along), _spell(unsafe_across)
-    if spell == len(a.time):
-        spell = len(a.time) - 1
+    towards, behind, unsafe_along, unsafe_across = _unsafe(a, b)
+    spell = min(_spell(unsafe_along & unsafe_across), len(a.time) - 1)
     when = float(a.time[spell])
-    if since_across > since_along:
-        ego_lateral, adversary_lateral = across
-        return SecondOpinion(when, "lateral", ADVERSARY if adversary_lateral[spell] >= ego_lateral[spell] else EGO)
+    if _spell(unsafe_across) > _spell(unsafe_along):
+        return SecondOpinion(when, "lateral", ADVERSARY if towards[spell] >= 0.0 else EGO)
     if not behind[spell]:
         return SecondOpinion(when, "longitudinal", ADVERSARY)
-    due = a.time >= when + rss.response
-    braked = bool((a.acceleration[due] <= -rss.braking + 0.1).all()) if due.any() else True
+    due = a.time >= when + DEFAULT_RSS.response
+    braked = bool((a.acceleration[due] <= -DEFAULT_RSS.braking + 0.1).all())
     return SecondOpinion(when, "longitudinal", ADVERSARY if braked else EGO)
 
 
-def _unsafe(a: Track, b: Track, rss: Rss) -> tuple[tuple[Floats, Floats], Bools, Bools, Bools]:
-    """Lateral speeds towards one another, ego behind, longitudinal and lateral distance unsafe, by step."""
+def _unsafe(a: Track, b: Track) -> tuple[Floats, Bools, Bools, Bools]:
+    """The adversary's lateral speed towards the ego (which has none), ego behind, longitudinal and lateral distance
+    unsafe, by step."""
     c, s = np.cos(a.heading), np.sin(a.heading)
     dx, dy, turn = b.x - a.x, b.y - a.y, b.heading - a.heading
     x, y = dx * c + dy * s, dy * c - dx * s
@@ -151,11 +143,9 @@ def _unsafe(a: Track, b: Track, rss: Rss) -> tuple[tuple[Floats, Floats], Bools,
     along = np.abs(x) - (a.length + b.length * np.abs(np.cos(turn)) + b.width * np.abs(np.sin(turn))) / 2
     beside = np.abs(y) - (a.width + b.length * np.abs(np.sin(turn)) + b.width * np.abs(np.cos(turn))) / 2
     forward, towards = b.speed * np.cos(turn), -np.sign(y) * b.speed * np.sin(turn)
-    safe = np.where(
-        behind, longitudinal_safe_distance(a.speed, forward, rss), longitudinal_safe_distance(forward, a.speed, rss)
-    )
-    own = np.zeros_like(towards)
-    return (own, towards), behind, along < safe, beside < lateral_safe_distance(own, towards, rss)
+    safe = np.where(behind, longitudinal_safe_distance(a.speed, forward), longitudinal_safe_distance(forward, a.speed))
+    own, its = lateral_way(np.zeros(1), DEFAULT_RSS), lateral_way(towards, DEFAULT_RSS)
+    return towards, behind, along < safe, beside < np.maximum(own + its, 0.0)
 
 
 def _spell(holds: Bools) -> int:

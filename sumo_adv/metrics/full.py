@@ -7,17 +7,17 @@ other direction a centre line, and where the drivable area ends an edge.  Inside
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sumo_adv.datatypes import Bools, Boxes, Floats, Limits, Track, Verdict
+from sumo_adv.datatypes import Bools, Floats, Limits, Track, Verdict
 from sumo_adv.geometry import wrap_below_pi
-from sumo_adv.metrics.avoidance import PERCEPTION, RAMP, REACTION, Manoeuvre, OnRoad, avoidance
-from sumo_adv.metrics.boxes import at_time, on_grid
+from sumo_adv.metrics.avoidance import DELAY, PERCEPTION, RAMP, REACTION, Manoeuvre, OnRoad, avoidance
+from sumo_adv.metrics.boxes import at_time, on_grid, pick
 from sumo_adv.metrics.contact import (
     OPPOSITE_DIRECTION,
     SAME_DIRECTION,
@@ -29,7 +29,7 @@ from sumo_adv.metrics.contact import (
 )
 from sumo_adv.metrics.criticality import AVAILABLE, exposure, pet, series
 from sumo_adv.metrics.fault import SecondOpinion, rss_opinion
-from sumo_adv.metrics.validity import MANOEUVRE_DELAY, MOST, Encounter, Kind, align, hazard_time, judge
+from sumo_adv.metrics.validity import MOST, Encounter, Kind, align, avoidable_by, hazard_of, judge
 
 END = 1e-6  # m: a point nearest to a lane's very end lies before or past it
 
@@ -59,9 +59,7 @@ class Crossing:
     kind: Marking
 
 
-def markings_crossed(
-    track: Track, strips: Sequence[Strip], on_road: Callable[[Floats, Floats], Bools] | None = None
-) -> list[Crossing]:
+def markings_crossed(track: Track, strips: Sequence[Strip], on_road: OnRoad | None = None) -> list[Crossing]:
     """All markings that the box centre crossed over a track, in order.
 
     A line between lanes is crossed where the centre is in another lane while it is still abreast of the one it was in
@@ -70,7 +68,8 @@ def markings_crossed(
     open_road = [s for s in strips if not s.internal]
     abreast, offset, heading = _project(track, open_road)
     lane = _lane_of(abreast, offset, open_road)
-    inside = _inside_junction(track, [s for s in strips if s.internal])
+    in_junctions = [s for s in strips if s.internal]
+    inside = _lane_of(*_project(track, in_junctions)[:2], in_junctions) >= 0
     off = np.zeros(len(track.time), dtype=bool) if on_road is None else ~np.asarray(on_road(track.x, track.y))
     crossings: list[Crossing] = []
     held = -1
@@ -99,16 +98,12 @@ def _project(track: Track, strips: Sequence[Strip]) -> tuple[Bools, Floats, Floa
         px, py = track.x[:, None] - a[:, 0], track.y[:, None] - a[:, 1]
         along, across = px * ux + py * uy, py * ux - px * uy
         past = along - np.clip(along, 0.0, length)
-        nearest = np.argmin(np.hypot(past, across), axis=1)
-        steps = np.arange(len(nearest))
-        abreast[row] = ~(
-            ((nearest == 0) & (past[steps, nearest] < -END))
-            | ((nearest == len(length) - 1) & (past[steps, nearest] > END))
-        )
-        offset[row] = np.where(past[steps, nearest] == 0, across[steps, nearest], 0.0)
+        away = np.hypot(past, across)
+        nearest = np.argmin(away, axis=1)
+        at = (np.arange(len(nearest)), nearest)
+        abreast[row] = ~(((nearest == 0) & (past[at] < -END)) | ((nearest == len(length) - 1) & (past[at] > END)))
+        offset[row] = np.where(past[at] == 0, across[at], away[at])  # outside a bend's corner: to the corner itself
         heading[row] = np.arctan2(uy, ux)[nearest]
-        corner = past[steps, nearest] != 0  # outside a bend's corner the distance is to the corner itself
-        offset[row, corner] = np.hypot(past, across)[steps, nearest][corner]
     return abreast, offset, heading
 
 
@@ -120,12 +115,6 @@ def _lane_of(abreast: Bools, offset: Floats, strips: Sequence[Strip]) -> NDArray
     share = np.where(abreast & (np.abs(offset) <= width / 2), np.abs(offset) / width, np.inf)
     best = np.asarray(share.argmin(axis=0))
     return np.where(np.isfinite(share.min(axis=0)), best, -1)
-
-
-def _inside_junction(track: Track, strips: Sequence[Strip]) -> Bools:
-    """Whether a lane inside a junction holds the centre, at each step ``(n,)``."""
-    abreast, offset, _ = _project(track, strips)
-    return _lane_of(abreast, offset, strips) >= 0
 
 
 SENSITIVITY = 0.4  # s, earlier and later
@@ -164,22 +153,18 @@ def full_judge(
     trigger_time: float,
     ttc_threshold: float = 1.0,
     limits: Limits = Limits(),  # noqa: B008 - frozen
-    on_road: Callable[[Floats, Floats], Bools] | None = None,
+    on_road: OnRoad | None = None,
     lane_half_width: float = 1.6,
-    end: float | None = None,
     supports: Sequence[Track] = (),
 ) -> FullVerdict:
     """:func:`~sumo_adv.metrics.validity.judge` and everything that only the attempt that counts needs."""
     verdict = judge(
         ego, adversary, others, trigger_time=trigger_time, ttc_threshold=ttc_threshold, limits=limits, on_road=on_road,
-        lane_half_width=lane_half_width, end=end, supports=supports,
+        lane_half_width=lane_half_width, supports=supports,
     )  # fmt: skip
-    e = align(ego, adversary, trigger_time, end, verdict.contact_time)
+    e = align(ego, adversary, trigger_time, verdict.contact_time)
     stop = float(e.time[-1])
-    hazard, kind = hazard_time(
-        ego.between(-np.inf, stop), adversary, trigger_time=trigger_time, contact_time=verdict.contact_time,
-        lane_half_width=lane_half_width,
-    )  # fmt: skip
+    hazard, kind = hazard_of(e, lane_half_width)
     measures = series(ego.between(trigger_time, stop), [adversary])
     tet, tit = exposure(measures["ttc"][0], EXPOSURE_TTC, e.dt)
     contact = verdict.contact_time
@@ -193,7 +178,7 @@ def full_judge(
         sensitivity={} if contact is None else _sensitivity(e, hazard, on_road, others),
         latest_careful=careful,
         latest_manoeuvre=manoeuvre,
-        reacting=None if contact is None else _reacting(e, hazard, on_road, others),
+        reacting=None if contact is None else avoidable_by(e, hazard, on_road, others, REACTING),
         tet=float(tet),
         tit=float(tit),
         min_headway=float(measures["headway"].min()),
@@ -226,35 +211,18 @@ def _largest(values: Floats) -> float:
     return float(np.minimum(values, MOST).max())
 
 
-def _at(e: Encounter, hazard: float) -> NDArray[np.intp]:
-    return np.array([int(np.searchsorted(e.time, hazard - 5e-4))])
-
-
-def _others(e: Encounter, others: Sequence[Track]) -> Boxes | None:
-    return on_grid(others, e.time) if others else None
-
-
 def _sensitivity(e: Encounter, hazard: float, on_road: OnRoad | None, others: Sequence[Track]) -> dict[str, bool]:
     """Both tiers begun 0.4 s earlier and later."""
     avoided: dict[str, bool] = {}
+    third = on_grid(others, e.time) if others else None
     for shift in (-SENSITIVITY, SENSITIVITY):
         answer = avoidance(
-            e.ego, e.adversary, _at(e, hazard), e.dt, delays=(MANOEUVRE_DELAY + shift,),
-            careful_delay=PERCEPTION + REACTION + shift, on_road=on_road, others=_others(e, others),
+            e.ego, e.adversary, np.array([e.step_of(hazard)]), e.dt, delays=(DELAY + shift,),
+            careful_delay=PERCEPTION + REACTION + shift, on_road=on_road, others=third,
         )  # fmt: skip
         avoided[f"careful_{shift:+.1f}"] = bool(answer["careful"][0])
         avoided[f"manoeuvre_{shift:+.1f}"] = bool(answer["manoeuvre"][0, 0])
     return avoided
-
-
-def _reacting(e: Encounter, hazard: float, on_road: OnRoad | None, others: Sequence[Track]) -> str:
-    answer = avoidance(
-        e.ego, e.adversary, _at(e, hazard), e.dt, delays=(MANOEUVRE_DELAY,), on_road=on_road,
-        others=_others(e, others), reacting=REACTING,
-    )  # fmt: skip
-    if answer["careful"][0]:
-        return "careful_driver"
-    return "any_manoeuvre" if answer["manoeuvre"][0, 0] else "unavoidable"
 
 
 def _latest(
@@ -262,24 +230,13 @@ def _latest(
 ) -> tuple[float | None, float | None]:
     """Seconds before contact of the last step at which acting at once still avoids, for both tiers; None = never."""
     steps = np.arange(e.trigger, e.last + 1)
-    rows = len(steps)
+    ego, adversary = (pick(b, np.zeros(len(steps), np.intp)) for b in (e.ego, e.adversary))
     answer = avoidance(
-        _repeat(e.ego, rows),
-        _repeat(e.adversary, rows),
-        steps,
-        e.dt,
-        delays=(0.0,),
-        careful_delay=0.0,
-        on_road=on_road,
-        others=_others(e, others),
-    )
+        ego, adversary, steps, e.dt, delays=(0.0,), careful_delay=0.0, on_road=on_road,
+        others=on_grid(others, e.time) if others else None,
+    )  # fmt: skip
     seconds: list[float | None] = []
     for works in (answer["careful"], answer["manoeuvre"][:, 0]):
         last = np.flatnonzero(works)
         seconds.append(float(contact - e.time[steps[last[-1]]]) if last.size else None)
     return seconds[0], seconds[1]
-
-
-def _repeat(b: Boxes, rows: int) -> Boxes:
-    x, y, heading, speed = (np.repeat(v, rows, axis=0) for v in (b.x, b.y, b.heading, b.speed))
-    return Boxes(x, y, heading, speed, b.length, b.width)

@@ -15,7 +15,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Bools, Boxes, Floats, Ints, Limits, Track
 from sumo_adv.geometry import wrap_below_pi
-from sumo_adv.metrics.avoidance import OnRoad
+from sumo_adv.metrics.avoidance import ROAD_TOLERANCE, OnRoad
 from sumo_adv.metrics.boxes import corners, first_contact, half_diagonal, on_grid, pick, row_of
 from sumo_adv.road_users import is_unprotected
 
@@ -25,14 +25,11 @@ CURVATURE_SLACK = 0.01  # 1/m
 JERK_SLACK = 3.0  # m/s3: accelerations rounded to 0.1 m/s2 differ by up to 2 m/s3
 CRAWL = 1.0  # m/s, below it two poses 0.2 s apart do not define a curvature
 REST = 0.05  # m/s, below it a vehicle has come to rest, which ends any braking within one step
-ROAD_TOLERANCE = 0.15  # m that a corner may be off the drivable area
 STEP_SLACK, STEP_SHARE = 0.15, 0.05  # m, and share of v dt, by which a step may differ from its mean speed
 SLIP_ANGLE, SLIP_SLACK = 0.05, 0.02  # rad and m that the centre may slip sideways besides what a curve explains
 SIDEWAYS = 1.2  # m/s: the lateral speed of SUMO's own lane changes (3.2 m in 3 s) with a small margin
 CLOCK_SLACK = 5e-4  # s, times this close are equal
-GATES = (
-    "longitudinal", "lateral", "friction_circle", "curvature", "jerk", "continuity", "off_road", "third_party",
-)  # fmt: skip
+GATES = ("longitudinal", "lateral", "friction_circle", "curvature", "jerk", "continuity", "off_road", "third_party")
 
 
 @dataclass(frozen=True, slots=True)
@@ -276,8 +273,7 @@ def _off_road(track: Track, judged: Bools, on_road: OnRoad, start: float) -> lis
     enough = next((i for i in INSETS if not off_road(boxes, judged, on_road, i).any()), None)
     amount = f"more than {INSETS[-1]:g}" if enough is None else f"up to {enough:g}"
     k = int(np.flatnonzero(steps)[0])
-    at = replace(boxes, x=boxes.x[k : k + 1], y=boxes.y[k : k + 1], heading=boxes.heading[k : k + 1])
-    points = corners(at)[0]
+    points = corners(pick(boxes, k))
     outside = ~np.asarray(on_road(points[..., 0], points[..., 1]))
     dx, dy = points[..., 0] - track.x[k], points[..., 1] - track.y[k]
     left = np.cos(track.heading[k]) * dy - np.sin(track.heading[k]) * dx

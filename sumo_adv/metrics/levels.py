@@ -17,7 +17,7 @@ This is the kinematic form (:mod:`sumo_adv.metrics.reference.counterfactual`); t
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -29,7 +29,7 @@ from sumo_adv.metrics.boxes import on_grid, row_of
 from sumo_adv.metrics.contact import SAME_DIRECTION
 from sumo_adv.metrics.realism import outside
 from sumo_adv.metrics.reference import REFERENCE_DRIVERS, SAME_DIRECTION_ONLY
-from sumo_adv.metrics.reference.counterfactual import Answer, Encounters, answers
+from sumo_adv.metrics.reference.counterfactual import Encounters, answers
 from sumo_adv.metrics.reference.view import EgoPaths
 from sumo_adv.metrics.severity import SERIOUS_DELTA_V, crash
 from sumo_adv.road_users import RoadUser, is_unprotected, road_user
@@ -52,7 +52,6 @@ def preventability(
     contact_time: float,
     on_road: OnRoad | None = None,
     lane_half_width: float = 1.6,
-    drivers: Sequence[str] = REFERENCE_DRIVERS,
     unattacked: Track | None = None,
     until_avoided: bool = False,
 ) -> Preventability:
@@ -64,11 +63,25 @@ def preventability(
     """
     given = encounter_of(ego, adversary, others, trigger_time, contact_time, lane_half_width, unattacked)
     ruled = has_rule(ego, adversary, contact_time)
-    applicable = [name for name in drivers if ruled or name not in SAME_DIRECTION_ONLY]
-    by_driver = answers(given, applicable, on_road, until_avoided=until_avoided)
-    return preventability_of(
-        by_driver, ego, adversary, contact_time, begin=_begin(ego, adversary), planned=has_plan(adversary, contact_time)
-    )  # fmt: skip
+    applicable = [name for name in REFERENCE_DRIVERS if ruled or name not in SAME_DIRECTION_ONLY]
+    found = answers(given, applicable, on_road, until_avoided=until_avoided)
+    in_words, alarms = {}, {}
+    for name in REFERENCE_DRIVERS:
+        if name in SAME_DIRECTION_ONLY and not ruled:
+            in_words[name] = NOT_APPLICABLE
+        elif name in found:
+            in_words[name] = AVOIDS if bool(found[name].avoids[0]) else COLLIDES
+            alarm = _begin(ego, adversary) + float(found[name].alarm[0])
+            if np.isfinite(alarm) and alarm < contact_time:
+                alarms[name] = round(alarm, 3)
+    why = None
+    if float(adversary.time[-1]) < contact_time + PLANNED:
+        why = "no_plan"
+    elif bool(found["unchanged"].avoids[0]):
+        why = "unchanged_ego_misses"
+    elif not alarms:
+        why = "no_hazard"
+    return Preventability(in_words, alarms, why)
 
 
 def encounter_of(
@@ -78,7 +91,7 @@ def encounter_of(
     trigger_time: float,
     contact_time: float,
     lane_half_width: float,
-    unattacked: Track | None = None,
+    unattacked: Track | None,
 ) -> Encounters:
     """The encounter of two tracks on their common grid, the ego up to the step in which the contact falls."""
     begin = _begin(ego, adversary)
@@ -112,38 +125,6 @@ def onward_of(ego: Track, unattacked: Track) -> Floats:
     return np.stack([px[ahead], py[ahead]], axis=-1)
 
 
-def preventability_of(
-    found: Mapping[str, Answer], ego: Track, adversary: Track, contact_time: float, *, begin: float, planned: bool
-) -> Preventability:
-    """The answers of one encounter in words; times become simulation times."""
-    ruled = has_rule(ego, adversary, contact_time)
-    answers_by_driver, alarms = {}, {}
-    for name in REFERENCE_DRIVERS:
-        answer = found.get(name)
-        if name in SAME_DIRECTION_ONLY and not ruled:
-            answers_by_driver[name] = NOT_APPLICABLE
-            continue
-        if answer is None:
-            continue
-        answers_by_driver[name] = AVOIDS if bool(answer.avoids[0]) else COLLIDES
-        alarm = begin + float(answer.alarm[0])
-        if np.isfinite(alarm) and alarm < contact_time:
-            alarms[name] = round(alarm, 3)
-    why = None
-    if not planned:
-        why = "no_plan"
-    elif bool(found["unchanged"].avoids[0]):
-        why = "unchanged_ego_misses"
-    elif not alarms:
-        why = "no_hazard"
-    return Preventability(answers_by_driver, alarms, why)
-
-
-def has_plan(adversary: Track, contact_time: float) -> bool:
-    """Whether it is known what the adversary was to do after the contact."""
-    return bool(len(adversary.time)) and float(adversary.time[-1]) >= contact_time + PLANNED
-
-
 def with_level(
     verdict: Verdict,
     ego: Track,
@@ -174,10 +155,9 @@ def with_level(
     strange = () if is_unprotected(adversary) else strange  # the gates' limits are those of a person already
     verdict = replace(
         verdict, preventability=prevention, ego_stationary=_stationary(ego, contact),
-        ego_blocking=_blocking(ego, contact),
-        humanlike=not strange, beyond_human=strange, contact_side=str(impact.ego_side), delta_v=impact.ego_delta_v,
-        adversary_delta_v=impact.adversary_delta_v, severity=str(impact.severity), injury_risk=impact.injury_risk,
-        impact_speed=impact.impact_speed,
+        ego_blocking=_blocking(ego, contact), humanlike=not strange, beyond_human=strange,
+        contact_side=str(impact.ego_side), delta_v=impact.ego_delta_v, adversary_delta_v=impact.adversary_delta_v,
+        severity=str(impact.severity), injury_risk=impact.injury_risk, impact_speed=impact.impact_speed,
     )  # fmt: skip
     return judged(verdict)
 
@@ -242,12 +222,7 @@ def _blocking(ego: Track, contact_time: float) -> bool:
     Needs SUMO's lane ids; without them the answer is no.
     """
     until = ego.between(-np.inf, contact_time)
-    if (
-        not until.lane
-        or not len(until.time)
-        or until.speed[-1] >= STATIONARY
-        or not until.lane[-1].startswith(JUNCTION)
-    ):
+    if not until.lane or until.speed[-1] >= STATIONARY or not until.lane[-1].startswith(JUNCTION):
         return False
     outside_it = [k for k, lane in enumerate(until.lane) if lane and not lane.startswith(JUNCTION)]
     if not outside_it:

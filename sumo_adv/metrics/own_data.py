@@ -16,6 +16,7 @@ import numpy as np
 from sumo_adv.datatypes import Boxes, Floats, Ints, Role, Track
 from sumo_adv.errors import UsageError
 from sumo_adv.geometry import wrap_below_pi
+from sumo_adv.metrics.boxes import first_contact
 from sumo_adv.metrics.contact import Side, contact_sides
 from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, REFERENCE_DRIVERS
 from sumo_adv.metrics.reference.counterfactual import Counterfactual, Encounters
@@ -29,8 +30,7 @@ def track_of(name: str, columns: Mapping[str, Any], role: Role) -> Track:
     """A track from columns by name: time [s] on a regular grid, x, y of the box's centre [m], heading [rad], speed
     [m/s], and if given length and width [m] and lane.
 
-    Raises:
-        UsageError: a column is missing, too short, of another length or not finite, or times are not regular.
+    Raises UsageError: a column is missing, too short, of another length or not finite, or times are not regular.
     """
     values = {}
     for key in NEEDED:
@@ -156,8 +156,6 @@ def encounters(cases: Floats, duration: float) -> Encounters:
 
 
 def _kinds(check: Counterfactual, ego: Boxes) -> Sequence[str]:
-    from sumo_adv.metrics.boxes import first_contact
-
     when = first_contact(ego, check.adversary, check.time)
     kinds = []
     for row, time in enumerate(when):

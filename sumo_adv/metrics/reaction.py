@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sumo_adv.datatypes import Bools, Floats, Track
+from sumo_adv.datatypes import Bools, Track
 from sumo_adv.metrics.boxes import at_time, row_of
 from sumo_adv.metrics.levels import encounter_of
 from sumo_adv.metrics.reference.cc_human import WANDERING
@@ -125,7 +125,10 @@ def steering_of(ego: Track, adversary: Track, unattacked: Track | None, start: f
         return None
     x, y, h = float(driven.x[0]), float(driven.y[0]), float(driven.heading[0])
     straight = (driven.y - y) * math.cos(h) - (driven.x - x) * math.sin(h)
-    left = straight if unattacked is None else _beside(driven, unattacked)
+    left = straight
+    if unattacked is not None:
+        left = EgoPaths(row_of(unattacked)).locate(driven.x[None], driven.y[None])[1][0]
+        left = left - left[0]  # as far as it was beside that way at first
     least = np.where(np.abs(left) < np.abs(straight), left, straight)
     least = np.where(left * straight > 0.0, least, 0.0)
     if abs(least[-1]) < WANDERING:
@@ -137,12 +140,6 @@ def steering_of(ego: Track, adversary: Track, unattacked: Track | None, start: f
     there = (foe.y - then.y) * np.cos(then.heading) - (foe.x - then.x) * np.sin(then.heading)
     ahead = abs(float(there)) < (ego.width + adversary.width) / 2
     return Steering(began, float(least[-1]), bool(ahead or np.sign(there) != side))
-
-
-def _beside(driven: Track, unattacked: Track) -> Floats:
-    """Offsets of the ego from its way without the attack [m, left positive], 0 at first."""
-    left = EgoPaths(row_of(unattacked)).locate(driven.x[None], driven.y[None])[1][0]
-    return np.asarray(left - left[0])
 
 
 def missed_on_its_way(

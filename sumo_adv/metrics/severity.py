@@ -125,15 +125,10 @@ def crash_of(ego: Boxes, adversary: Boxes, yaw_rates: tuple[float, float]) -> Cr
     lever, velocity = [], []
     for box, yaw in zip((a, b), yaw_rates, strict=True):
         rx, ry = point[0] - float(box.x), point[1] - float(box.y)
+        vx, vy = float(box.speed * np.cos(box.heading)), float(box.speed * np.sin(box.heading))
         lever.append(rx * normal[1] - ry * normal[0])
-        velocity.append(
-            (
-                float(box.speed * np.cos(box.heading)) - yaw * ry,
-                float(box.speed * np.sin(box.heading)) + yaw * rx,
-            )
-        )
-    closing = sum((v - w) * n for v, w, n in zip(*velocity, normal, strict=True))
-    closing = max(closing, 0.0)
+        velocity.append((vx - yaw * ry, vy + yaw * rx))
+    closing = max(sum((v - w) * n for v, w, n in zip(*velocity, normal, strict=True)), 0.0)
     effective = sum(1 / m + arm**2 / i for m, arm, i in zip(mass, lever, inertia, strict=True))
     impulse = (1 + RESTITUTION) * closing / effective
     deltas = [impulse / m for m in mass]

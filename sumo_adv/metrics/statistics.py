@@ -1,6 +1,7 @@
 """Intervals and tests for every table: Wilson, bootstrap, McNemar, paired bootstrap.
 
-Only numpy and the standard library.  Every bootstrap takes a seed and is deterministic.
+Only numpy and the standard library.  Intervals are those of 95 %.  Every bootstrap takes a seed and is
+deterministic.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ from numpy.typing import NDArray
 from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError
 
+CONFIDENCE = 0.95
+TAILS = ((1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2)
 RESAMPLES = 10_000
 AT_ONCE = 1_000_000  # values drawn at a time
 Summary = Callable[..., Any]  # a numpy function with an ``axis``: mean, median
@@ -38,7 +41,7 @@ class Estimate:
         return f"{self.value:.{digits}f} ({self.low:.{digits}f}-{self.high:.{digits}f})"
 
 
-def wilson(successes: int, n: int, confidence: float = 0.95) -> Estimate:
+def wilson(successes: int, n: int) -> Estimate:
     """A rate with Wilson's score interval (Wilson 1927).
 
     centre = (p + z^2/2n) / (1 + z^2/n), half width = z sqrt(p(1-p)/n + z^2/4n^2) / (1 + z^2/n).
@@ -48,7 +51,7 @@ def wilson(successes: int, n: int, confidence: float = 0.95) -> Estimate:
         raise UsageError(f"A rate needs 0 <= successes <= n; got {successes} of {n}.")
     if n == 0:
         return Estimate(float("nan"), 0.0, 1.0, 0)
-    z, p = NormalDist().inv_cdf((1 + confidence) / 2), successes / n
+    z, p = NormalDist().inv_cdf(TAILS[1]), successes / n
     scale = 1 + z * z / n
     centre = (p + z * z / (2 * n)) / scale
     half = z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n)) / scale
@@ -57,16 +60,13 @@ def wilson(successes: int, n: int, confidence: float = 0.95) -> Estimate:
     return Estimate(p, low, high, n)
 
 
-def bootstrap(
-    values: Values, *, confidence: float = 0.95, resamples: int = RESAMPLES, seed: int = 0, of: Summary = np.mean
-) -> Estimate:
+def bootstrap(values: Values, *, resamples: int = RESAMPLES, seed: int = 0, of: Summary = np.mean) -> Estimate:
     """The mean (or another summary ``of`` the values) with a percentile bootstrap interval.
 
     Raises UsageError on no values or on any not finite.
     """
     data = _finite(values)
-    statistics = _resampled(data, resamples, seed, of)
-    low, high = np.quantile(statistics, [(1 - confidence) / 2, (1 + confidence) / 2])
+    low, high = np.quantile(_resampled(data, resamples, seed, of), TAILS)
     return Estimate(float(of(data, axis=0)), float(low), float(high), len(data))
 
 
@@ -109,9 +109,7 @@ def mcnemar(first: Flags, second: Flags) -> float:
     return float(min(2 * tail / 2 ** (b + c), 1.0))
 
 
-def paired_bootstrap(
-    first: Values, second: Values, *, confidence: float = 0.95, resamples: int = RESAMPLES, seed: int = 0
-) -> Paired:
+def paired_bootstrap(first: Values, second: Values, *, resamples: int = RESAMPLES, seed: int = 0) -> Paired:
     """Difference of means on the same encounters, resampling encounters (both methods together).
 
     p is twice the smaller share of resampled differences on one side of zero (with one added, at most 1).
@@ -120,7 +118,7 @@ def paired_bootstrap(
     _same_length(len(first), len(second))
     values, other_values = _finite(first), _finite(second)
     means = _resampled(values - other_values, resamples, seed, np.mean)
-    low, high = np.quantile(means, [(1 - confidence) / 2, (1 + confidence) / 2])
+    low, high = np.quantile(means, TAILS)
     side = min(int((means <= 0).sum()), int((means >= 0).sum()))
     p = min(2 * (side + 1) / (resamples + 1), 1.0)
     return Paired(float((values - other_values).mean()), float(low), float(high), p, len(values))

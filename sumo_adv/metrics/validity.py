@@ -8,7 +8,7 @@ ego's recorded positions, at each point the nearest of them with its heading, wh
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from sumo_adv.datatypes import Bools, Boxes, Floats, Limits, Track, Verdict
 from sumo_adv.errors import UsageError
 from sumo_adv.geometry import wrap_below_pi
-from sumo_adv.metrics.avoidance import OnRoad, avoidance
-from sumo_adv.metrics.boxes import at_time, first_contact, gap, on_grid
+from sumo_adv.metrics.avoidance import DELAY, Manoeuvre, OnRoad, avoidance
+from sumo_adv.metrics.boxes import at_time, first_contact, gap, on_grid, row_of, some_steps
 from sumo_adv.metrics.contact import rear_end
 from sumo_adv.metrics.criticality import drac, pet, ttc
 from sumo_adv.metrics.fault import fault as fault_of
@@ -41,7 +41,7 @@ class Kind(StrEnum):
     OTHER = "other"
 
 
-KINDS = (Kind.SAME_DIRECTION, Kind.ONCOMING, Kind.CROSSING, Kind.OTHER)
+KINDS = tuple(Kind)
 
 
 def path_frame(ego: Boxes, x: Floats, y: Floats) -> tuple[Floats, Floats]:
@@ -61,7 +61,6 @@ def hazard_index(
     adversary: Boxes,
     trigger_index: NDArray[np.integer],
     contact_index: NDArray[np.integer],
-    dt: float,
     *,
     lane_half_width: float = 1.6,
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -120,7 +119,6 @@ def _cannot_stop(adversary: Boxes, entry: NDArray[np.intp]) -> Bools:
     return np.asarray(left <= adversary.speed * adversary.speed / (2 * STOPPING) + 1e-6)  # a micrometre of rounding
 
 
-MANOEUVRE_DELAY = 0.8  # s after the hazard shows at which a manoeuvre begins
 MOST = 20.0  # m/s2, more than any car can do: larger required decelerations, unbounded at contact, are reported as this
 
 
@@ -138,23 +136,23 @@ class Encounter:
 
     def until_last(self) -> Boxes:
         """The adversary over the ego's steps."""
-        b, stop = self.adversary, self.last + 1
-        return Boxes(b.x[:, :stop], b.y[:, :stop], b.heading[:, :stop], b.speed[:, :stop], b.length, b.width)
+        return some_steps(self.adversary, slice(self.last + 1))
+
+    def step_of(self, time: float) -> int:
+        """The step at a time [s] of the grid."""
+        return int(np.searchsorted(self.time, time - 5e-4))
 
 
-def align(
-    ego: Track, adversary: Track, trigger_time: float, end: float | None = None, contact_time: float | None = None
-) -> Encounter:
+def align(ego: Track, adversary: Track, trigger_time: float, contact_time: float | None = None) -> Encounter:
     """Both tracks on their common grid, cut at the first contact after the trigger (computed unless given).
 
-    Raises:
-        UsageError: the tracks do not overlap in time after the trigger.
+    Raises UsageError: the tracks do not overlap in time after the trigger.
     """
     start = max(ego.time[0], adversary.time[0])
-    stop = min(ego.time[-1], adversary.time[-1], np.inf if end is None else end)
-    own, adversary_part = ego.between(start, stop), adversary.between(start, np.inf)
-    count = len(own.time)
-    trigger = int(np.searchsorted(own.time, trigger_time - 5e-4))
+    together = ego.between(start, min(ego.time[-1], adversary.time[-1]))
+    time, own, foe = together.time, row_of(together), row_of(adversary.between(start, np.inf))
+    count = len(time)
+    trigger = int(np.searchsorted(time, trigger_time - 5e-4))
     if trigger >= count:
         raise UsageError(
             f"The tracks of {ego.id!r} and {adversary.id!r} have no step in common after the trigger at "
@@ -163,58 +161,39 @@ def align(
     dt = float(ego.time[1] - ego.time[0]) if len(ego.time) > 1 else 0.1
     if contact_time is None:
         after = slice(trigger, count)
-        when = float(first_contact(_part(own, after), _part(adversary_part, after), own.time[after]))
+        when = float(first_contact(some_steps(own, after), some_steps(foe, after), time[after])[0])
         contact_time = when if np.isfinite(when) else None
-    last = count - 1 if contact_time is None else int(np.searchsorted(own.time, contact_time + 1e-9) - 1)
+    last = count - 1 if contact_time is None else int(np.searchsorted(time, contact_time + 1e-9) - 1)
     last = min(max(last, trigger), count - 1)
-    every = slice(0, None)
-    return Encounter(
-        own.time[: last + 1], dt, _row(_part(own, slice(0, last + 1))), _row(_part(adversary_part, every)), trigger,
-        last, contact_time,
-    )  # fmt: skip
+    return Encounter(time[: last + 1], dt, some_steps(own, slice(last + 1)), foe, trigger, last, contact_time)
 
 
-def _part(track: Track, part: slice) -> Boxes:
-    return Boxes(track.x[part], track.y[part], track.heading[part], track.speed[part], track.length, track.width)
-
-
-def _row(b: Boxes) -> Boxes:
-    return Boxes(b.x[None], b.y[None], b.heading[None], b.speed[None], b.length, b.width)
-
-
-def hazard_time(
-    ego: Track,
-    adversary: Track,
-    *,
-    trigger_time: float,
-    contact_time: float | None = None,
-    lane_half_width: float = 1.6,
-) -> tuple[float, Kind]:
+def hazard_of(e: Encounter, lane_half_width: float = 1.6) -> tuple[float, Kind]:
     """When the hazard shows [s], and the kind of encounter; see :func:`hazard_index`.
 
     The time lies between the trigger and the contact, or the closest approach if there is no contact.
     """
-    return _hazard(align(ego, adversary, trigger_time, contact_time=contact_time), lane_half_width)
-
-
-def _hazard(e: Encounter, lane_half_width: float) -> tuple[float, Kind]:
-    adversary = e.until_last()
-    last = e.last
+    adversary, last = e.until_last(), e.last
     if e.contact_time is None:
         last = e.trigger + int(np.argmin(gap(e.ego, adversary)[0, e.trigger :]))
     index, kind = hazard_index(
-        e.ego, adversary, np.array([e.trigger]), np.array([last]), e.dt, lane_half_width=lane_half_width
+        e.ego, adversary, np.array([e.trigger]), np.array([last]), lane_half_width=lane_half_width
     )
     return float(e.time[index[0]]), KINDS[int(kind[0])]
 
 
-def _escapes(
-    e: Encounter, hazard: int, delays: Sequence[float], on_road: OnRoad | None, others: Sequence[Track]
-) -> dict[str, Bools]:
-    third = on_grid(others, e.time) if others else None
-    return avoidance(
-        e.ego, e.adversary, np.array([hazard]), e.dt, delays=delays, on_road=on_road, others=third
+def avoidable_by(
+    e: Encounter, hazard: float, on_road: OnRoad | None, others: Sequence[Track], reacting: Manoeuvre | None = None
+) -> str:
+    """``careful_driver``, ``any_manoeuvre`` or ``unavoidable``; ``hazard``: when it shows [s]; ``reacting``: the
+    adversary, too, brakes."""
+    answer = avoidance(
+        e.ego, e.adversary, np.array([e.step_of(hazard)]), e.dt, delays=(DELAY,), on_road=on_road,
+        others=on_grid(others, e.time) if others else None, reacting=reacting,
     )  # fmt: skip
+    if answer["careful"][0]:
+        return "careful_driver"
+    return "any_manoeuvre" if answer["manoeuvre"][0, 0] else "unavoidable"
 
 
 def judge(
@@ -225,9 +204,8 @@ def judge(
     trigger_time: float,
     ttc_threshold: float = 1.0,
     limits: Limits = Limits(),  # noqa: B008 - frozen
-    on_road: Callable[[Floats, Floats], Bools] | None = None,
+    on_road: OnRoad | None = None,
     lane_half_width: float = 1.6,
-    end: float | None = None,
     supports: Sequence[Track] = (),
 ) -> Verdict:
     """The gate verdict of one attempt, on recorded motion.
@@ -235,12 +213,13 @@ def judge(
     The tracks lie on one grid and begin at least two steps before the trigger. The adversary's may go on past the
     contact with its planned motion. ``supports``: those of the others that are adversaries, too; their motion is judged
     by the gates as well. ``min_ttc``, ``min_distance``, ``max_drac`` and ``min_ttc_any`` run from the
-    trigger to the first contact or ``end``. ``avoidable``, ``valid`` and ``strict`` are None without a collision.
+    trigger to the first contact or the end. ``avoidable``, ``valid`` and ``strict`` are None without a collision.
     """
-    e = align(ego, adversary, trigger_time, end)
+    e = align(ego, adversary, trigger_time)
     collided = e.contact_time is not None
     stop = e.contact_time if e.contact_time is not None else float(e.time[-1])
-    times, until_last = ttc(e.ego, e.until_last())[0, e.trigger :], e.until_last()
+    until_last = e.until_last()
+    times = ttc(e.ego, until_last)[0, e.trigger :]
     lowest = int(np.argmin(times))
     any_ttc = _least_ttc(e, others)
     threat = drac(e.ego, until_last)[0, e.trigger :]
@@ -248,9 +227,9 @@ def judge(
     gates = all_failed_gates(
         adversary, supports, limits, on_road=on_road, ego=ego, others=others, end=stop, start=driven
     )  # fmt: skip
-    hazard, _ = _hazard(e, lane_half_width)
+    hazard, _ = hazard_of(e, lane_half_width)
     from_behind = e.contact_time is not None and bool(rear_end(*(at_time(t, e.contact_time) for t in (ego, adversary))))
-    avoidable = _avoidable(e, hazard, on_road, others) if collided else None
+    avoidable = avoidable_by(e, hazard, on_road, others) if collided else None
     valid = not gates and not from_behind and avoidable != "unavoidable" if collided else None
     min_ttc = 0.0 if collided else float(times[lowest])
     return Verdict(
@@ -278,14 +257,5 @@ def _least_ttc(e: Encounter, others: Sequence[Track]) -> float:
     """The ego's least TTC with any other vehicle, from the trigger on."""
     if not others:
         return float("inf")
-    x, y, heading, speed = (v[0, e.trigger :] for v in (e.ego.x, e.ego.y, e.ego.heading, e.ego.speed))
-    ego = Boxes(x, y, heading, speed, e.ego.length, e.ego.width)
-    return float(ttc(ego, on_grid(others, e.time[e.trigger :])).min())
-
-
-def _avoidable(e: Encounter, hazard: float, on_road: OnRoad | None, others: Sequence[Track]) -> str:
-    index = int(np.searchsorted(e.time, hazard - 5e-4))
-    escapes = _escapes(e, index, (MANOEUVRE_DELAY,), on_road, others)
-    if escapes["careful"][0]:
-        return "careful_driver"
-    return "any_manoeuvre" if escapes["manoeuvre"][0, 0] else "unavoidable"
+    after = slice(e.trigger, None)
+    return float(ttc(some_steps(e.ego, after), on_grid(others, e.time[after])).min())

@@ -121,7 +121,6 @@ class Estimate:
     plain_km: float | None
 
     def document(self) -> dict[str, Any]:
-
         def plain(found: Rate) -> dict[str, Any]:
             return {
                 "rate": found.value, "low": found.low, "high": found.high, "half_width": found.half_width,

@@ -77,14 +77,16 @@ def danger(ego: Boxes, others: Boxes) -> Ints:
     size = [np.asarray(v, float).reshape(-1, 1, 1) for v in (others.length, others.width)]
     x, y = others.x[:, None, None] + along * c - left * s, others.y[:, None, None] + along * s + left * c
     moved = Boxes(x, y, np.broadcast_to(others.heading[:, None, None], x.shape), speed, *size)
-    keeps, brakes = (separation(_straight(ego, d), moved).min(axis=-1) for d in _distances(float(ego.speed)))
+    pace = np.asarray(ego.speed, float)
+    ways = (pace * AHEAD, _braked(pace, EGO_REACTION, EGO_BRAKING))
+    keeps, brakes = (separation(_straight(ego, way), moved).min(axis=-1) for way in ways)
     return (np.asarray(keeps < CLOSE, np.intp) + (keeps <= 0.0) + ((keeps <= 0.0) & (brakes <= 0.0))).astype(np.intp)
 
 
-def _distances(speed: float) -> tuple[Floats, Floats]:
-    """How far the ego goes at its speed, and braking, by ``AHEAD`` [m]."""
-    braking = np.clip(AHEAD - EGO_REACTION, 0.0, speed / EGO_BRAKING)
-    return speed * AHEAD, speed * (np.minimum(AHEAD, EGO_REACTION) + braking) - EGO_BRAKING * braking**2 / 2
+def _braked(speed: Floats, reaction: float, hardest: float) -> Floats:
+    """How far a vehicle goes that brakes after its reaction time, by ``AHEAD`` [m]."""
+    braking = np.clip(AHEAD - reaction, 0.0, speed / hardest)
+    return np.asarray(speed * (np.minimum(AHEAD, reaction) + braking) - hardest * braking**2 / 2)
 
 
 def _straight(ego: Boxes, distance: Floats) -> Boxes:
@@ -96,14 +98,12 @@ def _motions(speed: Floats) -> tuple[Floats, Floats]:
     """How far a vehicle goes along its heading and to the left of it [m], ``(vehicles, kinds, times)``."""
     along = np.repeat(speed * AHEAD, len(KINDS), axis=1)
     left = np.zeros_like(along)
-    braking = np.clip(AHEAD - REACTION, 0.0, speed[:, 0] / BRAKING)
-    stopped = speed[:, 0] * (np.minimum(AHEAD, REACTION) + braking) - BRAKING * braking**2 / 2
     begun = np.minimum(speed[:, 0], GO_SPEED)
     gaining = np.minimum(AHEAD, (GO_SPEED - begun) / GO_ACCELERATION)
     gone = begun * gaining + GO_ACCELERATION * gaining**2 / 2 + np.maximum(speed[:, 0], GO_SPEED) * (AHEAD - gaining)
     for k, kind in enumerate(KINDS):
         if kind is ErrorKind.LATE_BRAKING:
-            along[:, k] = stopped
+            along[:, k] = _braked(speed[:, 0], REACTION, BRAKING)
         elif kind in (ErrorKind.PRIORITY, ErrorKind.RED_LIGHT):
             along[:, k] = gone
         elif kind in SIDE:

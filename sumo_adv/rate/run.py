@@ -58,14 +58,9 @@ class Run:
     def __post_init__(self) -> None:
         self.errors = HumanErrors(self.drive.simulation)
         self.decisions = Decisions(np.random.default_rng([self.seed, 1]), self.proposal, pilot=self.pilot)
-        shape = (len(KINDS), LEVELS)
-        self.tried, self.begun, self.crashed = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+        self.counts = Counts(*np.zeros((3, len(KINDS), LEVELS)))
         self._begun: dict[str, tuple[int, int]] = {}  # kind and level of danger of each driver's latest error
         self._hours = self._km = self._weighted_hours = self._weighted_km = 0.0
-
-    @property
-    def counts(self) -> Counts:
-        return Counts(self.tried, self.begun, self.crashed)
 
     def until(self, ego: str | None, start: float, end: float, duration: float) -> Record:
         """Drive until the ego has driven for ``duration`` s, has left or touches a vehicle.
@@ -130,10 +125,10 @@ class Run:
                 self.errors.begin(name, KINDS[kind], drive.snapshot.raw[name][3])
                 if self.pilot and levels is not None:
                     self._begun[name] = (int(kind), int(levels[row, kind]))
-                    self.begun[self._begun[name]] += 1.0
+                    self.counts.starts[self._begun[name]] += 1.0
         if self.pilot and levels is not None:
             rows, columns = np.nonzero(model)
-            np.add.at(self.tried, (columns, levels[rows, columns]), 1.0)
+            np.add.at(self.counts.chances, (columns, levels[rows, columns]), 1.0)
 
     # -- contacts -----------------------------------------------------------------------------------------------
 
@@ -175,7 +170,7 @@ class Run:
             verdict = with_level(verdict, case.ego, case.adversary, case.others, trigger_time=start)
             level = verdict.level
         if level >= Level.COLLISION and recent and foe in self._begun:
-            self.crashed[self._begun[foe]] += 1.0
+            self.counts.crashes[self._begun[foe]] += 1.0
         return replace(
             record, contact=True, level=str(level), error=str(error.kind) if error is not None and recent else None
         )  # fmt: skip

@@ -213,14 +213,11 @@ def _allowed_to_start() -> Iterator[None]:
     ends when its connection closes.
     """
     me = multiprocessing.current_process()
-    daemonic = me.daemon
-    if daemonic:
-        me.daemon = False
+    daemonic, me.daemon = me.daemon, False
     try:
         yield
     finally:
-        if daemonic:
-            me.daemon = True
+        me.daemon = daemonic
 
 
 def _serve(body: Body, control: Connection, slots: list[Connection], log: str, note: Path) -> None:

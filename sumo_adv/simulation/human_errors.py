@@ -45,18 +45,14 @@ class ErrorKind(StrEnum):
     RED_LIGHT = "red_light"
 
 
-SIDE = {
-    ErrorKind.CHANGE_LEFT: 1, ErrorKind.DRIFT_LEFT: 1, ErrorKind.CHANGE_RIGHT: -1, ErrorKind.DRIFT_RIGHT: -1,
-}  # fmt: skip
+SIDE = {ErrorKind.CHANGE_LEFT: 1, ErrorKind.DRIFT_LEFT: 1, ErrorKind.CHANGE_RIGHT: -1, ErrorKind.DRIFT_RIGHT: -1}
 """Lanes to the left that an error leads to."""
 LASTS = {
     ErrorKind.INATTENTION: 3.0, ErrorKind.LATE_BRAKING: 4.0, ErrorKind.CHANGE_LEFT: 4.0, ErrorKind.CHANGE_RIGHT: 4.0,
     ErrorKind.DRIFT_LEFT: 4.0, ErrorKind.DRIFT_RIGHT: 4.0, ErrorKind.PRIORITY: 6.0, ErrorKind.RED_LIGHT: 6.0,
 }  # fmt: skip
 """How long each error lasts [s]."""
-KEEPS_SPEED = frozenset({
-    ErrorKind.INATTENTION, ErrorKind.LATE_BRAKING, ErrorKind.DRIFT_LEFT, ErrorKind.DRIFT_RIGHT,
-})  # fmt: skip
+KEEPS_SPEED = frozenset({ErrorKind.INATTENTION, ErrorKind.LATE_BRAKING, ErrorKind.DRIFT_LEFT, ErrorKind.DRIFT_RIGHT})
 
 
 def speed_in_error(kind: ErrorKind, begun: float, after: float) -> float:

@@ -171,11 +171,14 @@ def data_folder(name: str) -> Path:
     raise UsageError(f"The shipped '{name}' is missing: reinstall the package or run from a full checkout.")
 
 
+def shipped_files(folder: str, ending: str) -> list[str]:
+    """The names of what a shipped folder (``networks``, ``suites``) holds."""
+    return sorted(input_name(path) for path in data_folder(folder).glob(f"*{ending}"))
+
+
 def shipped_names() -> tuple[str, ...]:
     """The names that ``load_input`` takes instead of a path: scenarios, then networks."""
-    scenarios = sorted(data_folder("scenarios").glob("*.toml"))
-    networks = sorted(data_folder("networks").glob("*.net.xml"))
-    return tuple(input_name(path) for path in (*scenarios, *networks))
+    return (*shipped_files("scenarios", ".toml"), *shipped_files("networks", ".net.xml"))
 
 
 def resolve(path: Path) -> Path:
@@ -333,12 +336,8 @@ def _scan_all(source: Path, network: Path, demand: tuple[Path, ...]) -> tuple[Ne
 def _check_ids(path: Path, scenario: Scenario, scans: tuple[DemandScan, ...], recorded: frozenset[str]) -> None:
     """Raises UsageError if the scenario names a vehicle that neither its route files nor its tracks hold."""
     adversary = scenario.adversary
-    named = (
-        ("ego", (scenario.ego.id,)),
-        ("adversary candidate", adversary.candidates),
-        ("support", adversary.supports),
-    )
-    for role, ids in named:
+    named = {"ego": (scenario.ego.id,), "adversary candidate": adversary.candidates, "support": adversary.supports}
+    for role, ids in named.items():
         for vehicle in ids:
             if vehicle is None or vehicle in recorded or any(scan.has(vehicle) for scan in scans):
                 continue

@@ -69,7 +69,7 @@ class Conversion:
 
 @dataclass(frozen=True, slots=True)
 class _Content:
-    """What a map holds: the kind of each road (or of each lane ``ROAD_LANE`` of OpenDRIVE), roads, signals, and
+    """What a map holds: the kind of each road (or of each lane ``ROAD_LANE`` of OpenDRIVE), the number of roads, and
     whether it has heights and left-hand traffic."""
 
     kinds: Mapping[str, str]
@@ -91,7 +91,9 @@ def convert_map(path: Path, *, cache: Path | None = None) -> Conversion:
         raise UsageError(f"{path} is packed in a way that netconvert does not read: write it as .osm or .osm.gz first.")
     form = "osm" if name.endswith(OPENSTREETMAP) else "opendrive"
     stem = path.name[: -len(next(ending for ending in sorted(MAPS, key=len, reverse=True) if name.endswith(ending)))]
-    content = _read_map(path, form)
+    content = _read_osm(path) if form == "osm" else _read_opendrive(path)
+    if content.roads == 0:
+        raise UsageError(f"{path} has no road: nothing can be run there; choose another part of the map.")
     program = find_netconvert()
     options = [*COMMON, *(OF_OPENSTREETMAP if form == "osm" else ()), *(("--lefthand",) if content.left_hand else ())]
     place = _cache(cache) / _key(path, options)
@@ -151,14 +153,6 @@ def _trim(cache: Path) -> None:
         kept = sorted((p for p in cache.iterdir() if (p / REPORT).is_file()), key=lambda p: p.stat().st_mtime)
         for old in kept[:-MOST_KEPT]:
             shutil.rmtree(old, ignore_errors=True)
-
-
-def _read_map(path: Path, form: str) -> _Content:
-    """What the map holds. Raises UsageError if it is damaged, of another format, or without roads."""
-    content = _read_osm(path) if form == "osm" else _read_opendrive(path)
-    if content.roads == 0:
-        raise UsageError(f"{path} has no road: nothing can be run there; choose another part of the map.")
-    return content
 
 
 def _parse_map(path: Path, start: Callable[[str, dict[str, str]], None], root: str) -> None:

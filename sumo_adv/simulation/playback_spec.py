@@ -148,6 +148,4 @@ def scenario_playback(scenario: Scenario) -> PlaybackSpec | None:
         Prop(f"{kind}{k}", b.x, b.y, b.heading, b.speed, b.length, b.width, *(b.times or (0.0, math.inf)), kind)
         for kind, boxes in kinds.items() for k, b in enumerate(boxes)
     ]  # fmt: skip
-    return make_playback(
-        scenario.tracks, scenario.background, scenario.signals.log, props, scenario.demand.files
-    )  # fmt: skip
+    return make_playback(scenario.tracks, scenario.background, scenario.signals.log, props, scenario.demand.files)

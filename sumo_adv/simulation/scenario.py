@@ -26,8 +26,7 @@ DEFAULT_WARM_UP = 3.0  # s after the ego's insertion
 
 def _from_scenario_folder(path: Path, info: ValidationInfo) -> Path:
     """``path`` counted from the scenario's folder, which the validation context carries; absolute paths stay."""
-    folder = Path(info.context["folder"]) if info.context else Path()
-    return Path(path) if Path(path).is_absolute() else (folder / path)
+    return Path(info.context["folder"], path) if info.context else path
 
 
 Located = Annotated[Path, AfterValidator(_from_scenario_folder)]

@@ -30,11 +30,6 @@ def shipped_scenarios() -> list[ShippedScenario]:
     return [_read(path) for path in sorted(data_folder("scenarios").glob("*.toml"))]
 
 
-def shipped_files(folder: str, ending: str) -> list[str]:
-    """The names of what a shipped folder (``networks``, ``suites``) holds."""
-    return sorted(input_name(path) for path in data_folder(folder).glob(f"*{ending}"))
-
-
 def _read(path: Path) -> ShippedScenario:
     scenario = load_scenario(path)
     label = scenario.label

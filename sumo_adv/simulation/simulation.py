@@ -137,18 +137,18 @@ class Simulation:
         self.spec = spec
         self.fleet = Fleet()
         self.unrouted: frozenset[str] = frozenset()  # vehicles that another program moves freely
-        self._remote = remote
+        self.remote = remote  # the other end, where SUMO is a program of its own
         self._asked: dict[str, float] = {}  # speeds [m/s] of the vehicles that are moved in the next step,
         self._given: dict[str, float] = {}  # and that were moved in the last one
         self._walked: dict[str, tuple[float, float]] = {}  # where the persons on foot are
         self._as_cars: set[str] = set()  # moved pedestrians and cyclists, which SUMO takes for cars
-        self._errors: tuple[type[Exception], ...]
-        self._sumo: Any
+        self.api: Any  # libsumo or the connection itself, for what only ``stage.py`` asks of it
+        self.errors: tuple[type[Exception], ...]  # what ``api`` raises
         if remote is not None:
             import traci
 
-            self._sumo = remote.connection
-            self._errors = (traci.TraCIException, traci.FatalTraCIError, OSError)
+            self.api = remote.connection
+            self.errors = (traci.TraCIException, traci.FatalTraCIError, OSError)
         else:
             self._start()
 
@@ -156,8 +156,8 @@ class Simulation:
         if Simulation._running is not None:
             raise SimulationError("A simulation already runs in this process; close it first (libsumo has only one).")
         libsumo = load_libsumo()
-        self._sumo = libsumo
-        self._errors = (libsumo.TraCIException, libsumo.FatalTraCIError)
+        self.api = libsumo
+        self.errors = (libsumo.TraCIException, libsumo.FatalTraCIError)
         try:
             libsumo.start(["sumo", *self.spec.arguments()])
         except libsumo.TraCIException as error:
@@ -188,62 +188,47 @@ class Simulation:
 
     def reload(self) -> None:
         """Load the same simulation again from its beginning (bit-identical if the same commands follow)."""
-        if self._remote is not None:
+        if self.remote is not None:
             raise SimulationError("A SUMO that others are connected to cannot be loaded again: start another.")
         self.fleet.forget(())
         self._asked, self._given, self._as_cars, self._walked = {}, {}, set(), {}
         try:
-            self._sumo.load(self.spec.arguments())
-        except self._errors as error:
+            self.api.load(self.spec.arguments())
+        except self.errors as error:
             raise SimulationError(f"SUMO could not load the simulation again ({error}).") from error
 
     def close(self) -> None:
         """End the simulation; the process may start another."""
-        if self._remote is not None:
-            self._remote.close()
+        if self.remote is not None:
+            self.remote.close()
         if Simulation._running is self:
             Simulation._running = None
-            self._sumo.close()
-
-    @property
-    def remote(self) -> Remote | None:
-        """The other end, where SUMO is a program of its own."""
-        return self._remote
-
-    @property
-    def api(self) -> Any:
-        """libsumo or the connection itself, for what only ``stage.py`` asks of it."""
-        return self._sumo
-
-    @property
-    def errors(self) -> tuple[type[Exception], ...]:
-        """What ``api`` raises."""
-        return self._errors
+            self.api.close()
 
     # -- reading ------------------------------------------------------------------------------------------------
 
     @property
     def time(self) -> float:
         """Simulated time [s]."""
-        if self._remote is not None:
-            return self._remote.time
-        return round(float(self._sumo.simulation.getTime()), 6)
+        if self.remote is not None:
+            return self.remote.time
+        return round(float(self.api.simulation.getTime()), 6)
 
     def step(self) -> None:
         """One step of ``step_length``. Raises SimulationError: SUMO failed."""
         self._given, self._asked = self._asked, {}
-        if self._remote is not None:
-            self._remote.step()
+        if self.remote is not None:
+            self.remote.step()
             return
         try:
-            self._sumo.simulationStep()
-        except self._errors as error:
+            self.api.simulationStep()
+        except self.errors as error:
             raise SimulationError(f"SUMO failed in a step ({' '.join(str(error).split())}).") from error
 
     def read(self) -> Snapshot:
         """The present states of all vehicles and persons."""
-        if self._remote is not None:
-            return self._read_remote(self._remote)
+        if self.remote is not None:
+            return self._read_remote(self.remote)
         position, angle, speed, lane = self._position, self._angle, self._speed, self._lane
         sizes = self.fleet.sizes
         raw: dict[str, RawState] = {}
@@ -254,7 +239,7 @@ class Simulation:
             if x > INVALID:
                 raw[v] = (x, y, angle(v), speed(v), lane(v))
         correct_speeds(raw, self._given)
-        person = self._sumo.person
+        person = self.api.person
         self._add_persons(raw, {
             p: (*person.getPosition(p), person.getAngle(p), person.getSpeed(p), person.getVehicle(p))
             for p in person.getIDList()
@@ -279,7 +264,7 @@ class Simulation:
             if ride or x <= INVALID or name in raw:  # in ``raw``: it attacks as a vehicle since this step
                 continue
             if name not in self.fleet.sizes:
-                p = self._sumo.person
+                p = self.api.person
                 self.fleet.sizes[name] = (p.getLength(person), p.getWidth(person))
                 self.fleet.classes[name] = "pedestrian"
                 self.fleet.persons.add(name)
@@ -288,7 +273,7 @@ class Simulation:
                 raw[name] = (x, y, angle, speed, "")
 
     def _measure(self, vehicle: str) -> None:
-        self.fleet.sizes[vehicle] = (self._sumo.vehicle.getLength(vehicle), self._sumo.vehicle.getWidth(vehicle))
+        self.fleet.sizes[vehicle] = (self.api.vehicle.getLength(vehicle), self.api.vehicle.getWidth(vehicle))
 
     def state(self, snapshot: Snapshot, vehicle: str, acceleration: float = 0.0) -> VehicleState:
         """One vehicle of a snapshot as a box (KeyError if it is not there)."""
@@ -301,13 +286,13 @@ class Simulation:
 
     def expected(self) -> int:
         """Vehicles that are on the road or still to come."""
-        return int(self._sumo.simulation.getMinExpectedNumber())
+        return int(self.api.simulation.getMinExpectedNumber())
 
     def route(self, vehicle: str) -> tuple[tuple[str, ...], int]:
         """A vehicle's edges and the index of the present one; nothing where its way is unknown (``unrouted``)."""
         if vehicle in self.unrouted:
             return (), 0
-        return tuple(self._sumo.vehicle.getRoute(vehicle)), int(self._sumo.vehicle.getRouteIndex(vehicle))
+        return tuple(self.api.vehicle.getRoute(vehicle)), int(self.api.vehicle.getRouteIndex(vehicle))
 
     def ahead(self, vehicle: str) -> tuple[str, ...]:
         """A vehicle's edges from the present one on."""
@@ -316,20 +301,20 @@ class Simulation:
 
     def lane_position(self, vehicle: str) -> float:
         """Metres from the start of the present lane to the front bumper."""
-        if self._remote is not None and vehicle in self._remote.lane_positions:
-            return self._remote.lane_positions[vehicle]
-        return float(self._sumo.vehicle.getLanePosition(vehicle))
+        if self.remote is not None and vehicle in self.remote.lane_positions:
+            return self.remote.lane_positions[vehicle]
+        return float(self.api.vehicle.getLanePosition(vehicle))
 
     def vehicle_class(self, vehicle: str) -> str:
         """SUMO's vClass; asked once a vehicle."""
         kind = self.fleet.classes.get(vehicle)
         if kind is None:
-            kind = self.fleet.classes[vehicle] = str(self._sumo.vehicle.getVehicleClass(vehicle))
+            kind = self.fleet.classes[vehicle] = str(self.api.vehicle.getVehicleClass(vehicle))
         return kind
 
     def model(self, vehicle: str) -> DriverModel:
         """An unknown driver with the vehicle's car-following numbers in SUMO, predicted as IDM."""
-        v = self._sumo.vehicle
+        v = self.api.vehicle
         return DriverModel(
             "idm", v.getAccel(vehicle), self._deceleration(vehicle), v.getTau(vehicle), v.getMinGap(vehicle),
             v.getAllowedSpeed(vehicle), known=False,
@@ -338,32 +323,32 @@ class Simulation:
 
     def signals(self, vehicle: str) -> list[tuple[str, float, str]]:
         """Traffic lights ahead of a vehicle: (id, distance [m], state letter)."""
-        return [(t[0], t[2], t[3]) for t in self._sumo.vehicle.getNextTLS(vehicle)]
+        return [(t[0], t[2], t[3]) for t in self.api.vehicle.getNextTLS(vehicle)]
 
     def limit(self, vehicle: str) -> float:
         """The fastest its driver goes where it is [m/s]."""
-        return float(self._sumo.vehicle.getAllowedSpeed(vehicle))
+        return float(self.api.vehicle.getAllowedSpeed(vehicle))
 
     def reachable(self, vehicle: str, speed: float) -> float:
         """The highest speed [m/s] that SUMO lets a vehicle have after a step, with no vehicle and no line ahead."""
-        fastest = speed + float(self._sumo.vehicle.getAccel(vehicle)) * self.spec.step_length
+        fastest = speed + float(self.api.vehicle.getAccel(vehicle)) * self.spec.step_length
         return min(fastest, self.limit(vehicle))
 
     def advised(self, vehicle: str) -> float:
         """The speed [m/s] that SUMO's driver would have had after the last step, at most the one it was asked for."""
-        return float(self._sumo.vehicle.getSpeedWithoutTraCI(vehicle))
+        return float(self.api.vehicle.getSpeedWithoutTraCI(vehicle))
 
     def stood(self, vehicle: str) -> float:
         """For how long a vehicle has been slower than 0.1 m/s [s]."""
-        return float(self._sumo.vehicle.getWaitingTime(vehicle))
+        return float(self.api.vehicle.getWaitingTime(vehicle))
 
     def light(self, name: str) -> str:
         """The state of a traffic light, a letter for each connection that it controls."""
-        return str(self._sumo.trafficlight.getRedYellowGreenState(name))
+        return str(self.api.trafficlight.getRedYellowGreenState(name))
 
     def lamps(self, vehicle: str) -> int:
         """The lamps of a vehicle that are on, as bits: indicator right 1, left 2, brake light 8."""
-        return int(self._sumo.vehicle.getSignals(vehicle))
+        return int(self.api.vehicle.getSignals(vehicle))
 
     # -- driving ------------------------------------------------------------------------------------------------
 
@@ -374,7 +359,7 @@ class Simulation:
 
         Raises SimulationError: SUMO does not know the vehicle, or could not place it.
         """
-        vehicle = self._sumo.vehicle
+        vehicle = self.api.vehicle
         for name, pose in poses.items():
             try:
                 if name not in self.fleet.sizes:
@@ -388,14 +373,14 @@ class Simulation:
                 vehicle.setSpeed(name, pose.speed)
                 self._asked[name] = pose.speed
                 vehicle.moveToXY(name, "", -1, x, y, angle_deg_of(pose.heading), KEEP_ROUTE, SEARCHED)
-            except self._errors as error:
+            except self.errors as error:
                 raise SimulationError(f"SUMO could not move vehicle '{name}' ({error}).") from error
 
     def released(self, vehicle: str) -> None:
         """Give a vehicle that is moved no more its own class back."""
         if vehicle in self._as_cars:
             self._as_cars.discard(vehicle)
-            self._sumo.vehicle.setVehicleClass(vehicle, self.vehicle_class(vehicle))
+            self.api.vehicle.setVehicleClass(vehicle, self.vehicle_class(vehicle))
 
     def set_speed(self, vehicle: str, speed: float | None) -> None:
         """Ask for a speed [m/s], or the lower one which SUMO holds for safe; None gives the speed back to SUMO.
@@ -403,7 +388,7 @@ class Simulation:
         It brakes at most as hard as in an emergency: SUMO clips at the ``decel``, which is the emergency's as long as a
         speed is asked for (also for what SUMO holds for safe); without clipping, its safe speed stops within a step.
         """
-        v = self._sumo.vehicle
+        v = self.api.vehicle
         braking = self._deceleration(vehicle) if speed is None else v.getEmergencyDecel(vehicle)
         if v.getDecel(vehicle) != braking:
             v.setDecel(vehicle, braking)
@@ -412,37 +397,37 @@ class Simulation:
 
     def _deceleration(self, vehicle: str) -> float:
         """Its ``decel`` [m/s2] while no speed is asked for."""
-        v = self._sumo.vehicle
+        v = self.api.vehicle
         present = float(v.getDecel(vehicle))
         if present != v.getEmergencyDecel(vehicle):
             return present
-        return float(self._sumo.vehicletype.getDecel(v.getTypeID(vehicle).removesuffix(f"@{vehicle}")))
+        return float(self.api.vehicletype.getDecel(v.getTypeID(vehicle).removesuffix(f"@{vehicle}")))
 
     def change_lane(self, vehicle: str, lane: int) -> None:
         """Ask SUMO's driver to change to the lane of that index within 3 s."""
-        self._sumo.vehicle.changeLane(vehicle, lane, 3.0)
+        self.api.vehicle.changeLane(vehicle, lane, 3.0)
 
     def set_route(self, vehicle: str, edges: Sequence[str]) -> None:
         """Give a vehicle the edges that are left of its way, the present one first."""
-        self._sumo.vehicle.setRoute(vehicle, list(edges))
+        self.api.vehicle.setRoute(vehicle, list(edges))
 
     def set_type(self, vehicle: str, type_id: str) -> None:
         """Give a vehicle another driver (a vType of an additional file); its size and lane-changing habits stay."""
         length, width = self.fleet.sizes[vehicle]
-        fastest = self._sumo.vehicle.getMaxSpeed(vehicle)
-        habits = {n: self._sumo.vehicle.getParameter(vehicle, f"laneChangeModel.{n}") for n in LANE_HABITS}
-        self._sumo.vehicle.setType(vehicle, type_id)
+        fastest = self.api.vehicle.getMaxSpeed(vehicle)
+        habits = {n: self.api.vehicle.getParameter(vehicle, f"laneChangeModel.{n}") for n in LANE_HABITS}
+        self.api.vehicle.setType(vehicle, type_id)
         for name, value in habits.items():
-            self._sumo.vehicle.setParameter(vehicle, f"laneChangeModel.{name}", value)
-        self._sumo.vehicle.setLength(vehicle, length)
-        self._sumo.vehicle.setWidth(vehicle, width)
-        self._sumo.vehicle.setMaxSpeed(vehicle, fastest)
+            self.api.vehicle.setParameter(vehicle, f"laneChangeModel.{name}", value)
+        self.api.vehicle.setLength(vehicle, length)
+        self.api.vehicle.setWidth(vehicle, width)
+        self.api.vehicle.setMaxSpeed(vehicle, fastest)
 
     def add(self, vehicle: str, edges: Sequence[str], type_id: str, depart: Mapping[str, str], route: str = "") -> None:
         """Insert a vehicle with a route of its own, under a new name if it departs again."""
         name = route or f"{vehicle}.route"
         try:
-            self._sumo.route.add(name, list(edges))
-            self._sumo.vehicle.add(vehicle, name, type_id, **depart)
-        except self._errors as error:
+            self.api.route.add(name, list(edges))
+            self.api.vehicle.add(vehicle, name, type_id, **depart)
+        except self.errors as error:
             raise SimulationError(f"SUMO could not insert vehicle '{vehicle}' ({error}).") from error

@@ -7,6 +7,7 @@ off the road and beyond its end alike, also without a route; its first speed is 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 
 from sumo_adv.errors import SimulationError, UsageError
 from sumo_adv.geometry import Pose
@@ -87,17 +88,14 @@ class Stage:
         if not edges or not route:
             return
         here, lane = route[at], vehicle.getLaneID(name)
-        into = (
-            {link[0].rpartition("_")[0] for link in self._sumo.lane.getLinks(lane)} if lane.startswith(":") else set()
-        )
+        links = self._sumo.lane.getLinks(lane) if lane.startswith(":") else ()
+        into = {link[0].rpartition("_")[0] for link in links}
         onward = edges[edges.index(here) :] if here in edges else ()
-        try:
+        with suppress(*self._simulation.errors):  # where no way leads there from here, SUMO's own route stays
             if onward and (not into or (len(onward) > 1 and onward[1] in into)):
                 vehicle.setRoute(name, list(onward))
             elif edges[-1] != here:
                 vehicle.changeTarget(name, edges[-1])
-        except self._simulation.errors:  # no way leads there from here: SUMO's own route stays
-            return
 
     def set_signal(self, name: str, state: str | None) -> None:
         """Show a traffic light's state, None = what its own program says. Raises UsageError: there is no such light, or

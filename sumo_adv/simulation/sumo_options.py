@@ -35,9 +35,7 @@ ELSEWHERE = {
     "step-length": "use the setting step_length",
 }  # fmt: skip
 """Options of SUMO that have another place, and which."""
-_OWN = (
-    "device.ssm.", "gui-", "window-", "save-", "xml-validation", "duration-log", "message-log", "error-log",
-)  # fmt: skip
+_OWN = ("device.ssm.", "gui-", "window-", "save-", "xml-validation", "duration-log", "message-log", "error-log")
 _OWN_NAMES = frozenset(
     ("collision.action", "collision.stoptime", "remote-port", "num-clients", "configuration-file", "log", "log-file",
      "verbose", "no-warnings", "no-step-log", "step-log.period", "threads", "load-state", "start", "quit-on-end",

@@ -141,14 +141,11 @@ class CarFollowing:
         distance = 0.5 * n * (n - 1.0) * b * dt + n * b * t
         return np.asarray(np.where(room < NUMERICAL, 0.0, n * b + (usable - distance) / (n * dt + t)))
 
-    def _braking(self, v: Floats) -> Floats:
-        return brake_gap(v, self.deceleration, self._dt)
-
     def _safe_behind(self, v: Floats, room: Floats, leader: Floats) -> Floats:
         """Krauss's safe speed (``maximumSafeFollowSpeed``). Where comfortable braking is not enough, the driver brakes
         harder than necessary by ``AMPLIFIED``."""
         dt = self._dt
-        safe = self._safe(np.maximum(room, 0.0) + self._braking(leader), self.tau)
+        safe = self._safe(np.maximum(room, 0.0) + brake_gap(leader, self.deceleration, dt), self.tau)
         safe = np.where(room >= 0.0, safe, v - self._hardest * dt)
         hard = (v - safe) / dt
         if not (hard > self.deceleration + NUMERICAL).any():

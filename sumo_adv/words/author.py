@@ -17,8 +17,7 @@ from sumo_adv.errors import ModelError, SumoAdvError, UsageError
 from sumo_adv.llm.asking import MeteredModel, ask
 from sumo_adv.llm.prompts import Prompts, fenced, sanitize
 from sumo_adv.memory.records import canonical
-from sumo_adv.simulation.inputs import data_folder, load_input
-from sumo_adv.simulation.shipped import shipped_files
+from sumo_adv.simulation.inputs import data_folder, load_input, shipped_files
 from sumo_adv.words.build import build
 from sumo_adv.words.draft import Draft, SceneDraft
 from sumo_adv.words.request import Reading, read_motion

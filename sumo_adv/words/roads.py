@@ -27,9 +27,8 @@ import numpy as np
 
 from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError, nearest
-from sumo_adv.simulation.inputs import data_folder
+from sumo_adv.simulation.inputs import data_folder, shipped_files
 from sumo_adv.simulation.programs import find_netconvert
-from sumo_adv.simulation.shipped import shipped_files
 from sumo_adv.words.draft import RoadDraft
 
 OPTIONS = (

@@ -97,7 +97,6 @@ class Reg157:
         self.alarmed: Bools = np.zeros(shape[0], bool)
 
     def step(self, view: View) -> Floats:
-        """The acceleration [m/s2] over the step to come, ``(N,)``; NaN where the driver does not brake."""
         intrudes = view.same_direction & view.ahead & (view.near_edge < view.lane_half_width - INTRUSION + 1e-9)
         faster = intrudes & (view.closing > 0.0)
         needed = view.closing / (2 * BRAKING) + self.delay + self._dt
@@ -137,7 +136,6 @@ class RssDriver:
         self.alarmed: Bools = np.zeros(shape[0], bool)
 
     def step(self, view: View) -> Floats:
-        """The acceleration [m/s2] over the step to come, ``(N,)``; NaN where the driver does not brake."""
         along = np.maximum(view.along, 0.0)
         own = np.broadcast_to(view.ego_speed, along.shape)
         unsafe_along = view.gap < longitudinal_safe_distance(own, along, NUMBERS)
@@ -209,7 +207,6 @@ class Fsm:
         self.alarmed: Bools = np.zeros(shape[0], bool)
 
     def step(self, view: View) -> Floats:
-        """The acceleration [m/s2] over the step to come, ``(N,)``; NaN where the driver does not brake."""
         matters = view.same_direction & view.ahead & (view.in_corridor | self._moves_in(view))
         ego, leader = view.ego_speed + 0.0 * view.along, np.maximum(view.along, 0.0)
         gap = np.maximum(view.gap, 0.0)

@@ -76,7 +76,7 @@ class CcHuman:
     def __init__(self, shape: tuple[int, int], dt: float) -> None:
         """``shape``: (N, M); ``dt`` [s]."""
         self._dt, self._now = dt, 0.0
-        self._drift = np.zeros(shape)
+        self._drift = np.zeros(shape)  # m towards the ego's path since a vehicle last kept its lateral place
         self._perceived_since = np.full(shape, np.inf)
         self.danger: Bools = np.zeros(shape, bool)
         self._decided_at, self._last = np.full(shape, np.inf), np.full(shape, -np.inf)
@@ -104,7 +104,7 @@ class CcHuman:
     def step(self, view: View) -> Floats:
         """The acceleration [m/s2] over the step to come, ``(N,)``; NaN where the driver does not brake."""
         time, dt = self._now, self._dt
-        self._follow_drift(view)
+        self._drift = np.where(view.towards < KEEPS_ITS_PLACE, 0.0, self._drift + view.towards * dt)
         perceived, danger = self._perceived(view), self._is_danger(view)
         self._perceived_since = np.where(perceived, np.minimum(self._perceived_since, time), np.inf)
         seen = danger & self._understood(view, time)
@@ -125,10 +125,6 @@ class CcHuman:
         pressed = np.where(np.isfinite(earliest), time - earliest - REACTION, -np.inf)
         lost = speed_lost(pressed + dt) - speed_lost(pressed)
         return np.where(lost > 1e-9, -lost / dt, np.nan)
-
-    def _follow_drift(self, view: View) -> None:
-        """How far each vehicle has moved towards the ego's path since it last kept its lateral place [m]."""
-        self._drift = np.where(view.towards < KEEPS_ITS_PLACE, 0.0, self._drift + view.towards * self._dt)
 
     def _perceived(self, view: View) -> Bools:
         """Whether there is something to perceive; it must last for ``PERCEPTION`` to be understood."""

@@ -22,8 +22,8 @@ from functools import cached_property
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Boxes, Floats, Ints
-from sumo_adv.metrics.avoidance import OnRoad, escapes
-from sumo_adv.metrics.boxes import first_contact, touches
+from sumo_adv.metrics.avoidance import OnRoad, escapes, window
+from sumo_adv.metrics.boxes import first_contact, pick, some_steps, touches
 from sumo_adv.metrics.contact import SAME_DIRECTION
 from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, REFERENCE_DRIVERS, Braker
 from sumo_adv.metrics.reference.cc_human import CcHuman
@@ -77,11 +77,13 @@ class Counterfactual:
         self.steps = int(max(int(given.last.max(initial=0)) + round(beyond / dt), planned - 1)) + 1
         self._until = np.full(len(given.last), self.steps - 1) if given.until is None else given.until
         self.time: Floats = np.asarray(np.arange(self.steps) * dt, dtype=np.float64)
-        self.ego = _along(_extended(_cut(given.ego, given.last, dt), self.steps, dt), given)
+        first, count = np.zeros_like(given.last), given.ego.x.shape[1]
+        self.ego = _along(_extended(window(given.ego, first, count - 1, dt, given.last), self.steps, dt), given)
         self.adversary = _extended(given.adversary, self.steps, dt)
         self.others = (
             None if given.others is None else _for_all(_extended(given.others, self.steps, dt), len(self.ego.x))
         )
+        self.shape = (len(self.ego.x), 1 if self.others is None else 1 + self.others.x.shape[1])  # egos, vehicles
         self.paths = EgoPaths(self.ego)
 
     @cached_property
@@ -93,9 +95,7 @@ class Counterfactual:
 
     def unchanged(self) -> Answer:
         """The ego as it was."""
-        station = self.paths.station
-        contact = self._contact(self.ego, station)
-        return Answer(~np.isfinite(contact), np.full(len(contact), np.inf), contact)
+        return self._touched(self.ego, self.paths.station)
 
     def braking(self, driver: MakeDriver) -> Answer:
         """What a driver that brakes makes of them."""
@@ -105,8 +105,7 @@ class Counterfactual:
     def moving(self, station: Floats, speed: Floats) -> Answer:
         """What egos that go along their paths in a given way make of them: stations [m] and speeds ``(N, steps)``."""
         x, y, heading = self.paths.poses(station)
-        contact = self._contact(replace(self.ego, x=x, y=y, heading=heading, speed=speed), station)
-        return Answer(~np.isfinite(contact), np.full(len(contact), np.inf), contact)
+        return self._touched(replace(self.ego, x=x, y=y, heading=heading, speed=speed), station)
 
     def manoeuvring(self, alarm: Floats, on_road: OnRoad | None = None) -> tuple[Answer, Ints]:
         """What braking and steering make of them, begun after ``alarm`` [s]; and the best combination, -1 = none."""
@@ -116,7 +115,7 @@ class Counterfactual:
         first = np.round(np.where(alarmed, alarm, 0.0) / self.given.dt).astype(np.intp)
         rows = np.flatnonzero(alarmed & (self._until - first >= 2))
         if len(rows):
-            ego, adversary = _rows(self.ego, rows), _rows(self.adversary, rows)
+            ego, adversary = pick(self.ego, rows), pick(self.adversary, rows)
             poses, clear = escapes(ego, adversary, first[rows], self._until[rows] - first[rows], self.given.dt, on_road)
             for place, row in enumerate(rows.tolist()):
                 good = np.flatnonzero(clear[:, place])
@@ -128,8 +127,7 @@ class Counterfactual:
     def roll_out(self, driver: MakeDriver) -> tuple[Floats, Floats, Floats]:
         """Stations [m] and speeds [m/s] of the egos with a driver, ``(N, steps)``; when a danger first showed [s]."""
         n, dt = len(self.ego.x), self.given.dt
-        m = 1 if self.others is None else 1 + self.others.x.shape[1]
-        drivers = driver((n, m), dt)
+        drivers = driver(self.shape, dt)
         recorded, pace = self.paths.station, self.ego.speed
         change = np.diff(pace, axis=1, append=pace[:, -1:]) / dt
         station, speed = recorded.copy(), np.array(np.broadcast_to(pace, recorded.shape))
@@ -152,8 +150,8 @@ class Counterfactual:
             acceleration = (speed[:, k + 1] - present) / dt
         return station, speed, alarm
 
-    def _contact(self, ego: Boxes, station: Floats) -> Floats:
-        """When the egos first touch a vehicle that does not run into them from behind in their lane [s], ``(N,)``."""
+    def _touched(self, ego: Boxes, station: Floats) -> Answer:
+        """When the egos first touch a vehicle that does not run into them from behind in their lane."""
         n = len(ego.x)
         wide = Boxes(
             ego.x[:, None], ego.y[:, None], ego.heading[:, None], np.asarray(ego.speed)[:, None],
@@ -168,7 +166,8 @@ class Counterfactual:
             there, left, heading = self.views.place(rows, columns, k)
             behind = (there < station[rows, k]) & (np.abs(left) < self.given.lane_half_width)
             when[pairs] = np.where(behind & (np.abs(heading) < SAME_DIRECTION), np.inf, when[pairs])
-        return np.asarray(when.min(axis=1))
+        contact = np.asarray(when.min(axis=1))
+        return Answer(~np.isfinite(contact), np.full(n, np.inf), contact)
 
     def _clear_of_others(self, poses: Boxes, which: Ints, row: int, place: int, first: int) -> Bools:
         """Which of a row's manoeuvres touch none of the others but those that come from behind in the lane; the row's
@@ -229,22 +228,7 @@ def answers(
 
 def _size(value: Floats | float, n: int) -> Floats:
     """A size as ``(N, 1, 1)``."""
-    return np.broadcast_to(np.reshape(np.broadcast_to(np.asarray(value, float), (n, 1)), (n, 1, 1)), (n, 1, 1))
-
-
-def _rows(b: Boxes, rows: Ints) -> Boxes:
-    """Some of the rows, with sizes ``(n, 1)``."""
-    size = [np.broadcast_to(np.reshape(v, (-1, 1)), (len(b.x), 1))[rows] for v in (b.length, b.width)]
-    return Boxes(b.x[rows], b.y[rows], b.heading[rows], b.speed[rows], *size)
-
-
-def _cut(b: Boxes, last: Ints, dt: float) -> Boxes:
-    """Motions that go straight on at constant speed after the step ``last``."""
-    steps = np.arange(b.x.shape[1])[None, :]
-    k = (np.arange(len(b.x))[:, None], np.minimum(steps, last[:, None]))
-    over = np.maximum(steps - last[:, None], 0) * dt * b.speed[k]
-    x, y = b.x[k] + over * np.cos(b.heading[k]), b.y[k] + over * np.sin(b.heading[k])
-    return Boxes(x, y, b.heading[k], b.speed[k], b.length, b.width)
+    return np.reshape(np.broadcast_to(np.asarray(value, float), (n, 1)), (n, 1, 1))
 
 
 def _along(ego: Boxes, given: Encounters) -> Boxes:
@@ -259,11 +243,8 @@ def _along(ego: Boxes, given: Encounters) -> Boxes:
             continue
         points = np.concatenate([[[x[row, last], y[row, last]]], ahead])
         turns = np.arctan2(*np.diff(points, axis=0).T[::-1])
-        way = EgoPaths(
-            Boxes(
-                points[None, :, 0], points[None, :, 1], np.append(turns, turns[-1])[None], ego.speed[:1, :1], 1.0, 1.0
-            )
-        )
+        px, py, ph = (v[None] for v in (*points.T, np.append(turns, turns[-1])))
+        way = EgoPaths(Boxes(px, py, ph, ego.speed[:1, :1], 1.0, 1.0))
         moved = ego.speed[row, last] * given.dt * np.arange(1, count + 1)
         x[row, last + 1 :], y[row, last + 1 :], _ = (v[0] for v in way.poses(moved[None]))
         steps = np.minimum(np.searchsorted(way.station[0], moved, side="right") - 1, len(turns) - 1)
@@ -275,8 +256,7 @@ def _extended(b: Boxes, steps: int, dt: float) -> Boxes:
     """Motions (time is the last axis) that go straight on at constant speed past their end, up to ``steps``."""
     have = b.x.shape[-1]
     if have >= steps:
-        x, y, heading, speed = (v[..., :steps] for v in (b.x, b.y, b.heading, b.speed))
-        return Boxes(x, y, heading, speed, b.length, b.width)
+        return some_steps(b, slice(steps))
     on = np.arange(1, steps - have + 1) * dt * b.speed[..., -1:]
     x = np.concatenate([b.x, b.x[..., -1:] + on * np.cos(b.heading[..., -1:])], axis=-1)
     y = np.concatenate([b.y, b.y[..., -1:] + on * np.sin(b.heading[..., -1:])], axis=-1)
@@ -290,9 +270,7 @@ def _for_all(others: Boxes, n: int) -> Boxes:
     """Others as ``(N, K, steps)`` with sizes ``(N, K, 1)``."""
     k = others.x.shape[-2]
     sizes = (np.asarray(v, float) for v in (others.length, others.width))
-    length, width = (
-        np.broadcast_to(v if v.ndim == 3 else np.reshape(np.broadcast_to(v, (k, 1)), (k, 1)), (n, k, 1)) for v in sizes
-    )
+    length, width = (np.broadcast_to(v if v.ndim == 3 else np.broadcast_to(v, (k, 1)), (n, k, 1)) for v in sizes)
     x, y, heading, speed = (
         np.broadcast_to(v, (n, *v.shape[-2:])) for v in (others.x, others.y, others.heading, others.speed)
     )
