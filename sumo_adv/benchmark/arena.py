@@ -38,10 +38,6 @@ from sumo_adv.simulation.inputs import RunInput
 from sumo_adv.simulation.tracks import tracks_of
 
 
-def _silent(*_: object) -> None:
-    """No observer."""
-
-
 class Arena:
     """An open encounter. ``episode``: as far as it goes without an attack; its ``found`` is None if there is none.
 
@@ -58,9 +54,9 @@ class Arena:
         began = time.perf_counter()
         try:
             if task.trigger is not None:
-                seek(self.episode, engine, _silent)
+                seek(self.episode, engine, lambda *_: None)
             else:
-                planned = find_attackable(self.episode, engine, sandbox, bank, _silent)
+                planned = find_attackable(self.episode, engine, sandbox, bank, lambda *_: None)
                 self.episode.found = None if planned is None else planned.found
         except SumoAdvError as error:
             if error.exit_status == 2:
@@ -128,11 +124,6 @@ class Arena:
             episode.ending, episode.reason = Ending.PLANNER_FAILED, str(error)
         clock.stop(episode)
         return episode
-
-    def robustness(self, episode: Episode) -> dict[str, Any] | None:
-        if episode.found is None:
-            return None
-        return robustness_of(episode, self._brain(episode.found), episode.settings.seed)
 
     def _one(self, opponent: Opponent, episode: Episode, encounter: FoundEncounter, clock: _Clock) -> bool:
         done = episode.refinement
@@ -208,7 +199,7 @@ SCALED, RANGE = 5, 0.1  # motions with another clock, and by how much of its rat
 ENOUGH = 4  # valid ones of all six that make an attack robust
 
 
-def robustness_of(episode: Episode, runner: AttemptRunner, seed: int) -> dict[str, Any] | None:
+def robustness(episode: Episode, engine: Engine, sandbox: Sandbox) -> dict[str, Any] | None:
     """How many of the disturbed motions of the attempt that counts are valid; None if that attempt is not valid.
 
     A search can find a collision that only just happens. So the adversary's recorded motion is driven again with other
@@ -221,10 +212,10 @@ def robustness_of(episode: Episode, runner: AttemptRunner, seed: int) -> dict[st
     assert episode.found is not None
     encounter, result, dt = episode.found, done.results[best.index], episode.settings.step_length
     course, contact = recorded_course(best, result, dt), best.verdict.contact_time - result.start
-    rng = Random(seed)
+    rng = Random(episode.settings.seed)
     rates = [contact / (contact + LATER), *(1.0 + rng.uniform(-RANGE, RANGE) for _ in range(SCALED))]
     proposals = [replace(best.proposal, course=retimed(course, rate, dt)) for rate in rates]
-    results = runner.attempt(proposals)
+    results = AttemptRunner(engine, sandbox, encounter, episode.settings.seed).attempt(proposals)
     again = [attempt_of(0, "again", p, r, encounter, episode.settings) for p, r in zip(proposals, results, strict=True)]
     valid = sum(a.verdict.level >= Level.VALID for a in again)
     return {"valid": valid, "of": len(again), "robust": valid >= ENOUGH}
