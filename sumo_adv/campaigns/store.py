@@ -19,14 +19,14 @@ import sqlite3
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from sumo_adv.campaigns.plan import checked_plan, differences
-from sumo_adv.campaigns.results import OUTCOME, Done, Job, Row, checked_row, failed, read_row, write_failure
+from sumo_adv.campaigns.results import OUTCOME, Done, Job, Row, checked_row, keep_failure, read_row
 from sumo_adv.errors import UsageError
 from sumo_adv.files import sentences, write_text, write_whole
 from sumo_adv.memory.store import connect
@@ -266,23 +266,9 @@ class Store:
                 rows[entry.name] = row
         return rows
 
-    def forget_failed(self, rows: dict[str, Row]) -> None:
-        """Take failed episodes for missing. Raises OSError."""
-        for name in [name for name, row in rows.items() if failed(row)]:
-            del rows[name]
-            discard(self.runs / name)
-
-    def clear(self, names: Iterable[str]) -> None:
-        """Remove what lies at the places of runs that are missing: what is left of damaged ones. Raises OSError."""
-        for name in names:
-            discard(self.runs / name)
-
     def fail(self, job: Job, why: str, text: str) -> Done:
         self.sweep(job.id)
-        with self._staged(self.runs / job.id, force=True, marker=OUTCOME) as folder:
-            row = write_failure(folder.stage, job, why, text)
-            folder.keep(force=True)
-        return Done(job.id, row)
+        return keep_failure(self._staged, self.runs, job, why, text)
 
     def sweep(self, name: str = "") -> None:
         """Remove what broken-off runs left half-written."""
@@ -317,7 +303,8 @@ def open_store(folder: Path, staged: Callable[..., AbstractContextManager[Any]])
         _left_behind(folder)
         with sentences(folder), tempfile.TemporaryDirectory(prefix="sumo_adv-batch-") as scratch:
             store.sweep()
-            _write(lock, scratch)
+            os.ftruncate(lock, 0)
+            os.pwrite(lock, scratch.encode(), 0)
             yield store, Path(scratch)
     finally:
         store.sweep()
@@ -341,11 +328,6 @@ def _locked(folder: Path) -> int:
     except (ImportError, OSError):
         pass  # no such locks on this system or file system
     return lock
-
-
-def _write(lock: int, scratch: str) -> None:
-    os.ftruncate(lock, 0)
-    os.pwrite(lock, scratch.encode(), 0)
 
 
 def _left_behind(folder: Path) -> None:
