@@ -107,51 +107,41 @@ class Arena:
         encounter, settings, done = episode.found, episode.settings, episode.refinement
         if encounter is None:
             return episode
-        clock = _Clock()
+        clock, runner = _Clock(), AttemptRunner(self.engine, self.sandbox, encounter, settings.seed)
         exhaustive = bool(getattr(opponent, "exhaustive", False))
         episode.ending, episode.reason = Ending.ATTEMPTS_EXHAUSTED, ""
         try:
             opponent.begin(self.encounter(encounter, bank))
             while exhaustive or (len(done.attempts) < settings.attempts and clock.seconds < settings.seconds):
-                if not self._one(opponent, episode, encounter, clock):
+                proposal = opponent.propose(tuple(done.attempts))
+                if proposal is None:
+                    episode.reason = "Nothing was left to try."
                     break
+                result = self._result(proposal, encounter, runner)
+                attempt = attempt_of(len(done.attempts), "opponent", proposal, result, encounter, settings)
+                done.attempts.append(checked(attempt, result, runner, done.goal))
+                done.results.append(result)
+                clock.tell("attempt", done.attempts[-1])
                 if done.goal.met(done.attempts[-1].verdict):
                     episode.ending = Ending.CRITICAL
                     if not exhaustive:
                         break
-            settle_best(done, self._brain(encounter))
+            settle_best(done, runner)
         except SandboxError as error:
             episode.ending, episode.reason = Ending.PLANNER_FAILED, str(error)
         clock.stop(episode)
         return episode
 
-    def _one(self, opponent: Opponent, episode: Episode, encounter: FoundEncounter, clock: _Clock) -> bool:
-        done = episode.refinement
-        proposal = opponent.propose(tuple(done.attempts))
-        if proposal is None:
-            episode.reason = "Nothing was left to try."
-            return False
-        result = self._result(proposal, encounter)
-        attempt = attempt_of(len(done.attempts), "opponent", proposal, result, encounter, episode.settings)
-        attempt = checked(attempt, result, self._brain(encounter), episode.refinement.goal)
-        done.attempts.append(attempt)
-        done.results.append(result)
-        clock.tell("attempt", attempt)
-        return True
-
-    def _result(self, proposal: Proposal, encounter: FoundEncounter) -> AttemptResult:
+    def _result(self, proposal: Proposal, encounter: FoundEncounter, runner: AttemptRunner) -> AttemptResult:
         """What an attempt came to. A fork that SUMO's own crash took (a vehicle far off its lanes) is an attempt that
         failed; where there are no forks the simulation is lost with it. Raises SimulationError."""
         try:
-            return self._brain(encounter).attempt([proposal])[0]
+            return runner.attempt([proposal])[0]
         except SimulationError as error:
             if not self.episode.forked or self._lost():
                 raise
             failed = Driven("planner_failed", str(error))
             return AttemptResult(failed, None, encounter.situations[proposal.delay].time)
-
-    def _brain(self, encounter: FoundEncounter) -> AttemptRunner:
-        return AttemptRunner(self.engine, self.sandbox, encounter, self.episode.settings.seed)
 
     def _lost(self) -> bool:
         """Whether the simulation itself is gone, and not only a fork of it."""

@@ -32,7 +32,6 @@ Key = tuple[str, int]
 
 
 def key(cell: Cell) -> Key:
-    """What the cell is paired by."""
     return str(cell["case"]), int(cell["seed"])
 
 

@@ -28,7 +28,7 @@ from sumo_adv.campaigns.results import (
     write_csv,
     write_parquet,
 )
-from sumo_adv.campaigns.store import TAUGHT, Store, discard, open_store, packed_texts
+from sumo_adv.campaigns.store import PLAN, TAUGHT, Store, discard, open_store, packed_texts
 from sumo_adv.campaigns.worker import Lessons, lessons_of, teach
 from sumo_adv.errors import BankError, UsageError
 from sumo_adv.files import sentences, write_text
@@ -158,7 +158,8 @@ def _prepare(
         raise BankError(f"The memory bank {orders.bank} could not be copied ({error}).") from error
     with MemoryBank.open(store.bank, read_only=True) as bank:
         summary.bank_hash = bank.content_hash()
-    store.keep_plan({**document, "bank_hash": summary.bank_hash})
+    document = {**document, "bank_hash": summary.bank_hash}
+    write_text(store.folder / PLAN, json.dumps(document, indent=1, ensure_ascii=False) + "\n")
     place = orders.bank if plan.learn is Learn.DURING else store.bank
     return Setup(store.runs.absolute(), place.absolute(), plan.learn, plan.variants, plan.figures, parts)
 

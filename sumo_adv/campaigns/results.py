@@ -133,15 +133,14 @@ def row_of(name: str, outcome: Mapping[str, Any], traceback: bool) -> Row:
         failure = str(outcome["reason"])
     return {
         "id": name, "network": outcome["network"], "seed": outcome["seed"], "ego": outcome["ego"]["controller"],
-        "intent": intent.get("label"), "raw_min_ttc": raw.get("min_ttc"), "min_ttc": best.get("min_ttc"),
-        "collided": best.get("collided"), "valid": best.get("valid"), "critical": best.get("critical"),
+        "intent": intent.get("label"), "raw_min_ttc": raw.get("min_ttc"),
+        **{key: best.get(key) for key in ("min_ttc", "collided", "valid", "critical")},
         "ending": outcome["ending"], "attempts": len(outcome["attempts"]),
         "seconds": (outcome["timing"] or {}).get("total"), "failure": failure,
         "traceback": f"runs/{name}/{TRACEBACK}" if traceback else None,
         "level": best.get("level"), "strict": best.get("strict"),
         "preventable_by": None if preventable_by is None else " ".join(preventable_by),
-        "inconclusive": best.get("inconclusive"), "ego_stationary": best.get("ego_stationary"),
-        "humanlike": best.get("humanlike"), "delta_v": best.get("delta_v"), "severity": best.get("severity"),
+        **{key: best.get(key) for key in ("inconclusive", "ego_stationary", "humanlike", "delta_v", "severity")},
         "serious": best["level"] == "serious" if best.get("collided") and "level" in best else None,
         "fault": best.get("fault"), "contact_time": best.get("contact_time"), **_attack(outcome),
     }  # fmt: skip

@@ -242,9 +242,6 @@ class Store:
                 "there with this plan (episodes of both are not run again), or give another --out."
             )
 
-    def keep_plan(self, plan: Mapping[str, Any]) -> None:
-        write_text(self.folder / PLAN, json.dumps(plan, indent=1, ensure_ascii=False) + "\n")
-
     def snapshot(self, bank: Path) -> None:
         """Copy the bank, once; what is there already stays. Raises OSError, sqlite3.Error."""
         if self.bank.exists():

@@ -159,7 +159,7 @@ def _chosen(
 
 
 def _read(frame: Frame, path: Path, chosen_id: str | None, parse: Callable[[bytes], Any]) -> Record | None:
-    """The record of ``frame``; None if it is not the ``wanted`` one."""
+    """The record of ``frame``; None if it has another id than ``chosen_id``."""
     label = f"Record {frame.number} of {path}"
     if not frame.intact or frame.data is None:
         raise UsageError(f"{label} is damaged: its checksum is wrong; fetch the file again.")

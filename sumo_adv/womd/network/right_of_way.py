@@ -103,7 +103,7 @@ def _nearest(lines: Sequence[LineString], parts: Sequence[LineString]) -> tuple[
 
 
 def _bend(link: Link, station: float, way: Floats) -> Link:
-    """The link moved by ``way`` [m] at station ``where``, less and less to both sides, its ends kept."""
+    """The link moved by ``way`` [m] at ``station``, less and less to both sides, its ends kept."""
     along = stations(link.shape)
     reach = min(BEND, station, float(along[-1]) - station)
     extra = station + reach * np.linspace(-1.0, 1.0, 17)
