@@ -172,19 +172,14 @@ def _workers(setup: Setup, orders: Orders, scratch: Path, store: Store, stop: St
     return ClusterWorkers(setup, orders.pace, orders.ray, orders.versions, store, stop)
 
 
-def _taught(marker: Path) -> int:
-    """How much a batch has taught the bank. Raises UsageError for a damaged file."""
-    try:
-        return int(parse_json(marker.read_text(encoding="utf-8"))["written"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise UsageError(f"{marker} is damaged ({error}); delete it to have the bank taught again.") from error
-
-
 def _teach(store: Store, plan: Plan, orders: Orders, rows: Mapping[str, Row]) -> int:
     """Write what was learnt into the bank, in the plan's order, once. Raises BankError, UsageError."""
     marker = store.folder / TAUGHT
     if marker.exists():
-        return _taught(marker)
+        try:
+            return int(parse_json(marker.read_text(encoding="utf-8"))["written"])
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise UsageError(f"{marker} is damaged ({error}); delete it to have the bank taught again.") from error
     packed = packed_texts(store.folder, LEARNT)
 
     def lessons() -> Iterator[Lessons]:

@@ -188,19 +188,13 @@ def node_versions(names: Iterable[str]) -> dict[str, str]:
 
 def desk_folder() -> Path:
     """A folder for this Ray worker process, removed when it ends; those of killed ones are removed now."""
-    _sweep()
+    if Path("/proc/self").exists():
+        for left in Path(tempfile.gettempdir()).glob(f"{DESK}*"):
+            if not Path(f"/proc/{left.name.removeprefix(DESK).partition('-')[0]}").exists():
+                shutil.rmtree(left, ignore_errors=True)
     folder = Path(tempfile.mkdtemp(prefix=f"{DESK}{os.getpid()}-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return folder
-
-
-def _sweep() -> None:
-    """Remove what Ray workers left behind that were killed."""
-    if not Path("/proc/self").exists():
-        return
-    for left in Path(tempfile.gettempdir()).glob(f"{DESK}*"):
-        if not Path(f"/proc/{left.name.removeprefix(DESK).partition('-')[0]}").exists():
-            shutil.rmtree(left, ignore_errors=True)
 
 
 @dataclass(frozen=True, slots=True)

@@ -85,7 +85,9 @@ def pack(folder: Path, most: int = MOST_RUNS) -> Packed:
             files, size = files + n, size + b
             for file in _pack_one(folder, some, rows):
                 after[0], after[1] = after[0] + 1, after[1] + file.stat().st_size
-        _drop_unused_inputs(folder)
+        for file in (folder / "inputs").glob("*"):
+            if file.stat().st_nlink == 1:  # no unpacked run is linked to it
+                file.unlink()
     return Packed(len(rows), (files, after[0]), (size, after[1]))
 
 
@@ -125,13 +127,6 @@ def _add(out: zipfile.ZipFile, name: str, file: Path) -> None:
     entry.external_attr = 0o644 << 16
     entry.compress_type = zipfile.ZIP_STORED if file.suffix in STORED else zipfile.ZIP_DEFLATED
     out.writestr(entry, file.read_bytes())
-
-
-def _drop_unused_inputs(folder: Path) -> None:
-    """Remove shared inputs that no unpacked run is linked to."""
-    for file in (folder / "inputs").glob("*"):
-        if file.stat().st_nlink == 1:
-            file.unlink()
 
 
 def unpack(

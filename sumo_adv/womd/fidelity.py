@@ -213,17 +213,12 @@ def _moving(record: Record) -> Floats:
     return np.concatenate(parts)
 
 
-def _travelled(track: ObjectTrack) -> float:
-    """How far a track goes while it is seen, m."""
-    return float(np.hypot(np.diff(track.x[track.valid]), np.diff(track.y[track.valid])).sum())
-
-
 def _routes(
     record: Record, router: Router, tracks: Sequence[ObjectTrack], matched: Mapping[int, tuple[Stretch, ...]]
 ) -> dict[str, Any]:
     """Driven tracks, those with edges that break in SUMO, and those that break on the record's own graph."""
     own: LaneGraph = record_graph(record)
-    driven = [t for t in tracks if _travelled(t) > DRIVEN]
+    driven = [t for t in tracks if np.hypot(np.diff(t.x[t.valid]), np.diff(t.y[t.valid])).sum() > DRIVEN]
     broken = [t.id for t in driven if not router.unbroken(matched[t.id])]
     own_broken = [t.id for t in driven if len(match(own, t)) > 1]
     return {
