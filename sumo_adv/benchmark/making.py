@@ -216,7 +216,10 @@ def _fill(place: Place, seed: int, work: Path, engine: Engine, faults: Counter[s
     """Candidates for one place until one is good; their ``faults`` are counted."""
     for attempt in range(MOST_TRIES):
         draft = candidate(place, seed, attempt)
-        _provide_network(draft.network, work)
+        network = work / "networks" / f"{draft.network}.net.xml"
+        network.parent.mkdir(exist_ok=True)
+        if not network.exists():
+            shutil.copyfile(data_folder("networks") / network.name, network)
         fault = _refused(draft, write_draft(draft, place.name, work), engine)
         faults[fault] += 1
         if report is not None:
@@ -224,13 +227,6 @@ def _fill(place: Place, seed: int, work: Path, engine: Engine, faults: Counter[s
         if not fault:
             return
     raise SumoAdvError(f"No calm encounter was found for {place.name} in {MOST_TRIES} candidates; try another seed.")
-
-
-def _provide_network(network: str, work: Path) -> None:
-    target = work / "networks" / f"{network}.net.xml"
-    target.parent.mkdir(exist_ok=True)
-    if not target.exists():
-        shutil.copyfile(data_folder("networks") / target.name, target)
 
 
 def _refused(draft: Draft, scenario: Path, engine: Engine) -> str:

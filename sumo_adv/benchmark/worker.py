@@ -167,6 +167,9 @@ class Bencher(WarmProcesses):
         outcome = self._setup.parts.full_outcome(episode)
         kept = ("ending", "reason", "raw", "attempts", "best", "outcome", "realism", "intent", "intents", "timing")
         timing = {k: round(v, 4) for k, v in episode.timing.items()}
+        intent, recall = outcome["intent"], None
+        if intent is not None:
+            recall = "generated" if intent.get("source") == "generated" else "hit"  # hit: the bank had the intent
         cell = head(self._setup, job, row) | {k: outcome[k] for k in (*kept, "llm", "agents", "trigger_time")}
         if self._setup.keep_runs and episode.found is not None:
             folder = self._setup.folder / "runs" / slug(job.ego) / slug(job.case.name) / slug(row)
@@ -176,7 +179,7 @@ class Bencher(WarmProcesses):
                 self._setup.parts.draw_example(example_path(self._setup.folder, job.ego, job.case.name, row), episode)
         return cell | {
             "timing": timing, "robust": robustness(episode, arena.engine, arena.sandbox),
-            "recall": _recall(outcome), "motion": motion_of(episode), "bank_hash": episode.bank_hash,
+            "recall": recall, "motion": motion_of(episode), "bank_hash": episode.bank_hash,
             "encounter": outcome["encounter"],
             "driver_known": None if episode.found is None else episode.found.first.baseline.model.known,
         }  # fmt: skip
@@ -215,11 +218,3 @@ def keep_cell(folder: Path, cell: Cell) -> None:
     target = cell_path(folder, cell["ego"], cell["case"], cell["row"])
     target.parent.mkdir(parents=True, exist_ok=True)
     write_text(target, json_text(cell))
-
-
-def _recall(outcome: Mapping[str, Any]) -> str | None:
-    """Where the planner's intent came from: ``hit`` = the bank had it, ``generated``; None without one."""
-    intent = outcome.get("intent")
-    if intent is None:
-        return None
-    return "generated" if intent.get("source") == "generated" else "hit"

@@ -210,15 +210,11 @@ class Runner(WarmProcesses):
     def settings(self, job: Job, given: RunInput) -> Settings:
         """The settings of an episode: the plan's, and where it says nothing the input's."""
         ego = trusted_driver(job.ego, given.ego_controller, given.source)
-        variant: Mapping[str, Any] = {
-            **own_simulation(given), "horizon": given.horizon, **self._setup.variants[job.variant]
-        }  # fmt: skip
-        return load_settings(
-            None, **{
-                **variant, "ego": ego, "seed": job.seed, "memory": self._setup.bank,
-                "learn": "off" if self._setup.learn is Learn.OFF else "on",
-            },
-        )  # fmt: skip
+        return load_settings(None, **{
+            **own_simulation(given), "horizon": given.horizon, **self._setup.variants[job.variant],
+            "ego": ego, "seed": job.seed, "memory": self._setup.bank,
+            "learn": "off" if self._setup.learn is Learn.OFF else "on",
+        })  # fmt: skip
 
     def _bank(self) -> MemoryBank:
         """The bank as this episode sees it."""
