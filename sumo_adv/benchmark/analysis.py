@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.benchmark.cells import ORACLE, Key, key, names
+from sumo_adv.benchmark.cells import ORACLE, Key, interval, key, names, resamples
 from sumo_adv.benchmark.nouns import Case, Cell, Suite
 from sumo_adv.benchmark.rows import CRITERIA, LABELS, oracle_labels, split_half, succeeds
 from sumo_adv.benchmark.table import ACCURACY, ANALYZER_NOTE, grid, number, paired, signed
@@ -195,14 +195,12 @@ def _kappa(given: Sequence[str], truth: Sequence[frozenset[str]]) -> Estimate | 
     allowed = np.array([[label in labels for label in every] for labels in truth], dtype=float)
     right = (answer * allowed).sum(axis=1)
     n = len(given)
-    drawn = np.random.default_rng(0).integers(0, n, (RESAMPLES, n))
-    weights = np.array([np.bincount(row, minlength=n) for row in drawn], dtype=float) / n
-    kappas = _kappas(np.vstack([np.full((1, n), 1 / n), weights]), right, answer, allowed)
+    weights = np.vstack([np.full((1, n), 1 / n), resamples(n, RESAMPLES) / n])
+    kappas = _kappas(weights, right, answer, allowed)
     finite = kappas[1:][np.isfinite(kappas[1:])]
     if not np.isfinite(kappas[0]) or not finite.size:
         return None
-    low, high = np.quantile(finite, [0.025, 0.975])
-    return Estimate(float(kappas[0]), float(low), float(high), n)
+    return interval(float(kappas[0]), finite, n)
 
 
 def _kappas(weights: Floats, right: Floats, answer: Floats, allowed: Floats) -> Floats:

@@ -38,10 +38,6 @@ from sumo_adv.simulation.inputs import RunInput
 from sumo_adv.simulation.tracks import tracks_of
 
 
-def _silent(*_: object) -> None:
-    """No observer."""
-
-
 class Arena:
     """An open encounter. ``episode``: as far as it goes without an attack; its ``found`` is None if there is none.
 
@@ -58,9 +54,9 @@ class Arena:
         began = time.perf_counter()
         try:
             if task.trigger is not None:
-                seek(self.episode, engine, _silent)
+                seek(self.episode, engine, lambda *_: None)
             else:
-                planned = find_attackable(self.episode, engine, sandbox, bank, _silent)
+                planned = find_attackable(self.episode, engine, sandbox, bank, lambda *_: None)
                 self.episode.found = None if planned is None else planned.found
         except SumoAdvError as error:
             if error.exit_status == 2:
@@ -110,56 +106,41 @@ class Arena:
         encounter, settings, done = episode.found, episode.settings, episode.refinement
         if encounter is None:
             return episode
-        clock = _Clock()
+        clock, runner = _Clock(), AttemptRunner(self.engine, self.sandbox, encounter, settings.seed)
         exhaustive = bool(getattr(opponent, "exhaustive", False))
         episode.ending, episode.reason = Ending.ATTEMPTS_EXHAUSTED, ""
         try:
             opponent.begin(self.encounter(encounter, bank))
             while exhaustive or (len(done.attempts) < settings.attempts and clock.seconds < settings.seconds):
-                if not self._one(opponent, episode, encounter, clock):
+                proposal = opponent.propose(tuple(done.attempts))
+                if proposal is None:
+                    episode.reason = "Nothing was left to try."
                     break
+                result = self._result(proposal, encounter, runner)
+                attempt = attempt_of(len(done.attempts), "opponent", proposal, result, encounter, settings)
+                done.attempts.append(checked(attempt, result, runner, done.goal))
+                done.results.append(result)
+                clock.tell("attempt", done.attempts[-1])
                 if done.goal.met(done.attempts[-1].verdict):
                     episode.ending = Ending.CRITICAL
                     if not exhaustive:
                         break
-            settle_best(done, self._brain(encounter))
+            settle_best(done, runner)
         except SandboxError as error:
             episode.ending, episode.reason = Ending.PLANNER_FAILED, str(error)
         clock.stop(episode)
         return episode
 
-    def robustness(self, episode: Episode) -> dict[str, Any] | None:
-        if episode.found is None:
-            return None
-        return robustness_of(episode, self._brain(episode.found), episode.settings.seed)
-
-    def _one(self, opponent: Opponent, episode: Episode, encounter: FoundEncounter, clock: _Clock) -> bool:
-        done = episode.refinement
-        proposal = opponent.propose(tuple(done.attempts))
-        if proposal is None:
-            episode.reason = "Nothing was left to try."
-            return False
-        result = self._result(proposal, encounter)
-        attempt = attempt_of(len(done.attempts), "opponent", proposal, result, encounter, episode.settings)
-        attempt = checked(attempt, result, self._brain(encounter), episode.refinement.goal)
-        done.attempts.append(attempt)
-        done.results.append(result)
-        clock.tell("attempt", attempt)
-        return True
-
-    def _result(self, proposal: Proposal, encounter: FoundEncounter) -> AttemptResult:
+    def _result(self, proposal: Proposal, encounter: FoundEncounter, runner: AttemptRunner) -> AttemptResult:
         """What an attempt came to. A fork that SUMO's own crash took (a vehicle far off its lanes) is an attempt that
         failed; where there are no forks the simulation is lost with it. Raises SimulationError."""
         try:
-            return next(self._brain(encounter).attempt([proposal]))
+            return next(runner.attempt([proposal]))
         except SimulationError as error:
             if not self.episode.forked or self._lost():
                 raise
             failed = Driven("planner_failed", str(error))
             return AttemptResult(failed, None, encounter.situations[proposal.delay].time)
-
-    def _brain(self, encounter: FoundEncounter) -> AttemptRunner:
-        return AttemptRunner(self.engine, self.sandbox, encounter, self.episode.settings.seed)
 
     def _lost(self) -> bool:
         """Whether the simulation itself is gone, and not only a fork of it."""
@@ -207,7 +188,7 @@ SCALED, RANGE = 5, 0.1  # motions with another clock, and by how much of its rat
 ENOUGH = 4  # valid ones of all six that make an attack robust
 
 
-def robustness_of(episode: Episode, runner: AttemptRunner, seed: int) -> dict[str, Any] | None:
+def robustness(episode: Episode, engine: Engine, sandbox: Sandbox) -> dict[str, Any] | None:
     """How many of the disturbed motions of the attempt that counts are valid; None if that attempt is not valid.
 
     A search can find a collision that only just happens. So the adversary's recorded motion is driven again with other
@@ -220,10 +201,10 @@ def robustness_of(episode: Episode, runner: AttemptRunner, seed: int) -> dict[st
     assert episode.found is not None
     encounter, result, dt = episode.found, done.results[best.index], episode.settings.step_length
     course, contact = recorded_course(best, result, dt), best.verdict.contact_time - result.start
-    rng = Random(seed)
+    rng = Random(episode.settings.seed)
     rates = [contact / (contact + LATER), *(1.0 + rng.uniform(-RANGE, RANGE) for _ in range(SCALED))]
     proposals = [replace(best.proposal, course=retimed(course, rate, dt)) for rate in rates]
-    results = runner.attempt(proposals)
+    results = AttemptRunner(engine, sandbox, encounter, episode.settings.seed).attempt(proposals)
     again = [attempt_of(0, "again", p, r, encounter, episode.settings) for p, r in zip(proposals, results, strict=True)]
     valid = sum(a.verdict.level >= Level.VALID for a in again)
     return {"valid": valid, "of": len(again), "robust": valid >= ENOUGH}

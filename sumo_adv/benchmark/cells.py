@@ -32,7 +32,6 @@ Key = tuple[str, int]
 
 
 def key(cell: Cell) -> Key:
-    """What the cell is paired by."""
     return str(cell["case"]), int(cell["seed"])
 
 
@@ -134,10 +133,10 @@ def distance(feature: str, measure: str) -> Pooled:
         exact = measure == "wasserstein"
         bins = _over(np.concatenate([a, b])) if exact else PAPER_BINS[feature]
         own, reference = (np.array([bins.counts(v) for v in side]) for side in (attacked, raw))
-        weights = _weights(len(attacked))
+        weights = resamples(len(attacked), RESAMPLES)
         resampled = [_of_counts(measure, p, q, bins) for p, q in zip(weights @ own, weights @ reference, strict=True)]
         value = wasserstein(a, b) if exact else _of_counts(measure, bins.counts(a), bins.counts(b), bins)
-        return _interval(value, np.array(resampled), len(attacked))
+        return interval(value, np.array(resampled), len(attacked))
 
     return of
 
@@ -164,20 +163,18 @@ def step_share(name: str) -> Pooled:
         if not counted:
             return None
         share, steps = np.array(counted, dtype=float).T
-        weights = _weights(len(counted))
-        return _interval(
-            float(share @ steps / steps.sum()), weights @ (share * steps) / (weights @ steps), len(counted)
-        )
+        weights = resamples(len(counted), RESAMPLES)
+        return interval(float(share @ steps / steps.sum()), weights @ (share * steps) / (weights @ steps), len(counted))
 
     return of
 
 
-def _weights(count: int) -> Floats:
-    """How often each of ``count`` encounters is in each resample ``(RESAMPLES, count)``."""
-    drawn = np.random.default_rng(0).integers(0, count, (RESAMPLES, count))
+def resamples(count: int, times: int) -> Floats:
+    """How often each of ``count`` encounters is in each resample ``(times, count)``."""
+    drawn = np.random.default_rng(0).integers(0, count, (times, count))
     return np.array([np.bincount(row, minlength=count) for row in drawn], dtype=float)
 
 
-def _interval(value: float, resampled: Floats, n: int) -> Estimate:
+def interval(value: float, resampled: Floats, n: int) -> Estimate:
     low, high = np.quantile(resampled, [0.025, 0.975])
     return Estimate(value, float(low), float(high), n)

@@ -56,7 +56,7 @@ class Column:
         by_key = {c.key(cell): self.of(cell) for cell in cells if self.raw or not c.is_raw(cell)}
         return {name: float(value) for name, value in by_key.items() if value is not None}
 
-    def estimate(self, cells: Sequence[Cell], seed: int = 0) -> Estimate | None:
+    def estimate(self, cells: Sequence[Cell]) -> Estimate | None:
         """The figure with its interval; None where no cell has a value."""
         if self.pooled is not None:
             attacked = [cell for cell in cells if not c.is_raw(cell)]
@@ -66,7 +66,7 @@ class Column:
             return None
         if self.summary == RATE:
             return wilson(round(sum(values)), len(values))
-        return bootstrap(values, seed=seed, of=np.median if self.summary == MEDIAN else np.mean)
+        return bootstrap(values, of=np.median if self.summary == MEDIAN else np.mean)
 
 
 def _verdict(name: str) -> Callable[[Cell], Value]:
@@ -96,22 +96,9 @@ def _paper_ttc(cell: Cell) -> Value:
     return None if near is None else (0.0 if near else c.capped_ttc(c.counted(cell)))
 
 
-def _infeasible(cell: Cell) -> Value:
-    return c.counted(cell).get("feasible") is False
-
-
-def _level(name: str) -> Callable[[Cell], Value]:
-    return lambda cell: c.counted(cell).get("level") == name
-
-
 def _of_collisions(cell: Cell, key: str) -> Value:
     verdict = c.counted(cell)
     return bool(verdict.get(key)) if verdict.get("collided") else None
-
-
-def _delta_v(cell: Cell) -> Value:
-    value = c.counted(cell).get("delta_v")
-    return None if value is None else float(value)
 
 
 def _valid_within(budget: int) -> Callable[[Cell], Value]:
@@ -162,25 +149,15 @@ def _raw_critical(cell: Cell) -> Value:
     return bool(raw["collided"]) or (raw["min_ttc"] is not None and raw["min_ttc"] <= CRITICAL_TTC)
 
 
-def _first_critical(cell: Cell) -> Value:
-    return any(_critical(a) for a in c.attempts(cell)[:1])
-
-
 def _unmodified_critical(cell: Cell) -> Value:
     tried = c.attempts(cell)
     until = next((k for k, a in enumerate(tried) if a.get("phase") == "modifier"), len(tried))
     return any(_critical(a) for a in tried[:until])
 
 
-def _ever_critical(cell: Cell) -> Value:
-    return any(_critical(a) for a in c.attempts(cell))
-
-
-def _seconds(cell: Cell, *, model: bool) -> Value:
+def _seconds(cell: Cell) -> Value:
     timing = cell.get("timing") or {}
-    if timing.get("total") is None:
-        return None
-    return float(timing["total"]) - (0.0 if model else float(timing.get("waited", 0.0)))
+    return None if timing.get("total") is None else float(timing["total"]) - float(timing.get("waited", 0.0))
 
 
 def _tokens(cell: Cell) -> Value:
@@ -218,7 +195,7 @@ COLUMNS: tuple[Column, ...] = (
     Column("strict", "strict", "Verdicts", "valid, and UN R157's careful human driver (cc_human) avoids it",
            of=_verdict("strict")),
     Column("serious", "serious", "Verdicts", "strict, driven as a person could, delta-v of the ego at least 5 mph",
-           of=_level("serious")),
+           of=lambda cell: c.counted(cell).get("level") == "serious"),
     Column("critical", "critical", "Verdicts", "min TTC at or below --critical-ttc, a collision included",
            of=_verdict("critical"), raw=True),
     Column("unavoidable", "unavoidable", "Why not", "a collision that nothing avoids",
@@ -228,9 +205,10 @@ COLUMNS: tuple[Column, ...] = (
     Column("stationary", "ego stood", "Why not", "of collisions: the ego stood for the last second before the contact",
            of=lambda cell: _of_collisions(cell, "ego_stationary"), asked_of_all=False),
     Column("delta_v", "delta-v [m/s]", "Verdicts", "median of the ego's, of collisions", MEDIAN,
-           lambda cell: _delta_v(cell), asked_of_all=False, digits=1),
+           lambda cell: c.counted(cell).get("delta_v"), asked_of_all=False, digits=1),
     Column("rear_end", "rear-end", "Why not", "the adversary ran into the ego's back", of=_verdict("rear_end")),
-    Column("infeasible", "infeasible", "Why not", "some gate failed", of=_infeasible),
+    Column("infeasible", "infeasible", "Why not", "some gate failed",
+           of=lambda cell: c.counted(cell).get("feasible") is False),
     Column("third_party", "third party", "Why not", "the adversary touched someone else first",
            of=_gate("third_party")),
     Column("off_road", "off-road", "Why not", "a corner of the adversary left the road", of=_gate("off_road")),
@@ -268,10 +246,11 @@ COLUMNS: tuple[Column, ...] = (
     Column("critical_raw", "critical raw", "Modification", "the same pair and window unattacked: min TTC <= 1 s",
            of=_raw_critical, asked_of_all=False),
     Column("critical_first", "after the first attempt", "Modification", "critical, feasible and not rear-end",
-           of=_first_critical),
+           of=lambda cell: any(_critical(a) for a in c.attempts(cell)[:1])),
     Column("critical_unmodified", "before modification", "Modification",
            "one of the attempts before the modifier's first was", of=_unmodified_critical),
-    Column("critical_modified", "after modification", "Modification", "one of all attempts was", of=_ever_critical),
+    Column("critical_modified", "after modification", "Modification", "one of all attempts was",
+           of=lambda cell: any(_critical(a) for a in c.attempts(cell))),
     *(Column(f"{name}_{measure}", f"{title} {label}", "Realism",
              "pooled over encounters, up to contact, against the unattacked vehicles near in the same window",
              pooled=distance(name, measure), digits=3)
@@ -286,9 +265,9 @@ COLUMNS: tuple[Column, ...] = (
     Column("jerk", "jerk beyond limits", "Realism", "in the attempt that counts", of=_gate("jerk")),
     Column("lateral", "a_lat beyond limits", "Realism", "in the attempt that counts", of=_gate("lateral")),
     Column("seconds", "s without the model", "Cost", "of an encounter, from opening it to the last attempt", MEAN,
-           lambda cell: _seconds(cell, model=False)),
+           _seconds),
     Column("seconds_model", "s with the model", "Cost", "of an encounter, waiting for the model included", MEAN,
-           lambda cell: _seconds(cell, model=True)),
+           lambda cell: (cell.get("timing") or {}).get("total")),
     *(Column(f"seconds_{level}", f"s to the first {level}", "Cost", "median, from the row's first look on", MEDIAN,
              _to_first(level), asked_of_all=False) for level in ("valid", "strict", "serious")),
     *(Column(f"{level}_within_{most}_s", f"{level} within {most} s", "Cost", "from the row's first look on",

@@ -104,12 +104,11 @@ horizon = {HORIZON:.1f}
 
 def _demand(draft: Draft) -> str:
     cars = draft.named()
-    ordered = sorted(cars.items(), key=lambda item: item[1].depart)
     types = {_type_id(car): car for car in cars.values()}
     lines = ['<?xml version="1.0" encoding="UTF-8"?>\n\n<routes>\n']
     for name, car in sorted(types.items()):
         lines.append(_TYPE.format(id=name, speed=car.speed, length=car.size[0], width=car.size[1]))
-    for name, car in ordered:
+    for name, car in cars.items():
         lines.append(
             _VEHICLE.format(
                 id=name, type=_type_id(car), depart=draft.begin + car.depart, lane=car.lane, place=car.place,

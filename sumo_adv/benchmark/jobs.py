@@ -19,7 +19,7 @@ import math
 import re
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -219,36 +219,33 @@ def make_jobs(
     """Jobs that depend on nothing, and chains of jobs to be done one after another."""
     free: list[Job] = []
     chains: list[list[Job]] = []
-    methods = {row: method_of(row) for row in rows}
+    methods = {row: method_of(row) or Method(row) for row in rows}
     shared: dict[str, list[str]] = {}
     for row, method in methods.items():
-        if method is None or not method.learns:
-            shared.setdefault(Method(row).key if method is None else method.key, []).append(row)
+        if not method.learns:
+            shared.setdefault(method.key, []).append(row)
     for ego in egos:
         for together in shared.values():
-            first = methods[together[0]] or Method(together[0])
+            first = methods[together[0]]
             free += [Job(c, ego, seed, tuple(together), first.settings, first.shift) for c in cases]
         for row, method in methods.items():
-            if method is not None and method.learns:
-                chain = [Job(c, ego, seed, (row,), method.settings, method.shift, k) for k, c in enumerate(cases)]
-                chains.append(chain)
+            if method.learns:
+                chains.append(
+                    [Job(c, ego, seed, (row,), method.settings, method.shift, k) for k, c in enumerate(cases)]
+                )
     return free, chains
 
 
 # -- the bank of a row
 
 
-@contextmanager
-def bank_of(method: Method, job: Job, setup: Setup, library: MemoryBank, scratch: Path) -> Iterator[MemoryBank]:
+def bank_of(
+    method: Method, job: Job, setup: Setup, library: MemoryBank, scratch: Path
+) -> AbstractContextManager[MemoryBank]:
     """The bank for a row's attack on one encounter. Raises BankError, UsageError."""
     if method.learns:
-        with _growing(job, setup) as bank:
-            yield bank
-    elif method.fixed:
-        with _fixed(setup.bank, scratch) as bank:
-            yield bank
-    else:
-        yield library
+        return _growing(job, setup)
+    return _fixed(setup.bank, scratch) if method.fixed else nullcontext(library)
 
 
 @contextmanager

@@ -13,8 +13,8 @@ import shutil
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -57,10 +57,10 @@ class Trial:
     first: bool
 
 
-def trial(scenario: Path, ego: str, bv: str, kind: str, seed: int = 0) -> Trial:
-    """The trial of a scenario file with the driver ``ego`` and SUMO's ``seed``."""
+def trial(scenario: Path, ego: str, bv: str, kind: str) -> Trial:
+    """The trial of a scenario file with the driver ``ego`` and SUMO's seed 0."""
     source = load_input(scenario)
-    settings = load_settings(None, ego=ego, seed=seed, critical_ttc=TTC, horizon=source.horizon)
+    settings = load_settings(None, ego=ego, seed=0, critical_ttc=TTC, horizon=source.horizon)
     task = make_task(source, settings, Path(tempfile.gettempdir()))
     return Trial(task, bv, kind, kind in RELATIONS and ego == EGOS[0])
 
@@ -73,12 +73,10 @@ def tried(candidate: Trial) -> str:
         outcome = worker.seek()
     except UsageError:  # SUMO found no room for the ego in all the time given
         return "the ego is not inserted"
-    return _not_found(outcome) if isinstance(outcome, NoEncounter) else _fault(candidate, outcome)
-
-
-def _not_found(outcome: NoEncounter) -> str:
-    words = re.sub(r"^At the trigger given, [\d.]+ s, ", "", outcome.reason)
-    return re.sub(r":.*", "", words).rstrip(".")
+    if isinstance(outcome, NoEncounter):
+        words = re.sub(r"^At the trigger given, [\d.]+ s, ", "", outcome.reason)
+        return re.sub(r":.*", "", words).rstrip(".")
+    return _fault(candidate, outcome)
 
 
 def _fault(candidate: Trial, encounter: FoundEncounter) -> str:
@@ -117,17 +115,12 @@ def in_time(target: Target, ego_speed: float) -> bool:
     return False
 
 
-def _each(trials: Sequence[Trial]) -> list[str]:
-    return in_forks([partial(tried, candidate) for candidate in trials])
-
-
 def body(slots: list[Connection]) -> dict[str, Callable[..., Any]]:
     """The command of the process that forks the trials."""
     import shapely.geometry  # noqa: F401 - what every trial needs is there before the first fork
 
     load_libsumo()
-
-    return {"trials": _each}
+    return {"trials": lambda trials: in_forks([partial(tried, candidate) for candidate in trials])}
 
 
 # -- the suite
@@ -166,12 +159,6 @@ class Place:
     number: int
 
 
-@dataclass(slots=True)
-class _Count:
-    drawn: int = 0
-    rejected: Counter[str] = field(default_factory=Counter)
-
-
 def make_suite(
     seed: int, folder: Path, *, name: str = "", shares: Mapping[str, int] = SHARES, report: Report | None = None
 ) -> Made:
@@ -192,18 +179,20 @@ def make_suite(
         raise UsageError(f"'{name}' is no name for a suite: use letters, digits, dots, dashes and underscores.")
     began = time.perf_counter()
     folder.parent.mkdir(parents=True, exist_ok=True)
-    count = _Count()
+    faults = Counter[str]()  # of the candidates drawn; '' is a good one's
     with tempfile.TemporaryDirectory(prefix=".making-", dir=folder.parent) as scratch, Engine(body, slots=1) as engine:
         work = Path(scratch) / "suite"
         work.mkdir()
         places = places_of(shares)
         for place in places:
-            _fill(place, seed, work, engine, count, report)
-        _write_list(work, name, seed, places, count)
+            _fill(place, seed, work, engine, faults, report)
+        drawn = faults.total()
+        del faults[""]
+        _write_list(work, name, seed, places, drawn, faults)
         if folder.exists():
             folder.rmdir()
         work.replace(folder)
-    return Made(folder / SUITE_FILE, count.drawn, dict(count.rejected), time.perf_counter() - began)
+    return Made(folder / SUITE_FILE, drawn, dict(faults), time.perf_counter() - began)
 
 
 def places_of(shares: Mapping[str, int]) -> list[Place]:
@@ -223,26 +212,21 @@ def candidate(place: Place, seed: int, attempt: int) -> Draft:
     return (draw_straight if place.kind in STRAIGHT else draw_junction)(place.kind, place.number, draw)
 
 
-def _fill(place: Place, seed: int, work: Path, engine: Engine, count: _Count, report: Report | None) -> None:
-    """Candidates for one place until one is good."""
+def _fill(place: Place, seed: int, work: Path, engine: Engine, faults: Counter[str], report: Report | None) -> None:
+    """Candidates for one place until one is good; their ``faults`` are counted."""
     for attempt in range(MOST_TRIES):
         draft = candidate(place, seed, attempt)
-        count.drawn += 1
-        _provide_network(draft.network, work)
+        network = work / "networks" / f"{draft.network}.net.xml"
+        network.parent.mkdir(exist_ok=True)
+        if not network.exists():
+            shutil.copyfile(data_folder("networks") / network.name, network)
         fault = _refused(draft, write_draft(draft, place.name, work), engine)
+        faults[fault] += 1
         if report is not None:
             report(place.name, fault)
         if not fault:
             return
-        count.rejected[fault] += 1
     raise SumoAdvError(f"No calm encounter was found for {place.name} in {MOST_TRIES} candidates; try another seed.")
-
-
-def _provide_network(network: str, work: Path) -> None:
-    target = work / "networks" / f"{network}.net.xml"
-    target.parent.mkdir(exist_ok=True)
-    if not target.exists():
-        shutil.copyfile(data_folder("networks") / target.name, target)
 
 
 def _refused(draft: Draft, scenario: Path, engine: Engine) -> str:
@@ -255,13 +239,13 @@ def _refused(draft: Draft, scenario: Path, engine: Engine) -> str:
     return ""
 
 
-def _write_list(work: Path, name: str, seed: int, places: list[Place], count: _Count) -> None:
+def _write_list(work: Path, name: str, seed: int, places: list[Place], drawn: int, rejected: Mapping[str, int]) -> None:
     """The suite's own file: its cases, what was drawn for them, and the hash of every file."""
     lines = [
         f"# {len(places)} encounters, made by `sumo-adv bench make --seed {seed}`; frozen: the hashes are checked.",
         "schema = 1", f'name = "{name}"', f'version = "{VERSION}"', f"seed = {seed}", "", "[making]",
-        f"drawn = {count.drawn}", "", "[making.rejected]",
-        *(f'"{why}" = {many}' for why, many in sorted(count.rejected.items())),
+        f"drawn = {drawn}", "", "[making.rejected]",
+        *(f'"{why}" = {many}' for why, many in sorted(rejected.items())),
     ]  # fmt: skip
     for place in places:
         lines += [

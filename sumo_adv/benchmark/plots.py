@@ -175,13 +175,12 @@ def draw_growth(target: Path, steps: Sequence[Step], title: str) -> Path:
         own_steps = [s for s in steps if (s.row, s.ego, s.seed) == line]
         place = [s.place for s in own_steps]
         label = f"{line[0]}, {line[1]}" + (f", seed {line[2]}" if len({s.seed for s in steps}) > 1 else "")
-        rates, seconds = (
-            np.array([np.nan if v is None else v for v in given])
-            for given in ([s.hit_rate for s in own_steps], [s.seconds_window for s in own_steps])
+        rates, means, each = (
+            np.array([getattr(s, name) for s in own_steps], float)  # None becomes nan
+            for name in ("hit_rate", "seconds_window", "seconds")
         )
         axes[0][0].plot(place, rates, label=label, **_look(k))
-        axes[1][0].plot(place, seconds, label=label, **_look(k))
-        each = [np.nan if s.seconds is None else s.seconds for s in own_steps]
+        axes[1][0].plot(place, means, label=label, **_look(k))
         axes[1][0].plot(place, each, ls="", marker="o", ms=3, alpha=0.35, mew=0, color=_look(k)["color"])
     axes[0][0].set_ylim(-0.02, 1.02)
     axes[0][0].set_ylabel("memory hits so far")
@@ -202,11 +201,9 @@ def _legend_beside(panel: Any) -> None:
 
 def _figure(width: float, height: float, rows: int, columns: int) -> tuple[Any, Any]:
     """A figure (inches) with panels ``[row][column]``."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height), dpi=DPI, facecolor="white", layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots(rows, columns, squeeze=False)
     for panel in axes.flat:
         panel.spines[["top", "right"]].set_visible(False)

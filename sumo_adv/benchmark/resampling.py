@@ -95,12 +95,9 @@ class Resampling:
         weights = np.array(list(FUTURES.values()))
         for attempt, (i, k) in zip(tried, self._places, strict=False):
             predicted = self._drawn[i].hits[:, k] > 0.0
-            weights = weights * np.where(predicted == _counts(attempt), RIGHT, WRONG)
+            counts = attempt.verdict.collided and not attempt.verdict.rear_end
+            weights = weights * np.where(predicted == counts, RIGHT, WRONG)
         return np.asarray(weights / weights.sum())
-
-
-def _counts(attempt: Attempt) -> bool:
-    return attempt.verdict.collided and not attempt.verdict.rear_end
 
 
 # -- drawing ------------------------------------------------------------------------------------------------------

@@ -139,12 +139,12 @@ def oracle_labels(cell: Cell) -> dict[str, tuple[str, ...]]:
     return {criterion: _most_dangerous(_groups(cell), criterion) for criterion in CRITERIA}
 
 
-def split_half(cell: Cell, seed: int = 0) -> dict[str, float | None]:
+def split_half(cell: Cell) -> dict[str, float | None]:
     """Agreement in [0, 1] of random halves of each label's candidates, by criterion; None without two labels.
 
     It is the chance that a label drawn from one half's tie set is in the other's, over ``SPLITS`` splits both ways.
     """
-    groups, draw = _groups(cell), random.Random(seed)
+    groups, draw = _groups(cell), random.Random(0)
     if len(groups) < 2:
         return dict.fromkeys(CRITERIA)
     total = dict.fromkeys(CRITERIA, 0.0)

@@ -117,7 +117,7 @@ def _list_file(name: str) -> Path | None:
     if given.is_dir():
         return given / SUITE_FILE if (given / SUITE_FILE).is_file() else None
     if given.is_file():
-        return given if given.suffix == ".toml" and "cases" in _table(given) else None
+        return given if given.suffix == ".toml" and "cases" in read_toml(given, "The file") else None
     if len(given.parts) == 1:
         stem = name.removesuffix(".toml")
         for shipped in (data_folder("suites") / stem / SUITE_FILE, data_folder("suites") / f"{stem}.toml"):
@@ -141,12 +141,8 @@ def _sources(name: str) -> list[Path]:
         raise UsageError(f"There is no suite, folder or scenario '{name}'; shipped suites are {names}.") from error
 
 
-def _table(path: Path) -> dict[str, Any]:
-    return read_toml(path, "The file")
-
-
 def _listed(path: Path) -> Suite:
-    table = _table(path)
+    table = read_toml(path, "The file")
     try:
         if "suite" in table:
             return _chosen(path, _Choice.model_validate(table))
@@ -188,7 +184,7 @@ def _whole(path: Path, given: _List) -> Suite:
 def _chosen(path: Path, given: _Choice) -> Suite:
     beside = path.parent / given.suite
     source = _list_file(str(beside) if beside.exists() else given.suite)
-    if source is None or "suite" in _table(source):
+    if source is None or "suite" in read_toml(source, "The file"):
         raise UsageError(f"The suite {path} chooses from '{given.suite}', which is no list of scenarios.")
     whole = _listed(source)
     by_name = {case.name: case for case in whole.cases}

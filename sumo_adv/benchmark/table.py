@@ -40,7 +40,6 @@ class Table:
     title: str
     egos: tuple[str, ...]
     rows: tuple[str, ...]
-    columns: tuple[Column, ...]
     entries: Mapping[tuple[str, str, str, str], Entry]
     sizes: Mapping[tuple[str, str, str], int]
     reference: str | None
@@ -62,7 +61,6 @@ def make_table(
     egos: Sequence[str] | None = None,
     rows: Sequence[str] | None = None,
     reference: str | None = None,
-    columns: Sequence[Column] = COLUMNS,
     words: Mapping[str, str] | None = None,
     notes: Sequence[str] = (),
 ) -> Table:
@@ -80,13 +78,13 @@ def make_table(
     drivers = list(egos or names(cells, "ego"))
     for ego in drivers:
         for part, part_cells in parts(c for c in cells if c["ego"] == ego).items():
-            part_columns = [q for q in columns if part == "all" or q.key in BY_PART]
+            part_columns = [q for q in COLUMNS if part == "all" or q.key in BY_PART]
             by_row = {row: [c for c in part_cells if c["row"] == row] for row in listed}
             sizes |= {(ego, part, row): len(row_cells) for row, row_cells in by_row.items() if row_cells}
             entries += [e for row in listed for e in _entries(ego, part, row, by_row, part_columns, reference)]
     notes = (*notes, *_missing(cells, drivers, listed, cases), *_never_valid(cells, drivers))
     indexed = {(e.ego, e.part, e.row, e.column): e for e in entries}
-    return Table(title, tuple(drivers), listed, tuple(columns), indexed, sizes, reference, notes, words or {})
+    return Table(title, tuple(drivers), listed, indexed, sizes, reference, notes, words or {})
 
 
 def _never_valid(cells: Sequence[Cell], egos: Sequence[str]) -> list[str]:
@@ -149,22 +147,14 @@ def _missing(
         keys: list[Key] = [(case, seed) for case in expected for seed in seeds]
         for row in rows:
             there = {key(c) for c in own_cells if c["row"] == row}
-            gone = [name for name in keys if name not in there]
+            gone = [f"{k[0]} (seed {k[1]})" if len(seeds) > 1 else k[0] for k in keys if k not in there]
             if gone:
-                notes.append(_sentence(row, ego, [_name(g, len(seeds) > 1) for g in gone], len(keys)))
+                listed = ", ".join(gone[:SHOWN]) + (f" and {len(gone) - SHOWN} more" if len(gone) > SHOWN else "")
+                notes.append(
+                    f"{row} against {ego}: {len(gone)} of {len(keys)} cells are missing ({listed}); its figures rest "
+                    "on the others. The same command again runs what is missing."
+                )
     return notes
-
-
-def _name(cell: Key, with_seed: bool) -> str:
-    return f"{cell[0]} (seed {cell[1]})" if with_seed else cell[0]
-
-
-def _sentence(row: str, ego: str, gone: Sequence[str], of: int) -> str:
-    listed = ", ".join(gone[:SHOWN]) + (f" and {len(gone) - SHOWN} more" if len(gone) > SHOWN else "")
-    return (
-        f"{row} against {ego}: {len(gone)} of {of} cells are missing ({listed}); its figures rest on the others. "
-        "The same command again runs what is missing."
-    )
 
 
 # -- what the paper reports
@@ -252,7 +242,7 @@ def to_markdown(table: Table) -> str:
         for section in SECTIONS:
             lines += _section(table, ego, section)
         lines += [*_by_part(table, ego), *_differences(table, ego), *_beside_the_paper(table, ego)]
-    return "\n".join([*lines, *_meanings(table)]) + "\n"
+    return "\n".join([*lines, *_meanings()]) + "\n"
 
 
 def grid(head: Sequence[str], rows: Iterable[Sequence[str]], *, words: bool = False) -> list[str]:
@@ -286,7 +276,7 @@ def _figure(entry: Entry | None, column: Column, size: int) -> str:
 
 
 def _section(table: Table, ego: str, section: str) -> list[str]:
-    columns = [c for c in table.columns if c.section == section]
+    columns = [c for c in COLUMNS if c.section == section]
     rows = []
     for row in table.rows:
         size = table.sizes.get((ego, "all", row), 0)
@@ -300,7 +290,7 @@ def _section(table: Table, ego: str, section: str) -> list[str]:
 
 
 def _by_part(table: Table, ego: str) -> list[str]:
-    columns = [c for c in table.columns if c.key in BY_PART]
+    columns = [c for c in COLUMNS if c.key in BY_PART]
     rows = []
     for part in table.parts(ego)[1:]:
         for row in table.rows:
@@ -313,7 +303,7 @@ def _by_part(table: Table, ego: str) -> list[str]:
 
 
 def _differences(table: Table, ego: str) -> list[str]:
-    columns = [c for c in table.columns if c.key in COMPARED and c.paired]
+    columns = [c for c in COLUMNS if c.key in COMPARED and c.paired]
     rows = []
     for row in table.rows:
         entries = [table.entry(ego, "all", row, c.key) for c in columns]
@@ -350,17 +340,17 @@ def _beside_the_paper(table: Table, ego: str) -> list[str]:
 
 def _realism_beside(table: Table, ego: str) -> list[str]:
     reference = {**DIVERGENCES, "abnormal_lateral": ABNORMAL_LATERAL}
-    columns = [c for c in table.columns if c.key in reference]
+    columns = [c for c in COLUMNS if c.key in reference]
     rows = [["the paper (section IV-C)", *(f"{reference[c.key]:.{c.digits}f}" for c in columns)]]
     for row in table.rows:
         entries = [table.entry(ego, "all", row, c.key) for c in columns]
         if any(entries):
             shown = [number(e.estimate if e else None, c.digits) for e, c in zip(entries, columns, strict=True)]
             rows.append([f"`{row}`", *shown])
-    return grid(["row", *(c.title for c in columns)], rows) if columns else []
+    return grid(["row", *(c.title for c in columns)], rows)
 
 
-def _meanings(table: Table) -> list[str]:
+def _meanings() -> list[str]:
     of = {RATE: "share", MEAN: "mean", MEDIAN: "median"}
-    rows = [[c.section, c.title, "pooled" if c.pooled else of[c.summary], c.meaning] for c in table.columns]
+    rows = [[c.section, c.title, "pooled" if c.pooled else of[c.summary], c.meaning] for c in COLUMNS]
     return ["## The columns", "", *grid(["section", "column", "figure", "meaning"], rows, words=True)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import tempfile
 import threading
 import time
@@ -12,7 +11,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.benchmark.arena import Arena, motion_of, unattacked
+from sumo_adv.benchmark.arena import Arena, motion_of, robustness, unattacked
 from sumo_adv.benchmark.jobs import RAW, Job, Setup, bank_of, cell_path, example_path, method_of, slug
 from sumo_adv.benchmark.nouns import Cell
 from sumo_adv.benchmark.rows import make_row
@@ -44,7 +43,7 @@ def noted(ledger: Ledger, note: Path) -> Iterator[None]:
     def write() -> None:
         while not over.wait(EVERY):
             if waited := ledger.waited_so_far():
-                with contextlib.suppress(OSError):  # a full disk shows where results are written
+                with suppress(OSError):  # a full disk shows where results are written
                     write_text(note, repr(waited))
 
     writer = threading.Thread(target=write, name="waits", daemon=True)
@@ -96,7 +95,8 @@ class Bencher(WarmProcesses):
                     raise storage_error(error, self._setup.folder) from error
                 if isinstance(error, BankError) or is_storage_error(error):
                     raise
-                sentence = str(error) if isinstance(error, SumoAdvError) else _fault(error)
+                ours = isinstance(error, SumoAdvError)
+                sentence = str(error) if ours else f"{fault_sentence(error)}\n{traceback.format_exc()}"
                 self.close()
                 self._engine, self._sandboxes = WarmEngine(), WarmSandboxes()
                 if left:
@@ -129,12 +129,9 @@ class Bencher(WarmProcesses):
         """The table's settings with a row's ``own``."""
         table = {**({} if horizon is None else {"horizon": horizon}), **self._setup.settings, **own}
         learn = "off" if job.place is None else "on"
-        settings = load_settings(None, **{**table, "ego": job.ego, "seed": job.seed, "learn": learn})
-        if not reachable(settings):  # tables stop at valid there
-            settings = load_settings(
-                None, **{**table, "ego": job.ego, "seed": job.seed, "learn": learn, "until": "valid"}
-            )
-        return settings
+        given = {**table, "ego": job.ego, "seed": job.seed, "learn": learn}
+        settings = load_settings(None, **given)
+        return settings if reachable(settings) else load_settings(None, **{**given, "until": "valid"})
 
     def _shifted(
         self, shift: float, source: RunInput, common: Settings, bank: MemoryBank, scratch: Path
@@ -170,20 +167,22 @@ class Bencher(WarmProcesses):
         outcome = self._setup.parts.full_outcome(episode)
         kept = ("ending", "reason", "raw", "attempts", "best", "outcome", "realism", "intent", "intents", "timing")
         timing = {k: round(v, 4) for k, v in episode.timing.items()}
+        intent, recall = outcome["intent"], None
+        if intent is not None:
+            recall = "generated" if intent.get("source") == "generated" else "hit"  # hit: the bank had the intent
         cell = head(self._setup, job, row) | {k: outcome[k] for k in (*kept, "llm", "agents", "trigger_time")}
         if self._setup.keep_runs and episode.found is not None:
-            self._setup.parts.keep_run(self._run_folder(job, row), episode, exchanges)
+            folder = self._setup.folder / "runs" / slug(job.ego) / slug(job.case.name) / slug(row)
+            self._setup.parts.keep_run(folder, episode, exchanges)
         if job.case.name in self._setup.examples and episode.best is not None:
             with suppress(UsageError):  # what cannot be drawn is no failure of the row
                 self._setup.parts.draw_example(example_path(self._setup.folder, job.ego, job.case.name, row), episode)
         return cell | {
-            "timing": timing, "robust": arena.robustness(episode),
-            "recall": _recall(outcome), "motion": motion_of(episode), "bank_hash": episode.bank_hash,
-            "encounter": outcome["encounter"], "driver_known": _is_known(episode),
+            "timing": timing, "robust": robustness(episode, arena.engine, arena.sandbox),
+            "recall": recall, "motion": motion_of(episode), "bank_hash": episode.bank_hash,
+            "encounter": outcome["encounter"],
+            "driver_known": None if episode.found is None else episode.found.first.baseline.model.known,
         }  # fmt: skip
-
-    def _run_folder(self, job: Job, row: str) -> Path:
-        return self._setup.folder / "runs" / slug(job.ego) / slug(job.case.name) / slug(row)
 
     def _unattacked(self, job: Job, row: str, arena: Arena) -> Cell:
         episode, raw = arena.episode, unattacked(arena.episode)
@@ -219,21 +218,3 @@ def keep_cell(folder: Path, cell: Cell) -> None:
     target = cell_path(folder, cell["ego"], cell["case"], cell["row"])
     target.parent.mkdir(parents=True, exist_ok=True)
     write_text(target, json_text(cell))
-
-
-def _recall(outcome: Mapping[str, Any]) -> str | None:
-    """Where the planner's intent came from: ``hit`` = the bank had it, ``generated``; None without one."""
-    intent = outcome.get("intent")
-    if intent is None:
-        return None
-    return "generated" if intent.get("source") == "generated" else "hit"
-
-
-def _is_known(episode: Episode) -> bool | None:
-    """Whether the ego is predicted by its own rules; None without an encounter."""
-    return None if episode.found is None else episode.found.first.baseline.model.known
-
-
-def _fault(error: Exception) -> str:
-    """A sentence, and below it where it happened."""
-    return f"{fault_sentence(error)}\n{traceback.format_exc()}"

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv.benchmark.cells import names
+from sumo_adv.benchmark.columns import COLUMNS
 from sumo_adv.benchmark.nouns import Cell
 from sumo_adv.benchmark.table import Entry, Table, to_markdown
 from sumo_adv.files import sentences, write_text
@@ -20,7 +21,7 @@ from sumo_adv.metrics.statistics import Estimate
 
 SCHEMA = 1
 DIGESTED = ("case", "ego", "row", "seed", "ending", "raw", "attempts", "best", "outcome", "intents")
-COLUMNS = (
+FIELDS = (
     "ego", "part", "row", "column", "figure", "value", "low", "high", "n", "difference", "difference_low",
     "difference_high", "p", "pairs",
 )  # fmt: skip
@@ -30,7 +31,7 @@ def write_table(
     table: Table, cells: Sequence[Cell], folder: Path, about: Mapping[str, Any], name: str = "table"
 ) -> list[Path]:
     """``NAME.md``, ``.csv``, ``.json`` and ``NAME.manifest.json``, as ``write_files`` does."""
-    texts = {".md": to_markdown(table), ".csv": as_csv(COLUMNS, _records(table)), ".json": as_json(_document(table))}
+    texts = {".md": to_markdown(table), ".csv": as_csv(FIELDS, _records(table)), ".json": as_json(_document(table))}
     return write_files(folder, name, texts, cells, about)
 
 
@@ -96,12 +97,12 @@ def _record(entry: Entry, figures: Mapping[str, str]) -> dict[str, Any]:
 
 
 def _records(table: Table) -> list[dict[str, Any]]:
-    figures = {c.key: "pooled" if c.pooled else c.summary for c in table.columns}
+    figures = {c.key: "pooled" if c.pooled else c.summary for c in COLUMNS}
     return [_record(entry, figures) for entry in table.entries.values()]
 
 
 def _document(table: Table) -> dict[str, Any]:
-    columns = [{"key": c.key, "title": c.title, "section": c.section, "meaning": c.meaning} for c in table.columns]
+    columns = [{"key": c.key, "title": c.title, "section": c.section, "meaning": c.meaning} for c in COLUMNS]
     sizes = [{"ego": e, "part": p, "row": r, "cells": n} for (e, p, r), n in table.sizes.items()]
     return {
         "schema": SCHEMA, "title": table.title, "reference": table.reference, "rows": table.rows,

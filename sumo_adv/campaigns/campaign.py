@@ -28,14 +28,12 @@ from sumo_adv.campaigns.results import (
     write_csv,
     write_parquet,
 )
-from sumo_adv.campaigns.store import TAUGHT, Store, open_store, packed_texts
+from sumo_adv.campaigns.store import PLAN, TAUGHT, Store, discard, open_store, packed_texts
 from sumo_adv.campaigns.worker import Lessons, lessons_of, teach
 from sumo_adv.errors import BankError, UsageError
 from sumo_adv.files import sentences, write_text
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.parsing import parse_json
-
-Told = Callable[[Job, Done], None]
 
 
 class Workers(Protocol):
@@ -115,7 +113,7 @@ def run_batch(plan: Plan, orders: Orders, parts: Parts, watcher: Watcher) -> Sum
         jobs = {job.id: job for job in plan.jobs}
         rows = store.rows(jobs)
         if orders.retry_failed:
-            store.forget_failed(rows)
+            rows = {name: row for name, row in rows.items() if not failed(row)}
         watcher.begin(len(jobs), list(rows.values()))
 
         def finish(job: Job, done: Done) -> None:
@@ -129,7 +127,8 @@ def run_batch(plan: Plan, orders: Orders, parts: Parts, watcher: Watcher) -> Sum
             with stopping(watcher) as stop:
                 missing = [job for job in plan.jobs if job.id not in rows]
                 with sentences(orders.out):
-                    store.clear(job.id for job in missing)
+                    for job in missing:  # what is left of failed and damaged ones
+                        discard(store.runs / job.id)
                 for job in [job for job in missing if job.input.error]:
                     finish(job, store.fail(job, job.input.error, ""))
                 with closing(_workers(setup, orders, scratch, store, stop)) as workers:
@@ -138,7 +137,10 @@ def run_batch(plan: Plan, orders: Orders, parts: Parts, watcher: Watcher) -> Sum
         finally:
             summary.rows = table_of(plan.jobs, rows, plan.varied)
             with sentences(orders.out):
-                _write_table(store, plan, summary.rows, parquet=orders.parquet)
+                varied = list(plan.varied[0])
+                write_csv(store.folder / "results.csv", summary.rows, varied)
+                if orders.parquet:
+                    write_parquet(store.folder / "results.parquet", summary.rows, varied)
         if plan.learn is Learn.AFTER and not summary.stopped:
             summary.learnt = _teach(store, plan, orders, rows)
         summary.input_bytes = sum(p.stat().st_size for p in (store.folder / "inputs").glob("*"))
@@ -156,7 +158,8 @@ def _prepare(
         raise BankError(f"The memory bank {orders.bank} could not be copied ({error}).") from error
     with MemoryBank.open(store.bank, read_only=True) as bank:
         summary.bank_hash = bank.content_hash()
-    store.keep_plan({**document, "bank_hash": summary.bank_hash})
+    document = {**document, "bank_hash": summary.bank_hash}
+    write_text(store.folder / PLAN, json.dumps(document, indent=1, ensure_ascii=False) + "\n")
     place = orders.bank if plan.learn is Learn.DURING else store.bank
     return Setup(store.runs.absolute(), place.absolute(), plan.learn, plan.variants, plan.figures, parts)
 
@@ -169,26 +172,14 @@ def _workers(setup: Setup, orders: Orders, scratch: Path, store: Store, stop: St
     return ClusterWorkers(setup, orders.pace, orders.ray, orders.versions, store, stop)
 
 
-def _write_table(store: Store, plan: Plan, table: Sequence[Row], *, parquet: bool) -> None:
-    varied = list(plan.varied[0])
-    write_csv(store.folder / "results.csv", table, varied)
-    if parquet:
-        write_parquet(store.folder / "results.parquet", table, varied)
-
-
-def _taught(marker: Path) -> int:
-    """How much a batch has taught the bank. Raises UsageError for a damaged file."""
-    try:
-        return int(parse_json(marker.read_text(encoding="utf-8"))["written"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise UsageError(f"{marker} is damaged ({error}); delete it to have the bank taught again.") from error
-
-
 def _teach(store: Store, plan: Plan, orders: Orders, rows: Mapping[str, Row]) -> int:
     """Write what was learnt into the bank, in the plan's order, once. Raises BankError, UsageError."""
     marker = store.folder / TAUGHT
     if marker.exists():
-        return _taught(marker)
+        try:
+            return int(parse_json(marker.read_text(encoding="utf-8"))["written"])
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise UsageError(f"{marker} is damaged ({error}); delete it to have the bank taught again.") from error
     packed = packed_texts(store.folder, LEARNT)
 
     def lessons() -> Iterator[Lessons]:

@@ -28,7 +28,7 @@ from typing import Any
 
 from sumo_adv.campaigns.local import LocalWorkers, Pace, Stop
 from sumo_adv.campaigns.plan import hash_of
-from sumo_adv.campaigns.results import LEARNT, OUTCOME, Done, Job, Learn, Setup, read_row, write_failure
+from sumo_adv.campaigns.results import LEARNT, OUTCOME, Done, Job, Learn, Setup, read_row
 from sumo_adv.campaigns.store import Store
 from sumo_adv.campaigns.worker import lessons_of, share, teach
 from sumo_adv.errors import SumoAdvError, UsageError
@@ -188,19 +188,13 @@ def node_versions(names: Iterable[str]) -> dict[str, str]:
 
 def desk_folder() -> Path:
     """A folder for this Ray worker process, removed when it ends; those of killed ones are removed now."""
-    _sweep()
+    if Path("/proc/self").exists():
+        for left in Path(tempfile.gettempdir()).glob(f"{DESK}*"):
+            if not Path(f"/proc/{left.name.removeprefix(DESK).partition('-')[0]}").exists():
+                shutil.rmtree(left, ignore_errors=True)
     folder = Path(tempfile.mkdtemp(prefix=f"{DESK}{os.getpid()}-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return folder
-
-
-def _sweep() -> None:
-    """Remove what Ray workers left behind that were killed."""
-    if not Path("/proc/self").exists():
-        return
-    for left in Path(tempfile.gettempdir()).glob(f"{DESK}*"):
-        if not Path(f"/proc/{left.name.removeprefix(DESK).partition('-')[0]}").exists():
-            shutil.rmtree(left, ignore_errors=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,7 +261,7 @@ class ClusterWorkers:
 class _Desk:
     """What a Ray worker process keeps from episode to episode."""
 
-    folder: Path
+    store: Store
     workers: LocalWorkers
     edition: int = 0
 
@@ -278,14 +272,13 @@ _desks: list[_Desk] = []
 def episode(sent: Sent, job: Job) -> tuple[bytes, int]:
     """One episode on this node: its folder as a zip file, and its bytes without inputs."""
     desk = _desk(sent)
-    runs = desk.folder / "runs"
     wrong = wrong_content(job.input.source, job.input.content, job.input.record)
     results: list[Done] = []
     if wrong:
-        results.append(_fail(runs, job, wrong, ""))
+        results.append(desk.store.fail(job, wrong, ""))
     else:
         desk.workers.run([job], lambda _, done: results.append(done))
-    place = runs / job.id
+    place = desk.store.runs / job.id
     data = io.BytesIO()
     with zipfile.ZipFile(data, "w") as packed:
         for file in sorted(p for p in place.rglob("*") if p.is_file()):
@@ -297,27 +290,19 @@ def episode(sent: Sent, job: Job) -> tuple[bytes, int]:
 def _desk(sent: Sent) -> _Desk:
     """The desk of this process, with the bank as it was sent."""
     if not _desks:
-        folder = desk_folder()
-        (folder / "runs").mkdir()
-        setup = replace(sent.setup, runs=folder / "runs", bank=folder / "bank.sqlite")
-        pace = replace(sent.pace, workers=1)
-        workers = LocalWorkers(setup, pace, folder, lambda job, why, text: _fail(setup.runs, job, why, text), Stop())
-        _desks.append(_Desk(folder, workers))
+        store = Store(desk_folder(), sent.setup.parts.staged)
+        store.runs.mkdir()
+        setup = replace(sent.setup, runs=store.runs, bank=store.bank)
+        workers = LocalWorkers(setup, replace(sent.pace, workers=1), store.folder, store.fail, Stop())
+        _desks.append(_Desk(store, workers))
         atexit.register(workers.close)
     desk = _desks[0]
     if desk.edition != sent.edition:
-        part = desk.folder / "bank.part"
+        part = desk.store.folder / "bank.part"
         part.write_bytes(sent.bank)
-        part.replace(desk.folder / "bank.sqlite")
+        part.replace(desk.store.bank)
         desk.edition = sent.edition
     return desk
-
-
-def _fail(runs: Path, job: Job, why: str, text: str) -> Done:
-    for left in runs.glob(f".{job.id}*"):
-        shutil.rmtree(left, ignore_errors=True)
-    (runs / job.id).mkdir(exist_ok=True)
-    return Done(job.id, write_failure(runs / job.id, job, why, text))
 
 
 @lru_cache(maxsize=10_000)

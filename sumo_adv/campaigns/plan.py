@@ -87,13 +87,10 @@ def _sources(name: str, folder: Path) -> list[Path]:
         if not matches:
             raise UsageError(f"Nothing matches '{name}' in {folder}.")
         return matches
-    return [given if given.exists() else _known(name)]
-
-
-def _known(name: str) -> Path:
-    """A shipped name. Raises UsageError for another one."""
-    resolve(Path(name))
-    return Path(name)
+    if given.exists():
+        return [given]
+    resolve(Path(name))  # raises UsageError for what is no shipped name either
+    return [Path(name)]
 
 
 def _file(source: Path, density: float | None, parts: Parts) -> Input:
@@ -192,7 +189,8 @@ class Plan:
     def _product(self) -> Iterator[Job]:
         shaped = [json.dumps(v, sort_keys=True) for v in self.variants]
         for given, ego, k, seed in itertools.product(self.inputs, self.egos, range(len(shaped)), self.seeds):
-            yield Job(_id(given.content, ego, seed, shaped[k]), given, ego, seed, k)
+            content = json.dumps([given.content, ego, seed, shaped[k]])
+            yield Job(hashlib.sha256(content.encode()).hexdigest()[:ID_DIGITS], given, ego, seed, k)
 
     def as_dict(self) -> dict[str, Any]:
         """What a folder of results remembers of its plan, and what two plans are compared by."""
@@ -202,11 +200,6 @@ class Plan:
             "egos": list(self.egos), "seeds": list(self.seeds), "settings": list(self.variants),
             "learn": str(self.learn), "memory": None if self.memory is None else str(self.memory.absolute()),
         }  # fmt: skip
-
-
-def _id(content: str, ego: str | None, seed: int, settings: str) -> str:
-    text = json.dumps([content, ego, seed, settings])
-    return hashlib.sha256(text.encode()).hexdigest()[:ID_DIGITS]
 
 
 def read_plan(path: Path) -> dict[str, Any]:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from sumo_adv.simulation.inputs import RunInput
 
 Row = Mapping[str, Any]
-"""One line of ``results.csv``; see ``results.py``."""
+"""One line of ``results.csv``; see ``COLUMNS``."""
 
 
 class Learn(StrEnum):
@@ -128,19 +128,19 @@ TRUTHS = ("collided", "valid", "critical", "strict", "serious", "ego_stationary"
 def row_of(name: str, outcome: Mapping[str, Any], traceback: bool) -> Row:
     """The row of the episode in the folder ``name``, from its ``outcome.json``."""
     best, raw, intent = (outcome[key] or {} for key in ("outcome", "raw", "intent"))
-    failure = outcome.get("failure") or ""
+    failure, preventable_by = outcome.get("failure") or "", best.get("preventable_by")
     if not failure and outcome["ending"] in FAILED_ENDINGS:
         failure = str(outcome["reason"])
     return {
         "id": name, "network": outcome["network"], "seed": outcome["seed"], "ego": outcome["ego"]["controller"],
-        "intent": intent.get("label"), "raw_min_ttc": raw.get("min_ttc"), "min_ttc": best.get("min_ttc"),
-        "collided": best.get("collided"), "valid": best.get("valid"), "critical": best.get("critical"),
+        "intent": intent.get("label"), "raw_min_ttc": raw.get("min_ttc"),
+        **{key: best.get(key) for key in ("min_ttc", "collided", "valid", "critical")},
         "ending": outcome["ending"], "attempts": len(outcome["attempts"]),
         "seconds": (outcome["timing"] or {}).get("total"), "failure": failure,
         "traceback": f"runs/{name}/{TRACEBACK}" if traceback else None,
-        "level": best.get("level"), "strict": best.get("strict"), "preventable_by": _joined(best.get("preventable_by")),
-        "inconclusive": best.get("inconclusive"), "ego_stationary": best.get("ego_stationary"),
-        "humanlike": best.get("humanlike"), "delta_v": best.get("delta_v"), "severity": best.get("severity"),
+        "level": best.get("level"), "strict": best.get("strict"),
+        "preventable_by": None if preventable_by is None else " ".join(preventable_by),
+        **{key: best.get(key) for key in ("inconclusive", "ego_stationary", "humanlike", "delta_v", "severity")},
         "serious": best["level"] == "serious" if best.get("collided") and "level" in best else None,
         "fault": best.get("fault"), "contact_time": best.get("contact_time"), **_attack(outcome),
     }  # fmt: skip
@@ -178,10 +178,6 @@ def checked_row(row: Any) -> Row:
     return dict(row)
 
 
-def _joined(names: Sequence[str] | None) -> str | None:
-    return None if names is None else " ".join(names)
-
-
 def failed(row: Row) -> bool:
     """Whether the episode failed: it stays in the table, and in every denominator."""
     return row["ending"] in FAILED_ENDINGS
@@ -196,18 +192,28 @@ def read_row(folder: Path) -> Row | None:
         return None
 
 
-def write_failure(stage: Path, job: Job, failure: str, text: str, seconds: float | None = None) -> Row:
+def write_failure(stage: Path, job: Job, failure: str, text: str) -> Row:
     """The files of an episode that could not be run, into ``stage``: an outcome with its reason, and a traceback."""
     outcome = {
         "schema": SCHEMA, "ending": str(Ending.SIMULATION_FAILED),
         "reason": f"{ENDING_SENTENCES[Ending.SIMULATION_FAILED]} {failure}", "network": job.input.name,
         "seed": job.seed, "ego": {"id": None, "controller": job.ego}, "adversaries": [], "trigger_time": None,
         "encounter": None, "agents": None, "intent": None, "intents": [], "raw": None, "attempts": [], "best": None,
-        "outcome": None, "realism": {}, "timing": {"total": seconds}, "llm": None, "notes": [], "failure": failure,
+        "outcome": None, "realism": {}, "timing": {"total": None}, "llm": None, "notes": [], "failure": failure,
     }  # fmt: skip
     (stage / TRACEBACK).write_text(text or f"{failure}\n", encoding="utf-8")
     (stage / OUTCOME).write_text(json.dumps(outcome, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
     return row_of(job.id, outcome, True)
+
+
+def keep_failure(
+    staged: Callable[..., AbstractContextManager[Any]], runs: Path, job: Job, failure: str, text: str
+) -> Done:
+    """Those files as the run's folder, in its place in ``runs``."""
+    with staged(runs / job.id, force=True, marker=OUTCOME) as folder:
+        row = write_failure(folder.stage, job, failure, text)
+        folder.keep(force=True)
+    return Done(job.id, row)
 
 
 def table_of(jobs: Sequence[Job], rows: Mapping[str, Row], varied: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
@@ -272,9 +278,7 @@ def write_parquet(target: Path, table: Sequence[Mapping[str, Any]], varied: Sequ
     kinds = {
         **dict.fromkeys(WHOLES, pa.int64()), **dict.fromkeys(NUMBERS, pa.float64()), **dict.fromkeys(TRUTHS, pa.bool_())
     }  # fmt: skip
-    columns = {
-        name: [row.get(name) for row in table] for name in COLUMNS
-    }  # rows packed by an earlier version lack some
+    columns = {name: [row.get(name) for row in table] for name in COLUMNS}  # packed rows of old versions lack some
     columns |= {f"set_{name}": [str(_cell(row[f"set_{name}"])) for row in table] for name in varied}
     arrays = {name: pa.array(values, kinds.get(name, pa.string())) for name, values in columns.items()}
     write_whole(target, lambda part: parquet.write_table(pa.table(arrays), part, compression="zstd"))

@@ -19,14 +19,14 @@ import sqlite3
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from sumo_adv.campaigns.plan import checked_plan, differences
-from sumo_adv.campaigns.results import OUTCOME, Done, Job, Row, checked_row, failed, read_row, write_failure
+from sumo_adv.campaigns.results import OUTCOME, Done, Job, Row, checked_row, keep_failure, read_row
 from sumo_adv.errors import UsageError
 from sumo_adv.files import sentences, write_text, write_whole
 from sumo_adv.memory.store import connect
@@ -85,7 +85,9 @@ def pack(folder: Path, most: int = MOST_RUNS) -> Packed:
             files, size = files + n, size + b
             for file in _pack_one(folder, some, rows):
                 after[0], after[1] = after[0] + 1, after[1] + file.stat().st_size
-        _drop_unused_inputs(folder)
+        for file in (folder / "inputs").glob("*"):
+            if file.stat().st_nlink == 1:  # no unpacked run is linked to it
+                file.unlink()
     return Packed(len(rows), (files, after[0]), (size, after[1]))
 
 
@@ -125,13 +127,6 @@ def _add(out: zipfile.ZipFile, name: str, file: Path) -> None:
     entry.external_attr = 0o644 << 16
     entry.compress_type = zipfile.ZIP_STORED if file.suffix in STORED else zipfile.ZIP_DEFLATED
     out.writestr(entry, file.read_bytes())
-
-
-def _drop_unused_inputs(folder: Path) -> None:
-    """Remove shared inputs that no unpacked run is linked to."""
-    for file in (folder / "inputs").glob("*"):
-        if file.stat().st_nlink == 1:
-            file.unlink()
 
 
 def unpack(
@@ -242,9 +237,6 @@ class Store:
                 "there with this plan (episodes of both are not run again), or give another --out."
             )
 
-    def keep_plan(self, plan: Mapping[str, Any]) -> None:
-        write_text(self.folder / PLAN, json.dumps(plan, indent=1, ensure_ascii=False) + "\n")
-
     def snapshot(self, bank: Path) -> None:
         """Copy the bank, once; what is there already stays. Raises OSError, sqlite3.Error."""
         if self.bank.exists():
@@ -266,23 +258,9 @@ class Store:
                 rows[entry.name] = row
         return rows
 
-    def forget_failed(self, rows: dict[str, Row]) -> None:
-        """Take failed episodes for missing. Raises OSError."""
-        for name in [name for name, row in rows.items() if failed(row)]:
-            del rows[name]
-            discard(self.runs / name)
-
-    def clear(self, names: Iterable[str]) -> None:
-        """Remove what lies at the places of runs that are missing: what is left of damaged ones. Raises OSError."""
-        for name in names:
-            discard(self.runs / name)
-
     def fail(self, job: Job, why: str, text: str) -> Done:
         self.sweep(job.id)
-        with self._staged(self.runs / job.id, force=True, marker=OUTCOME) as folder:
-            row = write_failure(folder.stage, job, why, text)
-            folder.keep(force=True)
-        return Done(job.id, row)
+        return keep_failure(self._staged, self.runs, job, why, text)
 
     def sweep(self, name: str = "") -> None:
         """Remove what broken-off runs left half-written."""
@@ -317,7 +295,8 @@ def open_store(folder: Path, staged: Callable[..., AbstractContextManager[Any]])
         _left_behind(folder)
         with sentences(folder), tempfile.TemporaryDirectory(prefix="sumo_adv-batch-") as scratch:
             store.sweep()
-            _write(lock, scratch)
+            os.ftruncate(lock, 0)
+            os.pwrite(lock, scratch.encode(), 0)
             yield store, Path(scratch)
     finally:
         store.sweep()
@@ -341,11 +320,6 @@ def _locked(folder: Path) -> int:
     except (ImportError, OSError):
         pass  # no such locks on this system or file system
     return lock
-
-
-def _write(lock: int, scratch: str) -> None:
-    os.ftruncate(lock, 0)
-    os.pwrite(lock, scratch.encode(), 0)
 
 
 def _left_behind(folder: Path) -> None:

@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.campaigns.results import LEARNT, OUTCOME, TRACEBACK, Done, Job, Learn, Row, Setup, row_of, write_failure
+from sumo_adv.campaigns.results import LEARNT, OUTCOME, TRACEBACK, Done, Job, Learn, Row, Setup, keep_failure, row_of
 from sumo_adv.config import Settings, forget_environment, load_settings
 from sumo_adv.datatypes import Ending, Parameter, Planner
 from sumo_adv.drivers.registry import trusted_driver
@@ -74,7 +74,7 @@ def _plain(lesson: Lessons) -> dict[str, Any]:
     if isinstance(lesson, CompositionLesson):
         return {"composition": plain_composition(lesson.composition), "attempts": lesson.attempts}
     plain = asdict(lesson)
-    if isinstance(lesson, Lesson) and plain["evidence"]["min_ttc"] == float("inf"):
+    if plain["evidence"]["min_ttc"] == float("inf"):
         plain["evidence"]["min_ttc"] = None
     return plain
 
@@ -180,7 +180,7 @@ class Runner(WarmProcesses):
             if is_storage_error(error):
                 raise
             reason = str(error) if isinstance(error, SumoAdvError) else fault_sentence(error)
-            return self._failure(job, reason, traceback.format_exc())
+            return keep_failure(self._parts.staged, self._setup.runs, job, reason, traceback.format_exc())
 
     def _run(self, job: Job, *, last: bool) -> Done:
         given = self._parts.load(job.input.source, job.input.record)
@@ -210,15 +210,11 @@ class Runner(WarmProcesses):
     def settings(self, job: Job, given: RunInput) -> Settings:
         """The settings of an episode: the plan's, and where it says nothing the input's."""
         ego = trusted_driver(job.ego, given.ego_controller, given.source)
-        variant: Mapping[str, Any] = {
-            **own_simulation(given), "horizon": given.horizon, **self._setup.variants[job.variant]
-        }  # fmt: skip
-        return load_settings(
-            None, **{
-                **variant, "ego": ego, "seed": job.seed, "memory": self._setup.bank,
-                "learn": "off" if self._setup.learn is Learn.OFF else "on",
-            },
-        )  # fmt: skip
+        return load_settings(None, **{
+            **own_simulation(given), "horizon": given.horizon, **self._setup.variants[job.variant],
+            "ego": ego, "seed": job.seed, "memory": self._setup.bank,
+            "learn": "off" if self._setup.learn is Learn.OFF else "on",
+        })  # fmt: skip
 
     def _bank(self) -> MemoryBank:
         """The bank as this episode sees it."""
@@ -250,12 +246,6 @@ class Runner(WarmProcesses):
         size = sum(p.stat().st_size for p in stage.iterdir() if p.is_file())
         share(stage / "inputs", self._setup.runs.parent / "inputs")
         return row_of(job.id, result, bool(text)), size
-
-    def _failure(self, job: Job, failure: str, text: str) -> Done:
-        with self._parts.staged(self._setup.runs / job.id, force=True, marker=OUTCOME) as folder:
-            row = write_failure(folder.stage, job, failure, text)
-            folder.keep(force=True)
-        return Done(job.id, row)
 
 
 def share(folder: Path, shared: Path) -> None:

@@ -244,13 +244,13 @@ class Predictor:
         n = len(agents.heading)
         modes = forward(self._parameters, features(agents, segments))
         place = to_world(np.asarray(modes.place[:n], float), agents)
-        return Predicted(place, np.asarray(modes.scale[:n], float), probabilities(np.asarray(modes.logit[:n], float)))
+        return Predicted(place, np.asarray(modes.scale[:n], float), softmax(np.asarray(modes.logit[:n], float)))
 
 
-def probabilities(logit: Floats) -> Floats:
+def softmax(x: Any, xp: Any = np) -> Any:
     """The softmax over the last axis."""
-    weight = np.exp(logit - logit.max(axis=-1, keepdims=True))
-    return np.asarray(weight / weight.sum(axis=-1, keepdims=True))
+    weight = xp.exp(x - x.max(axis=-1, keepdims=True))
+    return weight / weight.sum(axis=-1, keepdims=True)
 
 
 def write_weights(parameters: Mapping[str, Any], target: Path) -> None:

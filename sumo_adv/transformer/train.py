@@ -27,7 +27,7 @@ from sumo_adv.datatypes import Bools, Floats
 from sumo_adv.errors import UsageError
 from sumo_adv.files import write_whole
 from sumo_adv.transformer.dataset import MOVES, Scenes
-from sumo_adv.transformer.model import TIMES, Parameters, forward, make_parameters, write_weights
+from sumo_adv.transformer.model import TIMES, Parameters, forward, make_parameters, softmax, write_weights
 from sumo_adv.transformer.scene import SPEED, Features
 
 BATCH = 32  # scenes a step
@@ -109,8 +109,8 @@ def loss(parameters: Any, f: Features, future: Any, known: Any, xp: Any = np) ->
     best = (mean.argmin(axis=-1)[..., None] == xp.arange(mean.shape[-1])).astype(future.dtype)
     unlikely = (xp.log(2.0 * modes.scale) + abs(apart) / modes.scale).sum(axis=-1)
     unlikely = (unlikely * counted[..., None, :]).sum(axis=-1) / xp.maximum(count, 1.0)[..., None]
-    target = _softmax(-_constant(mean, xp), xp)
-    entropy = -(target * xp.log(_softmax(modes.logit, xp) + 1e-9)).sum(axis=-1)
+    target = softmax(-_constant(mean, xp), xp)
+    entropy = -(target * xp.log(softmax(modes.logit, xp) + 1e-9)).sum(axis=-1)
     return (((unlikely * best).sum(axis=-1) + entropy) * weight).sum() / xp.maximum(weight.sum(), 1.0)
 
 
@@ -121,11 +121,6 @@ def _constant(values: Any, xp: Any) -> Any:
     from jax.lax import stop_gradient
 
     return stop_gradient(values)
-
-
-def _softmax(x: Any, xp: Any) -> Any:
-    weight = xp.exp(x - x.max(axis=-1, keepdims=True))
-    return weight / weight.sum(axis=-1, keepdims=True)
 
 
 def digest(scenes: Scenes) -> str:

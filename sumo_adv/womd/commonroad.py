@@ -20,13 +20,12 @@ import numpy as np
 from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError
 from sumo_adv.womd.lines import at, road_outline, stations
-from sumo_adv.womd.record import LaneFeature, LineFeature, Neighbour, ObjectTrack, Record, check_bounds
+from sumo_adv.womd.record import VEHICLE, LaneFeature, LineFeature, Neighbour, ObjectTrack, Record, check_bounds
 
 SPACING = 0.5  # m between points of a centre line
 EGO_SIZE = 4.508, 1.610  # m: CommonRoad's vehicle 2, BMW 320i; a planning problem names no size
-HEIGHT = 1.5  # m
 KINDS = {"pedestrian": 2, "bicycle": 3}  # index of TRACK_KINDS; all others are vehicles
-VEHICLE, OTHER, SURFACE, EDGE_BOUNDARY = 1, 4, 2, 1
+SURFACE = 2  # index of LANE_TYPES
 SPEED_LIMIT = "274"  # the sign, in Germany and in CommonRoad's Zamunda
 Place = tuple[float, float, float, float]  # x, y [m], heading [rad], speed [m/s]
 
@@ -131,10 +130,8 @@ def _track(number: int, kind: int, size: tuple[float, float], places: dict[int, 
         values[step], valid[step] = place, True
     x, y, heading, speed = values.T
     length, width = (np.full(count, value) for value in size)
-    return ObjectTrack(
-        number, kind, valid, x, y, np.zeros(count), length, width, np.full(count, HEIGHT), heading,
-        speed * np.cos(heading), speed * np.sin(heading),
-    )  # fmt: skip
+    vx, vy = speed * np.cos(heading), speed * np.sin(heading)
+    return ObjectTrack(number, kind, valid, x, y, length, width, heading, vx, vy)
 
 
 def _points(parent: Element) -> Floats:
@@ -187,6 +184,6 @@ def _edges(lanelets: Sequence[Element], last: int) -> dict[int, LineFeature]:
         for each in lanelets
     ]
     return {
-        number: LineFeature(number, True, EDGE_BOUNDARY, np.column_stack([line, np.zeros(len(line))]))
+        number: LineFeature(True, np.column_stack([line, np.zeros(len(line))]))
         for number, line in enumerate(road_outline([area.buffer(0.0) for area in areas]), last + 1)
     }

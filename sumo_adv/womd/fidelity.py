@@ -213,17 +213,12 @@ def _moving(record: Record) -> Floats:
     return np.concatenate(parts)
 
 
-def _travelled(track: ObjectTrack) -> float:
-    """How far a track goes while it is seen, m."""
-    return float(np.hypot(np.diff(track.x[track.valid]), np.diff(track.y[track.valid])).sum())
-
-
 def _routes(
     record: Record, router: Router, tracks: Sequence[ObjectTrack], matched: Mapping[int, tuple[Stretch, ...]]
 ) -> dict[str, Any]:
     """Driven tracks, those with edges that break in SUMO, and those that break on the record's own graph."""
     own: LaneGraph = record_graph(record)
-    driven = [t for t in tracks if _travelled(t) > DRIVEN]
+    driven = [t for t in tracks if np.hypot(np.diff(t.x[t.valid]), np.diff(t.y[t.valid])).sum() > DRIVEN]
     broken = [t.id for t in driven if not router.unbroken(matched[t.id])]
     own_broken = [t.id for t in driven if len(match(own, t)) > 1]
     return {
@@ -234,16 +229,14 @@ def _routes(
 
 def draw_fidelity(target: Path, record: Record, net: SumoNet, fidelity: Fidelity) -> None:
     """Write a PNG, 1400 px wide, to ``target``. Raises OSError if the file cannot be written."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    points = np.concatenate([p[:, :2] for p in kept_lanes(record).values()] or [np.zeros((1, 2))])
+    lines = [points[:, :2] for points in kept_lanes(record).values()]
+    points = np.concatenate(lines or [np.zeros((1, 2))])
     low, high = points.min(axis=0) - 10.0, points.max(axis=0) + 10.0
     height = float(np.clip(WIDTH * (high[1] - low[1]) / (high[0] - low[0]), LEAST, MOST))
     figure = Figure(figsize=(WIDTH, height + 1.0), dpi=100, facecolor="white")
-    FigureCanvasAgg(figure)
     axes = figure.add_axes((0.05, 0.05, 0.93, 0.86))
-    lines = [points[:, :2] for points in kept_lanes(record).values()]
     _lines(axes, lines, DATASET, 5.0, f"lanes of the record ({len(lines)})")
     for internal, colour, name in ((False, OUTSIDE, "SUMO lanes"), (True, INSIDE, "SUMO lanes inside junctions")):
         _lines(axes, [a.shape for a in net.lanes.values() if a.internal == internal], colour, 0.8, name)

@@ -37,8 +37,9 @@ INDEX_DIGITS = 9  # a longer number is an id
 _SAFE_ID = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}")  # it becomes a folder's name
 _AREAS = ("crosswalk", "speed_bump", "driveway")
 _FIELDS = (
-    "center_x", "center_y", "center_z", "length", "width", "height", "heading", "velocity_x", "velocity_y",
+    "center_x", "center_y", "length", "width", "heading", "velocity_x", "velocity_y", "center_z", "height",
 )  # fmt: skip
+"""In the order of ``ObjectTrack``; the last two are only checked."""
 
 Told = Callable[[UsageError], None]
 
@@ -159,7 +160,7 @@ def _chosen(
 
 
 def _read(frame: Frame, path: Path, chosen_id: str | None, parse: Callable[[bytes], Any]) -> Record | None:
-    """The record of ``frame``; None if it is not the ``wanted`` one."""
+    """The record of ``frame``; None if it has another id than ``chosen_id``."""
     label = f"Record {frame.number} of {path}"
     if not frame.intact or frame.data is None:
         raise UsageError(f"{label} is damaged: its checksum is wrong; fetch the file again.")
@@ -238,13 +239,13 @@ def _lines(message: Any, label: str) -> dict[int, LineFeature]:
         for field, edge in (("road_line", False), ("road_edge", True)):
             if feature.HasField(field):
                 line = getattr(feature, field)
-                lines[feature.id] = LineFeature(feature.id, edge, line.type, _points(line.polyline, label))
+                lines[feature.id] = LineFeature(edge, _points(line.polyline, label))
     return lines
 
 
 def _stop_signs(message: Any, label: str) -> list[StopSign]:
     return [
-        StopSign(f.id, tuple(f.stop_sign.lane), _points([f.stop_sign.position], label)[0])
+        StopSign(tuple(f.stop_sign.lane), _points([f.stop_sign.position], label)[0])
         for f in message.map_features
         if f.HasField("stop_sign")
     ]
@@ -275,7 +276,7 @@ def _track(track: Any, steps: int, label: str) -> ObjectTrack:
     if len(track.states) != steps:
         raise UsageError(f"{label} has {len(track.states)} states for its track {track.id}, not one a step ({steps}).")
     columns = np.array([[getattr(state, field) for state in track.states] for field in _FIELDS], dtype=np.float64)
-    size = columns[3:5]
+    size = columns[2:4]
     sound = np.isfinite(columns).all(axis=0) & (size > 0.0).all(axis=0) & (size < LARGEST_OBJECT).all(axis=0)
     valid = np.array([state.valid for state in track.states], dtype=bool) & sound
-    return ObjectTrack(track.id, track.object_type, valid, *columns)  # in the order of _FIELDS
+    return ObjectTrack(track.id, track.object_type, valid, *columns[:-2])

@@ -60,19 +60,16 @@ class LaneFeature:
 
 @dataclass(frozen=True, slots=True)
 class LineFeature:
-    """A painted line (``edge`` False) or a road edge (True). points ``(n, 3)`` m; kind: the dataset's number."""
+    """A painted line (``edge`` False) or a road edge (True). points ``(n, 3)`` m."""
 
-    id: int
     edge: bool
-    kind: int
     points: Floats
 
 
 @dataclass(frozen=True, slots=True)
 class StopSign:
-    """A stop sign, the lanes it rules, and where it stands ``(3,)`` m."""
+    """The lanes that a stop sign rules, and where it stands ``(3,)`` m."""
 
-    id: int
     lanes: tuple[int, ...]
     position: Floats
 
@@ -99,7 +96,7 @@ class SignalState:
 class ObjectTrack:
     """One object over all steps, arrays ``(n,)``; where ``valid`` is False the rest means nothing.
 
-    kind: index of ``TRACK_KINDS``; x, y, z m (box centre); length, width, height m; heading rad; vx, vy m/s.
+    kind: index of ``TRACK_KINDS``; x, y m (box centre); length, width m; heading rad; vx, vy m/s.
     """
 
     id: int
@@ -107,10 +104,8 @@ class ObjectTrack:
     valid: Bools
     x: Floats
     y: Floats
-    z: Floats
     length: Floats
     width: Floats
-    height: Floats
     heading: Floats
     vx: Floats
     vy: Floats
@@ -221,7 +216,7 @@ def evenly_sampled(record: Record) -> tuple[Record, Sampling]:
 
 def _track(track: ObjectTrack, low: Ints, high: Ints, share: Floats, bridged: Bools) -> ObjectTrack:
     linear: dict[str, Any] = {}
-    for name in ("x", "y", "z", "length", "width", "height", "vx", "vy"):
+    for name in ("x", "y", "length", "width", "vx", "vy"):
         before, after = getattr(track, name)[low], getattr(track, name)[high]
         linear[name] = np.asarray(np.where(share == 0.0, before, before * (1 - share) + after * share))
     turn = wrap_below_pi(track.heading[high] - track.heading[low])

@@ -188,7 +188,6 @@ def _crosswalks(record: Record) -> Iterator[str]:
 
 
 def _scenario(record: Record, ego: ObjectTrack, parked: Sequence[ObjectTrack]) -> str:
-    """The scenario file's text."""
     first = int(np.flatnonzero(ego.valid)[0])
     predicted = ", ".join(str(record.tracks[i].id) for i in record.to_predict) or "none"
     interest = ", ".join(map(str, record.objects_of_interest)) or "none"

@@ -11,23 +11,19 @@ arrive goes first.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sumo_adv.datatypes import Floats
 from sumo_adv.womd.lines import SAME, at, stations
-from sumo_adv.womd.network.roads import Link
+from sumo_adv.womd.network.roads import Link, RoadEdge
 
 if TYPE_CHECKING:
     from shapely import LineString
-import math
-from collections.abc import Collection
-from dataclasses import dataclass
-
-from sumo_adv.womd.network.roads import RoadEdge
 
 CLOSE = 0.8  # m between the lines of two links that are in each other's way without crossing
 BEND = 4.0  # m before and after the nearest place over which a line is bent
@@ -107,7 +103,7 @@ def _nearest(lines: Sequence[LineString], parts: Sequence[LineString]) -> tuple[
 
 
 def _bend(link: Link, station: float, way: Floats) -> Link:
-    """The link moved by ``way`` [m] at station ``where``, less and less to both sides, its ends kept."""
+    """The link moved by ``way`` [m] at ``station``, less and less to both sides, its ends kept."""
     along = stations(link.shape)
     reach = min(BEND, station, float(along[-1]) - station)
     extra = station + reach * np.linspace(-1.0, 1.0, 17)

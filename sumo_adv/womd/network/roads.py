@@ -112,7 +112,6 @@ def _spacings(strands: tuple[Strand, ...], rows: Iterable[Row]) -> dict[Stretch,
 class RoadLane:
     """A lane of an edge. shape ``(n, 2)`` [m], width m, speed m/s."""
 
-    stretch: Stretch
     shape: Floats
     width: float
     speed: float
@@ -203,7 +202,7 @@ def _edges(layout: Layout, widths: dict[Stretch, float]) -> tuple[dict[str, Road
         for index, stretch in enumerate(row):
             strand = strands[stretch.strand]
             shape = part(strand.points[:, :2], strand.along, stretch.start, stretch.end)
-            lanes.append(RoadLane(stretch, shape, widths[stretch], strand.speed, strand.bike))
+            lanes.append(RoadLane(shape, widths[stretch], strand.speed, strand.bike))
             place[stretch] = name, index
         edges[name] = RoadEdge(name, f"n{start}", f"n{end}", tuple(lanes))
     return edges, place
