@@ -13,7 +13,6 @@ import sqlite3
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 
@@ -80,9 +79,7 @@ class MemoryBank:
     def __enter__(self) -> MemoryBank:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -263,8 +260,8 @@ class MemoryBank:
     def merge(self, label: str, into: str) -> None:
         """Move planners and evidence of intent ``label`` to the active intent ``into``, in one transaction.
 
-        The first intent is retired, and its label then stands for ``into``. Raises BankError, also if either
-        intent is unknown or both are the same.
+        The first intent is retired, and its label then stands for ``into``. Raises BankError, also if either intent is
+        unknown or both are the same.
         """
         with self._writing() as stamp:
             edits.merge(self._connection, label, into, stamp)
@@ -292,15 +289,9 @@ class MemoryBank:
         """
         if not self.writable:
             raise BankError(f"The memory bank {self.path} is read-only; give another path, or make it writable.")
-        with sentences(self.path):
+        with sentences(self.path), self._connection:
             self._connection.execute("BEGIN IMMEDIATE")
-            try:
-                yield self._clock()
-                self._connection.execute("COMMIT")
-            except BaseException:
-                if self._connection.in_transaction:
-                    self._connection.execute("ROLLBACK")
-                raise
+            yield self._clock()
         if refresh:
             self.refresh()
 

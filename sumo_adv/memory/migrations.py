@@ -162,10 +162,9 @@ def _apply_next(
     connection: sqlite3.Connection, version: int, clock: Clock, migrations: Sequence[Migration]
 ) -> str | None:
     """One migration in one transaction; None if another process did it first."""
-    connection.execute("BEGIN IMMEDIATE")
-    try:
+    with connection:  # commits, or rolls back on any error
+        connection.execute("BEGIN IMMEDIATE")
         if connection.execute("PRAGMA user_version").fetchone()[0] != version:
-            connection.execute("ROLLBACK")
             return None
         connection.execute(
             "CREATE TABLE IF NOT EXISTS migrations (name TEXT PRIMARY KEY, applied TEXT NOT NULL) STRICT"
@@ -174,11 +173,6 @@ def _apply_next(
             connection.execute(statement)
         connection.execute("INSERT INTO migrations VALUES (?, ?)", (migrations[version].name, clock()))
         connection.execute(f"PRAGMA user_version = {version + 1}")
-        connection.execute("COMMIT")
-    except BaseException:
-        if connection.in_transaction:
-            connection.execute("ROLLBACK")
-        raise
     return migrations[version].name
 
 

@@ -115,11 +115,9 @@ class Content:
 
 def load(connection: sqlite3.Connection) -> Content:
     """Everything, from one consistent view of the file. Raises BankError for content that no bank can have."""
-    connection.execute("BEGIN")
-    try:
+    with connection:
+        connection.execute("BEGIN")
         return read(connection)
-    finally:
-        connection.execute("COMMIT")
 
 
 def read(connection: sqlite3.Connection) -> Content:
@@ -188,9 +186,7 @@ def read_intent(connection: sqlite3.Connection, label: str) -> IntentRecord | No
     return None if row is None else _intent(key, *row)
 
 
-def insert_planner(
-    connection: sqlite3.Connection, label: str, planner: Planner, now: str, status: str = "active"
-) -> None:
+def insert_planner(connection: sqlite3.Connection, label: str, planner: Planner, now: str, status: str) -> None:
     """Add a planner to an intent that exists, unless it has that source already. Raises BankError."""
     try:
         _check_parameters(planner)
