@@ -11,6 +11,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
@@ -70,10 +71,8 @@ class EventFile:
             self.close()
 
     def close(self) -> None:
-        try:
+        with suppress(OSError):  # its last line could not be written
             self._file.close()
-        except OSError:
-            return  # its last line could not be written
 
 
 class Status:
