@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from multiprocessing.util import Finalize
 from pathlib import Path
@@ -26,8 +27,8 @@ class Core:
 
     def __init__(
         self, scenarios: Scenarios, viewing: Viewing, interval: float, settings: Mapping[str, Any] | None, *,
-        ego: Any, attacker: Attacker, adapts: bool, unattacked: float, ego_actions: str | None,
-        adversary_actions: str | None,
+        ego: Any = None, attacker: Attacker = None, adapts: bool = False, unattacked: float = 0.0,
+        ego_actions: str | None = None, adversary_actions: str | None = None,
     ) -> None:  # fmt: skip
         """``ego``: the driver, None = an agent. unattacked: the share of episodes without an attack.
 
@@ -138,10 +139,8 @@ class Core:
     def _end(self) -> None:
         if self._played is not None:
             played, self._played = self._played, None
-            try:
+            with suppress(SimulationError):  # it has been told where it happened
                 played.end()
-            except SimulationError:  # it has been told where it happened
-                return
 
     def close(self) -> None:
         """End all processes. May be called twice."""

@@ -53,18 +53,16 @@ class Viewing:
 
     def space(self, *, adversary: bool) -> spaces.Space[Any]:
         """The space of an agent's observations."""
-        highs, lows = {"own": _highs(OWN, ())}, {"own": _lows(OWN, SIGNED_OWN)}
-        if self.danger and not adversary:
-            highs["danger"], lows["danger"] = _highs(DANGER, ()), _lows(DANGER, ())
-        highs["path"] = np.full((len(AHEAD), 2), FAR, np.float32)
-        lows["path"] = -highs["path"]
-        if adversary:
-            highs["ego"], lows["ego"] = _highs(OTHER, ()), _lows(OTHER, SIGNED_OTHER)
-        highs["vehicles"] = _highs(OTHER, (self.vehicles, len(OTHER)))
-        lows["vehicles"] = np.broadcast_to(_lows(OTHER, SIGNED_OTHER), highs["vehicles"].shape).copy()
+        absent = {"danger"} if adversary else {"ego"} if self.danger else {"ego", "danger"}
+        names = [name for name in _LARGEST if name not in absent]
+        rows = {"path": len(AHEAD), "vehicles": self.vehicles}
+        lows, highs = (
+            {name: np.tile(table[name], (rows[name], 1)) if name in rows else table[name] for name in names}
+            for table in (_SMALLEST, _LARGEST)
+        )
         if not self.vector:
-            return spaces.Dict({name: spaces.Box(lows[name], highs[name], dtype=np.float32) for name in highs})
-        low = np.concatenate([(lows[name] / highs[name]).ravel() for name in highs])
+            return spaces.Dict({name: spaces.Box(lows[name], highs[name], dtype=np.float32) for name in names})
+        low = np.concatenate([(lows[name] / highs[name]).ravel() for name in names])
         return spaces.Box(low, np.ones_like(low), dtype=np.float32)
 
     def given(self, view: View) -> View | Numbers:
@@ -74,24 +72,15 @@ class Viewing:
         return np.concatenate([(values / _LARGEST[name]).ravel() for name, values in view.items()])
 
 
-def _highs(values: Sequence[float], shape: tuple[int, ...]) -> Numbers:
-    row = np.asarray(values, np.float32)
-    return np.broadcast_to(row, shape or row.shape).copy()
-
-
-def _lows(values: Sequence[float], signed: Sequence[int]) -> Numbers:
-    return np.array([-v if k in signed else 0.0 for k, v in enumerate(values)], np.float32)
-
-
-_POINT = np.full(2, FAR, np.float32)
-_LARGEST: Mapping[str, Numbers] = {
-    "own": _highs(OWN, ()), "danger": _highs(DANGER, ()), "path": _POINT, "ego": _highs(OTHER, ()),
-    "vehicles": _highs(OTHER, ()),
+_COLUMNS: Mapping[str, tuple[Sequence[float], Sequence[int]]] = {  # largest values, and those that may be negative
+    "own": (OWN, SIGNED_OWN), "danger": (DANGER, ()), "path": ((FAR, FAR), (0, 1)), "ego": (OTHER, SIGNED_OTHER),
+    "vehicles": (OTHER, SIGNED_OTHER),
 }  # fmt: skip
+_LARGEST: Mapping[str, Numbers] = {name: np.array(largest, np.float32) for name, (largest, _) in _COLUMNS.items()}
 _SMALLEST: Mapping[str, Numbers] = {
-    "own": _lows(OWN, SIGNED_OWN), "danger": _lows(DANGER, ()), "path": -_POINT, "ego": _lows(OTHER, SIGNED_OTHER),
-    "vehicles": _lows(OTHER, SIGNED_OTHER),
-}  # fmt: skip
+    name: np.array([-v if k in signed else 0.0 for k, v in enumerate(largest)], np.float32)
+    for name, (largest, signed) in _COLUMNS.items()
+}
 
 
 class Watch:
