@@ -91,12 +91,8 @@ def relative_words(situation: Situation, aliases: Aliases, library: Mapping[str,
         target = situation.targets[name]
         relations = set(target.applies())
         fitting = [sanitize(label) for label, applies in library.items() if relations & set(applies)]
-        lines.append(
-            f"{alias}: {_relation(target, situation)} Behaviours that apply: "
-            f"{', '.join(fitting) or 'none of the library'}."
-            if library
-            else f"{alias}: {_relation(target, situation)}"
-        )
+        apply = f" Behaviours that apply: {', '.join(fitting) or 'none of the library'}." if library else ""
+        lines.append(f"{alias}: {_relation(target, situation)}{apply}")
     return "\n".join(lines)
 
 

@@ -174,8 +174,8 @@ def _check_room(placed: list[Placed], ego: EgoDraft, ego_drive: Drive, start: fl
 
 
 def _demand(ego: EgoDraft, ego_drive: Drive, start: float, placed: list[Placed]) -> str:
-    rows: list[tuple[str, str, float, Drive, float, bool]] = []
-    rows += [("ego", ego.type, ego.speed, ego_drive, start, False)]
+    rows: list[tuple[str, str, float, Drive, float, bool]]
+    rows = [("ego", ego.type, ego.speed, ego_drive, start, False)]
     rows += [(p.draft.id, p.draft.type, p.draft.speed, p.drive, p.position, p.draft.stands) for p in placed]
     types, vehicles = [], []
     for name, kind, kmh, drive, position, stands in sorted(rows, key=lambda row: -row[4]):
