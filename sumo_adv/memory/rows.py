@@ -232,12 +232,22 @@ def insert_evidence(connection: sqlite3.Connection, evidence: Evidence, now: str
         (evidence.planner_hash, *values, key),
     )
     if wake and evidence.success:
-        connection.execute("UPDATE intents SET status = 'active' WHERE key = ? AND status != 'active'", (key,))
-        connection.execute(
-            "UPDATE planners SET status = 'active' WHERE hash = ? AND status != 'active'"
-            " AND intent = (SELECT id FROM intents WHERE key = ?)",
-            (evidence.planner_hash, key),
-        )
+        set_intent_status(connection, key, "active")
+        set_planner_status(connection, key, evidence.planner_hash, "active")
+
+
+def set_intent_status(connection: sqlite3.Connection, key: str, status: str) -> None:
+    """Make an intent active or retired."""
+    connection.execute("UPDATE intents SET status = ? WHERE key = ? AND status != ?", (status, key, status))
+
+
+def set_planner_status(connection: sqlite3.Connection, key: str, planner_hash: str, status: str) -> None:
+    """Make a planner active or retired; ``key``: of its intent."""
+    connection.execute(
+        "UPDATE planners SET status = ? WHERE hash = ? AND status != ?"
+        " AND intent = (SELECT id FROM intents WHERE key = ?)",
+        (status, planner_hash, status, key),
+    )
 
 
 def resolve(settings: Mapping[str, Any], label: str) -> str:
