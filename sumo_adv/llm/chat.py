@@ -34,7 +34,6 @@ class ChatRequest:
     messages: (role, content) pairs.
     schema: JSON schema of the answer, None for free text; ``schema_name`` is its name.
     sample: number that tells repeated questions apart.
-    temperature: None for the temperature of the settings.
     """
 
     agent: str
@@ -42,7 +41,6 @@ class ChatRequest:
     schema: Mapping[str, Any] | None = None
     schema_name: str = ""
     sample: int = 0
-    temperature: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

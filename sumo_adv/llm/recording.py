@@ -57,7 +57,7 @@ class Recorder:
         """Write one exchange and flush. After ``close`` nothing is written. Raises ModelError."""
         question = {
             "agent": request.agent, "sample": request.sample, "messages": [list(m) for m in request.messages],
-            "shape": request.schema_name, "temperature": request.temperature,
+            "shape": request.schema_name, "temperature": None,  # that of the settings
         }  # fmt: skip
         if isinstance(answer, ModelError):
             kind = "budget" if isinstance(answer, BudgetError) else "model"
@@ -112,7 +112,6 @@ class Exchange:
 
     @property
     def key(self) -> str:
-        """The key of the question."""
         return question_key(self.agent, self.messages, self.sample)
 
 

@@ -40,7 +40,6 @@ def chat_body(request: ChatRequest, model: str, mode: str, temperature: float | 
     """
     messages = [{"role": role, "content": content} for role, content in request.messages]
     body: dict[str, Any] = {"model": model, "messages": messages, "stream": False}
-    temperature = request.temperature if request.temperature is not None else temperature
     if temperature is not None:
         body["temperature"] = temperature
     if request.schema is None:
