@@ -96,7 +96,6 @@ class Until(StrEnum):
 
     @property
     def level(self) -> Level:
-        """The level."""
         return Level.CRITICAL if self is Until.TTC else Level[self.name]
 
 

@@ -175,7 +175,10 @@ class Track:
 
     def between(self, start: float, end: float) -> Track:
         """The part with ``start <= time <= end`` (with half a millisecond of slack)."""
-        keep = np.flatnonzero((self.time >= start - 5e-4) & (self.time <= end + 5e-4))
+        return self.picked(np.flatnonzero((self.time >= start - 5e-4) & (self.time <= end + 5e-4)))
+
+    def picked(self, keep: Ints) -> Track:
+        """The states at these places."""
         lane = tuple(self.lane[i] for i in keep) if self.lane else ()
         return Track(
             self.id, self.role, self.time[keep], self.x[keep], self.y[keep], self.heading[keep], self.speed[keep],

@@ -189,7 +189,7 @@ def make_path(
     p = p[np.concatenate([[True], np.hypot(*np.diff(p, axis=0).T) > 1e-3])]
     if len(p) < 2:
         p = np.vstack([p[0], p[0] + [PATH_STEP, 0.0]])
-    station = _stations(p[:, 0], p[:, 1])
+    station = stations(p[:, 0], p[:, 1])
     x, y = _even(p[:, 0], p[:, 1])
     if station[-1] < PATH_STEP:
         x[1], y[1] = p[-1] + (p[-1] - p[0]) / station[-1] * (PATH_STEP - station[-1])
@@ -205,14 +205,14 @@ def make_path(
     return Path(x, y, heading, curvature, _bend_speed(curvature, lateral))
 
 
-def _stations(x: Floats, y: Floats) -> Floats:
+def stations(x: Floats, y: Floats) -> Floats:
     """Metres from the first point along a polyline."""
     return np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
 
 
 def _even(x: Floats, y: Floats) -> tuple[Floats, Floats]:
     """A polyline's points every ``PATH_STEP`` metres, at least two."""
-    station = _stations(x, y)
+    station = stations(x, y)
     s = PATH_STEP * np.arange(max(2, int(station[-1] / PATH_STEP) + 1))
     return np.interp(s, station, x), np.interp(s, station, y)
 

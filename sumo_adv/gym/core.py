@@ -85,11 +85,11 @@ class Core:
         if adversary is not None:
             bv = situations[delay].target_list()[0].state.id
             return Play(self._viewing, every, ego, adversary, None, bv, delay)
-        if self._attacker is None or draws.random() < self._unattacked:
-            return Play(self._viewing, every, ego)
-        if self._at not in self._plans:
-            self._plans[self._at] = encounter.plan(adapts=self._adapts)
-        attack = self._plans[self._at].next(draws)
+        attack = None
+        if self._attacker is not None and draws.random() >= self._unattacked:
+            if self._at not in self._plans:
+                self._plans[self._at] = encounter.plan(adapts=self._adapts)
+            attack = self._plans[self._at].next(draws)
         if attack is None:
             return Play(self._viewing, every, ego)
         return Play(self._viewing, every, ego, None, attack, attack.bv, attack.delay)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from sumo_adv.datatypes import VehicleState
 from sumo_adv.drivers import LaneSpeed, Observation
 from sumo_adv.drivers.careful import CarefulEgo
-from sumo_adv.geometry import Path
+from sumo_adv.geometry import Path, stations
 from sumo_adv.situation import Target
 
 Numbers = NDArray[np.float32]
@@ -127,7 +127,6 @@ class ViewOfAdversary:
         self.station, self.offset = target.station, target.offset
 
     def __call__(self, me: VehicleState, ego: VehicleState, others: Sequence[VehicleState]) -> View:
-        """The view of now."""
         self.station, self.offset = self.way.project(me.x, me.y, near=self.station)
         x, y, heading = self.way.at(self.station + np.array([0.0, *AHEAD]))
         turned = me.heading - float(heading[0])
@@ -158,7 +157,7 @@ def _onward(me: VehicleState, points: NDArray[Any] | None) -> NDArray[Any]:
     if points is None or len(points) < 2:
         return straight
     here = int(np.argmin((points[:, 0] - me.x) ** 2 + (points[:, 1] - me.y) ** 2))
-    station = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points[here:], axis=0).T))])
+    station = stations(points[here:, 0], points[here:, 1])
     if len(station) < 2:
         return straight
     return np.column_stack([np.interp(ahead, station, points[here:, k]) for k in (0, 1)])

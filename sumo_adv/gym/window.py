@@ -35,7 +35,6 @@ class Window:
         self._figure.canvas.start_event_loop(PAUSE)
 
     def close(self) -> None:
-        """Close it, if it is open."""
         if self._figure is not None:
             import matplotlib.pyplot as plt
 

@@ -89,7 +89,6 @@ class Status:
         self._outcomes: deque[Event] = deque(maxlen=KEPT)
 
     def __call__(self, event: Event) -> None:
-        """Take an event in."""
         with self._lock:
             if event.get("time") is not None:
                 self._now["time"] = event["time"]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -110,12 +110,7 @@ def _end(scene: Scene, ego: Track, bv: Track) -> int:
 
 
 def _at(track: Track, time: Floats) -> Track:
-    keep = np.isin(np.round(track.time, 3), time)
-    x, y, heading, speed = (c[keep] for c in (track.x, track.y, track.heading, track.speed))
-    return replace(
-        track, time=track.time[keep], x=x, y=y, heading=heading, speed=speed, acceleration=track.acceleration[keep],
-        lane=(),
-    )  # fmt: skip
+    return track.picked(np.flatnonzero(np.isin(np.round(track.time, 3), time)))
 
 
 def _along(track: Track, path: Path) -> _Along:
