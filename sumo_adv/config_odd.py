@@ -14,7 +14,7 @@ import math
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, NonNegativeFloat, NonNegativeInt, ValidationError
 
 from sumo_adv.datatypes import Place, Relation, RoadClass
 from sumo_adv.errors import UsageError
@@ -27,10 +27,8 @@ def _ascending(given: tuple[float, float]) -> tuple[float, float]:
     return given
 
 
-Speeds = Annotated[
-    tuple[Annotated[float, Field(ge=0)], Annotated[float, Field(ge=0)]], AfterValidator(_ascending)
-]  # m/s
-Counts = Annotated[tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]], AfterValidator(_ascending)]
+Speeds = Annotated[tuple[NonNegativeFloat, NonNegativeFloat], AfterValidator(_ascending)]  # m/s
+Counts = Annotated[tuple[NonNegativeInt, NonNegativeInt], AfterValidator(_ascending)]
 
 
 class Odd(BaseModel):
