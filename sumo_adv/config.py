@@ -96,7 +96,6 @@ class Until(StrEnum):
 
     @property
     def level(self) -> Level:
-        """The level."""
         return Level.CRITICAL if self is Until.TTC else Level[self.name]
 
 
@@ -243,7 +242,8 @@ class Settings(ModelSettings, BaseSettings):
         file_secret_settings: PydanticBaseSettingsSource,
     ) -> tuple[PydanticBaseSettingsSource, ...]:
         """Command line, environment, file."""
-        return init_settings, env_settings, TomlConfigSettingsSource(settings_cls, _settings_file())
+        file = _chosen_file[-1] if _chosen_file else None
+        return init_settings, env_settings, TomlConfigSettingsSource(settings_cls, file)
 
     def player(self, role: str) -> str | None:
         """The model named for analyzer, generator or modifier; None = the built-in expert."""
@@ -269,11 +269,7 @@ def forget_environment() -> None:
         del os.environ[name]
 
 
-_chosen_file: list[Path] = []
-
-
-def _settings_file() -> Path | None:
-    return _chosen_file[-1] if _chosen_file else None
+_chosen_file: list[Path] = []  # while settings are loaded from a file: that one
 
 
 def load_settings(file: Path | None = None, **given: Any) -> Settings:
@@ -282,11 +278,11 @@ def load_settings(file: Path | None = None, **given: Any) -> Settings:
     Raises:
         UsageError: an unknown name or a value out of range.
     """
-    if file is not None and not file.is_file():
-        raise UsageError(f"The settings file {file} does not exist.")
     if file is not None:
+        if not file.is_file():
+            raise UsageError(f"The settings file {file} does not exist.")
         read_toml(file, "The settings file")
-    _chosen_file.append(file) if file else None
+        _chosen_file.append(file)
     try:
         return Settings(**{k: v for k, v in given.items() if v is not None})
     except ValidationError as error:
@@ -294,8 +290,7 @@ def load_settings(file: Path | None = None, **given: Any) -> Settings:
     except ValueError as error:
         raise UsageError(f"The settings could not be read ({error}).") from error
     finally:
-        if file:
-            _chosen_file.pop()
+        _chosen_file.clear()
 
 
 def _sentence(detail: ErrorDetails) -> str:

@@ -11,14 +11,14 @@ A key that is left out restricts nothing. Both ends of a range belong to it.
 from __future__ import annotations
 
 import math
-import tomllib
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, NonNegativeFloat, NonNegativeInt, ValidationError
 
 from sumo_adv.datatypes import Place, Relation, RoadClass
 from sumo_adv.errors import UsageError
+from sumo_adv.parsing import read_toml
 
 
 def _ascending(given: tuple[float, float]) -> tuple[float, float]:
@@ -27,10 +27,8 @@ def _ascending(given: tuple[float, float]) -> tuple[float, float]:
     return given
 
 
-Speeds = Annotated[
-    tuple[Annotated[float, Field(ge=0)], Annotated[float, Field(ge=0)]], AfterValidator(_ascending)
-]  # m/s
-Counts = Annotated[tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]], AfterValidator(_ascending)]
+Speeds = Annotated[tuple[NonNegativeFloat, NonNegativeFloat], AfterValidator(_ascending)]  # m/s
+Counts = Annotated[tuple[NonNegativeInt, NonNegativeInt], AfterValidator(_ascending)]
 
 
 class Odd(BaseModel):
@@ -58,11 +56,7 @@ class Odd(BaseModel):
 def read_odd(path: Path) -> Odd:
     """The ODD in a TOML file. Raises UsageError: the file is missing, is no TOML, or has a bad key or value."""
     try:
-        return Odd.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
-    except OSError as error:
-        raise UsageError(f"The ODD {path} cannot be read: {error.strerror or error}.") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise UsageError(f"The ODD {path} is not valid TOML: {error}.") from error
+        return Odd.model_validate(read_toml(path, "The ODD"))
     except ValidationError as error:
         raise UsageError(f"The ODD {path} {_wrong(error)}") from error
 

@@ -175,7 +175,10 @@ class Track:
 
     def between(self, start: float, end: float) -> Track:
         """The part with ``start <= time <= end`` (with half a millisecond of slack)."""
-        keep = np.flatnonzero((self.time >= start - 5e-4) & (self.time <= end + 5e-4))
+        return self.picked(np.flatnonzero((self.time >= start - 5e-4) & (self.time <= end + 5e-4)))
+
+    def picked(self, keep: Ints) -> Track:
+        """The states at these places."""
         lane = tuple(self.lane[i] for i in keep) if self.lane else ()
         return Track(
             self.id, self.role, self.time[keep], self.x[keep], self.y[keep], self.heading[keep], self.speed[keep],
@@ -331,8 +334,8 @@ class Preventability:
 class Verdict:
     """What one attempt came to. Times s, distances m, never = ``inf``; None = the question does not arise.
 
-    ``avoidable`` is of version 1; ``valid``, ``strict`` and what follows ``level`` are of
-    version 2 where :func:`sumo_adv.metrics.levels.with_level` has judged it.
+    ``avoidable`` is of version 1; ``valid``, ``strict`` and what follows ``level`` are of version 2 where
+    :func:`sumo_adv.metrics.levels.with_level` has judged it.
     """
 
     min_ttc: float
@@ -378,10 +381,9 @@ class Verdict:
 class DriverModel:
     """How the ego's driver is predicted: which rules it follows, and the numbers of its car following.
 
-    kind: ``krauss``, ``idm``, ``eidm``, ``careful`` or ``replay``. acceleration, deceleration: both
-    positive [m/s2]; tau: headway [s]; min_gap: gap at standstill [m]; speed: desired speed [m/s].
-    hardest_braking: positive [m/s2].
-    known: False if the model is an assumption.
+    kind: ``krauss``, ``idm``, ``eidm``, ``careful`` or ``replay``. acceleration, deceleration, hardest_braking: all
+    positive [m/s2]; tau: headway [s]; min_gap: gap at standstill [m]; speed: desired speed [m/s]. known: False if the
+    model is an assumption.
     """
 
     kind: str
@@ -458,10 +460,9 @@ class Proposal:
     """One candidate: which vehicle, with which planner and parameters, how long after the trigger.
 
     ``course``: driven as it stands instead of by the planner, which then only names the author. ``score``: what the
-    search goes by, lower is better. ``duty``: what the vehicle does in the
-    attack; ``supports``: what the other adversaries do, each a candidate of its own with the same delay and without
-    supports. ``composition``: the label of the composed intent that they carry out together, empty for a single
-    adversary.
+    search goes by, lower is better. ``duty``: what the vehicle does in the attack; ``supports``: what the other
+    adversaries do, each a candidate of its own with the same delay and without supports. ``composition``: the label of
+    the composed intent that they carry out together, empty for a single adversary.
     """
 
     bv: str

@@ -18,7 +18,6 @@ from sumo_adv.errors import SumoAdvError, UsageError
 FULL = (errno.ENOSPC, errno.EDQUOT)
 REFUSED = (errno.EROFS, errno.EACCES, errno.EPERM, errno.EFBIG, errno.EIO)
 
-
 USER_FOLDERS = {
     # variable and folder of Linux and the rest, folder of macOS
     "data": ("XDG_DATA_HOME", ".local/share", "Library/Application Support"),

@@ -13,6 +13,7 @@ from sumo_adv.datatypes import Bools, Floats
 
 PATH_STEP = 0.5  # m between samples of a path
 SMOOTHING = 1.5  # m over which headings are averaged
+BRAKING = 4.0  # m/s2 before bends
 # passes of the average over a path with a bend that is too tight, each on top of the last
 ROUNDING = (2, 2, 3, 3, 4, 4, 6, 8)
 Angle = TypeVar("Angle", float, Floats)
@@ -177,24 +178,18 @@ def _place(
 
 
 def make_path(
-    points: Sequence[tuple[float, float]] | Floats,
-    *,
-    lateral: float = 3.2,
-    braking: float = 4.0,
-    tightest: float = math.inf,
+    points: Sequence[tuple[float, float]] | Floats, *, lateral: float = 3.2, tightest: float = math.inf
 ) -> Path:
     """A path through ``points`` (n, 2).
 
-    The bend speed is sqrt(lateral / curvature) with a backward pass at ``braking``.  Bends with
-    more than ``tightest`` [1/m] are rounded, as by a driver that cannot turn as sharply as a lane's centre line.
+    The bend speed is sqrt(lateral / curvature) with a backward pass at ``BRAKING``. Bends with more than ``tightest``
+    [1/m] are rounded, as by a driver that cannot turn as sharply as a lane's centre line.
     """
     p = np.asarray(points, float)
-    step = np.hypot(*np.diff(p, axis=0).T)
-    keep = np.concatenate([[True], step > 1e-3])
-    p = p[keep]
+    p = p[np.concatenate([[True], np.hypot(*np.diff(p, axis=0).T) > 1e-3])]
     if len(p) < 2:
         p = np.vstack([p[0], p[0] + [PATH_STEP, 0.0]])
-    station = _stations(p[:, 0], p[:, 1])
+    station = stations(p[:, 0], p[:, 1])
     x, y = _even(p[:, 0], p[:, 1])
     if station[-1] < PATH_STEP:
         x[1], y[1] = p[-1] + (p[-1] - p[0]) / station[-1] * (PATH_STEP - station[-1])
@@ -207,17 +202,17 @@ def make_path(
             x, y = _smooth(x), _smooth(y)
         x, y = _even(x, y)
         heading, curvature = _turning(x, y)
-    return Path(x, y, heading, curvature, _bend_speed(curvature, lateral, braking))
+    return Path(x, y, heading, curvature, _bend_speed(curvature, lateral))
 
 
-def _stations(x: Floats, y: Floats) -> Floats:
+def stations(x: Floats, y: Floats) -> Floats:
     """Metres from the first point along a polyline."""
     return np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
 
 
 def _even(x: Floats, y: Floats) -> tuple[Floats, Floats]:
     """A polyline's points every ``PATH_STEP`` metres, at least two."""
-    station = _stations(x, y)
+    station = stations(x, y)
     s = PATH_STEP * np.arange(max(2, int(station[-1] / PATH_STEP) + 1))
     return np.interp(s, station, x), np.interp(s, station, y)
 
@@ -250,10 +245,10 @@ def _smooth(values: Floats) -> Floats:
     return np.convolve(np.concatenate([head, values, tail]), kernel, "valid")
 
 
-def _bend_speed(curvature: Floats, lateral: float, braking: float) -> Floats:
+def _bend_speed(curvature: Floats, lateral: float) -> Floats:
     """min over all places ahead of sqrt(v^2 + 2 b distance), v = sqrt(lateral / curvature)."""
     square = np.minimum(lateral / np.maximum(np.abs(curvature), 1e-4), 3600.0)
-    gained = 2 * braking * PATH_STEP * np.arange(len(square))
+    gained = 2 * BRAKING * PATH_STEP * np.arange(len(square))
     least = np.minimum.accumulate((square + gained)[::-1])[::-1]
     return np.asarray(np.sqrt(least - gained))
 

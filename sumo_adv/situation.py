@@ -254,6 +254,5 @@ def _conflict(path: Path, movement: str, s: Floats, d: Floats, h: Floats, reach:
     if i >= len(d):
         return None
     kind = "crossing" if i == i_cross else "merging"
-    return Conflict(
-        kind, movement, i * 0.5, float(s[i]), float(path.x[i]), float(path.y[i]), float(path.heading[i]), float(h[i])
-    )
+    here = (float(values[i]) for values in (s, path.x, path.y, path.heading, h))
+    return Conflict(kind, movement, i * PATH_STEP, *here)

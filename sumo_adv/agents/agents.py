@@ -85,7 +85,6 @@ class Agents:
 
     @property
     def prompts(self) -> Prompts:
-        """The prompts of the models."""
         assert self._prompts is not None, "Agents with models need prompts"
         return self._prompts
 

@@ -91,12 +91,8 @@ def relative_words(situation: Situation, aliases: Aliases, library: Mapping[str,
         target = situation.targets[name]
         relations = set(target.applies())
         fitting = [sanitize(label) for label, applies in library.items() if relations & set(applies)]
-        lines.append(
-            f"{alias}: {_relation(target, situation)} Behaviours that apply: "
-            f"{', '.join(fitting) or 'none of the library'}."
-            if library
-            else f"{alias}: {_relation(target, situation)}"
-        )
+        apply = f" Behaviours that apply: {', '.join(fitting) or 'none of the library'}." if library else ""
+        lines.append(f"{alias}: {_relation(target, situation)}{apply}")
     return "\n".join(lines)
 
 
@@ -180,17 +176,13 @@ def _signal_lines(alias: str, signals: Sequence[Signal]) -> list[str]:
 
 
 def _bends(situation: Situation) -> str:
-    path = situation.baseline.path
+    path, ahead = situation.baseline.path, (30, 60, 100)
     start = path.project(situation.ego.x, situation.ego.y, near=0.0, reach=25.0)[0]
-    turned = [math.degrees(_turn(situation, start, start + ahead)) for ahead in (30.0, 60.0, 100.0)]
+    first, *later = path.at(start + np.array([0, *ahead]))[2].tolist()
+    turned = [math.degrees(math.remainder(heading - first, math.tau)) for heading in later]
     if max(map(abs, turned)) < 8:
         return "straight on for 100 m"
-    return ", ".join(f"{t:+.0f} deg after {m} m" for t, m in zip(turned, (30, 60, 100), strict=True))
-
-
-def _turn(situation: Situation, a: float, b: float) -> float:
-    heading = situation.baseline.path.at(np.array([a, b]))[2]
-    return math.remainder(float(heading[1] - heading[0]), math.tau)
+    return ", ".join(f"{t:+.0f} deg after {m} m" for t, m in zip(turned, ahead, strict=True))
 
 
 def _paths(alias: str, target: Target, situation: Situation) -> list[str]:

@@ -37,13 +37,9 @@ _HOMES = {
     **dict.fromkeys(("Transition", "adversary_reward", "ego_reward"), "sumo_adv.gym.rewards"),
 }
 
-register(
-    "sumo_adv/Ego-v0", "sumo_adv.gym.environments:EgoEnv", vector_entry_point="sumo_adv.gym.vector:ego_vec"
-)  # fmt: skip
-register(
-    "sumo_adv/Adversary-v0", "sumo_adv.gym.environments:AdversaryEnv",
-    vector_entry_point="sumo_adv.gym.vector:adversary_vec",
-)  # fmt: skip
+_ENVIRONMENTS = "sumo_adv.gym.environments"
+register("sumo_adv/Ego-v0", f"{_ENVIRONMENTS}:EgoEnv", vector_entry_point=f"{_ENVIRONMENTS}:ego_vec")
+register("sumo_adv/Adversary-v0", f"{_ENVIRONMENTS}:AdversaryEnv", vector_entry_point=f"{_ENVIRONMENTS}:adversary_vec")
 
 
 def __getattr__(name: str) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from multiprocessing.util import Finalize
 from pathlib import Path
@@ -26,8 +27,8 @@ class Core:
 
     def __init__(
         self, scenarios: Scenarios, viewing: Viewing, interval: float, settings: Mapping[str, Any] | None, *,
-        ego: Any, attacker: Attacker, adapts: bool, unattacked: float, ego_actions: str | None,
-        adversary_actions: str | None,
+        ego: Any = None, attacker: Attacker = None, adapts: bool = False, unattacked: float = 0.0,
+        ego_actions: str | None = None, adversary_actions: str | None = None,
     ) -> None:  # fmt: skip
         """``ego``: the driver, None = an agent. unattacked: the share of episodes without an attack.
 
@@ -84,11 +85,11 @@ class Core:
         if adversary is not None:
             bv = situations[delay].target_list()[0].state.id
             return Play(self._viewing, every, ego, adversary, None, bv, delay)
-        if self._attacker is None or draws.random() < self._unattacked:
-            return Play(self._viewing, every, ego)
-        if self._at not in self._plans:
-            self._plans[self._at] = encounter.plan(adapts=self._adapts)
-        attack = self._plans[self._at].next(draws)
+        attack = None
+        if self._attacker is not None and draws.random() >= self._unattacked:
+            if self._at not in self._plans:
+                self._plans[self._at] = encounter.plan(adapts=self._adapts)
+            attack = self._plans[self._at].next(draws)
         if attack is None:
             return Play(self._viewing, every, ego)
         return Play(self._viewing, every, ego, None, attack, attack.bv, attack.delay)
@@ -138,10 +139,8 @@ class Core:
     def _end(self) -> None:
         if self._played is not None:
             played, self._played = self._played, None
-            try:
+            with suppress(SimulationError):  # it has been told where it happened
                 played.end()
-            except SimulationError:  # it has been told where it happened
-                return
 
     def close(self) -> None:
         """End all processes. May be called twice."""

@@ -43,8 +43,8 @@ class Curriculum:
             known = self._known[levels[int(draws.integers(len(levels)))]]
             return known[int(draws.integers(len(known)))][0]
         if self._tried and self._tried % ROUND == 0:
-            best = sorted((worth, k, p) for k, (p, worth) in enumerate(self._all()))[:FIRST]
-            self._search.begin_anew([p for _, _, p in best])
+            best = sorted((attack for known in self._known.values() for attack in known), key=lambda attack: attack[1])
+            self._search.begin_anew([p for p, _ in best[:FIRST]])
         self._tried += 1
         proposed = self._search.propose(1)
         return proposed[0] if proposed else None
@@ -59,6 +59,3 @@ class Curriculum:
             known = self._known.setdefault(verdict.level, [])
             known.append((attack, badness(verdict, self._goal)))
             del known[:-KEPT]
-
-    def _all(self) -> list[tuple[Proposal, float]]:
-        return [one for known in self._known.values() for one in known]

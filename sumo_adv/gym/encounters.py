@@ -190,6 +190,7 @@ class Played:
 
     def __init__(self, encounter: Encounter, play: Play, sandbox: Any) -> None:
         self.encounter, self.play, self._sandbox = encounter, play, sandbox
+        self._stack = ExitStack()
         self._sessions: Sessions | None = None
         self._talk: Conversation = encounter.engine.converse("converse", play, answer=self._answer)
         self.first = self._talk.said
@@ -203,15 +204,12 @@ class Played:
         proposal, encounter = self.play.proposal, self.encounter
         assert proposal is not None
         if self._sessions is None:
-            sessions = Sessions(
-                self._sandbox, encounter.roads, [proposal], encounter.settings.seed, drivable=encounter.found.drivable
-            )
-            self._sessions = sessions.__enter__()
+            seed, drivable = encounter.settings.seed, encounter.found.drivable
+            sessions = Sessions(self._sandbox, encounter.roads, [proposal], seed, drivable=drivable)
+            self._sessions = self._stack.enter_context(sessions)
         return self._sessions.answer(proposal, observation)
 
     def end(self) -> None:
         """Go back to the trigger. May be called twice."""
-        if self._sessions is not None:
-            self._sessions.__exit__(None, None, None)
-            self._sessions = None
+        self._stack.close()
         self._talk.end()

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
 from typing import Any, Literal
 
 import gymnasium
 import numpy as np
+from gymnasium.vector import AsyncVectorEnv
 from numpy.typing import NDArray
 
 from sumo_adv.errors import UsageError
@@ -16,9 +19,8 @@ from sumo_adv.gym.encounters import EXPERT, Attacker
 from sumo_adv.gym.play import Moment
 from sumo_adv.gym.rewards import Reward, adversary_reward, ego_reward
 from sumo_adv.gym.views import Viewing
-from sumo_adv.gym.window import Shown, Window
+from sumo_adv.gym.window import RENDER_MODES, Shown
 
-RENDER_MODES = ("rgb_array", "human")
 METADATA = {"render_modes": list(RENDER_MODES), "render_fps": 10}
 Observations = Literal["vector", "dict"]
 
@@ -36,10 +38,8 @@ class OneAgentEnv(Shown, gymnasium.Env[Any, NDArray[np.float32]]):
     metadata: dict[str, Any] = METADATA
 
     def __init__(self, agent: str, core: Core, viewing: Viewing, reward: Reward, render_mode: str | None) -> None:
-        if render_mode is not None and render_mode not in RENDER_MODES:
-            raise UsageError(f"There is no render_mode {render_mode!r}; choose {' or '.join(RENDER_MODES)}.")
-        self._agent, self._core, self._viewing, self._reward = agent, core, viewing, reward
-        self.render_mode, self._window = render_mode, Window()
+        Shown.__init__(self, core, render_mode)
+        self._agent, self._viewing, self._reward = agent, viewing, reward
         self.observation_space = viewing.space(adversary=agent == "adversary")
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
@@ -83,8 +83,8 @@ class EgoEnv(OneAgentEnv):
         viewing = viewing_of(observations, vehicles, danger)
         self.action_space = action_space(EGO_ACTIONS, actions)
         core = Core(
-            scenario, viewing, interval, settings, ego=None, attacker=attacker, adapts=adapts, unattacked=unattacked,
-            ego_actions=actions, adversary_actions=None,
+            scenario, viewing, interval, settings, attacker=attacker, adapts=adapts, unattacked=unattacked,
+            ego_actions=actions,
         )  # fmt: skip
         super().__init__("ego", core, viewing, reward, render_mode)
 
@@ -109,12 +109,33 @@ class AdversaryEnv(OneAgentEnv):
         viewing = viewing_of(observations, vehicles)
         self.action_space = action_space(ADVERSARY_ACTIONS, actions)
         seconds = interval if interval is not None else INTERVALS[actions]
-        core = Core(
-            scenario, viewing, seconds, settings, ego=ego, attacker=None, adapts=False, unattacked=0.0,
-            ego_actions=None, adversary_actions=actions,
-        )  # fmt: skip
+        core = Core(scenario, viewing, seconds, settings, ego=ego, adversary_actions=actions)
         super().__init__("adversary", core, viewing, reward, render_mode)
 
 
 INTERVALS: Mapping[str, float] = {"endpoint": 0.5, "controls": 0.1}
 """s: how often an adversary decides, by its kind of actions."""
+
+
+# Environments side by side, each in a process of its own: what ``gymnasium.make_vec`` makes.
+
+
+def ego_vec(num_envs: int = 1, **options: Any) -> AsyncVectorEnv:
+    """``sumo_adv/Ego-v0``, ``num_envs`` times; ``options`` are its arguments."""
+    return _side_by_side(EgoEnv, num_envs, **options)
+
+
+def adversary_vec(num_envs: int = 1, **options: Any) -> AsyncVectorEnv:
+    """``sumo_adv/Adversary-v0``, ``num_envs`` times; ``options`` are its arguments."""
+    return _side_by_side(AdversaryEnv, num_envs, **options)
+
+
+def _side_by_side(
+    make: Callable[..., gymnasium.Env[Any, Any]], num_envs: int, scenario: Scenarios | None = None, **options: Any
+) -> AsyncVectorEnv:
+    """Several scenarios are dealt out, so that each is opened as seldom as possible."""
+    if scenario is None:
+        return AsyncVectorEnv([partial(make, **options)] * num_envs)
+    scenarios = [scenario] if isinstance(scenario, str | Path) else list(scenario)
+    shares = [scenarios[k::num_envs] or scenarios[k % len(scenarios) :][:1] for k in range(num_envs)]
+    return AsyncVectorEnv([partial(make, scenario=share, **options) for share in shares])

@@ -11,13 +11,12 @@ from gymnasium.utils import seeding
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
-from sumo_adv.errors import UsageError
 from sumo_adv.gym.actions import ADVERSARY_ACTIONS, EGO_ACTIONS, action_space
 from sumo_adv.gym.core import Core, Scenarios
-from sumo_adv.gym.environments import METADATA, RENDER_MODES, Observations, viewing_of
+from sumo_adv.gym.environments import METADATA, Observations, viewing_of
 from sumo_adv.gym.play import Moment
 from sumo_adv.gym.rewards import Reward, adversary_reward, ego_reward
-from sumo_adv.gym.window import Shown, Window
+from sumo_adv.gym.window import Shown
 
 EGO, ADVERSARY = "ego", "adversary"
 PARALLEL_METADATA = {**METADATA, "name": "sumo_adv_v0"}
@@ -44,8 +43,6 @@ class BothEnv(Shown, ParallelEnv[str, Any, Box]):
         render_mode: str | None = None,
     ) -> None:
         """``docs/gym.md`` describes the arguments. Raises UsageError."""
-        if render_mode is not None and render_mode not in RENDER_MODES:
-            raise UsageError(f"There is no render_mode {render_mode!r}; choose {' or '.join(RENDER_MODES)}.")
         self._viewing = viewing_of(observations, vehicles, danger)
         self._rewards: dict[str, Reward] = {EGO: ego_reward, ADVERSARY: adversary_reward, **(rewards or {})}
         self.possible_agents = [EGO, ADVERSARY]
@@ -56,19 +53,16 @@ class BothEnv(Shown, ParallelEnv[str, Any, Box]):
         self.action_spaces = {
             EGO: action_space(EGO_ACTIONS, ego_actions), ADVERSARY: action_space(ADVERSARY_ACTIONS, adversary_actions)
         }  # fmt: skip
-        self._core = Core(
-            scenario, self._viewing, interval, settings, ego=None, attacker=None, adapts=False, unattacked=0.0,
-            ego_actions=ego_actions, adversary_actions=adversary_actions,
-        )  # fmt: skip
-        self.render_mode, self._window = render_mode, Window()
+        core = Core(
+            scenario, self._viewing, interval, settings, ego_actions=ego_actions, adversary_actions=adversary_actions
+        )
+        Shown.__init__(self, core, render_mode)
         self._draws: np.random.Generator | None = None
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
-        """The space of an agent's observations."""
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Space[Any]:
-        """The space of an agent's actions."""
         return self.action_spaces[agent]
 
     def reset(

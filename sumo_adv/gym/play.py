@@ -24,7 +24,7 @@ from sumo_adv.episode.attempt import (
 )
 from sumo_adv.episode.verdict import gate_verdict, unattacked
 from sumo_adv.episode.worker import OpenEncounter
-from sumo_adv.geometry import Pose
+from sumo_adv.geometry import Pose, stations
 from sumo_adv.gym.actions import controlled, ego_action, endpoint
 from sumo_adv.gym.picture import draw
 from sumo_adv.gym.rewards import Transition
@@ -176,26 +176,23 @@ class Playing:
         self._end()
 
     def _attack(self) -> None:
+        bv, settings = self._play.bv, self._here.settings
+        assert bv is not None
         if self._attempt is None:
             self._start = self._drive.now
-            assert self._play.bv is not None
-            self._attempt = OngoingAttempt(
-                self._drive, {self._play.bv: self._controller()}, steps=max(self._left, 1), replan=self._replan(),
-            )  # fmt: skip
+            replan = self._play.every if self._play.proposal is None else settings.steps(settings.replan)
+            controllers = {bv: self._controller()}
+            self._attempt = OngoingAttempt(self._drive, controllers, steps=max(self._left, 1), replan=replan)
         poses: dict[str, Pose] = {}
-        me = self._there(self._play.bv)
-        if self._play.adversary == "controls" and self._play.bv is not None and me is not None:
-            limits = self._limits()
-            poses[self._play.bv] = controlled(self._actions["adversary"], me, limits, self._target().fastest, self._dt)
+        me = self._there(bv)
+        if self._play.adversary == "controls" and me is not None:
+            fastest = self._target().fastest
+            poses[bv] = controlled(self._actions["adversary"], me, self._limits(), fastest, self._dt)
         self._attempt.step(Command(poses, self._ego_action()))
 
     def _limits(self) -> Limits:
         """The adversary's, by the kind of road user that it is."""
         return self._here.settings.limits.of(self._target().state)
-
-    def _replan(self) -> int:
-        settings = self._here.settings
-        return self._play.every if self._play.proposal is None else settings.steps(settings.replan)
 
     def _controller(self) -> AdversaryController | None:
         """What drives the adversary; None: the agent's controls do."""
@@ -219,9 +216,8 @@ class Playing:
         me = self._drive.state(self._ego)
         action = ego_action(self._play.ego, self._actions["ego"], me, self._limit(), self._dt)
         if isinstance(action, LaneSpeed) and action.lane is not None:
-            lanes = self._here.road.lanes
             edge = me.lane.rpartition("_")[0]
-            if f"{edge}_{action.lane}" not in lanes:
+            if f"{edge}_{action.lane}" not in self._here.road.lanes:
                 return LaneSpeed(None, action.speed)
         return action
 
@@ -316,7 +312,7 @@ class Pace:
         if track is not None:  # else it was only foreseen
             self._time, self._speed = np.append(self._time, track.time), np.append(self._speed, track.speed)
             x, y = np.append(x, track.x), np.append(y, track.y)
-        self._driven = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
+        self._driven = stations(x, y)
 
     def at(self, time: float) -> tuple[float, float]:
         """Metres driven since the trigger, and speed [m/s]."""

@@ -8,7 +8,6 @@ from typing import Any
 from numpy.typing import NDArray
 
 from sumo_adv.drivers import Action, Observation
-from sumo_adv.drivers.protocol import Road
 from sumo_adv.gym.actions import EGO_ACTIONS, action_space, ego_action
 from sumo_adv.gym.environments import Observations, viewing_of
 from sumo_adv.gym.views import FAST, Watch, view_of_ego
@@ -54,7 +53,5 @@ class PolicyDriver:
             view = view_of_ego(observation, self._viewing.vehicles, self._watch)
             self._numbers = self._policy(self._viewing.given(view))
             self._due = observation.time + self._interval
-        numbers = self._numbers
-        road: Road | None = observation.road
-        limit = FAST if road is None else road.limit
-        return ego_action(self._actions, numbers, observation.ego, limit, observation.dt)
+        limit = FAST if observation.road is None else observation.road.limit
+        return ego_action(self._actions, self._numbers, observation.ego, limit, observation.dt)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from sumo_adv.datatypes import VehicleState
 from sumo_adv.drivers import LaneSpeed, Observation
 from sumo_adv.drivers.careful import CarefulEgo
-from sumo_adv.geometry import Path
+from sumo_adv.geometry import Path, stations
 from sumo_adv.situation import Target
 
 Numbers = NDArray[np.float32]
@@ -53,18 +53,16 @@ class Viewing:
 
     def space(self, *, adversary: bool) -> spaces.Space[Any]:
         """The space of an agent's observations."""
-        highs, lows = {"own": _highs(OWN, ())}, {"own": _lows(OWN, SIGNED_OWN)}
-        if self.danger and not adversary:
-            highs["danger"], lows["danger"] = _highs(DANGER, ()), _lows(DANGER, ())
-        highs["path"] = np.full((len(AHEAD), 2), FAR, np.float32)
-        lows["path"] = -highs["path"]
-        if adversary:
-            highs["ego"], lows["ego"] = _highs(OTHER, ()), _lows(OTHER, SIGNED_OTHER)
-        highs["vehicles"] = _highs(OTHER, (self.vehicles, len(OTHER)))
-        lows["vehicles"] = np.broadcast_to(_lows(OTHER, SIGNED_OTHER), highs["vehicles"].shape).copy()
+        absent = {"danger"} if adversary else {"ego"} if self.danger else {"ego", "danger"}
+        names = [name for name in _LARGEST if name not in absent]
+        rows = {"path": len(AHEAD), "vehicles": self.vehicles}
+        lows, highs = (
+            {name: np.tile(table[name], (rows[name], 1)) if name in rows else table[name] for name in names}
+            for table in (_SMALLEST, _LARGEST)
+        )
         if not self.vector:
-            return spaces.Dict({name: spaces.Box(lows[name], highs[name], dtype=np.float32) for name in highs})
-        low = np.concatenate([(lows[name] / highs[name]).ravel() for name in highs])
+            return spaces.Dict({name: spaces.Box(lows[name], highs[name], dtype=np.float32) for name in names})
+        low = np.concatenate([(lows[name] / highs[name]).ravel() for name in names])
         return spaces.Box(low, np.ones_like(low), dtype=np.float32)
 
     def given(self, view: View) -> View | Numbers:
@@ -74,24 +72,15 @@ class Viewing:
         return np.concatenate([(values / _LARGEST[name]).ravel() for name, values in view.items()])
 
 
-def _highs(values: Sequence[float], shape: tuple[int, ...]) -> Numbers:
-    row = np.asarray(values, np.float32)
-    return np.broadcast_to(row, shape or row.shape).copy()
-
-
-def _lows(values: Sequence[float], signed: Sequence[int]) -> Numbers:
-    return np.array([-v if k in signed else 0.0 for k, v in enumerate(values)], np.float32)
-
-
-_POINT = np.full(2, FAR, np.float32)
-_LARGEST: Mapping[str, Numbers] = {
-    "own": _highs(OWN, ()), "danger": _highs(DANGER, ()), "path": _POINT, "ego": _highs(OTHER, ()),
-    "vehicles": _highs(OTHER, ()),
+_COLUMNS: Mapping[str, tuple[Sequence[float], Sequence[int]]] = {  # largest values, and those that may be negative
+    "own": (OWN, SIGNED_OWN), "danger": (DANGER, ()), "path": ((FAR, FAR), (0, 1)), "ego": (OTHER, SIGNED_OTHER),
+    "vehicles": (OTHER, SIGNED_OTHER),
 }  # fmt: skip
+_LARGEST: Mapping[str, Numbers] = {name: np.array(largest, np.float32) for name, (largest, _) in _COLUMNS.items()}
 _SMALLEST: Mapping[str, Numbers] = {
-    "own": _lows(OWN, SIGNED_OWN), "danger": _lows(DANGER, ()), "path": -_POINT, "ego": _lows(OTHER, SIGNED_OTHER),
-    "vehicles": _lows(OTHER, SIGNED_OTHER),
-}  # fmt: skip
+    name: np.array([-v if k in signed else 0.0 for k, v in enumerate(largest)], np.float32)
+    for name, (largest, signed) in _COLUMNS.items()
+}
 
 
 class Watch:
@@ -138,7 +127,6 @@ class ViewOfAdversary:
         self.station, self.offset = target.station, target.offset
 
     def __call__(self, me: VehicleState, ego: VehicleState, others: Sequence[VehicleState]) -> View:
-        """The view of now."""
         self.station, self.offset = self.way.project(me.x, me.y, near=self.station)
         x, y, heading = self.way.at(self.station + np.array([0.0, *AHEAD]))
         turned = me.heading - float(heading[0])
@@ -169,7 +157,7 @@ def _onward(me: VehicleState, points: NDArray[Any] | None) -> NDArray[Any]:
     if points is None or len(points) < 2:
         return straight
     here = int(np.argmin((points[:, 0] - me.x) ** 2 + (points[:, 1] - me.y) ** 2))
-    station = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points[here:], axis=0).T))])
+    station = stations(points[here:, 0], points[here:, 1])
     if len(station) < 2:
         return straight
     return np.column_stack([np.interp(ahead, station, points[here:, k]) for k in (0, 1)])

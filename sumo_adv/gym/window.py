@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sumo_adv.errors import UsageError
 from sumo_adv.gym.core import Core
 
+RENDER_MODES = ("rgb_array", "human")
 PAUSE = 0.001  # s: for the window to draw itself
 
 
@@ -33,7 +35,6 @@ class Window:
         self._figure.canvas.start_event_loop(PAUSE)
 
     def close(self) -> None:
-        """Close it, if it is open."""
         if self._figure is not None:
             import matplotlib.pyplot as plt
 
@@ -44,9 +45,11 @@ class Window:
 class Shown:
     """What all environments do with pictures, and at their end."""
 
-    render_mode: str | None
-    _core: Core
-    _window: Window
+    def __init__(self, core: Core, render_mode: str | None) -> None:
+        """Raises UsageError."""
+        if render_mode is not None and render_mode not in RENDER_MODES:
+            raise UsageError(f"There is no render_mode {render_mode!r}; choose {' or '.join(RENDER_MODES)}.")
+        self._core, self.render_mode, self._window = core, render_mode, Window()
 
     def render(self) -> Any:
         """The scene from above as an array; with ``human`` it is in the window already."""

@@ -34,11 +34,6 @@ class MeteredModel:
     ledger: Ledger
 
 
-def accept(answer: Any) -> str | None:
-    """The check that accepts every answer."""
-    return None
-
-
 def ask(
     metered: MeteredModel,
     agent: str,
@@ -46,7 +41,7 @@ def ask(
     user: str,
     answer_type: type[T],
     *,
-    check: Callable[[T], str | None] = accept,
+    check: Callable[[T], str | None] = lambda _: None,
     re_asks: int = 1,
     sample: int = 0,
 ) -> T:
@@ -91,7 +86,7 @@ def ask_many(
     answer_type: type[T],
     *,
     samples: int,
-    check: Callable[[T], str | None] = accept,
+    check: Callable[[T], str | None] = lambda _: None,
     re_asks: int = 1,
 ) -> list[T]:
     """Ask one question ``samples`` times in parallel; the answers are in the order of their sample numbers.

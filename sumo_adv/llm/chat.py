@@ -34,7 +34,6 @@ class ChatRequest:
     messages: (role, content) pairs.
     schema: JSON schema of the answer, None for free text; ``schema_name`` is its name.
     sample: number that tells repeated questions apart.
-    temperature: None for the temperature of the settings.
     """
 
     agent: str
@@ -42,7 +41,6 @@ class ChatRequest:
     schema: Mapping[str, Any] | None = None
     schema_name: str = ""
     sample: int = 0
-    temperature: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,18 +175,12 @@ class Ledger:
                 )
             self._add(request.agent, "calls", 1)
 
-    def count(self, agent: str, reply: ChatReply) -> None:
-        """Count the tokens, retries and duration of a reply."""
+    def count(self, agent: str, answer: ChatReply | ModelError) -> None:
+        """Count the retries and duration of a question, and the tokens of its reply."""
         with self._lock:
             for name in ("prompt_tokens", "completion_tokens", "cached_tokens", "retries"):
-                self._add(agent, name, getattr(reply, name))
-            self._add(agent, "milliseconds", round(1000 * reply.seconds))
-
-    def count_failure(self, agent: str, error: ModelError) -> None:
-        """Count the retries and duration of a question without a reply."""
-        with self._lock:
-            self._add(agent, "retries", error.retries)
-            self._add(agent, "milliseconds", round(1000 * error.seconds))
+                self._add(agent, name, getattr(answer, name, 0))  # an error has no tokens
+            self._add(agent, "milliseconds", round(1000 * answer.seconds))
 
     def count_one(self, agent: str, name: str) -> None:
         """Count a question that is repeated because its answer was unusable (``re_asks``), or a sample without a usable
@@ -238,7 +230,7 @@ class BudgetedModel:
             with self._ledger.waiting():
                 reply = self._model.complete(request)
         except ModelError as error:
-            self._ledger.count_failure(request.agent, error)
+            self._ledger.count(request.agent, error)
             raise
         self._ledger.count(request.agent, reply)
         return reply

@@ -51,7 +51,7 @@ class Prompts:
 
     def __init__(self, folder: Path) -> None:
         self._parts: dict[str, tuple[str, str]] = {}
-        self._versions: dict[str, dict[str, str]] = {}
+        self.versions: dict[str, dict[str, str]] = {}  # version and SHA-256 of each file, for the manifest
         for name in NAMES:
             file = folder / f"{name}.md"
             try:
@@ -62,13 +62,8 @@ class Prompts:
             if not re.fullmatch(r"version: \d+", head):
                 raise UsageError(f"The prompt {file} must begin with 'version: N'; reinstall the package.")
             digest = hashlib.sha256(text.encode()).hexdigest()
-            self._versions[name] = {"version": head.removeprefix("version: "), "sha256": digest}
+            self.versions[name] = {"version": head.removeprefix("version: "), "sha256": digest}
             self._parts[name] = _split(file, body)
-
-    @property
-    def versions(self) -> Mapping[str, Mapping[str, str]]:
-        """Version and SHA-256 of each file for the manifest."""
-        return self._versions
 
     def piece(self, name: str, **variables: str) -> str:
         """A file without parts, with its variables filled in."""

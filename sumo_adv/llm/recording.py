@@ -12,7 +12,6 @@ import threading
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from sumo_adv.errors import BudgetError, ModelError, UsageError
@@ -42,9 +41,7 @@ class Recorder:
     def __enter__(self) -> Recorder:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -60,7 +57,7 @@ class Recorder:
         """Write one exchange and flush. After ``close`` nothing is written. Raises ModelError."""
         question = {
             "agent": request.agent, "sample": request.sample, "messages": [list(m) for m in request.messages],
-            "shape": request.schema_name, "temperature": request.temperature,
+            "shape": request.schema_name, "temperature": None,  # that of the settings
         }  # fmt: skip
         if isinstance(answer, ModelError):
             kind = "budget" if isinstance(answer, BudgetError) else "model"
@@ -115,7 +112,6 @@ class Exchange:
 
     @property
     def key(self) -> str:
-        """The key of the question."""
         return question_key(self.agent, self.messages, self.sample)
 
 

@@ -23,10 +23,7 @@ LESS_THINKING: tuple[Mapping[str, Any], ...] = (
     {"thinking": {"type": "disabled"}},
 )
 """Fields that ask for less thinking: of OpenAI, Ollama and others; of vLLM, SGLang and llama.cpp; of DeepSeek, Z.ai."""
-TOKEN_LIMITS = (
-    "max_tokens",
-    "max_completion_tokens",
-)  # fields that limit an answer; OpenAI's newer models take the second
+TOKEN_LIMITS = ("max_tokens", "max_completion_tokens")  # OpenAI's newer models take the second
 MAX_QUOTED = 200  # characters of a server's text that a message quotes
 LATER = "try again later, or use another model"
 _LONG = re.compile(r"maximum context length|context (?:length|size|window)", re.IGNORECASE)
@@ -43,7 +40,6 @@ def chat_body(request: ChatRequest, model: str, mode: str, temperature: float | 
     """
     messages = [{"role": role, "content": content} for role, content in request.messages]
     body: dict[str, Any] = {"model": model, "messages": messages, "stream": False}
-    temperature = request.temperature if request.temperature is not None else temperature
     if temperature is not None:
         body["temperature"] = temperature
     if request.schema is None:

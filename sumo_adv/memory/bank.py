@@ -13,7 +13,6 @@ import sqlite3
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 
@@ -61,9 +60,8 @@ class MemoryBank:
     def open(
         cls, path: Path, *, seed_from: Path | None = None, read_only: bool = False, clock: Clock = utc_now
     ) -> MemoryBank:
-        """The bank at ``path``. A missing file is created as a copy of ``seed_from``, or blank.
-
-        read_only: creates and changes no file.
+        """The bank at ``path``. A missing file is created as a copy of ``seed_from``, or blank. read_only: creates and
+        changes no file.
 
         A file without write permission opens for reading, and ``record`` raises. Raises BankError for a file that is
         not SQLite, of another program, of a newer version or damaged, for a read-only folder and for a full disk.
@@ -80,9 +78,7 @@ class MemoryBank:
     def __enter__(self) -> MemoryBank:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -231,7 +227,7 @@ class MemoryBank:
 
     def record_composition(self, composition: Composition, attempts: Sequence[bool]) -> bool:
         """Count attempts with a composition, True for each success, in one transaction. An unknown composition is added
-        by a success only, as an intent is; the result tells whether the bank knows it now. Raises BankError."""
+        by a success only, as an intent is; the result tells whether the bank knows it now."""
         with self._writing():
             before = rows.read_settings(self._connection).get(composition.key)
             after = counted(None if before is None else composition_of(before), composition, attempts)
@@ -240,31 +236,22 @@ class MemoryBank:
         return after is not None
 
     def add(self, intent: IntentRecord, planners: Iterable[Planner] = ()) -> None:
-        """Add an intent and planners without evidence, in one transaction. Existing ones are not changed.
-
-        Raises BankError.
-        """
+        """Add an intent and planners without evidence, in one transaction. Existing ones are not changed."""
         self.absorb([Source(intent, tuple(planners))], unique_modes=False)
 
     def absorb(
         self, sources: Iterable[Source], *, unique_modes: bool = True, compositions: Iterable[Composition] = ()
     ) -> edits.Absorbed:
-        """Import ``sources`` and ``compositions`` in one transaction; returns the additions.
-
-        Nothing that is there is changed.
-
-        unique_modes: number the mode of a new planner if another planner of its intent has that mode.
-
-        Raises BankError.
-        """
+        """Import ``sources`` and ``compositions`` in one transaction; returns the additions. Nothing that is there is
+        changed. unique_modes: number the mode of a new planner if another planner of its intent has that mode."""
         with self._writing() as stamp:
             return edits.absorb(self._connection, sources, stamp, unique_modes=unique_modes, compositions=compositions)
 
     def merge(self, label: str, into: str) -> None:
         """Move planners and evidence of intent ``label`` to the active intent ``into``, in one transaction.
 
-        The first intent is retired, and its label then stands for ``into``. Raises BankError, also if either
-        intent is unknown or both are the same.
+        The first intent is retired, and its label then stands for ``into``. Raises BankError, also if either intent is
+        unknown or both are the same.
         """
         with self._writing() as stamp:
             edits.merge(self._connection, label, into, stamp)
@@ -279,28 +266,20 @@ class MemoryBank:
             edits.retire(self._connection, label, mode, back=back)
 
     def set_epsilon(self, epsilon: float, calibrated_on: str) -> None:
-        """Store the epsilon and its calibration data. Raises BankError."""
+        """Store the epsilon and its calibration data."""
         with self._writing():
             setting = {"epsilon": epsilon, "calibrated_on": calibrated_on}
             rows.write_setting(self._connection, EPSILON_KEY, setting)
 
     @contextlib.contextmanager
     def _writing(self, *, refresh: bool = True) -> Iterator[str]:
-        """One IMMEDIATE transaction, rolled back on any error. Yields the time stamp of its rows.
-
-        refresh: read the file again afterwards.
-        """
+        """One IMMEDIATE transaction, rolled back on any error. Yields the time stamp of its rows. refresh: read the
+        file again afterwards."""
         if not self.writable:
             raise BankError(f"The memory bank {self.path} is read-only; give another path, or make it writable.")
-        with sentences(self.path):
+        with sentences(self.path), self._connection:
             self._connection.execute("BEGIN IMMEDIATE")
-            try:
-                yield self._clock()
-                self._connection.execute("COMMIT")
-            except BaseException:
-                if self._connection.in_transaction:
-                    self._connection.execute("ROLLBACK")
-                raise
+            yield self._clock()
         if refresh:
             self.refresh()
 

@@ -149,16 +149,16 @@ def _intent(table: Mapping[str, Any]) -> IntentRecord:
 
 
 def _taken(file: Path, parse: Parse, refuse: Refuse | None) -> Source | None:
-    if refuse is None:
-        return _read_source(file, parse)
     try:
         return _read_source(file, parse, refuse)
     except BankError as error:
+        if refuse is None:
+            raise
         refuse(file.parent.name, EVERYTHING, error)
         return None
 
 
-def _read_source(file: Path, parse: Parse, refuse: Refuse | None = None) -> Source:
+def _read_source(file: Path, parse: Parse, refuse: Refuse | None) -> Source:
     folder, table = file.parent, _read_toml(file)
     intent, merged_into = _intent(table), table.get("merged_into")
     details: dict[str, dict[str, str]] = table.get("planners", {})
@@ -273,11 +273,11 @@ def _write(target: Path, sources: list[Source], settings: Mapping[str, object], 
     def fill(connection: sqlite3.Connection) -> None:
         connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
         migrate(connection, str(target), clock)
-        connection.execute("BEGIN IMMEDIATE")
-        edits.absorb(connection, sources, clock(), unique_modes=False)
-        for key, value in settings.items():
-            rows.write_setting(connection, key, value)
-        connection.execute("COMMIT")
+        with connection:
+            connection.execute("BEGIN IMMEDIATE")
+            edits.absorb(connection, sources, clock(), unique_modes=False)
+            for key, value in settings.items():
+                rows.write_setting(connection, key, value)
 
     with sentences(target):
         make_file(target, fill, replace=replace)
@@ -350,14 +350,16 @@ def _evidence(row: Mapping[str, str], label: str, hashes: Mapping[str, str]) -> 
     return Evidence(
         label=label,
         planner_hash=hashes[row["planner"]],
-        scene=SceneSignature(row["geometry"], row["relation"], _numbers(row["relative"]), row["controller"]),
+        scene=SceneSignature(
+            row["geometry"], row["relation"], named_numbers(json.loads(row["relative"])), row["controller"]
+        ),
         attempts=int(row["attempts"]),
         min_ttc=_number(row["min_ttc"]) if row["min_ttc"] else math.inf,
         **flags,
         version=row["version"],
         network=row["network"],
         seed=int(row["seed"]),
-        parameters=_numbers(row["parameters"]),
+        parameters=named_numbers(json.loads(row["parameters"])),
         acceleration=acceleration_of(json.loads(row["acceleration"])),
         delay=_number(row["delay"]),
     )
@@ -374,7 +376,3 @@ def _number(text: str) -> float:
     if not math.isfinite(value):
         raise ValueError(f"{text[:20]!r} is not a finite number")
     return value
-
-
-def _numbers(text: str) -> dict[str, float]:
-    return named_numbers(json.loads(text))

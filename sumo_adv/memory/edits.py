@@ -129,7 +129,7 @@ def merge(connection: sqlite3.Connection, label: str, into: str, now: str) -> No
             hashes[planner.hash] = named.mode
             rows.insert_planner(connection, kept.label, named, now, "retired" if retired else "active")
         elif not retired:
-            _set_planner(connection, target, planner.hash, "active")
+            rows.set_planner_status(connection, target, planner.hash, "active")
         became[planner.mode] = hashes[planner.hash]
     connection.execute(
         "UPDATE evidence SET intent = (SELECT id FROM intents WHERE key = ?)"
@@ -137,7 +137,7 @@ def merge(connection: sqlite3.Connection, label: str, into: str, now: str) -> No
         (target, source),
     )
     connection.execute("DELETE FROM planners WHERE intent = (SELECT id FROM intents WHERE key = ?)", (source,))
-    _set_intent(connection, source, "retired")
+    rows.set_intent_status(connection, source, "retired")
     rows.write_setting(connection, f"{rows.MERGED}{source}", kept.label)
     for key, value in content.settings.items():
         if key.startswith(COMPOSITION):
@@ -159,7 +159,7 @@ def retire(connection: sqlite3.Connection, label: str, mode: str | None, *, back
         raise BankError(f"The intent {record.label!r} has no planner of the mode {mode!r}; its modes: {there}.")
     status = "active" if back else "retired"
     for planner in chosen:
-        _set_planner(connection, key, planner.hash, status)
+        rows.set_planner_status(connection, key, planner.hash, status)
     gone = {planner.hash for planner in planners if (key, planner.hash) in content.retired}
     touched = {planner.hash for planner in chosen}
     gone = gone - touched if back else gone | touched
@@ -167,7 +167,7 @@ def retire(connection: sqlite3.Connection, label: str, mode: str | None, *, back
     if back and not left:
         raise BankError(f"The intent {record.label!r} has no active planner; say --mode to bring one back too.")
     if mode is None or back or not left:
-        _set_intent(connection, key, status)
+        rows.set_intent_status(connection, key, status)
 
 
 def _known(content: rows.Content, label: str) -> IntentRecord:
@@ -176,14 +176,3 @@ def _known(content: rows.Content, label: str) -> IntentRecord:
         there = ", ".join(each.label for each in content.intents.values()) or "none"
         raise BankError(f"The bank has no intent {label!r}; it has: {there}.")
     return record
-
-
-def _set_intent(connection: sqlite3.Connection, key: str, status: str) -> None:
-    connection.execute("UPDATE intents SET status = ? WHERE key = ?", (status, key))
-
-
-def _set_planner(connection: sqlite3.Connection, key: str, planner_hash: str, status: str) -> None:
-    connection.execute(
-        "UPDATE planners SET status = ? WHERE hash = ? AND intent = (SELECT id FROM intents WHERE key = ?)",
-        (status, planner_hash, key),
-    )

@@ -7,6 +7,7 @@ like code.  Settings are left out: epsilon is calibrated where a bank is used.
 from __future__ import annotations
 
 import hashlib
+import re
 import shutil
 import tempfile
 import textwrap
@@ -154,9 +155,7 @@ def _write(file: Path, text: str) -> None:
 
 def _slug(name: str) -> str:
     """A file name of lower-case letters and digits; with part of a hash where nothing else is left of the name."""
-    plain = "".join(c if c.isascii() and c.isalnum() else "_" for c in name.lower()).strip("_")
-    while "__" in plain:
-        plain = plain.replace("__", "_")
+    plain = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
     return plain[:80] or f"intent_{hashlib.sha256(name.encode()).hexdigest()[:8]}"
 
 

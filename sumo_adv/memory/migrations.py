@@ -148,38 +148,25 @@ def migrate(
     """
     applied: list[str] = []
     while (version := check_identity(connection, name, len(migrations))) < len(migrations):
-        if step := _apply_next(connection, version, clock, migrations):
-            applied.append(step)
+        step = migrations[version]
+        with connection:  # commits, or rolls back on any error
+            connection.execute("BEGIN IMMEDIATE")
+            if connection.execute("PRAGMA user_version").fetchone()[0] != version:
+                continue  # another process did it first
+            connection.execute(
+                "CREATE TABLE IF NOT EXISTS migrations (name TEXT PRIMARY KEY, applied TEXT NOT NULL) STRICT"
+            )
+            for statement in step.statements:
+                connection.execute(statement)
+            connection.execute("INSERT INTO migrations VALUES (?, ?)", (step.name, clock()))
+            connection.execute(f"PRAGMA user_version = {version + 1}")
+        applied.append(step.name)
     rows = connection.execute("SELECT name FROM migrations ORDER BY name").fetchall()
     if [row[0] for row in rows] != sorted(m.name for m in migrations):
         raise BankError(
             f"The memory bank {name} was made by another line of this program: export it there, import it here."
         )
     return applied
-
-
-def _apply_next(
-    connection: sqlite3.Connection, version: int, clock: Clock, migrations: Sequence[Migration]
-) -> str | None:
-    """One migration in one transaction; None if another process did it first."""
-    connection.execute("BEGIN IMMEDIATE")
-    try:
-        if connection.execute("PRAGMA user_version").fetchone()[0] != version:
-            connection.execute("ROLLBACK")
-            return None
-        connection.execute(
-            "CREATE TABLE IF NOT EXISTS migrations (name TEXT PRIMARY KEY, applied TEXT NOT NULL) STRICT"
-        )
-        for statement in migrations[version].statements:
-            connection.execute(statement)
-        connection.execute("INSERT INTO migrations VALUES (?, ?)", (migrations[version].name, clock()))
-        connection.execute(f"PRAGMA user_version = {version + 1}")
-        connection.execute("COMMIT")
-    except BaseException:
-        if connection.in_transaction:
-            connection.execute("ROLLBACK")
-        raise
-    return migrations[version].name
 
 
 def check_schema(connection: sqlite3.Connection, name: str, version: int) -> None:

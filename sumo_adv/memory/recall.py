@@ -18,7 +18,6 @@ import math
 import random
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -26,9 +25,7 @@ import numpy as np
 from sumo_adv.datatypes import Bools, Floats, Planner, acceleration_at
 from sumo_adv.memory.records import Evidence, SceneSignature
 
-SCALES: Mapping[str, float] = MappingProxyType(
-    {"ahead": 5.0, "left": 1.0, "heading": 0.2, "speed": 2.0, "ego_speed": 2.0}
-)
+SCALES: Mapping[str, float] = {"ahead": 5.0, "left": 1.0, "heading": 0.2, "speed": 2.0, "ego_speed": 2.0}
 """[m, m, rad, m/s, m/s]: position of the BV in the ego's frame, its heading there, and both speeds. Chosen by hand."""
 
 LIMIT = 1.0  # the distance up to which two scenes count as similar

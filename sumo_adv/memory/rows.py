@@ -115,11 +115,9 @@ class Content:
 
 def load(connection: sqlite3.Connection) -> Content:
     """Everything, from one consistent view of the file. Raises BankError for content that no bank can have."""
-    connection.execute("BEGIN")
-    try:
+    with connection:
+        connection.execute("BEGIN")
         return read(connection)
-    finally:
-        connection.execute("COMMIT")
 
 
 def read(connection: sqlite3.Connection) -> Content:
@@ -188,9 +186,7 @@ def read_intent(connection: sqlite3.Connection, label: str) -> IntentRecord | No
     return None if row is None else _intent(key, *row)
 
 
-def insert_planner(
-    connection: sqlite3.Connection, label: str, planner: Planner, now: str, status: str = "active"
-) -> None:
+def insert_planner(connection: sqlite3.Connection, label: str, planner: Planner, now: str, status: str) -> None:
     """Add a planner to an intent that exists, unless it has that source already. Raises BankError."""
     try:
         _check_parameters(planner)
@@ -236,12 +232,22 @@ def insert_evidence(connection: sqlite3.Connection, evidence: Evidence, now: str
         (evidence.planner_hash, *values, key),
     )
     if wake and evidence.success:
-        connection.execute("UPDATE intents SET status = 'active' WHERE key = ? AND status != 'active'", (key,))
-        connection.execute(
-            "UPDATE planners SET status = 'active' WHERE hash = ? AND status != 'active'"
-            " AND intent = (SELECT id FROM intents WHERE key = ?)",
-            (evidence.planner_hash, key),
-        )
+        set_intent_status(connection, key, "active")
+        set_planner_status(connection, key, evidence.planner_hash, "active")
+
+
+def set_intent_status(connection: sqlite3.Connection, key: str, status: str) -> None:
+    """Make an intent active or retired."""
+    connection.execute("UPDATE intents SET status = ? WHERE key = ? AND status != ?", (status, key, status))
+
+
+def set_planner_status(connection: sqlite3.Connection, key: str, planner_hash: str, status: str) -> None:
+    """Make a planner active or retired; ``key``: of its intent."""
+    connection.execute(
+        "UPDATE planners SET status = ? WHERE hash = ? AND status != ?"
+        " AND intent = (SELECT id FROM intents WHERE key = ?)",
+        (status, planner_hash, status, key),
+    )
 
 
 def resolve(settings: Mapping[str, Any], label: str) -> str:

@@ -22,7 +22,6 @@ from sumo_adv.memory.migrations import (
     check_references,
     check_schema,
     migrate,
-    utc_now,
 )
 
 BUSY_TIMEOUT_MS = 10_000  # how long a writer waits for another one
@@ -74,9 +73,7 @@ def connect(path: Path, mode: str) -> sqlite3.Connection:
     return connection
 
 
-def open_file(
-    path: Path, *, seed_from: Path | None, read_only: bool, clock: Clock = utc_now
-) -> tuple[sqlite3.Connection, bool]:
+def open_file(path: Path, *, seed_from: Path | None, read_only: bool, clock: Clock) -> tuple[sqlite3.Connection, bool]:
     """The bank at ``path``, migrated, and whether it can be written.
 
     A path that does not exist is made first (not with ``read_only``). The shipped bank itself is opened read-only.

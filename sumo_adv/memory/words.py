@@ -139,7 +139,8 @@ def stem(word: str) -> str:
         word = word[:-1] + "i"
     if word.endswith("e") and len(word) > 4:
         word = word[:-1]
-    return _without_double(word) if len(word) > 4 else word
+    doubled = len(word) > 4 and word[-1] == word[-2] and word[-1] not in "aeiouls"
+    return word[:-1] if doubled else word
 
 
 def _singular(word: str) -> str:
@@ -158,11 +159,6 @@ def _past_or_progressive(word: str) -> str:
         if word.endswith(suffix) and _VOWEL.search(root) and len(root) >= 3:
             return root if _MEASURE.findall(root) and not root.endswith(("at", "iz")) else root + "e"
     return word
-
-
-def _without_double(word: str) -> str:
-    double = word[-1] == word[-2] and word[-1] not in "aeiouls"
-    return word[:-1] if double else word
 
 
 _STOPS = frozenset(STOP_WORDS) | frozenset(stem(word) for word in STOP_WORDS)

@@ -11,6 +11,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
@@ -70,10 +71,8 @@ class EventFile:
             self.close()
 
     def close(self) -> None:
-        try:
+        with suppress(OSError):  # its last line could not be written
             self._file.close()
-        except OSError:
-            return  # its last line could not be written
 
 
 class Status:
@@ -90,7 +89,6 @@ class Status:
         self._outcomes: deque[Event] = deque(maxlen=KEPT)
 
     def __call__(self, event: Event) -> None:
-        """Take an event in."""
         with self._lock:
             if event.get("time") is not None:
                 self._now["time"] = event["time"]

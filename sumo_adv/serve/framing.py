@@ -150,8 +150,7 @@ class Line:
             FramingError: a length that no message has; nothing of it is read further.
             Gone: the connection is closed or broken.
         """
-        data: bytes | bytearray = self._rest
-        self._rest = b""
+        data, self._rest = bytearray(self._rest), b""
         looked = time.monotonic()
         while True:
             size = len(data)
@@ -161,11 +160,11 @@ class Line:
                     raise FramingError(f"it announced a message of {length} bytes")
                 if size >= length:
                     self._rest = bytes(data[length:])
-                    return bytes(data[:length]) if size > length else bytes(data)
+                    return bytes(data[:length])
             if time.monotonic() - looked > SLICE:
                 self._rest = bytes(data)
                 idle()
-                data, self._rest = self._rest, b""
+                data, self._rest = bytearray(self._rest), b""
                 looked = time.monotonic()
                 continue
             try:
@@ -179,12 +178,7 @@ class Line:
                 raise Gone(
                     "it closed the connection in the middle of a message" if size else "it closed the connection"
                 )
-            if not size:
-                data = chunk
-            elif isinstance(data, bytearray):
-                data += chunk
-            else:
-                data = bytearray(data) + chunk
+            data += chunk
 
     def _received(self) -> bytes:
         """What has come, after a wait of ``SLICE`` at most. Raises OSError, also where nothing has come."""

@@ -225,7 +225,7 @@ class Gate:
             client.line.unread(message)
             if not self._seat.take(client):
                 self._refused(f"A connection from {peer} was refused: another client drives the ego.")
-                client.send_away(_TAKEN, patience=self._deadline)
+                client.send_away(_TAKEN, self._deadline)
         finally:
             self._strangers.release()
 

@@ -118,7 +118,8 @@ class Policy:
         if variable in (_ADD, _ADD_FULL) and domain in ADDED and not _is_printable(name):
             return _ODD_NAME
         if not (domain in self._rules.also or self._may(domain, variable, name)):
-            return f"{domain} {_said(name)!r} is not the client's: it may set its own vehicle and what it added."
+            said = name[:60].decode(errors="replace")
+            return f"{domain} {said!r} is not the client's: it may set its own vehicle and what it added."
         if expected is None or not shapes.fits(payload, end, expected):
             return _misfit(number)
         if variable == _COPY and domain == "vehicletype":
@@ -202,7 +203,3 @@ def _is_printable(name: bytes) -> bool:
         return name.decode().isprintable()
     except UnicodeDecodeError:
         return False
-
-
-def _said(name: bytes) -> str:
-    return name[:60].decode(errors="replace")

@@ -6,6 +6,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -52,6 +53,19 @@ class Interrupted(SumoAdvError):
     """The gate has something else to do."""
 
 
+def _patience(deadline: float, interrupted: Callable[[], bool]) -> Callable[[], None]:
+    """What a line calls while it waits: it raises Interrupted, and Late once ``deadline`` seconds are over."""
+    until = time.monotonic() + deadline
+
+    def idle() -> None:
+        if interrupted():
+            raise Interrupted
+        if time.monotonic() > until:
+            raise Late
+
+    return idle
+
+
 class Client:
     """A connected program: its line, its address, and which of its calls were refused already."""
 
@@ -60,7 +74,7 @@ class Client:
         self.peer = peer
         self.refused: set[tuple[int, bytes]] = set()
 
-    def receive(self, deadline: float, interrupted: Callable[[], bool]) -> bytes:
+    def receive(self, deadline: float, interrupted: Callable[[], bool] = lambda: False) -> bytes:
         """Its next message.
 
         Raises:
@@ -68,33 +82,16 @@ class Client:
             Interrupted: ``interrupted()`` became true.
             Gone, FramingError: see Line.
         """
-        until = time.monotonic() + deadline
-
-        def idle() -> None:
-            if interrupted():
-                raise Interrupted
-            if time.monotonic() > until:
-                raise Late
-
-        return self.line.receive(idle)
+        return self.line.receive(_patience(deadline, interrupted))
 
     def send(self, message: bytes, deadline: float) -> None:
         """Send it an answer. Raises Late: it did not take it within ``deadline`` seconds; Gone: see Line."""
-        until = time.monotonic() + deadline
+        self.line.send(message, _patience(deadline, lambda: False))
 
-        def idle() -> None:
-            if time.monotonic() > until:
-                raise Late
-
-        self.line.send(message, idle)
-
-    def send_away(self, reason: str, message: bytes | None = None, patience: float = FAREWELL) -> None:
-        """Answer its next message (or this one) with an error and end the connection, within ``patience`` [s]."""
-        try:
-            given = message or self.receive(patience, lambda: False)
-            self.send(errors(given, reason), patience)
-        except (Late, Gone, FramingError):
-            pass
+    def send_away(self, reason: str, patience: float = FAREWELL) -> None:
+        """Answer its next message with an error and end the connection, within ``patience`` [s]."""
+        with suppress(Late, Gone, FramingError):
+            self.send(errors(self.receive(patience), reason), patience)
         self.line.close()
 
 
@@ -117,7 +114,7 @@ class ClientSlot:
     def __init__(self, tell: Callable[[GateEvent], None]) -> None:
         self._listener = tell
         self._changed = threading.Condition()
-        self._client: Client | None = None
+        self.client: Client | None = None
 
     def tell(self, event: GateEvent) -> None:
         """Tell what happened; a listener cannot stop the gate by failing."""
@@ -126,19 +123,15 @@ class ClientSlot:
         except Exception:
             logging.getLogger(__name__).exception("The listener of the gate's events failed.")
 
-    @property
-    def client(self) -> Client | None:
-        return self._client
-
     def take(self, client: Client) -> bool:
         """Whether the client got the seat; a client with a dead connection loses it."""
-        sitting = self._client
+        sitting = self.client
         if sitting is not None and sitting.line.cut:
             self.leave(sitting, EventKind.LOST, f"The client at {sitting.peer} was lost: its connection broke.")
         with self._changed:
-            if self._client is not None:
+            if self.client is not None:
                 return False
-            self._client = client
+            self.client = client
             self._changed.notify_all()
         self.tell(GateEvent(EventKind.CONNECTED, f"A client connected from {client.peer}."))
         return True
@@ -146,9 +139,9 @@ class ClientSlot:
     def leave(self, client: Client, kind: EventKind, sentence: str) -> None:
         """Free the seat, unless it was already, and end the client's connection; a late client hears why."""
         with self._changed:
-            if self._client is not client:
+            if self.client is not client:
                 return
-            self._client = None
+            self.client = None
             self._changed.notify_all()
         if kind is EventKind.LATE:
             threading.Thread(target=client.send_away, args=(sentence,), daemon=True).start()
@@ -158,4 +151,4 @@ class ClientSlot:
 
     def wait(self, timeout: float) -> bool:
         with self._changed:
-            return self._changed.wait_for(lambda: self._client is not None, timeout)
+            return self._changed.wait_for(lambda: self.client is not None, timeout)

@@ -6,10 +6,8 @@ encounter -> decision (analyzer, bank) -> attempts against the client -> outcome
 from __future__ import annotations
 
 import random
-import threading
 import time
 from collections.abc import Callable, Collection, Sequence
-from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +18,7 @@ from sumo_adv.episode.loop import decide, model_ending, pursue
 from sumo_adv.episode.planned_encounter import PlannedEncounter, with_predictions
 from sumo_adv.episode.task import Prefix, Task
 from sumo_adv.errors import ModelError, SumoAdvError, UsageError, fault_sentence
+from sumo_adv.llm.chat import run_in_thread
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.serve import Mode, OnLoss, Options
 from sumo_adv.serve.encounter import EncounterMonitor, LiveAttempts, Scene, describe
@@ -206,8 +205,8 @@ class Server:
             episode.ending, episode.reason = model_ending(error), str(error)
             parts.writer.keep(episode, self._number)
             raise
-        if decision.entries is None or (not decision.planned.reaches and self._task.trigger is None):
-            given = decision.planned.reaches or self._task.trigger is not None
+        given = decision.planned.reaches or self._task.trigger is not None
+        if decision.entries is None or not given:
             self._pass_over(session, episode.reason if given else "no intent reaches the ego, by prediction", passed)
             return False
         if stale := self._stale(session, watch, scene, {episode.intents[0].bv, *decision.best.bvs}):
@@ -220,10 +219,9 @@ class Server:
     def _pursue(self, session: Session, scene: Scene, episode: Episode, decision: Decision) -> None:
         parts, settings = self._parts, self._settings
         episodes = parts.options.mode is Mode.EPISODES
-        settings = settings if episodes else settings.model_copy(update={"attempts": 1})
-        episode.settings = settings
+        episode.settings = settings if episodes else settings.model_copy(update={"attempts": 1})
         live = LiveAttempts(
-            session, scene, parts.road, settings, parts.agents.sandbox, parts.events,
+            session, scene, parts.road, episode.settings, parts.agents.sandbox, parts.events,
             (lambda: self._again(scene.found.time)) if episodes else None,
         )  # fmt: skip
         assert decision.entries is not None
@@ -286,7 +284,13 @@ class Server:
             entries = decide(episode, planned, self._parts.agents, self._parts.bank) if go_on else None
             return Decision(planned, entries)
 
-        decision = work() if session.pace is None else _meanwhile(work, session.tick)
+        if session.pace is None:
+            decision = work()
+        else:
+            waited_for = run_in_thread(work)
+            while not waited_for.done():
+                session.tick()
+            decision = waited_for.result()
         self._parts.events.tell(
             "decided", time=session.now, seconds=round(time.perf_counter() - began, 3),
             age=round(session.now - scene.found.time, 2),
@@ -316,19 +320,3 @@ class Decision:
     @property
     def best(self) -> Proposal:
         return min(self.planned.search.pool, key=self.planned.search.price)
-
-
-def _meanwhile(work: Callable[[], Decision], tick: Callable[[], object]) -> Decision:
-    """Do ``work`` in a thread and ``tick`` until it is done."""
-    decision: Future[Decision] = Future()
-
-    def body() -> None:
-        try:
-            decision.set_result(work())
-        except BaseException as error:
-            decision.set_exception(error)
-
-    threading.Thread(target=body, name="decision", daemon=True).start()
-    while not decision.done():
-        tick()
-    return decision.result()

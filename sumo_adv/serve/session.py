@@ -12,7 +12,7 @@ import socket
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from sumo_adv.drivers import Action, ExternalEgo
@@ -113,16 +113,16 @@ class Pace:
 
     step: float
     slips: int = 0
-    _next: float | None = field(default=None)
+    _next: float | None = None
 
     def wait(self) -> None:
-        time_now = time.monotonic()
-        due = time_now if self._next is None else self._next
-        if due > time_now:
-            time.sleep(due - time_now)
-        elif time_now - due > 1.0:
+        now = time.monotonic()
+        due = now if self._next is None else self._next
+        if due > now:
+            time.sleep(due - now)
+        elif now - due > 1.0:
             self.slips += 1
-            due = time_now
+            due = now
         self._next = due + self.step
 
 

@@ -140,8 +140,6 @@ class Misfit(Exception):
 
 def fits(payload: bytes, at: int, shapes: Shapes) -> bool:
     """Whether what begins at byte ``at`` has one of the shapes, to the last byte."""
-    if shapes is NONE:
-        return at == len(payload)
     return any(_ends(payload, at, shape) == len(payload) for shape in shapes)
 
 

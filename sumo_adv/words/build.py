@@ -174,8 +174,8 @@ def _check_room(placed: list[Placed], ego: EgoDraft, ego_drive: Drive, start: fl
 
 
 def _demand(ego: EgoDraft, ego_drive: Drive, start: float, placed: list[Placed]) -> str:
-    rows: list[tuple[str, str, float, Drive, float, bool]] = []
-    rows += [("ego", ego.type, ego.speed, ego_drive, start, False)]
+    rows: list[tuple[str, str, float, Drive, float, bool]]
+    rows = [("ego", ego.type, ego.speed, ego_drive, start, False)]
     rows += [(p.draft.id, p.draft.type, p.draft.speed, p.drive, p.position, p.draft.stands) for p in placed]
     types, vehicles = [], []
     for name, kind, kmh, drive, position, stands in sorted(rows, key=lambda row: -row[4]):
@@ -215,12 +215,9 @@ def _scenario(
     attack, speed = scene.attack, scene.ego.speed / 3.6
     walkers, tables = _boxes(scene, ego, start)
     adversary = walkers.get(attack.adversary, attack.adversary)
-    trigger = FREE
-    met = next((p.meets for p in placed if p.draft.id == attack.adversary), None)
-    at = next((w.at for w in scene.walkers if w.id == attack.adversary), None)
-    met = at / speed if at is not None else met
-    if met is not None:
-        trigger = max(round(met - BEFORE, 1), EARLIEST)
+    meets = {p.draft.id: p.meets for p in placed} | {w.id: w.at / speed for w in scene.walkers}
+    met = meets.get(attack.adversary)
+    trigger = FREE if met is None else max(round(met - BEFORE, 1), EARLIEST)
     name = scene.road.name if scene.road.kind == "shipped" else network.name
     if scene.road.kind == "given":
         name = str(network.resolve())

@@ -8,8 +8,8 @@ on its path.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -29,9 +29,6 @@ BESIDE = 4.5  # m: offset of a vehicle beside the ego at most
 AFTER = 3.0  # s after the nearest approach that still count where nothing is hit
 MOST_OTHERS = 4  # other vehicles in the description, the nearest ones
 EVERY = 1.0  # s between the lines of the description
-KINDS: Mapping[RoadUser, str] = {
-    RoadUser.VEHICLE: "vehicle", RoadUser.CYCLIST: "cyclist", RoadUser.PEDESTRIAN: "pedestrian"
-}  # fmt: skip
 SLACK = 0.4  # s by which an event may be earlier than its predecessor
 
 
@@ -113,12 +110,7 @@ def _end(scene: Scene, ego: Track, bv: Track) -> int:
 
 
 def _at(track: Track, time: Floats) -> Track:
-    keep = np.isin(np.round(track.time, 3), time)
-    x, y, heading, speed = (c[keep] for c in (track.x, track.y, track.heading, track.speed))
-    return replace(
-        track, time=track.time[keep], x=x, y=y, heading=heading, speed=speed, acceleration=track.acceleration[keep],
-        lane=(),
-    )  # fmt: skip
+    return track.picked(np.flatnonzero(np.isin(np.round(track.time, 3), time)))
 
 
 def _along(track: Track, path: Path) -> _Along:
@@ -137,7 +129,7 @@ def _along(track: Track, path: Path) -> _Along:
 def _events(scene: Scene, t: Floats, ego: Track, bv: Track, a: _Along, b: _Along) -> list[tuple[float, Event]]:
     inside = np.abs(b.d) < b.half + ego.width / 2
     inside[-1] |= scene.side is not None  # the tracks end just before the boxes touch
-    found = [*_way_events(t, ego, a, b, inside), *_pass_events(t, a, b), *_speed_events(t, bv)]
+    found = [*_way_events(t, b, inside), *_pass_events(t, a, b), *_speed_events(t, bv)]
     turned = np.unwrap(bv.heading) - bv.heading[0]
     for event, where in ((Event.TURNS_LEFT, turned >= TURN), (Event.TURNS_RIGHT, turned <= -TURN)):
         if (k := _first(where)) is not None:
@@ -147,7 +139,7 @@ def _events(scene: Scene, t: Floats, ego: Track, bv: Track, a: _Along, b: _Along
     return [(round(max(time, 0.0), 1), event) for time, event in found]
 
 
-def _way_events(t: Floats, ego: Track, a: _Along, b: _Along, inside: Bools) -> list[tuple[float, Event]]:
+def _way_events(t: Floats, b: _Along, inside: Bools) -> list[tuple[float, Event]]:
     """Into the ego's way and out of it. A vehicle that is in the way at first enters nothing."""
     found = []
     for k in range(1, len(t)):
@@ -253,7 +245,7 @@ def _words(
     turned = math.degrees(float(wrap(ego.heading[-1] - ego.heading[0])))
     route = "goes straight on" if abs(turned) < 30 else f"turns {'left' if turned > 0 else 'right'}"
     lines = [
-        f"EGO is {ego.length:.1f} m long and {route}. A is a {KINDS[user]}, {bv.length:.1f} m long and "
+        f"EGO is {ego.length:.1f} m long and {route}. A is a {user}, {bv.length:.1f} m long and "
         f"{bv.width:.1f} m wide; at first it is {_where(scene, a, b)}.",
         *(["A is hidden from EGO at first by something between them."] if scene.hidden else []),
         *_others(a, others),
@@ -278,7 +270,7 @@ def _others(a: _Along, others: Sequence[tuple[Track, _Along]]) -> list[str]:
     """Where the nearest other vehicles are, at first and in the end."""
     near = sorted(others, key=lambda each: float(np.hypot(each[1].s - a.s, each[1].d).min()))[:MOST_OTHERS]
     return [
-        f"Another {KINDS[road_user(track)]}, {track.length:.1f} m long: at first {_placed(a, o, track, 0)}; "
+        f"Another {road_user(track)}, {track.length:.1f} m long: at first {_placed(a, o, track, 0)}; "
         f"in the end {_placed(a, o, track, -1)}."
         for track, o in near
     ]

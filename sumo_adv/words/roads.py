@@ -27,6 +27,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError, nearest
+from sumo_adv.geometry import stations
 from sumo_adv.simulation.inputs import data_folder, shipped_files
 from sumo_adv.simulation.programs import find_netconvert
 from sumo_adv.words.draft import RoadDraft
@@ -286,10 +287,10 @@ class Net:
         """The edges, a few words each."""
         parts = []
         for edge in sorted(self._net.getEdges(), key=lambda e: str(e.getID())):
-            cars = sum(lane.allows("passenger") for lane in edge.getLanes())
-            if cars:
-                kmh = max(lane.getSpeed() for lane in edge.getLanes() if lane.allows("passenger")) * 3.6
-                parts.append(f"{edge.getID()} ({cars}, {kmh:.0f} km/h, {edge.getLength():.0f} m)")
+            limits = [lane.getSpeed() for lane in edge.getLanes() if lane.allows("passenger")]
+            if limits:
+                kmh = max(limits) * 3.6
+                parts.append(f"{edge.getID()} ({len(limits)}, {kmh:.0f} km/h, {edge.getLength():.0f} m)")
         return ", ".join(parts)
 
     def _edge(self, name: str, who: str) -> Any:
@@ -328,9 +329,7 @@ def _direction(edge: Any) -> Floats:
 
 
 def _even(points: Floats) -> Floats:
-    steps = np.hypot(*np.diff(points, axis=0).T)
-    keep = np.concatenate([[True], steps > 1e-3])
-    points = points[keep]
-    station = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+    x, y = points[np.concatenate([[True], np.hypot(*np.diff(points, axis=0).T) > 1e-3])].T
+    station = stations(x, y)
     s = np.arange(0.0, station[-1], STEP)
-    return np.stack([np.interp(s, station, points[:, 0]), np.interp(s, station, points[:, 1])], axis=1)
+    return np.stack([np.interp(s, station, x), np.interp(s, station, y)], axis=1)
