@@ -17,7 +17,7 @@ import numpy as np
 from sumo_adv.datatypes import Floats, VehicleState
 from sumo_adv.drivers.protocol import Lane
 from sumo_adv.episode.right_of_way import Link, Meetings
-from sumo_adv.geometry import along, wrap
+from sumo_adv.geometry import along, stations, wrap
 from sumo_adv.simulation.network import Lane as NetLane
 from sumo_adv.simulation.network import RoadMap
 from sumo_adv.simulation.simulation import Simulation
@@ -81,7 +81,7 @@ class EgoPlace:
 def _distance(ego: VehicleState, lane: NetLane) -> float:
     """Metres between the ego's centre and a lane's centreline."""
     station = float(along(lane.shape, ego.x, ego.y))
-    lengths = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(lane.shape, axis=0).T))])
+    lengths = stations(*lane.shape.T)
     x, y = (np.interp(station, lengths, lane.shape[:, k]) for k in range(2))
     return float(np.hypot(x - ego.x, y - ego.y))
 

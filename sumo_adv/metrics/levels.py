@@ -23,7 +23,7 @@ from dataclasses import replace
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats, Level, Preventability, Track, Verdict
-from sumo_adv.geometry import wrap_below_pi
+from sumo_adv.geometry import stations, wrap_below_pi
 from sumo_adv.metrics.avoidance import OnRoad
 from sumo_adv.metrics.boxes import on_grid, row_of
 from sumo_adv.metrics.contact import SAME_DIRECTION
@@ -228,7 +228,7 @@ def _blocking(ego: Track, contact_time: float) -> bool:
     if not outside_it:
         return False
     entry = outside_it[-1]
-    way: Floats = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(until.x), np.diff(until.y)))])
+    way = stations(until.x, until.y)
     room = way[entry] - way[: entry + 1]
     return bool((room >= until.speed[: entry + 1] ** 2 / (2 * STOPPING)).any())
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Bools, Boxes, Floats, Limits
 from sumo_adv.errors import PlannerResultError
-from sumo_adv.geometry import Path, wrap
+from sumo_adv.geometry import Path, stations, wrap
 from sumo_adv.metrics.gates import off_road
 from sumo_adv.planners.trajectory import LATERAL_RESERVE, LOOK_AHEAD, Motion, PathRow, Scalar, faster, pose
 
@@ -45,7 +45,7 @@ class Line:
         vy, ay = _slopes(y, dt)
         self.x, self.y = x, y
         self.v = np.hypot(vx, vy)
-        self.p = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
+        self.p = stations(x, y)
         moving = self.v > CRAWL
         self.heading = np.where(moving, np.arctan2(vy, vx), heading)
         speed = np.maximum(self.v, CRAWL)

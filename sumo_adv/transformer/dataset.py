@@ -22,7 +22,7 @@ import numpy as np
 from sumo_adv.datatypes import Floats
 from sumo_adv.errors import SimulationError, UsageError
 from sumo_adv.files import write_text, write_whole
-from sumo_adv.geometry import PATH_STEP
+from sumo_adv.geometry import PATH_STEP, stations
 from sumo_adv.simulation.demand import Journey, default_density, journeys
 from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.simulation.network import RoadMap, read_network
@@ -276,7 +276,7 @@ def follow(road: RoadMap, agents: Agents, i: int, lane: str) -> Floats:
         return ways
     x, y = agents.past[i, -1]
     shape = road.lanes[lane].shape
-    station = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(shape, axis=0).T))])
+    station = stations(*shape.T)
     at = float(station[np.argmin(np.hypot(shape[:, 0] - x, shape[:, 1] - y))])
     me = Agents(
         *(values[i : i + 1] for values in (agents.past, agents.heading, agents.speed, agents.size, agents.light))

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_adv.datatypes import Bools, Floats, Ints, VehicleState
+from sumo_adv.geometry import stations
 from sumo_adv.simulation.network import RoadMap
 from sumo_adv.situation import Signal, Situation
 
@@ -141,7 +142,7 @@ def cut(pieces: Iterable[tuple[Floats, float, Sequence[float]]]) -> Segments:
     """Segments of polylines ``(n, 2)`` [m], each with the length of its segments [m] and its ``Segments.about``."""
     ends, about = [], []
     for shape, length, says in pieces:
-        station = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(shape, axis=0).T))])
+        station = stations(*shape.T)
         at = np.linspace(0.0, station[-1], max(1, round(station[-1] / length)) + 1)
         points = np.column_stack([np.interp(at, station, shape[:, k]) for k in range(2)])
         ends += [np.concatenate(two) for two in pairwise(points)]

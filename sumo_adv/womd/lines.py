@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from sumo_adv import geometry
 from sumo_adv.datatypes import Floats, Ints
 from sumo_adv.geometry import wrap, wrap_below_pi
 
@@ -18,7 +19,7 @@ SEAM = 0.2  # m, gaps between areas that are no gaps of the road
 
 def stations(points: Floats) -> Floats:
     """Distance of each point from the first along the ground ``(n,)`` [m]."""
-    return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points[:, :2], axis=0).T))])
+    return geometry.stations(*points[:, :2].T)
 
 
 def distinct(points: Floats) -> Floats:

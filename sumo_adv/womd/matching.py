@@ -227,7 +227,7 @@ def _positions(track: ObjectTrack) -> tuple[Ints, Floats]:
     valid = np.flatnonzero(track.valid)
     if not len(valid):
         return valid, np.empty(0)
-    way = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(track.x[valid]), np.diff(track.y[valid])))])
+    way = stations(np.column_stack([track.x, track.y])[valid])
     _, first = np.unique((way / STEP).astype(int), return_index=True)
     chosen = np.unique([*first, len(valid) - 1])
     return valid[chosen], way[chosen]
