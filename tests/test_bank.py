@@ -105,6 +105,11 @@ def test_the_content_hash_counts_content_only(tmp_path: Path) -> None:
         bank.set_epsilon(0.5, "nothing")
         assert bank.content_hash() != first
         assert bank.epsilon() == (0.5, "nothing")
+    with MemoryBank.open(tmp_path / "b") as bank:
+        bank.add(BRAKING, [replace(BRAKE_PLANNER, mode="other", source=BRAKE_PLANNER.source + "# other\n")])
+        before = bank.content_hash()
+        bank.retire(BRAKING.label, "other")
+        assert bank.content_hash() != before
 
 
 def test_what_is_there_stays_and_another_spelling_is_the_same_intent(tmp_path: Path) -> None:

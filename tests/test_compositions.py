@@ -61,6 +61,12 @@ def test_compositions_survive_export_import_and_build(tmp_path: Path) -> None:
     assert texts(tmp_path / "again") == texts(out)
 
 
+@pytest.mark.parametrize("without", [{"label": "-"}, {"description": " "}])
+def test_a_composition_needs_a_label_and_a_description(without: dict[str, str]) -> None:
+    with pytest.raises(BankError, match="needs a label and a description"):
+        replace(SQUEEZE, **without)
+
+
 def test_a_part_of_a_bank_has_the_compositions_of_its_intents(tmp_path: Path) -> None:
     with filled(tmp_path / "bank.sqlite") as bank:
         write_part(bank, tmp_path / "part.sqlite", [CUT_IN.label], lambda: "now")

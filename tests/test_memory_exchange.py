@@ -101,6 +101,20 @@ def test_an_import_keeps_what_is_there_and_renames_a_mode_that_is_taken(tmp_path
         assert bank.evidence()[0].planner_hash == their_planner.hash
 
 
+def test_of_the_evidence_of_two_banks_what_both_have_counts_once(tmp_path: Path) -> None:
+    with MemoryBank.open(tmp_path / "theirs.sqlite") as bank:
+        bank.add(BRAKING, [BRAKE_PLANNER])
+        bank.record(evidence(seed=1))
+        bank.record(evidence(seed=2))
+        export_bank(bank, tmp_path / "theirs")
+    with MemoryBank.open(tmp_path / "mine.sqlite") as bank:
+        bank.add(BRAKING, [BRAKE_PLANNER])
+        bank.record(evidence(seed=2))
+        bank.record(evidence(seed=3))
+        added, _ = import_bank(bank, tmp_path / "theirs", parse, fine)
+        assert (added.evidence, sorted(e.seed for e in bank.evidence())) == (1, [1, 2, 3])
+
+
 def test_what_fails_in_the_sandbox_is_refused_by_name(tmp_path: Path) -> None:
     def wary(intent: IntentRecord, planner: Planner) -> str | None:
         return "It attacks." if planner.hash == CUT_PLANNER.hash else None

@@ -194,6 +194,9 @@ def test_only_what_promises_more_than_was_reached_is_tried():
     assert search.result == "No serious attack found in 3 candidates; the best level is valid."
     search.pool.append(strict)
     assert promised(search, 2) == [strict]
+    for kind, words in (("a", "one kind"), ("b", "2 kinds")):
+        search.succeeded(kind)
+        assert search.result.startswith(f"Attacks of {words} succeeded; ")
 
 
 def test_what_is_predicted_to_be_hopeless_is_not_tried():
