@@ -7,8 +7,8 @@ VENV  := .venv
 BIN   := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-# One pytest process per core, up to four. A file's tests stay together, in the order of their names (tests/conftest.py).
-PARALLEL := -n auto --maxprocesses 4 --dist loadgroup --no-loadscope-reorder
+# One pytest process per core, up to four. A file's tests stay together, since they share what its fixtures ran.
+PARALLEL := -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 # The tests start the program hundreds of times, and it starts faster from bytecode.
 unexport PYTHONDONTWRITEBYTECODE
 

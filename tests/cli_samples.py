@@ -11,8 +11,8 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import chdir
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +21,7 @@ from typing import Any
 import pytest
 
 from sumo_adv.errors import SumoAdvError
+from sumo_adv.files import held, write_text
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.records import IntentRecord
 from sumo_adv.planners.source import make_planner
@@ -86,8 +87,7 @@ class Program:
 
     def environment(self) -> dict[str, str]:
         """Nothing of the tester's own settings, bank or home."""
-        names = [name for name in list(os.environ) if not name.startswith(("SUMO_ADV_", "XDG_", "MPL"))]
-        kept = {name: os.environ.get(name, "") for name in names}  # pytest changes one beside threads of the tests
+        kept = {k: v for k, v in os.environ.items() if not k.startswith(("SUMO_ADV_", "XDG_", "MPL"))}
         return {
             **kept, "HOME": str(self.home), "XDG_DATA_HOME": str(self.home / "data"), "MPLCONFIGDIR": str(self._caches),
             "TMPDIR": str(self.temporary), "PYTHONPATH": os.pathsep.join((str(ROOT), str(TESTS))), "NO_COLOR": "1",
@@ -158,27 +158,26 @@ def let_interrupt() -> None:
 
 
 class Runs:
-    """``runs["first"]``: the sample of that name, waited for. The first question starts all of them, a few at once."""
+    """``runs["first"]``: the sample of that name. Who asks first runs it; other processes wait for it."""
 
-    def __init__(self, folder: Path, caches: Path, at_once: int) -> None:
+    def __init__(self, folder: Path, caches: Path) -> None:
         self._folder, self._caches = folder, caches
-        self._pool = ThreadPoolExecutor(at_once)
-        self._runs: dict[str, Future[Done]] = {}
+        folder.mkdir(exist_ok=True)
 
     def __getitem__(self, name: str) -> Done:
-        if not self._runs:
-            self._runs = {each: self._pool.submit(self._run, each) for each in SAMPLES}
-        return self._runs[name].result()
-
-    def _run(self, name: str) -> Done:
-        program = Program(self._folder / name.replace(" ", "_"), self._caches)
-        if AHEAD_BANK in SAMPLES[name]:
-            bank_with(program.folder / AHEAD_BANK, AHEAD)
-        return program(*SAMPLES[name], "--out", "out")
-
-    def close(self) -> None:
-        """Drop unread output."""
-        self._pool.shutdown(cancel_futures=True)
+        folder = self._folder / name.replace(" ", "_")
+        said = folder.with_suffix(".json")
+        while not said.exists():
+            with held(folder.with_suffix(".lock")) as mine:
+                if mine and not said.exists():
+                    program = Program(folder, self._caches)
+                    if AHEAD_BANK in SAMPLES[name]:
+                        bank_with(folder / AHEAD_BANK, AHEAD)
+                    done = program(*SAMPLES[name], "--out", "out")
+                    write_text(said, json.dumps([done.status, done.out, done.err]))
+            time.sleep(0.0 if mine else 0.1)
+        status, out, err = json.loads(said.read_text(encoding="utf-8"))
+        return Done(status, out, err, folder / "out")
 
 
 # -- what runs leave behind --------------------------------------------------------------------------------------------

@@ -28,18 +28,6 @@ def pytest_sessionstart() -> None:
         raise pytest.UsageError(str(error)) from error
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """With pytest-xdist, a file's tests share a worker, and so do all tests that look at ``runs``.
-
-    Each worker has its own fixtures, so a module's or a session's runs would otherwise be done once per worker.
-    """
-    if config.pluginmanager.hasplugin("xdist"):
-        for item in items:
-            group = "runs" if "runs" in getattr(item, "fixturenames", ()) else item.path.stem
-            item.add_marker(pytest.mark.xdist_group(group))
-
-
 @pytest.fixture(scope="session")
 def caches() -> Iterator[Path]:
     """What matplotlib keeps for a user; shared, because building it takes a second."""
@@ -55,11 +43,10 @@ def program(tmp_path: Path, caches: Path) -> Program:
 
 
 @pytest.fixture(scope="session")
-def runs(tmp_path_factory: pytest.TempPathFactory, caches: Path) -> Iterator[Runs]:
-    """The runs of ``cli_samples``, each done once for all tests, as many at a time as there are processors."""
-    shared = Runs(tmp_path_factory.mktemp("runs"), caches, at_once=min(4, os.cpu_count() or 1))
-    yield shared
-    shared.close()
+def runs(tmp_path_factory: pytest.TempPathFactory, caches: Path) -> Runs:
+    """The runs of ``cli_samples``, each done once for all tests of all workers of pytest-xdist."""
+    base = tmp_path_factory.getbasetemp()
+    return Runs((base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "runs", caches)
 
 
 @pytest.fixture(scope="session")

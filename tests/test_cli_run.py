@@ -186,7 +186,7 @@ def test_a_fork_is_the_same_as_loading_and_repeating(runs: Runs) -> None:
 
 def test_a_replay_gives_the_same_states(runs: Runs, program: Program) -> None:
     first = runs["first"]
-    done = program.here("run", "--replay", first.folder, "--out", "out", "--json")
+    done = program("run", "--replay", first.folder, "--out", "out", "--json")
     outcome = quiet_success(done)
     for name in ("states.csv.gz", "raw.csv.gz", "encounter.png"):
         assert (done.folder / name).read_bytes() == (first.folder / name).read_bytes(), name
