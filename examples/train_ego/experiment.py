@@ -36,7 +36,7 @@ from sumo_adv.benchmark.unknown import CarefulAsUnknown
 from sumo_adv.metrics.statistics import wilson
 
 TRAINED = {
-    "untrained": (None, "idm"), "no_attacks": ("none", "idm"), "fixed_set": ("fixed", "idm"),
+    "untrained": (None, "nothing"), "no_attacks": ("none", "idm"), "fixed_set": ("fixed", "idm"),
     "keep_up": ("keep_up", "idm"), "from_nothing": ("keep_up", "nothing"), "braking": (None, "braking"),
     "braking_fixed": ("fixed", "braking"),
 }  # fmt: skip
