@@ -245,7 +245,12 @@ def _tasks(given: Any, settings: Settings, scratch: Path) -> Callable[[int], Tas
     from sumo_adv.episode.task import make_task
 
     @cache
-    def task_for(round_: int) -> Task:
+    def first() -> Task:
+        return make_task(given, settings, scratch)
+
+    def task_for(round_: int) -> Task:  # only the first one is asked for again
+        if round_ == 0:
+            return first()
         return make_task(given, settings.model_copy(update={"seed": settings.seed + round_}), scratch)
 
     return task_for
