@@ -200,6 +200,15 @@ def test_where_the_trigger_is_open_a_row_shifts_the_one_that_the_others_find(pro
     assert 0.0 <= when["llm-f+shift=-500"] < 0.5  # not before the beginning
 
 
+def test_a_budget_in_seconds_alone_is_not_cut_short_after_25_attempts(program: Program) -> None:
+    raw = ("bench", "table", "--suite", MOTORWAY, "--row", "raw", "--out", "out")
+    assert program.here(*raw, "--seconds", "60").status == 0
+    kept = json.loads((program.folder / "out" / "bench.json").read_text(encoding="utf-8"))
+    assert (kept["settings"]["seconds"], kept["settings"]["attempts"]) == (60.0, 400)
+    again = program.here(*raw)  # 25 attempts
+    assert (again.status, "out holds cells of another settings" in again.err) == (2, True)
+
+
 def test_variables_are_settings_of_all_rows_but_for_what_a_table_says_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     """``--set`` goes before a variable; the ego and the players are never a variable's."""
     for name, value in {"PROPOSALS": "30", "REPLAN": "2", "EGO": "careful", "LLM": "some", "LLM_API_KEY": "k"}.items():

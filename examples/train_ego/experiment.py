@@ -208,7 +208,7 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=30.0, help="of training, for each row")
     parser.add_argument("--decisions", type=int, default=sys.maxsize, help="of a row, after which its training ends")
     parser.add_argument("--measuring", type=float, default=60.0, help="minutes, after which no encounter is begun")
-    parser.add_argument("--attempts", type=int, default=25, help="of the search, in an encounter")
+    parser.add_argument("--attempts", type=int, default=400, help="of the search in an encounter, within 60 s")
     parser.add_argument("--encounters", type=int, default=1000, help="to train with, and to measure, at most")
     parser.add_argument("--cores", type=int, default=os.cpu_count() or 2)
     parser.add_argument("--seed", type=int, default=0, help="of the training")

@@ -14,7 +14,7 @@ import typer
 
 from sumo_adv.app import bench_parts
 from sumo_adv.cli.options import set_values, words
-from sumo_adv.config import BUILTIN, load_settings
+from sumo_adv.config import BUILTIN, Settings, load_settings
 from sumo_adv.errors import UsageError
 from sumo_adv.files import sentences
 
@@ -40,8 +40,9 @@ SuiteOption = Annotated[
 ]
 Egos = Annotated[str, typer.Option("--ego", help="One or several: krauss,idm,careful,lattice,module:Class.")]
 Seed = Annotated[int, typer.Option(min=0, help="Of the simulations and of every draw.")]
+FEW = 25  # attempts of a row in an encounter, unless told otherwise
+SECONDS: float = Settings.model_fields["seconds"].default
 Attempts = Annotated[int, typer.Option(min=1, help="Budget of every row, per encounter.")]
-Seconds = Annotated[float, typer.Option(min=0.1, help="Budget of every row, per encounter, s.")]
 Until = Annotated[str, typer.Option(help="Level of success: critical (ttc), collision, valid, strict or serious.")]
 Workers = Annotated[int | None, typer.Option(min=1, help="Processes (default: one a core).")]
 Out = Annotated[Path | None, typer.Option(help="Folder (default: runs/bench-<suite>); the same one goes on.")]
@@ -63,8 +64,12 @@ def table(
         ),
     ] = None,
     seed: Seed = 0,
-    attempts: Attempts = 25,
-    seconds: Seconds = 60.0,
+    attempts: Annotated[
+        int | None, typer.Option(min=1, help="Budget of every row, per encounter (default: 25; 400 with --seconds).")
+    ] = None,
+    seconds: Annotated[
+        float | None, typer.Option(min=0.1, help="Budget of every row, per encounter, s (default: 60).")
+    ] = None,
     until: Until = "valid",
     reference: Annotated[
         str | None, typer.Option(help="Row the others are compared with (default: the first expert).")
@@ -80,16 +85,17 @@ def table(
     rows = _unique(row or ROWS)
     if reference is not None and reference not in rows:
         raise UsageError(f"--reference '{reference}' is none of the table's rows: {', '.join(rows)}.")
+    most = attempts or (FEW if seconds is None else Settings.model_fields["attempts"].default)
     ran = _run(
-        suite, ego, rows, seed, attempts, until, setting, memory, workers, out, as_json, keep_runs=keep_runs,
-        seconds=seconds,
+        suite, ego, rows, seed, most, until, setting, memory, workers, out, as_json, keep_runs=keep_runs,
+        seconds=seconds or SECONDS,
     )  # fmt: skip
     ran.write("table", reference or next((r for r in rows if r.startswith("expert")), None), {})
 
 
 @app.command("ablations", epilog="Example: sumo-adv bench ablations --suite suite81 --ego idm --out runs/bench")
 def ablations(
-    suite: SuiteOption, ego: Egos = "idm", seed: Seed = 0, attempts: Attempts = 25, until: Until = "valid",
+    suite: SuiteOption, ego: Egos = "idm", seed: Seed = 0, attempts: Attempts = FEW, until: Until = "valid",
     llm: Annotated[str | None, typer.Option(help="With a model also: 1, 3 and 5 samples of the analyzer.")] = None,
     setting: Setting = None, memory: Memory = None, workers: Workers = None, out: Out = None, as_json: Json = False,
 ) -> None:  # fmt: skip
@@ -103,7 +109,7 @@ def ablations(
 
 @app.command("analyzer", epilog="Example: sumo-adv bench analyzer --suite smoke --ego idm --out runs/bench")
 def analyzer(
-    suite: SuiteOption, ego: Egos = "idm", seed: Seed = 0, attempts: Attempts = 25, until: Until = "valid",
+    suite: SuiteOption, ego: Egos = "idm", seed: Seed = 0, attempts: Attempts = FEW, until: Until = "valid",
     llm: Annotated[
         list[str] | None, typer.Option(help="A model as analyzer, with and without the evidence table; repeatable.")
     ] = None,
@@ -127,7 +133,7 @@ def analyzer(
 
 @app.command("growth", epilog="Example: sumo-adv bench growth --suite suite81 --ego idm --out runs/bench")
 def growth(
-    suite: SuiteOption, ego: Egos = "idm", seed: Seed = 0, attempts: Attempts = 25, until: Until = "valid",
+    suite: SuiteOption, ego: Egos = "idm", seed: Seed = 0, attempts: Attempts = FEW, until: Until = "valid",
     llm: Annotated[str | None, typer.Option(help="A model in all parts as well.")] = None,
     setting: Setting = None, memory: Memory = None, workers: Workers = None, out: Out = None, as_json: Json = False,
 ) -> None:  # fmt: skip
@@ -147,7 +153,7 @@ def growth(
 
 @app.command("label", epilog="Example: sumo-adv bench label --suite suite81 --ego idm,krauss --out runs/bench")
 def label(
-    suite: SuiteOption, ego: Egos = "idm", seed: Seed = 0, attempts: Attempts = 25, until: Until = "valid",
+    suite: SuiteOption, ego: Egos = "idm", seed: Seed = 0, attempts: Attempts = FEW, until: Until = "valid",
     setting: Setting = None, memory: Memory = None, workers: Workers = None, out: Out = None, as_json: Json = False,
 ) -> None:  # fmt: skip
     """What the oracle finds most dangerous, into labels.json: put it beside a suite's suite.toml."""
@@ -166,7 +172,7 @@ def label(
 
 @app.command("league", epilog="Example: sumo-adv bench league --suite suite81 --ego idm,careful,my_driver:Mine")
 def league(
-    suite: SuiteOption, ego: Egos, seed: Seed = 0, attempts: Attempts = 25, until: Until = "serious",
+    suite: SuiteOption, ego: Egos, seed: Seed = 0, attempts: Attempts = FEW, until: Until = "serious",
     setting: Setting = None, memory: Memory = None, workers: Workers = None, out: Out = None, as_json: Json = False,
 ) -> None:  # fmt: skip
     """Which of several drivers is hardest to hit: the expert against each of them, in the same encounters."""
@@ -268,7 +274,7 @@ class _Ran:
 def _run(
     suite: Sequence[str], ego: str, rows: Sequence[str], seed: int, attempts: int, until: str,
     setting: Sequence[str] | None, memory: Path | None, workers: int | None, out: Path | None, as_json: bool, *,
-    keep_runs: bool = False, seconds: float = 60.0,
+    keep_runs: bool = False, seconds: float = SECONDS,
 ) -> _Ran:  # fmt: skip
     from sumo_adv.benchmark.bench import Means, TableRequest, of_rows, run_table
     from sumo_adv.benchmark.suites import load_suite
