@@ -227,6 +227,9 @@ def test_a_hunt_from_the_command_line_goes_on_from_python_and_is_kept(program: P
     assert done.status == 0, done.err
     assert "Enough distinct failures were found: " in done.out
     assert (program.folder / "hunt" / "report" / "index.html").is_file()
+    for command in (("report", "hunt"), ("compare", "hunt", "hunt")):
+        asked = program.here(*command)
+        assert (asked.status, "is the folder of a hunt" in asked.err) == (2, True), asked.err
     kept = program.here("keep", "hunt/failures", "--suite", "suite")
     assert kept.status == 0, kept.err
     assert "into suite" in kept.out

@@ -31,13 +31,20 @@ Distinct = Annotated[int | None, option(ATTACK, "End sooner, with this many dist
 Seed = Annotated[int, option(SEARCH, "The first seed of traffic and search.", default="0", min=0)]
 Memory = Annotated[Path | None, option(SEARCH, "Memory bank; it is only read.", default="your own")]
 Out = Annotated[Path | None, option(OUTPUT, "Folder; the same one goes on.", default="runs/hunt")]
+UntilLevel = Annotated[
+    opt.Until | None,
+    option(
+        ATTACK, "Level at which an encounter ends: valid, strict or serious.", metavar="LEVEL",
+        default="serious; valid for the ego careful",
+    ),
+]  # fmt: skip
 Deadline = Annotated[float, option(RUNNING, "Seconds after which an episode is stuck.", default="600", min=1)]
 NoPages = Annotated[bool, option(OUTPUT, "Make no index page and no replays.", "--no-pages")]
 
 
 def hunt(
     context: typer.Context, given: Given, ego: Ego = None, minutes: Minutes = 30.0, distinct: Distinct = None,
-    until: opt.UntilLevel = None, min_delta_v: opt.MinDeltaV = None, intents: opt.Intents = None,
+    until: UntilLevel = None, min_delta_v: opt.MinDeltaV = None, intents: opt.Intents = None,
     exclude: opt.Exclude = None, kind: opt.Kind = None, adversaries: opt.Adversaries = None,
     settings_file: opt.SettingsFile = None, seed: Seed = 0, memory: Memory = None, workers: opt.Workers = None,
     deadline: Deadline = 600.0, cluster: Annotated[

@@ -78,6 +78,9 @@ def table_of(rows: Iterable[Mapping[str, Any]]) -> Table:
 
 def read_rows(file: Path) -> Table:
     """The table of a batch. Raises UsageError: it is no such table."""
+    if (file.parent / "hunt.json").is_file():
+        runs = file.parent / "failures"
+        raise UsageError(f"{file.parent} is the folder of a hunt: its pages are in report/; give {runs} for others.")
     try:
         with file.open(newline="", encoding="utf-8") as text:
             reader = csv.DictReader(text)
