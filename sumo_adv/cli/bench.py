@@ -88,7 +88,7 @@ def table(
     most = attempts or (FEW if seconds is None else Settings.model_fields["attempts"].default)
     ran = _run(
         suite, ego, rows, seed, most, until, setting, memory, workers, out, as_json, keep_runs=keep_runs,
-        seconds=seconds or SECONDS,
+        seconds=seconds,
     )  # fmt: skip
     ran.write("table", reference or next((r for r in rows if r.startswith("expert")), None), {})
 
@@ -274,7 +274,7 @@ class _Ran:
 def _run(
     suite: Sequence[str], ego: str, rows: Sequence[str], seed: int, attempts: int, until: str,
     setting: Sequence[str] | None, memory: Path | None, workers: int | None, out: Path | None, as_json: bool, *,
-    keep_runs: bool = False, seconds: float = SECONDS,
+    keep_runs: bool = False, seconds: float | None = None,
 ) -> _Ran:  # fmt: skip
     from sumo_adv.benchmark.bench import Means, TableRequest, of_rows, run_table
     from sumo_adv.benchmark.suites import load_suite
@@ -286,7 +286,9 @@ def _run(
     if not egos:
         raise UsageError("--ego names no driver; say for instance --ego idm,careful.")
     loaded = load_suite(*suite)
-    settings = {"seconds": seconds, **_settings(setting or ()), "attempts": attempts, "until": until}
+    settings = {"seconds": SECONDS, **_settings(setting or ()), "attempts": attempts, "until": until}
+    if seconds is not None:
+        settings["seconds"] = seconds
     limit = load_settings(None, **settings).cell_seconds
     settings.pop("cell_seconds", None)  # it may be another when a table goes on
     request = TableRequest(loaded, egos, tuple(rows), seed, settings, memory or data_folder("memory_bank.sqlite"))
