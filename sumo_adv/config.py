@@ -290,7 +290,8 @@ def load_settings(file: Path | None = None, **given: Any) -> Settings:
     except ValueError as error:
         raise UsageError(f"The settings could not be read ({error}).") from error
     finally:
-        _chosen_file.clear()
+        if file is not None:
+            _chosen_file.pop()
 
 
 def _sentence(detail: ErrorDetails) -> str:
