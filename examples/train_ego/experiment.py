@@ -33,7 +33,7 @@ from trained_ego import TrainedEgo
 
 import sumo_adv
 from sumo_adv.benchmark.unknown import CarefulAsUnknown
-from sumo_adv.metrics.statistics import wilson
+from sumo_adv.metrics.statistics import bootstrap, wilson
 
 TRAINED = {
     "untrained": (None, "nothing"), "no_attacks": ("none", "idm"), "fixed_set": ("fixed", "idm"),
@@ -44,9 +44,11 @@ TRAINED = {
 NAMES = {
     "untrained": "untrained", "no_attacks": "trained without attacks", "fixed_set": "trained against a fixed set",
     "keep_up": "trained against attacks that keep up", "from_nothing": "the same, from scratch",
-    "braking": "untrained, brakes at a danger", "braking_fixed": "the same, trained against a fixed set",
+    "braking": "untrained, brakes at a danger",
+    "braking_fixed": "brakes at a danger at first, trained against a fixed set",
     "idm": "`idm`", "careful": "`careful`",
 }  # fmt: skip
+BASE = "no_attacks"  # the row that the others are compared with
 COLUMNS = (
     "encounter",
     "row",
@@ -179,6 +181,14 @@ def tables(rows: Sequence[Mapping[str, str]]) -> Iterator[str]:
             mine = [by[e, row] for e in encounters]
             yield f"| {NAMES[row]} | {_cells(mine, [by.get((e, 'idm')) for e in encounters])} |"
         yield ""
+        if encounters and BASE in names:
+            yield f"Against the ego {NAMES[BASE]}, over the same encounters:\n"
+            base = [by[e, BASE] for e in encounters]
+            yield from (
+                f"- {NAMES[row]}: {_differences([by[e, row] for e in encounters], base)}"
+                for row in names if row != BASE
+            )  # fmt: skip
+            yield ""
     for row in names:
         yield f"{row}: without an attempt {sum(by[e, row]['attempts'] == '0' for e in common)}."
     yield f"Failed: {sum(bool(r['why']) for r in rows)}."
@@ -194,6 +204,14 @@ def _cells(mine: Sequence[Mapping[str, str]], idm: Sequence[Mapping[str, str] | 
     braking = sum(float(r["braking"] or 0.0) for r in mine) / max(minutes, 1e-9)
     cells = wilson(valid, len(mine)).text(), wilson(serious, len(mine)).text(), f"{harm:.2f}"
     return " | ".join([*cells, f"{metres / usual:.2f}" if usual else "-", f"{braking:.2f}"])
+
+
+def _differences(mine: Sequence[Mapping[str, str]], base: Sequence[Mapping[str, str]]) -> str:
+    figures = {
+        "serious": lambda r: float(r["level"] == "serious"), "delta-v [m/s]": lambda r: float(r["delta_v"] or 0.0)
+    }  # fmt: skip
+    told = ((name, bootstrap([of(a) - of(b) for a, b in zip(mine, base, strict=True)])) for name, of in figures.items())
+    return ", ".join(f"{name} {e.value:+.2f} [{e.low:+.2f}, {e.high:+.2f}]" for name, e in told)
 
 
 def mixed(encounters: Sequence[Path]) -> list[Path]:

@@ -22,7 +22,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 from encounters import held_out
-from experiment import NAMES, NEEDLESS, TRAINED, VALID, mixed
+from experiment import BASE, NAMES, NEEDLESS, TRAINED, VALID, mixed
 from trained_ego import ENVIRONMENT, OWN, Network
 
 import sumo_adv.gym  # registers the environment
@@ -31,7 +31,6 @@ from sumo_adv.gym.views import DANGER, FAST
 from sumo_adv.metrics.statistics import bootstrap
 
 FILE = "attacks.csv"
-BASE = "no_attacks"  # the row that the others are compared with
 COLUMNS = ("encounter", "row", "attack", "contact", "level", "delta_v", "driven", "behind", "braking")
 
 
