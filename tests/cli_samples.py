@@ -158,7 +158,7 @@ def let_interrupt() -> None:
 
 
 class Runs:
-    """``runs["first"]``: the sample of that name. Who asks first runs it; other processes wait for it."""
+    """``runs["first"]``: the sample of that name. The first process that asks runs it; others wait for it."""
 
     def __init__(self, folder: Path, caches: Path) -> None:
         self._folder, self._caches = folder, caches

@@ -263,7 +263,7 @@ def main() -> None:
     parser.add_argument("--attacks", choices=ATTACKS, default="keep_up")
     parser.add_argument("--start", choices=STARTS, default="idm", help="how the ego drives before it has learnt")
     parser.add_argument("--minutes", type=float, default=30.0, help="0: leave the policy untrained")
-    parser.add_argument("--decisions", type=int, default=sys.maxsize, help="end sooner, after so many (default: none)")
+    parser.add_argument("--decisions", type=int, default=sys.maxsize, help="end after this number (default: none)")
     parser.add_argument("--actors", type=int, default=os.cpu_count() or 2, help="processes that drive")
     parser.add_argument("--scenario", action="append", help="repeatable (default: those of encounters.py)")
     parser.add_argument("--seed", type=int, default=0)

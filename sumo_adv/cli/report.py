@@ -128,9 +128,9 @@ def figure(
         raise UsageError(f"{target} does not say what to draw; give --out a file that ends in one of {kinds}.")
     if target.is_dir() or (target.exists() and not force):
         raise UsageError(f"{target} is there already; give another --out, or --force to replace a file.")
-    from sumo_adv.hunting.hunt import STATE
+    from sumo_adv.report.index import HUNT
 
-    if (folder / STATE).is_file():
+    if (folder / HUNT).is_file():
         _draw_hunt(folder, target, kind)
     else:
         _draw_run(folder, target, kind)

@@ -28,11 +28,12 @@ from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.files import sentences, write_text
 from sumo_adv.hunting.failures import COLUMNS, Failure, distinct, failure_of, table
 from sumo_adv.parsing import parse_json
+from sumo_adv.report.index import HUNT, RESULTS
 from sumo_adv.report.outcome import ATTACKS
 from sumo_adv.report.tables import csv_text
 
 SCHEMA = 1
-STATE, RESULTS, FAILURES, ROUNDS = "hunt.json", "results.csv", "failures", "rounds"
+FAILURES, ROUNDS = "failures", "rounds"
 EACH = 3  # episodes of a round for each worker at most; fewer where the time that is left is not enough for them
 LONGEST = 20.0  # s of attempts in an encounter at most: a second simulation tells more than a longer search
 SHORTEST = 3.0  # s
@@ -231,9 +232,9 @@ class Hunt:
 
     def _read(self) -> dict[str, Any]:
         told = {**self._plan.as_dict(), "seeds": [self._plan.seeds[0]]}
-        file = self.folder / STATE
+        file = self.folder / HUNT
         if not file.is_file():
-            parts = f".{Path(STATE).stem}."  # of a state that was being written when the program was killed
+            parts = f".{Path(HUNT).stem}."  # of a state that was being written when the program was killed
             if self.folder.is_dir() and any(not p.name.startswith(parts) for p in self.folder.iterdir()):
                 raise UsageError(f"{self.folder} is not empty and holds no hunt: give another --out.")
             return {"schema": SCHEMA, "plan": told, "rounds": []}
@@ -249,7 +250,7 @@ class Hunt:
         """The state, and the table of distinct failures."""
         with sentences(self.folder):
             self.folder.mkdir(parents=True, exist_ok=True)
-            write_text(self.folder / STATE, json.dumps(self._state, indent=1) + "\n")
+            write_text(self.folder / HUNT, json.dumps(self._state, indent=1) + "\n")
             if found is not None:
                 write_text(self.folder / RESULTS, csv_text(COLUMNS, table(found, self.folder)))
 
@@ -314,9 +315,9 @@ def over_time(folder: Path) -> list[tuple[float, Mapping[str, int]]]:
 
     Raises UsageError: it is no hunt, is damaged, or has finished no round.
     """
-    file = folder / STATE
+    file = folder / HUNT
     if not file.is_file():
-        raise UsageError(f"{folder} is not the folder of a hunt: it has no {STATE}.")
+        raise UsageError(f"{folder} is not the folder of a hunt: it has no {HUNT}.")
     after, seconds = list[tuple[float, Mapping[str, int]]](), 0.0
     try:
         for each in parse_json(file.read_text(encoding="utf-8"))["rounds"]:

@@ -41,6 +41,7 @@ from sumo_adv.report.read import OUTCOME
 from sumo_adv.report.run_outcome import level_of
 
 RESULTS = "results.csv"
+HUNT = "hunt.json"  # in the folder of a hunt
 WORDS = (
     "id", "network", "ego", "intent", "ending", "failure", "level", "severity", "relation", "road", "preventable_by",
 )  # fmt: skip
@@ -78,7 +79,7 @@ def table_of(rows: Iterable[Mapping[str, Any]]) -> Table:
 
 def read_rows(file: Path) -> Table:
     """The table of a batch. Raises UsageError: it is no such table."""
-    if (file.parent / "hunt.json").is_file():
+    if (file.parent / HUNT).is_file():
         runs = file.parent / "failures"
         raise UsageError(f"{file.parent} is the folder of a hunt: its pages are in report/; give {runs} for others.")
     try:
