@@ -34,7 +34,7 @@ CODE = (  # what figures depend on
     "sumo_adv", "memory_bank", "memory_bank.sqlite", "prompts", "networks", "suites", "examples/recorded_model",
 )  # fmt: skip
 FRESH, RECORDS = "fresh:", "records"
-SECONDS, ATTEMPTS = 60.0, 400  # the budget of an encounter
+SECONDS, ATTEMPTS = 30.0, 400  # the budget of an encounter
 COLUMN = {column.key: column for column in COLUMNS}
 PAIRED = ("valid", "strict", "serious")  # columns with paired differences
 OF_PAPER = {"mean_min_ttc": "mean_min_ttc", "collision": "collision"}  # column -> field of paper.Reported
