@@ -227,7 +227,7 @@ def hunt(
     memory: str | Path | None = None,
     workers: int | None = None,
     deadline: float = 600.0,
-    cluster: str | None = None,
+    ray: str | None = None,
     settings_file: str | Path | None = None,
     pages: bool = True,
     tell: Callable[[HuntProgress], None] | None = None,
@@ -263,7 +263,7 @@ def hunt(
     if note is not None:
         for sentence in (each for source in plan.inputs for each in source.notes):
             note(sentence)
-    orders = orders_of(plan, out, workers, deadline, ray=cluster)
+    orders = orders_of(plan, out, workers, deadline, ray=ray)
     found = Hunt(plan, orders, campaign, minutes, distinct).run(tell or (lambda _: None))
     rows = table(found.failures, found.folder)
     return HuntResult(found, rows, _index(found, orders.pace.workers) if pages and rows else None)

@@ -47,10 +47,7 @@ def hunt(
     until: UntilLevel = None, min_delta_v: opt.MinDeltaV = None, intents: opt.Intents = None,
     exclude: opt.Exclude = None, kind: opt.Kind = None, adversaries: opt.Adversaries = None,
     settings_file: opt.SettingsFile = None, seed: Seed = 0, memory: Memory = None, workers: opt.Workers = None,
-    deadline: Deadline = 600.0, cluster: Annotated[
-        str | None, option(RUNNING, "Run on this Ray cluster: auto, HOST:PORT, ray://HOST:PORT.", default="none")
-    ] = None,
-    out: Out = None, no_pages: NoPages = False, as_json: opt.AsJson = False,
+    deadline: Deadline = 600.0, ray: opt.RayCluster = None, out: Out = None, no_pages: NoPages = False, as_json: opt.AsJson = False,
 ) -> None:  # fmt: skip
     """Find the worst distinct failures of a driver in a given time. The same command again goes on.
 
@@ -61,7 +58,7 @@ def hunt(
     chosen = opt.given(context.params, ("until", "min_delta_v", "intents", "exclude", "kind", "adversaries"))
     found = hunted(
         given, ego=ego, minutes=minutes, distinct=distinct, out=out or Path("runs") / "hunt", seed=seed, memory=memory,
-        workers=workers, deadline=deadline, cluster=cluster, settings_file=settings_file,
+        workers=workers, deadline=deadline, ray=ray, settings_file=settings_file,
         pages=not no_pages, tell=None if as_json else _tell, stopping=_stopping, note=None if as_json else typer.echo,
         **chosen,
     )  # fmt: skip

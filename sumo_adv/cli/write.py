@@ -163,6 +163,7 @@ def _three_lines(made: Played, out: Path, folder: Path) -> str:
 
     scene, reading = made.scene, made.reading
     others = len(scene.vehicles) + len(scene.walkers) + len(scene.parked)
+    tried = f"{len(made.outcome['attempts'])} of {made.outcome['attempts_allowed']} attempts"
     road = scene.road.name if scene.road.kind == "shipped" else f"{scene.road.kind} road"
     left = f" Left out: {sanitize(made.draft.left_out)}" if made.draft.left_out else ""
     told = sanitize(reading.happened) if reading is not None else "see the page of the run."
@@ -173,8 +174,8 @@ def _three_lines(made: Played, out: Path, folder: Path) -> str:
     fits = f"yes, {by}." if not made.misfits else f"no: {sanitize(' '.join(made.misfits))}"
     return "\n".join(
         (
-            f"Built: {sanitize(made.draft.understood)} ({road}, {others} others; {out}).{left}",
-            f"Happened: {made.result} in {len(made.outcome['attempts'])} attempts ({folder}). {told}",
+            f"Built: {sanitize(made.draft.understood)} ({road}, other road users: {others}; {out}).{left}",
+            f"Happened: {made.result} after {tried} ({folder}). {told}",
             f"Fits: {fits}{missed}",
         )
     )
