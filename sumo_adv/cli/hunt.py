@@ -47,7 +47,8 @@ def hunt(
     until: UntilLevel = None, min_delta_v: opt.MinDeltaV = None, intents: opt.Intents = None,
     exclude: opt.Exclude = None, kind: opt.Kind = None, adversaries: opt.Adversaries = None,
     settings_file: opt.SettingsFile = None, seed: Seed = 0, memory: Memory = None, workers: opt.Workers = None,
-    deadline: Deadline = 600.0, ray: opt.RayCluster = None, out: Out = None, no_pages: NoPages = False, as_json: opt.AsJson = False,
+    deadline: Deadline = 600.0, ray: opt.RayCluster = None, out: Out = None,
+    no_pages: NoPages = False, as_json: opt.AsJson = False,
 ) -> None:  # fmt: skip
     """Find the worst distinct failures of a driver in a given time. The same command again goes on.
 
