@@ -69,7 +69,8 @@ class Asked(_Table):
     relation: how the adversary stands to the ego when the encounter begins. user: its kind. events: what it does, in
     this order; others may come between. side: of the ego that is hit. hidden: other vehicles or obstacles hide it from
     the ego at first. beside: another vehicle is beside the ego on that side at some time. least_length: of the
-    adversary [m]. most_speed_first: it is no faster than this at first [m/s]. level: which the attack must reach.
+    adversary [m]. most_speed_first: it is no faster than this at first [m/s]. most_braking: it brakes no harder than
+    this [m/s2]. level: which the attack must reach.
     """
 
     relation: Relation | None = None
@@ -80,6 +81,7 @@ class Asked(_Table):
     beside: Literal["left", "right"] | None = None
     least_length: Annotated[float, Field(gt=0, le=30)] | None = None
     most_speed_first: Annotated[float, Field(ge=0, le=60)] | None = None
+    most_braking: Annotated[float, Field(gt=0, le=12)] | None = None
     level: Literal["near_miss", "critical", "collision", "valid", "strict", "serious"] | None = None
 
     @property

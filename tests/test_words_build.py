@@ -14,6 +14,7 @@ from sumo_adv.errors import UsageError
 from sumo_adv.simulation.inputs import data_folder, load_input
 from sumo_adv.words.build import build
 from sumo_adv.words.draft import SceneDraft
+from sumo_adv.words.roads import Net
 
 WRITTEN = Written(words='He said "stop" \\ and \u00fcber.', model="a model", date="2026-11-27")
 
@@ -78,6 +79,22 @@ def test_a_crossing_vehicle_arrives_when_the_draft_says(tmp_path: Path) -> None:
     assert placed["ego"][0] - placed["other"][0] == pytest.approx(20.0 - 5.2, abs=1.0)
     file = tomllib.loads((tmp_path / "my.toml").read_text())
     assert file["window"]["trigger"] == pytest.approx(4.0, abs=0.2)  # 5 s before the ego is there, after 9 s
+
+
+def test_a_vehicle_from_a_ramp_is_beside_the_ego_where_its_lane_begins(tmp_path: Path) -> None:
+    """Both drive 20 m/s and have the same way left to the edge on which their lanes lie side by side; the attack may
+    begin 5 s before they are there, so on the ramp."""
+    road = {"kind": "ramp", "lanes": 2, "length": 400, "speed_limit": 100, "minor_limit": 80}
+    ego, truck = {"route": ["main", "onward"], "speed": 72}, other(("ramp", "onward"), speed=72, arrives=0)
+    build(scene(road, ego, truck), tmp_path / "my.toml", WRITTEN)
+    net, placed = Net(tmp_path / "my.net.xml"), starts(tmp_path)
+    left = {}
+    for name, way in (("ego", ["main", "onward"]), ("other", ["ramp", "onward"])):
+        drive = net.drive(way, 0, "passenger", name)
+        left[name] = drive.begins[1] - placed[name][0]
+    assert left["ego"] == pytest.approx(20.0 * 9.0, abs=2.0) and left["other"] == pytest.approx(left["ego"], abs=2.0)
+    file = tomllib.loads((tmp_path / "my.toml").read_text())
+    assert file["window"]["trigger"] == pytest.approx(4.0, abs=0.1)
 
 
 def test_vehicles_with_a_gap_and_boxes_along_the_way(tmp_path: Path) -> None:

@@ -119,3 +119,20 @@ def test_the_words_hold_facts_and_no_names() -> None:
     assert "cutter" not in words and words.splitlines()[-1] == "They do not touch."
     assert "3.6 s: A comes from the left into EGO's way, going the same way." in words
     assert "0.0 s: EGO 10.0 m/s; A 10.0 m/s, 10.0 m ahead of EGO along EGO's way, 3.6 m to the left" in words
+
+
+def test_gentle_braking_has_a_bound() -> None:
+    """It loses 4 m/s within a second: 4 m/s2."""
+    assert misfits(Asked(most_braking=4.1), seen(cut_in())) == ()
+    assert misfits(Asked(most_braking=3), seen(cut_in())) == (
+        "The adversary brakes with 4.0 m/s2, not with at most 3.",
+    )
+
+
+def test_the_turn_that_the_ego_is_about_to_make_is_told() -> None:
+    """The ego comes to x = 60 m; at 70 m its way bends to the right by 90 degrees."""
+    way = make_path([(-50.0, 0.0), (70.0, 0.0), (70.0, -200.0)])
+    motion = observe(Scene(EGO, cut_in(), (), way, "neighbour", False, None, 0.0))
+    assert motion is not None
+    assert "EGO is 4.8 m long and is about to turn right." in motion.words
+    assert "EGO is 4.8 m long and goes straight on." in seen(cut_in()).words

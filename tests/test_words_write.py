@@ -69,7 +69,8 @@ def test_the_exact_error_goes_back_to_the_model(tmp_path: Path) -> None:
     faults = [request.last for request in server.asked if not is_reader(request)][1:]
     assert "There is no edge 'backwards' for 'van'; there are forward." in faults[0]
     assert json.loads(done.out)["fits"] is True
-    assert len(faults) == 2 and "no vehicle near could endanger the ego" in faults[1]  # it is 90 m behind
+    assert len(faults) == 2 and "no vehicle near could endanger the ego" in faults[1]
+    assert "the ego: van 8" in faults[1] and " m behind and 4 m to the left, at 29 m/s." in faults[1], faults[1]
 
 
 @pytest.mark.parametrize(

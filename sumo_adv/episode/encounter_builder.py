@@ -25,13 +25,14 @@ from sumo_adv.metrics.boxes import first_contact, on_grid, overlaps
 from sumo_adv.metrics.case import closest
 from sumo_adv.metrics.criticality import ttc
 from sumo_adv.simulation.network import RoadMap
-from sumo_adv.simulation.simulation import Snapshot
+from sumo_adv.simulation.simulation import Snapshot, heading_of
 from sumo_adv.situation import fastest_of
 
 # -- dangerous without an attack ------------------------------------------------------------------------------------
 
 LEAST = 2.0  # s from the trigger until which the ego must stay in the network
 REACH = 30.0  # m between centres
+NAMED, NAMED_WITHIN = 4, 200.0  # vehicles that a reason names at most, and how near they are [m]
 AS_LOGGED = 0.1  # m: largest sum of the distances of ego and vehicle from their logged positions
 
 
@@ -225,6 +226,23 @@ def build_encounter(
         baseline.sizes, area, place=place,
     )  # fmt: skip
     return encounter, baseline
+
+
+def nearest_ones(drive: Drive) -> str:
+    """Where the nearest vehicles are, front from the ego's front, for a reason why nobody attacks; empty if there are
+    none."""
+    if drive.ego is None or drive.ego not in drive.snapshot.raw:
+        return ""
+    x, y, angle = drive.snapshot.raw[drive.ego][:3]
+    cos, sin = math.cos(heading_of(angle)), math.sin(heading_of(angle))
+    places = []
+    for name, (ox, oy, _, speed, *_) in drive.snapshot.raw.items():
+        ahead, left = (ox - x) * cos + (oy - y) * sin, (oy - y) * cos - (ox - x) * sin
+        if name != drive.ego and math.hypot(ahead, left) < NAMED_WITHIN:
+            side = "" if abs(left) < 1.0 else f" and {abs(left):.0f} m to the {'left' if left > 0 else 'right'}"
+            place = f"{name} {abs(ahead):.0f} m {'ahead' if ahead >= 0 else 'behind'}{side}, at {speed:.0f} m/s"
+            places.append((math.hypot(ahead, left), place))
+    return f": {'; '.join(place for _, place in sorted(places)[:NAMED])}" if places else ""
 
 
 def _most_dangerous(looks: Mapping[float, Sequence[RankedVehicle]]) -> list[RankedVehicle]:

@@ -113,7 +113,11 @@ def decide(
         return None
     if planned.search:
         return entries
-    episode.ending, episode.reason = Ending.NO_ENCOUNTER, "No intent of the library applies to any vehicle near."
+    near = ", ".join(f"{name} ({relation})" for name, relation, _ in episode.found.ranking) if episode.found else "none"
+    episode.ending, episode.reason = (
+        Ending.NO_ENCOUNTER,
+        f"No intent of the library applies to any vehicle near: {near}.",
+    )
     return None
 
 

@@ -22,8 +22,10 @@ REACH = 30.0  # m along the path within which a vehicle's next place is looked f
 PASS = 1.0  # m behind the ego's front or back from which a vehicle counts as behind or ahead
 ACROSS = math.radians(35)  # heading against the ego's path from which a vehicle crosses it
 TURN = math.radians(45)  # change of its own heading that is a turn
+BEND = math.radians(30)  # of the ego's heading: it turns
 ONCOMING = math.radians(120)  # heading against the ego's path from which a vehicle comes towards it
 CHANGE = 2.0  # m/s that are lost or gained
+OVER = 0.5  # s over which braking is averaged
 STANDING = 0.5  # m/s
 BESIDE = 4.5  # m: offset of a vehicle beside the ego at most
 AFTER = 3.0  # s after the nearest approach that still count where nothing is hit
@@ -242,10 +244,8 @@ def _words(
     user: RoadUser, others: Sequence[tuple[Track, _Along]],
 ) -> str:  # fmt: skip
     """The motion in numbers and plain facts, without names from files. A reader sees nothing else."""
-    turned = math.degrees(float(wrap(ego.heading[-1] - ego.heading[0])))
-    route = "goes straight on" if abs(turned) < 30 else f"turns {'left' if turned > 0 else 'right'}"
     lines = [
-        f"EGO is {ego.length:.1f} m long and {route}. A is a {user}, {bv.length:.1f} m long and "
+        f"EGO is {ego.length:.1f} m long and {_route(scene, ego, a)}. A is a {user}, {bv.length:.1f} m long and "
         f"{bv.width:.1f} m wide; at first it is {_where(scene, a, b)}.",
         *(["A is hidden from EGO at first by something between them."] if scene.hidden else []),
         *_others(a, others),
@@ -264,6 +264,19 @@ def _words(
         )
     end = "They do not touch." if scene.side is None else f"They collide: EGO is hit at its {scene.side}."
     return "\n".join([*lines, end])
+
+
+def _route(scene: Scene, ego: Track, a: _Along) -> str:
+    """What the ego did, and what it would have done next if nothing had happened."""
+    turned = float(wrap(ego.heading[-1] - ego.heading[0]))
+    if abs(turned) >= BEND:
+        return "turns left" if turned > 0 else "turns right"
+    ahead = scene.path.at(a.s[-1] + np.arange(0.0, REACH, 2.0))[2]
+    turns = wrap(ahead - ego.heading[0])
+    bend = float(turns[np.argmax(np.abs(turns))])
+    if abs(bend) < BEND:
+        return "goes straight on"
+    return f"is about to turn {'left' if bend > 0 else 'right'}"
 
 
 def _others(a: _Along, others: Sequence[tuple[Track, _Along]]) -> list[str]:
@@ -317,10 +330,20 @@ def misfits(asked: Asked, motion: Motion) -> tuple[str, ...]:
         lacks.append(f"No other vehicle is beside the ego on its {asked.beside}.")
     if asked.least_length is not None and motion.length < asked.least_length:
         lacks.append(f"The adversary is {motion.length:g} m long, not {asked.least_length:g} m or more.")
+    if asked.most_braking is not None and (hardest := _hardest(motion)) > asked.most_braking:
+        lacks.append(f"The adversary brakes with {hardest:.1f} m/s2, not with at most {asked.most_braking:g}.")
     first = float(motion.speed[0])
     if asked.most_speed_first is not None and first > asked.most_speed_first:
         lacks.append(f"The adversary drives {first:.1f} m/s at first, not {asked.most_speed_first:g}.")
     return tuple(lacks)
+
+
+def _hardest(motion: Motion) -> float:
+    """The hardest braking of the adversary, averaged over ``OVER`` s [m/s2]."""
+    late = np.searchsorted(motion.time, motion.time + OVER - 1e-6)
+    k = np.flatnonzero(late < len(motion.time))
+    lost = motion.speed[k] - motion.speed[late[k]]
+    return float((lost / (motion.time[late[k]] - motion.time[k])).max(initial=0.0))
 
 
 def _missing(wanted: tuple[Event, ...], motion: Motion) -> int | None:

@@ -205,13 +205,15 @@ def _build(nodes: Sequence[Attributes], edges: Sequence[Attributes], links: Sequ
 @dataclass(frozen=True, slots=True)
 class Drive:
     """A vehicle's way: its edges, SUMO's index of the lane on the first one, its points (n, 2) every ``STEP`` m from
-    the beginning of the first edge, the length of that edge [m], and the station at which the first junction begins."""
+    the beginning of the first edge, the length of that edge [m], its limit [m/s], and the station [m] at which each
+    edge begins."""
 
     edges: tuple[str, ...]
     lane: int
     points: Floats
     first: float
     limit: float
+    begins: tuple[float, ...]
 
     def at(self, station: float) -> tuple[float, float, float]:
         """x, y [m] and heading [rad] at a station [m]; straight on beyond the ends."""
@@ -253,10 +255,12 @@ class Net:
                 f"Edge '{route[0]}' has {len(lanes)} lanes for {who}, so its lane is 0 to {len(lanes) - 1}, not {lane}."
             )
         chosen = lanes[lane]
-        points = _even(_driven(edges, chosen, vclass))
+        shapes = _driven(edges, chosen, vclass)
+        points = _even(np.concatenate(shapes))
+        begins = tuple(float(np.argmin(np.hypot(*(points - shape[0]).T))) * STEP for shape in shapes)
         return Drive(
             tuple(str(e.getID()) for e in edges), int(chosen.getIndex()), points, float(start.getLength()),
-            float(chosen.getSpeed()),
+            float(chosen.getSpeed()), begins,
         )  # fmt: skip
 
     def green_for(self, edges: Sequence[str]) -> dict[str, str]:
@@ -302,24 +306,30 @@ class Net:
 
 
 def meeting(one: Drive, other: Drive) -> tuple[float, float] | None:
-    """Stations [m] on both ways where they first come together; None if they do not, or if they begin together."""
-    apart = np.hypot(*(one.points[:, None, :] - other.points[None, :, :]).transpose(2, 0, 1))
-    close = apart < TOGETHER
-    if not close.any() or one.edges[0] == other.edges[0]:
+    """Stations [m] on both ways where they first come together, or get onto the same edge in lanes side by side (a ramp
+    with a lane to merge from); None if they do not, or if they begin together."""
+    if one.edges[0] == other.edges[0]:
         return None
-    i = int(np.argmax(close.any(axis=1)))
-    return i * STEP, float(np.argmin(apart[i])) * STEP
+    apart = np.hypot(*(one.points[:, None, :] - other.points[None, :, :]).transpose(2, 0, 1))
+    close = (apart < TOGETHER).any(axis=1)
+    shared = next((edge for edge in one.edges if edge in other.edges), None)
+    beside = np.inf if shared is None else one.begins[one.edges.index(shared)]
+    i = int(np.argmax(close)) if close.any() else len(close)
+    if shared is not None and beside < i * STEP:
+        return beside, other.begins[other.edges.index(shared)]
+    return (i * STEP, float(np.argmin(apart[i])) * STEP) if close.any() else None
 
 
-def _driven(edges: Sequence[Any], lane: Any, vclass: str) -> Floats:
-    """The centre lines of the lanes along a route; a lane from which the next edge is not reached is changed."""
+def _driven(edges: Sequence[Any], lane: Any, vclass: str) -> list[Floats]:
+    """The centre lines of the lanes along a route, an edge each; a lane from which the next edge is not reached is
+    changed."""
     shapes = [np.array(lane.getShape())[:, :2]]
     for edge, after in pairwise(edges):
         links = [c for c in edge.getConnections(after) if c.getToLane().allows(vclass)]
         link = next((c for c in links if c.getFromLane() is lane), links[0])
         lane = link.getToLane()
         shapes.append(np.array(lane.getShape())[:, :2])
-    return np.concatenate(shapes)
+    return shapes
 
 
 def _direction(edge: Any) -> Floats:
