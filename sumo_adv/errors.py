@@ -3,7 +3,7 @@
 SumoAdvError                 one sentence: what is wrong and what to do; exit status 1
 ├── UsageError               wrong use or bad input; exit status 2
 ├── SimulationError          SUMO failed, or the engine process died
-│   └── DriverError          the ego's driver hung, ended its process or used up an attempt's memory
+│   └── DriverError          the ego's driver failed, hung, ended its process or used up an attempt's memory
 ├── SandboxError             planner code failed inside its limits
 │   ├── PlannerSyntaxError   not in the sandbox's subset, or does not parse
 │   ├── PlannerRuntimeError  raised while running
@@ -40,7 +40,7 @@ class SimulationError(SumoAdvError):
 
 
 class DriverError(SimulationError):
-    """The ego's driver hung, ended its process or used up an attempt's memory: that attempt alone is lost."""
+    """The ego's driver failed, hung, ended its process or used up an attempt's memory: that attempt alone is lost."""
 
 
 class SandboxError(SumoAdvError):

@@ -1,4 +1,4 @@
-"""Drivers for ``--ego stuck_drivers:Class`` that hang, leak or end their process, each from a time on."""
+"""Drivers for ``--ego stuck_drivers:Class`` that raise, hang, leak or end their process, each from a time on."""
 
 from __future__ import annotations
 
@@ -83,6 +83,20 @@ class Leaks(SleepsForked):
     def stick(self) -> None:
         """The fault."""
         self.kept += [bytearray(100_000_000) for _ in range(10)]
+
+
+class Raises(Sleeps):
+    """Raises an exception in its first attempt."""
+
+    def stick(self) -> None:
+        """The fault."""
+        raise ZeroDivisionError("no gap")
+
+
+class AlwaysRaises(Raises):
+    """Raises an exception in every attempt, and not without one."""
+
+    visits = tuple(range(2, 100))
 
 
 class AlwaysExits(ExitsProcess):

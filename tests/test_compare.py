@@ -128,6 +128,10 @@ def test_a_failure_and_a_missed_encounter_stay_in_the_denominator(tmp_path: Path
     new = regression(tmp_path / "new", "second", [case("a", broken="It raised.", result="error"), missed])
     done = compare(read_side(old), read_side(new))
     assert figures(done)["valid"] == (1.0, 0.0, -1.0)
+    with_one = [case(name, "valid", 1.0) for name in "abc"], [case("a", "valid", 1.0), case("c", "valid", 1.0), missed]
+    tested = compare(*(read_side(regression(tmp_path / str(k), "x", side)) for k, side in enumerate(with_one)))
+    assert figures(tested)["valid"] == (1.0, pytest.approx(2 / 3), pytest.approx(-1 / 3))
+    assert figures(tested)["min TTC, at most 10"][2] == 0.0  # an encounter without an attack has no min TTC of one
     text = to_markdown(done, lambda _: None)
     assert "Failed: 0 of first, 1 of second. Without an attack: 0 of first, 1 of second." in " ".join(text.splitlines())
     assert "| no encounter |" in text and "| failed |" in text

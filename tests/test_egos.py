@@ -24,7 +24,7 @@ from sumo_adv.drivers import (
     model_of,
 )
 from sumo_adv.drivers.protocol import read_wishes, wishes_of
-from sumo_adv.drivers.registry import trusted_driver
+from sumo_adv.drivers.registry import UserEgo, trusted_driver
 from sumo_adv.errors import SimulationError, UsageError
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
@@ -384,6 +384,29 @@ def test_a_users_errors_are_one_sentence(user_module: str) -> None:
         make_ego(f"{user_module}:Text", {}).act(LOOK)
     with pytest.raises(SimulationError, match="its numbers must be finite"):
         make_ego(f"{user_module}:Wild", {}).act(LOOK)
+    with pytest.raises(UsageError, match=r"has no class 'Wilt' .*; it has .*Breaks.*Wild"):
+        make_ego(f"{user_module}:Wilt", {})
+    with pytest.raises(UsageError, match="names a file; name its module: my_driver:Acc"):
+        make_ego("my_driver.py:Acc", {})
+
+
+def test_numbers_of_numpy_are_numbers() -> None:
+    class Numpy:
+        def __init__(self, answer: object) -> None:
+            self.answer = answer
+
+        def reset(self, seed: int) -> None: ...
+
+        def act(self, seen: Observation) -> object:
+            return self.answer
+
+    def answered(action: object) -> object:
+        return UserEgo("mine:Numpy", Numpy(action)).act(LOOK)
+
+    assert answered(Steer(np.float32(0.5), np.array(0.25))) == Steer(0.5, 0.25)  # type: ignore[arg-type]
+    assert answered(LaneSpeed(np.int64(1), 3)) == LaneSpeed(1, 3)  # type: ignore[arg-type]
+    with pytest.raises(SimulationError, match=r"at 3\.0 s; a number of it is of the type ndarray: say float\(\.\.\.\)"):
+        answered(Steer(np.array([0.0, 1.0]), 0.0))  # type: ignore[arg-type]
 
 
 @pytest.fixture

@@ -79,3 +79,13 @@ def test_the_trigger_itself_is_not_recorded_and_is_taken_from_what_was_foreseen(
 def test_an_ego_that_is_gone_at_once_has_none() -> None:
     assert observed_motion(went({0.0: (0.0, 10.0)}), found(), 0.0, SETTINGS) is None
     assert observed_motion(went({}), found(), 0.0, SETTINGS) is None
+
+
+def test_the_lane_that_counts_is_that_of_the_moment_of_the_attack() -> None:
+    """The ego is in a lane of 4 m at 17.5 s, and of 3.2 m at 20.5 s, when the attack takes over."""
+    wide, narrow = (
+        replace(given, road=replace(given.road, lane_width=width))
+        for given, width in zip(found().situations.values(), (4.0, 3.2), strict=True)
+    )
+    encounter = replace(found(), time=17.5, situations={0.0: wide, 3.0: narrow})
+    assert (encounter.half_lane(17.5), encounter.half_lane(20.5)) == (2.0, 1.6)

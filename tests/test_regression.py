@@ -245,7 +245,7 @@ def test_keep_takes_what_reached_a_level_from_a_folder_of_runs(program: Program)
     shutil.copytree(attacked(), program.folder / "runs" / "first")
     kept = program.here("keep", "runs", "--suite", "suite")
     assert (kept.status, kept.err) == (0, "")
-    assert kept.out.splitlines() == [f"Kept suite/{FOUND}-0", "1 case into suite."]
+    assert kept.out.splitlines() == [f"Kept suite/{FOUND}-0 from first", "1 case into suite."]
     again = json.loads(program.here("keep", "runs", "--suite", "suite", "--json").out)
     assert again == {
         "suite": "suite", "kept": [], "there_already": [f"suite/{FOUND}-0"], "left_out": []

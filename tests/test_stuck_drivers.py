@@ -1,4 +1,4 @@
-"""A driver that hangs, leaks or ends its process costs an attempt, and the sentence names it."""
+"""A driver that raises, hangs, leaks or ends its process costs an attempt, and the sentence names it."""
 
 from __future__ import annotations
 
@@ -21,6 +21,10 @@ LATE = "The ego's driver 'sleepy' did not return within 1 s " + WHERE
         ("CatchesAll", LATE),
         ("ExitsPython", f"'sleepy' ended the simulation process (SystemExit: 3) {WHERE}."),
         ("ExitsProcess", "'sleepy' ended the simulation process (exit status 4, also when the simulation was loaded"),
+        (
+            "Raises",
+            "The ego 'stuck_drivers:Raises' failed in act at 6.5 s: ZeroDivisionError: no gap (stuck_drivers.py, line ",
+        ),
         ("Leaks", "The memory of an attempt, 500 MiB, was used up with the ego's driver 'sleepy' in its step 65, at"),
     ],
 )
@@ -33,6 +37,15 @@ def test_one_attempt_is_lost(program: Program, driver: str, sentence: str) -> No
     first, *rest = done.outcome["attempts"]
     assert first["ending"] == "crashed" and sentence in first["message"]
     assert len(rest) == 2 and all(attempt["ending"] != "crashed" for attempt in rest)
+
+
+@needs_fork
+def test_five_lost_attempts_are_enough(program: Program) -> None:
+    many = [word if word != "3" else "50" for word in RUN]
+    done = program.here(*many, "--ego", "stuck_drivers:AlwaysRaises")
+    assert done.status == 1 and done.outcome["ending"] == "simulation_failed"
+    assert [attempt["ending"] for attempt in done.outcome["attempts"]] == ["crashed"] * 5
+    assert "ZeroDivisionError: no gap" in done.err
 
 
 @needs_fork

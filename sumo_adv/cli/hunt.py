@@ -56,6 +56,8 @@ def hunt(
     """
     from sumo_adv.api_batch import hunt as hunted
 
+    if not as_json:
+        typer.echo(f"Hunting for {minutes:g} min; a line follows after each round of encounters.")
     chosen = opt.given(context.params, ("until", "min_delta_v", "intents", "exclude", "kind", "adversaries"))
     found = hunted(
         given, ego=ego, minutes=minutes, distinct=distinct, out=out or Path("runs") / "hunt", seed=seed, memory=memory,

@@ -49,19 +49,22 @@ def keep(
     runs = run_folders(given)
     if name is not None and len(runs) != 1:
         raise UsageError(f"--name is for one run, and {len(runs)} were given.")
-    kept, again, left = list[Path](), list[Path](), list[Path]()
+    kept, again, left = dict[Path, str](), list[Path](), list[Path]()
     for run in runs:
         if run not in given and level_of((read_outcome(run).get("outcome") or {}).get("level")) < level.level:
             left.append(run)
             continue
         folder, new = keep_run(run, suite, expect, name)
-        (kept if new else again).append(folder)
+        if new:
+            kept[folder] = run.name
+        else:
+            again.append(folder)
     if as_json:
-        names = {"kept": kept, "there_already": again, "left_out": left}
+        names = {"kept": list(kept), "there_already": again, "left_out": left}
         typer.echo(json.dumps({"suite": str(suite)} | {key: [str(p) for p in value] for key, value in names.items()}))
         return
-    for folder in kept:
-        typer.echo(f"Kept {folder}")
+    for folder, run_name in kept.items():
+        typer.echo(f"Kept {folder} from {run_name}")
     more = [f"{len(again)} there already"] if again else []
     more += [f"{len(left)} left out (below {level})"] if left else []
     typer.echo(f"{len(kept)} case{'s' * (len(kept) != 1)} into {suite}{''.join(', ' + each for each in more)}.")

@@ -270,7 +270,7 @@ def minimise(
     ego: Annotated[
         str | None, typer.Option(help="Needed if a class drove the run: the class again, module:Class.")
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder to write (default: RUN-mildest).")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder to write (default: runs/RUN-mildest).")] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace another run's folder.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
 ) -> None:
@@ -293,7 +293,7 @@ def minimise(
     if level.level < Until.COLLISION.level:
         raise UsageError("Minimise keeps a collision: choose --until collision, valid, strict or serious.")
     settings = recorded.settings.model_copy(update={"until": level, "attempts": attempts, "learn": "off"})
-    target = out or run.with_name(f"{run.resolve().name}-mildest")
+    target = out or Path("runs") / f"{run.resolve().name}-mildest"
     reporter = RunProgress(quiet=as_json)
     with staged(target, force=force) as folder:
         with reporter:

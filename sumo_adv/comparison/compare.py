@@ -279,10 +279,14 @@ def _badness(e: Compared) -> float:
 
 
 def _figures(pairs: Sequence[tuple[Compared, Compared]], budget: int) -> list[Figure]:
+    """Rates are of all pairs: an encounter without an attack counts as not hit. It has no min TTC and no delta-v of an
+    attack, so means are of the pairs in which both or neither were attacked."""
+    alike = [(a, b) for a, b in pairs if a.attacked == b.attacked and not (a.failed or b.failed)] or pairs
+
     def figure(name: str, unit: str, of: Callable[[Compared], float]) -> Figure:
-        first, second = ([float(of(e)) for e in side] for side in zip(*pairs, strict=True))
         rate = unit == "rate"
-        difference = paired(second, first, rate=rate) if len(pairs) >= LEAST else None
+        first, second = ([float(of(e)) for e in side] for side in zip(*(pairs if rate else alike), strict=True))
+        difference = paired(second, first, rate=rate) if len(first) >= LEAST else None
         of_first, of_second = (wilson(int(sum(v)), len(v)) if rate else bootstrap(v) for v in (first, second))
         return Figure(name, unit, of_first, of_second, difference)
 

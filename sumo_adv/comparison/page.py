@@ -81,6 +81,8 @@ def notes(done: Comparison) -> list[str]:
     for label, (a, b) in (("only on one side", done.alone), ("failed", failed), ("without an attack", missed)):
         if a or b:
             sentences.append(f"{label[0].upper()}{label[1:]}: {a} of {done.names[0]}, {b} of {done.names[1]}.")
+    if any(failed) or any(missed):
+        sentences.append("These count as not hit in the rates, so read them first; the means are without them.")
     return sentences
 
 

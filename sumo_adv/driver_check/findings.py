@@ -45,7 +45,8 @@ MEANING: Mapping[Kind, str] = {
     Kind.COLLIDES: "Nothing attacked it, so each of these collisions would be counted as found by the attack; check "
     "sizes (x, y is the centre of the box), which vehicles it is given, and its braking.",
     Kind.LEAVES_ROAD: "It does not follow its path; check the frame (headings in rad, counter-clockwise from +x), the "
-    "reference point (the centre of the box), and the sign of the steering (left positive).",
+    "reference point (the centre of the box), and the steering (rad, left positive). In a turn alone: it is too fast, "
+    "or looks too far ahead and cuts the corner.",
     Kind.LEAVES_LANE: "Its centre is on no lane that leads its way, so it drives against the traffic or across it; "
     "check the sign of its lateral offsets (left positive) and which lanes it is told.",
     Kind.LINE: "It passes a line at which a light or a right of way has it wait; stop there while "
@@ -124,7 +125,8 @@ def _outside(drive: UnattackedDrive, steps: int) -> list[Finding]:
     for kind, far in ((Kind.LEAVES_ROAD, drive.off_road.max(axis=1)), (Kind.LEAVES_LANE, drive.off_lane)):
         first, length = longest(far[:steps] > OUTSIDE)
         if length > needed:
-            most = float(far[:steps][np.isfinite(far[:steps])].max())
+            then = far[first : min(first + length, steps)]
+            most = float(then[np.isfinite(then)].max(initial=OUTSIDE))
             subject = "a corner is" if kind is Kind.LEAVES_ROAD else "its centre is"
             return [Finding(kind, float(time[first]), f"{subject} up to {most:.1f} m outside")]
     return []

@@ -27,13 +27,15 @@ from pathlib import Path
 from traceback import extract_tb
 from typing import Any, TypeVar
 
+import numpy as np
+
 from sumo_adv.datatypes import DriverModel
 from sumo_adv.drivers.blind import BlindEgo
 from sumo_adv.drivers.careful import CarefulEgo
 from sumo_adv.drivers.lattice_ego import LatticeEgo
 from sumo_adv.drivers.protocol import Action, EgoController, LaneSpeed, Observation, Pose, Steer, model_of, read_wishes
 from sumo_adv.drivers.sumo_driven import MODELS, ReplayEgo, SumoEgo, sumo_type
-from sumo_adv.errors import SimulationError, UsageError, nearest, ran_out_of_memory
+from sumo_adv.errors import DriverError, SimulationError, UsageError, nearest, ran_out_of_memory
 
 T = TypeVar("T")
 METHODS = {"reset": "reset(seed)", "act": "act(observation)"}  # of a driver
@@ -53,24 +55,30 @@ class UserEgo:
         self.sumo_type: Mapping[str, str] = sumo_type("idm", {}) if attributes is None else dict(attributes)
 
     def reset(self, seed: int) -> None:
-        """Raises SimulationError if the user's code fails."""
+        """Raises DriverError if the user's code fails."""
         self._call("failed in reset", lambda: self._driver.reset(seed))
 
     def act(self, observation: Observation) -> Action:
-        """Raises SimulationError if the user's code fails, or returns something other than a valid action."""
+        """Raises DriverError if the user's code fails, or returns something other than a valid action."""
+        at = f"at {observation.time:.1f} s"
         action = self._call(f"failed in act at {observation.time:.1f} s", lambda: self._driver.act(observation))
         if action is None:
             return None
         if not isinstance(action, Steer | LaneSpeed | Pose):
-            raise SimulationError(
+            raise DriverError(
                 f"The ego {self._spec!r} returned {type(action).__name__}; "
                 "act must return Steer, LaneSpeed, Pose or None."
             )
+        if not all(value is None or type(value) in (int, float) for value in astuple(action)):
+            action = type(action)(*map(_plain, astuple(action)))
         for value in astuple(action):
             if value is None and isinstance(action, LaneSpeed):
                 continue
-            if not isinstance(value, int | float) or not math.isfinite(value):
-                raise SimulationError(f"The ego {self._spec!r} returned {action!r}; its numbers must be finite.")
+            if not isinstance(value, int | float):
+                wrong = f"a number of it is of the type {type(value).__name__}: say float(...)"
+                raise DriverError(f"The ego {self._spec!r} returned {action!r} {at}; {wrong}.")
+            if not math.isfinite(value):
+                raise DriverError(f"The ego {self._spec!r} returned {action!r} {at}; its numbers must be finite.")
         return action
 
     def model_of(self, numbers: DriverModel) -> DriverModel:
@@ -86,7 +94,12 @@ class UserEgo:
         except Exception as error:  # user code
             if ran_out_of_memory(error):
                 raise
-            raise SimulationError(f"The ego {self._spec!r} {failure}: {in_one_line(error)}{_place(error)}.") from error
+            raise DriverError(f"The ego {self._spec!r} {failure}: {in_one_line(error)}{_place(error)}.") from error
+
+
+def _plain(value: Any) -> Any:
+    """A number of numpy as one of Python."""
+    return value.item() if isinstance(value, np.generic | np.ndarray) and np.ndim(value) == 0 else value
 
 
 def _place(error: Exception) -> str:
@@ -109,6 +122,8 @@ def find_class(kind: str, spec: str) -> type:
     module_name, _, class_name = spec.partition(":")
     if not module_name or not class_name:
         raise UsageError(f"The {kind} {spec!r} is not of the form 'module:Class'.")
+    if module_name.endswith(".py"):
+        raise UsageError(f"The {kind} {spec!r} names a file; name its module: {module_name[:-3]}:{class_name}.")
     if _in_standard_library(module_name):
         raise _not_yours(kind, spec)
     here = str(Path.cwd())
@@ -123,7 +138,9 @@ def find_class(kind: str, spec: str) -> type:
         ) from error
     user_class = getattr(module, class_name, None)
     if not isinstance(user_class, type):
-        raise UsageError(f"The module {module_name!r} has no class {class_name!r} for the {kind} {spec!r}.")
+        own = [name for name, each in vars(module).items() if isinstance(each, type) and each.__module__ == module_name]
+        has = f"; it has {', '.join(own[:10])}" if own else ""
+        raise UsageError(f"The module {module_name!r} has no class {class_name!r} for the {kind} {spec!r}{has}.")
     if _in_standard_library(user_class.__module__):  # the user's module may have imported it
         raise _not_yours(kind, spec)
     return user_class

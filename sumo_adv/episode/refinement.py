@@ -27,6 +27,7 @@ GENERATION = 8  # attempts that are chosen at a time: fixed, so that results do 
 ALONE = 2 * GENERATION  # attempts before which fewer are made at a time: most searches end early
 HOPEFUL = 120  # attempts without a higher level after which an encounter is left, if another one may come;
 HOPELESS = 40  # the same number where no attempt has been critical
+BROKEN = 5  # attempts after which a run ends if the ego's driver or SUMO broke in all of them
 REMEMBERED, KEPT = 25, 10  # the first and the best attempts keep their recorded states
 FAVOURITES = 2  # intents that are tried first where a model's answers disagree
 Optimizer = AttackSearch | FixedOrder
@@ -109,11 +110,13 @@ class Refiner:
                 break
             if self._try(plans, found, began):
                 break
+            if len(found.attempts) >= BROKEN and _all(found, "crashed"):
+                break
             self._observe(optimizer, found, plans)
             self._forget(found)
-        if found.attempts and all(a.ending == "planner_failed" for a in found.attempts):
+        if _all(found, "planner_failed"):
             found.ending, found.reason = Ending.PLANNER_FAILED, found.attempts[-1].message
-        if found.attempts and all(a.ending == "crashed" for a in found.attempts):
+        if _all(found, "crashed"):
             found.ending, found.reason = Ending.SIMULATION_FAILED, found.attempts[-1].message
         settle_best(found, self._runner)
         self._measure_robustness(found, began)
@@ -237,6 +240,10 @@ class Refiner:
 def _fitted(found: Refinement, attempt: Attempt, result: AttemptResult, *, read: bool = True) -> Attempt:
     """The attempt, compared with the request if there is one."""
     return attempt if found.fitting is None else found.fitting.judged(attempt, result, found.goal, read=read)
+
+
+def _all(found: Refinement, ending: str) -> bool:
+    return bool(found.attempts) and all(a.ending == ending for a in found.attempts)
 
 
 def _in_vain(found: Refinement) -> int:

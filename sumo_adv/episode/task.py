@@ -84,6 +84,11 @@ class FoundEncounter:
         """The situation of the least delay."""
         return self.situations[min(self.situations)]
 
+    def half_lane(self, start: float) -> float:
+        """Half the width of the ego's lane [m] when an attack begins that takes over at ``start`` [s]."""
+        delay = max((d for d in self.situations if self.time + d <= start + 1e-6), default=min(self.situations))
+        return self.situations[delay].road.lane_width / 2
+
 
 @dataclass(frozen=True, slots=True)
 class NoEncounter:

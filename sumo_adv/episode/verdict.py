@@ -49,7 +49,7 @@ def gate_verdict(
     case = make_case(drive.tracks(*bvs, start=first), drive.ego, bvs, start, driven.beyond, logged)
     if case is None:
         return None
-    half = found.first.road.lane_width / 2
+    half = found.half_lane(start)
     verdict = judge(
         case.ego, case.adversary, case.others, trigger_time=start, ttc_threshold=settings.critical_ttc,
         limits=settings.limits.of(case.adversary), on_road=found.drivable, lane_half_width=half,

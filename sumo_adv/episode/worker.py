@@ -213,7 +213,7 @@ class Worker:
         kinematic = None if verdict is None else verdict.preventability
         if case is None or contact is None or kinematic is None:
             return {}
-        half = self._encounter.first.road.lane_width / 2
+        half = self._encounter.half_lane(result.start)
         order = order_of(
             proposal, result, case, contact, half, self._encounter.drivable, unattacked(self._encounter, self._settings)
         )  # fmt: skip

@@ -77,7 +77,7 @@ def judge_best(episode: Episode) -> Judged | None:
         return Judged(None, None, (), {}, ())
     recorded = {t.id: t for t in tracks}
     rows = series_rows(case.ego.between(result.start, np.inf), tracks, bv)
-    lane_half = encounter.first.road.lane_width / 2
+    lane_half = encounter.half_lane(result.start)
     full = full_judge(
         case.ego, case.adversary, case.others, trigger_time=result.start, ttc_threshold=episode.settings.critical_ttc,
         limits=episode.settings.limits.of(case.adversary), on_road=encounter.drivable, lane_half_width=lane_half,
