@@ -15,7 +15,7 @@ from cli_samples import ROOT, Program
 from sumo_adv import app
 from sumo_adv.config import load_settings
 from sumo_adv.datatypes import Role, Track, VehicleState
-from sumo_adv.driver_check import Checked, Kind, named, twelve
+from sumo_adv.driver_check import Checked, Kind, by_name, named, twelve
 from sumo_adv.driver_check.drive import PassedLine, UnattackedDrive
 from sumo_adv.driver_check.findings import apart, judge, longest
 from sumo_adv.drivers import Pose
@@ -159,6 +159,12 @@ def test_a_wrong_driver_is_caught(driver: str, scenario: tuple[str, str], second
 def test_a_front_bumper_for_the_centre_is_named() -> None:
     (done,) = checked("wrong_drivers:FrontBumper", STOP_AND_GO, seconds=2.0)
     assert "is that its front bumper?" in next(f.words for f in done.findings if f.kind is Kind.JUMPS)
+
+
+def test_a_scenario_of_the_table_is_found_by_its_name() -> None:
+    found = by_name("stop_and_go:ego")
+    assert found is not None and (found.name, found.ego) == ("stop_and_go:ego", "ego")
+    assert by_name("stop_and_go") is None and by_name("stop_and_go:nobody") is None
 
 
 def test_there_are_twelve_scenarios() -> None:

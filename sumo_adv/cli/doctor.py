@@ -32,7 +32,10 @@ def doctor(
         str | None, typer.Option(help="Check this driver instead: drive it unattacked through twelve scenarios.")
     ] = None,
     scenario: Annotated[
-        list[Path] | None, typer.Option(help="With --ego: drive it here, in place of the twelve (may be repeated).")
+        list[Path] | None,
+        typer.Option(
+            help="With --ego: drive it here, a file or a name of the table, and not in the twelve; repeatable."
+        ),
     ] = None,
     settings_file: Annotated[Path | None, typer.Option("--settings", help="TOML file of settings.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
@@ -113,9 +116,10 @@ WIDTH = 40  # columns for a scenario's name
 def check_ego(ego: str, scenarios: Sequence[Path], settings_file: Path | None, *, as_json: bool) -> None:
     """Check a driver and print what was found. Raises typer.Exit if there is a finding."""
     from sumo_adv import app
+    from sumo_adv.driver_check import by_name
 
     settings = load_settings(settings_file, ego=ego)
-    inputs = [app.load(source, None) for source in scenarios] or None
+    inputs = [by_name(str(source)) or app.load(source, None) for source in scenarios] or None
     if not as_json:
         typer.echo(f"{'scenario':<{WIDTH}} {'time':>6} {'ego':>7} {'idm':>7}  findings")
     done = app.check_driver(inputs, settings, (lambda checked: None) if as_json else _tell)

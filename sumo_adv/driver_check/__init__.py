@@ -3,7 +3,7 @@
 ``check_driver`` drives it through scenarios and returns what it found; ``sumo-adv doctor --ego NAME`` prints that.
 """
 
-from sumo_adv.driver_check.check import Checked, DriverCheck, check_driver, named, twelve
+from sumo_adv.driver_check.check import Checked, DriverCheck, by_name, check_driver, named, twelve
 from sumo_adv.driver_check.findings import MEANING, Finding, Kind
 
-__all__ = ["MEANING", "Checked", "DriverCheck", "Finding", "Kind", "check_driver", "named", "twelve"]
+__all__ = ["MEANING", "Checked", "DriverCheck", "Finding", "Kind", "by_name", "check_driver", "named", "twelve"]

@@ -50,6 +50,12 @@ def named(scenario: str, vehicle: str) -> RunInput:
     return replace(given, name=f"{given.name}:{vehicle}", ego=vehicle)
 
 
+def by_name(name: str) -> RunInput | None:
+    """One of the twelve by its name in the table, ``scenario:vehicle``; None if there is none."""
+    found = (named(scenario, vehicle) for scenario, vehicle in TWELVE if name == f"{Path(scenario).name}:{vehicle}")
+    return next(found, None)
+
+
 @dataclass(frozen=True, slots=True)
 class Checked:
     """One scenario: how long [s] and how far [m] the driver and SUMO's IDM drove, and what was found."""
