@@ -339,7 +339,7 @@ def modifier_prompt(
     shown = reports[:MAX_ATTEMPTS]
     return prompts.render(
         "modifier", rules=planner_rules(prompts, limits), until=str(settings.until), ttc=f"{settings.critical_ttc:g}",
-        label=sanitize(planner.label), description=sanitize(scene.entry.description), mode=sanitize(planner.mode),
+        label=sanitize(scene.entry.label), description=sanitize(scene.entry.description), mode=sanitize(planner.mode),
         source=planner.source, scene=scene.scene, duration=f"{settings.duration:g}", starts=scene.starts,
         feedback="\n".join(report_words(r) for r in shown), earlier=_others_tried(shown, scene),
         others="\n".join(others), danger=danger_words(prompts),
