@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 import tomllib
+from pathlib import Path
 
 import pytest
 from cli_samples import ROOT, Program
@@ -49,3 +50,9 @@ def test_every_table_has_its_place_and_known_columns(table: dict[str, object]) -
     for mark in ("results", "end"):
         assert PAGE.count(f"<!-- {mark}: {table['name']} -->") == 1
     assert set(table["columns"]) <= {column.key for column in COLUMNS}
+
+
+def test_recorded_rows_have_the_answers_of_each_encounter() -> None:
+    (table,) = (table for table in TABLES if table["name"] == "model")
+    recorded = {file.stem for file in (ROOT / "examples" / "recorded_model").glob("*.jsonl")}
+    assert {Path(file).stem for file in table["suite"]} == recorded
