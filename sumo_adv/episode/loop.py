@@ -113,11 +113,10 @@ def decide(
         return None
     if planned.search:
         return entries
-    near = ", ".join(f"{name} ({relation})" for name, relation, _ in episode.found.ranking) if episode.found else "none"
-    episode.ending, episode.reason = (
-        Ending.NO_ENCOUNTER,
-        f"No intent of the library applies to any vehicle near: {near}.",
-    )
+    ranking = () if episode.found is None else episode.found.ranking
+    near = ", ".join(f"{name} ({relation})" for name, relation, _ in ranking)
+    reason = "No intent of the library applies to any vehicle near"
+    episode.ending, episode.reason = Ending.NO_ENCOUNTER, f"{reason}: {near}." if near else f"{reason}."
     return None
 
 
