@@ -30,6 +30,7 @@ from sumo_adv.situation import fastest_of
 
 # -- dangerous without an attack ------------------------------------------------------------------------------------
 
+ENDANGERS = "could endanger the ego"  # ends the reason where no vehicle near could
 LEAST = 2.0  # s from the trigger until which the ego must stay in the network
 REACH = 30.0  # m between centres
 NAMED, NAMED_WITHIN = 4, 200.0  # vehicles that a reason names at most, and how near they are [m]
@@ -187,7 +188,7 @@ def build_encounter(
         passed_over: reasons why earlier encounters were passed over.
         delay: the only delay after the trigger [s] at which an attack may begin; None = those of ``delays``.
     """
-    nobody = f"no {vehicles_of(settings.kind)} near could endanger the ego"
+    nobody = f"no {vehicles_of(settings.kind)} near {ENDANGERS}"
     nobody += " within the ODD" if settings.odd is not None else ""
     if drive.ego is None or not (ranking or drive.recorded()):
         return nobody

@@ -23,7 +23,7 @@ from sumo_adv.datatypes import Ending, Proposal, Track
 from sumo_adv.drivers import make_ego
 from sumo_adv.episode.attempt import Driven, PrescribedAdversary, attack, controller_of
 from sumo_adv.episode.drive import Drive, ego_type_file
-from sumo_adv.episode.encounter_builder import LEAST, UnattackedMotion, build_encounter, nearest_ones
+from sumo_adv.episode.encounter_builder import ENDANGERS, LEAST, UnattackedMotion, build_encounter, nearest_ones
 from sumo_adv.episode.encounter_detector import LOOK_EVERY, RankedVehicle
 from sumo_adv.episode.encounter_search import EncounterSearch
 from sumo_adv.episode.task import AttemptResult, FoundEncounter, NoEncounter, Prefix, Task
@@ -172,8 +172,8 @@ class Worker:
             if self._search.nearly_over():  # it was looked at as a whole
                 return NoEncounter(Ending.NO_ENCOUNTER, f"In the rest of the recording {why}. Try another --ego-id.")
             if self._task.trigger is not None:
-                reason = f"At the trigger given, {self._task.trigger:g} s, {why}{nearest_ones(self._drive)}."
-                return NoEncounter(Ending.NO_ENCOUNTER, reason)
+                near = nearest_ones(self._drive) if why.endswith(ENDANGERS) else ""
+                return NoEncounter(Ending.NO_ENCOUNTER, f"At the trigger given, {self._task.trigger:g} s, {why}{near}.")
             self._cool_down()
 
     def _cool_down(self) -> None:
