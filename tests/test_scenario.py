@@ -136,6 +136,7 @@ def test_an_unknown_key_is_refused_by_name_with_the_known_ones(
         ('network = "x.net.xml"\n', "lacks the key 'schema'"),
         ("schema = 1\n", "lacks the key 'network'"),
         ('schema = 2\nnetwork = "x"\n', "schema = 2"),
+        ('schema = 1\nnetwork = "' + "x" * 5000 + '"\n', "bad 'network': the name of the file is too long"),
         (MINIMAL + '[ego]\nid = "a"\nroute = ["b"]\ndepart = 1\n', "either id or route"),
         (MINIMAL + '[ego]\nroute = ["b"]\n', "needs a depart time"),
         (MINIMAL + "[ego]\ndepart = 1\n", "depart needs a route"),

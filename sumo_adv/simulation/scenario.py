@@ -22,10 +22,13 @@ from sumo_adv.parsing import read_toml
 
 SCHEMA = 1
 DEFAULT_WARM_UP = 3.0  # s after the ego's insertion
+LONGEST_PART, LONGEST_PATH = 200, 2000  # characters of a file's name and path: systems refuse to look for longer ones
 
 
 def _from_scenario_folder(path: Path, info: ValidationInfo) -> Path:
     """``path`` counted from the scenario's folder, which the validation context carries; absolute paths stay."""
+    if any(len(part) > LONGEST_PART for part in path.parts) or len(str(path)) > LONGEST_PATH:
+        raise ValueError("the name of the file is too long")
     return Path(info.context["folder"], path) if info.context else path
 
 
