@@ -61,12 +61,12 @@ class Attacked:
     tracks: dict[str, Track]
 
 
-def both_ways(name: str, folder: Path) -> tuple[Attacked, Attacked]:
+def both_ways(name: str, folder: Path, attempts: int = 6) -> tuple[Attacked, Attacked]:
     """The best attack of a shipped scenario, and the same proposal in the mirrored network with the same demand."""
     run = sumo_adv.run(
         name,
         until="serious",
-        attempts=6,
+        attempts=attempts,
         learn="off",
         memory=folder / "bank.sqlite",
         out=folder / "run",
