@@ -281,7 +281,7 @@ def _badness(e: Compared) -> float:
 def _figures(pairs: Sequence[tuple[Compared, Compared]], budget: int) -> list[Figure]:
     """Rates are of all pairs: an encounter without an attack counts as not hit. It has no min TTC and no delta-v of an
     attack, so means are of the pairs in which both or neither were attacked."""
-    alike = [(a, b) for a, b in pairs if a.attacked == b.attacked and not (a.failed or b.failed)] or pairs
+    alike = [(a, b) for a, b in pairs if a.attacked == b.attacked and not (a.failed or b.failed)]
 
     def figure(name: str, unit: str, of: Callable[[Compared], float]) -> Figure:
         rate = unit == "rate"
@@ -295,6 +295,8 @@ def _figures(pairs: Sequence[tuple[Compared, Compared]], budget: int) -> list[Fi
         figures.append(figure("case fails", "rate", lambda e: e.result == Result.FAIL))
     for level in (Level.COLLISION, Level.VALID, Level.STRICT, Level.SERIOUS):
         figures.append(figure(str(level), "rate", lambda e, least=level: e.level >= least))  # type: ignore[misc]
+    if not alike:
+        return figures
     figures.append(figure("delta-v, 0 without a collision", "m/s", lambda e: e.delta_v))
     figures.append(figure("min TTC, at most 10", "s", lambda e: e.min_ttc))
     if budget > 1:

@@ -82,7 +82,9 @@ def notes(done: Comparison) -> list[str]:
         if a or b:
             sentences.append(f"{label[0].upper()}{label[1:]}: {a} of {done.names[0]}, {b} of {done.names[1]}.")
     if any(failed) or any(missed):
-        sentences.append("These count as not hit in the rates, so read them first; the means are without them.")
+        sentences.append(
+            "In the rates these count as not hit. Means leave out encounters that failed, or in which one side alone was attacked."
+        )
     return sentences
 
 

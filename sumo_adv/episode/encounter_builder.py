@@ -21,6 +21,7 @@ from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.encounter_detector import RankedVehicle, place_of, vehicles_of
 from sumo_adv.episode.situation_builder import MOST_SHIFT, build_situations, recorded_situations, trigger_state
 from sumo_adv.episode.task import FoundEncounter
+from sumo_adv.geometry import Frame
 from sumo_adv.metrics.boxes import first_contact, on_grid, overlaps
 from sumo_adv.metrics.case import closest
 from sumo_adv.metrics.criticality import ttc
@@ -230,15 +231,14 @@ def build_encounter(
 
 
 def nearest_ones(drive: Drive) -> str:
-    """Where the nearest vehicles are, front from the ego's front, for a reason why nobody attacks; empty if there are
-    none."""
+    """Where the nearest vehicles are, front from the ego's front, for the reason why no vehicle attacks; empty without
+    any."""
     if drive.ego is None or drive.ego not in drive.snapshot.raw:
         return ""
     x, y, angle = drive.snapshot.raw[drive.ego][:3]
-    cos, sin = math.cos(heading_of(angle)), math.sin(heading_of(angle))
-    places = []
-    for name, (ox, oy, _, speed, *_) in drive.snapshot.raw.items():
-        ahead, left = (ox - x) * cos + (oy - y) * sin, (oy - y) * cos - (ox - x) * sin
+    ego, places = Frame(x, y, heading_of(angle)), []
+    for name, (other_x, other_y, angle, speed, *_) in drive.snapshot.raw.items():
+        ahead, left, _ = ego.to_local(other_x, other_y, heading_of(angle))
         if name != drive.ego and math.hypot(ahead, left) < NAMED_WITHIN:
             side = "" if abs(left) < 1.0 else f" and {abs(left):.0f} m to the {'left' if left > 0 else 'right'}"
             place = f"{name} {abs(ahead):.0f} m {'ahead' if ahead >= 0 else 'behind'}{side}, at {speed:.0f} m/s"

@@ -25,7 +25,7 @@ TURN = math.radians(45)  # change of its own heading that is a turn
 BEND = math.radians(30)  # of the ego's heading: it turns
 ONCOMING = math.radians(120)  # heading against the ego's path from which a vehicle comes towards it
 CHANGE = 2.0  # m/s that are lost or gained
-OVER = 0.5  # s over which braking is averaged
+AVERAGED = 0.5  # s over which braking is averaged
 STANDING = 0.5  # m/s
 BESIDE = 4.5  # m: offset of a vehicle beside the ego at most
 AFTER = 3.0  # s after the nearest approach that still count where nothing is hit
@@ -339,8 +339,8 @@ def misfits(asked: Asked, motion: Motion) -> tuple[str, ...]:
 
 
 def _hardest(motion: Motion) -> float:
-    """The hardest braking of the adversary, averaged over ``OVER`` s [m/s2]."""
-    late = np.searchsorted(motion.time, motion.time + OVER - 1e-6)
+    """The hardest braking of the adversary, averaged over ``AVERAGED`` s [m/s2]."""
+    late = np.searchsorted(motion.time, motion.time + AVERAGED - 1e-6)
     k = np.flatnonzero(late < len(motion.time))
     lost = motion.speed[k] - motion.speed[late[k]]
     return float((lost / (motion.time[late[k]] - motion.time[k])).max(initial=0.0))
