@@ -82,9 +82,8 @@ def notes(done: Comparison) -> list[str]:
         if a or b:
             sentences.append(f"{label[0].upper()}{label[1:]}: {a} of {done.names[0]}, {b} of {done.names[1]}.")
     if any(failed) or any(missed):
-        sentences.append(
-            "In the rates these count as not hit. Means leave out encounters that failed, or in which one side alone was attacked."
-        )
+        sentences.append("In the rates these count as not hit.")
+        sentences.append("Means leave out encounters that failed, or in which one side alone was attacked.")
     return sentences
 
 
