@@ -62,7 +62,7 @@ class Run:
 def main() -> int:
     """Everything, as a table on stdout; the status."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folder", type=Path, help="records and their manifest.csv")
+    parser.add_argument("folder", type=Path, nargs="?", help="records and their manifest.csv")
     parser.add_argument("--out", type=Path, default=Path("womd_runs"), help="conversions and runs are kept here")
     parser.add_argument("--only", nargs="*", help="ids of records [default: all of the suites]")
     parser.add_argument("--egos", nargs="*", default=EGOS)
@@ -70,6 +70,9 @@ def main() -> int:
     parser.add_argument("--attempts", type=int, help="budget of a run [default: run's own]")
     parser.add_argument("--jobs", type=int, default=1)
     given = parser.parse_args()
+    if given.folder is None:
+        print("no folder of Waymo records given: nothing to do")
+        return 0
     with (given.folder / "manifest.csv").open(newline="") as file:
         rows = [r for r in csv.DictReader(file) if r["suite"] in SUITES and (not given.only or r["id"] in given.only)]
     records = {r["id"]: r["suite"] for r in rows}

@@ -195,7 +195,8 @@ def _safe_step(at: Floats, motion: list[Floats]) -> tuple[Bools, Floats]:
     for distance, rate in zip(sat(dx, dy, ca, sa, cb, sb, (la, wa), (lb, wb)), rates, strict=True):
         positive = distance > TOUCH
         apart |= positive
-        step = np.where(rate > 0, distance / np.where(rate > 0, rate, 1.0), np.inf)
+        with np.errstate(over="ignore"):  # by a rate of next to nothing: inf, as it should be
+            step = np.where(rate > 0, distance / np.where(rate > 0, rate, 1.0), np.inf)
         safe = np.where(positive, np.maximum(safe, step), safe)
     return apart, safe
 

@@ -82,7 +82,7 @@ class Status:
         self._lock = threading.Lock()
         self._began = time.time()
         self._now: dict[str, Any] = {
-            "health": "starting", "time": None, "client": "away", "ego": None, "owners": None, "encounter": None,
+            "health": "starting", "client": "away", "ego": None, "owners": None, "encounter": None,
             "simulations": 0, "dropped": 0, "passed_over": 0, "refused": 0, "encounters": 0, "critical": 0,
             "collisions": 0,
         }  # fmt: skip
@@ -90,8 +90,6 @@ class Status:
 
     def __call__(self, event: Event) -> None:
         with self._lock:
-            if event.get("time") is not None:
-                self._now["time"] = event["time"]
             handler = getattr(self, f"_on_{event['event']}", None)
             if handler is not None:
                 handler(event)

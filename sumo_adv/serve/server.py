@@ -62,6 +62,7 @@ class Server:
         self._task = parts.task_for(0)
         self._settings = self._task.settings
         self._session: Session | None = None
+        self._ended_at: float | None = None  # s; of the last simulation
         self._number = 0  # of the encounter at hand, from 1
         self._fruitless = 0
         self.reason = ""
@@ -72,9 +73,9 @@ class Server:
 
     @property
     def time(self) -> float | None:
-        """Simulated time [s]; None while nothing runs. Any thread may ask."""
+        """Simulated time [s], between two simulations the last one's; None before the first. Any thread may ask."""
         session = self._session
-        return None if session is None else session.now
+        return self._ended_at if session is None else session.now
 
     def run(self) -> Ending | None:
         """Serve. An Ending where something failed (``reason`` says what), else None."""
@@ -178,6 +179,7 @@ class Server:
 
     def _end_session(self, *, clean: bool) -> None:
         if self._session is not None:
+            self._ended_at = self._session.now
             session, self._session = self._session, None
             session.close(clean=clean)
 
