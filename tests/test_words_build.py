@@ -81,6 +81,16 @@ def test_a_crossing_vehicle_arrives_when_the_draft_says(tmp_path: Path) -> None:
     assert file["window"]["trigger"] == pytest.approx(4.0, abs=0.2)  # 5 s before the ego is there, after 9 s
 
 
+def test_who_is_placed_close_behind_starts_there_and_stays_close(tmp_path: Path) -> None:
+    """A front 14 m behind the ego's, at 24.4 m/s: 9.2 m to the ego's back, of which SUMO keeps 2.5 m, so 0.27 s."""
+    road, ego = {"kind": "straight", "lanes": 1}, {"route": ["forward", "forward"], "speed": 88}
+    lorry = other(("forward", "forward"), type="truck", gap=-14) | {"speed": 88}
+    build(scene(road | {"speed_limit": 100, "length": 900}, ego, lorry), tmp_path / "my.toml", WRITTEN)
+    demand = ElementTree.parse(tmp_path / "my.rou.xml").getroot()
+    assert {t.get("id"): t.get("tau") for t in demand.iter("vType")} == {"type_ego": "1", "type_other": "0.27"}
+    assert {v.get("insertionChecks") for v in demand.iter("vehicle")} == {"none"}
+
+
 def test_a_vehicle_from_a_ramp_is_beside_the_ego_where_its_lane_begins(tmp_path: Path) -> None:
     """Both drive 20 m/s and have the same way left to the edge on which their lanes lie side by side; the attack may
     begin 5 s before they are there, so on the ramp."""

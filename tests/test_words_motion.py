@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -50,6 +52,16 @@ def test_a_cut_in_comes_from_the_left_and_brakes_after_it() -> None:
     assert happened == {Event.ENTERS_FROM_LEFT: 3.6, Event.BRAKES: 5.0}  # 3.6 - 1.2 * 1.6 = 1.68 < 0.9 + 0.9
     asked = Asked(events=(Event.ENTERS_FROM_LEFT, Event.BRAKES), relation=Relation.NEIGHBOUR)
     assert misfits(asked, seen(cut_in())) == ()
+
+
+def test_who_turns_into_the_way_comes_across_and_then_enters() -> None:
+    """Northward at x = 30 m from y = -10 m with 5 m/s, and from 2 s on eastward."""
+    y = np.minimum(-10.0 + 5.0 * TIME, 0.0)
+    x = 30.0 + 5.0 * np.maximum(TIME - 2.0, 0.0)
+    turner = replace(track("turner", x, y, 0.0, 5.0, (4.8, 1.8)), heading=np.where(TIME < 2.0, np.pi / 2, 0.0))
+    assert events(seen(turner)) == {
+        Event.CROSSES_FROM_RIGHT: 1.4, Event.ENTERS_FROM_RIGHT: 2.0, Event.TURNS_RIGHT: 2.0,
+    }  # -10 + 5 * 1.4 = -3 > -2.4 - 0.9  # fmt: skip
 
 
 def test_the_order_counts() -> None:

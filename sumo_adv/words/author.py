@@ -119,7 +119,9 @@ class Author:
         self._words = words
         prompt = self._prompts.render(
             "write", networks=_networks(), given=_given(self._network),
-            intents="\n".join(f"  - {sanitize(e.label)}: {sanitize(e.description)}" for e in self._library),
+            intents="\n".join(
+                f"  - {sanitize(e.label)} ({' or '.join(e.applies).replace('_', ' ')}): {sanitize(e.description)}" for e in self._library
+            ),
             events="\n".join(f"  - {event}: {meaning}" for event, meaning in MEANINGS.items()),
             request=fenced(words),
         )  # fmt: skip

@@ -26,6 +26,8 @@ EARLIEST = 2.0  # s after the start at which it may begin
 FREE = 3.0  # s after the start at which an attack without a meeting may begin
 ROOM = 60.0  # m of road behind the ego where nothing else says where it starts
 APART = 4.0  # m at least between the fronts of vehicles in one lane, beside their length
+HEADWAY = (0.2, 1.0)  # s that a vehicle keeps to the one ahead: as it is placed, within these
+MIN_GAP = 2.5  # m, SUMO's minGap
 HORIZON = 10.0  # s
 LASTS = 40.0  # s of demand
 SIZES = {
@@ -178,14 +180,15 @@ def _demand(ego: EgoDraft, ego_drive: Drive, start: float, placed: list[Placed])
     rows = [("ego", ego.type, ego.speed, ego_drive, start, False)]
     rows += [(p.draft.id, p.draft.type, p.draft.speed, p.drive, p.position, p.draft.stands) for p in placed]
     types, vehicles = [], []
+    backs = [(drive.edges[0], drive.lane, position - SIZES[kind][0]) for _, kind, _, drive, position, _ in rows]
     for name, kind, kmh, drive, position, stands in sorted(rows, key=lambda row: -row[4]):
         length, width = SIZES[kind]
         speed = kmh / 3.6
         lanes = "" if len(drive.edges) > 1 else ' lcStrategic="-1" lcCooperative="0"'  # it keeps its lane by itself
         types.append(
-            f'    <vType id="type_{name}" vClass="{_vclass(kind)}" carFollowModel="Krauss" sigma="0" tau="1" '
-            f'speedDev="0" maxSpeed="{max(speed, 3.0):.2f}" length="{length:g}" width="{width:g}" lcKeepRight="0" '
-            f'lcSpeedGain="0"{lanes}/>\n'
+            f'    <vType id="type_{name}" vClass="{_vclass(kind)}" carFollowModel="Krauss" sigma="0" '
+            f'tau="{_headway(backs, drive, position, speed):.2g}" speedDev="0" maxSpeed="{max(speed, 3.0):.2f}" '
+            f'length="{length:g}" width="{width:g}" lcKeepRight="0" lcSpeedGain="0"{lanes}/>\n'
         )
         stop = ""
         if stands:
@@ -193,10 +196,17 @@ def _demand(ego: EgoDraft, ego_drive: Drive, start: float, placed: list[Placed])
             stop = f'        <stop lane={quoteattr(lane)} endPos="{position:.2f}" duration="{LASTS:g}"/>\n'
         vehicles.append(
             f'    <vehicle id="{name}" type="type_{name}" depart="0" departLane="{drive.lane}" '
-            f'departPos="{position:.2f}" departSpeed="{0.0 if stands else speed:.2f}">\n'
+            f'departPos="{position:.2f}" departSpeed="{0.0 if stands else speed:.2f}" insertionChecks="none">\n'
             f"        <route edges={quoteattr(' '.join(drive.edges))}/>\n{stop}    </vehicle>\n"
         )
     return f'<?xml version="1.0" encoding="UTF-8"?>\n\n<routes>\n{"".join(types)}{"".join(vehicles)}</routes>\n'
+
+
+def _headway(backs: list[tuple[str, int, float]], drive: Drive, position: float, speed: float) -> float:
+    """The time [s] to the back of the next vehicle in its lane, so that who is placed close behind stays there."""
+    ahead = [b - position for edge, lane, b in backs if (edge, lane) == (drive.edges[0], drive.lane) and b > position]
+    least, most = HEADWAY
+    return min(max((min(ahead, default=math.inf) - MIN_GAP) / max(speed, 1.0), least), most)
 
 
 def _signals(states: dict[str, str]) -> str:

@@ -142,20 +142,26 @@ def _events(scene: Scene, t: Floats, ego: Track, bv: Track, a: _Along, b: _Along
 
 
 def _way_events(t: Floats, b: _Along, inside: Bools) -> list[tuple[float, Event]]:
-    """Into the ego's way and out of it. A vehicle that is in the way at first enters nothing."""
+    """Into the ego's way and out of it. A vehicle that is in the way at first enters nothing; one that comes across and
+    then, still in the way, turns the ego's way also enters."""
     found = []
+    left = across = False  # where it came from; whether it has come across and not yet turned
     for k in range(1, len(t)):
+        angle = abs(float(b.turn[k]))
         if inside[k] and not inside[k - 1]:
-            angle = abs(float(b.turn[k]))
             left = bool(b.d[k] > 0)
             if angle >= ONCOMING or (abs(float(b.turn[0])) >= ONCOMING and left):
                 found.append((float(t[k]), Event.COMES_OVER))
-            elif angle >= ACROSS:
+                continue
+            across = True
+            if angle >= ACROSS:
                 found.append((float(t[k]), Event.CROSSES_FROM_LEFT if left else Event.CROSSES_FROM_RIGHT))
-            else:
-                found.append((float(t[k]), Event.ENTERS_FROM_LEFT if left else Event.ENTERS_FROM_RIGHT))
         elif inside[k - 1] and not inside[k]:
+            across = False
             found.append((float(t[k]), Event.LEAVES))
+        if across and angle < ACROSS:
+            across = False
+            found.append((float(t[k]), Event.ENTERS_FROM_LEFT if left else Event.ENTERS_FROM_RIGHT))
     return found
 
 
