@@ -119,9 +119,7 @@ class Author:
         self._words = words
         prompt = self._prompts.render(
             "write", networks=_networks(), given=_given(self._network),
-            intents="\n".join(
-                f"  - {sanitize(e.label)} ({' or '.join(e.applies).replace('_', ' ')}): {sanitize(e.description)}" for e in self._library
-            ),
+            intents="\n".join(map(_intent, self._library)),
             events="\n".join(f"  - {event}: {meaning}" for event, meaning in MEANINGS.items()),
             request=fenced(words),
         )  # fmt: skip
@@ -195,6 +193,12 @@ def _what_happened(played: Played) -> str:
     lines.append(f"Its motion, from when the attack began (A is '{played.scene.attack.adversary}'):\n{asked['motion']}")
     lines.append("Change places, speeds, the road, intents or what is asked, whichever is the reason.")
     return "\n".join(lines)
+
+
+def _intent(entry: LibraryEntry) -> str:
+    """A line of the list: the label, the relations that it begins from, and the description."""
+    relations = " or ".join(entry.applies).replace("_", " ")
+    return f"  - {sanitize(entry.label)} ({relations}): {sanitize(entry.description)}"
 
 
 def _networks() -> str:
