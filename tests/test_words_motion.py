@@ -62,6 +62,10 @@ def test_who_turns_into_the_way_comes_across_and_then_enters() -> None:
     assert events(seen(turner)) == {
         Event.CROSSES_FROM_RIGHT: 1.4, Event.ENTERS_FROM_RIGHT: 2.0, Event.TURNS_RIGHT: 2.0,
     }  # -10 + 5 * 1.4 = -3 > -2.4 - 0.9  # fmt: skip
+    assert misfits(Asked(events=(Event.ENTERS_FROM_RIGHT,)), seen(turner)) == ()
+    assert misfits(Asked(events=(Event.CROSSES_FROM_RIGHT, Event.TURNS_RIGHT)), seen(turner)) == ()
+    (lack,) = misfits(Asked(events=(Event.CROSSES_FROM_RIGHT,)), seen(turner))  # straight on, or it would say so
+    assert lack == "It is not asked that it also 'turns_right', at 2.0 s."
 
 
 def test_the_order_counts() -> None:
