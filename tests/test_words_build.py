@@ -91,6 +91,14 @@ def test_who_is_placed_close_behind_starts_there_and_stays_close(tmp_path: Path)
     assert {v.get("insertionChecks") for v in demand.iter("vehicle")} == {"none"}
 
 
+def test_a_limit_of_which_the_prompt_has_the_round_number_is_kept(tmp_path: Path) -> None:
+    """70 km/h are 19.44 m/s, the limit is 19.4."""
+    road, ego = {"kind": "shipped", "name": "yield_merge"}, {"route": ["main", "onward"], "speed": 70}
+    build(scene(road, ego, other(("ramp", "onward"), arrives=0)), tmp_path / "my.toml", WRITTEN)
+    demand = ElementTree.parse(tmp_path / "my.rou.xml").getroot()
+    assert {v.get("id"): v.get("departSpeed") for v in demand.iter("vehicle")} == {"ego": "19.40", "other": "10.00"}
+
+
 def test_a_vehicle_from_a_ramp_is_beside_the_ego_where_its_lane_begins(tmp_path: Path) -> None:
     """Both drive 20 m/s and have the same way left to the edge on which their lanes lie side by side; the attack may
     begin 5 s before they are there, so on the ramp."""

@@ -183,7 +183,7 @@ def _demand(ego: EgoDraft, ego_drive: Drive, start: float, placed: list[Placed])
     backs = [(drive.edges[0], drive.lane, position - SIZES[kind][0]) for _, kind, _, drive, position, _ in rows]
     for name, kind, kmh, drive, position, stands in sorted(rows, key=lambda row: -row[4]):
         length, width = SIZES[kind]
-        speed = kmh / 3.6
+        speed = min(kmh / 3.6, drive.limit)  # 70 km/h are a little more than the 19.4 m/s of a network
         lanes = "" if len(drive.edges) > 1 else ' lcStrategic="-1" lcCooperative="0"'  # it keeps its lane by itself
         types.append(
             f'    <vType id="type_{name}" vClass="{_vclass(kind)}" carFollowModel="Krauss" sigma="0" '
