@@ -81,7 +81,7 @@ def test_a_crossing_vehicle_arrives_when_the_draft_says(tmp_path: Path) -> None:
     assert file["window"]["trigger"] == pytest.approx(4.0, abs=0.2)  # 5 s before the ego is there, after 9 s
 
 
-def test_who_is_placed_close_behind_starts_there_and_stays_close(tmp_path: Path) -> None:
+def test_a_vehicle_close_behind_starts_there_and_stays_close(tmp_path: Path) -> None:
     """A front 14 m behind the ego's, at 24.4 m/s: 9.2 m to the ego's back, of which SUMO keeps 2.5 m, so 0.27 s."""
     road, ego = {"kind": "straight", "lanes": 1}, {"route": ["forward", "forward"], "speed": 88}
     lorry = other(("forward", "forward"), type="truck", gap=-14) | {"speed": 88}

@@ -54,7 +54,7 @@ def test_a_cut_in_comes_from_the_left_and_brakes_after_it() -> None:
     assert misfits(asked, seen(cut_in())) == ()
 
 
-def test_who_turns_into_the_way_comes_across_and_then_enters() -> None:
+def test_a_vehicle_that_turns_into_the_way_comes_across_and_then_enters() -> None:
     """Northward at x = 30 m from y = -10 m with 5 m/s, and from 2 s on eastward."""
     y = np.minimum(-10.0 + 5.0 * TIME, 0.0)
     x = 30.0 + 5.0 * np.maximum(TIME - 2.0, 0.0)
@@ -64,8 +64,8 @@ def test_who_turns_into_the_way_comes_across_and_then_enters() -> None:
     }  # -10 + 5 * 1.4 = -3 > -2.4 - 0.9  # fmt: skip
     assert misfits(Asked(events=(Event.ENTERS_FROM_RIGHT,)), seen(turner)) == ()
     assert misfits(Asked(events=(Event.CROSSES_FROM_RIGHT, Event.TURNS_RIGHT)), seen(turner)) == ()
-    (lack,) = misfits(Asked(events=(Event.CROSSES_FROM_RIGHT,)), seen(turner))  # straight on, or it would say so
-    assert lack == "It is not asked that it also 'turns_right', at 2.0 s."
+    (lack,) = misfits(Asked(events=(Event.CROSSES_FROM_RIGHT,)), seen(turner))  # straight on
+    assert lack == "'turns_right' at 2.0 s is not asked for."
 
 
 def test_the_order_counts() -> None:

@@ -203,7 +203,7 @@ def _demand(ego: EgoDraft, ego_drive: Drive, start: float, placed: list[Placed])
 
 
 def _headway(backs: list[tuple[str, int, float]], drive: Drive, position: float, speed: float) -> float:
-    """The time [s] to the back of the next vehicle in its lane, so that who is placed close behind stays there."""
+    """The time [s] to the back of the next vehicle in its lane: a vehicle placed close behind another stays there."""
     ahead = [b - position for edge, lane, b in backs if (edge, lane) == (drive.edges[0], drive.lane) and b > position]
     least, most = HEADWAY
     return min(max((min(ahead, default=math.inf) - MIN_GAP) / max(speed, 1.0), least), most)

@@ -329,9 +329,7 @@ def misfits(asked: Asked, motion: Motion) -> tuple[str, ...]:
         happened = ", ".join(f"{event} at {time:.1f} s" for time, event in motion.events) or "nothing of note"
         lacks.append(f"'{asked.events[missing]}' does not happen{after}; what happens: {happened}.")
     if motion.user is RoadUser.VEHICLE and CROSSINGS & set(asked.events) and not TURNS & set(asked.events):
-        lacks += [
-            f"It is not asked that it also '{event}', at {t:.1f} s." for t, event in motion.events if event in TURNS
-        ]
+        lacks += [f"'{event}' at {t:.1f} s is not asked for." for t, event in motion.events if event in TURNS]
     if asked.side is not None and asked.side != motion.side:
         hit = f"The ego is hit at its {motion.side}" if motion.side else "The ego is not hit"
         lacks.append(f"{hit}, not at its {asked.side}.")
