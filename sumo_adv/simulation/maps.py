@@ -18,7 +18,7 @@ import subprocess
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -26,6 +26,10 @@ from pathlib import Path
 from sumo_adv.errors import UsageError
 from sumo_adv.files import user_folder
 from sumo_adv.parsing import parse_json
+from sumo_adv.simulation import map_content, opendrive, openstreetmap
+from sumo_adv.simulation.map_content import MapContent
+from sumo_adv.simulation.opendrive import TYPE_MAP, read_opendrive
+from sumo_adv.simulation.openstreetmap import read_openstreetmap
 from sumo_adv.simulation.programs import find_netconvert, find_type_maps
 from sumo_adv.simulation.scan import allows_passenger, parse
 
@@ -37,22 +41,28 @@ PATIENCE = 600.0  # s, of one conversion: a town takes seconds
 MOST_KEPT = 100  # conversions in the cache; the oldest go first
 MOST_KINDS = 6  # of lost ways that a line names
 REPORT = "conversion.json"
+TEXT, OWN_TYPES, NETWORK = "map.xml", "own.typ.xml", "made.net.xml"  # what netconvert reads and writes
 
 COMMON = (
-    "--keep-edges.by-vclass", "passenger", "--remove-edges.isolated", "--ramps.guess", "--junctions.join",
-    "--output.original-names", "--flatten", "--xml-validation", "never",
+    "--keep-edges.by-vclass", "passenger", "--ramps.guess", "--junctions.join", "--output.original-names",
+    "--xml-validation", "never",
 )  # fmt: skip
 """For driving: only roads for cars (with their sidewalks and cycle lanes), ramps with acceleration lanes, one junction
-where a map has several nodes, no heights."""
+where a map has several nodes."""
 OF_OPENSTREETMAP = (
-    "--osm.sidewalks", "--geometry.remove", "--roundabouts.guess", "--tls.guess-signals", "--tls.discard-simple",
-    "--tls.join",
+    "--osm.sidewalks", "--osm.bike-access", "--osm.lane-access", "--osm.turn-lanes", "--geometry.remove",
+    "--roundabouts.guess", "--tls.guess-signals", "--tls.discard-simple", "--tls.join",
 )  # fmt: skip
 """Also the recommendation of SUMO's page on importing OpenStreetMap."""
+CONNECTED = ("--remove-edges.isolated",)
+"""Without the pieces of roads at the rim of a part of OpenStreetMap, where anything else is left then."""
 TYPES = {
     "osm": ("osmNetconvert.typ.xml", "osmNetconvertPedestrians.typ.xml"),
-    "opendrive": ("opendriveNetconvert.typ.xml", "opendriveNetconvertPedestrians.typ.xml"),
-}
+    "opendrive": (
+        "opendriveNetconvert.typ.xml", "opendriveNetconvertPedestrians.typ.xml", "opendriveNetconvertBicycle.typ.xml",
+    ),
+}  # fmt: skip
+READERS = {"osm": read_openstreetmap, "opendrive": read_opendrive}
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,17 +75,6 @@ class Conversion:
     options: tuple[str, ...]
     lost: Mapping[str, int]
     said: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class _Content:
-    """What a map holds: the kind of each road (or of each lane ``ROAD_LANE`` of OpenDRIVE), the number of roads, and
-    whether it has heights and left-hand traffic."""
-
-    kinds: Mapping[str, str]
-    roads: int
-    heights: bool
-    left_hand: bool
 
 
 def is_map(path: Path) -> bool:
@@ -91,23 +90,29 @@ def convert_map(path: Path, *, cache: Path | None = None) -> Conversion:
         raise UsageError(f"{path} is packed in a way that netconvert does not read: write it as .osm or .osm.gz first.")
     form = "osm" if name.endswith(OPENSTREETMAP) else "opendrive"
     stem = path.name[: -len(next(ending for ending in sorted(MAPS, key=len, reverse=True) if name.endswith(ending)))]
-    content = _read_osm(path) if form == "osm" else _read_opendrive(path)
-    if content.roads == 0:
-        raise UsageError(f"{path} has no road: nothing can be run there; choose another part of the map.")
-    program = find_netconvert()
-    options = [*COMMON, *(OF_OPENSTREETMAP if form == "osm" else ()), *(("--lefthand",) if content.left_hand else ())]
-    place = _cache(cache) / _key(path, options)
+    place = _cache(cache) / _key(path)
     kept = _kept(path, stem, place)
     if kept is not None:
         return kept
+    content = READERS[form](path)
+    if content.roads == 0:
+        raise UsageError(f"{path} has no road: nothing can be run there; choose another part of the map.")
+    options = (*COMMON, *(OF_OPENSTREETMAP if form == "osm" else ()), *(("--lefthand",) if content.left_hand else ()))
     with tempfile.TemporaryDirectory(dir=place.parent, prefix="unfinished-") as scratch:
-        made = Path(scratch) / "made"
-        made.mkdir()
-        _netconvert(program, form, path, made / f"{stem}.net.xml", options)
-        report = _report(path, content, made / f"{stem}.net.xml", options)
-        (made / REPORT).write_text(json.dumps(report, indent=2), encoding="utf-8")
+        folder = Path(scratch)
+        (folder / "made").mkdir()
+        content.write(folder / TEXT)
+        (folder / OWN_TYPES).write_text(TYPE_MAP, encoding="utf-8")
+        report = None
+        for chosen in ((*options, *CONNECTED), options) if form == "osm" else (options,):
+            if report is None and _netconvert(form, path, folder, chosen):
+                report = _report(path, content, folder / NETWORK, chosen)
+        if report is None:
+            raise UsageError(f"{path} has no road for cars: nothing can be run there; choose another part of the map.")
+        (folder / NETWORK).rename(folder / "made" / f"{stem}.net.xml")
+        (folder / "made" / REPORT).write_text(json.dumps(report, indent=2), encoding="utf-8")
         with contextlib.suppress(OSError):  # another process was faster: its files are the same
-            made.rename(place)
+            (folder / "made").rename(place)
     _trim(place.parent)
     whole = _kept(path, stem, place)
     if whole is None:
@@ -126,12 +131,14 @@ def _cache(given: Path | None) -> Path:
     return folder
 
 
-def _key(path: Path, options: Sequence[str]) -> str:
+def _key(path: Path) -> str:
+    """Of the file's name and content, SUMO's version and the sources of the conversion."""
     try:
         content = hashlib.sha256(path.read_bytes())
     except OSError as error:
         raise UsageError(f"{path} cannot be read: {error.strerror or error}.") from error
-    content.update(repr((path.name, options, version("libsumo"), Path(__file__).read_bytes())).encode())
+    sources = [Path(str(module.__file__)).read_bytes() for module in (map_content, opendrive, openstreetmap)]
+    content.update(repr((path.name, version("libsumo"), Path(__file__).read_bytes(), sources)).encode())
     return content.hexdigest()[:32]
 
 
@@ -155,69 +162,15 @@ def _trim(cache: Path) -> None:
             shutil.rmtree(old, ignore_errors=True)
 
 
-def _parse_map(path: Path, start: Callable[[str, dict[str, str]], None], root: str) -> None:
-    """``parse`` of a file that must begin with the element ``root``."""
-    seen = False
-
-    def checked(tag: str, attributes: dict[str, str]) -> None:
-        nonlocal seen
-        if not seen and tag != root:
-            raise UsageError(f"{path} is no map of its ending: its root element is <{tag[:40]}>, not <{root}>.")
-        seen = True
-        start(tag, attributes)
-
-    parse(path, checked)
-
-
-def _read_osm(path: Path) -> _Content:
-    kinds: dict[str, str] = {}
-    way, left = "", False
-
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        nonlocal way, left
-        if tag in ("way", "node", "relation"):
-            way = attributes.get("id", "") if tag == "way" else ""
-        elif tag == "tag" and way:
-            key, value = attributes.get("k", ""), attributes.get("v", "")
-            if key == "highway":
-                kinds[way] = value
-            elif key == "railway":
-                kinds.setdefault(way, f"railway {value}")
-            left = left or (key == "driving_side" and value == "left")
-
-    _parse_map(path, start, "osm")
-    roads = sum(not kind.startswith("railway") for kind in kinds.values())
-    return _Content(kinds, roads, False, left)
-
-
-def _read_opendrive(path: Path) -> _Content:
-    kinds: dict[str, str] = {}
-    roads, left = 0, 0
-    road, heights = "", False
-
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        nonlocal roads, left, road, heights
-        if tag == "road":
-            road, roads = attributes.get("id", ""), roads + 1
-            left += attributes.get("rule") == "LHT"
-        elif tag == "elevation":
-            heights = heights or any(attributes.get(k, "0").strip("-+0.eE") for k in "abcd")
-        elif tag == "lane" and attributes.get("type", "none") != "none":
-            kinds[f"{road}_{attributes.get('id', '')}"] = f"lane {attributes['type']}"
-
-    _parse_map(path, start, "OpenDRIVE")
-    return _Content(kinds, roads, heights, 2 * left > roads)
-
-
-def _netconvert(program: Path, form: str, path: Path, target: Path, options: Sequence[str]) -> None:
-    """Write the network, without the comment that holds paths and the time."""
-    folder = find_type_maps(program)
-    types = ",".join(str(folder / name) for name in TYPES[form])
-    command = [str(program), f"--{form}-files", str(path.resolve()), "--type-files", types, *options]
+def _netconvert(form: str, path: Path, folder: Path, options: Sequence[str]) -> bool:
+    """Write ``NETWORK`` from ``TEXT``, without the comment that holds paths and the time; False: nothing is left of the
+    map. All names are relative: netconvert takes a comma or colon in a path for something else."""
+    program = find_netconvert()
+    types = ",".join((*(str(find_type_maps(program) / name) for name in TYPES[form]), OWN_TYPES))
+    command = [str(program), f"--{form}-files", TEXT, "--type-files", types, *options, "-o", NETWORK]
+    target = folder / NETWORK
     try:
-        done = subprocess.run(
-            [*command, "-o", str(target)], capture_output=True, text=True, check=False, timeout=PATIENCE
-        )
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE, cwd=folder)
     except subprocess.TimeoutExpired as error:
         raise UsageError(
             f"{path} took netconvert more than {PATIENCE:g} s: cut out the part that you need, and give that."
@@ -227,15 +180,16 @@ def _netconvert(program: Path, form: str, path: Path, target: Path, options: Seq
     if done.returncode != 0 or not target.is_file():
         errors = [line.removeprefix("Error: ") for line in done.stderr.splitlines() if line.startswith("Error")]
         if any("No edges loaded" in line or "No nodes loaded" in line for line in errors):
-            raise UsageError(f"{path} has no road for cars: nothing can be run there; choose another part of the map.")
-        reason = errors[0].rstrip(".") if errors else f"exit status {done.returncode}"
+            return False
+        reason = errors[0].rstrip(".").replace(TEXT, path.name) if errors else f"exit status {done.returncode}"
         raise UsageError(f"netconvert could not convert {path} ({reason}): correct the map, or convert it by hand.")
-    text = target.read_text(encoding="utf-8")
-    target.write_text(re.sub(r"<!--.*?-->\s*", "", text, count=1, flags=re.DOTALL), encoding="utf-8")
+    written = target.read_text(encoding="utf-8")
+    target.write_text(re.sub(r"<!--.*?-->\s*", "", written, count=1, flags=re.DOTALL), encoding="utf-8")
+    return True
 
 
-def _report(path: Path, content: _Content, network: Path, options: Sequence[str]) -> dict[str, object]:
-    """What ``REPORT`` holds."""
+def _report(path: Path, content: MapContent, network: Path, options: Sequence[str]) -> dict[str, object] | None:
+    """What ``REPORT`` holds; None: the network has no lane for cars."""
     counts: Counter[str] = Counter()
     kept: set[str] = set()
     function = ""
@@ -255,8 +209,10 @@ def _report(path: Path, content: _Content, network: Path, options: Sequence[str]
             kept.update(attributes.get("value", "").split())
 
     parse(network, start)
+    if not counts["lanes"]:
+        return None
     missing = Counter(kind for name, kind in content.kinds.items() if name not in kept)
-    lost = dict(missing.most_common()) | ({"heights": 1} if content.heights else {})
+    lost = dict(missing.most_common()) | dict(content.lost)
     said = [
         f"Converted {path.name} with netconvert: {counts['edges']} edges with {counts['lanes']} lanes for cars and "
         f"{counts['other lanes']} others, {counts['junctions']} junctions, {counts['lights']} traffic lights"
@@ -268,6 +224,6 @@ def _report(path: Path, content: _Content, network: Path, options: Sequence[str]
 
 
 def _named(lost: Mapping[str, int]) -> str:
-    kinds = [f"{number} {kind}" if kind != "heights" else "heights" for kind, number in lost.items()]
+    kinds = [f"{number} {kind}" for kind, number in lost.items()]
     more = len(kinds) - MOST_KINDS
     return ", ".join(kinds[:MOST_KINDS]) + (f", and {more} further kinds ({REPORT})" if more > 0 else "")

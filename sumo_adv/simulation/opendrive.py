@@ -1,0 +1,251 @@
+"""Reads ASAM OpenDRIVE 1.x, and writes it so that netconvert means what the standard means.
+
+netconvert 1.28 reads neither the limits of ``<type>`` nor limits in words, knows no ``rule``, puts the lanes of
+left-hand roads on the wrong side, does not know all types of lanes, and closes the gap that a border between two lanes
+leaves. So limits are written to the lanes in m/s, left-hand roads are mirrored in their lane numbers, and borders
+between lanes are kept as lanes that are closed to all.
+"""
+
+from __future__ import annotations
+
+import gzip
+import math
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
+
+from sumo_adv.errors import UsageError
+from sumo_adv.simulation.map_content import MapContent, parse_map
+
+MOST_LENGTH_M = 1e7  # of all roads: netconvert samples curves every 2 m
+UNITS = {"": 1.0, "m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704}  # m/s; the standard's default is m/s
+NO_LIMIT_M_S = 39.44  # netconvert's own value (142 km/h) where a map says that there is no limit
+UNKNOWN_LIMIT_M_S = 13.89  # SUMO's type map: lanes for driving
+MOTOR = frozenset({
+    "driving", "stop", "restricted", "entry", "exit", "onRamp", "offRamp", "mwyEntry", "mwyExit", "slipLane",
+    "connectingRamp", "bus", "taxi", "HOV", "shared", "bidirectional",
+})  # fmt: skip
+"""Types of lanes that limits are written to."""
+LANES = MOTOR | {"biking", "sidewalk", "walking", "parking", "roadWorks", "tram", "rail"}
+"""Types that become lanes of SUMO."""
+SIDES = {"left": 0, "center": 1, "right": 2}  # their order in a section
+CLOSED = "restricted"  # SUMO's type map: a lane that no class may use
+NO_ROAD = "rail rail_urban rail_electric rail_fast tram subway cable_car ship drone aircraft container"  # classes
+TYPE_MAP = f"""<types>
+    <type id="bus" priority="1" speed="13.89" width="3.65" allow="bus coach emergency authority"/>
+    <type id="taxi" priority="1" speed="13.89" width="3.65" allow="taxi emergency authority"/>
+    <type id="HOV" priority="1" speed="13.89" width="3.65" allow="hov bus coach taxi emergency authority"/>
+    <type id="walking" priority="-2" speed="2.78" width="2.50" allow="pedestrian"/>
+    <type id="shared" priority="1" speed="13.89" width="3.65" disallow="{NO_ROAD}"/>
+    <type id="slipLane" priority="1" speed="13.89" width="3.65" disallow="pedestrian {NO_ROAD}"/>
+    <type id="connectingRamp" priority="1" speed="22.22" width="3.65" disallow="pedestrian bicycle moped {NO_ROAD}"/>
+</types>
+"""
+"""Types of OpenDRIVE 1.4 to 1.8 that SUMO's type maps lack."""
+
+
+def read_opendrive(path: Path) -> MapContent:
+    """The map at ``path``.
+
+    Raises UsageError: it is damaged, no OpenDRIVE 1.x, longer than ``MOST_LENGTH_M``, has a limit or rule that cannot
+    be understood, or traffic on both sides.
+    """
+    parse_map(path, lambda tag, attributes: None, "OpenDRIVE")
+    tree = _tree(path)
+    root = tree.getroot()
+    header = root.find("header")
+    major = "1" if header is None else header.get("revMajor", "1")
+    if major != "1":
+        raise UsageError(f"{path} is OpenDRIVE of version {major}.x: give version 1.4 to 1.8.")
+    roads = root.findall("road")
+    length = sum(_number(path, road, "length") for road in roads)
+    if not length <= MOST_LENGTH_M:
+        raise UsageError(f"{path} has {length:.3g} m of roads, more than the {MOST_LENGTH_M:.0g} m that are read.")
+    left_hand = _left_hand(path, roads)
+    lost = _left_out(root)
+    kinds = {}
+    for road in roads:
+        _write_limits(path, road)
+        for section in road.iter("laneSection"):
+            for side in section:
+                if side.tag in ("left", "right"):
+                    _close_gaps(side)
+            if left_hand:
+                _mirror(section)
+        for lane in road.iter("lane"):
+            if lane.get("type", "none") != "none":
+                kinds[f"{road.get('id')}_{lane.get('id')}"] = f"lane {lane.attrib.pop('was', lane.get('type'))}"
+    if left_hand:
+        for element, names in (("laneLink", ("from", "to")), ("validity", ("fromLane", "toLane"))):
+            for each in root.iter(element):
+                _negate(each, *names)
+
+    def write(target: Path) -> None:
+        tree.write(target, encoding="UTF-8", xml_declaration=True)
+
+    return MapContent(kinds, len(roads), left_hand, lost, write)
+
+
+def _tree(path: Path) -> ElementTree.ElementTree[Element]:
+    """The whole document, its tags without a namespace."""
+    opened = gzip.open if path.name.lower().endswith(".gz") else open
+    try:
+        with opened(path, "rb") as file:
+            tree = ElementTree.parse(file)
+    except ElementTree.ParseError as error:
+        raise UsageError(f"{path} is not valid XML (damaged or cut short): {error}.") from error
+    for element in tree.iter():
+        element.tag = element.tag.rpartition("}")[2]
+    return tree
+
+
+def _number(path: Path, element: Element, name: str, default: str = "") -> float:
+    text = element.get(name, default)
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if math.isfinite(value):
+        return value
+    raise UsageError(f'{path} has a <{element.tag}> with {name}="{text[:40]}": give a number.')
+
+
+def _left_out(root: Element) -> dict[str, int]:
+    counts = Counter(
+        {
+            "sign": sum(signal.get("dynamic") != "yes" for signal in root.iter("signal")),
+            "object": sum(1 for _ in root.iter("object")),
+            "second direction of a lane for both": sum(lane.get("direction") == "both" for lane in _motor(root)),
+        }
+    )
+    return {kind: number for kind, number in counts.items() if number}
+
+
+def _motor(element: Element) -> Iterator[Element]:
+    return (lane for lane in element.iter("lane") if lane.get("type") in MOTOR)
+
+
+# -- the side of the road ---------------------------------------------------------------------------------------------
+
+
+def _left_hand(path: Path, roads: list[Element]) -> bool:
+    """Whether traffic drives on the left. A road without a rule is right-hand; within a junction it is as its arms."""
+    sides: dict[bool, list[str]] = {False: [], True: []}
+    for road in roads:
+        name = road.get("id", "")
+        rule = road.get("rule", "").upper()
+        if rule not in ("", "LHT", "RHT"):
+            raise UsageError(f'{path} has road {name} with rule="{rule[:40]}": give RHT or LHT.')
+        directions = {lane.get("direction", "standard") for lane in _motor(road)}
+        backward = "reversed" in directions
+        if backward and directions != {"reversed"}:
+            raise UsageError(
+                f"{path} has road {name} with lanes in their standard and in reversed direction on one road, which "
+                "netconvert does not read: make two roads of it."
+            )
+        if rule or road.get("junction", "-1") == "-1":
+            sides[(rule == "LHT") != backward].append(name)
+    right, left = sides[False], sides[True]
+    if left and right:
+        raise UsageError(
+            f"{path} has traffic on both sides: {_some(left)} drive on the left, {_some(right)} on the right. SUMO has "
+            "one side for all; give each road its rule, or split the map."
+        )
+    return bool(left)
+
+
+def _some(names: list[str]) -> str:
+    return f"{'road' if len(names) == 1 else 'roads'} {', '.join(names[:3])}{' and others' if len(names) > 3 else ''}"
+
+
+def _mirror(section: Element) -> None:
+    """Give lanes the opposite numbers, and the other side's name.
+
+    With ``--lefthand`` netconvert puts lanes with negative numbers to the left, in the direction of the road. By the
+    standard (``rule="LHT"``) these are the lanes with positive numbers.
+    """
+    for side in list(section):
+        if side.tag not in SIDES:
+            continue
+        side.tag = {"left": "right", "right": "left"}.get(side.tag, side.tag)
+        for lane in side:
+            _negate(lane, "id")
+            for link in lane.findall("link/*"):
+                _negate(link, "id")
+        side[:] = sorted(side, key=lambda lane: -int(lane.get("id", "0")))
+    section[:] = sorted(section, key=lambda side: SIDES.get(side.tag, len(SIDES)))
+
+
+def _negate(element: Element, *names: str) -> None:
+    for name in names:
+        text = element.get(name, "")
+        if text.lstrip("+-").isdigit():
+            element.set(name, str(-int(text)))
+
+
+# -- lanes ------------------------------------------------------------------------------------------------------------
+
+
+def _close_gaps(side: Element) -> None:
+    """Keep what lies between two lanes, such as a border, as a closed lane; its own type becomes ``was``."""
+    lanes = sorted(side.findall("lane"), key=lambda lane: abs(int(lane.get("id", "0"))))
+    kept = [k for k, lane in enumerate(lanes) if lane.get("type") in LANES]
+    for lane in lanes[kept[0] : kept[-1]] if kept else ():
+        if lane.get("type") not in LANES:
+            lane.set("was", lane.get("type", "none"))
+            lane.set("type", CLOSED)
+
+
+Limit = tuple[float, float | None]  # where it begins [m], and the limit [m/s]; None: not given
+
+
+def _write_limits(path: Path, road: Element) -> None:
+    """Write the limits of the road's types to those lanes that have none of their own there."""
+    types = _sorted((_number(path, each, "s", "0"), _limit(path, each.find("speed"))) for each in road.findall("type"))
+    for section in road.iter("laneSection"):
+        start = _number(path, section, "s", "0")
+        general = [(max(0.0, s - start), limit) for s, limit in types]
+        general = [each for k, each in enumerate(general) if k + 1 == len(general) or general[k + 1][0] > each[0]]
+        for lane in _motor(section):
+            speeds = lane.findall("speed")
+            own = _sorted((_number(path, each, "sOffset", "0"), _limit(path, each)) for each in speeds)
+            for each in speeds:
+                lane.remove(each)
+            known = False
+            last: float | None = None
+            for offset, limit in _merged(general, own):
+                value = UNKNOWN_LIMIT_M_S if limit is None and known else limit
+                if value is not None and value != last:
+                    SubElement(lane, "speed", sOffset=f"{offset:.9g}", max=f"{value:.6g}", unit="m/s")
+                    known, last = True, value
+
+
+def _sorted(limits: Iterable[Limit]) -> list[Limit]:
+    return sorted(limits, key=lambda limit: limit[0])
+
+
+def _merged(general: list[Limit], own: list[Limit]) -> Iterator[Limit]:
+    """The limit along a lane: its own from where one begins; where that is not given, and before, the road's."""
+
+    def at(limits: list[Limit], offset: float) -> float | None:
+        return next((limit for s, limit in reversed(limits) if s <= offset), None)
+
+    for offset in sorted({s for s, _ in (*general, *own)}):
+        mine = at(own, offset)
+        yield offset, at(general, offset) if mine is None else mine
+
+
+def _limit(path: Path, speed: Element | None) -> float | None:
+    """A limit [m/s]; None where it is not given, undefined or not above 0."""
+    text = "undefined" if speed is None else speed.get("max", "undefined").strip()
+    if speed is None or text == "undefined":
+        return None
+    if text == "no limit":
+        return NO_LIMIT_M_S
+    unit = speed.get("unit", "")
+    if unit not in UNITS:
+        raise UsageError(f'{path} has a speed limit in "{unit[:40]}": give m/s, km/h or mph.')
+    value = _number(path, speed, "max") * UNITS[unit]
+    return value if value > 0.0 else None

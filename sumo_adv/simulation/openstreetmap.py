@@ -1,0 +1,260 @@
+"""Reads OpenStreetMap XML, and writes it so that netconvert finds all of it.
+
+netconvert 1.28 wants nodes before ways, draws a way straight across a node that the file lacks, and reads bus and cycle
+lanes only from tags that name a side or each lane. So nodes are written first (also those that ways carry themselves,
+as Overpass's ``out geom`` writes them), ways are cut where nodes are missing, and tags are made explicit.
+"""
+
+from __future__ import annotations
+
+import gzip
+import itertools
+import shutil
+import tempfile
+from collections import Counter
+from collections.abc import Iterator, Sequence, Set
+from functools import partial
+from pathlib import Path
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
+
+from sumo_adv.errors import UsageError
+from sumo_adv.simulation.map_content import MapContent, parse_map
+
+MOST_LANES = 30  # of a way: the widest roads there are have some 25, and netconvert makes as many as it is told
+LANE_COUNTS = ("lanes", "lanes:forward", "lanes:backward", "lanes:both_ways")
+PUBLIC = ("bus", "psv")
+ALLOWED = ("yes", "designated", "official")
+CLOSING = ("access", "vehicle", "motor_vehicle")
+SIDED = ("sidewalk", "cycleway", "busway")
+SWAP = {"left": "right", "right": "left"}
+ONE_WAY = ("motorway", "motorway_link")
+FIRST_PIECE = 10**17  # id of the first piece of a way that was cut; OpenStreetMap's ids have 11 digits
+Tags = dict[str, str]
+
+
+def read_openstreetmap(path: Path) -> MapContent:
+    """The map at ``path``. Raises UsageError: it is damaged, no OpenStreetMap, or has a way with too many lanes."""
+    parse_map(path, lambda tag, attributes: None, "osm")
+    known: set[str] = set()  # ids of nodes that have a place
+    kinds: dict[str, str] = {}
+    nodes: dict[str, list[str]] = {}
+    lost: Counter[str] = Counter()
+    left_hand = False
+    for element in _elements(path):
+        name, tags = element.get("id", ""), _tags(element)
+        if tags.get("type") == "lanelet" and element.tag == "relation":
+            raise UsageError(
+                f"{path} is a Lanelet2 map, not OpenStreetMap: convert it to OpenDRIVE first, for example with "
+                "CommonRoad's Scenario Designer."
+            )
+        known.update(_placed(element))
+        if element.tag == "way" and ("highway" in tags or "railway" in tags):
+            kinds[name] = tags["highway"] if "highway" in tags else f"railway {tags['railway']}"
+            nodes[name] = [each.get("ref", "") for each in element.iterfind("nd")]
+            left_hand = left_hand or tags.get("driving_side") == "left"
+            _check_lanes(path, name, tags)
+            lost["bus lane without a side"] += _is_without_side(tags)
+            lost["closing of a lane to cars"] += _closed_lanes(tags)
+    for name, along in nodes.items():
+        runs = _runs(along, known)
+        if not runs:
+            kinds[name] += " without nodes"
+        elif runs[0] != slice(0, len(along)):
+            lost["way cut where nodes are missing"] += 1
+    roads = sum(not kind.startswith("railway") for kind in kinds.values())
+    write = partial(_write, path, known, left_hand)
+    return MapContent(kinds, roads, left_hand, {kind: number for kind, number in lost.items() if number}, write)
+
+
+def _elements(path: Path) -> Iterator[Element]:
+    """Nodes, ways and relations one at a time, without those that an editor (JOSM) or a history marks as deleted."""
+    opened = gzip.open if path.name.lower().endswith(".gz") else open
+    with opened(path, "rb") as file:
+        root: Element | None = None
+        for event, element in ElementTree.iterparse(file, ("start", "end")):
+            if root is None:
+                root = element
+            if event == "end" and element.tag in ("node", "way", "relation"):
+                if element.get("action") != "delete" and element.get("visible") != "false":
+                    yield element
+                root.clear()
+
+
+def _tags(element: Element) -> Tags:
+    return {tag.get("k", ""): tag.get("v", "") for tag in element.iterfind("tag")}
+
+
+def _placed(element: Element) -> Iterator[str]:
+    """The nodes that an element gives a place: itself, or those of a way that carries them."""
+    for node, name in ((element, "id"), *((each, "ref") for each in element.iterfind("nd"))):
+        if "lat" in node.attrib and "lon" in node.attrib:
+            yield node.get(name, "")
+
+
+def _check_lanes(path: Path, way: str, tags: Tags) -> None:
+    """Refuse a way that would cost netconvert the memory."""
+    for key, value in tags.items():
+        number = _count(value) if key in LANE_COUNTS else value.count("|") + 1 if ":lanes" in key else None
+        if number is not None and number > MOST_LANES:
+            raise UsageError(
+                f"{path} has way {way} with {number} lanes ({key}), more than the {MOST_LANES} that are read: "
+                "correct its tag."
+            )
+
+
+def _count(text: str) -> int | None:
+    """The number that a tag gives, rounded down; None: it gives none."""
+    try:
+        return int(float(text))
+    except (ValueError, OverflowError):
+        return None
+
+
+# -- writing it for netconvert ----------------------------------------------------------------------------------------
+
+
+def _write(path: Path, known: Set[str], left_hand: bool, target: Path) -> None:
+    """Nodes, then everything else."""
+    numbers = itertools.count(FIRST_PIECE)
+    written: set[str] = set()
+    with tempfile.TemporaryFile() as later, target.open("wb") as out:
+        out.write(b'<?xml version="1.0" encoding="UTF-8"?>\n<osm version="0.6">\n')
+        for element in _elements(path):
+            if element.tag == "way":
+                carried = [each for each in element.iterfind("nd") if "lat" in each.attrib and "lon" in each.attrib]
+                nodes = [
+                    Element("node", id=n.get("ref", ""), lat=n.attrib["lat"], lon=n.attrib["lon"]) for n in carried
+                ]
+                for piece in _pieces(element, known, numbers):
+                    later.write(ElementTree.tostring(_explicit(piece, left_hand)))
+            elif element.tag == "node":
+                nodes = [element]
+            else:
+                nodes = []
+                later.write(ElementTree.tostring(element))
+            for node in nodes:
+                if node.get("id", "") not in written:
+                    written.add(node.get("id", ""))
+                    out.write(ElementTree.tostring(node))
+        later.seek(0)
+        shutil.copyfileobj(later, out)
+        out.write(b"</osm>\n")
+
+
+def _runs(nodes: Sequence[str], known: Set[str]) -> list[slice]:
+    """The parts of a way between nodes that are missing, the longest first."""
+    gaps = [-1, *(k for k, node in enumerate(nodes) if node not in known), len(nodes)]
+    runs = [slice(a + 1, b) for a, b in itertools.pairwise(gaps) if b - a > 2]
+    return sorted(runs, key=lambda run: run.start - run.stop)
+
+
+def _pieces(way: Element, known: Set[str], numbers: Iterator[int]) -> Iterator[Element]:
+    """The way, cut where nodes are missing; the longest piece keeps the id, which relations may name."""
+    nodes = way.findall("nd")
+    for k, run in enumerate(_runs([node.get("ref", "") for node in nodes], known)):
+        piece = Element("way", {**way.attrib, "id": str(next(numbers))} if k else way.attrib)
+        piece.extend(nodes[run])
+        piece.extend(way.findall("tag"))
+        yield piece
+
+
+def _explicit(way: Element, left_hand: bool) -> Element:
+    """The way with its bus and cycle lanes in tags that netconvert reads."""
+    tags = _tags(way)
+    if "highway" not in tags:
+        return way
+    made = _sides(_lanes_of_buses(tags, left_hand), left_hand)
+    for tag in way.findall("tag"):
+        way.remove(tag)
+    for key, value in made.items():
+        SubElement(way, "tag", k=key, v=value)
+    return way
+
+
+def _is_one_way(tags: Tags) -> bool:
+    given = tags.get("oneway")
+    if given is None:
+        return tags["highway"] in ONE_WAY or tags.get("junction") in ("roundabout", "circular")
+    return given in ("yes", "true", "1", "-1", "reverse")
+
+
+def _sides(tags: Tags, left_hand: bool) -> Tags:
+    """Name the sides of cycle and bus lanes (a one-way road has them at the kerb). netconvert calls the kerb's side
+    "right", also with ``--lefthand``."""
+    made = dict(tags)
+    kerb = "left" if left_hand else "right"
+    for key in ("cycleway", "busway"):
+        if made.get(key) in ("lane", "track") and not any(f"{key}:{s}" in made for s in ("both", "left", "right")):
+            made[f"{key}:{kerb if _is_one_way(tags) else 'both'}"] = made.pop(key)
+    if not left_hand:
+        return made
+    swapped = {}
+    for key, value in made.items():
+        name, _, side = key.partition(":")
+        if name in SIDED:
+            key = f"{name}:{SWAP[side]}" if side in SWAP else key
+            value = SWAP.get(value, value) if key == "sidewalk" else value
+        swapped[key] = value
+    return swapped
+
+
+def _lanes_of_buses(tags: Tags, left_hand: bool) -> Tags:
+    """Name the lanes that are for buses only: from their number (``lanes:bus``, at the kerb), or from lanes that are
+    closed to others (``access:lanes``)."""
+    made = dict(tags)
+    for kind in PUBLIC:
+        for direction in ("", ":forward", ":backward"):
+            key = f"{kind}:lanes{direction}"
+            closed = next((tags[f"{c}:lanes{direction}"] for c in CLOSING if f"{c}:lanes{direction}" in tags), "")
+            number, lanes = _number_for(tags, kind, direction), _lanes(tags, direction)
+            if key in tags:
+                made[key] = _designated(tags[key], closed)
+            elif number and lanes is not None and number <= lanes:
+                words = ["yes"] * (lanes - number) + ["designated"] * number
+                made[key] = "|".join(reversed(words) if left_hand else words)
+    return made
+
+
+def _number_for(tags: Tags, kind: str, direction: str) -> int:
+    """The number of lanes for buses in a direction; of a road both ways that gives one number, half of them."""
+    own = _count(tags.get(f"lanes:{kind}{direction}", ""))
+    if own is not None or not direction or _is_one_way(tags):
+        return own or 0
+    return (_count(tags.get(f"lanes:{kind}", "")) or 0) // 2
+
+
+def _is_without_side(tags: Tags) -> bool:
+    """Whether a road both ways has an odd number of lanes for buses, and does not say in which direction."""
+    odd = any((_count(tags.get(f"lanes:{kind}", "")) or 0) % 2 for kind in PUBLIC)
+    said = any(key.startswith(("bus:lanes", "psv:lanes", "busway:", "lanes:bus:", "lanes:psv:")) for key in tags)
+    return odd and not said and "highway" in tags and not _is_one_way(tags)
+
+
+def _closed_lanes(tags: Tags) -> int:
+    """Lanes that are closed to cars and open to neither buses nor bicycles: netconvert leaves them open."""
+    number = 0
+    for direction in ("", ":forward", ":backward"):
+        shut = [tags[f"{c}:lanes{direction}"].split("|") for c in CLOSING if f"{c}:lanes{direction}" in tags]
+        open_to = [tags.get(f"{kind}:lanes{direction}", "").split("|") for kind in (*PUBLIC, "bicycle")]
+        for k in range(max(map(len, shut), default=0)):
+            closed = any(words[k] == "no" for words in shut if k < len(words))
+            number += closed and not any(words[k] in ALLOWED for words in open_to if k < len(words))
+    return number
+
+
+def _designated(text: str, closed: str) -> str:
+    """``bus:lanes`` with the lanes that are open to buses and closed to others as designated ones."""
+    words, shut = text.split("|"), closed.split("|")
+    if len(words) != len(shut):
+        return text
+    return "|".join("designated" if w in ALLOWED and c == "no" else w for w, c in zip(words, shut, strict=True))
+
+
+def _lanes(tags: Tags, direction: str) -> int | None:
+    """The number of lanes of a direction, "" being that of a one-way road; None: not known."""
+    whole = _count(tags.get("lanes", ""))
+    if not direction:
+        return whole if _is_one_way(tags) else None
+    own = _count(tags.get(f"lanes{direction}", ""))
+    return whole // 2 if own is None and whole is not None else own
