@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from sumo_adv.report.export import Format, Variant
 from sumo_adv.report.export.commonroad import SCENARIO
 from sumo_adv.report.export.formats import write_export
 from sumo_adv.report.export.piece import Piece, read_piece
+from sumo_adv.simulation.maps import convert_map
 from sumo_adv.simulation.network import read_network
 from sumo_adv.womd.commonroad import read_commonroad
 from sumo_adv.womd.reader import read_records
@@ -42,7 +44,7 @@ def is_left(line: Floats, other: Floats) -> bool:
 
 
 def test_opendrive_has_the_lanes_where_the_network_has_them(piece: Piece, tmp_path: Path) -> None:
-    """Also those within the junction, of which netconvert says that they are to the left of their line."""
+    """To the left of their reference lines, also within the junction."""
     folder = exported(piece, Format.OPENSCENARIO, tmp_path)
     centres = MultiLineString([line for line in lane_centres(folder / "road.xodr") if len(line) > 1])
     for lane in read_network(piece.network).lanes.values():
@@ -50,6 +52,32 @@ def test_opendrive_has_the_lanes_where_the_network_has_them(piece: Piece, tmp_pa
             line = LineString(lane.shape)
             points = [line.interpolate(s) for s in np.arange(0.0, line.length, 2.0)]
             assert max(p.distance(centres) for p in points) < (0.25 if lane.internal else 0.1)
+
+
+def test_opendrive_says_the_side_and_is_read_back_as_left_hand(piece: Piece, tmp_path: Path) -> None:
+    """ASAM OpenDRIVE 1.5 and later: ``rule``. The eight edges come back with their two lanes, where they were."""
+    road = exported(piece, Format.OPENSCENARIO, tmp_path) / "road.xodr"
+    roads = ElementTree.parse(road).getroot().findall("road")
+    assert {each.get("rule") for each in roads} == {"LHT"}
+    assert all(int(lane.attrib["id"]) > 0 for each in roads for lane in each.iterfind("lanes/laneSection/left/lane"))
+    made = convert_map(road, cache=tmp_path / "cache")
+    assert "8 edges with 16 lanes for cars" in made.said[0] and "left-hand traffic" in made.said[0]
+    back, own = (
+        {
+            tuple(np.round(lane.shape[[0, -1]].ravel() - shift, 1))
+            for lane in read_network(net).lanes.values()
+            if not lane.internal
+        }
+        for net, shift in ((made.network, moved(made.network)), (piece.network, moved(piece.network)))
+    )
+    assert back == own
+
+
+def moved(network: Path) -> Floats:
+    """What netconvert added to the places of a map, for both ends of a line [m]."""
+    location = ElementTree.parse(network).getroot().find("location")
+    assert location is not None
+    return np.tile([float(v) for v in location.attrib["netOffset"].split(",")], 2)
 
 
 def test_the_sumo_replay_keeps_the_mark(piece: Piece, tmp_path: Path) -> None:

@@ -14,18 +14,20 @@ STEP = 1.0  # m
 
 
 def lane_centres(file: Path) -> list[NDArray[np.float64]]:
-    """Centre lines (n, 2) [m] of all lanes to the right of a reference line, which is where netconvert puts them."""
+    """Centre lines (n, 2) [m] of all lanes: to the right of the reference line, or to the left where traffic drives
+    there. netconvert makes a road of each direction."""
     centres = []
     for road in ElementTree.parse(file).getroot().iter("road"):
         length = float(road.get("length", "nan"))
         stations = np.append(np.arange(0.0, length, STEP), length - 1e-6)
         poses = np.array([_pose(road, s) for s in stations])
-        right = road.find("lanes/laneSection/right")
-        assert right is not None and road.find("lanes/laneSection/left") is None
+        side, sign = ("left", 1) if road.get("rule") == "LHT" else ("right", -1)
+        lanes = road.findall(f"lanes/laneSection/{side}/lane")
+        assert lanes and lanes == road.findall("lanes/laneSection/*/lane[@type!='none']")
         edge = np.zeros(len(stations))
-        for lane in sorted(right, key=lambda lane: -int(lane.get("id", "0"))):
+        for lane in sorted(lanes, key=lambda lane: sign * int(lane.get("id", "0"))):
             width = np.array([_width(lane, s) for s in stations])
-            away = -(edge + width / 2)
+            away = sign * (edge + width / 2)
             x, y, heading = poses.T
             centres.append(np.column_stack((x - away * np.sin(heading), y + away * np.cos(heading))))
             edge += width

@@ -29,6 +29,7 @@ from sumo_adv.datatypes import Floats, Role, Track
 from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.report.export import Variant
 from sumo_adv.report.export.piece import HEIGHT, LARGEST_STEER, WHEELBASE, Piece, kind, metres, printable
+from sumo_adv.simulation.network import is_left_hand
 
 SCENARIO, ROAD = "scenario.xosc", "road.xodr"
 VERSION = "1.2.0"  # of the schema
@@ -297,15 +298,17 @@ def write_opendrive(netconvert: Path, network: Path, target: Path, written: date
     """Write the network at ``network`` as OpenDRIVE. World x, y of the file are those of the net.xml.
 
     netconvert's comment (its command line, the time) is left out, and so is an ``offset`` in the header, which some
-    players would add to every position: the net's offset is kept as ``userData``. In left-hand traffic netconvert puts
-    the lanes of junctions, which are to the right of their reference line, into ``left``; they are moved.
+    players would add to every position: the net's offset is kept as ``userData``. Left-hand roads say so (``rule``,
+    which OpenDRIVE has since 1.5), and their lanes, to the left, have positive numbers.
 
     Raises SumoAdvError: it failed.
     """
+    left_hand = is_left_hand(network)
     with tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
         made = Path(scratch) / "network.xodr"
         command = [str(netconvert), "-s", str(network.resolve()), "--opendrive-output", str(made)]
         command += ["--precision", "4", "--xml-validation", "never"]
+        command += ["--opendrive-output.lefthand-left"] if left_hand else []
         done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False, cwd=scratch)
         if done.returncode or not made.is_file():
             reason = (done.stderr.strip().splitlines() or ["no reason given"])[0].removeprefix("Error: ")
@@ -319,13 +322,11 @@ def write_opendrive(netconvert: Path, network: Path, target: Path, written: date
     header.set("name", network.name)
     for offset in header.findall("offset"):
         header.remove(offset)
-    ElementTree.SubElement(header, "userData", code="sumoNetOffset", value=_net_offset(network))
-    for section in tree.iter("laneSection"):
-        left = section.find("left")
-        if left is not None and all(lane.get("id", "").startswith("-") for lane in left):
-            left.tag = "right"
-            section.remove(left)
-            section.append(left)  # behind the centre
+    SubElement(header, "userData", code="sumoNetOffset", value=_net_offset(network))
+    if left_hand:
+        header.set("revMinor", "5")
+        for road in tree.iter("road"):
+            road.set("rule", "LHT")
     tree.write(target, encoding="UTF-8", xml_declaration=True)
 
 
