@@ -73,7 +73,9 @@ def load(source: Path, record: str | None) -> RunInput:
     origin = WaymoSource(source.absolute(), chosen.scenario_id, chosen.content) if waymo else None
     given = load_input(made.scenario)
     files = (source.absolute(),) if commonroad else given.files
-    return replace(given, name=chosen.scenario_id, files=files, waymo=origin)
+    return replace(
+        given, name=chosen.scenario_id, files=files, waymo=origin, notes=(*given.notes, *chosen.notes)
+    )  # fmt: skip
 
 
 def shipped_bank() -> Path:

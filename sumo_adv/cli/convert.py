@@ -69,6 +69,8 @@ def convert(
             if not as_json:
                 note = reports[-1]["sampling"]["note"]
                 typer.echo(f"{record.scenario_id}: {reports[-1]['folder']}{f' ({note})' if note else ''}")
+                for said in record.notes:
+                    typer.echo(said)
     if as_json:
         typer.echo(json.dumps({"records": reports, "failed": failed}, allow_nan=False))
     elif reports:

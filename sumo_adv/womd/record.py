@@ -115,7 +115,7 @@ class ObjectTrack:
 class Record:
     """One scenario. time ``(n,)`` s; ``current``: index of the step up to which it is history; ``sdc``: index of the
     ego among ``tracks``; ``signals``: for each step the states of all signal lanes; ``content``: SHA-256 of the bytes
-    it was read from, in hex."""
+    it was read from, in hex; ``notes``: sentences on what of the file it lacks."""
 
     scenario_id: str
     time: Floats
@@ -130,6 +130,7 @@ class Record:
     areas: Sequence[AreaFeature]
     signals: Sequence[tuple[SignalState, ...]]
     content: str = ""
+    notes: Sequence[str] = ()
 
 
 def check_bounds(record: Record, where: str) -> None:

@@ -1,0 +1,201 @@
+"""The obstacles of a CommonRoad scenario as tracks: their boxes are where commonroad-io puts them.
+
+commonroad-io turns a shape about its own centre and then moves it by the obstacle's place. So the centre that a shape
+names is an offset along the map's axes, whatever the obstacle's heading is. Of several shapes each becomes an object.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from sumo_adv.datatypes import Floats
+from sumo_adv.womd.record import TRACK_KINDS, VEHICLE, ObjectTrack
+
+KINDS = {
+    "pedestrian": TRACK_KINDS.index("pedestrian"),
+    "bicycle": TRACK_KINDS.index("cyclist"),
+    **dict.fromkeys(("constructionZone", "building", "pillar", "median_strip", "train"), TRACK_KINDS.index("other")),
+}
+"""By CommonRoad's types; all others are vehicles."""
+BOUNDARY = "roadBoundary"  # a type that is no object: the lanelets say where the road ends
+ROLES = {"dynamicObstacle": "dynamic", "staticObstacle": "static"}
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """A state: x, y [m], heading [rad], speed [m/s]; a speed that is not given is NaN."""
+
+    x: float
+    y: float
+    heading: float
+    speed: float
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """The box of a shape. length, width [m]; turn: of its length against the obstacle's heading [rad], at most a
+    quarter of pi; offset (2,) [m]: of its centre along the map's axes; lever (2,) [m]: what turns with the heading."""
+
+    length: float
+    width: float
+    turn: float
+    offset: Floats
+    lever: Floats
+
+
+def obstacles(root: Element) -> Iterator[tuple[Element, bool]]:
+    """Each obstacle and whether it stands still; ``<obstacle>`` with a role is of format 2018b."""
+    for element in root:
+        role = ROLES.get(element.tag, "")
+        if element.tag == "obstacle":
+            role = element.findtext("role", "").strip()
+            if role not in ROLES.values():
+                raise ValueError(f"obstacle {element.get('id', '')} has the role '{role}'")
+        if role:
+            yield element, role == "static"
+
+
+def obstacle_type(obstacle: Element) -> str:
+    """CommonRoad's word."""
+    return obstacle.findtext("type", "").strip()
+
+
+def read_tracks(
+    obstacle: Element, poses: Mapping[int, Pose], numbers: Iterator[int], count: int
+) -> Iterator[ObjectTrack]:
+    """A track for each of its shapes, over ``count`` steps; the first has the obstacle's id, others one of
+    ``numbers``."""
+    kind = KINDS.get(obstacle_type(obstacle), VEHICLE)
+    for k, shape in enumerate(child(obstacle, "shape")):
+        yield make_track(next(numbers) if k else int(obstacle.attrib["id"]), kind, _box(shape), poses, count)
+
+
+def make_track(number: int, kind: int, box: Box, poses: Mapping[int, Pose], count: int) -> ObjectTrack:
+    """The track of a box over ``count`` steps, valid where there is a pose."""
+    values, valid = np.zeros((count, 5)), np.zeros(count, bool)
+    for step, pose in poses.items():
+        c, s = math.cos(pose.heading), math.sin(pose.heading)
+        x = pose.x + box.offset[0] + c * box.lever[0] - s * box.lever[1]
+        y = pose.y + box.offset[1] + s * box.lever[0] + c * box.lever[1]
+        values[step], valid[step] = (x, y, pose.heading + box.turn, pose.speed * c, pose.speed * s), True
+    x, y, heading, vx, vy = values.T
+    length, width = np.full(count, box.length), np.full(count, box.width)
+    return ObjectTrack(number, kind, valid, x, y, length, width, heading, vx, vy)
+
+
+def plain_box(length: float, width: float) -> Box:
+    """A box about its own centre, along its heading."""
+    return Box(length, width, 0.0, np.zeros(2), np.zeros(2))
+
+
+def _box(shape: Element) -> Box:
+    centre = shape.find("center")
+    offset = np.zeros(2) if centre is None else point(centre)
+    if shape.tag == "rectangle":
+        length, width = (float(child(shape, name).text or "nan") for name in ("length", "width"))
+        return _turned(length, width, float(shape.findtext("orientation", "0")), offset, np.zeros(2))
+    if shape.tag == "circle":
+        across = 2 * float(child(shape, "radius").text or "nan")
+        return Box(across, across, 0.0, offset, np.zeros(2))
+    if shape.tag == "polygon":
+        return _box_of_polygon(points(shape))
+    raise ValueError(f"an obstacle has the shape {shape.tag}")
+
+
+def _box_of_polygon(corners: Floats) -> Box:
+    """The smallest rectangle around a polygon, which turns about its centroid."""
+    from shapely import Polygon
+
+    area = Polygon(corners)
+    centroid = np.array(area.centroid.coords[0])
+    around = area.minimum_rotated_rectangle
+    if around.geom_type != "Polygon":
+        raise ValueError("a polygon has no area")
+    corner = np.array(around.exterior.coords[:4])
+    along, across = corner[1] - corner[0], corner[3] - corner[0]
+    length, width, turn = math.hypot(*along), math.hypot(*across), math.atan2(along[1], along[0])
+    return _turned(length, width, turn, centroid, corner.mean(axis=0) - centroid)
+
+
+def _turned(length: float, width: float, turn: float, offset: Floats, lever: Floats) -> Box:
+    """The box with its length along the heading, as far as quarter turns go."""
+    quarters = round(turn / (math.pi / 2))
+    sides = (width, length) if quarters % 2 else (length, width)
+    return Box(*sides, turn - quarters * math.pi / 2, offset, lever)
+
+
+# -- states
+
+
+def read_poses(obstacle: Element, step: float) -> dict[int, Pose]:
+    """Poses by time step; ``step`` [s]. Where no state gives a speed, the distance between two states gives it."""
+    every = [child(obstacle, "initialState"), *obstacle.findall("trajectory/state")]
+    poses = {time_step(state): read_pose(state) for state in every}
+    pairs = list(pairwise(sorted(poses)))
+    for before, after in (*pairs, *((b, a) for a, b in pairs)):
+        pose, other = poses[before], poses[after]
+        if math.isnan(pose.speed):
+            speed = math.dist((pose.x, pose.y), (other.x, other.y)) / (abs(after - before) * step)
+            poses[before] = Pose(pose.x, pose.y, pose.heading, speed)
+    return {k: Pose(p.x, p.y, p.heading, 0.0) if math.isnan(p.speed) else p for k, p in poses.items()}
+
+
+def time_step(state: Element) -> int:
+    """The number of a state's step."""
+    step = round(number(state, "time", 0.0))
+    if step < 0:
+        raise ValueError(f"a state has the time step {step}")
+    return step
+
+
+def read_pose(state: Element) -> Pose:
+    """A state; the middle where a place or value is given as a range."""
+    position = child(state, "position")
+    exact, region = position.find("point"), position.find("polygon")
+    if exact is not None:
+        x, y = point(exact)
+    elif region is not None:
+        x, y = _box_of_polygon(points(region)).offset
+    elif (centre := position.find("*/center")) is not None:
+        x, y = point(centre)
+    else:
+        raise ValueError("a state has no exact position")
+    return Pose(float(x), float(y), number(state, "orientation"), number(state, "velocity", math.nan))
+
+
+# -- elements
+
+
+def child(parent: Element, name: str) -> Element:
+    """The child of that name. Raises ValueError: there is none."""
+    found = parent.find(name)
+    if found is None:
+        raise ValueError(f"{parent.tag} {parent.get('id', '')} has no {name}".replace("  ", " "))
+    return found
+
+
+def number(state: Element, name: str, default: float | None = None) -> float:
+    """An exact value, or the middle of an interval."""
+    holder = state.find(name)
+    if holder is None and default is not None:
+        return default
+    values = [float(v.text or "nan") for v in child(state, name)]
+    if not values or not all(map(math.isfinite, values)):
+        raise ValueError(f"a {name} is no number")
+    return sum(values) / len(values)
+
+
+def point(element: Element) -> Floats:
+    """x, y of a point [m]."""
+    return np.array([float(element.findtext(name, "nan")) for name in ("x", "y")])
+
+
+def points(parent: Element) -> Floats:
+    """The points ``(n, 2)`` of a line or polygon [m]."""
+    return np.array([point(each) for each in parent.findall("point")])

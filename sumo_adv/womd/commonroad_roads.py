@@ -1,0 +1,180 @@
+"""The lanelets of a CommonRoad scenario as lanes: their lines, neighbours, speed limits and traffic lights."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from xml.etree.ElementTree import Element
+
+import numpy as np
+
+from sumo_adv.datatypes import Floats, Ints
+from sumo_adv.womd.commonroad_obstacles import child, points
+from sumo_adv.womd.lines import at, road_outline, stations
+from sumo_adv.womd.record import (
+    BIKE,
+    LANE_TYPES,
+    SIGNAL_STATES,
+    AreaFeature,
+    LaneFeature,
+    LineFeature,
+    Neighbour,
+    SignalState,
+)
+
+SPACING = 0.5  # m between points of a centre line
+MAX_SPEED = {"USA": "R2-1", "ESP": "r301"}
+"""Speed limit signs in commonroad-io's catalogues by country; in all others, and in Zamunda, it is ``DEFAULT_SIGN``."""
+DEFAULT_SIGN = "274"
+WALKWAYS = ("sidewalk", "crosswalk")  # lanelet types that are no lanes for vehicles
+COLOURS = {"red": "stop", "redYellow": "stop", "yellow": "caution", "green": "go", "inactive": "flashing_caution"}
+TURNS = {"right": "successorsRight", "straight": "successorsStraight", "left": "successorsLeft"}
+
+
+def is_walkway(lanelet: Element) -> bool:
+    """Whether a lanelet is for pedestrians."""
+    return any(kind in WALKWAYS for kind in lanelet_types(lanelet))
+
+
+def lanelet_types(lanelet: Element) -> set[str]:
+    """CommonRoad's words for what a lanelet is."""
+    return {(each.text or "").strip() for each in lanelet.findall("laneletType")}
+
+
+def read_lanes(root: Element, lanelets: Sequence[Element], version: str) -> dict[int, LaneFeature]:
+    """Centre lines halfway between the bounds, a point every half metre."""
+    lines = {int(lanelet.attrib["id"]): _centre(lanelet) for lanelet in lanelets}
+    limits, turns = _sign_limits(root), _turns(root)
+
+    def beside(lanelet: Element, name: str, own: int) -> tuple[Neighbour, ...]:
+        found = [each for each in lanelet.findall(name) if each.get("drivingDir") == "same"]
+        numbers = [int(each.attrib["ref"]) for each in found if int(each.attrib["ref"]) in lines]
+        return tuple(Neighbour(n, 0, len(lines[own]) - 1, 0, len(lines[n]) - 1) for n in numbers)
+
+    lanes = {}
+    for lanelet in lanelets:
+        own, kinds = int(lanelet.attrib["id"]), lanelet_types(lanelet)
+        before, after = (
+            tuple(int(each.attrib["ref"]) for each in lanelet.findall(name) if int(each.attrib["ref"]) in lines)
+            for name in ("predecessor", "successor")
+        )
+        given = [limits[ref] for ref in _refs(lanelet, "trafficSignRef") if ref in limits]
+        if version == "2018b":
+            given += [float(each.text or "nan") for each in lanelet.findall("speedLimit")]
+        lanes[own] = LaneFeature(
+            own, lines[own], BIKE if "bicycleLane" in kinds else LANE_TYPES.index("surface"), min(given, default=0.0),
+            "intersection" in kinds or own in turns, before, after, beside(lanelet, "adjacentLeft", own),
+            beside(lanelet, "adjacentRight", own),
+        )  # fmt: skip
+    return lanes
+
+
+def _centre(lanelet: Element) -> Floats:
+    bounds = [points(child(lanelet, name)) for name in ("leftBound", "rightBound")]
+    length = max(float(np.hypot(*np.diff(bound, axis=0).T).sum()) for bound in bounds)
+    count = max(2, math.ceil(length / SPACING) + 1)
+    along = [stations(bound) for bound in bounds]
+    middle = sum(at(b, s, np.linspace(0.0, s[-1], count)) for b, s in zip(bounds, along, strict=True)) / 2
+    return np.column_stack([middle, np.zeros(count)])
+
+
+def _refs(lanelet: Element, name: str) -> list[str]:
+    return [each.get("ref", "") for each in lanelet.findall(name)]
+
+
+def _outline(lanelet: Element) -> Floats:
+    return np.concatenate([points(child(lanelet, "leftBound")), points(child(lanelet, "rightBound"))[::-1]])
+
+
+def read_edges(lanelets: Sequence[Element], last: int) -> dict[int, LineFeature]:
+    """The outline of all lanelets, numbered behind ``last``."""
+    from shapely import Polygon
+
+    areas = [Polygon(_outline(each)).buffer(0.0) for each in lanelets]
+    return {
+        number: LineFeature(True, np.column_stack([line, np.zeros(len(line))]))
+        for number, line in enumerate(road_outline(areas), last + 1)
+    }
+
+
+def read_crosswalks(lanelets: Sequence[Element]) -> tuple[AreaFeature, ...]:
+    """The lanelets that are crosswalks."""
+    return tuple(
+        AreaFeature(int(each.attrib["id"]), "crosswalk", np.column_stack([line, np.zeros(len(line))]))
+        for each in lanelets if "crosswalk" in lanelet_types(each)
+        for line in (_outline(each),)
+    )  # fmt: skip
+
+
+# -- signs and lights
+
+
+def country(root: Element) -> str:
+    """The three letters of the scenario's name; cooperative scenarios begin with ``C-``."""
+    return root.attrib["benchmarkID"].removeprefix("C-")[:3]
+
+
+def _sign_limits(root: Element) -> dict[str, float]:
+    """Speed limits [m/s] by the number of the sign; every country's values are in m/s."""
+    wanted = MAX_SPEED.get(country(root), DEFAULT_SIGN)
+    limits: dict[str, float] = {}
+    for sign in root.findall("trafficSign"):
+        for element in sign.findall("trafficSignElement"):
+            value = element.findtext("additionalValue")
+            if element.findtext("trafficSignID", "").strip() == wanted and value is not None:
+                name = sign.attrib["id"]
+                limits[name] = min(float(value), limits.get(name, math.inf))
+    return limits
+
+
+def other_signs(root: Element) -> Counter[str]:
+    """The signs that say no speed limit, by their catalogue number."""
+    wanted = MAX_SPEED.get(country(root), DEFAULT_SIGN)
+    ids = (each.findtext("trafficSignID", "").strip() for each in root.iterfind("trafficSign/trafficSignElement"))
+    return Counter(f"sign {name}" for name in ids if name != wanted)
+
+
+def _turns(root: Element) -> dict[int, str]:
+    """Which way the lanelets of intersections lead."""
+    incoming = root.findall("intersection/incoming")
+    return {int(ref): turn for turn, name in TURNS.items() for each in incoming for ref in _refs(each, name)}
+
+
+def read_signals(
+    root: Element, lanelets: Sequence[Element], lanes: Mapping[int, LaneFeature], count: int
+) -> list[tuple[SignalState, ...]]:
+    """The state of each lane behind a traffic light at ``count`` steps.
+
+    A lanelet ends at its light, so that the light is of the lanelets behind it, of those only whose turn its direction
+    names. The cycle is repeated for ever, as by commonroad-io's ``TrafficLight.get_state_at_time_step``.
+    """
+    lights = {light.attrib["id"]: light for light in root.findall("trafficLight") if is_lit(light)}
+    turns = _turns(root)
+    ruled: dict[int, Ints] = {}
+    for lanelet in lanelets:
+        for ref in _refs(lanelet, "trafficLightRef"):
+            if ref in lights:
+                states = _states(lights[ref], count)
+                direction = lights[ref].findtext("direction", "all").strip().lower()
+                for after in lanes[int(lanelet.attrib["id"])].exits:
+                    if direction == "all" or turns.get(after, direction) in direction:
+                        ruled.setdefault(after, states)
+    return [tuple(SignalState(lane, int(states[k]), None) for lane, states in ruled.items()) for k in range(count)]
+
+
+def is_lit(light: Element) -> bool:
+    """Whether a light is active and has a cycle."""
+    active = light.findtext("active", "true").strip() != "false"
+    return active and light.find("cycle/cycleElement") is not None
+
+
+def _states(light: Element, count: int) -> Ints:
+    """Indices of ``SIGNAL_STATES`` at each step."""
+    cycle = light.findall("cycle/cycleElement")
+    colours = np.array([SIGNAL_STATES.index(COLOURS[each.findtext("color", "").strip()]) for each in cycle])
+    ends = np.cumsum([int(child(each, "duration").text or "") for each in cycle])
+    if ends[-1] <= 0:
+        raise ValueError(f"traffic light {light.get('id', '')} has a cycle of {ends[-1]} steps")
+    passed = (np.arange(count) - int(light.findtext("cycle/timeOffset", "0"))) % ends[-1]
+    return np.asarray(colours[np.searchsorted(ends, passed, side="right")])
