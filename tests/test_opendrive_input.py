@@ -232,10 +232,20 @@ def test_heights_are_kept(tmp_path: Path) -> None:
 def test_signs_and_objects_are_said(tmp_path: Path) -> None:
     more = (
         '<objects><object id="1" s="1" t="1" type="tree"/></objects>'
-        '<signals><signal id="2" s="1" t="1" dynamic="no" type="274" orientation="+"/></signals>'
+        '<signals><signal id="2" s="1" t="1" dynamic="no" type="274" orientation="+"/>'
+        '<signal id="3" s="1" t="1" dynamic="yes" type="warning board" orientation="+"/></signals>'
     )
     one = road(1, lane(-1)).replace("</road>", f"{more}</road>")
-    assert converted(tmp_path, one).lost == {"sign": 1, "object": 1}
+    assert converted(tmp_path, one).lost == {"sign": 1, "dynamic signal": 1, "object": 1}
+
+
+@pytest.mark.parametrize("kind", ["1000001", "1.000.011"])
+def test_traffic_lights_are_kept(tmp_path: Path, kind: str) -> None:
+    """The standard's catalogue writes types with dots, files mostly without."""
+    signals = f'<signals><signal id="2" s="299" t="2" dynamic="yes" type="{kind}" orientation="+"/></signals>'
+    first, *others = two_roads('rule="LHT"', "")
+    made = converted(tmp_path, first.replace("</road>", f"{signals}</road>"), *others)
+    assert made.lost == {} and "1 traffic lights" in made.said[0]
 
 
 def test_a_namespace_is_read(tmp_path: Path) -> None:

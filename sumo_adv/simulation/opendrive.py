@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import gzip
 import math
-from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from xml.etree import ElementTree
@@ -30,6 +29,8 @@ MOTOR = frozenset({
 """Types of lanes that limits are written to."""
 LANES = MOTOR | {"biking", "sidewalk", "walking", "parking", "roadWorks", "tram", "rail"}
 """Types that become lanes of SUMO."""
+LIGHTS = frozenset(str(1_000_000 + k) for k in (1, 2, 3, 4, 5, 6, 7, 9, 10, 11, 12, 13, 20))
+"""Types of signals that netconvert 1.28 makes traffic lights of."""
 SIDES = {"left": 0, "center": 1, "right": 2}  # their order in a section
 CLOSED = "restricted"  # SUMO's type map: a lane that no class may use
 NO_ROAD = "rail rail_urban rail_electric rail_fast tram subway cable_car ship drone aircraft container"  # classes
@@ -64,6 +65,8 @@ def read_opendrive(path: Path) -> MapContent:
     if not length <= MOST_LENGTH_M:
         raise UsageError(f"{path} has {length:.3g} m of roads, more than the {MOST_LENGTH_M:.0g} m that are read.")
     left_hand = _left_hand(path, roads)
+    for signal in root.iter("signal"):
+        signal.set("type", signal.get("type", "").replace(".", ""))  # the standard's catalogue writes 1.000.001
     lost = _left_out(root)
     kinds = {}
     for road in roads:
@@ -113,13 +116,14 @@ def _number(path: Path, element: Element, name: str, default: str = "") -> float
 
 
 def _left_out(root: Element) -> dict[str, int]:
-    counts = Counter(
-        {
-            "sign": sum(signal.get("dynamic") != "yes" for signal in root.iter("signal")),
-            "object": sum(1 for _ in root.iter("object")),
-            "second direction of a lane for both": sum(lane.get("direction") == "both" for lane in _motor(root)),
-        }
-    )
+    """By kind: signs and objects that netconvert does not take, and lanes of two directions, which have one in SUMO."""
+    other = [signal for signal in root.iter("signal") if signal.get("type", "") not in LIGHTS]
+    counts = {
+        "sign": sum(signal.get("dynamic") != "yes" for signal in other),
+        "dynamic signal": sum(signal.get("dynamic") == "yes" for signal in other),
+        "object": sum(1 for _ in root.iter("object")),
+        "second direction of a lane for both": sum(lane.get("direction") == "both" for lane in _motor(root)),
+    }
     return {kind: number for kind, number in counts.items() if number}
 
 
