@@ -340,6 +340,8 @@ def test_left_hand_traffic_is_said(tmp_path: Path, country: str) -> None:
     ("parts", "says"),
     [
         ((LANE, obstacle("<cube/>"), PROBLEM), "an obstacle has the shape cube"),
+        ((LANE, obstacle(""), PROBLEM), "obstacle 30 has an empty shape"),
+        ((arm(50), *JUNCTION, light(50).replace("3</duration>", "-9</duration>"), PROBLEM), "a cycle of -5 steps"),
         ((LANE, obstacle(f"<polygon>{point(0, 0)}{point(1, 1)}{point(2, 2)}</polygon>"), PROBLEM), "has no area"),
         ((LANE, PROBLEM.replace("<time><exact>0</exact>", "<time><exact>-1</exact>")), "a state has the time step -1"),
         ((LANE, PROBLEM.replace("<time><exact>0</exact>", "<time><exact>1e9</exact>")), "more than the 3600 s that"),

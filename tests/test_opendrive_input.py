@@ -260,6 +260,10 @@ def test_a_namespace_is_read(tmp_path: Path) -> None:
         (road(1, lane(-1), attributes='rule="BOTH"'), 'road 1 with rule="BOTH": give RHT or LHT'),
         (road(1, lane(-1, speeds='<speed sOffset="0" max="5" unit="kn"/>')), 'a speed limit in "kn"'),
         (road(1, lane(-1, speeds='<speed sOffset="0" max="fast"/>')), 'a <speed> with max="fast": give a number'),
+        (
+            road(1, lane(-1)).replace('<lane id="-1"', '<lane id="first"'),
+            'a <lane> with id="first": give a whole number',
+        ),
         (road(1, lane(-1)).replace('length="300.0"', 'length="1e12"'), "more than the 1e+07 m that are read"),
     ],
 )

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import gzip
 import math
+import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from xml.etree import ElementTree
@@ -65,6 +66,9 @@ def read_opendrive(path: Path) -> MapContent:
     if not length <= MOST_LENGTH_M:
         raise UsageError(f"{path} has {length:.3g} m of roads, more than the {MOST_LENGTH_M:.0g} m that are read.")
     left_hand = _left_hand(path, roads)
+    for lane in root.iter("lane"):
+        if not re.fullmatch(r"[+-]?\d{1,4}", lane.get("id", ""), re.ASCII):
+            raise UsageError(f'{path} has a <lane> with id="{lane.get("id", "")[:40]}": give a whole number.')
     for signal in root.iter("signal"):
         signal.set("type", signal.get("type", "").replace(".", ""))  # the standard's catalogue writes 1.000.001
     lost = _left_out(root)

@@ -17,6 +17,7 @@ from functools import partial
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
+from xml.sax.saxutils import quoteattr
 
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.map_content import MapContent, parse_map
@@ -129,17 +130,25 @@ def _write(path: Path, known: Set[str], left_hand: bool, target: Path) -> None:
                 for piece in _pieces(element, known, numbers):
                     later.write(ElementTree.tostring(_explicit(piece, left_hand)))
             elif element.tag == "node":
-                nodes = [element]
+                nodes = [element] if "lat" in element.attrib and "lon" in element.attrib else []
             else:
                 nodes = []
                 later.write(ElementTree.tostring(element))
             for node in nodes:
                 if node.get("id", "") not in written:
                     written.add(node.get("id", ""))
-                    out.write(ElementTree.tostring(node))
+                    out.write(_node(node))
         later.seek(0)
         shutil.copyfileobj(later, out)
         out.write(b"</osm>\n")
+
+
+def _node(node: Element) -> bytes:
+    """A node as text; most have no tags, and a quick way then."""
+    if len(node):
+        return ElementTree.tostring(node)
+    name, lat, lon = (quoteattr(node.get(key, "")) for key in ("id", "lat", "lon"))
+    return f"<node id={name} lat={lat} lon={lon}/>\n".encode()
 
 
 def _runs(nodes: Sequence[str], known: Set[str]) -> list[slice]:

@@ -72,7 +72,10 @@ def read_tracks(
     """A track for each of its shapes, over ``count`` steps; the first has the obstacle's id, others one of
     ``numbers``."""
     kind = KINDS.get(obstacle_type(obstacle), VEHICLE)
-    for k, shape in enumerate(child(obstacle, "shape")):
+    shapes = list(child(obstacle, "shape"))
+    if not shapes:
+        raise ValueError(f"obstacle {obstacle.get('id', '')} has an empty shape")
+    for k, shape in enumerate(shapes):
         yield make_track(next(numbers) if k else int(obstacle.attrib["id"]), kind, _box(shape), poses, count)
 
 

@@ -29,6 +29,7 @@ MAX_SPEED = {"USA": "R2-1", "ESP": "r301"}
 DEFAULT_SIGN = "274"
 WALKWAYS = ("sidewalk", "crosswalk")  # lanelet types that are no lanes for vehicles
 COLOURS = {"red": "stop", "redYellow": "stop", "yellow": "caution", "green": "go", "inactive": "flashing_caution"}
+MOST_STEPS = 10**9  # of a light's cycle
 TURNS = {"right": "successorsRight", "straight": "successorsStraight", "left": "successorsLeft"}
 
 
@@ -173,8 +174,9 @@ def _states(light: Element, count: int) -> Ints:
     """Indices of ``SIGNAL_STATES`` at each step."""
     cycle = light.findall("cycle/cycleElement")
     colours = np.array([SIGNAL_STATES.index(COLOURS[each.findtext("color", "").strip()]) for each in cycle])
-    ends = np.cumsum([int(child(each, "duration").text or "") for each in cycle])
-    if ends[-1] <= 0:
-        raise ValueError(f"traffic light {light.get('id', '')} has a cycle of {ends[-1]} steps")
+    durations = [int(child(each, "duration").text or "") for each in cycle]
+    if min(durations) < 0 or not 0 < sum(durations) < MOST_STEPS:
+        raise ValueError(f"traffic light {light.get('id', '')} has a cycle of {sum(durations)} steps")
+    ends = np.cumsum(durations)
     passed = (np.arange(count) - int(light.findtext("cycle/timeOffset", "0"))) % ends[-1]
     return np.asarray(colours[np.searchsorted(ends, passed, side="right")])
