@@ -163,6 +163,11 @@ def test_traffic_on_both_sides_is_refused(tmp_path: Path) -> None:
     assert "drawn.xodr" in str(refused.value)
 
 
+def test_a_footpath_has_no_side(tmp_path: Path) -> None:
+    roads = road(1, left=lane(1), attributes='rule="LHT"'), road(2, lane(-1, "sidewalk"), y=50.0)
+    assert "left-hand traffic" in converted(tmp_path, *roads).said[0]
+
+
 def test_lanes_in_reversed_direction_change_the_side(tmp_path: Path) -> None:
     """ASAM OpenDRIVE 1.8, lane direction: reversed lanes of a right-hand road go as those of a left-hand road."""
     both = lane(-1, attributes='direction="reversed"'), lane(1, attributes='direction="reversed"')
@@ -256,6 +261,7 @@ def test_a_namespace_is_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("part", "sentence"),
     [
+        ('<include file="roads.xodr"/>', "includes other files (<include>): put all of the map into one file"),
         (road(1, lane(-1, "sidewalk")), "has no road for cars"),
         (road(1, lane(-1), attributes='rule="BOTH"'), 'road 1 with rule="BOTH": give RHT or LHT'),
         (road(1, lane(-1, speeds='<speed sOffset="0" max="5" unit="kn"/>')), 'a speed limit in "kn"'),

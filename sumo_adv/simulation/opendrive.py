@@ -51,8 +51,8 @@ TYPE_MAP = f"""<types>
 def read_opendrive(path: Path) -> MapContent:
     """The map at ``path``.
 
-    Raises UsageError: it is damaged, no OpenDRIVE 1.x, longer than ``MOST_LENGTH_M``, has a limit or rule that cannot
-    be understood, or traffic on both sides.
+    Raises UsageError: it is damaged, no OpenDRIVE 1.x in one file, longer than ``MOST_LENGTH_M``, has a limit, rule or
+    lane that cannot be understood, or traffic on both sides.
     """
     parse_map(path, lambda tag, attributes: None, "OpenDRIVE")
     tree = _tree(path)
@@ -61,6 +61,8 @@ def read_opendrive(path: Path) -> MapContent:
     major = "1" if header is None else header.get("revMajor", "1")
     if major != "1":
         raise UsageError(f"{path} is OpenDRIVE of version {major}.x: give version 1.4 to 1.8.")
+    if root.find(".//include") is not None:
+        raise UsageError(f"{path} includes other files (<include>): put all of the map into one file.")
     roads = root.findall("road")
     length = sum(_number(path, road, "length") for road in roads)
     if not length <= MOST_LENGTH_M:
@@ -139,7 +141,8 @@ def _motor(element: Element) -> Iterator[Element]:
 
 
 def _left_hand(path: Path, roads: list[Element]) -> bool:
-    """Whether traffic drives on the left. A road without a rule is right-hand; within a junction it is as its arms."""
+    """Whether traffic drives on the left. A road without a rule is right-hand; within a junction it is as its arms, and
+    a road without motor traffic has no side."""
     sides: dict[bool, list[str]] = {False: [], True: []}
     for road in roads:
         name = road.get("id", "")
@@ -153,7 +156,7 @@ def _left_hand(path: Path, roads: list[Element]) -> bool:
                 f"{path} has road {name} with lanes in their standard and in reversed direction on one road, which "
                 "netconvert does not read: make two roads of it."
             )
-        if rule or road.get("junction", "-1") == "-1":
+        if directions and (rule or road.get("junction", "-1") == "-1"):
             sides[(rule == "LHT") != backward].append(name)
     right, left = sides[False], sides[True]
     if left and right:
