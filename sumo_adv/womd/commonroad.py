@@ -20,7 +20,7 @@ import numpy as np
 from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError
 from sumo_adv.womd.lines import at, road_outline, stations
-from sumo_adv.womd.record import VEHICLE, LaneFeature, LineFeature, Neighbour, ObjectTrack, Record, check_bounds
+from sumo_adv.womd.record import VEHICLE, LaneFeature, LineFeature, Neighbour, ObjectTrack, Record, check_record
 
 SPACING = 0.5  # m between points of a centre line
 EGO_SIZE = 4.508, 1.610  # m: CommonRoad's vehicle 2, BMW 320i; a planning problem names no size
@@ -42,7 +42,7 @@ def read_commonroad(path: Path) -> Record:
         raise UsageError(f"The file {path} cannot be read: {error.strerror or error}.") from error
     except (ElementTree.ParseError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise UsageError(f"{path} is no CommonRoad scenario that can be read ({error}); check the file.") from error
-    check_bounds(record, str(path))
+    check_record(record, str(path))
     return record
 
 
