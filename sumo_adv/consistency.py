@@ -30,12 +30,12 @@ FRAME_RATES = (5.0, 120.0)  # 1/s
 
 Range = tuple[float, float]
 SIZES: Mapping[str, tuple[Range, Range]] = {
-    "vehicle": ((0.5, 250.0), (0.2, 5.0)),
+    "vehicle": ((0.5, 1000.0), (0.2, 5.0)),
     "pedestrian": ((0.1, 3.0), (0.1, 3.0)),
     "cyclist": ((0.3, 5.0), (0.1, 2.0)),
     "other": ((0.01, 100.0), (0.01, 100.0)),
 }
-"""Length and width [m] that an object of a kind may have; the longest vehicles are SUMO's trains of 200 m."""
+"""Length and width [m] that an object of a kind may have; SUMO's longest class is a train of 200 m."""
 SIZE_UNITS = (("centimetres", 0.01), ("millimetres", 0.001), ("feet", 0.3048), ("inches", 0.0254))
 TYPICAL: Mapping[str, tuple[Range, Range]] = {**SIZES, "vehicle": ((1.0, 30.0), (0.5, 3.0))}
 SPEED_UNITS = (
