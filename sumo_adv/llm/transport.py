@@ -122,9 +122,8 @@ class ServerConnection:
         self.has_answered = False
         self._url = f"{base_url}/chat/completions"
         versioned = re.search(r"/v\d", urlsplit(base_url).path) is not None
-        self.address_advice = (
-            "" if versioned else f"set SUMO_ADV_LLM_BASE_URL to {base_url}/v1, where most servers answer"
-        )
+        longer = f"set SUMO_ADV_LLM_BASE_URL to {base_url}/v1, where most servers answer"
+        self.address_advice = "" if versioned else longer
         """What to do about an address without a version at which no questions are answered; empty if it has one."""
         self._use_proxy = urlsplit(base_url).hostname not in LOCAL_HOSTS
         self._key = key.get_secret_value() if key is not None else None
@@ -268,14 +267,9 @@ class Question:
     def _failure(self, fault: ServerFault, answer: _Response) -> _Failure:
         """The failure to retry after. Raises ModelError for a fault that a retry cannot change."""
         said = self._server_text(answer)
-        if (
-            self._server.address_advice
-            and "model" not in said.lower()
-            and (answer.status in (404, 405) or NO_ADDRESS.search(said))
-        ):
-            self._fail(
-                f"answers no questions at this address (status {answer.status}{said}); {self._server.address_advice}"
-            )
+        no_address = (answer.status in (404, 405) and "model" not in said.lower()) or NO_ADDRESS.search(said)
+        if no_address and (advice := self._server.address_advice):
+            self._fail(f"answers no questions at this address (status {answer.status}{said}); {advice}")
         reason = f"{fault.says} (status {answer.status}{said})"
         advice = fault.advice.format(model=self._server.model)
         if not fault.retried:

@@ -68,6 +68,8 @@ def read_recording(path: Path) -> FcdRecording:
     def start(tag: str, attributes: dict[str, str]) -> None:
         if tag == "timestep":
             times.append(_time(path, attributes))
+            if wrong := unordered(np.array(times[-2:])):
+                raise _no_fcd(path, f"the timestep {wrong[1]}")
             places.clear()
         elif tag in ("vehicle", "person"):
             if not times or "id" not in attributes:
@@ -86,8 +88,6 @@ def read_recording(path: Path) -> FcdRecording:
     if path.name.lower().endswith((".csv", ".parquet", ".csv.gz")):
         raise UsageError(f"{path} is no XML: let SUMO write the FCD into a file whose name ends in .xml or .xml.gz.")
     parse(path, start)
-    if wrong := unordered(np.array(times)):
-        raise _no_fcd(path, f"the timestep {wrong[1]}")
     if not vehicles:
         raise UsageError(f"{path} has no vehicle in a timestep; write it with sumo --fcd-output.")
     objects = {name: _object(path, name, states, person=False) for name, states in vehicles.items()}
@@ -162,7 +162,11 @@ def in_network(path: Path, recording: FcdRecording, network: Path, road: RoadMap
     unshifted = _moved(recording, lon_lat + offset)
     if _from_lanes(unshifted.objects[ego], road) <= NEAR_M:
         note = "Places of --fcd-output.utm are moved by the network's offset."
-        return replace(unshifted, notes=(*recording.notes, note))
+        moved = dict(unshifted.objects)
+        for name, o in recording.objects.items():  # SUMO 1.28 writes persons in the network's coordinates nevertheless
+            if o.person and _apart(o, moved[ego]) < _apart(moved[name], moved[ego]):
+                moved[name] = o
+        return FcdRecording(moved, (*recording.notes, note))
     if (np.abs(lon_lat) <= (180.0, 90.0)).all():
         if projection == "!":
             raise UsageError(
@@ -177,6 +181,11 @@ def in_network(path: Path, recording: FcdRecording, network: Path, road: RoadMap
         f"The vehicle '{ego}' is {far:.4g} m from the lanes of {network.name} that it is on in {path}; "
         "is it that network's?"
     )
+
+
+def _apart(a: RecordedObject, b: RecordedObject) -> float:
+    """Distance of the first places [m]."""
+    return math.hypot(float(a.x[0] - b.x[0]), float(a.y[0] - b.y[0]))
 
 
 def _from_lanes(o: RecordedObject, road: RoadMap) -> float:
