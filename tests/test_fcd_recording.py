@@ -218,9 +218,9 @@ def test_a_csv_of_sumo_is_named(program: Program, world: World) -> None:
     assert done.status == 2 and "is no XML: let SUMO write the FCD into a file whose name ends in .xml" in done.err
 
 
-@pytest.mark.parametrize("seconds", [4.0, 9.0])
-def test_what_a_short_recording_becomes_runs(program: Program, world: World, seconds: float) -> None:
-    tracks(program, imported(program, world, world.record("short.xml", seconds=seconds)))
+def test_what_a_short_recording_becomes_runs(program: Program, world: World) -> None:
+    """After 4 s the ego is at 80 m of 373; the run drives it on for 20 s."""
+    tracks(program, imported(program, world, world.record("short.xml", seconds=4.0)))
     limits = ("--attempts", "1", "--seconds", "5", "--total-seconds", "5", "--learn", "off")
     done = program.here("run", program.folder / "made" / SCENARIO, "--ego", "idm", "--out", "out", *limits)
-    assert "KeyError" not in done.err and done.status in (0, 3, 4), done.err
+    assert done.status == 0 and "Result: " in done.out, done.err

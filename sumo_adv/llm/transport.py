@@ -36,7 +36,7 @@ MOST_BACKSLASHES = 8  # before one character: JSON in JSON in JSON has 7
 Blanker = Callable[[str], str]
 MAX_ANSWER_BYTES = 2_000_000
 FIRST_WAIT = 0.5  # s, before the first retry
-NO_ADDRESS = re.compile(r"(?i)\bendpoint\b|invalid url")
+NO_ADDRESS = re.compile(r"(?i)(unexpected|unknown|invalid|no such) (endpoint|url|route|path)")
 """In an error with status 200 of a server that does not know the address (LM Studio)."""
 MAX_WAIT = 8.0  # s, unless the server asks for more
 LOCAL_HOSTS = ("localhost", "127.0.0.1", "::1")  # reached without a proxy
