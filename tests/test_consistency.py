@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from womd_samples import four_way, straight, write
 
 import sumo_adv
 from sumo_adv.consistency import SUMO_DEGREES, UNWRAPPED, Motion, even_grid, find_fault, off_grid
 from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError
+from sumo_adv.womd.commonroad import read_commonroad
+from sumo_adv.womd.reader import read_records
 
 TIME = np.round(np.arange(60) * 0.1, 3)
 
@@ -148,3 +153,63 @@ def test_judge_names_the_time_that_is_out_of_order(at: int, value: float, says: 
     wrong[at] = value
     with pytest.raises(UsageError, match=says):
         sumo_adv.judge(columns(bend()), columns(bend()) | {"time": wrong})
+
+
+# ---- through records
+
+
+def degrees(message: Any) -> Any:
+    for track in message.tracks:
+        for state in track.states:
+            state.heading = np.degrees(state.heading)
+    return message
+
+
+def test_a_record_with_headings_in_degrees_is_refused_with_track_and_time(tmp_path: Path) -> None:
+    """The first vehicle that does not go to the east has 90 degrees or more."""
+    assert len(list(read_records(write(tmp_path / "right", four_way())))) == 1
+    with pytest.raises(
+        UsageError, match=r"its track \d at \d\.\d\d s has the heading -?\d+ rad .* look like degrees"
+    ):
+        list(read_records(write(tmp_path / "wrong", degrees(four_way()))))
+
+
+def test_a_record_with_speeds_in_kmh_is_refused(tmp_path: Path) -> None:
+    message = straight()
+    for track in message.tracks:
+        for state in track.states:
+            state.velocity_x *= 3.6
+            state.velocity_y *= 3.6
+    with pytest.raises(UsageError, match="speeds look like km/h"):
+        list(read_records(write(tmp_path / "wrong", message)))
+
+
+COMMONROAD = """<?xml version='1.0'?>
+<commonRoad commonRoadVersion="2020a" benchmarkID="ZAM_Hand-1_1_T-1" timeStepSize="0.1">
+<lanelet id="1"><leftBound><point><x>0</x><y>0</y></point><point><x>0</x><y>200</y></point></leftBound>
+<rightBound><point><x>4</x><y>0</y></point><point><x>4</x><y>200</y></point></rightBound></lanelet>
+<dynamicObstacle id="5"><type>car</type><shape><rectangle><length>4.0</length><width>1.8</width></rectangle></shape>
+{states}</dynamicObstacle><planningProblem id="7">{ego}</planningProblem></commonRoad>"""
+
+
+def commonroad(folder: Path, heading: float) -> Path:
+    """A car that drives north at 10 m/s."""
+
+    def state(tag: str, k: int, y: float, angle: float) -> str:
+        values = (("orientation", angle), ("time", k), ("velocity", 10.0))
+        exact = "".join(f"<{name}><exact>{value}</exact></{name}>" for name, value in values)
+        return f"<{tag}><position><point><x>2.0</x><y>{y}</y></point></position>{exact}</{tag}>"
+
+    later = "".join(state("state", k, 50.0 + k, heading) for k in range(1, 40))
+    states = f"{state('initialState', 0, 50.0, heading)}<trajectory>{later}</trajectory>"
+    file = folder / "north.xml"
+    file.write_text(COMMONROAD.format(states=states, ego=state("initialState", 0, 10.0, 1.5708)), encoding="utf-8")
+    return file
+
+
+def test_a_commonroad_obstacle_in_degrees_is_refused(tmp_path: Path) -> None:
+    assert len(read_commonroad(commonroad(tmp_path, 1.5708)).tracks) == 2
+    with pytest.raises(
+        UsageError, match=r"its track 5 at 0\.00 s has the heading 90 rad .* look like degrees"
+    ):
+        read_commonroad(commonroad(tmp_path, 90.0))

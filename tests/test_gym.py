@@ -320,7 +320,7 @@ def test_an_adversarys_action_is_checked_too(kind: str) -> None:
     env = made("Adversary-v0", actions=kind).unwrapped
     env.reset(seed=0)
     count = env.action_space.shape[0]
-    with pytest.raises(UsageError, match="action of the agent 'adversary' is .*nan.*: its numbers must be finite"):
+    with pytest.raises(UsageError, match=r"action of the agent 'adversary' is .*nan.*: its numbers must be finite"):
         env.step(np.full(count, np.nan, np.float32))
     for wrong in (np.zeros((1, count)), np.zeros(count + 1), np.float32(0.5)):
         with pytest.raises(UsageError, match=rf"has the shape .*; its space has the shape \({count},\)"):
@@ -333,7 +333,7 @@ def test_an_adversarys_action_is_checked_too(kind: str) -> None:
 def test_of_two_agents_the_one_with_a_bad_action_is_named() -> None:
     env = sumo_adv.gym.parallel_env("neighbour_ahead_left")
     env.reset(seed=1)
-    with pytest.raises(UsageError, match="The action of the agent 'adversary' is \\[nan, 0.0\\]"):
+    with pytest.raises(UsageError, match=r"The action of the agent 'adversary' is \[nan, 0.0\]"):
         env.step({"ego": STILL, "adversary": np.array([np.nan, 0.0], np.float32)})
     with pytest.raises(UsageError, match="The agent 'adversary' has no action"):
         env.step({"ego": STILL})
