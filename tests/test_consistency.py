@@ -168,9 +168,7 @@ def degrees(message: Any) -> Any:
 def test_a_record_with_headings_in_degrees_is_refused_with_track_and_time(tmp_path: Path) -> None:
     """The first vehicle that does not go to the east has 90 degrees or more."""
     assert len(list(read_records(write(tmp_path / "right", four_way())))) == 1
-    with pytest.raises(
-        UsageError, match=r"its track \d at \d\.\d\d s has the heading -?\d+ rad .* look like degrees"
-    ):
+    with pytest.raises(UsageError, match=r"its track \d at \d\.\d\d s has the heading -?\d+ rad .* look like degrees"):
         list(read_records(write(tmp_path / "wrong", degrees(four_way()))))
 
 
@@ -209,7 +207,5 @@ def commonroad(folder: Path, heading: float) -> Path:
 
 def test_a_commonroad_obstacle_in_degrees_is_refused(tmp_path: Path) -> None:
     assert len(read_commonroad(commonroad(tmp_path, 1.5708)).tracks) == 2
-    with pytest.raises(
-        UsageError, match=r"its track 5 at 0\.00 s has the heading 90 rad .* look like degrees"
-    ):
+    with pytest.raises(UsageError, match=r"its track 5 at 0\.00 s has the heading 90 rad .* look like degrees"):
         read_commonroad(commonroad(tmp_path, 90.0))
