@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import subprocess
+from contextlib import chdir
 from pathlib import Path
 
 import numpy as np
@@ -145,8 +146,14 @@ def test_a_step_of_any_length_is_kept(program: Program, world: World, step: str,
 
 def test_a_type_that_traci_copied_keeps_its_size(program: Program, world: World) -> None:
     """``vehicle.setMinGap`` and its like give a vehicle a type of its own, called ``lorry@lorry``."""
-    text = world.record("fcd.xml").read_text(encoding="utf-8")
-    (world.folder / "copied.xml").write_text(text.replace('type="lorry"', 'type="lorry@lorry"'), encoding="utf-8")
+    libsumo, files = load_libsumo(), ("-n", "geo.net.xml", "-a", "t.add.xml", "-r", "r.rou.xml")
+    with chdir(world.folder):
+        libsumo.start(["sumo", *files, "--step-length", "0.1", "--fcd-output", "copied.xml", "--no-step-log"])
+        for _ in range(40):
+            libsumo.simulationStep()
+            libsumo.vehicle.setMinGap("lorry", 1.0)
+        libsumo.close()
+    assert 'type="lorry@lorry"' in (world.folder / "copied.xml").read_text(encoding="utf-8")
     log = tracks(program, imported(program, world, world.folder / "copied.xml"))
     assert (log.tracks["lorry"].length, log.tracks["lorry"].width) == (16.5, 2.55)
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from sumo_adv.consistency import SUMO_DEGREES, Motion, find_fault, unordered
 from sumo_adv.datatypes import Floats
-from sumo_adv.errors import UsageError
+from sumo_adv.errors import SimulationError, UsageError
 from sumo_adv.simulation.network import RoadMap
 from sumo_adv.simulation.programs import load_libsumo
 from sumo_adv.simulation.scan import parse, seconds
@@ -228,10 +228,16 @@ def _location(network: Path) -> tuple[Floats, str]:
 
 
 def _projected(network: Path, lon_lat: Floats) -> Floats:
-    """Places in the network ``(n, 2)`` [m] of longitudes and latitudes, as SUMO itself converts them."""
+    """Places in the network ``(n, 2)`` [m] of longitudes and latitudes, as SUMO itself converts them.
+
+    Raises SimulationError: SUMO does not load the network, or already runs in this process.
+    """
     libsumo = load_libsumo()
-    libsumo.start(["sumo", "-n", str(network), "--no-step-log", "--no-warnings", "--xml-validation", "never"])
     try:
-        return np.array([libsumo.simulation.convertGeo(x, y, True) for x, y in lon_lat.tolist()])
-    finally:
-        libsumo.close()
+        libsumo.start(["sumo", "-n", str(network), "--no-step-log", "--no-warnings", "--xml-validation", "never"])
+        try:
+            return np.array([libsumo.simulation.convertGeo(x, y, True) for x, y in lon_lat.tolist()])
+        finally:
+            libsumo.close()
+    except libsumo.TraCIException as error:
+        raise SimulationError(f"SUMO cannot convert places with the projection of {network}: {error}.") from error
