@@ -25,6 +25,7 @@ REVERSING_MS = 10.0  # m/s: no car drives backwards faster
 NEAR_UNIT = 0.06  # of a factor between two units
 ROUNDING_RAD = 0.01  # of a heading of 2 pi
 LARGEST_M = 1e9  # of a place
+WIDEST_M = 100.0  # of anything on a road; a car is 180 cm wide
 GRID_SLACK_S = 2e-3  # that a time may be off an even grid, and at most a quarter of a step: SUMO's times are in ms
 FRAME_RATES = (5.0, 120.0)  # 1/s
 
@@ -113,23 +114,31 @@ def find_fault(motions: Sequence[Motion], *, noisy: bool) -> Fault | None:
     """The first thing of ``motions`` that cannot be right.
 
     noisy: they were measured, and one object may be wrong by itself. So what no unit explains counts only if it holds
-    for half of the moving objects. Headings always need that: small ones in degrees look like noise.
+    for half of the moving objects. Headings and sizes always need that: small headings in degrees look like noise, and
+    what never moves may be a building.
     """
-    moved = 0
+    moving = 0
+    sizes: list[Fault] = []
     contradictions: list[Fault] = []
     for motion in motions:
-        if fault := _not_finite(motion) or _wrong_size(motion) or _beyond_turns(motion):
+        if fault := _not_finite(motion) or _beyond_turns(motion):
             return fault
-        if motion.kind not in ("vehicle", "cyclist") or len(motion.time) < 2:
+        stretches = _stretches(motion) if len(motion.time) > 1 else None
+        moves = stretches is not None and stretches.counts
+        size = _wrong_size(motion, motion.kind if moves or not noisy else "other")
+        if size and (not noisy or motion.width > WIDEST_M):
+            return size
+        sizes += [size] if size else []
+        if stretches is None or motion.kind not in ("vehicle", "cyclist"):
             continue  # pedestrians jump sideways in SUMO, and turn on the spot
-        stretches = _stretches(motion)
-        moved += stretches.counts
+        moving += moves
         speed = _against_speed(motion, stretches)
         fault = speed or _against_heading(motion, stretches)
         if fault and (not noisy or (speed and speed.cause)):
             return fault
         contradictions += [fault] if fault else []
-    return contradictions[0] if contradictions and 2 * len(contradictions) >= moved else None
+    most = max(sizes, contradictions, key=len)
+    return most[0] if most and 2 * len(most) >= moving else None
 
 
 # -- times ----------------------------------------------------------------------------------------------------------
@@ -193,9 +202,9 @@ def _not_finite(m: Motion) -> Fault | None:
     return None
 
 
-def _wrong_size(m: Motion) -> Fault | None:
-    size = m.length, m.width
-    if _within(size, SIZES[m.kind]) and not (m.kind == "vehicle" and m.width > max(m.length, 3.0)):
+def _wrong_size(m: Motion, kind: str) -> Fault | None:
+    """What is wrong of its size for an object of a ``kind``."""
+    if _within((m.length, m.width), SIZES[kind]) and not (kind == "vehicle" and m.width > max(m.length, 3.0)):
         return None
     swapped = _within((m.width, m.length), TYPICAL[m.kind])
     units = (unit for unit, factor in SIZE_UNITS if _within((m.length * factor, m.width * factor), TYPICAL[m.kind]))

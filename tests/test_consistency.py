@@ -115,6 +115,14 @@ def test_one_noisy_object_of_three_is_no_wrong_unit_and_two_are() -> None:
     assert "speeds look like km/h" in fault(bend(), bend(), replace(bend(), speed=bend().speed * 3.6), noisy=True)
 
 
+def test_a_building_that_somebody_recorded_is_no_vehicle_in_feet() -> None:
+    """CommonRoad's static obstacles of all types come as vehicles: 20 by 30 m stand there, but do not drive."""
+    house = replace(bend(), x=np.zeros(60), y=np.zeros(60), speed=np.zeros(60), length=20.0, width=30.0)
+    assert fault(bend(), house, house, noisy=True) == ""
+    in_feet = scaled(3.28084)(bend())
+    assert "sizes look like feet" in fault(in_feet, in_feet, house, noisy=True)
+
+
 @pytest.mark.parametrize("rate", [10.0, 25.0, 30.0, 29.97, 60.0])
 def test_rounded_times_give_the_step_that_was_meant(rate: float) -> None:
     """A minute, in milliseconds; at 30 Hz the least difference is 0.033 s, 1 % too short."""
