@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import sys
 from collections.abc import Iterator
@@ -371,6 +372,45 @@ def test_a_module_that_is_not_there() -> None:
         make_ego("no_such_module_anywhere:Driver", {})
     with pytest.raises(UsageError, match="not of the form 'module:Class'"):
         make_ego("module:", {})
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("import argparse\nargparse.ArgumentParser(prog='me').parse_args(['--x'])\n",
+         "reads the command line when it is imported (SystemExit: 2; it wrote 'me: error: unrecognized arguments: "
+         "--x'): "
+         "put that code below if __name__ == '__main__'."),
+        ("import getopt\ngetopt.getopt(['-x'], '')\n",
+         "reads the command line when it is imported (GetoptError: option -x not recognized)"),
+        ("print('no licence')\nraise SystemExit(3)\n",
+         "ends the program when it is imported (SystemExit: 3; it wrote 'no licence')"),
+        ("class Stop(BaseException): ...\nraise Stop('here')\n", "Python's path: Stop: here."),
+        ("import sys\nprint('loading w.pt', file=sys.stderr)\nopen('w.pt')\n", "it wrote 'loading w.pt'."),
+    ],
+)  # fmt: skip
+def test_a_module_that_ends_when_it_is_imported_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], text: str, says: str
+) -> None:
+    (tmp_path / "ends_early.py").write_text(text, encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(UsageError) as refused:
+        make_ego("ends_early:Driver", {})
+    assert str(refused.value).startswith("The module of the ego 'ends_early:Driver' ") and says in str(refused.value)
+    assert capsys.readouterr() == ("", "")  # the sentence is all
+
+
+def test_what_a_module_prints_goes_to_stderr(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Also a logger that is set up at import goes on: it keeps the stream that it found."""
+    text = "import logging\nlogging.getLogger('talks').addHandler(logging.StreamHandler())\nprint('hello')\n"
+    (tmp_path / "talks.py").write_text(text + USER, encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    make_ego("talks:Good", {"gain": 2.0})
+    assert capsys.readouterr() == ("", "hello\n")
+    logging.getLogger("talks").warning("still here")
+    assert capsys.readouterr().err == "still here\n"
 
 
 def test_a_users_errors_are_one_sentence(user_module: str) -> None:

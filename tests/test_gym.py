@@ -302,6 +302,44 @@ def test_wrong_use_is_refused_in_a_sentence(name: str, options: dict[str, Any], 
     assert sentence in str(refused.value)
 
 
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize(("kind", "count"), [("pedals", 1), ("controls", 2), ("lane", 2)])
+def test_an_action_that_is_not_finite_is_named_and_nothing_moves(kind: str, count: int, bad: float) -> None:
+    env = made("Ego-v0", attacker=None, actions=kind).unwrapped
+    _, info = env.reset(seed=0)
+    action = np.zeros(count, np.float32)
+    action[-1] = bad
+    with pytest.raises(UsageError, match=rf"action of the agent 'ego' is \[.*{bad}\]: its numbers must be finite"):
+        env.step(action)
+    assert env.step(np.zeros(count, np.float32))[4]["time"] == pytest.approx(info["time"] + 0.1)
+    env.close()
+
+
+@pytest.mark.parametrize("kind", ["endpoint", "controls"])
+def test_an_adversarys_action_is_checked_too(kind: str) -> None:
+    env = made("Adversary-v0", actions=kind).unwrapped
+    env.reset(seed=0)
+    count = env.action_space.shape[0]
+    with pytest.raises(UsageError, match=r"action of the agent 'adversary' is .*nan.*: its numbers must be finite"):
+        env.step(np.full(count, np.nan, np.float32))
+    for wrong in (np.zeros((1, count)), np.zeros(count + 1), np.float32(0.5)):
+        with pytest.raises(UsageError, match=rf"has the shape .*; its space has the shape \({count},\)"):
+            env.step(wrong)
+    with pytest.raises(UsageError, match="of the agent 'adversary' holds no numbers"):
+        env.step(["fast"] * count)
+    env.close()
+
+
+def test_of_two_agents_the_one_with_a_bad_action_is_named() -> None:
+    env = sumo_adv.gym.parallel_env("neighbour_ahead_left")
+    env.reset(seed=1)
+    with pytest.raises(UsageError, match=r"The action of the agent 'adversary' is \[nan, 0.0\]"):
+        env.step({"ego": STILL, "adversary": np.array([np.nan, 0.0], np.float32)})
+    with pytest.raises(UsageError, match="The agent 'adversary' has no action"):
+        env.step({"ego": STILL})
+    env.close()
+
+
 # ---- the example
 
 

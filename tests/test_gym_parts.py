@@ -211,5 +211,11 @@ def test_a_policy_decides_every_so_often_and_its_action_holds_until_then() -> No
     assert len(speeds_seen) == 4
 
 
+def test_a_policy_that_gives_nan_is_named() -> None:
+    driver = PolicyDriver(lambda vector: np.array([np.nan]), vehicles=2)
+    with pytest.raises(UsageError, match=r"action of the agent 'policy' is \[nan\]: its numbers must be finite"):
+        driver.act(SEEN)
+
+
 def test_the_lines_of_a_lane_lie_beside_its_middle() -> None:
     assert beside(np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0]]), 2.0)[0] == [0.0, 2.0]

@@ -11,6 +11,7 @@ import threading
 import time
 from datetime import UTC, datetime, timedelta
 from email.utils import format_datetime
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
 import pytest
@@ -232,6 +233,38 @@ def test_a_missing_server_is_reported_at_once() -> None:
     with pytest.raises(ModelError, match=f"localhost:{port} of model ollama:llama3 cannot be reached .*start it, or"):
         model.complete(QUESTION)
     assert clock.slept == []
+
+
+@pytest.mark.parametrize(
+    ("code", "body"),
+    [
+        (404, "404 page not found"),  # Ollama
+        (404, '{"error": {"message": "Invalid URL (POST /chat/completions)", "type": "invalid_request_error"}}'),
+        (405, "Method Not Allowed"),
+        (200, '{"error": "Unexpected endpoint or method. (POST /chat/completions)"}'),  # LM Studio
+        (200, "<html>the page of the server</html>"),
+    ],
+)
+def test_an_address_without_v1_is_named(code: int, body: str) -> None:
+    class Handler(BaseHTTPRequestHandler):
+        def do_POST(self) -> None:
+            self.rfile.read(int(self.headers["Content-Length"]))
+            self.send_response(code)
+            self.send_header("Content-Length", str(len(body)))
+            self.end_headers()
+            self.wfile.write(body.encode())
+
+        def log_message(self, *_: object) -> None: ...
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
+        threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True).start()
+        address = f"http://127.0.0.1:{server.server_port}"
+        for url, said in ((address, True), (f"{address}/v1", False)):
+            model = connect("my-own", ModelSettings(llm_base_url=url), Ledger(), clock=StepClock())
+            with pytest.raises(ModelError) as caught:
+                model.complete(QUESTION)
+            assert (f"; set SUMO_ADV_LLM_BASE_URL to {address}/v1, where" in str(caught.value)) == said
+        server.shutdown()
 
 
 def test_no_more_questions_at_once_than_allowed() -> None:

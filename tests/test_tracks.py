@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ CAR = """0.0,a,vehicle,1,0,0,0,10,4.0,2.0
 0.2,a,vehicle,1,2,0,0.2,10,5.0,1.8
 0.3,a,vehicle,1,3,0,0.2,10,4.6,1.9
 """
+MOVING = "".join(f"{k / 10},a,vehicle,1,{k},0,{{0}},10,4.5,1.8\n" for k in range(20))  # 10 m/s to the east
 
 
 def written(folder: Path, text: str) -> Path:
@@ -48,6 +50,15 @@ def test_between_samples_it_is_linear_where_both_sides_are_valid(tmp_path: Path)
     assert log.time == pytest.approx([0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3])
     assert car.valid.tolist() == [True, False, False, False, True, True, True]
     assert car.x[4:] == pytest.approx([2.0, 2.5, 3.0])
+
+
+@pytest.mark.parametrize("step", [0.005, 0.033, 1 / 30, 0.125, 0.1])
+def test_times_are_written_with_the_digits_that_their_step_needs(tmp_path: Path, step: float) -> None:
+    even = read_tracks(written(tmp_path, HEADER + MOVING.format(0)))
+    log = TrackLog(1.0 + step * np.arange(20), even.tracks)
+    log = TrackLog(log.time, {n: replace(t, x=10.0 * log.time) for n, t in log.tracks.items()})
+    write_tracks(tmp_path / "steps.csv", log)
+    assert read_tracks(tmp_path / "steps.csv").time == pytest.approx(log.time, abs=1e-6)
 
 
 def test_headings_turn_the_shorter_way(tmp_path: Path) -> None:
@@ -89,6 +100,19 @@ def test_what_is_written_is_read_and_has_the_same_bytes(tmp_path: Path) -> None:
         (HEADER + CAR + "0.4,a,cyclist,1,0,0,0,1,4,2\n", "line 7 calls 'a' a cyclist, which was a vehicle"),
         (HEADER + CAR + "0.3,a,vehicle,1,0,0,0,1,4,2\n", "line 7 is the second for 'a' at 0.3 s"),
         (HEADER + CAR + "0.4,a,vehicle,1,0,0,0,1,0,2\n", "line 7 gives 'a' a size of 0 by 2 m"),
+        (
+            HEADER + MOVING.format(90),
+            "line 2 has the heading 90 rad for 'a', which is beyond 2 pi: headings look like deg",
+        ),
+        (
+            HEADER + MOVING.format(2),
+            "line 2 has the heading 2 rad for 'a', which moves towards 0 degrees from +x: headings",
+        ),
+        (
+            HEADER + MOVING.format(0).replace(",10,4", ",36,4"),
+            "line 2 has the speed 36 m/s for 'a', which moves at 10 m/s",
+        ),
+        (HEADER + MOVING.format(0).replace("4.5,1.8", "450,180"), "sizes look like centimetres"),
         (HEADER + CAR + "0.45,a,vehicle,1,0,0,0,1,4,2\n", "0.45 s is off the step of 0.1 s"),
     ],
 )

@@ -153,9 +153,11 @@ def import_fcd(
 
     scan_network(network)
     with staged(out, force=force, marker=SCENARIO) as folder:
-        count = write_scenario(folder.stage, recording, network, ego, types or (), warm_up)
+        done = write_scenario(folder.stage, recording, network, ego, types or (), warm_up)
         folder.keep(force=force)
-    typer.echo(f"{count} objects; run it: sumo-adv run {out / SCENARIO}")
+    for note in done.notes:
+        typer.echo(note, err=True)
+    typer.echo(f"{done.objects} objects; run it: sumo-adv run {out / SCENARIO}")
 
 
 SCENARIOS_EXAMPLE = "Example: sumo-adv scenarios"

@@ -20,11 +20,13 @@ import importlib
 import math
 import sys
 from collections.abc import Callable, Mapping
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import astuple, dataclass
 from functools import partial
 from importlib.metadata import entry_points
 from pathlib import Path
-from traceback import extract_tb
+from traceback import extract_tb, walk_tb
+from types import ModuleType
 from typing import Any, TypeVar
 
 import numpy as np
@@ -129,13 +131,7 @@ def find_class(kind: str, spec: str) -> type:
     here = str(Path.cwd())
     if here not in sys.path:
         sys.path.append(here)  # last, so that no file of the user hides an installed package
-    try:
-        module = importlib.import_module(module_name)
-    except (Exception, SystemExit) as error:  # user code runs on import
-        reason = in_one_line(error)
-        raise UsageError(
-            f"The module of the {kind} {spec!r} could not be imported from {here} or Python's path: {reason}."
-        ) from error
+    module = _import(kind, spec, module_name, here)
     user_class = getattr(module, class_name, None)
     if not isinstance(user_class, type):
         own = [name for name, each in vars(module).items() if isinstance(each, type) and each.__module__ == module_name]
@@ -159,6 +155,67 @@ def make_object(kind: str, spec: str, parameters: Mapping[str, Any], methods: Ma
         return user_class(**parameters)
     except (Exception, SystemExit) as error:  # user code
         raise UsageError(f"The {kind} {spec!r} could not be made: {in_one_line(error)}.") from error
+
+
+COMMAND_LINE_READERS = ("absl", "argparse", "click", "docopt", "fire", "getopt", "optparse", "typer")
+"""Packages that read the command line of the process, and end it."""
+MOST_WORDS = 200  # characters of what a module wrote, in a sentence
+
+
+class _Words:
+    """Stands for ``sys.stdout`` and ``sys.stderr`` while a module is imported: keeps what is written. ``pass_on`` gives
+    it to ``to``, and from then on all that comes."""
+
+    def __init__(self, to: Any) -> None:
+        self._to, self._kept, self._passes = to, "", False
+
+    def write(self, text: str) -> int:
+        if self._passes:
+            return int(self._to.write(text))
+        self._kept += text
+        return len(text)
+
+    def pass_on(self) -> None:
+        self._passes = True
+        if self._kept:
+            self._to.write(self._kept)
+
+    @property
+    def last_line(self) -> str:
+        lines = [line.strip() for line in self._kept.splitlines() if line.strip()]
+        return lines[-1][-MOST_WORDS:].rstrip(".") if lines else ""
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._to, name)
+
+
+def _import(kind: str, spec: str, module_name: str, here: str) -> ModuleType:
+    """The user's module. What it prints goes to stderr, because stdout may be one JSON object.
+
+    Raises UsageError: its code fails, ends the process or reads its command line; the sentence has its last line.
+    """
+    words = _Words(sys.stderr)
+    try:
+        with redirect_stdout(words), redirect_stderr(words):
+            module = importlib.import_module(module_name)
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # user code runs on import, and may end the process
+        if ran_out_of_memory(error):
+            raise
+        reason = in_one_line(error) + (f"; it wrote {words.last_line!r}" if words.last_line else "")
+        readers = {str(f.f_globals.get("__name__")).partition(".")[0] for f, _ in walk_tb(error.__traceback__)}
+        if readers.intersection(COMMAND_LINE_READERS) or isinstance(error, SystemExit):
+            does = "reads the command line" if readers.intersection(COMMAND_LINE_READERS) else "ends the program"
+            raise UsageError(
+                f"The module of the {kind} {spec!r} {does} when it is imported ({reason}): put that code below "
+                "if __name__ == '__main__'."
+            ) from error
+        raise UsageError(
+            f"The module of the {kind} {spec!r} could not be imported from {here} or Python's path: {reason}."
+        ) from error
+    words.pass_on()
+    return module
 
 
 def _check_methods(kind: str, spec: str, thing: Any, methods: Mapping[str, str]) -> None:
@@ -225,7 +282,7 @@ def unpack(given: GivenEgo, parameters: Mapping[str, Any]) -> Any:
     try:
         ego = cloudpickle.loads(given.content)
         return ego if given.made else ego(**parameters)
-    except Exception as error:  # user code
+    except (Exception, SystemExit) as error:  # user code
         raise UsageError(f"The ego {given.name!r} could not be made: {in_one_line(error)}.") from error
 
 

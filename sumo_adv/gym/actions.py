@@ -43,6 +43,27 @@ def action_space(kinds: Mapping[str, int], kind: str) -> Any:
     return spaces.Box(-1.0, 1.0, (kinds[kind],), np.float32)
 
 
+def checked(agent: str, numbers: Any, count: int) -> Numbers:
+    """An agent's action as ``count`` numbers ``(count,)``. Numbers beyond -1 and 1 are cut by what uses them.
+
+    Raises UsageError: it has another shape, or a number that is not finite.
+    """
+    try:
+        values = np.asarray(numbers, float)
+    except (TypeError, ValueError) as error:
+        raise UsageError(f"The action {numbers!r:.80} of the agent {agent!r} holds no numbers ({error}).") from error
+    if values.shape != (count,):
+        raise UsageError(
+            f"The action of the agent {agent!r} has the shape {values.shape}; its space has the shape ({count},)."
+        )
+    if not np.isfinite(values).all():
+        raise UsageError(
+            f"The action of the agent {agent!r} is {values.tolist()}: its numbers must be finite, and a policy that "
+            "gives NaN has failed in training."
+        )
+    return values
+
+
 def ego_action(kind: str, numbers: Numbers, me: VehicleState, limit: float, dt: float) -> Action:
     """The ego's action for the next step; ``limit``: of its speed [m/s]."""
     first, *others = (float(v) for v in np.clip(numbers, -1.0, 1.0))

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_adv.errors import SimulationError, UsageError
+from sumo_adv.gym.actions import ADVERSARY_ACTIONS, EGO_ACTIONS, checked
 from sumo_adv.gym.encounters import Attacker, Attacks, Encounter, Played
 from sumo_adv.gym.picture import EMPTY
 from sumo_adv.gym.play import DRAW, TERMINATED, Moment, Play
@@ -46,6 +47,13 @@ class Core:
         self._viewing, self._interval, self._settings = viewing, interval, dict(settings or {})
         self._ego, self._attacker, self._adapts, self._unattacked = ego, attacker, adapts, unattacked
         self._kinds = (ego_actions, adversary_actions)
+        self._counts = {
+            agent: kinds[kind]
+            for agent, kinds, kind in (
+                ("ego", EGO_ACTIONS, ego_actions), ("adversary", ADVERSARY_ACTIONS, adversary_actions)
+            )
+            if kind is not None
+        }  # fmt: skip
         self._opened: dict[int, Encounter] = {}
         self._plans: dict[int, Attacks] = {}
         self._played: Played | None = None
@@ -98,10 +106,15 @@ class Core:
         """A moment, whether the episode is terminated, whether it is truncated, and what is told of it.
 
         An episode in which SUMO dies is truncated; the next one begins in a new simulation.
+
+        Raises UsageError: an agent's action is missing, has another shape or is not finite. Nothing has moved then.
         """
         assert self._played is not None and self._last is not None, "reset comes before step"
+        if missing := self._counts.keys() - actions.keys():
+            raise UsageError(f"The agent {min(missing)!r} has no action: give one of every agent in each step.")
+        numbers = {agent: checked(agent, actions[agent], count) for agent, count in self._counts.items()}
         try:
-            self._last = self._played.ask({name: np.asarray(values, float) for name, values in actions.items()})
+            self._last = self._played.ask(numbers)
         except SimulationError as error:
             t = self._last.transition
             over = replace(t, seconds=0.0, before=t.ego or t.before, apart_before=t.apart, ending=CRASHED, verdict=None)

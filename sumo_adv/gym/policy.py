@@ -8,7 +8,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from sumo_adv.drivers import Action, Observation
-from sumo_adv.gym.actions import EGO_ACTIONS, action_space, ego_action
+from sumo_adv.gym.actions import EGO_ACTIONS, action_space, checked, ego_action
 from sumo_adv.gym.environments import Observations, viewing_of
 from sumo_adv.gym.views import FAST, Watch, view_of_ego
 
@@ -51,7 +51,7 @@ class PolicyDriver:
             self._watch.step(observation)
         if self._numbers is None or observation.time > self._due - observation.dt / 2:
             view = view_of_ego(observation, self._viewing.vehicles, self._watch)
-            self._numbers = self._policy(self._viewing.given(view))
+            self._numbers = checked(self.name, self._policy(self._viewing.given(view)), EGO_ACTIONS[self._actions])
             self._due = observation.time + self._interval
         limit = FAST if observation.road is None else observation.road.limit
         return ego_action(self._actions, self._numbers, observation.ego, limit, observation.dt)

@@ -36,6 +36,8 @@ MOST_BACKSLASHES = 8  # before one character: JSON in JSON in JSON has 7
 Blanker = Callable[[str], str]
 MAX_ANSWER_BYTES = 2_000_000
 FIRST_WAIT = 0.5  # s, before the first retry
+NO_ADDRESS = re.compile(r"(?i)(unexpected|unknown|invalid|no such) (endpoint|url|route|path)")
+"""In an error with status 200 of a server that does not know the address (LM Studio)."""
 MAX_WAIT = 8.0  # s, unless the server asks for more
 LOCAL_HOSTS = ("localhost", "127.0.0.1", "::1")  # reached without a proxy
 T = TypeVar("T")
@@ -119,6 +121,10 @@ class ServerConnection:
         self.slots = threading.BoundedSemaphore(settings.llm_concurrency)
         self.has_answered = False
         self._url = f"{base_url}/chat/completions"
+        versioned = re.search(r"/v\d", urlsplit(base_url).path) is not None
+        longer = f"set SUMO_ADV_LLM_BASE_URL to {base_url}/v1, where most servers answer"
+        self.address_advice = "" if versioned else longer
+        """What to do about an address without a version at which no questions are answered; empty if it has one."""
         self._use_proxy = urlsplit(base_url).hostname not in LOCAL_HOSTS
         self._key = key.get_secret_value() if key is not None else None
         self.blank = blanker(self._key)  # apply it to every text of the server before it is cut, shown or kept
@@ -201,7 +207,8 @@ class Question:
                         return None
                     result = self._failure(fault, result)
                 elif value is None:
-                    result = _Failure(f"sent an answer that cannot be read ({unreadable})")
+                    advice = self._server.address_advice or LATER
+                    result = _Failure(f"sent an answer that cannot be read ({unreadable})", advice=advice)
                 else:
                     try:
                         return read(value)
@@ -259,7 +266,11 @@ class Question:
 
     def _failure(self, fault: ServerFault, answer: _Response) -> _Failure:
         """The failure to retry after. Raises ModelError for a fault that a retry cannot change."""
-        reason = f"{fault.says} (status {answer.status}{self._server_text(answer)})"
+        said = self._server_text(answer)
+        no_address = (answer.status in (404, 405) and "model" not in said.lower()) or NO_ADDRESS.search(said)
+        if no_address and (advice := self._server.address_advice):
+            self._fail(f"answers no questions at this address (status {answer.status}{said}); {advice}")
+        reason = f"{fault.says} (status {answer.status}{said})"
         advice = fault.advice.format(model=self._server.model)
         if not fault.retried:
             self._fail(f"{reason}; {advice}")

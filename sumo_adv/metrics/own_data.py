@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from sumo_adv.consistency import Motion, find_fault, off_grid, unordered
 from sumo_adv.datatypes import Boxes, Floats, Ints, Role, Track
 from sumo_adv.errors import UsageError
 from sumo_adv.geometry import wrap_below_pi
@@ -20,6 +21,7 @@ from sumo_adv.metrics.boxes import first_contact
 from sumo_adv.metrics.contact import Side, contact_sides
 from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, REFERENCE_DRIVERS
 from sumo_adv.metrics.reference.counterfactual import Counterfactual, Encounters
+from sumo_adv.road_users import unprotected
 
 NEEDED = ("time", "x", "y", "heading", "speed")
 LENGTH, WIDTH = 4.8, 1.8  # m, where a table does not say
@@ -30,7 +32,8 @@ def track_of(name: str, columns: Mapping[str, Any], role: Role) -> Track:
     """A track from columns by name: time [s] on a regular grid, x, y of the box's centre [m], heading [rad], speed
     [m/s], and if given length and width [m] and lane.
 
-    Raises UsageError: a column is missing, too short, of another length or not finite, or times are not regular.
+    Raises UsageError: a column is missing, too short or of another length, times are not regular, or the track cannot
+    be right (``consistency.py``): a number is not finite, or a unit is wrong.
     """
     values = {}
     for key in NEEDED:
@@ -40,18 +43,25 @@ def track_of(name: str, columns: Mapping[str, Any], role: Role) -> Track:
     time = values["time"]
     if len(time) < LEAST or any(len(v) != len(time) for v in values.values()):
         raise UsageError(f"The track of {name!r} needs {LEAST} states or more, and columns of one length.")
-    steps = np.diff(time)
-    if not (steps > 0).all() or float(np.ptp(steps)) > 1e-3:
-        raise UsageError(f"The times of {name!r} must ascend in even steps: resample the track.")
-    dt = float(np.mean(steps))
+    if wrong := unordered(time):
+        raise UsageError(f"The times of {name!r} must ascend in even steps: state {wrong[0]} {wrong[1]}.")
+    if (k := off_grid(time)) is not None:
+        raise UsageError(
+            f"The times of {name!r} must ascend in even steps: state {k} at {time[k]:g} s is off; resample the track."
+        )
+    dt = float(np.mean(np.diff(time)))
     length = _size(name, "length", columns, LENGTH)
     width = _size(name, "width", columns, WIDTH)
-    acceleration = np.diff(values["speed"], prepend=values["speed"][:1]) / dt
+    kind = "other" if unprotected(length, width) else "vehicle"
+    x, y, heading, speed = (values[key] for key in NEEDED[1:])
+    motion = Motion(name, kind, time, x, y, heading, speed, length, width)
+    if fault := find_fault([motion], noisy=False):
+        at = f"state {fault.index} at {fault.time:g} s"
+        raise UsageError(f"The track of {name!r} cannot be right: {at} {fault.says}.")
+    acceleration = np.diff(speed, prepend=speed[:1]) / dt
     lane = tuple(str(v) for v in columns["lane"]) if "lane" in columns else ()
-    heading = wrap_below_pi(values["heading"])
     return Track(
-        name, role, np.round(time, 6), values["x"], values["y"], heading, values["speed"], acceleration, length, width,
-        lane,
+        name, role, np.round(time, 6), x, y, wrap_below_pi(heading), speed, acceleration, length, width, lane
     )  # fmt: skip
 
 
@@ -77,17 +87,21 @@ def _numbers(name: str, key: str, values: Any) -> Floats:
     except (TypeError, ValueError) as error:
         raise UsageError(f"The column '{key}' of {name!r} must hold numbers ({error}).") from error
     if not np.isfinite(numbers).all():
-        raise UsageError(f"The column '{key}' of {name!r} holds a number that is not finite: leave those states out.")
+        k = int(np.flatnonzero(~np.isfinite(numbers))[0])
+        raise UsageError(
+            f"The column '{key}' of {name!r} holds a number that is not finite, {numbers[k]:g} in state {k}: leave "
+            "such states out."
+        )
     return numbers
 
 
 def _size(name: str, key: str, columns: Mapping[str, Any], default: float) -> float:
     if key not in columns:
         return default
-    size = float(_numbers(name, key, columns[key])[0])
-    if not 0.1 < size < 60.0:
-        raise UsageError(f"The {key} of {name!r} is {size:g} m: give one between 0.1 and 60 m.")
-    return size
+    sizes = _numbers(name, key, columns[key])
+    if not len(sizes):
+        raise UsageError(f"The column '{key}' of {name!r} is empty.")
+    return float(sizes[0])
 
 
 LANE, CAR_LENGTH, CAR_WIDTH, DT = 3.5, 4.3, 1.9, 0.1  # m, m, m, s

@@ -1,164 +1,158 @@
-"""Recorded floating car data (SUMO's ``--fcd-output``) as a scenario: the recording, and the routes that were driven.
-
-``x``, ``y`` are front bumpers, ``angle`` degrees clockwise from north; a ``person`` stands at its middle.
-"""
+"""Floating car data (SUMO's ``--fcd-output``) as a scenario: the recording, and the routes that were driven."""
 
 from __future__ import annotations
 
 import json
-import math
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
+from sumo_adv.consistency import even_grid, off_grid, steps_over
 from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError
+from sumo_adv.simulation.fcd_recording import (
+    FcdRecording,
+    RecordedObject,
+    check_recording,
+    in_network,
+    read_recording,
+    some,
+)
+from sumo_adv.simulation.fcd_types import CAR, CLASS_SIZES, Size, read_sizes, size_of
 from sumo_adv.simulation.network import RoadMap, read_network
-from sumo_adv.simulation.scan import parse
 from sumo_adv.simulation.scenario import DEFAULT_WARM_UP
 from sumo_adv.simulation.simulation import heading_of
 from sumo_adv.simulation.tracks import LoggedTrack, TrackLog, write_tracks
 
 SCENARIO, TRACKS, ROUTES = "scenario.toml", "tracks.csv.gz", "routes.rou.xml"
-CAR, PERSON = (5.0, 1.8), (0.215, 0.478)  # m, length and width: SUMO's defaults
-LATEST = 1e7  # s, about four months: of times in a recording
 MOST_STATES = 20_000_000  # of all objects at all times: about 700 MB
-LARGEST, FARTHEST = 100.0, 1e9  # m: the size of a vehicle, and a place
-Size = tuple[float, float]
-Seen = dict[str, dict[float, dict[str, str]]]
+MOVEMENTS = ("straight", "right", "left", "u-turn")  # in the order in which a route goes on
+ONWARD_M = 500.0  # of road behind the recording's end: half a minute in town, more than an attack takes
+
+
+@dataclass(frozen=True, slots=True)
+class ImportedFcd:
+    """objects: their number; notes: sentences on what was converted, left out or taken for granted."""
+
+    objects: int
+    notes: tuple[str, ...]
 
 
 def write_scenario(
     folder: Path, recording: Path, network: Path, ego: str, types: Sequence[Path] = (), warm_up: float = DEFAULT_WARM_UP
-) -> int:
-    """Network, tracks, routes and scenario into ``folder``; gives the number of objects.
+) -> ImportedFcd:
+    """Network, tracks, routes and scenario into ``folder``.
 
     ``types``: files with the vTypes of the vehicles (else SUMO's 5 by 1.8 m). ``warm_up`` [s]: how long
     the recording moves all vehicles after the ego came.
 
-    Raises UsageError: a file that is damaged or no FCD, an ego that is not in it or never on a lane.
+    Raises UsageError: a file that is damaged or no FCD, motion that cannot be right, an ego that is not in it, never
+    on a lane, or gone before it can be driven.
     """
-    seen, persons = _read(recording)
-    road = read_network(network)
-    if ego not in seen:
-        named = ", ".join(sorted(seen)[:5])
-        raise UsageError(f"There is no vehicle '{ego}' in {recording}; it has {named}{' ..' if len(seen) > 5 else ''}.")
-    log = _log(recording, seen, persons, _sizes(types))
-    routes = {name: _edges(states, road) for name, states in seen.items() if name not in persons}
+    recorded, road = read_recording(recording), read_network(network)
+    vehicles = [o.name for o in recorded.objects.values() if not o.person]
+    if ego not in vehicles:
+        raise UsageError(f"There is no vehicle '{ego}' in {recording}; it has {some(sorted(vehicles))}.")
+    sizes, unknown = _sizes(recorded, read_sizes(types))
+    recorded = in_network(recording, recorded, network, road, ego)
+    check_recording(recording, recorded, sizes)
+    log = _log(recording, recorded, sizes)
+    routes = {name: _edges(recorded.objects[name], road, log.end) for name in vehicles}
     if not routes[ego]:
-        raise UsageError(f"The vehicle '{ego}' is on no lane of {network.name} in {recording}; is it that network's?")
+        raise UsageError(f"The vehicle '{ego}' is only on junctions of {network.name} in {recording}: record longer.")
+    lasts = float(np.ptp(recorded.objects[ego].time))
+    if lasts < warm_up:
+        raise UsageError(
+            f"The vehicle '{ego}' is in {recording} for {lasts:g} s, and the recording moves it for the first "
+            f"{warm_up:g} s: give a shorter --warm-up, or record longer."
+        )
     copy = "network.net.xml.gz" if network.name.lower().endswith(".gz") else "network.net.xml"
     shutil.copyfile(network, folder / copy)
     write_tracks(folder / TRACKS, log)
     lines = [f'    <route id={quoteattr(n)} edges="{" ".join(edges)}"/>\n' for n, edges in routes.items() if edges]
     (folder / ROUTES).write_text("<routes>\n" + "".join(lines) + "</routes>\n", encoding="utf-8")
     (folder / SCENARIO).write_text(_scenario(copy, ego, float(log.time[0]), warm_up), encoding="utf-8")
-    return len(log.tracks)
+    return ImportedFcd(len(log.tracks), (*recorded.notes, *_said(unknown)))
 
 
-@contextmanager
-def _no_fcd(recording: Path) -> Iterator[None]:
-    try:
-        yield
-    except (KeyError, ValueError) as error:
-        raise UsageError(f"{recording} is no FCD of SUMO ({error}); write it with sumo --fcd-output.") from error
+def _sizes(recorded: FcdRecording, sizes: Mapping[str, Size]) -> tuple[dict[str, Size], list[str]]:
+    """Length and width [m] by name of the object, and the vTypes of which no file says a size."""
+    known: dict[str, Size] = {}
+    unknown: dict[str, None] = {}
+    for name, o in recorded.objects.items():
+        size = size_of(o.kind, name, sizes)
+        if size is None and not o.person:
+            unknown[o.kind] = None
+        known[name] = size or (CLASS_SIZES["pedestrian"] if o.person else CAR)
+    return known, list(unknown)
 
 
-def _read(recording: Path) -> tuple[Seen, set[str]]:
-    """Attributes by id and time [s], and which ids are persons'."""
-    seen: Seen = {}
-    persons: set[str] = set()
-    timestep = math.nan
-
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        nonlocal timestep
-        if tag == "timestep":
-            timestep = float(attributes["time"])
-            if not abs(timestep) < LATEST:
-                raise ValueError(f"a timestep at {attributes['time'][:40]}")
-        elif tag in ("vehicle", "person"):
-            seen.setdefault(attributes["id"], {})[timestep] = attributes
-            if tag == "person":
-                persons.add(attributes["id"])
-
-    with _no_fcd(recording):
-        parse(recording, start)
-    if not seen:
-        raise UsageError(f"{recording} has no vehicle in a timestep; write it with sumo --fcd-output.")
-    return seen, persons
+def _said(unknown: Sequence[str]) -> list[str]:
+    """What is taken for granted of vehicles of unknown types."""
+    if not unknown:
+        return []
+    of = f"the types {some(unknown)}" if any(unknown) else "vehicles whose type the recording does not say"
+    return [f"No file says the size of {of}: {CAR[0]:g} by {CAR[1]:g} m are taken; name their file with --types."]
 
 
-def _sizes(types: Sequence[Path]) -> dict[str, Size]:
-    """Length and width [m] by vType."""
-    sizes: dict[str, Size] = {}
-
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        if tag == "vType":
-            length, width = (attributes.get(k, d) for k, d in (("length", CAR[0]), ("width", CAR[1])))
-            sizes[attributes["id"]] = float(length), float(width)
-            if not all(0.0 < size < LARGEST for size in sizes[attributes["id"]]):
-                raise ValueError(f"its size is {length} m by {width} m")
-
-    for file in types:
-        try:
-            parse(file, start)
-        except (KeyError, ValueError) as error:
-            raise UsageError(f"{file} has a vType that cannot be used ({error}).") from error
-    return sizes
-
-
-def _log(recording: Path, seen: Seen, persons: set[str], sizes: Mapping[str, Size]) -> TrackLog:
-    times = np.array(sorted({time for states in seen.values() for time in states}))
-    step = float(np.diff(times).min()) if len(times) > 1 else 0.1
-    count = round((times[-1] - times[0]) / step) + 1
-    if count * len(seen) > MOST_STATES:
+def _log(recording: Path, recorded: FcdRecording, sizes: Mapping[str, Size]) -> TrackLog:
+    objects = recorded.objects
+    times = np.unique(np.concatenate([o.time for o in objects.values()]))
+    if (steps_over(times) + 1) * len(objects) > MOST_STATES:
         raise UsageError(
-            f"{recording} spans {times[-1] - times[0]:.3g} s in steps of {step:.3g} s with {len(seen)} objects, more"
-            f" than {MOST_STATES:.0e} states; cut it to the part that you need."
+            f"{recording} spans {times[-1] - times[0]:.3g} s in steps of {np.diff(times).min():.3g} s with "
+            f"{len(objects)} objects, more than {MOST_STATES:.0e} states; cut it to the part that you need."
         )
-    grid = times[0] + step * np.arange(count)
-    with _no_fcd(recording):
-        tracks = {n: _track(n, states, n in persons, sizes, grid, step) for n, states in seen.items()}
-    return TrackLog(np.round(grid, 3), tracks)
+    if (worst := off_grid(times)) is not None:
+        raise UsageError(f"{recording} has no even steps: {times[worst]:g} s is off; record it with one period.")
+    grid = even_grid(times)[0]
+    return TrackLog(grid, {name: _track(o, sizes[name], grid) for name, o in objects.items()})
 
 
-def _track(
-    name: str, states: Mapping[float, Mapping[str, str]], person: bool, sizes: Mapping[str, Size], grid: Floats,
-    step: float,
-) -> LoggedTrack:  # fmt: skip
-    first = next(iter(states.values()))
-    length, width = sizes.get(first.get("type", ""), PERSON if person else CAR)
-    x, y, heading, speed = np.zeros((4, len(grid)))
+def _track(o: RecordedObject, size: Size, grid: Floats) -> LoggedTrack:
+    step = grid[1] - grid[0] if len(grid) > 1 else 1.0
+    at = np.rint((o.time - grid[0]) / step).astype(np.intp)
     valid = np.zeros(len(grid), dtype=bool)
-    for time, state in states.items():
-        k = round((time - float(grid[0])) / step)
-        heading[k] = heading_of(float(state["angle"]))
-        back = 0.0 if person else length / 2
-        x[k] = float(state["x"]) - back * math.cos(heading[k])
-        y[k] = float(state["y"]) - back * math.sin(heading[k])
-        speed[k] = float(state["speed"])
-        valid[k] = True
-    if not (np.abs([x, y, heading, speed]) < FARTHEST).all():
-        raise ValueError(f"'{name}' has a number that is not finite, or no place on a map")
-    return LoggedTrack(name, "pedestrian" if person else "vehicle", valid, x, y, heading, speed, length, width)
+    valid[at] = True
+    columns = np.zeros((4, len(grid)))
+    heading = np.array([heading_of(angle) for angle in o.angle.tolist()])
+    back = 0.0 if o.person else size[0] / 2
+    columns[:, at] = o.x - back * np.cos(heading), o.y - back * np.sin(heading), heading, o.speed
+    x, y, heading, speed = columns
+    return LoggedTrack(o.name, "pedestrian" if o.person else "vehicle", valid, x, y, heading, speed, *size)
 
 
-def _edges(states: Mapping[float, Mapping[str, str]], road: RoadMap) -> tuple[str, ...]:
-    """The edges driven on outside junctions, as long as each leads to the next."""
+def _edges(o: RecordedObject, road: RoadMap, end: float) -> tuple[str, ...]:
+    """The edges driven on outside junctions, as long as each leads to the next. A vehicle that is still there at the
+    ``end`` [s] of the recording has not arrived: its route goes on, straight where that is possible."""
     route: list[str] = []
-    for state in states.values():
-        lane = road.lanes.get(state.get("lane", ""))
+    for name in o.lanes:
+        lane = road.lanes.get(name)
         if lane is None or lane.internal or (route and lane.edge == route[-1]):
             continue
-        before = road.edges[route[-1]] if route else ()
-        if route and lane.edge not in {road.lanes[c.to].edge for n in before for c in road.lanes[n].connections}:
-            break
+        if route and lane.edge not in _next_edges(route[-1], road):
+            return tuple(route)
         route.append(lane.edge)
+    if not route or o.time[-1] < end:
+        return tuple(route)
+    left = ONWARD_M
+    while left > 0.0 and (onward := [edge for edge in _next_edges(route[-1], road) if edge not in route]):
+        lanes = [road.lanes[name] for name in road.edges[onward[0]]]
+        if not any(lane.passenger for lane in lanes):
+            break
+        route.append(onward[0])
+        left -= lanes[0].length
     return tuple(route)
+
+
+def _next_edges(edge: str, road: RoadMap) -> list[str]:
+    """Edges that one leads to: straight ones first, then right, left and back."""
+    found = {(road.lanes[c.to].edge, c.movement) for lane in road.edges[edge] for c in road.lanes[lane].connections}
+    return [to for to, _ in sorted(found, key=lambda each: (MOVEMENTS.index(each[1]), each[0]))]
 
 
 def _scenario(network: str, ego: str, begin: float, warm_up: float) -> str:

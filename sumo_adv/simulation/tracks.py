@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sumo_adv.consistency import Motion, even_grid, find_fault, off_grid, steps_over
 from sumo_adv.datatypes import Bools, Floats, Role, Track
 from sumo_adv.errors import UsageError
 from sumo_adv.geometry import wrap, wrap_below_pi
@@ -29,8 +30,9 @@ COLUMNS = ("time", "id", "kind", "valid", "x", "y", "heading", "speed", "length"
 KINDS = ("vehicle", "pedestrian", "cyclist", "other")
 SAME_TIME = 2e-3  # s: how far a row's time may be from the grid
 MOST_STEPS = 1_000_000
+EXACT = 1e-7  # s: two times that differ by less are the same
 
-Row = tuple[float, float, float, float, float, float]  # x, y, heading, speed, length, width
+Row = tuple[float, float, float, float, float, float, int]  # x, y, heading, speed, length, width, line
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +49,13 @@ class LoggedTrack:
     speed: Floats
     length: float
     width: float
+
+    def motion(self, time: Floats) -> Motion:
+        """Its valid states on the grid ``time`` ``(n,)`` [s], to be checked."""
+        v = self.valid
+        return Motion(
+            self.id, self.kind, time[v], self.x[v], self.y[v], self.heading[v], self.speed[v], self.length, self.width
+        )
 
     def spans(self) -> tuple[tuple[int, int], ...]:
         """First and last index of every stretch over which it is valid."""
@@ -113,7 +122,8 @@ def read_tracks(path: Path) -> TrackLog:
     """The log in ``path``.
 
     Raises UsageError: one sentence with file and line for whatever is wrong: unreadable, another header, no number
-    where one is needed, two rows for one object and time, times that do not lie on an even grid, nothing valid.
+    where one is needed, two rows for one object and time, times that do not lie on an even grid, nothing valid, or
+    motion that cannot be right (``consistency.py``).
     """
     kinds: dict[str, str] = {}
     rows: dict[str, dict[float, Row]] = {}
@@ -128,7 +138,12 @@ def read_tracks(path: Path) -> TrackLog:
     if not rows:
         raise UsageError(f"The tracks {path} hold no valid row; give a log with at least one.")
     grid = _grid(path, times)
-    return TrackLog(grid, {name: _logged(name, kinds[name], seen, grid) for name, seen in rows.items()})
+    log = TrackLog(grid, {name: _logged(name, kinds[name], seen, grid) for name, seen in rows.items()})
+    if fault := find_fault([t.motion(grid) for t in log.tracks.values()], noisy=True):
+        time = round(fault.time, 6)
+        near = min(rows[fault.motion.name].items(), key=lambda row: abs(row[0] - time))
+        raise _wrong(path, near[1][-1], f"{fault.says} (at {near[0]:g} s)")
+    return log
 
 
 def _lines(path: Path) -> Iterable[tuple[int, list[str]]]:
@@ -159,7 +174,7 @@ def _row(path: Path, line: int, fields: list[str]) -> tuple[float, str, str, Row
     x, y, heading, speed, length, width = (_number(path, line, c, n) for c, n in zip(COLUMNS[4:], numbers, strict=True))
     if length <= 0 or width <= 0:
         raise _wrong(path, line, f"gives '{name}' a size of {length:g} by {width:g} m")
-    return time, name, kind, (x, y, heading, speed, length, width)
+    return time, name, kind, (x, y, heading, speed, length, width, line)
 
 
 def _number(path: Path, line: int, column: str, text: str) -> float:
@@ -181,15 +196,14 @@ def _grid(path: Path, times: set[float]) -> Floats:
     grid = np.array(sorted(times))
     if len(grid) == 1:
         return grid
-    step, span = float(np.diff(grid).min()), float(grid[-1] - grid[0])
-    if span / step > MOST_STEPS:
+    step = float(np.diff(grid).min())
+    if steps_over(grid) > MOST_STEPS:
         raise UsageError(f"The tracks {path} span too much time for their step of {step:g} s; write an even grid.")
-    places = (grid - grid[0]) / step
-    off = np.abs(places - np.rint(places)) * step
-    if off.max() > SAME_TIME:
-        worst = float(grid[int(off.argmax())])
-        raise UsageError(f"The tracks {path} are not on an even time grid: {worst:g} s is off the step of {step:g} s.")
-    return np.linspace(grid[0], grid[-1], round(span / step) + 1)
+    if (worst := off_grid(grid)) is not None:
+        raise UsageError(
+            f"The tracks {path} are not on an even time grid: {grid[worst]:g} s is off the step of {step:g} s."
+        )
+    return even_grid(grid)[0]
 
 
 def _logged(name: str, kind: str, seen: Mapping[float, Row], grid: Floats) -> LoggedTrack:
@@ -209,14 +223,16 @@ def _logged(name: str, kind: str, seen: Mapping[float, Row], grid: Floats) -> Lo
 
 
 def write_tracks(path: Path, log: TrackLog) -> None:
-    """The log as a file that :func:`read_tracks` reads: valid steps, fixed decimals, equal bytes for equal logs."""
+    """The log as a file that :func:`read_tracks` reads: valid steps, times with the decimals that they need, equal
+    bytes for equal logs."""
     text = io.StringIO()
     out = csv.writer(text, lineterminator="\n")
     out.writerow(COLUMNS)
+    digits = next((d for d in (2, 3, 4, 5) if np.abs(log.time - np.round(log.time, d)).max() < EXACT), 6)
     for k, time in enumerate(log.time.tolist()):
         for t in log.tracks.values():
             if t.valid[k]:
-                row = [f"{time:.2f}", t.id, t.kind, "1", f"{t.x[k]:.4f}", f"{t.y[k]:.4f}", f"{t.heading[k]:.6f}"]
+                row = [f"{time:.{digits}f}", t.id, t.kind, "1", f"{t.x[k]:.4f}", f"{t.y[k]:.4f}", f"{t.heading[k]:.6f}"]
                 out.writerow([*row, f"{t.speed[k]:.4f}", f"{t.length:.3f}", f"{t.width:.3f}"])
     data = text.getvalue().encode()
     path.write_bytes(gzip.compress(data, mtime=0) if path.name.endswith(".gz") else data)

@@ -43,7 +43,7 @@ from sumo_adv.womd.commonroad_roads import (
     read_lanes,
     read_signals,
 )
-from sumo_adv.womd.record import LONGEST, VEHICLE, Record, check_bounds
+from sumo_adv.womd.record import LONGEST, VEHICLE, Record, check_record
 
 VERSIONS = ("2018b", "2020a")
 EGO_SIZE = 4.508, 1.610  # m: CommonRoad's vehicle 2, BMW 320i; a planning problem names no size
@@ -66,7 +66,7 @@ def read_commonroad(path: Path) -> Record:
         raise UsageError(f"The file {path} cannot be read: {error.strerror or error}.") from error
     except (ElementTree.ParseError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise UsageError(f"{path} is no CommonRoad scenario that can be read ({error}); check the file.") from error
-    check_bounds(record, str(path))
+    check_record(record, str(path))
     return record
 
 

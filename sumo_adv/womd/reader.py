@@ -28,7 +28,7 @@ from sumo_adv.womd.record import (
     Record,
     SignalState,
     StopSign,
-    check_bounds,
+    check_record,
 )
 
 MPH = 0.44704  # m/s
@@ -203,7 +203,7 @@ def record_of(message: Any, where: str) -> Record:
         lines=_lines(message, label), stop_signs=_stop_signs(message, label), areas=_areas(message, label),
         signals=_signals(message, len(time), label),
     )  # fmt: skip
-    check_bounds(record, label)
+    check_record(record, label)
     return record
 
 

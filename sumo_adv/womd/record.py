@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from sumo_adv.consistency import UNWRAPPED, Motion, find_fault
 from sumo_adv.datatypes import Bools, Floats, Ints
 from sumo_adv.errors import UsageError
 from sumo_adv.geometry import wrap, wrap_below_pi
@@ -133,7 +134,26 @@ class Record:
     notes: Sequence[str] = ()
 
 
-def check_bounds(record: Record, where: str) -> None:
+def check_record(record: Record, where: str) -> None:
+    """Refuse a record that spans more than any does, or whose motion cannot be right. ``where`` names it.
+
+    Raises UsageError.
+    """
+    _check_bounds(record, where)
+    if fault := find_fault([_motion(t, record.time) for t in record.tracks if t.valid.any()], noisy=True):
+        at = f"its track {fault.motion.name} at {fault.time - record.time[0]:.2f} s"
+        raise UsageError(f"{where} cannot be right: {at} {fault.says}.")
+
+
+def _motion(t: ObjectTrack, time: Floats) -> Motion:
+    v = t.valid
+    kind = TRACK_KINDS[t.kind] if 1 <= t.kind < len(TRACK_KINDS) else "other"
+    length, width = (float(np.median(values[v])) for values in (t.length, t.width))
+    speed = np.hypot(t.vx[v], t.vy[v])
+    return Motion(str(t.id), kind, time[v], t.x[v], t.y[v], t.heading[v], speed, length, width, UNWRAPPED)
+
+
+def _check_bounds(record: Record, where: str) -> None:
     """Refuse a record that spans more than any does. ``where`` names it. Raises UsageError.
 
     One wrong coordinate or time stamp would cost gigabytes: roads are filled in metre by metre, and records are

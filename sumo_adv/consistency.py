@@ -1,0 +1,336 @@
+"""Whether imported motion can be right: units, order of time, sizes, speeds and headings of recorded tracks.
+
+All importers ask here: tables for ``judge``, tracks of scenarios, FCD, Waymo records and CommonRoad obstacles. A unit
+is wrong for a whole track. So speeds and headings are compared with the positions over all stretches of a metre in
+which the object moves, and more than half must contradict: reversing, standing, skidding and noise raise no alarm.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sumo_adv.datatypes import Bools, Floats, Ints
+from sumo_adv.geometry import wrap
+
+STRETCH_M = 1.0  # of motion over which a speed and a heading are compared with the positions
+LEAST_TRAVEL_M = 10.0  # that an object must have moved, or claim to have moved, to be compared
+OVER_SPEED, UNDER_SPEED = 2.1, 0.45  # speed over motion; mph is 2.24, and SUMO's lanes may be twice as long as drawn
+ASKEW_RAD = math.radians(30.0)  # between heading and motion, forwards or backwards; slip angles stay far below
+FITTING_RAD = math.radians(10.0)  # between heading and motion where a convention explains the motion
+REVERSING_MS = 10.0  # m/s: no car drives backwards faster
+NEAR_UNIT = 0.06  # of a factor between two units
+ROUNDING_RAD = 0.01  # of a heading of 2 pi
+LARGEST_M = 1e9  # of a place
+WIDEST_M = 100.0  # of anything on a road; a car is 180 cm wide
+GRID_SLACK_S = 2e-3  # that a time may be off an even grid, and at most a quarter of a step: SUMO's times are in ms
+FRAME_RATES = (5.0, 120.0)  # 1/s
+
+Range = tuple[float, float]
+SIZES: Mapping[str, tuple[Range, Range]] = {
+    "vehicle": ((0.5, 1000.0), (0.2, 5.0)),
+    "pedestrian": ((0.1, 3.0), (0.1, 3.0)),
+    "cyclist": ((0.3, 5.0), (0.1, 2.0)),
+    "other": ((0.01, 100.0), (0.01, 100.0)),
+}
+"""Length and width [m] that an object of a kind may have; SUMO's longest class is a train of 200 m."""
+SIZE_UNITS = (("centimetres", 0.01), ("millimetres", 0.001), ("feet", 0.3048), ("inches", 0.0254))
+TYPICAL: Mapping[str, tuple[Range, Range]] = {**SIZES, "vehicle": ((1.0, 30.0), (0.5, 3.0))}
+SPEED_UNITS = (
+    ("speeds look like km/h", 3.6), ("speeds look like mph", 2.23694), ("speeds look like feet per second", 3.28084),
+    ("speeds look like cm/s", 100.0), ("positions look like feet", 0.3048), ("positions look like centimetres", 0.01),
+    ("positions look like millimetres", 0.001), ("times look like milliseconds, or positions like kilometres", 1e3),
+    ("times look like microseconds", 1e6), ("times look like nanoseconds", 1e9),
+)  # fmt: skip
+"""What a track looks like whose speed is a factor times its motion."""
+DEGREE_M = (3e4, 1.3e5)  # m/s of motion for one degree/s: places in longitude and latitude
+
+
+@dataclass(frozen=True, slots=True)
+class Angles:
+    """How a format writes headings. unit: behind a value; most: of its absolute value; to_rad: to radians
+    counter-clockwise from +x."""
+
+    words: str
+    unit: str
+    most: float
+    to_rad: Callable[[Floats], Floats]
+
+
+RADIANS = Angles("radians counter-clockwise from +x", " rad", 2 * math.pi + ROUNDING_RAD, lambda h: h)
+UNWRAPPED = Angles(RADIANS.words, " rad", 4 * math.pi, RADIANS.to_rad)
+"""Waymo's records: real ones have headings of up to 3.3 pi."""
+SUMO_DEGREES = Angles("degrees clockwise from north", " degrees", 360.0, lambda h: np.radians(90.0 - h))
+CONVENTIONS = (
+    RADIANS,
+    Angles("degrees counter-clockwise from +x", " degrees", 360.0, np.radians),
+    SUMO_DEGREES,
+    Angles("radians clockwise from north", " rad", RADIANS.most, lambda h: np.pi / 2 - h),
+    Angles("radians of a map whose y points down", " rad", RADIANS.most, lambda h: -h),
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """The states of one object as a file gives them, arrays ``(n,)`` in order of time. x, y [m]; speed [m/s], negative
+    while it reverses; ``heading``: as ``angles`` says; length, width [m]."""
+
+    name: str
+    kind: str  # vehicle | pedestrian | cyclist | other
+    time: Floats
+    x: Floats
+    y: Floats
+    heading: Floats
+    speed: Floats
+    length: float
+    width: float
+    angles: Angles = RADIANS
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """What cannot be right of the state ``index`` of ``motion``; ``what`` goes on a sentence whose subject is that
+    state. cause: what the file looks like; empty if nothing explains it."""
+
+    motion: Motion
+    index: int
+    what: str
+    cause: str
+
+    @property
+    def says(self) -> str:
+        return f"{self.what}: {self.cause}" if self.cause else self.what
+
+    @property
+    def time(self) -> float:
+        """When that state is [s]."""
+        return float(self.motion.time[self.index])
+
+
+def find_fault(motions: Sequence[Motion], *, noisy: bool) -> Fault | None:
+    """The first thing of ``motions`` that cannot be right.
+
+    noisy: they were measured, and one object may be wrong by itself. So what no unit explains counts only if it holds
+    for half of the moving objects. Headings and sizes always need that: small headings in degrees look like noise, and
+    what never moves may be a building.
+    """
+    moving = 0
+    sizes: list[Fault] = []
+    contradictions: list[Fault] = []
+    for motion in motions:
+        if fault := _not_finite(motion) or _beyond_turns(motion):
+            return fault
+        stretches = _stretches(motion) if len(motion.time) > 1 else None
+        moves = stretches is not None and stretches.counts
+        size = _wrong_size(motion, motion.kind if moves or not noisy else "other")
+        if size and (not noisy or motion.width > WIDEST_M):
+            return size
+        sizes += [size] if size else []
+        if stretches is None or motion.kind not in ("vehicle", "cyclist"):
+            continue  # pedestrians jump sideways in SUMO, and turn on the spot
+        moving += moves
+        speed = _against_speed(motion, stretches)
+        fault = speed or _against_heading(motion, stretches)
+        if fault and (not noisy or (speed and speed.cause)):
+            return fault
+        contradictions += [fault] if fault else []
+    most = max(sizes, contradictions, key=len)
+    return most[0] if most and 2 * len(most) >= moving else None
+
+
+# -- times ----------------------------------------------------------------------------------------------------------
+
+
+def even_grid(times: Floats) -> tuple[Floats, Floats]:
+    """The even grid that holds ascending ``times`` ``(n,)`` [s], and how far each is off it.
+
+    The step begins as the least difference. It is measured over ever longer parts, so that times that were rounded
+    (0.033, 0.067, 0.1 of a thirtieth) give the step that was meant, and gaps do no harm.
+    """
+    if len(times) < 2:
+        return times, np.zeros(len(times))
+    since, last = times - times[0], len(times) - 1
+    step = float(np.diff(times).min())
+    for k in (*(2**p for p in range(last.bit_length())), last):
+        steps = max(round(float(since[k]) / step), 1)
+        if abs(float(since[k]) - steps * step) > _slack(step):
+            break
+        step = float(since[k]) / steps
+    count = round(float(since[-1]) / step)
+    return np.linspace(times[0], times[-1], count + 1), np.abs(since - np.rint(since / step) * step)
+
+
+def steps_over(times: Floats) -> float:
+    """How many steps of the least difference ascending ``times`` span."""
+    return 0.0 if len(times) < 2 else float(times[-1] - times[0]) / float(np.diff(times).min())
+
+
+def off_grid(times: Floats) -> int | None:
+    """The index of the worst of ascending ``times`` that is not on their even grid; None if all are."""
+    grid, off = even_grid(times)
+    worst = int(off.argmax())
+    return worst if len(grid) > 1 and off[worst] > _slack(float(grid[1] - grid[0])) else None
+
+
+def _slack(step: float) -> float:
+    return min(GRID_SLACK_S, step / 4)
+
+
+def unordered(times: Floats) -> tuple[int, str] | None:
+    """The first of ``times`` that does not come after the one before it, and what is wrong with it; None if all do."""
+    wrong = np.flatnonzero(np.diff(times) <= 0.0)
+    if not len(wrong):
+        return None
+    k = int(wrong[0]) + 1
+    return k, f"at {times[k]:g} s " + ("comes twice" if times[k] == times[k - 1] else f"comes after {times[k - 1]:g} s")
+
+
+# -- each state -----------------------------------------------------------------------------------------------------
+
+
+def _not_finite(m: Motion) -> Fault | None:
+    for column in ("time", "x", "y", "heading", "speed", "length", "width"):
+        values = np.atleast_1d(np.asarray(getattr(m, column), float))
+        bad = ~(np.abs(values) < LARGEST_M) if column in ("x", "y") else ~np.isfinite(values)
+        if bad.any():
+            k = int(bad.argmax())
+            kind = "no finite number" if not math.isfinite(values[k]) else "no place on a map"
+            return Fault(m, k, f"has {values[k]:g} for {column}, which is {kind}", "")
+    return None
+
+
+def _wrong_size(m: Motion, kind: str) -> Fault | None:
+    """What is wrong of its size for an object of a ``kind``."""
+    if _within((m.length, m.width), SIZES[kind]) and not (kind == "vehicle" and m.width > max(m.length, 3.0)):
+        return None
+    swapped = _within((m.width, m.length), TYPICAL[m.kind])
+    units = (unit for unit, factor in SIZE_UNITS if _within((m.length * factor, m.width * factor), TYPICAL[m.kind]))
+    unit = next(units, None)
+    cause = "length and width look swapped" if swapped else f"sizes look like {unit}" if unit else ""
+    return Fault(m, 0, f"gives the {m.kind} '{m.name}' a size of {m.length:g} by {m.width:g} m", cause)
+
+
+def _within(size: tuple[float, float], ranges: tuple[Range, Range]) -> bool:
+    return all(low <= value <= high for value, (low, high) in zip(size, ranges, strict=True))
+
+
+def _beyond_turns(m: Motion) -> Fault | None:
+    beyond = np.abs(m.heading) > m.angles.most
+    if not beyond.any():
+        return None
+    k = int(beyond.argmax())
+    radians = m.angles.unit == " rad"
+    most = f"{m.angles.most / math.pi:.0f} pi" if radians else f"{m.angles.most:.0f}"
+    what = f"has the heading {m.heading[k]:g}{m.angles.unit} for '{m.name}', which is beyond {most}"
+    if not radians:
+        return Fault(m, k, what, "")
+    fits = len(m.time) > 1 and _fits(RADIANS, m, _stretches(m))
+    return Fault(m, k, what, "headings are added up over turns" if fits else "headings look like degrees")
+
+
+# -- speed and heading against the positions ------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class _Stretches:
+    """Stretches of about a metre, of states ``first`` to ``last``, arrays ``(m,)``. chord, driven [m]: by the positions
+    and by the speeds; direction [rad]: of the motion. Over the whole track: ``path``, ``claimed`` [m], the same;
+    ``extent`` [m]: between its farthest places."""
+
+    first: Ints
+    last: Ints
+    chord: Floats
+    driven: Floats
+    direction: Floats
+    seconds: Floats
+    path: float
+    claimed: float
+    extent: float
+
+    @property
+    def counts(self) -> bool:
+        """Whether the object moved far enough to be compared."""
+        return max(self.extent, self.claimed) >= LEAST_TRAVEL_M
+
+
+def _stretches(m: Motion) -> _Stretches:
+    dt, dx, dy = np.diff(m.time), np.diff(m.x), np.diff(m.y)
+    seen = dt < 1.5 * float(np.median(dt))  # not over gaps
+    moved = np.where(seen, np.hypot(dx, dy), 0.0)
+    speed = np.abs(m.speed)
+    claimed = np.where(seen, (speed[1:] + speed[:-1]) / 2 * dt, 0.0)
+    driven = np.concatenate([[0.0], np.cumsum(claimed)])
+    gaps = np.concatenate([[0], np.cumsum(~seen)])
+    metre = np.concatenate([[0], np.floor(np.cumsum(moved) / STRETCH_M)])
+    ends = np.flatnonzero(np.diff(metre, prepend=-1.0) > 0)
+    first, last = ends[:-1], ends[1:]
+    chord = np.hypot(m.x[last] - m.x[first], m.y[last] - m.y[first])
+    keep = (gaps[last] == gaps[first]) & (chord > STRETCH_M / 2)  # jitter of a standing object makes no chord
+    first, last, chord = first[keep], last[keep], chord[keep]
+    direction = np.arctan2(m.y[last] - m.y[first], m.x[last] - m.x[first])
+    return _Stretches(
+        first, last, chord, driven[last] - driven[first], direction, m.time[last] - m.time[first], float(moved.sum()),
+        float(claimed.sum()), math.hypot(float(np.ptp(m.x)), float(np.ptp(m.y))),
+    )  # fmt: skip
+
+
+def _against_speed(m: Motion, s: _Stretches) -> Fault | None:
+    if not s.counts:
+        return None
+    if s.extent >= LEAST_TRAVEL_M and len(s.chord):
+        k, factor = int(s.first[0]), float(np.median(s.driven / s.chord))
+        moves = f"moves at {float(np.median(s.chord / s.seconds)):.3g} m/s"
+    else:
+        k, factor = int(np.abs(m.speed).argmax()), s.claimed / max(s.path, 1e-12)
+        moves = f"moves {s.path:.3g} m in all"
+    if UNDER_SPEED <= factor <= OVER_SPEED:
+        return None
+    what = f"has the speed {m.speed[k]:g} m/s for '{m.name}', which {moves}"
+    return Fault(m, k, what, _unit_of(factor, m.time))
+
+
+def _unit_of(factor: float, time: Floats) -> str:
+    """What a track looks like whose speeds are ``factor`` times its motion; empty if no unit explains it."""
+    if factor <= 0.0:
+        return "speeds are missing"
+    off, words = min((abs(math.log(factor / unit)), words) for words, unit in SPEED_UNITS)
+    if off < NEAR_UNIT:
+        return words
+    if np.all(time == np.rint(time)) and FRAME_RATES[0] <= factor <= FRAME_RATES[1]:
+        return "times look like numbers of frames"
+    if DEGREE_M[0] <= factor <= DEGREE_M[1]:
+        return "positions look like longitude and latitude"
+    return ""
+
+
+def _against_heading(m: Motion, s: _Stretches) -> Fault | None:
+    if s.extent < LEAST_TRAVEL_M or not len(s.chord):
+        return None
+    off = _off(m.angles, m, s)
+    askew = np.minimum(off, np.pi - off) > ASKEW_RAD
+    backwards = (off > np.pi - ASKEW_RAD) & (s.chord / s.seconds > REVERSING_MS)
+    wrong: Bools = askew | backwards
+    if 2 * np.count_nonzero(wrong) <= len(wrong):
+        return None
+    k = int(wrong.argmax())
+    others = [angles for angles in CONVENTIONS if angles.words != m.angles.words]
+    likely = next((angles.words for angles in others if _fits(angles, m, s)), None)
+    cause = f"headings look like {likely}" if likely else "headings point backwards" if backwards[k] else ""
+    given, towards = float(m.heading[s.first[k]]), float(np.degrees(s.direction[k]))
+    what = f"has the heading {given:g}{m.angles.unit} for '{m.name}', which moves towards {towards:.0f} degrees from +x"
+    return Fault(m, int(s.first[k]), what, cause)
+
+
+def _fits(angles: Angles, m: Motion, s: _Stretches) -> bool:
+    """Whether the headings, read as ``angles``, are those of the motion."""
+    return len(s.chord) > 0 and float(np.median(_off(angles, m, s))) < FITTING_RAD
+
+
+def _off(angles: Angles, m: Motion, s: _Stretches) -> Floats:
+    """Absolute angle [rad] between motion and heading of each stretch, the mean heading of its two ends."""
+    ends = [angles.to_rad(m.heading[at]) for at in (s.first, s.last)]
+    mean = np.arctan2(sum(map(np.sin, ends)), sum(map(np.cos, ends)))
+    return np.abs(wrap(mean - s.direction))
