@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 WARNINGS_FILE = "warnings.txt"  # of a run's folder
 MOST_SHOWN = 6  # kinds that a sentence each is given
@@ -25,13 +26,8 @@ class WarningKind:
     count: int
 
 
-def warnings_in(printed: str, names: Mapping[str, str] | None = None) -> tuple[str, ...]:
-    """The warnings in what SUMO or netconvert printed, in order.
-
-    Args:
-        printed: All that the program wrote to its error output.
-        names: Texts to replace, such as the path of a copy by that of the user's file.
-    """
+def warnings_in(printed: str) -> tuple[str, ...]:
+    """The warnings in what SUMO or netconvert wrote to its error output, in order."""
     found: list[str] = []
     within = False
     for line in printed.splitlines():
@@ -42,10 +38,11 @@ def warnings_in(printed: str, names: Mapping[str, str] | None = None) -> tuple[s
             found[-1] += f" {line.strip()}"
         else:
             within = False
-    return tuple(_renamed(text, names or {}) for text in found)
+    return tuple(found)
 
 
-def _renamed(text: str, names: Mapping[str, str]) -> str:
+def with_names(text: str, names: Mapping[str, str]) -> str:
+    """A warning with the user's files instead of their copies. ``names``: the file's name by the copy's."""
     for name, shown in names.items():
         text = text.replace(name, shown)
     return text
@@ -62,11 +59,14 @@ def kinds_of(warnings: Iterable[str]) -> tuple[WarningKind, ...]:
     return tuple(WarningKind(first[kind], count[kind]) for kind in first)
 
 
-def said_of(warnings: Sequence[str], program: str = "SUMO") -> tuple[str, ...]:
-    """Sentences about warnings: how many there were, then the first of each kind. Nothing where there were none."""
-    kinds = kinds_of(warnings)
-    if not kinds:
-        return ()
+def kinds_below(folder: Path) -> tuple[WarningKind, ...]:
+    """The kinds of all warnings in the runs below a folder."""
+    files = sorted(folder.rglob(WARNINGS_FILE))
+    return kinds_of(line for file in files for line in file.read_text(encoding="utf-8").splitlines())
+
+
+def said_of(kinds: Sequence[WarningKind], program: str = "SUMO") -> tuple[str, ...]:
+    """A sentence for each kind of warning: the first one, and how many there were. Nothing where there were none."""
     shown = [f"{program} warns{times(kind.count)}: {_short(kind.first)}" for kind in kinds[:MOST_SHOWN]]
     more = len(kinds) - MOST_SHOWN
     if more > 0:
