@@ -17,7 +17,7 @@ from sumo_adv.simulation.maps import MAPS, Conversion, convert_map, is_map
 from sumo_adv.simulation.playback_spec import PlaybackSpec, scenario_playback
 from sumo_adv.simulation.scan import DemandScan, NetworkScan, scan_demand, scan_network
 from sumo_adv.simulation.scenario import DEFAULT_WARM_UP, Ego, Label, Scenario, load_scenario
-from sumo_adv.simulation.sumocfg import read_sumocfg
+from sumo_adv.simulation.sumocfg import is_sumocfg, read_sumocfg
 
 _NETWORK_SUFFIXES = (".net.xml", ".net.xml.gz", ".xml", ".xml.gz")
 _SUFFIXES = (
@@ -111,7 +111,7 @@ def load_input(path: Path) -> RunInput:
         raise UsageError(f"{file} is a file of Waymo records: convert it to scenarios first (sumo-adv convert).")
     if lower.endswith(".toml"):
         return _from_scenario(file)
-    if lower.endswith((".sumocfg", ".sumo.cfg")):
+    if is_sumocfg(file):
         return _from_configuration(file)
     if is_map(file):
         made = convert_map(file)

@@ -43,10 +43,21 @@ _OWN_NAMES = frozenset(
 )  # fmt: skip
 
 
+MOVING = frozenset(
+    ("collision.action", "collision.stoptime", "no-internal-links", "load-state", "random", "mesosim", "threads")
+)  # fmt: skip
+"""Options that this program sets itself, and that change motions."""
+
+
 def is_own(name: str) -> bool:
     """Whether this program sets the option itself: effects of collisions, outputs, messages, GUI, threads, port. No
     option that writes a file is left to an input (``device.ssm`` writes files without being told to)."""
     return name in _OWN_NAMES or name.startswith(_OWN) or "output" in name or name.endswith(".file")
+
+
+def only_shows(name: str) -> bool:
+    """Whether an option writes, reports or shows, and so changes no motion."""
+    return is_own(name) and name not in MOVING
 
 
 def kept(configuration: Path, given: Mapping[str, str]) -> tuple[dict[str, str], tuple[str, ...]]:

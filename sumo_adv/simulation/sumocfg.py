@@ -15,7 +15,15 @@ from pathlib import Path
 
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.scan import parse, seconds
-from sumo_adv.simulation.sumo_options import LONGEST_STEP, SHORTEST_STEP, SUMO_STEP, SUMOS_SEED, kept, part_of
+from sumo_adv.simulation.sumo_options import (
+    LONGEST_STEP,
+    SHORTEST_STEP,
+    SUMO_STEP,
+    SUMOS_SEED,
+    kept,
+    only_shows,
+    part_of,
+)
 
 _SYNONYMS = """
 c configuration configuration-file|n net net-file|r routes route-files|a additional additional-files|
@@ -68,6 +76,11 @@ class Configuration:
     notes: tuple[str, ...]
 
 
+def is_sumocfg(path: Path) -> bool:
+    """Whether the file's name is that of a .sumocfg."""
+    return path.name.lower().endswith((".sumocfg", ".sumo.cfg"))
+
+
 def read_sumocfg(path: Path, environ: Mapping[str, str] = os.environ) -> Configuration:
     """The simulation that the .sumocfg ``path`` describes.
 
@@ -89,8 +102,20 @@ def read_sumocfg(path: Path, environ: Mapping[str, str] = os.environ) -> Configu
     seed = seconds(path, "seed", given.get("seed"))
     networks, routes, additional = (_files(path, given.get(name, "")) for name in _FILES)
     return Configuration(
-        networks, routes, additional, begin, end, SUMOS_SEED if seed is None else int(seed), step, sumo_step, options, (*said, *left, *notes),
+        networks, routes, additional, begin, end, SUMOS_SEED if seed is None else int(seed), step, sumo_step, options,
+        (*said, *left, *notes),
     )  # fmt: skip
+
+
+def as_sumo_reads_it(path: Path, environ: Mapping[str, str] = os.environ) -> dict[str, str]:
+    """All options of the .sumocfg ``path`` but for its three kinds of files, and for what writes, reports and shows.
+    Names of files are counted from the configuration's folder."""
+    given, _ = _options(path, environ)
+    return {
+        name: str((path.parent / value).absolute()) if (path.parent / value).is_file() else value
+        for name, value in given.items()
+        if name not in _FILES and not only_shows(name)
+    }
 
 
 def _options(path: Path, environ: Mapping[str, str]) -> tuple[dict[str, str], tuple[str, ...]]:
