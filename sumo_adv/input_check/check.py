@@ -10,7 +10,7 @@ from sumo_adv.config import Settings
 from sumo_adv.episode.task import make_task
 from sumo_adv.input_check.contents import contents_of, departures
 from sumo_adv.input_check.motions import Comparison, compare
-from sumo_adv.input_check.sumo_alone import arguments_of, run_alone
+from sumo_adv.input_check.sumo_alone import run_alone
 from sumo_adv.input_check.worker import Watched
 from sumo_adv.simulation.engine import Engine
 from sumo_adv.simulation.inputs import RunInput
@@ -64,17 +64,17 @@ def check_input(engine: Engine, given: RunInput, settings: Settings, folder: Pat
     spec = task.spec
     first, until = spec.recorded_from, min(task.end, spec.recorded_from + seconds)
     watched: Watched = engine.request("watch", spec, until)
-    arguments = arguments_of(spec, given.source)
-    alone = run_alone(arguments, spec.step_length, until, folder)
+    alone = run_alone(spec, given.source, spec.step_length, until, folder)
     own = read_sumocfg(given.source).sumo_step if is_sumocfg(given.source) else None
     beside = None
     if own is not None and own != spec.step_length:
-        slow = run_alone(arguments, own, until, folder)
+        slow = run_alone(spec, given.source, own, until, folder)
         beside = compare(watched.motions, slow.motions, spec.begin, (first, until), own)
     due = departures(given, spec.begin, until)
     here = task.own_names(engine.warnings())
     besides = [text for text in task.own_names(alone.warnings) if text not in here]
     return replace(
         read, comparison=compare(watched.motions, alone.motions, spec.begin, (first, until), spec.step_length),
-        not_inserted=tuple(sorted(due - watched.motions.keys() - alone.motions.keys())), own_step=beside, classes=watched.classes, warnings=kinds_of([*here, *besides]),
+        own_step=beside, classes=watched.classes, warnings=kinds_of([*here, *besides]),
+        not_inserted=tuple(sorted(due - watched.motions.keys() - alone.motions.keys())),
     )  # fmt: skip

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import subprocess
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,6 +11,7 @@ from sumo_adv.input_check.motions import Motions, State
 from sumo_adv.simulation.programs import find_sumo
 from sumo_adv.simulation.scan import parse
 from sumo_adv.simulation.simulation import PERSON, SimulationSpec
+from sumo_adv.simulation.sumo_options import FORCED
 from sumo_adv.simulation.sumocfg import as_sumo_reads_it, is_sumocfg
 from sumo_adv.simulation.warnings_log import warnings_in
 
@@ -26,15 +26,15 @@ class Alone:
     warnings: tuple[str, ...]
 
 
-def arguments_of(spec: SimulationSpec, source: Path) -> list[str]:
-    """The options of ``sumo`` for an input, but for step and end.
+def arguments_of(spec: SimulationSpec, source: Path, step: float) -> list[str]:
+    """The options of ``sumo`` for an input in steps of ``step`` [s], but for the end.
 
     Of a .sumocfg they are those that it names, as SUMO reads them; of other inputs those of this program. The files are
     the same ones, without outputs.
     """
     spec = replace(
         spec, network=spec.network.absolute(), routes=tuple(file.absolute() for file in spec.routes),
-        additional=tuple(file.absolute() for file in spec.additional),
+        additional=tuple(file.absolute() for file in spec.additional), step_length=step,
     )  # fmt: skip
     if not is_sumocfg(source):
         return spec.arguments()
@@ -42,12 +42,12 @@ def arguments_of(spec: SimulationSpec, source: Path) -> list[str]:
     args = [part for flag, each in files if each for part in (flag, ",".join(map(str, each)))]
     left_out = ("step-length", "end", "begin")
     options = {name: value for name, value in as_sumo_reads_it(source).items() if name not in left_out}
-    options |= {"begin": repr(spec.begin), "device.ssm.file": "NUL"}
+    options |= {**FORCED, "begin": repr(spec.begin), "step-length": repr(step)}
     return [*args, *(part for name, value in options.items() for part in (f"--{name}", value))]
 
 
-def run_alone(arguments: Sequence[str], step: float, until: float, folder: Path) -> Alone:
-    """Run ``sumo`` in steps of ``step`` [s] until ``until`` [s]; ``folder``: for its file.
+def run_alone(spec: SimulationSpec, source: Path, step: float, until: float, folder: Path) -> Alone:
+    """Run ``sumo`` on an input in steps of ``step`` [s] until ``until`` [s]; ``folder``: for its file.
 
     Raises:
         UsageError: The program is not installed, or refuses the input.
@@ -55,9 +55,8 @@ def run_alone(arguments: Sequence[str], step: float, until: float, folder: Path)
     """
     target = folder / f"fcd-{step:g}.xml"
     command = [
-        str(find_sumo()), *arguments, "--step-length", repr(step), "--end", repr(until), "--fcd-output", str(target),
-        "--fcd-output.attributes", "x,y,speed,vehicle", "--precision", "6", "--no-step-log", "true",
-        "--duration-log.disable", "true",
+        str(find_sumo()), *arguments_of(spec, source, step), "--end", repr(until), "--fcd-output", str(target),
+        "--fcd-output.attributes", "x,y,speed,vehicle", "--precision", "6",
     ]  # fmt: skip
     try:
         done = subprocess.run(
