@@ -63,6 +63,7 @@ def check_input(engine: Engine, given: RunInput, settings: Settings, folder: Pat
     task = make_task(given, settings, folder)
     spec = task.spec
     first, until = spec.recorded_from, min(task.end, spec.recorded_from + seconds)
+    engine.begin_words()
     watched: Watched = engine.request("watch", spec, until)
     alone = run_alone(spec, given.source, spec.step_length, until, folder)
     own = read_sumocfg(given.source).sumo_step if is_sumocfg(given.source) else None

@@ -97,11 +97,15 @@ class Engine:
     def post(self, command: str, *arguments: Any) -> None:
         """Have the engine do something, and go on meanwhile; what it raises the next request raises. Its words from now
         on are those of an episode of their own. Raises SimulationError if its process died."""
-        self._heard = self._log.stat().st_size
-        self._aside.write_bytes(b"")
+        self.begin_words()
         with self._alive():
             self._order(command, arguments)
         self._owed += 1
+
+    def begin_words(self) -> None:
+        """Let its words from now on be those of an episode of their own."""
+        self._heard = self._log.stat().st_size
+        self._aside.write_bytes(b"")
 
     def _order(self, command: str, arguments: tuple[Any, ...]) -> None:
         while self._owed:

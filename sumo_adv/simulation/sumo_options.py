@@ -69,7 +69,7 @@ def kept(configuration: Path, given: Mapping[str, str]) -> tuple[dict[str, str],
 
     Raises UsageError: the options let no vehicle be moved.
     """
-    if _is_on(given.get("no-internal-links")):
+    if is_on(given.get("no-internal-links")):
         raise UsageError(f"{configuration} sets no-internal-links: {NO_JUNCTIONS}.")
     collisions, said = _collisions(configuration, given)
     own = {
@@ -91,7 +91,8 @@ NO_JUNCTIONS = (
 )
 
 
-def _is_on(value: str | None) -> bool:
+def is_on(value: str | None) -> bool:
+    """Whether a value of an option means yes, as SUMO reads it."""
     return value is not None and value.lower() in ("true", "1", "on", "yes", "x", "t")
 
 
@@ -104,7 +105,7 @@ def _collisions(configuration: Path, given: Mapping[str, str]) -> tuple[dict[str
     collision.
     """
     action, stop = (given.get(name, SUMOS[name]) for name in ("collision.action", "collision.stoptime"))
-    on_junctions = _is_on(given.get("collision.check-junctions"))
+    on_junctions = is_on(given.get("collision.check-junctions"))
     if action == "teleport" and not on_junctions:
         return {name: given[name] for name in ("collision.action", "collision.stoptime") if name in given}, ()
     if action not in ("teleport", "remove") and not stop.strip("0.:"):
