@@ -165,6 +165,7 @@ def replay_episode(
     encounter = recorded_encounter(episode, engine, proposal, skips)
     if encounter is not None:
         attack_once(episode, engine, sandbox, encounter, proposal)
+    episode.warnings = task.own_names(engine.warnings())
     return episode
 
 
