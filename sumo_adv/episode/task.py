@@ -169,7 +169,8 @@ def make_task(source: RunInput, settings: Settings, folder: Path) -> Task:
     end = first + settings.search if end is None else end
     if playback is not None and (playback.follows_log or settings.ego == "replay"):
         end = min(end, playback.end)  # what comes after is not in the log
-    if not routes and not driven and (playback is None or playback.tracks is None):
+    logged = playback is not None and playback.tracks is not None
+    if not routes and not driven and not logged:
         seed = settings.seed if source.demand_seed is None else source.demand_seed
         density = settings.density if settings.density is not None else source.density
         routes = (
@@ -184,7 +185,7 @@ def make_task(source: RunInput, settings: Settings, folder: Path) -> Task:
     spec = SimulationSpec(
         network, tuple(files[: len(routes)]), tuple(files[len(routes) :]), begin, settings.seed, settings.step_length,
         {**(DEFAULTS if source.options is None else source.options), **settings.sumo_options},
-        0 if source.options is None else empty_steps(begin, first, settings.step_length),
+        0 if logged or isinstance(source.ego, EgoRoute) else empty_steps(begin, first, settings.step_length),
     )  # fmt: skip
     trigger = settings.trigger if settings.trigger is not None else source.trigger
     if end <= begin:

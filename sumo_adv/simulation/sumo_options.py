@@ -71,7 +71,7 @@ def kept(configuration: Path, given: Mapping[str, str]) -> tuple[dict[str, str],
     """
     if is_on(given.get("no-internal-links")):
         raise UsageError(f"{configuration} sets no-internal-links: {NO_JUNCTIONS}.")
-    collisions, said = _collisions(configuration, given)
+    collisions, said = _collisions(configuration.name, given)
     own = {
         name for name, value in given.items()
         if name not in DECIDED and (is_own(name) or _is_file(configuration, value))
@@ -83,7 +83,8 @@ def kept(configuration: Path, given: Mapping[str, str]) -> tuple[dict[str, str],
     return {**options, **collisions}, said
 
 
-DECIDED = frozenset(("collision.action", "collision.stoptime", "no-internal-links"))
+COLLISIONS = ("collision.action", "collision.stoptime")
+DECIDED = frozenset((*COLLISIONS, "no-internal-links"))
 """Options of a .sumocfg whose value decides whether they are kept."""
 NO_JUNCTIONS = (
     "SUMO dies when a vehicle is moved across a junction without lanes of its own; use a network that netconvert made "
@@ -96,23 +97,23 @@ def is_on(value: str | None) -> bool:
     return value is not None and value.lower() in ("true", "1", "on", "yes", "x", "t")
 
 
-def _collisions(configuration: Path, given: Mapping[str, str]) -> tuple[dict[str, str], tuple[str, ...]]:
-    """What SUMO does with vehicles that collide, and what differs from the .sumocfg in a sentence.
+def _collisions(source: str, given: Mapping[str, str]) -> tuple[dict[str, str], tuple[str, ...]]:
+    """What SUMO does with vehicles that collide, and what differs from ``source`` in a sentence.
 
     With the action ``teleport``, SUMO passes over collisions of a vehicle that is moved, or was in the last 10 s, but
     those on junctions (``MSLane::detectCollisionBetween``; measured). So a user's collisions happen as they are
     configured, and an attack's contact stays. With ``warn`` and ``none`` and no stop, no vehicle is moved by a
     collision.
     """
-    action, stop = (given.get(name, SUMOS[name]) for name in ("collision.action", "collision.stoptime"))
+    action, stop = (given.get(name, SUMOS[name]) for name in COLLISIONS)
     on_junctions = is_on(given.get("collision.check-junctions"))
     if action == "teleport" and not on_junctions:
-        return {name: given[name] for name in ("collision.action", "collision.stoptime") if name in given}, ()
+        return {name: given[name] for name in COLLISIONS if name in given}, ()
     if action not in ("teleport", "remove") and not stop.strip("0.:"):
         return {"collision.action": action}, ()
     why = ", as SUMO looks for collisions on junctions" if on_junctions else ""
     return {"collision.action": "warn", "collision.stoptime": "0"}, (
-        f"What {configuration.name} says of collisions is not kept{why} (collision.action={action}, "
+        f"What {source} says of collisions is not kept{why} (collision.action={action}, "
         f"collision.stoptime={stop}): vehicles that collide drive on, so what comes after a collision of your own "
         "traffic may differ.",
     )
@@ -133,7 +134,10 @@ def part_of(step: float) -> float | None:
 def differing(options: Mapping[str, str]) -> dict[str, str]:
     """What a scenario needs of its own, beside ``DEFAULTS``, to run with these options."""
     wanted = {name: value for name, value in {**SUMOS, **options}.items() if name not in (*FORCED, *ELSEWHERE)}
-    return {name: value for name, value in wanted.items() if DEFAULTS.get(name) != value}
+    return {
+        name: value for name, value in wanted.items()
+        if DEFAULTS.get(name) != value and (name in COLLISIONS or not is_own(name))
+    }  # fmt: skip
 
 
 def parse(given: Sequence[str]) -> dict[str, str]:
@@ -154,5 +158,5 @@ def refuse(options: Mapping[str, str]) -> None:
             raise UsageError(f"SUMO's option '{name}' cannot be passed through: {ELSEWHERE[name]}.")
         if name == "no-internal-links":
             raise UsageError(f"SUMO's option '{name}' cannot be passed through: {NO_JUNCTIONS}.")
-        if is_own(name):
+        if is_own(name) and (name not in COLLISIONS or _collisions("--option", {**DEFAULTS, **options})[1]):
             raise UsageError(f"SUMO's option '{name}' is set by this program: leave it out.")
