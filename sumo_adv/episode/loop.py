@@ -24,7 +24,7 @@ from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.simulation.engine import Engine
 from sumo_adv.simulation.inputs import RunInput
-from sumo_adv.simulation.warnings_log import about
+from sumo_adv.simulation.warnings_log import about, with_names
 
 MOST_ASKED = 4  # encounters that a model is asked about, where those before cannot play what was asked for
 
@@ -45,7 +45,7 @@ def run_episode(
     except SumoAdvError as error:
         if error.exit_status == 2:
             raise _explained(error, task.own_names(engine.warnings())) from error
-        episode.ending, episode.reason = Ending.SIMULATION_FAILED, str(error)
+        episode.ending, episode.reason = Ending.SIMULATION_FAILED, with_names(str(error), task.copies)
     except Exception as error:  # a fault of ours: earlier results are kept
         episode.ending, episode.reason = Ending.SIMULATION_FAILED, fault_sentence(error)
         episode.traceback = traceback.format_exc()

@@ -115,7 +115,7 @@ def load_input(path: Path) -> RunInput:
         return _from_configuration(file)
     if is_map(file):
         made = convert_map(file)
-        scan_network(made.network)
+        scan_network(made.network, shown=file)
         return RunInput(
             name=input_name(file), source=file, network=made.network, files=(file, made.network),
             notes=made.said, conversion=made,

@@ -50,9 +50,15 @@ class DemandScan:
         return vehicle in self.vehicles | self.persons or flow in self.flows | self.persons
 
 
-def scan_network(path: Path) -> NetworkScan:
-    """The edges of the SUMO network ``path``. Raises UsageError if it is damaged, is no SUMO network, has a lane with
-    an impossible length, width, speed or shape, has no lane for passenger cars, or none on its junctions."""
+def scan_network(path: Path, shown: Path | None = None) -> NetworkScan:
+    """The edges of the SUMO network ``path``.
+
+    shown: the user's file that sentences name, where the network was made of it.
+
+    Raises UsageError: it is damaged, is no SUMO network, has a lane with an impossible length, width, speed or shape,
+    has no lane for passenger cars, or none on its junctions.
+    """
+    named = path if shown is None else shown
     edges: set[str] = set()
     drivable: set[str] = set()
     root: list[str] = []
@@ -63,13 +69,13 @@ def scan_network(path: Path) -> NetworkScan:
         if not root:
             root.append(tag)
             if tag != "net":
-                raise UsageError(f"{path} is not a SUMO network: its root element is <{tag}>, not <net>.")
+                raise UsageError(f"{named} is not a SUMO network: its root element is <{tag}>, not <net>.")
         if tag == "edge":
             current = attributes.get("id", "") if attributes.get("function", "normal") == "normal" else ""
             if current:
                 edges.add(current)
         elif tag == "lane":
-            _check_lane(path, attributes)
+            _check_lane(named, attributes)
             if current and allows_passenger(attributes):
                 drivable.add(current)
         elif tag == "connection":
@@ -78,9 +84,11 @@ def scan_network(path: Path) -> NetworkScan:
 
     parse(path, start)
     if crossings and not across:
-        raise UsageError(f"The network {path} has no lanes on its junctions: {NO_JUNCTIONS}.")
+        raise UsageError(f"The network {named} has no lanes on its junctions: {NO_JUNCTIONS}.")
     if not drivable:
-        raise UsageError(f"The network {path} has no lane that a passenger car may drive on: nothing can be run there.")
+        raise UsageError(
+            f"The network {named} has no lane that a passenger car may drive on: nothing can be run there."
+        )
     return NetworkScan(frozenset(edges), frozenset(drivable))
 
 
