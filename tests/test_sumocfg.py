@@ -81,6 +81,18 @@ def test_an_attribute_that_sumo_passes_over_is_named(tmp_path: Path) -> None:
     )
 
 
+def test_what_changes_motions_is_told_from_what_only_shows(tmp_path: Path) -> None:
+    """A state would bring vehicles, and weights from a file other routes; a log and a window change nothing."""
+    (tmp_path / "w.xml").write_text("<meandata/>")
+    given = {
+        "step-length": "0.1", "log-file": "l.txt", "load-state": "s.xml", "start": "true", "weight-files": "w.xml"
+    }  # fmt: skip
+    assert read_sumocfg(write_configuration(tmp_path / "c.sumocfg", given)).notes == (
+        "Not kept of c.sumocfg, as this program sets them itself: log=l.txt, start=true.",
+        "Not kept of c.sumocfg, so traffic moves otherwise than in SUMO: load-state=s.xml, weight-files=w.xml.",
+    )
+
+
 def test_a_network_without_lanes_on_its_junctions_is_refused(tmp_path: Path) -> None:
     bare = make_network(tmp_path, "bare", NODES, EDGES, "--no-internal-links")
     with pytest.raises(UsageError, match="has no lanes on its junctions: SUMO dies when a vehicle is moved across"):

@@ -77,8 +77,15 @@ def kept(configuration: Path, given: Mapping[str, str]) -> tuple[dict[str, str],
         if name not in DECIDED and (is_own(name) or _is_file(configuration, value))
     }  # fmt: skip
     left = [f"{name}={given[name]}" for name in given if name in own and FORCED.get(name) != given[name]]
-    if left:
-        said = (f"Not kept of {configuration.name}, as this program sets them itself: {', '.join(left)}.", *said)
+    moving = [text for text in left if not only_shows(text.partition("=")[0])]
+    silent = [text for text in left if text not in moving]
+    if moving:
+        said = (
+            f"Not kept of {configuration.name}, so traffic moves otherwise than in SUMO: {', '.join(moving)}.",
+            *said,
+        )
+    if silent:
+        said = (f"Not kept of {configuration.name}, as this program sets them itself: {', '.join(silent)}.", *said)
     options = {name: value for name, value in given.items() if name not in own and name not in DECIDED}
     return {**options, **collisions}, said
 
