@@ -119,6 +119,7 @@ CROSSING = {
         <vehicle id="bike" type="bike" route="we" depart="0"/><flow id="f" route="we" period="8" begin="1" end="41"/>
         ''', "", {"lateral-resolution": "0.8", "scale": "2"}, (12, 0)
     ),
+    "flow by number": (f'{WE}<flow id="f" route="we" number="9"/>', "", {"end": "90"}, (4, 0)),
     "route errors ignored": (
         f'''{WE}<vehicle id="bad" depart="0"><route edges="WC NC"/></vehicle>
         <vehicle id="good" route="we" depart="1"/>''', "",

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import subprocess
+import threading
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import IO
+from xml.parsers import expat
 
 from sumo_adv.errors import SimulationError, UsageError
 from sumo_adv.input_check.motions import Motions, State
 from sumo_adv.simulation.programs import find_sumo
-from sumo_adv.simulation.scan import parse
 from sumo_adv.simulation.simulation import PERSON, SimulationSpec
 from sumo_adv.simulation.sumo_options import FORCED
 from sumo_adv.simulation.sumocfg import as_sumo_reads_it, is_sumocfg
 from sumo_adv.simulation.warnings_log import warnings_in
 
 PATIENCE = 600.0  # s
+PART = 1 << 16  # bytes that are read at once
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +30,7 @@ class Alone:
 
 
 def arguments_of(spec: SimulationSpec, source: Path, step: float) -> list[str]:
-    """The options of ``sumo`` for an input in steps of ``step`` [s], but for the end.
+    """The options of ``sumo`` for an input in steps of ``step`` [s].
 
     Of a .sumocfg they are those that it names, as SUMO reads them; of other inputs those of this program. The files are
     the same ones, without outputs.
@@ -40,42 +43,52 @@ def arguments_of(spec: SimulationSpec, source: Path, step: float) -> list[str]:
         return spec.arguments()
     files = (("-n", (spec.network,)), ("-r", spec.routes), ("-a", spec.additional))
     args = [part for flag, each in files if each for part in (flag, ",".join(map(str, each)))]
-    left_out = ("step-length", "end", "begin")
-    options = {name: value for name, value in as_sumo_reads_it(source).items() if name not in left_out}
-    options |= {**FORCED, "begin": repr(spec.begin), "step-length": repr(step)}
+    options = {**as_sumo_reads_it(source), **FORCED, "step-length": repr(step)}
     return [*args, *(part for name, value in options.items() for part in (f"--{name}", value))]
 
 
 def run_alone(spec: SimulationSpec, source: Path, step: float, until: float, folder: Path) -> Alone:
-    """Run ``sumo`` on an input in steps of ``step`` [s] until ``until`` [s]; ``folder``: for its file.
+    """Run ``sumo`` on an input in steps of ``step`` [s] until ``until`` [s], where it is ended: its own end would
+    change flows. folder: for what it says.
 
     Raises:
         UsageError: The program is not installed, or refuses the input.
-        SimulationError: It fails.
+        SimulationError: It takes too long.
     """
-    target = folder / f"fcd-{step:g}.xml"
     command = [
-        str(find_sumo()), *arguments_of(spec, source, step), "--end", repr(until), "--fcd-output", str(target),
+        str(find_sumo()), *arguments_of(spec, source, step), "--fcd-output", "stdout",
         "--fcd-output.attributes", "x,y,speed,vehicle", "--precision", "6",
     ]  # fmt: skip
-    try:
-        done = subprocess.run(
-            command, capture_output=True, text=True, check=False, timeout=PATIENCE, stdin=subprocess.DEVNULL, cwd=folder
-        )
-    except subprocess.TimeoutExpired as error:
-        raise SimulationError(f"SUMO alone took more than {PATIENCE:g} s: give fewer --seconds.") from error
-    if done.returncode != 0:
-        errors = [line.removeprefix("Error: ") for line in done.stderr.splitlines() if line.startswith("Error: ")]
-        why = errors[0].rstrip(".!") if errors else f"exit status {done.returncode}"
-        raise UsageError(f"SUMO itself does not run this input ({why}): correct it.")
-    return Alone(_read(target, step), warnings_in(done.stderr))
+    words = folder / "sumo.txt"
+    with words.open("wb") as said:
+        process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=said, cwd=folder
+        )  # fmt: skip
+        patience = threading.Timer(PATIENCE, process.kill)
+        patience.start()
+        try:
+            assert process.stdout is not None
+            motions, reached = _read(process.stdout, step, until)
+        finally:
+            in_time = patience.is_alive()
+            patience.cancel()
+            process.kill()
+            process.wait()
+    printed = words.read_text(encoding="utf-8", errors="replace")
+    if not in_time:
+        raise SimulationError(f"SUMO alone took more than {PATIENCE:g} s: give fewer --seconds.")
+    if not reached:
+        errors = [line.removeprefix("Error: ") for line in printed.splitlines() if line.startswith("Error: ")]
+        if errors:
+            raise UsageError(f"SUMO itself does not run this input ({errors[0].rstrip('.!')}): correct it.")
+    return Alone(motions, warnings_in(printed))
 
 
-def _read(file: Path, step: float) -> Motions:
-    """The states of an FCD file at the times after its steps: SUMO writes the state after a step with the time before
-    it."""
+def _read(stream: IO[bytes], step: float, until: float) -> tuple[Motions, bool]:
+    """The states of FCD at the times after the steps, up to ``until`` [s], and whether it goes so far. SUMO writes the
+    state after a step with the time before it."""
     motions: dict[str, dict[int, State]] = {}
-    time = 0
+    time, last = 0, round(1000 * until)
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         nonlocal time
@@ -86,5 +99,8 @@ def _read(file: Path, step: float) -> Motions:
             state = (float(attributes["x"]), float(attributes["y"]), float(attributes["speed"]))
             motions.setdefault(name, {})[time] = state
 
-    parse(file, start)
-    return motions
+    parser = expat.ParserCreate()
+    parser.StartElementHandler = start
+    while time <= last and (part := stream.read(PART)):
+        parser.Parse(part)
+    return motions, time > last
