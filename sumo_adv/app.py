@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from sumo_adv.drivers.registry import GivenEgo
     from sumo_adv.episode.episode import Episode
     from sumo_adv.episode.warm import WarmEngine
+    from sumo_adv.input_check import InputCheck
     from sumo_adv.llm.chat import ChatModel
     from sumo_adv.llm.prompts import Prompts
     from sumo_adv.memory.bank import MemoryBank
@@ -267,6 +268,18 @@ def check_driver(
     with engine, tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
         driven = twelve() if inputs is None else inputs
         return check_driver(engine, driven, settings, Path(scratch), seconds=seconds or DURATION, tell=tell)
+
+
+def check_input(given: RunInput, settings: Settings, seconds: float) -> InputCheck:
+    """Compare an input's traffic without an attack with the program ``sumo`` over ``seconds`` [s], and count what was
+    read of it. Raises UsageError or SimulationError."""
+    from sumo_adv.input_check import body, check_input
+    from sumo_adv.simulation.engine import Engine, deaf
+
+    with _without_main(), deaf():
+        engine = Engine(body, slots=0)
+    with engine, tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
+        return check_input(engine, given, settings, Path(scratch), seconds)
 
 
 _idle: list[tuple[WarmEngine, Finalize]] = []  # with what ends it where this process ends before

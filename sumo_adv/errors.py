@@ -2,6 +2,7 @@
 
 SumoAdvError                 one sentence: what is wrong and what to do; exit status 1
 ├── UsageError               wrong use or bad input; exit status 2
+│   └── MissingVehicleError  a vehicle that is named is not in the simulation
 ├── SimulationError          SUMO failed, or the engine process died
 │   └── DriverError          the ego's driver failed, hung, ended its process or used up an attempt's memory
 ├── SandboxError             planner code failed inside its limits
@@ -33,6 +34,14 @@ class UsageError(SumoAdvError):
     """The command line or an input file is wrong."""
 
     exit_status = 2
+
+
+class MissingVehicleError(UsageError):
+    """The vehicle ``vehicle`` is named, and did not come into the simulation."""
+
+    def __init__(self, message: str, vehicle: str = "") -> None:
+        super().__init__(message)
+        self.vehicle = vehicle
 
 
 class SimulationError(SumoAdvError):

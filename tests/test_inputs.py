@@ -11,7 +11,6 @@ import pytest
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.inputs import EgoRoute, data_folder, input_name, load_input, own_simulation, shipped_names
 from sumo_adv.simulation.scan import scan_demand
-from sumo_adv.simulation.simulation import SimulationSpec
 from sumo_adv.simulation.sumo_options import parse, refuse
 
 NET = """<net version="1.20">
@@ -233,7 +232,7 @@ def test_five_megabytes_of_demand_take_less_than_a_second(tmp_path: Path) -> Non
 
 
 def test_a_sumocfg_keeps_its_options_and_names_those_that_it_cannot_keep(tmp_path: Path) -> None:
-    """A step of 0.05 s, a seed and ballistic motion are kept; SUMO's own action on collisions and outputs are not."""
+    """A step of 0.05 s, a seed, ballistic motion and SUMO's own action on collisions are kept; outputs are not."""
     network(tmp_path)
     configured = write(
         tmp_path / "own.sumocfg",
@@ -243,15 +242,16 @@ def test_a_sumocfg_keeps_its_options_and_names_those_that_it_cannot_keep(tmp_pat
         '<random_number><seed value="7"/></random_number></configuration>',
     )
     loaded = load_input(configured)
-    assert loaded.options == {"step-method.ballistic": "true", "time-to-teleport": "90"}
+    assert loaded.options == {
+        "step-method.ballistic": "true", "time-to-teleport": "90", "collision.action": "teleport"
+    }  # fmt: skip
     assert own_simulation(loaded) == {"seed": 7, "step_length": 0.05}
-    assert loaded.notes == (
-        "Not kept of own.sumocfg, as this program sets them itself: collision.action=teleport, fcd-output=fcd.xml.",
-    )
+    assert loaded.notes == ("Not kept of own.sumocfg, as this program sets them itself: fcd-output=fcd.xml.",)
 
 
-def test_of_collisions_only_what_moves_vehicles_is_not_kept(tmp_path: Path) -> None:
-    """``warn`` is this program's own action, so nothing is lost; a stop after a collision is."""
+def test_collisions_are_as_configured_where_an_attack_can_be_told_apart(tmp_path: Path) -> None:
+    """SUMO passes over collisions of a moved vehicle under ``teleport`` alone, and not on junctions. So a stop after
+    one is not kept under ``warn``, nor a teleport where collisions on junctions are looked for."""
     network(tmp_path)
     configured = write(
         tmp_path / "own.sumocfg",
@@ -260,12 +260,22 @@ def test_of_collisions_only_what_moves_vehicles_is_not_kept(tmp_path: Path) -> N
         '<collision.mingap-factor value="1"/><collision.check-junctions value="false"/></processing></configuration>',
     )
     loaded = load_input(configured)
-    assert loaded.options == {"collision.mingap-factor": "1", "collision.check-junctions": "false"}
-    assert loaded.notes == ("Not kept of own.sumocfg, as this program sets them itself: collision.stoptime=3.",)
-    spec = SimulationSpec(loaded.network, (), (), 0.0, 1, options=loaded.options)
-    assert spec.all_options["collision.action"] == "warn"
-    assert spec.all_options["collision.stoptime"] == "0"
-    assert spec.all_options["collision.mingap-factor"] == "1"
+    assert loaded.options == {
+        "collision.mingap-factor": "1", "collision.check-junctions": "false", "collision.action": "warn",
+        "collision.stoptime": "0",
+    }  # fmt: skip
+    (note,) = loaded.notes
+    assert note == (
+        "What own.sumocfg says of collisions is not kept (collision.action=warn, collision.stoptime=3): vehicles that "
+        "collide drive on, so what comes after a collision of your own traffic may differ."
+    )
+    for given, action, notes in (
+        ("", None, 0), ('<collision.stoptime value="3"/>', None, 0), ('<collision.action value="remove"/>', "warn", 1),
+        ('<collision.check-junctions value="true"/>', "warn", 1), ('<collision.action value="none"/>', "none", 0),
+    ):  # fmt: skip
+        text = f'<net-file value="small.net.xml"/><step-length value="0.1"/>{given}'
+        loaded = load_input(write(tmp_path / "own.sumocfg", f"<configuration>{text}</configuration>"))
+        assert (loaded.options or {}).get("collision.action") == action and len(loaded.notes) == notes
 
 
 @pytest.mark.parametrize(
@@ -289,7 +299,7 @@ def test_a_step_that_is_not_kept_is_a_multiple_of_the_one_taken(
         f'<configuration><input><net-file value="small.net.xml"/></input>{step}</configuration>',
     )
     loaded = load_input(configured)
-    assert own_simulation(loaded) == ({} if brought is None else {"step_length": brought})
+    assert own_simulation(loaded) == {"seed": 23423, **({} if brought is None else {"step_length": brought})}
     assert len(loaded.notes) == 1
     assert loaded.notes[0].startswith(f"The step-length of own.sumocfg, {said}")
 

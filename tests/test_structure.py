@@ -20,7 +20,7 @@ LEVELS = (
     ("search",),
     ("agents", "words"),
     ("episode",),
-    ("serve", "campaigns", "benchmark", "womd", "report", "driver_check"),
+    ("serve", "campaigns", "benchmark", "womd", "report", "driver_check", "input_check"),
     ("regression", "rate", "hunting"),
     ("app", "comparison"),
     ("cli", "api", "api_batch", "gym", "__main__"),

@@ -18,6 +18,7 @@ from sumo_adv.errors import UsageError
 from sumo_adv.files import sentences
 from sumo_adv.memory.store import default_bank_path
 from sumo_adv.report.staging import staged
+from sumo_adv.simulation.warnings_log import kinds_below, said_of
 
 if TYPE_CHECKING:
     from sumo_adv.campaigns.campaign import Orders, Summary
@@ -166,6 +167,7 @@ def _words_of(summary: Summary) -> str:
         lines.append(f"{summary.ran} run now in {s['seconds']:.0f} s; {size}.")
     if summary.learnt is not None:
         lines.append(f"{summary.learnt} pieces of evidence went into the memory bank.")
+    lines += said_of(kinds_below(summary.folder))
     lines.append(f"Files: {summary.folder / 'results.csv'}")
     return "\n".join(lines)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
@@ -21,11 +21,17 @@ from sumo_adv.memory.store import default_bank_path
 if TYPE_CHECKING:
     from sumo_adv.cli.doctor_checks import Finding
     from sumo_adv.driver_check import Checked, DriverCheck
+    from sumo_adv.input_check import InputCheck
 
-EXAMPLE = "Example: sumo-adv doctor --llm ollama:llama3"
+EXAMPLE = "Example: sumo-adv doctor my.sumocfg"
+CHECKED = 100.0  # s of an input
 
 
 def doctor(
+    source: Annotated[
+        Path | None,
+        typer.Argument(metavar="[INPUT]", help="Check this input instead: a .sumocfg, network, map, record, scenario."),
+    ] = None,
     llm: Annotated[str | None, typer.Option(help="The language model to look for, as in run.")] = None,
     memory: Annotated[Path | None, typer.Option(help="The memory bank (default: your own).")] = None,
     ego: Annotated[
@@ -37,14 +43,25 @@ def doctor(
             help="With --ego: drive it here, a file or a name of the table, and not in the twelve; repeatable."
         ),
     ] = None,
+    seconds: Annotated[
+        float | None, typer.Option("--seconds", min=1.0, help="With INPUT: how long it is compared, s (default: 100).")
+    ] = None,
     settings_file: Annotated[Path | None, typer.Option("--settings", help="TOML file of settings.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
 ) -> None:
     """Check libraries, programs, sandbox, model, memory bank and write rights; each line says how to fix it.
+    With INPUT: what was read of it, and whether its traffic moves as in SUMO; the exit status is 3 if it does not.
 
     ok; warn: something that a plain run does not need; fail: a run cannot work, and the exit status is 1.
     With --ego: faults of a driver or its adapter; the exit status is 3 if there are any.
     """
+    if source is not None:
+        if ego is not None or llm is not None or memory is not None or scenario:
+            raise UsageError("doctor checks an INPUT alone: leave out --ego, --scenario, --llm and --memory.")
+        tell_input(source, seconds or CHECKED, settings_file, as_json=as_json)
+        return
+    if seconds is not None:
+        raise UsageError("--seconds says how long an INPUT is compared with SUMO: name the INPUT as well.")
     if ego is not None:
         if llm is not None or memory is not None:
             raise UsageError("--ego checks a driver alone: leave out --llm and --memory.")
@@ -89,6 +106,51 @@ def _findings(llm: str | None, memory: Path | None, settings_file: Path | None) 
         yield from checks.model(settings)
     yield from checks.bank(memory if settings is None else settings.memory)
     yield from checks.output(Path.cwd())
+
+
+def tell_input(source: Path, seconds: float, settings_file: Path | None, *, as_json: bool) -> None:
+    """Check an input and print what was found. Raises typer.Exit if it does not move as in SUMO."""
+    from sumo_adv import app
+    from sumo_adv.simulation.inputs import own_simulation
+
+    given = app.load(source, None)
+    settings = load_settings(settings_file, **own_simulation(given))
+    done = app.check_input(given, settings, seconds)
+    typer.echo(json.dumps(_of_input(source, done)) if as_json else "\n".join(_words_of_input(source, done)))
+    if not done.same:
+        raise typer.Exit(FOUND)
+
+
+def _of_input(source: Path, done: InputCheck) -> dict[str, Any]:
+    return {
+        "input": str(source), "same": done.same, "read": dict(done.contents), "notes": list(done.notes),
+        "classes": done.classes, "comparison": None if done.comparison is None else asdict(done.comparison),
+        "own_step": None if done.own_step is None else asdict(done.own_step),
+        "warnings": [asdict(kind) for kind in done.warnings], "not_inserted": list(done.not_inserted),
+    }  # fmt: skip
+
+
+def _words_of_input(source: Path, done: InputCheck) -> list[str]:
+    from sumo_adv.input_check.motions import listed
+    from sumo_adv.simulation.warnings_log import said_of
+
+    lines = [f"Read of {source}: {_counted(done.contents)}."]
+    if done.classes:
+        lines.append(f"Classes: {_counted(done.classes)}.")
+    lines += [*done.notes, *said_of(done.warnings)]
+    if done.not_inserted:
+        lines.append(f"SUMO has inserted none of these, whose departure has passed: {listed(done.not_inserted)}.")
+    if done.own_step is not None:
+        lines.append(f"With SUMO's own step of {done.own_step.step:g} s: {done.own_step.sentence}")
+    if done.comparison is not None:
+        start = "As SUMO runs it" if done.comparison.same else "Not as SUMO runs it"
+        at_step = f" in steps of {done.comparison.step:g} s" if done.own_step is not None else ""
+        lines.append(f"{start}{at_step}: {done.comparison.sentence}")
+    return lines
+
+
+def _counted(counts: Mapping[str, int]) -> str:
+    return ", ".join(f"{number} {kind}" for kind, number in counts.items())
 
 
 def version_line() -> str:

@@ -11,6 +11,7 @@ import typer
 from sumo_adv.cli import options as opt
 from sumo_adv.cli.options import ATTACK, INPUT, OUTPUT, RUNNING, SEARCH, option
 from sumo_adv.datatypes import Level
+from sumo_adv.simulation.warnings_log import kinds_below, said_of
 
 if TYPE_CHECKING:
     from sumo_adv.hunting.hunt import Found, HuntProgress
@@ -119,6 +120,8 @@ def _show(found: Found, rows: list[dict[str, Any]], index: Path | None) -> None:
         f"{ends[found.ended]}: {len(rows)} distinct failures in {found.encounters} encounters, "
         f"{found.attempts} attempts, {found.seconds / 60:.1f} min.{more}"
     )
+    for sentence in said_of(kinds_below(found.folder)):
+        typer.echo(sentence)
     typer.echo(f"Table: {found.folder / 'results.csv'}")
     if index is not None:
         typer.echo(f"Pages: {index}")

@@ -100,8 +100,10 @@ Source = Annotated[
     ),
 ]
 Record = Annotated[str | None, option(INPUT, "Record of a .tfrecord: its id, or its place from 0.", default="0")]
-Begin = Annotated[float | None, option(INPUT, "Simulation begin, s.", default="first departure")]
-End = Annotated[float | None, option(INPUT, "Look for an encounter until this time, s.", default="600 s after begin")]
+Begin = Annotated[float | None, option(INPUT, "Simulation begin, s.", default="a .sumocfg's, or the first departure")]
+End = Annotated[
+    float | None, option(INPUT, "Look for an encounter until this time, s.", default="600 s after the first vehicle")
+]
 SumoOption = Annotated[
     list[str] | None,
     option(INPUT, "An option of SUMO; may be repeated.", "--option", metavar="NAME=VALUE", default="the input's"),

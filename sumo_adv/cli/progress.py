@@ -15,6 +15,7 @@ import typer
 from sumo_adv.campaigns.results import Job, Row, failed
 from sumo_adv.datatypes import ENDING_SENTENCES, Attempt, Ending, Level
 from sumo_adv.episode.assessment import rank
+from sumo_adv.simulation.warnings_log import WarningKind, said_of
 
 if TYPE_CHECKING:
     from sumo_adv.benchmark import jobs as bench
@@ -276,6 +277,7 @@ def summary(result: Mapping[str, Any], folder: Path) -> str:
     if result["encounter"] is not None and not result["forked"]:
         lines.append("Attempts were loaded and repeated, not forked: slower, the same result.")
     lines += [result["bank_change"]] if result.get("bank_change") else []
+    lines += said_of([WarningKind(**kind) for kind in result.get("warnings", ())])
     lines.append(f"Files: {folder}")
     return "\n".join(lines)
 

@@ -116,7 +116,7 @@ def _task(given: RunInput, settings: Settings, folder: Path, seconds: float) -> 
         raise UsageError(f"{given.source} plays a recording; the check needs a scenario with traffic of SUMO's.")
     folder.mkdir()
     task = make_task(given, settings, folder)
-    return replace(task, end=task.spec.begin + seconds)
+    return replace(task, end=task.spec.recorded_from + seconds)
 
 
 def _check(engine: Engine, task: Task, name: str) -> tuple[UnattackedDrive, Checked]:

@@ -119,7 +119,7 @@ class CheckWorker:
         """The vehicle that a run of the task would choose for its ego. Raises UsageError: there is none in time."""
         drive = self._made(replace(task, ego_driver="idm", ego_parameters={}), make_ego("idm", {}))
         try:
-            search = EncounterSearch(drive, self._road(task), replace(task, trigger=task.spec.begin + CHOSEN))
+            search = EncounterSearch(drive, self._road(task), replace(task, trigger=task.spec.recorded_from + CHOSEN))
             search.until_encounter()
             if drive.ego is None:
                 raise UsageError(f"No vehicle of {task.spec.network.name} could be the ego; give a scenario with one.")

@@ -129,7 +129,7 @@ class Drive:
 
     def _when(self, step: int) -> float:
         """The time [s] of a takeover or release before a step."""
-        return self.recording.snapshots[step - 1].time if step else self.simulation.spec.begin
+        return self.recording.snapshots[step - 1].time if step else self.simulation.spec.recorded_from
 
     def left(self) -> int | None:
         """Steps until the log that is played back ends, or ``until``; None without a log."""

@@ -13,7 +13,7 @@ from sumo_adv.episode.encounter_detector import LOOK_EVERY, EncounterDetector, R
 from sumo_adv.episode.right_of_way import Meetings
 from sumo_adv.episode.surroundings import Surroundings
 from sumo_adv.episode.task import NoEncounter, Task
-from sumo_adv.errors import UsageError
+from sumo_adv.errors import MissingVehicleError, UsageError
 from sumo_adv.simulation.inputs import EgoRoute
 from sumo_adv.simulation.network import RoadMap
 
@@ -70,7 +70,7 @@ class EncounterSearch:
                 continue
             if drive.ego is None:
                 name = requested if requested is not None and self._may_begin(requested) else None
-                if requested is None and step % every == 0 and drive.now >= task.spec.begin + task.warm_up:
+                if requested is None and step % every == 0 and drive.now >= task.spec.recorded_from + task.warm_up:
                     name = self._choose_ego(tried)
                 if name is not None:
                     drive.take_over(name)
@@ -137,7 +137,7 @@ class EncounterSearch:
 
     def _nothing(self, requested: str | None, detector: EncounterDetector) -> NoEncounter:
         if requested is not None and self.drive.ego is None and requested not in self.drive.simulation.fleet.sizes:
-            raise UsageError(f"No vehicle '{requested}' was inserted before {self.drive.now:.0f} s; check --ego-id.")
+            raise self._missing(requested, "check --ego-id")
         self._refuse_unknown()
         if requested is not None and self.drive.ego is None:
             why = f"The recorded vehicle '{requested}' was on no lane where a driver could have taken it over."
@@ -158,7 +158,11 @@ class EncounterSearch:
         unknown = [n for n in self.task.only if n not in self.drive.simulation.fleet.sizes]
         if unknown:
             advice = "check --adversary or the scenario's candidates"
-            raise UsageError(f"No vehicle '{unknown[0]}' was inserted before {self.drive.now:.0f} s; {advice}.")
+            raise self._missing(unknown[0], advice)
+
+    def _missing(self, vehicle: str, advice: str) -> MissingVehicleError:
+        words = f"No vehicle '{vehicle}' was inserted before {self.drive.now:.0f} s; {advice}."
+        return MissingVehicleError(words, vehicle)
 
     def _choose_ego(self, tried: set[str]) -> str | None:
         """The moving car with the most moving traffic within ``CROWD``; the first of equal ones."""

@@ -60,6 +60,7 @@ class Episode:
     learnt: bool = False
     bank_change: str = ""  # what the bank has learnt that changes the next run, in a sentence
     traceback: str = ""  # of a fault in sumo_adv
+    warnings: Sequence[str] = ()  # SUMO's, but for attempts
     notes: list[str] = field(default_factory=list)
     timing: dict[str, float] = field(default_factory=dict)
 

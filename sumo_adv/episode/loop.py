@@ -19,11 +19,12 @@ from sumo_adv.episode.memory_access import learn
 from sumo_adv.episode.planned_encounter import BankView, PlannedEncounter, Tell, analyze, find_attackable, seek
 from sumo_adv.episode.refinement import Refiner, settle_best
 from sumo_adv.episode.task import FoundEncounter, Task
-from sumo_adv.errors import BudgetError, ModelError, SumoAdvError, UsageError, fault_sentence
+from sumo_adv.errors import BudgetError, MissingVehicleError, ModelError, SumoAdvError, UsageError, fault_sentence
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.simulation.engine import Engine
 from sumo_adv.simulation.inputs import RunInput
+from sumo_adv.simulation.warnings_log import about, with_names
 
 MOST_ASKED = 4  # encounters that a model is asked about, where those before cannot play what was asked for
 
@@ -43,13 +44,20 @@ def run_episode(
         episode.ending, episode.reason = model_ending(error), str(error)
     except SumoAdvError as error:
         if error.exit_status == 2:
-            raise
-        episode.ending, episode.reason = Ending.SIMULATION_FAILED, str(error)
+            raise _explained(error, task.own_names(engine.warnings())) from error
+        episode.ending, episode.reason = Ending.SIMULATION_FAILED, with_names(str(error), task.copies)
     except Exception as error:  # a fault of ours: earlier results are kept
         episode.ending, episode.reason = Ending.SIMULATION_FAILED, fault_sentence(error)
         episode.traceback = traceback.format_exc()
+    episode.warnings = task.own_names(engine.warnings())
     episode.timing["total"] = time.perf_counter() - began
     return episode
+
+
+def _explained(error: SumoAdvError, warnings: Sequence[str]) -> SumoAdvError:
+    """The error with SUMO's reason why a vehicle is not there, if it gave one."""
+    why = about(warnings, error.vehicle) if isinstance(error, MissingVehicleError) else None
+    return error if why is None else UsageError(f"{str(error).rstrip('.')}. SUMO warned: {why}")
 
 
 def model_ending(error: ModelError) -> Ending:
@@ -157,6 +165,7 @@ def replay_episode(
     encounter = recorded_encounter(episode, engine, proposal, skips)
     if encounter is not None:
         attack_once(episode, engine, sandbox, encounter, proposal)
+    episode.warnings = task.own_names(engine.warnings())
     return episode
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,6 +22,7 @@ from sumo_adv.simulation.scan import first_departure, scan_demand, silent_copies
 from sumo_adv.simulation.simulation import SimulationSpec, Snapshot
 from sumo_adv.simulation.sumo_options import DEFAULTS, refuse
 from sumo_adv.simulation.tracks import tracks_of
+from sumo_adv.simulation.warnings_log import with_names
 from sumo_adv.situation import Situation
 
 
@@ -32,6 +34,7 @@ class Task:
     driven_from: the earliest time at which the driver takes over the ego, None = as soon as the ego is there.
     driven_before: vehicles that it drives before, with the times at which it takes over and releases each.
     delay: the only delay after the trigger at which an attack may begin; None = those of ``delays``.
+    copies: the user's file by the copy that SUMO reads instead.
     only: the vehicles that may be adversaries; colliders: those that may be the collider. Empty means all.
     """
 
@@ -51,6 +54,11 @@ class Task:
     driven_before: Sequence[tuple[str, float, float]] = ()
     delay: float | None = None
     colliders: tuple[str, ...] = ()
+    copies: Mapping[str, str] = field(default_factory=dict)
+
+    def own_names(self, warnings: Sequence[str]) -> tuple[str, ...]:
+        """SUMO's warnings with the names of the user's files instead of those of copies."""
+        return tuple(with_names(text, self.copies) for text in warnings)
 
     def roles(self, ego: str, *adversaries: str) -> dict[str, Role]:
         """The roles of all vehicles but background vehicles."""
@@ -153,24 +161,31 @@ def make_task(source: RunInput, settings: Settings, folder: Path) -> Task:
     playback = with_background(source.playback, settings.background, replayed=settings.ego == "replay")
     begin = settings.begin if settings.begin is not None else source.begin
     driven = _drives(source)
-    if begin is None:
-        begin = first_departure((*routes, *source.additional)) if routes or driven else 0.0
+    first = first_departure((*routes, *source.additional)) if routes or driven else 0.0
+    begin = first if begin is None else begin
+    first = max(begin, first)
     end = settings.end if settings.end is not None else source.end
-    end = min(end, begin + settings.search) if end is not None and settings.end is None else end
-    end = begin + settings.search if end is None else end
+    end = min(end, first + settings.search) if end is not None and settings.end is None else end
+    end = first + settings.search if end is None else end
     if playback is not None and (playback.follows_log or settings.ego == "replay"):
         end = min(end, playback.end)  # what comes after is not in the log
-    if not routes and not driven and (playback is None or playback.tracks is None):
+    logged = playback is not None and playback.tracks is not None
+    if not routes and not driven and not logged:
         seed = settings.seed if source.demand_seed is None else source.demand_seed
         density = settings.density if settings.density is not None else source.density
         routes = (
             generate(source.network, folder / "demand.rou.xml", seed=seed, density=density, begin=begin, end=end),
         )
     refuse(settings.sumo_options)
-    network, *files = silent_copies((source.network, *routes, *source.additional), folder)
+    given = (source.network, *routes, *source.additional)
+    network, *files = silent_copies(given, folder)
+    copies = {str(copy): str(file) for copy, file in zip((network, *files), given, strict=True) if copy != file}
+    if source.conversion is not None:
+        copies[str(network)] = str(source.conversion.source)
     spec = SimulationSpec(
         network, tuple(files[: len(routes)]), tuple(files[len(routes) :]), begin, settings.seed, settings.step_length,
         {**(DEFAULTS if source.options is None else source.options), **settings.sumo_options},
+        0 if logged or isinstance(source.ego, EgoRoute) else empty_steps(begin, first, settings.step_length),
     )  # fmt: skip
     trigger = settings.trigger if settings.trigger is not None else source.trigger
     if end <= begin:
@@ -184,8 +199,14 @@ def make_task(source: RunInput, settings: Settings, folder: Path) -> Task:
         {**own, **settings.ego_parameters},
         _adversaries(colliders, source.supports, settings.adversaries),
         None if trigger == "auto" else float(trigger), source.warm_up, end, playback,
-        colliders=colliders,
+        colliders=colliders, copies=copies,
     )  # fmt: skip
+
+
+def empty_steps(begin: float, first: float, step: float) -> int:
+    """The whole steps [s] of a simulation from its begin to the last but one before anything departs, at ``first``
+    [s]."""
+    return max(0, math.floor((first - begin) / step) - 1)
 
 
 def _adversaries(colliders: tuple[str, ...], supports: tuple[str, ...], most: int) -> tuple[str, ...]:

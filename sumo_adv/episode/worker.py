@@ -43,7 +43,7 @@ from sumo_adv.metrics.levels import NOT_APPLICABLE
 from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, Braker
 from sumo_adv.planners.answers import AskOne, PlannerObservation
 from sumo_adv.planners.sessions import ask_trusted
-from sumo_adv.simulation.engine import can_fork, in_forks
+from sumo_adv.simulation.engine import aside, can_fork, in_forks
 from sumo_adv.simulation.network import RoadMap, read_network
 from sumo_adv.simulation.playback import Playback
 from sumo_adv.simulation.scan import silent_copies
@@ -129,7 +129,8 @@ class Worker:
             beside += suspects
         log.put_beside(beside)
         if beside:
-            self._drive.rewind(0)
+            with aside():
+                self._drive.rewind(0)
 
     def _survives(self, log: Playback, beside: Sequence[str]) -> bool:
         """Whether SUMO lives through the log with these vehicles beside it."""
@@ -284,7 +285,8 @@ class Worker:
         for work in works:
             self._at_trigger()
             self._moved = True
-            results.append(work())
+            with aside():
+                results.append(work())
         self._at_trigger()
         return results
 
@@ -300,7 +302,8 @@ class Worker:
     def _at_trigger(self) -> None:
         if self._moved:
             self._moved = False
-            self._drive.rewind(self._trigger_step)
+            with aside():
+                self._drive.rewind(self._trigger_step)
 
     # -- the baseline -------------------------------------------------------------------------------------------
 

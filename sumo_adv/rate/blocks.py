@@ -160,7 +160,7 @@ class BlockRunner:
         proposal = None if job.starts is None else Proposal(np.array(job.starts))
         run = Run(self._drive, chances(plan.factor), proposal, seed, pilot=job.phase == "pilot")
         ego = INSERTED_EGO if isinstance(task.ego, EgoRoute) else task.ego
-        start = task.spec.begin + (plan.warm_up if ego is None else 0.0)
+        start = task.spec.recorded_from + (plan.warm_up if ego is None else 0.0)
         return run, run.until(ego, start, start + WAIT + plan.duration, plan.duration)
 
 

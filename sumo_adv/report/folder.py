@@ -21,6 +21,7 @@ from sumo_adv.report.tables import SERIES_HEADER, csv_text, write_gzip, write_pl
 from sumo_adv.report.verdicts import figures, judge_best
 from sumo_adv.simulation.simulation import Snapshot
 from sumo_adv.simulation.tracks import tracks_of
+from sumo_adv.simulation.warnings_log import WARNINGS_FILE
 
 RUN_FILES = ("outcome.json", "manifest.json", "states.csv.gz", "raw.csv.gz", "criticality.csv.gz", "encounter.png")
 FIRST = "first.csv.gz"  # written if another attempt than the first counts
@@ -39,6 +40,9 @@ def write_run(folder: RunFolder, episode: Episode, *, figure: bool = True) -> di
     result = outcome(episode, raw_figures(episode), figures(judged), realism)
     (stage / "manifest.json").write_text(json_text(manifest(episode, inputs), 2), encoding="utf-8")
     _write_attempts(stage / "attempts.csv.gz", episode)
+    if episode.warnings:
+        lines = "".join(f"{text}\n" for text in episode.warnings)
+        (stage / WARNINGS_FILE).write_text(lines, encoding="utf-8", newline="\n")
     if episode.found is not None and episode.prefix is not None:
         _write_tables(stage, episode)
         if judged is not None:

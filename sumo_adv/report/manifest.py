@@ -63,7 +63,7 @@ def _recorded(folder: Path, m: dict[str, Any]) -> Recorded:
     spec = SimulationSpec(
         _copy(folder, m["network"]), tuple(_copy(folder, n) for n in m["routes"]),
         tuple(_copy(folder, n) for n in m["additional"]), m["begin"], m["seed"], settings.step_length,
-        m.get("sumo_options", DEFAULTS),
+        m.get("sumo_options", DEFAULTS), m.get("empty_steps", 0),
     )  # fmt: skip
     ego = m["ego"]
     if isinstance(ego, dict):

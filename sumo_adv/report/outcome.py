@@ -20,6 +20,7 @@ from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.llm.chat import Ledger
 from sumo_adv.simulation.inputs import EgoRoute
 from sumo_adv.simulation.playback_spec import PlaybackSpec
+from sumo_adv.simulation.warnings_log import kinds_of
 from sumo_adv.words.motion import misfits
 
 SCHEMA = 1
@@ -65,6 +66,7 @@ def outcome(
         "timing": {**times, "first_success": number(episode.refinement.first_success_seconds)}, "llm": _llm(episode),
         "sandbox": episode.isolation, "forked": episode.forked, "learnt": episode.learnt,
         "bank_change": episode.bank_change or None, "notes": [*episode.source.notes, *episode.notes],
+        "warnings": [asdict(kind) for kind in kinds_of(episode.warnings)],
         "asked": _asked(episode),
     }  # fmt: skip
 
@@ -251,6 +253,7 @@ def manifest(episode: Episode, inputs: Mapping[Path, str]) -> dict[str, Any]:
         "network": inputs[spec.network], "routes": [inputs[p] for p in spec.routes],
         "additional": [inputs[p] for p in spec.additional], "begin": spec.begin, "end": task.end,
         "seed": spec.seed, "step_length": spec.step_length, "sumo_options": spec.all_options,
+        "empty_steps": spec.empty_steps,
         "trigger": task.trigger, "warm_up": task.warm_up, "only": list(task.only),
         "playback": _playback(task.playback, inputs), "conversion": None if made is None else {
             "map": made.source.name, "options": list(made.options), "lost": dict(made.lost), "said": list(made.said),

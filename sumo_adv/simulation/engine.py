@@ -22,10 +22,14 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv.errors import OUT_OF_MEMORY, DriverError, SimulationError, SumoAdvError, ran_out_of_memory
+from sumo_adv.simulation.warnings_log import warnings_in
 from sumo_adv.simulation.watch import LOOK, SIZE, Call, Watch, keep
 
 SLOTS = 2  # forks that run at once, unless told otherwise
 QUIET_VARIABLES = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+
+ASIDE = "aside"  # beside the log
+MOST_ASIDE = 1 << 20  # bytes of what attempts have printed, after which it begins anew
 
 Answer = Callable[[Any], Any]
 Body = Callable[[list[Connection]], Mapping[str, Callable[..., Any]]]
@@ -45,6 +49,8 @@ class Engine:
         self._folder = tempfile.TemporaryDirectory(prefix="sumo_adv-engine-")  # the process may be killed: not its own
         self._log = Path(self._folder.name) / "log"
         self._log.touch()
+        self._aside = self._log.with_name(ASIDE)
+        self._aside.touch()
         note = Path(self._folder.name) / "calls"
         note.write_bytes(bytes(SIZE))
         self._watch = Watch(note)
@@ -91,10 +97,15 @@ class Engine:
     def post(self, command: str, *arguments: Any) -> None:
         """Have the engine do something, and go on meanwhile; what it raises the next request raises. Its words from now
         on are those of an episode of their own. Raises SimulationError if its process died."""
-        self._heard = self._log.stat().st_size
+        self.begin_words()
         with self._alive():
             self._order(command, arguments)
         self._owed += 1
+
+    def begin_words(self) -> None:
+        """Let its words from now on be those of an episode of their own."""
+        self._heard = self._log.stat().st_size
+        self._aside.write_bytes(b"")
 
     def _order(self, command: str, arguments: tuple[Any, ...]) -> None:
         while self._owed:
@@ -132,8 +143,13 @@ class Engine:
         return [each for each in ready if isinstance(each, Connection)]
 
     def said(self) -> str:
-        """What its process printed in this episode: SUMO's words, tracebacks."""
-        return self._log.read_bytes()[self._heard :].decode(errors="replace")
+        """What its process printed in this episode: SUMO's words, tracebacks; then what attempts printed."""
+        apart = self._aside.read_bytes() if self._aside.is_file() else b""
+        return (self._log.read_bytes()[self._heard :] + apart).decode(errors="replace")
+
+    def warnings(self) -> tuple[str, ...]:
+        """What SUMO has warned of in this episode, but for attempts and repetitions."""
+        return warnings_in(self._log.read_bytes()[self._heard :].decode(errors="replace"))
 
     def _last_words(self) -> str:
         lines = [line for line in self.said().splitlines() if line.strip()]
@@ -226,6 +242,8 @@ def _serve(body: Body, control: Connection, slots: list[Connection], log: str, n
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     try:
         words = os.open(log, os.O_WRONLY | os.O_APPEND)
+        files = (Path(log), Path(log).with_name(ASIDE))
+        _Aside.file = os.open(files[1], os.O_WRONLY | os.O_APPEND)
         keep(Watch(note))
     except FileNotFoundError:  # the front was interrupted and has removed it
         os._exit(0)
@@ -238,11 +256,12 @@ def _serve(body: Body, control: Connection, slots: list[Connection], log: str, n
             command, arguments = control.recv()
         except EOFError:
             os._exit(0)  # nothing is left to write, and an interpreter that ends in good order keeps the front waiting
-        log_size = Path(log).stat().st_size
+        log_sizes = [file.stat().st_size for file in files]
         try:
             reply = ("value", handlers[command](*arguments))
         except SumoAdvError as error:
-            reply = ("error", _with_words(error, log, log_size))
+            since = b"".join(file.read_bytes()[size:] for file, size in zip(files, log_sizes, strict=True))
+            reply = ("error", _with_words(error, since.decode(errors="replace")))
         except Exception as error:
             reply = ("error", _failed("The simulation", error))
             import traceback
@@ -256,13 +275,40 @@ def _failed(what: str, error: BaseException) -> SimulationError:
     return SimulationError(OUT_OF_MEMORY if ran_out_of_memory(error) else sentence)
 
 
-def _with_words(error: SumoAdvError, log: str, start: int) -> SumoAdvError:
-    """SUMO says what is wrong on stderr only: put its last error since byte ``start`` into the sentence."""
-    words = Path(log).read_bytes()[start:].decode(errors="replace")
+def _with_words(error: SumoAdvError, words: str) -> SumoAdvError:
+    """SUMO says what is wrong on stderr only: put its last error into the sentence."""
     errors = [line[7:] for line in words.splitlines() if line.startswith("Error: ")]
     if isinstance(error, SimulationError) and errors and errors[-1] not in str(error):
         return SimulationError(f"{str(error).rstrip('.')}: {errors[-1].strip()[:300]}")
     return error
+
+
+class _Aside:
+    """The file of this engine process for what SUMO prints of attempts and repetitions; None elsewhere."""
+
+    file: int | None = None
+
+
+@contextmanager
+def aside() -> Iterator[None]:
+    """What SUMO prints within it is of an attempt, or repeats what it has printed: it is kept apart, and no warning of
+    the episode's."""
+    if _Aside.file is None:
+        yield
+        return
+    if os.fstat(_Aside.file).st_size > MOST_ASIDE:
+        os.ftruncate(_Aside.file, 0)
+    kept = [os.dup(1), os.dup(2)]
+    sys.stdout.flush()
+    for number in (1, 2):
+        os.dup2(_Aside.file, number)
+    try:
+        yield
+    finally:
+        sys.stdout.flush()
+        for number, file in zip((1, 2), kept, strict=True):
+            os.dup2(file, number)
+            os.close(file)
 
 
 @contextmanager
@@ -396,7 +442,7 @@ def _child(work: Callable[[], Any], outlet: int, memory: float) -> None:
     """Never returns: whatever goes wrong, a fork must not go on as a second engine."""
     try:
         try:
-            with _bounded(memory):
+            with aside(), _bounded(memory):
                 value = work()
             data = pickle.dumps(("value", value), protocol=pickle.HIGHEST_PROTOCOL)
         except SumoAdvError as error:

@@ -15,16 +15,10 @@ from sumo_adv.asked import Asked
 from sumo_adv.errors import UsageError, nearest
 from sumo_adv.simulation.maps import MAPS, Conversion, convert_map, is_map
 from sumo_adv.simulation.playback_spec import PlaybackSpec, scenario_playback
-from sumo_adv.simulation.scan import DemandScan, NetworkScan, parse, scan_demand, scan_network, seconds
+from sumo_adv.simulation.scan import DemandScan, NetworkScan, scan_demand, scan_network
 from sumo_adv.simulation.scenario import DEFAULT_WARM_UP, Ego, Label, Scenario, load_scenario
-from sumo_adv.simulation.sumo_options import LONGEST_STEP, SHORTEST_STEP, SUMO_STEP, kept, part_of
+from sumo_adv.simulation.sumocfg import is_sumocfg, read_sumocfg
 
-_OPTIONS = {
-    "net-file": "net", "net": "net", "n": "net",
-    "route-files": "routes", "route": "routes", "r": "routes",
-    "additional-files": "additional", "additional": "additional", "a": "additional",
-    "begin": "begin", "b": "begin", "end": "end", "e": "end", "seed": "seed", "step-length": "step-length",
-}  # fmt: skip
 _NETWORK_SUFFIXES = (".net.xml", ".net.xml.gz", ".xml", ".xml.gz")
 _SUFFIXES = (
     *sorted(MAPS, key=len, reverse=True),
@@ -117,11 +111,11 @@ def load_input(path: Path) -> RunInput:
         raise UsageError(f"{file} is a file of Waymo records: convert it to scenarios first (sumo-adv convert).")
     if lower.endswith(".toml"):
         return _from_scenario(file)
-    if lower.endswith((".sumocfg", ".sumo.cfg")):
+    if is_sumocfg(file):
         return _from_configuration(file)
     if is_map(file):
         made = convert_map(file)
-        scan_network(made.network)
+        scan_network(made.network, shown=file)
         return RunInput(
             name=input_name(file), source=file, network=made.network, files=(file, made.network),
             notes=made.said, conversion=made,
@@ -207,65 +201,17 @@ def _shipped(path: Path) -> Path | None:
 
 def _from_configuration(path: Path) -> RunInput:
     """A run from a .sumocfg: its network, demand, additionals, begin, end and options."""
-    options = _configuration_options(path)
-    networks = _paths(path, options.get("net", ""))
-    if not networks:
+    given = read_sumocfg(path)
+    if not given.networks:
         raise UsageError(f"{path} names no network: it needs a net-file.")
-    network = networks[0]
-    routes, additional = (_paths(path, options.get(key, "")) for key in ("routes", "additional"))
-    _, scans = _scan_all(path, network, (*routes, *additional))
-    begin, end = (seconds(path, key, options.get(key)) for key in ("begin", "end"))
-    if end is not None and end <= (begin or 0.0):
-        raise UsageError(f"{path} ends at {end:g} s, which is not after its begin: correct one of the two.")
-    step, notes = _step_length(path, options.pop("step-length", None))
-    seed = seconds(path, "seed", options.pop("seed", None))
-    ours = ("net", "routes", "additional", "begin", "end")
-    chosen, left = kept(path, {name: value for name, value in options.items() if name not in ours})
-    if left:
-        notes = (*notes, f"Not kept of {path.name}, as this program sets them itself: {', '.join(left)}.")
+    network = given.networks[0]
+    _, scans = _scan_all(path, network, (*given.routes, *given.additional))
     return RunInput(
-        name=input_name(path), source=path, network=network, routes=routes, additional=additional, begin=begin,
-        end=end, files=(path, network, *routes, *additional, *_named(scans)), seed=None if seed is None else int(seed),
-        step_length=step, options=chosen, notes=notes,
+        name=input_name(path), source=path, network=network, routes=given.routes, additional=given.additional,
+        begin=given.begin, end=given.end,
+        files=(path, network, *given.routes, *given.additional, *_named(scans)), seed=given.seed,
+        step_length=given.step, options=given.options, notes=given.notes,
     )  # fmt: skip
-
-
-def _step_length(path: Path, given: str | None) -> tuple[float | None, tuple[str, ...]]:
-    """The step of a .sumocfg [s] and no note; a part of it, or None for this program's own, and a note."""
-    step = seconds(path, "step-length", given)
-    if step is not None and SHORTEST_STEP <= step <= LONGEST_STEP:
-        return step, ()
-    taken = part_of(SUMO_STEP if step is None else step)
-    said = "SUMO's default of 1 s" if step is None else f"{step:g} s"
-    why = f"this program takes steps of {SHORTEST_STEP:g} to {LONGEST_STEP:g} s"
-    if taken is None:
-        return None, (f"The step-length of {path.name}, {said}, is not kept: {why}, here of its own.",)
-    whole = round((SUMO_STEP if step is None else step) / taken)
-    return taken, (
-        f"The step-length of {path.name}, {said}, is not kept: {why}, here of {taken:g} s, of which {whole} make one.",
-    )
-
-
-def _configuration_options(path: Path) -> dict[str, str]:
-    """The options of a .sumocfg: those of files and times by our own short names, all others by SUMO's."""
-    options: dict[str, str] = {}
-
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        value = (attributes.get("value") or attributes.get("v") or "").strip()
-        if value:
-            options[_OPTIONS.get(tag, tag)] = value
-
-    parse(path, start)
-    return options
-
-
-def _paths(configuration: Path, value: str) -> tuple[Path, ...]:
-    """SUMO's file list (commas, semicolons or blanks between), counted from the configuration's folder."""
-    paths: list[Path] = []
-    for name in value.replace(";", ",").split(","):
-        whole = configuration.parent / name.strip()
-        paths += [whole] if whole.is_file() else [configuration.parent / part for part in name.split()]
-    return tuple(paths)
 
 
 def _from_scenario(path: Path) -> RunInput:

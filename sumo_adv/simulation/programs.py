@@ -42,7 +42,18 @@ def find_type_maps(netconvert: Path) -> Path:
     raise UsageError(f"SUMO's folder data/typemap was not found beside {netconvert}: set SUMO_HOME to where it is.")
 
 
+def set_data_folders() -> None:
+    """Set the variables by which SUMO's library and programs find their data (emission models, projections), where the
+    user has not: to those of the installed wheel."""
+    wheel = find_spec("sumo_data")
+    for folder in (wheel.submodule_search_locations or ()) if wheel else ():
+        os.environ.setdefault("SUMO_HOME", folder)
+        if "PROJ_LIB" not in os.environ and "PROJ_DATA" not in os.environ:
+            os.environ["PROJ_LIB"] = os.environ["PROJ_DATA"] = str(Path(folder) / "data" / "proj")
+
+
 def _find(program: str) -> Path | None:
+    set_data_folders()
     name = f"{program}.exe" if sys.platform == "win32" else program
     wheel = find_spec("sumo")
     homes = [Path(folder) for folder in (wheel.submodule_search_locations or ())] if wheel else []
@@ -70,5 +81,6 @@ def load_libsumo() -> ModuleType:
             else "install it again (pip install --force-reinstall libsumo)"
         )
         raise SimulationError(f"SUMO's library libsumo does not load ({fault}): {remedy}.") from error
+    set_data_folders()  # importing it does so once, and an episode begins with the variables of its front
     module: ModuleType = libsumo
     return module

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import gzip
 import tempfile
 import zlib
@@ -15,6 +14,7 @@ from xml.sax.saxutils import quoteattr
 
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.simulation import PERSON
+from sumo_adv.simulation.sumo_options import NO_JUNCTIONS
 
 LONGEST_LANE = 1e6  # m, and m/s: beyond any
 FARTHEST = 1e9  # m from the origin
@@ -50,32 +50,45 @@ class DemandScan:
         return vehicle in self.vehicles | self.persons or flow in self.flows | self.persons
 
 
-def scan_network(path: Path) -> NetworkScan:
-    """The edges of the SUMO network ``path``. Raises UsageError if it is damaged, is no SUMO network, has a lane with
-    an impossible length, width, speed or shape, or has no lane for passenger cars."""
+def scan_network(path: Path, shown: Path | None = None) -> NetworkScan:
+    """The edges of the SUMO network ``path``.
+
+    shown: the user's file that sentences name, where the network was made of it.
+
+    Raises UsageError: it is damaged, is no SUMO network, has a lane with an impossible length, width, speed or shape,
+    has no lane for passenger cars, or none on its junctions.
+    """
+    named = path if shown is None else shown
     edges: set[str] = set()
     drivable: set[str] = set()
     root: list[str] = []
-    current = ""
+    current, crossings, across = "", 0, 0
 
     def start(tag: str, attributes: dict[str, str]) -> None:
-        nonlocal current
+        nonlocal current, crossings, across
         if not root:
             root.append(tag)
             if tag != "net":
-                raise UsageError(f"{path} is not a SUMO network: its root element is <{tag}>, not <net>.")
+                raise UsageError(f"{named} is not a SUMO network: its root element is <{tag}>, not <net>.")
         if tag == "edge":
             current = attributes.get("id", "") if attributes.get("function", "normal") == "normal" else ""
             if current:
                 edges.add(current)
         elif tag == "lane":
-            _check_lane(path, attributes)
+            _check_lane(named, attributes)
             if current and allows_passenger(attributes):
                 drivable.add(current)
+        elif tag == "connection":
+            crossings += not attributes.get("from", ":").startswith(":")
+            across += "via" in attributes
 
     parse(path, start)
+    if crossings and not across:
+        raise UsageError(f"The network {named} has no lanes on its junctions: {NO_JUNCTIONS}.")
     if not drivable:
-        raise UsageError(f"The network {path} has no lane that a passenger car may drive on: nothing can be run there.")
+        raise UsageError(
+            f"The network {named} has no lane that a passenger car may drive on: nothing can be run there."
+        )
     return NetworkScan(frozenset(edges), frozenset(drivable))
 
 
@@ -144,16 +157,22 @@ def scan_routes(files: Sequence[Path]) -> dict[str, tuple[str, ...]]:
     return routes
 
 
+_DEPARTING = (*_DRIVING, "person", "personFlow", "container", "containerFlow")
+_LATER = ("triggered", "containerTriggered", "split")  # departures that come with another one
+
+
 def first_departure(files: Sequence[Path]) -> float:
-    """The earliest time [s] at which anything departs; 0 where no file says a time."""
+    """The earliest time [s] at which anything departs; 0 where no file says a time. A flow without ``begin`` has that
+    of the simulation, 0."""
     times: list[float] = []
 
     def see(tag: str, attributes: dict[str, str]) -> None:
-        if tag in _DRIVING:
-            text = attributes.get("depart", attributes.get("begin", ""))
-            with contextlib.suppress(UsageError):  # "triggered" and the like are no times
-                time = seconds(files[0], "departure", text)
-                times.extend([] if time is None else [time])
+        if tag in _DEPARTING:
+            text = attributes.get("depart", attributes.get("begin", "0"))
+            try:
+                times.append(seconds(files[0], "departure", text) or 0.0)
+            except UsageError:  # no time, but a word
+                times.extend([] if text in _LATER else [0.0])
 
     for file in files:
         parse(file, see)

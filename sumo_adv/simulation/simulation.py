@@ -70,7 +70,8 @@ def correct_speeds(raw: dict[str, RawState], given: Mapping[str, float]) -> None
 
 @dataclass(frozen=True, slots=True)
 class SimulationSpec:
-    """What SUMO is started with. Times in s; options: by SUMO's long names, those that this program does not force."""
+    """What SUMO is started with. Times in s; options: by SUMO's long names, those that this program does not force.
+    empty_steps: from the begin, in which nothing has departed yet: SUMO makes them, and nothing is recorded."""
 
     network: Path
     routes: tuple[Path, ...]
@@ -79,6 +80,12 @@ class SimulationSpec:
     seed: int
     step_length: float = 0.1
     options: Mapping[str, str] = field(default_factory=lambda: dict(DEFAULTS))
+    empty_steps: int = 0
+
+    @property
+    def recorded_from(self) -> float:
+        """The time [s] from which states are recorded."""
+        return round(self.begin + self.empty_steps * self.step_length, 6)
 
     @property
     def all_options(self) -> dict[str, str]:
@@ -170,6 +177,15 @@ class Simulation:
         self._angle = libsumo.vehicle.getAngle
         self._speed = libsumo.vehicle.getSpeed
         self._lane = libsumo.vehicle.getLaneID
+        self._pass_empty_steps()
+
+    def _pass_empty_steps(self) -> None:
+        """Make the steps before anything departs."""
+        if self.spec.empty_steps:
+            try:
+                self.api.simulationStep(self.spec.recorded_from)
+            except self.errors as error:
+                raise SimulationError(f"SUMO failed in a step ({' '.join(str(error).split())}).") from error
 
     def _unknown(self, libsumo: Any) -> list[str]:
         """The options that this SUMO does not know; nothing where it does not start without them either."""
@@ -196,6 +212,7 @@ class Simulation:
             self.api.load(self.spec.arguments())
         except self.errors as error:
             raise SimulationError(f"SUMO could not load the simulation again ({error}).") from error
+        self._pass_empty_steps()
 
     def close(self) -> None:
         """End the simulation; the process may start another."""

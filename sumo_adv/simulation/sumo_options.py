@@ -13,20 +13,19 @@ from sumo_adv.errors import UsageError
 
 DEFAULTS = {
     "time-to-teleport": "-1", "lateral-resolution": "0.8", "default.speeddev": "0", "collision.mingap-factor": "0",
-    "collision.check-junctions": "true",
+    "collision.check-junctions": "true", "collision.action": "warn", "collision.stoptime": "0",
 }  # fmt: skip
 SUMOS = {
     "time-to-teleport": "300", "lateral-resolution": "-1", "default.speeddev": "-1", "collision.mingap-factor": "-1",
-    "collision.check-junctions": "false",
+    "collision.check-junctions": "false", "collision.action": "teleport", "collision.stoptime": "0",
 }  # fmt: skip
 """SUMO's own values of ``DEFAULTS``."""
+SUMOS_SEED = 23423
 FORCED = {
-    "collision.action": "warn", "collision.stoptime": "0", "device.ssm.file": "NUL", "xml-validation": "never",
-    "no-step-log": "true", "no-warnings": "true", "duration-log.disable": "true",
+    "device.ssm.file": "NUL", "xml-validation": "never", "no-step-log": "true", "duration-log.disable": "true",
 }  # fmt: skip
-"""With this action and no stop, what SUMO takes for a collision moves no vehicle (measured), and this program finds
-collisions by geometry. The other options of collisions change SUMO's own list alone. A vehicle may have an SSM device
-of its own, which would write a file in the working folder."""
+"""None of these changes a motion. A vehicle may have an SSM device of its own, which would write a file in the working
+folder."""
 SHORTEST_STEP, LONGEST_STEP = 0.01, 0.5  # s
 SUMO_STEP, FINE_STEP = 1.0, 0.1  # s: SUMO's default, and the longest part of a step that is too long
 ELSEWHERE = {
@@ -37,11 +36,17 @@ ELSEWHERE = {
 """Options of SUMO that have another place, and which."""
 _OWN = ("device.ssm.", "gui-", "window-", "save-", "xml-validation", "duration-log", "message-log", "error-log")
 _OWN_NAMES = frozenset(
-    ("collision.action", "collision.stoptime", "remote-port", "num-clients", "configuration-file", "log", "log-file",
-     "verbose", "no-warnings", "no-step-log", "step-log.period", "threads", "load-state", "start", "quit-on-end",
-     "delay", "game", "breakpoints", "summary", "tripinfo", "netstate", "netstate-dump", "random", "mesosim",
-     "print-options", "help", "version")
+    ("collision.action", "collision.stoptime", "no-internal-links", "remote-port", "num-clients",
+     "configuration-file", "log", "log-file", "verbose", "no-warnings", "no-step-log", "step-log.period", "threads",
+     "load-state", "start", "quit-on-end", "delay", "game", "breakpoints", "summary", "tripinfo", "netstate",
+     "netstate-dump", "random", "mesosim", "print-options", "help", "version")
 )  # fmt: skip
+
+
+MOVING = frozenset(
+    ("collision.action", "collision.stoptime", "no-internal-links", "load-state", "random", "mesosim", "threads")
+)  # fmt: skip
+"""Options that this program sets itself, and that change motions."""
 
 
 def is_own(name: str) -> bool:
@@ -50,15 +55,75 @@ def is_own(name: str) -> bool:
     return name in _OWN_NAMES or name.startswith(_OWN) or "output" in name or name.endswith(".file")
 
 
+def only_shows(name: str) -> bool:
+    """Whether an option writes, reports or shows, and so changes no motion."""
+    return is_own(name) and name not in MOVING
+
+
 def kept(configuration: Path, given: Mapping[str, str]) -> tuple[dict[str, str], tuple[str, ...]]:
-    """The options of a .sumocfg that are kept, and ``NAME=VALUE`` of those that are not.
+    """The options of a .sumocfg that are kept, with what becomes of collisions, and a sentence for each kind of those
+    that are not.
 
     An option that names a file is not kept: a run copies its network, demand and additional files alone. An option
-    that this program sets to the same value is in neither.
+    that this program sets to the same value is in no sentence.
+
+    Raises UsageError: the options let no vehicle be moved.
     """
-    own = {name for name, value in given.items() if is_own(name) or _is_file(configuration, value)}
-    left = tuple(f"{name}={given[name]}" for name in given if name in own and FORCED.get(name) != given[name])
-    return {name: value for name, value in given.items() if name not in own}, left
+    if is_on(given.get("no-internal-links")):
+        raise UsageError(f"{configuration} sets no-internal-links: {NO_JUNCTIONS}.")
+    collisions, said = _collisions(configuration.name, given)
+    own = {
+        name for name, value in given.items()
+        if name not in DECIDED and (is_own(name) or _is_file(configuration, value))
+    }  # fmt: skip
+    left = [f"{name}={given[name]}" for name in given if name in own and FORCED.get(name) != given[name]]
+    moving = [text for text in left if not only_shows(text.partition("=")[0])]
+    silent = [text for text in left if text not in moving]
+    if moving:
+        said = (
+            f"Not kept of {configuration.name}, so traffic moves otherwise than in SUMO: {', '.join(moving)}.",
+            *said,
+        )
+    if silent:
+        said = (f"Not kept of {configuration.name}, as this program sets them itself: {', '.join(silent)}.", *said)
+    options = {name: value for name, value in given.items() if name not in own and name not in DECIDED}
+    return {**options, **collisions}, said
+
+
+COLLISIONS = ("collision.action", "collision.stoptime")
+DECIDED = frozenset((*COLLISIONS, "no-internal-links"))
+"""Options of a .sumocfg whose value decides whether they are kept."""
+NO_JUNCTIONS = (
+    "SUMO dies when a vehicle is moved across a junction without lanes of its own; use a network that netconvert made "
+    "without --no-internal-links, and leave that option out"
+)
+
+
+def is_on(value: str | None) -> bool:
+    """Whether a value of an option means yes, as SUMO reads it."""
+    return value is not None and value.lower() in ("true", "1", "on", "yes", "x", "t")
+
+
+def _collisions(source: str, given: Mapping[str, str]) -> tuple[dict[str, str], tuple[str, ...]]:
+    """What SUMO does with vehicles that collide, and what differs from ``source`` in a sentence.
+
+    With the action ``teleport``, SUMO passes over collisions of a vehicle that is moved, or was in the last 10 s, but
+    those on junctions (``MSLane::detectCollisionBetween``; measured). So a user's collisions happen as they are
+    configured, and an attack's contact stays. With ``warn`` and ``none`` and no stop, no vehicle is moved by a
+    collision.
+    """
+    action, stop = (given.get(name, SUMOS[name]) for name in COLLISIONS)
+    on_junctions = is_on(given.get("collision.check-junctions"))
+    if action == "teleport" and not on_junctions:
+        return {name: given[name] for name in COLLISIONS if name in given}, ()
+    if action not in ("teleport", "remove") and not stop.strip("0.:"):
+        return {"collision.action": action}, ()
+    why = ", as SUMO looks for collisions on junctions" if on_junctions else ""
+    return {"collision.action": "warn", "collision.stoptime": "0"}, (
+        f"What {source} says of collisions is not kept{why} (collision.action={action}, "
+        f"collision.stoptime={stop}): vehicles that collide drive on, so what comes after a collision of your own "
+        "traffic may differ.",
+    )
 
 
 def _is_file(configuration: Path, value: str) -> bool:
@@ -75,8 +140,11 @@ def part_of(step: float) -> float | None:
 
 def differing(options: Mapping[str, str]) -> dict[str, str]:
     """What a scenario needs of its own, beside ``DEFAULTS``, to run with these options."""
-    wanted = {name: value for name, value in {**SUMOS, **options}.items() if name not in FORCED}
-    return {name: value for name, value in wanted.items() if DEFAULTS.get(name) != value}
+    wanted = {name: value for name, value in {**SUMOS, **options}.items() if name not in (*FORCED, *ELSEWHERE)}
+    return {
+        name: value for name, value in wanted.items()
+        if DEFAULTS.get(name) != value and (name in COLLISIONS or not is_own(name))
+    }  # fmt: skip
 
 
 def parse(given: Sequence[str]) -> dict[str, str]:
@@ -95,5 +163,7 @@ def refuse(options: Mapping[str, str]) -> None:
     for name in options:
         if name in ELSEWHERE:
             raise UsageError(f"SUMO's option '{name}' cannot be passed through: {ELSEWHERE[name]}.")
-        if is_own(name):
+        if name == "no-internal-links":
+            raise UsageError(f"SUMO's option '{name}' cannot be passed through: {NO_JUNCTIONS}.")
+        if is_own(name) and (name not in COLLISIONS or _collisions("--option", {**DEFAULTS, **options})[1]):
             raise UsageError(f"SUMO's option '{name}' is set by this program: leave it out.")

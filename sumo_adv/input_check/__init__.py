@@ -1,0 +1,7 @@
+"""Whether an input is run as SUMO runs it, and what was read of it."""
+
+from sumo_adv.input_check.check import InputCheck, check_input
+from sumo_adv.input_check.motions import Comparison
+from sumo_adv.input_check.worker import body
+
+__all__ = ["Comparison", "InputCheck", "body", "check_input"]

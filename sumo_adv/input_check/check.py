@@ -1,0 +1,81 @@
+"""The check of one input: what was read of it, and whether its traffic moves here as it does in SUMO."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from sumo_adv.config import Settings
+from sumo_adv.episode.task import make_task
+from sumo_adv.input_check.contents import contents_of, departures
+from sumo_adv.input_check.motions import Comparison, compare
+from sumo_adv.input_check.sumo_alone import run_alone
+from sumo_adv.input_check.worker import Watched
+from sumo_adv.simulation.engine import Engine
+from sumo_adv.simulation.inputs import RunInput
+from sumo_adv.simulation.sumocfg import is_sumocfg, read_sumocfg
+from sumo_adv.simulation.warnings_log import WarningKind, kinds_of
+
+
+@dataclass(frozen=True, slots=True)
+class InputCheck:
+    """What the check of an input found.
+
+    Attributes:
+        source: The input's file.
+        contents: What was read, counted by kind.
+        notes: What was converted, left out, or is not kept.
+        comparison: With the program ``sumo``; None where there is no simulation to compare with.
+        own_step: The same with the step that SUMO itself takes; None where it is this program's.
+        classes: Vehicles and persons on foot by SUMO's class.
+        warnings: SUMO's, by kind.
+        not_inserted: Vehicles and persons that should have departed, and came neither here nor in SUMO.
+    """
+
+    source: Path
+    contents: Mapping[str, int]
+    notes: tuple[str, ...]
+    comparison: Comparison | None = None
+    own_step: Comparison | None = None
+    classes: Mapping[str, int] | None = None
+    warnings: tuple[WarningKind, ...] = ()
+    not_inserted: tuple[str, ...] = ()
+
+    @property
+    def same(self) -> bool:
+        """Whether the traffic moves as in SUMO, or there is none."""
+        return self.comparison is None or self.comparison.same
+
+
+def check_input(engine: Engine, given: RunInput, settings: Settings, folder: Path, seconds: float) -> InputCheck:
+    """Check an input over ``seconds`` [s] from its first departure, or until its end.
+
+    engine: a process with the commands of ``worker.py``. folder: for generated files.
+
+    Raises:
+        UsageError: The input cannot be run, or the program ``sumo`` is not installed.
+        SimulationError: SUMO fails.
+    """
+    read = InputCheck(given.source, contents_of(given), given.notes)
+    if given.playback is not None or not (given.routes or given.additional):
+        return read
+    task = make_task(given, settings, folder)
+    spec = task.spec
+    first, until = spec.recorded_from, min(task.end, spec.recorded_from + seconds)
+    engine.begin_words()
+    watched: Watched = engine.request("watch", spec, until)
+    alone = run_alone(spec, given.source, spec.step_length, until, folder)
+    own = read_sumocfg(given.source).sumo_step if is_sumocfg(given.source) else None
+    beside = None
+    if own is not None and own != spec.step_length:
+        slow = run_alone(spec, given.source, own, until, folder)
+        beside = compare(watched.motions, slow.motions, spec.begin, (first, until), own)
+    due = departures(given, spec.begin, until)
+    here = task.own_names(engine.warnings())
+    besides = [text for text in task.own_names(alone.warnings) if text not in here]
+    return replace(
+        read, comparison=compare(watched.motions, alone.motions, spec.begin, (first, until), spec.step_length),
+        own_step=beside, classes=watched.classes, warnings=kinds_of([*here, *besides]),
+        not_inserted=tuple(sorted(due - watched.motions.keys() - alone.motions.keys())),
+    )  # fmt: skip

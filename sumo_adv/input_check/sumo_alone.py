@@ -1,0 +1,106 @@
+"""The program ``sumo`` alone on a simulation, without this program: what it writes as FCD."""
+
+from __future__ import annotations
+
+import subprocess
+import threading
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import IO
+from xml.parsers import expat
+
+from sumo_adv.errors import SimulationError, UsageError
+from sumo_adv.input_check.motions import Motions, State
+from sumo_adv.simulation.programs import find_sumo
+from sumo_adv.simulation.simulation import PERSON, SimulationSpec
+from sumo_adv.simulation.sumo_options import FORCED
+from sumo_adv.simulation.sumocfg import as_sumo_reads_it, is_sumocfg
+from sumo_adv.simulation.warnings_log import warnings_in
+
+PATIENCE = 600.0  # s
+PART = 1 << 16  # bytes that are read at once
+
+
+@dataclass(frozen=True, slots=True)
+class Alone:
+    """The motions of a simulation in the program ``sumo``, and its warnings."""
+
+    motions: Motions
+    warnings: tuple[str, ...]
+
+
+def arguments_of(spec: SimulationSpec, source: Path, step: float) -> list[str]:
+    """The options of ``sumo`` for an input in steps of ``step`` [s].
+
+    Of a .sumocfg they are those that it names, as SUMO reads them; of other inputs those of this program. The files are
+    the same ones, without outputs.
+    """
+    spec = replace(
+        spec, network=spec.network.absolute(), routes=tuple(file.absolute() for file in spec.routes),
+        additional=tuple(file.absolute() for file in spec.additional), step_length=step,
+    )  # fmt: skip
+    if not is_sumocfg(source):
+        return spec.arguments()
+    files = (("-n", (spec.network,)), ("-r", spec.routes), ("-a", spec.additional))
+    args = [part for flag, each in files if each for part in (flag, ",".join(map(str, each)))]
+    options = {**as_sumo_reads_it(source), **FORCED, "step-length": repr(step)}
+    return [*args, *(part for name, value in options.items() for part in (f"--{name}", value))]
+
+
+def run_alone(spec: SimulationSpec, source: Path, step: float, until: float, folder: Path) -> Alone:
+    """Run ``sumo`` on an input in steps of ``step`` [s] until ``until`` [s], where it is ended: its own end would
+    change flows. folder: for what it says.
+
+    Raises:
+        UsageError: The program is not installed, or refuses the input.
+        SimulationError: It takes too long.
+    """
+    command = [
+        str(find_sumo()), *arguments_of(spec, source, step), "--fcd-output", "stdout",
+        "--fcd-output.attributes", "x,y,speed,vehicle", "--precision", "6",
+    ]  # fmt: skip
+    words = folder / "sumo.txt"
+    with words.open("wb") as said:
+        process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=said, cwd=folder
+        )  # fmt: skip
+        patience = threading.Timer(PATIENCE, process.kill)
+        patience.start()
+        try:
+            assert process.stdout is not None
+            motions, reached = _read(process.stdout, step, until)
+        finally:
+            in_time = patience.is_alive()
+            patience.cancel()
+            process.kill()
+            process.wait()
+    printed = words.read_text(encoding="utf-8", errors="replace")
+    if not in_time:
+        raise SimulationError(f"SUMO alone took more than {PATIENCE:g} s: give fewer --seconds.")
+    if not reached:
+        errors = [line.removeprefix("Error: ") for line in printed.splitlines() if line.startswith("Error: ")]
+        if errors:
+            raise UsageError(f"SUMO itself does not run this input ({errors[0].rstrip('.!')}): correct it.")
+    return Alone(motions, warnings_in(printed))
+
+
+def _read(stream: IO[bytes], step: float, until: float) -> tuple[Motions, bool]:
+    """The states of FCD at the times after the steps, up to ``until`` [s], and whether it goes so far. SUMO writes the
+    state after a step with the time before it."""
+    motions: dict[str, dict[int, State]] = {}
+    time, last = 0, round(1000 * until)
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal time
+        if tag == "timestep":
+            time = round(1000 * (float(attributes["time"]) + step))
+        elif tag in ("vehicle", "person") and not attributes.get("vehicle"):
+            name = attributes["id"] if tag == "vehicle" else PERSON + attributes["id"]
+            state = (float(attributes["x"]), float(attributes["y"]), float(attributes["speed"]))
+            motions.setdefault(name, {})[time] = state
+
+    parser = expat.ParserCreate()
+    parser.StartElementHandler = start
+    while time <= last and (part := stream.read(PART)):
+        parser.Parse(part)
+    return motions, time > last

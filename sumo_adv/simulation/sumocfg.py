@@ -1,0 +1,177 @@
+"""A .sumocfg read as SUMO reads it: its files, its times, and its options with SUMO's own defaults.
+
+Measured with SUMO 1.28: each element with a ``value`` (or ``v``) is an option, in whatever section; a list of files has
+commas between; ``${NAME}`` is an environment variable, empty where it is not set; ``~`` at the start of a file is the
+home. An option that is named twice, also by two of its names, ends the program; an unknown attribute is passed over.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from sumo_adv.errors import UsageError
+from sumo_adv.simulation.scan import parse, seconds
+from sumo_adv.simulation.sumo_options import (
+    LONGEST_STEP,
+    SHORTEST_STEP,
+    SUMO_STEP,
+    SUMOS_SEED,
+    kept,
+    only_shows,
+    part_of,
+)
+
+_SYNONYMS = """
+c configuration configuration-file|n net net-file|r routes route-files|a additional additional-files|
+w weights weight-files|b begin|e end|s route-steps|H human-readable-time|v verbose|X xml-validation|l log-file log|
+t duration-log.statistics|no-duration-log duration-log.disable|summary summary-output|tripinfo tripinfo-output|
+personinfo personinfo-output|vehroutes vehroute-output|person-fcd person-fcd-output|
+ndump netstate netstate-output netstate-dump|statistics-output statistic-output|personroutes personroute-output|
+carfollow.model default.carfollowmodel|routing-threads device.rerouting.threads|taxi.vclasses device.taxi.vclasses|
+railsignal.moving-block railsignal-moving-block|meso.ignore-lanes.by-vclass meso-ignore-lanes-by-vclass|
+g gui-settings-file|Q quit-on-end|G game|S start|d delay|B breakpoints|D demo|T disable-textures|
+data-files m edgedata-files|N alternative-net-file|device.fcd-replay.file device.fcd-replay.files
+"""
+SYNONYMS: Mapping[str, str] = {
+    name: group.split()[-1] for group in _SYNONYMS.split("|") for name in group.split()
+}  # fmt: skip
+"""Other names of SUMO's options (``sumo --save-template``), and the name that it uses itself."""
+_KNOWN_ATTRIBUTES = frozenset(("value", "v", "type", "help", "synonymes"))
+_VARIABLE = re.compile(r"\$\{(.+?)\}")
+_OF_SUMO = ("LOCALTIME", "UTC", "PID")  # variables that SUMO itself sets, for names of outputs
+_FILES = ("net-file", "route-files", "additional-files")
+_OURS = (*_FILES, "begin", "end", "seed", "step-length")
+
+
+@dataclass(frozen=True, slots=True)
+class Configuration:
+    """What a .sumocfg says.
+
+    Attributes:
+        networks: Its net-file; there should be one.
+        routes: Its route files, in order.
+        additional: Its additional files, in order.
+        begin: Of the simulation [s].
+        end: Of the simulation [s]; None if there is none.
+        seed: SUMO's own where it names none.
+        step: Of this program [s]; None for this program's own.
+        sumo_step: That SUMO takes [s].
+        options: All others that are kept, by SUMO's long names.
+        notes: Sentences about what is not kept, and what SUMO passes over.
+    """
+
+    networks: tuple[Path, ...]
+    routes: tuple[Path, ...]
+    additional: tuple[Path, ...]
+    begin: float
+    end: float | None
+    seed: int
+    step: float | None
+    sumo_step: float
+    options: Mapping[str, str]
+    notes: tuple[str, ...]
+
+
+def is_sumocfg(path: Path) -> bool:
+    """Whether the file's name is that of a .sumocfg."""
+    return path.name.lower().endswith((".sumocfg", ".sumo.cfg"))
+
+
+def read_sumocfg(path: Path, environ: Mapping[str, str] = os.environ) -> Configuration:
+    """The simulation that the .sumocfg ``path`` describes.
+
+    Raises:
+        UsageError: It is damaged, names an option twice, has a bad time, or cannot be run.
+    """
+    given, notes = _options(path, environ)
+    begin, end = (seconds(path, key, given.get(key)) for key in ("begin", "end"))
+    if begin is None and "begin" in given:
+        raise UsageError(f"{path} begins at {given['begin']} s: SUMO takes no negative begin, so correct it.")
+    begin = begin or 0.0
+    if end is not None and end <= begin:
+        raise UsageError(f"{path} ends at {end:g} s, which is not after its begin: correct one of the two.")
+    sumo_step = seconds(path, "step-length", given.get("step-length")) or SUMO_STEP
+    step, said = _step(path, sumo_step, named="step-length" in given)
+    options, left = kept(path, {name: value for name, value in given.items() if name not in _OURS})
+    if end is not None:
+        options["end"] = given["end"]  # flows without an end of their own have this one
+    seed = seconds(path, "seed", given.get("seed"))
+    networks, routes, additional = (_files(path, given.get(name, "")) for name in _FILES)
+    return Configuration(
+        networks, routes, additional, begin, end, SUMOS_SEED if seed is None else int(seed), step, sumo_step, options,
+        (*said, *left, *notes),
+    )  # fmt: skip
+
+
+def as_sumo_reads_it(path: Path, environ: Mapping[str, str] = os.environ) -> dict[str, str]:
+    """All options of the .sumocfg ``path`` but for its three kinds of files, and for what writes, reports and shows.
+    Names of files are counted from the configuration's folder."""
+    given, _ = _options(path, environ)
+    return {
+        name: str((path.parent / value).absolute()) if (path.parent / value).is_file() else value
+        for name, value in given.items()
+        if name not in _FILES and not only_shows(name)
+    }
+
+
+def _options(path: Path, environ: Mapping[str, str]) -> tuple[dict[str, str], tuple[str, ...]]:
+    """The options by SUMO's own long names, and sentences about attributes and variables that are passed over."""
+    options: dict[str, str] = {}
+    notes: list[str] = []
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        values = [attributes[name] for name in ("value", "v") if name in attributes]
+        if not values:
+            return
+        name = SYNONYMS.get(tag, tag)
+        if name in options or len(values) > 1:
+            raise UsageError(f"{path} names the option '{name}' twice, which SUMO refuses: take out one of the two.")
+        unknown = [key for key in attributes if key not in _KNOWN_ATTRIBUTES]
+        if unknown:
+            notes.append(f"SUMO passes over the attribute '{unknown[0]}' of the option '{tag}' in {path.name}.")
+        value, unset = _expanded(values[0].strip(), environ)
+        if unset and name in _FILES:
+            raise UsageError(f"{path} names its {name} by the variable {unset[0]}, which is not set: set it.")
+        notes.extend(f"The variable {each} of {path.name} is not set, so it is empty, as in SUMO." for each in unset)
+        if value:
+            options[name] = value
+
+    parse(path, start)
+    return options, tuple(notes)
+
+
+def _expanded(text: str, environ: Mapping[str, str]) -> tuple[str, list[str]]:
+    """A value with its variables, and the names of those that are not set."""
+    names = [name for name in _VARIABLE.findall(text) if name not in _OF_SUMO]
+    unset = [name for name in names if name not in environ]
+    whole = _VARIABLE.sub(lambda m: m[0] if m[1] in _OF_SUMO else environ.get(m[1], ""), text)
+    home = environ.get("HOME", "")
+    if whole.startswith("~"):
+        whole = f"{home}{whole[1:]}"
+    return whole.replace(",~", f",{home}"), unset
+
+
+def _step(path: Path, step: float, *, named: bool) -> tuple[float | None, tuple[str, ...]]:
+    """The step [s] and no note; a part of it, or None for this program's own, and a note."""
+    if SHORTEST_STEP <= step <= LONGEST_STEP:
+        return step, ()
+    taken = part_of(step)
+    said = f"{step:g} s" if named else "SUMO's default of 1 s"
+    why = f"this program takes steps of {SHORTEST_STEP:g} to {LONGEST_STEP:g} s"
+    but = "Drivers decide at other times then, so motions differ from those of SUMO alone."
+    if taken is None:
+        return None, (f"The step-length of {path.name}, {said}, is not kept: {why}, here of its own. {but}",)
+    whole = round(step / taken)
+    return taken, (
+        f"The step-length of {path.name}, {said}, is not kept: {why}, here of {taken:g} s, of which {whole} make one. "
+        f"{but}",
+    )
+
+
+def _files(configuration: Path, value: str) -> tuple[Path, ...]:
+    """SUMO's list of files (commas between), counted from the configuration's folder."""
+    return tuple(configuration.parent / name.strip() for name in value.split(",") if name.strip())

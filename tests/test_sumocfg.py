@@ -1,0 +1,110 @@
+"""A .sumocfg is read as SUMO reads it: begin, seed, variables, lists of files, names given twice."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from cli_samples import Program
+from simulation_samples import EDGES, NODES, configuration, make_network, write_configuration
+
+from sumo_adv.config import load_settings
+from sumo_adv.episode.task import make_task
+from sumo_adv.errors import UsageError
+from sumo_adv.simulation.inputs import load_input, own_simulation
+from sumo_adv.simulation.scan import first_departure, scan_network
+from sumo_adv.simulation.sumocfg import read_sumocfg
+
+WE = '<route id="we" edges="WC CE"/>'
+
+
+@pytest.fixture(scope="module")
+def network(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_network(tmp_path_factory.mktemp("network"), "crossing", NODES, EDGES)
+
+
+def test_it_begins_at_0_and_the_search_at_the_first_departure(tmp_path: Path, network: Path) -> None:
+    """The first vehicle departs at 7 h. SUMO makes the 252 000 steps before, so its lights are where they should be;
+    nothing is recorded but the last one of them."""
+    given = load_input(configuration(tmp_path, network, f'{WE}<vehicle id="v" route="we" depart="7:00:00"/>'))
+    assert given.begin == 0.0 and own_simulation(given) == {"seed": 23423, "step_length": 0.1}
+    task = make_task(given, load_settings(None, **own_simulation(given)), tmp_path)
+    assert (task.spec.begin, task.spec.recorded_from, task.end) == (0.0, 25199.9, 25200.0 + 600.0)
+
+
+@pytest.mark.parametrize(
+    ("demand", "first"),
+    [
+        ('<vehicle depart="9"/><person depart="4"/>', 4.0),
+        ('<vehicle depart="9"/><flow period="5"/>', 0.0),
+        ('<vehicle depart="9"/><personFlow begin="3" period="5"/>', 3.0),
+        ('<vehicle depart="triggered"/><vehicle depart="0:01:00"/>', 60.0),
+        ("", 0.0),
+    ],
+)
+def test_the_first_departure_is_that_of_anything(tmp_path: Path, demand: str, first: float) -> None:
+    (tmp_path / "r.rou.xml").write_text(f"<routes>{demand}</routes>")
+    assert first_departure([tmp_path / "r.rou.xml"]) == first
+
+
+def test_variables_lists_and_short_names(tmp_path: Path) -> None:
+    path = tmp_path / "c.sumocfg"
+    write_configuration(path, {"n": "${PLACE}/a.net.xml", "routes": "x y.rou.xml, ${B}.rou.xml", "b": "0:01:00"})
+    given = read_sumocfg(path, {"PLACE": "sub", "B": "b"})
+    assert given.networks == (tmp_path / "sub" / "a.net.xml",)
+    assert given.routes == (tmp_path / "x y.rou.xml", tmp_path / "b.rou.xml")
+    assert given.begin == 60.0
+    with pytest.raises(UsageError, match="names its net-file by the variable PLACE, which is not set"):
+        read_sumocfg(path, {"B": "b"})
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ('<seed value="1"/><seed value="2"/>', "names the option 'seed' twice, which SUMO refuses"),
+        ('<n value="a"/><net-file value="a"/>', "names the option 'net-file' twice"),
+        ('<seed value="1" v="1"/>', "names the option 'seed' twice"),
+        ('<begin value="-5"/>', "begins at -5 s: SUMO takes no negative begin"),
+        ('<no-internal-links value="true"/>', "sets no-internal-links: SUMO dies when a vehicle is moved across"),
+    ],
+)
+def test_what_sumo_refuses_is_refused(tmp_path: Path, text: str, says: str) -> None:
+    (tmp_path / "c.sumocfg").write_text(f"<configuration>{text}</configuration>")
+    with pytest.raises(UsageError, match=says):
+        read_sumocfg(tmp_path / "c.sumocfg")
+
+
+def test_an_attribute_that_sumo_passes_over_is_named(tmp_path: Path) -> None:
+    (tmp_path / "c.sumocfg").write_text('<configuration><step-length value="0.1" unit="s"/></configuration>')
+    assert read_sumocfg(tmp_path / "c.sumocfg").notes == (
+        "SUMO passes over the attribute 'unit' of the option 'step-length' in c.sumocfg.",
+    )
+
+
+def test_what_changes_motions_is_told_from_what_only_shows(tmp_path: Path) -> None:
+    """A state would bring vehicles, and weights from a file other routes; a log and a window change nothing."""
+    (tmp_path / "w.xml").write_text("<meandata/>")
+    given = {
+        "step-length": "0.1", "log-file": "l.txt", "load-state": "s.xml", "start": "true", "weight-files": "w.xml"
+    }  # fmt: skip
+    assert read_sumocfg(write_configuration(tmp_path / "c.sumocfg", given)).notes == (
+        "Not kept of c.sumocfg, as this program sets them itself: log=l.txt, start=true.",
+        "Not kept of c.sumocfg, so traffic moves otherwise than in SUMO: load-state=s.xml, weight-files=w.xml.",
+    )
+
+
+def test_a_network_without_lanes_on_its_junctions_is_refused(tmp_path: Path) -> None:
+    bare = make_network(tmp_path, "bare", NODES, EDGES, "--no-internal-links")
+    with pytest.raises(UsageError, match="has no lanes on its junctions: SUMO dies when a vehicle is moved across"):
+        scan_network(bare)
+
+
+def test_an_unknown_option_and_emission_models(program: Program, network: Path) -> None:
+    """PHEMlight's tables lie in the data of SUMO's wheel, below ``SUMO_HOME``, which the user has not set."""
+    car = f'<vType id="c" emissionClass="PHEMlight/PC_G_EU4"/>{WE}<vehicle id="v" type="c" route="we" depart="0"/>'
+    few = ("--ego-id", "v", "--attempts", "1", "--total-seconds", "0", "--end", "9", "--out")
+    path = configuration(program.folder, network, car)
+    done = program.here("run", str(path), *few, "out")
+    assert "no encounter" in done.out and done.status == 0, done.err
+    done = program.here("run", str(configuration(program.folder, network, car, speed="9")), *few, "other")
+    assert (done.status, done.err) == (2, "sumo-adv: SUMO has no option 'speed': correct its name or leave it out.\n")
