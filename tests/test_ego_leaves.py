@@ -20,8 +20,8 @@ def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An ego that is 120 m before the end of the road at 0 s, and needs less than the 9 s of its log to get there."""
     x = END - 120.0
     tracks = [
-        moving("e", x, RIGHT + 0.3, 14.0), moving("lead", x + 25.0, RIGHT, 12.0), moving("side", x - 12.0, MIDDLE, 15.0),
-        moving("behind", x - 25.0, RIGHT, 15.0),
+        moving("e", x, RIGHT + 0.3, 14.0), moving("lead", x + 25.0, RIGHT, 12.0),
+        moving("side", x - 12.0, MIDDLE, 15.0), moving("behind", x - 25.0, RIGHT, 15.0),
     ]  # fmt: skip
     return write_scenario(tmp_path_factory.mktemp("log"), tracks, routed=("e", "lead", "side", "behind"))
 

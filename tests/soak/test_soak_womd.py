@@ -1,6 +1,6 @@
 """Every Waymo record of a folder, with several egos and one attempt each: no run may fail.
 
-The folder is named by ``SUMO_ADV_WOMD``, and is else ``shared/womd`` beside this checkout. It is not part of the project.
+``SUMO_ADV_WOMD`` names the folder, by default ``shared/womd`` beside this checkout. It is not part of the project.
 """
 
 from __future__ import annotations
