@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sumo_adv.api import Result, Table
-from sumo_adv.app import batch_parts, estimate_rate, run_campaign, shipped_bank
+from sumo_adv.app import batch_parts, cluster_processors, estimate_rate, run_campaign, shipped_bank
 from sumo_adv.campaigns.results import NUMBERS, WHOLES, read_csv, read_row
 from sumo_adv.config_odd import Odd, read_odd
 from sumo_adv.errors import UsageError

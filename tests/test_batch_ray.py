@@ -163,7 +163,7 @@ def test_a_server_that_is_no_cluster_is_a_sentence_too(program: Program) -> None
     with socket.socket() as mute:
         mute.bind(("127.0.0.1", 0))
         mute.listen()
-        place = "127.0.0.1:{}".format(mute.getsockname()[1])
+        place = f"127.0.0.1:{mute.getsockname()[1]}"
         refused(program(*SMALL, "--ray", place, "--json"), 2, "No Ray cluster", place, "no answer within 10 s")
 
 
