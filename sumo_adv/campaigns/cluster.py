@@ -95,12 +95,16 @@ shutil.rmtree(sys.argv[1], ignore_errors=True)
 """
 
 
+_removers: list[subprocess.Popen[bytes]] = []
+
+
 def desk_folder() -> Path:
     """A folder for this Ray worker process. It is removed when the process ends, however that is: Ray kills its workers
     with their children, so a process that is no child of it waits for its end."""
     folder = Path(tempfile.mkdtemp(prefix=f"{DESK}{os.getpid()}-"))
     command = [sys.executable, "-c", REMOVER, str(folder)]
-    subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    remover = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    _removers.append(remover)  # its pipe must stay open
     return folder
 
 
