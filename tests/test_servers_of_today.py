@@ -6,7 +6,7 @@ import json
 from typing import Any
 
 import pytest
-from model_server import Answer, Asked, ModelServer, Raw, Say, StepClock, status
+from model_server import Answer, Asked, Drop, ModelServer, Raw, Say, StepClock, status
 from pydantic import BaseModel
 
 from sumo_adv.errors import ModelError
@@ -175,3 +175,95 @@ def test_an_error_that_may_pass_is_asked_again(case: str) -> None:
     assert says in message and "also after 3 retries" in message and times == 4
     with ModelServer([answer, Say({"risk": 1})]) as server:
         assert asked_for(server)[0] == 1
+
+
+# -- the way in which the schema is sent ----------------------------------------------------------------------------
+
+LITERAL = (
+    "[{'type': 'literal_error', 'loc': ('body', 'response_format', 'type'), 'msg': \"Input should be 'text' or "
+    "'json_object'\", 'input': 'json_schema', 'ctx': {'expected': \"'text' or 'json_object'\"}}]"
+)
+"""What llama-cpp-python's server says of ``json_schema``, with status 500."""
+REFUSALS = {
+    "llama-cpp-python": error(500, kind="internal_server_error", message=LITERAL),
+    "a router without such a provider": error(404, message="No endpoints found that support response_format"),
+    "a gateway": error(501, message="json_schema is not implemented"),
+    "a grammar that cannot be made": error(500, message="failed to parse grammar"),
+    "FastAPI": Raw(422, json.dumps({"detail": [{"loc": ["body", "response_format"], "msg": "bad"}]}).encode()),
+    "an error with status 200": error(200, message="response_format.type json_schema is unsupported"),
+    "plain text": Raw(500, b"pydantic: response_format"),
+}
+
+
+@pytest.mark.parametrize("server_of", REFUSALS)
+def test_an_error_of_any_status_that_names_the_form_steps_down(server_of: str) -> None:
+    def script(request: Asked) -> Answer:
+        return REFUSALS[server_of] if request.mode == "json_schema" else Say({"risk": 3})
+
+    with ModelServer(script) as server:
+        assert asked_for(server)[0] == 3
+    assert [each.mode for each in server.asked] == ["json_schema", "json_object"]
+    assert '"risk"' in server.asked[1].system  # the schema is in the first message
+
+
+def test_the_last_form_is_text_with_the_schema() -> None:
+    def script(request: Asked) -> Answer:
+        refused = error(500, message="unknown field 'response_format'")
+        return refused if "response_format" in request.body else Say({"risk": 3})
+
+    with ModelServer(script) as server:
+        assert asked_for(server)[0] == 3
+    assert [each.mode for each in server.asked] == ["json_schema", "json_object", "text"]
+    assert '"risk"' in server.asked[2].system
+
+
+@pytest.mark.parametrize("form", ["json_object", "text"])
+def test_a_setting_chooses_the_form(form: str) -> None:
+    with ModelServer([Say({"risk": 3})]) as server:
+        assert asked_for(server, llm_response_format=form)[0] == 3
+    assert server.asked[0].mode == form and '"risk"' in server.asked[0].system
+
+
+# -- servers that go and come ---------------------------------------------------------------------------------------
+
+
+def test_a_server_that_drops_connections_is_asked_until_the_question_ends() -> None:
+    """Eight drops are more than ``llm_retries``: 0.5 + 1 + 2 + 4 + 4 x 8 s = 39.5 s at most."""
+    with ModelServer([*[Drop()] * 8, Say({"risk": 3})]) as server:
+        assert asked_for(server, llm_retries=1)[0] == 3
+    message, times = refusal(lambda request: Drop(), llm_question_seconds=20.0)
+    assert "broke the connection" in message and "raise llm_question_seconds" in message and times > 4
+
+
+def test_a_server_that_loads_its_model_is_waited_for() -> None:
+    loading = Raw(503, b'{"error": {"code": 503, "message": "Loading model", "type": "unavailable_error"}}')
+    with ModelServer([*[loading] * 6, Say({"risk": 3})]) as server:
+        assert asked_for(server)[0] == 3
+    assert len(server.asked) == 7
+
+
+def test_a_server_that_restarts_is_waited_for() -> None:
+    """It drops the first connection and is gone; it listens again at the same place when the client has waited."""
+    first = ModelServer([Drop()])
+    port = int(first.base_url.split(":")[2].split("/")[0])
+    again: list[ModelServer] = []
+
+    class Restart(StepClock):
+        """The server goes in the first wait and comes back in the fifth."""
+
+        def sleep(self, seconds: float) -> None:
+            super().sleep(seconds)
+            if len(self.slept) == 1:
+                first.__exit__()
+            if len(self.slept) == 5:
+                again.append(ModelServer([Say({"risk": 3})], port=port).__enter__())
+
+    first.__enter__()
+    ledger = Ledger()
+    model = connect("test-model", first.settings(), ledger, clock=Restart())
+    try:
+        assert ask(MeteredModel(model, ledger), "analyzer", "S", "U", Choice).risk == 3
+    finally:
+        for server in again:
+            server.__exit__()
+    assert ledger.as_dict()["retries"] == 5

@@ -16,6 +16,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, Field
 
+from sumo_adv.agents.choices import analysis_schema, same_schema
 from sumo_adv.agents.scene_text import Aliases, driver_words, outlook_words, relative_words, road_words, state_words
 from sumo_adv.agents.teams import MOST_PROPOSED, Team, Teamwork, casts_of, team_fault, teams_words
 from sumo_adv.agents.ways import MOST_WAYS, HowTo, library_words, modes_words, starts_words, way_fault, way_of
@@ -142,9 +143,14 @@ class ModelAnalyzer:
         def check(answer: Analysis) -> str | None:
             return self._fault(answer, situation, aliases, entries)
 
-        answers = ask_many(
-            self._metered, "analyzer", prompt.system, prompt.user, answer_type, samples=self._samples, check=check
+        colliders = [a for a, bv in aliases.bvs.items() if self._teamwork is None or self._teamwork.may_collide(bv)]
+        schema = analysis_schema(
+            answer_type, list(aliases.bvs), entries, self._teamwork, colliders, novel=not self._allowed
         )
+        answers = ask_many(
+            self._metered, "analyzer", prompt.system, prompt.user, answer_type, samples=self._samples, check=check,
+            schema=schema,
+        )  # fmt: skip
         if isinstance(answers[0], AskedAnalysis):
             self.asked, self.why_not = answers[0].asked, sanitize(answers[0].why_not)
             answers = [answers[0]]  # what must be true is of one reading of the request
@@ -178,7 +184,8 @@ class ModelAnalyzer:
                 return f"'{sanitize(answer.same_as)}' is not one of the known behaviours: {labels}, or null."
             return next((f for how in answer.ways if (f := way_fault(how, entry)) is not None), None)
 
-        answer = ask(self._metered, "analyzer", prompt.system, prompt.user, Same, check=check)
+        schema = same_schema(Same, nearest)
+        answer = ask(self._metered, "analyzer", prompt.system, prompt.user, Same, check=check, schema=schema)
         if answer.same_as is None:
             return None
         entry, ways = entries[answer.same_as], tuple(way_of(how, situations, intent.bv) for how in answer.ways)

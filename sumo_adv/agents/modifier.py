@@ -12,6 +12,7 @@ from typing import Literal
 
 from pydantic import BaseModel, Field
 
+from sumo_adv.agents.choices import change_schema
 from sumo_adv.agents.generator import Trial, planner_fault, planner_rules, without_fence
 from sumo_adv.agents.ways import HowTo, library_words, way_fault
 from sumo_adv.config import Settings
@@ -291,7 +292,10 @@ class ModelModifier:
                 case _:
                     return None
 
-        answer = ask(self.metered, "modifier", prompt.system, prompt.user, Changed, check=check, re_asks=TRIES)
+        schema = change_schema(Changed, scene.choices)
+        answer = ask(
+            self.metered, "modifier", prompt.system, prompt.user, Changed, check=check, re_asks=TRIES, schema=schema
+        )
         match answer.action:
             case "numbers":
                 return Change(f"other numbers for '{planner.mode}'", planner, dict(answer.parameters), answer.begin)

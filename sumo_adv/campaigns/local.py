@@ -218,7 +218,7 @@ def _work(
     """A worker process: a group of its own, its words in a file, gone as soon as its parent is."""
     import faulthandler
 
-    _alone(log.parent.parent)
+    alone(log.parent.parent)
     try:
         words = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
     except FileNotFoundError:  # the parent has died meanwhile, and another worker has removed the scratch folder
@@ -240,7 +240,7 @@ def _work(
         connection.send(error)
 
 
-def _alone(scratch: Path) -> None:
+def alone(scratch: Path) -> None:
     """Ctrl-C is for the parent; and when that dies, however it does, nothing of this one lives on, nor its scratch."""
     import threading
 

@@ -32,7 +32,7 @@ def doctor(
         Path | None,
         typer.Argument(metavar="[INPUT]", help="Check this input instead: a .sumocfg, network, map, record, scenario."),
     ] = None,
-    llm: Annotated[str | None, typer.Option(help="The language model to look for, as in run.")] = None,
+    llm: Annotated[str | None, typer.Option(help="The language model to ask one short question, as in run.")] = None,
     memory: Annotated[Path | None, typer.Option(help="The memory bank (default: your own).")] = None,
     ego: Annotated[
         str | None, typer.Option(help="Check this driver instead: drive it unattacked through twelve scenarios.")
@@ -84,6 +84,7 @@ def doctor(
 
 def _findings(llm: str | None, memory: Path | None, settings_file: Path | None) -> Iterator[Finding]:
     from sumo_adv.cli import doctor_checks as checks
+    from sumo_adv.cli.doctor_model import model
     from sumo_adv.simulation.inputs import data_folder
 
     yield from checks.interpreter()
@@ -103,7 +104,7 @@ def _findings(llm: str | None, memory: Path | None, settings_file: Path | None) 
     yield from checks.variables(Settings.model_fields)
     yield from checks.sandbox(settings is None or settings.bubblewrap)
     if settings is not None:
-        yield from checks.model(settings)
+        yield from model(settings)
     yield from checks.bank(memory if settings is None else settings.memory)
     yield from checks.output(Path.cwd())
 

@@ -7,7 +7,6 @@ import os
 import platform
 import re
 import shutil
-import socket
 import subprocess
 import sys
 import tempfile
@@ -17,20 +16,14 @@ from enum import StrEnum
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
-from urllib.parse import urlsplit
-from urllib.request import getproxies
 
 from sumo_adv import __version__
 from sumo_adv.app import shipped_bank
-from sumo_adv.config import PREFIX, Settings
+from sumo_adv.config import PREFIX
 from sumo_adv.errors import SumoAdvError
 from sumo_adv.memory.store import default_bank_path
 from sumo_adv.planners.source import make_planner
 from sumo_adv.simulation.programs import SYSTEM_LIBRARIES
-
-if TYPE_CHECKING:
-    from sumo_adv.llm.client import Server
 
 LIBRARIES = ("numpy", "scipy", "shapely", "httpx", "pydantic", "pydantic_settings", "typer", "rich", "matplotlib")
 EXTRAS = (
@@ -238,7 +231,6 @@ def in_container(files: tuple[str, ...] = CONTAINERS, environment: Mapping[str, 
     return bool(environment.get("container")) or any(Path(file).exists() for file in files)
 
 
-REACHED = 3.0  # s for a server to take a connection
 LITTLE_SPACE = 500e6  # bytes
 
 
@@ -249,46 +241,6 @@ def variables(known: Collection[str], environment: Mapping[str, str] = os.enviro
     if unknown:
         state = f"{', '.join(unknown)}: no setting has that name, so it does nothing"
         yield Finding("variables", Level.WARN, state, "see docs/settings.md for the names")
-
-
-def model(settings: Settings, environment: Mapping[str, str] = os.environ) -> Iterator[Finding]:
-    """The servers of the models that the settings name. Nothing is asked of them, and no key is sent or shown."""
-    from sumo_adv.agents.agents import ROLES
-    from sumo_adv.llm.client import REPLAY, find_server
-
-    names = sorted({name for role in ROLES if (name := settings.player(role)) is not None})
-    level = Level.WARN if settings.fallback == "builtin" else Level.FAIL
-    if not names:
-        yield Finding("model", Level.OK, "none is set: the built-in expert plays all parts (--llm NAME names one)")
-    for name in names:
-        if name.startswith(REPLAY):
-            there = Path(name.removeprefix(REPLAY)).is_file()
-            state = "a recording, asked instead of a model" if there else "a recording that is not there"
-            yield Finding(f"model {name}", Level.OK if there else level, state, "" if there else "give its path")
-            continue
-        try:
-            server = find_server(name, settings, environment)
-        except SumoAdvError as error:
-            yield Finding(f"model {name}", level, reason(error), "see docs/models.md")
-            continue
-        yield _reached(name, server, level)
-
-
-def _reached(name: str, server: Server, level: Level) -> Finding:
-    parts = urlsplit(server.base_url)
-    host, port = parts.hostname or "", parts.port or (443 if parts.scheme == "https" else 80)
-    key = "with a key" if server.key is not None else "without a key"
-    proxy = None if host in ("localhost", "127.0.0.1", "::1") else getproxies().get(parts.scheme)
-    way = urlsplit(proxy) if proxy else None
-    try:
-        with socket.create_connection((way.hostname or "", way.port or 80) if way else (host, port), timeout=REACHED):
-            pass
-    except OSError as error:
-        mend = "start the server, or correct SUMO_ADV_LLM_BASE_URL"
-        through = "the proxy on the way to " if way else ""
-        return Finding(f"model {name}", level, f"{through}{host}:{port} cannot be reached ({reason(error)})", mend)
-    done = "the proxy on the way to it takes connections" if way else "takes connections"
-    return Finding(f"model {name}", Level.OK, f"{host}:{port} {done}; {key}. It was asked nothing")
 
 
 def bank(path: Path | None) -> Iterator[Finding]:

@@ -88,7 +88,7 @@ AsJson = Annotated[bool, option(OUTPUT, "One JSON object on stdout, nothing else
 Workers = Annotated[int | None, option(RUNNING, "Processes.", default="one a core", min=1)]
 RayCluster = Annotated[
     str | None,
-    option(RUNNING, "Run on this Ray cluster: auto, HOST:PORT, ray://HOST:PORT.", metavar="ADDRESS", default="none"),
+    option(RUNNING, "Run on this Ray cluster: auto, HOST:PORT.", metavar="ADDRESS", default="none"),
 ]
 
 

@@ -334,11 +334,16 @@ class Worker:
         return UnattackedMotion({t.id: t for t in tracks}, snapshots, sizes, looks)
 
     def _unattacked(self, steps: int) -> tuple[list[Snapshot], dict[str, tuple[float, float]], Looks]:
-        """The states and sizes, and in a recording the vehicles that could attack, every ``LOOK_EVERY`` s."""
+        """The states and sizes, and in a recording the vehicles that could attack, every ``LOOK_EVERY`` s.
+
+        In a recording the branch ends when the ego leaves: nothing after that can be attacked.
+        """
         drive, settings, looks = self._drive, self._settings, dict[float, list[RankedVehicle]]()
         detector, every = self._search.watch(), settings.steps(LOOK_EVERY)
         with self._within_memory():
             for step in range(drive.within(steps)):
+                if drive.recorded() and drive.ego not in drive.snapshot.raw:
+                    break
                 if drive.recorded() and self._task.trigger is None and step % every == 0:
                     looks[round(step * settings.step_length, 6)] = detector.rank(drive)
                 drive.tick()

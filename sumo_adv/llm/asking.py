@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, TypeVar
@@ -44,16 +44,18 @@ def ask(
     check: Callable[[T], str | None] = lambda _: None,
     re_asks: int = 1,
     sample: int = 0,
+    schema: Mapping[str, Any] | None = None,
 ) -> T:
     """The model's answer.
 
     check: returns None for a usable answer, otherwise a sentence for the model that says what is wrong.
     re_asks: how often a fault is sent back as a further turn of the conversation.
+    schema: a JSON schema that says more of the answer than its type, None for that of ``answer_type``.
 
     Raises ModelError with the last fault, and BudgetError.
     """
     messages: Messages = (("system", system), ("user", user))
-    schema = answer_type.model_json_schema()
+    schema = answer_type.model_json_schema() if schema is None else schema
     for turn in range(re_asks + 1):
         request = ChatRequest(agent, messages, schema, answer_type.__name__, sample)
         reply = metered.model.complete(request)
@@ -88,13 +90,14 @@ def ask_many(
     samples: int,
     check: Callable[[T], str | None] = lambda _: None,
     re_asks: int = 1,
+    schema: Mapping[str, Any] | None = None,
 ) -> list[T]:
     """Ask one question ``samples`` times in parallel; the answers are in the order of their sample numbers.
 
     Failed samples are left out and counted as dropped. Raises BudgetError if the budget ended during a sample, and the
     first ModelError if all samples failed.
     """
-    ask_once = partial(ask, metered, agent, system, user, answer_type, check=check, re_asks=re_asks)
+    ask_once = partial(ask, metered, agent, system, user, answer_type, check=check, re_asks=re_asks, schema=schema)
     waiting = [run_in_thread(partial(ask_once, sample=k)) for k in range(samples)]
     answers: list[T] = []
     failed: list[ModelError] = []

@@ -6,11 +6,11 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, get_args
 
 from pydantic import SecretStr
 
-from sumo_adv.config import ModelSettings, one_word
+from sumo_adv.config import ModelSettings, ResponseFormat, one_word
 from sumo_adv.errors import UsageError
 from sumo_adv.llm import wire
 from sumo_adv.llm.chat import CUT, BudgetedModel, ChatModel, ChatReply, ChatRequest, Ledger, without_thought
@@ -18,7 +18,7 @@ from sumo_adv.llm.recording import Replay
 from sumo_adv.llm.transport import Clock, Question, ServerConnection
 
 REPLAY = "replay:"
-MODES = ("json_schema", "json_object", "text")
+MODES: tuple[str, ...] = get_args(ResponseFormat)
 """Ways to send the schema of an answer, best first."""
 
 
@@ -99,8 +99,8 @@ def connect(
 
 
 class HttpModel:
-    """A chat model behind HTTP. It remembers what the server supports: of ``MODES``, of ``wire.TOKEN_LIMITS``, and, if
-    the model thinks too long, of ``wire.LESS_THINKING``.
+    """A chat model behind HTTP. It remembers what the server supports: of ``MODES`` (from that of the settings on), of
+    ``wire.TOKEN_LIMITS``, and, if the model thinks too long, of ``wire.LESS_THINKING``.
     """
 
     def __init__(self, name: str, server: Server, settings: ModelSettings, ledger: Ledger, clock: Clock) -> None:
@@ -109,7 +109,7 @@ class HttpModel:
         self._temperature = settings.llm_temperature
         self._answer_tokens = settings.llm_answer_tokens
         self._ledger = ledger
-        self._modes = MODES[MODES.index(server.mode) :]
+        self._modes = MODES[MODES.index(settings.llm_response_format or server.mode) :]
         self._limits: tuple[str, ...] = wire.TOKEN_LIMITS
         self._less_thinking: Mapping[str, Any] = {}
         self._ways = wire.LESS_THINKING  # that are not tried yet

@@ -1,20 +1,21 @@
 """HTTP requests to one model server: deadline, retries, and the messages of failures.
 
 One deadline holds for a question with all its retries. It is kept by a clock of this module, so a server that hangs or
-sends a byte at a time is cut off too. Errors that may pass (``wire.py``) and broken connections are retried after a
-random wait.
-The wait doubles from retry to retry and is never shorter than the server's ``Retry-After``.
+sends a byte at a time is cut off too. Errors that may pass (``wire.py``) are retried ``llm_retries`` times after a
+random wait. The wait doubles from retry to retry and is never shorter than the server's ``Retry-After``. A server that
+drops connections, has gone after it was reached, or is loading its model is asked until the deadline.
 """
 
 from __future__ import annotations
 
 import asyncio
+import itertools
 import json
 import random
 import re
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Coroutine, Mapping
 from dataclasses import dataclass
 from email.utils import parsedate_to_datetime
 from typing import Any, NoReturn, TypeVar
@@ -39,6 +40,8 @@ FIRST_WAIT = 0.5  # s, before the first retry
 NO_ADDRESS = re.compile(r"(?i)(unexpected|unknown|invalid|no such) (endpoint|url|route|path)")
 """In an error with status 200 of a server that does not know the address (LM Studio)."""
 MAX_WAIT = 8.0  # s, unless the server asks for more
+MOST_DOUBLINGS = 4  # of FIRST_WAIT: to MAX_WAIT
+_DROPPED = re.compile(r"disconnected|closed connection")  # what httpx says where a server ends a connection
 LOCAL_HOSTS = ("localhost", "127.0.0.1", "::1")  # reached without a proxy
 T = TypeVar("T")
 
@@ -93,11 +96,13 @@ class _Response:
 
 @dataclass(frozen=True, slots=True)
 class _Failure:
-    """A try that may be repeated: its reason, the shortest wait [s] before the next try, and what the user can do."""
+    """A try that may be repeated: its reason, the shortest wait [s] before the next try, what the user can do, and
+    whether it is repeated until the deadline however often it fails."""
 
     reason: str
     wait: float = 0.0
     advice: str = LATER
+    until_deadline: bool = False
 
 
 class _TooLarge(Exception):
@@ -119,8 +124,8 @@ class ServerConnection:
         self.host = urlsplit(base_url).netloc
         self.jitter = random.Random()
         self.slots = threading.BoundedSemaphore(settings.llm_concurrency)
-        self.has_answered = False
-        self._url = f"{base_url}/chat/completions"
+        self.was_reached = False
+        self._base_url = base_url
         versioned = re.search(r"/v\d", urlsplit(base_url).path) is not None
         longer = f"set SUMO_ADV_LLM_BASE_URL to {base_url}/v1, where most servers answer"
         self.address_advice = "" if versioned else longer
@@ -134,9 +139,24 @@ class ServerConnection:
 
         Raises TimeoutError, httpx.HTTPError, _TooLarge, _Compressed.
         """
-        return run_in_thread(lambda: asyncio.run(asyncio.wait_for(self._exchange(body), seconds))).result()
+        return self._within(seconds, self._exchange("POST", "chat/completions", body))
 
-    async def _exchange(self, body: bytes) -> _Response:
+    def models(self, seconds: float) -> tuple[int, Mapping[str, Any] | None]:
+        """The status and the JSON object of GET ``models``, None if it is none. Raises ModelError, where the server
+        does not answer within ``seconds``."""
+        try:
+            answer = self._within(seconds, self._exchange("GET", "models", None))
+        except (TimeoutError, httpx.TimeoutException) as error:
+            raise ModelError(f"{self.host} did not answer GET models within {seconds:g} s.") from error
+        except (httpx.HTTPError, httpx.InvalidURL, httpx.StreamError, _TooLarge, _Compressed) as error:
+            why = self.quoted(str(error)) or type(error).__name__
+            raise ModelError(f"{self.host} gave no usable answer to GET models ({why}).") from error
+        return answer.status, wire.read_json(answer.body)[0]
+
+    def _within(self, seconds: float, exchange: Coroutine[Any, Any, _Response]) -> _Response:
+        return run_in_thread(lambda: asyncio.run(asyncio.wait_for(exchange, seconds))).result()
+
+    async def _exchange(self, method: str, path: str, body: bytes | None) -> _Response:
         headers = {
             "Content-Type": "application/json", "User-Agent": f"sumo-adv/{__version__}", "Accept-Encoding": "identity",
         }  # fmt: skip
@@ -145,7 +165,7 @@ class ServerConnection:
         timeout = httpx.Timeout(self.settings.llm_read_timeout, connect=self.settings.llm_connect_timeout)
         async with (
             httpx.AsyncClient(timeout=timeout, trust_env=self._use_proxy) as client,
-            client.stream("POST", self._url, content=body, headers=headers) as response,
+            client.stream(method, f"{self._base_url}/{path}", content=body, headers=headers) as response,
         ):
             encoding = response.headers.get("content-encoding", "identity").strip().lower()
             if encoding not in ("", "identity"):  # 2 kB may unpack to 3 GB
@@ -195,14 +215,14 @@ class Question:
 
         ``none_if_rejected``: return None if the server may have refused a field of the body.
         """
-        raw = json.dumps(body).encode()
-        for number in range(self._server.settings.llm_retries + 1):
+        raw, counted = json.dumps(body).encode(), 0
+        for number in itertools.count():
             result = self._try(raw)
             if isinstance(result, _Response):
                 value, unreadable = wire.read_json(result.body)
                 fault = fault_of(result.status, value)
                 if fault is not None:
-                    if fault.of_a_field and none_if_rejected:
+                    if none_if_rejected and (fault.of_a_field or wire.refuses_the_form(result.body)):
                         self.retries += 1
                         return None
                     result = self._failure(fault, result)
@@ -214,7 +234,8 @@ class Question:
                         return read(value)
                     except wire.InvalidAnswer as error:
                         self._fail(f"gave no usable answer: {error}")
-            self._wait(number, result)
+            self._wait(number, counted, result)
+            counted += not result.until_deadline
         raise AssertionError("the last try answers or raises")
 
     def _try(self, raw: bytes) -> _Response | _Failure:
@@ -237,24 +258,27 @@ class Question:
                 "turn compression off there"
             )
         except httpx.ConnectError as error:
-            if not self._server.has_answered:
+            if not self._server.was_reached:
                 self._fail(f"cannot be reached ({self._reason(error)}); start it, or correct SUMO_ADV_LLM_BASE_URL")
-            return _Failure(f"cannot be reached any more ({self._reason(error)})")
+            return _Failure(f"cannot be reached any more ({self._reason(error)})", until_deadline=True)
         except httpx.TimeoutException:
             return _Failure("sent nothing within the connect or read timeout")
         except httpx.HTTPError as error:
-            return _Failure(f"broke the connection ({self._reason(error)})")
+            dropped = isinstance(error, httpx.NetworkError) or _DROPPED.search(str(error)) is not None
+            self._server.was_reached |= dropped
+            return _Failure(f"broke the connection ({self._reason(error)})", until_deadline=dropped)
         except (httpx.InvalidURL, httpx.StreamError) as error:
             self._fail(f"cannot be asked ({self._reason(error)}); correct SUMO_ADV_LLM_BASE_URL")
-        self._server.has_answered = True
+        self._server.was_reached = True
         return answer
 
-    def _wait(self, number: int, failure: _Failure) -> None:
-        """Wait before the next try. Raises ModelError after the last try or if the deadline would pass."""
-        if number == self._server.settings.llm_retries:
+    def _wait(self, number: int, counted: int, failure: _Failure) -> None:
+        """Wait before the next try. ``number`` of tries before this one, and how many of them were ``counted``. Raises
+        ModelError after the last try or if the deadline would pass."""
+        if counted == self._server.settings.llm_retries and not failure.until_deadline:
             retried = "" if self.retries == 0 else f", also after {self.retries} retries"
             self._fail(f"{failure.reason}{retried}; {failure.advice}")
-        backoff = min(MAX_WAIT, FIRST_WAIT * 2**number) * self._server.jitter.uniform(0.5, 1.0)
+        backoff = min(MAX_WAIT, FIRST_WAIT * 2 ** min(number, MOST_DOUBLINGS)) * self._server.jitter.uniform(0.5, 1.0)
         wait = max(failure.wait, backoff)
         if self._server.clock.now() - self._began + wait >= self._allowed:
             self._fail(
@@ -274,7 +298,7 @@ class Question:
         advice = fault.advice.format(model=self._server.model)
         if not fault.retried:
             self._fail(f"{reason}; {advice}")
-        return _Failure(reason, _retry_after(answer.headers), advice)
+        return _Failure(reason, _retry_after(answer.headers), advice, fault.passes)
 
     def _fail_for_time(self) -> NoReturn:
         if self._limited_by_budget:

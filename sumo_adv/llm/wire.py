@@ -26,6 +26,8 @@ LESS_THINKING: tuple[Mapping[str, Any], ...] = (
 TOKEN_LIMITS = ("max_tokens", "max_completion_tokens")  # OpenAI's newer models take the second
 MAX_QUOTED = 200  # characters of a server's text that a message quotes
 LATER = "try again later, or use another model"
+_FORM = re.compile(r"response_?format|json_?schema|json_?object|guided_|grammar", re.IGNORECASE)
+_LOADING = re.compile(r"\b(?:loading|starting)\b", re.IGNORECASE)
 _LONG = re.compile(r"maximum context length|context (?:length|size|window)", re.IGNORECASE)
 
 
@@ -166,12 +168,14 @@ class ServerFault:
     """An error of a server.
 
     says: what the server did, after its name. advice: what the user can do. retried: whether the same question may be
-    answered a little later. of_a_field: whether the server may have refused one field of the question.
+    answered a little later. passes: whether it will be, and how often it is asked until then does not matter.
+    of_a_field: whether the server may have refused one field of the question.
     """
 
     says: str
     advice: str
     retried: bool = False
+    passes: bool = False
     of_a_field: bool = False
 
 
@@ -189,6 +193,7 @@ RATE = ServerFault(
     "limits how often it is asked", "lower llm_concurrency or raise llm_question_seconds, or try again later", True
 )
 OVERLOADED = ServerFault("is overloaded or still starting", LATER, True)
+LOADING = ServerFault("is still loading its model", "raise llm_question_seconds to wait longer", True, passes=True)
 FAILED = ServerFault("failed inside", f"look at its own log; {LATER}", True)
 REJECTED = ServerFault(
     "rejected the question", "correct what it names, or choose another model or server", of_a_field=True
@@ -247,10 +252,20 @@ def fault_of(status: int, body: Mapping[str, Any] | None) -> ServerFault | None:
             return BY_CODE[code]
     if status in (200, 400) and isinstance(error, dict) and _LONG.search(str(error.get("message"))):
         return CONTEXT
+    if status == 503 and body is not None and _LOADING.search(error_text(body)):  # llama.cpp
+        return LOADING
     if status == 200:  # the error's own code may be a status
         numbers = [int(str(code)) for code in codes if str(code).isdecimal() and len(str(code)) == 3]
         return _by_status(numbers[0]) if numbers else ServerFault("reports an error", LATER)
     return _by_status(status)
+
+
+def refuses_the_form(text: str) -> bool:
+    """Whether the text of an error names the way in which the schema of the answer was sent.
+
+    Servers give such errors any status: 400, 404 (no provider supports it), 422, 500 (llama-cpp-python), 501.
+    """
+    return _FORM.search(text) is not None
 
 
 def _by_status(status: int) -> ServerFault:

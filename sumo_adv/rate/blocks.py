@@ -18,8 +18,10 @@ from typing import Any, Self
 
 import numpy as np
 
-from sumo_adv.campaigns.cluster import RayPool, desk_folder
+from sumo_adv.campaigns.cluster import Needs, desk_folder, unfit
 from sumo_adv.campaigns.local import LocalWorkers, Pace, Stop
+from sumo_adv.campaigns.plan import hash_of
+from sumo_adv.campaigns.ray_pool import RayPool
 from sumo_adv.campaigns.results import Done
 from sumo_adv.config import forget_environment, load_settings
 from sumo_adv.drivers import make_ego
@@ -178,12 +180,15 @@ class ClusterBlocks:
 
     def __init__(self, plan: RatePlan, pace: Pace, address: str, versions: Mapping[str, str], stop: Stop) -> None:
         source = plan.source.absolute() if plan.source.is_file() else plan.source  # nodes work in other folders
-        self._pool = RayPool(block, pace, address, versions, stop)
+        inputs = ((source, hash_of(load_input(plan.source).files), None),)
+        needs = Needs(versions, inputs, () if plan.ego is None else (plan.ego,))
+        self._pool = RayPool(block, unfit, pace.recycle, address, stop)
+        self._needs = self._pool.put(needs)
         self._sent = self._pool.put(Sent(replace(plan, source=source), replace(pace, workers=1), plan.content()))
 
     def run(self, jobs: Iterable[Any], told: Callable[[Any, Done], None]) -> None:
         """Each block, ``told`` of each that is finished. Raises SumoAdvError."""
-        self._pool.run(jobs, lambda: self._sent, lambda _, done: done, failed, told)
+        self._pool.run(jobs, self._needs, lambda: self._sent, lambda _, done: done, failed, told)
 
     def close(self) -> None:
         """Leave the cluster; what still runs there is ended by Ray."""

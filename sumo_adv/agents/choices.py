@@ -1,0 +1,94 @@
+"""JSON schemas of the agents' answers for one scene: vehicles, behaviours and modes are enums of what can be chosen.
+
+A server that holds a model to a schema then cannot return a name that is not there. Answers are checked all the same.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from pydantic import BaseModel
+
+from sumo_adv.agents.teams import ROLES, Teamwork
+from sumo_adv.agents.ways import first_of_each_mode
+from sumo_adv.datatypes import Duty, LibraryEntry
+from sumo_adv.llm.prompts import sanitize
+from sumo_adv.search.support_intents import SUPPORT_INTENTS
+
+MOST_VALUES = 250  # of one enum: servers limit long ones, and compile them into their grammars
+Schema = dict[str, Any]
+Values = Mapping[str, Iterable[str]]
+"""By class and property, such as ``Choice.bv``, the values that it may have."""
+
+
+def analysis_schema(
+    answer_type: type[BaseModel], vehicles: Sequence[str], library: Sequence[LibraryEntry],
+    teamwork: Teamwork | None = None, colliders: Sequence[str] = (), *, novel: bool,
+) -> Schema:  # fmt: skip
+    """The schema of an analysis.
+
+    Args:
+        answer_type: ``Analysis`` or a class that is derived from it.
+        vehicles: aliases of all vehicles that may be chosen.
+        library: the intents that may be chosen.
+        teamwork: what may be composed; None for one adversary.
+        colliders: aliases of the vehicles that may be chosen without a composition.
+        novel: whether an intent may be new. A new one has any label, all others have one of the library's.
+    """
+    labels = [sanitize(entry.label) for entry in library]
+    values: dict[str, Iterable[str]] = {
+        "Choice.bv": colliders if teamwork is not None else vehicles, "Choice.label": labels,
+        "HowTo.mode": _modes(library),
+    }  # fmt: skip
+    if teamwork is not None:
+        supports = [entry.label for duty in ROLES for entry in SUPPORT_INTENTS[duty]]
+        values["Member.bv"] = vehicles
+        values["Member.role"] = [str(Duty.COLLIDER), *map(str, ROLES)]
+        values["Member.label"] = [*labels, *supports]
+    free = answer_type.model_json_schema()
+    schema = _with_values(free, values)
+    if novel:
+        new = copy.deepcopy(free["$defs"]["Choice"])
+        new["properties"]["bv"] = schema["$defs"]["Choice"]["properties"]["bv"]
+        new["properties"]["novel"] = {"type": "boolean", "enum": [True]}
+        schema["$defs"]["NovelChoice"] = new
+        known = schema["properties"]["intents"]["items"]
+        schema["properties"]["intents"]["items"] = {"anyOf": [known, {"$ref": "#/$defs/NovelChoice"}]}
+    schema["$defs"]["Choice"]["properties"]["novel"] = {"type": "boolean", "enum": [False]}
+    return schema
+
+
+def same_schema(answer_type: type[BaseModel], nearest: Sequence[LibraryEntry]) -> Schema:
+    """The schema of the answer whether a behaviour is one of the ``nearest``."""
+    labels = [sanitize(entry.label) for entry in nearest]
+    return _with_values(answer_type.model_json_schema(), {"Same.same_as": labels, "HowTo.mode": _modes(nearest)})
+
+
+def change_schema(answer_type: type[BaseModel], choices: Mapping[str, Sequence[LibraryEntry]]) -> Schema:
+    """The schema of a modifier's answer. ``choices``: by vehicle, the intents that it may be given instead."""
+    library = [entry for entries in choices.values() for entry in entries]
+    labels = [entry.label for entry in library]
+    values = {"Instead.bv": choices, "Instead.label": labels, "Instead.mode": _modes(library)}
+    return _with_values(answer_type.model_json_schema(), values)
+
+
+def _modes(library: Iterable[LibraryEntry]) -> list[str]:
+    return [planner.mode for entry in library for planner in first_of_each_mode(entry)]
+
+
+def _with_values(schema: Mapping[str, Any], values: Values) -> Schema:
+    """A copy in which properties are enums. One that may be null stays so; one without values or with more than
+    ``MOST_VALUES`` stays as it is."""
+    made: Schema = copy.deepcopy(dict(schema))
+    classes = {**made.get("$defs", {}), made["title"]: made}
+    for name, allowed in values.items():
+        owner, _, key = name.partition(".")
+        distinct = list(dict.fromkeys(allowed))
+        if owner not in classes or not 0 < len(distinct) <= MOST_VALUES:
+            continue
+        enum = {"type": "string", "enum": distinct}
+        nullable = "anyOf" in classes[owner]["properties"][key]
+        classes[owner]["properties"][key] = {"anyOf": [enum, {"type": "null"}]} if nullable else enum
+    return made

@@ -1,0 +1,91 @@
+"""Whether the server of a model can be used: its list of models, then one question as long as a run's longest ones."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from sumo_adv.config import ModelSettings
+from sumo_adv.errors import ModelError
+from sumo_adv.llm.chat import ChatRequest, Ledger
+from sumo_adv.llm.client import HttpModel, Server
+from sumo_adv.llm.transport import Clock, ServerConnection
+from sumo_adv.llm.wire import quoted
+
+QUESTION_TOKENS = 8_000  # the longest question of the shipped recordings has 7,600
+CONTEXT_TOKENS = 11_000  # with the longest answer, of 3,000
+ANSWER_TOKENS = 2
+LIST_SECONDS = 10.0
+WORD = "road "  # one token of most models
+CONTEXT_KEYS = ("max_model_len", "context_length", "loaded_context_length", "context_window", "n_ctx")
+"""Where servers say the context of a model: vLLM and SGLang, OpenRouter, LM Studio, Groq, llama.cpp."""
+REFUSED = (401, 403)  # status for a wrong key
+CUT = (1_000, 6_000)  # tokens that a server counts which cut the question; one that counts fewer counts something else
+
+
+@dataclass(frozen=True, slots=True)
+class ServerCheck:
+    """What a server has shown.
+
+    Attributes:
+        listed: names of its models; empty if it gives no list.
+        context: its context for the model [tokens]; None if it does not say.
+        mode: how it took the schema: json_schema, json_object or text.
+    """
+
+    listed: tuple[str, ...]
+    context: int | None
+    mode: str
+
+
+def check_server(name: str, server: Server, settings: ModelSettings, schema: Mapping[str, Any]) -> ServerCheck:
+    """Ask a server for its models, and then one question with ``schema`` and an answer of ``ANSWER_TOKENS``.
+
+    The question is short where the server says that its context is long enough. Raises ModelError, which says what is
+    wrong: the key, the context, the model, or the server.
+    """
+    status, listing = ServerConnection(name, server.base_url, server.key, settings, Clock()).models(LIST_SECONDS)
+    if status in REFUSED:
+        raise ModelError(
+            f"The server of model {name} does not accept the key for its list of models (status {status}); set "
+            "SUMO_ADV_LLM_API_KEY."
+        )
+    entries = _entries(listing) if status == 200 else []
+    listed = tuple(quoted(str(entry["id"])) for entry in entries)
+    context = _context(entries, server.model)
+    if context is not None and context < CONTEXT_TOKENS:
+        raise ModelError(_too_short(name, f"has a context of {context:,} tokens"))
+    words = 1 if context is not None else QUESTION_TOKENS
+    asked = ChatRequest(
+        "doctor", (("system", "Answer with one JSON object."), ("user", WORD * words)), schema, "Analysis"
+    )  # fmt: skip
+    limited = settings.model_copy(update={"llm_answer_tokens": ANSWER_TOKENS})
+    reply = HttpModel(name, server, limited, Ledger(), Clock()).complete(asked)
+    if context is None and CUT[0] <= reply.prompt_tokens <= CUT[1]:
+        raise ModelError(_too_short(name, f"cut a question of {words:,} tokens to {reply.prompt_tokens:,}"))
+    return ServerCheck(listed, context, reply.mode)
+
+
+def _too_short(name: str, what: str) -> str:
+    return (
+        f"The server of model {name} {what}, and a question takes up to {CONTEXT_TOKENS:,} with its answer; start it "
+        "with a longer context (vLLM --max-model-len, llama.cpp -c, Ollama num_ctx)."
+    )
+
+
+def _entries(listing: Mapping[str, Any] | None) -> list[Mapping[str, Any]]:
+    data = listing.get("data") if listing is not None else None
+    return [e for e in data if isinstance(e, dict) and "id" in e] if isinstance(data, list) else []
+
+
+def _context(entries: list[Mapping[str, Any]], model: str) -> int | None:
+    """What the entry of the model says; that of the only one, whatever its name is."""
+    of_model = [e for e in entries if e["id"] == model] or (entries if len(entries) == 1 else [])
+    for entry in of_model:
+        meta = entry.get("meta")
+        said = {**(meta if isinstance(meta, dict) else {}), **entry}
+        for key in CONTEXT_KEYS:
+            if isinstance(said.get(key), int) and said[key] > 0:
+                return int(said[key])
+    return None
