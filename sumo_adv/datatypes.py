@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import IntEnum, StrEnum
 from functools import lru_cache
 from typing import Any
@@ -314,20 +314,30 @@ class Level(IntEnum):
 class Preventability:
     """Which reference drivers avoid a collision.
 
-    answers: driver -> avoids | collides | not_applicable. alarms: driver -> when a danger first showed to it [s], only
-    of those before the contact. inconclusive: None, or why the check says nothing: no_hazard | unchanged_ego_misses |
-    no_plan. simulated: whether the drivers drove in the simulation; else the check was kinematic.
+    Attributes:
+        answers: By driver, ``avoids``, ``collides`` or ``not_applicable``, by the kinematic check: the adversary moves
+            as recorded and planned.
+        alarms: By driver, when a danger first showed to it [s], only of those before the contact.
+        inconclusive: None, or why the check says nothing: no_hazard | unchanged_ego_misses | no_plan.
+        in_loop: By driver, ``avoids`` or ``collides`` by the check in the loop: the adversary plans again. Empty if the
+            collision was not checked so; only drivers that avoid it in the kinematic check are asked.
     """
 
     answers: Mapping[str, str]
     alarms: Mapping[str, float]
     inconclusive: str | None = None
-    simulated: bool = False
+    in_loop: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def simulated(self) -> bool:
+        """Whether drivers were asked in the loop."""
+        return bool(self.in_loop)
 
     @property
     def by(self) -> tuple[str, ...]:
-        """The drivers that avoid it."""
-        return tuple(name for name, answer in self.answers.items() if answer == "avoids")
+        """The drivers that avoid it in each check that was made."""
+        avoids = (name for name, answer in self.answers.items() if answer == "avoids")
+        return tuple(name for name in avoids if not self.in_loop or self.in_loop.get(name) == "avoids")
 
 
 @dataclass(frozen=True, slots=True)

@@ -118,7 +118,7 @@ class Arena:
                     break
                 result = self._result(proposal, encounter, runner)
                 attempt = attempt_of(len(done.attempts), "opponent", proposal, result, encounter, settings)
-                done.attempts.append(checked(attempt, result, runner, done.goal))
+                done.attempts.append(checked(attempt, result, runner, done.goal, done.level))
                 done.results.append(result)
                 clock.tell("attempt", done.attempts[-1])
                 if done.goal.met(done.attempts[-1].verdict):

@@ -62,6 +62,11 @@ class Refinement:
             return self.chosen
         return min(range(len(self.attempts)), key=lambda k: (*self.worth(self.attempts[k]), k))
 
+    @property
+    def level(self) -> Level:
+        """The highest level of an attempt so far."""
+        return max((a.verdict.level for a in self.attempts), default=Level.NONE)
+
     def worth(self, attempt: Attempt) -> tuple[float, ...]:
         """A key that sorts attempts, the best first: successes, then those that fit what was asked for."""
         verdict = attempt.verdict
@@ -73,10 +78,11 @@ class Refinement:
 def settle_best(found: Refinement, runner: Attempts) -> None:
     """Have the best attempt confirmed; if its level falls, the next best one, until one keeps its level."""
     while (k := found.best) is not None:
-        attempt = confirmed(found.attempts[k], found.results[k], runner)
-        if attempt is found.attempts[k]:
-            return
+        attempt = confirmed(found.attempts[k], found.results[k], runner, all_drivers=True)
+        held = attempt.verdict.level == found.attempts[k].verdict.level
         found.attempts[k] = attempt
+        if held:
+            return
 
 
 class Refiner:
@@ -154,7 +160,7 @@ class Refiner:
         """Run candidates; True once enough kinds of them succeeded (those behind the last are dropped)."""
         for proposal, result in zip(plans, self._runner.attempt(plans), strict=True):
             attempt = self._attempt(len(found.attempts), proposal, result)
-            attempt = checked(attempt, result, self._runner, found.goal)
+            attempt = checked(attempt, result, self._runner, found.goal, found.level)
             attempt = _fitted(found, attempt, result)
             found.attempts.append(attempt)
             found.results.append(result)
