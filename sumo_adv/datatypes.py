@@ -375,6 +375,7 @@ class Verdict:
     contact_side: str | None = None  # of the ego: front | rear | left | right
     delta_v: float | None = None  # m/s, of the ego
     adversary_delta_v: float | None = None
+    overlap: float | None = None  # of the narrower of the two touching faces, a share
     severity: str | None = None  # negligible | minor | moderate | severe
     injury_risk: float | None = None
     impact_speed: float | None = None  # m/s, at which a pedestrian or cyclist is hit; None for a vehicle
@@ -466,13 +467,28 @@ class Prediction:
 
 
 @dataclass(frozen=True, slots=True)
+class Arrival:
+    """How the ego arrives when an attack begins, compared with the encounter as it was found.
+
+    earlier: by how much it is ahead of its place, in time [s]; negative = behind. pace: its speed over the speed found.
+    """
+
+    earlier: float = 0.0
+    pace: float = 1.0
+
+
+AS_FOUND = Arrival()
+
+
+@dataclass(frozen=True, slots=True)
 class Proposal:
     """One candidate: which vehicle, with which planner and parameters, how long after the trigger.
 
     ``course``: driven as it stands instead of by the planner, which then only names the author. ``score``: what the
     search goes by, lower is better. ``duty``: what the vehicle does in the attack; ``supports``: what the other
     adversaries do, each a candidate of its own with the same delay and without supports. ``composition``: the label of
-    the composed intent that they carry out together, empty for a single adversary.
+    the composed intent that they carry out together, empty for a single adversary. ``arrival``: how the ego arrives,
+    other than found only in a neighbour of an attack.
     """
 
     bv: str
@@ -488,6 +504,7 @@ class Proposal:
     duty: Duty = Duty.COLLIDER
     supports: tuple[Proposal, ...] = ()
     composition: str = ""
+    arrival: Arrival = AS_FOUND
 
     @property
     def members(self) -> tuple[Proposal, ...]:

@@ -48,7 +48,12 @@ from sumo_adv.words.request import Reading, read_motion
 
 
 class Attempts(Protocol):
-    """Runs attempts; a result is taken only if the ones before it did not succeed."""
+    """Runs attempts; a result is taken only if the ones before it did not succeed.
+
+    displaces: whether the ego can be put where it would be if it arrived otherwise (``Proposal.arrival``).
+    """
+
+    displaces: bool
 
     def attempt(self, proposals: Sequence[Proposal]) -> Iterable[AttemptResult]:
         """The results of the proposals, in order."""
@@ -65,8 +70,12 @@ class AttemptRunner:
     not made.
     """
 
-    def __init__(self, engine: Engine, sandbox: Sandbox, found: FoundEncounter, seed: int) -> None:
+    def __init__(
+        self, engine: Engine, sandbox: Sandbox, found: FoundEncounter, seed: int, *, displaces: bool = True
+    ) -> None:  # fmt: skip
+        """``displaces``: False if a log moves the ego."""
         self._engine, self._sandbox, self._found, self._seed = engine, sandbox, found, seed
+        self.displaces = displaces
 
     def attempt(self, proposals: Sequence[Proposal]) -> Iterator[AttemptResult]:
         for k in range(0, len(proposals), self._engine.at_once):
@@ -97,6 +106,11 @@ class AttemptRunner:
         finally:
             for sessions in opened.values():
                 sessions.__exit__(None, None, None)
+
+
+def runner_of(engine: Engine, sandbox: Sandbox, found: FoundEncounter, settings: Settings) -> AttemptRunner:
+    """What runs the attempts of an encounter. An ego that a log moves cannot arrive otherwise."""
+    return AttemptRunner(engine, sandbox, found, settings.seed, displaces=settings.ego != "replay")
 
 
 # -- diagnosis ------------------------------------------------------------------------------------------------------

@@ -16,12 +16,13 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-import numpy.ma  # noqa: F401 - np.unique imports it, which would take each fork 10 ms
+import numpy as np
+import numpy.ma
 
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Boxes, Ending, Preventability, Proposal, Track
+from sumo_adv.datatypes import AS_FOUND, Arrival, Boxes, Ending, Preventability, Proposal, Track
 from sumo_adv.drivers import ReplayEgo, make_ego
-from sumo_adv.episode.attempt import Driven, attack, controller_of
+from sumo_adv.episode.attempt import Driven, attack, box_of, controller_of
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.encounter_builder import ENDANGERS, LEAST, UnattackedMotion, build_encounter, nearest_ones
 from sumo_adv.episode.encounter_detector import LOOK_EVERY, RankedVehicle
@@ -30,6 +31,8 @@ from sumo_adv.episode.references import WARM_UP_S, PlannedEgo, ReferenceEgo, avo
 from sumo_adv.episode.task import AttemptResult, FoundEncounter, NoEncounter, Prefix, Task
 from sumo_adv.episode.verdict import first_judged, gate_verdict, own_reference, unattacked
 from sumo_adv.errors import DriverError, SimulationError, ran_out_of_memory
+from sumo_adv.geometry import Pose, wrap
+from sumo_adv.metrics.boxes import overlaps
 from sumo_adv.metrics.case import Case, make_case
 from sumo_adv.metrics.levels import AVOIDS, COLLIDES, preventability
 from sumo_adv.metrics.reference import BRAKERS, COMPETENT, MANOEUVRE, REFERENCE_DRIVERS
@@ -59,6 +62,7 @@ class OpenEncounter:
     ask_front: AskOne
 
 
+ROOM_M = 60.0  # within which other vehicles may be in the way of an ego that arrives otherwise
 MOST_BESIDE = 3  # recorded vehicles on which SUMO crashes
 COOL_DOWN = 2.0  # s without an encounter after an encounter that was passed over
 
@@ -428,7 +432,26 @@ class Worker:
             for p, ask in zip(proposal.members, asks, strict=True)
         }
         steps, replan = drive.within(settings.steps(settings.duration)), settings.steps(settings.replan)
-        return attack(drive, members, steps=steps, replan=replan)
+        ego = None if proposal.arrival == AS_FOUND else self._displaced(proposal.arrival, situation)
+        return attack(drive, members, steps=steps, replan=replan, ego=ego)
+
+    def _displaced(self, arrival: Arrival, situation: Situation) -> Pose:
+        """Where the ego is after a step if it arrives otherwise; nearer to its place if a vehicle is in the way."""
+        drive, dt = self._drive, self._settings.step_length
+        assert drive.ego is not None
+        ego, path = drive.state(drive.ego), situation.baseline.path
+        s, d = path.project(ego.x, ego.y)
+        turned = ego.heading - float(path.at(np.asarray(s))[2])
+        others = [box_of(drive.state(name)) for name in drive.near(ego, ROOM_M)]
+        speed = ego.speed * arrival.pace
+        for share in (1.0, 0.5, 0.0):
+            station = np.asarray(s + share * arrival.earlier * ego.speed + speed * dt)
+            x, y, heading = (float(q) for q in path.at(station, d))
+            pose = Pose(x, y, wrap(heading + turned), speed)
+            box = box_of(replace(ego, x=x, y=y, heading=pose.heading))
+            if not any(bool(overlaps(box, other)) for other in others):
+                break
+        return pose
 
     def _situation_for(self, proposal: Proposal) -> Situation:
         situation = self._encounter.situations.get(proposal.delay)

@@ -159,7 +159,8 @@ def with_level(
         verdict, preventability=prevention, ego_stationary=_stationary(ego, contact),
         ego_blocking=_blocking(ego, contact), humanlike=not strange, beyond_human=strange,
         contact_side=str(impact.ego_side), delta_v=impact.ego_delta_v, adversary_delta_v=impact.adversary_delta_v,
-        severity=str(impact.severity), injury_risk=impact.injury_risk, impact_speed=impact.impact_speed,
+        severity=str(impact.severity), injury_risk=impact.injury_risk, overlap=impact.overlap,
+        impact_speed=impact.impact_speed,
     )  # fmt: skip
     return judged(verdict)
 

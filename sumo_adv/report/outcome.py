@@ -177,7 +177,7 @@ def level_figures(v: Verdict) -> dict[str, Any]:
         "ego_stationary": v.ego_stationary, "ego_blocking": v.ego_blocking, "humanlike": v.humanlike,
         "beyond_human": list(v.beyond_human), "contact_side": v.contact_side, "delta_v": number(v.delta_v),
         "adversary_delta_v": number(v.adversary_delta_v), "severity": v.severity, "injury_risk": number(v.injury_risk),
-        "impact_speed": number(v.impact_speed),
+        "impact_speed": number(v.impact_speed), "overlap": number(v.overlap),
     }  # fmt: skip
 
 

@@ -132,6 +132,8 @@ def describe(
 class LiveAttempts:
     """Runs attempts in the session at hand, each after the first in what ``again`` gives: the same encounter anew."""
 
+    displaces = False
+
     def __init__(
         self, session: Session, scene: Scene, road: RoadMap, settings: Settings, sandbox: Sandbox, events: Events,
         again: Callable[[], Session | None] | None = None,
