@@ -51,7 +51,7 @@ def test_an_attempt_is_worth_its_level_and_within_it_the_margin_to_the_next() ->
 
 
 def test_a_plateau_is_varied_rather_than_a_needle() -> None:
-    """At 2 m one attempt is serious and its neighbours miss; at -6 m all three are valid. Later candidates are near -6 m:
+    """At 2 m one attempt is serious, its neighbours miss; at -6 m all three are valid. Later candidates are near -6 m:
     the mean over the attempts near 2 m is worse. If an elite counts alone, they are near 2 m."""
 
     def tried(near: float) -> float:

@@ -12,7 +12,7 @@ the attempts; a level is claimed for a driver that avoids the collision in both 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -40,7 +40,8 @@ class ReferenceEgo:
     sumo_type: Mapping[str, str] = {}
 
     def __init__(
-        self, tested: EgoController, driver: type[Braker], history: Sequence[Track], ego: str, log: Track | None = None
+        self, tested: EgoController, driver: type[Braker], history: Sequence[Track], ego: str,
+        take_over: Callable[[], None], log: Track | None = None,
     ) -> None:  # fmt: skip
         """Make the driver of one run.
 
@@ -49,6 +50,7 @@ class ReferenceEgo:
             driver: The reference driver.
             history: The recorded motions up to the start of the attack; the driver looks at them first.
             ego: The ego's id.
+            take_over: Called when the reference driver first brakes.
             log: The ego's motion where a log moves it; its own way and pace are followed while nothing brakes.
         """
         self.name = driver.name
@@ -56,6 +58,7 @@ class ReferenceEgo:
         self._tested: EgoController = tested if log is None else _following(log)
         self._driver, self._log = driver, log
         self._way = None if log is None else EgoPaths(row_of(log))
+        self._take_over = take_over
         self._ego, self._history = ego, {t.id: t for t in history}
         self._watcher: Watcher | None = None
         self._acting = False
@@ -70,7 +73,9 @@ class ReferenceEgo:
             self._watcher = Watcher(self._driver, observation.dt)
             self._look_back(self._watcher, observation, half)
         target = self._watcher.speed(observation.ego, observation.others, path_of(observation), half)
-        self._acting = self._acting or not math.isinf(target)
+        if not self._acting and not math.isinf(target):
+            self._acting = True
+            self._take_over()
         if not self._acting:
             return self._tested.act(observation) if self._tested.needs_observation else None
         if self._log is not None and self._way is not None:

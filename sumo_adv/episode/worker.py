@@ -22,6 +22,7 @@ import numpy.ma
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import AS_FOUND, Arrival, Boxes, Ending, Preventability, Proposal, Track
 from sumo_adv.drivers import ReplayEgo, make_ego
+from sumo_adv.drivers.protocol import MAX_BRAKING
 from sumo_adv.episode.attempt import Driven, attack, box_of, controller_of
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.encounter_builder import ENDANGERS, LEAST, UnattackedMotion, build_encounter, nearest_ones
@@ -296,7 +297,10 @@ class Worker:
             first = max(0, len(drive.recording.snapshots) - settings.steps(WARM_UP_S))
             logged = drive.replayed() or isinstance(tested, ReplayEgo)
             log = self._baseline_ego if logged else None
-            drive.controller = ReferenceEgo(tested, BRAKERS[name], drive.tracks(start=first), drive.ego, log)
+            strong = partial(drive.simulation.strengthen, drive.ego, MAX_BRAKING)
+            drive.controller = ReferenceEgo(
+                tested, BRAKERS[name], drive.tracks(start=first), drive.ego, strong, log
+            )  # fmt: skip
         try:
             self._drive_attack(proposal, asks)
         finally:
