@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import IntEnum, StrEnum
 from functools import lru_cache
 from typing import Any
@@ -314,20 +314,30 @@ class Level(IntEnum):
 class Preventability:
     """Which reference drivers avoid a collision.
 
-    answers: driver -> avoids | collides | not_applicable. alarms: driver -> when a danger first showed to it [s], only
-    of those before the contact. inconclusive: None, or why the check says nothing: no_hazard | unchanged_ego_misses |
-    no_plan. simulated: whether the drivers drove in the simulation; else the check was kinematic.
+    Attributes:
+        answers: By driver, ``avoids``, ``collides`` or ``not_applicable``, by the kinematic check: the adversary moves
+            as recorded and planned.
+        alarms: By driver, when a danger first showed to it [s], only of those before the contact.
+        inconclusive: None, or why the check says nothing: no_hazard | unchanged_ego_misses | no_plan.
+        in_loop: By driver, ``avoids`` or ``collides`` by the check in the loop: the adversary plans again. Empty if the
+            collision was not checked so; only drivers that avoid it in the kinematic check are asked.
     """
 
     answers: Mapping[str, str]
     alarms: Mapping[str, float]
     inconclusive: str | None = None
-    simulated: bool = False
+    in_loop: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def simulated(self) -> bool:
+        """Whether drivers were asked in the loop."""
+        return bool(self.in_loop)
 
     @property
     def by(self) -> tuple[str, ...]:
-        """The drivers that avoid it."""
-        return tuple(name for name, answer in self.answers.items() if answer == "avoids")
+        """The drivers that avoid it in each check that was made."""
+        avoids = (name for name, answer in self.answers.items() if answer == "avoids")
+        return tuple(name for name in avoids if not self.in_loop or self.in_loop.get(name) == "avoids")
 
 
 @dataclass(frozen=True, slots=True)
@@ -365,6 +375,7 @@ class Verdict:
     contact_side: str | None = None  # of the ego: front | rear | left | right
     delta_v: float | None = None  # m/s, of the ego
     adversary_delta_v: float | None = None
+    overlap: float | None = None  # of the narrower of the two touching faces, a share
     severity: str | None = None  # negligible | minor | moderate | severe
     injury_risk: float | None = None
     impact_speed: float | None = None  # m/s, at which a pedestrian or cyclist is hit; None for a vehicle
@@ -456,13 +467,28 @@ class Prediction:
 
 
 @dataclass(frozen=True, slots=True)
+class Arrival:
+    """How the ego arrives when an attack begins, compared with the encounter as it was found.
+
+    earlier: by how much it is ahead of its place, in time [s]; negative = behind. pace: its speed over the speed found.
+    """
+
+    earlier: float = 0.0
+    pace: float = 1.0
+
+
+AS_FOUND = Arrival()
+
+
+@dataclass(frozen=True, slots=True)
 class Proposal:
     """One candidate: which vehicle, with which planner and parameters, how long after the trigger.
 
     ``course``: driven as it stands instead of by the planner, which then only names the author. ``score``: what the
     search goes by, lower is better. ``duty``: what the vehicle does in the attack; ``supports``: what the other
     adversaries do, each a candidate of its own with the same delay and without supports. ``composition``: the label of
-    the composed intent that they carry out together, empty for a single adversary.
+    the composed intent that they carry out together, empty for a single adversary. ``arrival``: how the ego arrives,
+    other than found only in a neighbour of an attack.
     """
 
     bv: str
@@ -478,6 +504,7 @@ class Proposal:
     duty: Duty = Duty.COLLIDER
     supports: tuple[Proposal, ...] = ()
     composition: str = ""
+    arrival: Arrival = AS_FOUND
 
     @property
     def members(self) -> tuple[Proposal, ...]:

@@ -38,7 +38,7 @@ def braked(speed: float, motion: Motion, steps: int = 50) -> tuple[list[float], 
     """The ego's speeds, driven by the real controller and by the foreseen one."""
     runs = []
     for foreseen in (False, True):
-        real, many = CarefulEgo(), CarefulDrivers((5.0, 2.0), np.array([5.0]), np.array([2.0]), DT)
+        real, many = CarefulEgo(), CarefulDrivers((5.0, 2.0), np.array([5.0]), np.array([2.0]), DT, np.array([1.6]))
         at, v, a, before = 0.0, speed, 0.0, None
         speeds = []
         for k, (x, y, h, w) in enumerate(states(motion, steps)):

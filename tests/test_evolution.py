@@ -35,17 +35,43 @@ def collision(level: Level, delta_v: float = 1.0, warning: float = 1.0, human: b
 
 
 def test_an_attempt_is_worth_its_level_and_within_it_the_margin_to_the_next() -> None:
-    """A miss by 15 m and 5 s: 5 + (.5 + .5) / 2. Valid with half of the warning and delta-v: 2 - .35 - .1."""
+    """A miss by 15 m and 5 s: 5 + (.5 + .5) / 2. Valid with half of the warning and delta-v: 2 - .25 - .05; a human
+    motion is worth .2, a full overlap .1. Strict with half of the warning and a fifth of the delta-v: 1 - .05 - .1."""
     order = [
         (replace(MISS, feasible=False), 7.0),
         (MISS, 6.0),
         (replace(MISS, min_distance=15.0, min_ttc=5.0), 5.5),
-        (collision(Level.VALID, delta_v=5.0, warning=1.0), 1.55),
-        (collision(Level.STRICT, delta_v=2.0), 0.86),
-        (collision(Level.STRICT, delta_v=2.0, human=True), 0.66),
-        (collision(Level.SERIOUS, delta_v=5.0, human=True), -0.55),
+        (collision(Level.VALID, delta_v=5.0, warning=1.0), 1.7),
+        (replace(collision(Level.VALID, delta_v=5.0, warning=1.0, human=True), overlap=1.0), 1.4),
+        (collision(Level.STRICT, delta_v=2.0), 0.85),
+        (collision(Level.STRICT, delta_v=2.0, human=True), 0.65),
+        (collision(Level.SERIOUS, delta_v=5.0, human=True), -0.5),
     ]
     assert [badness(verdict, Goal()) for verdict, _ in order] == pytest.approx([worth for _, worth in order])
+
+
+def test_a_plateau_is_varied_rather_than_a_needle() -> None:
+    """At 2 m one attempt is serious, its neighbours miss; at -6 m all three are valid. Later candidates are near -6 m:
+    the mean over the attempts near 2 m is worse. If an elite counts alone, they are near 2 m."""
+
+    def tried(near: float) -> float:
+        search = evolution(settings=EvolutionSettings(first=0, anew=0.0, near=near, other_start=0.0, parents=1))
+        template = templates()[0]
+        for gap, verdict in (
+            (2.0, collision(Level.SERIOUS, delta_v=9.0, human=True)), (1.5, MISS), (2.5, MISS),
+            *((gap, collision(Level.VALID, delta_v=4.0, human=True)) for gap in (-6.0, -5.5, -6.5)),
+        ):  # fmt: skip
+            side = verdict.contact_side or "miss"
+            search.observe(
+                replace(template.proposal(None), parameters={"gap": gap}),
+                replace(verdict, contact_side=f"{side}{gap > 0}"),
+                "",
+            )
+        drawn = [p for _ in range(60) if (p := search.propose()) is not None][12:]  # the first ones were waiting
+        return sum(p.parameters["gap"] for p in drawn) / len(drawn)
+
+    assert tried(0.08) == pytest.approx(-6.0, abs=1.0)
+    assert tried(0.0) == pytest.approx(2.0, abs=1.0)
 
 
 def test_a_near_miss_is_worth_its_distance_from_the_middle_of_the_band() -> None:

@@ -1,4 +1,4 @@
-"""Neighbours of an attack tell whether it holds: slightly other numbers, or other timing."""
+"""Neighbours of an attack tell whether it holds: an ego that arrives a little otherwise, or slightly other numbers."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -11,8 +11,9 @@ import sumo_adv
 from sumo_adv.datatypes import Attempt, Level, PrescribedMotion, Proposal
 from sumo_adv.episode.assessment import NOTHING
 from sumo_adv.episode.attempt import Driven
-from sumo_adv.episode.neighbours import Robustness, neighbours, retimed
+from sumo_adv.episode.neighbours import Robustness, holds, neighbours, retimed
 from sumo_adv.episode.task import AttemptResult
+from sumo_adv.goal import Goal
 from sumo_adv.planners.source import make_planner
 from sumo_adv.simulation.simulation import Snapshot
 
@@ -53,35 +54,52 @@ def attack(contact: float) -> tuple[Attempt, AttemptResult]:
     return Attempt(0, "tuner", proposal, 100.0, verdict, "contact", ""), result
 
 
-def test_four_neighbours_have_other_numbers_within_a_twentieth_of_their_ranges() -> None:
+def test_in_four_neighbours_the_ego_arrives_earlier_later_faster_and_slower() -> None:
+    four = neighbours(*attack(4.0), Random(1), 0.1, displaces=True)[:4]
+    assert [(p.arrival.earlier, p.arrival.pace) for p in four] == [(0.3, 1.0), (-0.3, 1.0), (0.0, 1.05), (0.0, 0.95)]
+    assert all(p.parameters == {"gap": 0.5, "drift": 3.0} and p.course is None for p in four)
+
+
+def test_the_others_have_other_numbers_within_a_twentieth_of_their_ranges() -> None:
     """The gap's range is -3 to 4 m, so it is at most 0.35 m away; the drift's is 2 to 6 m/s, so 0.2 m/s."""
-    first = neighbours(*attack(4.0), Random(1), 0.1)[:4]
-    gaps, drifts = ([p.parameters[name] for p in first] for name in ("gap", "drift"))
+    assert len(neighbours(*attack(4.0), Random(1), 0.1, displaces=True)) == 6
+    others = neighbours(*attack(4.0), Random(1), 0.1, displaces=False)[2:]
+    gaps, drifts = ([p.parameters[name] for p in others] for name in ("gap", "drift"))
     assert len(set(gaps)) == 4 and max(abs(g - 0.5) for g in gaps) <= 0.35
     assert len(set(drifts)) == 4 and max(abs(d - 3.0) for d in drifts) <= 0.2
 
 
-def test_two_neighbours_come_to_the_contact_a_fifth_of_a_second_earlier_and_later() -> None:
-    """The contact is at 4 s, at 40 m. At an even clock that would be after 3.8 and 4.2 s; the clock takes a second to
-    get there, so it is short of that by half a second's difference of 5 %."""
-    early, late = neighbours(*attack(4.0), Random(1), 0.1)[4:]
+def test_where_a_log_moves_the_ego_the_adversary_comes_earlier_and_later() -> None:
+    """The contact is at 4 s, at 40 m. At an even clock that would be after 3.7 and 4.3 s; the clock takes a second to
+    get there, so it is short of that by half a second at the difference of the rates, 3 in 37 and 3 in 43."""
+    early, late = neighbours(*attack(4.0), Random(1), 0.1, displaces=False)[:2]
     assert early.course is not None and late.course is not None
-    assert early.course.x[37] == pytest.approx(40.0 - 0.5 * 10 / 19, abs=0.1)
-    assert late.course.x[41] == pytest.approx(40.0 + 0.5 * 10 / 21, abs=0.1)
+    assert early.course.x[36] == pytest.approx(40.0 - 0.5 * 10 * 3 / 37, abs=0.01)
+    assert late.course.x[42] == pytest.approx(40.0 + 0.5 * 10 * 3 / 43, abs=0.01)
 
 
-def test_at_once_no_other_timing_is_possible() -> None:
-    assert len(neighbours(*attack(0.1), Random(1), 0.1)) == 4
+def test_at_once_no_other_timing_of_a_log_is_possible() -> None:
+    near = neighbours(*attack(0.1), Random(1), 0.1, displaces=False)
+    assert len(near) == 4 and all(p.course is None for p in near)
 
 
 def test_an_attack_is_robust_if_four_of_six_neighbours_succeed() -> None:
     assert [Robustness(held, 6).enough for held in (3, 4)] == [False, True]
+    assert [Robustness(held, 4).enough for held in (2, 3)] == [False, True]  # two thirds of four are more than 2
+
+
+def test_a_neighbour_of_a_serious_attack_holds_if_it_is_valid() -> None:
+    valid, mild = replace(NOTHING, level=Level.VALID), replace(NOTHING, level=Level.COLLISION)
+    assert holds(valid, Goal(Level.SERIOUS)) and not holds(mild, Goal(Level.SERIOUS))
+    assert holds(mild, Goal(Level.COLLISION)) and not holds(mild, Goal(Level.VALID))
 
 
 def test_a_run_says_in_how_many_neighbours_its_attack_holds(tmp_path: Path) -> None:
-    """Without attempts left for neighbours it says nothing."""
+    """The neighbours are no attempts: they are tried also if the last attempt allowed is the success."""
     result = sumo_adv.run("leader_brakes_hard", until="serious", learn="off", attempts=20, out=tmp_path / "a")
     robust = result.outcome.document["robust"]
     assert robust["of"] == 6 and robust["robust"] == (robust["held"] >= 4)
-    short = sumo_adv.run("leader_brakes_hard", until="serious", learn="off", attempts=5, out=tmp_path / "b")
-    assert short.outcome.document["robust"] is None
+    last = len(result.outcome.attempts)
+    assert last <= 20
+    short = sumo_adv.run("leader_brakes_hard", until="critical", learn="off", attempts=1, out=tmp_path / "b")
+    assert len(short.outcome.attempts) == 1 and short.outcome.document["robust"]["of"] == 6

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from metrics_tracks import DT, TIME, car, cruise, drift
 
 from sumo_adv.datatypes import Boxes, Level, Track, Verdict
-from sumo_adv.metrics.levels import preventability, with_level
+from sumo_adv.metrics.levels import level_of, preventability, with_level
 from sumo_adv.metrics.own_data import COLUMNS, judge_cut_ins
 from sumo_adv.metrics.reference import BRAKERS, REFERENCE_DRIVERS, SAME_DIRECTION_ONLY
 from sumo_adv.metrics.reference.brakers import FULL_BRAKING, critical, proactive, speed_lost
@@ -52,6 +52,66 @@ def test_the_careful_driver_is_alarmed_at_a_cut_in_when_two_seconds_are_left() -
     assert alarm[0] == pytest.approx(5.5)
     assert speed[0, 62] == 15.0 and speed[0, 64] < 15.0  # 0.75 s later
     assert station[0, -1] < 15.0 * check.time[-1]
+
+
+def pausing_cut_in(pause: float) -> Track:
+    """From 3.2 m beside, 43 m ahead and 8 m/s slower than the ego; over at 1 m/s from 1 s on, to 1.6 m; there it keeps
+    its place for ``pause`` s, 0.6 m over the line of the lane; then it goes on to 0."""
+    sideways = np.where((TIME > 1.0) & (TIME <= 2.6) | (2.6 + pause < TIME) & (4.2 + pause >= TIME), 1.0, 0.0)
+    y = 3.2 - np.cumsum(sideways) * DT
+    return car("adversary", 43.0 + 7.0 * TIME, np.maximum(y, 0.0), 7.0)
+
+
+@pytest.mark.parametrize("pause", [0.0, 0.6, 1.2])
+def test_a_danger_over_the_line_is_not_forgotten_while_it_pauses(pause: float) -> None:
+    """8 m/s closer each second: the gap of 38 m at 0 s is 16 m, 2 s, at 2.75 s; the driver brakes 0.75 s later, also if
+    the vehicle has been pausing since 2.6 s, and goes on braking."""
+    foe = pausing_cut_in(pause)
+    check = Counterfactual(Encounters(row(EGO), row(foe), np.array([10]), np.array([60]), DT))
+    _, speed, alarm = check.roll_out(BRAKERS["cc_human"])
+    assert alarm[0] == pytest.approx(2.8, abs=0.11)
+    braking = np.diff(speed[0])[36:44]  # from 3.6 s to 4.4 s
+    assert (braking < -1e-6).all()
+    assert check.braking(BRAKERS["cc_human"]).avoids[0]
+
+
+def test_a_vehicle_that_has_gone_back_is_no_danger_any_more() -> None:
+    """It comes 0.6 m over the line as above and goes back at once: the driver lets go."""
+    there = pausing_cut_in(0.0)
+    y = np.where(TIME <= 2.6, there.y, np.minimum(1.6 + (TIME - 2.6), 3.2))
+    check = Counterfactual(
+        Encounters(row(EGO), row(car("adversary", there.x, y, 7.0)), np.array([10]), np.array([60]), DT)
+    )
+    _, speed, _ = check.roll_out(BRAKERS["cc_human"])
+    assert (np.diff(speed[0])[50:] >= 0.0).all()
+
+
+def test_a_collision_that_only_rss_avoids_is_not_valid() -> None:
+    """RSS and the fuzzy model brake without need in ordinary traffic; ``reg157`` makes the same collision valid."""
+    hit = judged(EGO, SLOW_DRIFT)
+    assert hit.preventability is not None
+
+    def with_avoiding(*names: str) -> Level:
+        answers = {n: "avoids" if n in names else "collides" for n in REFERENCE_DRIVERS}
+        return level_of(replace(hit, preventability=replace(hit.preventability, answers=answers)))
+
+    assert with_avoiding("rss", "fsm") is Level.COLLISION
+    assert with_avoiding("rss", "reg157") is Level.VALID
+
+
+def test_a_driver_must_avoid_it_in_the_loop_too() -> None:
+    """Kinematically all avoid it. In the loop ``cc_human`` does not: valid by ``manoeuvre``, not strict; and if no
+    driver does there, it is a collision."""
+    hit = judged(EGO, SLOW_DRIFT)
+    assert hit.preventability is not None and hit.level is Level.SERIOUS
+
+    def in_loop(**answers: str) -> Verdict:
+        return replace(hit, preventability=replace(hit.preventability, in_loop=answers))
+
+    assert level_of(in_loop(cc_human="collides", manoeuvre="avoids")) is Level.VALID
+    assert level_of(in_loop(cc_human="collides", manoeuvre="collides", reg157="collides")) is Level.COLLISION
+    prevention = in_loop(cc_human="avoids").preventability
+    assert prevention is not None and prevention.by == ("cc_human",)
 
 
 def test_reg157_brakes_at_six_after_0_35_s() -> None:

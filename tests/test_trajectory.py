@@ -25,14 +25,14 @@ OFFSET = st.floats(-3.2, 3.2)
 
 
 def drive(
-    path: Path, motion: Motion, goal: Goal, *, steps: int = 60, cap: float = 40.0
+    path: Path, motion: Motion, goal: Goal, *, steps: int = 60, cap: float = 40.0, hard: bool = True
 ) -> tuple[list[Motion], list[tuple[float, float, float]]]:
     """States and poses while a goal given once is driven to, the state at the start first."""
     road = PathRow(path)
     states, poses = [motion], [pose(Scalar, motion, road)]
     motion = steer(Scalar, motion, goal, road.at(motion.s)[3])
     for _ in range(steps):
-        motion = advance(Scalar, motion, goal, road, LIMITS, cap, DT)
+        motion = advance(Scalar, motion, goal, road, LIMITS, cap, DT, hard)
         goal = goal._replace(time=goal.time - DT)
         states.append(motion)
         poses.append(pose(Scalar, motion, road))
@@ -114,7 +114,7 @@ def test_a_car_that_stands_at_an_angle_keeps_it_until_it_drives_off() -> None:
     for target in (1.0, -1.0, 0.0):  # wherever it is to go
         motion = steer(Scalar, motion, Goal(50.0, target, 0.0, 3.0), 0.0)
         for _ in range(5):
-            motion = advance(Scalar, motion, Goal(50.0, target, 0.0, 3.0), road, LIMITS, 40.0, DT)
+            motion = advance(Scalar, motion, Goal(50.0, target, 0.0, 3.0), road, LIMITS, 40.0, DT, True)
         assert pose(Scalar, motion, road) == pytest.approx((50.0, 0.0, 0.1))
     states, poses = drive(STRAIGHT, motion, Goal(70.0, 0.0, 8.0, 5.0), steps=80)
     turned = np.abs(np.diff([h for _, _, h in poses])) / DT / np.maximum(column(states, "v")[1:], 1.0)
@@ -127,11 +127,11 @@ def test_a_target_that_moved_by_a_hand_keeps_the_running_lane_change() -> None:
     goal = Goal(110.0, 3.2, 15.0, 4.0)
     motion = steer(Scalar, keeping(15.0), goal, 0.0)
     for _ in range(10):
-        motion = advance(Scalar, motion, goal, road, LIMITS, 40.0, DT)
+        motion = advance(Scalar, motion, goal, road, LIMITS, 40.0, DT, True)
     assert steer(Scalar, motion, goal._replace(d=3.3), 0.0) is motion
     turned = steer(Scalar, motion, goal._replace(d=0.0), 0.0)
     assert (turned.target, turned.clock) == (0.0, 0.0)
-    after = advance(Scalar, turned, goal._replace(d=0.0), road, LIMITS, 40.0, DT)
+    after = advance(Scalar, turned, goal._replace(d=0.0), road, LIMITS, 40.0, DT, True)
     assert after.d - motion.d == pytest.approx(motion.dd * DT, abs=0.02)  # no jump
     assert after.dd == pytest.approx(motion.dd, abs=0.35)
 
@@ -237,8 +237,8 @@ def test_one_vehicle_goes_as_it_goes_among_many(cases: list[tuple[Motion, Goal]]
             goals = [g._replace(d=g.d + side) for g in goals]
             many = steer(Batch, many, goal, rows.at(many.s)[3])
             ones = [steer(Scalar, m, g, r.at(m.s)[3]) for m, g, r in zip(ones, goals, roads, strict=True)]
-        many = advance(Batch, many, goal, rows, LIMITS, np.full(n, 25.0), DT)
-        ones = [advance(Scalar, m, g, r, LIMITS, 25.0, DT) for m, g, r in zip(ones, goals, roads, strict=True)]
+        many = advance(Batch, many, goal, rows, LIMITS, np.full(n, 25.0), DT, np.full(n, True))
+        ones = [advance(Scalar, m, g, r, LIMITS, 25.0, DT, True) for m, g, r in zip(ones, goals, roads, strict=True)]
     for name, a, b in zip(Motion._fields, many, spread(ones), strict=True):
         assert np.allclose(a, b, rtol=0.0, atol=1e-9), name
     together = np.array(pose(Batch, many, rows)).T

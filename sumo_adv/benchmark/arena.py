@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from random import Random
 from typing import Any
 
@@ -18,16 +17,17 @@ from sumo_adv.agents.agents import Agents
 from sumo_adv.benchmark.nouns import Encounter, Opponent
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Level, Proposal, Role, Track
-from sumo_adv.episode.assessment import AttemptRunner, attempt_of, checked
+from sumo_adv.episode.assessment import AttemptRunner, attempt_of, checked, runner_of
 from sumo_adv.episode.attempt import Driven
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.loop import decide, model_ending, pursue
 from sumo_adv.episode.memory_access import read_library, signature
-from sumo_adv.episode.neighbours import recorded_course, retimed
+from sumo_adv.episode.neighbours import Robustness, holds, neighbours
 from sumo_adv.episode.planned_encounter import find_attackable, seek, with_predictions
 from sumo_adv.episode.refinement import settle_best
 from sumo_adv.episode.task import AttemptResult, FoundEncounter, Task
 from sumo_adv.errors import ModelError, SandboxError, SimulationError, SumoAdvError
+from sumo_adv.goal import Goal
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.metrics.boxes import on_grid
 from sumo_adv.metrics.criticality import ttc
@@ -88,7 +88,7 @@ class Arena:
             planned = with_predictions(episode, episode.found, self.sandbox, bank)
             entries = decide(episode, planned, agents, bank)
             if entries is not None:
-                runner = AttemptRunner(self.engine, self.sandbox, planned.found, episode.settings.seed)
+                runner = runner_of(self.engine, self.sandbox, planned.found, episode.settings)
                 pursue(episode, planned, entries, runner, agents, bank, clock.tell)
         except ModelError as error:
             episode.ending, episode.reason = model_ending(error), str(error)
@@ -106,7 +106,7 @@ class Arena:
         encounter, settings, done = episode.found, episode.settings, episode.refinement
         if encounter is None:
             return episode
-        clock, runner = _Clock(), AttemptRunner(self.engine, self.sandbox, encounter, settings.seed)
+        clock, runner = _Clock(), runner_of(self.engine, self.sandbox, encounter, settings)
         exhaustive = bool(getattr(opponent, "exhaustive", False))
         episode.ending, episode.reason = Ending.ATTEMPTS_EXHAUSTED, ""
         try:
@@ -118,7 +118,7 @@ class Arena:
                     break
                 result = self._result(proposal, encounter, runner)
                 attempt = attempt_of(len(done.attempts), "opponent", proposal, result, encounter, settings)
-                done.attempts.append(checked(attempt, result, runner, done.goal))
+                done.attempts.append(checked(attempt, result, runner, done.goal, done.level))
                 done.results.append(result)
                 clock.tell("attempt", done.attempts[-1])
                 if done.goal.met(done.attempts[-1].verdict):
@@ -180,34 +180,22 @@ class _Clock:
         episode.timing["total"] = episode.timing.get("opened", 0.0) + row
 
 
-# -- the attempt that counts with other timing
-
-
-LATER = 0.4  # s by which the adversary arrives later
-SCALED, RANGE = 5, 0.1  # motions with another clock, and by how much of its rate at most
-ENOUGH = 4  # valid ones of all six that make an attack robust
+# -- whether the attempt that counts is robust
 
 
 def robustness(episode: Episode, engine: Engine, sandbox: Sandbox) -> dict[str, Any] | None:
-    """How many of the disturbed motions of the attempt that counts are valid; None if that attempt is not valid.
-
-    A search can find a collision that only just happens. So the adversary's recorded motion is driven again with other
-    timing, while ego and traffic react: once such that it arrives 0.4 s later, and five times with its clock faster or
-    slower by up to 10 %. An attack is robust if at least four of the six are valid.
-    """
-    best, done = episode.best, episode.refinement
-    if best is None or best.verdict.level < Level.VALID or best.verdict.contact_time is None:
+    """In how many neighbours the attempt that counts holds (``episode/neighbours.py``); None if it is not valid."""
+    best, done, found = episode.best, episode.refinement, episode.found
+    if best is None or found is None or best.verdict.level < Level.VALID:
         return None
-    assert episode.found is not None
-    encounter, result, dt = episode.found, done.results[best.index], episode.settings.step_length
-    course, contact = recorded_course(best, result, dt), best.verdict.contact_time - result.start
-    rng = Random(episode.settings.seed)
-    rates = [contact / (contact + LATER), *(1.0 + rng.uniform(-RANGE, RANGE) for _ in range(SCALED))]
-    proposals = [replace(best.proposal, course=retimed(course, rate, dt)) for rate in rates]
-    results = AttemptRunner(engine, sandbox, encounter, episode.settings.seed).attempt(proposals)
-    again = [attempt_of(0, "again", p, r, encounter, episode.settings) for p, r in zip(proposals, results, strict=True)]
-    valid = sum(a.verdict.level >= Level.VALID for a in again)
-    return {"valid": valid, "of": len(again), "robust": valid >= ENOUGH}
+    seen = done.robustness
+    if seen is None:
+        settings, result = episode.settings, done.results[best.index]
+        runner = runner_of(engine, sandbox, found, settings)
+        near = neighbours(best, result, Random(settings.seed), settings.step_length, displaces=runner.displaces)
+        again = [attempt_of(0, "again", p, r, found, settings) for p, r in zip(near, runner.attempt(near), strict=True)]
+        seen = Robustness(sum(holds(a.verdict, Goal(Level.VALID)) for a in again), len(again))
+    return {"valid": seen.held, "of": seen.of, "robust": seen.enough}
 
 
 # -- what a cell keeps of motion

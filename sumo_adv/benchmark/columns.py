@@ -280,7 +280,7 @@ COLUMNS: tuple[Column, ...] = (
     Column("memory_hit", "memory hits", "Cost", "of encounters in which the bank was asked", of=c.remembered,
            asked_of_all=False),
     Column("robust", "robust", "Margin",
-           "of valid ones: at least 4 of 6 with other timing are valid (0.4 s later; five times up to 10 % in pace)",
+           "of valid ones: valid in 4 of 6 neighbours (ego 0.3 s earlier, later; 5 % faster, slower; other numbers)",
            of=lambda cell: (cell.get("robust") or {}).get("robust"), asked_of_all=False),
 )  # fmt: skip
 

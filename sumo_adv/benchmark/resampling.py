@@ -169,7 +169,7 @@ def _forward(ground: AdversaryBatch, motion: Motion, plan: _Plan, elapsed: float
     goal = Goal(motion.s + (motion.v + v) / 2 * time, offset, v, time)
     sideways = goal._replace(time=np.where(again, plan.lasts[1], plan.lasts[0]))
     motion = steer(Batch, motion, sideways, ground.rows.at(motion.s)[3])
-    return advance(Batch, motion, goal, ground.rows, limits, ground.cap, dt)
+    return advance(Batch, motion, goal, ground.rows, limits, ground.cap, dt, True)  # CAT knows no human bounds
 
 
 # -- weighing -----------------------------------------------------------------------------------------------------

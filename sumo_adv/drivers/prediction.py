@@ -44,7 +44,7 @@ class PredictedEgos:
         self._driver = CarFollowing(self.model, scenes.dt)
         self._junctions = Junctions(self._pairs, self._driver)
         careful = self.model.kind == "careful"
-        self._careful = CarefulDrivers(size, length, width, scenes.dt) if careful else None
+        self._careful = CarefulDrivers(size, length, width, scenes.dt, self._lane / 2) if careful else None
         self._unprotected = unprotected(length, width)  # SUMO's drivers brake for these at any angle (measured)
 
     def step(

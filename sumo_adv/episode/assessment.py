@@ -17,13 +17,24 @@ import numpy as np
 from sumo_adv.agents.agents import Agents, Bought
 from sumo_adv.asked import Asked
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Attempt, Diagnosis, Floats, Level, Limits, ObservedMotion, Proposal, Track, Verdict
+from sumo_adv.datatypes import (
+    Attempt,
+    Diagnosis,
+    Floats,
+    Level,
+    Limits,
+    ObservedMotion,
+    Preventability,
+    Proposal,
+    Track,
+    Verdict,
+)
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
-from sumo_adv.episode.verdict import simulated
 from sumo_adv.geometry import Frame, Path, wrap
 from sumo_adv.goal import Goal
 from sumo_adv.llm.asking import MeteredModel
 from sumo_adv.metrics.levels import judged
+from sumo_adv.metrics.reference import REFERENCE_DRIVERS
 from sumo_adv.planners.answers import Answer
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Roads, Sessions
@@ -37,13 +48,19 @@ from sumo_adv.words.request import Reading, read_motion
 
 
 class Attempts(Protocol):
-    """Runs attempts; a result is taken only if the ones before it did not succeed."""
+    """Runs attempts; a result is taken only if the ones before it did not succeed.
+
+    displaces: whether the ego can be put where it would be if it arrived otherwise (``Proposal.arrival``).
+    """
+
+    displaces: bool
 
     def attempt(self, proposals: Sequence[Proposal]) -> Iterable[AttemptResult]:
         """The results of the proposals, in order."""
 
-    def references(self, proposal: Proposal, result: AttemptResult) -> dict[str, bool]:
-        """Which reference drivers avoid an attempt's collision in the simulation; empty where that cannot be asked."""
+    def references(self, proposal: Proposal, result: AttemptResult, all_drivers: bool) -> Preventability | None:
+        """Which reference drivers avoid an attempt's collision, also in the loop (``Worker.references``); None where
+        that cannot be asked."""
 
 
 class AttemptRunner:
@@ -53,14 +70,26 @@ class AttemptRunner:
     not made.
     """
 
-    def __init__(self, engine: Engine, sandbox: Sandbox, found: FoundEncounter, seed: int) -> None:
+    def __init__(
+        self, engine: Engine, sandbox: Sandbox, found: FoundEncounter, seed: int, *, displaces: bool = True
+    ) -> None:  # fmt: skip
+        """``displaces``: False if a log moves the ego."""
         self._engine, self._sandbox, self._found, self._seed = engine, sandbox, found, seed
+        self.displaces = displaces
 
     def attempt(self, proposals: Sequence[Proposal]) -> Iterator[AttemptResult]:
         for k in range(0, len(proposals), self._engine.at_once):
-            yield from self._at_once(proposals[k : k + self._engine.at_once])
+            some = list(proposals[k : k + self._engine.at_once])
+            yield from self._request("attempts", some, some)
 
-    def _at_once(self, proposals: Sequence[Proposal]) -> list[AttemptResult]:
+    def references(self, proposal: Proposal, result: AttemptResult, all_drivers: bool) -> Preventability | None:
+        answer: Preventability | None = self._request(
+            "references", [proposal] * len(REFERENCE_DRIVERS), proposal, result, all_drivers
+        )
+        return answer
+
+    def _request(self, command: str, proposals: Sequence[Proposal], *arguments: Any) -> Any:
+        """Have the engine do something; ``proposals``: by the index of the run that asks a planner."""
         opened: dict[tuple[int, int], Sessions] = {}
         roads = Roads(self._found.situations)
 
@@ -73,13 +102,15 @@ class AttemptRunner:
             return opened[k, member].answer(adversary, observation)
 
         try:
-            return self._engine.request("attempts", list(proposals), answer=answer)
+            return self._engine.request(command, *arguments, answer=answer)
         finally:
             for sessions in opened.values():
                 sessions.__exit__(None, None, None)
 
-    def references(self, proposal: Proposal, result: AttemptResult) -> dict[str, bool]:
-        return self._engine.request("references", proposal, result)
+
+def runner_of(engine: Engine, sandbox: Sandbox, found: FoundEncounter, settings: Settings) -> AttemptRunner:
+    """What runs the attempts of an encounter. An ego that a log moves cannot arrive otherwise."""
+    return AttemptRunner(engine, sandbox, found, settings.seed, displaces=settings.ego != "replay")
 
 
 # -- diagnosis ------------------------------------------------------------------------------------------------------
@@ -303,18 +334,17 @@ def observed_motion(
     return ObservedMotion(stations + over * float(speeds[-1]), offsets, speeds[k], len(places))
 
 
-def checked(attempt: Attempt, result: AttemptResult, runner: Attempts, goal: Goal) -> Attempt:
-    """The attempt; if it would be a success, reference drivers confirm it in the simulation first."""
-    needed = goal.level >= Level.VALID and goal.met(attempt.verdict)
-    return confirmed(attempt, result, runner) if needed else attempt
+def checked(attempt: Attempt, result: AttemptResult, runner: Attempts, goal: Goal, best: Level) -> Attempt:
+    """The attempt, confirmed in the loop if it claims a level: the goal's, or a higher one than ``best`` so far."""
+    claims = attempt.verdict.level >= Level.VALID and (goal.met(attempt.verdict) or attempt.verdict.level > best)
+    return confirmed(attempt, result, runner) if claims else attempt
 
 
-def confirmed(attempt: Attempt, result: AttemptResult, runner: Attempts) -> Attempt:
-    """The attempt with the answers of reference drivers in the simulation, if its collision counts."""
-    verdict, kinematic = attempt.verdict, attempt.verdict.preventability
-    if verdict.level < Level.COLLISION or kinematic is None or kinematic.simulated:
+def confirmed(attempt: Attempt, result: AttemptResult, runner: Attempts, *, all_drivers: bool = False) -> Attempt:
+    """The attempt with the answers of reference drivers in the loop, if its collision counts; ``all_drivers``: also of
+    those on which the level does not depend."""
+    verdict, prevention = attempt.verdict, attempt.verdict.preventability
+    if verdict.level < Level.COLLISION or prevention is None or (prevention.in_loop and not all_drivers):
         return attempt
-    answers = runner.references(attempt.proposal, result)
-    if not answers:
-        return attempt
-    return replace(attempt, verdict=judged(replace(verdict, preventability=simulated(kinematic, answers))))
+    answer = runner.references(attempt.proposal, result, all_drivers)
+    return attempt if answer is None else replace(attempt, verdict=judged(replace(verdict, preventability=answer)))

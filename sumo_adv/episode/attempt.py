@@ -74,6 +74,7 @@ class PlannedAdversary:
         self._farthest = 0.0
         self._cap = situation.targets[name].fastest
         self._ego_station = 0.0
+        self._hard = True  # whether it may brake harder than people usually do
         self._planned: tuple[float, float] | None = None  # the last time of planning [s], and the ego's speed then
 
     @property
@@ -97,6 +98,7 @@ class PlannedAdversary:
         self._ego_station = s
         array = tuple(np.array([q]) for q in (s, d, ego[2], self._mean_acceleration(now, ego[2], ego[3])))
         batch = _many(self.motion)
+        self._hard = bool(self.ground.may_brake_hard(batch, array[0])[0])
         observation = self.ground.observe(batch, now, array, [self.last])[0]  # type: ignore[arg-type]
         answer = self._ask(observation)
         if isinstance(answer, str):
@@ -145,9 +147,9 @@ class PlannedAdversary:
         if self._follower is not None and self._follower.over:
             self._built_in()
         if self._follower is not None:
-            self.motion = self._follower.advance(self.motion, self.road, self.limits, self._cap)
+            self.motion = self._follower.advance(self.motion, self.road, self.limits, self._cap, self._hard)
         else:
-            self.motion = advance(Scalar, self.motion, self.goal, self.road, self.limits, self._cap, dt)
+            self.motion = advance(Scalar, self.motion, self.goal, self.road, self.limits, self._cap, dt, self._hard)
         goal = self.goal
         self.goal = Goal(goal.s, goal.d, goal.v, goal.time - dt)
         x, y, h = pose(Scalar, self.motion, self.road)
@@ -292,9 +294,15 @@ class OngoingAttempt:
         return Track(name, Role.ADVERSARY, time, x, y, heading, speed, accelerations, state.length, state.width)
 
 
-def attack(drive: Drive, adversaries: Mapping[str, AdversaryController], *, steps: int, replan: int) -> Driven:
-    """A whole attempt in which controllers lead the adversaries and the ego's driver drives the ego."""
+def attack(
+    drive: Drive, adversaries: Mapping[str, AdversaryController], *, steps: int, replan: int, ego: Pose | None = None
+) -> Driven:  # fmt: skip
+    """A whole attempt in which controllers lead the adversaries and the ego's driver drives the ego; ``ego``: where the
+    ego is put in the first step, instead of its driver's action."""
     attempt = OngoingAttempt(drive, adversaries, steps=steps, replan=replan)
+    if ego is not None and attempt.state.driven is None:
+        attempt.step(Command(ego=ego))
+        drive.give_back()
     while (driven := attempt.state.driven) is None:
         attempt.step()
     return driven
@@ -315,8 +323,9 @@ def apart_of(drive: Drive, one: str, other: str) -> float:
     apart = math.hypot(a.x - b.x, a.y - b.y)
     if apart > (math.hypot(a.length, a.width) + math.hypot(b.length, b.width)) / 2:
         return apart
-    return 0.0 if bool(overlaps(_box(a), _box(b))) else max(apart, 1e-9)
+    return 0.0 if bool(overlaps(box_of(a), box_of(b))) else max(apart, 1e-9)
 
 
-def _box(v: VehicleState) -> Boxes:
+def box_of(v: VehicleState) -> Boxes:
+    """A vehicle's box, 0-d arrays."""
     return Boxes(np.array(v.x), np.array(v.y), np.array(v.heading), np.array(v.speed), v.length, v.width)

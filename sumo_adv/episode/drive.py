@@ -197,6 +197,11 @@ class Drive:
             self.actions.stepped(snapshot.raw[self.ego][3])
         return snapshot
 
+    def give_back(self) -> None:
+        """Leave the ego to its driver again, after a step in which it was put somewhere."""
+        if self.ego is not None and self.ego in self.snapshot.raw and not self.replayed():
+            self.simulation.set_speed(self.ego, None)
+
     def rewind(self, steps: int) -> None:
         """Load the simulation again and repeat the first ``steps`` steps with the same commands."""
         takeovers = dict(self._takeovers)

@@ -71,8 +71,7 @@ class Episode:
 
     def of_attempt(self, index: int) -> Episode:
         """The same episode, in which another attempt counts."""
-        robustness = self.refinement.robustness if index == self.refinement.best else None
-        other = replace(self.refinement, chosen=index, robustness=robustness)
+        other = replace(self.refinement, chosen=index)
         episode = replace(self, refinement=other, timing=dict(self.timing))
         episode.keep_intent()
         return episode

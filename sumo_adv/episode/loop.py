@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from sumo_adv.agents.agents import Agents
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Proposal
-from sumo_adv.episode.assessment import NOTHING, AttemptRunner, Attempts, Fitting, rank, reader_of
+from sumo_adv.episode.assessment import NOTHING, Attempts, Fitting, rank, reader_of, runner_of
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.memory_access import learn
 from sumo_adv.episode.planned_encounter import BankView, PlannedEncounter, Tell, analyze, find_attackable, seek
@@ -77,7 +77,7 @@ def _run(episode: Episode, engine: Engine, agents: Agents, bank: MemoryBank, tel
             if planned is None or entries is None:
                 return
             tell("intents", episode.intents)
-            runner = AttemptRunner(engine, agents.sandbox, planned.found, episode.settings.seed)
+            runner = runner_of(engine, agents.sandbox, planned.found, episode.settings)
             another = may_go_on(episode)
             pursue(episode, planned, entries, runner, agents, bank, tell, another=another)
             if episode.ending is not Ending.ATTEMPTS_EXHAUSTED or not another:
@@ -172,7 +172,7 @@ def replay_episode(
 def attack_once(episode: Episode, engine: Engine, sandbox: Sandbox, found: FoundEncounter, proposal: Proposal) -> None:
     """Run one given attempt in an encounter, with its reference drivers, and keep it as the only one."""
     settings = episode.settings
-    runner = AttemptRunner(engine, sandbox, found, settings.seed)
+    runner = runner_of(engine, sandbox, found, settings)
     (result,) = runner.attempt([proposal])
     verdict = result.verdict or NOTHING
     attempt = Attempt(0, "replay", proposal, result.start, verdict, result.driven.ending, result.driven.message)

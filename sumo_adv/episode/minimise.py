@@ -15,7 +15,7 @@ from random import Random
 
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Intent, Level, Proposal
-from sumo_adv.episode.assessment import AttemptRunner, attempt_of, confirmed
+from sumo_adv.episode.assessment import attempt_of, confirmed, runner_of
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.loop import recorded_encounter
 from sumo_adv.episode.planned_encounter import Tell
@@ -106,7 +106,7 @@ def minimise_episode(
     episode.intent = Intent(proposal.bv, proposal.label, "", "", proposal.acceleration, "minimised from a manifest")
     episode.intents, level, done = (episode.intent,), settings.until.level, episode.refinement
     reached, met = settings.goal.reached, settings.goal.met
-    runner = AttemptRunner(engine, sandbox, encounter, settings.seed)
+    runner = runner_of(engine, sandbox, encounter, settings)
 
     def attempted(p: Proposal) -> tuple[Attempt, AttemptResult]:
         (result,) = runner.attempt([p])

@@ -1,7 +1,8 @@
-"""Neighbours of an attack: the same attack with slightly other numbers, or a little earlier or later.
+"""Neighbours of an attack: the same attack against an ego that arrives a little otherwise, or with other numbers.
 
 A search can find a collision that only just happens. Neighbours that are simulated tell whether it holds (a robust
-optimum; Beyer and Sendhoff 2007, "Robust optimization").
+optimum; Beyer and Sendhoff 2007, "Robust optimization"). They vary what a new version of the ego's driver varies: when
+the ego arrives and how fast. The adversary plans against the ego in each of them.
 """
 
 from __future__ import annotations
@@ -11,38 +12,63 @@ from random import Random
 
 import numpy as np
 
-from sumo_adv.datatypes import Attempt, Floats, PrescribedMotion, Proposal
+from sumo_adv.datatypes import Arrival, Attempt, Floats, Level, PrescribedMotion, Proposal, Verdict
 from sumo_adv.episode.task import AttemptResult
+from sumo_adv.goal import Goal
 from sumo_adv.search.sampling import moved
 
-NUMBERS, SPREAD = 4, 0.05  # neighbours with other numbers, and by which share of their ranges at most
-SHIFT = 0.2  # s by which the adversary comes to the contact earlier in one more neighbour, and later in another
-ENOUGH = 4  # neighbours that succeed too, of all six, make an attack robust
+EARLIER_S = 0.3  # by which the ego arrives earlier in one neighbour, and later in another
+FASTER = 0.05  # share by which the ego is faster in one neighbour, and slower in another
+NUMBERS, SPREAD = 2, 0.05  # neighbours with other numbers, and by which share of their ranges at most
+ENOUGH = 4  # neighbours of six in which a robust attack holds
 EASED = 1.0  # s over which the clock takes its new rate, so that the speed does not jump at the takeover
 
 
 @dataclass(frozen=True, slots=True)
 class Robustness:
-    """How many neighbours of an attack succeed, too."""
+    """In how many neighbours an attack holds."""
 
     held: int
     of: int
 
     @property
     def enough(self) -> bool:
-        """Whether the attack is robust."""
-        return self.held >= ENOUGH
+        """Whether the attack is robust: it holds in two thirds of its neighbours."""
+        return self.of > 0 and 6 * self.held >= ENOUGH * self.of
 
 
-def neighbours(attempt: Attempt, result: AttemptResult, random: Random, dt: float) -> list[Proposal]:
-    """Some with other numbers, led by their planners; then an earlier and a later one, along the recorded motion.
-    ``dt``: step of the simulation [s]."""
+def holds(verdict: Verdict, goal: Goal) -> bool:
+    """Whether a neighbour comes to the same: it meets the goal, or is valid if the goal is a higher level."""
+    return goal.met(verdict) or (goal.level > Level.VALID and verdict.level >= Level.VALID)
+
+
+def neighbours(
+    attempt: Attempt, result: AttemptResult, random: Random, dt: float, *, displaces: bool
+) -> list[Proposal]:
+    """The neighbours of an attempt that collided or came near.
+
+    Args:
+        attempt: The attempt.
+        result: What was recorded of it.
+        random: Draws the other numbers.
+        dt: Step of the simulation [s].
+        displaces: Whether the ego can be made to arrive otherwise. Else the adversary's recorded motion comes earlier
+            and later.
+    """
     p, contact = attempt.proposal, attempt.verdict.contact_time
-    near = [moved(p, lambda: random.uniform(-SPREAD, SPREAD)) for _ in range(NUMBERS)]
-    if contact is None or contact - result.start <= SHIFT:
-        return near
+
+    def drawn(count: int) -> list[Proposal]:
+        return [moved(p, lambda: random.uniform(-SPREAD, SPREAD)) for _ in range(count)]
+
+    if displaces:
+        arrivals = (Arrival(EARLIER_S), Arrival(-EARLIER_S), Arrival(pace=1.0 + FASTER), Arrival(pace=1.0 - FASTER))
+        return [replace(p, arrival=arrival) for arrival in arrivals] + drawn(NUMBERS)
+    if contact is None or contact - result.start <= EARLIER_S:
+        return drawn(2 * NUMBERS)
     course, left = recorded_course(attempt, result, dt), contact - result.start
-    return near + [replace(p, course=retimed(course, left / (left + late), dt)) for late in (-SHIFT, SHIFT)]
+    return [replace(p, course=retimed(course, left / (left + late), dt)) for late in (-EARLIER_S, EARLIER_S)] + drawn(
+        2 * NUMBERS
+    )
 
 
 def recorded_course(attempt: Attempt, result: AttemptResult, dt: float) -> PrescribedMotion:

@@ -14,9 +14,9 @@ from typing import Any
 
 from sumo_adv.agents.agents import Agents
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Attempt, Ending, Intent, Level, LibraryEntry, Proposal
+from sumo_adv.datatypes import Attempt, Ending, Intent, Level, LibraryEntry, Proposal, Verdict
 from sumo_adv.episode.assessment import Attempts, Fitting, attempt_of, checked, confirmed, observed_motion, rank
-from sumo_adv.episode.neighbours import Robustness, neighbours
+from sumo_adv.episode.neighbours import Robustness, holds, neighbours
 from sumo_adv.episode.repairs import Repairs
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.goal import Goal
@@ -28,6 +28,7 @@ ALONE = 2 * GENERATION  # attempts before which fewer are made at a time: most s
 HOPEFUL = 120  # attempts without a higher level after which an encounter is left, if another one may come;
 HOPELESS = 40  # the same number where no attempt has been critical
 BROKEN = 5  # attempts after which a run ends if the ego's driver or SUMO broke in all of them
+FRAGILE = 24  # attempts after a success of a kind in which a robust one of that kind is still looked for
 REMEMBERED, KEPT = 25, 10  # the first and the best attempts keep their recorded states
 FAVOURITES = 2  # intents that are tried first where a model's answers disagree
 Optimizer = AttackSearch | FixedOrder
@@ -39,8 +40,8 @@ class Refinement:
     """The attempts so far; ``results[k]`` belongs to ``attempts[k]``.
 
     goal: what an attempt must come to. successes: indices of the attempts that reached it, one of each kind. chosen:
-    the attempt that counts, if it is not the best. robustness: of the attempt that counts, None if no neighbour was
-    tried. fitting: compares attempts with the request, None without a request.
+    the attempt that counts, if it is not the best. robust: by index of a success, in how many neighbours it holds.
+    fitting: compares attempts with the request, None without a request.
     """
 
     goal: Goal = field(default_factory=Goal)
@@ -52,7 +53,7 @@ class Refinement:
     first_success_seconds: float | None = None
     successes: list[int] = field(default_factory=list)
     chosen: int | None = None
-    robustness: Robustness | None = None
+    robust: dict[int, Robustness] = field(default_factory=dict)
     fitting: Fitting | None = None
 
     @property
@@ -60,7 +61,22 @@ class Refinement:
         """Index of the attempt that counts, None without attempts."""
         if self.chosen is not None or not self.attempts:
             return self.chosen
-        return min(range(len(self.attempts)), key=lambda k: (*self.worth(self.attempts[k]), k))
+        return min(range(len(self.attempts)), key=lambda k: (*self.worth(self.attempts[k]), -self._share(k), k))
+
+    @property
+    def robustness(self) -> Robustness | None:
+        """Of the attempt that counts; None if no neighbour was tried."""
+        return None if self.best is None else self.robust.get(self.best)
+
+    def _share(self, index: int) -> float:
+        """The share of neighbours in which a success holds; 0 if none was tried."""
+        seen = self.robust.get(index)
+        return 0.0 if seen is None or not seen.of else seen.held / seen.of
+
+    @property
+    def level(self) -> Level:
+        """The highest level of an attempt so far."""
+        return max((a.verdict.level for a in self.attempts), default=Level.NONE)
 
     def worth(self, attempt: Attempt) -> tuple[float, ...]:
         """A key that sorts attempts, the best first: successes, then those that fit what was asked for."""
@@ -73,10 +89,11 @@ class Refinement:
 def settle_best(found: Refinement, runner: Attempts) -> None:
     """Have the best attempt confirmed; if its level falls, the next best one, until one keeps its level."""
     while (k := found.best) is not None:
-        attempt = confirmed(found.attempts[k], found.results[k], runner)
-        if attempt is found.attempts[k]:
-            return
+        attempt = confirmed(found.attempts[k], found.results[k], runner, all_drivers=True)
+        held = attempt.verdict.level == found.attempts[k].verdict.level
         found.attempts[k] = attempt
+        if held:
+            return
 
 
 class Refiner:
@@ -91,6 +108,7 @@ class Refiner:
         self._runner, self._found, self._search, self._agents = runner, found, search, agents
         self._library, self._settings, self._tell = library, settings, tell
         self._repairs = Repairs(agents, found, library, (), settings)
+        self._settled = set[str]()  # kinds of successes that are no longer looked for
         self._favourites: list[Proposal] = []  # if the model's answers disagree: tried first, side by side
 
     def run(self, intents: Sequence[Intent], found: Refinement) -> None:
@@ -108,18 +126,21 @@ class Refiner:
             if not plans:
                 found.reason = self._why_ended(optimizer, found)
                 break
-            if self._try(plans, found, began):
+            if self._try(plans, found, began, optimizer):
                 break
             if len(found.attempts) >= BROKEN and _all(found, "crashed"):
                 break
             self._observe(optimizer, found, plans)
             self._forget(found)
+        if found.successes:
+            found.reason = ""
         if _all(found, "planner_failed"):
             found.ending, found.reason = Ending.PLANNER_FAILED, found.attempts[-1].message
         if _all(found, "crashed"):
             found.ending, found.reason = Ending.SIMULATION_FAILED, found.attempts[-1].message
         settle_best(found, self._runner)
-        self._measure_robustness(found, began)
+        if found.successes and found.best is not None and found.best not in found.robust:
+            self._try_neighbours(found, found.best)
         found.seconds = time.perf_counter() - began
 
     def optimizer(self, intents: Sequence[Intent]) -> Optimizer:
@@ -150,16 +171,20 @@ class Refiner:
         plans = optimizer.propose(budget)
         return plans or (self._repairs.next(_tried(found)) if isinstance(optimizer, FixedOrder) else [])
 
-    def _try(self, plans: Sequence[Proposal], found: Refinement, began: float) -> bool:
+    def _try(self, plans: Sequence[Proposal], found: Refinement, began: float, optimizer: Optimizer) -> bool:
         """Run candidates; True once enough kinds of them succeeded (those behind the last are dropped)."""
         for proposal, result in zip(plans, self._runner.attempt(plans), strict=True):
             attempt = self._attempt(len(found.attempts), proposal, result)
-            attempt = checked(attempt, result, self._runner, found.goal)
+            attempt = checked(attempt, result, self._runner, found.goal, found.level)
             attempt = _fitted(found, attempt, result)
             found.attempts.append(attempt)
             found.results.append(result)
             self._tell("attempt", attempt)
-            if found.goal.met(attempt.verdict) and self._keep(attempt, found, began):
+            if found.goal.met(attempt.verdict):
+                self._keep(attempt, found, began)
+                for tried, verdict in self._try_neighbours(found, attempt.index):
+                    optimizer.observe(tried, None, verdict)
+            if self._enough(found):
                 return True
         return False
 
@@ -172,29 +197,38 @@ class Refiner:
             if k >= REMEMBERED and k not in kept and len(result.snapshots):
                 found.results[k] = replace(result, snapshots=(), sizes={})
 
-    def _measure_robustness(self, found: Refinement, began: float) -> None:
-        """Simulate neighbours of the success that counts, if attempts and seconds are left."""
-        settings, best = self._settings, found.best if found.successes else None
-        few = settings.attempts - len(found.attempts) < GENERATION
-        if best is None or settings.tuner == "off" or few or time.perf_counter() - began >= settings.seconds:
-            return  # off: the paper's loop
-        random, dt = Random(settings.seed), settings.step_length
-        near = neighbours(found.attempts[best], found.results[best], random, dt)
+    def _try_neighbours(self, found: Refinement, index: int) -> list[tuple[Proposal, Verdict]]:
+        """Simulate the neighbours of a success, and note in how many it holds. Returns them with their verdicts."""
+        random, dt = Random(self._settings.seed), self._settings.step_length
+        attempt, result = found.attempts[index], found.results[index]
+        near = neighbours(attempt, result, random, dt, displaces=self._runner.displaces)
         tried = [
-            _fitted(found, self._attempt(len(found.attempts), p, result), result, read=False)
-            for p, result in zip(near, self._runner.attempt(near), strict=True)
+            _fitted(found, self._attempt(len(found.attempts), p, r), r, read=False)
+            for p, r in zip(near, self._runner.attempt(near), strict=True)
         ]
-        found.robustness = Robustness(sum(found.goal.met(a.verdict) for a in tried), len(tried))
+        found.robust[index] = Robustness(sum(holds(a.verdict, found.goal) for a in tried), len(tried))
+        return [(p, a.verdict) for p, a in zip(near, tried, strict=True)]
 
-    def _keep(self, attempt: Attempt, found: Refinement, began: float) -> bool:
-        """Take note of a success; whether there are enough of different kinds now."""
+    def _keep(self, attempt: Attempt, found: Refinement, began: float) -> None:
+        """Take note of a success; of each kind the first one is named."""
         if found.first_success_seconds is None:
             found.ending, found.reason = Ending.CRITICAL, ""
             found.first_success_seconds = time.perf_counter() - began
         if attempt.kind not in {found.attempts[k].kind for k in found.successes}:
             found.successes.append(attempt.index)
-            self._search.succeeded(attempt.kind)
-        return len(found.successes) >= self._settings.diverse
+
+    def _enough(self, found: Refinement) -> bool:
+        """Whether there are successes of enough kinds. A kind counts once one of its successes is robust, or once none
+        was found in ``FRAGILE`` attempts after its first one."""
+        last, settled = len(found.attempts) - 1, set[str]()
+        for k in found.successes:
+            kind = found.attempts[k].kind
+            if self._settings.tuner == "off" or last - k >= FRAGILE or kind in _robust_kinds(found):
+                settled.add(kind)
+        for kind in sorted(settled - self._settled):
+            self._search.succeeded(kind)
+        self._settled |= settled
+        return len(settled) >= self._settings.diverse
 
     def _observe(self, optimizer: Optimizer, found: Refinement, plans: Sequence[Proposal]) -> None:
         """Give the optimizer the ego's motions in the attempts of its last candidates."""
@@ -240,6 +274,10 @@ class Refiner:
 def _fitted(found: Refinement, attempt: Attempt, result: AttemptResult, *, read: bool = True) -> Attempt:
     """The attempt, compared with the request if there is one."""
     return attempt if found.fitting is None else found.fitting.judged(attempt, result, found.goal, read=read)
+
+
+def _robust_kinds(found: Refinement) -> set[str]:
+    return {found.attempts[k].kind for k, seen in found.robust.items() if seen.enough}
 
 
 def _all(found: Refinement, ending: str) -> bool:

@@ -16,31 +16,27 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-import numpy.ma  # noqa: F401 - np.unique imports it, which would take each fork 10 ms
+import numpy as np
+import numpy.ma
 
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Ending, Proposal, Track
-from sumo_adv.drivers import make_ego
-from sumo_adv.episode.attempt import Driven, PrescribedAdversary, attack, controller_of
+from sumo_adv.datatypes import AS_FOUND, Arrival, Boxes, Ending, Preventability, Proposal, Track
+from sumo_adv.drivers import ReplayEgo, make_ego
+from sumo_adv.drivers.protocol import MAX_BRAKING
+from sumo_adv.episode.attempt import Driven, attack, box_of, controller_of
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.encounter_builder import ENDANGERS, LEAST, UnattackedMotion, build_encounter, nearest_ones
 from sumo_adv.episode.encounter_detector import LOOK_EVERY, RankedVehicle
 from sumo_adv.episode.encounter_search import EncounterSearch
+from sumo_adv.episode.references import WARM_UP_S, PlannedEgo, ReferenceEgo, avoids, manoeuvre_plan
 from sumo_adv.episode.task import AttemptResult, FoundEncounter, NoEncounter, Prefix, Task
-from sumo_adv.episode.verdict import (
-    Order,
-    ReferenceEgo,
-    avoids,
-    first_judged,
-    gate_verdict,
-    order_of,
-    own_reference,
-    unattacked,
-)
+from sumo_adv.episode.verdict import first_judged, gate_verdict, own_reference, unattacked
 from sumo_adv.errors import DriverError, SimulationError, ran_out_of_memory
+from sumo_adv.geometry import Pose, wrap
+from sumo_adv.metrics.boxes import overlaps
 from sumo_adv.metrics.case import Case, make_case
-from sumo_adv.metrics.levels import NOT_APPLICABLE
-from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, Braker
+from sumo_adv.metrics.levels import AVOIDS, COLLIDES, preventability
+from sumo_adv.metrics.reference import BRAKERS, COMPETENT, MANOEUVRE, REFERENCE_DRIVERS
 from sumo_adv.planners.answers import AskOne, PlannerObservation
 from sumo_adv.planners.sessions import ask_trusted
 from sumo_adv.simulation.engine import aside, can_fork, in_forks
@@ -67,6 +63,7 @@ class OpenEncounter:
     ask_front: AskOne
 
 
+ROOM_M = 60.0  # within which other vehicles may be in the way of an ego that arrives otherwise
 MOST_BESIDE = 3  # recorded vehicles on which SUMO crashes
 COOL_DOWN = 2.0  # s without an encounter after an encounter that was passed over
 
@@ -205,32 +202,60 @@ class Worker:
     def _crashed(self, why: str) -> AttemptResult:
         return AttemptResult(Driven("crashed", why), None, self._encounter.time)
 
-    def references(self, proposal: Proposal, result: AttemptResult) -> dict[str, bool]:
-        """By reference driver, whether it avoids the collision of an attempt when it drives the ego. Empty if the
-        attempt had no collision, if one of the two vehicles left before the attack, or if SUMO dies."""
+    def references(self, proposal: Proposal, result: AttemptResult, all_drivers: bool) -> Preventability | None:
+        """Which reference drivers avoid the collision of an attempt: kinematically, and of those in the loop.
+
+        In the loop ``cc_human`` is asked first, and the others that make a collision valid if it fails; with
+        ``all_drivers`` all are asked. None if there was no collision that counts, or if SUMO dies.
+        """
         self._at_trigger()
-        case, verdict = self._case(proposal, result), result.verdict
-        contact = None if verdict is None else verdict.contact_time
-        kinematic = None if verdict is None else verdict.preventability
-        if case is None or contact is None or kinematic is None:
-            return {}
-        half = self._encounter.half_lane(result.start)
-        order = order_of(
-            proposal, result, case, contact, half, self._encounter.drivable, unattacked(self._encounter, self._settings)
+        verdict, case = result.verdict, self._case(proposal, result)
+        if case is None or verdict is None or verdict.contact_time is None or not verdict.counts:
+            return None
+        half, contact = self._encounter.half_lane(result.start), verdict.contact_time
+        without, on_road = unattacked(self._encounter, self._settings), self._encounter.drivable
+        kinematic = preventability(
+            case.ego, case.adversary, case.others, trigger_time=result.start, contact_time=contact, on_road=on_road,
+            lane_half_width=half, unattacked=without,
         )  # fmt: skip
-        works: dict[str, Callable[[], bool]] = {
-            name: partial(self._refer, order, driver)
-            for name, driver in BRAKERS.items()
-            if kinematic.answers.get(name) != NOT_APPLICABLE
-        }
-        if order.plan is not None:
-            works[MANOEUVRE] = partial(self._refer, order, None)
-        answers = dict(zip(works, self._branch(list(works.values()), lambda why: None), strict=True))
-        if None in answers.values():  # SUMO died: it cannot say what these drivers do
-            return {}
-        if (itself := own_reference(self._drive)) in answers:
-            answers[itself] = False
-        return answers if order.plan is not None else {**answers, MANOEUVRE: False}
+        itself = own_reference(self._drive)
+        if itself is not None and itself in kinematic.answers:
+            kinematic = replace(kinematic, answers={**kinematic.answers, itself: COLLIDES})
+        avoiding = [name for name in REFERENCE_DRIVERS if kinematic.answers.get(name) == AVOIDS]
+        first = [name for name in avoiding if name == "cc_human"]
+        others = [name for name in avoiding if name in COMPETENT and name not in first]
+        in_loop: dict[str, str] = {}
+        for names in (avoiding,) if all_drivers else (first, others):
+            if AVOIDS in in_loop.values() or not names:
+                continue
+            plan = None
+            if MANOEUVRE in names:
+                plan = manoeuvre_plan(case, result.start, contact, half, on_road, without)
+            asked = [name for name in names if name != MANOEUVRE or plan is not None]
+            answers = self._in_loop(proposal, asked, plan, half)
+            if answers is None:
+                return None
+            in_loop |= dict.fromkeys(names, COLLIDES) | answers
+        return replace(kinematic, in_loop={name: in_loop[name] for name in REFERENCE_DRIVERS if name in in_loop})
+
+    def _in_loop(
+        self, proposal: Proposal, names: Sequence[str], plan: Boxes | None, half: float
+    ) -> dict[str, str] | None:  # fmt: skip
+        """What each of these drivers makes of a proposal in the loop; None if SUMO dies."""
+        answers: dict[str, str] = {}
+        for first in range(0, len(names), len(self._slots)):
+            batch = names[first : first + len(self._slots)]
+            works = [
+                partial(
+                    self._refer, proposal, self._asks(REFERENCE_DRIVERS.index(name), proposal, slot), name, plan, half
+                )
+                for name, slot in zip(batch, self._slots, strict=False)
+            ]
+            avoid = self._branch(works, lambda why: None)
+            if None in avoid:
+                return None
+            answers |= {name: AVOIDS if good else COLLIDES for name, good in zip(batch, avoid, strict=True)}
+        return answers
 
     def converse(self, prepare: Callable[[OpenEncounter], Callable[[], None]]) -> None:
         """Make an attempt from the trigger on, as the front asks for it in the first slot. prepare: returns what does
@@ -259,21 +284,30 @@ class Worker:
         logged = settings.limits.limits() if drive.follows_log() else None
         return make_case(tracks, drive.ego, proposal.bvs, result.start, result.driven.beyond, logged)
 
-    def _refer(self, order: Order, driver: type[Braker] | None) -> bool:
-        """Whether a reference driver (None: the planned manoeuvre) avoids the collision, driving the ego."""
+    def _refer(
+        self, proposal: Proposal, asks: Sequence[AskOne], name: str, plan: Boxes | None, lane_half_width: float
+    ) -> bool:  # fmt: skip
+        """Whether a reference driver avoids the collision in the loop; ``plan``: that of the manoeuvre."""
         drive, settings, tested = self._drive, self._settings, self._drive.controller
-        drive.replay(self._baseline_ego)
-        for _ in range(settings.steps(order.proposal.delay)):
-            drive.tick()
-        first = max(0, len(drive.recording.snapshots) - settings.steps(settings.history))
-        drive.controller = ReferenceEgo(order, driver, drive.tracks(*order.courses, start=first))
-        situation = self._situation_for(order.proposal)
-        adversaries = {bv: PrescribedAdversary(situation, bv, course) for bv, course in order.courses.items()}
+        assert drive.ego is not None
+        start = self._begin(proposal)
+        if name == MANOEUVRE:
+            assert plan is not None
+            drive.controller = PlannedEgo(plan)
+        else:
+            first = max(0, len(drive.recording.snapshots) - settings.steps(WARM_UP_S))
+            logged = drive.replayed() or isinstance(tested, ReplayEgo)
+            log = self._baseline_ego if logged else None
+            strong = partial(drive.simulation.strengthen, drive.ego, MAX_BRAKING)
+            drive.controller = ReferenceEgo(
+                tested, BRAKERS[name], drive.tracks(start=first), drive.ego, strong, log
+            )  # fmt: skip
         try:
-            attack(drive, adversaries, steps=drive.within(order.steps), replan=order.steps + 1)
+            self._drive_attack(proposal, asks)
         finally:
             drive.controller = tested
-        return avoids(order, drive.tracks(*order.courses, start=first))
+        tracks = drive.tracks(*proposal.bvs, start=max(0, self._trigger_step - 1))
+        return avoids(tracks, drive.ego, proposal.bv, start, lane_half_width)
 
     # -- branching ----------------------------------------------------------------------------------------------
 
@@ -366,15 +400,17 @@ class Worker:
     # -- attempts -----------------------------------------------------------------------------------------------
 
     def _work(self, index: int, proposal: Proposal, slot: Connection) -> Callable[[], AttemptResult]:
+        return partial(self._try, proposal, self._asks(index, proposal, slot))
+
+    def _asks(self, index: int, proposal: Proposal, slot: Connection) -> list[AskOne]:
+        """Ask the planners of a proposal's adversaries; made before the fork, because a planner's text is read once."""
+        situation = self._situation_for(proposal)
+
         def ask_front(member: int, observation: PlannerObservation) -> Any:
             slot.send((index, member, observation))
             return slot.recv()
 
-        situation = self._situation_for(proposal)
-        asks = [  # before the fork: a planner's text is read once
-            ask_trusted(p, situation, partial(ask_front, member)) for member, p in enumerate(proposal.members)
-        ]
-        return partial(self._try, proposal, asks)
+        return [ask_trusted(p, situation, partial(ask_front, member)) for member, p in enumerate(proposal.members)]
 
     def _try(self, proposal: Proposal, asks: Sequence[AskOne]) -> AttemptResult:
         """An attempt; it alone is lost where the ego's driver hangs, ends its process or uses up the memory."""
@@ -386,23 +422,48 @@ class Worker:
 
     def _attempt(self, proposal: Proposal, asks: Sequence[AskOne]) -> AttemptResult:
         drive, settings = self._drive, self._settings
-        situation = self._situation_for(proposal)
-        drive.replay(self._baseline_ego)
-        for _ in range(settings.steps(proposal.delay)):
-            drive.tick()
-        start = drive.now
-        members = {
-            p.bv: controller_of(situation, p, settings.limits.of(situation.targets[p.bv].state), ask)
-            for p, ask in zip(proposal.members, asks, strict=True)
-        }
-        driven = attack(
-            drive, members, steps=drive.within(settings.steps(settings.duration)),
-            replan=settings.steps(settings.replan),
-        )  # fmt: skip
+        start = self._begin(proposal)
+        driven = self._drive_attack(proposal, asks)
         verdict = gate_verdict(drive, self._encounter, settings, self._trigger_step, proposal.bvs, start, driven)
         snapshots = drive.recording.snapshots[self._trigger_step :]
         sizes = dict(drive.simulation.fleet.sizes)
         return AttemptResult(driven, verdict, start, snapshots, sizes, drive.actions.total())
+
+    def _begin(self, proposal: Proposal) -> float:
+        """Go on to when a proposal's attack begins, and return that time [s]."""
+        self._drive.replay(self._baseline_ego)
+        for _ in range(self._settings.steps(proposal.delay)):
+            self._drive.tick()
+        return self._drive.now
+
+    def _drive_attack(self, proposal: Proposal, asks: Sequence[AskOne]) -> Driven:
+        """Drive a proposal's adversaries against the ego from now on."""
+        drive, settings, situation = self._drive, self._settings, self._situation_for(proposal)
+        members = {
+            p.bv: controller_of(situation, p, settings.limits.of(situation.targets[p.bv].state), ask)
+            for p, ask in zip(proposal.members, asks, strict=True)
+        }
+        steps, replan = drive.within(settings.steps(settings.duration)), settings.steps(settings.replan)
+        ego = None if proposal.arrival == AS_FOUND else self._displaced(proposal.arrival, situation)
+        return attack(drive, members, steps=steps, replan=replan, ego=ego)
+
+    def _displaced(self, arrival: Arrival, situation: Situation) -> Pose:
+        """Where the ego is after a step if it arrives otherwise; nearer to its place if a vehicle is in the way."""
+        drive, dt = self._drive, self._settings.step_length
+        assert drive.ego is not None
+        ego, path = drive.state(drive.ego), situation.baseline.path
+        s, d = path.project(ego.x, ego.y)
+        turned = ego.heading - float(path.at(np.asarray(s))[2])
+        others = [box_of(drive.state(name)) for name in drive.near(ego, ROOM_M)]
+        speed = ego.speed * arrival.pace
+        for share in (1.0, 0.5, 0.0):
+            station = np.asarray(s + share * arrival.earlier * ego.speed + speed * dt)
+            x, y, heading = (float(q) for q in path.at(station, d))
+            pose = Pose(x, y, wrap(heading + turned), speed)
+            box = box_of(replace(ego, x=x, y=y, heading=pose.heading))
+            if not any(bool(overlaps(box, other)) for other in others):
+                break
+        return pose
 
     def _situation_for(self, proposal: Proposal) -> Situation:
         situation = self._encounter.situations.get(proposal.delay)

@@ -5,14 +5,16 @@ level      meaning; every level takes a feasible adversary that does not run int
 ========== ==============================================================================================
 critical   min TTC at most the threshold, or a contact
 collision  contact
-valid      collision, conclusive, the ego neither stationary nor blocking, avoided by a reference driver
+valid      collision, conclusive, the ego neither stationary nor blocking, avoided by a driver of ``COMPETENT``:
+           ``cc_human``, ``manoeuvre`` or ``reg157``
 strict     valid, and avoided by ``cc_human``
 serious    strict, human, and a delta-v of the ego of at least 5 mph (2.24 m/s); of a pedestrian or cyclist: a risk
            of a serious injury of at least 10 %, by the impact speed (29 and 44 km/h; ``severity.py``)
 ========== ==============================================================================================
 
-This is the kinematic form (:mod:`sumo_adv.metrics.reference.counterfactual`); the form in the simulation
-(``episode/verdict.py``) replaces its answers for the attempt that counts.
+A driver avoids a collision if it does so in each check that was made. The kinematic check
+(:mod:`sumo_adv.metrics.reference.counterfactual`) repeats the adversary's motion and is made of every collision. The
+check in the loop (``episode/references.py``) lets the adversary plan again; it is made whenever a level is claimed.
 """
 
 from __future__ import annotations
@@ -28,7 +30,7 @@ from sumo_adv.metrics.avoidance import OnRoad
 from sumo_adv.metrics.boxes import on_grid, row_of
 from sumo_adv.metrics.contact import SAME_DIRECTION
 from sumo_adv.metrics.realism import outside
-from sumo_adv.metrics.reference import REFERENCE_DRIVERS, SAME_DIRECTION_ONLY
+from sumo_adv.metrics.reference import COMPETENT, REFERENCE_DRIVERS, SAME_DIRECTION_ONLY
 from sumo_adv.metrics.reference.counterfactual import Encounters, answers
 from sumo_adv.metrics.reference.view import EgoPaths
 from sumo_adv.metrics.severity import SERIOUS_DELTA_V, crash
@@ -157,7 +159,8 @@ def with_level(
         verdict, preventability=prevention, ego_stationary=_stationary(ego, contact),
         ego_blocking=_blocking(ego, contact), humanlike=not strange, beyond_human=strange,
         contact_side=str(impact.ego_side), delta_v=impact.ego_delta_v, adversary_delta_v=impact.adversary_delta_v,
-        severity=str(impact.severity), injury_risk=impact.injury_risk, impact_speed=impact.impact_speed,
+        severity=str(impact.severity), injury_risk=impact.injury_risk, overlap=impact.overlap,
+        impact_speed=impact.impact_speed,
     )  # fmt: skip
     return judged(verdict)
 
@@ -175,7 +178,7 @@ def level_of(verdict: Verdict) -> Level:
     if not verdict.collided:
         return Level.CRITICAL if verdict.critical else Level.NONE
     p = verdict.preventability
-    if p is None or p.inconclusive or verdict.ego_stationary or verdict.ego_blocking or not p.by:
+    if p is None or p.inconclusive or verdict.ego_stationary or verdict.ego_blocking or not {*COMPETENT} & {*p.by}:
         return Level.COLLISION
     if "cc_human" not in p.by:
         return Level.VALID

@@ -73,6 +73,7 @@ class Crash:
     ego_side: Side
     adversary_side: Side
     severity: Severity
+    overlap: float  # share of the narrower of the two touching faces that meets the other, [0, 1]
     injury_risk: float  # of the unprotected road user that is hit, else of the ego's driver, [0, 1]
     impact_speed: float | None  # ``closing``, where the adversary is a pedestrian or cyclist; else None
 
@@ -135,7 +136,23 @@ def crash_of(ego: Boxes, adversary: Boxes, yaw_rates: tuple[float, float]) -> Cr
     sides, user = contact_sides(a, b), road_user(b)  # type: ignore[arg-type]
     driver = user is RoadUser.VEHICLE
     risk = injury_risk(deltas[0]) if driver else unprotected_risk(user, closing)
-    return Crash(deltas[0], deltas[1], closing, *sides, severity_of(max(deltas)), risk, None if driver else closing)
+    return Crash(
+        deltas[0], deltas[1], closing, *sides, severity_of(max(deltas)), _overlap(a, b, normal), risk,
+        None if driver else closing,
+    )  # fmt: skip
+
+
+def _overlap(a: Boxes, b: Boxes, normal: tuple[float, float]) -> float:
+    """How much of the narrower box, seen along the contact normal, meets the other one, as a share."""
+    spans = []
+    for box in (a, b):
+        middle = float(box.y) * normal[0] - float(box.x) * normal[1]
+        turned = float(box.heading) - math.atan2(normal[1], normal[0])
+        half = (abs(math.sin(turned)) * float(box.length) + abs(math.cos(turned)) * float(box.width)) / 2
+        spans.append((middle - half, middle + half))
+    (low, high), (other_low, other_high) = spans
+    meets = max(min(high, other_high) - max(low, other_low), 0.0)
+    return meets / min(high - low, other_high - other_low)
 
 
 def _normal(a: Boxes, b: Boxes) -> tuple[float, float]:

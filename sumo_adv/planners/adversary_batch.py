@@ -14,11 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Endpoint, Floats
+from sumo_adv.datatypes import Bools, Endpoint, Floats
 from sumo_adv.geometry import PATH_STEP, wrap
+from sumo_adv.metrics.contact import SAME_DIRECTION
 from sumo_adv.planners.answers import LOOK, PlannerObservation, arrivals, stations
 from sumo_adv.planners.follower import Follower, Line, aligned
 from sumo_adv.planners.trajectory import Batch, Goal, Motion, PathRow, PathRows, pose, start
+from sumo_adv.road_users import is_unprotected
 from sumo_adv.simulation.sumo_rules import AtJunction, Scenes
 from sumo_adv.situation import ReferencePath, Situation, Target
 
@@ -67,6 +69,7 @@ class AdversaryBatch:
         self._lane = self.scenes.each(lambda s: s.road.lane_width)
         self.length = np.array([t.state.length for t in self.targets])
         self.cap = np.array([t.fastest for t in self.targets])
+        self._unprotected = np.array([is_unprotected(t.state) for t in self.targets])
 
     def begin(self) -> Motion:
         """All vehicles as at the trigger."""
@@ -86,6 +89,16 @@ class AdversaryBatch:
         near = np.abs(s1 - s0) < 5.0  # else the nearest place on the ego's path jumps
         s, d = np.where(near, s0 + (s1 - s0) * w, s0), np.where(near, d0 + (d1 - d0) * w, d0)
         return s - motion.d * np.sin(h0), d + motion.d * np.cos(h0), wrap(h)
+
+    def may_brake_hard(self, motion: Motion, ego_station: Floats) -> Bools:
+        """Which vehicles are ahead of the ego in its lane and go its way, ``(n,)``: people brake hard for what is
+        before them. Pedestrians and cyclists have limits of their own.
+
+        ``ego_station``: on the ego's path [m], ``(n,)``.
+        """
+        s, d, h = self.relative(motion)
+        ahead = (s > ego_station) & (np.abs(d) < self._lane / 2) & (np.abs(h) < SAME_DIRECTION)
+        return np.asarray(ahead | self._unprotected)
 
     def at_junction(self, motion: Motion) -> AtJunction | None:
         """How the vehicles block the junction where their ways meet the ego's path; None if no way meets it at one.

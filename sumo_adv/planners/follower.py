@@ -130,13 +130,15 @@ class Follower:
         target, seconds = self._end
         return motion._replace(target=target, clock=0.0, span=max(seconds, 1e-3))
 
-    def advance(self, motion: Motion, road: PathRow, limits: Limits, cap: float) -> Motion:
+    def advance(self, motion: Motion, road: PathRow, limits: Limits, cap: float, hard: bool) -> Motion:
+        """One step on; ``hard``: see ``trajectory.faster``."""
         dt, v = self.line.dt, motion.v
         x, y, h = pose(Scalar, motion, road)
         bend = road.at(motion.s)[3]
         before = motion.ddd + v * v * bend
         aside, turn, curvature = self._place(x, y, h)
-        speed, a = faster(Scalar, v, motion.a, self._along(v, limits), abs(before) + LATERAL_RESERVE, limits, cap, dt)
+        want, grip = self._along(v, limits), abs(before) + LATERAL_RESERVE
+        speed, a = faster(Scalar, v, motion.a, want, grip, limits, cap, dt, hard)
         lateral = v * v * curvature + SIDEWAYS_RATE**2 * aside + 2 * SIDEWAYS_RATE * v * math.sin(turn)
         most = min(SHARE * limits.lateral, self._lateral)
         lateral = min(max(lateral, before - LATERAL_JERK * dt), before + LATERAL_JERK * dt)

@@ -5,7 +5,8 @@ saves the overhead of arrays (about 15 us a step). The second uses numpy arrays.
 sets of operations, and every function takes one of them as ``m``.
 
 Longitudinal: the acceleration moves by at most J dt towards that of the cubic to (s_T, v_T) at T. It is bounded by the
-limits, by the bends ahead and by a speed cap.
+limits, by the bends ahead, by a speed cap and by what people do (``metrics/realism.py``); braking harder than people
+usually do is left to a vehicle that is ahead of the ego in its lane.
 
 Lateral: a quintic in the offset d from the path, stretched until lateral acceleration, slope and jerk are within
 bounds. Its clock runs with the vehicle's speed. So braking in the middle of a lane change slows the move down and does
@@ -22,11 +23,12 @@ import numpy as np
 
 from sumo_adv.datatypes import Limits
 from sumo_adv.geometry import PATH_STEP, Path
+from sumo_adv.metrics.realism import BOUNDS, FAST, SLOW
 
 FULL_CLOCK_SPEED = 6.0  # m/s: a lateral move of a slower vehicle is planned for this speed, and takes longer
 FASTEST_CLOCK = 1.15  # bound of the clock's rate, for a vehicle that speeds up during a lateral move
 LEAST_TIME = 0.8  # s: shortest horizon of the longitudinal cubic
-USUAL = 2.4  # m/s2: bound of speeding up, as drivers hardly exceed it; braking is bound by the limits alone
+USUAL = 2.4  # m/s2: bound of speeding up, as drivers hardly exceed it
 SAME_TARGET = 0.12  # m: a lateral target that moved less keeps the running quintic
 ELSEWHERE = 1e6  # m: a lateral target that differs from that of any goal
 STRETCH, STRETCHES = 1.13, 14  # factor by which the quintic's duration grows, maximum number of times
@@ -287,8 +289,10 @@ def _put(values: Any, rows: Any, new: Any) -> Any:
     return values
 
 
-def advance(m: Any, motion: Motion, goal: Goal, road: Any, limits: Limits, cap: Any, dt: float) -> Motion:
-    """One step of ``dt`` s towards a goal; ``cap``: the vehicle's highest speed [m/s]."""
+def advance(
+    m: Any, motion: Motion, goal: Goal, road: Any, limits: Limits, cap: Any, dt: float, hard: Any
+) -> Motion:  # fmt: skip
+    """One step of ``dt`` s towards a goal; ``cap``: the vehicle's highest speed [m/s]; ``hard``: see ``faster``."""
     s, v, a = motion.s, motion.v, motion.a
     time = m.maximum(goal.time, LEAST_TIME)
     left = goal.s - s + goal.v * (time - goal.time)  # within LEAST_TIME the goal moves on at its speed
@@ -301,24 +305,35 @@ def advance(m: Any, motion: Motion, goal: Goal, road: Any, limits: Limits, cap: 
     want = m.minimum(m.minimum(want, m.least(bounds)), USUAL)
     _, _, _, curvature = road.at(s)
     lateral = abs(motion.ddd + v * v * curvature) + LATERAL_RESERVE
-    speed, a = faster(m, v, a, want, lateral, limits, cap, dt)
+    speed, a = faster(m, v, a, want, lateral, limits, cap, dt, hard)
     clock, d, dd, ddd, slope = _sideways(m, motion, speed, dt)
     along = m.sqrt(m.maximum(speed * speed - dd * dd, 0.0)) / m.maximum(1.0 - curvature * d, 0.2)
     here, span, coefficients, target = s + along * dt, motion.span, motion.c, motion.target
     return Motion(here, d, dd, ddd, speed, a, slope, motion.pace, clock, span, coefficients, target)
 
 
-def faster(m: Any, v: Any, a: Any, want: Any, lateral: Any, limits: Limits, cap: Any, dt: float) -> tuple[Any, Any]:
+def usual(m: Any, signal: str, v: Any) -> Any:
+    """The bound of a signal of the human envelope at a speed ``v`` [m/s]; ``signal``: see ``realism.BOUNDS``."""
+    slow, fast = BOUNDS[signal]
+    share = m.minimum(m.maximum((v - SLOW) / (FAST - SLOW), 0.0), 1.0)
+    return slow + (fast - slow) * share
+
+
+def faster(
+    m: Any, v: Any, a: Any, want: Any, lateral: Any, limits: Limits, cap: Any, dt: float, hard: Any
+) -> tuple[Any, Any]:  # fmt: skip
     """Speed and acceleration after ``dt`` of a vehicle that wants the acceleration ``want`` [m/s2], within the limits.
 
     ``lateral``: its lateral acceleration [m/s2], which reduces its grip for braking. ``cap``: its highest speed [m/s].
+    ``hard``: whether it may brake as hard as the limits let it; else as people usually do.
     """
     jerk = limits.jerk * JERK_RESERVE
     room = cap - v
     want = m.minimum(want, m.where(room > 0.0, m.sqrt(1.6 * jerk * m.maximum(room, 0.0)), room))
     want = m.maximum(want, -m.sqrt(0.8 * jerk * m.maximum(v, 0.0)))
     grip = m.sqrt(m.maximum(limits.braking * limits.braking - lateral * lateral, 4.0))  # the friction circle
-    want = m.minimum(m.maximum(want, -grip), limits.acceleration)
+    braking = m.where(hard, grip, m.minimum(grip, usual(m, "braking", v)))
+    want = m.minimum(m.minimum(m.maximum(want, -braking), limits.acceleration), usual(m, "acceleration", v))
     a = m.minimum(m.maximum(want, a - jerk * dt), a + jerk * dt)
     speed = m.maximum(v + a * dt, 0.0)
     return speed, (speed - v) / dt

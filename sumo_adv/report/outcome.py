@@ -175,10 +175,11 @@ def level_figures(v: Verdict) -> dict[str, Any]:
         "level": str(v.level), "preventable_by": None if p is None else list(p.by),
         "references": None if p is None else dict(p.answers), "alarms": None if p is None else dict(p.alarms),
         "inconclusive": None if p is None else p.inconclusive, "simulated": None if p is None else p.simulated,
+        "in_loop": None if p is None else dict(p.in_loop),
         "ego_stationary": v.ego_stationary, "ego_blocking": v.ego_blocking, "humanlike": v.humanlike,
         "beyond_human": list(v.beyond_human), "contact_side": v.contact_side, "delta_v": number(v.delta_v),
         "adversary_delta_v": number(v.adversary_delta_v), "severity": v.severity, "injury_risk": number(v.injury_risk),
-        "impact_speed": number(v.impact_speed),
+        "impact_speed": number(v.impact_speed), "overlap": number(v.overlap),
     }  # fmt: skip
 
 

@@ -15,6 +15,7 @@ from typing import Any
 from sumo_adv.datatypes import Ending, Intent, Level, Preventability, Verdict, acceleration_of
 from sumo_adv.errors import UsageError
 from sumo_adv.metrics.cause import Action, Cause, CauseKind
+from sumo_adv.metrics.levels import NOT_APPLICABLE
 
 NEVER = ("min_ttc", "min_distance", "min_ttc_any", "min_pet")  # null in the file, inf here
 LISTS = ("failed_gates", "log_gates", "beyond_human")
@@ -157,9 +158,16 @@ def verdict_of(written: Mapping[str, Any]) -> Verdict:
     values |= {"level": level_of(written.get("level")), "max_drac": written.get("max_drac") or 0.0}
     if written.get("references") is not None:
         values["preventability"] = Preventability(
-            written["references"], written.get("alarms") or {}, written["inconclusive"], bool(written["simulated"])
+            written["references"], written.get("alarms") or {}, written["inconclusive"], _in_loop(written)
         )
     return Verdict(**values)
+
+
+def _in_loop(written: Mapping[str, Any]) -> dict[str, str]:
+    """The answers in the loop; of an earlier version's run those in the simulation, which stood in ``references``."""
+    if "in_loop" in written or not written["simulated"]:
+        return dict(written.get("in_loop") or {})
+    return {name: answer for name, answer in written["references"].items() if answer != NOT_APPLICABLE}
 
 
 def _cause(written: Mapping[str, Any] | None) -> Cause | None:

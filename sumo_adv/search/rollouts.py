@@ -64,6 +64,7 @@ def predict(
     adversary, ego = np.empty((steps, 4, len(members))), np.empty((steps, 4, n))
     followers: dict[int, Follower] = {}
     over, driven, speed_before = np.zeros(n, bool), -1, egos.v
+    hard = np.zeros(len(members), bool)
     for k in range(steps):
         moment = k * dt
         if k % replan == 0 and not over.all():
@@ -71,7 +72,7 @@ def predict(
             mean = egos.a if k == 0 else (egos.v - speed_before) / (replan * dt)  # as in an attempt
             own = tuple(np.tile(q, each) for q in (egos.s, np.zeros(n), egos.v, mean))
             goal, motion = _replan(ground, motion, own, goal, last, followers, moment, rows, ask)  # type: ignore[arg-type]
-            speed_before = egos.v
+            speed_before, hard = egos.v, ground.may_brake_hard(motion, own[0])
         adversary[k] = (*pose(Batch, motion, ground.rows), motion.v)
         if to_the_end or not over.all():
             ego[k] = egos.pose()
@@ -82,7 +83,7 @@ def predict(
                 egos.step(moment, ground.relative(motion), motion.v, ground.at_junction(motion))
             else:
                 egos.step_alone(moment)
-        motion = _advance(ground, motion, goal, followers, limits)
+        motion = _advance(ground, motion, goal, followers, limits, hard)
         goal = goal._replace(time=goal.time - dt)
     ego[driven + 1 :] = egos.onwards(steps - driven - 1).transpose(2, 0, 1)
     ego_motions, adversary_motions = (np.ascontiguousarray(q.transpose(1, 2, 0)) for q in (ego, adversary))
@@ -129,7 +130,7 @@ def _steer(ground: AdversaryBatch, motion: Motion, goal: Goal, released: Sequenc
 
 
 def _advance(
-    ground: AdversaryBatch, motion: Motion, goal: Goal, followers: dict[int, Follower], limits: Limits
+    ground: AdversaryBatch, motion: Motion, goal: Goal, followers: dict[int, Follower], limits: Limits, hard: Bools
 ) -> Motion:
     """One step on, by the built-in f_traj or after the planner's own trajectory."""
     over = [k for k, f in followers.items() if f.over]
@@ -137,8 +138,11 @@ def _advance(
         motion = _steer(ground, motion, goal, over)
         for k in over:
             del followers[k]
-    moved = advance(Batch, motion, goal, ground.rows, limits, ground.cap, ground.scenes.dt)
+    moved = advance(Batch, motion, goal, ground.rows, limits, ground.cap, ground.scenes.dt, hard)
     if not followers:
         return moved
-    ones = [f.advance(one_of(motion, k), ground.road(k), limits, float(ground.cap[k])) for k, f in followers.items()]
+    ones = [
+        f.advance(one_of(motion, k), ground.road(k), limits, float(ground.cap[k]), bool(hard[k]))
+        for k, f in followers.items()
+    ]
     return put_back(moved, list(followers), ones)

@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from random import Random
 
-from sumo_adv.datatypes import Duty, Intent, Level, LibraryEntry, ObservedMotion, Planner, Proposal, Verdict
+from sumo_adv.datatypes import AS_FOUND, Duty, Intent, Level, LibraryEntry, ObservedMotion, Planner, Proposal, Verdict
 from sumo_adv.goal import Goal
 from sumo_adv.memory.records import Composition
 from sumo_adv.search.evolution import Evolution
@@ -198,6 +198,9 @@ class AttackSearch:
 
     def observe(self, tried: Proposal, motion: ObservedMotion | None, verdict: Verdict) -> None:
         """Take note of an attempt: its level, the gates it failed, and how the ego moved in it (None: not at all)."""
+        if tried.arrival != AS_FOUND:
+            self._evolution.observe(tried, verdict, "")
+            return
         reached = self._goal.reached(verdict)
         if not self._kinds or reached < self._level:  # a success is of a kind that is no longer looked for
             self._best = max(self._best, reached)

@@ -13,7 +13,7 @@ from functools import partial
 from itertools import combinations
 
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Proposal, Track
+from sumo_adv.datatypes import Preventability, Proposal, Track
 from sumo_adv.episode.attempt import Driven, apart_of, attack, controller_of
 from sumo_adv.episode.encounter_builder import UnattackedMotion, build_encounter
 from sumo_adv.episode.encounter_detector import LOOK_EVERY, EncounterDetector, RankedVehicle
@@ -132,6 +132,8 @@ def describe(
 class LiveAttempts:
     """Runs attempts in the session at hand, each after the first in what ``again`` gives: the same encounter anew."""
 
+    displaces = False
+
     def __init__(
         self, session: Session, scene: Scene, road: RoadMap, settings: Settings, sandbox: Sandbox, events: Events,
         again: Callable[[], Session | None] | None = None,
@@ -156,9 +158,9 @@ class LiveAttempts:
             else:
                 yield self._one(self.session, proposal)
 
-    def references(self, proposal: Proposal, result: AttemptResult) -> dict[str, bool]:
-        """Nothing: what a live client has driven cannot be driven again by others."""
-        return {}
+    def references(self, proposal: Proposal, result: AttemptResult, all_drivers: bool) -> Preventability | None:
+        """None: what a live client has driven cannot be driven again by others."""
+        return None
 
     def _one(self, session: Session, proposal: Proposal) -> AttemptResult:
         encounter, settings, bvs = self._scene.found, self._settings, proposal.bvs

@@ -420,6 +420,12 @@ class Simulation:
             return present
         return float(self.api.vehicletype.getDecel(v.getTypeID(vehicle).removesuffix(f"@{vehicle}")))
 
+    def strengthen(self, vehicle: str, braking: float) -> None:
+        """Let a vehicle brake as hard as ``braking`` [m/s2] if a speed is asked for, also where its type cannot."""
+        v = self.api.vehicle
+        if v.getEmergencyDecel(vehicle) < braking:
+            v.setEmergencyDecel(vehicle, braking)
+
     def change_lane(self, vehicle: str, lane: int) -> None:
         """Ask SUMO's driver to change to the lane of that index within 3 s."""
         self.api.vehicle.changeLane(vehicle, lane, 3.0)

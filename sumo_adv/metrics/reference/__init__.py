@@ -27,5 +27,9 @@ BRAKERS: dict[str, type[Braker]] = {"cc_human": CcHuman, "reg157": Reg157, "rss"
 MANOEUVRE = "manoeuvre"
 REFERENCE_DRIVERS = ("cc_human", MANOEUVRE, "reg157", "rss", "fsm")
 SAME_DIRECTION_ONLY = ("reg157", "rss", "fsm")
+COMPETENT = ("cc_human", MANOEUVRE, "reg157")
+"""Reference drivers of which one must avoid a collision that is *valid*. ``rss`` and ``fsm`` brake without need 12.3
+and 3.6 times in 10 km of ordinary traffic (``benchmarks/false_alarms.py``), so a collision that only they avoid says
+nothing about the ego."""
 
-__all__ = ["BRAKERS", "MANOEUVRE", "REFERENCE_DRIVERS", "SAME_DIRECTION_ONLY", "Braker"]
+__all__ = ["BRAKERS", "COMPETENT", "MANOEUVRE", "REFERENCE_DRIVERS", "SAME_DIRECTION_ONLY", "Braker"]

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
-from sumo_adv.datatypes import Bools, Floats
+from sumo_adv.datatypes import Bools, Floats, Ints
 from sumo_adv.metrics.fault import Rss, lateral_way, longitudinal_safe_distance
 from sumo_adv.metrics.reference.view import View
 
@@ -34,10 +34,22 @@ class Braker(Protocol):
         """The acceleration [m/s2] over the step to come, ``(N,)``; NaN where the driver does not act."""
         ...
 
+    def watch(self, columns: Ints) -> None:
+        """Watch other vehicles from now on: ``columns`` ``(M',)``, in which column each was before, -1 = it is new."""
+        ...
+
     @property
     def alarmed(self) -> Bools:
         """Whether a danger has shown to the driver, now or before, ``(N,)``."""
         ...
+
+
+def rearranged(values: Any, columns: Ints, fresh: float | bool) -> Any:
+    """What is remembered of vehicles, ``(N, M)``, for the vehicles of ``columns`` (see ``Braker.watch``), ``(N, M')``;
+    ``fresh``: what holds for new ones."""
+    new = columns < 0
+    kept = values[:, np.maximum(columns, 0)] if values.shape[1] else np.full((len(values), len(columns)), fresh)
+    return np.where(new[None, :], fresh, kept)
 
 
 def needed_braking(speed: Floats, gap: Floats, leader_speed: Floats, leader_acceleration: Floats) -> Floats:
@@ -60,6 +72,10 @@ class Delay:
     def __init__(self, shape: tuple[int, ...], seconds: float, dt: float) -> None:
         self._since = np.full(shape, np.inf)
         self._now, self._seconds, self._dt = 0.0, seconds, dt
+
+    def watch(self, columns: Ints) -> None:
+        """See ``Braker.watch``."""
+        self._since = rearranged(self._since, columns, np.inf)
 
     def step(self, cause: Bools) -> Floats:
         """Seconds [s] for which the effect has lasted, negative before it, ``-inf`` without a cause."""
@@ -95,6 +111,10 @@ class Reg157:
         self._delay = Delay(shape, self.delay, dt)
         self._danger = np.zeros(shape, bool)
         self.alarmed: Bools = np.zeros(shape[0], bool)
+
+    def watch(self, columns: Ints) -> None:
+        self._delay.watch(columns)
+        self._danger = rearranged(self._danger, columns, False)
 
     def step(self, view: View) -> Floats:
         intrudes = view.same_direction & view.ahead & (view.near_edge < view.lane_half_width - INTRUSION + 1e-9)
@@ -134,6 +154,9 @@ class RssDriver:
         self._dt = dt
         self._delay = Delay(shape, self.delay, dt)
         self.alarmed: Bools = np.zeros(shape[0], bool)
+
+    def watch(self, columns: Ints) -> None:
+        self._delay.watch(columns)
 
     def step(self, view: View) -> Floats:
         along = np.maximum(view.along, 0.0)
@@ -205,6 +228,9 @@ class Fsm:
         self._delay = Delay((shape[0],), self.delay, dt)
         self._braking = np.zeros(shape[0])
         self.alarmed: Bools = np.zeros(shape[0], bool)
+
+    def watch(self, columns: Ints) -> None:
+        """Nothing is remembered of single vehicles."""
 
     def step(self, view: View) -> Floats:
         matters = view.same_direction & view.ahead & (view.in_corridor | self._moves_in(view))

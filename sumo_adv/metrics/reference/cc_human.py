@@ -21,11 +21,14 @@ delays and the same braking:
   towards the ego's path, it is reached within 2.0 s, and it is in the way before it is passed.  It is perceived from
   when it is in the line of sight, because the views leave out what is hidden.
 
-The danger must last through the reaction time, but for lapses of 0.3 s: the driver looks again before braking.  The
-driver brakes until the danger is past: the vehicle is behind, out of the corridor and not coming nearer (an oncoming
-one: back behind the line), or a leader that needs no braking.  Where the regulation leaves room:
+The danger must last through the reaction time, but for lapses of 0.3 s: the driver looks again before braking.  A
+vehicle that has come over the line of the ego's lane remains a danger while its box is over the line and it is still
+reached within 2.0 s, also while it pauses there.  The driver brakes until the danger is past: the vehicle is behind, it
+has gone back behind the line or is on its way back, or it is a leader that needs no braking.  Where the regulation
+leaves room:
 
-- the zone of wandering counts from where the vehicle last kept its lateral place (slower than 0.1 m/s sideways);
+- the zone of wandering counts from where the vehicle last kept its lateral place (slower than 0.1 m/s sideways) while
+  its box was outside the ego's lane: a pause over the line is part of the same cut-in;
 - a vehicle that comes over slowly is perceived 0.5 m beyond that zone at the earliest, or in the ego's corridor; the
   JRC's implementation (ec-jrc/JRC-FSM) takes 0.72 m and no time, and agrees with this in 98 % of cut-ins;
 - 0.774 g is not raised to the 0.85 g of the emergency brake that the regulation assumes once both overlap fully.
@@ -42,7 +45,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats, Ints
 from sumo_adv.metrics.contact import OPPOSITE_DIRECTION
-from sumo_adv.metrics.reference.brakers import needed_braking, speed_lost
+from sumo_adv.metrics.reference.brakers import needed_braking, rearranged, speed_lost
 from sumo_adv.metrics.reference.view import View
 from sumo_adv.road_users import unprotected
 
@@ -90,22 +93,21 @@ class CcHuman:
 
     def watch(self, columns: Ints) -> None:
         """Watch other vehicles from now on: ``columns`` ``(M',)`` says where each was before, -1 = it is new."""
-        new = columns < 0
-
-        def taken(values: Any, fresh: float | bool) -> Any:
-            kept = values[:, np.maximum(columns, 0)] if values.shape[1] else np.full((len(values), len(columns)), fresh)
-            return np.where(new[None, :], fresh, kept)
-
-        self._drift, self._perceived_since = taken(self._drift, 0.0), taken(self._perceived_since, np.inf)
-        self.danger = taken(self.danger, False)
-        self._decided_at, self._last = taken(self._decided_at, np.inf), taken(self._last, -np.inf)
-        self._seen_at = taken(self._seen_at, -np.inf)
+        self._drift = rearranged(self._drift, columns, 0.0)
+        self._perceived_since = rearranged(self._perceived_since, columns, np.inf)
+        self.danger = rearranged(self.danger, columns, False)
+        self._decided_at = rearranged(self._decided_at, columns, np.inf)
+        self._last, self._seen_at = (rearranged(v, columns, -np.inf) for v in (self._last, self._seen_at))
 
     def step(self, view: View) -> Floats:
         """The acceleration [m/s2] over the step to come, ``(N,)``; NaN where the driver does not brake."""
         time, dt = self._now, self._dt
-        self._drift = np.where(view.towards < KEEPS_ITS_PLACE, 0.0, self._drift + view.towards * dt)
-        perceived, danger = self._perceived(view), self._is_danger(view)
+        intrudes = _intrudes(view)
+        paused = intrudes & (np.abs(view.towards) < KEEPS_ITS_PLACE)
+        drift = np.where(view.towards < KEEPS_ITS_PLACE, 0.0, self._drift + view.towards * dt)
+        self._drift = np.where(paused, self._drift, drift)
+        perceived = self._perceived(view)
+        danger = self._is_danger(view) | (self.danger & intrudes & _still_reached(view))
         self._perceived_since = np.where(perceived, np.minimum(self._perceived_since, time), np.inf)
         seen = danger & self._understood(view, time)
         self._seen_at = np.where(seen, time, self._seen_at)
@@ -198,13 +200,27 @@ class CcHuman:
     def _is_over(self, view: View) -> Bools:
         """Whether a danger is past."""
         beside = view.gap <= 0.0
-        leaves = (view.side_gap > 0.0) & (view.towards < KEEPS_ITS_PLACE)
-        leaves &= (np.abs(view.heading) <= OPPOSITE_DIRECTION) | (view.near_edge >= view.lane_half_width)
+        away = (view.side_gap > 0.0) & (view.towards < KEEPS_ITS_PLACE)
+        returns = view.same_direction & (view.towards <= -KEEPS_ITS_PLACE)
+        across = ~view.same_direction & (np.abs(view.heading) <= OPPOSITE_DIRECTION)
+        leaves = away & (across | returns | (view.near_edge >= view.lane_half_width))
         waits = (view.ego_speed < 0.5) & (view.gap < 2.5) & (view.speed < 0.5)
         near = (view.gap < CLOSE_HEADWAY * view.ego_speed) & (view.closing > -1.0)
         needed = needed_braking(view.ego_speed, view.gap, view.along, view.acceleration) > GENTLE
         harmless = view.same_direction & ~beside & ~waits & ~near & ~needed
         return (~view.ahead & ~(beside & view.same_direction)) | leaves | harmless
+
+
+def _intrudes(view: View) -> Bools:
+    """Whether a vehicle that goes the ego's way is over the line of the ego's lane, and not on its way back."""
+    over_the_line = view.near_edge < view.lane_half_width
+    return view.same_direction & over_the_line & (view.towards > -KEEPS_ITS_PLACE)
+
+
+def _still_reached(view: View) -> Bools:
+    """Whether the ego comes up to a vehicle ahead or beside within ``DANGER``."""
+    beside = (view.gap <= 0.0) & (view.side_gap > -1.0)
+    return (view.ego_speed >= 0.1) & (beside | (view.ahead & (view.time_to_reach <= DANGER)))
 
 
 def meet(view: View, k: Any, horizon: float, margin: float) -> Bools:

@@ -25,7 +25,7 @@ from sumo_adv.datatypes import Bools, Boxes, Floats, Ints
 from sumo_adv.metrics.avoidance import OnRoad, escapes, window
 from sumo_adv.metrics.boxes import first_contact, pick, some_steps, touches
 from sumo_adv.metrics.contact import SAME_DIRECTION
-from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, REFERENCE_DRIVERS, Braker
+from sumo_adv.metrics.reference import BRAKERS, COMPETENT, MANOEUVRE, REFERENCE_DRIVERS, Braker
 from sumo_adv.metrics.reference.cc_human import CcHuman
 from sumo_adv.metrics.reference.view import EgoPaths, Views, located_on, seen
 
@@ -211,11 +211,12 @@ def answers(
     """What each driver makes of the encounters, and the ``unchanged`` ego.
 
     until_avoided: of one encounter, ask only until the level is known: none if the unchanged ego misses, and none after
-    the first driver that avoids the collision. ``cc_human`` is asked first.
+    the first driver that avoids the collision. Only drivers that count (``COMPETENT``) are asked, ``cc_human`` first.
     """
     check = Counterfactual(given)
     by_driver = {"unchanged": check.unchanged()}
-    for name in sorted(drivers, key=lambda n: (n == MANOEUVRE, n != "cc_human")):
+    asked = [name for name in drivers if name in COMPETENT] if until_avoided else drivers
+    for name in sorted(asked, key=lambda n: (n == MANOEUVRE, n != "cc_human")):
         if until_avoided and any(bool(answer.avoids[0]) for answer in by_driver.values()):
             break
         if name in BRAKERS:

@@ -128,7 +128,7 @@ class View(NamedTuple):
     ego_acceleration: Floats
     ego_length: float
     ego_width: float
-    lane_half_width: float
+    lane_half_width: Floats | float
 
     @property
     def closing(self) -> Floats:

@@ -1,0 +1,203 @@
+"""Reference drivers in the loop: would this driver have avoided the collision if the adversary had planned again?
+
+The attempt is driven once more from the trigger on. The user's driver drives until the reference driver's own alarm and
+reaction; from then on the reference driver brakes, and where it does not brake SUMO's driver goes on in the lane. It
+does not steer. The adversary plans again against what the ego now does, and other traffic reacts. The driver avoids the
+collision if the ego touches no vehicle but those that run into it from behind in its lane.
+
+The kinematic check (``metrics/reference/counterfactual.py``) repeats the adversary's motion. It is cheap and filters
+the attempts; a level is claimed for a driver that avoids the collision in both checks.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from sumo_adv.datatypes import Boxes, Track, VehicleState
+from sumo_adv.drivers import Action, EgoController, LaneSpeed, Observation, Pose, ReplayEgo
+from sumo_adv.drivers.protocol import wishes_of
+from sumo_adv.drivers.watching import Watcher, lane_half_width_of, path_of
+from sumo_adv.metrics.avoidance import OnRoad, manoeuvre_poses
+from sumo_adv.metrics.boxes import on_grid, row_of
+from sumo_adv.metrics.case import Case
+from sumo_adv.metrics.levels import encounter_of
+from sumo_adv.metrics.reference import BRAKERS, Braker
+from sumo_adv.metrics.reference.counterfactual import Counterfactual, Encounters
+from sumo_adv.metrics.reference.view import EgoPaths
+
+WARM_UP_S = 3.0
+"""Seconds before the attack that a reference driver looks at: longer than perception and reaction together (1.15 s)."""
+
+
+class ReferenceEgo:
+    """The ego's driver in the loop: the tested driver until the reference driver brakes, then the reference driver."""
+
+    needs_observation = True
+    forkable = True
+    sumo_type: Mapping[str, str] = {}
+
+    def __init__(
+        self, tested: EgoController, driver: type[Braker], history: Sequence[Track], ego: str,
+        take_over: Callable[[], None], log: Track | None = None,
+    ) -> None:  # fmt: skip
+        """Make the driver of one run.
+
+        Args:
+            tested: The driver under test, as it is when the attack begins.
+            driver: The reference driver.
+            history: The recorded motions up to the start of the attack; the driver looks at them first.
+            ego: The ego's id.
+            take_over: Called when the reference driver first brakes.
+            log: The ego's motion where a log moves it; its own way and pace are followed while nothing brakes.
+        """
+        self.name = driver.name
+        self.wishes = wishes_of(tested)
+        self._tested: EgoController = tested if log is None else _following(log)
+        self._driver, self._log = driver, log
+        self._way = None if log is None else EgoPaths(row_of(log))
+        self._take_over = take_over
+        self._ego, self._history = ego, {t.id: t for t in history}
+        self._watcher: Watcher | None = None
+        self._acting = False
+
+    def reset(self, seed: int) -> None:
+        """Does nothing: each run gets a new object."""
+
+    def act(self, observation: Observation) -> Action:
+        """The tested driver's action until the reference driver first brakes; from then on the reference driver's."""
+        half = lane_half_width_of(observation)
+        if self._watcher is None:
+            self._watcher = Watcher(self._driver, observation.dt)
+            self._look_back(self._watcher, observation, half)
+        target = self._watcher.speed(observation.ego, observation.others, path_of(observation), half)
+        if not self._acting and not math.isinf(target):
+            self._acting = True
+            self._take_over()
+        if not self._acting:
+            return self._tested.act(observation) if self._tested.needs_observation else None
+        if self._log is not None and self._way is not None:
+            return _braked_along(observation, self._log, self._way, target)
+        return None if math.isinf(target) else LaneSpeed(None, target)
+
+    def _look_back(self, watcher: Watcher, observation: Observation, half: float) -> None:
+        """Show the driver the states before the start."""
+        ego = self._history.pop(self._ego, None)
+        if ego is None:
+            return
+        path = path_of(observation, np.stack([ego.x, ego.y], axis=1))
+        for k in range(len(ego.time) - 1):  # the last state is the present one
+            others = (state_at(t, float(ego.time[k])) for t in self._history.values())
+            watcher.speed(_state(ego, k), [state for state in others if state is not None], path, half)
+        self._history.clear()
+
+
+class PlannedEgo:
+    """An ego that drives poses given in advance, by step from the start of the attack on."""
+
+    name = "manoeuvre"
+    needs_observation = True
+    forkable = True
+    sumo_type: Mapping[str, str] = {}
+
+    def __init__(self, plan: Boxes) -> None:
+        """``plan``: arrays ``(steps,)``, the first pose is the present one."""
+        self._plan, self._step = plan, 0
+
+    def reset(self, seed: int) -> None:
+        """Does nothing: each run gets a new object."""
+
+    def act(self, observation: Observation) -> Pose:
+        """The next pose; after the last one straight on."""
+        p, last = self._plan, self._plan.x.shape[-1] - 1
+        self._step += 1
+        k = min(self._step, last)
+        on = (self._step - k) * observation.dt * float(p.speed[k])
+        heading = float(p.heading[k])
+        x, y = float(p.x[k]) + on * math.cos(heading), float(p.y[k]) + on * math.sin(heading)
+        return Pose(x, y, heading, float(p.speed[k]))
+
+
+def _following(log: Track) -> ReplayEgo:
+    driver = ReplayEgo()
+    driver.load(log)
+    return driver
+
+
+def _braked_along(observation: Observation, log: Track, way: EgoPaths, target: float) -> Pose:
+    """The next pose on the way of a log: at ``target`` [m/s] or slower, else as the log's speed changes."""
+    ego, dt = observation.ego, observation.dt
+    now, pace = (float(v) for v in np.interp([observation.time, observation.time + dt], log.time, log.speed))
+    after = min(max(min(ego.speed + pace - now, target), 0.0), max(pace, ego.speed))
+    moved = (ego.speed + after) / 2 * dt
+    station = float(way.locate(np.array([[ego.x]]), np.array([[ego.y]]))[0][0, 0])
+    x, y, heading = (float(v[0, 0]) for v in way.poses(np.array([[station + moved]])))
+    return Pose(x, y, heading, after)
+
+
+def state_at(track: Track, time: float) -> VehicleState | None:
+    """A track's state at a time [s] of its grid; None if it is not there."""
+    k = int(np.searchsorted(track.time, time - 5e-4))
+    return _state(track, k) if k < len(track.time) and abs(float(track.time[k]) - time) < 5e-4 else None
+
+
+def _state(t: Track, k: int) -> VehicleState:
+    x, y, heading, speed, acceleration = (float(v[k]) for v in (t.x, t.y, t.heading, t.speed, t.acceleration))
+    return VehicleState(t.id, x, y, heading, speed, acceleration, t.length, t.width, t.lane[k] if t.lane else "")
+
+
+def manoeuvre_plan(
+    case: Case, start: float, contact_time: float, lane_half_width: float, on_road: OnRoad | None,
+    unattacked: Track | None,
+) -> Boxes | None:  # fmt: skip
+    """The poses of the manoeuvre that avoids a collision in the kinematic check.
+
+    Args:
+        case: The tracks that were judged.
+        start: When the adversary was taken over [s].
+        contact_time: Of the collision [s].
+        lane_half_width: Half the width of the ego's lane [m].
+        on_road: Tells which points are drivable.
+        unattacked: The ego's motion without the attack.
+
+    Returns:
+        Poses by step from ``start`` on, arrays ``(steps,)``; None if no manoeuvre avoids the collision.
+    """
+    given = encounter_of(case.ego, case.adversary, case.others, start, contact_time, lane_half_width, unattacked)
+    check = Counterfactual(given)
+    alarm = check.roll_out(BRAKERS["cc_human"])[2]
+    _, best = check.manoeuvring(alarm, on_road)
+    if best[0] < 0:
+        return None
+    first, begin = round(float(alarm[0]) / given.dt), int(given.start[0])
+    _, poses = manoeuvre_poses(check.ego, np.array([first]), check.steps - 1 - first, given.dt)
+    k = int(best[0])
+    parts = []
+    for name in ("x", "y", "heading", "speed"):
+        before, after = getattr(check.ego, name)[0, begin:first], getattr(poses, name)[k, 0]
+        parts.append(np.concatenate([before, after]) if first >= begin else after[begin - first :])
+    x, y, heading, speed = parts
+    return Boxes(x, y, heading, speed, float(np.ravel(check.ego.length)[0]), float(np.ravel(check.ego.width)[0]))
+
+
+def avoids(tracks: Sequence[Track], ego_id: str, adversary: str, start: float, lane_half_width: float) -> bool:
+    """Whether an ego touched no vehicle from ``start`` [s] on; vehicles that run into its back do not count."""
+    named = {t.id: t for t in tracks}
+    if ego_id not in named or adversary not in named:
+        return True  # one of the two left the network before they met
+    ego, foe = named.pop(ego_id), named.pop(adversary)
+    begin = max(float(ego.time[0]), float(foe.time[0]))
+    checked = ego.between(begin, np.inf)
+    if len(checked.time) < 2:
+        return True
+    dt = float(np.diff(checked.time).min())
+    first = int(np.searchsorted(checked.time, start - 5e-4))
+    others = list(named.values())
+    grid = on_grid(others, np.round(begin + np.arange(len(checked.time)) * dt, 6)) if others else None
+    given = Encounters(
+        row_of(checked), row_of(foe.between(begin, np.inf)), np.array([first]), np.array([len(checked.time) - 1]), dt,
+        grid, lane_half_width,
+    )  # fmt: skip
+    return bool(Counterfactual(given, beyond=0.0).unchanged().avoids[0])
