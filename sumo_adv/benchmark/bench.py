@@ -24,7 +24,7 @@ from sumo_adv.drivers import make_ego
 from sumo_adv.errors import UsageError
 from sumo_adv.files import held, sentences, write_text
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.parsing import parse_json
+from sumo_adv.parsing import read_json, read_object
 
 CELL_KEYS = {"case", "kind", "group", "ego", "row", "seed", "ending"}
 
@@ -117,7 +117,7 @@ def read_cells(folder: Path) -> list[Cell]:
     cells: list[Cell] = []
     for file in sorted((folder / "cells").glob("*/*/*.json")):
         try:
-            cell = parse_json(file.read_text(encoding="utf-8"))
+            cell = read_json(file)
         except (OSError, ValueError) as error:
             raise UsageError(f"{file} cannot be read ({error}); delete it to have it run again.") from error
         if not isinstance(cell, dict) or not cell.keys() >= CELL_KEYS:
@@ -200,12 +200,7 @@ def _keep_plan(plan: Mapping[str, Any], folder: Path) -> None:
     """Remember what the folder is of. Raises UsageError where it holds something else."""
     file = folder / PLAN
     if file.exists():
-        try:
-            before = parse_json(file.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            raise UsageError(f"{file} is damaged ({error}); give another --out.") from error
-        if not isinstance(before, dict):
-            raise UsageError(f"{file} is damaged (it holds no table); give another --out.")
+        before = read_object(file, "The plan of the bench")
         changed = [k for k in plan if before.get(k) != plan[k]]
         if changed:
             raise UsageError(

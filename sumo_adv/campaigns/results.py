@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from sumo_adv.datatypes import ENDING_SENTENCES, FAILED_ENDINGS, Ending
 from sumo_adv.errors import UsageError
 from sumo_adv.files import write_whole
-from sumo_adv.parsing import parse_json
+from sumo_adv.parsing import read_json
 
 if TYPE_CHECKING:
     from sumo_adv.simulation.inputs import RunInput
@@ -186,7 +186,7 @@ def failed(row: Row) -> bool:
 def read_row(folder: Path) -> Row | None:
     """The row of a run's folder; None if there is none, or it is damaged."""
     try:
-        outcome = parse_json((folder / OUTCOME).read_text(encoding="utf-8"))
+        outcome = read_json(folder / OUTCOME)
         return checked_row(row_of(folder.name, outcome, (folder / TRACEBACK).exists()))
     except (OSError, ValueError, LookupError, TypeError, AttributeError):
         return None

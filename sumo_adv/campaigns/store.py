@@ -30,7 +30,7 @@ from sumo_adv.campaigns.results import OUTCOME, Done, Job, Row, checked_row, kee
 from sumo_adv.errors import UsageError
 from sumo_adv.files import sentences, write_text, write_whole
 from sumo_adv.memory.store import connect
-from sumo_adv.parsing import parse_json
+from sumo_adv.parsing import LARGEST_UNPACKED, read_json
 
 SCHEMA = 1
 MOST_RUNS = 1000
@@ -62,7 +62,7 @@ def packed_texts(folder: Path, name: str) -> dict[str, str]:
                 inside = set(source.namelist())
                 for run in _read(index):
                     if f"{run}/{name}" in inside:
-                        texts[run] = source.read(f"{run}/{name}").decode()
+                        texts[run] = _unpacked(source, f"{run}/{name}").decode()
         except (*BROKEN, OSError, ValueError) as error:
             raise _damaged(index.with_suffix(".zip"), error) from error
     return texts
@@ -167,11 +167,18 @@ def _unpack_one(
                     for inside, outside in members.items():
                         target = folder.stage / outside
                         target.parent.mkdir(parents=True, exist_ok=True)
-                        target.write_bytes(source.read(inside))
+                        target.write_bytes(_unpacked(source, inside))
                     folder.keep(force=True)
                 yield into / run
-    except (*BROKEN, FileNotFoundError, KeyError) as error:
+    except (*BROKEN, FileNotFoundError, KeyError, ValueError) as error:
         raise _damaged(file, error) from error
+
+
+def _unpacked(source: zipfile.ZipFile, name: str) -> bytes:
+    """A member of a pack; ``zipfile`` reads no more than its head says. Raises ValueError: it is too large."""
+    if source.getinfo(name).file_size > LARGEST_UNPACKED:
+        raise ValueError(f"{name} holds more than {LARGEST_UNPACKED // 2**20} MiB")
+    return source.read(name)
 
 
 def is_plain_name(name: Any) -> bool:
@@ -189,7 +196,7 @@ def _indices(folder: Path) -> list[Path]:
 
 def _read(index: Path) -> dict[str, Any]:
     try:
-        runs = dict(parse_json(index.read_text(encoding="utf-8"))["runs"])
+        runs = dict(read_json(index)["runs"])
         names = [name for run, entry in runs.items() for name in (run, *entry["inputs"])]
         if not all(is_plain_name(name) for name in names):
             raise ValueError("it names what is no file in a folder")
@@ -217,7 +224,7 @@ class Store:
         if not file.is_file():
             return None
         try:
-            return checked_plan(parse_json(file.read_text(encoding="utf-8")))
+            return checked_plan(read_json(file))
         except (OSError, ValueError) as error:
             raise UsageError(f"{file} is not the plan of a batch ({error}); give another --out.") from error
 

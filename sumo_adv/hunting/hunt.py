@@ -27,7 +27,7 @@ from sumo_adv.datatypes import Level
 from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.files import sentences, write_text
 from sumo_adv.hunting.failures import COLUMNS, Failure, distinct, failure_of, table
-from sumo_adv.parsing import parse_json
+from sumo_adv.parsing import read_json, read_object
 from sumo_adv.report.index import HUNT, RESULTS
 from sumo_adv.report.outcome import ATTACKS
 from sumo_adv.report.tables import csv_text
@@ -238,8 +238,7 @@ class Hunt:
             if self.folder.is_dir() and any(not p.name.startswith(parts) for p in self.folder.iterdir()):
                 raise UsageError(f"{self.folder} is not empty and holds no hunt: give another --out.")
             return {"schema": SCHEMA, "plan": told, "rounds": []}
-        with sentences(self.folder):
-            state: dict[str, Any] = parse_json(file.read_text(encoding="utf-8"))
+        state = read_object(file, "The state of the hunt")
         if state.get("schema") != SCHEMA or state.get("plan") != json.loads(json.dumps(told)):
             raise UsageError(
                 f"{self.folder} holds a hunt with other inputs, egos or settings: say the same, or give another --out."
@@ -284,7 +283,7 @@ def _further(runs: Path, rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Fa
 def _outcomes(runs: Path, rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
     """What ``outcome.json`` of each episode says."""
     files = [runs / str(row["id"]) / OUTCOME for row in rows]
-    return [parse_json(file.read_text(encoding="utf-8")) for file in files if file.is_file()]
+    return [read_object(file, "The outcome") for file in files if file.is_file()]
 
 
 def _lost(rows: Sequence[Mapping[str, Any]], outcomes: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -320,7 +319,7 @@ def over_time(folder: Path) -> list[tuple[float, Mapping[str, int]]]:
         raise UsageError(f"{folder} is not the folder of a hunt: it has no {HUNT}.")
     after, seconds = list[tuple[float, Mapping[str, int]]](), 0.0
     try:
-        for each in parse_json(file.read_text(encoding="utf-8"))["rounds"]:
+        for each in read_json(file)["rounds"]:
             seconds += float(each.get("took", 0.0))
             if "found" in each:
                 after.append((seconds / 60.0, {str(level): int(each["found"][str(level)]) for level in LEVELS}))

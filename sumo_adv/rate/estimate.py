@@ -31,7 +31,7 @@ from sumo_adv.campaigns.results import Done
 from sumo_adv.datatypes import Floats, Level
 from sumo_adv.errors import UsageError
 from sumo_adv.files import held, json_text, sentences, write_text
-from sumo_adv.parsing import parse_json
+from sumo_adv.parsing import read_json, read_object
 from sumo_adv.rate.blocks import BLOCK, WAIT, Block, BlockRunner, ClusterBlocks, RatePlan, failed
 from sumo_adv.rate.proposal import KINDS, MOST_WEIGHT, Counts, Proposal, chances, learnt, pilot_proposal
 from sumo_adv.rate.run import Record
@@ -195,8 +195,8 @@ class Estimation:
     def _keep_plan(self) -> None:
         file, document = self.out / PLAN, json.loads(json_text(self.plan.document()))
         if file.exists():
-            before = parse_json(file.read_text(encoding="utf-8"))
-            changed = [key for key in document if not isinstance(before, dict) or before.get(key) != document[key]]
+            before = read_object(file, "The plan of the estimate")
+            changed = [key for key in document if before.get(key) != document[key]]
             if changed:
                 raise UsageError(
                     f"{self.out} holds runs of another {' and '.join(changed)}, which cannot go into one estimate; "
@@ -256,7 +256,7 @@ class Estimation:
 def read_block(file: Path) -> dict[str, Any] | None:
     """A block that is finished; None if there is none, or it is damaged."""
     try:
-        block = parse_json(file.read_text(encoding="utf-8"))
+        block = read_json(file)
         records_of([block])
         counts_of([block])
         return dict(block)

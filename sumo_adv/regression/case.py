@@ -10,7 +10,6 @@ SUITE/CASE/case.toml           the attack and what is expected of the ego
 from __future__ import annotations
 
 import hashlib
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -21,6 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from sumo_adv.config import load_settings
 from sumo_adv.datatypes import MOST_ADVERSARIES, Duty, Level, Proposal, acceleration_of
 from sumo_adv.errors import SandboxError, UsageError
+from sumo_adv.parsing import read_toml
 from sumo_adv.planners.source import make_planner
 from sumo_adv.simulation.inputs import RunInput, load_input
 
@@ -191,9 +191,7 @@ def hash_of(file: Path) -> str:
 
 def _parsed(file: Path) -> _File:
     try:
-        return _File.model_validate(tomllib.loads(file.read_text(encoding="utf-8")))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise UsageError(f"The case {file} cannot be read ({error}).") from error
+        return _File.model_validate(read_toml(file, "The case"))
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])

@@ -7,7 +7,6 @@ OUT/runs/CASE/      the run of each case that came to its encounter
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
 import xml.etree.ElementTree as ElementTree
@@ -25,6 +24,7 @@ from sumo_adv.campaigns.results import Done, Row, read_row, write_csv
 from sumo_adv.drivers import make_ego
 from sumo_adv.errors import UsageError
 from sumo_adv.files import json_text, sentences, write_text
+from sumo_adv.parsing import read_json
 from sumo_adv.regression.case import Case
 from sumo_adv.regression.runner import (
     UNTESTED,
@@ -122,7 +122,7 @@ def read_results(path: Path) -> dict[str, Any]:
     """The JSON file of a suite's run, or that in its folder. Raises UsageError."""
     file = path / RESULTS if path.is_dir() else path
     try:
-        document = json.loads(file.read_text(encoding="utf-8"))
+        document = read_json(file)
         if document["schema"] != SCHEMA:
             raise UsageError(f"{file} has schema {document['schema']}; this program reads {SCHEMA}.")
         return {**document, "cases": list(document["cases"])}

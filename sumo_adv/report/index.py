@@ -32,7 +32,7 @@ from sumo_adv.datatypes import Floats, Level
 from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.metrics.severity import Severity
 from sumo_adv.metrics.statistics import wilson
-from sumo_adv.parsing import parse_json
+from sumo_adv.parsing import read_json
 from sumo_adv.report.coverage import ALL, BANDS, Coverage
 from sumo_adv.report.document import asset, document, packed, whole, write_document
 from sumo_adv.report.page import page_of
@@ -340,7 +340,7 @@ def _ignore_interrupts() -> None:
 def _read(out: Path) -> tuple[dict[str, Made], dict[str, Any]]:
     """What the last time made; nothing where there was none, or another version made it."""
     try:
-        kept = parse_json((out / MADE).read_text(encoding="utf-8"))
+        kept = read_json(out / MADE)
         if kept["version"] != __version__:
             return {}, {}
         made = {

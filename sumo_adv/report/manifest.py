@@ -14,14 +14,14 @@ from sumo_adv.config import Settings, load_settings
 from sumo_adv.datatypes import Duty, Proposal, acceleration_of
 from sumo_adv.episode.task import Task
 from sumo_adv.errors import UsageError
-from sumo_adv.parsing import parse_json
+from sumo_adv.parsing import read_json
 from sumo_adv.planners.source import make_planner
 from sumo_adv.report.outcome import SCHEMA
 from sumo_adv.simulation.inputs import EgoRoute, RunInput, WaymoSource
 from sumo_adv.simulation.maps import Conversion
 from sumo_adv.simulation.playback_spec import PlaybackSpec, Prop, make_playback
 from sumo_adv.simulation.simulation import SimulationSpec
-from sumo_adv.simulation.sumo_options import DEFAULTS
+from sumo_adv.simulation.sumo_options import DEFAULTS, FORCED
 
 RETIRED = ("experience",)  # settings of earlier versions; a replay drives the recorded attempt and needs none of them
 
@@ -46,7 +46,7 @@ def read_manifest(folder: Path) -> Recorded:
     if not file.is_file():
         raise UsageError(f"{folder} holds no manifest.json; give the folder of a run.")
     try:
-        m: dict[str, Any] = parse_json(file.read_text(encoding="utf-8"))
+        m: dict[str, Any] = read_json(file)
         if m["schema"] != SCHEMA:
             raise UsageError(
                 f"{file} has schema {m['schema']}, this program reads {SCHEMA}; use the version that wrote it."
@@ -63,7 +63,7 @@ def _recorded(folder: Path, m: dict[str, Any]) -> Recorded:
     spec = SimulationSpec(
         _copy(folder, m["network"]), tuple(_copy(folder, n) for n in m["routes"]),
         tuple(_copy(folder, n) for n in m["additional"]), m["begin"], m["seed"], settings.step_length,
-        m.get("sumo_options", DEFAULTS),
+        {name: value for name, value in m.get("sumo_options", DEFAULTS).items() if name not in FORCED},
     )  # fmt: skip
     ego = m["ego"]
     if isinstance(ego, dict):

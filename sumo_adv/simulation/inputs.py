@@ -220,7 +220,7 @@ def _from_configuration(path: Path) -> RunInput:
     step, notes = _step_length(path, options.pop("step-length", None))
     seed = seconds(path, "seed", options.pop("seed", None))
     ours = ("net", "routes", "additional", "begin", "end")
-    chosen, left = kept(path, {name: value for name, value in options.items() if name not in ours})
+    chosen, left = kept({name: value for name, value in options.items() if name not in ours})
     if left:
         notes = (*notes, f"Not kept of {path.name}, as this program sets them itself: {', '.join(left)}.")
     return RunInput(

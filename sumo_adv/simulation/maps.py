@@ -25,7 +25,7 @@ from pathlib import Path
 
 from sumo_adv.errors import UsageError
 from sumo_adv.files import user_folder
-from sumo_adv.parsing import parse_json
+from sumo_adv.parsing import read_json
 from sumo_adv.simulation.programs import find_netconvert, find_type_maps
 from sumo_adv.simulation.scan import allows_passenger, parse
 
@@ -138,7 +138,7 @@ def _key(path: Path, options: Sequence[str]) -> str:
 def _kept(path: Path, stem: str, place: Path) -> Conversion | None:
     """The whole conversion at ``place``, or None."""
     try:
-        report = parse_json((place / REPORT).read_text(encoding="utf-8"))
+        report = read_json(place / REPORT)
         os.utime(place)
     except (OSError, ValueError):
         return None

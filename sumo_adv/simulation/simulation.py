@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
 from sumo_adv.datatypes import DriverModel, VehicleState
 from sumo_adv.errors import SimulationError, UsageError
 from sumo_adv.geometry import Pose, wrap
+from sumo_adv.simulation.given_options import check
 from sumo_adv.simulation.programs import load_libsumo
 from sumo_adv.simulation.remote import RawState, Remote
 from sumo_adv.simulation.sumo_options import DEFAULTS, FORCED
@@ -34,6 +35,12 @@ FREE_SPEED_MODE, SUMO_SPEED_MODE = 32, 31
 HEEDING_SPEED_MODE = 24  # any speed, and lights and right of way still count in what SUMO's driver would do
 LANE_HABITS = ("lcStrategic", "lcCooperative", "lcSpeedGain", "lcKeepRight")  # stay as the demand gives them
 INVALID = -1e9  # SUMO's coordinates of a vehicle that is nowhere are about -2**30
+
+
+def nameable(file: Path) -> bool:
+    """Whether SUMO can be told a file's name: it reads UTF-8, and commas and semicolons part its lists of files."""
+    name = str(file)
+    return name.isprintable() and not {",", ";"} & set(name)
 
 
 def heading_of(angle_deg: float) -> float:
@@ -70,7 +77,10 @@ def correct_speeds(raw: dict[str, RawState], given: Mapping[str, float]) -> None
 
 @dataclass(frozen=True, slots=True)
 class SimulationSpec:
-    """What SUMO is started with. Times in s; options: by SUMO's long names, those that this program does not force."""
+    """What SUMO is started with. Times in s; options: by SUMO's long names, those that this program does not force.
+
+    Raises UsageError: an option may not be given, its value is not of its type, or a file cannot be named to SUMO.
+    """
 
     network: Path
     routes: tuple[Path, ...]
@@ -80,6 +90,15 @@ class SimulationSpec:
     step_length: float = 0.1
     options: Mapping[str, str] = field(default_factory=lambda: dict(DEFAULTS))
 
+    def __post_init__(self) -> None:
+        check(self.options)
+        for file in (self.network, *self.routes, *self.additional):
+            if not nameable(file):
+                raise UsageError(
+                    f"SUMO cannot be told the file {str(file)!r}: rename it, or its folder, to a name in UTF-8 without "
+                    "commas, semicolons and control characters."
+                )
+
     @property
     def all_options(self) -> dict[str, str]:
         """The options of SUMO, with those that this program forces."""
@@ -87,15 +106,10 @@ class SimulationSpec:
 
     def arguments(self) -> list[str]:
         """The command line without the program's name."""
-        args = ["-n", str(self.network), "--begin", repr(self.begin), "--step-length", repr(self.step_length)]
-        args += ["--seed", str(self.seed)]
-        for name, value in self.all_options.items():
-            args += [f"--{name}", value]
-        if self.routes:
-            args += ["-r", ",".join(map(str, self.routes))]
-        if self.additional:
-            args += ["-a", ",".join(map(str, self.additional))]
-        return args
+        files = {"net-file": (self.network,), "route-files": self.routes, "additional-files": self.additional}
+        named = {name: ",".join(map(str, paths)) for name, paths in files.items() if paths}
+        times = {"begin": repr(self.begin), "step-length": repr(self.step_length), "seed": str(self.seed)}
+        return [f"--{name}={value}" for name, value in {**named, **times, **self.all_options}.items()]
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,8 +175,6 @@ class Simulation:
         try:
             libsumo.start(["sumo", *self.spec.arguments()])
         except libsumo.TraCIException as error:
-            for name in self._unknown(libsumo):
-                raise UsageError(f"SUMO has no option '{name}': correct its name or leave it out.") from error
             raise SimulationError(f"SUMO refused to start ({' '.join(str(error).split())}).") from error
         Simulation._running = self
         self._list = libsumo.vehicle.getIDList
@@ -170,21 +182,6 @@ class Simulation:
         self._angle = libsumo.vehicle.getAngle
         self._speed = libsumo.vehicle.getSpeed
         self._lane = libsumo.vehicle.getLaneID
-
-    def _unknown(self, libsumo: Any) -> list[str]:
-        """The options that this SUMO does not know; nothing where it does not start without them either."""
-        unknown: list[str] = []
-        try:
-            libsumo.start(["sumo", *replace(self.spec, options={}).arguments()])
-        except libsumo.TraCIException:
-            return unknown
-        for name in self.spec.options:
-            try:
-                libsumo.simulation.getOption(name)
-            except libsumo.TraCIException:
-                unknown.append(name)
-        libsumo.close()
-        return unknown
 
     def reload(self) -> None:
         """Load the same simulation again from its beginning (bit-identical if the same commands follow)."""

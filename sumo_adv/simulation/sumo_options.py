@@ -7,9 +7,9 @@ it does not name are SUMO's own defaults. Names are SUMO's long ones, without da
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 from sumo_adv.errors import UsageError
+from sumo_adv.simulation.given_options import KINDS, check
 
 DEFAULTS = {
     "time-to-teleport": "-1", "lateral-resolution": "0.8", "default.speeddev": "0", "collision.mingap-factor": "0",
@@ -35,34 +35,24 @@ ELSEWHERE = {
     "step-length": "use the setting step_length",
 }  # fmt: skip
 """Options of SUMO that have another place, and which."""
-_OWN = ("device.ssm.", "gui-", "window-", "save-", "xml-validation", "duration-log", "message-log", "error-log")
-_OWN_NAMES = frozenset(
-    ("collision.action", "collision.stoptime", "remote-port", "num-clients", "configuration-file", "log", "log-file",
-     "verbose", "no-warnings", "no-step-log", "step-log.period", "threads", "load-state", "start", "quit-on-end",
-     "delay", "game", "breakpoints", "summary", "tripinfo", "netstate", "netstate-dump", "random", "mesosim",
-     "print-options", "help", "version")
-)  # fmt: skip
 
 
 def is_own(name: str) -> bool:
-    """Whether this program sets the option itself: effects of collisions, outputs, messages, GUI, threads, port. No
-    option that writes a file is left to an input (``device.ssm`` writes files without being told to)."""
-    return name in _OWN_NAMES or name.startswith(_OWN) or "output" in name or name.endswith(".file")
+    """Whether this program sets the option itself, or leaves it alone: effects of collisions, outputs, messages, GUI,
+    threads, port; and whatever is not in the list of those that may be given."""
+    return name in FORCED or name not in KINDS
 
 
-def kept(configuration: Path, given: Mapping[str, str]) -> tuple[dict[str, str], tuple[str, ...]]:
+def kept(given: Mapping[str, str]) -> tuple[dict[str, str], tuple[str, ...]]:
     """The options of a .sumocfg that are kept, and ``NAME=VALUE`` of those that are not.
 
-    An option that names a file is not kept: a run copies its network, demand and additional files alone. An option
-    that this program sets to the same value is in neither.
+    An option that this program sets to the same value is in neither. Raises UsageError for a value that is not of the
+    type of its option.
     """
-    own = {name for name, value in given.items() if is_own(name) or _is_file(configuration, value)}
-    left = tuple(f"{name}={given[name]}" for name in given if name in own and FORCED.get(name) != given[name])
-    return {name: value for name, value in given.items() if name not in own}, left
-
-
-def _is_file(configuration: Path, value: str) -> bool:
-    return any((configuration.parent / part.strip()).is_file() for part in value.split(",") if part.strip())
+    left = tuple(f"{name}={given[name]}" for name in given if is_own(name) and FORCED.get(name) != given[name])
+    chosen = {name: value for name, value in given.items() if not is_own(name)}
+    check(chosen)
+    return chosen, left
 
 
 def part_of(step: float) -> float | None:
@@ -91,9 +81,11 @@ def parse(given: Sequence[str]) -> dict[str, str]:
 
 
 def refuse(options: Mapping[str, str]) -> None:
-    """Raises UsageError for an option that has another place, or that this program must set itself."""
+    """Raises UsageError for an option that has another place, that this program must set itself, or that may not be
+    given; and for a value that is not of the option's type."""
     for name in options:
         if name in ELSEWHERE:
             raise UsageError(f"SUMO's option '{name}' cannot be passed through: {ELSEWHERE[name]}.")
-        if is_own(name):
+        if name in FORCED:
             raise UsageError(f"SUMO's option '{name}' is set by this program: leave it out.")
+    check(options)

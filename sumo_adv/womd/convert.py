@@ -26,7 +26,7 @@ from xml.etree import ElementTree
 from sumo_adv import __version__
 from sumo_adv.errors import SimulationError, UsageError
 from sumo_adv.files import user_folder, write_text
-from sumo_adv.parsing import parse_json
+from sumo_adv.parsing import read_json
 from sumo_adv.simulation.demand import generate
 from sumo_adv.simulation.programs import find_netconvert
 from sumo_adv.womd.record import Record, evenly_sampled
@@ -127,7 +127,7 @@ def conversion(record: Record, *, traffic: bool, cache: Path | None = None) -> I
 def _known(place: Path) -> dict[str, Any] | None:
     """The report of a whole conversion at ``place``, or None."""
     try:
-        return dict(parse_json((place / REPORT).read_text(encoding="utf-8")))
+        return dict(read_json(place / REPORT))
     except (OSError, ValueError, TypeError):
         return None
 
