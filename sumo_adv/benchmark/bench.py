@@ -22,7 +22,7 @@ from sumo_adv.campaigns.results import Done
 from sumo_adv.config import load_settings
 from sumo_adv.drivers import make_ego
 from sumo_adv.errors import UsageError
-from sumo_adv.files import held, sentences, write_text
+from sumo_adv.files import held, refuse_links, scratch_prefix, sentences, write_text
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.parsing import read_json, read_object
 
@@ -60,7 +60,7 @@ class Bench:
         self._waiting = deque(left)
         for chain in self._chains.values():
             self._go_on(chain)
-        with tempfile.TemporaryDirectory(prefix="sumo_adv-bench-", ignore_cleanup_errors=True) as scratch:
+        with tempfile.TemporaryDirectory(prefix=scratch_prefix(), ignore_cleanup_errors=True) as scratch:
             self._scratch = Path(scratch)
             workers = LocalWorkers(
                 (self._setup, self._scratch), self._pace, self._scratch, self._fail, Stop(), Bencher, self._seen, 1
@@ -172,6 +172,7 @@ def run_table(request: TableRequest, means: Means, watcher: Watcher) -> list[Cel
     plan = json.loads(json.dumps(manifest(request, means)))
     with sentences(means.folder):
         means.folder.mkdir(parents=True, exist_ok=True)
+        refuse_links(means.folder)
         _keep_plan(plan, means.folder)
         setup = Setup(
             means.folder.absolute(), request.suite.name, request.bank.absolute(), request.settings, means.parts,

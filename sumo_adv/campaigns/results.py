@@ -210,7 +210,7 @@ def keep_failure(
     staged: Callable[..., AbstractContextManager[Any]], runs: Path, job: Job, failure: str, text: str
 ) -> Done:
     """Those files as the run's folder, in its place in ``runs``."""
-    with staged(runs / job.id, force=True, marker=OUTCOME) as folder:
+    with staged(runs / job.id, force=True, inside=True) as folder:
         row = write_failure(folder.stage, job, failure, text)
         folder.keep(force=True)
     return Done(job.id, row)

@@ -19,6 +19,7 @@ from sumo_adv.campaigns.store import packed_texts
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Level
 from sumo_adv.errors import UsageError
+from sumo_adv.files import refuse_links
 from sumo_adv.metrics.statistics import Estimate, Paired, bootstrap, wilson
 from sumo_adv.parsing import parse_json, read_json
 from sumo_adv.regression.runner import Measured, Result, measured_of
@@ -72,6 +73,7 @@ class Side:
 
 def read_side(path: Path) -> Side:
     """The episodes at a path. Raises UsageError: it holds none, or a file is damaged."""
+    refuse_links(path)
     if path.name == RESULTS or (path / RESULTS).is_file():
         return _regression(path)
     if (path / BENCH_PLAN).is_file():

@@ -38,6 +38,7 @@ from sumo_adv.episode.verdict import (
     unattacked,
 )
 from sumo_adv.errors import DriverError, SimulationError, ran_out_of_memory
+from sumo_adv.files import scratch_prefix
 from sumo_adv.metrics.case import Case, make_case
 from sumo_adv.metrics.levels import NOT_APPLICABLE
 from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, Braker
@@ -79,7 +80,7 @@ class Worker:
 
     def __init__(self, slots: Sequence[Connection]) -> None:
         self._slots = slots
-        self._folder = tempfile.TemporaryDirectory(prefix="sumo_adv-")
+        self._folder = tempfile.TemporaryDirectory(prefix=scratch_prefix())
         self._road: RoadMap
         self._passed: list[str] = []
         self._encounter: FoundEncounter

@@ -25,7 +25,7 @@ from sumo_adv.campaigns.plan import Plan
 from sumo_adv.campaigns.results import OUTCOME, failed, read_row
 from sumo_adv.datatypes import Level
 from sumo_adv.errors import SumoAdvError, UsageError
-from sumo_adv.files import sentences, write_text
+from sumo_adv.files import refuse_links, sentences, write_text
 from sumo_adv.hunting.failures import COLUMNS, Failure, distinct, failure_of, table
 from sumo_adv.parsing import read_json, read_object
 from sumo_adv.report.index import HUNT, RESULTS
@@ -232,6 +232,7 @@ class Hunt:
 
     def _read(self) -> dict[str, Any]:
         told = {**self._plan.as_dict(), "seeds": [self._plan.seeds[0]]}
+        refuse_links(self.folder)
         file = self.folder / HUNT
         if not file.is_file():
             parts = f".{Path(HUNT).stem}."  # of a state that was being written when the program was killed

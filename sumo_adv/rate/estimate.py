@@ -30,7 +30,7 @@ from sumo_adv.campaigns.local import LocalWorkers, Pace, Stop
 from sumo_adv.campaigns.results import Done
 from sumo_adv.datatypes import Floats, Level
 from sumo_adv.errors import UsageError
-from sumo_adv.files import held, json_text, sentences, write_text
+from sumo_adv.files import held, json_text, refuse_links, scratch_prefix, sentences, write_text
 from sumo_adv.parsing import read_json, read_object
 from sumo_adv.rate.blocks import BLOCK, WAIT, Block, BlockRunner, ClusterBlocks, RatePlan, failed
 from sumo_adv.rate.proposal import KINDS, MOST_WEIGHT, Counts, Proposal, chances, learnt, pilot_proposal
@@ -183,8 +183,9 @@ class Estimation:
                 written, or there is no such cluster;
             SimulationError: a block of runs failed twice.
         """
-        with sentences(self.out), TemporaryDirectory(prefix="sumo_adv-") as scratch:
+        with sentences(self.out), TemporaryDirectory(prefix=scratch_prefix()) as scratch:
             self.plan.task(Path(scratch))
+            refuse_links(self.out)
             (self.out / "blocks").mkdir(parents=True, exist_ok=True)
             with held(self.out / LOCK) as alone:
                 if not alone:

@@ -20,6 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from sumo_adv.config import load_settings
 from sumo_adv.datatypes import MOST_ADVERSARIES, Duty, Level, Proposal, acceleration_of
 from sumo_adv.errors import SandboxError, UsageError
+from sumo_adv.files import refuse_links
 from sumo_adv.parsing import read_toml
 from sumo_adv.planners.source import make_planner
 from sumo_adv.simulation.inputs import RunInput, load_input
@@ -27,6 +28,7 @@ from sumo_adv.simulation.inputs import RunInput, load_input
 SCHEMA = 1
 CASE_FILE, SCENARIO_FILE, PLANNER_FILE, NETWORKS = "case.toml", "scenario.toml", "planner.py", "networks"
 HASH_DIGITS = 12
+LONGEST_DELAY = 60.0  # s after the trigger at which an attack may begin
 SHAPING = (
     "seed", "step_length", "history", "duration", "replan", "delays", "forecast", "ttc", "limits", "sumo_options",
 )  # fmt: skip
@@ -77,7 +79,7 @@ class _Support(_Member):
 
 
 class _Attack(_Member):
-    delay: Annotated[float, Field(ge=0.0)]
+    delay: Annotated[float, Field(ge=0.0, le=LONGEST_DELAY)]
     ego_driven_from: float | None = None
     ego_before: tuple[tuple[str, float, float], ...] = ()
     network: str
@@ -123,6 +125,7 @@ class Case:
 
 def read_suite(folder: Path) -> list[Case]:
     """The cases of a suite, by name. Raises UsageError: there are none, or one of them is damaged."""
+    refuse_links(folder)
     if (folder / CASE_FILE).is_file():
         return [read_case(folder)]
     files = sorted(folder.glob(f"*/{CASE_FILE}")) if folder.is_dir() else []
@@ -134,6 +137,7 @@ def read_suite(folder: Path) -> list[Case]:
 def read_case(folder: Path) -> Case:
     """The case in a folder, checked. Raises UsageError: a file is missing, damaged, or does not fit the others."""
     file = folder / CASE_FILE
+    name = folder.name if folder.name not in ("", "..") else folder.resolve().name  # its place in the suite
     given = _parsed(file)
     source = load_input(folder / SCENARIO_FILE)
     attack = given.attack
@@ -155,9 +159,9 @@ def read_case(folder: Path) -> Case:
     proposal = replace(proposal, supports=tuple(supports), composition=attack.composition)
     relations = {m.adversary: m.relation for m in members}
     changed = hash_of(source.network) != attack.network
-    note = f"{folder.resolve().name}: the network {source.network.name} is not the one that the case was kept with."
+    note = f"{name}: the network {source.network.name} is not the one that the case was kept with."
     return Case(
-        folder.resolve().name, folder, source, proposal, relations, given.expect, attack.ego_driven_from,
+        name, folder, source, proposal, relations, given.expect, attack.ego_driven_from,
         attack.ego_before, given.settings, given.found, (note,) if changed else (),
     )  # fmt: skip
 

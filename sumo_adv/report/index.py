@@ -30,6 +30,7 @@ import numpy as np
 from sumo_adv import __version__
 from sumo_adv.datatypes import Floats, Level
 from sumo_adv.errors import SumoAdvError, UsageError
+from sumo_adv.files import scratch_prefix
 from sumo_adv.metrics.severity import Severity
 from sumo_adv.metrics.statistics import wilson
 from sumo_adv.parsing import read_json
@@ -290,7 +291,7 @@ def _all_pages(
         yield from _some_pages(every, plain, runs, target, roads)
         for start in range(0, len(others), PORTION):
             some = others[start : start + PORTION]
-            with tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
+            with tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch:
                 if packs.unpack is not None:
                     packs.unpack(some, Path(scratch))
                 yield from _some_pages(every, some, Path(scratch), target, roads)

@@ -14,6 +14,7 @@ from sumo_adv.config import Settings, load_settings
 from sumo_adv.datatypes import Duty, Proposal, acceleration_of
 from sumo_adv.episode.task import Task
 from sumo_adv.errors import UsageError
+from sumo_adv.files import refuse_links
 from sumo_adv.parsing import read_json
 from sumo_adv.planners.source import make_planner
 from sumo_adv.report.outcome import SCHEMA
@@ -42,6 +43,7 @@ def read_manifest(folder: Path) -> Recorded:
 
     Raises UsageError: no manifest, another schema, no attempt in it, or an input's copy that is missing or changed.
     """
+    refuse_links(folder)
     file = folder / "manifest.json"
     if not file.is_file():
         raise UsageError(f"{folder} holds no manifest.json; give the folder of a run.")

@@ -15,7 +15,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Role, Track
 from sumo_adv.errors import SumoAdvError, UsageError
-from sumo_adv.files import write_whole
+from sumo_adv.files import refuse_links, write_whole
 from sumo_adv.parsing import LARGEST_UNPACKED, read_json, read_text
 from sumo_adv.report.folder import FIRST, SIGNALS
 from sumo_adv.report.outcome import ATTACKS
@@ -58,6 +58,7 @@ def read_run(folder: Path) -> RunRead:
 
 def read_outcome(folder: Path) -> dict[str, Any]:
     """``outcome.json`` of a run. Raises UsageError: no run's folder, or the file is damaged."""
+    refuse_links(folder)
     if not (folder / OUTCOME).is_file():
         raise UsageError(f"{folder} holds no {OUTCOME}; give the folder of a run.")
     return _json(folder / OUTCOME)

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv.errors import OUT_OF_MEMORY, DriverError, SimulationError, SumoAdvError, ran_out_of_memory
+from sumo_adv.files import scratch_prefix
 from sumo_adv.simulation.watch import LOOK, SIZE, Call, Watch, keep
 
 SLOTS = 2  # forks that run at once, unless told otherwise
@@ -42,7 +43,7 @@ class Engine:
         self._owed = 0  # replies to commands that were posted
         self._heard = 0  # bytes of the log that belong to earlier episodes
         context = multiprocessing.get_context("spawn")
-        self._folder = tempfile.TemporaryDirectory(prefix="sumo_adv-engine-")  # the process may be killed: not its own
+        self._folder = tempfile.TemporaryDirectory(prefix=scratch_prefix())  # the process may be killed: not its own
         self._log = Path(self._folder.name) / "log"
         self._log.touch()
         note = Path(self._folder.name) / "calls"

@@ -24,7 +24,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from sumo_adv.errors import UsageError
-from sumo_adv.files import user_folder
+from sumo_adv.files import scratch_prefix, user_folder
 from sumo_adv.parsing import read_json
 from sumo_adv.simulation.programs import find_netconvert, find_type_maps
 from sumo_adv.simulation.scan import allows_passenger, parse
@@ -121,7 +121,7 @@ def _cache(given: Path | None) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:
-        folder = Path(tempfile.mkdtemp(prefix="sumo_adv-maps-"))
+        folder = Path(tempfile.mkdtemp(prefix=scratch_prefix()))
         atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return folder
 
