@@ -20,6 +20,7 @@ from sumo_adv.simulation.given_options import check
 from sumo_adv.simulation.programs import load_libsumo
 from sumo_adv.simulation.remote import RawState, Remote
 from sumo_adv.simulation.sumo_options import DEFAULTS, FORCED
+from sumo_adv.simulation.watch import LOAD_LIMIT, STEP_LIMIT, sumo_at_work
 
 S = TypeVar("S", bound=VehicleState)
 KEEP_ROUTE = 2  # moveToXY places exactly and rewrites the route where it must
@@ -173,7 +174,8 @@ class Simulation:
         self.api = libsumo
         self.errors = (libsumo.TraCIException, libsumo.FatalTraCIError)
         try:
-            libsumo.start(["sumo", *self.spec.arguments()])
+            with sumo_at_work("when it read its files", LOAD_LIMIT):
+                libsumo.start(["sumo", *self.spec.arguments()])
         except libsumo.TraCIException as error:
             raise SimulationError(f"SUMO refused to start ({' '.join(str(error).split())}).") from error
         Simulation._running = self
@@ -190,7 +192,8 @@ class Simulation:
         self.fleet.forget(())
         self._asked, self._given, self._as_cars, self._walked = {}, {}, set(), {}
         try:
-            self.api.load(self.spec.arguments())
+            with sumo_at_work("when it read its files again", LOAD_LIMIT):
+                self.api.load(self.spec.arguments())
         except self.errors as error:
             raise SimulationError(f"SUMO could not load the simulation again ({error}).") from error
 
@@ -218,7 +221,8 @@ class Simulation:
             self.remote.step()
             return
         try:
-            self.api.simulationStep()
+            with sumo_at_work("in a step", STEP_LIMIT):
+                self.api.simulationStep()
         except self.errors as error:
             raise SimulationError(f"SUMO failed in a step ({' '.join(str(error).split())}).") from error
 
