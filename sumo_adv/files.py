@@ -18,6 +18,7 @@ from typing import Any, Literal
 from sumo_adv.errors import SumoAdvError, UsageError
 
 FULL = (errno.ENOSPC, errno.EDQUOT)
+FORMULA = ("=", "+", "-", "@", "\t", "\r")
 REFUSED = (errno.EROFS, errno.EACCES, errno.EPERM, errno.EFBIG, errno.EIO)
 
 USER_FOLDERS = {
@@ -109,6 +110,22 @@ def _runs(process: int) -> bool:
     except (OSError, OverflowError):
         return True
     return True
+
+
+def plain_cell(value: Any) -> Any:
+    """A cell of a table for people: a text that a spreadsheet would take for a formula begins with an apostrophe."""
+    if not isinstance(value, str) or not value.startswith(FORMULA):
+        return value
+    try:
+        float(value)
+    except ValueError:
+        return f"'{value}"
+    return value
+
+
+def cell_text(cell: str) -> str:
+    """What ``plain_cell`` was given, from the text of a cell."""
+    return cell[1:] if cell.startswith("'") and cell[1:].startswith(FORMULA) else cell
 
 
 class StorageError(SumoAdvError):

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from sumo_adv.datatypes import ENDING_SENTENCES, FAILED_ENDINGS, Ending
 from sumo_adv.errors import UsageError
-from sumo_adv.files import write_whole
+from sumo_adv.files import cell_text, plain_cell, write_whole
 from sumo_adv.parsing import read_json
 
 if TYPE_CHECKING:
@@ -236,7 +236,7 @@ def write_csv(target: Path, table: Iterable[Mapping[str, Any]], varied: Sequence
 def _cell(value: Any) -> Any:
     if isinstance(value, bool):
         return "true" if value else "false"
-    return json.dumps(value) if isinstance(value, list | dict) else value
+    return plain_cell(json.dumps(value) if isinstance(value, list | dict) else value)
 
 
 def read_csv(file: Path) -> dict[str, list[Any]]:
@@ -258,7 +258,7 @@ def _value(name: str, text: str) -> Any:
         return None
     if name in TRUTHS:
         return text == "true"
-    return int(text) if name in WHOLES else float(text) if name in NUMBERS else text
+    return int(text) if name in WHOLES else float(text) if name in NUMBERS else cell_text(text)
 
 
 def check_parquet() -> None:

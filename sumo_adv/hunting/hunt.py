@@ -30,7 +30,7 @@ from sumo_adv.hunting.failures import COLUMNS, Failure, distinct, failure_of, ta
 from sumo_adv.parsing import read_json, read_object
 from sumo_adv.report.index import HUNT, RESULTS
 from sumo_adv.report.outcome import ATTACKS
-from sumo_adv.report.tables import csv_text
+from sumo_adv.report.tables import csv_text, plain_row
 
 SCHEMA = 1
 FAILURES, ROUNDS = "failures", "rounds"
@@ -252,7 +252,7 @@ class Hunt:
             self.folder.mkdir(parents=True, exist_ok=True)
             write_text(self.folder / HUNT, json.dumps(self._state, indent=1) + "\n")
             if found is not None:
-                write_text(self.folder / RESULTS, csv_text(COLUMNS, table(found, self.folder)))
+                write_text(self.folder / RESULTS, csv_text(COLUMNS, map(plain_row, table(found, self.folder))))
 
     def _collected(self) -> list[Failure]:
         """Copies of the representatives' folders in ``failures/``, best first, and the table that names them."""

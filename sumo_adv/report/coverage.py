@@ -23,7 +23,7 @@ from sumo_adv.metrics.statistics import Estimate, wilson
 from sumo_adv.parsing import parse_json, read_json
 from sumo_adv.report.document import write_document
 from sumo_adv.report.run_outcome import level_of
-from sumo_adv.report.tables import csv_text
+from sumo_adv.report.tables import csv_text, plain_row
 
 BANDS = ((0.0, 8.0), (8.0, 14.0), (14.0, 22.0), (22.0, math.inf))  # m/s; the bounds are about 30, 50 and 80 km/h
 HEADER = (
@@ -147,7 +147,7 @@ def coverage_csv(coverage: Coverage) -> str:
             shown = (f"{rate.value:.4f}" if row.encounters else "", f"{rate.low:.4f}", f"{rate.high:.4f}")
             speeds = (f"{low:g}", "" if math.isinf(high) else f"{high:g}")
             lines.append((ego, cell.intent, cell.relation, cell.road, *speeds, row.encounters, row.failures, *shown))
-    return csv_text(HEADER, (dict(zip(HEADER, line, strict=True)) for line in lines))
+    return csv_text(HEADER, (plain_row(dict(zip(HEADER, line, strict=True))) for line in lines))
 
 
 def campaign_coverage(folder: Path, runs: Sequence[Path], packed: Mapping[str, str], bank: Path) -> Coverage:

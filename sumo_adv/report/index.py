@@ -30,7 +30,7 @@ import numpy as np
 from sumo_adv import __version__
 from sumo_adv.datatypes import Floats, Level
 from sumo_adv.errors import SumoAdvError, UsageError
-from sumo_adv.files import scratch_prefix
+from sumo_adv.files import cell_text, scratch_prefix
 from sumo_adv.metrics.severity import Severity
 from sumo_adv.metrics.statistics import wilson
 from sumo_adv.parsing import read_json
@@ -97,7 +97,7 @@ def read_rows(file: Path) -> Table:
 
 
 def _row(row: Mapping[str, str | None], varied: Sequence[str]) -> dict[str, Any]:
-    made: dict[str, Any] = {name: row.get(name) or "" for name in (*WORDS, *LATER, *varied)}
+    made: dict[str, Any] = {name: cell_text(row.get(name) or "") for name in (*WORDS, *LATER, *varied)}
     made |= {name: _number(row[name]) for name in NUMBERS}
     return made | {name: {"true": True, "false": False}.get(row[name] or "") for name in TRUTHS}
 

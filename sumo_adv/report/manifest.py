@@ -104,7 +104,8 @@ def _proposal(folder: Path, a: dict[str, Any], planners: dict[str, Any]) -> Prop
 
 
 def _settings(recorded: dict[str, Any]) -> dict[str, Any]:
-    """The settings of a manifest, without a model's server, under the names of today: before 0.2 ``ttc`` was what ``critical_ttc`` is now."""
+    """The settings of a manifest, without a model's server, under the names of today: before 0.2 ``ttc`` was what
+    ``critical_ttc`` is now."""
     kept = {name: value for name, value in recorded.items() if name not in (*RETIRED, "llm_base_url")}
     return {**kept, "ttc": None, "critical_ttc": kept["ttc"]} if isinstance(kept.get("ttc"), float) else kept
 
