@@ -100,7 +100,7 @@ def _checked(parse: Callable[[str], Any], text: str) -> Any:
     left = [(value, 0)]
     while left:
         each, depth = left.pop()
-        if depth > DEEPEST:
+        if depth >= DEEPEST and isinstance(each, dict | list):
             raise ValueError("it nests too deeply")
         if isinstance(each, dict):
             left += [(inside, depth + 1) for pair in each.items() for inside in pair]

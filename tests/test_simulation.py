@@ -13,9 +13,8 @@ import pytest
 from sumo_samples import make_spec, over_the_line, vehicle
 
 from sumo_adv.datatypes import Role
-from sumo_adv.errors import SimulationError, UsageError
+from sumo_adv.errors import SimulationError
 from sumo_adv.geometry import Pose
-from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.simulation.simulation import (
     Simulation,
     SimulationSpec,
