@@ -15,7 +15,7 @@ from sumo_adv.files import json_text, refuse_links, scratch_prefix
 from sumo_adv.parsing import read_json
 
 PROGRAM = "sumo_adv"
-LISTING = ".sumo_adv.json"
+LISTING = "files.json"
 """In each folder that this program wrote: its name, and the entries that it wrote, all that --force may delete."""
 LATER = ("report.html", "figure.png")  # that commands add to the folder of a run
 

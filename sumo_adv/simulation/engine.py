@@ -40,6 +40,7 @@ class Engine:
         self.at_once = slots
         self.lost = False  # its process has died
         self.talks = False  # a conversation goes on
+        self.asked = False  # a request has no answer yet: whoever made it was interrupted
         self._owed = 0  # replies to commands that were posted
         self._heard = 0  # bytes of the log that belong to earlier episodes
         context = multiprocessing.get_context("spawn")
@@ -73,11 +74,13 @@ class Engine:
     def request(self, command: str, *arguments: Any, answer: Answer | None = None) -> Any:
         """Have the engine do something, answering its questions meanwhile. Raises SumoAdvError: what the engine raised,
         or SimulationError if its process died."""
+        self.asked = True
         with self._alive():
             self._order(command, arguments)
             while True:
                 for ready in self._ready(self._control, *self._slots):
                     if ready is self._control:
+                        self.asked = False
                         return self._reply()
                     question = ready.recv()
                     ready.send(answer(question) if answer is not None else None)
@@ -263,6 +266,7 @@ def _serve(body: Body, control: Connection, slots: list[Connection], log: str, n
             import traceback
 
             traceback.print_exc()
+        _mend()
         control.send(reply)
 
 
@@ -395,14 +399,18 @@ def _forked(works: Sequence[Callable[[], Any]], memory: float) -> list[_End]:
 
 
 def _mend() -> None:
-    """Undo what code of others may have done to this process that forks cannot live with: children of which the system
-    says nothing, and closed standard files, whose numbers a fork's pipe would get."""
-    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+    """Undo what code of others may have done to this process that it and its forks cannot live with: children of which
+    the system says nothing, and closed standard files, whose numbers a fork's pipe would get."""
+    if hasattr(signal, "SIGCHLD"):
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     for number in (0, 1, 2):
         try:
             os.fstat(number)
         except OSError:
             os.open(os.devnull, os.O_RDWR)  # the lowest number that is free
+    for name, number in (("stdout", 1), ("stderr", 2)):
+        if getattr(sys, name) is None or getattr(sys, name).closed:
+            setattr(sys, name, os.fdopen(number, "w", closefd=False))
 
 
 def _has_ended(pid: int) -> bool:
