@@ -84,6 +84,7 @@ SECRET = ("llm_api_key", "llm_base_url")  # the values of these settings are nev
 
 BUILTIN = "builtin"
 LONGEST_TTC = 20.0  # s
+LONGEST_DELAY = 60.0  # s after the trigger at which an attack may begin
 
 
 class Until(StrEnum):
@@ -214,6 +215,8 @@ class Settings(ModelSettings, BaseSettings):
                 raise ValueError(f"{name} is shorter than a step of {self.step_length:g} s")
         if not self.delays or min(self.delays) < 0:
             raise ValueError("delays needs one time or more, none of them negative")
+        if max(self.delays) > LONGEST_DELAY:
+            raise ValueError(f"delays has a time of more than {LONGEST_DELAY:g} s")
         return self
 
     @model_validator(mode="after")

@@ -36,8 +36,8 @@ class ChangesLane(Strange):
 
     def strange(self, seen: Observation) -> LaneSpeed | None:
         assert seen.road is not None
-        lane = seen.road.lanes[0]
-        lane.centre -= lane.centre[0]
+        centre = seen.road.lanes[0].centre
+        centre -= centre[0]
         return None
 
 

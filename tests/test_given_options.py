@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from cli_samples import Program
+from regression_samples import suite_in
 from sumo_samples import make_spec, vehicle
 
 from sumo_adv.errors import UsageError
@@ -107,6 +108,17 @@ def test_a_manifest_does_not_have_sumo_write(program: Program) -> None:
         assert done.status == 2
         assert "'ignore-route-errors' takes a switch" in done.err
     assert not (program.folder / "F").exists()
+
+
+@pytest.mark.parametrize("line", ['"ignore-route-errors" = "--fcd-output=F"', '"l" = "F"', '"fcd-output" = "F"'])
+def test_a_case_does_not_have_sumo_write(program: Program, line: str) -> None:
+    file = suite_in(program.folder, "a") / "a" / "case.toml"
+    text = file.read_text(encoding="utf-8")
+    file.write_text(text.replace("[settings]", f"[settings.sumo_options]\n{line}\n[settings]"), encoding="utf-8")
+    done = program.here("regress", "suite", "--ego", "idm", "--out", "out")
+    assert done.status == 2
+    assert "SUMO's option" in done.err
+    assert not list(program.folder.rglob("F"))
 
 
 SWARM = """<param key="SWARMLOG" value="{log}"/>

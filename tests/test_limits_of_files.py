@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import pytest
 from cli_samples import Program
 from regression_samples import attacked, suite_in
 
+from sumo_adv.config import load_settings
 from sumo_adv.errors import UsageError
 from sumo_adv.parsing import DEEPEST, LARGEST_UNPACKED, parse_json, parse_toml, read_bytes, read_object
 from sumo_adv.report.read import columns_of
@@ -54,6 +56,26 @@ def test_damaged_results_are_sentences_in_every_command(program: Program, text: 
         done = program.here(*command)
         assert done.status == 2, (name, command)
         assert done.err.count("\n") == 1
+
+
+@pytest.mark.parametrize("delay", ["1e300", "-1.0"])
+def test_a_delay_that_no_attack_has_is_refused_wherever_it_stands(program: Program, delay: str) -> None:
+    file = suite_in(program.folder, "a") / "a" / "case.toml"
+    changed = re.sub(r"(?m)^delay = .*$", f"delay = {delay}", file.read_text(encoding="utf-8"))
+    file.write_text(changed, encoding="utf-8")
+    done = program.here("regress", "suite", "--ego", "idm", "--out", "o")
+    assert done.status == 2
+    assert "delay" in done.err
+    shutil.copytree(attacked(), program.folder / "run")
+    manifest = program.folder / "run" / "manifest.json"
+    values = json.loads(manifest.read_text(encoding="utf-8"))
+    values["attempt"]["delay"] = float(delay)
+    manifest.write_text(json.dumps(values), encoding="utf-8")
+    done = program.here("run", "--replay", "run", "--out", "again")
+    assert done.status == 2
+    assert "delay" in done.err
+    with pytest.raises(UsageError, match="delays"):
+        load_settings(None, delays=[float(delay)])
 
 
 # -- packed files that unpack to more than there is memory ------------------------------------------------------------

@@ -79,7 +79,7 @@ def test_a_step_of_sumo_that_does_not_return_is_a_sentence() -> None:
     with (
         Engine(stuck) as engine,
         pytest.raises(Exception, match=r"SUMO did not return within 0\.2 s in a step") as said,
-    ):  # type: ignore[arg-type]
+    ):
         engine.request("work")
     assert type(said.value).__name__ == "SimulationError"
     assert engine.lost

@@ -17,18 +17,18 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from sumo_adv.config import load_settings
+from sumo_adv.config import LONGEST_DELAY, load_settings
 from sumo_adv.datatypes import MOST_ADVERSARIES, Duty, Level, Proposal, acceleration_of
 from sumo_adv.errors import SandboxError, UsageError
 from sumo_adv.files import refuse_links
 from sumo_adv.parsing import read_toml
 from sumo_adv.planners.source import make_planner
 from sumo_adv.simulation.inputs import RunInput, load_input
+from sumo_adv.simulation.sumo_options import refuse
 
 SCHEMA = 1
 CASE_FILE, SCENARIO_FILE, PLANNER_FILE, NETWORKS = "case.toml", "scenario.toml", "planner.py", "networks"
 HASH_DIGITS = 12
-LONGEST_DELAY = 60.0  # s after the trigger at which an attack may begin
 SHAPING = (
     "seed", "step_length", "history", "duration", "replan", "delays", "forecast", "ttc", "limits", "sumo_options",
 )  # fmt: skip
@@ -153,7 +153,7 @@ def read_case(folder: Path) -> Case:
     strange = sorted(given.settings.keys() - set(SHAPING))
     if strange:
         raise UsageError(f"{file} sets '{strange[0]}', which a case does not; it may set {', '.join(SHAPING)}.")
-    load_settings(None, **given.settings)
+    refuse(load_settings(None, **given.settings).sumo_options)
     members = (attack, *attack.supports)
     proposal, *supports = [_proposal(file, planner_file(k), m, attack.delay) for k, m in enumerate(members)]
     proposal = replace(proposal, supports=tuple(supports), composition=attack.composition)

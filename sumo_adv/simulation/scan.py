@@ -15,7 +15,7 @@ from xml.sax.saxutils import quoteattr
 
 from sumo_adv import parsing
 from sumo_adv.errors import UsageError
-from sumo_adv.simulation.simulation import PERSON
+from sumo_adv.simulation.simulation import PERSON, check_nameable
 
 LONGEST_LANE = 1e6  # m, and m/s: beyond any
 FARTHEST = 1e9  # m from the origin
@@ -54,6 +54,7 @@ class DemandScan:
 def scan_network(path: Path) -> NetworkScan:
     """The edges of the SUMO network ``path``. Raises UsageError if it is damaged, is no SUMO network, has a lane with
     an impossible length, width, speed or shape, or has no lane for passenger cars."""
+    check_nameable(path)
     edges: set[str] = set()
     drivable: set[str] = set()
     root: list[str] = []
@@ -112,6 +113,7 @@ def allows_passenger(lane: dict[str, str]) -> bool:
 
 def scan_demand(path: Path) -> DemandScan:
     """The edges and vehicles of a SUMO route or additional file. Raises UsageError if it is damaged."""
+    check_nameable(path)
     edges: dict[str, None] = {}
     vehicles: set[str] = set()
     flows: set[str] = set()

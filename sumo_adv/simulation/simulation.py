@@ -38,10 +38,15 @@ LANE_HABITS = ("lcStrategic", "lcCooperative", "lcSpeedGain", "lcKeepRight")  # 
 INVALID = -1e9  # SUMO's coordinates of a vehicle that is nowhere are about -2**30
 
 
-def nameable(file: Path) -> bool:
-    """Whether SUMO can be told a file's name: it reads UTF-8, and commas and semicolons part its lists of files."""
+def check_nameable(file: Path) -> None:
+    """Raises UsageError for a file that SUMO cannot be told: it reads UTF-8, and parts its lists at commas and
+    semicolons."""
     name = str(file)
-    return name.isprintable() and not {",", ";"} & set(name)
+    if not name.isprintable() or {",", ";"} & set(name):
+        raise UsageError(
+            f"SUMO cannot be told the file {name!r}: rename it, or its folder, to a name in UTF-8 without commas, "
+            "semicolons and control characters."
+        )
 
 
 def heading_of(angle_deg: float) -> float:
@@ -94,11 +99,7 @@ class SimulationSpec:
     def __post_init__(self) -> None:
         check(self.options)
         for file in (self.network, *self.routes, *self.additional):
-            if not nameable(file):
-                raise UsageError(
-                    f"SUMO cannot be told the file {str(file)!r}: rename it, or its folder, to a name in UTF-8 without "
-                    "commas, semicolons and control characters."
-                )
+            check_nameable(file)
 
     @property
     def all_options(self) -> dict[str, str]:
