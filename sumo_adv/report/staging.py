@@ -17,7 +17,7 @@ from sumo_adv.parsing import read_json
 PROGRAM = "sumo_adv"
 LISTING = "files.json"
 """In each folder that this program wrote: its name, and the entries that it wrote, all that --force may delete."""
-LATER = ("report.html", "figure.png")  # that commands add to the folder of a run
+LATER = ("report.html", "figure.png", "report")  # what commands add to a folder that was written
 
 
 class RunFolder:
@@ -47,14 +47,15 @@ def check_replaceable(target: Path) -> None:
         return
     try:
         listing = read_json(target / LISTING)
-        known = {LISTING, *LATER, *listing["files"]} if listing["program"] == PROGRAM else set()
+        known = {LISTING, *listing["files"]} if listing["program"] == PROGRAM else set()
     except (OSError, ValueError, KeyError, TypeError):
         known = set()
     if not known:
         raise UsageError(f"{target} is not the folder of a run or a conversion, {advice}.")
     refuse_links(target)
     for path in sorted(target.rglob("*")):
-        if path.relative_to(target).as_posix() not in known:
+        inside = path.relative_to(target)
+        if inside.as_posix() not in known and inside.parts[0] not in LATER:
             raise UsageError(f"{target} holds {path.name}, which this program did not write, {advice}.")
 
 
