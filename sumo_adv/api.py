@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from sumo_adv.config import load_settings
 from sumo_adv.datatypes import Role, Verdict
 from sumo_adv.errors import UsageError
+from sumo_adv.files import scratch_prefix
 from sumo_adv.report.staging import scratch_folder, staged
 
 if TYPE_CHECKING:
@@ -165,7 +166,7 @@ def run(
     driver = trusted_driver(named, given.ego_controller, given.source)
     options = {**own_simulation(given), **given.settings(options), **options, "ego": driver}
     chosen = load_settings(None if settings_file is None else Path(settings_file), **options)
-    keep = tempfile.TemporaryDirectory(prefix="sumo_adv-result-") if out is None else None
+    keep = tempfile.TemporaryDirectory(prefix=scratch_prefix()) if out is None else None
     target = Path(out) if out is not None else Path(keep.name if keep else "") / f"{given.name}-{chosen.seed}"
     try:
         with staged(target, force=force) as folder, scratch_folder() as scratch:

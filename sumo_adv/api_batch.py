@@ -22,6 +22,7 @@ from sumo_adv.app import batch_parts, cluster_processors, estimate_rate, run_cam
 from sumo_adv.campaigns.results import NUMBERS, WHOLES, read_csv, read_row
 from sumo_adv.config_odd import Odd, read_odd
 from sumo_adv.errors import UsageError
+from sumo_adv.files import refuse_links, scratch_prefix
 from sumo_adv.memory.store import default_bank_path
 
 if TYPE_CHECKING:
@@ -43,6 +44,7 @@ class Campaign:
         self.folder = Path(folder)
         if not (self.folder / PLAN).is_file():
             raise UsageError(f"{folder} is not the folder of a batch: it has no {PLAN}.")
+        refuse_links(self.folder)
 
     @cached_property
     def table(self) -> Table:
@@ -336,6 +338,6 @@ def crash_rate(
         Path(source), ego, dict(ego_parameters or {}), density, warm_up, duration, errors, pilot, plain, seed
     )
     watcher = Teller(None if tell is None else lambda told, job, _: tell(job.phase, told.done, told.total))
-    with tempfile.TemporaryDirectory(prefix="sumo_adv-result-") as scratch:
+    with tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch:
         folder = Path(scratch) if out is None else Path(out)
         return estimate_rate(plan, folder, runs, workers, watcher, ray)

@@ -20,6 +20,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from sumo_adv.errors import BankError, UsageError
+from sumo_adv.files import scratch_prefix
 
 if TYPE_CHECKING:
     from multiprocessing.util import Finalize
@@ -265,7 +266,7 @@ def check_driver(
 
     with _without_main(), deaf():
         engine = Engine(body, slots=0)
-    with engine, tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
+    with engine, tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch:
         driven = twelve() if inputs is None else inputs
         return check_driver(engine, driven, settings, Path(scratch), seconds=seconds or DURATION, tell=tell)
 
@@ -394,7 +395,7 @@ def unpacked(folder: Path, names: Iterable[str]) -> Iterator[Path]:
     from sumo_adv.report.staging import staged
 
     for name in names:
-        with tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
+        with tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch:
             yield unpack(folder, [name], Path(scratch), staged)[0]
 
 
@@ -447,7 +448,7 @@ def keep_run(target: Path, episode: Episode, exchanges: Path | None = None) -> N
     from sumo_adv.report.outcome import MODEL_FILE
     from sumo_adv.report.staging import staged
 
-    with staged(target, force=True) as folder:
+    with staged(target, force=True, inside=True) as folder:
         write_run(folder, episode)
         if exchanges is not None and exchanges.exists():
             shutil.copyfile(exchanges, folder.stage / MODEL_FILE)
@@ -461,7 +462,7 @@ def draw_example(target: Path, episode: Episode) -> None:
     from sumo_adv.report.folder import write_run
     from sumo_adv.report.staging import staged
 
-    with tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch, sentences(target):
+    with tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch, sentences(target):
         with staged(Path(scratch) / "run", force=False) as folder:
             write_run(folder, episode, figure=False)
             folder.keep(force=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -82,10 +83,12 @@ def one_word(key: str) -> SecretStr | None:
 
 PREFIX = "SUMO_ADV_"  # of variables of the environment that are settings
 KEY = f"{PREFIX}LLM_API_KEY"  # is written to no plan: workers read it from the environment
+ADDRESS = f"{PREFIX}LLM_BASE_URL"
 SECRET = ("llm_api_key", "llm_base_url")  # the values of these settings are never printed
 
 BUILTIN = "builtin"
 LONGEST_TTC = 20.0  # s
+LONGEST_DELAY = 60.0  # s after the trigger at which an attack may begin
 
 
 class Until(StrEnum):
@@ -127,7 +130,12 @@ class Settings(ModelSettings, BaseSettings):
     """Everything that shapes a run, times in s."""
 
     model_config = SettingsConfigDict(
-        env_prefix=PREFIX, env_nested_delimiter="__", frozen=True, extra="forbid", allow_inf_nan=False
+        env_prefix=PREFIX,
+        env_nested_delimiter="__",
+        env_ignore_empty=True,
+        frozen=True,
+        extra="forbid",
+        allow_inf_nan=False,
     )
 
     ego: str = "idm"
@@ -211,6 +219,8 @@ class Settings(ModelSettings, BaseSettings):
                 raise ValueError(f"{name} is shorter than a step of {self.step_length:g} s")
         if not self.delays or min(self.delays) < 0:
             raise ValueError("delays needs one time or more, none of them negative")
+        if max(self.delays) > LONGEST_DELAY:
+            raise ValueError(f"delays has a time of more than {LONGEST_DELAY:g} s")
         return self
 
     @model_validator(mode="after")
@@ -273,6 +283,20 @@ def forget_environment() -> None:
         del os.environ[name]
 
 
+def refuse_address(table: Mapping[str, Any], said: str, *, own_key: bool = False) -> None:
+    """Refuse a file that names a model's server while a key comes from elsewhere: who wrote the file would get it.
+
+    table: the settings in the file. own_key: a key was given beside the file. Raises UsageError.
+    """
+    environ = {name.upper(): value for name, value in os.environ.items()}
+    address, known = table.get("llm_base_url"), environ.get(ADDRESS)
+    if address and address != known and (own_key or environ.get(KEY)):
+        raise UsageError(
+            f"{said} names llm_base_url, and would be sent your key: set {ADDRESS} yourself if you trust that server, "
+            f"or unset {KEY}."
+        )
+
+
 _chosen_file: list[Path] = []  # while settings are loaded from a file: that one
 
 
@@ -285,7 +309,9 @@ def load_settings(file: Path | None = None, **given: Any) -> Settings:
     if file is not None:
         if not file.is_file():
             raise UsageError(f"The settings file {file} does not exist.")
-        read_toml(file, "The settings file")
+        table = read_toml(file, "The settings file")
+        if ADDRESS not in map(str.upper, os.environ) and not given.get("llm_base_url"):  # these go before the file's
+            refuse_address(table, f"The settings file {file}", own_key=bool(given.get("llm_api_key")))
         _chosen_file.append(file)
     try:
         return Settings(**{k: v for k, v in given.items() if v is not None})

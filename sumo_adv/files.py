@@ -1,4 +1,4 @@
-"""Writing files whole or not at all, and saying why where that is not possible."""
+"""Writing files whole or not at all, and saying why where that is not possible; folders that others may have made."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import errno
 import json
 import math
 import os
+import re
+import shutil
 import sqlite3
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
@@ -16,6 +18,7 @@ from typing import Any, Literal
 from sumo_adv.errors import SumoAdvError, UsageError
 
 FULL = (errno.ENOSPC, errno.EDQUOT)
+FORMULA = ("=", "+", "-", "@", "\t", "\r")
 REFUSED = (errno.EROFS, errno.EACCES, errno.EPERM, errno.EFBIG, errno.EIO)
 
 USER_FOLDERS = {
@@ -43,6 +46,86 @@ def user_folder(kind: Literal["data", "cache"], environ: Mapping[str, str], plat
         given = environ.get(variable, "")
         folder = Path(given) if given and Path(given).is_absolute() else home / elsewhere
     return folder / "sumo_adv"
+
+
+def is_plain_name(name: Any) -> bool:
+    """Whether it names an entry of a folder, and no place elsewhere."""
+    return isinstance(name, str) and name not in ("", ".", "..") and not set(name) & {"/", "\\", "\0"}
+
+
+def refuse_links(folder: Path) -> None:
+    """Raises UsageError for a link anywhere in a folder that is a campaign's, a suite's or a run's.
+
+    The program reads, moves and deletes what lies in such a folder, and others may have made it: a link would lead it
+    elsewhere. The folder itself may be a link of the user's. Nothing is wrong with a folder that is not there.
+    """
+    left = [folder]
+    while left:
+        try:
+            with os.scandir(left.pop()) as entries:
+                for entry in entries:
+                    if entry.is_symlink():
+                        raise UsageError(f"{entry.path} is a link, which is not followed: put a copy in its place.")
+                    if entry.is_dir(follow_symlinks=False):
+                        left.append(Path(entry.path))
+        except (FileNotFoundError, NotADirectoryError):
+            continue
+
+
+_SCRATCH = re.compile(r"sumo_adv-(\d+)-(\d+)-.*")
+
+
+def scratch_prefix() -> str:
+    """What the name of a scratch folder of this process begins with, for ``tempfile``: ``sweep_scratch`` knows by it
+    whether the process still runs."""
+    return f"sumo_adv-{_process_space()}-{os.getpid()}-"
+
+
+def sweep_scratch() -> None:
+    """Remove this user's scratch folders whose processes were killed, of which the system says that they are gone."""
+    if not hasattr(os, "getuid"):
+        return
+    with suppress(OSError), os.scandir(tempfile.gettempdir()) as entries:
+        for entry in entries:
+            named = _SCRATCH.fullmatch(entry.name)
+            if named is None or int(named[1]) != _process_space() or _runs(int(named[2])):
+                continue
+            if entry.is_dir(follow_symlinks=False) and entry.stat(follow_symlinks=False).st_uid == os.getuid():
+                shutil.rmtree(entry.path, ignore_errors=True)
+
+
+def _process_space() -> int:
+    """The number of the space in which process ids count; containers that share a temporary folder have others."""
+    try:
+        return Path("/proc/self/ns/pid").stat().st_ino
+    except OSError:
+        return 0
+
+
+def _runs(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):
+        return True
+    return True
+
+
+def plain_cell(value: Any) -> Any:
+    """A cell of a table for people: a text that a spreadsheet would take for a formula begins with an apostrophe."""
+    if not isinstance(value, str) or not value.startswith(FORMULA):
+        return value
+    try:
+        float(value)
+    except ValueError:
+        return f"'{value}"
+    return value
+
+
+def cell_text(cell: str) -> str:
+    """What ``plain_cell`` was given, from the text of a cell."""
+    return cell[1:] if cell.startswith("'") and cell[1:].startswith(FORMULA) else cell
 
 
 class StorageError(SumoAdvError):

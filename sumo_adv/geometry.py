@@ -19,6 +19,13 @@ ROUNDING = (2, 2, 3, 3, 4, 4, 6, 8)
 Angle = TypeVar("Angle", float, Floats)
 
 
+def read_only(values: Any) -> Floats:
+    """A copy of an array, of float, that cannot be changed; a view of it, whose flag cannot be set back either."""
+    made = np.array(values, float)
+    made.setflags(write=False)
+    return made.view()
+
+
 def wrap(angle: Angle) -> Angle:
     """An angle [rad] in (-pi, pi]: a float, or an array of any shape."""
     return math.pi - (math.pi - angle) % math.tau

@@ -1,14 +1,17 @@
-"""TOML and JSON from any source: plain data, or ValueError with a reason in a few words.
+"""TOML, JSON and packed files from any source: plain data within limits, or an error with a reason in a few words.
 
 Python's own parsers also take what no format allows or nothing later can hold: whole numbers of any length, NaN,
-characters that end a path, tables that nest until the interpreter's stack ends.
+characters that end a path, tables that nest until the interpreter's stack ends; and they unpack 3 MB into 3 GB.
 """
 
 from __future__ import annotations
 
+import gzip
+import io
 import json
 import math
 import tomllib
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,6 +19,13 @@ from typing import Any
 from sumo_adv.errors import UsageError
 
 LARGEST_WHOLE = 2**63 - 1  # of TOML and SQLite; within any float
+DEEPEST = 100  # tables and lists within one another
+LONGEST_TEXT = 64 * 2**20  # bytes of a TOML or JSON file
+LARGEST_UNPACKED = 512 * 2**20  # bytes of a packed table
+LARGEST_SUMO_FILE = 4 * 2**30  # bytes of a network or demand, unpacked: those of large cities have 1 GB
+_PART = 2**20  # bytes that are unpacked at a time
+GZIP = b"\x1f\x8b"  # first bytes of a file packed by gzip
+BAD_GZIP = (gzip.BadGzipFile, EOFError, zlib.error)
 
 
 def parse_toml(text: str) -> dict[str, Any]:
@@ -31,25 +41,71 @@ def parse_json(text: str) -> Any:
 def read_toml(path: Path, what: str) -> dict[str, Any]:
     """The table of the TOML file at ``path``. Raises UsageError: a sentence with ``what``, such as "The scenario"."""
     try:
-        return parse_toml(path.read_text(encoding="utf-8"))
+        return parse_toml(read_text(path))
     except OSError as error:
         raise UsageError(f"{what} {path} cannot be read: {error.strerror or error}.") from error
     except ValueError as error:
         raise UsageError(f"{what} {path} is not valid TOML: {error}.") from error
 
 
+def read_json(path: Path) -> Any:
+    """The value of the JSON file at ``path``. Raises OSError; ValueError: it is no JSON, or beyond the limits."""
+    return parse_json(read_text(path))
+
+
+def read_object(path: Path, what: str) -> dict[str, Any]:
+    """The object in the JSON file at ``path``. Raises UsageError: a sentence with ``what``, such as "The plan"."""
+    try:
+        value = read_json(path)
+    except OSError as error:
+        raise UsageError(f"{what} {path} cannot be read: {error.strerror or error}.") from error
+    except ValueError as error:
+        raise UsageError(f"{what} {path} is damaged ({error}): restore it from a copy.") from error
+    if not isinstance(value, dict):
+        raise UsageError(f"{what} {path} is damaged (it is no object): restore it from a copy.")
+    return value
+
+
+def read_text(path: Path, most: int = LONGEST_TEXT) -> str:
+    """The text of a file, packed by gzip or not. Raises OSError; ValueError: it is no UTF-8, is damaged, or has
+    more than ``most`` bytes."""
+    return read_bytes(path, most).decode()
+
+
+def read_bytes(path: Path, most: int = LARGEST_UNPACKED) -> bytes:
+    """What a file holds, unpacked if gzip has packed it. Raises OSError; ValueError: it is damaged, or has more than
+    ``most`` bytes."""
+    with path.open("rb") as file:
+        packed = file.read(len(GZIP)) == GZIP
+        file.seek(0)
+        source = gzip.GzipFile(fileobj=file) if packed else file
+        whole = io.BytesIO()
+        try:
+            while part := source.read(_PART):
+                whole.write(part)
+                if whole.tell() > most:
+                    raise ValueError(f"it holds more than {most // 2**20} MiB")
+        except BAD_GZIP as error:
+            raise ValueError("it is a damaged or truncated gzip file") from error
+    return whole.getvalue()
+
+
 def _checked(parse: Callable[[str], Any], text: str) -> Any:
+    if len(text) > LONGEST_TEXT:
+        raise ValueError(f"it holds more than {LONGEST_TEXT // 2**20} MiB")
     try:
         value = parse(text)
     except RecursionError as error:
         raise ValueError("it nests too deeply") from error
-    left = [value]
+    left = [(value, 0)]
     while left:
-        each = left.pop()
+        each, depth = left.pop()
+        if depth >= DEEPEST and isinstance(each, dict | list):
+            raise ValueError("it nests too deeply")
         if isinstance(each, dict):
-            left += [*each.keys(), *each.values()]
+            left += [(inside, depth + 1) for pair in each.items() for inside in pair]
         elif isinstance(each, list):
-            left += each
+            left += [(inside, depth + 1) for inside in each]
         elif isinstance(each, str) and "\0" in each and parse is tomllib.loads:  # it may be a path
             raise ValueError("a text in it holds the character NUL")
         elif isinstance(each, int) and abs(each) > LARGEST_WHOLE:

@@ -18,7 +18,7 @@ from sumo_adv.campaigns.worker import lessons_of
 from sumo_adv.errors import UsageError
 from sumo_adv.report.staging import staged
 
-ONE = ("batch", "motorway_cut_in_left", "--seeds", "6", *QUICK, "--out", "out", "--json")
+ONE = ("batch", "motorway_cut_in_left", "--seeds", "5", *QUICK, "--out", "out", "--json")
 DEEP = "[" * 100_000
 
 
@@ -29,11 +29,6 @@ def no_outcome(run: Path) -> None:
 def a_file(run: Path) -> None:
     shutil.rmtree(run)
     run.write_text("not a folder")
-
-
-def a_dangling_link(run: Path) -> None:
-    shutil.rmtree(run)
-    run.symlink_to(run.with_name("nowhere"))
 
 
 def half_an_outcome(run: Path) -> None:
@@ -51,13 +46,13 @@ def nested(run: Path) -> None:
 
 
 DAMAGES: tuple[Callable[[Path], None], ...] = (
-    no_outcome, a_file, a_dangling_link, half_an_outcome, other_kinds, nested,
+    no_outcome, a_file, half_an_outcome, other_kinds, nested,
 )  # fmt: skip
 
 
 @pytest.mark.soak
 def test_a_campaign_with_damaged_runs_is_resumed(program: Program) -> None:
-    """Six runs, each damaged in another way, and run again: the table is the same."""
+    """Five runs, each damaged in another way, and run again: the table is the same."""
     summary(program(*ONE))
     before = table(program.folder / "out")
     runs = sorted((program.folder / "out" / "runs").iterdir())
@@ -65,7 +60,7 @@ def test_a_campaign_with_damaged_runs_is_resumed(program: Program) -> None:
         damage(run)
         assert read_row(run) is None
     report = summary(program(*ONE))
-    assert (report["ran"], report["finished"], report["failed"]) == (6, 6, 0)
+    assert (report["ran"], report["finished"], report["failed"]) == (5, 5, 0)
     assert table(program.folder / "out") == before
     clean(program)
 

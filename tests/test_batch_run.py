@@ -78,7 +78,7 @@ def test_an_episode_is_what_run_makes_of_it(program: Program, whole: tuple[Progr
     program.here("run", INPUTS[0], *options)
     folder = whole[1].folder / "runs" / table(whole[1].folder)[1]["id"]
     ours, alone = files_of(folder), files_of(program.folder / "alone")
-    assert set(alone) - set(ours) == {"encounter.png"} and set(ours) <= set(alone)
+    assert set(alone) - set(ours) == {"encounter.png", "files.json"} and set(ours) <= set(alone)
     assert untimed(json.loads(ours.pop("outcome.json"))) == untimed(json.loads(alone["outcome.json"]))
     assert {name: data for name, data in ours.items() if alone[name] != data} == {}
 

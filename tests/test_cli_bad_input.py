@@ -211,13 +211,12 @@ def test_a_bank_that_is_not_sqlite_is_refused_and_left_alone(program: Program) -
 
 def test_a_folder_that_is_taken_needs_force(program: Program, runs: Runs) -> None:
     shutil.copytree(runs["nothing"].folder, program.folder / "out")
-    (program.folder / "out" / "old.txt").write_text("old")
+    (program.folder / "out" / "outcome.json").write_text("old")
     arguments = ("run", "straight_3lane", "--density", "1", "--end", "15", "--out", "out")
     refused(program.here(*arguments), 2, "--force")
-    assert (program.folder / "out" / "old.txt").exists()
+    assert (program.folder / "out" / "outcome.json").read_text() == "old"
     done = program(*arguments, "--force")
     assert (done.status, done.err) == (0, "")
-    assert not (program.folder / "out" / "old.txt").exists()
     assert "15 s" in done.outcome["reason"]
     assert program.leftovers() == ["out"]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -139,8 +140,9 @@ def test_a_failure_and_a_missed_encounter_stay_in_the_denominator(tmp_path: Path
 
 def test_the_page_shows_what_a_run_wrote_as_text(tmp_path: Path) -> None:
     name = "<script>alert(1)</script>"
-    old = regression(tmp_path / "old", "first", [case(name, "valid", 1.0)])
-    new = regression(tmp_path / "new", name, [case(name)])
+    plain = name.replace("/", "")  # a case has the name of a folder
+    old = regression(tmp_path / "old", "first", [case(plain, "valid", 1.0)])
+    new = regression(tmp_path / "new", name, [case(plain)])
     page = html(compare(read_side(old), read_side(new)), lambda episode: None)
     assert "<script" not in page and "&lt;script&gt;alert(1)&lt;/script&gt;" in page
 
@@ -149,7 +151,7 @@ def test_the_command_links_the_replays_of_both(program: Program) -> None:
     for name, level in (("one", "serious"), ("two", "valid")):
         folder = program.folder / name / "runs" / "crossing"
         folder.parent.mkdir(parents=True)
-        folder.symlink_to(attacked())
+        shutil.copytree(attacked(), folder)
         document = {"schema": 1, "suite": "s", "cases": [case("crossing", level, 2.0, ego=name)]}
         (program.folder / name / "regress.json").write_text(json.dumps(document))
     done = program.here("compare", "one", "two", "--out", "out")

@@ -13,9 +13,8 @@ import pytest
 from sumo_samples import make_spec, over_the_line, vehicle
 
 from sumo_adv.datatypes import Role
-from sumo_adv.errors import SimulationError, UsageError
+from sumo_adv.errors import SimulationError
 from sumo_adv.geometry import Pose
-from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.simulation.simulation import (
     Simulation,
     SimulationSpec,
@@ -352,10 +351,3 @@ def test_a_held_speed_brakes_no_harder_than_in_an_emergency(tmp_path: Path) -> N
             simulation.set_speed("ego", None)
             simulation.step()
             assert simulation.model("ego").deceleration == own
-
-
-def test_an_option_that_sumo_does_not_know_is_named(tmp_path: Path) -> None:
-    network = data_folder("networks") / "priority_crossing.net.xml"
-    spec = SimulationSpec(network, (), (), 0.0, 1, options={"scale": "1", "no-such-option": "3"})
-    with pytest.raises(UsageError, match="SUMO has no option 'no-such-option': correct its name or leave it out"):
-        Simulation(spec)

@@ -107,4 +107,7 @@ def test_an_unknown_option_and_emission_models(program: Program, network: Path) 
     done = program.here("run", str(path), *few, "out")
     assert "no encounter" in done.out and done.status == 0, done.err
     done = program.here("run", str(configuration(program.folder, network, car, speed="9")), *few, "other")
-    assert (done.status, done.err) == (2, "sumo-adv: SUMO has no option 'speed': correct its name or leave it out.\n")
+    assert (done.status, done.err) == (
+        2,
+        f"sumo-adv: {path}: SUMO has no option 'speed': correct its name or leave it out.\n",
+    )

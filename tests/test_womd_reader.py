@@ -172,6 +172,8 @@ def bad(change: str) -> bytes:
     elif change == "to and fro":
         for k, place in enumerate(message.map_features[0].lane.polyline):
             place.x = 9_000.0 * (-1) ** k
+    elif change == "20,000 tracks":
+        message.tracks.extend([message.tracks[0]] * 20_000)
     elif change == "a year":
         message.timestamps_seconds[90] = 3.2e7
     return message.SerializeToString()
@@ -189,6 +191,7 @@ def bad(change: str) -> bytes:
         ("no ego", "has no ego"),
         ("no map", "has no map"),
         ("few states", r"has 50 states for its track 2, not one a step \(91\)"),
+        ("20,000 tracks", "tracks, more than the 5,000 that are read"),
         ("two of one id", "two tracks of the same id"),
         ("nan", "a map point that is not a finite number"),
         ("a point at 1e7 m", r"a map point 1e\+07 m from the origin"),

@@ -22,9 +22,9 @@ from sumo_adv.campaigns.results import Done
 from sumo_adv.config import load_settings
 from sumo_adv.drivers import make_ego
 from sumo_adv.errors import UsageError
-from sumo_adv.files import held, sentences, write_text
+from sumo_adv.files import held, refuse_links, scratch_prefix, sentences, write_text
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.parsing import parse_json
+from sumo_adv.parsing import read_json, read_object
 
 CELL_KEYS = {"case", "kind", "group", "ego", "row", "seed", "ending"}
 
@@ -60,7 +60,7 @@ class Bench:
         self._waiting = deque(left)
         for chain in self._chains.values():
             self._go_on(chain)
-        with tempfile.TemporaryDirectory(prefix="sumo_adv-bench-", ignore_cleanup_errors=True) as scratch:
+        with tempfile.TemporaryDirectory(prefix=scratch_prefix(), ignore_cleanup_errors=True) as scratch:
             self._scratch = Path(scratch)
             workers = LocalWorkers(
                 (self._setup, self._scratch), self._pace, self._scratch, self._fail, Stop(), Bencher, self._seen, 1
@@ -117,7 +117,7 @@ def read_cells(folder: Path) -> list[Cell]:
     cells: list[Cell] = []
     for file in sorted((folder / "cells").glob("*/*/*.json")):
         try:
-            cell = parse_json(file.read_text(encoding="utf-8"))
+            cell = read_json(file)
         except (OSError, ValueError) as error:
             raise UsageError(f"{file} cannot be read ({error}); delete it to have it run again.") from error
         if not isinstance(cell, dict) or not cell.keys() >= CELL_KEYS:
@@ -172,6 +172,7 @@ def run_table(request: TableRequest, means: Means, watcher: Watcher) -> list[Cel
     plan = json.loads(json.dumps(manifest(request, means)))
     with sentences(means.folder):
         means.folder.mkdir(parents=True, exist_ok=True)
+        refuse_links(means.folder)
         _keep_plan(plan, means.folder)
         setup = Setup(
             means.folder.absolute(), request.suite.name, request.bank.absolute(), request.settings, means.parts,
@@ -200,12 +201,7 @@ def _keep_plan(plan: Mapping[str, Any], folder: Path) -> None:
     """Remember what the folder is of. Raises UsageError where it holds something else."""
     file = folder / PLAN
     if file.exists():
-        try:
-            before = parse_json(file.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            raise UsageError(f"{file} is damaged ({error}); give another --out.") from error
-        if not isinstance(before, dict):
-            raise UsageError(f"{file} is damaged (it holds no table); give another --out.")
+        before = read_object(file, "The plan of the bench")
         changed = [k for k in plan if before.get(k) != plan[k]]
         if changed:
             raise UsageError(

@@ -30,7 +30,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from sumo_adv.benchmark.nouns import GROUPS, Case, Suite
 from sumo_adv.errors import UsageError
-from sumo_adv.parsing import parse_json, read_toml
+from sumo_adv.parsing import read_json, read_toml
 from sumo_adv.simulation.inputs import data_folder, input_name, load_input, resolve
 from sumo_adv.simulation.network import read_network
 
@@ -200,7 +200,7 @@ def _labels(path: Path, names: Collection[str], listed: Path) -> Labels:
     if not path.is_file():
         return {}
     try:
-        labels: Labels = LABELS.validate_python(parse_json(path.read_text(encoding="utf-8")))
+        labels: Labels = LABELS.validate_python(read_json(path))
     except (ValidationError, ValueError) as error:
         raise UsageError(
             f"{path} does not hold labels by case, ego and criterion (collision, valid, annotated)."

@@ -22,7 +22,7 @@ from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.task import make_task
 from sumo_adv.episode.warm import WarmEngine, WarmProcesses, WarmSandboxes
 from sumo_adv.errors import BankError, SumoAdvError, UsageError, fault_sentence
-from sumo_adv.files import is_storage_error, json_text, storage_error, write_text
+from sumo_adv.files import is_storage_error, json_text, scratch_prefix, storage_error, write_text
 from sumo_adv.llm.chat import Ledger
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.simulation.inputs import RunInput
@@ -109,7 +109,7 @@ class Bencher(WarmProcesses):
         source = self._setup.parts.load(job.case.path, job.case.record)
         settings, common = (self._settings(job, source.horizon, own) for own in (job.settings, {}))
         with (
-            tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch,
+            tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch,
             MemoryBank.open(self._setup.bank, read_only=True) as bank,
         ):
             if job.shift:

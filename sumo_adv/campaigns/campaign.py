@@ -33,7 +33,7 @@ from sumo_adv.campaigns.worker import Lessons, lessons_of, teach
 from sumo_adv.errors import BankError, UsageError
 from sumo_adv.files import sentences, write_text
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.parsing import parse_json
+from sumo_adv.parsing import read_json
 
 
 class Workers(Protocol):
@@ -177,7 +177,7 @@ def _teach(store: Store, plan: Plan, orders: Orders, rows: Mapping[str, Row]) ->
     marker = store.folder / TAUGHT
     if marker.exists():
         try:
-            return int(parse_json(marker.read_text(encoding="utf-8"))["written"])
+            return int(read_json(marker)["written"])
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise UsageError(f"{marker} is damaged ({error}); delete it to have the bank taught again.") from error
     packed = packed_texts(store.folder, LEARNT)

@@ -24,12 +24,12 @@ from pathlib import Path
 from sumo_adv.campaigns.local import LocalWorkers, Pace, Stop
 from sumo_adv.campaigns.plan import hash_of
 from sumo_adv.campaigns.ray_pool import RayPool
-from sumo_adv.campaigns.results import LEARNT, OUTCOME, Done, Job, Learn, Setup, read_row
+from sumo_adv.campaigns.results import LEARNT, Done, Job, Learn, Setup, read_row
 from sumo_adv.campaigns.store import Store
 from sumo_adv.campaigns.worker import lessons_of, share, teach
 from sumo_adv.drivers.registry import check_name, find_class
 from sumo_adv.errors import SumoAdvError, UsageError
-from sumo_adv.files import sentences
+from sumo_adv.files import scratch_prefix, sentences
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.simulation.inputs import is_commonroad, load_input
 
@@ -146,7 +146,7 @@ class ClusterWorkers:
     def _keep(self, job: Job, result: tuple[bytes, int]) -> Done:
         """Put a run's folder in its place, and with ``Learn.DURING`` what was learnt into the bank."""
         data, size = result
-        with self._setup.parts.staged(self._setup.runs / job.id, force=True, marker=OUTCOME) as folder:
+        with self._setup.parts.staged(self._setup.runs / job.id, force=True, inside=True) as folder:
             with zipfile.ZipFile(io.BytesIO(data)) as packed:
                 packed.extractall(folder.stage)
             share(folder.stage / "inputs", self._setup.runs.parent / "inputs")
@@ -161,7 +161,7 @@ class ClusterWorkers:
     def _send(self) -> int:
         """A snapshot of the bank to the nodes; episodes that begin from now on read it."""
         self._edition += 1
-        with tempfile.TemporaryDirectory(prefix="sumo_adv-") as folder, sentences(self._setup.bank):
+        with tempfile.TemporaryDirectory(prefix=scratch_prefix()) as folder, sentences(self._setup.bank):
             place = Store(Path(folder), self._setup.parts.staged)
             place.snapshot(self._setup.bank)
             data = place.bank.read_bytes()

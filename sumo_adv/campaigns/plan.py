@@ -31,7 +31,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from sumo_adv.campaigns.results import Input, Job, Learn, Parts
-from sumo_adv.config import Settings, load_settings
+from sumo_adv.config import Settings, load_settings, refuse_address
 from sumo_adv.drivers.registry import check_name
 from sumo_adv.episode.task import refuse_density
 from sumo_adv.errors import SumoAdvError, UsageError
@@ -205,6 +205,9 @@ class Plan:
 def read_plan(path: Path) -> dict[str, Any]:
     """The TOML table of a plan, with its paths counted from its folder. Raises UsageError."""
     table = read_toml(path, "The plan")
+    for part in (table.get("settings"), table.get("vary")):
+        if isinstance(part, dict):
+            refuse_address(part, f"The plan {path}")
     if isinstance(table.get("memory"), str):
         table["memory"] = str(path.parent / table["memory"])
     return table

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 from sumo_adv.datatypes import ENDING_SENTENCES, FAILED_ENDINGS, Ending
 from sumo_adv.errors import UsageError
-from sumo_adv.files import write_whole
-from sumo_adv.parsing import parse_json
+from sumo_adv.files import cell_text, plain_cell, write_whole
+from sumo_adv.parsing import read_json
 
 if TYPE_CHECKING:
     from sumo_adv.simulation.inputs import RunInput
@@ -186,7 +186,7 @@ def failed(row: Row) -> bool:
 def read_row(folder: Path) -> Row | None:
     """The row of a run's folder; None if there is none, or it is damaged."""
     try:
-        outcome = parse_json((folder / OUTCOME).read_text(encoding="utf-8"))
+        outcome = read_json(folder / OUTCOME)
         return checked_row(row_of(folder.name, outcome, (folder / TRACEBACK).exists()))
     except (OSError, ValueError, LookupError, TypeError, AttributeError):
         return None
@@ -210,7 +210,7 @@ def keep_failure(
     staged: Callable[..., AbstractContextManager[Any]], runs: Path, job: Job, failure: str, text: str
 ) -> Done:
     """Those files as the run's folder, in its place in ``runs``."""
-    with staged(runs / job.id, force=True, marker=OUTCOME) as folder:
+    with staged(runs / job.id, force=True, inside=True) as folder:
         row = write_failure(folder.stage, job, failure, text)
         folder.keep(force=True)
     return Done(job.id, row)
@@ -236,7 +236,7 @@ def write_csv(target: Path, table: Iterable[Mapping[str, Any]], varied: Sequence
 def _cell(value: Any) -> Any:
     if isinstance(value, bool):
         return "true" if value else "false"
-    return json.dumps(value) if isinstance(value, list | dict) else value
+    return plain_cell(json.dumps(value) if isinstance(value, list | dict) else value)
 
 
 def read_csv(file: Path) -> dict[str, list[Any]]:
@@ -258,7 +258,7 @@ def _value(name: str, text: str) -> Any:
         return None
     if name in TRUTHS:
         return text == "true"
-    return int(text) if name in WHOLES else float(text) if name in NUMBERS else text
+    return int(text) if name in WHOLES else float(text) if name in NUMBERS else cell_text(text)
 
 
 def check_parquet() -> None:

@@ -28,9 +28,9 @@ from typing import Any
 from sumo_adv.campaigns.plan import checked_plan, differences
 from sumo_adv.campaigns.results import OUTCOME, Done, Job, Row, checked_row, keep_failure, read_row
 from sumo_adv.errors import UsageError
-from sumo_adv.files import sentences, write_text, write_whole
+from sumo_adv.files import is_plain_name, refuse_links, scratch_prefix, sentences, write_text, write_whole
 from sumo_adv.memory.store import connect
-from sumo_adv.parsing import parse_json
+from sumo_adv.parsing import LARGEST_UNPACKED, read_json
 
 SCHEMA = 1
 MOST_RUNS = 1000
@@ -62,7 +62,7 @@ def packed_texts(folder: Path, name: str) -> dict[str, str]:
                 inside = set(source.namelist())
                 for run in _read(index):
                     if f"{run}/{name}" in inside:
-                        texts[run] = source.read(f"{run}/{name}").decode()
+                        texts[run] = _unpacked(source, f"{run}/{name}").decode()
         except (*BROKEN, OSError, ValueError) as error:
             raise _damaged(index.with_suffix(".zip"), error) from error
     return texts
@@ -134,8 +134,10 @@ def unpack(
 ) -> list[Path]:
     """Put packed runs (all if none is named) into folders below ``into``, as they were; packs stay as they are.
 
-    Raises UsageError for a run that is in no pack, SumoAdvError.
+    Raises UsageError for a run that is in no pack and for a link in the folder, SumoAdvError.
     """
+    refuse_links(folder / "packs")
+    refuse_links(into)
     left, made = set(names), []
     for index in _indices(folder):
         entries = _read(index)
@@ -163,20 +165,22 @@ def _unpack_one(
                 members |= {f"inputs/{n}": f"inputs/{n}" for n in inputs}
                 if not all(is_plain_name(part) for outside in members.values() for part in outside.split("/")):
                     raise KeyError("it names what is no file in a run's folder")
-                with staged(into / run, force=True, marker=OUTCOME) as folder:
+                with staged(into / run, force=True, inside=True) as folder:
                     for inside, outside in members.items():
                         target = folder.stage / outside
                         target.parent.mkdir(parents=True, exist_ok=True)
-                        target.write_bytes(source.read(inside))
+                        target.write_bytes(_unpacked(source, inside))
                     folder.keep(force=True)
                 yield into / run
-    except (*BROKEN, FileNotFoundError, KeyError) as error:
+    except (*BROKEN, FileNotFoundError, KeyError, ValueError) as error:
         raise _damaged(file, error) from error
 
 
-def is_plain_name(name: Any) -> bool:
-    """Whether it names an entry of a folder, and no place elsewhere."""
-    return isinstance(name, str) and name not in ("", ".", "..") and not set(name) & {"/", "\\", "\0"}
+def _unpacked(source: zipfile.ZipFile, name: str) -> bytes:
+    """A member of a pack; ``zipfile`` reads no more than its head says. Raises ValueError: it is too large."""
+    if source.getinfo(name).file_size > LARGEST_UNPACKED:
+        raise ValueError(f"{name} holds more than {LARGEST_UNPACKED // 2**20} MiB")
+    return source.read(name)
 
 
 def _damaged(file: Path, error: Exception) -> UsageError:
@@ -189,7 +193,7 @@ def _indices(folder: Path) -> list[Path]:
 
 def _read(index: Path) -> dict[str, Any]:
     try:
-        runs = dict(parse_json(index.read_text(encoding="utf-8"))["runs"])
+        runs = dict(read_json(index)["runs"])
         names = [name for run, entry in runs.items() for name in (run, *entry["inputs"])]
         if not all(is_plain_name(name) for name in names):
             raise ValueError("it names what is no file in a folder")
@@ -217,7 +221,7 @@ class Store:
         if not file.is_file():
             return None
         try:
-            return checked_plan(parse_json(file.read_text(encoding="utf-8")))
+            return checked_plan(read_json(file))
         except (OSError, ValueError) as error:
             raise UsageError(f"{file} is not the plan of a batch ({error}); give another --out.") from error
 
@@ -280,23 +284,21 @@ def discard(place: Path) -> None:
 def open_store(folder: Path, staged: Callable[..., AbstractContextManager[Any]]) -> Iterator[tuple[Store, Path]]:
     """The batch's folder, made if it is not there, and a scratch folder that is gone at the end.
 
-    Raises UsageError: the folder cannot be written, is something else's, or another program is at it.
+    Raises UsageError: the folder cannot be written, is something else's, holds a link, or another program is at it.
     """
     with sentences(folder):
         if folder.exists() and not folder.is_dir():
             raise UsageError(f"{folder} is not a folder; give another --out.")
         if folder.exists() and any(folder.iterdir()) and not any((folder / n).exists() for n in (PLAN, LOCK)):
             raise UsageError(f"{folder} holds something else than a batch's results; give another --out.")
+        refuse_links(folder)
         made = not folder.exists()
         (folder / "runs").mkdir(parents=True, exist_ok=True)
         lock = _locked(folder)
     store = Store(folder, staged)
     try:
-        _left_behind(folder)
-        with sentences(folder), tempfile.TemporaryDirectory(prefix="sumo_adv-batch-") as scratch:
+        with sentences(folder), tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch:
             store.sweep()
-            os.ftruncate(lock, 0)
-            os.pwrite(lock, scratch.encode(), 0)
             yield store, Path(scratch)
     finally:
         store.sweep()
@@ -320,11 +322,3 @@ def _locked(folder: Path) -> int:
     except (ImportError, OSError):
         pass  # no such locks on this system or file system
     return lock
-
-
-def _left_behind(folder: Path) -> None:
-    """Remove the scratch folder of a batch that was killed."""
-    with suppress(OSError, ValueError):
-        before = Path((folder / LOCK).read_text(encoding="utf-8"))
-        if before.name.startswith("sumo_adv-batch-") and before.is_dir():
-            shutil.rmtree(before, ignore_errors=True)

@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.campaigns.results import LEARNT, OUTCOME, TRACEBACK, Done, Job, Learn, Row, Setup, keep_failure, row_of
+from sumo_adv.campaigns.results import LEARNT, TRACEBACK, Done, Job, Learn, Row, Setup, keep_failure, row_of
 from sumo_adv.config import Settings, forget_environment, load_settings
 from sumo_adv.datatypes import Ending, Parameter, Planner
 from sumo_adv.drivers.registry import trusted_driver
@@ -22,7 +22,7 @@ from sumo_adv.episode.loop import run_episode
 from sumo_adv.episode.task import make_task
 from sumo_adv.episode.warm import WarmProcesses
 from sumo_adv.errors import BankError, SumoAdvError, UsageError, fault_sentence
-from sumo_adv.files import FULL, StorageError, is_storage_error
+from sumo_adv.files import FULL, StorageError, is_storage_error, scratch_prefix
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.records import (
     Composition,
@@ -186,8 +186,8 @@ class Runner(WarmProcesses):
         given = self._parts.load(job.input.source, job.input.record)
         settings = self.settings(job, given)
         with (
-            tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch,
-            self._parts.staged(self._setup.runs / job.id, force=True, marker=OUTCOME) as folder,
+            tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch,
+            self._parts.staged(self._setup.runs / job.id, force=True, inside=True) as folder,
         ):
             task = make_task(given, settings, Path(scratch))
             bank = self._bank()

@@ -202,7 +202,7 @@ def unpack(
     from sumo_adv.api_batch import Campaign
     from sumo_adv.campaigns.store import unpack as unpack_runs
 
-    target = Campaign(folder).folder / "unpacked"
+    target = Campaign(folder).folder / "unpacked"  # which is no link: a campaign's folder holds none
     with sentences(target):
         made = unpack_runs(folder, names or [], target, staged)
     if as_json:

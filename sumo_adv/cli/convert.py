@@ -104,9 +104,9 @@ def _fault(record: str, error: Exception) -> str:
 
 def _one(record: Record, out: Path, *, traffic: bool, force: bool) -> dict[str, Any]:
     """Put one record's folder in its place; its report and folder."""
-    from sumo_adv.womd.convert import REPORT, conversion
+    from sumo_adv.womd.convert import conversion
 
-    with staged(out / record.scenario_id, force=force, marker=REPORT) as folder:
+    with staged(out / record.scenario_id, force=force) as folder:
         with conversion(record, traffic=traffic) as made:
             shutil.copytree(made.folder, folder.stage, dirs_exist_ok=True)
             report = {**made.report, "cached": made.cached, "folder": str(folder.target)}
@@ -152,7 +152,7 @@ def import_fcd(
     from sumo_adv.simulation.scan import scan_network
 
     scan_network(network)
-    with staged(out, force=force, marker=SCENARIO) as folder:
+    with staged(out, force=force) as folder:
         done = write_scenario(folder.stage, recording, network, ego, types or (), warm_up)
         folder.keep(force=force)
     for note in done.notes:

@@ -159,11 +159,11 @@ def _prevented(rows: list[dict[str, Any]], names: tuple[str, ...]) -> dict[str, 
 
 
 def _write(out: Path, rows: list[dict[str, Any]]) -> None:
-    from sumo_adv.report.tables import csv_text
+    from sumo_adv.report.tables import csv_text, plain_row
 
     plain = [{k: " ".join(v) if isinstance(v, list) else v for k, v in row.items()} for row in rows]
     with sentences(out):
-        write_text(out, csv_text(list(rows[0]) if rows else [], plain))
+        write_text(out, csv_text(list(rows[0]) if rows else [], map(plain_row, plain)))
 
 
 COMPARE_EXAMPLE = "Example: sumo-adv compare runs/regress-main runs/regress-branch --out runs/compared"

@@ -26,7 +26,9 @@ from sumo_adv.cli import (
     transformer,
     write,
 )
+from sumo_adv.cli.terminal import cleaned
 from sumo_adv.errors import SumoAdvError
+from sumo_adv.files import FULL, sweep_scratch
 
 INTERRUPTED = 130  # what typer makes of Ctrl-C
 
@@ -77,8 +79,14 @@ def options(
 
 
 def main() -> None:
+    sys.stdout, sys.stderr = cleaned(sys.stdout), cleaned(sys.stderr)
+    sweep_scratch()
     try:
-        app()
+        try:
+            app()
+        finally:
+            if sys.stdout is not None:
+                sys.stdout.flush()
     except SumoAdvError as error:
         typer.echo(f"sumo-adv: {error}", err=True)
         sys.exit(error.exit_status)
@@ -87,6 +95,12 @@ def main() -> None:
         _leave(1)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # nothing more is flushed at exit
+        sys.exit(1)
+    except OSError as error:
+        if error.errno not in FULL or error.filename is not None:
+            raise
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        typer.echo("sumo-adv: the output cannot be written, since its disk is full; free some space.", err=True)
         sys.exit(1)
     except SystemExit as end:
         if end.code == INTERRUPTED:

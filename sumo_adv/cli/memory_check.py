@@ -15,6 +15,7 @@ from sumo_adv.app import open_bank
 from sumo_adv.cli.memory_edit import Bank, Json, answer, known_intent
 from sumo_adv.config import load_settings
 from sumo_adv.datatypes import Planner
+from sumo_adv.files import scratch_prefix
 
 if TYPE_CHECKING:
     from sumo_adv.memory.bank import MemoryBank
@@ -59,7 +60,7 @@ def rerun(
     from sumo_adv.simulation.inputs import load_input
 
     given = load_input(scenario)
-    with tempfile.TemporaryDirectory(prefix="sumo_adv-") as folder:
+    with tempfile.TemporaryDirectory(prefix=scratch_prefix()) as folder:
         settings = load_settings(
             None, ego=evidence.scene.controller, seed=evidence.seed, learn="off", horizon=given.horizon,
             attempts=attempts,

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Self
 import typer
 
 from sumo_adv.campaigns.results import Job, Row, failed
+from sumo_adv.cli.terminal import clean
 from sumo_adv.datatypes import ENDING_SENTENCES, Attempt, Ending, Level
 from sumo_adv.episode.assessment import rank
 from sumo_adv.simulation.warnings_log import WarningKind, said_of
@@ -46,12 +47,12 @@ class Speaker(Shown):
         if not quiet and sys.stdout.isatty():
             from rich.console import Console
 
-            self._console = Console(highlight=False)
+            self._console = Console(highlight=False, file=sys.__stdout__)
             self._display = self._console.status(first)
 
     def say(self, text: str) -> None:
         if text and self._console is not None:
-            self._console.print(text, markup=False)
+            self._console.print(clean(text), markup=False)
         elif text and not self._quiet:
             typer.echo(text)
 
@@ -133,7 +134,7 @@ class _Barred(Shown):
 
         self._display = Progress(
             TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
-            TextColumn("{task.fields[note]}"), console=Console(stderr=True, highlight=False),
+            TextColumn("{task.fields[note]}"), console=Console(file=sys.__stderr__, highlight=False),
         )  # fmt: skip
 
 

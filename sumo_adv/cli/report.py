@@ -12,7 +12,7 @@ import typer
 from sumo_adv.app import shipped_bank
 from sumo_adv.campaigns.results import read_row
 from sumo_adv.errors import UsageError
-from sumo_adv.files import sentences
+from sumo_adv.files import refuse_links, sentences
 from sumo_adv.report.staging import staged
 
 if TYPE_CHECKING:
@@ -37,6 +37,7 @@ def report(
     """Make one HTML file that replays a run, or an index of a batch with a replay behind each row. Nothing needs a
     network.
     """
+    refuse_links(folder)
     if (folder / OUTCOME).is_file():
         result = _run(folder, out)
     elif (folder / RESULTS).is_file() or _loose(folder):

@@ -19,6 +19,7 @@ from sumo_adv.cli import options as opt
 from sumo_adv.config import Settings, Until, load_settings
 from sumo_adv.datatypes import FAILED_ENDINGS
 from sumo_adv.errors import UsageError
+from sumo_adv.files import scratch_prefix
 from sumo_adv.report.staging import RunFolder, scratch_folder, staged
 
 if TYPE_CHECKING:
@@ -206,7 +207,7 @@ def _prompts(given: RunInput, settings: Settings) -> list[Prompt]:
     from sumo_adv.episode.planned_encounter import find_attackable
     from sumo_adv.episode.task import make_task
 
-    with tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
+    with tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch:
         episode = Episode(given, settings, make_task(given, settings, Path(scratch)))
         with open_for_run(settings) as bank, new_sandbox(settings) as sandbox, new_engine() as engine:
             planned = find_attackable(episode, engine, sandbox, bank, lambda *_: None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
@@ -18,7 +19,8 @@ from sumo_adv.cli import options as opt
 from sumo_adv.config import Settings, load_settings
 from sumo_adv.datatypes import Ending
 from sumo_adv.errors import SumoAdvError, UsageError
-from sumo_adv.files import json_text, write_text
+from sumo_adv.files import json_text, refuse_links, write_text
+from sumo_adv.parsing import read_object
 from sumo_adv.report.staging import scratch_folder, staged
 from sumo_adv.serve import Mode, OnLoss, Options
 from sumo_adv.serve.link import NEWEST
@@ -30,6 +32,8 @@ if TYPE_CHECKING:
     from sumo_adv.serve.seat import GateEvent
 
 SERVE_FILE = "serve.json"
+SERVES = re.compile(r"serve\.json|\.?encounter-\d+.*|inputs|report|.*\.jsonl")
+"""What a server and ``report`` write into its folder."""
 
 
 def claim(target: Path, *, force: bool) -> None:
@@ -38,12 +42,24 @@ def claim(target: Path, *, force: bool) -> None:
         if target.exists() and (not target.is_dir() or any(target.iterdir())):
             if not force:
                 raise UsageError(f"The output folder {target} is there already; give another --out, or --force.")
-            if not (target / SERVE_FILE).is_file():
-                raise UsageError(f"{target} is not the folder of a server, so --force does not replace it.")
+            _check_replaceable(target)
             shutil.rmtree(target)
         target.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UsageError(f"The output folder {target} cannot be written ({error.strerror or error}).") from error
+
+
+def _check_replaceable(target: Path) -> None:
+    """Raises UsageError for a folder that --force does not replace: no server's, or one that holds something else."""
+    advice = "so --force does not replace it; give another --out"
+    if target.is_symlink() or not (target / SERVE_FILE).is_file():
+        raise UsageError(f"{target} is not the folder of a server, {advice}.")
+    if "sumo_adv" not in read_object(target / SERVE_FILE, "The file").get("versions", ()):
+        raise UsageError(f"{target} is not the folder of a server, {advice}.")
+    refuse_links(target)
+    for path in sorted(target.iterdir()):
+        if not SERVES.fullmatch(path.name):
+            raise UsageError(f"{target} holds {path.name}, which this program did not write, {advice}.")
 
 
 def note(target: Path, given: Any, settings: Settings, options: Options, summary: Mapping[str, Any] | None) -> None:
@@ -64,7 +80,7 @@ def folder_writer(target: Path) -> Callable[[Any, int], dict[str, Any]]:
     from sumo_adv.report.folder import write_run
 
     def write(episode: Any, number: int) -> dict[str, Any]:
-        with staged(target / f"encounter-{number:04d}", force=False) as folder:
+        with staged(target / f"encounter-{number:04d}", force=False, inside=True) as folder:
             result = write_run(folder, episode)
             share(folder.stage / "inputs", target / "inputs")
             folder.keep(force=False)

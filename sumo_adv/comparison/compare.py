@@ -5,7 +5,6 @@ A side is the episodes of a run, a campaign, a bench or a regression, whichever 
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -20,7 +19,9 @@ from sumo_adv.campaigns.store import packed_texts
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Level
 from sumo_adv.errors import UsageError
+from sumo_adv.files import refuse_links
 from sumo_adv.metrics.statistics import Estimate, Paired, bootstrap, wilson
+from sumo_adv.parsing import parse_json, read_json
 from sumo_adv.regression.runner import Measured, Result, measured_of
 from sumo_adv.regression.suite import RESULTS, read_results
 from sumo_adv.report.index import RESULTS as TABLE
@@ -72,6 +73,7 @@ class Side:
 
 def read_side(path: Path) -> Side:
     """The episodes at a path. Raises UsageError: it holds none, or a file is damaged."""
+    refuse_links(path)
     if path.name == RESULTS or (path / RESULTS).is_file():
         return _regression(path)
     if (path / BENCH_PLAN).is_file():
@@ -97,17 +99,25 @@ def _campaign(folder: Path) -> Side:
     for row in table.rows:
         name = str(row["id"])
         run = folder / "runs" / name
-        outcome = json.loads(packed[name]) if name in packed else read_outcome(run)
+        outcome = _packed(folder, name, packed[name]) if name in packed else read_outcome(run)
         varied = " ".join(f"{key.removeprefix('set_')}={row[key]}" for key in table.varied)
         key = f"{row['network']} seed {row['seed']:g} {varied}".strip()
         read.append((key, outcome, None if name in packed else run))
     return Side(folder, _budget(folder / BATCH_PLAN), [_of_outcome(*each) for each in _numbered(read)])
 
 
+def _packed(folder: Path, run: str, text: str) -> dict[str, Any]:
+    """The outcome of a run that is in a pack. Raises UsageError."""
+    try:
+        return dict(parse_json(text))
+    except (ValueError, TypeError) as error:
+        raise damaged(folder / "packs" / run / OUTCOME, error) from error
+
+
 def _budget(plan: Path) -> int:
     """The largest number of attempts among the settings of a run, a campaign or a bench."""
     try:
-        settings = json.loads(plan.read_text(encoding="utf-8"))["settings"]
+        settings = read_json(plan)["settings"]
         variants = settings if isinstance(settings, list) else [settings]
         return max(int(each.get("attempts", ATTEMPTS)) for each in variants)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:

@@ -109,7 +109,7 @@ def _value(estimate: Estimate, unit: str) -> str:
 
 def write_comparison(out: Path, done: Comparison, *, force: bool) -> Path:
     """Write the folder; its page. Raises UsageError: it is taken or cannot be written."""
-    with staged(out, force=force, marker=PAGE) as folder, sentences(out):
+    with staged(out, force=force) as folder, sentences(out):
         links: dict[Path | None, str] = {}
         for k, change in enumerate(done.changes, 1):
             for side, episode in enumerate((change.first, change.second), 1):

@@ -24,6 +24,7 @@ from sumo_adv.episode.encounter_search import EncounterSearch
 from sumo_adv.episode.right_of_way import PASSED
 from sumo_adv.episode.task import Task
 from sumo_adv.errors import SimulationError, UsageError
+from sumo_adv.files import scratch_prefix
 from sumo_adv.geometry import wrap
 from sumo_adv.metrics.boxes import corners
 from sumo_adv.simulation.network import RoadMap, read_network
@@ -111,7 +112,7 @@ class CheckWorker:
     """Drives one scenario after the other. All public methods are commands of the engine."""
 
     def __init__(self) -> None:
-        self._folder = tempfile.TemporaryDirectory(prefix="sumo_adv-")
+        self._folder = tempfile.TemporaryDirectory(prefix=scratch_prefix())
         self._roads: dict[Path, RoadMap] = {}
         self._driver: EgoController | None = None
 

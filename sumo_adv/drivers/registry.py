@@ -38,8 +38,10 @@ from sumo_adv.drivers.lattice_ego import LatticeEgo
 from sumo_adv.drivers.protocol import Action, EgoController, LaneSpeed, Observation, Pose, Steer, model_of, read_wishes
 from sumo_adv.drivers.sumo_driven import MODELS, ReplayEgo, SumoEgo, sumo_type
 from sumo_adv.errors import DriverError, SimulationError, UsageError, nearest, ran_out_of_memory
+from sumo_adv.simulation.watch import OutOfTimeError
 
 T = TypeVar("T")
+LARGEST_ANSWER = 1e9  # of a number in an action: SUMO takes whole numbers of 32 bits
 METHODS = {"reset": "reset(seed)", "act": "act(observation)"}  # of a driver
 
 
@@ -79,8 +81,11 @@ class UserEgo:
             if not isinstance(value, int | float):
                 wrong = f"a number of it is of the type {type(value).__name__}: say float(...)"
                 raise DriverError(f"The ego {self._spec!r} returned {action!r} {at}; {wrong}.")
-            if not math.isfinite(value):
-                raise DriverError(f"The ego {self._spec!r} returned {action!r} {at}; its numbers must be finite.")
+            if not math.isfinite(value) or abs(value) > LARGEST_ANSWER:
+                raise DriverError(
+                    f"The ego {self._spec!r} returned {str(action)[:200]} {at}; its numbers must be finite, "
+                    f"and at most {LARGEST_ANSWER:g}."
+                )
         return action
 
     def model_of(self, numbers: DriverModel) -> DriverModel:
@@ -93,7 +98,9 @@ class UserEgo:
     def _call(self, failure: str, call: Callable[[], T]) -> T:
         try:
             return call()
-        except Exception as error:  # user code
+        except (OutOfTimeError, SystemExit):
+            raise
+        except BaseException as error:  # user code, which may raise anything; Ctrl-C does not reach this process
             if ran_out_of_memory(error):
                 raise
             raise DriverError(f"The ego {self._spec!r} {failure}: {in_one_line(error)}{_place(error)}.") from error
@@ -104,7 +111,7 @@ def _plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic | np.ndarray) and np.ndim(value) == 0 else value
 
 
-def _place(error: Exception) -> str:
+def _place(error: BaseException) -> str:
     """The file and line of an error in a user's code: the deepest call in the file that was called first."""
     frames = [f for f in extract_tb(error.__traceback__) if f.filename != __file__]
     if not frames:

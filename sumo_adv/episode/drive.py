@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -331,9 +332,12 @@ class Drive:
     def _driver(self, method: str) -> Iterator[None]:
         """Code of the ego's driver. Raises DriverError if it does not return in time, or ends its process."""
         call = Call(f"The ego's driver {self.controller.name!r}", f"in {method} ({self.where()})", self._deadline)
+        process = os.getpid()
         try:
             with watched(call):
                 yield
+                if os.getpid() != process:  # it has forked: the copy must not go on as a second simulation
+                    os._exit(0)
         except OutOfTimeError:
             raise DriverError(call.late()) from None
         except SystemExit as error:

@@ -17,7 +17,7 @@ import numpy as np
 from sumo_adv.datatypes import Floats, VehicleState
 from sumo_adv.drivers.protocol import Lane
 from sumo_adv.episode.right_of_way import Link, Meetings
-from sumo_adv.geometry import along, stations, wrap
+from sumo_adv.geometry import along, read_only, stations, wrap
 from sumo_adv.simulation.network import Lane as NetLane
 from sumo_adv.simulation.network import RoadMap
 from sumo_adv.simulation.simulation import Simulation
@@ -126,7 +126,7 @@ class RoadNear:
         area = self._road.drivable(*ego, REACH).area
         line = area.boundary.intersection(Point(*ego).buffer(REACH))
         parts = [part for part in getattr(line, "geoms", [line]) if part.geom_type == "LineString"]
-        self._edges = (route, ego, tuple(np.array(part.coords) for part in parts))
+        self._edges = (route, ego, tuple(read_only(part.coords) for part in parts))
         return self._edges[2]
 
 

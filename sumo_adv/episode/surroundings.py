@@ -139,7 +139,7 @@ class LaneLine:
 
     def __init__(self, road: RoadMap, drive: Drive) -> None:
         self._road, self._drive = road, drive
-        self._lane, self._from, self._line = "", (0.0, 0.0), list[tuple[float, float]]()
+        self._lane, self._from, self._line = "", (0.0, 0.0), tuple[tuple[float, float], ...]()
 
     def __call__(self, ego: VehicleState, place: Place | None) -> Sequence[tuple[float, float]] | None:
         """(x, y) [m] every metre from the ego on; None off the road."""
@@ -154,7 +154,7 @@ class LaneLine:
         if path is None:
             return None
         count = round(LINE_AHEAD / PATH_STEP)
-        self._line = list(zip(path.x[:count:2].tolist(), path.y[:count:2].tolist(), strict=True))
+        self._line = tuple(zip(path.x[:count:2].tolist(), path.y[:count:2].tolist(), strict=True))
         self._lane, self._from = lane, (ego.x, ego.y)
         return self._line
 

@@ -46,7 +46,7 @@ class WarmEngine:
         try:
             engine.post("begin", dict(os.environ), str(Path.cwd()), sys.path)
             yield engine
-            in_order = not (engine.lost or engine.talks)
+            in_order = not (engine.lost or engine.talks or engine.asked)
             if in_order:
                 engine.request("end")
         except BaseException:

@@ -32,6 +32,7 @@ from sumo_adv.episode.references import WARM_UP_S, PlannedEgo, ReferenceEgo, avo
 from sumo_adv.episode.task import AttemptResult, FoundEncounter, NoEncounter, Prefix, Task
 from sumo_adv.episode.verdict import first_judged, gate_verdict, own_reference, unattacked
 from sumo_adv.errors import DriverError, SimulationError, ran_out_of_memory
+from sumo_adv.files import scratch_prefix
 from sumo_adv.geometry import Pose, wrap
 from sumo_adv.metrics.boxes import overlaps
 from sumo_adv.metrics.case import Case, make_case
@@ -76,7 +77,7 @@ class Worker:
 
     def __init__(self, slots: Sequence[Connection]) -> None:
         self._slots = slots
-        self._folder = tempfile.TemporaryDirectory(prefix="sumo_adv-")
+        self._folder = tempfile.TemporaryDirectory(prefix=scratch_prefix())
         self._road: RoadMap
         self._passed: list[str] = []
         self._encounter: FoundEncounter

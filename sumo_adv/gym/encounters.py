@@ -24,6 +24,7 @@ from sumo_adv.episode.planned_encounter import find_attackable, seek, with_predi
 from sumo_adv.episode.refinement import Refiner
 from sumo_adv.episode.task import FoundEncounter, make_task
 from sumo_adv.errors import UsageError
+from sumo_adv.files import scratch_prefix
 from sumo_adv.gym.curriculum import Curriculum
 from sumo_adv.gym.play import Play
 from sumo_adv.planners.answers import Answer, PlannerObservation
@@ -111,7 +112,7 @@ class Encounter:
             self._stack = opening.pop_all()
 
     def _open(self, source: Any, packed: GivenEgo | None, stack: ExitStack) -> None:
-        scratch = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="sumo_adv-")))
+        scratch = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix=scratch_prefix())))
         task = replace(make_task(source, self.settings, scratch), ego_given=packed)
         self._sandbox = stack.enter_context(new_sandbox(self.settings))
         self._agents = stack.enter_context(open_agents(self.settings, self._sandbox))

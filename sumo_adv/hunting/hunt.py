@@ -25,12 +25,12 @@ from sumo_adv.campaigns.plan import Plan
 from sumo_adv.campaigns.results import OUTCOME, failed, read_row
 from sumo_adv.datatypes import Level
 from sumo_adv.errors import SumoAdvError, UsageError
-from sumo_adv.files import sentences, write_text
+from sumo_adv.files import refuse_links, sentences, write_text
 from sumo_adv.hunting.failures import COLUMNS, Failure, distinct, failure_of, table
-from sumo_adv.parsing import parse_json
+from sumo_adv.parsing import read_json, read_object
 from sumo_adv.report.index import HUNT, RESULTS
 from sumo_adv.report.outcome import ATTACKS
-from sumo_adv.report.tables import csv_text
+from sumo_adv.report.tables import csv_text, plain_row
 
 SCHEMA = 1
 FAILURES, ROUNDS = "failures", "rounds"
@@ -232,14 +232,14 @@ class Hunt:
 
     def _read(self) -> dict[str, Any]:
         told = {**self._plan.as_dict(), "seeds": [self._plan.seeds[0]]}
+        refuse_links(self.folder)
         file = self.folder / HUNT
         if not file.is_file():
             parts = f".{Path(HUNT).stem}."  # of a state that was being written when the program was killed
             if self.folder.is_dir() and any(not p.name.startswith(parts) for p in self.folder.iterdir()):
                 raise UsageError(f"{self.folder} is not empty and holds no hunt: give another --out.")
             return {"schema": SCHEMA, "plan": told, "rounds": []}
-        with sentences(self.folder):
-            state: dict[str, Any] = parse_json(file.read_text(encoding="utf-8"))
+        state = read_object(file, "The state of the hunt")
         if state.get("schema") != SCHEMA or state.get("plan") != json.loads(json.dumps(told)):
             raise UsageError(
                 f"{self.folder} holds a hunt with other inputs, egos or settings: say the same, or give another --out."
@@ -252,7 +252,7 @@ class Hunt:
             self.folder.mkdir(parents=True, exist_ok=True)
             write_text(self.folder / HUNT, json.dumps(self._state, indent=1) + "\n")
             if found is not None:
-                write_text(self.folder / RESULTS, csv_text(COLUMNS, table(found, self.folder)))
+                write_text(self.folder / RESULTS, csv_text(COLUMNS, map(plain_row, table(found, self.folder))))
 
     def _collected(self) -> list[Failure]:
         """Copies of the representatives' folders in ``failures/``, best first, and the table that names them."""
@@ -284,7 +284,7 @@ def _further(runs: Path, rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Fa
 def _outcomes(runs: Path, rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
     """What ``outcome.json`` of each episode says."""
     files = [runs / str(row["id"]) / OUTCOME for row in rows]
-    return [parse_json(file.read_text(encoding="utf-8")) for file in files if file.is_file()]
+    return [read_object(file, "The outcome") for file in files if file.is_file()]
 
 
 def _lost(rows: Sequence[Mapping[str, Any]], outcomes: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -320,7 +320,7 @@ def over_time(folder: Path) -> list[tuple[float, Mapping[str, int]]]:
         raise UsageError(f"{folder} is not the folder of a hunt: it has no {HUNT}.")
     after, seconds = list[tuple[float, Mapping[str, int]]](), 0.0
     try:
-        for each in parse_json(file.read_text(encoding="utf-8"))["rounds"]:
+        for each in read_json(file)["rounds"]:
             seconds += float(each.get("took", 0.0))
             if "found" in each:
                 after.append((seconds / 60.0, {str(level): int(each["found"][str(level)]) for level in LEVELS}))

@@ -39,7 +39,7 @@ from sumo_adv.memory.records import (
 )
 from sumo_adv.memory.similarity import TextAndSlots
 from sumo_adv.memory.store import make_file, sentences
-from sumo_adv.parsing import parse_toml
+from sumo_adv.parsing import parse_json, parse_toml
 
 Parse = Callable[[str], tuple[Parameter, ...]]
 Refuse = Callable[[str, str, BankError], None]
@@ -351,7 +351,7 @@ def _evidence(row: Mapping[str, str], label: str, hashes: Mapping[str, str]) -> 
         label=label,
         planner_hash=hashes[row["planner"]],
         scene=SceneSignature(
-            row["geometry"], row["relation"], named_numbers(json.loads(row["relative"])), row["controller"]
+            row["geometry"], row["relation"], named_numbers(parse_json(row["relative"])), row["controller"]
         ),
         attempts=int(row["attempts"]),
         min_ttc=_number(row["min_ttc"]) if row["min_ttc"] else math.inf,
@@ -359,8 +359,8 @@ def _evidence(row: Mapping[str, str], label: str, hashes: Mapping[str, str]) -> 
         version=row["version"],
         network=row["network"],
         seed=int(row["seed"]),
-        parameters=named_numbers(json.loads(row["parameters"])),
-        acceleration=acceleration_of(json.loads(row["acceleration"])),
+        parameters=named_numbers(parse_json(row["parameters"])),
+        acceleration=acceleration_of(parse_json(row["acceleration"])),
         delay=_number(row["delay"]),
     )
 

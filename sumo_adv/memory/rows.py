@@ -23,6 +23,7 @@ from sumo_adv.memory.records import (
     composition_of,
     is_number,
 )
+from sumo_adv.parsing import parse_json
 
 MOST_BRACKETS = 100  # in a setting: a few are in use, and about 1,000 nested ones exceed Python's recursion limit
 MERGED = "merged."  # settings ``merged.<key>``: the label of the intent into which this one was merged
@@ -42,7 +43,7 @@ def _intent(key: str, label: str, description: str, applies: str, status: str) -
     """An intent; ``key``: its label in canonical form."""
     if key != canonical(label):
         raise ValueError(f"the key of the intent {label[:80]!r} is not that of its label")
-    relations = json.loads(applies)
+    relations = parse_json(applies)
     if not isinstance(relations, list) or not all(isinstance(each, str) for each in relations):
         raise ValueError(f"the intent {label[:80]!r} must apply to a list of relations")
     return IntentRecord(label, description, tuple(relations), status)
@@ -52,7 +53,7 @@ def _planner(
     label: str, planner_hash: str, mode: str, source: str, parameters: str, parent: str | None, origin: str
 ) -> Planner:
     """A planner of the intent ``label``."""
-    table = json.loads(parameters)
+    table = parse_json(parameters)
     if not isinstance(table, list) or not all(isinstance(each, list) and 5 <= len(each) <= 6 for each in table):
         raise ValueError("the parameters of a planner must be lists of name, default, low, high, unit and meaning")
     made = Planner(label, mode, source, tuple(Parameter(*each) for each in table), origin, parent)
@@ -76,11 +77,11 @@ def _check_parameters(made: Planner) -> None:
 def _evidence(label: str, planner_hash: str, values: Sequence[Any]) -> Evidence:
     """Evidence about the intent ``label``, from ``_EVIDENCE_COLUMNS``."""
     row = dict(zip(_EVIDENCE_COLUMNS, values, strict=True))
-    relative = json.loads(row.pop("relative"))
+    relative = parse_json(row.pop("relative"))
     scene = SceneSignature(row.pop("geometry"), row.pop("relation"), relative, row.pop("controller"))
-    knots, parameters = row.pop("knots"), json.loads(row.pop("parameters"))
+    knots, parameters = row.pop("knots"), parse_json(row.pop("parameters"))
     if knots is not None:
-        row["acceleration"] = acceleration_of(json.loads(knots))
+        row["acceleration"] = acceleration_of(parse_json(knots))
     if row["min_ttc"] is None:
         row["min_ttc"] = math.inf
     row |= {name: None if row[name] is None else bool(row[name]) for name in FLAGS}
@@ -90,7 +91,7 @@ def _evidence(label: str, planner_hash: str, values: Sequence[Any]) -> Evidence:
 def _setting(key: str, text: str) -> Any:
     if text.count("[") + text.count("{") > MOST_BRACKETS:
         raise ValueError("it nests deeper than a setting does")
-    value = json.loads(text)
+    value = parse_json(text)
     if key.startswith(MERGED) and not isinstance(value, str):
         raise ValueError("it must be the label of an intent")
     if key.startswith(EPSILON):

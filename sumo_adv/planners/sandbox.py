@@ -31,6 +31,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 from sumo_adv.datatypes import Planner
 from sumo_adv.errors import SandboxError
+from sumo_adv.files import scratch_prefix
 from sumo_adv.planners.results import clean
 from sumo_adv.planners.session import PlannerSession, SandboxLimits
 from sumo_adv.planners.source import HELPERS_STUBS
@@ -209,7 +210,7 @@ class Sandbox:
             jail = make_jail(self._bubblewrap)
             program = jail.command[0]
             if os.name == "posix":
-                self._folder = tempfile.TemporaryDirectory(prefix="sumo-adv-")
+                self._folder = tempfile.TemporaryDirectory(prefix=scratch_prefix())
                 script = Path(self._folder.name) / "worker"
                 script.write_text(wrapper_script(jail, self.limits.memory))
                 script.chmod(0o700)

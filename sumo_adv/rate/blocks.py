@@ -30,6 +30,7 @@ from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.encounter_search import INSERTED_EGO, EncounterSearch
 from sumo_adv.episode.task import Task, make_task, refuse_density
 from sumo_adv.errors import SimulationError, UsageError
+from sumo_adv.files import scratch_prefix
 from sumo_adv.rate.proposal import PER_HOUR, Proposal, chances
 from sumo_adv.rate.run import Record, Run
 from sumo_adv.simulation.demand import generate_flows
@@ -130,7 +131,7 @@ class BlockRunner:
     def __init__(self, plan: RatePlan) -> None:
         forget_environment()
         self._plan = plan
-        self._scratch = tempfile.TemporaryDirectory(prefix="sumo_adv-")
+        self._scratch = tempfile.TemporaryDirectory(prefix=scratch_prefix())
         folder = Path(self._scratch.name)
         self._task = task = plan.task(folder)
         controller = make_ego(task.ego_driver, task.ego_parameters)

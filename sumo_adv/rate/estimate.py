@@ -30,8 +30,8 @@ from sumo_adv.campaigns.local import LocalWorkers, Pace, Stop
 from sumo_adv.campaigns.results import Done
 from sumo_adv.datatypes import Floats, Level
 from sumo_adv.errors import UsageError
-from sumo_adv.files import held, json_text, sentences, write_text
-from sumo_adv.parsing import parse_json
+from sumo_adv.files import held, json_text, refuse_links, scratch_prefix, sentences, write_text
+from sumo_adv.parsing import read_json, read_object
 from sumo_adv.rate.blocks import BLOCK, WAIT, Block, BlockRunner, ClusterBlocks, RatePlan, failed
 from sumo_adv.rate.proposal import KINDS, MOST_WEIGHT, Counts, Proposal, chances, learnt, pilot_proposal
 from sumo_adv.rate.run import Record
@@ -183,8 +183,9 @@ class Estimation:
                 written, or there is no such cluster;
             SimulationError: a block of runs failed twice.
         """
-        with sentences(self.out), TemporaryDirectory(prefix="sumo_adv-") as scratch:
+        with sentences(self.out), TemporaryDirectory(prefix=scratch_prefix()) as scratch:
             self.plan.task(Path(scratch))
+            refuse_links(self.out)
             (self.out / "blocks").mkdir(parents=True, exist_ok=True)
             with held(self.out / LOCK) as alone:
                 if not alone:
@@ -195,8 +196,8 @@ class Estimation:
     def _keep_plan(self) -> None:
         file, document = self.out / PLAN, json.loads(json_text(self.plan.document()))
         if file.exists():
-            before = parse_json(file.read_text(encoding="utf-8"))
-            changed = [key for key in document if not isinstance(before, dict) or before.get(key) != document[key]]
+            before = read_object(file, "The plan of the estimate")
+            changed = [key for key in document if before.get(key) != document[key]]
             if changed:
                 raise UsageError(
                     f"{self.out} holds runs of another {' and '.join(changed)}, which cannot go into one estimate; "
@@ -256,7 +257,7 @@ class Estimation:
 def read_block(file: Path) -> dict[str, Any] | None:
     """A block that is finished; None if there is none, or it is damaged."""
     try:
-        block = parse_json(file.read_text(encoding="utf-8"))
+        block = read_json(file)
         records_of([block])
         counts_of([block])
         return dict(block)

@@ -10,7 +10,6 @@ SUITE/CASE/case.toml           the attack and what is expected of the ego
 from __future__ import annotations
 
 import hashlib
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -18,11 +17,14 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from sumo_adv.config import load_settings
+from sumo_adv.config import LONGEST_DELAY, load_settings
 from sumo_adv.datatypes import MOST_ADVERSARIES, Duty, Level, Proposal, acceleration_of
 from sumo_adv.errors import SandboxError, UsageError
+from sumo_adv.files import refuse_links
+from sumo_adv.parsing import read_toml
 from sumo_adv.planners.source import make_planner
 from sumo_adv.simulation.inputs import RunInput, load_input
+from sumo_adv.simulation.sumo_options import refuse
 
 SCHEMA = 1
 CASE_FILE, SCENARIO_FILE, PLANNER_FILE, NETWORKS = "case.toml", "scenario.toml", "planner.py", "networks"
@@ -77,7 +79,7 @@ class _Support(_Member):
 
 
 class _Attack(_Member):
-    delay: Annotated[float, Field(ge=0.0)]
+    delay: Annotated[float, Field(ge=0.0, le=LONGEST_DELAY)]
     ego_driven_from: float | None = None
     ego_before: tuple[tuple[str, float, float], ...] = ()
     network: str
@@ -123,6 +125,7 @@ class Case:
 
 def read_suite(folder: Path) -> list[Case]:
     """The cases of a suite, by name. Raises UsageError: there are none, or one of them is damaged."""
+    refuse_links(folder)
     if (folder / CASE_FILE).is_file():
         return [read_case(folder)]
     files = sorted(folder.glob(f"*/{CASE_FILE}")) if folder.is_dir() else []
@@ -134,6 +137,7 @@ def read_suite(folder: Path) -> list[Case]:
 def read_case(folder: Path) -> Case:
     """The case in a folder, checked. Raises UsageError: a file is missing, damaged, or does not fit the others."""
     file = folder / CASE_FILE
+    name = folder.name if folder.name not in ("", "..") else folder.resolve().name  # its place in the suite
     given = _parsed(file)
     source = load_input(folder / SCENARIO_FILE)
     attack = given.attack
@@ -149,15 +153,15 @@ def read_case(folder: Path) -> Case:
     strange = sorted(given.settings.keys() - set(SHAPING))
     if strange:
         raise UsageError(f"{file} sets '{strange[0]}', which a case does not; it may set {', '.join(SHAPING)}.")
-    load_settings(None, **given.settings)
+    refuse(load_settings(None, **given.settings).sumo_options)
     members = (attack, *attack.supports)
     proposal, *supports = [_proposal(file, planner_file(k), m, attack.delay) for k, m in enumerate(members)]
     proposal = replace(proposal, supports=tuple(supports), composition=attack.composition)
     relations = {m.adversary: m.relation for m in members}
     changed = hash_of(source.network) != attack.network
-    note = f"{folder.resolve().name}: the network {source.network.name} is not the one that the case was kept with."
+    note = f"{name}: the network {source.network.name} is not the one that the case was kept with."
     return Case(
-        folder.resolve().name, folder, source, proposal, relations, given.expect, attack.ego_driven_from,
+        name, folder, source, proposal, relations, given.expect, attack.ego_driven_from,
         attack.ego_before, given.settings, given.found, (note,) if changed else (),
     )  # fmt: skip
 
@@ -191,9 +195,7 @@ def hash_of(file: Path) -> str:
 
 def _parsed(file: Path) -> _File:
     try:
-        return _File.model_validate(tomllib.loads(file.read_text(encoding="utf-8")))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise UsageError(f"The case {file} cannot be read ({error}).") from error
+        return _File.model_validate(read_toml(file, "The case"))
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])

@@ -11,7 +11,7 @@ from typing import Any
 
 from sumo_adv.datatypes import MOST_ADVERSARIES, Level, Proposal, plain_acceleration
 from sumo_adv.errors import UsageError
-from sumo_adv.files import sentences, toml_lines, toml_value
+from sumo_adv.files import refuse_links, sentences, toml_lines, toml_value
 from sumo_adv.regression.case import (
     CASE_FILE,
     NETWORKS,
@@ -44,6 +44,7 @@ def keep_run(run: Path, suite: Path, expect: Expectation, name: str | None = Non
     Raises UsageError: no run's folder, a run without a collision or a low TTC, a name that is taken, or a suite that
     cannot be written.
     """
+    refuse_links(suite)
     recorded, outcome = read_manifest(run), read_outcome(run)
     if level_of((outcome.get("outcome") or {}).get("level")) is Level.NONE:
         raise UsageError(f"The attack of {run} reached no level, so there is nothing to keep.")
@@ -60,7 +61,7 @@ def keep_run(run: Path, suite: Path, expect: Expectation, name: str | None = Non
         folder = _place(suite, name or _slug(f"{recorded.source.name}-{recorded.settings.seed}"), texts, fixed=name)
         if folder.exists():
             return folder, False
-        with staged(folder, force=False) as made:
+        with staged(folder, force=False, inside=True) as made:
             for file, text in texts.items():
                 (made.stage / file).write_text(text, encoding="utf-8")
             for copy, target in _traffic(recorded).items():

@@ -12,12 +12,12 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import TypeAdapter
 
-from sumo_adv.campaigns.results import OUTCOME, Done
+from sumo_adv.campaigns.results import Done
 from sumo_adv.campaigns.worker import share
 from sumo_adv.config import Settings, Until, forget_environment, load_settings
 from sumo_adv.datatypes import Attempt, Ending, Intent, Level
@@ -27,7 +27,7 @@ from sumo_adv.episode.planned_encounter import seek
 from sumo_adv.episode.task import FoundEncounter, Task, make_task
 from sumo_adv.episode.warm import WarmProcesses
 from sumo_adv.errors import SumoAdvError
-from sumo_adv.files import is_storage_error
+from sumo_adv.files import is_storage_error, scratch_prefix
 from sumo_adv.metrics.contact import first_other_contact
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.regression.case import Case, Expectation, read_case
@@ -52,6 +52,7 @@ class Result(StrEnum):
     ERROR = "error"  # the ego's driver or the simulation broke
 
 
+LevelName = Literal["none", "critical", "collision", "valid", "strict", "serious"]
 UNTESTED = (Result.NO_ENCOUNTER, Result.INVALID)
 
 
@@ -69,7 +70,7 @@ class Measured:
     ego: str
     broken: str = ""
     missed: bool = False
-    level: str = "none"
+    level: LevelName = "none"
     collided: bool = False
     rear_end: bool = False
     failed_gates: tuple[str, ...] = ()
@@ -203,14 +204,14 @@ class CaseRunner(WarmProcesses):
 
     def _run(self, case: Case) -> Measured:
         settings = settings_for(case, self._setup.ego)
-        with tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
+        with tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch:
             task = task_for(case, settings, Path(scratch))
             sandbox = self._sandboxes.of(settings)
             with self._engine.episode() as engine:
                 episode, missed = run_case(case, settings, task, engine, sandbox)
             if missed:
                 return Measured(case.name, settings.ego, broken=missed, missed=True)
-            with staged(self._setup.runs / case.name, force=True, marker=OUTCOME) as folder:
+            with staged(self._setup.runs / case.name, force=True, inside=True) as folder:
                 outcome = write_run(folder, episode, figure=False)
                 share(folder.stage / INPUTS, self._setup.runs.parent / INPUTS)
                 folder.keep(force=True)

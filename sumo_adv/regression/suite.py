@@ -7,7 +7,6 @@ OUT/runs/CASE/      the run of each case that came to its encounter
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
 import xml.etree.ElementTree as ElementTree
@@ -24,7 +23,8 @@ from sumo_adv.campaigns.local import LocalWorkers, Pace, Stop
 from sumo_adv.campaigns.results import Done, Row, read_row, write_csv
 from sumo_adv.drivers import make_ego
 from sumo_adv.errors import UsageError
-from sumo_adv.files import json_text, sentences, write_text
+from sumo_adv.files import is_plain_name, json_text, sentences, write_text
+from sumo_adv.parsing import read_json
 from sumo_adv.regression.case import Case
 from sumo_adv.regression.runner import (
     UNTESTED,
@@ -90,6 +90,9 @@ def run_suite(
     if lacking:
         advice = "give --baseline FILE" if baseline is None else "which the baseline lacks: run the baseline again"
         raise UsageError(f"The case {lacking[0]} is to be no worse than a baseline; {advice}.")
+    twice = [name for name, times in Counter(case.name for case in cases).items() if times > 1]
+    if twice:
+        raise UsageError(f"Two cases have the name {twice[0]}: rename the folder of one.")
     results: dict[str, Judged] = {}
     by_name = {case.name: case for case in cases}
 
@@ -101,7 +104,7 @@ def run_suite(
     def failed(job: Any, why: str, text: str) -> Done:
         return Done(job.id, asdict(Measured(job.id, ego, broken=why)), text=text)
 
-    with staged(out, force=force, marker=RESULTS) as folder, sentences(out):
+    with staged(out, force=force) as folder, sentences(out):
         runs, scratch = folder.stage / "runs", folder.stage / ".workers"
         runs.mkdir()
         scratch.mkdir()
@@ -122,20 +125,24 @@ def read_results(path: Path) -> dict[str, Any]:
     """The JSON file of a suite's run, or that in its folder. Raises UsageError."""
     file = path / RESULTS if path.is_dir() else path
     try:
-        document = json.loads(file.read_text(encoding="utf-8"))
+        document = read_json(file)
         if document["schema"] != SCHEMA:
             raise UsageError(f"{file} has schema {document['schema']}; this program reads {SCHEMA}.")
-        return {**document, "cases": list(document["cases"])}
+        rows = list(document["cases"])
+        if wrong := [name for name in (measured_of(row).case for row in rows) if not is_plain_name(name)]:
+            raise UsageError(f"{file} names the case {wrong[0]!r}, which is no folder's name; run the suite again.")
+        return {**document, "cases": rows}
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        raise UsageError(f"{file} has a bad '{key}' ({first['msg']}); run the suite again.") from error
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise UsageError(f"{file} is not what sumo-adv regress writes ({error}); give its {RESULTS}.") from error
 
 
 def read_baseline(path: Path) -> dict[str, Measured]:
     """The measurements of another run of the suite, by case. Raises UsageError."""
-    try:
-        return {measured.case: measured for measured in map(measured_of, read_results(path)["cases"])}
-    except ValidationError as error:
-        raise UsageError(f"The baseline {path} cannot be read; run it again.") from error
+    return {measured.case: measured for measured in map(measured_of, read_results(path)["cases"])}
 
 
 def write_junit(file: Path, run: SuiteRun, *, allow_untested: bool) -> None:

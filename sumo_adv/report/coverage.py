@@ -7,7 +7,6 @@ the ego if one of these attempts reached the level ``valid``: a collision that a
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,9 +20,10 @@ from sumo_adv.errors import UsageError
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.records import IntentRecord
 from sumo_adv.metrics.statistics import Estimate, wilson
+from sumo_adv.parsing import parse_json, read_json
 from sumo_adv.report.document import write_document
 from sumo_adv.report.run_outcome import level_of
-from sumo_adv.report.tables import csv_text
+from sumo_adv.report.tables import csv_text, plain_row
 
 BANDS = ((0.0, 8.0), (8.0, 14.0), (14.0, 22.0), (22.0, math.inf))  # m/s; the bounds are about 30, 50 and 80 km/h
 HEADER = (
@@ -147,7 +147,7 @@ def coverage_csv(coverage: Coverage) -> str:
             shown = (f"{rate.value:.4f}" if row.encounters else "", f"{rate.low:.4f}", f"{rate.high:.4f}")
             speeds = (f"{low:g}", "" if math.isinf(high) else f"{high:g}")
             lines.append((ego, cell.intent, cell.relation, cell.road, *speeds, row.encounters, row.failures, *shown))
-    return csv_text(HEADER, (dict(zip(HEADER, line, strict=True)) for line in lines))
+    return csv_text(HEADER, (plain_row(dict(zip(HEADER, line, strict=True))) for line in lines))
 
 
 def campaign_coverage(folder: Path, runs: Sequence[Path], packed: Mapping[str, str], bank: Path) -> Coverage:
@@ -173,7 +173,7 @@ def _outcomes(runs: Sequence[Path], packed: Mapping[str, str]) -> Iterator[dict[
     for run in runs:
         try:
             file = run / OUTCOME
-            document = json.loads(file.read_text(encoding="utf-8") if file.is_file() else packed[run.name])
+            document = read_json(file) if file.is_file() else parse_json(packed[run.name])
             _ = document["encounter"], document["attempts"], document["ego"]["controller"]
             yield document
         except (OSError, ValueError, KeyError, TypeError):
@@ -185,7 +185,7 @@ def _odds(plan: Path) -> list[Odd]:
     if not plan.is_file():
         return []
     try:
-        odds = [variant.get("odd") for variant in json.loads(plan.read_text(encoding="utf-8")).get("settings", ())]
+        odds = [variant.get("odd") for variant in read_json(plan).get("settings", ())]
         return [Odd.model_validate(odd) for odd in odds] if all(odds) else []
     except (ValueError, AttributeError) as error:
         raise UsageError(f"{plan} is damaged ({error}); restore it from a copy.") from error

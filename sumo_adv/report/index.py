@@ -30,9 +30,10 @@ import numpy as np
 from sumo_adv import __version__
 from sumo_adv.datatypes import Floats, Level
 from sumo_adv.errors import SumoAdvError, UsageError
+from sumo_adv.files import cell_text, scratch_prefix
 from sumo_adv.metrics.severity import Severity
 from sumo_adv.metrics.statistics import wilson
-from sumo_adv.parsing import parse_json
+from sumo_adv.parsing import read_json
 from sumo_adv.report.coverage import ALL, BANDS, Coverage
 from sumo_adv.report.document import asset, document, packed, whole, write_document
 from sumo_adv.report.page import page_of
@@ -96,7 +97,7 @@ def read_rows(file: Path) -> Table:
 
 
 def _row(row: Mapping[str, str | None], varied: Sequence[str]) -> dict[str, Any]:
-    made: dict[str, Any] = {name: row.get(name) or "" for name in (*WORDS, *LATER, *varied)}
+    made: dict[str, Any] = {name: cell_text(row.get(name) or "") for name in (*WORDS, *LATER, *varied)}
     made |= {name: _number(row[name]) for name in NUMBERS}
     return made | {name: {"true": True, "false": False}.get(row[name] or "") for name in TRUTHS}
 
@@ -290,7 +291,7 @@ def _all_pages(
         yield from _some_pages(every, plain, runs, target, roads)
         for start in range(0, len(others), PORTION):
             some = others[start : start + PORTION]
-            with tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
+            with tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch:
                 if packs.unpack is not None:
                     packs.unpack(some, Path(scratch))
                 yield from _some_pages(every, some, Path(scratch), target, roads)
@@ -340,7 +341,7 @@ def _ignore_interrupts() -> None:
 def _read(out: Path) -> tuple[dict[str, Made], dict[str, Any]]:
     """What the last time made; nothing where there was none, or another version made it."""
     try:
-        kept = parse_json((out / MADE).read_text(encoding="utf-8"))
+        kept = read_json(out / MADE)
         if kept["version"] != __version__:
             return {}, {}
         made = {

@@ -10,18 +10,19 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv.asked import Asked
-from sumo_adv.config import Settings, load_settings
+from sumo_adv.config import LONGEST_DELAY, Settings, load_settings
 from sumo_adv.datatypes import Duty, Proposal, acceleration_of
 from sumo_adv.episode.task import Task
 from sumo_adv.errors import UsageError
-from sumo_adv.parsing import parse_json
+from sumo_adv.files import refuse_links
+from sumo_adv.parsing import read_json
 from sumo_adv.planners.source import make_planner
 from sumo_adv.report.outcome import SCHEMA
 from sumo_adv.simulation.inputs import EgoRoute, RunInput, WaymoSource
 from sumo_adv.simulation.maps import Conversion
 from sumo_adv.simulation.playback_spec import PlaybackSpec, Prop, make_playback
 from sumo_adv.simulation.simulation import SimulationSpec
-from sumo_adv.simulation.sumo_options import DEFAULTS
+from sumo_adv.simulation.sumo_options import DEFAULTS, FORCED
 
 RETIRED = ("experience",)  # settings of earlier versions; a replay drives the recorded attempt and needs none of them
 
@@ -42,11 +43,12 @@ def read_manifest(folder: Path) -> Recorded:
 
     Raises UsageError: no manifest, another schema, no attempt in it, or an input's copy that is missing or changed.
     """
+    refuse_links(folder)
     file = folder / "manifest.json"
     if not file.is_file():
         raise UsageError(f"{folder} holds no manifest.json; give the folder of a run.")
     try:
-        m: dict[str, Any] = parse_json(file.read_text(encoding="utf-8"))
+        m: dict[str, Any] = read_json(file)
         if m["schema"] != SCHEMA:
             raise UsageError(
                 f"{file} has schema {m['schema']}, this program reads {SCHEMA}; use the version that wrote it."
@@ -63,7 +65,8 @@ def _recorded(folder: Path, m: dict[str, Any]) -> Recorded:
     spec = SimulationSpec(
         _copy(folder, m["network"]), tuple(_copy(folder, n) for n in m["routes"]),
         tuple(_copy(folder, n) for n in m["additional"]), m["begin"], m["seed"], settings.step_length,
-        m.get("sumo_options", DEFAULTS), m.get("empty_steps", 0),
+        {name: value for name, value in m.get("sumo_options", DEFAULTS).items() if name not in FORCED},
+        m.get("empty_steps", 0),
     )  # fmt: skip
     ego = m["ego"]
     if isinstance(ego, dict):
@@ -93,6 +96,8 @@ def _proposal(folder: Path, a: dict[str, Any], planners: dict[str, Any]) -> Prop
     planner = make_planner(p["label"], p["mode"], p["source"], p["origin"], p["parent"])
     if planner.hash != a["planner"]:
         raise UsageError(f"The planner in {folder}/manifest.json was changed after the run, so it cannot be replayed.")
+    if not 0.0 <= a["delay"] <= LONGEST_DELAY:
+        raise ValueError(f"its delay of {a['delay']} s is none")
     numbers = {str(k): float(v) for k, v in a["parameters"].items()}
     return Proposal(
         a["bv"], a["label"], planner, numbers, acceleration_of(a["acceleration"]), a["delay"], a["by"],
@@ -102,8 +107,9 @@ def _proposal(folder: Path, a: dict[str, Any], planners: dict[str, Any]) -> Prop
 
 
 def _settings(recorded: dict[str, Any]) -> dict[str, Any]:
-    """The settings of a manifest under the names of today: before 0.2 ``ttc`` was what ``critical_ttc`` is now."""
-    kept = {name: value for name, value in recorded.items() if name not in RETIRED}
+    """The settings of a manifest, without a model's server, under the names of today: before 0.2 ``ttc`` was what
+    ``critical_ttc`` is now."""
+    kept = {name: value for name, value in recorded.items() if name not in (*RETIRED, "llm_base_url")}
     return {**kept, "ttc": None, "critical_ttc": kept["ttc"]} if isinstance(kept.get("ttc"), float) else kept
 
 

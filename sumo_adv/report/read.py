@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import csv
-import gzip
 import io
-import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +15,15 @@ import numpy as np
 
 from sumo_adv.datatypes import Role, Track
 from sumo_adv.errors import SumoAdvError, UsageError
-from sumo_adv.files import write_whole
-from sumo_adv.parsing import parse_json
+from sumo_adv.files import refuse_links, write_whole
+from sumo_adv.parsing import LARGEST_UNPACKED, read_json, read_text
 from sumo_adv.report.folder import FIRST, SIGNALS
 from sumo_adv.report.outcome import ATTACKS
 from sumo_adv.report.tables import HEADER
 from sumo_adv.simulation.signals import SignalLog, read_signals
 
 OUTCOME, MANIFEST = "outcome.json", "manifest.json"
+MOST_ROWS = 4_000_000  # of a table: 1,000 vehicles over 400 s
 NUMBERS = ("time", "x", "y", "heading", "speed", "acceleration", "length", "width")
 
 
@@ -58,6 +58,7 @@ def read_run(folder: Path) -> RunRead:
 
 def read_outcome(folder: Path) -> dict[str, Any]:
     """``outcome.json`` of a run. Raises UsageError: no run's folder, or the file is damaged."""
+    refuse_links(folder)
     if not (folder / OUTCOME).is_file():
         raise UsageError(f"{folder} holds no {OUTCOME}; give the folder of a run.")
     return _json(folder / OUTCOME)
@@ -73,7 +74,7 @@ def _attacks(folder: Path, outcome: Mapping[str, Any]) -> list[tuple[int, list[T
 
 def _json(file: Path) -> dict[str, Any]:
     try:
-        value = parse_json(file.read_text(encoding="utf-8"))
+        value = read_json(file)
     except (OSError, ValueError) as error:
         raise damaged(file, error) from error
     if not isinstance(value, dict):
@@ -110,12 +111,14 @@ def columns_of(file: Path, expected: str = HEADER) -> dict[str, tuple[str, ...]]
     if not file.is_file():
         return dict.fromkeys(names, ())
     try:
-        text = gzip.decompress(file.read_bytes()).decode()
-        header, *rows = csv.reader(io.StringIO(text, newline=""))
+        table = csv.reader(io.StringIO(read_text(file, LARGEST_UNPACKED), newline=""))
+        header, *rows = islice(table, MOST_ROWS)
+        if next(table, None) is not None:
+            raise ValueError(f"it has more than {MOST_ROWS:,} rows")
         if header != names:
             raise ValueError("its columns are others")
         return dict(zip(names, zip(*rows, strict=True), strict=True)) if rows else dict.fromkeys(names, ())
-    except (OSError, EOFError, ValueError, zlib.error, csv.Error) as error:
+    except (OSError, ValueError, csv.Error) as error:
         raise damaged(file, error) from error
 
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.datatypes import Role, Track
+from sumo_adv.files import plain_cell
 from sumo_adv.metrics.case import NEAR
 from sumo_adv.metrics.criticality import AVAILABLE, series
 from sumo_adv.metrics.validity import MOST
@@ -104,6 +105,11 @@ def series_rows(ego: Track, tracks: Sequence[Track], adversary: str) -> list[str
 def quoted(text: str) -> str:
     """A CSV field (RFC 4180)."""
     return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\n\r') else text
+
+
+def plain_row(row: Mapping[str, Any]) -> dict[str, Any]:
+    """A row of a table for people, without formulas."""
+    return {name: plain_cell(value) for name, value in row.items()}
 
 
 def csv_text(columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> str:

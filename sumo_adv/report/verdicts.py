@@ -6,7 +6,6 @@ the same.  Nothing is simulated again.
 
 from __future__ import annotations
 
-import gzip
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
@@ -23,6 +22,7 @@ from sumo_adv.metrics.case import make_case
 from sumo_adv.metrics.cause import Cause, cause_of
 from sumo_adv.metrics.full import PAPER_EPSILON, Crossing, FullVerdict, Strip, full_judge, markings_crossed
 from sumo_adv.metrics.realism import PAPER_BINS, WOSAC_BINS, distances, own_figures, realism, wosac_features
+from sumo_adv.parsing import LARGEST_SUMO_FILE, read_bytes
 from sumo_adv.report.outcome import number
 from sumo_adv.report.tables import series_rows
 from sumo_adv.simulation.network import Drivable
@@ -234,8 +234,7 @@ def demand_sigmas(files: Sequence[Path]) -> list[float]:
     """The sigmas of the vehicle types that demand files declare, sorted; SUMO's 0.5 where none is declared or said."""
     sigmas: set[float] = set()
     for file in files:
-        data = file.read_bytes()
-        for kind in TYPE.findall(gzip.decompress(data) if data[:2] == b"\x1f\x8b" else data):
+        for kind in TYPE.findall(read_bytes(file, LARGEST_SUMO_FILE)):
             match = SIGMA.search(kind)
             try:
                 sigmas.add(float(match.group(1)) if match else DEFAULT_SIGMA)

@@ -25,6 +25,7 @@ Event = Mapping[str, Any]
 Listener = Callable[[Event], None]
 KEPT = 200  # outcomes that the status page lists
 LOOPBACK = "127.0.0.1"
+HOSTS = (LOOPBACK, "localhost")
 WAITING = 2  # encounters that may wait to be written; then the simulation waits
 Write = Callable[[Episode, int], Mapping[str, Any]]
 
@@ -165,6 +166,10 @@ def _handler(report: Callable[[], dict[str, Any]]) -> type[BaseHTTPRequestHandle
 
         def do_GET(self) -> None:
             """``/health`` and ``/status``."""
+            host = self.headers.get("Host", LOOPBACK).rpartition(":")
+            if (host[0] or host[2]).lower() not in HOSTS:  # of another site, whose name was made to mean this machine
+                self._answer(403, {"error": f"Ask for {LOOPBACK}: this page is for this machine alone."})
+                return
             state = report()
             if self.path == "/health":
                 self._answer(200 if state["health"] == "ok" else 503, {"status": state["health"]})

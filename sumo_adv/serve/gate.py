@@ -12,9 +12,10 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 
 from sumo_adv.errors import SimulationError, UsageError
-from sumo_adv.serve import link
+from sumo_adv.serve import link, peers
 from sumo_adv.serve.framing import LONGEST, FramingError, Gone, Line
 from sumo_adv.serve.link import Link
 from sumo_adv.serve.policy import Policy, Rules
@@ -44,7 +45,8 @@ class Gate:
         older: bool = False,
         on_event: Callable[[GateEvent], None] | None = None,
     ) -> None:
-        """Nothing is opened yet. ``allow``: addresses or networks that may connect, needed unless host is loopback.
+        """Nothing is opened yet. ``allow``: addresses or networks that may connect, needed unless host is loopback;
+        on Linux a client of this machine must be this user's (or root's) unless its address is among them.
         ``older``: clients know TraCI only up to version 21.
 
         Raises UsageError: an address is invalid, or the host is not loopback and no address is allowed.
@@ -58,7 +60,8 @@ class Gate:
         self._changed = threading.Condition()
         self._stopping = self._running = False
         self._turns: Turns | None = None
-        self._strangers = threading.BoundedSemaphore(MOST_STRANGERS)
+        self._strangers = list[socket.socket]()  # the oldest first
+        self._strangers_lock = threading.Lock()
         self._listener: socket.socket | None = None
         self._threads: list[threading.Thread] = []
 
@@ -193,19 +196,35 @@ class Gate:
                 time.sleep(_GLANCE)
                 continue
             peer = f"{address[0]}:{address[1]}"
-            if not self._welcome(address[0]):
+            if why := self._unwelcome(connection, address[0]):
                 connection.close()
-                self._refused(f"A connection from {peer} was refused: the address is not among those allowed.")
-            elif not self._strangers.acquire(blocking=False):
-                connection.close()
-                self._refused(f"A connection from {peer} was refused: too many wait already.")
+                self._refused(f"A connection from {peer} was refused: {why}.")
             else:
+                self._let_wait(connection)
                 threading.Thread(target=self._greet, args=(connection, peer), name="gate-greet", daemon=True).start()
 
-    def _welcome(self, text: str) -> bool:
+    def _unwelcome(self, connection: socket.socket, text: str) -> str:
+        """Why a connection is refused, or empty."""
         address = ipaddress.ip_address(text.partition("%")[0])
         address = getattr(address, "ipv4_mapped", None) or address
-        return address.is_loopback or any(address in network for network in self._allow)
+        if any(address in network for network in self._allow):
+            return ""
+        if not address.is_loopback:
+            return "the address is not among those allowed"
+        try:
+            ours = peers.is_ours(connection)
+        except OSError:  # it has gone already
+            ours = False
+        return "" if ours else f"it is another user's; --allow {address} lets all users of this machine in"
+
+    def _let_wait(self, connection: socket.socket) -> None:
+        """Add one that has not said anything yet. Where too many are there, the oldest is cut: a client speaks at once,
+        so connections that say nothing shut nobody out."""
+        with self._strangers_lock:
+            self._strangers.append(connection)
+            if len(self._strangers) > MOST_STRANGERS:
+                with suppress(OSError):
+                    self._strangers.pop(0).shutdown(socket.SHUT_RDWR)
 
     def _refused(self, sentence: str) -> None:
         self._seat.tell(GateEvent(EventKind.REFUSED, sentence))
@@ -227,7 +246,9 @@ class Gate:
                 self._refused(f"A connection from {peer} was refused: another client drives the ego.")
                 client.send_away(_TAKEN, self._deadline)
         finally:
-            self._strangers.release()
+            with self._strangers_lock:
+                if connection in self._strangers:
+                    self._strangers.remove(connection)
 
 
 def _is_loopback(host: str) -> bool:

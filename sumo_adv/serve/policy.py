@@ -6,6 +6,7 @@ A refusal is a sentence; the gate answers it as a TraCI error and SUMO never see
 from __future__ import annotations
 
 import math
+import re
 import struct
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ from sumo_adv.errors import UsageError
 from sumo_adv.serve import framing, shapes
 from sumo_adv.serve.framing import Command
 from sumo_adv.serve.shapes import Misfit
+from sumo_adv.simulation.scan import WRITTEN_PARAMETER
 
 LONGEST_STEP = 3600.0  # s that one simulationStep may cover
 _DOMAINS = (
@@ -37,7 +39,17 @@ _ACTING = {(0xA2, 0x32): "trafficlight", (0xAE, 0xC7): "person"}  # getters that
 _TOO_LONG = "A name as long as this is not passed on: SUMO could end on it."
 _OURS = "This object is sumo_adv's own."
 _KEPT = "The ego departs and leaves by sumo_adv: its client neither adds nor removes it."
+_WRITES = "This parameter is not a client's: SUMO could write a file by it."
 _ODD_NAME = "An object that is added needs a name of printable characters in UTF-8."
+_DEVICES = "battery bluelight btreceiver btsender driverstate elechybrid emissions friction glosa rerouting taxi toc"
+_MODELS = ("carFollowModel", "laneChangeModel", "junctionModel", "parking")
+SET_PARAMETERS = re.compile(
+    rf"[^.]*|({'|'.join(_MODELS)})\..*|has\.({'|'.join(_DEVICES.split())})\.device"
+    rf"|(person-)?device\.({'|'.join(_DEVICES.split())})\..*",
+    re.DOTALL,
+)
+"""Keys that ``setParameter`` may set, where they name no file: an object's own, and those of models and of devices
+that write none."""
 OURS = "sumo_adv."
 """What the names of objects begin with that the server adds; a client can set none of them."""
 
@@ -122,6 +134,8 @@ class Policy:
             return f"{domain} {said!r} is not the client's: it may set its own vehicle and what it added."
         if expected is None or not shapes.fits(payload, end, expected):
             return _misfit(number)
+        if any(not _may_be_set(key) for key in shapes.keys_set(payload, end, variable)):
+            return _WRITES
         if variable == _COPY and domain == "vehicletype":
             name = payload[end + 5 :]
             return _OURS if name.startswith(OURS.encode()) else None if _is_printable(name) else _ODD_NAME
@@ -192,6 +206,11 @@ def _filter_fits(payload: bytes) -> bool:
         return len(payload) >= 2 and payload[1] < 128 and len(payload) == 2 + payload[1]
     shape = {0x03: "d", 0x04: "d", 0x07: "d", 0x08: "v", 0x09: "l", 0x0A: "d", 0x0B: "d"}.get(kind, "")
     return shapes.fits(payload, 1, (shape,))
+
+
+def _may_be_set(key: bytes) -> bool:
+    text = key.decode(errors="replace")
+    return SET_PARAMETERS.fullmatch(text) is not None and not WRITTEN_PARAMETER.fullmatch(text)
 
 
 def _misfit(number: int) -> str:

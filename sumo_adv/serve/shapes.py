@@ -25,6 +25,8 @@ _FIXED = {  # letter -> type, bytes after it
 }  # fmt: skip
 _SIZED = {"s": 0x0C, "n": 0x0C, "l": 0x0E, "v": 0x0E, "f": 0x10, "p": 0x06, "r": 0x04}
 _COMPOUND = 0x0F
+_PARAMETER, _PROGRAM = 0x7E, 0x2C
+_PAIR = bytes((_SIZED["l"],)) + _INT.pack(2)  # what a list of two strings begins with
 LONGEST_OBJECT = 170  # bytes of a name that comes alone: SUMO puts it into an error, which has at most 255
 LARGEST = 1e10  # of a number; SUMO dies of a position of 1e308
 LONGEST_NAME = 80  # bytes of a name where an error may hold two
@@ -168,6 +170,18 @@ def get_shapes(number: int, variable: int) -> Shapes:
 def set_shapes(number: int, variable: int) -> Shapes | None:
     """What must follow the object's name in a setter; None: there is no such setter."""
     return SET.get(number, {}).get(variable) or ANY_SET.get(variable)
+
+
+def keys_set(payload: bytes, at: int, variable: int) -> list[bytes]:
+    """The names of parameters in a setter's value that begins at ``at`` and fits: of ``setParameter``, and those of a
+    program of a traffic light, which are lists of key and value."""
+    if variable == _PARAMETER:
+        begin = at + 1 + 4 + 1  # the compound, its count, the type of the key
+        return [payload[begin + 4 : name_end(payload, begin)]]
+    if variable != _PROGRAM:
+        return []
+    pairs = (k + len(_PAIR) for k in range(at, len(payload)) if payload.startswith(_PAIR, k))
+    return [payload[begin + 4 : begin + 4 + _INT.unpack_from(payload, begin)[0]] for begin in pairs]
 
 
 def subscribed(payload: bytes, at: int, domain: int) -> list[bytes]:

@@ -15,13 +15,14 @@ import sys
 import tempfile
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
 from sumo_adv.errors import OUT_OF_MEMORY, DriverError, SimulationError, SumoAdvError, ran_out_of_memory
+from sumo_adv.files import scratch_prefix
 from sumo_adv.simulation.warnings_log import warnings_in
 from sumo_adv.simulation.watch import LOOK, SIZE, Call, Watch, keep
 
@@ -43,10 +44,11 @@ class Engine:
         self.at_once = slots
         self.lost = False  # its process has died
         self.talks = False  # a conversation goes on
+        self.asked = False  # a request has no answer yet: whoever made it was interrupted
         self._owed = 0  # replies to commands that were posted
         self._heard = 0  # bytes of the log that belong to earlier episodes
         context = multiprocessing.get_context("spawn")
-        self._folder = tempfile.TemporaryDirectory(prefix="sumo_adv-engine-")  # the process may be killed: not its own
+        self._folder = tempfile.TemporaryDirectory(prefix=scratch_prefix())  # the process may be killed: not its own
         self._log = Path(self._folder.name) / "log"
         self._log.touch()
         self._aside = self._log.with_name(ASIDE)
@@ -55,6 +57,7 @@ class Engine:
         note.write_bytes(bytes(SIZE))
         self._watch = Watch(note)
         self._control, control = context.Pipe()
+        leash, self._leash = context.Pipe(duplex=False)
         pairs = [context.Pipe() for _ in range(slots)]
         self._slots = [p[0] for p in pairs]
         variables = {**QUIET_VARIABLES, "TMPDIR": self._folder.name}
@@ -62,7 +65,7 @@ class Engine:
         os.environ.update(variables)
         try:
             self._process = context.Process(
-                target=_serve, args=(body, control, [p[1] for p in pairs], str(self._log), note), daemon=True
+                target=_serve, args=(body, control, [p[1] for p in pairs], str(self._log), note, leash), daemon=True
             )
             with _allowed_to_start():
                 self._process.start()
@@ -70,17 +73,20 @@ class Engine:
             for name, value in saved.items():
                 os.environ.pop(name) if value is None else os.environ.update({name: value})
         control.close()
+        leash.close()
         for _, child_end in pairs:
             child_end.close()
 
     def request(self, command: str, *arguments: Any, answer: Answer | None = None) -> Any:
         """Have the engine do something, answering its questions meanwhile. Raises SumoAdvError: what the engine raised,
         or SimulationError if its process died."""
+        self.asked = True
         with self._alive():
             self._order(command, arguments)
             while True:
                 for ready in self._ready(self._control, *self._slots):
                     if ready is self._control:
+                        self.asked = False
                         return self._reply()
                     question = ready.recv()
                     ready.send(answer(question) if answer is not None else None)
@@ -127,19 +133,24 @@ class Engine:
         except (EOFError, BrokenPipeError, ConnectionResetError) as error:
             self.lost = True
             call = self._watch.running()
-            if call is not None:
+            if call is not None and not call.is_sumo:
                 self._process.join(LOOK)
                 raise DriverError(call.ended(how(self._process.exitcode))) from error
             raise SimulationError(f"The simulation process ended unexpectedly{self._last_words()}.") from error
 
     def _ready(self, *connections: Connection) -> list[Connection]:
-        """Those of the connections that can be read, as soon as there is one. Raises DriverError if code of others in
-        the process is overdue; the process is killed then."""
+        """Those of the connections that can be read, as soon as there is one.
+
+        Raises DriverError if code of others in the process is overdue, SimulationError if SUMO is; the process is
+        killed then. EOFError if it has ended while a process that it left behind holds the connections.
+        """
         while not (ready := wait(connections, LOOK)):
             if (call := self._watch.overdue()) is not None:
-                self._process.kill()
+                self._kill()
                 self.lost = True
-                raise DriverError(call.late())
+                raise _late(call)
+            if not self._process.is_alive() and not wait(connections, 0):
+                raise EOFError
         return [each for each in ready if isinstance(each, Connection)]
 
     def said(self) -> str:
@@ -157,13 +168,19 @@ class Engine:
         return f" ({errors[-1][:300]})" if errors else ""
 
     def close(self) -> None:
-        for connection in (self._control, *self._slots):
+        for connection in (self._control, self._leash, *self._slots):
             connection.close()
         self._process.join(timeout=0.5)
-        if self._process.is_alive():
-            self._process.kill()
-            self._process.join()
+        self._kill()
+        self._process.join()
         self._folder.cleanup()
+
+    def _kill(self) -> None:
+        """End the process, and those that code of others has left behind in its group."""
+        if hasattr(os, "killpg") and self._process.pid is not None:
+            with suppress(ProcessLookupError, PermissionError):
+                os.killpg(self._process.pid, signal.SIGKILL)
+        self._process.kill()
 
     def __enter__(self) -> Engine:
         return self
@@ -236,10 +253,11 @@ def _allowed_to_start() -> Iterator[None]:
         me.daemon = daemonic
 
 
-def _serve(body: Body, control: Connection, slots: list[Connection], log: str, note: Path) -> None:
+def _serve(body: Body, control: Connection, slots: list[Connection], log: str, note: Path, front: Connection) -> None:
     """The engine process: SUMO's words go into a file, Ctrl-C and SIGTERM are the front's business."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    end_with(front)
     try:
         words = os.open(log, os.O_WRONLY | os.O_APPEND)
         files = (Path(log), Path(log).with_name(ASIDE))
@@ -267,7 +285,34 @@ def _serve(body: Body, control: Connection, slots: list[Connection], log: str, n
             import traceback
 
             traceback.print_exc()
+        _mend()
         control.send(reply)
+
+
+def end_with(front: Connection) -> None:
+    """Make a process group of this process and its children to come, which is killed when the other end of ``front``,
+    which nobody else has, closes: when the process that has it ends, however it ends.
+
+    A process of its own sees to it, since Python does nothing while SUMO works. Nothing happens where none can be
+    forked (Windows): there this process ends when it next reads its connection.
+    """
+    if not hasattr(os, "fork"):
+        return
+    os.setpgid(0, 0)
+    me, (inlet, outlet) = os.getpid(), os.pipe()
+    if os.fork() == 0:
+        os.close(outlet)
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        ended = wait([front, inlet])
+        if front in ended:
+            os.killpg(me, signal.SIGKILL)
+        os._exit(0)  # this process has ended by itself
+    os.close(inlet)  # ``outlet`` stays open as long as this process or a fork of it
+
+
+def _late(call: Call) -> SimulationError:
+    return SimulationError(call.late()) if call.is_sumo else DriverError(call.late())
 
 
 def _failed(what: str, error: BaseException) -> SimulationError:
@@ -378,6 +423,7 @@ class _End:
 
 def _forked(works: Sequence[Callable[[], Any]], memory: float) -> list[_End]:
     children = []
+    _mend()
     gc.freeze()  # a collection in a child would write to every object's page, which the system then copies
     for work in works:
         watch = Watch()
@@ -398,12 +444,37 @@ def _forked(works: Sequence[Callable[[], Any]], memory: float) -> list[_End]:
     return ends
 
 
+def _mend() -> None:
+    """Undo what code of others may have done to this process that it and its forks cannot live with: children of which
+    the system says nothing, and closed standard files, whose numbers a fork's pipe would get."""
+    if hasattr(signal, "SIGCHLD"):
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+    for number in (0, 1, 2):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # the lowest number that is free
+    for name, number in (("stdout", 1), ("stderr", 2)):
+        if getattr(sys, name) is None or getattr(sys, name).closed:
+            setattr(sys, name, os.fdopen(number, "w", closefd=False))
+
+
+def _has_ended(pid: int) -> bool:
+    return os.waitid(os.P_PID, pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
+
+
 def _all_written(children: Mapping[int, tuple[int, Watch]], late: set[int]) -> dict[int, bytes]:
-    """What comes out of each pipe until its child closes it. A child whose call is overdue is killed, and noted."""
+    """What comes out of each pipe until its child closes it, or has ended and a process that it left behind holds it. A
+    child whose call is overdue is killed, and noted."""
     parts: dict[int, list[bytes]] = {inlet: [] for inlet in children}
     open_ones = set(children)
     while open_ones:
-        for inlet in wait(open_ones, LOOK):
+        ready = wait(open_ones, LOOK)
+        for ended in () if ready else [each for each in open_ones if _has_ended(children[each][0])]:
+            if not wait([ended], 0):
+                os.close(ended)
+                open_ones.discard(ended)
+        for inlet in ready:
             assert isinstance(inlet, int)
             part = os.read(inlet, 1 << 20)
             if part:
@@ -480,8 +551,10 @@ def how(exitcode: int | None) -> str:
 def _death(end: _End, *, repeated: bool) -> SimulationError:
     """Why a fork ended without a result."""
     again = ", also when the simulation was loaded again and the attempt repeated" if repeated else ""
-    if end.call is not None:
-        return DriverError(end.call.late() if end.late else end.call.ended(f"{how(end.status)}{again}"))
+    if end.call is not None and end.late:
+        return _late(end.call)
+    if end.call is not None and not end.call.is_sumo:
+        return DriverError(end.call.ended(f"{how(end.status)}{again}"))
     if end.status >= 0:
         return SimulationError(f"A forked attempt ended without a result (exit status {end.status}){again}.")
     name = signal.Signals(-end.status).name

@@ -24,8 +24,8 @@ from importlib.metadata import version
 from pathlib import Path
 
 from sumo_adv.errors import UsageError
-from sumo_adv.files import user_folder
-from sumo_adv.parsing import parse_json
+from sumo_adv.files import scratch_prefix, user_folder
+from sumo_adv.parsing import read_json
 from sumo_adv.simulation import map_content, opendrive, openstreetmap
 from sumo_adv.simulation.map_content import MapContent
 from sumo_adv.simulation.opendrive import TYPE_MAP, read_opendrive
@@ -126,7 +126,7 @@ def _cache(given: Path | None) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:
-        folder = Path(tempfile.mkdtemp(prefix="sumo_adv-maps-"))
+        folder = Path(tempfile.mkdtemp(prefix=scratch_prefix()))
         atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return folder
 
@@ -145,7 +145,7 @@ def _key(path: Path) -> str:
 def _kept(path: Path, stem: str, place: Path) -> Conversion | None:
     """The whole conversion at ``place``, or None."""
     try:
-        report = parse_json((place / REPORT).read_text(encoding="utf-8"))
+        report = read_json(place / REPORT)
         os.utime(place)
     except (OSError, ValueError):
         return None

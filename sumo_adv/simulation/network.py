@@ -13,7 +13,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError
-from sumo_adv.geometry import Path, make_path, wrap
+from sumo_adv.geometry import Path, make_path, read_only, wrap
 from sumo_adv.simulation.drivable import KEY, Drivable, area_of
 
 MOVEMENTS = {"s": "straight", "l": "left", "L": "left", "r": "right", "R": "right", "t": "u-turn"}
@@ -304,11 +304,13 @@ def read_network(path: FilePath) -> RoadMap:
         for lane in edge.getLanes():
             lanes[lane.getID()] = Lane(
                 lane.getID(), edge.getID(), edges[edge.getID()].index(lane.getID()),
-                np.asarray(lane.getShape(), float)[:, :2],
+                read_only(np.asarray(lane.getShape(), float)[:, :2]),
                 float(lane.getWidth()), float(lane.getLength()), float(lane.getSpeed()), internal,
                 bool(lane.allows("passenger")) and edge.getFunction() in ("", "internal"), _connections(net, lane),
             )  # fmt: skip
-    junctions = tuple(np.asarray(n.getShape(), float)[:, :2] for n in net.getNodes() if len(n.getShape()) > 2)
+    junctions = tuple(
+        read_only(np.asarray(n.getShape(), float)[:, :2]) for n in net.getNodes() if len(n.getShape()) > 2
+    )
     return RoadMap(path.name.split(".net.xml")[0], lanes, edges, junctions, _ground(path, net), hand)
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import gzip
+import re
 import tempfile
-import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,8 +12,9 @@ from typing import BinaryIO, cast
 from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
+from sumo_adv import parsing
 from sumo_adv.errors import UsageError
-from sumo_adv.simulation.simulation import PERSON
+from sumo_adv.simulation.simulation import PERSON, check_nameable
 from sumo_adv.simulation.sumo_options import NO_JUNCTIONS
 
 LONGEST_LANE = 1e6  # m, and m/s: beyond any
@@ -58,6 +59,7 @@ def scan_network(path: Path, shown: Path | None = None) -> NetworkScan:
     Raises UsageError: it is damaged, is no SUMO network, has a lane with an impossible length, width, speed or shape,
     has no lane for passenger cars, or none on its junctions.
     """
+    check_nameable(path)
     named = path if shown is None else shown
     edges: set[str] = set()
     drivable: set[str] = set()
@@ -124,6 +126,7 @@ def allows_passenger(lane: dict[str, str]) -> bool:
 
 def scan_demand(path: Path) -> DemandScan:
     """The edges and vehicles of a SUMO route or additional file. Raises UsageError if it is damaged."""
+    check_nameable(path)
     edges: dict[str, None] = {}
     vehicles: set[str] = set()
     flows: set[str] = set()
@@ -245,15 +248,20 @@ def _read(path: Path, start: _Handler, end: Callable[[str], None] | None) -> Non
         if encoding is not None and encoding.lower() not in ENCODINGS:
             raise UsageError(f"{path} says that it is written in {encoding[:40]!r}: write it in UTF-8.")
 
+    def no_declarations(name: str, system: str | None, public: str | None, inside: int) -> None:
+        if system is not None or public is not None or inside:  # SUMO's reader would take elements from it
+            raise UsageError(f"{path} has a document type with declarations, which no file of SUMO needs: take it out.")
+
     parser = expat.ParserCreate()
+    parser.StartDoctypeDeclHandler = no_declarations
     parser.StartElementHandler = start
     if end is not None:
         parser.EndElementHandler = end
     parser.XmlDeclHandler = known_encoding
     try:
         with _open(path) as file:
-            parser.ParseFile(file)
-    except (gzip.BadGzipFile, EOFError, zlib.error) as error:
+            parser.ParseFile(_Bounded(path, file))
+    except parsing.BAD_GZIP as error:
         raise UsageError(f"{path} is a damaged or truncated gzip file: fetch or write it again.") from error
     except expat.ExpatError as error:
         raise UsageError(f"{path} is not valid XML (damaged or cut short): {error}.") from error
@@ -264,14 +272,27 @@ def _read(path: Path, start: _Handler, end: Callable[[str], None] | None) -> Non
 def read_text(path: Path, what: str) -> str:
     """The text of a file, packed by gzip or not. Raises UsageError; ``what``: the file in words."""
     try:
-        data = path.read_bytes()
-        return (gzip.decompress(data) if data[:2] == b"\x1f\x8b" else data).decode()
+        return parsing.read_text(path, parsing.LARGEST_UNPACKED)
     except OSError as error:
         raise UsageError(f"{what} {path} cannot be read: {error.strerror or error}.") from error
-    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        raise UsageError(f"{what} {path} are a damaged or truncated gzip file: write them again.") from error
     except UnicodeDecodeError as error:
         raise UsageError(f"{what} {path} are not text: give a CSV file.") from error
+    except ValueError as error:
+        raise UsageError(f"{what} {path} cannot be used ({error}): write them again.") from error
+
+
+class _Bounded:
+    """A file for expat that has at most ``parsing.LARGEST_SUMO_FILE`` bytes, unpacked."""
+
+    def __init__(self, path: Path, file: BinaryIO) -> None:
+        self._path, self._file, self._left = path, file, parsing.LARGEST_SUMO_FILE
+
+    def read(self, size: int = -1, /) -> bytes:
+        part = self._file.read(size)
+        self._left -= len(part)
+        if self._left < 0:
+            raise UsageError(f"{self._path} has more than {parsing.LARGEST_SUMO_FILE // 2**30} GiB: cut it smaller.")
+        return part
 
 
 def _open(path: Path) -> BinaryIO:
@@ -286,8 +307,9 @@ def _open(path: Path) -> BinaryIO:
 NOWHERE = "NUL"
 WRITTEN = ("file", "output", "dest")
 """Attributes that name a file to write, where they do not name one to read (``scan.READ``)."""
-WRITTEN_PARAMETERS = ("file", "device.ssm.file", "device.toc.file")
-"""Keys of ``<param>``; the first is of actuated ``<tlLogic>``s."""
+WRITTEN_PARAMETER = re.compile(r"(.*[^a-z])?(files?|outputs?|log|logfile|dump|swarmlog)", re.IGNORECASE | re.DOTALL)
+"""Keys of ``<param>`` that name a file to write: by their last word, so that a device that SUMO gets is among them.
+Known are ``device.ssm.file``, ``device.toc.file``, ``file`` (of actuated lights) and ``SWARMLOG`` (of swarm lights)."""
 FROM_HERE = "edgesFile"
 """An attribute of ``<edgeData>`` that narrows what is written. SUMO looks for the file in the working folder."""
 
@@ -328,7 +350,7 @@ def _copy(file: Path, folder: Path) -> Path:
 def _silent(tag: str, attributes: dict[str, str]) -> dict[str, str]:
     """The attributes of an element that writes and reads no file."""
     if tag == "param":
-        written = attributes.get("key") in WRITTEN_PARAMETERS
+        written = WRITTEN_PARAMETER.fullmatch(attributes.get("key", "")) is not None
         return {**attributes, "value": NOWHERE} if written else attributes
     read = READ.get(tag)
     kept = {key: value for key, value in attributes.items() if key not in (read, FROM_HERE)}

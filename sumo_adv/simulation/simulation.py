@@ -9,16 +9,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
 from sumo_adv.datatypes import DriverModel, VehicleState
 from sumo_adv.errors import SimulationError, UsageError
 from sumo_adv.geometry import Pose, wrap
+from sumo_adv.simulation.given_options import check
 from sumo_adv.simulation.programs import load_libsumo
 from sumo_adv.simulation.remote import RawState, Remote
 from sumo_adv.simulation.sumo_options import DEFAULTS, FORCED
+from sumo_adv.simulation.watch import LOAD_LIMIT, STEP_LIMIT, sumo_at_work
 
 S = TypeVar("S", bound=VehicleState)
 KEEP_ROUTE = 2  # moveToXY places exactly and rewrites the route where it must
@@ -34,6 +36,17 @@ FREE_SPEED_MODE, SUMO_SPEED_MODE = 32, 31
 HEEDING_SPEED_MODE = 24  # any speed, and lights and right of way still count in what SUMO's driver would do
 LANE_HABITS = ("lcStrategic", "lcCooperative", "lcSpeedGain", "lcKeepRight")  # stay as the demand gives them
 INVALID = -1e9  # SUMO's coordinates of a vehicle that is nowhere are about -2**30
+
+
+def check_nameable(file: Path) -> None:
+    """Raises UsageError for a file that SUMO cannot be told: it reads UTF-8, and parts its lists at commas and
+    semicolons."""
+    name = str(file)
+    if not name.isprintable() or {",", ";"} & set(name):
+        raise UsageError(
+            f"SUMO cannot be told the file {name!r}: rename it, or its folder, to a name in UTF-8 without commas, "
+            "semicolons and control characters."
+        )
 
 
 def heading_of(angle_deg: float) -> float:
@@ -71,7 +84,11 @@ def correct_speeds(raw: dict[str, RawState], given: Mapping[str, float]) -> None
 @dataclass(frozen=True, slots=True)
 class SimulationSpec:
     """What SUMO is started with. Times in s; options: by SUMO's long names, those that this program does not force.
-    empty_steps: from the begin, in which nothing has departed yet: SUMO makes them, and nothing is recorded."""
+
+    empty_steps: from the begin, in which nothing has departed yet: SUMO makes them, and nothing is recorded.
+
+    Raises UsageError: an option may not be given, its value is not of its type, or a file cannot be named to SUMO.
+    """
 
     network: Path
     routes: tuple[Path, ...]
@@ -87,6 +104,11 @@ class SimulationSpec:
         """The time [s] from which states are recorded."""
         return round(self.begin + self.empty_steps * self.step_length, 6)
 
+    def __post_init__(self) -> None:
+        check(self.options)
+        for file in (self.network, *self.routes, *self.additional):
+            check_nameable(file)
+
     @property
     def all_options(self) -> dict[str, str]:
         """The options of SUMO, with those that this program forces."""
@@ -94,15 +116,10 @@ class SimulationSpec:
 
     def arguments(self) -> list[str]:
         """The command line without the program's name."""
-        args = ["-n", str(self.network), "--begin", repr(self.begin), "--step-length", repr(self.step_length)]
-        args += ["--seed", str(self.seed)]
-        for name, value in self.all_options.items():
-            args += [f"--{name}", value]
-        if self.routes:
-            args += ["-r", ",".join(map(str, self.routes))]
-        if self.additional:
-            args += ["-a", ",".join(map(str, self.additional))]
-        return args
+        files = {"net-file": (self.network,), "route-files": self.routes, "additional-files": self.additional}
+        named = {name: ",".join(map(str, paths)) for name, paths in files.items() if paths}
+        times = {"begin": repr(self.begin), "step-length": repr(self.step_length), "seed": str(self.seed)}
+        return [f"--{name}={value}" for name, value in {**named, **times, **self.all_options}.items()]
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,10 +183,9 @@ class Simulation:
         self.api = libsumo
         self.errors = (libsumo.TraCIException, libsumo.FatalTraCIError)
         try:
-            libsumo.start(["sumo", *self.spec.arguments()])
+            with sumo_at_work("when it read its files", LOAD_LIMIT):
+                libsumo.start(["sumo", *self.spec.arguments()])
         except libsumo.TraCIException as error:
-            for name in self._unknown(libsumo):
-                raise UsageError(f"SUMO has no option '{name}': correct its name or leave it out.") from error
             raise SimulationError(f"SUMO refused to start ({' '.join(str(error).split())}).") from error
         Simulation._running = self
         self._list = libsumo.vehicle.getIDList
@@ -187,21 +203,6 @@ class Simulation:
             except self.errors as error:
                 raise SimulationError(f"SUMO failed in a step ({' '.join(str(error).split())}).") from error
 
-    def _unknown(self, libsumo: Any) -> list[str]:
-        """The options that this SUMO does not know; nothing where it does not start without them either."""
-        unknown: list[str] = []
-        try:
-            libsumo.start(["sumo", *replace(self.spec, options={}).arguments()])
-        except libsumo.TraCIException:
-            return unknown
-        for name in self.spec.options:
-            try:
-                libsumo.simulation.getOption(name)
-            except libsumo.TraCIException:
-                unknown.append(name)
-        libsumo.close()
-        return unknown
-
     def reload(self) -> None:
         """Load the same simulation again from its beginning (bit-identical if the same commands follow)."""
         if self.remote is not None:
@@ -209,7 +210,8 @@ class Simulation:
         self.fleet.forget(())
         self._asked, self._given, self._as_cars, self._walked = {}, {}, set(), {}
         try:
-            self.api.load(self.spec.arguments())
+            with sumo_at_work("when it read its files again", LOAD_LIMIT):
+                self.api.load(self.spec.arguments())
         except self.errors as error:
             raise SimulationError(f"SUMO could not load the simulation again ({error}).") from error
         self._pass_empty_steps()
@@ -238,7 +240,8 @@ class Simulation:
             self.remote.step()
             return
         try:
-            self.api.simulationStep()
+            with sumo_at_work("in a step", STEP_LIMIT):
+                self.api.simulationStep()
         except self.errors as error:
             raise SimulationError(f"SUMO failed in a step ({' '.join(str(error).split())}).") from error
 

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from sumo_adv.errors import UsageError
+from sumo_adv.simulation.given_options import KINDS, check
 
 DEFAULTS = {
     "time-to-teleport": "-1", "lateral-resolution": "0.8", "default.speeddev": "0", "collision.mingap-factor": "0",
@@ -34,30 +35,45 @@ ELSEWHERE = {
     "step-length": "use the setting step_length",
 }  # fmt: skip
 """Options of SUMO that have another place, and which."""
-_OWN = ("device.ssm.", "gui-", "window-", "save-", "xml-validation", "duration-log", "message-log", "error-log")
-_OWN_NAMES = frozenset(
-    ("collision.action", "collision.stoptime", "no-internal-links", "remote-port", "num-clients",
-     "configuration-file", "log", "log-file", "verbose", "no-warnings", "no-step-log", "step-log.period", "threads",
-     "load-state", "start", "quit-on-end", "delay", "game", "breakpoints", "summary", "tripinfo", "netstate",
-     "netstate-dump", "random", "mesosim", "print-options", "help", "version")
-)  # fmt: skip
 
 
-MOVING = frozenset(
-    ("collision.action", "collision.stoptime", "no-internal-links", "load-state", "random", "mesosim", "threads")
+SHOWING = (
+    "gui-", "window-", "save-", "write-", "device.ssm.", "device.fcd.", "person-device.fcd.", "device.tripinfo.",
+    "device.vehroute.", "netstate-dump.", "log.", "xml-validation", "duration-log", "message-log", "error-log",
 )  # fmt: skip
-"""Options that this program sets itself, and that change motions."""
+SHOWING_NAMES = frozenset(
+    ("remote-port", "num-clients", "configuration-file", "log", "log-file", "verbose", "no-warnings", "no-step-log",
+     "step-log.period", "start", "quit-on-end", "delay", "game", "breakpoints", "summary", "tripinfo", "netstate",
+     "netstate-dump", "print-options", "help", "version", "precision", "precision.geo", "human-readable-time",
+     "aggregate-warnings", "language", "demo", "disable-textures", "registry-viewport", "tracker-interval",
+     "edgedata-files", "alternative-net-file", "selection-file", "game.mode", "tls.actuated.show-detectors")
+)  # fmt: skip
+"""Options that write, report or show, by the beginnings of their names and by their names."""
+_OTHERS = """
+    net-file route-files additional-files weight-files load-state load-state.offset load-state.remove-vehicles
+    pedestrian.jupedsim.wkt pedestrian.jupedsim.wkt.geo pedestrian.jupedsim.py begin step-length threads
+    no-internal-links astar.all-distances astar.landmark-distances device.rerouting.threads phemlight-path
+    device.example.probability device.example.explicit device.example.deterministic device.example.parameter
+    device.taxi.dispatch-algorithm.params device.fcd-replay.probability device.fcd-replay.explicit
+    device.fcd-replay.deterministic device.fcd-replay.files device.fcd-replay.consistency mesosim meso-ltm
+    meso-edgelength meso-tauff meso-taufj meso-taujf meso-taujj meso-jam-threshold meso-multi-queue meso-lane-queue
+    meso-ignore-lanes-by-vclass meso-junction-control meso-junction-control.limited meso-tls-penalty
+    meso-tls-flow-penalty meso-minor-penalty meso-overtaking meso-recheck meso-interpolate-pos random seed thread-rngs
+"""
+OTHERS = frozenset(_OTHERS.split())
+"""SUMO 1.28's other options that may not be given: they change motions, or have a place of their own."""
 
 
 def is_own(name: str) -> bool:
-    """Whether this program sets the option itself: effects of collisions, outputs, messages, GUI, threads, port. No
-    option that writes a file is left to an input (``device.ssm`` writes files without being told to)."""
-    return name in _OWN_NAMES or name.startswith(_OWN) or "output" in name or name.endswith(".file")
+    """Whether this program sets the option itself, or leaves it alone: effects of collisions, outputs, messages, GUI,
+    threads, port; and whatever is not in the list of those that may be given."""
+    return name in FORCED or name not in KINDS
 
 
 def only_shows(name: str) -> bool:
     """Whether an option writes, reports or shows, and so changes no motion."""
-    return is_own(name) and name not in MOVING
+    shows = name in SHOWING_NAMES or name.startswith(SHOWING) or "output" in name or name.endswith(".file")
+    return is_own(name) and shows
 
 
 def kept(configuration: Path, given: Mapping[str, str]) -> tuple[dict[str, str], tuple[str, ...]]:
@@ -67,15 +83,15 @@ def kept(configuration: Path, given: Mapping[str, str]) -> tuple[dict[str, str],
     An option that names a file is not kept: a run copies its network, demand and additional files alone. An option
     that this program sets to the same value is in no sentence.
 
-    Raises UsageError: the options let no vehicle be moved.
+    Raises UsageError: the options let no vehicle be moved, or a value is not of the type of its option.
     """
     if is_on(given.get("no-internal-links")):
         raise UsageError(f"{configuration} sets no-internal-links: {NO_JUNCTIONS}.")
     collisions, said = _collisions(configuration.name, given)
-    own = {
-        name for name, value in given.items()
-        if name not in DECIDED and (is_own(name) or _is_file(configuration, value))
-    }  # fmt: skip
+    own = {name for name in given if name not in DECIDED and is_own(name)}
+    for name in sorted(own):
+        if name not in FORCED and name not in OTHERS and not only_shows(name):
+            raise UsageError(f"{configuration}: SUMO has no option '{name}': correct its name or leave it out.")
     left = [f"{name}={given[name]}" for name in given if name in own and FORCED.get(name) != given[name]]
     moving = [text for text in left if not only_shows(text.partition("=")[0])]
     silent = [text for text in left if text not in moving]
@@ -87,6 +103,7 @@ def kept(configuration: Path, given: Mapping[str, str]) -> tuple[dict[str, str],
     if silent:
         said = (f"Not kept of {configuration.name}, as this program sets them itself: {', '.join(silent)}.", *said)
     options = {name: value for name, value in given.items() if name not in own and name not in DECIDED}
+    check(options)
     return {**options, **collisions}, said
 
 
@@ -126,10 +143,6 @@ def _collisions(source: str, given: Mapping[str, str]) -> tuple[dict[str, str], 
     )
 
 
-def _is_file(configuration: Path, value: str) -> bool:
-    return any((configuration.parent / part.strip()).is_file() for part in value.split(",") if part.strip())
-
-
 def part_of(step: float) -> float | None:
     """The longest step [s] up to ``FINE_STEP`` of which ``step`` is a multiple, so that what SUMO does at the times of
     the long steps is done; None if there is none. SUMO counts in whole ms."""
@@ -159,11 +172,13 @@ def parse(given: Sequence[str]) -> dict[str, str]:
 
 
 def refuse(options: Mapping[str, str]) -> None:
-    """Raises UsageError for an option that has another place, or that this program must set itself."""
+    """Raises UsageError for an option that has another place, that this program must set itself, or that may not be
+    given; and for a value that is not of the option's type."""
     for name in options:
         if name in ELSEWHERE:
             raise UsageError(f"SUMO's option '{name}' cannot be passed through: {ELSEWHERE[name]}.")
         if name == "no-internal-links":
             raise UsageError(f"SUMO's option '{name}' cannot be passed through: {NO_JUNCTIONS}.")
-        if is_own(name) and (name not in COLLISIONS or _collisions("--option", {**DEFAULTS, **options})[1]):
+        if name in FORCED or (name in COLLISIONS and _collisions("--option", {**DEFAULTS, **options})[1]):
             raise UsageError(f"SUMO's option '{name}' is set by this program: leave it out.")
+    check(options)

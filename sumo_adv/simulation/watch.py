@@ -24,6 +24,11 @@ GRACE = 2.0  # s after the limit in which code that catches the alarm, or does n
 LOOK = 0.5  # s between two looks of a process that waits
 
 
+SUMO = "SUMO"
+STEP_LIMIT = 120.0  # s that a step of SUMO may take: one with 100,000 vehicles takes about 1 s
+LOAD_LIMIT = 1800.0  # s in which SUMO must have read its files: those of a large city take minutes
+
+
 class OutOfTimeError(BaseException):
     """The alarm. No subclass of Exception, so that code that catches those does not catch it."""
 
@@ -36,8 +41,18 @@ class Call:
     where: str
     limit: float
 
+    @property
+    def is_sumo(self) -> bool:
+        """Whether it is SUMO's own work, and no code of the user's."""
+        return self.who == SUMO
+
     def late(self) -> str:
         """The sentence where it did not return in time."""
+        if self.is_sumo:
+            return (
+                f"SUMO did not return within {self.limit:g} s {self.where}: it loops, or the input is too large for "
+                "this machine; try it with sumo itself."
+            )
         return (
             f"{self.who} did not return within {self.limit:g} s {self.where}: raise its deadline (--ego-deadline), "
             "or give 0 for a debugger."
@@ -109,6 +124,17 @@ def watched(call: Call) -> Iterator[None]:
         if alarm:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
             signal.signal(signal.SIGALRM, before)
+        _mine[0].end()
+
+
+@contextmanager
+def sumo_at_work(where: str, limit: float) -> Iterator[None]:
+    """Note that SUMO works, for the process that waits: it ends this one after ``limit`` s. No alarm helps, since SUMO
+    does not return to Python meanwhile."""
+    _mine[0].begin(Call(SUMO, where, limit))
+    try:
+        yield
+    finally:
         _mine[0].end()
 
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Floats
 from sumo_adv.errors import SimulationError, UsageError
-from sumo_adv.files import write_text, write_whole
+from sumo_adv.files import scratch_prefix, write_text, write_whole
 from sumo_adv.geometry import PATH_STEP, stations
 from sumo_adv.simulation.demand import Journey, default_density, journeys
 from sumo_adv.simulation.inputs import data_folder
@@ -303,7 +303,7 @@ def make(folder: Path, *, seed: int, runs: int, progress: Callable[[int, int], N
         target = folder / f"{kind}-{number:04d}.npz"
         held_out = kind == HELD_OUT
         if not target.exists():
-            with tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
+            with tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch:
                 run = record(number, seed, Path(scratch), held_out=held_out, seconds=seconds)
                 scenes = scenes_of(run, np.random.default_rng([seed, held_out, number]), held_out=held_out)
             if scenes is not None:

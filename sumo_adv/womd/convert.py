@@ -25,8 +25,8 @@ from xml.etree import ElementTree
 
 from sumo_adv import __version__
 from sumo_adv.errors import SimulationError, UsageError
-from sumo_adv.files import user_folder, write_text
-from sumo_adv.parsing import parse_json
+from sumo_adv.files import scratch_prefix, user_folder, write_text
+from sumo_adv.parsing import read_json
 from sumo_adv.simulation.demand import generate
 from sumo_adv.simulation.programs import find_netconvert
 from sumo_adv.womd.record import Record, evenly_sampled
@@ -112,7 +112,7 @@ def conversion(record: Record, *, traffic: bool, cache: Path | None = None) -> I
             place.parent.mkdir(parents=True, exist_ok=True)
             kept, stage = True, Path(stack.enter_context(tempfile.TemporaryDirectory(dir=place.parent)))
         except OSError:
-            kept, stage = False, Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="sumo_adv-")))
+            kept, stage = False, Path(stack.enter_context(tempfile.TemporaryDirectory(prefix=scratch_prefix())))
         made = stage / record.scenario_id
         made.mkdir()
         report = convert_record(record, made, traffic=traffic)
@@ -127,7 +127,7 @@ def conversion(record: Record, *, traffic: bool, cache: Path | None = None) -> I
 def _known(place: Path) -> dict[str, Any] | None:
     """The report of a whole conversion at ``place``, or None."""
     try:
-        return dict(parse_json((place / REPORT).read_text(encoding="utf-8")))
+        return dict(read_json(place / REPORT))
     except (OSError, ValueError, TypeError):
         return None
 
@@ -161,7 +161,7 @@ def random_traffic(network: Path, *, seed: int = 0, duration: float = DURATION) 
     A network without any route has no traffic: ``note`` says so. Raises SimulationError if SUMO fails,
     UsageError if it is not installed.
     """
-    with tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
+    with tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch:
         folder = Path(scratch)
         try:
             demand = generate(network, folder / "demand.rou.xml", seed=seed, end=duration)

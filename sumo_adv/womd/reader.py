@@ -32,6 +32,7 @@ from sumo_adv.womd.record import (
 )
 
 MPH = 0.44704  # m/s
+MOST_TRACKS = 5_000  # of a record; of the dataset: some hundreds
 LARGEST_OBJECT = 100.0  # m, length or width: a state with a larger one is taken for invalid
 INDEX_DIGITS = 9  # a longer number is an id
 _SAFE_ID = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}")  # it becomes a folder's name
@@ -193,6 +194,8 @@ def record_of(message: Any, where: str) -> Record:
     lanes = {f.id: _lane(f, label) for f in message.map_features if f.HasField("lane")}
     if not lanes:
         raise UsageError(f"{label} has no map: it holds no lane, so it cannot be driven.")
+    if len(message.tracks) > MOST_TRACKS:
+        raise UsageError(f"{label} has {len(message.tracks):,} tracks, more than the {MOST_TRACKS:,} that are read.")
     tracks = [_track(t, len(time), label) for t in message.tracks]
     if len({t.id for t in tracks}) < len(tracks):
         raise UsageError(f"{label} has two tracks of the same id.")

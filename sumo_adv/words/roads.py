@@ -27,6 +27,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError, nearest
+from sumo_adv.files import scratch_prefix
 from sumo_adv.geometry import stations
 from sumo_adv.simulation.inputs import data_folder, shipped_files
 from sumo_adv.simulation.programs import find_netconvert
@@ -179,7 +180,7 @@ def _roundabout(road: RoadDraft) -> Plain:
 
 def _build(nodes: Sequence[Attributes], edges: Sequence[Attributes], links: Sequence[Attributes], target: Path) -> Path:
     program = find_netconvert()
-    with tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
+    with tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch:
         folder = Path(scratch)
         arguments = [str(program), *OPTIONS, "-o", str(folder / "made.net.xml")]
         for option, kind, element, rows in (

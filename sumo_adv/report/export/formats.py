@@ -125,7 +125,7 @@ def write_export(target: Path, piece: Piece, format: Format, variant: Variant, *
     entry = FORMATS[format]
     entry.need(format)
     if entry.marker:
-        with staged(target, force=force, marker=entry.marker) as folder:
+        with staged(target, force=force) as folder:
             lost = entry.write(folder.stage, piece, variant)
             folder.keep(force=force)
         return lost

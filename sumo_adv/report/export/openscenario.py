@@ -27,6 +27,7 @@ import numpy as np
 from sumo_adv import __version__
 from sumo_adv.datatypes import Floats, Role, Track
 from sumo_adv.errors import SumoAdvError, UsageError
+from sumo_adv.files import scratch_prefix
 from sumo_adv.report.export import Variant
 from sumo_adv.report.export.piece import HEIGHT, LARGEST_STEER, WHEELBASE, Piece, kind, metres, printable
 from sumo_adv.simulation.network import is_left_hand
@@ -304,7 +305,7 @@ def write_opendrive(netconvert: Path, network: Path, target: Path, written: date
     Raises SumoAdvError: it failed.
     """
     left_hand = is_left_hand(network)
-    with tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
+    with tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch:
         made = Path(scratch) / "network.xodr"
         command = [str(netconvert), "-s", str(network.resolve()), "--opendrive-output", str(made)]
         command += ["--precision", "4", "--xml-validation", "never"]

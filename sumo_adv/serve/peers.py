@@ -1,0 +1,52 @@
+"""Whose program is at the other end of a connection from this machine (Linux).
+
+TraCI has no log-in. A client of this machine is let in if the user who runs ``serve``, or root, has opened its socket.
+
+Source: proc(5), ``/proc/net/tcp`` and ``tcp6``: local and remote address, state and user stand in
+columns 2, 3, 4 and 8.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import os
+import socket
+import sys
+from pathlib import Path
+
+TABLES = (Path("/proc/net/tcp"), Path("/proc/net/tcp6"))
+ROOT = 0  # the user who may do anything in any case
+_ESTABLISHED = "01"  # others belong to nobody: the system writes user 0 for them
+_WORD = 4  # bytes that the table writes as one number of the machine's own byte order
+
+
+def is_ours(connection: socket.socket) -> bool:
+    """Whether this user, or root, opened the other end of a connection within this machine; True where the system does
+    not say (macOS, Windows)."""
+    if not any(table.is_file() for table in TABLES):
+        return True
+    return _user(connection.getpeername(), connection.getsockname()) in (os.getuid(), ROOT)
+
+
+def _user(local: tuple[str, int], remote: tuple[str, int]) -> int | None:
+    """The user of the open socket with these addresses; None if there is none."""
+    wanted = {(a, b) for a in _written(*local[:2]) for b in _written(*remote[:2])}
+    for table in TABLES:
+        rows = table.read_text().splitlines()[1:] if table.is_file() else []
+        for _, at, to, state, _, _, _, user, *_ in map(str.split, rows):
+            if state == _ESTABLISHED and (at, to) in wanted:
+                return int(user)
+    return None
+
+
+def _written(host: str, port: int) -> tuple[str, ...]:
+    """An address as the tables write it; one of IPv4 may stand in either."""
+    address = ipaddress.ip_address(host.partition("%")[0])
+    short = address if isinstance(address, ipaddress.IPv4Address) else address.ipv4_mapped
+    long = address if short is None else ipaddress.IPv6Address(f"::ffff:{short}")
+    return tuple(f"{_hexadecimal(each.packed)}:{port:04X}" for each in (short, long) if each is not None)
+
+
+def _hexadecimal(packed: bytes) -> str:
+    words = [packed[k : k + _WORD] for k in range(0, len(packed), _WORD)]
+    return "".join(f"{int.from_bytes(word, sys.byteorder):08X}" for word in words)

@@ -1,0 +1,61 @@
+"""A model's key goes to no address that a file names."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from cli_samples import Program
+
+from sumo_adv.campaigns.plan import read_plan
+from sumo_adv.config import load_settings
+from sumo_adv.errors import UsageError
+
+THEIRS, OURS = "http://attacker.example/v1", "http://gpu:8000/v1"
+
+
+@pytest.fixture(params=["settings", "plan", "vary"])
+def file(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
+    """A file of a stranger that names a server."""
+    made = tmp_path / f"{request.param}.toml"
+    text = {
+        "settings": f'llm_base_url = "{THEIRS}"',
+        "plan": f'inputs = ["motorway"]\n[settings]\nllm_base_url = "{THEIRS}"',
+        "vary": f'inputs = ["motorway"]\n[vary]\nllm_base_url = ["{THEIRS}", "{OURS}"]',
+    }
+    made.write_text(text[request.param], encoding="utf-8")
+    return made
+
+
+def read(file: Path) -> object:
+    return load_settings(file) if file.name == "settings.toml" else read_plan(file)
+
+
+def test_a_file_may_not_name_the_server_while_the_key_comes_from_elsewhere(
+    file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read(file)  # without a key nothing is given away
+    monkeypatch.setenv("SUMO_ADV_LLM_API_KEY", "secret-of-mine")
+    with pytest.raises(UsageError, match="names llm_base_url, and would be sent your key") as refused:
+        read(file)
+    assert "secret-of-mine" not in str(refused.value)
+    if file.name != "vary.toml":  # which has two addresses
+        monkeypatch.setenv("SUMO_ADV_LLM_BASE_URL", THEIRS)  # the user trusts it
+        read(file)
+
+
+def test_the_users_own_address_goes_before_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "settings.toml"
+    file.write_text(f'llm_base_url = "{THEIRS}"', encoding="utf-8")
+    monkeypatch.setenv("SUMO_ADV_LLM_API_KEY", "secret-of-mine")
+    assert load_settings(file, llm_base_url=OURS).llm_base_url == OURS
+    monkeypatch.setenv("sumo_adv_llm_base_url", OURS)
+    assert load_settings(file).llm_base_url == OURS
+
+
+def test_a_run_with_such_a_file_ends_before_it_asks(program: Program) -> None:
+    (program.folder / "s.toml").write_text(f'llm_base_url = "{THEIRS}"\nllm = "gpt-x"', encoding="utf-8")
+    program.variables = {"SUMO_ADV_LLM_API_KEY": "secret-of-mine"}
+    done = program.here("run", "motorway", "--settings", "s.toml", "--out", "out")
+    assert done.status == 2
+    assert "would be sent your key" in done.err
