@@ -96,7 +96,7 @@ def drive(states: Floats, v: float, y: float = 0.0, limits: Limits = LIMITS) -> 
     m = follower.begin(start(Scalar, 0.0, y, 0.0, v, 0.0))
     rows = []
     while not follower.over:
-        m = follower.advance(m, road, limits, 60.0)
+        m = follower.advance(m, road, limits, 60.0, True)
         rows.append((*pose(Scalar, m, road), m.v, m.a))
     return np.array(rows), follower
 
@@ -120,7 +120,7 @@ def test_in_a_bend_the_line_is_kept_and_not_the_lane() -> None:
     road, follower = PathRow(lane), Follower(Line(states, DT), lane)
     m = follower.begin(start(Scalar, 15.0, -1.5, 0.0, 8.0, 0.0))
     for k in range(49):
-        m = follower.advance(m, road, LIMITS, 60.0)
+        m = follower.advance(m, road, LIMITS, 60.0, True)
         x, y, h = pose(Scalar, m, road)
         assert math.hypot(x, y - 30.0) == pytest.approx(31.5, abs=0.1)
         assert math.dist((x, y), states[k + 1, :2]) < 0.25

@@ -64,6 +64,20 @@ def test_a_gentle_goal_is_met_in_place_speed_and_time() -> None:
     assert states[-1].v == pytest.approx(14.0, abs=0.2)
 
 
+def test_a_vehicle_beside_or_across_brakes_and_speeds_up_as_people_do() -> None:
+    """From 20 m/s it brakes with 3.5 m/s2 at most and at 5 m/s with 5, of which 95 % are used; one ahead of the ego in
+    its lane with nearly 8 m/s2. It speeds up with 2.4 m/s2, from 17 m/s on with less, and with 1.9 m/s2 at 20 m/s."""
+    stops = Goal(50.0, 0.0, 0.0, 0.8)
+    gently, _ = drive(STRAIGHT, keeping(20.0), stops, steps=60, hard=False)
+    hard, _ = drive(STRAIGHT, keeping(20.0), stops, steps=60)
+    v, a = column(gently, "v"), column(gently, "a")
+    assert a[3:10].min() == pytest.approx(-3.5, abs=0.2) and column(hard, "a").min() < -7.5
+    assert (a >= -0.95 * np.interp(v, (5.0, 20.0), (5.0, 3.5)) - 0.03).all()
+    faster, _ = drive(STRAIGHT, keeping(10.0), Goal(400.0, 0.0, 25.0, 6.0), steps=60, hard=False)
+    v, a = column(faster, "v"), column(faster, "a")
+    assert a.max() == pytest.approx(2.4, abs=0.01) and (a <= np.interp(v, (5.0, 20.0), (4.0, 2.0)) + 1e-9).all()
+
+
 def test_a_full_stop_from_10_takes_its_11_metres_and_never_goes_back() -> None:
     # 11.04 m/s3 until nearly 8 m/s2: 0.7 s and 6.4 m, 7.3 m/s left; then as sqrt(8.83 v): some 5 m more
     states, _ = drive(STRAIGHT, keeping(10.0), Goal(50.0, 0.0, 0.0, 0.8), steps=40)

@@ -36,6 +36,7 @@ LOOK_AHEAD = (0.3, 0.6, 1.0, 1.5)  # s: times ahead at which the bend speed is r
 SAMPLES = tuple((i + 0.5) / 10 for i in range(10))
 LATERAL_RESERVE = 0.6  # m/s2: lateral acceleration may grow by this before braking can be eased
 JERK_RESERVE = 0.92  # share of the jerk limit that is used
+HUMAN_RESERVE = 0.95  # share of the human bounds that is used: they fall with the speed, which is judged after a step
 
 
 class Scalar:
@@ -316,7 +317,7 @@ def usual(m: Any, signal: str, v: Any) -> Any:
     """The bound of a signal of the human envelope at a speed ``v`` [m/s]; ``signal``: see ``realism.BOUNDS``."""
     slow, fast = BOUNDS[signal]
     share = m.minimum(m.maximum((v - SLOW) / (FAST - SLOW), 0.0), 1.0)
-    return slow + (fast - slow) * share
+    return HUMAN_RESERVE * (slow + (fast - slow) * share)
 
 
 def faster(
