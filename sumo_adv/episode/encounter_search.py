@@ -43,6 +43,8 @@ class EncounterSearch:
                 "departPos": str(route.position), "departSpeed": str(route.speed),
             }  # fmt: skip
             self.drive.simulation.add(INSERTED_EGO, route.edges, self.task.ego_base_type or "DEFAULT_VEHTYPE", depart)
+            if self.task.ego_base_type is None:  # SUMO draws a factor of the limit; this ego has none of its own
+                self.drive.simulation.api.vehicle.setSpeedFactor(INSERTED_EGO, 1.0)
 
     def leave(self, ranked: Collection[str]) -> None:
         """Look for something else than the encounter that began now with these vehicles: with another ego if it is

@@ -149,7 +149,8 @@ class LaneLine:
         path = logged_path(self._road, self._drive) if self._drive.replayed() else None
         if place is not None and not self._drive.replayed():
             front = self._drive.simulation.lane_position(ego.id) if lane == ego.lane else place.front
-            ways = self._road.ways(lane, front - ego.length / 2, REACH, place.route)
+            vclass = self._drive.kind(ego.id)
+            ways = self._road.ways(lane, front - ego.length / 2, REACH, place.route, vclass=vclass)
             path = ways[0].path if ways else None
         if path is None:
             return None

@@ -401,7 +401,7 @@ class Simulation:
         present = float(v.getDecel(vehicle))
         if present != v.getEmergencyDecel(vehicle):
             return present
-        return float(self.api.vehicletype.getDecel(v.getTypeID(vehicle).removesuffix(f"@{vehicle}")))
+        return float(self.api.vehicletype.getDecel(self.own_type(vehicle)))
 
     def change_lane(self, vehicle: str, lane: int) -> None:
         """Ask SUMO's driver to change to the lane of that index within 3 s."""
@@ -411,17 +411,32 @@ class Simulation:
         """Give a vehicle the edges that are left of its way, the present one first."""
         self.api.vehicle.setRoute(vehicle, list(edges))
 
-    def set_type(self, vehicle: str, type_id: str) -> None:
-        """Give a vehicle another driver (a vType of an additional file); its size and lane-changing habits stay."""
-        length, width = self.fleet.sizes[vehicle]
-        fastest = self.api.vehicle.getMaxSpeed(vehicle)
-        habits = {n: self.api.vehicle.getParameter(vehicle, f"laneChangeModel.{n}") for n in LANE_HABITS}
-        self.api.vehicle.setType(vehicle, type_id)
+    def own_type(self, vehicle: str) -> str:
+        """The vType of a vehicle, also where some of its values were changed for the vehicle alone."""
+        return str(self.api.vehicle.getTypeID(vehicle)).removesuffix(f"@{vehicle}")
+
+    def set_type(self, vehicle: str, type_id: str, otherwise: str = "", *, keeps_factor: bool = True) -> None:
+        """Give a vehicle another driver (a vType of an additional file); class, size, highest speed and lane-changing
+        habits stay.
+
+        Args:
+            vehicle: its id.
+            type_id: the vType; ``otherwise`` where SUMO has none of that name.
+            keeps_factor: its own factor of the speed limit stays, too, where SUMO has that vType.
+        """
+        v, (length, width) = self.api.vehicle, self.fleet.sizes[vehicle]
+        vclass, fastest, factor = self.vehicle_class(vehicle), v.getMaxSpeed(vehicle), v.getSpeedFactor(vehicle)
+        habits = {n: v.getParameter(vehicle, f"laneChangeModel.{n}") for n in LANE_HABITS}
+        known = not otherwise or type_id in self.api.vehicletype.getIDList()
+        v.setType(vehicle, type_id if known else otherwise)
         for name, value in habits.items():
-            self.api.vehicle.setParameter(vehicle, f"laneChangeModel.{name}", value)
-        self.api.vehicle.setLength(vehicle, length)
-        self.api.vehicle.setWidth(vehicle, width)
-        self.api.vehicle.setMaxSpeed(vehicle, fastest)
+            v.setParameter(vehicle, f"laneChangeModel.{name}", value)
+        v.setVehicleClass(vehicle, vclass)
+        v.setLength(vehicle, length)
+        v.setWidth(vehicle, width)
+        v.setMaxSpeed(vehicle, fastest)
+        if keeps_factor and known:
+            v.setSpeedFactor(vehicle, factor)
 
     def add(self, vehicle: str, edges: Sequence[str], type_id: str, depart: Mapping[str, str], route: str = "") -> None:
         """Insert a vehicle with a route of its own, under a new name if it departs again."""
