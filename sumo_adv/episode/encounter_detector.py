@@ -26,7 +26,7 @@ from sumo_adv.datatypes import Floats, Place, Relation, RoadClass, VehicleState
 from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.unprotected import crossing_risk, may_attack, unprotected_ways
 from sumo_adv.geometry import Path, make_path, wrap
-from sumo_adv.road_users import is_unprotected
+from sumo_adv.road_users import is_motorcycle, is_unprotected
 from sumo_adv.simulation.network import Lane, RoadMap, Way
 from sumo_adv.simulation.permissions import CAR, MOTOR
 from sumo_adv.situation import MEET_AHEAD, ReferencePath, relate
@@ -241,8 +241,10 @@ class EncounterDetector:
         lanes = self.road.lanes
         own_edge = ego.lane in lanes and lanes[bv.lane].edge == lanes[ego.lane].edge
         relation, risk = "", 0.0
-        if turned < 0.5 and (abs(d) < SAME_LANE or (own_edge and abs(d) < BESIDE)):
-            relation = ("leader" if s > 0 else "follower") if abs(d) < SAME_LANE else "neighbour"
+        near = abs(d) < SAME_LANE
+        if turned < 0.5 and (near or (own_edge and abs(d) < BESIDE)):
+            in_line = near and not (is_motorcycle(bv) and _passes(bv, d, ego, path))
+            relation = ("leader" if s > 0 else "follower") if in_line else "neighbour"
             risk = self._same_way_risk(relation, s, d, bv, ego, drive.kind(name)) if -BEHIND < s < ahead else 0.0
         elif turned > 2.64 and 1.2 < self.road.hand * d < BESIDE and s > 0:
             sides = self.road.side_offsets(bv.lane, bv.x, bv.y, bv.heading)
@@ -273,6 +275,11 @@ class EncounterDetector:
         sides = self.road.side_offsets(bv.lane, bv.x, bv.y, bv.heading, vclass)
         same = [o for o, kind in sides if kind == "same"]
         return (0.8 if same else 0.42) * risk
+
+
+def _passes(bv: VehicleState, d: float, ego: VehicleState, path: Path) -> bool:
+    """Whether a vehicle ``d`` metres to the left of the ego's path has room to go past the ego as the ego drives."""
+    return abs(d - path.project(ego.x, ego.y)[1]) > (bv.width + ego.width) / 2
 
 
 def _oncoming_risk(s: float, closing: float) -> float:

@@ -20,6 +20,7 @@ from sumo_adv.episode.right_of_way import Link, Meetings
 from sumo_adv.geometry import along, stations, wrap
 from sumo_adv.simulation.network import Lane as NetLane
 from sumo_adv.simulation.network import RoadMap
+from sumo_adv.simulation.permissions import CAR
 from sumo_adv.simulation.simulation import Simulation
 
 
@@ -42,14 +43,15 @@ class EgoPlace:
         self._routes: dict[str, tuple[str, ...]] = {}
         self._link: Link | None = None
 
-    def __call__(self, ego: VehicleState, *, steered: bool) -> Place | None:
-        """None while the ego is off all lanes. ``steered``: its driver, not SUMO, moved it in the last step."""
+    def __call__(self, ego: VehicleState, *, steered: bool, vclass: str = CAR) -> Place | None:
+        """None while the ego is off all lanes. ``steered``: its driver, not SUMO, moved it in the last step.
+        ``vclass``: SUMO's class of the ego."""
         lane = self._road.lanes.get(ego.lane)
         if lane is None:
             return None
         route = self._route(ego.id, lane.edge, steered=steered)
         if not lane.internal:
-            onward = self._road.onward(lane, route, self._simulation.vehicle_class(ego.id))
+            onward = self._road.onward(lane, route, vclass)
             self._link = onward[0].link if onward else None
             return Place(lane, self._front(lane, ego), route)
         here = self._meetings.link_of.get(lane.id)

@@ -106,7 +106,8 @@ class Surroundings:
     def __call__(self, ego: VehicleState, near: Sequence[str]) -> Observation:
         """What the driver of the ego sees now; ``near``: the vehicles near it."""
         drive = self._drive
-        place = self._place(ego, steered=drive.steered)  # first: it may restore the ego's route
+        vclass = drive.kind(ego.id)
+        place = self._place(ego, steered=drive.steered, vclass=vclass)  # first: it may restore the ego's route
         senses = SensesNow(drive, ego, near, self._sight)
         states = senses.vehicles
         if self._wishes.visible_only:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -16,6 +17,7 @@ from typing import Any, TypeVar
 from sumo_adv.datatypes import DriverModel, VehicleState
 from sumo_adv.errors import SimulationError, UsageError
 from sumo_adv.geometry import Pose, wrap
+from sumo_adv.simulation.permissions import CYCLES, EVERYWHERE, ON_FOOT, is_carriageway
 from sumo_adv.simulation.programs import load_libsumo
 from sumo_adv.simulation.remote import RawState, Remote
 from sumo_adv.simulation.sumo_options import DEFAULTS, FORCED
@@ -25,7 +27,7 @@ KEEP_ROUTE = 2  # moveToXY places exactly and rewrites the route where it must
 PERSON = "person:"
 """Before the id of a ``<person>``: SUMO lets a person and a vehicle have one id."""
 FASTEST_PERSON, PERSON_JUMPS = 10.5, 1.0  # m/s, SUMO's highest speed of a person; m beyond it that are a jump
-LANELESS = ("bicycle", "pedestrian")
+LANELESS = CYCLES | ON_FOOT
 """Classes that many lanes of cars do not allow. SUMO has a moved vehicle on no lane where its class may not be, and its
 drivers then drive through it (measured). So a moved one gets the class of a car; ``vehicle_class`` tells its own. In
 the step after that, drivers in the lane beside brake for it (measured, 0.3 to 0.5 m/s)."""
@@ -142,6 +144,8 @@ class Simulation:
         self._given: dict[str, float] = {}  # and that were moved in the last one
         self._walked: dict[str, tuple[float, float]] = {}  # where the persons on foot are
         self._as_cars: set[str] = set()  # moved pedestrians and cyclists, which SUMO takes for cars
+        self._on: dict[str, str] = {}  # lanes of the vehicles that were moved in the last step
+        self._trespassing: set[str] = set()  # moved vehicles on lanes that are not for their class
         self.api: Any  # libsumo or the connection itself, for what only ``stage.py`` asks of it
         self.errors: tuple[type[Exception], ...]  # what ``api`` raises
         if remote is not None:
@@ -192,6 +196,7 @@ class Simulation:
             raise SimulationError("A SUMO that others are connected to cannot be loaded again: start another.")
         self.fleet.forget(())
         self._asked, self._given, self._as_cars, self._walked = {}, {}, set(), {}
+        self._on, self._trespassing = {}, set()
         try:
             self.api.load(self.spec.arguments())
         except self.errors as error:
@@ -216,6 +221,10 @@ class Simulation:
 
     def step(self) -> None:
         """One step of ``step_length``. Raises SimulationError: SUMO failed."""
+        for name in self._trespassing - self._asked.keys():  # no longer moved
+            self._trespassing.discard(name)
+            with suppress(*self.errors):  # it may be gone
+                self.api.vehicle.setVehicleClass(name, self.vehicle_class(name))
         self._given, self._asked = self._asked, {}
         if self.remote is not None:
             self.remote.step()
@@ -239,6 +248,7 @@ class Simulation:
             if x > INVALID:
                 raw[v] = (x, y, angle(v), speed(v), lane(v))
         correct_speeds(raw, self._given)
+        self._on = {name: raw[name][4] for name in self._given if name in raw}
         person = self.api.person
         self._add_persons(raw, {
             p: (*person.getPosition(p), person.getAngle(p), person.getSpeed(p), person.getVehicle(p))
@@ -251,6 +261,7 @@ class Simulation:
         for name in raw.keys() - self.fleet.sizes.keys():
             self._measure(name)
         correct_speeds(raw, self._given)
+        self._on = {name: raw[name][4] for name in self._given if name in raw}
         self._add_persons(raw, remote.persons)
         return Snapshot(remote.time, raw)
 
@@ -367,6 +378,7 @@ class Simulation:
                 if name not in self._as_cars and self.vehicle_class(name) in LANELESS:
                     vehicle.setVehicleClass(name, "passenger")
                     self._as_cars.add(name)
+                self._let_trespass(name, pose)
                 ahead = self.fleet.sizes[name][0] / 2
                 x, y = pose.x + ahead * math.cos(pose.heading), pose.y + ahead * math.sin(pose.heading)
                 vehicle.setSpeedMode(name, HEEDING_SPEED_MODE if name == heeding else FREE_SPEED_MODE)
@@ -375,6 +387,32 @@ class Simulation:
                 vehicle.moveToXY(name, "", -1, x, y, angle_deg_of(pose.heading), KEEP_ROUTE, SEARCHED)
             except self.errors as error:
                 raise SimulationError(f"SUMO could not move vehicle '{name}' ({error}).") from error
+
+    def _let_trespass(self, vehicle: str, pose: Pose) -> None:
+        """Have SUMO place a moved vehicle on a lane for motor vehicles that its class may not use.
+
+        Measured with SUMO 1.28: it has a car that is moved onto a bus lane on no lane, and a bus there drives through
+        the car. With the class ``ignoring`` the car is on the lane, and the bus brakes for it.
+        """
+        lane, own = self._on.get(vehicle), self.vehicle_class(vehicle)
+        if lane is None or own in LANELESS:
+            return
+        if vehicle in self._trespassing and lane and self._lane_allows(lane, own):
+            self._trespassing.discard(vehicle)
+            self.api.vehicle.setVehicleClass(vehicle, own)
+        elif lane == "" and vehicle not in self._trespassing:
+            try:
+                edge, _, index = self.api.simulation.convertRoad(pose.x, pose.y, False, EVERYWHERE)
+            except self.errors:  # no lane is near
+                return
+            below = f"{edge}_{index}"
+            if not self._lane_allows(below, own) and is_carriageway(self.api.lane.getAllowed(below)):
+                self._trespassing.add(vehicle)
+                self.api.vehicle.setVehicleClass(vehicle, EVERYWHERE)
+
+    def _lane_allows(self, lane: str, vclass: str) -> bool:
+        classes = self.api.lane.getAllowed(lane)  # nothing where every class may use it
+        return not classes or vclass in classes
 
     def released(self, vehicle: str) -> None:
         """Give a vehicle that is moved no more its own class back."""
