@@ -45,9 +45,12 @@ CONNECTIONS = """<connections>
 SIDEWALK, CYCLES, BUSES, CARS = range(4)
 
 
-def make_street(folder: Path) -> Path:
-    """The network."""
-    for name, text in (("nod", NODES), ("edg", EDGES), ("con", CONNECTIONS)):
+CYCLE_TRACK = '<edges><edge id="ab" from="a" to="b" numLanes="1" speed="8" allow="bicycle"/></edges>'
+
+
+def make_street(folder: Path, edges: str = EDGES, connections: str = CONNECTIONS) -> Path:
+    """The network, or one of other edges between its nodes."""
+    for name, text in (("nod", NODES), ("edg", edges), ("con", connections)):
         (folder / f"classes.{name}.xml").write_text(text)
     street = folder / "classes.net.xml"
     command: list[str | Path] = [find_netconvert(), "-n", folder / "classes.nod.xml", "-e", folder / "classes.edg.xml"]

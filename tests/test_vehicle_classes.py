@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from class_samples import BUSES, CARS, CYCLES, make_street, street_spec, vtype
+from class_samples import BUSES, CARS, CYCLE_TRACK, CYCLES, make_street, street_spec, vtype
 from cli_samples import Program
 from metrics_tracks import cruise
 from road_samples import Watcher
@@ -23,9 +23,11 @@ from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.encounter_detector import EncounterDetector
 from sumo_adv.episode.right_of_way import Meetings
 from sumo_adv.episode.surroundings import Surroundings
+from sumo_adv.errors import UsageError
 from sumo_adv.geometry import Pose
 from sumo_adv.metrics.severity import SERIOUS_DELTA_V, crash, hardness, mass_of
 from sumo_adv.road_users import RoadUser, road_user
+from sumo_adv.simulation.inputs import load_input
 from sumo_adv.simulation.network import RoadMap, read_network
 from sumo_adv.simulation.simulation import Simulation, SimulationSpec
 
@@ -312,3 +314,15 @@ def test_a_car_attacks_a_bus_in_the_bus_lane(tmp_path: Path, caches: Path) -> No
     attempts = done.outcome["attempts"]
     assert any(attempt["collided"] for attempt in attempts)
     assert not any("off_road" in attempt["failed_gates"] for attempt in attempts)
+
+
+def test_a_network_for_bicycles_alone_is_enough_for_a_demand_of_bicycles(tmp_path: Path) -> None:
+    """Alone it is not: the traffic that is made for a network is cars."""
+    net = make_street(tmp_path, CYCLE_TRACK, "<connections/>")
+    make_spec(tmp_path, "classes", [vtype("bicycle"), vehicle("ego", "ab", 0, 20.0, 3.0, "bicycle")])
+    (tmp_path / "c.sumocfg").write_text(
+        '<configuration><net-file value="classes.net.xml"/><route-files value="classes.rou.xml"/></configuration>'
+    )
+    assert load_input(tmp_path / "c.sumocfg").network == net
+    with pytest.raises(UsageError, match="no lane that a passenger car may drive on"):
+        load_input(net)

@@ -1,7 +1,7 @@
 """Egos that SUMO drives: its car-following models with all parameters written out.
 
 Krauss: Krauss 1998; IDM: Treiber, Hennecke and Helbing 2000; EIDM: Salles, Kaufmann and Reuss 2020. All noise is off
-(``sigma`` of Krauss, the three sigmas of EIDM, ``speedDev``), so that only the traffic depends on the seed.
+(``sigma`` of Krauss, the three sigmas of EIDM) unless the vehicle's own type has it: see ``simulation/ego_types.py``.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ The names are those of SUMO's page "Abstract Vehicle Class". A lane or connectio
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 
 CAR = "passenger"
 EVERYWHERE = "ignoring"
@@ -31,6 +31,14 @@ ALL = MOTOR | CYCLES | ON_FOOT | ELSEWHERE
 def allowed(names: Collection[str]) -> frozenset[str]:
     """The classes that a list of allowed ones, as sumolib reads it, means; ``all`` means every one."""
     return ALL if "all" in names else (ALL & frozenset(names)) | {EVERYWHERE}
+
+
+def classes_of(lane: Mapping[str, str]) -> frozenset[str]:
+    """The classes that the ``allow`` or ``disallow`` of a lane in a net.xml lets in."""
+    if "allow" in lane:
+        return allowed(lane["allow"].split())
+    out = frozenset(lane.get("disallow", "").split())
+    return allowed(() if "all" in out else ALL - out)
 
 
 def is_carriageway(classes: Collection[str]) -> bool:
