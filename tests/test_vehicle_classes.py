@@ -96,7 +96,8 @@ def test_an_ego_keeps_its_class_capacity_and_body_and_gets_the_model_under_test(
 def test_what_the_user_asks_of_the_driver_goes_before_the_vehicles_type(tmp_path: Path) -> None:
     """The bus's type says 0.8 m/s2; the user 2.0 m/s2, and a fifth above the limit."""
     spec = street_spec(
-        tmp_path, [vtype("bus", 'accel="0.8" decel="3.5"'), vehicle("ego", "ab bc cd", BUSES, 20.0, 5.0, "bus")]
+        tmp_path,
+        [vtype("bus", 'accel="0.8" decel="3.5" speedDev="0.3"'), vehicle("ego", "ab bc cd", BUSES, 20.0, 5.0, "bus")],
     )
     with driving(spec, SumoEgo("idm", {"accel": 2.0, "speedFactor": 1.2}), tmp_path) as drive:
         drive.take_over("ego")

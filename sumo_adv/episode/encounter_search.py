@@ -45,7 +45,7 @@ class EncounterSearch:
             }  # fmt: skip
             self.drive.simulation.add(INSERTED_EGO, route.edges, self.task.ego_base_type or "DEFAULT_VEHTYPE", depart)
             if self.task.ego_base_type is None:  # SUMO draws a factor of the limit; this ego has none of its own
-                self.drive.simulation.api.vehicle.setSpeedFactor(INSERTED_EGO, 1.0)
+                self.drive.simulation.set_speed_factor(INSERTED_EGO, 1.0)
 
     def leave(self, ranked: Collection[str]) -> None:
         """Look for something else than the encounter that began now with these vehicles: with another ego if it is
@@ -162,7 +162,7 @@ class EncounterSearch:
         if unknown:
             advice = "check --adversary or the scenario's candidates"
             raise UsageError(f"No vehicle '{unknown[0]}' was inserted before {self.drive.now:.0f} s; {advice}.")
-        kinds = {name: self.drive.kind(name) for name in self.task.only}
+        kinds = {name: self.drive.kind(name) for name in self.task.only if name in self.drive.snapshot.raw}
         bound = next((name for name, kind in kinds.items() if kind in ELSEWHERE), None)
         if bound is not None:
             why = f"is a {kinds[bound]}, and no vehicle of that class can attack: it drives on no road"

@@ -72,6 +72,8 @@ def ego_types_xml(driver: Mapping[str, str], defaults: frozenset[str], types: Ma
     elements = [_element(EGO_TYPE, {"vClass": CAR, "speedDev": "0", **driver}, {})]
     behind = {name: value for name, value in driver.items() if name in defaults and name in NOISE}
     given = {name: value for name, value in driver.items() if name not in defaults}
+    if "speedFactor" in given:  # it is meant as it is, not as the middle of a spread
+        given = {"speedDev": "0", **given}
     for name, own in types.items():
         elements.append(_element(f"{EGO_TYPE}:{name}", {**behind, **own.attributes, **given}, own.parameters))
     return "\n  ".join(elements)

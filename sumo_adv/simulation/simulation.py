@@ -455,6 +455,10 @@ class Simulation:
         """Ask SUMO's driver to change to the lane of that index within 3 s."""
         self.api.vehicle.changeLane(vehicle, lane, 3.0)
 
+    def set_speed_factor(self, vehicle: str, factor: float) -> None:
+        """Have its driver go for this share of the speed limit."""
+        self.api.vehicle.setSpeedFactor(vehicle, factor)
+
     def set_route(self, vehicle: str, edges: Sequence[str]) -> None:
         """Give a vehicle the edges that are left of its way, the present one first."""
         self.api.vehicle.setRoute(vehicle, list(edges))
