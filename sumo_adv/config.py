@@ -23,7 +23,7 @@ from sumo_adv.datatypes import MOST_ADVERSARIES, Level, Limits, Relation
 from sumo_adv.errors import UsageError, nearest
 from sumo_adv.goal import Goal
 from sumo_adv.parsing import read_toml
-from sumo_adv.road_users import LIMITS, Sized, road_user
+from sumo_adv.road_users import Sized, limits_of
 
 
 class ModelSettings(BaseModel):
@@ -111,12 +111,12 @@ class LimitSettings(BaseModel):
     jerk: float = Field(default=12.0, gt=1, le=50)
 
     def limits(self) -> Limits:
-        """The noun, of a vehicle."""
+        """The noun, of a car."""
         return Limits(self.braking, self.acceleration, self.lateral, self.curvature, self.jerk)
 
     def of(self, adversary: Sized) -> Limits:
-        """The limits of an adversary with this box: these of a vehicle, fixed ones of a pedestrian or cyclist."""
-        return LIMITS.get(road_user(adversary)) or self.limits()
+        """The limits of an adversary with this box: these of a car, those of ``road_users`` of any other."""
+        return limits_of(adversary, self.limits())
 
 
 class Settings(ModelSettings, BaseSettings):

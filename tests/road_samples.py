@@ -50,7 +50,7 @@ def drive(
     watcher = type("Watcher", (Watcher,), attributes)(look, answer)
     controller = UserEgo("watcher", watcher)
     spec = make_spec(folder, network, vehicles)
-    spec = replace(spec, additional=(ego_type_file(controller, folder), *additional))
+    spec = replace(spec, additional=(ego_type_file(controller, folder, spec.routes), *additional))
     moving = Drive(spec, controller, 0)
     road = read_network(spec.network)
     moving.observe = Surroundings(road, Meetings(road), moving, additional)

@@ -72,13 +72,14 @@ class Vehicle(VehicleState):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lane:
-    """One lane for cars. Equal only to itself.
+    """One lane for vehicles or cycles. Equal only to itself.
 
     centre: ``(n, 2)`` in its direction of travel; width [m]; limit: the posted one [m/s].
     relation: ``route`` (the ego's path follows it), ``crossing`` (it crosses the path or joins it on a junction), else
     by its direction where it is nearest to the path: ``beside`` (within 45 degrees of the path's), ``oncoming`` (within
     45 degrees of the opposite) or ``crossing``.
     left, right: ids of the next lanes of the same edge, None if there is none. junction: it lies within a junction.
+    allowed: a vehicle of the ego's class may use it; a bus lane is told to a car, and is not for it.
     """
 
     id: str
@@ -89,6 +90,7 @@ class Lane:
     left: str | None = None
     right: str | None = None
     junction: bool = False
+    allowed: bool = True
 
     @property
     def on_route(self) -> bool:

@@ -14,8 +14,10 @@ from typing import NamedTuple
 from sumo_adv.datatypes import Role, Track, VehicleState
 from sumo_adv.drivers import Action, EgoController, LaneSpeed, Observation, ReplayEgo, Steer, Vehicle, apply_steer
 from sumo_adv.drivers.protocol import Senses, wishes_of
+from sumo_adv.drivers.sumo_driven import defaults_of
 from sumo_adv.errors import DriverError
 from sumo_adv.geometry import Pose
+from sumo_adv.simulation.ego_types import EGO_TYPE, ego_types_xml, vehicle_types
 from sumo_adv.simulation.playback import Playback
 from sumo_adv.simulation.remote import Remote
 from sumo_adv.simulation.signals import LightsNear
@@ -57,17 +59,18 @@ class ActionCount:
         return EgoActions(dict(sorted(self._counts.items())), self._limited)
 
 
-EGO_TYPE = "sumo_adv_ego"
 Observe = Callable[[VehicleState, Sequence[str]], Observation]
 OBSERVED = 120.0  # m: how far the ego's driver sees
 
 
-def ego_type_file(controller: EgoController, folder: Path) -> Path:
-    """An additional file with the vTypes of the ego's driver and of recorded vehicles."""
-    attributes = {"vClass": "passenger", "speedDev": "0", **controller.sumo_type}
-    text = " ".join(f'{k}="{v}"' for k, v in attributes.items())
+def ego_type_file(controller: EgoController, folder: Path, demand: Sequence[Path] = ()) -> Path:
+    """An additional file with the vTypes of the ego's driver and of recorded vehicles.
+
+    demand: the files with the vTypes of the vehicles that may become the ego.
+    """
+    types = ego_types_xml(controller.sumo_type, defaults_of(controller.sumo_type), vehicle_types(demand))
     target = folder / "ego_type.add.xml"
-    target.write_text(f'<additional>\n  <vType id="{EGO_TYPE}" {text}/>\n  {LOGGED_TYPE_XML}\n</additional>\n')
+    target.write_text(f"<additional>\n  {types}\n  {LOGGED_TYPE_XML}\n</additional>\n", encoding="utf-8")
     return target
 
 
@@ -90,6 +93,7 @@ class Drive:
         self.simulation, self.controller, self.seed = Simulation(spec, remote), controller, seed
         self._deadline = deadline
         self.ego: str | None = None
+        self._own_type = ""  # the ego's vType before it got the driver under test
         self.recording = Recording(spec.step_length)
         self._takeovers: list[tuple[int, str | None]] = []
         self._playing = False
@@ -154,7 +158,10 @@ class Drive:
     def take_over(self, vehicle: str) -> None:
         """Make a vehicle the ego: it gets the driver under test."""
         if self.controller.sumo_type:
-            self.simulation.set_type(vehicle, EGO_TYPE)
+            given = self.controller.sumo_type.keys() - defaults_of(self.controller.sumo_type)
+            self._own_type = own = self.simulation.own_type(vehicle)
+            keeps = "speedFactor" not in given
+            self.simulation.set_type(vehicle, f"{EGO_TYPE}:{own}", EGO_TYPE, keeps_factor=keeps)
         if self.playback is not None:
             factor = float(self.controller.sumo_type.get("speedFactor", 1.0))
             speed = self.snapshot.raw[vehicle][3]
@@ -166,7 +173,11 @@ class Drive:
         self._takeovers.append((len(self.recording.snapshots), vehicle))
 
     def release(self) -> None:
-        """Make the ego a background vehicle again. It keeps the ego's vType; SUMO drives it."""
+        """Make the ego a background vehicle again: SUMO drives it, with the driver of its own vType."""
+        if self._own_type and self.ego is not None and self.ego in self.snapshot.raw:
+            self.simulation.set_speed(self.ego, None)
+            self.simulation.set_type(self.ego, self._own_type)
+        self._own_type = ""
         self.ego, self.steered, self.heeding = None, False, False
         self._takeovers.append((len(self.recording.snapshots), None))
 
@@ -206,6 +217,7 @@ class Drive:
         if self.on_load is not None:
             self.on_load()
         self.ego, self._takeovers, self._playing, self.steered, self.heeding = None, [], False, False, False
+        self._own_type = ""
         self.recording = Recording(self.recording.step_length)
         for k in range(steps):
             self._change_ego(takeovers, k)

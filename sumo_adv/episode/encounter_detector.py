@@ -26,8 +26,9 @@ from sumo_adv.datatypes import Floats, Place, Relation, RoadClass, VehicleState
 from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.unprotected import crossing_risk, may_attack, unprotected_ways
 from sumo_adv.geometry import Path, make_path, wrap
-from sumo_adv.road_users import is_unprotected
+from sumo_adv.road_users import is_motorcycle, is_unprotected
 from sumo_adv.simulation.network import Lane, RoadMap, Way
+from sumo_adv.simulation.permissions import CAR, MOTOR
 from sumo_adv.situation import MEET_AHEAD, ReferencePath, relate
 
 # -- what surrounds the ego -----------------------------------------------------------------------------------------
@@ -49,16 +50,19 @@ def place_of(road: RoadMap, drive: Drive) -> Place:
     if at is None:
         return Place(None, None, ego.speed, count)
     lane, position = at
-    kind = road_class(road, lane, position, SOON * ego.speed, drive.simulation.ahead(drive.ego))
+    route, vclass = drive.simulation.ahead(drive.ego), drive.kind(drive.ego)
+    kind = road_class(road, lane, position, SOON * ego.speed, route, vclass)
     return Place(kind, lane.speed, ego.speed, count)
 
 
-def road_class(road: RoadMap, lane: Lane, position: float, ahead: float, route: tuple[str, ...] = ()) -> RoadClass:
+def road_class(
+    road: RoadMap, lane: Lane, position: float, ahead: float, route: tuple[str, ...] = (), vclass: str = CAR
+) -> RoadClass:
     """The class of the road ``position`` metres along a lane. ahead: how far a junction counts [m]. route: the edges
-    from there on, where they are known."""
+    from there on, where they are known; vclass: SUMO's class of the vehicle that goes there."""
     if lane.speed >= MOTORWAY_LIMIT and not _two_way(road, lane):
         return RoadClass.MOTORWAY
-    if _near_junction(road, lane, position, ahead, route):
+    if _near_junction(road, lane, position, ahead, route, vclass):
         return RoadClass.JUNCTION
     return RoadClass.RURAL if lane.speed > URBAN_LIMIT else RoadClass.URBAN
 
@@ -68,7 +72,7 @@ def _lane(road: RoadMap, drive: Drive, ego: VehicleState) -> tuple[Lane, float] 
     if ego.lane in road.lanes and not drive.replayed():
         assert drive.ego is not None
         return road.lanes[ego.lane], max(drive.simulation.lane_position(drive.ego) - ego.length / 2, 0.0)
-    lane_at = road.lane_at(ego.x, ego.y, ego.heading)
+    lane_at = road.lane_at(ego.x, ego.y, ego.heading, drive.kind(ego.id))
     return None if lane_at is None else (road.lanes[lane_at[0]], lane_at[1])
 
 
@@ -80,10 +84,12 @@ def _two_way(road: RoadMap, lane: Lane) -> bool:
     return any(kind == "opposite" for _, kind in sides)
 
 
-def _near_junction(road: RoadMap, lane: Lane, position: float, ahead: float, route: tuple[str, ...]) -> bool:
+def _near_junction(
+    road: RoadMap, lane: Lane, position: float, ahead: float, route: tuple[str, ...], vclass: str
+) -> bool:
     if lane.internal:
         return lane.id[1:].rsplit("_", 2)[0] in road.meeting_junctions
-    ways = road.ways(lane.id, position, max(ahead, SHORTEST), route)
+    ways = road.ways(lane.id, position, max(ahead, SHORTEST), route, vclass=vclass)
     return any(
         way.first is not None and way.junction <= ahead and way.first.link[0] in road.meeting_junctions for way in ways
     )
@@ -105,9 +111,6 @@ LEAST_WAY = 1.0  # m: a shorter log shows no path
 BESIDE = 8.5  # m
 BEHIND = 45.0  # m behind the ego, for vehicles on the ego's path
 AHEAD, FAR_AHEAD = 60.0, 100.0  # m ahead of the ego, for such vehicles; the second if no other vehicle is ranked
-CLASSES = frozenset(
-    {"passenger", "private", "taxi", "delivery", "truck", "trailer", "bus", "coach", "evehicle", "custom1"}
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,9 +224,7 @@ class EncounterDetector:
             distance = math.hypot(dx, dy)
             ahead = c * dx + s * dy > 0
             far = ahead or abs(wrap(heading - ego.heading)) > 0.5
-            if distance < (ONCOMING_NEAR if far else NEAR) and (
-                small or drive.simulation.vehicle_class(name) in CLASSES
-            ):
+            if distance < (ONCOMING_NEAR if far else NEAR) and (small or drive.kind(name) in MOTOR):
                 names.append(name)
         return names
 
@@ -240,9 +241,11 @@ class EncounterDetector:
         lanes = self.road.lanes
         own_edge = ego.lane in lanes and lanes[bv.lane].edge == lanes[ego.lane].edge
         relation, risk = "", 0.0
-        if turned < 0.5 and (abs(d) < SAME_LANE or (own_edge and abs(d) < BESIDE)):
-            relation = ("leader" if s > 0 else "follower") if abs(d) < SAME_LANE else "neighbour"
-            risk = self._same_way_risk(relation, s, d, bv, ego) if -BEHIND < s < ahead else 0.0
+        near = abs(d) < SAME_LANE
+        if turned < 0.5 and (near or (own_edge and abs(d) < BESIDE)):
+            in_line = near and not (is_motorcycle(bv) and _passes(bv, d, ego, path))
+            relation = ("leader" if s > 0 else "follower") if in_line else "neighbour"
+            risk = self._same_way_risk(relation, s, d, bv, ego, drive.kind(name)) if -BEHIND < s < ahead else 0.0
         elif turned > 2.64 and 1.2 < self.road.hand * d < BESIDE and s > 0:
             sides = self.road.side_offsets(bv.lane, bv.x, bv.y, bv.heading)
             if any(kind == "opposite" for _, kind in sides):  # only a line separates the two
@@ -258,8 +261,10 @@ class EncounterDetector:
                 relation, risk = (relation or kind), best
         return RankedVehicle(name, relation, risk, ways, bv.lane) if relation and ways else None
 
-    def _same_way_risk(self, relation: str, s: float, d: float, bv: VehicleState, ego: VehicleState) -> float:
-        """Risk of a vehicle that drives the ego's way. It is lower if the vehicle has no lane beside its own."""
+    def _same_way_risk(
+        self, relation: str, s: float, d: float, bv: VehicleState, ego: VehicleState, vclass: str
+    ) -> float:
+        """Risk of a vehicle of a class that drives the ego's way. It is lower if it has no lane beside its own."""
         if bv.speed < SLOWEST_SAME_WAY and not self._recorded:
             return 0.0
         best_gap = {"leader": 12.0, "follower": -10.0, "neighbour": 3.0}[relation]
@@ -267,8 +272,14 @@ class EncounterDetector:
         risk = math.exp(-abs(s + closing * 2.0 - best_gap) / 35.0)
         if relation == "neighbour":
             return risk if abs(d) < 5.0 else 0.7 * risk
-        same = [o for o, kind in self.road.side_offsets(bv.lane, bv.x, bv.y, bv.heading) if kind == "same"]
+        sides = self.road.side_offsets(bv.lane, bv.x, bv.y, bv.heading, vclass)
+        same = [o for o, kind in sides if kind == "same"]
         return (0.8 if same else 0.42) * risk
+
+
+def _passes(bv: VehicleState, d: float, ego: VehicleState, path: Path) -> bool:
+    """Whether a vehicle ``d`` metres to the left of the ego's path has room to go past the ego as the ego drives."""
+    return abs(d - path.project(ego.x, ego.y)[1]) > (bv.width + ego.width) / 2
 
 
 def _oncoming_risk(s: float, closing: float) -> float:
@@ -311,7 +322,8 @@ def ego_path(road: RoadMap, drive: Drive) -> Path | None:
 
 def _ways(road: RoadMap, drive: Drive, vehicle: VehicleState, route: tuple[str, ...] = ()) -> list[Way]:
     """All ways on of a vehicle along its lane, or that of its route."""
-    return road.ways(vehicle.lane, drive.simulation.lane_position(vehicle.id) - vehicle.length / 2, REACH, route)
+    position = drive.simulation.lane_position(vehicle.id) - vehicle.length / 2
+    return road.ways(vehicle.lane, position, REACH, route, vclass=drive.kind(vehicle.id))
 
 
 def logged_path(road: RoadMap, drive: Drive) -> Path | None:
@@ -321,8 +333,9 @@ def logged_path(road: RoadMap, drive: Drive) -> Path | None:
     if len(points) < 2 or float(np.hypot(*np.diff(points, axis=0).T).sum()) < LEAST_WAY:
         return None
     path = make_path(points)
-    last = road.lane_at(float(path.x[-1]), float(path.y[-1]), float(path.heading[-1]))
-    return continued(points, road.ways(*last, REACH, drive.route()) if last is not None else ())
+    vclass = drive.kind(drive.ego)
+    last = road.lane_at(float(path.x[-1]), float(path.y[-1]), float(path.heading[-1]), vclass)
+    return continued(points, road.ways(*last, REACH, drive.route(), vclass=vclass) if last is not None else ())
 
 
 def continued(points: Floats, ways: Sequence[Way]) -> Path:

@@ -88,7 +88,7 @@ class RoadNow(Road):
     def sides(self) -> tuple[float, ...]:
         here, lane, ego = self._now(), self._place.lane, self._ego
         if lane.id not in here.sides:
-            beside = here.map.side_offsets(lane.id, ego.x, ego.y, ego.heading)
+            beside = here.map.side_offsets(lane.id, ego.x, ego.y, ego.heading, here.drive.kind(ego.id))
             here.sides[lane.id] = tuple(offset for offset, way in beside if way == "same")
         return here.sides[lane.id]
 
@@ -122,7 +122,8 @@ class RoadNow(Road):
     def lanes(self) -> tuple[Lane, ...]:
         here, (stretches, junctions) = self._now(), self._stretches
         met = frozenset(m.lane for junction in junctions for m in here.meetings.of(junction.link))
-        return here.near.lanes((self._ego.x, self._ego.y), [s.lane for s in stretches], met)
+        vclass = here.drive.kind(self._ego.id)
+        return here.near.lanes((self._ego.x, self._ego.y), [s.lane for s in stretches], met, vclass)
 
     @cached_property
     def edges(self) -> tuple[Floats, ...]:
@@ -174,7 +175,7 @@ class RoadNow(Road):
             before = sum(_length(lanes[n]) for n in ways[place.link].via[: ways[place.link].via.index(lane.id)])
             junctions.append(Junction(place.link, ways[place.link], ahead - before))
         while (ahead := ahead + _length(lane)) < SEEN:
-            onward = here.map.onward(lane, place.route)
+            onward = here.map.onward(lane, place.route, here.drive.kind(self._ego.id))
             if not onward:
                 break
             way = onward[0]
@@ -243,7 +244,7 @@ class RoadNow(Road):
             return None if link is None else (link, -float(along(here.meetings.line(link), x, y)) - 1e-3)
         edges, room = here.drive.simulation.ahead(name), _length(lane) - float(along(lane.shape, x, y))
         while room < SEEN:
-            onward = here.map.onward(lane, edges)
+            onward = here.map.onward(lane, edges, here.drive.kind(name))
             if not onward:
                 return None
             if onward[0].link in here.meetings.ways:

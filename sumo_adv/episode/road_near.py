@@ -20,6 +20,7 @@ from sumo_adv.episode.right_of_way import Link, Meetings
 from sumo_adv.geometry import along, stations, wrap
 from sumo_adv.simulation.network import Lane as NetLane
 from sumo_adv.simulation.network import RoadMap
+from sumo_adv.simulation.permissions import CAR
 from sumo_adv.simulation.simulation import Simulation
 
 
@@ -42,14 +43,15 @@ class EgoPlace:
         self._routes: dict[str, tuple[str, ...]] = {}
         self._link: Link | None = None
 
-    def __call__(self, ego: VehicleState, *, steered: bool) -> Place | None:
-        """None while the ego is off all lanes. ``steered``: its driver, not SUMO, moved it in the last step."""
+    def __call__(self, ego: VehicleState, *, steered: bool, vclass: str = CAR) -> Place | None:
+        """None while the ego is off all lanes. ``steered``: its driver, not SUMO, moved it in the last step.
+        ``vclass``: SUMO's class of the ego."""
         lane = self._road.lanes.get(ego.lane)
         if lane is None:
             return None
         route = self._route(ego.id, lane.edge, steered=steered)
         if not lane.internal:
-            onward = self._road.onward(lane, route)
+            onward = self._road.onward(lane, route, vclass)
             self._link = onward[0].link if onward else None
             return Place(lane, self._front(lane, ego), route)
         here = self._meetings.link_of.get(lane.id)
@@ -100,20 +102,24 @@ class RoadNear:
         self._lanes: tuple[object, tuple[float, float], tuple[Lane, ...]] = (None, (0.0, 0.0), ())
         self._edges: tuple[object, tuple[float, float], tuple[Floats, ...]] = (None, (0.0, 0.0), ())
 
-    def lanes(self, ego: tuple[float, float], route: Sequence[NetLane], met: frozenset[str]) -> tuple[Lane, ...]:
-        """The lanes near a place; ``route``: those of the path, ``met``: those that it meets on junctions."""
+    def lanes(
+        self, ego: tuple[float, float], route: Sequence[NetLane], met: frozenset[str], vclass: str
+    ) -> tuple[Lane, ...]:
+        """The lanes near a place; ``route``: those of the path, ``met``: those that it meets on junctions; ``vclass``:
+        the ego's."""
         key = tuple(lane.id for lane in route[:3])
         if self._lanes[0] == key and math.dist(self._lanes[1], ego) < FRESH:
             return self._lanes[2]
         path = _Direction(np.vstack([lane.shape for lane in route]))
         on = {lane.id for lane in route}
         lanes = []
-        for lane in self._road.passenger_lanes_within(*ego, REACH):
+        for lane in self._road.paved_lanes_within(*ego, REACH):
             relation = "route" if lane.id in on else "crossing" if lane.id in met else path.relation(lane.shape)
             row = self._road.edges[lane.edge]
             right = row[lane.index - 1] if lane.index > 0 else None
             left = row[lane.index + 1] if lane.index + 1 < len(row) else None
-            lanes.append(Lane(lane.id, lane.shape, lane.width, lane.speed, relation, left, right, lane.internal))
+            shown = lane.id, lane.shape, lane.width, lane.speed, relation, left, right, lane.internal
+            lanes.append(Lane(*shown, allowed=lane.allows(vclass)))
         self._lanes = (key, ego, tuple(lanes))
         return self._lanes[2]
 

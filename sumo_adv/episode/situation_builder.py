@@ -19,6 +19,7 @@ from sumo_adv.geometry import PATH_STEP, Frame, Path, along, wrap
 from sumo_adv.metrics.case import closest, smoothed
 from sumo_adv.road_users import is_unprotected
 from sumo_adv.simulation.network import Connection, RoadMap, Way
+from sumo_adv.simulation.permissions import CAR
 from sumo_adv.situation import (
     MEET_AHEAD,
     Baseline,
@@ -94,9 +95,10 @@ HISTORY = 1.1  # s before the trigger of which a situation keeps the states (the
 class TriggerState:
     """What the simulation knows at the trigger, besides the states of the vehicles.
 
-    time [s]; route, routes: the edges of the ego's whole route, and of the ranked vehicles' by id; signals: by id the
-    lights ahead of the ego and of the ranked vehicles; left: steps until the log that is played back ends, inf without
-    a log; follows_log: whether a log moves background vehicles, so that they do not react to the adversary.
+    time [s]; route, routes: the edges of the ego's whole route, and of the ranked vehicles' by id; signals, classes: by
+    id the lights ahead of the ego and of the ranked vehicles, and their vehicle classes in SUMO; left: steps until the
+    log that is played back ends, inf without a log; follows_log: whether a log moves background vehicles, so that they
+    do not react to the adversary.
     """
 
     ego: str
@@ -105,6 +107,7 @@ class TriggerState:
     route: tuple[str, ...]
     routes: Mapping[str, tuple[str, ...]]
     signals: Mapping[str, tuple[Signal, ...]]
+    classes: Mapping[str, str]
     left: float = math.inf
     follows_log: bool = False
 
@@ -120,6 +123,7 @@ def trigger_state(drive: Drive, ranking: Sequence[RankedVehicle]) -> TriggerStat
         drive.ego, drive.now, model, drive.route(),
         {name: simulation.route(name)[0] for name in driving},
         {name: tuple(simulation.signals(name)) for name in (drive.ego, *driving)},
+        {name: drive.kind(name) for name in (drive.ego, *driving)},
         math.inf if left is None else left, drive.follows_log(),
     )  # fmt: skip
 
@@ -174,14 +178,16 @@ def build_situation(
 ) -> Situation | None:  # fmt: skip
     """The situation ``delay`` s after the trigger; None if the ego or all ranked vehicles are gone by then."""
     time, ego_id, dt = trigger.time + delay, trigger.ego, settings.step_length
+    vclass = trigger.classes[ego_id]
     ego_track = tracks[ego_id].between(time, math.inf)
     ego = state_at(ego_track, time) if len(ego_track.time) > 1 else None
     if ego is None:
         return None
     points = np.column_stack([ego_track.x, ego_track.y])
-    path = continued(points, _ways(road, ego_track.lane[-1], ego_track.x[-1], ego_track.y[-1], trigger.route))
+    last = ego_track.lane[-1], ego_track.x[-1], ego_track.y[-1]
+    path = continued(points, _ways(road, *last, trigger.route, vclass=vclass))
     stations = _travelled(ego_track)
-    onward = way_ahead(road, ego, trigger.route)
+    onward = way_ahead(road, ego, trigger.route, vclass)
     first, rule = (None, "") if onward is None else (onward.first, onward.rule)
     junction, bay = (math.inf, math.inf) if onward is None else (onward.junction, onward.bay)
     targets = {}
@@ -189,7 +195,8 @@ def build_situation(
         track = tracks.get(ranked.id)
         if track is not None and trigger.follows_log:  # the adversary begins without the noise of the log
             track = smoothed(track, time, settings.limits.limits())
-        target = _target(road, track, ranked, time, path, first, trigger.routes.get(ranked.id, ()))
+        kind = trigger.classes.get(ranked.id, CAR)  # a vehicle of a recording that comes later is a car to SUMO
+        target = _target(road, track, ranked, time, path, first, trigger.routes.get(ranked.id, ()), kind)
         if target is not None:
             hidden = is_unprotected(target.state) and _is_hidden(target.state, ego, tracks, time)
             targets[ranked.id] = replace(target, hidden=hidden)
@@ -200,7 +207,7 @@ def build_situation(
         and closest(ego_track, part, time) < OTHERS_NEAR
     )  # fmt: skip
     width = road.lanes[ego.lane].width if ego.lane in road.lanes else FULL_LANE
-    sides = tuple((float(o), k) for o, k in road.side_offsets(ego.lane, ego.x, ego.y, ego.heading))
+    sides = tuple((float(o), k) for o, k in road.side_offsets(ego.lane, ego.x, ego.y, ego.heading, vclass))
     near = {ego_id, *targets, *(t.id for t in others)}
     history = tuple(t.between(time - HISTORY, time) for name, t in tracks.items() if name in near)
     later = tuple(s for s in _junctions(road, ego_track, path, stations) if s > junction + ANOTHER)
@@ -240,12 +247,12 @@ def state_at(track: Track, time: float) -> VehicleState | None:
 
 
 def _ways(
-    road: RoadMap, lane: str, x: float, y: float, route: tuple[str, ...] = (), farthest: float = 0.0
+    road: RoadMap, lane: str, x: float, y: float, route: tuple[str, ...] = (), farthest: float = 0.0, *, vclass: str
 ) -> list[Way]:
     """The ways on from the place on a lane that is nearest to (x, y); see ``RoadMap.ways``. None off all lanes."""
     if lane not in road.lanes:
         return []
-    return road.ways(lane, float(along(road.lanes[lane].shape, x, y)), REACH, route, farthest)
+    return road.ways(lane, float(along(road.lanes[lane].shape, x, y)), REACH, route, farthest, vclass)
 
 
 def _junctions(road: RoadMap, ego: Track, path: Path, stations: Floats) -> list[float]:
@@ -272,9 +279,9 @@ def _ahead(
     return tuple(ahead)
 
 
-def way_ahead(road: RoadMap, ego: VehicleState, route: tuple[str, ...]) -> Way | None:
-    """The ego's way on; None if it is on no lane."""
-    ways = _ways(road, ego.lane, ego.x, ego.y, route)
+def way_ahead(road: RoadMap, ego: VehicleState, route: tuple[str, ...], vclass: str = CAR) -> Way | None:
+    """The way on of an ego of a vehicle class; None if it is on no lane."""
+    ways = _ways(road, ego.lane, ego.x, ego.y, route, vclass=vclass)
     return ways[0] if ways else None
 
 
@@ -287,13 +294,14 @@ def goes_first(other: Connection | None, ego: Connection | None) -> bool:
 
 def _target(
     road: RoadMap, track: Track | None, ranked: RankedVehicle, time: float, path: Path, ego: Connection | None,
-    route: tuple[str, ...],
+    route: tuple[str, ...], vclass: str,
 ) -> Target | None:  # fmt: skip
-    """``ego``: the ego's connection at its junction; ``route``: the vehicle's own edges, empty if unknown."""
+    """``ego``: the ego's connection at its junction; ``route``: the vehicle's own edges, empty if unknown; ``vclass``:
+    its class."""
     bv = state_at(track, time) if track is not None else None
     if bv is None:
         return None
-    onward = _ways(road, bv.lane, bv.x, bv.y, farthest=FARTHEST_TIME * top_speed(bv))
+    onward = _ways(road, bv.lane, bv.x, bv.y, farthest=FARTHEST_TIME * top_speed(bv), vclass=vclass)
     if is_unprotected(bv):
         small = unprotected_ways(bv, path, onward)
         turn = 0.0 if bv.speed < STANDS else wrap(bv.heading - float(small[0].path.heading[0]))
@@ -305,7 +313,7 @@ def _target(
     station, offset = ways[0].path.project(bv.x, bv.y, near=0.0)
     heading = ways[0].path.heading[min(max(int(station / PATH_STEP), 0), len(ways[0].path.x) - 1)]
     turn = wrap(bv.heading - float(heading))
-    sides = tuple((float(o), k) for o, k in road.side_offsets(bv.lane, bv.x, bv.y, bv.heading))
+    sides = tuple((float(o), k) for o, k in road.side_offsets(bv.lane, bv.x, bv.y, bv.heading, vclass))
     unattacked = _along(onward, road, bv.lane, route)
     return Target(
         bv, ranked.relation, tuple(ways), station, offset, turn, sides, ranked.risk, unattacked, hand=road.hand

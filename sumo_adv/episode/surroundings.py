@@ -106,7 +106,8 @@ class Surroundings:
     def __call__(self, ego: VehicleState, near: Sequence[str]) -> Observation:
         """What the driver of the ego sees now; ``near``: the vehicles near it."""
         drive = self._drive
-        place = self._place(ego, steered=drive.steered)  # first: it may restore the ego's route
+        vclass = drive.kind(ego.id)
+        place = self._place(ego, steered=drive.steered, vclass=vclass)  # first: it may restore the ego's route
         senses = SensesNow(drive, ego, near, self._sight)
         states = senses.vehicles
         if self._wishes.visible_only:
@@ -149,7 +150,8 @@ class LaneLine:
         path = logged_path(self._road, self._drive) if self._drive.replayed() else None
         if place is not None and not self._drive.replayed():
             front = self._drive.simulation.lane_position(ego.id) if lane == ego.lane else place.front
-            ways = self._road.ways(lane, front - ego.length / 2, REACH, place.route)
+            vclass = self._drive.kind(ego.id)
+            ways = self._road.ways(lane, front - ego.length / 2, REACH, place.route, vclass=vclass)
             path = ways[0].path if ways else None
         if path is None:
             return None

@@ -64,7 +64,7 @@ def course(road: RoadMap, drive: Drive, state: VehicleState, duration: float) ->
         path = make_path(np.array([[state.x, state.y], [state.x + reach * c, state.y + reach * s]]))
         return ForecastPath(state, path, 0.0, 0.0, np.full(len(path.x), math.inf), ("",), np.array([math.inf]))
     position = max(0.0, drive.simulation.lane_position(state.id) - state.length / 2)
-    way = road.ways(state.lane, position, reach, drive.simulation.ahead(state.id))[0]
+    way = road.ways(state.lane, position, reach, drive.simulation.ahead(state.id), vclass=drive.kind(state.id))[0]
     station, offset = way.path.project(state.x, state.y, near=0.0)
     lengths = [float(np.hypot(*np.diff(road.lanes[n].shape, axis=0).T).sum()) for n in way.lanes]
     ends = np.cumsum(lengths) - position

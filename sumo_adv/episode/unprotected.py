@@ -17,9 +17,9 @@ from sumo_adv.episode.drive import Drive
 from sumo_adv.geometry import PATH_STEP, Path, make_path, wrap
 from sumo_adv.road_users import FASTEST, LIMITS, RoadUser, is_unprotected, road_user
 from sumo_adv.simulation.network import Way
+from sumo_adv.simulation.permissions import CYCLES, ON_FOOT
 from sumo_adv.situation import ReferencePath, relate
 
-CLASSES = frozenset({"bicycle", "pedestrian"})  # SUMO's vehicle classes
 STANDS = 0.3  # m/s, a slower pedestrian turns on the spot
 LATER = (0.0, 1.0, 2.0, 3.0, 4.0)  # s of going on until the turn
 LEAST_STRAIGHT = 1.0  # m before a turn: paths are smoothed over as much, and would begin turned
@@ -41,7 +41,7 @@ def may_attack(drive: Drive, name: str, only: Sequence[str]) -> bool:
     is_object = name in drive.obstacles
     if drive.simulation.remote is not None and name in drive.simulation.fleet.persons:
         return False
-    if not is_object and drive.simulation.vehicle_class(name) not in CLASSES:
+    if not is_object and drive.simulation.vehicle_class(name) not in CYCLES | ON_FOOT:
         return False
     return is_unprotected(drive.state(name)) and (not is_object or name in only or drive.placed(name))
 

@@ -80,7 +80,7 @@ def markings_of(road: RoadMap, changes: Changes) -> Iterator[Marking]:
     """The lines along all edges outside junctions."""
     for names in road.edges.values():
         lanes = [road.lanes[name] for name in names if len(road.lanes[name].shape) > 1]
-        driven = [lane for lane in lanes if lane.passenger and not lane.internal]
+        driven = [lane for lane in lanes if lane.carriageway and not lane.internal]
         if not driven:
             continue
         yield Marking(_beside(driven[0], INSET - driven[0].width / 2), SOLID)
@@ -103,7 +103,7 @@ def stop_lines(road: RoadMap) -> Iterator[StopLine]:
     """The lines across lanes at junctions."""
     for lane in road.lanes.values():
         onward = [c for c in lane.connections if c.movement != "u-turn"]
-        if lane.internal or not lane.passenger or not onward or len(lane.shape) < 2:
+        if lane.internal or not lane.carriageway or not onward or len(lane.shape) < 2:
             continue
         lit = [c.light for c in onward if c.light[0]]
         if lit:
@@ -165,7 +165,7 @@ def road_near(road: RoadMap, changes: Changes, tracks: Sequence[Track]) -> RoadN
     path = LineString(points) if len(points) > 1 else MultiPoint(points)
     lanes = [lane for lane in road.lanes.values() if len(lane.shape) > 1]
     strips = [
-        Strip(lane.shape, lane.width, OTHER if not lane.passenger else INSIDE if lane.internal else ROAD)
+        Strip(lane.shape, lane.width, OTHER if not lane.carriageway else INSIDE if lane.internal else ROAD)
         for lane in lanes
     ]
     strips += [Strip(area, 0.0, AREA) for area in road.junctions]

@@ -20,7 +20,7 @@ from sumo_adv.metrics.realism import envelope_left
 from sumo_adv.metrics.reference.cc_human import CcHuman
 from sumo_adv.metrics.reference.counterfactual import BEYOND, Counterfactual, Encounters
 from sumo_adv.metrics.severity import crash_of, hardness
-from sumo_adv.road_users import RoadUser, road_user
+from sumo_adv.road_users import is_unprotected, road_user
 from sumo_adv.simulation.network import Drivable
 from sumo_adv.situation import Situation
 
@@ -73,10 +73,8 @@ def danger_of(collisions: Collisions, drivable: Drivable) -> Danger:
     situations, ego, adversary, last = collisions.situations, collisions.ego, collisions.adversary, collisions.last
     n, dt = len(last), situations[0].dt
     onward = _onward(situations, ego, last)
-    users = [
-        road_user(situation.targets[bvs[0]].state) for situation, bvs in zip(situations, collisions.bvs, strict=True)
-    ]
-    small = np.array([user is not RoadUser.VEHICLE for user in users])
+    colliders = [situation.targets[bvs[0]].state for situation, bvs in zip(situations, collisions.bvs, strict=True)]
+    small = np.array([is_unprotected(collider) for collider in colliders])
     check = _check(  # others may hide a pedestrian; drivers see supports
         collisions, onward, np.arange(n), with_others=bool(small.any()) or len(collisions.supports) > 0
     )
@@ -95,7 +93,9 @@ def danger_of(collisions: Collisions, drivable: Drivable) -> Danger:
         crash_of(*_single(collisions.at_contact, k), _yaw_rates(ego, adversary, k, int(last[k]), dt)) for k in range(n)
     ]
     delta_v = np.array([impact.ego_delta_v for impact in impacts])
-    hard = np.array([hardness(impact, user) for impact, user in zip(impacts, users, strict=True)])
+    hard = np.array([
+        hardness(impact, road_user(collider)) for impact, collider in zip(impacts, colliders, strict=True)
+    ])  # fmt: skip
     human = small | _human(check, adversary, last, dt)
     span = np.arange(ego.x.shape[1])
     final = (span <= last[:, None]) & (span > last[:, None] - STATIONARY_FOR / dt)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -15,6 +15,7 @@ from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError
 from sumo_adv.geometry import Path, make_path, wrap
 from sumo_adv.simulation.drivable import KEY, Drivable, area_of
+from sumo_adv.simulation.permissions import ALL, CAR, EVERYWHERE, ON_FOOT, allowed, is_carriageway, is_paved
 
 MOVEMENTS = {"s": "straight", "l": "left", "L": "left", "r": "right", "R": "right", "t": "u-turn"}
 MOST_WIDTH = 6.0  # m: no lane is wider
@@ -28,7 +29,8 @@ class Connection:
     """A way from the end of a lane through a junction (``via``: internal lanes) to the next lane.
 
     link: junction and index there; yields_to: indices of those that have the right of way (SUMO's ``response``).
-    light: its traffic light's id and place in the light's state; empty without one."""
+    light: its traffic light's id and place in the light's state; empty without one. classes: SUMO's vehicle classes
+    that may take it."""
 
     to: str
     via: tuple[str, ...]
@@ -37,12 +39,13 @@ class Connection:
     link: tuple[str, int] = ("", -1)
     yields_to: frozenset[int] = frozenset()
     light: tuple[str, int] = ("", -1)
+    classes: frozenset[str] = field(repr=False, default=ALL)
 
 
 @dataclass(frozen=True, slots=True)
 class Lane:
     """One lane. ``shape`` is ``(n, 2)`` [m]; width, length [m]; speed [m/s]. index: from the right, also in left-hand
-    traffic, where SUMO counts from the left."""
+    traffic, where SUMO counts from the left. classes: SUMO's vehicle classes that may use it."""
 
     id: str
     edge: str
@@ -52,8 +55,22 @@ class Lane:
     length: float
     speed: float
     internal: bool
-    passenger: bool
+    classes: frozenset[str] = field(repr=False)
     connections: tuple[Connection, ...] = ()
+
+    def allows(self, vclass: str) -> bool:
+        """Whether a vehicle of a class may use it."""
+        return vclass in self.classes
+
+    @property
+    def carriageway(self) -> bool:
+        """Whether it is for motor vehicles of some class: also a bus lane, no cycle lane, sidewalk or track."""
+        return is_carriageway(self.classes)
+
+    @property
+    def paved(self) -> bool:
+        """Whether a car that leaves its own lane can drive on it: a carriageway or a cycle lane."""
+        return is_paved(self.classes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,27 +118,28 @@ class RoadMap:
 
     @cached_property
     def meeting_junctions(self) -> frozenset[str]:
-        """Ids of the junctions that passenger cars reach from two or more edges."""
+        """Ids of the junctions that motor vehicles reach from two or more edges."""
         edges: dict[str, set[str]] = {}
         for lane in self.lanes.values():
             for connection in () if lane.internal else lane.connections:
-                if connection.link[0] and lane.passenger:
+                if connection.link[0] and lane.carriageway and is_carriageway(connection.classes):
                     edges.setdefault(connection.link[0], set()).add(lane.edge)
         return frozenset(name for name, approaching in edges.items() if len(approaching) > 1)
 
     @cached_property
-    def _passenger_tree(self) -> tuple[Any, list[Lane]]:
-        return _tree_of(lane for lane in self.lanes.values() if lane.passenger)
+    def _paved_tree(self) -> tuple[Any, list[Lane]]:
+        return _tree_of(lane for lane in self.lanes.values() if lane.paved)
 
-    def passenger_lanes_within(self, x: float, y: float, radius: float) -> list[Lane]:
-        """Passenger lanes, also within junctions, of which a part of the centreline is within ``radius`` [m]."""
+    def paved_lanes_within(self, x: float, y: float, radius: float) -> list[Lane]:
+        """Paved lanes, also within junctions, of which a part of the centreline is within ``radius`` [m]."""
         from shapely import Point
 
-        tree, lanes = self._passenger_tree
+        tree, lanes = self._paved_tree
         return [lanes[i] for i in sorted(tree.query(Point(x, y).buffer(radius), predicate="intersects"))]
 
-    def lane_at(self, x: float, y: float, heading: float) -> tuple[str, float] | None:
-        """The passenger lane outside junctions in which a point is, and how far along [m]; its direction must agree."""
+    def lane_at(self, x: float, y: float, heading: float, vclass: str = CAR) -> tuple[str, float] | None:
+        """The lane for a class, outside junctions, in which a point is, and how far along [m]; its direction must
+        agree."""
         best: tuple[float, str, float] | None = None
         for lane in self.lanes_near(x, y, MOST_WIDTH):
             a, along = lane.shape[:-1], np.diff(lane.shape, axis=0)
@@ -130,20 +148,21 @@ class RoadMap:
             away = np.hypot(a[:, 0] + t * along[:, 0] - x, a[:, 1] + t * along[:, 1] - y)
             i = int(np.argmin(away))
             turned = abs(wrap(math.atan2(along[i, 1], along[i, 0]) - heading))
-            if lane.passenger and away[i] < lane.width / 2 and turned < IN_LINE and (not best or away[i] < best[0]):
+            inside = away[i] < lane.width / 2 and turned < IN_LINE
+            if lane.allows(vclass) and inside and (not best or away[i] < best[0]):
                 best = float(away[i]), lane.id, float(length[:i].sum() + t[i] * length[i])
         return None if best is None else best[1:]
 
     def opposite_offset(self, x: float, y: float, heading: float) -> float | None:
         """Lateral offset of the nearest lane on the inner side (left, in left-hand traffic right) that leads the
-        other way and touches ours; None if none."""
+        other way and touches ours; None if none. Only lanes for motor vehicles count."""
         best: float | None = None
         for lane in self.lanes_near(x, y, 12.0):
             i = int(np.argmin(np.hypot(lane.shape[:-1, 0] - x, lane.shape[:-1, 1] - y))) if len(lane.shape) > 2 else 0
             for j in range(max(0, i - 1), min(i + 2, len(lane.shape) - 1)):
                 a, b = lane.shape[j], lane.shape[j + 1]
                 h = math.atan2(b[1] - a[1], b[0] - a[0])
-                if not lane.passenger or abs(wrap(h - heading)) < 2.6:
+                if not lane.carriageway or abs(wrap(h - heading)) < 2.6:
                     continue
                 d = math.cos(h) * (y - a[1]) - math.sin(h) * (x - a[0])
                 t = math.cos(h) * (x - a[0]) + math.sin(h) * (y - a[1])
@@ -152,12 +171,15 @@ class RoadMap:
                     best = d
         return best
 
-    def side_offsets(self, lane_id: str, x: float, y: float, heading: float) -> list[tuple[float, str]]:
-        """Lanes beside ``lane_id`` as (offset [m], "same" | "opposite"), left positive, up to two to each side."""
+    def side_offsets(
+        self, lane_id: str, x: float, y: float, heading: float, vclass: str = CAR
+    ) -> list[tuple[float, str]]:
+        """Lanes beside ``lane_id`` as (offset [m], "same" | "opposite"), left positive, up to two to each side. Those
+        of the same direction are the ones that a vehicle of the class may use."""
         lane = self.lanes.get(lane_id)
         if lane is None or lane.internal:
             return []
-        offsets = [(offset, "same") for _, offset in self._beside(lane)]
+        offsets = [(offset, "same") for _, offset in self._beside(lane, vclass)]
         row = self.edges[lane.edge]
         inner = row[lane.index + 1 :] if self.hand > 0 else row[: lane.index]
         reach = sum(self.lanes[n].width for n in inner) + lane.width / 2
@@ -166,26 +188,27 @@ class RoadMap:
             offsets.append((opposite, "opposite"))
         return offsets
 
-    def _beside(self, lane: Lane) -> Iterator[tuple[Lane, float]]:
-        """The lanes of its edge, up to two to each side, and their offsets [m, left positive]."""
+    def _beside(self, lane: Lane, vclass: str) -> Iterator[tuple[Lane, float]]:
+        """The lanes of its edge for a class, up to two to each side, and their offsets [m, left positive]."""
         row = [self.lanes[n] for n in self.edges[lane.edge]]
         for i, neighbour in enumerate(row):
-            if i == lane.index or abs(i - lane.index) > 2 or not neighbour.passenger:
+            if i == lane.index or abs(i - lane.index) > 2 or not neighbour.allows(vclass):
                 continue
             between = sum(o.width for o in row[min(i, lane.index) + 1 : max(i, lane.index)])
             yield neighbour, math.copysign(between + (neighbour.width + lane.width) / 2, i - lane.index)
 
     def ways(
-        self, lane_id: str, position: float, reach: float, route: tuple[str, ...] = (), farthest: float = 0.0
-    ) -> list[Way]:
-        """Ways on from ``position`` metres along a lane for ``reach`` metres, on to ``farthest`` [m] where the last
-        lane goes as far.
+        self, lane_id: str, position: float, reach: float, route: tuple[str, ...] = (), farthest: float = 0.0,
+        vclass: str = CAR,
+    ) -> list[Way]:  # fmt: skip
+        """Ways on of a vehicle of a class from ``position`` metres along a lane for ``reach`` metres, on to
+        ``farthest`` [m] where the last lane goes as far.
 
         With ``route`` (edge ids from the present one) only that way; else one way for each movement at the first
         junction, then the straightest.
         """
         ways: list[Way] = []
-        for chain, first, junction, bay in self._chains(lane_id, position, reach, route):
+        for chain, first, junction, bay in self._chains(lane_id, position, reach, route, vclass):
             points = np.vstack([self.lanes[n].shape for n in chain])
             path = make_path(_cut(points, position, max(reach, farthest)), tightest=TIGHTEST)
             if path.length < reach:
@@ -197,11 +220,11 @@ class RoadMap:
         return ways
 
     def _chains(
-        self, lane_id: str, position: float, reach: float, route: tuple[str, ...]
+        self, lane_id: str, position: float, reach: float, route: tuple[str, ...], vclass: str
     ) -> Iterator[tuple[list[str], Connection | None, float, float]]:
         lane = self.lanes[lane_id]
         start = lane.length - position
-        options = self.onward(lane, route)
+        options = self.onward(lane, route, vclass)
         if start >= reach or not options:
             yield [lane_id], None, math.inf, math.inf
             return
@@ -209,7 +232,7 @@ class RoadMap:
             chain, length = [lane_id, *first.via, first.to], start
             length += sum(self.lanes[n].length for n in (*first.via, first.to))
             while length < reach:
-                onward = self.onward(self.lanes[chain[-1]], route)
+                onward = self.onward(self.lanes[chain[-1]], route, vclass)
                 if not onward:
                     break
                 step = onward[0]
@@ -225,31 +248,41 @@ class RoadMap:
             return start if on.via else math.inf
         return start + self.lanes[on.via[0]].length if len(on.via) > 1 else math.inf
 
-    def onward(self, lane: Lane, route: tuple[str, ...]) -> list[Connection]:
-        """Connections from a lane, straight ones first; only along ``route`` where that says something."""
+    def onward(self, lane: Lane, route: tuple[str, ...], vclass: str = CAR) -> list[Connection]:
+        """Connections from a lane for a class, straight ones first; only along ``route`` where that says something.
+
+        A vehicle on a lane that its class may not use goes on as the lane leads."""
         near, far = ("right", "left") if self.hand > 0 else ("left", "right")
         order = {"straight": 0, near: 1, far: 2, "u-turn": 3}
-        options = sorted((c for c in lane.connections if c.to in self.lanes), key=lambda c: order[c.movement])
+        errs = not lane.allows(vclass)
+        options = sorted(
+            (c for c in lane.connections if c.to in self.lanes and (errs or vclass in c.classes)),
+            key=lambda c: order[c.movement],
+        )
         if route and not lane.internal and lane.edge in route:
             at = route.index(lane.edge)
             following = route[at + 1] if at + 1 < len(route) else None
             chosen = [c for c in options if self.lanes[c.to].edge == following]
             if not chosen and following is not None:  # a neighbour lane leads there: the vehicle will change lanes
                 for name in self.edges[lane.edge][:: int(self.hand)]:
-                    chosen += [c for c in self.lanes[name].connections if self.lanes[c.to].edge == following]
+                    beside = self.lanes[name]
+                    chosen += [
+                        c for c in beside.connections if self.lanes[c.to].edge == following and vclass in c.classes
+                    ]
             return chosen[:1] if following is not None else []
         return [c for c in options if c.movement != "u-turn"]
 
     def strips(self, x: float, y: float, radius: float) -> list[tuple[Floats, float, bool]]:
-        """Shape, width [m], internal? of all passenger lanes near a place, for pictures."""
+        """Shape, width [m], internal? of all paved lanes near a place, for pictures."""
         return [
             (lane.shape, lane.width, lane.internal) for lane in self.lanes.values()
-            if lane.passenger
+            if lane.paved
             and np.min(np.hypot(lane.shape[:, 0] - x, lane.shape[:, 1] - y)) < radius + lane.length
         ]  # fmt: skip
 
     def drivable(self, x: float, y: float, radius: float) -> Drivable:
-        """The carriageway within about ``radius`` metres of a place: the network's own, else lanes and junctions."""
+        """The drivable ground within about ``radius`` metres of a place: the network's own, else the paved lanes and
+        the junctions. It is the same for all classes: a car that cuts into a bus lane is on the road."""
         from shapely import LineString, Point, Polygon, union_all
 
         if self.ground is not None:
@@ -257,7 +290,7 @@ class RoadMap:
         reach = Point(x, y).buffer(radius)
         shapes = [
             LineString(lane.shape).buffer(lane.width / 2 + 0.05, cap_style="square" if lane.internal else "flat")
-            for lane in self.passenger_lanes_within(x, y, radius)
+            for lane in self.paved_lanes_within(x, y, radius)
         ]
         for polygon in self.junctions:
             if len(polygon) > 2 and (p := Polygon(polygon).buffer(0.05)).intersects(reach):
@@ -306,7 +339,7 @@ def read_network(path: FilePath) -> RoadMap:
                 lane.getID(), edge.getID(), edges[edge.getID()].index(lane.getID()),
                 np.asarray(lane.getShape(), float)[:, :2],
                 float(lane.getWidth()), float(lane.getLength()), float(lane.getSpeed()), internal,
-                bool(lane.allows("passenger")) and edge.getFunction() in ("", "internal"), _connections(net, lane),
+                _classes(lane), _connections(net, lane),
             )  # fmt: skip
     junctions = tuple(np.asarray(n.getShape(), float)[:, :2] for n in net.getNodes() if len(n.getShape()) > 2)
     return RoadMap(path.name.split(".net.xml")[0], lanes, edges, junctions, _ground(path, net), hand)
@@ -330,7 +363,20 @@ def _ground(path: FilePath, net: Any) -> Any:
         raise UsageError(f"The drivable area in {path} is damaged ({error}); convert the record again.") from error
 
 
+def _classes(lane: Any) -> frozenset[str]:
+    """The vehicle classes that may use a lane of sumolib's; none but people on crossings and the like."""
+    classes = allowed(lane.getPermissions())
+    return _one(classes if lane.getEdge().getFunction() in ("", "internal") else classes & ON_FOOT)
+
+
+@cache
+def _one(classes: frozenset[str]) -> frozenset[str]:
+    """The one object for equal sets: a large network has thousands of lanes, and few different sets."""
+    return classes
+
+
 def _connections(net: Any, lane: Any) -> tuple[Connection, ...]:
+    """The connections from a lane that any vehicle may take."""
     connections = []
     for c in lane.getOutgoing():
         via, name = [], c.getViaLaneID()
@@ -338,12 +384,15 @@ def _connections(net: Any, lane: Any) -> tuple[Connection, ...]:
             via.append(name)
             onward = net.getLane(name).getOutgoing()
             name = onward[0].getViaLaneID() if onward and onward[0].getViaLaneID() not in via else ""
-        if c.getToLane().allows("passenger"):
+        classes = _classes(lane) & _classes(c.getToLane()) & allowed(c._allowed)  # sumolib has no getter for it
+        for name in via:
+            classes &= _classes(net.getLane(name))
+        if classes - ON_FOOT - {EVERYWHERE}:
             movement = MOVEMENTS.get(c.getDirection(), "straight")
             link, yields_to = _right_of_way(lane, via)
             light = (c.getTLSID() or "", int(c.getTLLinkIndex()))
             to, state = c.getToLane().getID(), c.getState() or "M"
-            connections.append(Connection(to, tuple(via), movement, state, link, yields_to, light))
+            connections.append(Connection(to, tuple(via), movement, state, link, yields_to, light, _one(classes)))
     return tuple(connections)
 
 

@@ -14,6 +14,7 @@ from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
 from sumo_adv.errors import UsageError
+from sumo_adv.simulation.permissions import CAR, classes_of, is_paved
 from sumo_adv.simulation.simulation import PERSON
 
 LONGEST_LANE = 1e6  # m, and m/s: beyond any
@@ -50,11 +51,13 @@ class DemandScan:
         return vehicle in self.vehicles | self.persons or flow in self.flows | self.persons
 
 
-def scan_network(path: Path) -> NetworkScan:
+def scan_network(path: Path, *, cars: bool = True) -> NetworkScan:
     """The edges of the SUMO network ``path``. Raises UsageError if it is damaged, is no SUMO network, has a lane with
-    an impossible length, width, speed or shape, or has no lane for passenger cars."""
+    an impossible length, width, speed or shape, or has no lane for passenger cars (without ``cars``: none for vehicles
+    of the road)."""
     edges: set[str] = set()
     drivable: set[str] = set()
+    paved: list[bool] = []
     root: list[str] = []
     current = ""
 
@@ -72,10 +75,12 @@ def scan_network(path: Path) -> NetworkScan:
             _check_lane(path, attributes)
             if current and allows_passenger(attributes):
                 drivable.add(current)
+            paved.append(bool(current) and is_paved(classes_of(attributes)))
 
     parse(path, start)
-    if not drivable:
-        raise UsageError(f"The network {path} has no lane that a passenger car may drive on: nothing can be run there.")
+    if not (drivable if cars else any(paved)):
+        kind = "passenger car" if cars else "vehicle of the road"
+        raise UsageError(f"The network {path} has no lane that a {kind} may drive on: nothing can be run there.")
     return NetworkScan(frozenset(edges), frozenset(drivable))
 
 
@@ -103,10 +108,7 @@ def _bad_lane(path: Path, lane: dict[str, str], what: str) -> str:
 
 def allows_passenger(lane: dict[str, str]) -> bool:
     """Whether SUMO's ``allow``/``disallow`` attributes of a lane let a passenger car in."""
-    allow, disallow = lane.get("allow"), lane.get("disallow", "").split()
-    if allow is not None and allow.split() != ["all"]:
-        return "passenger" in allow.split()
-    return "passenger" not in disallow and "all" not in disallow
+    return CAR in classes_of(lane)
 
 
 def scan_demand(path: Path) -> DemandScan:

@@ -153,14 +153,15 @@ class MapLane:
 
 
 def map_lanes(piece: Piece) -> list[MapLane]:
-    """The passenger lanes within ``REACH`` of the vehicles' paths, also those within junctions, numbered from 1.
+    """The lanes for motor vehicles within ``REACH`` of the vehicles' paths, also those within junctions,
+    numbered from 1.
 
     Raises UsageError: the network is unreadable.
     """
     from shapely import MultiPoint, dwithin, linestrings
 
     road = network(piece.network)
-    lanes = [lane for lane in road.lanes.values() if lane.passenger and len(lane.shape) > 1]
+    lanes = [lane for lane in road.lanes.values() if lane.carriageway and len(lane.shape) > 1]
     points = np.concatenate([np.column_stack([t.x, t.y])[::10] for t in piece.tracks])
     near = dwithin([linestrings(lane.shape) for lane in lanes], MultiPoint(points), REACH)
     kept = [lane for lane, is_near in zip(lanes, near, strict=True) if is_near]
