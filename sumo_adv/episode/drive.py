@@ -12,10 +12,22 @@ from pathlib import Path
 from typing import NamedTuple
 
 from sumo_adv.datatypes import Role, Track, VehicleState
-from sumo_adv.drivers import Action, EgoController, LaneSpeed, Observation, ReplayEgo, Steer, Vehicle, apply_steer
+from sumo_adv.drivers import (
+    Action,
+    EgoController,
+    ExternalEgo,
+    LaneSpeed,
+    Observation,
+    ReplayEgo,
+    Steer,
+    Vehicle,
+    apply_steer,
+)
 from sumo_adv.drivers.protocol import Senses, wishes_of
+from sumo_adv.episode.ego_place import EgoPlace, Place
 from sumo_adv.errors import DriverError
 from sumo_adv.geometry import Pose
+from sumo_adv.simulation.network import RoadMap
 from sumo_adv.simulation.playback import Playback
 from sumo_adv.simulation.remote import Remote
 from sumo_adv.simulation.signals import LightsNear
@@ -97,6 +109,8 @@ class Drive:
         self.steered = False  # the ego's driver, not SUMO, moved the ego in the last step
         self.heeding = False  # it did so with pedals and wheel, and asks for SUMO's advice
         self.actions = ActionCount()  # of the ego's driver since it took over
+        self._ego_place: EgoPlace | None = None
+        self._placed: tuple[float, Place | None] = (-math.inf, None)  # when it was last worked out [s]
         self.on_load: Callable[[], None] | None = None  # called when the simulation was loaded again
         self.lights: LightsNear | None = None  # set if the states of traffic lights are recorded
         self.playback = playback
@@ -161,13 +175,13 @@ class Drive:
             self.playback.take(vehicle, speed, factor, replayed=isinstance(self.controller, ReplayEgo))
         with self._driver("reset"):
             self.controller.reset(self.seed)
-        self.actions = ActionCount()
+        self.actions, self._ego_place = ActionCount(), None
         self.ego = vehicle
         self._takeovers.append((len(self.recording.snapshots), vehicle))
 
     def release(self) -> None:
         """Make the ego a background vehicle again. It keeps the ego's vType; SUMO drives it."""
-        self.ego, self.steered, self.heeding = None, False, False
+        self.ego, self.steered, self.heeding, self._ego_place = None, False, False, None
         self._takeovers.append((len(self.recording.snapshots), None))
 
     def tick(self, poses: Mapping[str, Pose] | None = None, ego: Action = None) -> Snapshot:
@@ -206,6 +220,7 @@ class Drive:
         if self.on_load is not None:
             self.on_load()
         self.ego, self._takeovers, self._playing, self.steered, self.heeding = None, [], False, False, False
+        self._ego_place = None
         self.recording = Recording(self.recording.step_length)
         for k in range(steps):
             self._change_ego(takeovers, k)
@@ -275,7 +290,29 @@ class Drive:
         """The edges of the ego's whole route."""
         assert self.ego is not None
         logged = self.playback.spec.routes.get(self.ego, ()) if self.playback is not None and self.replayed() else ()
-        return logged or self.simulation.route(self.ego)[0]
+        kept = self._ego_place.route if self._ego_place is not None and self._moved else ()
+        return logged or kept or self.simulation.route(self.ego)[0]
+
+    def place(self, road: RoadMap) -> Place | None:
+        """Where the ego is on its route now; None while it is off all lanes. SUMO gets back a route that it has
+        replaced because the ego's driver left the lanes of it."""
+        assert self.ego is not None
+        if self._ego_place is None:
+            self._ego_place, self._placed = EgoPlace(road, self.simulation), (-math.inf, None)
+        if self._placed[0] != self.now:
+            place = self._ego_place(self.state(self.ego), moved=self._moved, restores=self.steered)
+            self._placed = (self.now, place)
+        return self._placed[1]
+
+    def closed(self, lane: str) -> bool:
+        """Whether the ego may not use a lane now."""
+        assert self.ego is not None
+        return self.simulation.closed(lane, self.simulation.vehicle_class(self.ego))
+
+    @property
+    def _moved(self) -> bool:
+        """Whether SUMO may have replaced the ego's route because another program moves it."""
+        return self.steered or isinstance(self.controller, ExternalEgo)
 
     def recorded(self) -> bool:
         return self.playback is not None and self.playback.log is not None

@@ -16,6 +16,7 @@ from typing import Any, TypeVar
 from sumo_adv.datatypes import DriverModel, VehicleState
 from sumo_adv.errors import SimulationError, UsageError
 from sumo_adv.geometry import Pose, wrap
+from sumo_adv.simulation.arrivals import Arrival, arrival, arrival_attributes
 from sumo_adv.simulation.programs import load_libsumo
 from sumo_adv.simulation.remote import RawState, Remote
 from sumo_adv.simulation.sumo_options import DEFAULTS, FORCED
@@ -113,17 +114,19 @@ class Snapshot:
 
 @dataclass(slots=True)
 class Fleet:
-    """Sizes (length, width in m) and vClasses of the vehicles and persons seen, asked of SUMO once each. persons: those
-    of them that are SUMO's persons, and no vehicles."""
+    """Sizes (length, width in m) and vClasses of the vehicles and persons seen, and attributes of where a vehicle
+    leaves, asked of SUMO once each. persons: those of them that are SUMO's persons, and no vehicles."""
 
     sizes: dict[str, tuple[float, float]] = field(default_factory=dict)
     classes: dict[str, str] = field(default_factory=dict)
+    arrivals: dict[str, Mapping[str, str]] = field(default_factory=dict)
     persons: set[str] = field(default_factory=set)
 
     def forget(self, keep: Collection[str]) -> None:
         """Drop all but these: what a simulation that goes on for hours needs."""
         self.sizes = {name: size for name, size in self.sizes.items() if name in keep}
         self.classes = {name: kind for name, kind in self.classes.items() if name in keep}
+        self.arrivals = {name: known for name, known in self.arrivals.items() if name in keep}
         self.persons.intersection_update(keep)
 
 
@@ -141,6 +144,8 @@ class Simulation:
         self._asked: dict[str, float] = {}  # speeds [m/s] of the vehicles that are moved in the next step,
         self._given: dict[str, float] = {}  # and that were moved in the last one
         self._walked: dict[str, tuple[float, float]] = {}  # where the persons on foot are
+        self._limits: dict[str, float] = {}  # of lanes in this step [m/s],
+        self._closed: dict[str, Collection[str]] = {}  # and the classes that may not use them
         self._as_cars: set[str] = set()  # moved pedestrians and cyclists, which SUMO takes for cars
         self.api: Any  # libsumo or the connection itself, for what only ``stage.py`` asks of it
         self.errors: tuple[type[Exception], ...]  # what ``api`` raises
@@ -217,6 +222,8 @@ class Simulation:
     def step(self) -> None:
         """One step of ``step_length``. Raises SimulationError: SUMO failed."""
         self._given, self._asked = self._asked, {}
+        self._limits.clear()
+        self._closed.clear()
         if self.remote is not None:
             self.remote.step()
             return
@@ -300,10 +307,31 @@ class Simulation:
         return edges[max(at, 0) :]
 
     def lane_position(self, vehicle: str) -> float:
-        """Metres from the start of the present lane to the front bumper."""
+        """SUMO's position of the front bumper on the present lane [m]; ``Lane.station_of`` makes it metres of road."""
         if self.remote is not None and vehicle in self.remote.lane_positions:
             return self.remote.lane_positions[vehicle]
         return float(self.api.vehicle.getLanePosition(vehicle))
+
+    def lane_limit(self, lane: str) -> float:
+        """The speed limit of a lane now [m/s]; variable signs and other programs change it."""
+        if lane not in self._limits:
+            self._limits[lane] = float(self.api.lane.getMaxSpeed(lane))
+        return self._limits[lane]
+
+    def closed(self, lane: str, kind: str) -> bool:
+        """Whether vehicles of a class may not use a lane now; rerouters and other programs close lanes."""
+        if lane not in self._closed:
+            self._closed[lane] = self.api.lane.getDisallowed(lane)
+        return kind in self._closed[lane]
+
+    def arrival(self, vehicle: str) -> Arrival | None:
+        """Where SUMO takes a vehicle out; None where its way is unknown."""
+        edges, _ = self.route(vehicle)
+        if not edges:
+            return None
+        if vehicle not in self.fleet.arrivals:
+            self.fleet.arrivals[vehicle] = arrival_attributes(self.api, vehicle)
+        return arrival(self.fleet.arrivals[vehicle], edges, self.api)
 
     def vehicle_class(self, vehicle: str) -> str:
         """SUMO's vClass; asked once a vehicle."""
