@@ -14,7 +14,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "sumo_adv"
 LEVELS = (
-    ("asked", "datatypes", "errors", "files", "geometry", "goal", "parsing", "road_users", "situation"),
+    ("asked", "datatypes", "errors", "files", "geometry", "goal", "parsing", "road_users", "situation", "times"),
     ("config", "config_odd", "metrics", "simulation", "memory"),
     ("planners", "drivers", "llm", "transformer"),
     ("search",),

@@ -24,7 +24,7 @@ from sumo_adv.drivers import (
     apply_steer,
 )
 from sumo_adv.drivers.protocol import Senses, wishes_of
-from sumo_adv.episode.ego_place import EgoPlace, Place
+from sumo_adv.episode.ego_place import EgoPlace, Place, back_to_lane
 from sumo_adv.errors import DriverError
 from sumo_adv.geometry import Pose
 from sumo_adv.simulation.network import RoadMap
@@ -337,8 +337,9 @@ class Drive:
             with self._driver("act"):
                 action = self.controller.act(observation)
             heeds = wishes.needs_road and observation.road is not None
+        answer, action = action, self._led_back(action)
         self.steered = isinstance(action, Steer | Pose)
-        self.heeding = isinstance(action, Steer) and heeds
+        self.heeding = isinstance(answer, Steer) and heeds
         reachable = math.inf
         if isinstance(action, Steer):
             after = apply_steer(self.state(self.ego), action, self.recording.step_length, wishes.bicycle)
@@ -352,7 +353,19 @@ class Drive:
                 self.simulation.change_lane(self.ego, action.lane)
         else:
             self.simulation.set_speed(self.ego, None)
-        self.actions.answered(action, reachable)
+        self.actions.answered(answer, reachable)
+
+    def _led_back(self, action: Action) -> Action:
+        """The action, or a way back to the ego's own lane where its driver gives it to SUMO on a lane off its route:
+        SUMO would turn it round there."""
+        if self._ego_place is None or not self.steered or isinstance(action, Steer | Pose):
+            return action
+        assert self.ego is not None
+        place = self.place(self._ego_place.road)
+        if place is None or not self._ego_place.astray:
+            return action
+        speed = action.speed if isinstance(action, LaneSpeed) else None
+        return back_to_lane(place, self.state(self.ego), speed, self.recording.step_length)
 
     def where(self) -> str:
         """Where the ego's driver is: its step, counted from 1 where it took over, and the time."""

@@ -12,6 +12,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from sumo_adv.datatypes import VehicleState
+from sumo_adv.drivers import Steer
+from sumo_adv.drivers.protocol import WHEELBASE
 from sumo_adv.geometry import wrap
 from sumo_adv.simulation.network import Lane, RoadMap
 from sumo_adv.simulation.simulation import Simulation
@@ -33,14 +35,19 @@ class Place:
 
 
 class EgoPlace:
-    """Finds the place of one ego. State: its route, and how far it has come."""
+    """Finds the place of one ego. State: its route, and how far it has come.
+
+    Attributes:
+        road: the map that its lanes are of.
+        astray: whether SUMO has another route for the ego since it was on a lane beside its own.
+    """
 
     def __init__(self, road: RoadMap, simulation: Simulation) -> None:
-        self._road, self._simulation = road, simulation
+        self.road, self._simulation = road, simulation
+        self.astray = False
         self._route: tuple[str, ...] = ()
         self._at = 0  # index of the present edge
         self._seen: tuple[str, ...] = ()  # SUMO's edges from the present one on, when they were last looked at
-        self._off = False  # SUMO has another route for it since it was on a lane beside the route
         self._last: Place | None = None
         self._from = (0.0, 0.0)  # the ego's centre then
 
@@ -56,7 +63,7 @@ class EgoPlace:
             moved: whether the ego's driver, not SUMO, moves it.
             restores: whether SUMO gets the ego's own route back once the ego is on it again.
         """
-        lane = self._road.lanes.get(ego.lane)
+        lane = self.road.lanes.get(ego.lane)
         if lane is None:
             return None
         present, index = self._simulation.route(ego.id)
@@ -73,24 +80,24 @@ class EgoPlace:
         return place
 
     def _adopt(self, route: tuple[str, ...], at: int) -> None:
-        self._route, self._at, self._seen, self._off = route, at, route[at:], False
+        self._route, self._at, self._seen, self.astray = route, at, route[at:], False
 
     def _follow(self, ego: VehicleState, lane: Lane, present: tuple[str, ...], at: int, *, restores: bool) -> None:
         """Take over what SUMO says of the route, except what ``moveToXY`` has made of it."""
-        ahead, edge = present[at:], _edge_of(self._road, lane)
+        ahead, edge = present[at:], _edge_of(self.road, lane)
         here = self._advanced(ego, lane, present[at] if ahead else edge)
         if here is not None and self._route[here:] == ahead:
-            self._at, self._off = here, False
-        elif not self._off and edge in self._seen and here is None and ahead[:1] != self._seen[:1]:
-            self._off = True  # a later part of the route that lies beside the present one
-        elif not self._off and edge in self._seen:  # ``moveToXY`` leaves such a route as it is: it was given another
+            self._at, self.astray = here, False
+        elif not self.astray and edge in self._seen and here is None and ahead[:1] != self._seen[:1]:
+            self.astray = True  # a later part of the route that lies beside the present one
+        elif not self.astray and edge in self._seen:  # ``moveToXY`` leaves such a route as it is: it was given another
             self._adopt(present, at)
         elif here is not None and not lane.internal and restores:
-            self._at, self._off = here, False
+            self._at, self.astray = here, False
             ahead = self._route[here:]
             self._simulation.set_route(ego.id, ahead)
         else:
-            self._off = True
+            self.astray = True
         self._seen = ahead
 
     def _advanced(self, ego: VehicleState, lane: Lane, edge: str) -> int | None:
@@ -105,7 +112,7 @@ class EgoPlace:
         last = self._last
         if last is None or index == self._at:
             return True
-        between = sum(self._road.lanes[self._road.edges[e][0]].length for e in self._route[self._at + 1 : index])
+        between = sum(self.road.lanes[self.road.edges[e][0]].length for e in self._route[self._at + 1 : index])
         left = 0.0 if last.lane.internal else last.lane.length - last.front
         return left + between + front < LONGEST_STEP_M
 
@@ -113,10 +120,10 @@ class EgoPlace:
         """The place on the route; None if it is farther than ``LEFT_ROUTE_M``."""
         route = self._route[self._at :]
         if not route:
-            lane = _beside(self._road, ego, lane)
+            lane = _beside(self.road, ego, lane)
             return Place(lane, front_on(lane, ego, self._simulation), ())
         options = list(self._candidates())
-        if not self._off and _edge_of(self._road, lane) in {other.edge for _, other in options}:
+        if not self.astray and _edge_of(self.road, lane) in {other.edge for _, other in options}:
             return Place(lane, front_on(lane, ego, self._simulation), route)
         reached = [(k, o) for k, o in options if o.internal or self._gone(k, _front(o, ego))]
         k, nearest = min(reached, key=lambda option: option[1].away(ego.x, ego.y), default=(0, None))
@@ -128,10 +135,10 @@ class EgoPlace:
     def _candidates(self) -> Iterator[tuple[int, Lane]]:
         """The lanes of the route from the present edge on, also those over junctions, with the index of their edge;
         those over a junction count with the edge before it."""
-        beyond, lanes = 0.0, self._road.lanes
+        beyond, lanes = 0.0, self.road.lanes
         for index in range(self._at, len(self._route)):
             edge = self._route[index]
-            row = [lanes[name] for name in self._road.edges.get(edge, ())]
+            row = [lanes[name] for name in self.road.edges.get(edge, ())]
             row = [lane for lane in row if lane.passenger] or row
             yield from ((index, lane) for lane in row)
             following = self._route[index + 1] if index + 1 < len(self._route) else None
@@ -141,6 +148,25 @@ class EgoPlace:
             beyond += row[0].length if row and index > self._at else 0.0
             if beyond > WINDOW_M:
                 return
+
+
+CREEP_M_S = 3.0  # a slower vehicle does not come back to its lane
+AIM_S, AIM_M = 0.6, 4.0  # s at its speed and least m ahead, at which a vehicle aims on its way back
+
+
+def back_to_lane(place: Place, ego: VehicleState, speed: float | None, dt: float) -> Steer:
+    """How an ego that SUMO has on a lane off its route comes back to its own: pure pursuit of its lane's centre.
+
+    Args:
+        speed: to drive at [m/s]; None: as now.
+        dt: of a step [s].
+    """
+    x, y, _ = place.lane.point_at(place.front - ego.length / 2 + max(AIM_S * ego.speed, AIM_M))
+    angle = wrap(math.atan2(y - ego.y, x - ego.x) - ego.heading)
+    wanted = max(ego.speed if speed is None else speed, CREEP_M_S)
+    return Steer(
+        (wanted - ego.speed) / dt, math.atan(2 * WHEELBASE * math.sin(angle) / math.dist((x, y), (ego.x, ego.y)))
+    )
 
 
 def front_on(lane: Lane, vehicle: VehicleState, simulation: Simulation) -> float:

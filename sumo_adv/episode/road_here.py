@@ -79,7 +79,8 @@ class RoadNow(Road):
 
     @cached_property
     def limit(self) -> float:
-        return self._now().drive.simulation.limit(self._ego.id)
+        simulation, lane = self._now().drive.simulation, self._place.lane.id
+        return simulation.limit(self._ego.id, lane if lane != self._ego.lane else None)
 
     @cached_property
     def sides(self) -> tuple[float, ...]:

@@ -353,9 +353,12 @@ class Simulation:
         """Traffic lights ahead of a vehicle: (id, distance [m], state letter)."""
         return [(t[0], t[2], t[3]) for t in self.api.vehicle.getNextTLS(vehicle)]
 
-    def limit(self, vehicle: str) -> float:
-        """The fastest its driver goes where it is [m/s]."""
-        return float(self.api.vehicle.getAllowedSpeed(vehicle))
+    def limit(self, vehicle: str, lane: str | None = None) -> float:
+        """The fastest its driver goes [m/s] where it is, or on another lane."""
+        v = self.api.vehicle
+        if lane is None:
+            return float(v.getAllowedSpeed(vehicle))
+        return float(min(v.getMaxSpeed(vehicle), self.lane_limit(lane) * v.getSpeedFactor(vehicle)))
 
     def reachable(self, vehicle: str, speed: float) -> float:
         """The highest speed [m/s] that SUMO lets a vehicle have after a step, with no vehicle and no line ahead."""

@@ -28,6 +28,7 @@ from sumo_adv.report.tables import quoted
 from sumo_adv.road_users import RoadUser, road_user
 from sumo_adv.simulation.network import Lane, RoadMap, read_network
 from sumo_adv.simulation.simulation import angle_deg_of
+from sumo_adv.times import seconds_text
 
 HEAD = '<?xml version="1.0" encoding="UTF-8"?>\n<fcd-export>\n'
 CONFIGURATION, TYPES, TRAJECTORIES, VIEW = "replay.sumocfg", "types.add.xml", "replay.fcd.xml", "view.xml"
@@ -91,7 +92,7 @@ def _fcd_text(rows: Iterable[Row], piece: Piece) -> str:
         steps[round(row.time / piece.step)].append(row)
     parts = [HEAD]
     for step in sorted(steps):
-        parts.append(f'    <timestep time="{steps[step][0].time:.2f}">\n')
+        parts.append(f'    <timestep time="{seconds_text(steps[step][0].time)}">\n')
         parts += [row.text() for row in steps[step]]
         parts.append("    </timestep>\n")
     parts.append("</fcd-export>\n")
@@ -192,8 +193,8 @@ def _configuration(piece: Piece, network: str, begin: float) -> str:
         <additional-files value="{TYPES}"/>
     </input>
     <time>
-        <begin value="{begin:.2f}"/>
-        <end value="{piece.end + piece.step:.2f}"/>
+        <begin value="{seconds_text(begin)}"/>
+        <end value="{seconds_text(piece.end + piece.step)}"/>
         <step-length value="{piece.step:g}"/>
     </time>
     <processing>
@@ -233,7 +234,7 @@ def table(piece: Piece) -> str:
             numbers = f"{track.x[k]:.4f},{track.y[k]:.4f},{track.heading[k]:.6f},{track.speed[k]:.4f}"
             driven = track.role is Role.ADVERSARY and piece.takeover is not None and time > piece.takeover + 5e-4
             text = (
-                f"{time:.2f},{quoted(track.id)},{track.role},{numbers},{track.acceleration[k]:.4f},{track.length:.2f},"
+                f"{seconds_text(time)},{quoted(track.id)},{track.role},{numbers},{track.acceleration[k]:.4f},{track.length:.2f},"
                 f"{track.width:.2f},{quoted(track.lane[k])},{int(driven)},{f'{distance[k]:.4f}' if there[k] else ''}\n"
             )
             rows.append((time, order, text))
