@@ -21,6 +21,7 @@ from sumo_adv.simulation.simulation import Simulation
 LEFT_ROUTE_M = 20.0  # from all lanes of the route: the ego has left it
 WINDOW_M = 100.0  # of the route beyond the present edge in which the ego is looked for
 LONGEST_STEP_M = 30.0  # along the route: no step is longer, but a route that comes back on the other side may be
+ACROSS_RAD = 0.5  # more than that from its lane's direction a vehicle stands across
 BESIDE_M = 8.0  # about two lanes: within which a lane of the ego's direction is looked for without a route
 
 
@@ -170,15 +171,20 @@ def back_to_lane(place: Place, ego: VehicleState, speed: float | None, dt: float
 
 
 def front_on(lane: Lane, vehicle: VehicleState, simulation: Simulation) -> float:
-    """Metres along a lane to a vehicle's front bumper: SUMO's where it has the vehicle there, else the nearest."""
-    return lane.station_of(simulation.lane_position(vehicle.id)) if lane.id == vehicle.lane else _front(lane, vehicle)
+    """Metres along a lane to a vehicle's front bumper: SUMO's where it has the vehicle there, else half a length beyond
+    the place that is nearest to its centre. So it is for a vehicle that stands across, too."""
+    if lane.id == vehicle.lane and _turned(lane, vehicle) < ACROSS_RAD:
+        return lane.station_of(simulation.lane_position(vehicle.id))
+    return _front(lane, vehicle)
 
 
 def _front(lane: Lane, vehicle: VehicleState) -> float:
-    """Metres along a lane to its point that is nearest to a vehicle's front bumper."""
-    ahead = vehicle.length / 2
-    x, y = vehicle.x + ahead * math.cos(vehicle.heading), vehicle.y + ahead * math.sin(vehicle.heading)
-    return lane.station_at(x, y)
+    return lane.station_at(vehicle.x, vehicle.y) + vehicle.length / 2
+
+
+def _turned(lane: Lane, vehicle: VehicleState) -> float:
+    """The angle between a vehicle and a lane's direction [rad]."""
+    return abs(wrap(lane.point_at(lane.station_at(vehicle.x, vehicle.y))[2] - vehicle.heading))
 
 
 def _edge_of(road: RoadMap, lane: Lane) -> str:
@@ -195,7 +201,7 @@ def _edge_of(road: RoadMap, lane: Lane) -> str:
 
 def against(lane: Lane, vehicle: VehicleState) -> bool:
     """Whether a vehicle heads against a lane's direction."""
-    return abs(wrap(lane.point_at(lane.station_at(vehicle.x, vehicle.y))[2] - vehicle.heading)) > math.pi / 2
+    return _turned(lane, vehicle) > math.pi / 2
 
 
 def lane_on_route(road: RoadMap, vehicle: VehicleState, route: Sequence[str]) -> Lane | None:
