@@ -142,11 +142,13 @@ class Road:
     limit: the fastest that the ego's SUMO type goes here [m/s]: the posted limit times ``speedFactor``, at most
     ``maxSpeed``. sides: centres of the lanes beside the ego's that lead the same way, as offsets from its lane
     [m, left positive], for the next ``until`` metres. width: of the ego's lane [m].
-    leaves: the ego's route ends within a few metres, where SUMO will remove it.
+    leaves: SUMO will remove the ego within a few metres, at its ``arrivalPos`` or the end of its route.
 
     lanes: all lanes for cars within 120 m of the ego. edges: the boundary of the carriageway within 120 m, lines
     ``(n, 2)``. limits, stop_lines, conflicts: on the path within 120 m, nearest first. ``lanes`` and ``edges`` stay the
-    same objects until the ego has gone 10 m or its route changes.
+    same objects until the ego has gone 10 m or its route changes; ``lanes`` is made again where a limit changes or a
+    lane closes, too. Limits are those of now. A lane that is closed to the ego's class is in neither ``lanes`` nor
+    ``sides``.
 
     advised: with ``needs_road`` and ``Steer`` alone: the speed [m/s] that SUMO's driver would have chosen in the last
     step, with regard to lights, right of way and leaders; at most the speed that the controller asked for. None while
@@ -175,10 +177,11 @@ class Road:
 class Observation:
     """What the driver sees at ``time`` [s, of the simulation]; the step to come lasts ``dt`` [s].
 
-    others: vehicles within 120 m, box centres in the world frame; in a run each is a ``Vehicle``. lane_heading: of the
-    ego's lane at the ego [rad]. lane_offset: of the ego's centre from the lane's centre [m, left positive]. path:
-    points [m] on the centreline of the ego's lane and route, from the ego (or a few metres before) to at least 60 m
-    ahead. road: the map at the ego. These four are None where they are not known, as off the road. ``road`` and each
+    others: vehicles within 120 m, box centres in the world frame; in a run each is a ``Vehicle``. The ego's lane is the
+    one of its route that is nearest to it, whatever lane SUMO takes it to be on. lane_heading: of that lane at the ego
+    [rad]. lane_offset: of the ego's centre from the lane's centre [m, left positive]. path: points [m] on the
+    centreline of that lane and of the route, from the ego (or a few metres before) to at least 60 m ahead. road: the
+    map at the ego. These four are None where they are not known, as off the road. ``road`` and each
     ``Vehicle`` must be read in the ``act`` that got them: later an attribute that was not read yet is refused.
     """
 
