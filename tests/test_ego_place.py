@@ -128,11 +128,14 @@ def test_where_sumo_overtakes_on_the_other_side_the_path_stays(net: Path, tmp_pa
         check_on_route(kept, end)
 
 
-def test_what_searches_and_judges_takes_the_same_path(net: Path, tmp_path: Path) -> None:
-    """The encounter's path, the forecast and the situation of an ego that another program has on the other side."""
+@pytest.mark.parametrize("known", [True, False])
+def test_what_searches_and_judges_takes_the_same_path(net: Path, tmp_path: Path, known: bool) -> None:
+    """The encounter's path and the forecast of an ego that another program has on the other side, whose route SUMO
+    knows or not."""
     cars = [EGO, vehicle("far", "fe ew", 0, 100.0, 13.0)]
     moving, road = Drive(make_spec(tmp_path, net, cars), ExternalEgo(), 1), read_network(net)
     try:
+        moving.simulation.unrouted = frozenset() if known else frozenset({"ego"})
         moving.tick()
         moving.take_over("ego")
         for k in range(20):
@@ -143,8 +146,7 @@ def test_what_searches_and_judges_takes_the_same_path(net: Path, tmp_path: Path)
         assert path is not None and path.x[-1] > path.x[0] + 300.0
         track = traffic_forecast(road, moving, 4.0)["ego"]
         assert track.x[-1] > moving.state("ego").x + 50.0
-        trigger = trigger_state(road, moving, [])
-        assert trigger.route == ("we", "ef")
+        assert trigger_state(road, moving, []).route == (("we", "ef") if known else ())
     finally:
         moving.simulation.close()
 

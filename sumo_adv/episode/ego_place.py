@@ -50,7 +50,7 @@ class EgoPlace:
         self._at = 0  # index of the present edge
         self._seen: tuple[str, ...] = ()  # SUMO's edges from the present one on, when they were last looked at
         self._last: Place | None = None
-        self._from = (0.0, 0.0)  # the ego's centre then
+        self._from = (0.0, 0.0)  # the ego's centre in the last look
 
     @property
     def route(self) -> tuple[str, ...]:
@@ -65,19 +65,21 @@ class EgoPlace:
             restores: whether SUMO gets the ego's own route back once the ego is on it again.
         """
         lane = self.road.lanes.get(ego.lane)
+        near = math.dist(self._from, (ego.x, ego.y)) < LONGEST_STEP_M
+        self._from = ego.x, ego.y
         if lane is None:
             return None
         present, index = self._simulation.route(ego.id)
-        near = math.dist(self._from, (ego.x, ego.y)) < LONGEST_STEP_M
+        at = max(index, 0)  # SUMO's is -1 for a vehicle that has not departed
         if moved and near and self._route:
-            self._follow(ego, lane, present, max(index, 0), restores=restores)
+            self._follow(ego, lane, present, at, restores=restores)
         else:
-            self._adopt(present, max(index, 0))
+            self._adopt(present, at)
         place = self._nearest(ego, lane)
         if place is None:  # it has left its route for good
-            self._adopt(present, max(index, 0))
-            place = self._nearest(ego, lane) or Place(lane, front_on(lane, ego, self._simulation), present[index:])
-        self._last, self._from = place, (ego.x, ego.y)
+            self._adopt(present, at)
+            place = self._nearest(ego, lane) or Place(lane, front_on(lane, ego, self._simulation), present[at:])
+        self._last = place
         return place
 
     def _adopt(self, route: tuple[str, ...], at: int) -> None:
@@ -123,10 +125,9 @@ class EgoPlace:
         if not route:
             lane = _beside(self.road, ego, lane)
             return Place(lane, front_on(lane, ego, self._simulation), ())
-        options = list(self._candidates())
-        if not self.astray and _edge_of(self.road, lane) in {other.edge for _, other in options}:
+        if not self.astray and _edge_of(self.road, lane) in route[:2]:  # the second one from on the junction before it
             return Place(lane, front_on(lane, ego, self._simulation), route)
-        reached = [(k, o) for k, o in options if o.internal or self._gone(k, _front(o, ego))]
+        reached = [(k, o) for k, o in self._candidates() if o.internal or self._gone(k, _front(o, ego))]
         k, nearest = min(reached, key=lambda option: option[1].away(ego.x, ego.y), default=(0, None))
         if nearest is None or nearest.away(ego.x, ego.y) > LEFT_ROUTE_M:
             return None
@@ -165,9 +166,8 @@ def back_to_lane(place: Place, ego: VehicleState, speed: float | None, dt: float
     x, y, _ = place.lane.point_at(place.front - ego.length / 2 + max(AIM_S * ego.speed, AIM_M))
     angle = wrap(math.atan2(y - ego.y, x - ego.x) - ego.heading)
     wanted = max(ego.speed if speed is None else speed, CREEP_M_S)
-    return Steer(
-        (wanted - ego.speed) / dt, math.atan(2 * WHEELBASE * math.sin(angle) / math.dist((x, y), (ego.x, ego.y)))
-    )
+    away = max(math.dist((x, y), (ego.x, ego.y)), AIM_M / 2)
+    return Steer((wanted - ego.speed) / dt, math.atan(2 * WHEELBASE * math.sin(angle) / away))
 
 
 def front_on(lane: Lane, vehicle: VehicleState, simulation: Simulation) -> float:
@@ -179,6 +179,7 @@ def front_on(lane: Lane, vehicle: VehicleState, simulation: Simulation) -> float
 
 
 def _front(lane: Lane, vehicle: VehicleState) -> float:
+    """Half a vehicle's length beyond the place on a lane that is nearest to its centre [m]."""
     return lane.station_at(vehicle.x, vehicle.y) + vehicle.length / 2
 
 
