@@ -24,7 +24,7 @@ from sumo_adv.drivers import (
     apply_steer,
 )
 from sumo_adv.drivers.protocol import Senses, wishes_of
-from sumo_adv.episode.ego_place import EgoPlace, Place, back_to_lane
+from sumo_adv.episode.ego_place import EgoPlace, LanePlace, back_to_lane
 from sumo_adv.errors import DriverError
 from sumo_adv.geometry import Pose
 from sumo_adv.simulation.network import RoadMap
@@ -110,7 +110,7 @@ class Drive:
         self.heeding = False  # it did so with pedals and wheel, and asks for SUMO's advice
         self.actions = ActionCount()  # of the ego's driver since it took over
         self._ego_place: EgoPlace | None = None
-        self._placed: tuple[float, Place | None] = (-math.inf, None)  # when it was last worked out [s]
+        self._placed: tuple[float, LanePlace | None] = (-math.inf, None)  # when it was last worked out [s]
         self.on_load: Callable[[], None] | None = None  # called when the simulation was loaded again
         self.lights: LightsNear | None = None  # set if the states of traffic lights are recorded
         self.playback = playback
@@ -293,7 +293,7 @@ class Drive:
         kept = self._ego_place.route if self._ego_place is not None and self._moved else ()
         return logged or kept or self.simulation.route(self.ego)[0]
 
-    def place(self, road: RoadMap) -> Place | None:
+    def place(self, road: RoadMap) -> LanePlace | None:
         """Where the ego is on its route now; None while it is off all lanes. SUMO gets back a route that it has
         replaced because the ego's driver left the lanes of it."""
         assert self.ego is not None

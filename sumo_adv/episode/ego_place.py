@@ -26,7 +26,7 @@ BESIDE_M = 8.0  # about two lanes: within which a lane of the ego's direction is
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class LanePlace:
     """lane: the ego's; front: metres along its centreline to the front bumper; route: the edges from the present one
     on, which on a junction is the one before it."""
 
@@ -49,7 +49,7 @@ class EgoPlace:
         self._route: tuple[str, ...] = ()
         self._at = 0  # index of the present edge
         self._seen: tuple[str, ...] = ()  # SUMO's edges from the present one on, when they were last looked at
-        self._last: Place | None = None
+        self._last: LanePlace | None = None
         self._from = (0.0, 0.0)  # the ego's centre in the last look
 
     @property
@@ -57,7 +57,7 @@ class EgoPlace:
         """The edges of the whole route; empty before the ego was on a lane."""
         return self._route
 
-    def __call__(self, ego: VehicleState, *, moved: bool, restores: bool) -> Place | None:
+    def __call__(self, ego: VehicleState, *, moved: bool, restores: bool) -> LanePlace | None:
         """None while the ego is off all lanes.
 
         Args:
@@ -78,7 +78,7 @@ class EgoPlace:
         place = self._nearest(ego, lane)
         if place is None:  # it has left its route for good
             self._adopt(present, at)
-            place = self._nearest(ego, lane) or Place(lane, front_on(lane, ego, self._simulation), present[at:])
+            place = self._nearest(ego, lane) or LanePlace(lane, front_on(lane, ego, self._simulation), present[at:])
         self._last = place
         return place
 
@@ -119,20 +119,20 @@ class EgoPlace:
         left = 0.0 if last.lane.internal else last.lane.length - last.front
         return left + between + front < LONGEST_STEP_M
 
-    def _nearest(self, ego: VehicleState, lane: Lane) -> Place | None:
+    def _nearest(self, ego: VehicleState, lane: Lane) -> LanePlace | None:
         """The place on the route; None if it is farther than ``LEFT_ROUTE_M``."""
         route = self._route[self._at :]
         if not route:
             lane = _beside(self.road, ego, lane)
-            return Place(lane, front_on(lane, ego, self._simulation), ())
+            return LanePlace(lane, front_on(lane, ego, self._simulation), ())
         if not self.astray and _edge_of(self.road, lane) in route[:2]:  # the second one from on the junction before it
-            return Place(lane, front_on(lane, ego, self._simulation), route)
+            return LanePlace(lane, front_on(lane, ego, self._simulation), route)
         reached = [(k, o) for k, o in self._candidates() if o.internal or self._gone(k, _front(o, ego))]
         k, nearest = min(reached, key=lambda option: option[1].away(ego.x, ego.y), default=(0, None))
         if nearest is None or nearest.away(ego.x, ego.y) > LEFT_ROUTE_M:
             return None
         self._at = k
-        return Place(nearest, front_on(nearest, ego, self._simulation), self._route[k:])
+        return LanePlace(nearest, front_on(nearest, ego, self._simulation), self._route[k:])
 
     def _candidates(self) -> Iterator[tuple[int, Lane]]:
         """The lanes of the route from the present edge on, also those over junctions, with the index of their edge;
@@ -156,7 +156,7 @@ CREEP_M_S = 3.0  # a slower vehicle does not come back to its lane
 AIM_S, AIM_M = 0.6, 4.0  # s at its speed and least m ahead, at which a vehicle aims on its way back
 
 
-def back_to_lane(place: Place, ego: VehicleState, speed: float | None, dt: float) -> Steer:
+def back_to_lane(place: LanePlace, ego: VehicleState, speed: float | None, dt: float) -> Steer:
     """How an ego that SUMO has on a lane off its route comes back to its own: pure pursuit of its lane's centre.
 
     Args:

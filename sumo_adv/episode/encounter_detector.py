@@ -53,7 +53,7 @@ def place_of(road: RoadMap, drive: Drive) -> Place:
     place = None if drive.replayed() else drive.place(road)
     route = drive.simulation.ahead(drive.ego) if place is None else place.route
     kind = road_class(road, lane, station, SOON * ego.speed, route)
-    return Place(kind, lane.speed, ego.speed, count)
+    return Place(kind, drive.simulation.lane_limit(lane.id), ego.speed, count)
 
 
 def road_class(road: RoadMap, lane: Lane, station: float, ahead: float, route: tuple[str, ...] = ()) -> RoadClass:

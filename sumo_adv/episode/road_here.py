@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from sumo_adv.datatypes import Floats, VehicleState
 from sumo_adv.drivers.protocol import Conflict, Lane, Road, SpeedLimit, StopLine
-from sumo_adv.episode.ego_place import Place
+from sumo_adv.episode.ego_place import LanePlace
 from sumo_adv.episode.right_of_way import Foe, Line, Link, Meetings, RightOfWay, sign_of, signal_of
 from sumo_adv.episode.road_near import RoadNear
 from sumo_adv.errors import SimulationError
@@ -50,9 +50,9 @@ class RoadHere:
         self.map, self.meetings, self.drive = road, meetings, drive
         self.near = RoadNear(road)
         self.rule = RightOfWay(meetings)
-        self._last: Place | None = None
+        self._last: LanePlace | None = None
 
-    def __call__(self, ego: VehicleState, place: Place | None) -> Road | None:
+    def __call__(self, ego: VehicleState, place: LanePlace | None) -> Road | None:
         """None before the ego was on a lane."""
         self._last = place or self._last
         return None if self._last is None else RoadNow(self, ego, self._last)
@@ -61,12 +61,12 @@ class RoadHere:
 class RoadNow(Road):
     """``Road`` at one time. Raises SimulationError for what is read too late."""
 
-    def __init__(self, here: RoadHere, ego: VehicleState, place: Place) -> None:
+    def __init__(self, here: RoadHere, ego: VehicleState, place: LanePlace) -> None:
         self.__dict__.update(_here=here, _ego=ego, _place=place, _time=here.drive.now)
 
     _here: RoadHere
     _ego: VehicleState
-    _place: Place
+    _place: LanePlace
     _time: float
 
     def _now(self) -> RoadHere:
@@ -109,7 +109,8 @@ class RoadNow(Road):
 
     @cached_property
     def leaves(self) -> bool:
-        arrival = self._now().drive.simulation.arrival(self._ego.id)
+        drive = self._now().drive
+        arrival = drive.simulation.arrival(self._ego.id, drive.route())
         if arrival is None or arrival.edge != self._place.lane.edge or arrival.edge in self._place.route[1:]:
             return False
         left = self._place.lane.station_of(arrival.position) - self._place.front

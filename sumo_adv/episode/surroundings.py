@@ -16,7 +16,7 @@ import numpy as np
 from sumo_adv.datatypes import Bools, Floats, VehicleState
 from sumo_adv.drivers import Observation, Vehicle
 from sumo_adv.drivers.protocol import wishes_of
-from sumo_adv.episode.ego_place import Place
+from sumo_adv.episode.ego_place import LanePlace
 from sumo_adv.episode.encounter_detector import REACH, logged_path
 from sumo_adv.episode.right_of_way import Meetings
 from sumo_adv.episode.road_here import RoadHere
@@ -117,7 +117,7 @@ class Surroundings:
         )  # fmt: skip
 
 
-def in_lane(place: Place, ego: VehicleState) -> tuple[float, float]:
+def in_lane(place: LanePlace, ego: VehicleState) -> tuple[float, float]:
     """Heading of the ego's lane at its centre [rad] and offset of the centre from the lane's [m, left positive]."""
     points = place.lane.shape.tolist()
     best = (math.inf, 0.0, 0.0)
@@ -141,7 +141,7 @@ class LaneLine:
         self._lanes: tuple[str, ...] = ()
         self._from, self._line = (0.0, 0.0), list[tuple[float, float]]()
 
-    def __call__(self, ego: VehicleState, place: Place | None) -> Sequence[tuple[float, float]] | None:
+    def __call__(self, ego: VehicleState, place: LanePlace | None) -> Sequence[tuple[float, float]] | None:
         """(x, y) [m] every metre from the ego on; None off the road."""
         drive, logged = self._drive, self._drive.replayed()
         lanes: tuple[str, ...] = (ego.lane,) if place is None else (place.lane.id,)

@@ -324,14 +324,13 @@ class Simulation:
             self._closed[lane] = self.api.lane.getDisallowed(lane)
         return kind in self._closed[lane]
 
-    def arrival(self, vehicle: str) -> Arrival | None:
-        """Where SUMO takes a vehicle out; None where its way is unknown."""
-        edges, _ = self.route(vehicle)
-        if not edges:
+    def arrival(self, vehicle: str, route: Sequence[str]) -> Arrival | None:
+        """Where SUMO takes a vehicle out that drives this whole route; None where it is unknown (empty)."""
+        if not route:
             return None
         if vehicle not in self.fleet.arrivals:
             self.fleet.arrivals[vehicle] = arrival_attributes(self.api, vehicle)
-        return arrival(self.fleet.arrivals[vehicle], edges, self.api)
+        return arrival(self.fleet.arrivals[vehicle], route, self.api)
 
     def vehicle_class(self, vehicle: str) -> str:
         """SUMO's vClass; asked once a vehicle."""
