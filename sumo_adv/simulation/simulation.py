@@ -197,6 +197,7 @@ class Simulation:
             raise SimulationError("A SUMO that others are connected to cannot be loaded again: start another.")
         self.fleet.forget(())
         self._asked, self._given, self._as_cars, self._walked = {}, {}, set(), {}
+        self._limits, self._closed = {}, {}
         try:
             self.api.load(self.spec.arguments())
         except self.errors as error:
