@@ -24,6 +24,7 @@ from sumo_adv.errors import UsageError, nearest
 from sumo_adv.goal import Goal
 from sumo_adv.parsing import read_toml
 from sumo_adv.road_users import Sized, limits_of
+from sumo_adv.times import whole_milliseconds
 
 
 class ModelSettings(BaseModel):
@@ -191,6 +192,14 @@ class Settings(ModelSettings, BaseSettings):
     def _listed(cls, given: Any) -> Any:
         """A text with commas is a list."""
         return tuple(w.strip() for w in given.split(",") if w.strip()) if isinstance(given, str) else given
+
+    @field_validator("step_length")
+    @classmethod
+    def _as_sumo_steps(cls, given: float) -> float:
+        """The step that SUMO takes."""
+        if whole_milliseconds(given) == 0.0:
+            raise ValueError("it is shorter than SUMO's shortest step of 0.001 s")
+        return whole_milliseconds(given)
 
     @field_validator("ttc", mode="before")
     @classmethod

@@ -1,4 +1,4 @@
-"""A drive on a shipped network; the ego's driver keeps what it sees."""
+"""A drive on a shipped network or another one; the ego's driver keeps what it sees."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Watcher:
 @contextmanager
 def drive(
     folder: Path,
-    network: str,
+    network: str | Path,
     vehicles: Iterable[str],
     look: Callable[[Observation], Any],
     answer: Callable[[Observation], Action] = lambda _: None,

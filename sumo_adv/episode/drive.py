@@ -12,12 +12,24 @@ from pathlib import Path
 from typing import NamedTuple
 
 from sumo_adv.datatypes import Role, Track, VehicleState
-from sumo_adv.drivers import Action, EgoController, LaneSpeed, Observation, ReplayEgo, Steer, Vehicle, apply_steer
+from sumo_adv.drivers import (
+    Action,
+    EgoController,
+    ExternalEgo,
+    LaneSpeed,
+    Observation,
+    ReplayEgo,
+    Steer,
+    Vehicle,
+    apply_steer,
+)
 from sumo_adv.drivers.protocol import Senses, wishes_of
 from sumo_adv.drivers.sumo_driven import defaults_of
+from sumo_adv.episode.ego_place import EgoPlace, LanePlace, back_to_lane
 from sumo_adv.errors import DriverError
 from sumo_adv.geometry import Pose
 from sumo_adv.simulation.ego_types import EGO_TYPE, ego_types_xml, vehicle_types
+from sumo_adv.simulation.network import RoadMap
 from sumo_adv.simulation.playback import Playback
 from sumo_adv.simulation.remote import Remote
 from sumo_adv.simulation.signals import LightsNear
@@ -101,6 +113,8 @@ class Drive:
         self.steered = False  # the ego's driver, not SUMO, moved the ego in the last step
         self.heeding = False  # it did so with pedals and wheel, and asks for SUMO's advice
         self.actions = ActionCount()  # of the ego's driver since it took over
+        self._ego_place: EgoPlace | None = None
+        self._placed: tuple[float, LanePlace | None] = (-math.inf, None)  # when it was last worked out [s]
         self.on_load: Callable[[], None] | None = None  # called when the simulation was loaded again
         self.lights: LightsNear | None = None  # set if the states of traffic lights are recorded
         self.playback = playback
@@ -168,7 +182,7 @@ class Drive:
             self.playback.take(vehicle, speed, factor, replayed=isinstance(self.controller, ReplayEgo))
         with self._driver("reset"):
             self.controller.reset(self.seed)
-        self.actions = ActionCount()
+        self.actions, self._ego_place = ActionCount(), None
         self.ego = vehicle
         self._takeovers.append((len(self.recording.snapshots), vehicle))
 
@@ -178,7 +192,7 @@ class Drive:
             self.simulation.set_speed(self.ego, None)
             self.simulation.set_type(self.ego, self._own_type)
         self._own_type = ""
-        self.ego, self.steered, self.heeding = None, False, False
+        self.ego, self.steered, self.heeding, self._ego_place = None, False, False, None
         self._takeovers.append((len(self.recording.snapshots), None))
 
     def tick(self, poses: Mapping[str, Pose] | None = None, ego: Action = None) -> Snapshot:
@@ -217,7 +231,7 @@ class Drive:
         if self.on_load is not None:
             self.on_load()
         self.ego, self._takeovers, self._playing, self.steered, self.heeding = None, [], False, False, False
-        self._own_type = ""
+        self._own_type, self._ego_place = "", None
         self.recording = Recording(self.recording.step_length)
         for k in range(steps):
             self._change_ego(takeovers, k)
@@ -287,7 +301,30 @@ class Drive:
         """The edges of the ego's whole route."""
         assert self.ego is not None
         logged = self.playback.spec.routes.get(self.ego, ()) if self.playback is not None and self.replayed() else ()
-        return logged or self.simulation.route(self.ego)[0]
+        kept = self._ego_place.route if self._ego_place is not None and self._moved else ()
+        return logged or kept or self.simulation.route(self.ego)[0]
+
+    def place(self, road: RoadMap) -> LanePlace | None:
+        """Where the ego is on its route now; None while it is off all lanes. SUMO gets back a route that it has
+        replaced because the ego's driver left the lanes of it."""
+        assert self.ego is not None
+        if self._ego_place is None:
+            self._ego_place = EgoPlace(road, self.simulation, self.kind(self.ego))
+            self._placed = (-math.inf, None)
+        if self._placed[0] != self.now:
+            place = self._ego_place(self.state(self.ego), moved=self._moved, restores=self.steered)
+            self._placed = (self.now, place)
+        return self._placed[1]
+
+    def closed(self, lane: str) -> bool:
+        """Whether the ego may not use a lane now."""
+        assert self.ego is not None
+        return self.simulation.closed(lane, self.kind(self.ego))
+
+    @property
+    def _moved(self) -> bool:
+        """Whether SUMO may have replaced the ego's route because another program moves it."""
+        return self.steered or isinstance(self.controller, ExternalEgo)
 
     def recorded(self) -> bool:
         return self.playback is not None and self.playback.log is not None
@@ -312,8 +349,9 @@ class Drive:
             with self._driver("act"):
                 action = self.controller.act(observation)
             heeds = wishes.needs_road and observation.road is not None
+        answer, action = action, self._led_back(action)
         self.steered = isinstance(action, Steer | Pose)
-        self.heeding = isinstance(action, Steer) and heeds
+        self.heeding = isinstance(answer, Steer) and heeds
         reachable = math.inf
         if isinstance(action, Steer):
             after = apply_steer(self.state(self.ego), action, self.recording.step_length, wishes.bicycle)
@@ -327,7 +365,19 @@ class Drive:
                 self.simulation.change_lane(self.ego, action.lane)
         else:
             self.simulation.set_speed(self.ego, None)
-        self.actions.answered(action, reachable)
+        self.actions.answered(answer, reachable)
+
+    def _led_back(self, action: Action) -> Action:
+        """The action, or a way back to the ego's own lane where its driver gives it to SUMO on a lane off its route:
+        SUMO would turn it round there."""
+        if self._ego_place is None or not self.steered or isinstance(action, Steer | Pose):
+            return action
+        assert self.ego is not None
+        place = self.place(self._ego_place.road)
+        if place is None or not self._ego_place.astray:
+            return action
+        speed = action.speed if isinstance(action, LaneSpeed) else None
+        return back_to_lane(place, self.state(self.ego), speed, self.recording.step_length)
 
     def where(self) -> str:
         """Where the ego's driver is: its step, counted from 1 where it took over, and the time."""

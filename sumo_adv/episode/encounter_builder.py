@@ -213,7 +213,7 @@ def build_encounter(
     if found.why:
         return found.why
     ranking = [c for c in ranking if c.id not in found.critical]
-    trigger = trigger_state(drive, ranking)
+    trigger = trigger_state(road, drive, ranking)
     if looks:
         those = {c.id for c in ranking}
         looks = {d: [c for c in seen if c.id in those] for d, seen in looks.items()}

@@ -24,6 +24,7 @@ import numpy as np
 from sumo_adv.config_odd import Odd
 from sumo_adv.datatypes import Floats, Place, Relation, RoadClass, VehicleState
 from sumo_adv.episode.drive import Drive
+from sumo_adv.episode.ego_place import front_on, lane_on_route
 from sumo_adv.episode.unprotected import crossing_risk, may_attack, unprotected_ways
 from sumo_adv.geometry import Path, make_path, wrap
 from sumo_adv.road_users import is_motorcycle, is_unprotected
@@ -49,29 +50,30 @@ def place_of(road: RoadMap, drive: Drive) -> Place:
     at = _lane(road, drive, ego)
     if at is None:
         return Place(None, None, ego.speed, count)
-    lane, position = at
-    route, vclass = drive.simulation.ahead(drive.ego), drive.kind(drive.ego)
-    kind = road_class(road, lane, position, SOON * ego.speed, route, vclass)
-    return Place(kind, lane.speed, ego.speed, count)
+    lane, station = at
+    place = None if drive.replayed() else drive.place(road)
+    route = drive.simulation.ahead(drive.ego) if place is None else place.route
+    kind = road_class(road, lane, station, SOON * ego.speed, route, drive.kind(drive.ego))
+    return Place(kind, drive.simulation.lane_limit(lane.id), ego.speed, count)
 
 
 def road_class(
-    road: RoadMap, lane: Lane, position: float, ahead: float, route: tuple[str, ...] = (), vclass: str = CAR
+    road: RoadMap, lane: Lane, station: float, ahead: float, route: tuple[str, ...] = (), vclass: str = CAR
 ) -> RoadClass:
-    """The class of the road ``position`` metres along a lane. ahead: how far a junction counts [m]. route: the edges
+    """The class of the road ``station`` metres along a lane. ahead: how far a junction counts [m]. route: the edges
     from there on, where they are known; vclass: SUMO's class of the vehicle that goes there."""
     if lane.speed >= MOTORWAY_LIMIT and not _two_way(road, lane):
         return RoadClass.MOTORWAY
-    if _near_junction(road, lane, position, ahead, route, vclass):
+    if _near_junction(road, lane, station, ahead, route, vclass):
         return RoadClass.JUNCTION
     return RoadClass.RURAL if lane.speed > URBAN_LIMIT else RoadClass.URBAN
 
 
 def _lane(road: RoadMap, drive: Drive, ego: VehicleState) -> tuple[Lane, float] | None:
     """The ego's lane and its centre's station on it [m]; None off the network. A log names no lane."""
-    if ego.lane in road.lanes and not drive.replayed():
-        assert drive.ego is not None
-        return road.lanes[ego.lane], max(drive.simulation.lane_position(drive.ego) - ego.length / 2, 0.0)
+    place = None if drive.replayed() else drive.place(road)
+    if place is not None:
+        return place.lane, max(place.front - ego.length / 2, 0.0)
     lane_at = road.lane_at(ego.x, ego.y, ego.heading, drive.kind(ego.id))
     return None if lane_at is None else (road.lanes[lane_at[0]], lane_at[1])
 
@@ -85,11 +87,11 @@ def _two_way(road: RoadMap, lane: Lane) -> bool:
 
 
 def _near_junction(
-    road: RoadMap, lane: Lane, position: float, ahead: float, route: tuple[str, ...], vclass: str
+    road: RoadMap, lane: Lane, station: float, ahead: float, route: tuple[str, ...], vclass: str
 ) -> bool:
     if lane.internal:
         return lane.id[1:].rsplit("_", 2)[0] in road.meeting_junctions
-    ways = road.ways(lane.id, position, max(ahead, SHORTEST), route, vclass=vclass)
+    ways = road.ways(lane.id, station, max(ahead, SHORTEST), route, vclass=vclass)
     return any(
         way.first is not None and way.junction <= ahead and way.first.link[0] in road.meeting_junctions for way in ways
     )
@@ -238,8 +240,8 @@ class EncounterDetector:
             return None
         s, d = path.project(bv.x, bv.y)
         turned = abs(wrap(bv.heading - float(path.at(np.asarray(s))[2])))
-        lanes = self.road.lanes
-        own_edge = ego.lane in lanes and lanes[bv.lane].edge == lanes[ego.lane].edge
+        place = drive.place(self.road)
+        own_edge = place is not None and self.road.lanes[bv.lane].edge == place.lane.edge
         relation, risk = "", 0.0
         near = abs(d) < SAME_LANE
         if turned < 0.5 and (near or (own_edge and abs(d) < BESIDE)):
@@ -314,16 +316,22 @@ def ego_path(road: RoadMap, drive: Drive) -> Path | None:
     ego = drive.state(drive.ego)
     if drive.replayed():
         return logged_path(road, drive)
-    if ego.lane not in road.lanes:
+    place = drive.place(road)
+    if place is None:
         return None
-    ways = _ways(road, drive, ego, drive.simulation.ahead(drive.ego))
+    ways = road.ways(
+        place.lane.id, place.front - ego.length / 2, REACH, place.route, vclass=drive.kind(ego.id), closed=drive.closed
+    )
     return ways[0].path if ways else None
 
 
-def _ways(road: RoadMap, drive: Drive, vehicle: VehicleState, route: tuple[str, ...] = ()) -> list[Way]:
-    """All ways on of a vehicle along its lane, or that of its route."""
-    position = drive.simulation.lane_position(vehicle.id) - vehicle.length / 2
-    return road.ways(vehicle.lane, position, REACH, route, vclass=drive.kind(vehicle.id))
+def _ways(road: RoadMap, drive: Drive, vehicle: VehicleState) -> list[Way]:
+    """All ways on of a vehicle along its lane; of one that overtakes on the other side along its own."""
+    vclass = drive.kind(vehicle.id)
+    lane = lane_on_route(road, vehicle, (), vclass)
+    if lane is None:
+        return []
+    return road.ways(lane.id, front_on(lane, vehicle, drive.simulation) - vehicle.length / 2, REACH, vclass=vclass)
 
 
 def logged_path(road: RoadMap, drive: Drive) -> Path | None:

@@ -15,10 +15,11 @@ import numpy as np
 
 from sumo_adv.datatypes import Floats, Track, VehicleState
 from sumo_adv.episode.drive import Drive
+from sumo_adv.episode.ego_place import front_on, lane_on_route
 from sumo_adv.episode.encounter_detector import REACH
 from sumo_adv.episode.situation_builder import HISTORY
 from sumo_adv.geometry import PATH_STEP, Path, make_path, wrap
-from sumo_adv.simulation.network import RoadMap
+from sumo_adv.simulation.network import Lane, RoadMap
 
 SEEN = 250.0  # m around the ego within which vehicles are foreseen
 FADING, GAINING = 1.0, 5.0  # s, time constants of the present acceleration, and of one above ``GAINS``
@@ -63,29 +64,41 @@ def course(road: RoadMap, drive: Drive, state: VehicleState, duration: float) ->
         c, s = math.cos(state.heading), math.sin(state.heading)
         path = make_path(np.array([[state.x, state.y], [state.x + reach * c, state.y + reach * s]]))
         return ForecastPath(state, path, 0.0, 0.0, np.full(len(path.x), math.inf), ("",), np.array([math.inf]))
-    position = max(0.0, drive.simulation.lane_position(state.id) - state.length / 2)
-    way = road.ways(state.lane, position, reach, drive.simulation.ahead(state.id), vclass=drive.kind(state.id))[0]
+    vclass = drive.kind(state.id)
+    lane, front, route = _place(road, drive, state, vclass)
+    begin = max(0.0, front - state.length / 2)
+    way = road.ways(lane.id, begin, reach, route, vclass=vclass)[0]
     station, offset = way.path.project(state.x, state.y, near=0.0)
-    lengths = [float(np.hypot(*np.diff(road.lanes[n].shape, axis=0).T).sum()) for n in way.lanes]
-    ends = np.cumsum(lengths) - position
-    cap = _caps(road, way.path, way.lanes, ends, state)
-    stop = min((d for _, d, light in drive.simulation.signals(state.id) if light in "rRyY"), default=math.inf)
+    ends = np.cumsum([road.lanes[n].length for n in way.lanes]) - begin
+    limits = np.array([drive.simulation.lane_limit(name) for name in way.lanes])
+    cap = _caps(limits, way.path, ends, state)
+    lights = drive.simulation.signals(state.id)
+    stop = min((road.metres_ahead(way.lanes, front, d) for _, d, s in lights if s in "rRyY"), default=math.inf)
     if stop < reach:
         cap = np.minimum(cap, _towards(way.path, np.where(_stations(way.path) > stop - 1.0, 0.0, 1e4)))
     return ForecastPath(state, way.path, station, offset, cap, way.lanes, ends)
+
+
+def _place(road: RoadMap, drive: Drive, state: VehicleState, vclass: str) -> tuple[Lane, float, tuple[str, ...]]:
+    """The lane of a vehicle on its route, the metres along it to its front bumper, and its edges from there on."""
+    place = drive.place(road) if state.id == drive.ego else None
+    if place is not None:
+        return place.lane, place.front, place.route
+    route = drive.simulation.ahead(state.id)
+    lane = lane_on_route(road, state, route, vclass) or road.lanes[state.lane]
+    return lane, front_on(lane, state, drive.simulation), route
 
 
 def _stations(path: Path) -> Floats:
     return np.asarray(PATH_STEP * np.arange(len(path.x)), float)
 
 
-def _caps(road: RoadMap, path: Path, lanes: Sequence[str], ends: Floats, state: VehicleState) -> Floats:
-    """Highest speed [m/s] at each sample. A vehicle over the limit now exceeds later limits by the same factor."""
-    here = road.lanes[lanes[0]].speed
-    over = max(1.0, state.speed / max(here, 0.1))
-    place = np.minimum(np.searchsorted(ends, _stations(path)), len(lanes) - 1)
-    limits = np.array([over * road.lanes[n].speed for n in lanes])[place]
-    return _towards(path, limits**2)
+def _caps(limits: Floats, path: Path, ends: Floats, state: VehicleState) -> Floats:
+    """Highest speed [m/s] at each sample, from the limits of the lanes. A vehicle over the limit now exceeds later
+    limits by the same factor."""
+    over = max(1.0, state.speed / max(float(limits[0]), 0.1))
+    place = np.minimum(np.searchsorted(ends, _stations(path)), len(limits) - 1)
+    return _towards(path, (over * limits[place]) ** 2)
 
 
 def _towards(path: Path, square: Floats) -> Floats:

@@ -18,6 +18,7 @@ from sumo_adv.metrics.validity import MOST
 from sumo_adv.simulation.signals import COLUMNS
 from sumo_adv.simulation.simulation import Snapshot
 from sumo_adv.simulation.tracks import tracks_of
+from sumo_adv.times import seconds_text
 
 HEADER = "time,id,role,x,y,heading,speed,acceleration,length,width,lane\n"
 SERIES = ("ttc", "gap", "drac", "btn", "headway", "required_lateral", "centre_distance")
@@ -46,7 +47,7 @@ def write_states(
             track.time.tolist(), numbers, track.lane, strict=True
         ):
             text = (
-                f"{time:.2f},{name},{track.role},{x + 0.0:.4f},{y + 0.0:.4f},{heading:.6f},{speed:.4f},"
+                f"{seconds_text(time)},{name},{track.role},{x + 0.0:.4f},{y + 0.0:.4f},{heading:.6f},{speed:.4f},"
                 f"{acceleration + 0.0:.4f},{size},{quoted(lane)}\n"
             )
             rows.append((time, order, text))
@@ -65,7 +66,7 @@ def write_signals(target: Path, snapshots: Sequence[Snapshot]) -> None:
         for name, state in snapshot.lights.items():
             if shown.get(name) != state:
                 shown[name] = state
-                rows.append(f"{snapshot.time:.2f},{quoted(name)},{state}\n")
+                rows.append(f"{seconds_text(snapshot.time)},{quoted(name)},{state}\n")
     if rows:
         write_gzip(target, ",".join(COLUMNS) + "\n" + "".join(rows))
 
@@ -97,7 +98,7 @@ def series_rows(ego: Track, tracks: Sequence[Track], adversary: str) -> list[str
     rows = []
     for step, vehicle in np.argwhere(there.T).tolist():
         fields = ",".join(f"{v:.4f}" if np.isfinite(v) else "" for v in values[vehicle, step].tolist())
-        rows.append(f"{times[step]:.2f},{names[vehicle]},{fields}\n")
+        rows.append(f"{seconds_text(times[step])},{names[vehicle]},{fields}\n")
     return rows
 
 

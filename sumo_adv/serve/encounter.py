@@ -214,7 +214,7 @@ class LiveAttempts:
             return None
         tracks = traffic_forecast(self._road, session, self._settings.duration)
         ranking = [c for c in self._scene.ranking if c.id in bvs]
-        trigger = trigger_state(session, ranking)
+        trigger = trigger_state(self._road, session, ranking)
         return build_situation(self._road, tracks, trigger, ranking, self._settings)
 
 

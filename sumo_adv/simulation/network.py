@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from pathlib import Path as FilePath
@@ -14,6 +14,7 @@ import numpy as np
 from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError
 from sumo_adv.geometry import Path, make_path, wrap
+from sumo_adv.simulation.centreline import Centreline, centreline
 from sumo_adv.simulation.drivable import KEY, Drivable, area_of
 from sumo_adv.simulation.permissions import ALL, CAR, EVERYWHERE, ON_FOOT, allowed, is_carriageway, is_paved
 
@@ -42,17 +43,15 @@ class Connection:
     classes: frozenset[str] = field(repr=False, default=ALL)
 
 
-@dataclass(frozen=True, slots=True)
-class Lane:
-    """One lane. ``shape`` is ``(n, 2)`` [m]; width, length [m]; speed [m/s]. index: from the right, also in left-hand
-    traffic, where SUMO counts from the left. classes: SUMO's vehicle classes that may use it."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Lane(Centreline):
+    """One lane. width [m]; speed [m/s]. index: from the right, also in left-hand traffic, where SUMO counts from the
+    left. classes: SUMO's vehicle classes that may use it."""
 
     id: str
     edge: str
     index: int
-    shape: Floats
     width: float
-    length: float
     speed: float
     internal: bool
     classes: frozenset[str] = field(repr=False)
@@ -89,6 +88,15 @@ class Way:
     def gives_way(self) -> bool:
         """Whether SUMO's rules make it yield at the first junction."""
         return self.rule not in "MOo"
+
+
+Closed = Callable[[str], bool]
+"""Says of a lane's id whether it is closed now."""
+
+
+def open_to_all(lane: str) -> bool:
+    """``Closed`` where nothing is."""
+    return False
 
 
 @dataclass(frozen=True)
@@ -142,15 +150,12 @@ class RoadMap:
         agree."""
         best: tuple[float, str, float] | None = None
         for lane in self.lanes_near(x, y, MOST_WIDTH):
-            a, along = lane.shape[:-1], np.diff(lane.shape, axis=0)
-            length = np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)
-            t = np.clip(((x - a[:, 0]) * along[:, 0] + (y - a[:, 1]) * along[:, 1]) / length**2, 0.0, 1.0)
-            away = np.hypot(a[:, 0] + t * along[:, 0] - x, a[:, 1] + t * along[:, 1] - y)
-            i = int(np.argmin(away))
-            turned = abs(wrap(math.atan2(along[i, 1], along[i, 0]) - heading))
-            inside = away[i] < lane.width / 2 and turned < IN_LINE
-            if lane.allows(vclass) and inside and (not best or away[i] < best[0]):
-                best = float(away[i]), lane.id, float(length[:i].sum() + t[i] * length[i])
+            station = lane.station_at(x, y)
+            nearest_x, nearest_y, direction = lane.point_at(station)
+            away, turned = math.dist((x, y), (nearest_x, nearest_y)), abs(wrap(direction - heading))
+            inside = away < lane.width / 2 and turned < IN_LINE
+            if lane.allows(vclass) and inside and (not best or away < best[0]):
+                best = away, lane.id, station
         return None if best is None else best[1:]
 
     def opposite_offset(self, x: float, y: float, heading: float) -> float | None:
@@ -179,7 +184,7 @@ class RoadMap:
         lane = self.lanes.get(lane_id)
         if lane is None or lane.internal:
             return []
-        offsets = [(offset, "same") for _, offset in self._beside(lane, vclass)]
+        offsets = [(offset, "same") for _, offset in self.beside(lane, vclass)]
         row = self.edges[lane.edge]
         inner = row[lane.index + 1 :] if self.hand > 0 else row[: lane.index]
         reach = sum(self.lanes[n].width for n in inner) + lane.width / 2
@@ -188,7 +193,7 @@ class RoadMap:
             offsets.append((opposite, "opposite"))
         return offsets
 
-    def _beside(self, lane: Lane, vclass: str) -> Iterator[tuple[Lane, float]]:
+    def beside(self, lane: Lane, vclass: str) -> Iterator[tuple[Lane, float]]:
         """The lanes of its edge for a class, up to two to each side, and their offsets [m, left positive]."""
         row = [self.lanes[n] for n in self.edges[lane.edge]]
         for i, neighbour in enumerate(row):
@@ -198,19 +203,19 @@ class RoadMap:
             yield neighbour, math.copysign(between + (neighbour.width + lane.width) / 2, i - lane.index)
 
     def ways(
-        self, lane_id: str, position: float, reach: float, route: tuple[str, ...] = (), farthest: float = 0.0,
-        vclass: str = CAR,
+        self, lane_id: str, station: float, reach: float, route: tuple[str, ...] = (), farthest: float = 0.0,
+        vclass: str = CAR, closed: Closed = open_to_all,
     ) -> list[Way]:  # fmt: skip
-        """Ways on of a vehicle of a class from ``position`` metres along a lane for ``reach`` metres, on to
+        """Ways on of a vehicle of a class from ``station`` metres along a lane for ``reach`` metres, on to
         ``farthest`` [m] where the last lane goes as far.
 
         With ``route`` (edge ids from the present one) only that way; else one way for each movement at the first
-        junction, then the straightest.
+        junction, then the straightest. ``closed``: says which lanes are avoided.
         """
         ways: list[Way] = []
-        for chain, first, junction, bay in self._chains(lane_id, position, reach, route, vclass):
+        for chain, first, junction, bay in self._chains(lane_id, station, reach, route, vclass, closed):
             points = np.vstack([self.lanes[n].shape for n in chain])
-            path = make_path(_cut(points, position, max(reach, farthest)), tightest=TIGHTEST)
+            path = make_path(_cut(points, station, max(reach, farthest)), tightest=TIGHTEST)
             if path.length < reach:
                 path = path.extended(reach - path.length)
             movement, rule = ("none", "") if first is None else (first.movement, first.state)
@@ -219,12 +224,28 @@ class RoadMap:
                 break
         return ways
 
+    def chain(
+        self, lane_id: str, station: float, reach: float, route: tuple[str, ...], vclass: str = CAR,
+        closed: Closed = open_to_all,
+    ) -> tuple[str, ...]:  # fmt: skip
+        """The lanes of the first of the ``ways``."""
+        return tuple(next(self._chains(lane_id, station, reach, route, vclass, closed))[0])
+
+    def metres_ahead(self, lanes: Sequence[str], station: float, distance: float) -> float:
+        """Metres from ``station`` on the first of some lanes to what is ``distance`` [m] ahead in SUMO's lengths."""
+        gone, position = -station, self.lanes[lanes[0]].position_of(station) + distance
+        for lane in (self.lanes[name] for name in lanes):
+            if position <= lane.positions[-1]:
+                return gone + lane.station_of(position)
+            gone, position = gone + lane.length, position - float(lane.positions[-1])
+        return gone + position
+
     def _chains(
-        self, lane_id: str, position: float, reach: float, route: tuple[str, ...], vclass: str
+        self, lane_id: str, station: float, reach: float, route: tuple[str, ...], vclass: str, closed: Closed
     ) -> Iterator[tuple[list[str], Connection | None, float, float]]:
         lane = self.lanes[lane_id]
-        start = lane.length - position
-        options = self.onward(lane, route, vclass)
+        start = lane.length - station
+        options = self.onward(lane, route, vclass, closed)
         if start >= reach or not options:
             yield [lane_id], None, math.inf, math.inf
             return
@@ -232,7 +253,7 @@ class RoadMap:
             chain, length = [lane_id, *first.via, first.to], start
             length += sum(self.lanes[n].length for n in (*first.via, first.to))
             while length < reach:
-                onward = self.onward(self.lanes[chain[-1]], route, vclass)
+                onward = self.onward(self.lanes[chain[-1]], route, vclass, closed)
                 if not onward:
                     break
                 step = onward[0]
@@ -248,8 +269,11 @@ class RoadMap:
             return start if on.via else math.inf
         return start + self.lanes[on.via[0]].length if len(on.via) > 1 else math.inf
 
-    def onward(self, lane: Lane, route: tuple[str, ...], vclass: str = CAR) -> list[Connection]:
+    def onward(
+        self, lane: Lane, route: tuple[str, ...], vclass: str = CAR, closed: Closed = open_to_all
+    ) -> list[Connection]:
         """Connections from a lane for a class, straight ones first; only along ``route`` where that says something.
+        Those to closed lanes only where there are no others.
 
         A vehicle on a lane that its class may not use goes on as the lane leads."""
         near, far = ("right", "left") if self.hand > 0 else ("left", "right")
@@ -262,15 +286,13 @@ class RoadMap:
         if route and not lane.internal and lane.edge in route:
             at = route.index(lane.edge)
             following = route[at + 1] if at + 1 < len(route) else None
-            chosen = [c for c in options if self.lanes[c.to].edge == following]
-            if not chosen and following is not None:  # a neighbour lane leads there: the vehicle will change lanes
-                for name in self.edges[lane.edge][:: int(self.hand)]:
-                    beside = self.lanes[name]
-                    chosen += [
-                        c for c in beside.connections if self.lanes[c.to].edge == following and vclass in c.classes
-                    ]
-            return chosen[:1] if following is not None else []
-        return [c for c in options if c.movement != "u-turn"]
+            row = (self.lanes[name] for name in self.edges[lane.edge][:: int(self.hand)])
+            # From a lane beside it: the vehicle will change lanes.
+            beside = [c for other in row for c in other.connections if c.to in self.lanes and vclass in c.classes]
+            leads = [c for c in (*options, *beside) if self.lanes[c.to].edge == following]
+            return [c for c in leads if not closed(c.to)][:1] or leads[:1]
+        options = [c for c in options if c.movement != "u-turn"]
+        return [c for c in options if not closed(c.to)] or options
 
     def strips(self, x: float, y: float, radius: float) -> list[tuple[Floats, float, bool]]:
         """Shape, width [m], internal? of all paved lanes near a place, for pictures."""
@@ -335,10 +357,11 @@ def read_network(path: FilePath) -> RoadMap:
         edges[edge.getID()] = row if hand > 0 else row[::-1]
         internal = edge.getFunction() == "internal"
         for lane in edge.getLanes():
+            line = centreline(lane.getShape3D(), float(lane.getLength()))
             lanes[lane.getID()] = Lane(
+                line.shape, line.stations, line.positions,
                 lane.getID(), edge.getID(), edges[edge.getID()].index(lane.getID()),
-                np.asarray(lane.getShape(), float)[:, :2],
-                float(lane.getWidth()), float(lane.getLength()), float(lane.getSpeed()), internal,
+                float(lane.getWidth()), float(lane.getSpeed()), internal,
                 _classes(lane), _connections(net, lane),
             )  # fmt: skip
     junctions = tuple(np.asarray(n.getShape(), float)[:, :2] for n in net.getNodes() if len(n.getShape()) > 2)

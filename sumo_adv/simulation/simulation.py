@@ -18,6 +18,7 @@ from typing import Any, TypeVar
 from sumo_adv.datatypes import DriverModel, VehicleState
 from sumo_adv.errors import SimulationError, UsageError
 from sumo_adv.geometry import Pose, wrap
+from sumo_adv.simulation.arrivals import Arrival, arrival, arrival_attributes
 from sumo_adv.simulation.permissions import CYCLES, EVERYWHERE, MOTOR, ON_FOOT, is_carriageway
 from sumo_adv.simulation.programs import load_libsumo
 from sumo_adv.simulation.remote import RawState, Remote
@@ -116,17 +117,19 @@ class Snapshot:
 
 @dataclass(slots=True)
 class Fleet:
-    """Sizes (length, width in m) and vClasses of the vehicles and persons seen, asked of SUMO once each. persons: those
-    of them that are SUMO's persons, and no vehicles."""
+    """Sizes (length, width in m) and vClasses of the vehicles and persons seen, and attributes of where a vehicle
+    leaves, asked of SUMO once each. persons: those of them that are SUMO's persons, and no vehicles."""
 
     sizes: dict[str, tuple[float, float]] = field(default_factory=dict)
     classes: dict[str, str] = field(default_factory=dict)
+    arrivals: dict[str, Mapping[str, str]] = field(default_factory=dict)
     persons: set[str] = field(default_factory=set)
 
     def forget(self, keep: Collection[str]) -> None:
         """Drop all but these: what a simulation that goes on for hours needs."""
         self.sizes = {name: size for name, size in self.sizes.items() if name in keep}
         self.classes = {name: kind for name, kind in self.classes.items() if name in keep}
+        self.arrivals = {name: known for name, known in self.arrivals.items() if name in keep}
         self.persons.intersection_update(keep)
 
 
@@ -144,6 +147,8 @@ class Simulation:
         self._asked: dict[str, float] = {}  # speeds [m/s] of the vehicles that are moved in the next step,
         self._given: dict[str, float] = {}  # and that were moved in the last one
         self._walked: dict[str, tuple[float, float]] = {}  # where the persons on foot are
+        self._limits: dict[str, float] = {}  # of lanes in this step [m/s],
+        self._closed: dict[str, Collection[str]] = {}  # and the classes that may not use them
         self._as_cars: set[str] = set()  # moved pedestrians and cyclists, which SUMO takes for cars
         self._on: dict[str, str] = {}  # lanes of the vehicles that were moved in the last step
         self._trespassing: set[str] = set()  # moved vehicles on lanes that are not for their class
@@ -198,6 +203,7 @@ class Simulation:
         self.fleet.forget(())
         self._asked, self._given, self._as_cars, self._walked = {}, {}, set(), {}
         self._on, self._trespassing = {}, set()
+        self._limits, self._closed = {}, {}
         try:
             self.api.load(self.spec.arguments())
         except self.errors as error:
@@ -227,6 +233,8 @@ class Simulation:
             with suppress(*self.errors):  # it may be gone
                 self.api.vehicle.setVehicleClass(name, self.vehicle_class(name))
         self._given, self._asked = self._asked, {}
+        self._limits.clear()
+        self._closed.clear()
         if self.remote is not None:
             self.remote.step()
             return
@@ -312,10 +320,30 @@ class Simulation:
         return edges[max(at, 0) :]
 
     def lane_position(self, vehicle: str) -> float:
-        """Metres from the start of the present lane to the front bumper."""
+        """SUMO's position of the front bumper on the present lane [m]; ``Lane.station_of`` makes it metres of road."""
         if self.remote is not None and vehicle in self.remote.lane_positions:
             return self.remote.lane_positions[vehicle]
         return float(self.api.vehicle.getLanePosition(vehicle))
+
+    def lane_limit(self, lane: str) -> float:
+        """The speed limit of a lane now [m/s]; variable signs and other programs change it."""
+        if lane not in self._limits:
+            self._limits[lane] = float(self.api.lane.getMaxSpeed(lane))
+        return self._limits[lane]
+
+    def closed(self, lane: str, kind: str) -> bool:
+        """Whether vehicles of a class may not use a lane now; rerouters and other programs close lanes."""
+        if lane not in self._closed:
+            self._closed[lane] = self.api.lane.getDisallowed(lane)
+        return kind in self._closed[lane]
+
+    def arrival(self, vehicle: str, route: Sequence[str]) -> Arrival | None:
+        """Where SUMO takes a vehicle out that drives this whole route; None where it is unknown (empty)."""
+        if not route:
+            return None
+        if vehicle not in self.fleet.arrivals:
+            self.fleet.arrivals[vehicle] = arrival_attributes(self.api, vehicle)
+        return arrival(self.fleet.arrivals[vehicle], route, self.api)
 
     def vehicle_class(self, vehicle: str) -> str:
         """SUMO's vClass; asked once a vehicle."""
@@ -337,9 +365,12 @@ class Simulation:
         """Traffic lights ahead of a vehicle: (id, distance [m], state letter)."""
         return [(t[0], t[2], t[3]) for t in self.api.vehicle.getNextTLS(vehicle)]
 
-    def limit(self, vehicle: str) -> float:
-        """The fastest its driver goes where it is [m/s]."""
-        return float(self.api.vehicle.getAllowedSpeed(vehicle))
+    def limit(self, vehicle: str, lane: str | None = None) -> float:
+        """The fastest its driver goes [m/s] where it is, or on another lane."""
+        v = self.api.vehicle
+        if lane is None:
+            return float(v.getAllowedSpeed(vehicle))
+        return float(min(v.getMaxSpeed(vehicle), self.lane_limit(lane) * v.getSpeedFactor(vehicle)))
 
     def reachable(self, vehicle: str, speed: float) -> float:
         """The highest speed [m/s] that SUMO lets a vehicle have after a step, with no vehicle and no line ahead."""

@@ -25,12 +25,12 @@ from sumo_adv.geometry import wrap, wrap_below_pi
 from sumo_adv.simulation.remote import RawState
 from sumo_adv.simulation.scan import read_text
 from sumo_adv.simulation.simulation import Snapshot
+from sumo_adv.times import seconds_text
 
 COLUMNS = ("time", "id", "kind", "valid", "x", "y", "heading", "speed", "length", "width")
 KINDS = ("vehicle", "pedestrian", "cyclist", "other")
 SAME_TIME = 2e-3  # s: how far a row's time may be from the grid
 MOST_STEPS = 1_000_000
-EXACT = 1e-7  # s: two times that differ by less are the same
 
 Row = tuple[float, float, float, float, float, float, int]  # x, y, heading, speed, length, width, line
 
@@ -228,11 +228,10 @@ def write_tracks(path: Path, log: TrackLog) -> None:
     text = io.StringIO()
     out = csv.writer(text, lineterminator="\n")
     out.writerow(COLUMNS)
-    digits = next((d for d in (2, 3, 4, 5) if np.abs(log.time - np.round(log.time, d)).max() < EXACT), 6)
     for k, time in enumerate(log.time.tolist()):
         for t in log.tracks.values():
             if t.valid[k]:
-                row = [f"{time:.{digits}f}", t.id, t.kind, "1", f"{t.x[k]:.4f}", f"{t.y[k]:.4f}", f"{t.heading[k]:.6f}"]
+                row = [seconds_text(time), t.id, t.kind, "1", f"{t.x[k]:.4f}", f"{t.y[k]:.4f}", f"{t.heading[k]:.6f}"]
                 out.writerow([*row, f"{t.speed[k]:.4f}", f"{t.length:.3f}", f"{t.width:.3f}"])
     data = text.getvalue().encode()
     path.write_bytes(gzip.compress(data, mtime=0) if path.name.endswith(".gz") else data)
