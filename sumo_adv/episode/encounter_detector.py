@@ -25,7 +25,7 @@ from sumo_adv.config_odd import Odd
 from sumo_adv.datatypes import Floats, Place, Relation, RoadClass, VehicleState
 from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.unprotected import crossing_risk, may_attack, unprotected_ways
-from sumo_adv.geometry import Path, make_path, wrap
+from sumo_adv.geometry import Path, make_path, same_layer, wrap
 from sumo_adv.road_users import is_unprotected
 from sumo_adv.simulation.network import Lane, RoadMap, Way
 from sumo_adv.situation import MEET_AHEAD, ReferencePath, relate
@@ -236,14 +236,15 @@ class EncounterDetector:
         if bv.lane not in self.road.lanes:
             return None
         s, d = path.project(bv.x, bv.y)
+        level = bool(same_layer(bv.z, path.height(s)))
         turned = abs(wrap(bv.heading - float(path.at(np.asarray(s))[2])))
         lanes = self.road.lanes
         own_edge = ego.lane in lanes and lanes[bv.lane].edge == lanes[ego.lane].edge
         relation, risk = "", 0.0
-        if turned < 0.5 and (abs(d) < SAME_LANE or (own_edge and abs(d) < BESIDE)):
+        if level and turned < 0.5 and (abs(d) < SAME_LANE or (own_edge and abs(d) < BESIDE)):
             relation = ("leader" if s > 0 else "follower") if abs(d) < SAME_LANE else "neighbour"
             risk = self._same_way_risk(relation, s, d, bv, ego) if -BEHIND < s < ahead else 0.0
-        elif turned > 2.64 and 1.2 < self.road.hand * d < BESIDE and s > 0:
+        elif level and turned > 2.64 and 1.2 < self.road.hand * d < BESIDE and s > 0:
             sides = self.road.side_offsets(bv.lane, bv.x, bv.y, bv.heading)
             if any(kind == "opposite" for _, kind in sides):  # only a line separates the two
                 relation, risk = "oncoming", _oncoming_risk(s, bv.speed + ego.speed)
@@ -318,7 +319,9 @@ def logged_path(road: RoadMap, drive: Drive) -> Path | None:
     """The rest of the ego's log, continued along its route; None if the log is too short."""
     assert drive.ego is not None and drive.playback is not None
     points = drive.playback.ahead(drive.ego, drive.now)
-    if len(points) < 2 or float(np.hypot(*np.diff(points, axis=0).T).sum()) < LEAST_WAY:
+    if road.heights is not None:
+        points = road.heights.along(points, drive.state(drive.ego).z)
+    if len(points) < 2 or float(np.hypot(*np.diff(points[:, :2], axis=0).T).sum()) < LEAST_WAY:
         return None
     path = make_path(points)
     last = road.lane_at(float(path.x[-1]), float(path.y[-1]), float(path.heading[-1]))
@@ -326,9 +329,11 @@ def logged_path(road: RoadMap, drive: Drive) -> Path | None:
 
 
 def continued(points: Floats, ways: Sequence[Way]) -> Path:
-    """The path through ``points`` ``(n, 2)`` and on along the first of the ways, if any, for ``REACH`` metres."""
+    """The path through ``points`` ``(n, 2)``, or ``(n, 3)`` with heights, and on along the first of the ways, if any,
+    for ``REACH`` metres."""
     if ways:
-        onward = np.column_stack([ways[0].path.x, ways[0].path.y])
+        way = ways[0].path
+        onward = np.column_stack([way.x, way.y, np.broadcast_to(way.z, way.x.shape)])[:, : points.shape[1]]
         points = np.vstack([points, onward[4:]])  # 2 m on: no fold where the points are off the centre
     path = make_path(points)
     return path if path.length > REACH else path.extended(REACH - path.length)

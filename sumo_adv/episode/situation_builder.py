@@ -28,6 +28,7 @@ from sumo_adv.situation import (
     Situation,
     Target,
     Traffic,
+    level_with,
     on_path,
     relate,
     top_speed,
@@ -178,7 +179,7 @@ def build_situation(
     ego = state_at(ego_track, time) if len(ego_track.time) > 1 else None
     if ego is None:
         return None
-    points = np.column_stack([ego_track.x, ego_track.y])
+    points = np.column_stack([ego_track.x, ego_track.y, *([ego_track.z] if np.ndim(ego_track.z) else [])])
     path = continued(points, _ways(road, ego_track.lane[-1], ego_track.x[-1], ego_track.y[-1], trigger.route))
     stations = _travelled(ego_track)
     onward = way_ahead(road, ego, trigger.route)
@@ -197,7 +198,7 @@ def build_situation(
         return None
     others = tuple(
         part for name, t in tracks.items() if name != ego_id and len((part := t.between(time, math.inf)).time) > 1
-        and closest(ego_track, part, time) < OTHERS_NEAR
+        and closest(ego_track, part, time) < OTHERS_NEAR and level_with(part, path).any()
     )  # fmt: skip
     width = road.lanes[ego.lane].width if ego.lane in road.lanes else FULL_LANE
     sides = tuple((float(o), k) for o, k in road.side_offsets(ego.lane, ego.x, ego.y, ego.heading))
@@ -236,6 +237,7 @@ def state_at(track: Track, time: float) -> VehicleState | None:
     return VehicleState(
         track.id, float(track.x[i]), float(track.y[i]), float(track.heading[i]), float(track.speed[i]),
         float(track.acceleration[i]), track.length, track.width, track.lane[i],
+        float(track.z[i]) if isinstance(track.z, np.ndarray) else track.z,
     )  # fmt: skip
 
 
@@ -315,7 +317,7 @@ def _target(
 def _is_hidden(bv: VehicleState, ego: VehicleState, tracks: Mapping[str, Track], time: float) -> bool:
     """Whether other boxes hide a pedestrian or cyclist from the ego at a time [s]."""
     there = (state_at(t, time) for name, t in tracks.items() if name not in (bv.id, ego.id) and len(t.time))
-    return not Sight().visible((ego.x, ego.y), [bv, *(state for state in there if state is not None)])[0]
+    return not Sight().visible((ego.x, ego.y), [bv, *(state for state in there if state is not None)], ego.z)[0]
 
 
 def _along(ways: Sequence[Way], road: RoadMap, lane: str, route: tuple[str, ...]) -> int | None:

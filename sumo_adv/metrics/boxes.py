@@ -109,8 +109,8 @@ def half_diagonal(b: Boxes) -> Floats:
 
 def pick(b: Boxes, k: Any) -> Boxes:
     """The boxes at an index ``k`` of their positions; sizes then have the positions' shape."""
-    size = [np.broadcast_to(np.asarray(v, float), b.x.shape)[k] for v in (b.length, b.width)]
-    return Boxes(b.x[k], b.y[k], b.heading[k], b.speed[k], *size, z=height_as(b, lambda z: z[k]))
+    length, width = (np.broadcast_to(np.asarray(v, float), b.x.shape)[k] for v in (b.length, b.width))
+    return Boxes(b.x[k], b.y[k], b.heading[k], b.speed[k], length, width, height_as(b, lambda z: z[k]))
 
 
 def some_steps(b: Boxes, steps: slice) -> Boxes:
@@ -296,4 +296,5 @@ def on_grid(tracks: Sequence[Track], time: Floats) -> Boxes:
             for values, source in zip(state, sources, strict=True):
                 values[row, low:high] = source[low - first : high - first]
     length, width = (np.array([getattr(t, name) for t in tracks]).reshape(-1, 1) for name in ("length", "width"))
-    return Boxes(*state[:4], length, width, z=state[4] if raised else 0.0)
+    x, y, heading, speed = state[:4]
+    return Boxes(x, y, heading, speed, length, width, state[4] if raised else 0.0)

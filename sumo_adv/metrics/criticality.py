@@ -48,7 +48,7 @@ def ttc(a: Boxes, b: Boxes) -> Floats:
             enter = np.maximum(enter, np.where(still, np.where(inside, 0.0, np.inf), middle - width))
             leave = np.minimum(leave, np.where(still, np.inf, middle + width))
         if not flat(a, b):
-            p, u = b.z - a.z, climb(b) * b.speed - climb(a) * a.speed
+            p, u = np.asarray(b.z - a.z), climb(b) * b.speed - climb(a) * a.speed
             still, level = np.abs(u) < 1e-12, same_layer(p, 0.0)
             middle, width = -p / u, LAYER_HEIGHT_M / np.abs(u)
             enter = np.maximum(enter, np.where(still, np.where(level, 0.0, np.inf), middle - width))

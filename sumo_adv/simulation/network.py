@@ -14,13 +14,15 @@ import numpy as np
 from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError
 from sumo_adv.geometry import Path, make_path, wrap
-from sumo_adv.simulation.drivable import KEY, Drivable, area_of
+from sumo_adv.simulation.drivable import KEY, Drivable, Surface, area_of
+from sumo_adv.simulation.layers import Heights, Strip, heights_of
 
 MOVEMENTS = {"s": "straight", "l": "left", "L": "left", "r": "right", "R": "right", "t": "u-turn"}
 MOST_WIDTH = 6.0  # m: no lane is wider
 IN_LINE = 0.6  # rad between a box and the lane that it is in
 TIGHTEST = 0.195  # 1/m: what a car can follow within the limit of 0.2
 MAX_PATHS = 6  # ways on that are followed for one vehicle
+GAP_M = 0.3  # gaps between lanes of up to twice this are carriageway, too
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +81,8 @@ class RoadMap:
     """All lanes of a network, with what can be reached from where.
 
     ground: the drivable area that the network carries (shapely polygons, m), None where it carries none.
-    hand: 1; -1 in left-hand traffic (netconvert's ``--lefthand``)."""
+    hand: 1; -1 in left-hand traffic (netconvert's ``--lefthand``).
+    heights: of the lanes; None where the network is flat and has no bridges. rims: the junctions with heights."""
 
     name: str
     lanes: dict[str, Lane]
@@ -87,6 +90,13 @@ class RoadMap:
     junctions: tuple[Floats, ...] = field(repr=False, default=())  # polygons (n, 2)
     ground: Any = field(repr=False, default=None)
     hand: float = 1.0
+    heights: Heights | None = field(repr=False, default=None)
+    rims: tuple[Floats, ...] = field(repr=False, default=())
+
+    def line(self, lane: Lane) -> Floats:
+        """The centreline of a lane ``(n, 2)`` [m], or ``(n, 3)`` with heights where the network has some."""
+        line = None if self.heights is None else self.heights.lines.get(lane.id)
+        return lane.shape if line is None else line
 
     @cached_property
     def _tree(self) -> tuple[Any, list[Lane]]:
@@ -186,7 +196,7 @@ class RoadMap:
         """
         ways: list[Way] = []
         for chain, first, junction, bay in self._chains(lane_id, position, reach, route):
-            points = np.vstack([self.lanes[n].shape for n in chain])
+            points = np.vstack([self.line(self.lanes[n]) for n in chain])
             path = make_path(_cut(points, position, max(reach, farthest)), tightest=TIGHTEST)
             if path.length < reach:
                 path = path.extended(reach - path.length)
@@ -241,12 +251,18 @@ class RoadMap:
         return [c for c in options if c.movement != "u-turn"]
 
     def strips(self, x: float, y: float, radius: float) -> list[tuple[Floats, float, bool]]:
-        """Shape, width [m], internal? of all passenger lanes near a place, for pictures."""
-        return [
-            (lane.shape, lane.width, lane.internal) for lane in self.lanes.values()
+        """Shape, width [m], internal? of all passenger lanes near a place, for pictures: upper ones last."""
+        near = [
+            lane for lane in self.lanes.values()
             if lane.passenger
             and np.min(np.hypot(lane.shape[:, 0] - x, lane.shape[:, 1] - y)) < radius + lane.length
         ]  # fmt: skip
+        return [(lane.shape, lane.width, lane.internal) for lane in sorted(near, key=self.top)]
+
+    def top(self, lane: Lane) -> float:
+        """The greatest height of a lane [m]: what is drawn later hides what is below it."""
+        line = self.line(lane)
+        return float(line[:, 2].max()) if line.shape[1] > 2 else 0.0
 
     def drivable(self, x: float, y: float, radius: float) -> Drivable:
         """The carriageway within about ``radius`` metres of a place: the network's own, else lanes and junctions."""
@@ -255,14 +271,18 @@ class RoadMap:
         if self.ground is not None:
             return Drivable(self.ground)
         reach = Point(x, y).buffer(radius)
+        lanes = self.passenger_lanes_within(x, y, radius)
         shapes = [
             LineString(lane.shape).buffer(lane.width / 2 + 0.05, cap_style="square" if lane.internal else "flat")
-            for lane in self.passenger_lanes_within(x, y, radius)
+            for lane in lanes
         ]
-        for polygon in self.junctions:
+        lines = [self.line(lane) for lane in lanes]
+        for polygon, line in zip(self.junctions, self.rims or self.junctions, strict=True):
             if len(polygon) > 2 and (p := Polygon(polygon).buffer(0.05)).intersects(reach):
                 shapes.append(p)
-        return Drivable(union_all(shapes).buffer(0.3).buffer(-0.3))
+                lines.append(line)
+        surfaces = () if self.heights is None else map(Surface, (s.buffer(GAP_M) for s in shapes), lines)
+        return Drivable(union_all(shapes).buffer(GAP_M).buffer(-GAP_M), tuple(surfaces))
 
 
 def _tree_of(lanes: Iterable[Lane]) -> tuple[Any, list[Lane]]:
@@ -275,11 +295,11 @@ def _tree_of(lanes: Iterable[Lane]) -> tuple[Any, list[Lane]]:
 
 def _cut(points: Floats, position: float, length: float) -> Floats:
     """The polyline from ``position`` metres on, for ``length`` metres."""
-    step = np.hypot(*np.diff(points, axis=0).T)
+    step = np.hypot(*np.diff(points[:, :2], axis=0).T)
     station = np.concatenate([[0.0], np.cumsum(step)])
     position = min(max(position, 0.0), station[-1] - 0.1)
     ends = np.array([position, min(position + length, station[-1])])
-    start, end = np.column_stack([np.interp(ends, station, points[:, k]) for k in range(2)])
+    start, end = np.column_stack([np.interp(ends, station, values) for values in points.T])
     inside = (station > position + 1e-6) & (station < ends[1] - 1e-6)
     return np.vstack([start, points[inside], end])
 
@@ -295,6 +315,7 @@ def read_network(path: FilePath) -> RoadMap:
             f"{path} could not be read as a SUMO network ({error}); rebuild it with netconvert."
         ) from error
     hand = -1.0 if is_left_hand(path) else 1.0
+    heights = heights_of(_strip(lane) for edge in net.getEdges(withInternal=True) for lane in edge.getLanes())
     lanes: dict[str, Lane] = {}
     edges: dict[str, tuple[str, ...]] = {}
     for edge in net.getEdges(withInternal=True):
@@ -308,8 +329,34 @@ def read_network(path: FilePath) -> RoadMap:
                 float(lane.getWidth()), float(lane.getLength()), float(lane.getSpeed()), internal,
                 bool(lane.allows("passenger")) and edge.getFunction() in ("", "internal"), _connections(net, lane),
             )  # fmt: skip
-    junctions = tuple(np.asarray(n.getShape(), float)[:, :2] for n in net.getNodes() if len(n.getShape()) > 2)
-    return RoadMap(path.name.split(".net.xml")[0], lanes, edges, junctions, _ground(path, net), hand)
+    nodes = [n for n in net.getNodes() if len(n.getShape()) > 2]
+    junctions = tuple(np.asarray(n.getShape(), float)[:, :2] for n in nodes)
+    rims = () if heights is None else tuple(_rim(n, heights) for n in nodes)
+    return RoadMap(path.name.split(".net.xml")[0], lanes, edges, junctions, _ground(path, net), hand, heights, rims)
+
+
+def _strip(lane: Any) -> Strip:
+    """A lane of sumolib for its height. A faster, wider road bridges another rather than the other way round."""
+    edge = lane.getEdge()
+    shape = np.asarray(lane.getShape3D(), float)
+    start, end = edge.getFromNode().getID(), edge.getToNode().getID()
+    if edge.getFunction():  # within a junction, whose name is in that of the edge
+        start = end = edge.getID()[1:].rpartition("_")[0]
+    size = edge.getPriority(), edge.getSpeed(), edge.getLaneNumber()
+    rank = (not edge.getFunction(), *size, *sorted((start, end)), edge.getID())
+    return Strip(lane.getID(), edge.getID(), shape[:, :2], shape[:, 2], start, end, rank)
+
+
+def _rim(node: Any, heights: Heights) -> Floats:
+    """The outline of a junction with heights ``(n, 3)``: at each point that of the lane that ends there."""
+    shape = np.asarray(node.getShape(), float)[:, :2]
+    ways = ((node.getIncoming(), -1), (node.getOutgoing(), 0))
+    lanes = ((lane.getID(), end) for edges, end in ways for edge in edges for lane in edge.getLanes())
+    ends = np.array([heights.lines[name][end] for name, end in lanes if name in heights.lines]).reshape(-1, 3)
+    if not len(ends):
+        return shape
+    nearest = np.hypot(*(shape[:, None, :] - ends[None, :, :2]).transpose(2, 0, 1)).argmin(axis=1)
+    return np.column_stack([shape, ends[nearest, 2]])
 
 
 def is_left_hand(path: FilePath) -> bool:

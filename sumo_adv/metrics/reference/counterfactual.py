@@ -191,10 +191,10 @@ class Counterfactual:
     def _everybody(self, adversary: Boxes | None = None) -> Boxes:
         """The adversary (as it is, or as given) and the others, ``(N, 1 + K, steps)``."""
         a, n = self.adversary if adversary is None else adversary, len(self.ego.x)
-        sizes = [_size(a.length, n), _size(a.width, n)]
+        sizes = _size(a.length, n), _size(a.width, n)
         if self.others is None:
             x, y, heading, speed = (v[:, None, :] for v in (a.x, a.y, a.heading, a.speed))
-            return Boxes(x, y, heading, speed, *sizes, z=height_as(a, lambda z: z[:, None, :]))
+            return Boxes(x, y, heading, speed, *sizes, height_as(a, lambda z: z[:, None, :]))
         o = self.others
         x, y, heading, speed = (
             np.concatenate([p[:, None, :], q], axis=1)
