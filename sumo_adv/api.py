@@ -201,9 +201,10 @@ def judge(
     """The verdict (version 2, kinematic) on tracks of your own.
 
     ego, adversary: columns by name (arrays, a dict of lists, a pandas table): time [s], x, y of the box's centre [m],
-    heading [rad], speed [m/s], optional length, width [m] and lane; or ids, and then ``others`` is one table with the
-    column ``id`` that holds all vehicles. others: further vehicles, a table each. All on one regular grid; let the
-    adversary's track go on past the contact as it planned, or the verdict is inconclusive (``no_plan``).
+    heading [rad], speed [m/s], optional length, width [m], lane and z, the height of the road [m]; or ids, and then
+    ``others`` is one table with the column ``id`` that holds all vehicles. others: further vehicles, a table each. All
+    on one regular grid; let the adversary's track go on past the contact as it planned, or the verdict is inconclusive
+    (``no_plan``).
     trigger_time: from when on the adversary attacks [s]; the third state by default.
     on_road: tells whether points (x, y) are drivable; without it no motion counts as off the road.
 
@@ -228,9 +229,9 @@ def judge(
     first, second = track_of("ego", ego_columns, Role.EGO), track_of("adversary", adversary_columns, Role.ADVERSARY)
     third = [track_of(name, columns, Role.BACKGROUND) for name, columns in given.items()]
     start = float(first.time[2]) if trigger_time is None else trigger_time
-    half = lane_width / 2
-    verdict = gates(first, second, third, trigger_time=start, ttc_threshold=ttc, on_road=on_road, lane_half_width=half)
-    return with_level(verdict, first, second, third, trigger_time=start, on_road=on_road, lane_half_width=half)
+    half, ground = lane_width / 2, None if on_road is None else lambda x, y, z=None: on_road(x, y)
+    verdict = gates(first, second, third, trigger_time=start, ttc_threshold=ttc, on_road=ground, lane_half_width=half)
+    return with_level(verdict, first, second, third, trigger_time=start, on_road=ground, lane_half_width=half)
 
 
 def _table(file: Path, header: str | None = None) -> Table:

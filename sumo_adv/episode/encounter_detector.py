@@ -68,7 +68,7 @@ def _lane(road: RoadMap, drive: Drive, ego: VehicleState) -> tuple[Lane, float] 
     if ego.lane in road.lanes and not drive.replayed():
         assert drive.ego is not None
         return road.lanes[ego.lane], max(drive.simulation.lane_position(drive.ego) - ego.length / 2, 0.0)
-    lane_at = road.lane_at(ego.x, ego.y, ego.heading)
+    lane_at = road.lane_at(ego.x, ego.y, ego.heading, ego.z)
     return None if lane_at is None else (road.lanes[lane_at[0]], lane_at[1])
 
 
@@ -324,7 +324,7 @@ def logged_path(road: RoadMap, drive: Drive) -> Path | None:
     if len(points) < 2 or float(np.hypot(*np.diff(points[:, :2], axis=0).T).sum()) < LEAST_WAY:
         return None
     path = make_path(points)
-    last = road.lane_at(float(path.x[-1]), float(path.y[-1]), float(path.heading[-1]))
+    last = road.lane_at(float(path.x[-1]), float(path.y[-1]), float(path.heading[-1]), float(path.height(path.length)))
     return continued(points, road.ways(*last, REACH, drive.route()) if last is not None else ())
 
 

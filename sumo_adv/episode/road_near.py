@@ -105,10 +105,12 @@ class RoadNear:
         key = tuple(lane.id for lane in route[:3])
         if self._lanes[0] == key and math.dist(self._lanes[1], ego) < FRESH:
             return self._lanes[2]
-        path = _Direction(np.vstack([lane.shape for lane in route]))
+        path, way = _Direction(np.vstack([lane.shape for lane in route])), self._way(route)
         on = {lane.id for lane in route}
         lanes = []
         for lane in self._road.passenger_lanes_within(*ego, REACH):
+            if lane.id not in on and lane.id not in met and self._road.leads_over(way, self._road.line(lane)):
+                continue
             relation = "route" if lane.id in on else "crossing" if lane.id in met else path.relation(lane.shape)
             row = self._road.edges[lane.edge]
             right = row[lane.index - 1] if lane.index > 0 else None
@@ -117,13 +119,19 @@ class RoadNear:
         self._lanes = (key, ego, tuple(lanes))
         return self._lanes[2]
 
-    def edges(self, ego: tuple[float, float], route: Sequence[str]) -> tuple[Floats, ...]:
-        """The boundary of the carriageway near a place; ``route``: of the ego."""
+    def _way(self, route: Sequence[NetLane]) -> Floats:
+        """The centrelines of lanes, one after the other, with heights where the network has some."""
+        return np.vstack([self._road.line(lane) for lane in route])
+
+    def edges(
+        self, ego: tuple[float, float], route: Sequence[str], lanes: Sequence[NetLane] = ()
+    ) -> tuple[Floats, ...]:
+        """The boundary of the carriageway near a place; ``route``: of the ego; ``lanes``: of its path."""
         if self._edges[0] == route and math.dist(self._edges[1], ego) < FRESH:
             return self._edges[2]
         from shapely import Point
 
-        area = self._road.drivable(*ego, REACH).area
+        area = self._road.drivable(*ego, REACH, self._way(lanes) if lanes else None).area
         line = area.boundary.intersection(Point(*ego).buffer(REACH))
         parts = [part for part in getattr(line, "geoms", [line]) if part.geom_type == "LineString"]
         self._edges = (route, ego, tuple(np.array(part.coords) for part in parts))

@@ -121,10 +121,12 @@ class Hump:
 
 @dataclass(frozen=True)
 class Heights:
-    """The heights of a network's lanes. lines: by lane id the centreline ``(n, 3)`` [m]: x, y, z."""
+    """The heights of a network's lanes. lines: by lane id the centreline ``(n, 3)`` [m]: x, y, z. inferred: whether
+    some are not the network's own."""
 
     network: Network
     lines: Mapping[str, Floats]
+    inferred: bool = False
 
     def at(self, lane: str, x: Any, y: Any) -> Any:
         """The height [m] of a lane where it is nearest to (x, y): floats, or any shape."""
@@ -189,7 +191,7 @@ def heights_of(strips: Iterable[Strip]) -> Heights | None:
     levels = {float(z) for strip in network.strips.values() for z in (strip.z.min(), strip.z.max())}
     if not humps and len(levels) < 2:
         return None
-    return Heights(network, {name: _line(network, strip, humps) for name, strip in network.strips.items()})
+    return Heights(network, {n: _line(network, strip, humps) for n, strip in network.strips.items()}, bool(humps))
 
 
 def _line(network: Network, strip: Strip, humps: Sequence[Hump]) -> Floats:

@@ -13,7 +13,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError
-from sumo_adv.geometry import Path, make_path, wrap
+from sumo_adv.geometry import Path, along, make_path, same_layer, stations, wrap
 from sumo_adv.simulation.drivable import KEY, Drivable, Surface, area_of
 from sumo_adv.simulation.layers import Heights, Strip, heights_of
 
@@ -130,10 +130,11 @@ class RoadMap:
         tree, lanes = self._passenger_tree
         return [lanes[i] for i in sorted(tree.query(Point(x, y).buffer(radius), predicate="intersects"))]
 
-    def lane_at(self, x: float, y: float, heading: float) -> tuple[str, float] | None:
-        """The passenger lane outside junctions in which a point is, and how far along [m]; its direction must agree."""
+    def lane_at(self, x: float, y: float, heading: float, z: float | None = None) -> tuple[str, float] | None:
+        """The passenger lane outside junctions in which a point is, and how far along [m]; its direction must agree.
+        z: so must its layer [m]; None = any."""
         best: tuple[float, str, float] | None = None
-        for lane in self.lanes_near(x, y, MOST_WIDTH):
+        for lane in self._level(self.lanes_near(x, y, MOST_WIDTH), x, y, z):
             a, along = lane.shape[:-1], np.diff(lane.shape, axis=0)
             length = np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)
             t = np.clip(((x - a[:, 0]) * along[:, 0] + (y - a[:, 1]) * along[:, 1]) / length**2, 0.0, 1.0)
@@ -144,11 +145,17 @@ class RoadMap:
                 best = float(away[i]), lane.id, float(length[:i].sum() + t[i] * length[i])
         return None if best is None else best[1:]
 
-    def opposite_offset(self, x: float, y: float, heading: float) -> float | None:
+    def _level(self, lanes: Sequence[Lane], x: float, y: float, z: float | None) -> list[Lane]:
+        """The lanes that are at a point on the layer of the height ``z`` [m]; all where that is None."""
+        if self.heights is None or z is None:
+            return list(lanes)
+        return [lane for lane in lanes if same_layer(self.heights.at(lane.id, x, y), z)]
+
+    def opposite_offset(self, x: float, y: float, heading: float, z: float | None = None) -> float | None:
         """Lateral offset of the nearest lane on the inner side (left, in left-hand traffic right) that leads the
-        other way and touches ours; None if none."""
+        other way and touches ours, on the layer of the height ``z`` [m]; None if none."""
         best: float | None = None
-        for lane in self.lanes_near(x, y, 12.0):
+        for lane in self._level(self.lanes_near(x, y, 12.0), x, y, z):
             i = int(np.argmin(np.hypot(lane.shape[:-1, 0] - x, lane.shape[:-1, 1] - y))) if len(lane.shape) > 2 else 0
             for j in range(max(0, i - 1), min(i + 2, len(lane.shape) - 1)):
                 a, b = lane.shape[j], lane.shape[j + 1]
@@ -171,7 +178,8 @@ class RoadMap:
         row = self.edges[lane.edge]
         inner = row[lane.index + 1 :] if self.hand > 0 else row[: lane.index]
         reach = sum(self.lanes[n].width for n in inner) + lane.width / 2
-        opposite = self.opposite_offset(x, y, heading)
+        z = None if self.heights is None else float(self.heights.at(lane_id, x, y))
+        opposite = self.opposite_offset(x, y, heading, z)
         if opposite is not None and abs(opposite) < reach + 2.6:
             offsets.append((opposite, "opposite"))
         return offsets
@@ -264,20 +272,40 @@ class RoadMap:
         line = self.line(lane)
         return float(line[:, 2].max()) if line.shape[1] > 2 else 0.0
 
-    def drivable(self, x: float, y: float, radius: float) -> Drivable:
-        """The carriageway within about ``radius`` metres of a place: the network's own, else lanes and junctions."""
+    def leads_over(self, way: Floats, line: Floats) -> bool:
+        """Whether a lane passes above or below a way where it is nearest to it; lines as :meth:`line` has them."""
+        from shapely import LineString, shortest_line
+
+        if self.heights is None or way.shape[1] < 3 or line.shape[1] < 3:
+            return False
+        plans = [LineString(points[:, :2]) for points in (way, line)]
+        places = np.asarray(shortest_line(*plans).coords)
+        z = (
+            np.interp(along(points[:, :2], *place), stations(*points[:, :2].T), points[:, 2])
+            for points, place in zip((way, line), places, strict=True)
+        )
+        return not same_layer(*z)
+
+    def drivable(self, x: float, y: float, radius: float, way: Floats | None = None) -> Drivable:
+        """The carriageway within about ``radius`` metres of a place: the network's own, else lanes and junctions.
+        way: leave out what leads over or under this line ``(n, 3)`` [m]."""
         from shapely import LineString, Point, Polygon, union_all
 
         if self.ground is not None:
             return Drivable(self.ground)
         reach = Point(x, y).buffer(radius)
-        lanes = self.passenger_lanes_within(x, y, radius)
+        lanes = [
+            lane for lane in self.passenger_lanes_within(x, y, radius)
+            if way is None or not self.leads_over(way, self.line(lane))
+        ]  # fmt: skip
         shapes = [
             LineString(lane.shape).buffer(lane.width / 2 + 0.05, cap_style="square" if lane.internal else "flat")
             for lane in lanes
         ]
         lines = [self.line(lane) for lane in lanes]
         for polygon, line in zip(self.junctions, self.rims or self.junctions, strict=True):
+            if way is not None and self.leads_over(way, line):
+                continue
             if len(polygon) > 2 and (p := Polygon(polygon).buffer(0.05)).intersects(reach):
                 shapes.append(p)
                 lines.append(line)
