@@ -30,7 +30,7 @@ class EncounterSearch:
         self._meetings = Meetings(road)
         self._left_egos = set[str]()
         self._left_vehicles, self._left_at = frozenset[str](), -math.inf
-        drive.on_load, drive.heights = self.begin, road.heights
+        drive.on_load = self.begin
         self.begin()
 
     def begin(self) -> None:

@@ -100,6 +100,7 @@ class Surroundings:
     def __init__(self, road: RoadMap, meetings: Meetings, drive: Drive, additional: Sequence[Path] = ()) -> None:
         """``additional``: files with buildings, for drivers that ask for them."""
         self._drive = drive
+        drive.heights = road.heights
         self._place = EgoPlace(road, meetings, drive.simulation)
         self._road = RoadHere(road, meetings, drive)
         self._path = LaneLine(road, drive)
