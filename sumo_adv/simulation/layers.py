@@ -22,8 +22,8 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Floats
-from sumo_adv.geometry import along, same_layer, stations
+from sumo_adv.datatypes import Bools, Floats
+from sumo_adv.geometry import LAYER_HEIGHT_M, along, same_layer, stations
 
 CLEARANCE_M = 6.0  # of an inferred bridge: a lorry is 4 m high, and a deck is thick
 JOINED_M = 40.0  # along the network: no road climbs over another within less
@@ -182,6 +182,17 @@ class Heights:
         from shapely import LineString, STRtree
 
         return STRtree([LineString(line[:, :2]) for line in self.lines.values()]), list(self.lines)
+
+
+def covers(line: Floats, width: float, x: Floats | float, y: Floats | float, z: Floats | float) -> Bools:
+    """Whether a lane passes over points of any one shape at heights ``z`` [m]; ``line``: ``(n, 2)`` or ``(n, 3)`` [m].
+
+    A lane without heights covers nothing."""
+    if line.shape[1] < 3 or not (line[:, 2].max() - np.min(z) > LAYER_HEIGHT_M):
+        return np.zeros(np.shape(x), bool)
+    station, own = along(line[:, :2], x, y), stations(*line[:, :2].T)
+    near_x, near_y, height = (np.interp(station, own, values) for values in line.T)
+    return np.asarray((np.hypot(near_x - x, near_y - y) < width / 2) & (height - z > LAYER_HEIGHT_M))
 
 
 def heights_of(strips: Iterable[Strip]) -> Heights | None:

@@ -259,13 +259,13 @@ class RoadMap:
         return [c for c in options if c.movement != "u-turn"]
 
     def strips(self, x: float, y: float, radius: float) -> list[tuple[Floats, float, bool]]:
-        """Shape, width [m], internal? of all passenger lanes near a place, for pictures: upper ones last."""
+        """Centreline, width [m], internal? of all passenger lanes near a place, for pictures: upper ones last."""
         near = [
             lane for lane in self.lanes.values()
             if lane.passenger
             and np.min(np.hypot(lane.shape[:, 0] - x, lane.shape[:, 1] - y)) < radius + lane.length
         ]  # fmt: skip
-        return [(lane.shape, lane.width, lane.internal) for lane in sorted(near, key=self.top)]
+        return [(self.line(lane), lane.width, lane.internal) for lane in sorted(near, key=self.top)]
 
     def top(self, lane: Lane) -> float:
         """The greatest height of a lane [m]: what is drawn later hides what is below it."""
