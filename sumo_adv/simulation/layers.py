@@ -4,6 +4,10 @@ Every lane has a height at every place: the z of its shape. Where two lanes cros
 network does not join them there, one is a bridge whose height the network leaves out, and it is inferred. Heights are
 compared by ``geometry.same_layer`` alone.
 
+A network that was converted from a record is a cut-out, in which lanes of one junction may not be joined: there nothing
+is inferred. Where its record has roads above one another, its lanes carry their heights as SUMO's generic parameter
+``heights``, a number [m] for each point of the shape, so that SUMO's own lengths stay those of the plan.
+
 Lanes are joined where a way of at most ``JOINED_M`` along the network leads from one to the other: at a junction, at
 its pedestrian crossings, where a road was split. A bridge is raised to ``CLEARANCE_M`` above the other road. Its ramps
 follow the network, so that what branches off a bridge comes down with it. They are ``RAMP_M`` long, or shorter where
@@ -25,6 +29,7 @@ import numpy as np
 from sumo_adv.datatypes import Bools, Floats
 from sumo_adv.geometry import LAYER_HEIGHT_M, along, same_layer, stations
 
+KEY = "heights"
 CLEARANCE_M = 6.0  # of an inferred bridge: a lorry is 4 m high, and a deck is thick
 JOINED_M = 40.0  # along the network: no road climbs over another within less
 RAMP_M = 250.0  # along the network; the half at the bridge is level, which is further than a driver sees
@@ -195,14 +200,31 @@ def covers(line: Floats, width: float, x: Floats | float, y: Floats | float, z: 
     return np.asarray((np.hypot(near_x - x, near_y - y) < width / 2) & (height - z > LAYER_HEIGHT_M))
 
 
-def heights_of(strips: Iterable[Strip]) -> Heights | None:
-    """The heights of a network's lanes; None where all is flat and no lane crosses another without a junction."""
+def heights_of(strips: Iterable[Strip], *, infer: bool = True) -> Heights | None:
+    """The heights of a network's lanes; None where all is flat and no lane crosses another without a junction. infer:
+    such a lane is a bridge."""
     network = Network(strips)
-    humps = list(_bridges(network))
+    humps = _bridges(network) if infer else []
     levels = {float(z) for strip in network.strips.values() for z in (strip.z.min(), strip.z.max())}
     if not humps and len(levels) < 2:
         return None
     return Heights(network, {n: _line(network, strip, humps) for n, strip in network.strips.items()}, bool(humps))
+
+
+def pass_over(lines: Sequence[Floats]) -> bool:
+    """Whether some of the lines ``(n, 3)`` [m] cross in plan on different layers."""
+    from shapely import STRtree, linestrings
+
+    plans = [linestrings(line[:, :2]) for line in lines]
+    for i, k in STRtree(plans).query(plans, predicate="crosses").T.tolist():
+        point = plans[i].intersection(plans[k]).representative_point()
+        z = (
+            np.interp(along(line[:, :2], point.x, point.y), stations(*line[:, :2].T), line[:, 2])
+            for line in (lines[i], lines[k])
+        )
+        if i < k and not same_layer(*z):
+            return True
+    return False
 
 
 def _line(network: Network, strip: Strip, humps: Sequence[Hump]) -> Floats:

@@ -15,6 +15,7 @@ from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError
 from sumo_adv.geometry import Path, along, make_path, same_layer, stations, wrap
 from sumo_adv.simulation.drivable import KEY, Drivable, Surface, area_of
+from sumo_adv.simulation.layers import KEY as HEIGHTS
 from sumo_adv.simulation.layers import Heights, Strip, heights_of
 
 MOVEMENTS = {"s": "straight", "l": "left", "L": "left", "r": "right", "R": "right", "t": "u-turn"}
@@ -343,7 +344,12 @@ def read_network(path: FilePath) -> RoadMap:
             f"{path} could not be read as a SUMO network ({error}); rebuild it with netconvert."
         ) from error
     hand = -1.0 if is_left_hand(path) else 1.0
-    heights = heights_of(_strip(lane) for edge in net.getEdges(withInternal=True) for lane in edge.getLanes())
+    ground = _ground(path, net)
+    try:
+        strips = [_strip(lane) for edge in net.getEdges(withInternal=True) for lane in edge.getLanes()]
+    except ValueError as error:
+        raise UsageError(f"The heights in {path} are damaged ({error}); convert the record again.") from error
+    heights = heights_of(strips, infer=ground is None)
     lanes: dict[str, Lane] = {}
     edges: dict[str, tuple[str, ...]] = {}
     for edge in net.getEdges(withInternal=True):
@@ -360,7 +366,7 @@ def read_network(path: FilePath) -> RoadMap:
     nodes = [n for n in net.getNodes() if len(n.getShape()) > 2]
     junctions = tuple(np.asarray(n.getShape(), float)[:, :2] for n in nodes)
     rims = () if heights is None else tuple(_rim(n, heights) for n in nodes)
-    return RoadMap(path.name.split(".net.xml")[0], lanes, edges, junctions, _ground(path, net), hand, heights, rims)
+    return RoadMap(path.name.split(".net.xml")[0], lanes, edges, junctions, ground, hand, heights, rims)
 
 
 def _strip(lane: Any) -> Strip:
@@ -371,8 +377,11 @@ def _strip(lane: Any) -> Strip:
     if edge.getFunction():  # within a junction, whose name is in that of the edge
         start = end = edge.getID()[1:].rpartition("_")[0]
     size = edge.getPriority(), edge.getSpeed(), edge.getLaneNumber()
+    z = np.array(lane.getParam(HEIGHTS).split(), float) if lane.getParam(HEIGHTS) else shape[:, 2]
+    if len(z) != len(shape):
+        raise ValueError(f"lane {lane.getID()} has {len(shape)} points and {len(z)} heights")
     rank = (not edge.getFunction(), *size, *sorted((start, end)), edge.getID())
-    return Strip(lane.getID(), edge.getID(), shape[:, :2], shape[:, 2], start, end, rank)
+    return Strip(lane.getID(), edge.getID(), shape[:, :2], z, start, end, rank)
 
 
 def _rim(node: Any, heights: Heights) -> Floats:
