@@ -55,7 +55,8 @@ class Result:
         """The attempt that counts (the unattacked run if there was none), from the start of the simulation.
 
         time [s]; id; role; x, y of the box's centre [m]; heading [rad]; speed [m/s]; acceleration [m/s2]; length, width
-        [m]; lane. A row a vehicle and step, by time; no rows where no encounter was met.
+        [m]; lane; where roads have heights z, that of the road [m]. A row a vehicle and step, by time; no rows where no
+        encounter was met.
         """
         return _table(self.folder / "states.csv.gz")
 
