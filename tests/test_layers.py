@@ -25,6 +25,9 @@ from sumo_adv.geometry import Pose
 from sumo_adv.metrics.boxes import first_contact, gap, overlaps
 from sumo_adv.metrics.criticality import headway, pet, ttc
 from sumo_adv.metrics.gates import off_road
+from sumo_adv.report.export.piece import read_piece
+from sumo_adv.report.export.sumo import fcd
+from sumo_adv.report.read import read_run
 from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.simulation.network import RoadMap, read_network
 from sumo_adv.situation import relate
@@ -237,3 +240,8 @@ def test_a_vehicle_below_a_bridge_is_attacked_from_its_own_road(program: Program
     assert outcome["ending"] == "critical"
     assert outcome["attempts"][outcome["best"]]["level"] in ("collision", "valid", "strict", "serious")
     assert [a["id"] for a in outcome["adversaries"]] == ["beside"]
+    run, height = program.folder / "out", 6.0 if deck is None else deck
+    tracks = {track.id: track for track in read_run(run).best}
+    assert float(np.ravel(tracks["deck290"].z)[-1]) == height
+    assert not np.any(tracks["ego"].z)
+    assert f'z="{height:.4f}"' in fcd(read_piece(run))
