@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -21,6 +22,7 @@ from sumo_adv.drivers import Observation, UserEgo
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.right_of_way import Meetings
 from sumo_adv.episode.surroundings import Sight, Surroundings
+from sumo_adv.errors import UsageError
 from sumo_adv.geometry import Pose
 from sumo_adv.metrics.boxes import first_contact, gap, overlaps
 from sumo_adv.metrics.criticality import headway, pet, ttc
@@ -110,6 +112,21 @@ def test_a_bridge_without_heights_is_a_hump_of_six_metres(tmp_path: Path) -> Non
     assert upper[2] == pytest.approx(3.0, abs=0.2)
     assert upper[3] == 0.0
     assert heights(road, "under_0", (4.8, -4.8), (-300.0, -4.8)) == [0.0, 0.0]
+
+
+def test_a_network_may_carry_the_heights_of_its_lanes(tmp_path: Path) -> None:
+    """As one that was converted from a record does: a number for each of the two points of a shape."""
+    network = make_network(tmp_path)
+    text = network.read_text()
+
+    def carrying(numbers: str) -> RoadMap:
+        lanes = re.sub(r'(<lane id="over_[^>]*)/>', rf'\1><param key="heights" value="{numbers}"/></lane>', text)
+        network.write_text(lanes)
+        return read_network(network)
+
+    assert heights(carrying("4.00 8.00"), "over_0", (4.8, -300.0), (4.8, 0.0)) == [4.0, 6.0]
+    with pytest.raises(UsageError, match=r"heights in .* are damaged \(lane over_0 has 2 points and 1 heights\)"):
+        carrying("4.00")
 
 
 def test_a_ramp_leads_from_one_road_up_to_the_other(tmp_path: Path) -> None:
