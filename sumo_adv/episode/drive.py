@@ -27,8 +27,9 @@ from sumo_adv.drivers.protocol import Senses, wishes_of
 from sumo_adv.drivers.sumo_driven import defaults_of
 from sumo_adv.episode.ego_place import EgoPlace, LanePlace, back_to_lane
 from sumo_adv.errors import DriverError
-from sumo_adv.geometry import Pose
+from sumo_adv.geometry import Pose, same_layer
 from sumo_adv.simulation.ego_types import EGO_TYPE, ego_types_xml, vehicle_types
+from sumo_adv.simulation.layers import Heights
 from sumo_adv.simulation.network import RoadMap
 from sumo_adv.simulation.playback import Playback
 from sumo_adv.simulation.remote import Remote
@@ -117,6 +118,7 @@ class Drive:
         self._placed: tuple[float, LanePlace | None] = (-math.inf, None)  # when it was last worked out [s]
         self.on_load: Callable[[], None] | None = None  # called when the simulation was loaded again
         self.lights: LightsNear | None = None  # set if the states of traffic lights are recorded
+        self.heights: Heights | None = None  # set if the network's roads have heights
         self.playback = playback
         self.until = math.inf  # s, from which on a log is dangerous by itself: attempts end before
         if playback is not None:
@@ -217,10 +219,22 @@ class Drive:
         if self.lights is not None and self.ego is not None and self.ego in snapshot.raw:
             x, y = snapshot.raw[self.ego][:2]
             snapshot = replace(snapshot, lights=self.lights.states(self.simulation, x, y))
+        if self.heights is not None:
+            snapshot = replace(snapshot, heights=self._heights_in(snapshot, self.heights))
         self.recording.append(snapshot)
         if self.ego is not None and self.ego in snapshot.raw:
             self.actions.stepped(snapshot.raw[self.ego][3])
         return snapshot
+
+    def _heights_in(self, snapshot: Snapshot, heights: Heights) -> dict[str, float]:
+        """The heights of all vehicles and persons of a snapshot that was just read [m]."""
+        last = self.recording.snapshots[-1] if self.recording.snapshots else Snapshot(0.0, {})
+        now = {}
+        for name, (x, y, *_) in snapshot.raw.items():
+            known = name in last.heights
+            before = (*last.raw[name][:2], last.heights[name]) if known else None
+            now[name] = heights.follow(self.simulation.lane_of(snapshot, name), x, y, before)
+        return now
 
     def rewind(self, steps: int) -> None:
         """Load the simulation again and repeat the first ``steps`` steps with the same commands."""
@@ -268,9 +282,17 @@ class Drive:
         return pose_of(self.snapshot.raw[vehicle], self.simulation.fleet.sizes[vehicle][0])
 
     def near(self, vehicle: VehicleState, radius: float) -> list[str]:
-        """The other vehicles with their centres within ``radius`` [m] of a vehicle's centre."""
+        """The other vehicles with their centres within ``radius`` [m] of a vehicle's centre, not above or below it."""
         poses = ((n, self.pose(n)) for n in self.snapshot.raw if n != vehicle.id)
-        return [n for n, (x, y, _) in poses if math.hypot(x - vehicle.x, y - vehicle.y) < radius]
+        near = [n for n, (x, y, _) in poses if math.hypot(x - vehicle.x, y - vehicle.y) < radius]
+        return near if self.heights is None else [n for n in near if self._level(vehicle, n, radius, self.heights)]
+
+    def _level(self, vehicle: VehicleState, other: str, radius: float, heights: Heights) -> bool:
+        """Whether another vehicle is on a vehicle's layer, or on a road that leads there within ``radius`` [m]."""
+        if same_layer(vehicle.z, self.snapshot.heights.get(other, 0.0)):
+            return True
+        x, y, _, _, lane = self.snapshot.raw[other]
+        return heights.way(vehicle.lane, vehicle.x, vehicle.y, lane, x, y, radius) <= radius
 
     def tracks(self, *adversaries: str, start: int = 0) -> list[Track]:
         """All tracks from recorded step ``start`` on."""

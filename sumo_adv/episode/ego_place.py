@@ -128,7 +128,10 @@ class EgoPlace:
             return LanePlace(lane, front_on(lane, ego, self._simulation), ())
         if not self.astray and _edge_of(self.road, lane) in route[:2]:  # the second one from on the junction before it
             return LanePlace(lane, front_on(lane, ego, self._simulation), route)
-        reached = [(k, o) for k, o in self._candidates() if o.internal or self._gone(k, _front(o, ego))]
+        reached = [
+            (k, other) for k, other in self._candidates()
+            if (other.internal or self._gone(k, _front(other, ego))) and self.road.level([other], ego.x, ego.y, ego.z)
+        ]  # fmt: skip
         k, nearest = min(reached, key=lambda option: option[1].away(ego.x, ego.y), default=(0, None))
         if nearest is None or nearest.away(ego.x, ego.y) > LEFT_ROUTE_M:
             return None
@@ -209,27 +212,33 @@ def against(lane: Lane, vehicle: VehicleState) -> bool:
 def lane_on_route(road: RoadMap, vehicle: VehicleState, route: Sequence[str], vclass: str) -> Lane | None:
     """The lane that a vehicle drives on along its route; None off all lanes.
 
-    That is SUMO's lane, unless it is not on the route or leads the other way and a lane of the route is near.
+    That is SUMO's lane, unless it is not on the route, leads the other way or is above or below the vehicle, and a lane
+    of the route is near.
 
     Args:
         route: the vehicle's edges; empty: unknown.
         vclass: SUMO's class of the vehicle.
     """
     lane = road.lanes.get(vehicle.lane)
-    if lane is None or (_edge_of(road, lane) in route and not against(lane, vehicle)):
+    if lane is None or (_edge_of(road, lane) in route and _leading(road, vehicle, [lane])):
         return lane
     if not route:
         return _beside(road, vehicle, lane, vclass)
     rows = (road.lanes[name] for edge in route for name in road.edges.get(edge, ()))
     near = [(other.away(vehicle.x, vehicle.y), other.id) for other in rows if other.allows(vclass)]
-    near = [pair for pair in near if pair[0] < LEFT_ROUTE_M and not against(road.lanes[pair[1]], vehicle)]
+    near = [pair for pair in near if pair[0] < LEFT_ROUTE_M and _leading(road, vehicle, [road.lanes[pair[1]]])]
     return road.lanes[min(near)[1]] if near else lane
 
 
 def _beside(road: RoadMap, vehicle: VehicleState, lane: Lane, vclass: str) -> Lane:
-    """The nearest lane that leads the vehicle's way, where its own leads the other way."""
-    if not against(lane, vehicle):
+    """The nearest lane that leads the vehicle's way on its layer, where its own does not."""
+    if _leading(road, vehicle, [lane]):
         return lane
-    lanes = road.lanes_near(vehicle.x, vehicle.y, BESIDE_M)
-    near = [other for other in lanes if other.allows(vclass) and not against(other, vehicle)]
+    near = _leading(road, vehicle, road.lanes_near(vehicle.x, vehicle.y, BESIDE_M))
+    near = [other for other in near if other.allows(vclass)]
     return min(near, key=lambda other: other.away(vehicle.x, vehicle.y), default=lane)
+
+
+def _leading(road: RoadMap, vehicle: VehicleState, lanes: Sequence[Lane]) -> list[Lane]:
+    """Those of some lanes that lead a vehicle's way on its layer."""
+    return [lane for lane in road.level(lanes, vehicle.x, vehicle.y, vehicle.z) if not against(lane, vehicle)]

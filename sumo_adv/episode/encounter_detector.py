@@ -26,7 +26,7 @@ from sumo_adv.datatypes import Floats, Place, Relation, RoadClass, VehicleState
 from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.ego_place import front_on, lane_on_route
 from sumo_adv.episode.unprotected import crossing_risk, may_attack, unprotected_ways
-from sumo_adv.geometry import Path, make_path, wrap
+from sumo_adv.geometry import Path, make_path, same_layer, wrap
 from sumo_adv.road_users import is_motorcycle, is_unprotected
 from sumo_adv.simulation.network import Lane, RoadMap, Way
 from sumo_adv.simulation.permissions import CAR, MOTOR
@@ -74,7 +74,7 @@ def _lane(road: RoadMap, drive: Drive, ego: VehicleState) -> tuple[Lane, float] 
     place = None if drive.replayed() else drive.place(road)
     if place is not None:
         return place.lane, max(place.front - ego.length / 2, 0.0)
-    lane_at = road.lane_at(ego.x, ego.y, ego.heading, drive.kind(ego.id))
+    lane_at = road.lane_at(ego.x, ego.y, ego.heading, drive.kind(ego.id), ego.z)
     return None if lane_at is None else (road.lanes[lane_at[0]], lane_at[1])
 
 
@@ -239,16 +239,17 @@ class EncounterDetector:
         if bv.lane not in self.road.lanes:
             return None
         s, d = path.project(bv.x, bv.y)
+        level = bool(same_layer(bv.z, path.height(s)))
         turned = abs(wrap(bv.heading - float(path.at(np.asarray(s))[2])))
         place = drive.place(self.road)
         own_edge = place is not None and self.road.lanes[bv.lane].edge == place.lane.edge
         relation, risk = "", 0.0
         near = abs(d) < SAME_LANE
-        if turned < 0.5 and (near or (own_edge and abs(d) < BESIDE)):
+        if level and turned < 0.5 and (near or (own_edge and abs(d) < BESIDE)):
             in_line = near and not (is_motorcycle(bv) and _passes(bv, d, ego, path))
             relation = ("leader" if s > 0 else "follower") if in_line else "neighbour"
             risk = self._same_way_risk(relation, s, d, bv, ego, drive.kind(name)) if -BEHIND < s < ahead else 0.0
-        elif turned > 2.64 and 1.2 < self.road.hand * d < BESIDE and s > 0:
+        elif level and turned > 2.64 and 1.2 < self.road.hand * d < BESIDE and s > 0:
             sides = self.road.side_offsets(bv.lane, bv.x, bv.y, bv.heading)
             if any(kind == "opposite" for _, kind in sides):  # only a line separates the two
                 relation, risk = "oncoming", _oncoming_risk(s, bv.speed + ego.speed)
@@ -338,18 +339,22 @@ def logged_path(road: RoadMap, drive: Drive) -> Path | None:
     """The rest of the ego's log, continued along its route; None if the log is too short."""
     assert drive.ego is not None and drive.playback is not None
     points = drive.playback.ahead(drive.ego, drive.now)
-    if len(points) < 2 or float(np.hypot(*np.diff(points, axis=0).T).sum()) < LEAST_WAY:
+    if road.heights is not None:
+        points = road.heights.along(points, drive.state(drive.ego).z)
+    if len(points) < 2 or float(np.hypot(*np.diff(points[:, :2], axis=0).T).sum()) < LEAST_WAY:
         return None
     path = make_path(points)
-    vclass = drive.kind(drive.ego)
-    last = road.lane_at(float(path.x[-1]), float(path.y[-1]), float(path.heading[-1]), vclass)
+    vclass, z = drive.kind(drive.ego), float(path.height(path.length))
+    last = road.lane_at(float(path.x[-1]), float(path.y[-1]), float(path.heading[-1]), vclass, z)
     return continued(points, road.ways(*last, REACH, drive.route(), vclass=vclass) if last is not None else ())
 
 
 def continued(points: Floats, ways: Sequence[Way]) -> Path:
-    """The path through ``points`` ``(n, 2)`` and on along the first of the ways, if any, for ``REACH`` metres."""
+    """The path through ``points`` ``(n, 2)``, or ``(n, 3)`` with heights, and on along the first of the ways, if any,
+    for ``REACH`` metres."""
     if ways:
-        onward = np.column_stack([ways[0].path.x, ways[0].path.y])
+        way = ways[0].path
+        onward = np.column_stack([way.x, way.y, np.broadcast_to(way.z, way.x.shape)])[:, : points.shape[1]]
         points = np.vstack([points, onward[4:]])  # 2 m on: no fold where the points are off the centre
     path = make_path(points)
     return path if path.length > REACH else path.extended(REACH - path.length)

@@ -129,7 +129,8 @@ class RoadNow(Road):
 
     @cached_property
     def edges(self) -> tuple[Floats, ...]:
-        return self._now().near.edges((self._ego.x, self._ego.y), self._place.route)
+        lanes = [stretch.lane for stretch in self._stretches[0]]
+        return self._now().near.edges((self._ego.x, self._ego.y), self._place.route, lanes)
 
     @cached_property
     def limits(self) -> tuple[SpeedLimit, ...]:

@@ -41,32 +41,43 @@ class RoadNear:
             now: takes a lane's id and returns its speed limit [m/s] and whether the ego may use it, now.
         """
         key = tuple(lane.id for lane in route[:3])
+        on = {lane.id for lane in route}
         if self._around[0] != key or math.dist(self._around[1], ego) >= FRESH:
-            self._around = (key, ego, tuple(self._road.paved_lanes_within(*ego, REACH)))
-        near = self._around[2]
-        live = {lane.id: now(lane.id) for lane in near}
-        if self._lanes[0] == (near, live):
+            way = self._way(route)
+            near = (
+                lane for lane in self._road.paved_lanes_within(*ego, REACH)
+                if lane.id in on or lane.id in met or not self._road.leads_over(way, self._road.line(lane))
+            )  # fmt: skip
+            self._around = (key, ego, tuple(near))
+        around = self._around[2]
+        live = {lane.id: now(lane.id) for lane in around}
+        if self._lanes[0] == (self._around, live):
             return self._lanes[1]
         path = _Direction(np.vstack([lane.shape for lane in route]))
-        on = {lane.id for lane in route}
         lanes = []
-        for lane in near:
+        for lane in around:
             relation = "route" if lane.id in on else "crossing" if lane.id in met else path.relation(lane.shape)
             row = self._road.edges[lane.edge]
             right = row[lane.index - 1] if lane.index > 0 else None
             left = row[lane.index + 1] if lane.index + 1 < len(row) else None
             limit, allowed = live[lane.id]
             lanes.append(Lane(lane.id, lane.shape, lane.width, limit, relation, left, right, lane.internal, allowed))
-        self._lanes = ((near, live), tuple(lanes))
+        self._lanes = ((self._around, live), tuple(lanes))
         return self._lanes[1]
 
-    def edges(self, ego: tuple[float, float], route: Sequence[str]) -> tuple[Floats, ...]:
-        """The boundary of the carriageway near a place; ``route``: of the ego."""
+    def _way(self, route: Sequence[NetLane]) -> Floats:
+        """The centrelines of lanes, one after the other, with heights where the network has some."""
+        return np.vstack([self._road.line(lane) for lane in route])
+
+    def edges(
+        self, ego: tuple[float, float], route: Sequence[str], lanes: Sequence[NetLane] = ()
+    ) -> tuple[Floats, ...]:
+        """The boundary of the carriageway near a place; ``route``: of the ego; ``lanes``: of its path."""
         if self._edges[0] == route and math.dist(self._edges[1], ego) < FRESH:
             return self._edges[2]
         from shapely import Point
 
-        area = self._road.drivable(*ego, REACH).area
+        area = self._road.drivable(*ego, REACH, self._way(lanes) if lanes else None).area
         line = area.boundary.intersection(Point(*ego).buffer(REACH))
         parts = [part for part in getattr(line, "geoms", [line]) if part.geom_type == "LineString"]
         self._edges = (route, ego, tuple(np.array(part.coords) for part in parts))

@@ -30,6 +30,7 @@ from sumo_adv.situation import (
     Situation,
     Target,
     Traffic,
+    level_with,
     on_path,
     relate,
     top_speed,
@@ -196,7 +197,7 @@ def build_situation(
     ego = state_at(ego_track, time) if len(ego_track.time) > 1 else None
     if ego is None:
         return None
-    points = np.column_stack([ego_track.x, ego_track.y])
+    points = np.column_stack([ego_track.x, ego_track.y, *([ego_track.z] if np.ndim(ego_track.z) else [])])
     path = continued(points, _ways_on(road, state_at(ego_track, ego_track.time[-1]) or ego, trigger.route, vclass))
     stations = _travelled(ego_track)
     onward = way_ahead(road, ego, trigger.route, vclass)
@@ -216,7 +217,7 @@ def build_situation(
         return None
     others = tuple(
         part for name, t in tracks.items() if name != ego_id and len((part := t.between(time, math.inf)).time) > 1
-        and closest(ego_track, part, time) < OTHERS_NEAR
+        and closest(ego_track, part, time) < OTHERS_NEAR and level_with(part, path).any()
     )  # fmt: skip
     lane = lane_on_route(road, ego, trigger.route, vclass)
     width = FULL_LANE if lane is None else lane.width
@@ -256,6 +257,7 @@ def state_at(track: Track, time: float) -> VehicleState | None:
     return VehicleState(
         track.id, float(track.x[i]), float(track.y[i]), float(track.heading[i]), float(track.speed[i]),
         float(track.acceleration[i]), track.length, track.width, track.lane[i],
+        float(track.z[i]) if isinstance(track.z, np.ndarray) else track.z,
     )  # fmt: skip
 
 
@@ -338,7 +340,7 @@ def _target(
 def _is_hidden(bv: VehicleState, ego: VehicleState, tracks: Mapping[str, Track], time: float) -> bool:
     """Whether other boxes hide a pedestrian or cyclist from the ego at a time [s]."""
     there = (state_at(t, time) for name, t in tracks.items() if name not in (bv.id, ego.id) and len(t.time))
-    return not Sight().visible((ego.x, ego.y), [bv, *(state for state in there if state is not None)])[0]
+    return not Sight().visible((ego.x, ego.y), [bv, *(state for state in there if state is not None)], ego.z)[0]
 
 
 def _along(ways: Sequence[Way], road: RoadMap, lane: str, route: tuple[str, ...]) -> int | None:

@@ -21,7 +21,7 @@ from sumo_adv.episode.encounter_detector import REACH, logged_path
 from sumo_adv.episode.right_of_way import Meetings
 from sumo_adv.episode.road_here import RoadHere
 from sumo_adv.errors import SimulationError
-from sumo_adv.geometry import PATH_STEP, crosses_box, wrap
+from sumo_adv.geometry import PATH_STEP, crosses_box, same_layer, wrap
 from sumo_adv.simulation.network import RoadMap
 from sumo_adv.simulation.simulation import heading_of
 
@@ -58,16 +58,19 @@ class Sight:
 
         self._tree = STRtree([Polygon(outline) for outline in buildings]) if len(buildings) else None
 
-    def visible(self, eye: tuple[float, float], boxes: Sequence[VehicleState]) -> Bools:
-        """Whether each box is seen from the point ``eye``: its centre or one of its corners, past the other boxes."""
+    def visible(self, eye: tuple[float, float], boxes: Sequence[VehicleState], eye_z: float = 0.0) -> Bools:
+        """Whether each box is seen from the point ``eye``: its centre or one of its corners, past the other boxes on
+        its layer or on that of the eye, on a road at height ``eye_z`` [m]."""
         if not boxes:
             return np.zeros(0, bool)
         targets = np.stack([_targets(box) for box in boxes])  # (n, 5, 2)
         blocked = np.zeros(targets.shape[:2], bool)
+        z = np.array([box.z for box in boxes])
         for k, box in enumerate(boxes):
             half = (box.length / 2, box.width / 2)
             through = crosses_box(eye, (targets[..., 0], targets[..., 1]), (box.x, box.y, box.heading), half)
             through[k] = False
+            through &= (same_layer(box.z, z) | same_layer(box.z, eye_z))[:, None]
             blocked |= through
         if self._tree is not None:
             from shapely import linestrings
@@ -97,6 +100,7 @@ class Surroundings:
     def __init__(self, road: RoadMap, meetings: Meetings, drive: Drive, additional: Sequence[Path] = ()) -> None:
         """``additional``: files with buildings, for drivers that ask for them."""
         self._map, self._drive = road, drive
+        drive.heights = road.heights
         self._road = RoadHere(road, meetings, drive)
         self._path = LaneLine(road, drive)
         self._wishes = wishes_of(drive.controller)
@@ -198,7 +202,9 @@ class SensesNow:
 
     @cached_property
     def _seen(self) -> Bools:
-        return self._sight.visible((self._ego.x, self._ego.y), self.vehicles) if self._near else np.zeros(0, bool)
+        if not self._near:
+            return np.zeros(0, bool)
+        return self._sight.visible((self._ego.x, self._ego.y), self.vehicles, self._ego.z)
 
     def _lamps(self, vehicle: str) -> int:
         self.check()

@@ -18,7 +18,8 @@ from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.ego_place import front_on, lane_on_route
 from sumo_adv.episode.encounter_detector import REACH
 from sumo_adv.episode.situation_builder import HISTORY
-from sumo_adv.geometry import PATH_STEP, Path, make_path, wrap
+from sumo_adv.geometry import PATH_STEP, Path, make_path, same_layer, wrap
+from sumo_adv.metrics.boxes import height_as
 from sumo_adv.simulation.network import Lane, RoadMap
 
 SEEN = 250.0  # m around the ego within which vehicles are foreseen
@@ -62,7 +63,7 @@ def course(road: RoadMap, drive: Drive, state: VehicleState, duration: float) ->
     reach = min(REACH, max(60.0, (state.speed + 2.0) * duration))
     if state.lane not in road.lanes:
         c, s = math.cos(state.heading), math.sin(state.heading)
-        path = make_path(np.array([[state.x, state.y], [state.x + reach * c, state.y + reach * s]]))
+        path = make_path(np.array([[state.x, state.y, state.z], [state.x + reach * c, state.y + reach * s, state.z]]))
         return ForecastPath(state, path, 0.0, 0.0, np.full(len(path.x), math.inf), ("",), np.array([math.inf]))
     vclass = drive.kind(state.id)
     lane, front, route = _place(road, drive, state, vclass)
@@ -141,7 +142,7 @@ def _advance(courses: Sequence[ForecastPath], a: Floats, steps: int, dt: float) 
 
 def _leaders(courses: Sequence[ForecastPath]) -> tuple[np.ndarray, Floats]:
     """For each vehicle the index of the next vehicle ahead on its path (-1: none), and the gap to it [m]."""
-    x, y, h = (np.array([getattr(c.state, k) for c in courses]) for k in ("x", "y", "heading"))
+    x, y, h, z = (np.array([getattr(c.state, k) for c in courses]) for k in ("x", "y", "heading", "z"))
     half = np.array([c.state.length / 2 for c in courses])
     leader, room = np.full(len(courses), -1), np.full(len(courses), math.inf)
     for k, c in enumerate(courses):
@@ -151,7 +152,8 @@ def _leaders(courses: Sequence[ForecastPath]) -> tuple[np.ndarray, Floats]:
             s, d = c.path.project(float(x[j]), float(y[j]))
             free = s - c.station - half[k] - half[j] - MIN_GAP
             turned = abs(wrap(h[j] - c.path.heading[min(int(max(s, 0.0) / PATH_STEP), len(c.path.x) - 1)]))
-            if j != k and s > c.station and abs(d) < IN_LINE and turned < SAME_WAY and free < room[k]:
+            level = same_layer(z[j], c.path.height(s))
+            if j != k and s > c.station and abs(d) < IN_LINE and turned < SAME_WAY and free < room[k] and level:
                 leader[k], room[k] = j, free
     return leader, room
 
@@ -170,6 +172,7 @@ def _track(c: ForecastPath, travelled: Floats, speed: Floats, recorded: Track, d
         recorded.id, recorded.role, both("time", recorded.time[-1] + after), both("x", x), both("y", y),
         both("heading", wrap(heading)), both("speed", speed[1:]), both("acceleration", np.diff(speed) / dt),
         recorded.length, recorded.width, (*recorded.lane, *(c.lanes[i] for i in lanes)),
+        height_as(recorded, lambda z: np.concatenate([z, np.broadcast_to(c.path.height(s), s.shape)])),
     )  # fmt: skip
 
 

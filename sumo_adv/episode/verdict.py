@@ -22,7 +22,7 @@ from sumo_adv.episode.attempt import Driven
 from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.metrics.avoidance import OnRoad, manoeuvre_poses
-from sumo_adv.metrics.boxes import on_grid, row_of
+from sumo_adv.metrics.boxes import height_as, on_grid, on_layer, row_of
 from sumo_adv.metrics.case import Case, make_case
 from sumo_adv.metrics.levels import AVOIDS, COLLIDES, NOT_APPLICABLE, encounter_of, judged, with_level
 from sumo_adv.metrics.reference import BRAKERS, REFERENCE_DRIVERS, Braker
@@ -179,7 +179,7 @@ class ReferenceEgo:
             return
         ego = tracks[self._ego.id]
         there = [n for n in self._names if n in tracks]
-        others = on_grid([tracks[n] for n in there], ego.time)
+        others = on_layer(row_of(ego), on_grid([tracks[n] for n in there], ego.time))
         states = np.stack([others.x, others.y, others.heading, others.speed])
         for k in range(len(ego.time) - 1):  # the last state is seen when the driver acts
             self._look(dict(zip(there, states[:, :, k].T, strict=True)))
@@ -225,7 +225,7 @@ def order_of(
     pace = np.diff(e.speed[0], prepend=e.speed[0, :1]) / given.dt
     ego = Track(
         case.ego.id, case.ego.role, np.round(begin + check.time, 6), e.x[0], e.y[0], e.heading[0], e.speed[0], pace,
-        case.ego.length, case.ego.width,
+        case.ego.length, case.ego.width, z=height_as(e, lambda z: z[0]),
     )  # fmt: skip
     steps = check.steps - 1 - int(given.start[0])
     plan = _manoeuvre_plan(check, on_road)

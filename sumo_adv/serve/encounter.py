@@ -41,7 +41,7 @@ class EncounterMonitor:
 
     def __init__(self, session: Session, road: RoadMap, settings: Settings, only: tuple[str, ...], warm_up: float):
         self._session, self._road, self._settings, self._only = session, road, settings, only
-        self._since = max(settings.history, EGO_PAUSE, warm_up)
+        self._since, session.heights = max(settings.history, EGO_PAUSE, warm_up), road.heights
         self._encounter = self._fresh()
 
     def until_encounter(self, end: float, *, trigger: float | None = None, quiet: float = 0.0) -> list[RankedVehicle]:

@@ -13,9 +13,11 @@ import numpy as np
 
 from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError
-from sumo_adv.geometry import Path, make_path, wrap
+from sumo_adv.geometry import Path, along, make_path, same_layer, stations, wrap
 from sumo_adv.simulation.centreline import Centreline, centreline
-from sumo_adv.simulation.drivable import KEY, Drivable, area_of
+from sumo_adv.simulation.drivable import KEY, Drivable, Surface, area_of
+from sumo_adv.simulation.layers import KEY as HEIGHTS
+from sumo_adv.simulation.layers import Heights, Strip, heights_of
 from sumo_adv.simulation.permissions import ALL, CAR, EVERYWHERE, ON_FOOT, allowed, is_carriageway, is_paved
 
 MOVEMENTS = {"s": "straight", "l": "left", "L": "left", "r": "right", "R": "right", "t": "u-turn"}
@@ -23,6 +25,7 @@ MOST_WIDTH = 6.0  # m: no lane is wider
 IN_LINE = 0.6  # rad between a box and the lane that it is in
 TIGHTEST = 0.195  # 1/m: what a car can follow within the limit of 0.2
 MAX_PATHS = 6  # ways on that are followed for one vehicle
+GAP_M = 0.3  # gaps between lanes of up to twice this are carriageway, too
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +107,8 @@ class RoadMap:
     """All lanes of a network, with what can be reached from where.
 
     ground: the drivable area that the network carries (shapely polygons, m), None where it carries none.
-    hand: 1; -1 in left-hand traffic (netconvert's ``--lefthand``)."""
+    hand: 1; -1 in left-hand traffic (netconvert's ``--lefthand``).
+    heights: of the lanes; None where the network is flat and has no bridges. rims: the junctions with heights."""
 
     name: str
     lanes: dict[str, Lane]
@@ -112,6 +116,13 @@ class RoadMap:
     junctions: tuple[Floats, ...] = field(repr=False, default=())  # polygons (n, 2)
     ground: Any = field(repr=False, default=None)
     hand: float = 1.0
+    heights: Heights | None = field(repr=False, default=None)
+    rims: tuple[Floats, ...] = field(repr=False, default=())
+
+    def line(self, lane: Lane) -> Floats:
+        """The centreline of a lane ``(n, 2)`` [m], or ``(n, 3)`` with heights where the network has some."""
+        line = None if self.heights is None else self.heights.lines.get(lane.id)
+        return lane.shape if line is None else line
 
     @cached_property
     def _tree(self) -> tuple[Any, list[Lane]]:
@@ -145,11 +156,13 @@ class RoadMap:
         tree, lanes = self._paved_tree
         return [lanes[i] for i in sorted(tree.query(Point(x, y).buffer(radius), predicate="intersects"))]
 
-    def lane_at(self, x: float, y: float, heading: float, vclass: str = CAR) -> tuple[str, float] | None:
+    def lane_at(
+        self, x: float, y: float, heading: float, vclass: str = CAR, z: float | None = None
+    ) -> tuple[str, float] | None:
         """The lane for a class, outside junctions, in which a point is, and how far along [m]; its direction must
-        agree."""
+        agree. z: so must its layer [m]; None = any."""
         best: tuple[float, str, float] | None = None
-        for lane in self.lanes_near(x, y, MOST_WIDTH):
+        for lane in self.level(self.lanes_near(x, y, MOST_WIDTH), x, y, z):
             station = lane.station_at(x, y)
             nearest_x, nearest_y, direction = lane.point_at(station)
             away, turned = math.dist((x, y), (nearest_x, nearest_y)), abs(wrap(direction - heading))
@@ -158,11 +171,18 @@ class RoadMap:
                 best = away, lane.id, station
         return None if best is None else best[1:]
 
-    def opposite_offset(self, x: float, y: float, heading: float) -> float | None:
+    def level(self, lanes: Sequence[Lane], x: float, y: float, z: float | None) -> list[Lane]:
+        """The lanes that are at a point on the layer of the height ``z`` [m]; all where that is None."""
+        if self.heights is None or z is None:
+            return list(lanes)
+        return [lane for lane in lanes if same_layer(self.heights.at(lane.id, x, y), z)]
+
+    def opposite_offset(self, x: float, y: float, heading: float, z: float | None = None) -> float | None:
         """Lateral offset of the nearest lane on the inner side (left, in left-hand traffic right) that leads the
-        other way and touches ours; None if none. Only lanes for motor vehicles count."""
+        other way and touches ours, on the layer of the height ``z`` [m]; None if none. Only lanes for motor vehicles
+        count."""
         best: float | None = None
-        for lane in self.lanes_near(x, y, 12.0):
+        for lane in self.level(self.lanes_near(x, y, 12.0), x, y, z):
             i = int(np.argmin(np.hypot(lane.shape[:-1, 0] - x, lane.shape[:-1, 1] - y))) if len(lane.shape) > 2 else 0
             for j in range(max(0, i - 1), min(i + 2, len(lane.shape) - 1)):
                 a, b = lane.shape[j], lane.shape[j + 1]
@@ -188,7 +208,8 @@ class RoadMap:
         row = self.edges[lane.edge]
         inner = row[lane.index + 1 :] if self.hand > 0 else row[: lane.index]
         reach = sum(self.lanes[n].width for n in inner) + lane.width / 2
-        opposite = self.opposite_offset(x, y, heading)
+        z = None if self.heights is None else float(self.heights.at(lane_id, x, y))
+        opposite = self.opposite_offset(x, y, heading, z)
         if opposite is not None and abs(opposite) < reach + 2.6:
             offsets.append((opposite, "opposite"))
         return offsets
@@ -214,7 +235,7 @@ class RoadMap:
         """
         ways: list[Way] = []
         for chain, first, junction, bay in self._chains(lane_id, station, reach, route, vclass, closed):
-            points = np.vstack([self.lanes[n].shape for n in chain])
+            points = np.vstack([self.line(self.lanes[n]) for n in chain])
             path = make_path(_cut(points, station, max(reach, farthest)), tightest=TIGHTEST)
             if path.length < reach:
                 path = path.extended(reach - path.length)
@@ -295,29 +316,59 @@ class RoadMap:
         return [c for c in options if not closed(c.to)] or options
 
     def strips(self, x: float, y: float, radius: float) -> list[tuple[Floats, float, bool]]:
-        """Shape, width [m], internal? of all paved lanes near a place, for pictures."""
-        return [
-            (lane.shape, lane.width, lane.internal) for lane in self.lanes.values()
+        """Centreline, width [m], internal? of all paved lanes near a place, for pictures: upper ones last."""
+        near = [
+            lane for lane in self.lanes.values()
             if lane.paved
             and np.min(np.hypot(lane.shape[:, 0] - x, lane.shape[:, 1] - y)) < radius + lane.length
         ]  # fmt: skip
+        return [(self.line(lane), lane.width, lane.internal) for lane in sorted(near, key=self.top)]
 
-    def drivable(self, x: float, y: float, radius: float) -> Drivable:
+    def top(self, lane: Lane) -> float:
+        """The greatest height of a lane [m]: what is drawn later hides what is below it."""
+        line = self.line(lane)
+        return float(line[:, 2].max()) if line.shape[1] > 2 else 0.0
+
+    def leads_over(self, way: Floats, line: Floats) -> bool:
+        """Whether a lane passes above or below a way where it is nearest to it; lines as :meth:`line` has them."""
+        from shapely import LineString, shortest_line
+
+        if self.heights is None or way.shape[1] < 3 or line.shape[1] < 3:
+            return False
+        plans = [LineString(points[:, :2]) for points in (way, line)]
+        places = np.asarray(shortest_line(*plans).coords)
+        z = (
+            np.interp(along(points[:, :2], *place), stations(*points[:, :2].T), points[:, 2])
+            for points, place in zip((way, line), places, strict=True)
+        )
+        return not same_layer(*z)
+
+    def drivable(self, x: float, y: float, radius: float, way: Floats | None = None) -> Drivable:
         """The drivable ground within about ``radius`` metres of a place: the network's own, else the paved lanes and
-        the junctions. It is the same for all classes: a car that cuts into a bus lane is on the road."""
+        the junctions. It is the same for all classes: a car that cuts into a bus lane is on the road.
+        way: leave out what leads over or under this line ``(n, 3)`` [m]."""
         from shapely import LineString, Point, Polygon, union_all
 
         if self.ground is not None:
             return Drivable(self.ground)
         reach = Point(x, y).buffer(radius)
+        lanes = [
+            lane for lane in self.paved_lanes_within(x, y, radius)
+            if way is None or not self.leads_over(way, self.line(lane))
+        ]  # fmt: skip
         shapes = [
             LineString(lane.shape).buffer(lane.width / 2 + 0.05, cap_style="square" if lane.internal else "flat")
-            for lane in self.paved_lanes_within(x, y, radius)
+            for lane in lanes
         ]
-        for polygon in self.junctions:
+        lines = [self.line(lane) for lane in lanes]
+        for polygon, line in zip(self.junctions, self.rims or self.junctions, strict=True):
+            if way is not None and self.leads_over(way, line):
+                continue
             if len(polygon) > 2 and (p := Polygon(polygon).buffer(0.05)).intersects(reach):
                 shapes.append(p)
-        return Drivable(union_all(shapes).buffer(0.3).buffer(-0.3))
+                lines.append(line)
+        surfaces = () if self.heights is None else map(Surface, (s.buffer(GAP_M) for s in shapes), lines)
+        return Drivable(union_all(shapes).buffer(GAP_M).buffer(-GAP_M), tuple(surfaces))
 
 
 def _tree_of(lanes: Iterable[Lane]) -> tuple[Any, list[Lane]]:
@@ -330,11 +381,11 @@ def _tree_of(lanes: Iterable[Lane]) -> tuple[Any, list[Lane]]:
 
 def _cut(points: Floats, position: float, length: float) -> Floats:
     """The polyline from ``position`` metres on, for ``length`` metres."""
-    step = np.hypot(*np.diff(points, axis=0).T)
+    step = np.hypot(*np.diff(points[:, :2], axis=0).T)
     station = np.concatenate([[0.0], np.cumsum(step)])
     position = min(max(position, 0.0), station[-1] - 0.1)
     ends = np.array([position, min(position + length, station[-1])])
-    start, end = np.column_stack([np.interp(ends, station, points[:, k]) for k in range(2)])
+    start, end = np.column_stack([np.interp(ends, station, values) for values in points.T])
     inside = (station > position + 1e-6) & (station < ends[1] - 1e-6)
     return np.vstack([start, points[inside], end])
 
@@ -350,6 +401,12 @@ def read_network(path: FilePath) -> RoadMap:
             f"{path} could not be read as a SUMO network ({error}); rebuild it with netconvert."
         ) from error
     hand = -1.0 if is_left_hand(path) else 1.0
+    ground = _ground(path, net)
+    try:
+        strips = [_strip(lane) for edge in net.getEdges(withInternal=True) for lane in edge.getLanes()]
+    except ValueError as error:
+        raise UsageError(f"The heights in {path} are damaged ({error}); convert the record again.") from error
+    heights = heights_of(strips, infer=ground is None)
     lanes: dict[str, Lane] = {}
     edges: dict[str, tuple[str, ...]] = {}
     for edge in net.getEdges(withInternal=True):
@@ -364,8 +421,37 @@ def read_network(path: FilePath) -> RoadMap:
                 float(lane.getWidth()), float(lane.getSpeed()), internal,
                 _classes(lane), _connections(net, lane),
             )  # fmt: skip
-    junctions = tuple(np.asarray(n.getShape(), float)[:, :2] for n in net.getNodes() if len(n.getShape()) > 2)
-    return RoadMap(path.name.split(".net.xml")[0], lanes, edges, junctions, _ground(path, net), hand)
+    nodes = [n for n in net.getNodes() if len(n.getShape()) > 2]
+    junctions = tuple(np.asarray(n.getShape(), float)[:, :2] for n in nodes)
+    rims = () if heights is None else tuple(_rim(n, heights) for n in nodes)
+    return RoadMap(path.name.split(".net.xml")[0], lanes, edges, junctions, ground, hand, heights, rims)
+
+
+def _strip(lane: Any) -> Strip:
+    """A lane of sumolib for its height. A faster, wider road bridges another rather than the other way round."""
+    edge = lane.getEdge()
+    shape = np.asarray(lane.getShape3D(), float)
+    start, end = edge.getFromNode().getID(), edge.getToNode().getID()
+    if edge.getFunction():  # within a junction, whose name is in that of the edge
+        start = end = edge.getID()[1:].rpartition("_")[0]
+    size = edge.getPriority(), edge.getSpeed(), edge.getLaneNumber()
+    z = np.array(lane.getParam(HEIGHTS).split(), float) if lane.getParam(HEIGHTS) else shape[:, 2]
+    if len(z) != len(shape):
+        raise ValueError(f"lane {lane.getID()} has {len(shape)} points and {len(z)} heights")
+    rank = (not edge.getFunction(), *size, *sorted((start, end)), edge.getID())
+    return Strip(lane.getID(), edge.getID(), shape[:, :2], z, start, end, rank)
+
+
+def _rim(node: Any, heights: Heights) -> Floats:
+    """The outline of a junction with heights ``(n, 3)``: at each point that of the lane that ends there."""
+    shape = np.asarray(node.getShape(), float)[:, :2]
+    ways = ((node.getIncoming(), -1), (node.getOutgoing(), 0))
+    lanes = ((lane.getID(), end) for edges, end in ways for edge in edges for lane in edge.getLanes())
+    ends = np.array([heights.lines[name][end] for name, end in lanes if name in heights.lines]).reshape(-1, 3)
+    if not len(ends):
+        return shape
+    nearest = np.hypot(*(shape[:, None, :] - ends[None, :, :2]).transpose(2, 0, 1)).argmin(axis=1)
+    return np.column_stack([shape, ends[nearest, 2]])
 
 
 def is_left_hand(path: FilePath) -> bool:

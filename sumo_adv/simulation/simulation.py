@@ -107,12 +107,14 @@ class Snapshot:
     """Everything SUMO said after one step. ``raw``: vehicle id -> bumper pose, speed, lane; also ``person:ID`` of each
     person on foot: the middle of its front, its speed, and no lane.
 
-    lights: by id the states of the traffic lights near the ego, where they are recorded.
+    lights: by id the states of the traffic lights near the ego, where they are recorded. heights: by id those of the
+    road under all vehicles and persons [m], where roads have heights.
     """
 
     time: float
     raw: Mapping[str, RawState]
     lights: Mapping[str, str] = field(default_factory=dict)
+    heights: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -302,7 +304,8 @@ class Simulation:
     def state_as(self, make: Callable[..., S], snapshot: Snapshot, vehicle: str, acceleration: float) -> S:
         """The same as another class that begins with the arguments of ``VehicleState``."""
         raw, (length, width) = snapshot.raw[vehicle], self.fleet.sizes[vehicle]
-        return make(vehicle, *pose_of(raw, length), raw[3], acceleration, length, width, raw[4])
+        z = snapshot.heights.get(vehicle, 0.0)
+        return make(vehicle, *pose_of(raw, length), raw[3], acceleration, length, width, raw[4], z)
 
     def expected(self) -> int:
         """Vehicles that are on the road or still to come."""
@@ -344,6 +347,12 @@ class Simulation:
         if vehicle not in self.fleet.arrivals:
             self.fleet.arrivals[vehicle] = arrival_attributes(self.api, vehicle)
         return arrival(self.fleet.arrivals[vehicle], route, self.api)
+
+    def lane_of(self, snapshot: Snapshot, name: str) -> str:
+        """The lane that a vehicle or person of a snapshot that was just read is on; empty off all lanes."""
+        if name in self.fleet.persons:
+            return str(self.api.person.getLaneID(name.removeprefix(PERSON)))
+        return snapshot.raw[name][4]
 
     def vehicle_class(self, vehicle: str) -> str:
         """SUMO's vClass; asked once a vehicle."""

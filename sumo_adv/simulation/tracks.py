@@ -268,12 +268,16 @@ def tracks_of(
     """One track a vehicle, ordered by its first appearance; acceleration is the difference of speeds over the step (0
     at the first state)."""
     rows: dict[str, list[tuple[float, RawState]]] = {}
+    heights: dict[str, list[float]] = {}
     names = None if only is None else set(only)
     for snapshot in snapshots:
         for name, raw in snapshot.raw.items():
             if names is None or name in names:
                 rows.setdefault(name, []).append((snapshot.time, raw))
-    return [_track(n, r, sizes[n], roles.get(n, Role.BACKGROUND), step_length) for n, r in rows.items()]
+                if snapshot.heights:
+                    heights.setdefault(name, []).append(snapshot.heights[name])
+    tracks = (_track(n, r, sizes[n], roles.get(n, Role.BACKGROUND), step_length) for n, r in rows.items())
+    return [replace(t, z=np.array(heights[t.id])) if t.id in heights else t for t in tracks]
 
 
 def _track(

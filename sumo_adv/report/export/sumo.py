@@ -23,7 +23,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from sumo_adv.datatypes import Role, Track
-from sumo_adv.report.export.piece import Piece
+from sumo_adv.report.export.piece import Piece, height_of
 from sumo_adv.report.tables import quoted
 from sumo_adv.road_users import RoadUser, road_user
 from sumo_adv.simulation.network import Lane, RoadMap, read_network
@@ -57,10 +57,12 @@ class Row:
     acceleration: float
     lane: str
     position: float
+    z: float | None = None
 
     def text(self) -> str:
+        z = "" if self.z is None else f'z="{self.z:.4f}" '
         return (
-            f'        <vehicle id={quoteattr(self.id)} x="{self.x:.4f}" y="{self.y:.4f}" angle="{self.angle:.4f}" '
+            f'        <vehicle id={quoteattr(self.id)} x="{self.x:.4f}" y="{self.y:.4f}" {z}angle="{self.angle:.4f}" '
             f'type={quoteattr(self.kind)} speed="{self.speed:.4f}" pos="{self.position:.4f}" '
             f'lane={quoteattr(self.lane)} slope="0.00" acceleration="{self.acceleration:.4f}"/>\n'
         )
@@ -82,6 +84,7 @@ def _track_rows(track: Track, lanes: Iterable[Lane | None]) -> Iterator[Row]:
         yield Row(
             float(track.time[k]), track.id, kind, x, y, angle_deg_of(float(track.heading[k])), float(track.speed[k]),
             float(track.acceleration[k]), lane.id if lane else "", position,
+            height_of(track, k) if np.ndim(track.z) else None,
         )  # fmt: skip
 
 
