@@ -20,6 +20,7 @@ from sumo_samples import vehicle
 from sumo_adv.datatypes import Boxes, Role, Track, VehicleState
 from sumo_adv.drivers import Observation, UserEgo
 from sumo_adv.episode.drive import Drive, ego_type_file
+from sumo_adv.episode.ego_place import lane_on_route
 from sumo_adv.episode.right_of_way import Meetings
 from sumo_adv.episode.surroundings import Sight, Surroundings
 from sumo_adv.errors import UsageError
@@ -170,6 +171,16 @@ def test_no_vehicle_leaves_a_bridge_for_the_road_below(tmp_path: Path, deck: flo
     assert not leaves(3.2, -3.2, 0.0) and not leaves(3.2, -3.2, height)  # where both are, either will do
     assert not leaves(40.0, -3.2, 0.0)
     assert leaves(40.0, -3.2, height)
+
+
+@DECKS
+def test_the_lane_of_a_vehicle_is_on_its_layer(tmp_path: Path, deck: float | None) -> None:
+    """SUMO has a vehicle that was moved below the deck on the lane above it."""
+    road = read_network(make_network(tmp_path, deck=deck))
+    below = VehicleState("car", 1.6, -2.0, np.pi / 4, 4.0, 0.0, 5.0, 2.0, "over_1")
+    above = replace(below, z=heights(road, "over_1", (1.6, -2.0))[0])
+    lanes = [lane_on_route(road, car, (), "passenger") for car in (below, above)]
+    assert [lane.id if lane else "" for lane in lanes] == ["under_1", "over_1"]
 
 
 # ---- with SUMO

@@ -37,6 +37,7 @@ def told(seen: Observation) -> dict[str, Any]:
         "time": seen.time, "x": seen.ego.x, "path": list(seen.path), "sides": road.sides, "leaves": road.leaves,
         "limits": [(limit.ahead, limit.speed) for limit in road.limits],
         "lanes": {n.id: n.limit for n in road.lanes if n.allowed},
+        "closed": {n.id for n in road.lanes if not n.allowed},
     }  # fmt: skip
 
 
@@ -85,6 +86,7 @@ def test_another_program_closes_a_lane_and_lowers_a_limit(net: Path, tmp_path: P
     assert [kept["limits"][0][1] for kept in watcher.kept] == [20.0, 20.0, 5.0, 5.0]
     assert [len(kept["sides"]) for kept in watcher.kept] == [1, 1, 0, 1]
     assert ["ab_1" in kept["lanes"] for kept in watcher.kept] == [True, True, False, True]
+    assert [kept["closed"] for kept in watcher.kept] == [set(), set(), {"ab_1"}, set()]
 
 
 def ahead(seen: Observation) -> Action:
