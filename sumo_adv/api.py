@@ -56,7 +56,8 @@ class Result:
         """The attempt that counts (the unattacked run if there was none), from the start of the simulation.
 
         time [s]; id; role; x, y of the box's centre [m]; heading [rad]; speed [m/s]; acceleration [m/s2]; length, width
-        [m]; lane. A row a vehicle and step, by time; no rows where no encounter was met.
+        [m]; lane; where roads have heights z, that of the road [m]. A row a vehicle and step, by time; no rows where no
+        encounter was met.
         """
         return _table(self.folder / "states.csv.gz")
 
@@ -202,9 +203,10 @@ def judge(
     """The verdict (version 2, kinematic) on tracks of your own.
 
     ego, adversary: columns by name (arrays, a dict of lists, a pandas table): time [s], x, y of the box's centre [m],
-    heading [rad], speed [m/s], optional length, width [m] and lane; or ids, and then ``others`` is one table with the
-    column ``id`` that holds all vehicles. others: further vehicles, a table each. All on one regular grid; let the
-    adversary's track go on past the contact as it planned, or the verdict is inconclusive (``no_plan``).
+    heading [rad], speed [m/s], optional length, width [m], lane and z, the height of the road [m]; or ids, and then
+    ``others`` is one table with the column ``id`` that holds all vehicles. others: further vehicles, a table each. All
+    on one regular grid; let the adversary's track go on past the contact as it planned, or the verdict is inconclusive
+    (``no_plan``).
     trigger_time: from when on the adversary attacks [s]; the third state by default.
     on_road: tells whether points (x, y) are drivable; without it no motion counts as off the road.
 
@@ -229,9 +231,9 @@ def judge(
     first, second = track_of("ego", ego_columns, Role.EGO), track_of("adversary", adversary_columns, Role.ADVERSARY)
     third = [track_of(name, columns, Role.BACKGROUND) for name, columns in given.items()]
     start = float(first.time[2]) if trigger_time is None else trigger_time
-    half = lane_width / 2
-    verdict = gates(first, second, third, trigger_time=start, ttc_threshold=ttc, on_road=on_road, lane_half_width=half)
-    return with_level(verdict, first, second, third, trigger_time=start, on_road=on_road, lane_half_width=half)
+    half, ground = lane_width / 2, None if on_road is None else lambda x, y, z=None: on_road(x, y)
+    verdict = gates(first, second, third, trigger_time=start, ttc_threshold=ttc, on_road=ground, lane_half_width=half)
+    return with_level(verdict, first, second, third, trigger_time=start, on_road=ground, lane_half_width=half)
 
 
 def _table(file: Path, header: str | None = None) -> Table:

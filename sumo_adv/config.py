@@ -24,7 +24,8 @@ from sumo_adv.datatypes import MOST_ADVERSARIES, Level, Limits, Relation
 from sumo_adv.errors import UsageError, nearest
 from sumo_adv.goal import Goal
 from sumo_adv.parsing import read_toml
-from sumo_adv.road_users import LIMITS, Sized, road_user
+from sumo_adv.road_users import Sized, limits_of
+from sumo_adv.times import whole_milliseconds
 
 ResponseFormat = Literal["json_schema", "json_object", "text"]
 """How a model's server is told the schema of an answer: as a schema, or in the first message."""
@@ -118,12 +119,12 @@ class LimitSettings(BaseModel):
     jerk: float = Field(default=12.0, gt=1, le=50)
 
     def limits(self) -> Limits:
-        """The noun, of a vehicle."""
+        """The noun, of a car."""
         return Limits(self.braking, self.acceleration, self.lateral, self.curvature, self.jerk)
 
     def of(self, adversary: Sized) -> Limits:
-        """The limits of an adversary with this box: these of a vehicle, fixed ones of a pedestrian or cyclist."""
-        return LIMITS.get(road_user(adversary)) or self.limits()
+        """The limits of an adversary with this box: these of a car, those of ``road_users`` of any other."""
+        return limits_of(adversary, self.limits())
 
 
 class Settings(ModelSettings, BaseSettings):
@@ -203,6 +204,14 @@ class Settings(ModelSettings, BaseSettings):
     def _listed(cls, given: Any) -> Any:
         """A text with commas is a list."""
         return tuple(w.strip() for w in given.split(",") if w.strip()) if isinstance(given, str) else given
+
+    @field_validator("step_length")
+    @classmethod
+    def _as_sumo_steps(cls, given: float) -> float:
+        """The step that SUMO takes."""
+        if whole_milliseconds(given) == 0.0:
+            raise ValueError("it is shorter than SUMO's shortest step of 0.001 s")
+        return whole_milliseconds(given)
 
     @field_validator("ttc", mode="before")
     @classmethod

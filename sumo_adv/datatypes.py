@@ -142,7 +142,8 @@ def plain_acceleration(acceleration: Acceleration) -> float | list[list[float]]:
 @dataclass(frozen=True, slots=True)
 class Boxes:
     """Oriented, moving boxes. All arrays broadcast against one another (any shape, often ``(time,)`` or ``(n, time)``).
-    x, y: centre [m]; heading [rad]; speed [m/s] along the heading; length, width [m]."""
+    x, y: centre [m]; heading [rad]; speed [m/s] along the heading; length, width [m]; z: height of the road under it
+    [m], a number where all is flat (see ``geometry.same_layer``)."""
 
     x: Floats
     y: Floats
@@ -150,12 +151,14 @@ class Boxes:
     speed: Floats
     length: Floats | float
     width: Floats | float
+    z: Floats | float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class Track:
     """One vehicle's motion on a regular time grid. Arrays are ``(n,)``. time [s]; x, y box centre [m]; heading [rad];
-    speed [m/s]; acceleration [m/s2]; lane: SUMO lane ids ('' = off)."""
+    speed [m/s]; acceleration [m/s2]; lane: SUMO lane ids ('' = off); z: height of the road [m], a number where all is
+    flat."""
 
     id: str
     role: Role
@@ -168,10 +171,11 @@ class Track:
     length: float
     width: float
     lane: tuple[str, ...] = ()
+    z: Floats | float = 0.0
 
     def boxes(self) -> Boxes:
         """The track as boxes over time."""
-        return Boxes(self.x, self.y, self.heading, self.speed, self.length, self.width)
+        return Boxes(self.x, self.y, self.heading, self.speed, self.length, self.width, self.z)
 
     def between(self, start: float, end: float) -> Track:
         """The part with ``start <= time <= end`` (with half a millisecond of slack)."""
@@ -183,6 +187,7 @@ class Track:
         return Track(
             self.id, self.role, self.time[keep], self.x[keep], self.y[keep], self.heading[keep], self.speed[keep],
             self.acceleration[keep], self.length, self.width, lane,
+            self.z[keep] if isinstance(self.z, np.ndarray) else self.z,
         )  # fmt: skip
 
 
@@ -208,7 +213,8 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class VehicleState:
-    """One vehicle at one time. x, y box centre [m]; heading [rad]; speed [m/s]; acceleration [m/s2]."""
+    """One vehicle at one time. x, y box centre [m]; heading [rad]; speed [m/s]; acceleration [m/s2]; z: height of the
+    road under it [m]."""
 
     id: str
     x: float
@@ -219,6 +225,7 @@ class VehicleState:
     length: float
     width: float
     lane: str
+    z: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,6 +16,9 @@ SMOOTHING = 1.5  # m over which headings are averaged
 BRAKING = 4.0  # m/s2 before bends
 # passes of the average over a path with a bend that is too tight, each on top of the last
 ROUNDING = (2, 2, 3, 3, 4, 4, 6, 8)
+LAYER_HEIGHT_M = 3.0
+"""How much higher or lower another road may be at one place to be the same road: less than the clearance of a bridge,
+more than what two lanes of one road, or two ends of a long vehicle, differ."""
 Angle = TypeVar("Angle", float, Floats)
 
 
@@ -38,6 +41,11 @@ def wrap_below_pi(angle: Angle) -> Angle:
     cannot stand for the other without a change of recorded results.
     """
     return (angle + math.pi) % math.tau - math.pi
+
+
+def same_layer(z: Any, other: Any) -> Any:
+    """Whether two heights [m] are on the same layer: numbers, or arrays that broadcast. False for NaN."""
+    return abs(z - other) <= LAYER_HEIGHT_M
 
 
 def crosses_box(
@@ -107,7 +115,8 @@ class Frame:
 class Path:
     """A line on the ground, sampled every ``PATH_STEP`` metres from station 0. Arrays are ``(n,)``.
 
-    x, y [m]; heading [rad], unwrapped; curvature [1/m]; speed: the fastest a car takes the bends ahead [m/s].
+    x, y [m]; heading [rad], unwrapped; curvature [1/m]; speed: the fastest a car takes the bends ahead [m/s]; z: height
+    of the road [m], a number where all is flat.
     """
 
     x: Floats
@@ -115,11 +124,16 @@ class Path:
     heading: Floats
     curvature: Floats
     speed: Floats
+    z: Floats | float = 0.0
 
     @property
     def length(self) -> float:
         """Length in m."""
         return (len(self.x) - 1) * PATH_STEP
+
+    def height(self, s: Any) -> Any:
+        """The height of the road [m] at stations ``s`` (any shape)."""
+        return np.interp(s, PATH_STEP * np.arange(len(self.x)), self.z) if np.ndim(self.z) else self.z
 
     def at(self, s: Floats, d: Floats | float = 0.0) -> tuple[Floats, Floats, Floats]:
         """x, y, heading at stations ``s`` and offsets ``d`` (left positive); straight on beyond both ends."""
@@ -152,6 +166,7 @@ class Path:
             np.concatenate([self.x, self.x[-1] + k * c]), np.concatenate([self.y, self.y[-1] + k * s]),
             np.concatenate([self.heading, self.heading[-1] * fill]), np.concatenate([self.curvature, 0 * fill]),
             np.concatenate([self.speed, max(self.speed[-1], 50.0) * fill]),
+            np.concatenate([self.z, self.z[-1] * fill]) if isinstance(self.z, np.ndarray) else self.z,
         )  # fmt: skip
 
 
@@ -187,19 +202,19 @@ def _place(
 def make_path(
     points: Sequence[tuple[float, float]] | Floats, *, lateral: float = 3.2, tightest: float = math.inf
 ) -> Path:
-    """A path through ``points`` (n, 2).
+    """A path through ``points`` ``(n, 2)``, or ``(n, 3)`` with heights [m].
 
     The bend speed is sqrt(lateral / curvature) with a backward pass at ``BRAKING``. Bends with more than ``tightest``
     [1/m] are rounded, as by a driver that cannot turn as sharply as a lane's centre line.
     """
     p = np.asarray(points, float)
-    p = p[np.concatenate([[True], np.hypot(*np.diff(p, axis=0).T) > 1e-3])]
+    p = p[np.concatenate([[True], np.hypot(*np.diff(p[:, :2], axis=0).T) > 1e-3])]
     if len(p) < 2:
-        p = np.vstack([p[0], p[0] + [PATH_STEP, 0.0]])
+        p = np.vstack([p[0], p[0] + [PATH_STEP, *(0.0,) * (p.shape[1] - 1)]])
     station = stations(p[:, 0], p[:, 1])
     x, y = _even(p[:, 0], p[:, 1])
     if station[-1] < PATH_STEP:
-        x[1], y[1] = p[-1] + (p[-1] - p[0]) / station[-1] * (PATH_STEP - station[-1])
+        x[1], y[1] = p[-1, :2] + (p[-1, :2] - p[0, :2]) / station[-1] * (PATH_STEP - station[-1])
     x, y = _smooth(x), _smooth(y)
     heading, curvature = _turning(x, y)
     for passes in ROUNDING:
@@ -209,7 +224,8 @@ def make_path(
             x, y = _smooth(x), _smooth(y)
         x, y = _even(x, y)
         heading, curvature = _turning(x, y)
-    return Path(x, y, heading, curvature, _bend_speed(curvature, lateral))
+    z = np.interp(np.linspace(0.0, station[-1], len(x)), station, p[:, 2]) if p.shape[1] > 2 else 0.0
+    return Path(x, y, heading, curvature, _bend_speed(curvature, lateral), z)
 
 
 def stations(x: Floats, y: Floats) -> Floats:

@@ -1,7 +1,8 @@
 """Kinds of road users by the size of their box: vehicle, cyclist, pedestrian; and what each kind can do.
 
 Recordings, logs and tracks of users hold sizes and no class, so the size decides everywhere.  SUMO's pedestrians are at
-most 0.6 m wide, its bicycles 1.6 m by 0.65 m, its mopeds 2.1 m by 0.8 m; a cyclist of a log has about 1.8 m by 0.8 m.
+most 0.6 m wide, its bicycles 1.6 m by 0.65 m, its scooters and wheelchairs 1.2 m long, its mopeds 2.1 m by 0.78 m, its
+motorcycles 2.2 m by 0.9 m; a cyclist of a log has about 1.8 m by 0.8 m.
 
 =========== ========= ============ =====================================================================
 kind        fastest   start, stop  source
@@ -16,11 +17,25 @@ cyclist     8.0 m/s   1.5, 4 m/s2  Euro NCAP's cyclists ride at 4.2 to 6.9 m/s; 
 
 A pedestrian turns on the spot, so that its curvature is not limited in practice.  A cyclist leans at most about 20
 degrees (3.5 m/s2 sideways) and turns with a radius of 2 m or more.
+
+Vehicles differ by their build. The settings say the limits of a car, and those of a truck or bus are at most these:
+
+=========== ============ ======== ========= ================================================================
+build       start, stop  sideways curvature source
+=========== ============ ======== ========= ================================================================
+motorcycle  6, 8 m/s2    5 m/s2   0.4 1/m   start: SUMO's vClass motorcycle; stop: riders with ABS reached
+                                            7.8 m/s2 on average (Vavryn and Winkelbauer 2004); a lean of 27
+                                            degrees; a turning radius of 2.5 m
+truck, bus  2, 7 m/s2    3.5 m/s2 0.12 1/m  start, stop: SUMO's vClass coach (``emergencyDecel``); sideways:
+                                            loaded trucks roll over from 0.35 g on (Winkler and Ervin 1999);
+                                            a turning circle of 12.5 m at its outer side (97/27/EC)
+=========== ============ ======== ========= ================================================================
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import fields
 from enum import StrEnum
 from typing import Any, Protocol
 
@@ -38,12 +53,18 @@ class RoadUser(StrEnum):
 
 
 LARGEST_PEDESTRIAN = 1.2  # m, of both sides of the box
+SHORTEST_BICYCLE = 1.2  # m: a scooter of SUMO's; a box as long and no wider than a bicycle rides
 LONGEST_BICYCLE, WIDEST_BICYCLE = 2.0, 0.85  # m
+LONGEST_MOTORCYCLE, WIDEST_MOTORCYCLE = 2.8, 1.1  # m; also mopeds
+SHORTEST_HEAVY = 7.0  # m: SUMO's trucks have 7.1 m, its delivery vans and ambulances 6.5 m
 LIMITS: Mapping[RoadUser, Limits] = {
     RoadUser.PEDESTRIAN: Limits(braking=5.0, acceleration=3.0, lateral=4.0, curvature=50.0, jerk=20.0),
     RoadUser.CYCLIST: Limits(braking=4.0, acceleration=1.5, lateral=3.5, curvature=0.5, jerk=12.0),
 }
 """Limits of the motion of an unprotected road user."""
+MOTORCYCLE = Limits(braking=8.0, acceleration=6.0, lateral=5.0, curvature=0.4, jerk=12.0)
+HEAVY = Limits(braking=7.0, acceleration=2.0, lateral=3.5, curvature=0.12, jerk=12.0)
+"""Limits of the motion of a truck or bus; those of the settings where they are lower."""
 FASTEST: Mapping[RoadUser, float] = {RoadUser.PEDESTRIAN: 4.0, RoadUser.CYCLIST: 8.0}
 """The highest speed [m/s] of an unprotected road user."""
 
@@ -60,7 +81,8 @@ class Sized(Protocol):
 
 def road_user(box: Sized) -> RoadUser:
     """The kind of a road user with this box."""
-    if max(box.length, box.width) <= LARGEST_PEDESTRIAN:
+    rides = box.length >= SHORTEST_BICYCLE and box.width <= WIDEST_BICYCLE
+    if max(box.length, box.width) <= LARGEST_PEDESTRIAN and not rides:
         return RoadUser.PEDESTRIAN
     return RoadUser.CYCLIST if unprotected(box.length, box.width) else RoadUser.VEHICLE
 
@@ -74,3 +96,20 @@ def unprotected(length: Any, width: Any) -> Any:
 def is_unprotected(box: Sized) -> bool:
     """Whether the box is that of a pedestrian or a cyclist."""
     return road_user(box) is not RoadUser.VEHICLE
+
+
+def is_motorcycle(box: Sized) -> bool:
+    """Whether the box is that of a motorcycle or moped."""
+    return not is_unprotected(box) and box.length <= LONGEST_MOTORCYCLE and box.width <= WIDEST_MOTORCYCLE
+
+
+def limits_of(box: Sized, car: Limits) -> Limits:
+    """The limits of the motion of a road user with this box; ``car``: those of a car."""
+    user = road_user(box)
+    if user is not RoadUser.VEHICLE:
+        return LIMITS[user]
+    if is_motorcycle(box):
+        return MOTORCYCLE
+    if box.length < SHORTEST_HEAVY:
+        return car
+    return Limits(**{f.name: min(getattr(car, f.name), getattr(HEAVY, f.name)) for f in fields(Limits)})

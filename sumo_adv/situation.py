@@ -7,14 +7,14 @@ small enough to be sent between processes.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sumo_adv.datatypes import DriverModel, Floats, Track, VehicleState
-from sumo_adv.geometry import PATH_STEP, Frame, Path, wrap
+from sumo_adv.datatypes import Bools, DriverModel, Floats, Track, VehicleState
+from sumo_adv.geometry import PATH_STEP, Frame, Path, same_layer, wrap
 from sumo_adv.road_users import FASTEST, RoadUser, road_user
 
 CROSSING_ANGLE = 0.35  # rad: paths that meet at less merge
@@ -116,7 +116,7 @@ class Target:
 @dataclass(frozen=True, slots=True)
 class OnPath:
     """A vehicle's unattacked motion in the ego path's frame by step from the trigger: station s, offset d of its centre
-    [m], heading [rad], speed [m/s], each ``(n,)``, nan while it is not there; its length [m]."""
+    [m], heading [rad], speed [m/s], each ``(n,)``, nan while it is not there, or on another layer; its length [m]."""
 
     id: str
     s: Floats
@@ -201,7 +201,7 @@ def on_path(track: Track, time: float, dt: float, steps: int, path: Path) -> OnP
     """A track in the frame of the ego's ``path``, for ``steps`` steps from ``time``."""
     s, d, heading, speed = np.full((4, steps), math.nan)
     k = np.round((track.time - time) / dt).astype(np.intp)
-    within = (k >= 0) & (k < steps)
+    within = (k >= 0) & (k < steps) & level_with(track, path)
     x, y = track.x[within], track.y[within]
     i = _nearest(x, y, path)
     cos, sin = np.cos(path.heading[i]), np.sin(path.heading[i])
@@ -209,6 +209,26 @@ def on_path(track: Track, time: float, dt: float, steps: int, path: Path) -> OnP
     s[k[within]], d[k[within]] = i * PATH_STEP + cos * dx + sin * dy, cos * dy - sin * dx
     heading[k[within]], speed[k[within]] = wrap(track.heading[within] - path.heading[i]), track.speed[within]
     return OnPath(track.id, s, d, heading, speed, track.length)
+
+
+def level_with(track: Track, path: Path) -> Bools:
+    """At which states ``(n,)`` a vehicle is on the layer of a path, where it is nearest to it."""
+    if not np.ndim(track.z) and not np.ndim(path.z):
+        return np.ones(len(track.time), bool)
+    return np.asarray(same_layer(track.z, heights_along((path,), track.x, track.y)))
+
+
+def heights_along(paths: Sequence[Path], x: Floats, y: Floats) -> Floats | float:
+    """The heights [m] at points ``(n,)`` of the path that is nearest to each; a number where all is flat."""
+    if not any(np.ndim(path.z) for path in paths):
+        return paths[0].z
+    nearest, heights = np.full(len(x), np.inf), np.zeros(len(x))
+    for path in paths:
+        i = _nearest(x, y, path)
+        away = np.hypot(path.x[i] - x, path.y[i] - y)
+        heights = np.where(away < nearest, np.broadcast_to(path.z, path.x.shape)[i], heights)
+        nearest = np.minimum(nearest, away)
+    return heights
 
 
 def relate(path: Path, movement: str, junction: float, gives_way: bool, ego_path: Path) -> ReferencePath:
@@ -219,9 +239,7 @@ def relate(path: Path, movement: str, junction: float, gives_way: bool, ego_path
     d = -np.sin(eh) * (path.x - ex) + np.cos(eh) * (path.y - ey)
     s = nearest * PATH_STEP + along
     h = wrap(path.heading - eh)
-    return ReferencePath(
-        path, movement, junction, gives_way, s, d, h, _conflict(path, movement, s, d, h, ego_path.length)
-    )
+    return ReferencePath(path, movement, junction, gives_way, s, d, h, _conflict(path, movement, s, d, h, ego_path))
 
 
 COARSE = 8  # samples of the ego's path between those that are looked at first
@@ -242,8 +260,10 @@ def _nearest(x: Floats, y: Floats, ego_path: Path) -> NDArray[np.intp]:
     return indices
 
 
-def _conflict(path: Path, movement: str, s: Floats, d: Floats, h: Floats, reach: float) -> Conflict | None:
-    inside = (s > 1.0) & (s < reach - 1.0)
+def _conflict(path: Path, movement: str, s: Floats, d: Floats, h: Floats, ego: Path) -> Conflict | None:
+    inside = (s > 1.0) & (s < ego.length - 1.0)
+    if np.ndim(path.z) or np.ndim(ego.z):
+        inside &= same_layer(path.z, ego.height(s))
     crossing = (d[:-1] * d[1:] <= 0) & (np.abs(d[:-1] - d[1:]) < 1.5) & (np.abs(h[:-1]) > CROSSING_ANGLE)
     crossing &= (np.abs(h[:-1]) < np.pi - CROSSING_ANGLE) & inside[:-1]
     apart = np.maximum.accumulate((np.abs(d) > 2.0) & (np.abs(h) < 2.6))

@@ -1,4 +1,4 @@
-"""A drive on a shipped network; the ego's driver keeps what it sees."""
+"""A drive on a shipped network or another one; the ego's driver keeps what it sees."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Watcher:
 @contextmanager
 def drive(
     folder: Path,
-    network: str,
+    network: str | Path,
     vehicles: Iterable[str],
     look: Callable[[Observation], Any],
     answer: Callable[[Observation], Action] = lambda _: None,
@@ -50,7 +50,7 @@ def drive(
     watcher = type("Watcher", (Watcher,), attributes)(look, answer)
     controller = UserEgo("watcher", watcher)
     spec = make_spec(folder, network, vehicles)
-    spec = replace(spec, additional=(ego_type_file(controller, folder), *additional))
+    spec = replace(spec, additional=(ego_type_file(controller, folder, spec.routes), *additional))
     moving = Drive(spec, controller, 0)
     road = read_network(spec.network)
     moving.observe = Surroundings(road, Meetings(road), moving, additional)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+import subprocess
 from collections.abc import Iterable
 from pathlib import Path
 
 from sumo_adv.geometry import Pose
 from sumo_adv.simulation.inputs import data_folder
+from sumo_adv.simulation.programs import find_netconvert
 from sumo_adv.simulation.simulation import SimulationSpec
 
 TYPES = """
@@ -25,11 +27,21 @@ def vehicle(name: str, edges: str, lane: int, position: float, speed: float, kin
     )
 
 
-def make_spec(folder: Path, network: str, vehicles: Iterable[str], seed: int = 1) -> SimulationSpec:
-    """A demand file in ``folder`` and the spec to start SUMO with."""
-    routes = folder / f"{network}.rou.xml"
+def make_spec(folder: Path, network: str | Path, vehicles: Iterable[str], seed: int = 1) -> SimulationSpec:
+    """A demand file in ``folder`` and the spec to start SUMO with. network: a file, or the name of a shipped one."""
+    file = network if isinstance(network, Path) else data_folder("networks") / f"{network}.net.xml"
+    routes = folder / f"{file.name.removesuffix('.net.xml')}.rou.xml"
     routes.write_text(f"<routes>{TYPES}{''.join(vehicles)}</routes>")
-    return SimulationSpec(data_folder("networks") / f"{network}.net.xml", (routes,), (), 0.0, seed)
+    return SimulationSpec(file, (routes,), (), 0.0, seed)
+
+
+def make_net(folder: Path, nodes: str, edges: str, *options: str) -> Path:
+    """A network that netconvert makes of ``<node>`` and ``<edge>`` elements."""
+    (folder / "own.nod.xml").write_text(f"<nodes>{nodes}</nodes>")
+    (folder / "own.edg.xml").write_text(f"<edges>{edges}</edges>")
+    command = [str(find_netconvert()), "-n", "own.nod.xml", "-e", "own.edg.xml", "-o", "own.net.xml", *options]
+    subprocess.run(command, cwd=folder, check=True, capture_output=True)
+    return folder / "own.net.xml"
 
 
 def over_the_line(k: int, start: float = 120.0) -> Pose:

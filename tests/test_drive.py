@@ -14,8 +14,9 @@ from sumo_samples import make_spec, over_the_line, vehicle
 from sumo_adv.datatypes import Role
 from sumo_adv.drivers import Action, EgoController, LaneSpeed, Observation, ReplayEgo, Steer, SumoEgo
 from sumo_adv.drivers import Pose as EgoPose
-from sumo_adv.episode.drive import EGO_TYPE, Drive, ego_type_file
+from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.geometry import Pose
+from sumo_adv.simulation.ego_types import EGO_TYPE
 from sumo_adv.simulation.simulation import SimulationSpec, Snapshot
 
 

@@ -101,7 +101,7 @@ def test_the_road_is_where_the_network_is(piece: Piece, scenario: Path) -> None:
     centres = MultiLineString([line for line in lane_centres(road) if len(line) > 1])
     worst = {False: 0.0, True: 0.0}
     for lane in read_network(piece.network).lanes.values():
-        if lane.passenger and len(lane.shape) > 1:
+        if lane.carriageway and len(lane.shape) > 1:
             line = LineString(lane.shape)
             points = [line.interpolate(s) for s in np.arange(0.0, line.length, 2.0)]
             away = max(p.distance(centres) for p in points)

@@ -48,7 +48,7 @@ def test_opendrive_has_the_lanes_where_the_network_has_them(piece: Piece, tmp_pa
     folder = exported(piece, Format.OPENSCENARIO, tmp_path)
     centres = MultiLineString([line for line in lane_centres(folder / "road.xodr") if len(line) > 1])
     for lane in read_network(piece.network).lanes.values():
-        if lane.passenger and len(lane.shape) > 1:
+        if lane.carriageway and len(lane.shape) > 1:
             line = LineString(lane.shape)
             points = [line.interpolate(s) for s in np.arange(0.0, line.length, 2.0)]
             assert max(p.distance(centres) for p in points) < (0.25 if lane.internal else 0.1)

@@ -11,7 +11,7 @@ import pytest
 from cli_samples import Done, Program
 
 from sumo_adv.simulation.fcd_scenario import ROUTES, SCENARIO, TRACKS
-from sumo_adv.simulation.fcd_types import CAR, CLASS_SIZES
+from sumo_adv.simulation.fcd_types import CAR_SIZE, CLASS_SIZES
 from sumo_adv.simulation.programs import find_netconvert, find_sumo, load_libsumo
 from sumo_adv.simulation.tracks import TrackLog, read_tracks
 
@@ -91,7 +91,7 @@ def test_classes_have_sumos_own_sizes(world: World) -> None:
     libsumo.start(["sumo", "-n", str(world.folder / "geo.net.xml"), "-a", str(world.folder / "classes.add.xml")])
     said = {n: (libsumo.vehicletype.getLength(n), libsumo.vehicletype.getWidth(n)) for n in names}
     libsumo.close()
-    assert said == {name: pytest.approx(CLASS_SIZES.get(name, CAR)) for name in names}
+    assert said == {name: pytest.approx(CLASS_SIZES.get(name, CAR_SIZE)) for name in names}
 
 
 def test_each_vehicle_has_the_size_of_its_class_and_goes_on(program: Program, world: World) -> None:

@@ -25,7 +25,7 @@ def test_lanes_are_read_as_they_are_drawn() -> None:
     lane = road("straight_3lane").lanes["eastbound_2"]
     assert (lane.edge, lane.index, lane.width, lane.length, lane.speed) == ("eastbound", 2, 3.2, 1200.0, 22.0)
     assert lane.shape.tolist() == [[0.0, 3.2], [1200.0, 3.2]]
-    assert lane.passenger
+    assert lane.allows("passenger")
     assert not lane.internal
     assert road("straight_3lane").edges["eastbound"] == ("eastbound_0", "eastbound_1", "eastbound_2")
     assert road("priority_crossing").lanes[":centre_15_0"].internal
@@ -94,7 +94,7 @@ def test_far_from_a_junction_there_is_one_way_as_long_as_asked() -> None:
 @pytest.mark.parametrize("name", ["t_junction", "roundabout", "signalised_crossing", "allway_stop", "onramp_merge"])
 def test_every_way_of_every_network_is_connected(name: str) -> None:
     for lane in road(name).lanes.values():
-        if lane.internal or not lane.passenger:
+        if lane.internal or not lane.carriageway:
             continue
         for way in road(name).ways(lane.id, lane.length * 0.6, 120.0):
             shapes = [road(name).lanes[n].shape for n in way.lanes]

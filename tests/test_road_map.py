@@ -16,8 +16,7 @@ from sumo_samples import vehicle
 
 from sumo_adv.datatypes import VehicleState
 from sumo_adv.drivers import Observation, Road
-from sumo_adv.episode.right_of_way import Meetings
-from sumo_adv.episode.road_near import EgoPlace
+from sumo_adv.episode.ego_place import EgoPlace
 from sumo_adv.errors import SimulationError
 from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.simulation.network import read_network
@@ -182,6 +181,9 @@ class Routed:
     def route(self, vehicle: str) -> tuple[tuple[str, ...], int]:
         return self.edges, 0
 
+    def lane_position(self, vehicle: str) -> float:
+        return 0.0
+
     def set_route(self, vehicle: str, edges: Sequence[str]) -> None:
         self.given.append(edges)
 
@@ -189,10 +191,11 @@ class Routed:
 def test_on_a_junction_the_ego_stays_on_the_lane_of_its_route() -> None:
     """SUMO takes it to be on the left turn's lane for a moment, which begins as the straight one does."""
     road = read_network(NETWORKS / "priority_crossing.net.xml")
-    place = EgoPlace(road, Meetings(road), Routed("south_in", "north_out"))  # type: ignore[arg-type]
+    place = EgoPlace(road, Routed("south_in", "north_out"), "passenger")  # type: ignore[arg-type]
 
     def at(y: float, lane: str) -> Any:
-        return place(VehicleState("ego", 1.6, y, math.pi / 2, 8.0, 0.0, 5.0, 2.0, lane), steered=True)
+        state = VehicleState("ego", 1.6, y, math.pi / 2, 8.0, 0.0, 5.0, 2.0, lane)
+        return place(state, moved=True, restores=True)
 
     assert at(-20.0, "south_in_1").lane.id == "south_in_1"
     inside = at(-10.0, ":centre_11_0")

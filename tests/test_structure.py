@@ -14,7 +14,19 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "sumo_adv"
 LEVELS = (
-    ("asked", "consistency", "datatypes", "errors", "files", "geometry", "goal", "parsing", "road_users", "situation"),
+    (
+        "asked",
+        "consistency",
+        "datatypes",
+        "errors",
+        "files",
+        "geometry",
+        "goal",
+        "parsing",
+        "road_users",
+        "situation",
+        "times",
+    ),
     ("config", "config_odd", "metrics", "simulation", "memory"),
     ("planners", "drivers", "llm", "transformer"),
     ("search",),

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from sumo_samples import make_net
 
 from sumo_adv.asked import Written
 from sumo_adv.errors import UsageError
@@ -185,6 +186,21 @@ def test_what_cannot_be_built_is_one_sentence(tmp_path: Path, draft: SceneDraft,
     with pytest.raises(UsageError) as raised:
         build(draft, tmp_path / "my.toml", WRITTEN)
     assert says in str(raised.value), raised.value
+
+
+def test_vehicles_start_where_the_draft_says_on_an_edge_of_another_length(tmp_path: Path) -> None:
+    """The map says 1000 m for its 500 m: the ego, 100 m along, is at SUMO's position 200, the other at 240."""
+    net = make_net(
+        tmp_path, '<node id="a" x="0" y="0"/><node id="b" x="500" y="0"/>',
+        '<edge id="ab" from="a" to="b" numLanes="2" speed="20" length="1000"/>',
+    )  # fmt: skip
+    draft = scene(
+        {"kind": "given"}, {"route": ["ab", "ab"], "speed": 36, "position": 100},
+        other(("ab", "ab"), lane=1, gap=20),
+    )  # fmt: skip
+    build(draft, tmp_path / "my.toml", WRITTEN, net)
+    begins = {name: position for name, (position, _) in starts(tmp_path).items()}
+    assert begins == {"ego": pytest.approx(200.0, abs=0.1), "other": pytest.approx(240.0, abs=0.1)}
 
 
 def test_the_users_network_is_named_by_its_path(tmp_path: Path) -> None:

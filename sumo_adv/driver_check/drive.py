@@ -147,7 +147,8 @@ class CheckWorker:
             drive.simulation.close()
 
     def _made(self, task: Task, driver: EgoController) -> Drive:
-        types = ego_type_file(driver, Path(self._folder.name))
+        demand = (*task.spec.routes, *task.spec.additional)
+        types = ego_type_file(driver, Path(self._folder.name), demand)
         spec = replace(task.spec, additional=(*task.spec.additional, types))
         return Drive(spec, driver, task.settings.seed, deadline=task.settings.ego_deadline)
 
@@ -195,7 +196,7 @@ def off_lane(road: RoadMap, track: Track) -> Floats:
     low, high = np.array([track.x.min(), track.y.min()]) - NEAR, np.array([track.x.max(), track.y.max()]) + NEAR
     for lane in road.lanes.values():
         around = (lane.shape.max(axis=0) > low) & (lane.shape.min(axis=0) < high)
-        if lane.passenger and len(lane.shape) > 1 and around.all():
+        if lane.carriageway and len(lane.shape) > 1 and around.all():
             nearest = np.minimum(nearest, _from_lane(lane.shape, track) - lane.width / 2)
     return np.maximum(nearest, 0.0)
 

@@ -72,13 +72,14 @@ class Vehicle(VehicleState):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lane:
-    """One lane for cars. Equal only to itself.
+    """One lane for vehicles or cycles. Equal only to itself.
 
     centre: ``(n, 2)`` in its direction of travel; width [m]; limit: the posted one [m/s].
     relation: ``route`` (the ego's path follows it), ``crossing`` (it crosses the path or joins it on a junction), else
     by its direction where it is nearest to the path: ``beside`` (within 45 degrees of the path's), ``oncoming`` (within
     45 degrees of the opposite) or ``crossing``.
     left, right: ids of the next lanes of the same edge, None if there is none. junction: it lies within a junction.
+    allowed: a vehicle of the ego's class may use it now; a bus lane is told to a car, and is not for it.
     """
 
     id: str
@@ -89,6 +90,7 @@ class Lane:
     left: str | None = None
     right: str | None = None
     junction: bool = False
+    allowed: bool = True
 
     @property
     def on_route(self) -> bool:
@@ -142,11 +144,13 @@ class Road:
     limit: the fastest that the ego's SUMO type goes here [m/s]: the posted limit times ``speedFactor``, at most
     ``maxSpeed``. sides: centres of the lanes beside the ego's that lead the same way, as offsets from its lane
     [m, left positive], for the next ``until`` metres. width: of the ego's lane [m].
-    leaves: the ego's route ends within a few metres, where SUMO will remove it.
+    leaves: SUMO will remove the ego within a few metres, at its ``arrivalPos`` or the end of its route.
 
-    lanes: all lanes for cars within 120 m of the ego. edges: the boundary of the carriageway within 120 m, lines
-    ``(n, 2)``. limits, stop_lines, conflicts: on the path within 120 m, nearest first. ``lanes`` and ``edges`` stay the
-    same objects until the ego has gone 10 m or its route changes.
+    lanes: all lanes for motor vehicles or cycles within 120 m of the ego; ``allowed`` says whether the ego may use it
+    now. edges: the boundary of the paved ground within 120 m, lines ``(n, 2)``. limits, stop_lines, conflicts: on the
+    path within 120 m, nearest first. ``lanes`` and ``edges`` stay the same objects until the ego has gone 10 m or its
+    route changes; ``lanes`` is made again where a limit changes or a lane closes, too. Limits are those of now. A lane
+    that the ego's class may not use now is not in ``sides``.
 
     advised: with ``needs_road`` and ``Steer`` alone: the speed [m/s] that SUMO's driver would have chosen in the last
     step, with regard to lights, right of way and leaders; at most the speed that the controller asked for. None while
@@ -175,10 +179,11 @@ class Road:
 class Observation:
     """What the driver sees at ``time`` [s, of the simulation]; the step to come lasts ``dt`` [s].
 
-    others: vehicles within 120 m, box centres in the world frame; in a run each is a ``Vehicle``. lane_heading: of the
-    ego's lane at the ego [rad]. lane_offset: of the ego's centre from the lane's centre [m, left positive]. path:
-    points [m] on the centreline of the ego's lane and route, from the ego (or a few metres before) to at least 60 m
-    ahead. road: the map at the ego. These four are None where they are not known, as off the road. ``road`` and each
+    others: vehicles within 120 m, box centres in the world frame; in a run each is a ``Vehicle``. The ego's lane is the
+    one of its route that is nearest to it, whatever lane SUMO takes it to be on. lane_heading: of that lane at the ego
+    [rad]. lane_offset: of the ego's centre from the lane's centre [m, left positive]. path: points [m] on the
+    centreline of that lane and of the route, from the ego (or a few metres before) to at least 60 m ahead. road: the
+    map at the ego. These four are None where they are not known, as off the road. ``road`` and each
     ``Vehicle`` must be read in the ``act`` that got them: later an attribute that was not read yet is refused.
     """
 

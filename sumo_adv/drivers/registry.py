@@ -36,7 +36,7 @@ from sumo_adv.drivers.blind import BlindEgo
 from sumo_adv.drivers.careful import CarefulEgo
 from sumo_adv.drivers.lattice_ego import LatticeEgo
 from sumo_adv.drivers.protocol import Action, EgoController, LaneSpeed, Observation, Pose, Steer, model_of, read_wishes
-from sumo_adv.drivers.sumo_driven import MODELS, ReplayEgo, SumoEgo, sumo_type
+from sumo_adv.drivers.sumo_driven import MODELS, DriverType, ReplayEgo, SumoEgo, sumo_type
 from sumo_adv.errors import DriverError, SimulationError, UsageError, nearest, ran_out_of_memory
 from sumo_adv.simulation.watch import OutOfTimeError
 
@@ -56,7 +56,8 @@ class UserEgo:
         self.needs_observation = bool(getattr(driver, "needs_observation", True))
         self.wishes = read_wishes(driver, spec)
         attributes = getattr(driver, "sumo_type", None)
-        self.sumo_type: Mapping[str, str] = sumo_type("idm", {}) if attributes is None else dict(attributes)
+        given = sumo_type("idm", {}) if attributes is None else attributes
+        self.sumo_type: Mapping[str, str] = given if isinstance(given, DriverType) else dict(given)
 
     def reset(self, seed: int) -> None:
         """Raises DriverError if the user's code fails."""

@@ -1,13 +1,13 @@
 """Egos that SUMO drives: its car-following models with all parameters written out.
 
 Krauss: Krauss 1998; IDM: Treiber, Hennecke and Helbing 2000; EIDM: Salles, Kaufmann and Reuss 2020. All noise is off
-(``sigma`` of Krauss, the three sigmas of EIDM, ``speedDev``), so that only the traffic depends on the seed.
+(``sigma`` of Krauss, the three sigmas of EIDM) unless the vehicle's own type has it: see ``simulation/ego_types.py``.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -68,7 +68,15 @@ MODELS: Mapping[str, tuple[str, type[FollowingParameters]]] = {
 POSITIVE = frozenset({"tau", "accel", "decel", "emergencyDecel", "speedFactor", "delta", "stepping", "tpreview"})
 
 
-def sumo_type(model: str, parameters: Mapping[str, Any]) -> dict[str, str]:
+class DriverType(dict[str, str]):
+    """vType attributes of a driver. defaults: those that nobody asked for, which a vehicle's own type goes before."""
+
+    def __init__(self, attributes: Mapping[str, str], defaults: Collection[str] = ()) -> None:
+        super().__init__(attributes)
+        self.defaults = frozenset(defaults)
+
+
+def sumo_type(model: str, parameters: Mapping[str, Any]) -> DriverType:
     """vType attributes of ``model`` with ``parameters`` laid over its defaults.
 
     Raises UsageError for an unknown parameter, or a value that is no number or out of range.
@@ -79,7 +87,13 @@ def sumo_type(model: str, parameters: Mapping[str, Any]) -> dict[str, str]:
         if name not in values:
             raise UsageError(f"The ego {model!r} has no parameter {name!r}; it knows {', '.join(values)}.")
         values[name] = _number(model, name, value)
-    return {"carFollowModel": sumo_name} | {name: f"{value:g}" for name, value in values.items()}
+    written = {"carFollowModel": sumo_name} | {name: f"{value:g}" for name, value in values.items()}
+    return DriverType(written, values.keys() - parameters.keys())
+
+
+def defaults_of(attributes: Mapping[str, str]) -> frozenset[str]:
+    """The attributes of a driver's vType that nobody asked for; none of those that a user's own driver has."""
+    return attributes.defaults if isinstance(attributes, DriverType) else frozenset()
 
 
 def _number(model: str, name: str, value: Any) -> float:

@@ -291,7 +291,8 @@ class OngoingAttempt:
             acceleration = 0.0 if controller is None else controller.acceleration
             rows.append((start + (k + 1) * dt, p.x, p.y, p.heading, p.speed, acceleration))
         time, x, y, heading, speed, accelerations = np.array(rows).T
-        return Track(name, Role.ADVERSARY, time, x, y, heading, speed, accelerations, state.length, state.width)
+        size = state.length, state.width
+        return Track(name, Role.ADVERSARY, time, x, y, heading, speed, accelerations, *size, z=state.z)
 
 
 def attack(
@@ -328,4 +329,4 @@ def apart_of(drive: Drive, one: str, other: str) -> float:
 
 def box_of(v: VehicleState) -> Boxes:
     """A vehicle's box, 0-d arrays."""
-    return Boxes(np.array(v.x), np.array(v.y), np.array(v.heading), np.array(v.speed), v.length, v.width)
+    return Boxes(np.array(v.x), np.array(v.y), np.array(v.heading), np.array(v.speed), v.length, v.width, v.z)

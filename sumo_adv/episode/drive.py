@@ -13,10 +13,25 @@ from pathlib import Path
 from typing import NamedTuple
 
 from sumo_adv.datatypes import Role, Track, VehicleState
-from sumo_adv.drivers import Action, EgoController, LaneSpeed, Observation, ReplayEgo, Steer, Vehicle, apply_steer
+from sumo_adv.drivers import (
+    Action,
+    EgoController,
+    ExternalEgo,
+    LaneSpeed,
+    Observation,
+    ReplayEgo,
+    Steer,
+    Vehicle,
+    apply_steer,
+)
 from sumo_adv.drivers.protocol import Senses, wishes_of
+from sumo_adv.drivers.sumo_driven import defaults_of
+from sumo_adv.episode.ego_place import EgoPlace, LanePlace, back_to_lane
 from sumo_adv.errors import DriverError
-from sumo_adv.geometry import Pose
+from sumo_adv.geometry import Pose, same_layer
+from sumo_adv.simulation.ego_types import EGO_TYPE, ego_types_xml, vehicle_types
+from sumo_adv.simulation.layers import Heights
+from sumo_adv.simulation.network import RoadMap
 from sumo_adv.simulation.playback import Playback
 from sumo_adv.simulation.remote import Remote
 from sumo_adv.simulation.signals import LightsNear
@@ -58,17 +73,18 @@ class ActionCount:
         return EgoActions(dict(sorted(self._counts.items())), self._limited)
 
 
-EGO_TYPE = "sumo_adv_ego"
 Observe = Callable[[VehicleState, Sequence[str]], Observation]
 OBSERVED = 120.0  # m: how far the ego's driver sees
 
 
-def ego_type_file(controller: EgoController, folder: Path) -> Path:
-    """An additional file with the vTypes of the ego's driver and of recorded vehicles."""
-    attributes = {"vClass": "passenger", "speedDev": "0", **controller.sumo_type}
-    text = " ".join(f'{k}="{v}"' for k, v in attributes.items())
+def ego_type_file(controller: EgoController, folder: Path, demand: Sequence[Path] = ()) -> Path:
+    """An additional file with the vTypes of the ego's driver and of recorded vehicles.
+
+    demand: the files with the vTypes of the vehicles that may become the ego.
+    """
+    types = ego_types_xml(controller.sumo_type, defaults_of(controller.sumo_type), vehicle_types(demand))
     target = folder / "ego_type.add.xml"
-    target.write_text(f'<additional>\n  <vType id="{EGO_TYPE}" {text}/>\n  {LOGGED_TYPE_XML}\n</additional>\n')
+    target.write_text(f"<additional>\n  {types}\n  {LOGGED_TYPE_XML}\n</additional>\n", encoding="utf-8")
     return target
 
 
@@ -91,6 +107,7 @@ class Drive:
         self.simulation, self.controller, self.seed = Simulation(spec, remote), controller, seed
         self._deadline = deadline
         self.ego: str | None = None
+        self._own_type = ""  # the ego's vType before it got the driver under test
         self.recording = Recording(spec.step_length)
         self._takeovers: list[tuple[int, str | None]] = []
         self._playing = False
@@ -98,8 +115,11 @@ class Drive:
         self.steered = False  # the ego's driver, not SUMO, moved the ego in the last step
         self.heeding = False  # it did so with pedals and wheel, and asks for SUMO's advice
         self.actions = ActionCount()  # of the ego's driver since it took over
+        self._ego_place: EgoPlace | None = None
+        self._placed: tuple[float, LanePlace | None] = (-math.inf, None)  # when it was last worked out [s]
         self.on_load: Callable[[], None] | None = None  # called when the simulation was loaded again
         self.lights: LightsNear | None = None  # set if the states of traffic lights are recorded
+        self.heights: Heights | None = None  # set if the network's roads have heights
         self.playback = playback
         self.until = math.inf  # s, from which on a log is dangerous by itself: attempts end before
         if playback is not None:
@@ -155,20 +175,27 @@ class Drive:
     def take_over(self, vehicle: str) -> None:
         """Make a vehicle the ego: it gets the driver under test."""
         if self.controller.sumo_type:
-            self.simulation.set_type(vehicle, EGO_TYPE)
+            given = self.controller.sumo_type.keys() - defaults_of(self.controller.sumo_type)
+            self._own_type = own = self.simulation.own_type(vehicle)
+            keeps = "speedFactor" not in given
+            self.simulation.set_type(vehicle, f"{EGO_TYPE}:{own}", EGO_TYPE, keeps_factor=keeps)
         if self.playback is not None:
             factor = float(self.controller.sumo_type.get("speedFactor", 1.0))
             speed = self.snapshot.raw[vehicle][3]
             self.playback.take(vehicle, speed, factor, replayed=isinstance(self.controller, ReplayEgo))
         with self._driver("reset"):
             self.controller.reset(self.seed)
-        self.actions = ActionCount()
+        self.actions, self._ego_place = ActionCount(), None
         self.ego = vehicle
         self._takeovers.append((len(self.recording.snapshots), vehicle))
 
     def release(self) -> None:
-        """Make the ego a background vehicle again. It keeps the ego's vType; SUMO drives it."""
-        self.ego, self.steered, self.heeding = None, False, False
+        """Make the ego a background vehicle again: SUMO drives it, with the driver of its own vType."""
+        if self._own_type and self.ego is not None and self.ego in self.snapshot.raw:
+            self.simulation.set_speed(self.ego, None)
+            self.simulation.set_type(self.ego, self._own_type)
+        self._own_type = ""
+        self.ego, self.steered, self.heeding, self._ego_place = None, False, False, None
         self._takeovers.append((len(self.recording.snapshots), None))
 
     def tick(self, poses: Mapping[str, Pose] | None = None, ego: Action = None) -> Snapshot:
@@ -193,6 +220,8 @@ class Drive:
         if self.lights is not None and self.ego is not None and self.ego in snapshot.raw:
             x, y = snapshot.raw[self.ego][:2]
             snapshot = replace(snapshot, lights=self.lights.states(self.simulation, x, y))
+        if self.heights is not None:
+            snapshot = replace(snapshot, heights=self._heights_in(snapshot, self.heights))
         self.recording.append(snapshot)
         if self.ego is not None and self.ego in snapshot.raw:
             self.actions.stepped(snapshot.raw[self.ego][3])
@@ -203,6 +232,16 @@ class Drive:
         if self.ego is not None and self.ego in self.snapshot.raw and not self.replayed():
             self.simulation.set_speed(self.ego, None)
 
+    def _heights_in(self, snapshot: Snapshot, heights: Heights) -> dict[str, float]:
+        """The heights of all vehicles and persons of a snapshot that was just read [m]."""
+        last = self.recording.snapshots[-1] if self.recording.snapshots else Snapshot(0.0, {})
+        now = {}
+        for name, (x, y, *_) in snapshot.raw.items():
+            known = name in last.heights
+            before = (*last.raw[name][:2], last.heights[name]) if known else None
+            now[name] = heights.follow(self.simulation.lane_of(snapshot, name), x, y, before)
+        return now
+
     def rewind(self, steps: int) -> None:
         """Load the simulation again and repeat the first ``steps`` steps with the same commands."""
         takeovers = dict(self._takeovers)
@@ -212,6 +251,7 @@ class Drive:
         if self.on_load is not None:
             self.on_load()
         self.ego, self._takeovers, self._playing, self.steered, self.heeding = None, [], False, False, False
+        self._own_type, self._ego_place = "", None
         self.recording = Recording(self.recording.step_length)
         for k in range(steps):
             self._change_ego(takeovers, k)
@@ -248,9 +288,17 @@ class Drive:
         return pose_of(self.snapshot.raw[vehicle], self.simulation.fleet.sizes[vehicle][0])
 
     def near(self, vehicle: VehicleState, radius: float) -> list[str]:
-        """The other vehicles with their centres within ``radius`` [m] of a vehicle's centre."""
+        """The other vehicles with their centres within ``radius`` [m] of a vehicle's centre, not above or below it."""
         poses = ((n, self.pose(n)) for n in self.snapshot.raw if n != vehicle.id)
-        return [n for n, (x, y, _) in poses if math.hypot(x - vehicle.x, y - vehicle.y) < radius]
+        near = [n for n, (x, y, _) in poses if math.hypot(x - vehicle.x, y - vehicle.y) < radius]
+        return near if self.heights is None else [n for n in near if self._level(vehicle, n, radius, self.heights)]
+
+    def _level(self, vehicle: VehicleState, other: str, radius: float, heights: Heights) -> bool:
+        """Whether another vehicle is on a vehicle's layer, or on a road that leads there within ``radius`` [m]."""
+        if same_layer(vehicle.z, self.snapshot.heights.get(other, 0.0)):
+            return True
+        x, y, _, _, lane = self.snapshot.raw[other]
+        return heights.way(vehicle.lane, vehicle.x, vehicle.y, lane, x, y, radius) <= radius
 
     def tracks(self, *adversaries: str, start: int = 0) -> list[Track]:
         """All tracks from recorded step ``start`` on."""
@@ -281,7 +329,30 @@ class Drive:
         """The edges of the ego's whole route."""
         assert self.ego is not None
         logged = self.playback.spec.routes.get(self.ego, ()) if self.playback is not None and self.replayed() else ()
-        return logged or self.simulation.route(self.ego)[0]
+        kept = self._ego_place.route if self._ego_place is not None and self._moved else ()
+        return logged or kept or self.simulation.route(self.ego)[0]
+
+    def place(self, road: RoadMap) -> LanePlace | None:
+        """Where the ego is on its route now; None while it is off all lanes. SUMO gets back a route that it has
+        replaced because the ego's driver left the lanes of it."""
+        assert self.ego is not None
+        if self._ego_place is None:
+            self._ego_place = EgoPlace(road, self.simulation, self.kind(self.ego))
+            self._placed = (-math.inf, None)
+        if self._placed[0] != self.now:
+            place = self._ego_place(self.state(self.ego), moved=self._moved, restores=self.steered)
+            self._placed = (self.now, place)
+        return self._placed[1]
+
+    def closed(self, lane: str) -> bool:
+        """Whether the ego may not use a lane now."""
+        assert self.ego is not None
+        return self.simulation.closed(lane, self.kind(self.ego))
+
+    @property
+    def _moved(self) -> bool:
+        """Whether SUMO may have replaced the ego's route because another program moves it."""
+        return self.steered or isinstance(self.controller, ExternalEgo)
 
     def recorded(self) -> bool:
         return self.playback is not None and self.playback.log is not None
@@ -306,8 +377,9 @@ class Drive:
             with self._driver("act"):
                 action = self.controller.act(observation)
             heeds = wishes.needs_road and observation.road is not None
+        answer, action = action, self._led_back(action)
         self.steered = isinstance(action, Steer | Pose)
-        self.heeding = isinstance(action, Steer) and heeds
+        self.heeding = isinstance(answer, Steer) and heeds
         reachable = math.inf
         if isinstance(action, Steer):
             after = apply_steer(self.state(self.ego), action, self.recording.step_length, wishes.bicycle)
@@ -321,7 +393,19 @@ class Drive:
                 self.simulation.change_lane(self.ego, action.lane)
         else:
             self.simulation.set_speed(self.ego, None)
-        self.actions.answered(action, reachable)
+        self.actions.answered(answer, reachable)
+
+    def _led_back(self, action: Action) -> Action:
+        """The action, or a way back to the ego's own lane where its driver gives it to SUMO on a lane off its route:
+        SUMO would turn it round there."""
+        if self._ego_place is None or not self.steered or isinstance(action, Steer | Pose):
+            return action
+        assert self.ego is not None
+        place = self.place(self._ego_place.road)
+        if place is None or not self._ego_place.astray:
+            return action
+        speed = action.speed if isinstance(action, LaneSpeed) else None
+        return back_to_lane(place, self.state(self.ego), speed, self.recording.step_length)
 
     def where(self) -> str:
         """Where the ego's driver is: its step, counted from 1 where it took over, and the time."""

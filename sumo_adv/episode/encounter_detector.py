@@ -24,10 +24,12 @@ import numpy as np
 from sumo_adv.config_odd import Odd
 from sumo_adv.datatypes import Floats, Place, Relation, RoadClass, VehicleState
 from sumo_adv.episode.drive import Drive
+from sumo_adv.episode.ego_place import front_on, lane_on_route
 from sumo_adv.episode.unprotected import crossing_risk, may_attack, unprotected_ways
-from sumo_adv.geometry import Path, make_path, wrap
-from sumo_adv.road_users import is_unprotected
+from sumo_adv.geometry import Path, make_path, same_layer, wrap
+from sumo_adv.road_users import is_motorcycle, is_unprotected
 from sumo_adv.simulation.network import Lane, RoadMap, Way
+from sumo_adv.simulation.permissions import CAR, MOTOR
 from sumo_adv.situation import MEET_AHEAD, ReferencePath, relate
 
 # -- what surrounds the ego -----------------------------------------------------------------------------------------
@@ -48,27 +50,31 @@ def place_of(road: RoadMap, drive: Drive) -> Place:
     at = _lane(road, drive, ego)
     if at is None:
         return Place(None, None, ego.speed, count)
-    lane, position = at
-    kind = road_class(road, lane, position, SOON * ego.speed, drive.simulation.ahead(drive.ego))
-    return Place(kind, lane.speed, ego.speed, count)
+    lane, station = at
+    place = None if drive.replayed() else drive.place(road)
+    route = drive.simulation.ahead(drive.ego) if place is None else place.route
+    kind = road_class(road, lane, station, SOON * ego.speed, route, drive.kind(drive.ego))
+    return Place(kind, drive.simulation.lane_limit(lane.id), ego.speed, count)
 
 
-def road_class(road: RoadMap, lane: Lane, position: float, ahead: float, route: tuple[str, ...] = ()) -> RoadClass:
-    """The class of the road ``position`` metres along a lane. ahead: how far a junction counts [m]. route: the edges
-    from there on, where they are known."""
+def road_class(
+    road: RoadMap, lane: Lane, station: float, ahead: float, route: tuple[str, ...] = (), vclass: str = CAR
+) -> RoadClass:
+    """The class of the road ``station`` metres along a lane. ahead: how far a junction counts [m]. route: the edges
+    from there on, where they are known; vclass: SUMO's class of the vehicle that goes there."""
     if lane.speed >= MOTORWAY_LIMIT and not _two_way(road, lane):
         return RoadClass.MOTORWAY
-    if _near_junction(road, lane, position, ahead, route):
+    if _near_junction(road, lane, station, ahead, route, vclass):
         return RoadClass.JUNCTION
     return RoadClass.RURAL if lane.speed > URBAN_LIMIT else RoadClass.URBAN
 
 
 def _lane(road: RoadMap, drive: Drive, ego: VehicleState) -> tuple[Lane, float] | None:
     """The ego's lane and its centre's station on it [m]; None off the network. A log names no lane."""
-    if ego.lane in road.lanes and not drive.replayed():
-        assert drive.ego is not None
-        return road.lanes[ego.lane], max(drive.simulation.lane_position(drive.ego) - ego.length / 2, 0.0)
-    lane_at = road.lane_at(ego.x, ego.y, ego.heading)
+    place = None if drive.replayed() else drive.place(road)
+    if place is not None:
+        return place.lane, max(place.front - ego.length / 2, 0.0)
+    lane_at = road.lane_at(ego.x, ego.y, ego.heading, drive.kind(ego.id), ego.z)
     return None if lane_at is None else (road.lanes[lane_at[0]], lane_at[1])
 
 
@@ -80,10 +86,12 @@ def _two_way(road: RoadMap, lane: Lane) -> bool:
     return any(kind == "opposite" for _, kind in sides)
 
 
-def _near_junction(road: RoadMap, lane: Lane, position: float, ahead: float, route: tuple[str, ...]) -> bool:
+def _near_junction(
+    road: RoadMap, lane: Lane, station: float, ahead: float, route: tuple[str, ...], vclass: str
+) -> bool:
     if lane.internal:
         return lane.id[1:].rsplit("_", 2)[0] in road.meeting_junctions
-    ways = road.ways(lane.id, position, max(ahead, SHORTEST), route)
+    ways = road.ways(lane.id, station, max(ahead, SHORTEST), route, vclass=vclass)
     return any(
         way.first is not None and way.junction <= ahead and way.first.link[0] in road.meeting_junctions for way in ways
     )
@@ -105,9 +113,6 @@ LEAST_WAY = 1.0  # m: a shorter log shows no path
 BESIDE = 8.5  # m
 BEHIND = 45.0  # m behind the ego, for vehicles on the ego's path
 AHEAD, FAR_AHEAD = 60.0, 100.0  # m ahead of the ego, for such vehicles; the second if no other vehicle is ranked
-CLASSES = frozenset(
-    {"passenger", "private", "taxi", "delivery", "truck", "trailer", "bus", "coach", "evehicle", "custom1"}
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,9 +226,7 @@ class EncounterDetector:
             distance = math.hypot(dx, dy)
             ahead = c * dx + s * dy > 0
             far = ahead or abs(wrap(heading - ego.heading)) > 0.5
-            if distance < (ONCOMING_NEAR if far else NEAR) and (
-                small or drive.simulation.vehicle_class(name) in CLASSES
-            ):
+            if distance < (ONCOMING_NEAR if far else NEAR) and (small or drive.kind(name) in MOTOR):
                 names.append(name)
         return names
 
@@ -236,14 +239,17 @@ class EncounterDetector:
         if bv.lane not in self.road.lanes:
             return None
         s, d = path.project(bv.x, bv.y)
+        level = bool(same_layer(bv.z, path.height(s)))
         turned = abs(wrap(bv.heading - float(path.at(np.asarray(s))[2])))
-        lanes = self.road.lanes
-        own_edge = ego.lane in lanes and lanes[bv.lane].edge == lanes[ego.lane].edge
+        place = drive.place(self.road)
+        own_edge = place is not None and self.road.lanes[bv.lane].edge == place.lane.edge
         relation, risk = "", 0.0
-        if turned < 0.5 and (abs(d) < SAME_LANE or (own_edge and abs(d) < BESIDE)):
-            relation = ("leader" if s > 0 else "follower") if abs(d) < SAME_LANE else "neighbour"
-            risk = self._same_way_risk(relation, s, d, bv, ego) if -BEHIND < s < ahead else 0.0
-        elif turned > 2.64 and 1.2 < self.road.hand * d < BESIDE and s > 0:
+        near = abs(d) < SAME_LANE
+        if level and turned < 0.5 and (near or (own_edge and abs(d) < BESIDE)):
+            in_line = near and not (is_motorcycle(bv) and _passes(bv, d, ego, path))
+            relation = ("leader" if s > 0 else "follower") if in_line else "neighbour"
+            risk = self._same_way_risk(relation, s, d, bv, ego, drive.kind(name)) if -BEHIND < s < ahead else 0.0
+        elif level and turned > 2.64 and 1.2 < self.road.hand * d < BESIDE and s > 0:
             sides = self.road.side_offsets(bv.lane, bv.x, bv.y, bv.heading)
             if any(kind == "opposite" for _, kind in sides):  # only a line separates the two
                 relation, risk = "oncoming", _oncoming_risk(s, bv.speed + ego.speed)
@@ -258,8 +264,10 @@ class EncounterDetector:
                 relation, risk = (relation or kind), best
         return RankedVehicle(name, relation, risk, ways, bv.lane) if relation and ways else None
 
-    def _same_way_risk(self, relation: str, s: float, d: float, bv: VehicleState, ego: VehicleState) -> float:
-        """Risk of a vehicle that drives the ego's way. It is lower if the vehicle has no lane beside its own."""
+    def _same_way_risk(
+        self, relation: str, s: float, d: float, bv: VehicleState, ego: VehicleState, vclass: str
+    ) -> float:
+        """Risk of a vehicle of a class that drives the ego's way. It is lower if it has no lane beside its own."""
         if bv.speed < SLOWEST_SAME_WAY and not self._recorded:
             return 0.0
         best_gap = {"leader": 12.0, "follower": -10.0, "neighbour": 3.0}[relation]
@@ -267,8 +275,14 @@ class EncounterDetector:
         risk = math.exp(-abs(s + closing * 2.0 - best_gap) / 35.0)
         if relation == "neighbour":
             return risk if abs(d) < 5.0 else 0.7 * risk
-        same = [o for o, kind in self.road.side_offsets(bv.lane, bv.x, bv.y, bv.heading) if kind == "same"]
+        sides = self.road.side_offsets(bv.lane, bv.x, bv.y, bv.heading, vclass)
+        same = [o for o, kind in sides if kind == "same"]
         return (0.8 if same else 0.42) * risk
+
+
+def _passes(bv: VehicleState, d: float, ego: VehicleState, path: Path) -> bool:
+    """Whether a vehicle ``d`` metres to the left of the ego's path has room to go past the ego as the ego drives."""
+    return abs(d - path.project(ego.x, ego.y)[1]) > (bv.width + ego.width) / 2
 
 
 def _oncoming_risk(s: float, closing: float) -> float:
@@ -303,32 +317,44 @@ def ego_path(road: RoadMap, drive: Drive) -> Path | None:
     ego = drive.state(drive.ego)
     if drive.replayed():
         return logged_path(road, drive)
-    if ego.lane not in road.lanes:
+    place = drive.place(road)
+    if place is None:
         return None
-    ways = _ways(road, drive, ego, drive.simulation.ahead(drive.ego))
+    ways = road.ways(
+        place.lane.id, place.front - ego.length / 2, REACH, place.route, vclass=drive.kind(ego.id), closed=drive.closed
+    )
     return ways[0].path if ways else None
 
 
-def _ways(road: RoadMap, drive: Drive, vehicle: VehicleState, route: tuple[str, ...] = ()) -> list[Way]:
-    """All ways on of a vehicle along its lane, or that of its route."""
-    return road.ways(vehicle.lane, drive.simulation.lane_position(vehicle.id) - vehicle.length / 2, REACH, route)
+def _ways(road: RoadMap, drive: Drive, vehicle: VehicleState) -> list[Way]:
+    """All ways on of a vehicle along its lane; of one that overtakes on the other side along its own."""
+    vclass = drive.kind(vehicle.id)
+    lane = lane_on_route(road, vehicle, (), vclass)
+    if lane is None:
+        return []
+    return road.ways(lane.id, front_on(lane, vehicle, drive.simulation) - vehicle.length / 2, REACH, vclass=vclass)
 
 
 def logged_path(road: RoadMap, drive: Drive) -> Path | None:
     """The rest of the ego's log, continued along its route; None if the log is too short."""
     assert drive.ego is not None and drive.playback is not None
     points = drive.playback.ahead(drive.ego, drive.now)
-    if len(points) < 2 or float(np.hypot(*np.diff(points, axis=0).T).sum()) < LEAST_WAY:
+    if road.heights is not None:
+        points = road.heights.along(points, drive.state(drive.ego).z)
+    if len(points) < 2 or float(np.hypot(*np.diff(points[:, :2], axis=0).T).sum()) < LEAST_WAY:
         return None
     path = make_path(points)
-    last = road.lane_at(float(path.x[-1]), float(path.y[-1]), float(path.heading[-1]))
-    return continued(points, road.ways(*last, REACH, drive.route()) if last is not None else ())
+    vclass, z = drive.kind(drive.ego), float(path.height(path.length))
+    last = road.lane_at(float(path.x[-1]), float(path.y[-1]), float(path.heading[-1]), vclass, z)
+    return continued(points, road.ways(*last, REACH, drive.route(), vclass=vclass) if last is not None else ())
 
 
 def continued(points: Floats, ways: Sequence[Way]) -> Path:
-    """The path through ``points`` ``(n, 2)`` and on along the first of the ways, if any, for ``REACH`` metres."""
+    """The path through ``points`` ``(n, 2)``, or ``(n, 3)`` with heights, and on along the first of the ways, if any,
+    for ``REACH`` metres."""
     if ways:
-        onward = np.column_stack([ways[0].path.x, ways[0].path.y])
+        way = ways[0].path
+        onward = np.column_stack([way.x, way.y, np.broadcast_to(way.z, way.x.shape)])[:, : points.shape[1]]
         points = np.vstack([points, onward[4:]])  # 2 m on: no fold where the points are off the centre
     path = make_path(points)
     return path if path.length > REACH else path.extended(REACH - path.length)

@@ -16,6 +16,7 @@ from sumo_adv.episode.task import NoEncounter, Task
 from sumo_adv.errors import MissingVehicleError, UsageError
 from sumo_adv.simulation.inputs import EgoRoute
 from sumo_adv.simulation.network import RoadMap
+from sumo_adv.simulation.permissions import ELSEWHERE
 
 PATIENCE = 15.0  # s after which a chosen ego without an encounter is replaced by another
 SAME = 15.0  # s after an encounter that was left, in which the same vehicles make no other one
@@ -43,6 +44,8 @@ class EncounterSearch:
                 "departPos": str(route.position), "departSpeed": str(route.speed),
             }  # fmt: skip
             self.drive.simulation.add(INSERTED_EGO, route.edges, self.task.ego_base_type or "DEFAULT_VEHTYPE", depart)
+            if self.task.ego_base_type is None:  # SUMO draws a factor of the limit; this ego has none of its own
+                self.drive.simulation.set_speed_factor(INSERTED_EGO, 1.0)
 
     def leave(self, ranked: Collection[str]) -> None:
         """Look for something else than the encounter that began now with these vehicles: with another ego if it is
@@ -152,13 +155,18 @@ class EncounterSearch:
         )
 
     def _refuse_unknown(self) -> None:
-        """Raises UsageError for a requested adversary that is the ego or was never inserted."""
+        """Raises UsageError for a requested adversary that is the ego, was never inserted or cannot attack."""
         if self.drive.ego in self.task.only:
             raise UsageError(f"Vehicle '{self.drive.ego}' is the ego, so it cannot be the adversary; name another.")
         unknown = [n for n in self.task.only if n not in self.drive.simulation.fleet.sizes]
         if unknown:
             advice = "check --adversary or the scenario's candidates"
             raise self._missing(unknown[0], advice)
+        kinds = {name: self.drive.kind(name) for name in self.task.only if name in self.drive.snapshot.raw}
+        bound = next((name for name, kind in kinds.items() if kind in ELSEWHERE), None)
+        if bound is not None:
+            why = f"is a {kinds[bound]}, and no vehicle of that class can attack: it drives on no road"
+            raise UsageError(f"Vehicle '{bound}' {why}; name another adversary.")
 
     def _missing(self, vehicle: str, advice: str) -> MissingVehicleError:
         words = f"No vehicle '{vehicle}' was inserted before {self.drive.now:.0f} s; {advice}."

@@ -20,6 +20,7 @@ from sumo_adv.datatypes import Boxes, Track, VehicleState
 from sumo_adv.drivers import Action, EgoController, LaneSpeed, Observation, Pose, ReplayEgo
 from sumo_adv.drivers.protocol import wishes_of
 from sumo_adv.drivers.watching import Watcher, lane_half_width_of, path_of
+from sumo_adv.geometry import same_layer
 from sumo_adv.metrics.avoidance import OnRoad, manoeuvre_poses
 from sumo_adv.metrics.boxes import on_grid, row_of
 from sumo_adv.metrics.case import Case
@@ -89,8 +90,9 @@ class ReferenceEgo:
             return
         path = path_of(observation, np.stack([ego.x, ego.y], axis=1))
         for k in range(len(ego.time) - 1):  # the last state is the present one
-            others = (state_at(t, float(ego.time[k])) for t in self._history.values())
-            watcher.speed(_state(ego, k), [state for state in others if state is not None], path, half)
+            me, states = _state(ego, k), (state_at(t, float(ego.time[k])) for t in self._history.values())
+            others = [state for state in states if state is not None and same_layer(me.z, state.z)]
+            watcher.speed(me, others, path, half)
         self._history.clear()
 
 
@@ -145,7 +147,8 @@ def state_at(track: Track, time: float) -> VehicleState | None:
 
 def _state(t: Track, k: int) -> VehicleState:
     x, y, heading, speed, acceleration = (float(v[k]) for v in (t.x, t.y, t.heading, t.speed, t.acceleration))
-    return VehicleState(t.id, x, y, heading, speed, acceleration, t.length, t.width, t.lane[k] if t.lane else "")
+    z = float(np.broadcast_to(t.z, t.time.shape)[k])
+    return VehicleState(t.id, x, y, heading, speed, acceleration, t.length, t.width, t.lane[k] if t.lane else "", z)
 
 
 def manoeuvre_plan(

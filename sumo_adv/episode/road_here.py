@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, partial
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from sumo_adv.datatypes import Floats, VehicleState
 from sumo_adv.drivers.protocol import Conflict, Lane, Road, SpeedLimit, StopLine
+from sumo_adv.episode.ego_place import LanePlace
 from sumo_adv.episode.right_of_way import Foe, Line, Link, Meetings, RightOfWay, sign_of, signal_of
-from sumo_adv.episode.road_near import Place, RoadNear
+from sumo_adv.episode.road_near import RoadNear
 from sumo_adv.errors import SimulationError
 from sumo_adv.geometry import along
 from sumo_adv.simulation.network import Connection, RoadMap
@@ -52,10 +50,9 @@ class RoadHere:
         self.map, self.meetings, self.drive = road, meetings, drive
         self.near = RoadNear(road)
         self.rule = RightOfWay(meetings)
-        self.sides: dict[str, tuple[float, ...]] = {}
-        self._last: Place | None = None
+        self._last: LanePlace | None = None
 
-    def __call__(self, ego: VehicleState, place: Place | None) -> Road | None:
+    def __call__(self, ego: VehicleState, place: LanePlace | None) -> Road | None:
         """None before the ego was on a lane."""
         self._last = place or self._last
         return None if self._last is None else RoadNow(self, ego, self._last)
@@ -64,12 +61,12 @@ class RoadHere:
 class RoadNow(Road):
     """``Road`` at one time. Raises SimulationError for what is read too late."""
 
-    def __init__(self, here: RoadHere, ego: VehicleState, place: Place) -> None:
+    def __init__(self, here: RoadHere, ego: VehicleState, place: LanePlace) -> None:
         self.__dict__.update(_here=here, _ego=ego, _place=place, _time=here.drive.now)
 
     _here: RoadHere
     _ego: VehicleState
-    _place: Place
+    _place: LanePlace
     _time: float
 
     def _now(self) -> RoadHere:
@@ -82,23 +79,19 @@ class RoadNow(Road):
 
     @cached_property
     def limit(self) -> float:
-        return self._now().drive.simulation.limit(self._ego.id)
+        simulation, lane = self._now().drive.simulation, self._place.lane.id
+        return simulation.limit(self._ego.id, lane if lane != self._ego.lane else None)
 
     @cached_property
     def sides(self) -> tuple[float, ...]:
-        here, lane, ego = self._now(), self._place.lane, self._ego
-        if lane.id not in here.sides:
-            beside = here.map.side_offsets(lane.id, ego.x, ego.y, ego.heading)
-            here.sides[lane.id] = tuple(offset for offset, way in beside if way == "same")
-        return here.sides[lane.id]
+        here, lane = self._now(), self._place.lane
+        beside = () if lane.internal else here.map.beside(lane, here.drive.kind(self._ego.id))
+        return tuple(offset for other, offset in beside if not here.drive.closed(other.id))
 
     @cached_property
     def _left(self) -> float:
         """Metres from the front bumper to the end of the lane."""
-        lane, ego = self._place.lane, self._ego
-        if lane.id != ego.lane:
-            return _length(lane) - self._place.front
-        return lane.length - self._now().drive.simulation.lane_position(ego.id)
+        return self._place.lane.length - self._place.front
 
     @cached_property
     def until(self) -> float:
@@ -116,24 +109,36 @@ class RoadNow(Road):
 
     @cached_property
     def leaves(self) -> bool:
-        return self._left < LEAVING * self._ego.speed + 0.5 and self._place.route[-1:] == (self._place.lane.edge,)
+        drive = self._now().drive
+        arrival = drive.simulation.arrival(self._ego.id, drive.route())
+        if arrival is None or arrival.edge != self._place.lane.edge or arrival.edge in self._place.route[1:]:
+            return False
+        left = self._place.lane.station_of(arrival.position) - self._place.front
+        return left < LEAVING * self._ego.speed + 0.5
 
     @cached_property
     def lanes(self) -> tuple[Lane, ...]:
         here, (stretches, junctions) = self._now(), self._stretches
         met = frozenset(m.lane for junction in junctions for m in here.meetings.of(junction.link))
-        return here.near.lanes((self._ego.x, self._ego.y), [s.lane for s in stretches], met)
+        drive = here.drive
+
+        def now(lane: str) -> tuple[float, bool]:
+            return drive.simulation.lane_limit(lane), not drive.closed(lane)
+
+        return here.near.lanes((self._ego.x, self._ego.y), [s.lane for s in stretches], met, now)
 
     @cached_property
     def edges(self) -> tuple[Floats, ...]:
-        return self._now().near.edges((self._ego.x, self._ego.y), self._place.route)
+        lanes = [stretch.lane for stretch in self._stretches[0]]
+        return self._now().near.edges((self._ego.x, self._ego.y), self._place.route, lanes)
 
     @cached_property
     def limits(self) -> tuple[SpeedLimit, ...]:
         limits: list[SpeedLimit] = []
         for stretch in self._stretches[0]:
-            if not limits or limits[-1].speed != stretch.lane.speed:
-                limits.append(SpeedLimit(stretch.ahead, stretch.lane.speed))
+            speed = self._now().drive.simulation.lane_limit(stretch.lane.id)
+            if not limits or limits[-1].speed != speed:
+                limits.append(SpeedLimit(stretch.ahead, speed))
         return tuple(limits)
 
     @cached_property
@@ -170,11 +175,11 @@ class RoadNow(Road):
         lanes, ways = here.map.lanes, here.meetings.ways
         centre = place.front - self._ego.length / 2
         chain, junctions, lane, ahead = [Stretch(place.lane, -centre)], [], place.lane, -centre
-        if place.link is not None:  # the ego is on it
-            before = sum(_length(lanes[n]) for n in ways[place.link].via[: ways[place.link].via.index(lane.id)])
-            junctions.append(Junction(place.link, ways[place.link], ahead - before))
-        while (ahead := ahead + _length(lane)) < SEEN:
-            onward = here.map.onward(lane, place.route)
+        if (link := here.meetings.link_of.get(lane.id)) is not None:  # the ego is on it
+            before = sum(lanes[n].length for n in ways[link].via[: ways[link].via.index(lane.id)])
+            junctions.append(Junction(link, ways[link], ahead - before))
+        while (ahead := ahead + lane.length) < SEEN:
+            onward = here.map.onward(lane, place.route, here.drive.kind(self._ego.id), here.drive.closed)
             if not onward:
                 break
             way = onward[0]
@@ -182,7 +187,7 @@ class RoadNow(Road):
                 junctions.append(Junction(way.link, ways[way.link], ahead))
             for name in way.via:
                 chain.append(Stretch(lanes[name], ahead))
-                ahead += _length(lanes[name])
+                ahead += lanes[name].length
             lane = lanes[way.to]
             chain.append(Stretch(lane, ahead))
         return tuple(chain), tuple(junctions)
@@ -190,7 +195,7 @@ class RoadNow(Road):
     def _lines(self) -> Iterator[Line]:
         """The lines on the path, nearest first; also a line between front bumper and centre."""
         for junction in self._stretches[1]:
-            bay = _length(self._here.map.lanes[junction.way.via[0]]) if len(junction.way.via) > 1 else 0.0
+            bay = self._here.map.lanes[junction.way.via[0]].length if len(junction.way.via) > 1 else 0.0
             entry = self._line(junction, 0.0)
             if entry.room > -self._ego.length / 2 and (_lit(entry) or (sign_of(entry.letter) and not bay)):
                 yield entry
@@ -198,9 +203,8 @@ class RoadNow(Road):
                 yield self._line(junction, bay)
 
     def _line(self, junction: Junction, begin: float) -> Line:
-        lanes = self._here.map.lanes
         room = junction.ahead + begin - self._ego.length / 2
-        limit = min(lanes[name].speed for name in junction.way.via)
+        limit = min(self._now().drive.simulation.lane_limit(name) for name in junction.way.via)
         return Line(junction.link, junction.way, room, begin, self._letter(junction.link), limit)
 
     def _letter(self, link: Link) -> str:
@@ -241,23 +245,18 @@ class RoadNow(Road):
         if lane.internal:
             link = here.meetings.link_of.get(on)
             return None if link is None else (link, -float(along(here.meetings.line(link), x, y)) - 1e-3)
-        edges, room = here.drive.simulation.ahead(name), _length(lane) - float(along(lane.shape, x, y))
+        edges, room = here.drive.simulation.ahead(name), lane.length - lane.station_at(x, y)
         while room < SEEN:
-            onward = here.map.onward(lane, edges)
+            onward = here.map.onward(lane, edges, here.drive.kind(name))
             if not onward:
                 return None
             if onward[0].link in here.meetings.ways:
                 return onward[0].link, room
             lane = here.map.lanes[onward[0].to]
-            room += _length(lane)
+            room += lane.length
         return None
 
 
 def _lit(line: Line) -> bool:
     """Whether a light stands at the line: it does where the way over the junction begins."""
     return line.way.light[1] >= 0 and line.begin == 0.0
-
-
-def _length(lane: NetLane) -> float:
-    """Metres of its centreline; SUMO's own length of a lane may differ."""
-    return float(math.fsum(np.hypot(*np.diff(lane.shape, axis=0).T)))

@@ -12,13 +12,15 @@ from sumo_adv.config import Settings
 from sumo_adv.datatypes import DriverModel, Floats, Track, VehicleState
 from sumo_adv.drivers import model_of
 from sumo_adv.episode.drive import Drive
+from sumo_adv.episode.ego_place import lane_on_route
 from sumo_adv.episode.encounter_detector import REACH, RankedVehicle, continued
 from sumo_adv.episode.surroundings import Sight
 from sumo_adv.episode.unprotected import STANDS, unprotected_ways
-from sumo_adv.geometry import PATH_STEP, Frame, Path, along, wrap
+from sumo_adv.geometry import PATH_STEP, Frame, Path, wrap
 from sumo_adv.metrics.case import closest, smoothed
 from sumo_adv.road_users import is_unprotected
 from sumo_adv.simulation.network import Connection, RoadMap, Way
+from sumo_adv.simulation.permissions import CAR
 from sumo_adv.situation import (
     MEET_AHEAD,
     Baseline,
@@ -28,6 +30,7 @@ from sumo_adv.situation import (
     Situation,
     Target,
     Traffic,
+    level_with,
     on_path,
     relate,
     top_speed,
@@ -94,9 +97,10 @@ HISTORY = 1.1  # s before the trigger of which a situation keeps the states (the
 class TriggerState:
     """What the simulation knows at the trigger, besides the states of the vehicles.
 
-    time [s]; route, routes: the edges of the ego's whole route, and of the ranked vehicles' by id; signals: by id the
-    lights ahead of the ego and of the ranked vehicles; left: steps until the log that is played back ends, inf without
-    a log; follows_log: whether a log moves background vehicles, so that they do not react to the adversary.
+    time [s]; route, routes: the edges of the ego's whole route, and of the ranked vehicles' by id; signals, classes: by
+    id the lights ahead of the ego and of the ranked vehicles, and their vehicle classes in SUMO; left: steps until the
+    log that is played back ends, inf without a log; follows_log: whether a log moves background vehicles, so that they
+    do not react to the adversary.
     """
 
     ego: str
@@ -105,11 +109,12 @@ class TriggerState:
     route: tuple[str, ...]
     routes: Mapping[str, tuple[str, ...]]
     signals: Mapping[str, tuple[Signal, ...]]
+    classes: Mapping[str, str]
     left: float = math.inf
     follows_log: bool = False
 
 
-def trigger_state(drive: Drive, ranking: Sequence[RankedVehicle]) -> TriggerState:
+def trigger_state(road: RoadMap, drive: Drive, ranking: Sequence[RankedVehicle]) -> TriggerState:
     """The state of the simulation now."""
     assert drive.ego is not None
     simulation, left = drive.simulation, drive.left()
@@ -119,9 +124,22 @@ def trigger_state(drive: Drive, ranking: Sequence[RankedVehicle]) -> TriggerStat
     return TriggerState(
         drive.ego, drive.now, model, drive.route(),
         {name: simulation.route(name)[0] for name in driving},
-        {name: tuple(simulation.signals(name)) for name in (drive.ego, *driving)},
+        {name: _signals(road, drive, name) for name in (drive.ego, *driving)},
+        {name: drive.kind(name) for name in (drive.ego, *driving)},
         math.inf if left is None else left, drive.follows_log(),
     )  # fmt: skip
+
+
+def _signals(road: RoadMap, drive: Drive, vehicle: str) -> tuple[Signal, ...]:
+    """The traffic lights ahead of a vehicle, with the metres from its front bumper to each."""
+    state, lights = drive.state(vehicle), drive.simulation.signals(vehicle)
+    lane = road.lanes.get(state.lane)
+    if lane is None or not lights:
+        return tuple(lights)
+    station = lane.station_of(drive.simulation.lane_position(vehicle))
+    edges = drive.simulation.ahead(vehicle)
+    lanes = road.chain(lane.id, station, max(d for _, d, _ in lights), edges, drive.kind(vehicle))
+    return tuple((name, road.metres_ahead(lanes, station, d), letter) for name, d, letter in lights)
 
 
 def build_situations(
@@ -174,14 +192,15 @@ def build_situation(
 ) -> Situation | None:  # fmt: skip
     """The situation ``delay`` s after the trigger; None if the ego or all ranked vehicles are gone by then."""
     time, ego_id, dt = trigger.time + delay, trigger.ego, settings.step_length
+    vclass = trigger.classes[ego_id]
     ego_track = tracks[ego_id].between(time, math.inf)
     ego = state_at(ego_track, time) if len(ego_track.time) > 1 else None
     if ego is None:
         return None
-    points = np.column_stack([ego_track.x, ego_track.y])
-    path = continued(points, _ways(road, ego_track.lane[-1], ego_track.x[-1], ego_track.y[-1], trigger.route))
+    points = np.column_stack([ego_track.x, ego_track.y, *([ego_track.z] if np.ndim(ego_track.z) else [])])
+    path = continued(points, _ways_on(road, state_at(ego_track, ego_track.time[-1]) or ego, trigger.route, vclass))
     stations = _travelled(ego_track)
-    onward = way_ahead(road, ego, trigger.route)
+    onward = way_ahead(road, ego, trigger.route, vclass)
     first, rule = (None, "") if onward is None else (onward.first, onward.rule)
     junction, bay = (math.inf, math.inf) if onward is None else (onward.junction, onward.bay)
     targets = {}
@@ -189,7 +208,8 @@ def build_situation(
         track = tracks.get(ranked.id)
         if track is not None and trigger.follows_log:  # the adversary begins without the noise of the log
             track = smoothed(track, time, settings.limits.limits())
-        target = _target(road, track, ranked, time, path, first, trigger.routes.get(ranked.id, ()))
+        kind = trigger.classes.get(ranked.id, CAR)  # a vehicle of a recording that comes later is a car to SUMO
+        target = _target(road, track, ranked, time, path, first, trigger.routes.get(ranked.id, ()), kind)
         if target is not None:
             hidden = is_unprotected(target.state) and _is_hidden(target.state, ego, tracks, time)
             targets[ranked.id] = replace(target, hidden=hidden)
@@ -197,17 +217,18 @@ def build_situation(
         return None
     others = tuple(
         part for name, t in tracks.items() if name != ego_id and len((part := t.between(time, math.inf)).time) > 1
-        and closest(ego_track, part, time) < OTHERS_NEAR
+        and closest(ego_track, part, time) < OTHERS_NEAR and level_with(part, path).any()
     )  # fmt: skip
-    width = road.lanes[ego.lane].width if ego.lane in road.lanes else FULL_LANE
-    sides = tuple((float(o), k) for o, k in road.side_offsets(ego.lane, ego.x, ego.y, ego.heading))
+    lane = lane_on_route(road, ego, trigger.route, vclass)
+    width = FULL_LANE if lane is None else lane.width
+    sides = () if lane is None else road.side_offsets(lane.id, ego.x, ego.y, ego.heading, vclass)
     near = {ego_id, *targets, *(t.id for t in others)}
     history = tuple(t.between(time - HISTORY, time) for name, t in tracks.items() if name in near)
     later = tuple(s for s in _junctions(road, ego_track, path, stations) if s > junction + ANOTHER)
     situation = Situation(
         time, dt, settings.horizon, Frame(ego.x, ego.y, ego.heading, road.hand), ego,
         Baseline(path, stations, ego_track.speed, ego_track.acceleration, trigger.ego_model),
-        RoadAhead(width, sides, float(junction), later, float(bay), rule),
+        RoadAhead(width, tuple((float(o), k) for o, k in sides), float(junction), later, float(bay), rule),
         Traffic(
             others, _ahead(tracks, ego_track, path, stations, dt, width),
             tuple(sorted((t for t in history if len(t.time)), key=lambda t: t.id != ego_id)),
@@ -236,16 +257,16 @@ def state_at(track: Track, time: float) -> VehicleState | None:
     return VehicleState(
         track.id, float(track.x[i]), float(track.y[i]), float(track.heading[i]), float(track.speed[i]),
         float(track.acceleration[i]), track.length, track.width, track.lane[i],
+        float(track.z[i]) if isinstance(track.z, np.ndarray) else track.z,
     )  # fmt: skip
 
 
-def _ways(
-    road: RoadMap, lane: str, x: float, y: float, route: tuple[str, ...] = (), farthest: float = 0.0
-) -> list[Way]:
-    """The ways on from the place on a lane that is nearest to (x, y); see ``RoadMap.ways``. None off all lanes."""
-    if lane not in road.lanes:
+def _ways_on(road: RoadMap, vehicle: VehicleState, route: tuple[str, ...], vclass: str) -> list[Way]:
+    """The ways on of a vehicle of a class along its route; see ``RoadMap.ways``. None off all lanes."""
+    lane = lane_on_route(road, vehicle, route, vclass)
+    if lane is None:
         return []
-    return road.ways(lane, float(along(road.lanes[lane].shape, x, y)), REACH, route, farthest)
+    return road.ways(lane.id, lane.station_at(vehicle.x, vehicle.y), REACH, route, vclass=vclass)
 
 
 def _junctions(road: RoadMap, ego: Track, path: Path, stations: Floats) -> list[float]:
@@ -272,9 +293,9 @@ def _ahead(
     return tuple(ahead)
 
 
-def way_ahead(road: RoadMap, ego: VehicleState, route: tuple[str, ...]) -> Way | None:
-    """The ego's way on; None if it is on no lane."""
-    ways = _ways(road, ego.lane, ego.x, ego.y, route)
+def way_ahead(road: RoadMap, ego: VehicleState, route: tuple[str, ...], vclass: str = CAR) -> Way | None:
+    """The way on of an ego of a vehicle class; None if it is on no lane."""
+    ways = _ways_on(road, ego, route, vclass)
     return ways[0] if ways else None
 
 
@@ -287,26 +308,30 @@ def goes_first(other: Connection | None, ego: Connection | None) -> bool:
 
 def _target(
     road: RoadMap, track: Track | None, ranked: RankedVehicle, time: float, path: Path, ego: Connection | None,
-    route: tuple[str, ...],
+    route: tuple[str, ...], vclass: str,
 ) -> Target | None:  # fmt: skip
-    """``ego``: the ego's connection at its junction; ``route``: the vehicle's own edges, empty if unknown."""
+    """``ego``: the ego's connection at its junction; ``route``: the vehicle's own edges, empty if unknown; ``vclass``:
+    its class."""
     bv = state_at(track, time) if track is not None else None
     if bv is None:
         return None
-    onward = _ways(road, bv.lane, bv.x, bv.y, farthest=FARTHEST_TIME * top_speed(bv))
+    lane = lane_on_route(road, bv, (), vclass)
+    begin = 0.0 if lane is None else lane.station_at(bv.x, bv.y)
+    farthest = FARTHEST_TIME * top_speed(bv)
+    onward = [] if lane is None else road.ways(lane.id, begin, REACH, farthest=farthest, vclass=vclass)
     if is_unprotected(bv):
         small = unprotected_ways(bv, path, onward)
         turn = 0.0 if bv.speed < STANDS else wrap(bv.heading - float(small[0].path.heading[0]))
         return Target(bv, ranked.relation, small, 0.0, 0.0, turn, (), ranked.risk, hand=road.hand)
     related = [relate(w.path, w.movement, w.junction, w.gives_way, path) for w in onward]
     ways = [replace(r, before_ego=goes_first(w.first, ego), bay=w.bay) for r, w in zip(related, onward, strict=True)]
-    if not ways:
+    if lane is None or not ways:
         return None
     station, offset = ways[0].path.project(bv.x, bv.y, near=0.0)
     heading = ways[0].path.heading[min(max(int(station / PATH_STEP), 0), len(ways[0].path.x) - 1)]
     turn = wrap(bv.heading - float(heading))
-    sides = tuple((float(o), k) for o, k in road.side_offsets(bv.lane, bv.x, bv.y, bv.heading))
-    unattacked = _along(onward, road, bv.lane, route)
+    sides = tuple((float(o), k) for o, k in road.side_offsets(lane.id, bv.x, bv.y, bv.heading, vclass))
+    unattacked = _along(onward, road, lane.id, route)
     return Target(
         bv, ranked.relation, tuple(ways), station, offset, turn, sides, ranked.risk, unattacked, hand=road.hand
     )
@@ -315,7 +340,7 @@ def _target(
 def _is_hidden(bv: VehicleState, ego: VehicleState, tracks: Mapping[str, Track], time: float) -> bool:
     """Whether other boxes hide a pedestrian or cyclist from the ego at a time [s]."""
     there = (state_at(t, time) for name, t in tracks.items() if name not in (bv.id, ego.id) and len(t.time))
-    return not Sight().visible((ego.x, ego.y), [bv, *(state for state in there if state is not None)])[0]
+    return not Sight().visible((ego.x, ego.y), [bv, *(state for state in there if state is not None)], ego.z)[0]
 
 
 def _along(ways: Sequence[Way], road: RoadMap, lane: str, route: tuple[str, ...]) -> int | None:

@@ -16,12 +16,12 @@ import numpy as np
 from sumo_adv.datatypes import Bools, Floats, VehicleState
 from sumo_adv.drivers import Observation, Vehicle
 from sumo_adv.drivers.protocol import wishes_of
+from sumo_adv.episode.ego_place import LanePlace
 from sumo_adv.episode.encounter_detector import REACH, logged_path
 from sumo_adv.episode.right_of_way import Meetings
 from sumo_adv.episode.road_here import RoadHere
-from sumo_adv.episode.road_near import EgoPlace, Place
 from sumo_adv.errors import SimulationError
-from sumo_adv.geometry import PATH_STEP, crosses_box, wrap
+from sumo_adv.geometry import PATH_STEP, crosses_box, same_layer, wrap
 from sumo_adv.simulation.network import RoadMap
 from sumo_adv.simulation.simulation import heading_of
 
@@ -58,16 +58,19 @@ class Sight:
 
         self._tree = STRtree([Polygon(outline) for outline in buildings]) if len(buildings) else None
 
-    def visible(self, eye: tuple[float, float], boxes: Sequence[VehicleState]) -> Bools:
-        """Whether each box is seen from the point ``eye``: its centre or one of its corners, past the other boxes."""
+    def visible(self, eye: tuple[float, float], boxes: Sequence[VehicleState], eye_z: float = 0.0) -> Bools:
+        """Whether each box is seen from the point ``eye``: its centre or one of its corners, past the other boxes on
+        its layer or on that of the eye, on a road at height ``eye_z`` [m]."""
         if not boxes:
             return np.zeros(0, bool)
         targets = np.stack([_targets(box) for box in boxes])  # (n, 5, 2)
         blocked = np.zeros(targets.shape[:2], bool)
+        z = np.array([box.z for box in boxes])
         for k, box in enumerate(boxes):
             half = (box.length / 2, box.width / 2)
             through = crosses_box(eye, (targets[..., 0], targets[..., 1]), (box.x, box.y, box.heading), half)
             through[k] = False
+            through &= (same_layer(box.z, z) | same_layer(box.z, eye_z))[:, None]
             blocked |= through
         if self._tree is not None:
             from shapely import linestrings
@@ -96,8 +99,8 @@ class Surroundings:
 
     def __init__(self, road: RoadMap, meetings: Meetings, drive: Drive, additional: Sequence[Path] = ()) -> None:
         """``additional``: files with buildings, for drivers that ask for them."""
-        self._drive = drive
-        self._place = EgoPlace(road, meetings, drive.simulation)
+        self._map, self._drive = road, drive
+        drive.heights = road.heights
         self._road = RoadHere(road, meetings, drive)
         self._path = LaneLine(road, drive)
         self._wishes = wishes_of(drive.controller)
@@ -106,7 +109,7 @@ class Surroundings:
     def __call__(self, ego: VehicleState, near: Sequence[str]) -> Observation:
         """What the driver of the ego sees now; ``near``: the vehicles near it."""
         drive = self._drive
-        place = self._place(ego, steered=drive.steered)  # first: it may restore the ego's route
+        place = drive.place(self._map)  # first: it may restore the ego's route
         senses = SensesNow(drive, ego, near, self._sight)
         states = senses.vehicles
         if self._wishes.visible_only:
@@ -118,7 +121,7 @@ class Surroundings:
         )  # fmt: skip
 
 
-def in_lane(place: Place, ego: VehicleState) -> tuple[float, float]:
+def in_lane(place: LanePlace, ego: VehicleState) -> tuple[float, float]:
     """Heading of the ego's lane at its centre [rad] and offset of the centre from the lane's [m, left positive]."""
     points = place.lane.shape.tolist()
     best = (math.inf, 0.0, 0.0)
@@ -139,23 +142,28 @@ class LaneLine:
 
     def __init__(self, road: RoadMap, drive: Drive) -> None:
         self._road, self._drive = road, drive
-        self._lane, self._from, self._line = "", (0.0, 0.0), tuple[tuple[float, float], ...]()
+        self._lanes: tuple[str, ...] = ()
+        self._from, self._line = (0.0, 0.0), tuple[tuple[float, float], ...]()
 
-    def __call__(self, ego: VehicleState, place: Place | None) -> Sequence[tuple[float, float]] | None:
+    def __call__(self, ego: VehicleState, place: LanePlace | None) -> Sequence[tuple[float, float]] | None:
         """(x, y) [m] every metre from the ego on; None off the road."""
-        lane = ego.lane if place is None else place.lane.id
-        if lane == self._lane and math.hypot(ego.x - self._from[0], ego.y - self._from[1]) <= LINE_FRESH:
+        drive, logged, vclass = self._drive, self._drive.replayed(), self._drive.kind(ego.id)
+        lanes: tuple[str, ...] = (ego.lane,) if place is None else (place.lane.id,)
+        if place is not None and not logged:
+            begin = place.front - ego.length / 2
+            lanes = self._road.chain(place.lane.id, begin, LINE_AHEAD, place.route, vclass, drive.closed)
+        fresh = math.dist(self._from, (ego.x, ego.y)) <= LINE_FRESH
+        if fresh and lanes[:1] == self._lanes[:1] and all(a == b for a, b in zip(lanes, self._lanes, strict=False)):
             return self._line
-        path = logged_path(self._road, self._drive) if self._drive.replayed() else None
-        if place is not None and not self._drive.replayed():
-            front = self._drive.simulation.lane_position(ego.id) if lane == ego.lane else place.front
-            ways = self._road.ways(lane, front - ego.length / 2, REACH, place.route)
-            path = ways[0].path if ways else None
+        path = logged_path(self._road, drive) if logged else None
+        if place is not None and not logged:
+            ways = self._road.ways(place.lane.id, begin, REACH, place.route, vclass=vclass, closed=drive.closed)
+            path, lanes = (ways[0].path, ways[0].lanes) if ways else (None, lanes)
         if path is None:
             return None
         count = round(LINE_AHEAD / PATH_STEP)
         self._line = tuple(zip(path.x[:count:2].tolist(), path.y[:count:2].tolist(), strict=True))
-        self._lane, self._from = lane, (ego.x, ego.y)
+        self._lanes, self._from = lanes, (ego.x, ego.y)
         return self._line
 
 
@@ -194,7 +202,9 @@ class SensesNow:
 
     @cached_property
     def _seen(self) -> Bools:
-        return self._sight.visible((self._ego.x, self._ego.y), self.vehicles) if self._near else np.zeros(0, bool)
+        if not self._near:
+            return np.zeros(0, bool)
+        return self._sight.visible((self._ego.x, self._ego.y), self.vehicles, self._ego.z)
 
     def _lamps(self, vehicle: str) -> int:
         self.check()

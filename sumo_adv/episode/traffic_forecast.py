@@ -15,10 +15,12 @@ import numpy as np
 
 from sumo_adv.datatypes import Floats, Track, VehicleState
 from sumo_adv.episode.drive import Drive
+from sumo_adv.episode.ego_place import front_on, lane_on_route
 from sumo_adv.episode.encounter_detector import REACH
 from sumo_adv.episode.situation_builder import HISTORY
-from sumo_adv.geometry import PATH_STEP, Path, make_path, wrap
-from sumo_adv.simulation.network import RoadMap
+from sumo_adv.geometry import PATH_STEP, Path, make_path, same_layer, wrap
+from sumo_adv.metrics.boxes import height_as
+from sumo_adv.simulation.network import Lane, RoadMap
 
 SEEN = 250.0  # m around the ego within which vehicles are foreseen
 FADING, GAINING = 1.0, 5.0  # s, time constants of the present acceleration, and of one above ``GAINS``
@@ -61,31 +63,43 @@ def course(road: RoadMap, drive: Drive, state: VehicleState, duration: float) ->
     reach = min(REACH, max(60.0, (state.speed + 2.0) * duration))
     if state.lane not in road.lanes:
         c, s = math.cos(state.heading), math.sin(state.heading)
-        path = make_path(np.array([[state.x, state.y], [state.x + reach * c, state.y + reach * s]]))
+        path = make_path(np.array([[state.x, state.y, state.z], [state.x + reach * c, state.y + reach * s, state.z]]))
         return ForecastPath(state, path, 0.0, 0.0, np.full(len(path.x), math.inf), ("",), np.array([math.inf]))
-    position = max(0.0, drive.simulation.lane_position(state.id) - state.length / 2)
-    way = road.ways(state.lane, position, reach, drive.simulation.ahead(state.id))[0]
+    vclass = drive.kind(state.id)
+    lane, front, route = _place(road, drive, state, vclass)
+    begin = max(0.0, front - state.length / 2)
+    way = road.ways(lane.id, begin, reach, route, vclass=vclass)[0]
     station, offset = way.path.project(state.x, state.y, near=0.0)
-    lengths = [float(np.hypot(*np.diff(road.lanes[n].shape, axis=0).T).sum()) for n in way.lanes]
-    ends = np.cumsum(lengths) - position
-    cap = _caps(road, way.path, way.lanes, ends, state)
-    stop = min((d for _, d, light in drive.simulation.signals(state.id) if light in "rRyY"), default=math.inf)
+    ends = np.cumsum([road.lanes[n].length for n in way.lanes]) - begin
+    limits = np.array([drive.simulation.lane_limit(name) for name in way.lanes])
+    cap = _caps(limits, way.path, ends, state)
+    lights = drive.simulation.signals(state.id)
+    stop = min((road.metres_ahead(way.lanes, front, d) for _, d, s in lights if s in "rRyY"), default=math.inf)
     if stop < reach:
         cap = np.minimum(cap, _towards(way.path, np.where(_stations(way.path) > stop - 1.0, 0.0, 1e4)))
     return ForecastPath(state, way.path, station, offset, cap, way.lanes, ends)
+
+
+def _place(road: RoadMap, drive: Drive, state: VehicleState, vclass: str) -> tuple[Lane, float, tuple[str, ...]]:
+    """The lane of a vehicle on its route, the metres along it to its front bumper, and its edges from there on."""
+    place = drive.place(road) if state.id == drive.ego else None
+    if place is not None:
+        return place.lane, place.front, place.route
+    route = drive.simulation.ahead(state.id)
+    lane = lane_on_route(road, state, route, vclass) or road.lanes[state.lane]
+    return lane, front_on(lane, state, drive.simulation), route
 
 
 def _stations(path: Path) -> Floats:
     return np.asarray(PATH_STEP * np.arange(len(path.x)), float)
 
 
-def _caps(road: RoadMap, path: Path, lanes: Sequence[str], ends: Floats, state: VehicleState) -> Floats:
-    """Highest speed [m/s] at each sample. A vehicle over the limit now exceeds later limits by the same factor."""
-    here = road.lanes[lanes[0]].speed
-    over = max(1.0, state.speed / max(here, 0.1))
-    place = np.minimum(np.searchsorted(ends, _stations(path)), len(lanes) - 1)
-    limits = np.array([over * road.lanes[n].speed for n in lanes])[place]
-    return _towards(path, limits**2)
+def _caps(limits: Floats, path: Path, ends: Floats, state: VehicleState) -> Floats:
+    """Highest speed [m/s] at each sample, from the limits of the lanes. A vehicle over the limit now exceeds later
+    limits by the same factor."""
+    over = max(1.0, state.speed / max(float(limits[0]), 0.1))
+    place = np.minimum(np.searchsorted(ends, _stations(path)), len(limits) - 1)
+    return _towards(path, (over * limits[place]) ** 2)
 
 
 def _towards(path: Path, square: Floats) -> Floats:
@@ -128,7 +142,7 @@ def _advance(courses: Sequence[ForecastPath], a: Floats, steps: int, dt: float) 
 
 def _leaders(courses: Sequence[ForecastPath]) -> tuple[np.ndarray, Floats]:
     """For each vehicle the index of the next vehicle ahead on its path (-1: none), and the gap to it [m]."""
-    x, y, h = (np.array([getattr(c.state, k) for c in courses]) for k in ("x", "y", "heading"))
+    x, y, h, z = (np.array([getattr(c.state, k) for c in courses]) for k in ("x", "y", "heading", "z"))
     half = np.array([c.state.length / 2 for c in courses])
     leader, room = np.full(len(courses), -1), np.full(len(courses), math.inf)
     for k, c in enumerate(courses):
@@ -138,7 +152,8 @@ def _leaders(courses: Sequence[ForecastPath]) -> tuple[np.ndarray, Floats]:
             s, d = c.path.project(float(x[j]), float(y[j]))
             free = s - c.station - half[k] - half[j] - MIN_GAP
             turned = abs(wrap(h[j] - c.path.heading[min(int(max(s, 0.0) / PATH_STEP), len(c.path.x) - 1)]))
-            if j != k and s > c.station and abs(d) < IN_LINE and turned < SAME_WAY and free < room[k]:
+            level = same_layer(z[j], c.path.height(s))
+            if j != k and s > c.station and abs(d) < IN_LINE and turned < SAME_WAY and free < room[k] and level:
                 leader[k], room[k] = j, free
     return leader, room
 
@@ -157,6 +172,7 @@ def _track(c: ForecastPath, travelled: Floats, speed: Floats, recorded: Track, d
         recorded.id, recorded.role, both("time", recorded.time[-1] + after), both("x", x), both("y", y),
         both("heading", wrap(heading)), both("speed", speed[1:]), both("acceleration", np.diff(speed) / dt),
         recorded.length, recorded.width, (*recorded.lane, *(c.lanes[i] for i in lanes)),
+        height_as(recorded, lambda z: np.concatenate([z, np.broadcast_to(c.path.height(s), s.shape)])),
     )  # fmt: skip
 
 

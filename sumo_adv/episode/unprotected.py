@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,9 +18,9 @@ from sumo_adv.episode.drive import Drive
 from sumo_adv.geometry import PATH_STEP, Path, make_path, wrap
 from sumo_adv.road_users import FASTEST, LIMITS, RoadUser, is_unprotected, road_user
 from sumo_adv.simulation.network import Way
+from sumo_adv.simulation.permissions import CYCLES, ON_FOOT
 from sumo_adv.situation import ReferencePath, relate
 
-CLASSES = frozenset({"bicycle", "pedestrian"})  # SUMO's vehicle classes
 STANDS = 0.3  # m/s, a slower pedestrian turns on the spot
 LATER = (0.0, 1.0, 2.0, 3.0, 4.0)  # s of going on until the turn
 LEAST_STRAIGHT = 1.0  # m before a turn: paths are smoothed over as much, and would begin turned
@@ -41,7 +42,7 @@ def may_attack(drive: Drive, name: str, only: Sequence[str]) -> bool:
     is_object = name in drive.obstacles
     if drive.simulation.remote is not None and name in drive.simulation.fleet.persons:
         return False
-    if not is_object and drive.simulation.vehicle_class(name) not in CLASSES:
+    if not is_object and drive.simulation.vehicle_class(name) not in CYCLES | ON_FOOT:
         return False
     return is_unprotected(drive.state(name)) and (not is_object or name in only or drive.placed(name))
 
@@ -53,18 +54,23 @@ def unprotected_ways(state: VehicleState, ego_path: Path, lanes: Sequence[Way] =
     stands = speed < STANDS and user is RoadUser.PEDESTRIAN
     straight = [0.0] if stands else [LEAST_STRAIGHT + after * speed for after in (LATER if speed >= STANDS else (0.0,))]
     across = [_across(state, user, ego_path, after, turns=not stands) for after in straight]
-    ways = [relate(path, "across", math.inf, False, ego_path) for path in across]
+    ways = [relate(_at(state, path), "across", math.inf, False, ego_path) for path in across]
     if stands:
         return tuple(ways)
     onward = [relate(_beside(w.path, state), w.movement, w.junction, w.gives_way, ego_path) for w in lanes]
-    return (*(onward or [relate(_straight_on(state), "along", math.inf, False, ego_path)]), *ways)
+    return (*(onward or [relate(_at(state, _straight_on(state)), "along", math.inf, False, ego_path)]), *ways)
+
+
+def _at(state: VehicleState, path: Path) -> Path:
+    """The path at the height of a pedestrian or cyclist: it leads no further than over the road."""
+    return replace(path, z=state.z)
 
 
 def _beside(lane: Path, state: VehicleState) -> Path:
     """The path of a lane, moved sideways to where a cyclist rides in it."""
     station, offset = lane.project(state.x, state.y, near=0.0)
     x, y, _ = lane.at(np.arange(station, lane.length, PATH_STEP), offset)
-    return make_path(np.column_stack([x, y]))
+    return _at(state, make_path(np.column_stack([x, y])))
 
 
 def _straight_on(state: VehicleState) -> Path:

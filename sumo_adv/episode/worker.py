@@ -94,7 +94,8 @@ class Worker:
         self._road = read_network(task.spec.network)
         folder = Path(self._folder.name)
         silent = silent_copies(task.spec.additional, folder)  # those of an earlier version's manifest may write
-        additional = (*silent, ego_type_file(controller, folder))
+        demand = (*task.spec.routes, *task.spec.additional)
+        additional = (*silent, ego_type_file(controller, folder, demand))
         spec = replace(task.spec, additional=additional)
         self._drive = Drive(
             spec, controller, task.settings.seed, playback=self._playback(task), deadline=task.settings.ego_deadline

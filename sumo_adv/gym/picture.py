@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from sumo_adv.datatypes import Floats, VehicleState
 from sumo_adv.episode.drive import Drive
+from sumo_adv.simulation.layers import covers
 from sumo_adv.simulation.network import RoadMap
 
 SIZE = 480  # pixels
@@ -30,14 +31,16 @@ def draw(road: RoadMap, drive: Drive, ego: str, adversary: str | None, middle: V
 
     strips = road.strips(middle.x, middle.y, 2 * SHOWN)
     for shape, width, _ in strips:
-        line = [pixel(x, y) for x, y in shape.tolist()]
+        line = [pixel(x, y) for x, y in shape[:, :2].tolist()]
         pen.line(line, fill=ASPHALT, width=math.ceil(width * scale) + 1, joint="curve")
     for shape, width, internal in strips:
         for side in () if internal else (-width / 2, width / 2):
-            pen.line([pixel(x, y) for x, y in beside(shape, side)], fill=PAINT)
+            pen.line([pixel(x, y) for x, y in beside(shape[:, :2], side)], fill=PAINT)
     for name in drive.snapshot.raw:
         v = drive.state(name)
         if math.hypot(v.x - middle.x, v.y - middle.y) > 2 * SHOWN:
+            continue
+        if name not in (ego, adversary) and any(bool(covers(line, w, v.x, v.y, v.z)) for line, w, _ in strips):
             continue
         kind = "ego" if name == ego else "adversary" if name == adversary else "other"
         c, s, ahead, left = math.cos(v.heading), math.sin(v.heading), v.length / 2, v.width / 2

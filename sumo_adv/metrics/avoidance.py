@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_adv.datatypes import Bools, Boxes, Floats, Ints
-from sumo_adv.metrics.boxes import Half, corners, half, pick, sat, touches
+from sumo_adv.metrics.boxes import Half, corners, half, height_as, on_layer, pick, sat, touches
 
 PERCEPTION, REACTION = 0.4, 0.75  # s, UN R157 annex 3
 CAREFUL_BRAKING = 0.774 * 9.81  # m/s2, UN R157
@@ -36,8 +36,8 @@ MARGIN = 0.05  # m, nearer than this is not avoided
 HORIZON = 6.0  # s that a manoeuvre is followed
 ROAD_TOLERANCE = 0.15  # m a corner may be off the road
 SAME_LANE, NEARBY = 1.8, 150.0  # m, a vehicle behind in the lane is not an obstacle to braking; beyond 150 m none is
-OnRoad = Callable[[Floats, Floats], Bools]
-"""Whether points (x, y) of any common shape lie on the drivable area."""
+OnRoad = Callable[..., Bools]
+"""Whether points (x, y) of any common shape lie on the drivable area; (x, y, z) where roads have heights."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +80,7 @@ def avoidance(
     table = (careful_driver, *(m for d in delays for m in manoeuvres(d)))
     steps = round(HORIZON / dt)
     own, foe = window(ego, hazard_index, steps, dt), window(adversary, hazard_index, steps, dt)
+    foe = on_layer(own, foe)
     poses = poses_of(own, table, dt)
     foe_poses = _straight(foe) if reacting is None else poses_of(foe, (reacting,), dt)
     clear: Bools = np.asarray(~_hits(poses, foe_poses, _half(own), _half(foe)).any(axis=-1))
@@ -101,7 +102,8 @@ def window(b: Boxes, index: NDArray[np.integer], steps: int, dt: float, last: In
     x, y, heading, speed = (np.broadcast_to(v, b.x.shape)[rows, taken] for v in (b.x, b.y, b.heading, b.speed))
     beyond = speed * (np.maximum(indices - end, 0) * dt)
     size = [np.broadcast_to(np.asarray(v, dtype=float), b.x.shape)[:, :1] for v in (b.length, b.width)]
-    return Boxes(x + beyond * np.cos(heading), y + beyond * np.sin(heading), heading, speed, size[0], size[1])
+    z = height_as(b, lambda z: z[rows, taken])
+    return Boxes(x + beyond * np.cos(heading), y + beyond * np.sin(heading), heading, speed, size[0], size[1], z)
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,6 +201,7 @@ def _clear_of_others(
     half_own = [np.asarray(size) for size in half(own)]
     for row in np.flatnonzero(asked.any(axis=0)):
         near = window(others, np.full(len(others.x), int(hazard_index[row])), own.x.shape[1] - 1, dt)
+        near = on_layer(pick(own, [row]), near)
         c, s = np.cos(own.heading[row, 0]), np.sin(own.heading[row, 0])
         dx, dy = near.x[:, 0] - own.x[row, 0], near.y[:, 0] - own.y[row, 0]
         behind = (dx * c + dy * s < 0) & (np.abs(dy * c - dx * s) < SAME_LANE)
@@ -259,7 +262,7 @@ def manoeuvre_poses(ego: Boxes, alarm: Ints, steps: int, dt: float) -> tuple[Box
     poses = poses_of(own, TABLE, dt)
     moved = np.hypot(np.diff(poses.x, axis=-1), np.diff(poses.y, axis=-1)) / dt
     speed = np.concatenate([moved, moved[..., -1:]], axis=-1)
-    return own, Boxes(poses.x, poses.y, np.arctan2(poses.sin, poses.cos), speed, own.length, own.width)
+    return own, Boxes(poses.x, poses.y, np.arctan2(poses.sin, poses.cos), speed, own.length, own.width, own.z)
 
 
 def escapes(

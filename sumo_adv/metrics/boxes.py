@@ -4,17 +4,21 @@ Overlap is the separating-axis theorem in closed form (Gottschalk, Lin, Manocha 
 |sin| give the extent of one box along an axis of the other without corners. Swept contact is conservative advancement
 (Mirtich 1996) with a bound for each axis, so that boxes that do not turn are solved in one or two iterations.
 Boxes that touch overlap. A vehicle that is not there is NaN, which is never in contact.
+
+Height is a fifth axis: boxes whose roads are more than ``LAYER_HEIGHT_M`` apart there are apart (a bridge and what is
+below it). It costs nothing where all is flat.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Boxes, Floats, Ints, Track
-from sumo_adv.geometry import wrap_below_pi
+from sumo_adv.geometry import LAYER_HEIGHT_M, same_layer, wrap_below_pi
 
 LEAST_ADVANCE = 1e-3  # of one interval: 0.1 ms of a 0.1 s step
 TOUCH = 1e-9  # m, below this two boxes touch
@@ -60,9 +64,27 @@ def axis_separations(a: Boxes, b: Boxes) -> tuple[Floats, Floats, Floats, Floats
 
 
 def separation(a: Boxes, b: Boxes) -> Floats:
-    """The largest of the four axis separations [m]: > 0 apart (a lower bound of :func:`gap`), <= 0 overlapping."""
+    """The largest of the axis separations [m]: > 0 apart (a lower bound of :func:`gap`), <= 0 overlapping."""
     along_a, across_a, along_b, across_b = axis_separations(a, b)
-    return np.maximum(np.maximum(along_a, across_a), np.maximum(along_b, across_b))
+    apart = np.maximum(np.maximum(along_a, across_a), np.maximum(along_b, across_b))
+    return apart if flat(a, b) else np.maximum(apart, np.abs(a.z - b.z) - LAYER_HEIGHT_M)
+
+
+def flat(a: Boxes, b: Boxes) -> bool:
+    """Whether heights say nothing: neither has any of its own."""
+    return not np.ndim(a.z) and not np.ndim(b.z) and a.z == b.z
+
+
+def height_as(b: Boxes | Track, change: Callable[[Floats], Floats]) -> Floats | float:
+    """The heights, in the shape of the positions, changed as positions are; a number stays as it is."""
+    return change(np.broadcast_to(b.z, b.x.shape)) if np.ndim(b.z) else b.z
+
+
+def on_layer(own: Boxes, others: Boxes) -> Boxes:
+    """The others, absent (NaN) where their road is above or below that of ``own``; shapes broadcast."""
+    if flat(own, others):
+        return others
+    return replace(others, x=np.where(same_layer(own.z, others.z), others.x, np.nan))
 
 
 def overlaps(a: Boxes, b: Boxes) -> Bools:
@@ -87,20 +109,23 @@ def half_diagonal(b: Boxes) -> Floats:
 
 def pick(b: Boxes, k: Any) -> Boxes:
     """The boxes at an index ``k`` of their positions; sizes then have the positions' shape."""
-    size = [np.broadcast_to(np.asarray(v, float), b.x.shape)[k] for v in (b.length, b.width)]
-    return Boxes(b.x[k], b.y[k], b.heading[k], b.speed[k], *size)
+    length, width = (np.broadcast_to(np.asarray(v, float), b.x.shape)[k] for v in (b.length, b.width))
+    return Boxes(b.x[k], b.y[k], b.heading[k], b.speed[k], length, width, height_as(b, lambda z: z[k]))
 
 
 def some_steps(b: Boxes, steps: slice) -> Boxes:
     """The same boxes ``(..., steps)`` over some of the steps."""
     x, y, heading, speed = (v[..., steps] for v in (b.x, b.y, b.heading, b.speed))
-    return Boxes(x, y, heading, speed, b.length, b.width)
+    return Boxes(x, y, heading, speed, b.length, b.width, height_as(b, lambda z: z[..., steps]))
 
 
 def gap(a: Boxes, b: Boxes) -> Floats:
     """Exact box-to-box distance [m], 0 where they overlap: the least corner-to-box distance, both ways round."""
     least = np.minimum(_corner_distance(a, b), _corner_distance(b, a))
-    return np.where(overlaps(a, b), 0.0, np.sqrt(least))
+    if flat(a, b):
+        return np.where(overlaps(a, b), 0.0, np.sqrt(least))
+    least = np.where(overlaps(replace(a, z=0.0), replace(b, z=0.0)), 0.0, least)
+    return np.sqrt(least + np.maximum(np.abs(a.z - b.z) - LAYER_HEIGHT_M, 0.0) ** 2)
 
 
 def _corner_distance(a: Boxes, b: Boxes) -> Floats:
@@ -156,8 +181,15 @@ def _near_intervals(a: Boxes, b: Boxes) -> tuple[Bools, list[Floats]]:
     square = vx * vx + vy * vy
     nearest = np.clip(-(x0 * vx + y0 * vy) / np.where(square > 0, square, 1.0), 0.0, 1.0)
     near = np.hypot(x0 + nearest * vx, y0 + nearest * vy) <= reach
+    if not flat(a, b):
+        near &= _level_steps(np.broadcast_to(np.abs(b.z - a.z), shape))
     motion = (x0, y0, vx, vy, ha, wrap_below_pi(ha1 - ha), hb, wrap_below_pi(hb1 - hb), *sizes)
     return near, [v[near] for v in motion]
+
+
+def _level_steps(dz: Floats) -> Bools:
+    """Between which steps two vehicles are on one layer at either end, for height differences ``(..., n)`` [m]."""
+    return np.asarray(np.minimum(dz[..., :-1], dz[..., 1:]) <= LAYER_HEIGHT_M)
 
 
 def _advance(motion: list[Floats], group: Ints) -> Floats:
@@ -213,14 +245,15 @@ def first_contact(a: Boxes, b: Boxes, time: Floats) -> Floats:
 def row_of(track: Track) -> Boxes:
     """The track as one row of boxes, ``(1, n)``."""
     x, y, heading, speed = (v[None] for v in (track.x, track.y, track.heading, track.speed))
-    return Boxes(x, y, heading, speed, track.length, track.width)
+    return Boxes(x, y, heading, speed, track.length, track.width, height_as(track, lambda z: z[None]))
 
 
 def at_time(track: Track, when: float) -> Boxes:
     """The track's box at one time (linear between steps, heading the shorter way), as 0-d arrays."""
     turns = np.unwrap(track.heading)
     x, y, heading, speed = (np.asarray(np.interp(when, track.time, v)) for v in (track.x, track.y, turns, track.speed))
-    return Boxes(x, y, heading, speed, track.length, track.width)
+    z = height_as(track, lambda z: np.asarray(np.interp(when, track.time, z)))
+    return Boxes(x, y, heading, speed, track.length, track.width, z)
 
 
 def between_steps(b: Boxes, step: Ints, share: Floats) -> Boxes:
@@ -234,7 +267,7 @@ def between_steps(b: Boxes, step: Ints, share: Floats) -> Boxes:
         p + share * (q - p) for p, q in ((before.x, after.x), (before.y, after.y), (before.speed, after.speed))
     )
     heading = before.heading + share * wrap_below_pi(after.heading - before.heading)
-    return Boxes(x, y, heading, speed, after.length, after.width)
+    return Boxes(x, y, heading, speed, after.length, after.width, before.z + share * (after.z - before.z))
 
 
 def on_grid(tracks: Sequence[Track], time: Floats) -> Boxes:
@@ -243,12 +276,15 @@ def on_grid(tracks: Sequence[Track], time: Floats) -> Boxes:
     The tracks must lie on the same regular grid. Each may begin and end anywhere and leave out steps.
     """
     step = time[1] - time[0] if len(time) > 1 else 1.0
-    state = np.full((4, len(tracks), len(time)), np.nan)
+    raised = any(np.ndim(track.z) for track in tracks)
+    state = np.full((5 if raised else 4, len(tracks), len(time)), np.nan)
     for row, track in enumerate(tracks):
         if not len(track.time):
             continue
         first = int(np.rint((track.time[0] - time[0]) / step))
-        sources = (track.x, track.y, track.heading, track.speed)
+        sources = [track.x, track.y, track.heading, track.speed]
+        if raised:
+            sources.append(np.broadcast_to(track.z, track.x.shape))
         if track.time[-1] - track.time[0] > (len(track.time) - 0.5) * step:  # the vehicle was away in between
             at = np.rint((track.time - time[0]) / step).astype(np.intp)
             there = (at >= 0) & (at < len(time))
@@ -259,6 +295,6 @@ def on_grid(tracks: Sequence[Track], time: Floats) -> Boxes:
         if high > low:
             for values, source in zip(state, sources, strict=True):
                 values[row, low:high] = source[low - first : high - first]
-    x, y, heading, speed = state
     length, width = (np.array([getattr(t, name) for t in tracks]).reshape(-1, 1) for name in ("length", "width"))
-    return Boxes(x, y, heading, speed, length, width)
+    x, y, heading, speed = state[:4]
+    return Boxes(x, y, heading, speed, length, width, state[4] if raised else 0.0)

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sumo_adv.datatypes import Limits, Track
+from sumo_adv.metrics.boxes import height_as
 from sumo_adv.metrics.gates import CLOCK_SLACK, GATES, kinematic_gates
 
 SPAN = 0.5  # s before the take-over that are smoothed: the shortest manoeuvre in a log, a brake tap, lasts longer
@@ -123,4 +124,5 @@ def joined(track: Track, more: Track) -> Track:
     """One track after the other; lane ids are dropped."""
     names = ("time", "x", "y", "heading", "speed", "acceleration")
     time, x, y, heading, speed, acceleration = (np.concatenate([getattr(t, n) for t in (track, more)]) for n in names)
-    return Track(track.id, track.role, time, x, y, heading, speed, acceleration, track.length, track.width)
+    z = height_as(track, lambda z: np.concatenate([z, np.broadcast_to(more.z, more.x.shape)]))
+    return Track(track.id, track.role, time, x, y, heading, speed, acceleration, track.length, track.width, z=z)

@@ -7,7 +7,7 @@ they were last apart.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -120,7 +120,7 @@ def collision_class(ego: Track, adversary: Track, contact_time: float) -> Collis
     if abs(float(wrap_below_pi(np.asarray(bearing)))) > BEHIND:
         return CollisionClass.ACTIVE_REAR
     front = a.length / 2 * np.cos(a.heading), a.length / 2 * np.sin(a.heading)
-    bumper = Boxes(a.x + front[0], a.y + front[1], a.heading, a.speed, 2 * BUMPER, a.width - 2 * BUMPER)
+    bumper = replace(a, x=a.x + front[0], y=a.y + front[1], length=2 * BUMPER, width=a.width - 2 * BUMPER)
     return CollisionClass.ACTIVE_FRONT if overlaps(bumper, b) else CollisionClass.ACTIVE_LATERAL
 
 

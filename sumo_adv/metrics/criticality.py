@@ -11,18 +11,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from sumo_adv.datatypes import Boxes, Floats, Track
-from sumo_adv.geometry import wrap_below_pi
-from sumo_adv.metrics.boxes import corners, gap, half, on_grid, overlaps, pick
+from sumo_adv.geometry import LAYER_HEIGHT_M, same_layer, wrap_below_pi
+from sumo_adv.metrics.boxes import corners, flat, gap, half, height_as, on_grid, overlaps, pick
 
 AVAILABLE = 8.0  # m/s2, the braking of a car on a dry road
 FINE = 51  # parts of a step in which PET is refined
+LEAST_MOVE_M = 0.01  # a step: below it a vehicle stands, and no slope can be told
 
 
 def ttc(a: Boxes, b: Boxes) -> Floats:
     """Two-dimensional time to collision [s] of boxes at constant velocity and heading; 0 touching, inf never.
 
     Exact: with fixed headings the boxes overlap at t where on each of the four separating axes |p + u t| <= R, an
-    interval in t; TTC is the start of the four intervals' intersection with t >= 0.
+    interval in t; TTC is the start of the four intervals' intersection with t >= 0. Where roads have heights, these are
+    a fifth axis: each vehicle goes on up or down as steeply as it does now.
     """
     ca, sa, cb, sb = np.cos(a.heading), np.sin(a.heading), np.cos(b.heading), np.sin(b.heading)
     dx, dy = b.x - a.x, b.y - a.y
@@ -45,7 +47,22 @@ def ttc(a: Boxes, b: Boxes) -> Floats:
             middle, width = -p / u, reach / np.abs(u)
             enter = np.maximum(enter, np.where(still, np.where(inside, 0.0, np.inf), middle - width))
             leave = np.minimum(leave, np.where(still, np.inf, middle + width))
+        if not flat(a, b):
+            p, u = np.asarray(b.z - a.z), climb(b) * b.speed - climb(a) * a.speed
+            still, level = np.abs(u) < 1e-12, same_layer(p, 0.0)
+            middle, width = -p / u, LAYER_HEIGHT_M / np.abs(u)
+            enter = np.maximum(enter, np.where(still, np.where(level, 0.0, np.inf), middle - width))
+            leave = np.minimum(leave, np.where(still, np.inf, middle + width))
     return np.where(enter <= leave, enter, np.inf)
+
+
+def climb(b: Boxes) -> Floats:
+    """How steeply the road rises under boxes ``(..., steps)`` that move, metres a metre; 0 where they stand."""
+    if not isinstance(b.z, np.ndarray) or not b.z.ndim or b.z.shape[-1] < 2 or b.x.shape != b.z.shape:
+        return np.zeros(())
+    moved = np.hypot(np.gradient(b.x, axis=-1), np.gradient(b.y, axis=-1))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(moved > LEAST_MOVE_M, np.gradient(b.z, axis=-1) / moved, 0.0)
 
 
 def drac(ego: Boxes, other: Boxes, times: Floats | None = None) -> Floats:
@@ -100,7 +117,10 @@ def headway(ego: Boxes, other: Boxes) -> Floats:
         nearest = np.min(np.concatenate(places, axis=-1), axis=-1)
         centre_ahead = dx * ce[..., 0] + dy * se[..., 0] > 0
         time = np.maximum(nearest - le, 0.0) / ego.speed
-    return np.where(centre_ahead & np.isfinite(nearest) & (np.asarray(ego.speed) > 0), time, np.inf)
+    ahead_of_it = centre_ahead & np.isfinite(nearest) & (np.asarray(ego.speed) > 0)
+    if not flat(ego, other):
+        ahead_of_it = ahead_of_it & same_layer(other.z, ego.z + climb(ego) * np.hypot(dx, dy))
+    return np.where(ahead_of_it, time, np.inf)
 
 
 def btn(ego: Boxes, other: Boxes, times: Floats | None = None) -> Floats:
@@ -165,7 +185,8 @@ def _between(track: Track, start: int, stop: int, part: Floats) -> tuple[Floats,
     """Time and boxes between two steps of a track, at the given parts of the way."""
     turn = wrap_below_pi(np.asarray(track.heading[stop] - track.heading[start]))
     time, x, y, speed = (v[start] + part * (v[stop] - v[start]) for v in (track.time, track.x, track.y, track.speed))
-    return time, Boxes(x, y, track.heading[start] + part * turn, speed, track.length, track.width)
+    z = height_as(track, lambda z: z[start] + part * (z[stop] - z[start]))
+    return time, Boxes(x, y, track.heading[start] + part * turn, speed, track.length, track.width, z)
 
 
 COLUMNS = ("ttc", "gap", "centre_distance", "drac", "btn", "headway", "required_lateral")

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_adv.datatypes import Bools, Floats, Limits, Track, Verdict
-from sumo_adv.geometry import wrap_below_pi
+from sumo_adv.geometry import same_layer, wrap_below_pi
 from sumo_adv.metrics.avoidance import DELAY, PERCEPTION, RAMP, REACTION, Manoeuvre, OnRoad, avoidance
 from sumo_adv.metrics.boxes import at_time, on_grid, pick
 from sumo_adv.metrics.contact import (
@@ -44,7 +44,8 @@ class Marking(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Strip:
-    """One lane: ``shape`` ``(n, 2)`` [m] in the direction of traffic, width [m], inside a junction or not."""
+    """One lane: ``shape`` ``(n, 2)``, or ``(n, 3)`` with heights [m], in the direction of traffic, width [m], inside a
+    junction or not."""
 
     shape: Floats
     width: float
@@ -102,6 +103,8 @@ def _project(track: Track, strips: Sequence[Strip]) -> tuple[Bools, Floats, Floa
         nearest = np.argmin(away, axis=1)
         at = (np.arange(len(nearest)), nearest)
         abreast[row] = ~(((nearest == 0) & (past[at] < -END)) | ((nearest == len(length) - 1) & (past[at] > END)))
+        if strip.shape.shape[1] > 2:
+            abreast[row] &= same_layer(strip.shape[nearest, 2], track.z)
         offset[row] = np.where(past[at] == 0, across[at], away[at])  # outside a bend's corner: to the corner itself
         heading[row] = np.arctan2(uy, ux)[nearest]
     return abreast, offset, heading

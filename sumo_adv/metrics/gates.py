@@ -119,8 +119,16 @@ def off_road(b: Boxes, judged: Bools, on_road: OnRoad, inset: float = ROAD_TOLER
     boxes = pick(b, judged)
     points = corners(replace(boxes, length=boxes.length - 2 * inset, width=boxes.width - 2 * inset))
     broken = np.zeros(b.x.shape, bool)
-    broken[judged] = ~np.asarray(on_road(points[..., 0], points[..., 1])).all(axis=-1)
+    broken[judged] = ~on_the_road(boxes, points, on_road).all(axis=-1)
     return broken
+
+
+def on_the_road(boxes: Boxes, points: Floats, on_road: OnRoad) -> Bools:
+    """Which of the points ``(..., k, 2)`` of boxes ``(...)`` are drivable at the boxes' own heights."""
+    x, y = points[..., 0], points[..., 1]
+    if not np.ndim(boxes.z):
+        return np.asarray(on_road(x, y))
+    return np.asarray(on_road(x, y, np.broadcast_to(np.asarray(boxes.z)[..., None], x.shape)))
 
 
 def third_party(adversary: Boxes, other: Boxes, time: Floats, end: Floats) -> Bools:
@@ -274,7 +282,7 @@ def _off_road(track: Track, judged: Bools, on_road: OnRoad, start: float) -> lis
     amount = f"more than {INSETS[-1]:g}" if enough is None else f"up to {enough:g}"
     k = int(np.flatnonzero(steps)[0])
     points = corners(pick(boxes, k))
-    outside = ~np.asarray(on_road(points[..., 0], points[..., 1]))
+    outside = ~on_the_road(pick(boxes, k), points, on_road)
     dx, dy = points[..., 0] - track.x[k], points[..., 1] - track.y[k]
     left = np.cos(track.heading[k]) * dy - np.sin(track.heading[k]) * dx
     side = "left" if left[outside].mean() > 0 else "right"

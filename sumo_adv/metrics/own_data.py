@@ -30,13 +30,13 @@ LEAST = 4  # states
 
 def track_of(name: str, columns: Mapping[str, Any], role: Role) -> Track:
     """A track from columns by name: time [s] on a regular grid, x, y of the box's centre [m], heading [rad], speed
-    [m/s], and if given length and width [m] and lane.
+    [m/s], and if given length and width [m], lane and z, the height of the road [m].
 
     Raises UsageError: a column is missing, too short or of another length, times are not regular, or the track cannot
     be right (``consistency.py``): a number is not finite, or a unit is wrong.
     """
     values = {}
-    for key in NEEDED:
+    for key in (*NEEDED, *(["z"] if "z" in columns else [])):
         if key not in columns:
             raise UsageError(f"The track of {name!r} has no column '{key}': it needs {', '.join(NEEDED)}.")
         values[key] = _numbers(name, key, columns[key])
@@ -61,7 +61,8 @@ def track_of(name: str, columns: Mapping[str, Any], role: Role) -> Track:
     acceleration = np.diff(speed, prepend=speed[:1]) / dt
     lane = tuple(str(v) for v in columns["lane"]) if "lane" in columns else ()
     return Track(
-        name, role, np.round(time, 6), x, y, wrap_below_pi(heading), speed, acceleration, length, width, lane
+        name, role, np.round(time, 6), x, y, wrap_below_pi(heading), speed, acceleration, length, width, lane,
+        values.get("z", 0.0),
     )  # fmt: skip
 
 
@@ -70,7 +71,7 @@ def split(table: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     if "id" not in table:
         raise UsageError("The table has no column 'id': it tells the vehicles apart.")
     names = np.array([str(v) for v in table["id"]])
-    given = [key for key in (*NEEDED, "length", "width", "lane") if key in table]
+    given = [key for key in (*NEEDED, "z", "length", "width", "lane") if key in table]
     uneven = [key for key in given if np.size(table[key]) != len(names)]
     if uneven:
         raise UsageError(f"The table's column '{uneven[0]}' is not as long as its column 'id'.")

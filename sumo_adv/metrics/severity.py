@@ -13,11 +13,11 @@ frontal collision with a car, logistic in the closing speed with a slope of 0.04
 closing speed is taken as twice the delta-v: that of two equal cars head-on.  It is a yardstick for ordering, not a
 prediction for side impacts or trucks.
 
-Where the ego hits a pedestrian or a cyclist, the risk is theirs: a serious injury (MAIS3+F) at the impact speed, which
-is the closing speed along the contact normal.  The same study gives 10 % at 29 km/h for pedestrians and at 44 km/h for
-cyclists hit by the front of a car.  Its slopes were not at hand; that of Rosen and Sander 2009 (Accident Analysis and
-Prevention 41, 536-542; fatality of adult pedestrians, 0.090 per km/h) stands for both.  The level ``serious`` depends
-on the speed of 10 % alone.
+Where the ego hits a pedestrian, a cyclist or a motorcyclist, the risk is theirs: a serious injury (MAIS3+F) at the
+impact speed, which is the closing speed along the contact normal.  The same study gives 10 % at 29 km/h for
+pedestrians, at 44 km/h for cyclists and at 48 km/h for motorcyclists hit by the front of a car.  Its slopes were not at
+hand; that of Rosen and Sander 2009 (Accident Analysis and Prevention 41, 536-542; fatality of adult pedestrians, 0.090
+per km/h) stands for all.  The level ``serious`` depends on the speed of 10 % alone.
 """
 
 from __future__ import annotations
@@ -32,17 +32,19 @@ from sumo_adv.datatypes import Boxes, Track
 from sumo_adv.geometry import wrap_below_pi
 from sumo_adv.metrics.boxes import at_time, axis_separations
 from sumo_adv.metrics.contact import Side, contact_point, contact_sides
-from sumo_adv.road_users import RoadUser, road_user
+from sumo_adv.road_users import RoadUser, Sized, is_motorcycle, road_user
 
 RESTITUTION = 0.1
 MPH = 0.44704  # m/s
 RISK_SLOPE, RISK_TENTH = 0.041, 112.0  # per km/h, and the closing speed [km/h] of a risk of 10 %
 UNPROTECTED_SLOPE = 0.090  # per km/h
 UNPROTECTED_TENTH = {RoadUser.PEDESTRIAN: 29.0, RoadUser.CYCLIST: 44.0}  # km/h, of a risk of 10 %
+MOTORCYCLIST_TENTH = 48.0  # km/h
 SERIOUS_DELTA_V = 2.24  # m/s, 5 mph
 MASSES = (
     (1.0, 80.0),
-    (2.2, 100.0),
+    (2.05, 100.0),
+    (2.15, 160.0),
     (2.8, 250.0),
     (4.2, 1150.0),
     (5.3, 1500.0),
@@ -50,7 +52,7 @@ MASSES = (
     (9.0, 7500.0),
     (math.inf, 16000.0),
 )
-"""Mass [kg] by vehicle length [m] up to that: pedestrian, bicycle with rider, motorcycle with rider, small car, car,
+"""Mass [kg] by vehicle length [m] up to that: pedestrian, bicycle, moped and motorcycle with rider, small car, car,
 van, light truck, bus or truck; kerb masses of common vehicles of each class with a driver."""
 
 
@@ -75,7 +77,7 @@ class Crash:
     severity: Severity
     overlap: float  # share of the narrower of the two touching faces that meets the other, [0, 1]
     injury_risk: float  # of the unprotected road user that is hit, else of the ego's driver, [0, 1]
-    impact_speed: float | None  # ``closing``, where the adversary is a pedestrian or cyclist; else None
+    impact_speed: float | None  # ``closing``, where the adversary is no vehicle that protects its driver; else None
 
 
 def mass_of(length: float) -> float:
@@ -99,16 +101,27 @@ def injury_risk(delta_v: float) -> float:
 
 def unprotected_risk(user: RoadUser, impact_speed: float) -> float:
     """Probability of a serious injury (MAIS3+F) of a pedestrian or cyclist that is hit at a speed [m/s]."""
-    beyond = impact_speed * 3.6 - UNPROTECTED_TENTH[user]
+    return _risk(UNPROTECTED_TENTH[user], impact_speed)
+
+
+def _risk(tenth: float, impact_speed: float) -> float:
+    """The probability at an impact speed [m/s]; ``tenth``: the one of 10 % [km/h]."""
+    beyond = impact_speed * 3.6 - tenth
     return 1.0 / (1.0 + math.exp(-(UNPROTECTED_SLOPE * beyond + math.log(1 / 9))))
+
+
+def tenth_of(adversary: Sized) -> float | None:
+    """The impact speed [km/h] at which 10 % of those on the adversary are seriously injured: of a pedestrian, cyclist
+    or motorcyclist; None of a vehicle that protects its driver."""
+    return MOTORCYCLIST_TENTH if is_motorcycle(adversary) else UNPROTECTED_TENTH.get(road_user(adversary))
 
 
 def hardness(crash: Crash, user: RoadUser) -> float:
     """How hard a crash with an adversary of a kind is, 1 = serious: its share of ``SERIOUS_DELTA_V``, or of the impact
-    speed at which 10 % of pedestrians or cyclists are seriously injured."""
-    if user is RoadUser.VEHICLE:
+    speed at which 10 % of pedestrians, cyclists or motorcyclists are seriously injured."""
+    if crash.impact_speed is None:
         return crash.ego_delta_v / SERIOUS_DELTA_V
-    return crash.closing * 3.6 / UNPROTECTED_TENTH[user]
+    return crash.impact_speed * 3.6 / UNPROTECTED_TENTH.get(user, MOTORCYCLIST_TENTH)
 
 
 def crash(ego: Track, adversary: Track, contact_time: float) -> Crash:
@@ -133,12 +146,11 @@ def crash_of(ego: Boxes, adversary: Boxes, yaw_rates: tuple[float, float]) -> Cr
     effective = sum(1 / m + arm**2 / i for m, arm, i in zip(mass, lever, inertia, strict=True))
     impulse = (1 + RESTITUTION) * closing / effective
     deltas = [impulse / m for m in mass]
-    sides, user = contact_sides(a, b), road_user(b)  # type: ignore[arg-type]
-    driver = user is RoadUser.VEHICLE
-    risk = injury_risk(deltas[0]) if driver else unprotected_risk(user, closing)
+    sides, tenth = contact_sides(a, b), tenth_of(b)  # type: ignore[arg-type]
+    risk = injury_risk(deltas[0]) if tenth is None else _risk(tenth, closing)
     return Crash(
         deltas[0], deltas[1], closing, *sides, severity_of(max(deltas)), _overlap(a, b, normal), risk,
-        None if driver else closing,
+        None if tenth is None else closing,
     )  # fmt: skip
 
 

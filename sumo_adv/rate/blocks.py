@@ -135,8 +135,8 @@ class BlockRunner:
         folder = Path(self._scratch.name)
         self._task = task = plan.task(folder)
         controller = make_ego(task.ego_driver, task.ego_parameters)
-        types = ego_type_file(controller, folder)
         spec = task.spec
+        types = ego_type_file(controller, folder, (*spec.routes, *spec.additional))
         spec = replace(spec, additional=(*spec.additional, types), seed=0)
         self._drive = Drive(spec, controller, 0, deadline=task.settings.ego_deadline)
         EncounterSearch(self._drive, read_network(spec.network), task)  # what the driver sees; an ego with a route

@@ -74,9 +74,10 @@ def danger(ego: Boxes, others: Boxes) -> Ints:
     speed = np.asarray(others.speed, float)[:, None, None]
     along, left = _motions(speed)
     c, s = np.cos(others.heading)[:, None, None], np.sin(others.heading)[:, None, None]
-    size = [np.asarray(v, float).reshape(-1, 1, 1) for v in (others.length, others.width)]
+    length, width = (np.asarray(v, float).reshape(-1, 1, 1) for v in (others.length, others.width))
     x, y = others.x[:, None, None] + along * c - left * s, others.y[:, None, None] + along * s + left * c
-    moved = Boxes(x, y, np.broadcast_to(others.heading[:, None, None], x.shape), speed, *size)
+    z = np.asarray(others.z)[:, None, None] if np.ndim(others.z) else others.z
+    moved = Boxes(x, y, np.broadcast_to(others.heading[:, None, None], x.shape), speed, length, width, z)
     pace = np.asarray(ego.speed, float)
     ways = (pace * AHEAD, _braked(pace, EGO_REACTION, EGO_BRAKING))
     keeps, brakes = (separation(_straight(ego, way), moved).min(axis=-1) for way in ways)
@@ -91,7 +92,7 @@ def _braked(speed: Floats, reaction: float, hardest: float) -> Floats:
 
 def _straight(ego: Boxes, distance: Floats) -> Boxes:
     x, y = ego.x + distance * np.cos(ego.heading), ego.y + distance * np.sin(ego.heading)
-    return Boxes(x, y, np.asarray(ego.heading), ego.speed, ego.length, ego.width)
+    return Boxes(x, y, np.asarray(ego.heading), ego.speed, ego.length, ego.width, ego.z)
 
 
 def _motions(speed: Floats) -> tuple[Floats, Floats]:

@@ -117,7 +117,7 @@ class Run:
         levels: Ints | None = None
         if self.decisions.raising:
             x, y, heading, speed = (np.array(getattr(ego, key)) for key in BOX[:4])
-            box = Boxes(x, y, heading, speed, ego.length, ego.width)
+            box = Boxes(x, y, heading, speed, ego.length, ego.width, ego.z)
             levels = danger(box, boxes_of([drive.state(name) for name in names]))
         kinds = self.decisions.next(model, levels)
         for row, (name, kind) in enumerate(zip(names, kinds, strict=True)):
@@ -177,7 +177,9 @@ class Run:
 
 
 def boxes_of(states: Sequence[VehicleState]) -> Boxes:
-    return Boxes(*(np.array([getattr(s, name) for s in states]) for name in BOX))
+    z = np.array([s.z for s in states])
+    boxes = Boxes(*(np.array([getattr(s, name) for s in states]) for name in BOX))
+    return replace(boxes, z=z) if z.any() else boxes
 
 
 def _rows(drive: Drive, vehicle: str) -> Boxes:

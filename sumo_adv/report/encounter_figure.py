@@ -18,6 +18,7 @@ import numpy as np
 from sumo_adv.datatypes import Floats, Role, Track, Verdict
 from sumo_adv.files import write_whole
 from sumo_adv.road_users import RoadUser, road_user
+from sumo_adv.simulation.layers import covers
 
 EGO, ADVERSARY, SUPPORT, OTHER = "#0072B2", "#D55E00", "#E69F00", "#8C8C8C"
 ASPHALT, JUNCTION, EDGE, GROUND = "#E3E3E3", "#D8D8D8", "#FFFFFF", "#F7F7F4"
@@ -25,7 +26,7 @@ LEAST_EXTENT = 40.0  # m of the shown area
 BARS = (500, 200, 100, 50, 20, 10, 5)  # m
 
 Lanes = Sequence[tuple[Floats, float, bool]]
-"""Centreline (n, 2) [m], width [m], inside a junction or not."""
+"""Centreline ``(n, 2)``, or ``(n, 3)`` with heights [m], width [m], inside a junction or not; upper ones last."""
 View = tuple[float, float, float, float]
 """Left, bottom, width, height [m] of the shown area."""
 WIDTH, LEAST_HEIGHT, MOST_HEIGHT = 16.0, 6.0, 14.0  # inches; 100 dots an inch
@@ -99,7 +100,8 @@ def draw_lanes(axes: Any, lanes: Lanes, style: Style = LARGE) -> None:
 
 
 def lane_polygon(line: Floats, width: float) -> Floats:
-    """Outline (2 n, 2) [m] of a lane from its centreline (n, 2) [m]; corners are mitred, at most threefold."""
+    """Outline (2 n, 2) [m] of a lane from its centreline [m]; corners are mitred, at most threefold."""
+    line = line[:, :2]
     steps = np.diff(line, axis=0)
     lengths = np.maximum(np.hypot(steps[:, 0], steps[:, 1]), 1e-9)
     normals = np.column_stack((-steps[:, 1], steps[:, 0])) / lengths[:, None]
@@ -108,6 +110,17 @@ def lane_polygon(line: Floats, width: float) -> Floats:
     stretch = np.maximum((middle * middle).sum(axis=1), 4 / 9)
     offset = middle * (width / stretch)[:, None]
     return np.vstack((line + offset, (line - offset)[::-1]))
+
+
+def seen_from_above(lanes: Lanes, tracks: Sequence[Track], time: float) -> list[Track]:
+    """The tracks that no lane passes over at ``time`` [s]."""
+    uncovered = []
+    for track in tracks:
+        pose = pose_at(track, time)
+        z = np.interp(time, track.time, np.broadcast_to(track.z, track.time.shape)) if pose is not None else 0.0
+        if pose is None or not any(covers(line, width, pose[0], pose[1], float(z)).any() for line, width, _ in lanes):
+            uncovered.append(track)
+    return uncovered
 
 
 def draw_box(
@@ -218,7 +231,7 @@ def draw_encounter(
         if raw is not None:
             part = raw.between(trigger_time, ego.time[-1])
             axes.plot(part.x, part.y, color=colour, alpha=0.45, lw=1.6, ls=(0, (4, 3)), zorder=4)
-    for track in others:
+    for track in seen_from_above(lanes, others, shown):
         draw_box(axes, track, shown, OTHER if track.role is not Role.ADVERSARY else SUPPORT, zorder=5)
     for support, part in zip(supports, support_parts, strict=True):
         axes.plot(part.x, part.y, color=SUPPORT, lw=1.8, zorder=5, solid_capstyle="round")

@@ -41,6 +41,7 @@ from sumo_adv.report.encounter_figure import (
     draw_marks,
     draw_scale_bar,
     pose_at,
+    seen_from_above,
     shortened,
 )
 from sumo_adv.report.read import read_run, reading
@@ -192,7 +193,7 @@ def draw_paper(story: Story) -> Picture:
 def _draw_map(axes: Any, story: Story, scene: Scene, view: View, height: float) -> None:
     left, bottom, width, tall = view
     draw_lanes(axes, story.lanes, SMALL)
-    for track in scene.others:
+    for track in seen_from_above(story.lanes, scene.others, story.decisive):
         draw_box(axes, track, story.decisive, OTHER, 7, style=SMALL)
     for track, colour in scene.coloured():
         part = track.between(story.trigger, story.end)
@@ -281,7 +282,7 @@ def _film(story: Story, target: Path, kind: str) -> None:
 
 
 def _draw_moment(axes: Any, story: Story, time: float) -> None:
-    for track in story.attacked.others:
+    for track in seen_from_above(story.lanes, story.attacked.others, time):
         draw_box(axes, track, time, OTHER, 5, style=LOOK)
     if story.raw is not None and time > story.trigger:
         for track, colour in story.raw.coloured():

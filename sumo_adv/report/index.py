@@ -199,7 +199,7 @@ def road_of(file: Path) -> dict[str, Any]:
     """
     from shapely import linestrings, simplify
 
-    lanes = [lane for lane in network(file).lanes.values() if lane.passenger and len(lane.shape) > 1]
+    lanes = [lane for lane in network(file).lanes.values() if lane.carriageway and len(lane.shape) > 1]
     lanes = sorted(lanes, key=lambda lane: -lane.length)[:MOST_LANES]
     lines: list[Floats] = [np.asarray(simplify(linestrings(lane.shape), THINNED).coords, float) for lane in lanes]
     origin = np.rint(lines[0][0]) if lines else np.zeros(2)

@@ -107,8 +107,10 @@ def _read_plan(file: Path, adversary: str, tracks: Sequence[Track]) -> Track | N
         time, x, y, heading, speed, acceleration = (np.array(column, dtype=np.float64) for column in columns)
     except ValueError as error:
         raise damaged(file, error) from error
-    size = next(((t.length, t.width) for t in tracks if t.id == adversary), (4.8, 1.8))
-    return Track(adversary, Role.ADVERSARY, time, x, y, heading, speed, acceleration, *size)
+    own = next((t for t in tracks if t.id == adversary), None)
+    size = (4.8, 1.8) if own is None else (own.length, own.width)
+    z = float(np.ravel(own.z)[-1]) if own is not None else 0.0
+    return Track(adversary, Role.ADVERSARY, time, x, y, heading, speed, acceleration, *size, z=z)
 
 
 def _road(run: RunRead, case: Case, start: float) -> tuple[float, Any]:

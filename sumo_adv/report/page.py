@@ -8,18 +8,20 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import FAILED_ENDINGS, Floats, Track
+from sumo_adv.datatypes import FAILED_ENDINGS, Floats, Role, Track
 from sumo_adv.metrics.criticality import series
 from sumo_adv.metrics.gates import GATES
 from sumo_adv.report.document import Ints, asset, document, packed, whole
 from sumo_adv.report.page_road import RoadNear, lane_changes, lights_of, network, road_near
 from sumo_adv.report.read import RunRead, read_run, reading
+from sumo_adv.simulation.layers import covers
+from sumo_adv.simulation.network import RoadMap
 from sumo_adv.simulation.signals import SignalLog
 
 BEFORE = 60.0  # s, shown before the trigger at most
@@ -120,8 +122,11 @@ def _columns(attempts: Sequence[Shown], road: RoadNear, grid: Grid) -> Iterator[
                 yield 1, whole(each.line[:, axis] - grid.origin[axis], CENTIMETRE)
 
 
-def make_attempts(run: RunRead) -> tuple[Grid, list[Shown]] | None:
-    """The grid, and the attempts to show: first the attempt that counts. None where nothing was recorded."""
+def make_attempts(run: RunRead, road: RoadMap | None = None) -> tuple[Grid, list[Shown]] | None:
+    """The grid, and the attempts to show: first the attempt that counts. None where nothing was recorded.
+
+    road: of the run; where a lane passes over another vehicle than ego and adversary, that is not shown.
+    """
     ego = (run.outcome.get("ego") or {}).get("id")
     pivot = _pivot(run.outcome)
     played = [t for t in run.best if len(t.time)]
@@ -138,7 +143,20 @@ def make_attempts(run: RunRead) -> tuple[Grid, list[Shown]] | None:
     part = lead.between(start, pivot + step)
     centre = part if len(part.time) else lead
     grid = Grid(start, step, round((end - start) / step) + 1, (round(float(centre.x[-1])), round(float(centre.y[-1]))))
+    if road is not None and road.heights is not None:
+        best, raw = ([_uncovered(track, road) for track in tracks] for tracks in (run.best, run.raw))
+        run = replace(run, best=best, raw=raw)
     return grid, _attempts(run, grid, lead)
+
+
+def _uncovered(track: Track, road: RoadMap) -> Track:
+    """The states of a vehicle that no lane passes over; all of them of ego and adversaries."""
+    if track.role in (Role.EGO, Role.ADVERSARY):
+        return track
+    covered = np.zeros(len(track.time), bool)
+    for lane in road.lanes.values():
+        covered |= covers(road.line(lane), lane.width, track.x, track.y, track.z)
+    return track.picked(np.flatnonzero(~covered))
 
 
 def _pivot(outcome: Mapping[str, Any]) -> float | None:
@@ -284,11 +302,13 @@ def page_of(folder: Path, back: str | None = None) -> Page:
     """The page of a run. ``back``: where its index lies, as a link. Raises UsageError."""
     with reading(folder):
         run = read_run(folder)
-        made = make_attempts(run)
+        file = run.folder / "inputs" / network_name(run.manifest)
+        road = network(file) if file.is_file() else None
+        made = make_attempts(run, road)
         scene, moments, place = None, [], None
         if made is not None:
             grid, attempts = made
-            scene = make_scene(_road(run, attempts), grid, attempts, run.lights)
+            scene = make_scene(_road(road, file, attempts), grid, attempts, run.lights)
             moments = _moments(run.outcome, attempts)
             place = _place(run, attempts)
         data = {
@@ -301,12 +321,9 @@ def page_of(folder: Path, back: str | None = None) -> Page:
         return Page(page, place, network_name(run.manifest))
 
 
-def _road(run: RunRead, attempts: Sequence[Shown]) -> RoadNear:
-    file = run.folder / "inputs" / network_name(run.manifest)
-    if not file.is_file():
-        return RoadNear()
+def _road(road: RoadMap | None, file: Path, attempts: Sequence[Shown]) -> RoadNear:
     paths = [t for a in attempts for t, _ in a.vehicles if t.id in (a.ego, a.adversary)]
-    return road_near(network(file), lane_changes(file), paths) if paths else RoadNear()
+    return road_near(road, lane_changes(file), paths) if paths and road is not None else RoadNear()
 
 
 def network_name(manifest: Mapping[str, Any]) -> str:

@@ -20,6 +20,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from sumo_adv.datatypes import Floats, Track
+from sumo_adv.geometry import stations
+from sumo_adv.simulation.layers import covers
 from sumo_adv.simulation.network import Lane, RoadMap, read_network
 from sumo_adv.simulation.scan import parse
 
@@ -77,17 +79,44 @@ def _allowed(classes: str | None) -> bool:
 
 
 def markings_of(road: RoadMap, changes: Changes) -> Iterator[Marking]:
-    """The lines along all edges outside junctions."""
-    for names in road.edges.values():
+    """The lines along all edges outside junctions, where no road passes over them."""
+    for edge, marking in _markings(road, changes):
+        if road.heights is None:
+            yield marking
+        else:
+            yield from (replace(marking, line=line) for line in _uncovered(road, edge, marking.line))
+
+
+def _uncovered(road: RoadMap, edge: str, line: Floats) -> Iterator[Floats]:
+    """The pieces of a line along an edge that no lane passes over."""
+    own = stations(*line.T)
+    station = np.union1d(own, np.arange(0.0, float(own[-1]), 1.0))
+    points = np.column_stack([np.interp(station, own, values) for values in line.T])
+    assert road.heights is not None
+    z = np.asarray(road.heights.at(road.edges[edge][0], *points.T))
+    covered = np.zeros(len(points), bool)
+    for lane in road.lanes.values():
+        covered |= covers(road.line(lane), lane.width, points[:, 0], points[:, 1], z)
+    if not covered.any():
+        yield line
+        return
+    for piece in np.split(np.arange(len(points)), np.flatnonzero(np.diff(covered)) + 1):
+        if len(piece) > 1 and not covered[piece[0]]:
+            yield points[piece]
+
+
+def _markings(road: RoadMap, changes: Changes) -> Iterator[tuple[str, Marking]]:
+    """The lines along all edges outside junctions, by edge."""
+    for edge, names in road.edges.items():
         lanes = [road.lanes[name] for name in names if len(road.lanes[name].shape) > 1]
-        driven = [lane for lane in lanes if lane.passenger and not lane.internal]
+        driven = [lane for lane in lanes if lane.carriageway and not lane.internal]
         if not driven:
             continue
-        yield Marking(_beside(driven[0], INSET - driven[0].width / 2), SOLID)
+        yield edge, Marking(_beside(driven[0], INSET - driven[0].width / 2), SOLID)
         for right, left in pairwise(driven):
             both = changes.get(right.id, (True, True))[0] and changes.get(left.id, (True, True))[1]
-            yield Marking(_beside(right, right.width / 2), DASHED if both else SOLID)
-        yield Marking(_beside(driven[-1], driven[-1].width / 2 - INSET), SOLID)
+            yield edge, Marking(_beside(right, right.width / 2), DASHED if both else SOLID)
+        yield edge, Marking(_beside(driven[-1], driven[-1].width / 2 - INSET), SOLID)
 
 
 def _beside(lane: Lane, offset: float) -> Floats:
@@ -103,7 +132,7 @@ def stop_lines(road: RoadMap) -> Iterator[StopLine]:
     """The lines across lanes at junctions."""
     for lane in road.lanes.values():
         onward = [c for c in lane.connections if c.movement != "u-turn"]
-        if lane.internal or not lane.passenger or not onward or len(lane.shape) < 2:
+        if lane.internal or not lane.carriageway or not onward or len(lane.shape) < 2:
             continue
         lit = [c.light for c in onward if c.light[0]]
         if lit:
@@ -163,9 +192,9 @@ def road_near(road: RoadMap, changes: Changes, tracks: Sequence[Track]) -> RoadN
 
     points = np.concatenate([np.column_stack([t.x, t.y])[:: max(1, len(t.x) // 100)] for t in tracks])
     path = LineString(points) if len(points) > 1 else MultiPoint(points)
-    lanes = [lane for lane in road.lanes.values() if len(lane.shape) > 1]
+    lanes = sorted((lane for lane in road.lanes.values() if len(lane.shape) > 1), key=road.top)
     strips = [
-        Strip(lane.shape, lane.width, OTHER if not lane.passenger else INSIDE if lane.internal else ROAD)
+        Strip(lane.shape, lane.width, OTHER if not lane.carriageway else INSIDE if lane.internal else ROAD)
         for lane in lanes
     ]
     strips += [Strip(area, 0.0, AREA) for area in road.junctions]

@@ -19,7 +19,7 @@ from sumo_adv.files import refuse_links, write_whole
 from sumo_adv.parsing import LARGEST_UNPACKED, read_json, read_text
 from sumo_adv.report.folder import FIRST, SIGNALS
 from sumo_adv.report.outcome import ATTACKS
-from sumo_adv.report.tables import HEADER
+from sumo_adv.report.tables import HEADER, HEIGHT
 from sumo_adv.simulation.signals import SignalLog, read_signals
 
 OUTCOME, MANIFEST = "outcome.json", "manifest.json"
@@ -103,7 +103,7 @@ def reading(folder: Path) -> Iterator[None]:
 
 
 def columns_of(file: Path, expected: str = HEADER) -> dict[str, tuple[str, ...]]:
-    """The columns of a table as text (of states, unless another header is ``expected``).
+    """The columns of a table as text (of states, unless another header is ``expected``), with heights if it has them.
 
     They are empty where there is no such file. Raises UsageError: the file is damaged.
     """
@@ -115,9 +115,9 @@ def columns_of(file: Path, expected: str = HEADER) -> dict[str, tuple[str, ...]]
         header, *rows = islice(table, MOST_ROWS)
         if next(table, None) is not None:
             raise ValueError(f"it has more than {MOST_ROWS:,} rows")
-        if header != names:
+        if header not in (names, [*names, HEIGHT]):
             raise ValueError("its columns are others")
-        return dict(zip(names, zip(*rows, strict=True), strict=True)) if rows else dict.fromkeys(names, ())
+        return dict(zip(header, zip(*rows, strict=True), strict=True)) if rows else dict.fromkeys(header, ())
     except (OSError, ValueError, csv.Error) as error:
         raise damaged(file, error) from error
 
@@ -129,7 +129,8 @@ def _tracks(file: Path) -> list[Track]:
     for place, name in enumerate(columns["id"]):
         places.setdefault(name, []).append(place)
     try:
-        values = {name: np.array(columns[name], dtype=np.float64) for name in NUMBERS}
+        high = [HEIGHT] if HEIGHT in columns else []
+        values = {name: np.array(columns[name], dtype=np.float64) for name in (*NUMBERS, *high)}
         if not all(np.isfinite(v).all() for v in values.values()):
             raise ValueError("a number is not finite")
         tracks = []
@@ -137,7 +138,8 @@ def _tracks(file: Path) -> list[Track]:
             time, x, y, heading, speed, acceleration = (values[n][of] for n in NUMBERS[:6])
             length, width = (float(values[n][of[0]]) for n in NUMBERS[6:])
             role, lane = Role(columns["role"][of[0]]), tuple(columns["lane"][i] for i in of)
-            tracks.append(Track(name, role, time, x, y, heading, speed, acceleration, length, width, lane))
+            z = values[HEIGHT][of] if high else 0.0
+            tracks.append(Track(name, role, time, x, y, heading, speed, acceleration, length, width, lane, z))
         return tracks
     except ValueError as error:
         raise damaged(file, error) from error
@@ -146,14 +148,14 @@ def _tracks(file: Path) -> list[Track]:
 def write_states_parquet(target: Path, runs: Iterable[tuple[str, Path]]) -> None:
     """Write the states of runs, given by id and folder, whole or not at all.
 
-    The columns are ``run`` and those of ``states.csv.gz``. Needs pyarrow.
+    The columns are ``run``, those of ``states.csv.gz`` and ``z``, 0 where all is flat. Needs pyarrow.
     Raises UsageError: a table is damaged; OSError.
     """
     import pyarrow as pa
     from pyarrow import parquet
 
-    names = HEADER.strip().split(",")
-    kinds = {name: pa.float64() if name in NUMBERS else pa.string() for name in names}
+    names, numbers = [*HEADER.strip().split(","), HEIGHT], (*NUMBERS, HEIGHT)
+    kinds = {name: pa.float64() if name in numbers else pa.string() for name in names}
     schema = pa.schema({"run": pa.string(), **kinds})
 
     def write(part: Path) -> None:
@@ -161,7 +163,8 @@ def write_states_parquet(target: Path, runs: Iterable[tuple[str, Path]]) -> None
             for run, folder in runs:
                 columns = columns_of(folder / "states.csv.gz")
                 if columns["time"]:
-                    values = {n: [float(v) for v in columns[n]] if n in NUMBERS else list(columns[n]) for n in names}
+                    columns.setdefault(HEIGHT, ("0",) * len(columns["time"]))
+                    values = {n: [float(v) for v in columns[n]] if n in numbers else list(columns[n]) for n in names}
                     writer.write_table(pa.table({"run": [run] * len(columns["time"]), **values}, schema))
 
     write_whole(target, write)

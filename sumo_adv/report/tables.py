@@ -19,8 +19,11 @@ from sumo_adv.metrics.validity import MOST
 from sumo_adv.simulation.signals import COLUMNS
 from sumo_adv.simulation.simulation import Snapshot
 from sumo_adv.simulation.tracks import tracks_of
+from sumo_adv.times import seconds_text
 
 HEADER = "time,id,role,x,y,heading,speed,acceleration,length,width,lane\n"
+HEIGHT = "z"
+"""The last column of states where roads have heights: that of the road under the vehicle [m]."""
 SERIES = ("ttc", "gap", "drac", "btn", "headway", "required_lateral", "centre_distance")
 SERIES_HEADER = f"time,id,{','.join(SERIES)}\n"
 BOUNDS = {"drac": MOST, "btn": MOST / AVAILABLE, "required_lateral": MOST}  # at contact they have none
@@ -36,23 +39,29 @@ def write_states(
 ) -> None:
     """``states.csv.gz``: a row a vehicle and step, by time, then by first appearance. Units s, m, rad, m/s, m/s2.
 
+    The column ``z`` is there only where roads have heights.
+
     ``only``: the vehicles to write, all by default.
     """
     rows: list[tuple[float, int, str]] = []
-    for order, track in enumerate(tracks_of(snapshots, sizes, roles, step_length, only)):
+    tracks = tracks_of(snapshots, sizes, roles, step_length, only)
+    high = any(np.any(track.z) for track in tracks)
+    for order, track in enumerate(tracks):
         name = quoted(track.id)
         numbers = np.column_stack([track.x, track.y, track.heading, track.speed, track.acceleration]).tolist()
         size = f"{track.length:.2f},{track.width:.2f}"
-        for time, (x, y, heading, speed, acceleration), lane in zip(
-            track.time.tolist(), numbers, track.lane, strict=True
+        heights = [f",{z:.3f}" if high else "" for z in np.broadcast_to(track.z, track.x.shape).tolist()]
+        for time, (x, y, heading, speed, acceleration), lane, z in zip(
+            track.time.tolist(), numbers, track.lane, heights, strict=True
         ):
             text = (
-                f"{time:.2f},{name},{track.role},{x + 0.0:.4f},{y + 0.0:.4f},{heading:.6f},{speed:.4f},"
-                f"{acceleration + 0.0:.4f},{size},{quoted(lane)}\n"
+                f"{seconds_text(time)},{name},{track.role},{x + 0.0:.4f},{y + 0.0:.4f},{heading:.6f},{speed:.4f},"
+                f"{acceleration + 0.0:.4f},{size},{quoted(lane)}{z}\n"
             )
             rows.append((time, order, text))
     rows.sort(key=lambda r: (r[0], r[1]))
-    write_gzip(target, HEADER + "".join(r[2] for r in rows))
+    header = f"{HEADER.strip()},{HEIGHT}\n" if high else HEADER
+    write_gzip(target, header + "".join(r[2] for r in rows))
 
 
 def write_signals(target: Path, snapshots: Sequence[Snapshot]) -> None:
@@ -66,7 +75,7 @@ def write_signals(target: Path, snapshots: Sequence[Snapshot]) -> None:
         for name, state in snapshot.lights.items():
             if shown.get(name) != state:
                 shown[name] = state
-                rows.append(f"{snapshot.time:.2f},{quoted(name)},{state}\n")
+                rows.append(f"{seconds_text(snapshot.time)},{quoted(name)},{state}\n")
     if rows:
         write_gzip(target, ",".join(COLUMNS) + "\n" + "".join(rows))
 
@@ -98,7 +107,7 @@ def series_rows(ego: Track, tracks: Sequence[Track], adversary: str) -> list[str
     rows = []
     for step, vehicle in np.argwhere(there.T).tolist():
         fields = ",".join(f"{v:.4f}" if np.isfinite(v) else "" for v in values[vehicle, step].tolist())
-        rows.append(f"{times[step]:.2f},{names[vehicle]},{fields}\n")
+        rows.append(f"{seconds_text(times[step])},{names[vehicle]},{fields}\n")
     return rows
 
 

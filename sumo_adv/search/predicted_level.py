@@ -7,20 +7,20 @@ search must not know, so that their answers say something about it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Boxes, Floats, Ints, Level
 from sumo_adv.geometry import wrap_below_pi
-from sumo_adv.metrics.boxes import on_grid, pick
+from sumo_adv.metrics.boxes import height_as, on_grid, pick, some_steps
 from sumo_adv.metrics.gates import largest_acceleration
 from sumo_adv.metrics.levels import STATIONARY, STATIONARY_FOR
 from sumo_adv.metrics.realism import envelope_left
 from sumo_adv.metrics.reference.cc_human import CcHuman
 from sumo_adv.metrics.reference.counterfactual import BEYOND, Counterfactual, Encounters
 from sumo_adv.metrics.severity import crash_of, hardness
-from sumo_adv.road_users import RoadUser, road_user
+from sumo_adv.road_users import is_unprotected, road_user
 from sumo_adv.simulation.network import Drivable
 from sumo_adv.situation import Situation
 
@@ -73,10 +73,8 @@ def danger_of(collisions: Collisions, drivable: Drivable) -> Danger:
     situations, ego, adversary, last = collisions.situations, collisions.ego, collisions.adversary, collisions.last
     n, dt = len(last), situations[0].dt
     onward = _onward(situations, ego, last)
-    users = [
-        road_user(situation.targets[bvs[0]].state) for situation, bvs in zip(situations, collisions.bvs, strict=True)
-    ]
-    small = np.array([user is not RoadUser.VEHICLE for user in users])
+    colliders = [situation.targets[bvs[0]].state for situation, bvs in zip(situations, collisions.bvs, strict=True)]
+    small = np.array([is_unprotected(collider) for collider in colliders])
     check = _check(  # others may hide a pedestrian; drivers see supports
         collisions, onward, np.arange(n), with_others=bool(small.any()) or len(collisions.supports) > 0
     )
@@ -95,7 +93,9 @@ def danger_of(collisions: Collisions, drivable: Drivable) -> Danger:
         crash_of(*_single(collisions.at_contact, k), _yaw_rates(ego, adversary, k, int(last[k]), dt)) for k in range(n)
     ]
     delta_v = np.array([impact.ego_delta_v for impact in impacts])
-    hard = np.array([hardness(impact, user) for impact, user in zip(impacts, users, strict=True)])
+    hard = np.array([
+        hardness(impact, road_user(collider)) for impact, collider in zip(impacts, colliders, strict=True)
+    ])  # fmt: skip
     human = small | _human(check, adversary, last, dt)
     span = np.arange(ego.x.shape[1])
     final = (span <= last[:, None]) & (span > last[:, None] - STATIONARY_FOR / dt)
@@ -115,7 +115,7 @@ def _strongest(adversary: Boxes, last: Ints, dt: float) -> Floats:
     x, y, heading, speed = (
         np.take_along_axis(v, steps, axis=1) for v in (adversary.x, adversary.y, adversary.heading, adversary.speed)
     )
-    until = Boxes(x, y, heading, speed, adversary.length, adversary.width)
+    until = replace(adversary, x=x, y=y, heading=heading, speed=speed, z=0.0)
     change = np.diff(speed, axis=1, prepend=speed[:, :1]) / dt
     return largest_acceleration(until, change, np.asarray(np.arange(steps.shape[1]) * dt, float))
 
@@ -167,15 +167,17 @@ def _others(collisions: Collisions, rows: Ints) -> Boxes | None:
     most = max(len(b.x) for b in boxes_of.values()) + len(collisions.supports)
     if not most:
         return None
-    motion, size = np.full((4, len(rows), most, steps), np.nan), np.zeros((2, len(rows), most, 1))
+    motion, size = np.full((5, len(rows), most, steps), np.nan), np.zeros((2, len(rows), most, 1))
     for row, key in enumerate(names):
         b = boxes_of[key]
-        motion[:, row, : len(b.x)] = b.x, b.y, b.heading, b.speed
+        motion[:, row, : len(b.x)] = b.x, b.y, b.heading, b.speed, np.broadcast_to(b.z, b.x.shape)
         size[:, row, : len(b.x)] = b.length, b.width
     for place, b in enumerate(collisions.supports, start=most - len(collisions.supports)):
-        motion[:, :, place] = b.x[rows], b.y[rows], b.heading[rows], b.speed[rows]
+        height = np.broadcast_to(b.z, b.x.shape)[rows]
+        motion[:, :, place] = b.x[rows], b.y[rows], b.heading[rows], b.speed[rows], height
         size[:, :, place] = np.asarray(b.length)[rows], np.asarray(b.width)[rows]
-    return Boxes(*motion, *size)
+    x, y, heading, speed, z = motion
+    return Boxes(x, y, heading, speed, size[0], size[1], z if np.nan_to_num(z).any() else 0.0)
 
 
 def _human(check: Counterfactual, adversary: Boxes, last: Ints, dt: float) -> Bools:
@@ -199,15 +201,10 @@ def _yaw_rates(ego: Boxes, adversary: Boxes, row: int, step: int, dt: float) -> 
 def _single(boxes: tuple[Boxes, Boxes], row: int) -> tuple[Boxes, Boxes]:
     """Row ``row`` of both as 0-d arrays with plain sizes."""
     a, b = (pick(box, np.array(row)) for box in boxes)
-    return tuple(Boxes(v.x, v.y, v.heading, v.speed, float(v.length), float(v.width)) for v in (a, b))  # type: ignore[return-value]
-
-
-def some_steps(b: Boxes, steps: slice) -> Boxes:
-    """The same boxes ``(n, steps)`` over some of the steps."""
-    return Boxes(b.x[:, steps], b.y[:, steps], b.heading[:, steps], b.speed[:, steps], b.length, b.width)
+    return tuple(replace(v, length=float(v.length), width=float(v.width)) for v in (a, b))  # type: ignore[return-value]
 
 
 def some_rows(b: Boxes, rows: Ints) -> Boxes:
     """Some of the rows of boxes ``(n, steps)`` with sizes ``(n, 1)`` or plain ones."""
-    size = [v if np.ndim(v) == 0 else np.asarray(v)[rows] for v in (b.length, b.width)]
-    return Boxes(b.x[rows], b.y[rows], b.heading[rows], b.speed[rows], *size)
+    length, width = (v if np.ndim(v) == 0 else np.asarray(v)[rows] for v in (b.length, b.width))
+    return Boxes(b.x[rows], b.y[rows], b.heading[rows], b.speed[rows], length, width, height_as(b, lambda z: z[rows]))

@@ -13,7 +13,6 @@ from sumo_adv.config import Settings
 from sumo_adv.datatypes import Limits, Prediction, Proposal
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Roads, Sessions, is_trusted
-from sumo_adv.road_users import road_user
 from sumo_adv.search.rollouts import Rollouts, lined_up, predict
 from sumo_adv.search.scoring import goal_score, judge_all, touch_of
 from sumo_adv.search.settings import ScoreSettings
@@ -42,8 +41,8 @@ class Predictor:
         """The same candidates with ``score`` and ``prediction``."""
         began = time.perf_counter()
         scored: dict[int, Proposal] = {}
-        users = [road_user(self._situations[p.delay].targets[p.bv].state) for p in proposals]
-        kinds = list(zip(users, (len(p.supports) for p in proposals), strict=True))
+        limits = [self._limits([p]) for p in proposals]
+        kinds = list(zip(limits, (len(p.supports) for p in proposals), strict=True))
         for kind, hashes in ((kind, hashes) for kind in dict.fromkeys(kinds) for hashes in batches_of(proposals)):
             rows = [k for k, p in enumerate(proposals) if p.planner.hash in hashes and kinds[k] == kind]
             if rows:
@@ -53,7 +52,7 @@ class Predictor:
         return [scored[k] for k in range(len(proposals))]
 
     def _limits(self, proposals: Sequence[Proposal]) -> Limits:
-        """The limits of candidates that are all of one kind of road user."""
+        """The limits of candidates that all have the same ones."""
         return self._settings.limits.of(self._situations[proposals[0].delay].targets[proposals[0].bv].state)
 
     def _together(self, proposals: list[Proposal]) -> list[Proposal]:

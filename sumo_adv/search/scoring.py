@@ -15,17 +15,28 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Boxes, Floats, Ints, Level, Limits, Prediction, Proposal, Role, Track
+from sumo_adv.geometry import Path
 from sumo_adv.goal import Goal
-from sumo_adv.metrics.boxes import between_steps, gap, half_diagonal, on_grid, overlaps, pick, sweep, touching
+from sumo_adv.metrics.boxes import (
+    between_steps,
+    gap,
+    half_diagonal,
+    on_grid,
+    overlaps,
+    pick,
+    some_steps,
+    sweep,
+    touching,
+)
 from sumo_adv.metrics.contact import rear_end
 from sumo_adv.metrics.criticality import ttc
 from sumo_adv.metrics.gates import CLOCK_SLACK, kinematic_gates, near_pairs, off_road, third_party
 from sumo_adv.road_users import RoadUser, road_user, unprotected
-from sumo_adv.search.predicted_level import Collisions, Danger, danger_of, some_rows, some_steps
+from sumo_adv.search.predicted_level import Collisions, Danger, danger_of, some_rows
 from sumo_adv.search.rollouts import Motions, Rollouts, Touch
 from sumo_adv.search.settings import ScoreSettings
 from sumo_adv.simulation.network import Drivable
-from sumo_adv.situation import Situation
+from sumo_adv.situation import Situation, heights_along
 
 GENTLY = 1.0  # m/s2: gentler braking does not count
 ROAD_INSET = 0.05  # m; the judge's 0.15 would leave no room for the error of a prediction
@@ -95,7 +106,8 @@ def _look_at(
 ) -> _Seen:  # fmt: skip
     steps, begun = rollouts.ego[0].shape[1], [situations[p.delay] for p in proposals]
     ego_state, dt, time = begun[0].ego, begun[0].dt, rollouts.time
-    ego = Boxes(*rollouts.ego, ego_state.length, ego_state.width)
+    own = Boxes(*rollouts.ego, ego_state.length, ego_state.width)
+    ego = _raised(own, [(situation.baseline.path,) for situation in begun])
     ranks = zip(*(p.members for p in proposals), strict=True)
     motions = (rollouts.adversary, *rollouts.supports)
     driven = [_driven(begun, members, motion) for members, motion in zip(ranks, motions, strict=True)]
@@ -130,7 +142,21 @@ def _driven(begun: Sequence[Situation], members: Sequence[Proposal], motions: Mo
     """One adversary of each candidate, row by row: its motion, and its acceleration at the trigger [m/s2]."""
     states = [situation.targets[p.bv].state for situation, p in zip(begun, members, strict=True)]
     lengths, widths = np.array([[s.length] for s in states]), np.array([[s.width] for s in states])
-    return Boxes(*motions, lengths, widths), np.array([s.acceleration for s in states])
+    ways = [
+        tuple(way.path for way in situation.targets[p.bv].ways)
+        for situation, p in zip(begun, members, strict=True)
+    ]  # fmt: skip
+    return _raised(Boxes(*motions, lengths, widths), ways), np.array([s.acceleration for s in states])
+
+
+def _raised(boxes: Boxes, paths: Sequence[tuple[Path, ...]]) -> Boxes:
+    """The boxes ``(n, steps)`` at the heights of the paths of their rows."""
+    if not any(np.ndim(path.z) for row in paths for path in row):
+        return boxes
+    z = np.empty(boxes.x.shape)
+    for row, along in enumerate(paths):
+        z[row] = heights_along(along, boxes.x[row], boxes.y[row])
+    return replace(boxes, z=z)
 
 
 def _touch(one: Boxes, other: Boxes, time: Floats, end: Floats) -> Bools:
@@ -232,10 +258,19 @@ def _third_party(
     rows = np.concatenate([own for own, _ in pairs])
     if not len(rows):
         return touched
-    around = Boxes(*(np.concatenate([getattr(b, f.name) for _, b in pairs]) for f in fields(Boxes)))
+    around = _joined([boxes for _, boxes in pairs])
     meets = third_party(some_steps(some_rows(adversary, rows), driven), some_steps(around, driven), when, end[rows])
     touched[rows[meets]] = True
     return touched
+
+
+def _joined(parts: Sequence[Boxes]) -> Boxes:
+    """Boxes ``(n, steps)``, one after the other."""
+    x, y, heading, speed, length, width = (
+        np.concatenate([getattr(b, f.name) for b in parts]) for f in fields(Boxes) if f.name != "z"
+    )
+    z = np.concatenate([np.broadcast_to(b.z, b.x.shape) for b in parts]) if any(np.ndim(b.z) for b in parts) else 0.0
+    return Boxes(x, y, heading, speed, length, width, z)
 
 
 def _near_others(

@@ -41,7 +41,7 @@ class EncounterMonitor:
 
     def __init__(self, session: Session, road: RoadMap, settings: Settings, only: tuple[str, ...], warm_up: float):
         self._session, self._road, self._settings, self._only = session, road, settings, only
-        self._since = max(settings.history, EGO_PAUSE, warm_up)
+        self._since, session.heights = max(settings.history, EGO_PAUSE, warm_up), road.heights
         self._encounter = self._fresh()
 
     def until_encounter(self, end: float, *, trigger: float | None = None, quiet: float = 0.0) -> list[RankedVehicle]:
@@ -216,7 +216,7 @@ class LiveAttempts:
             return None
         tracks = traffic_forecast(self._road, session, self._settings.duration)
         ranking = [c for c in self._scene.ranking if c.id in bvs]
-        trigger = trigger_state(session, ranking)
+        trigger = trigger_state(self._road, session, ranking)
         return build_situation(self._road, tracks, trigger, ranking, self._settings)
 
 

@@ -12,7 +12,7 @@ import socket
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from sumo_adv.drivers import Action, ExternalEgo
@@ -257,7 +257,7 @@ class Session(Drive):
         went = math.hypot(x - x_before, y - y_before) / self.spec.step_length
         if abs(went - raw[3]) < DOUBTED or went > FASTEST:
             return snapshot
-        snapshots[-1] = Snapshot(snapshot.time, {**snapshot.raw, name: (*raw[:3], went, raw[4])})
+        snapshots[-1] = replace(snapshot, raw={**snapshot.raw, name: (*raw[:3], went, raw[4])})
         return snapshots[-1]
 
     def _look_for_ego(self, snapshot: Snapshot) -> None:

@@ -12,31 +12,64 @@ without it has the area of its lanes and junctions (``RoadMap.drivable``).
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats
+from sumo_adv.geometry import along, same_layer, stations
 
 KEY = "drivable"
 
 
+@dataclass(frozen=True, slots=True)
+class Surface:
+    """A part of the carriageway with a height. area: a shapely polygon [m]; line: ``(n, 3)`` [m], or ``(n, 2)`` at
+    height 0: the height at a point is that of the line where it is nearest."""
+
+    area: Any
+    line: Floats
+
+    def height(self, x: Floats, y: Floats) -> Floats:
+        """The height [m] at points of any one shape."""
+        if self.line.shape[1] < 3:
+            return np.zeros(np.shape(x))
+        plan = self.line[:, :2]
+        return np.asarray(np.interp(along(plan, x, y), stations(*plan.T), self.line[:, 2]))
+
+
 class Drivable:
-    """A test of points (arrays of any one shape) for lying on the carriageway; can be sent between processes."""
+    """A test of points (arrays of any one shape) for lying on the carriageway; can be sent between processes.
 
-    def __init__(self, area: Any) -> None:
-        from shapely import prepare
+    With heights [m] a point must also be on the layer of the carriageway there: no vehicle leaves a bridge for the road
+    below it.
+    """
 
-        self.area = area
+    def __init__(self, area: Any, surfaces: tuple[Surface, ...] = ()) -> None:
+        """``surfaces``: the parts of the area, where roads have heights."""
+        from shapely import STRtree, prepare
+
+        self.area, self.surfaces = area, surfaces
+        self._tree = STRtree([surface.area for surface in surfaces]) if surfaces else None
         prepare(area)
 
-    def __call__(self, x: Floats, y: Floats) -> Bools:
-        from shapely import contains_xy
+    def __call__(self, x: Floats, y: Floats, z: Floats | None = None) -> Bools:
+        from shapely import contains_xy, points
 
-        return np.asarray(contains_xy(self.area, x, y))
+        inside = np.asarray(contains_xy(self.area, x, y))
+        if z is None or self._tree is None:
+            return inside
+        at, part = self._tree.query(points(np.ravel(x), np.ravel(y)), predicate="intersects")
+        level = np.zeros(np.size(x), bool)
+        for k in np.unique(part):
+            those = at[part == k]
+            height = self.surfaces[k].height(np.ravel(x)[those], np.ravel(y)[those])
+            level[those] |= same_layer(height, np.ravel(z)[those])
+        return np.asarray(inside & level.reshape(inside.shape))
 
-    def __reduce__(self) -> tuple[type[Drivable], tuple[Any]]:
-        return Drivable, (self.area,)
+    def __reduce__(self) -> tuple[type[Drivable], tuple[Any, tuple[Surface, ...]]]:
+        return Drivable, (self.area, self.surfaces)
 
 
 def area_text(area: Any) -> str:

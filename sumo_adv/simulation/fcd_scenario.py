@@ -22,8 +22,9 @@ from sumo_adv.simulation.fcd_recording import (
     read_recording,
     some,
 )
-from sumo_adv.simulation.fcd_types import CAR, CLASS_SIZES, Size, read_sizes, size_of
+from sumo_adv.simulation.fcd_types import CAR_SIZE, CLASS_SIZES, Size, read_sizes, size_of
 from sumo_adv.simulation.network import RoadMap, read_network
+from sumo_adv.simulation.permissions import CAR
 from sumo_adv.simulation.scenario import DEFAULT_WARM_UP
 from sumo_adv.simulation.simulation import heading_of
 from sumo_adv.simulation.tracks import LoggedTrack, TrackLog, write_tracks
@@ -87,7 +88,7 @@ def _sizes(recorded: FcdRecording, sizes: Mapping[str, Size]) -> tuple[dict[str,
         size = size_of(o.kind, name, sizes)
         if size is None and not o.person:
             unknown[o.kind] = None
-        known[name] = size or (CLASS_SIZES["pedestrian"] if o.person else CAR)
+        known[name] = size or (CLASS_SIZES["pedestrian"] if o.person else CAR_SIZE)
     return known, list(unknown)
 
 
@@ -96,7 +97,9 @@ def _said(unknown: Sequence[str]) -> list[str]:
     if not unknown:
         return []
     of = f"the types {some(unknown)}" if any(unknown) else "vehicles whose type the recording does not say"
-    return [f"No file says the size of {of}: {CAR[0]:g} by {CAR[1]:g} m are taken; name their file with --types."]
+    return [
+        f"No file says the size of {of}: {CAR_SIZE[0]:g} by {CAR_SIZE[1]:g} m are taken; name their file with --types."
+    ]
 
 
 def _log(recording: Path, recorded: FcdRecording, sizes: Mapping[str, Size]) -> TrackLog:
@@ -142,7 +145,7 @@ def _edges(o: RecordedObject, road: RoadMap, end: float) -> tuple[str, ...]:
     left = ONWARD_M
     while left > 0.0 and (onward := [edge for edge in _next_edges(route[-1], road) if edge not in route]):
         lanes = [road.lanes[name] for name in road.edges[onward[0]]]
-        if not any(lane.passenger for lane in lanes):
+        if not any(lane.allows(CAR) for lane in lanes):
             break
         route.append(onward[0])
         left -= lanes[0].length

@@ -10,7 +10,7 @@ from sumo_adv.errors import UsageError
 from sumo_adv.simulation.scan import parse
 
 Size = tuple[float, float]
-CAR: Size = (5.0, 1.8)
+CAR_SIZE: Size = (5.0, 1.8)
 CLASS_SIZES: Mapping[str, Size] = {
     "aircraft": (72.7, 79.8), "bicycle": (1.6, 0.65), "bus": (12.0, 2.5), "coach": (14.0, 2.6),
     "container": (6.096, 2.438), "delivery": (6.5, 2.16), "drone": (0.5, 0.5), "emergency": (6.5, 2.16),
@@ -22,7 +22,7 @@ CLASS_SIZES: Mapping[str, Size] = {
 """Length and width [m] where a vType of the class names none (SUMO's ``SUMOVTypeParameter::VClassDefaultValues``);
 vehicles of all other classes are 5 by 1.8 m."""
 DEFAULT_TYPES: Mapping[str, Size] = {
-    "DEFAULT_VEHTYPE": CAR, "DEFAULT_TAXITYPE": CAR, "DEFAULT_BIKETYPE": CLASS_SIZES["bicycle"],
+    "DEFAULT_VEHTYPE": CAR_SIZE, "DEFAULT_TAXITYPE": CAR_SIZE, "DEFAULT_BIKETYPE": CLASS_SIZES["bicycle"],
     "DEFAULT_PEDTYPE": CLASS_SIZES["pedestrian"], "DEFAULT_RAILTYPE": CLASS_SIZES["rail"],
     "DEFAULT_CONTAINERTYPE": CLASS_SIZES["container"],
 }  # fmt: skip
@@ -34,7 +34,7 @@ def read_sizes(files: Sequence[Path]) -> dict[str, Size]:
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         if tag == "vType":
-            default = CLASS_SIZES.get(attributes.get("vClass", ""), CAR)
+            default = CLASS_SIZES.get(attributes.get("vClass", ""), CAR_SIZE)
             length, width = (float(attributes.get(k, d)) for k, d in zip(("length", "width"), default, strict=True))
             if not (0.0 < length < math.inf and 0.0 < width < math.inf):
                 raise ValueError(f"its size is {length:g} m by {width:g} m")

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
+from sumo_adv.simulation.centreline import Centreline, centreline
 from sumo_adv.simulation.network import is_left_hand
 from sumo_adv.simulation.remote import RawState
 from sumo_adv.simulation.simulation import FREE_SPEED_MODE, SUMO_SPEED_MODE, Simulation
@@ -79,7 +80,7 @@ class HumanErrors:
         self._api: Any = simulation.api
         self._hand = -1 if is_left_hand(simulation.spec.network) else 1  # SUMO counts lanes from the outer side
         self._lanes: dict[str, int] = {}  # of an edge
-        self._ends: dict[str, float] = {}  # where a lane that leads on ends [m]; inf where no line is
+        self._lines: dict[str, Centreline | None] = {}  # of the lanes that lead on; None where no stop line is
         self.active: dict[str, Begun] = {}
         self.last: dict[str, Begun] = {}  # the latest error of each vehicle, also if it is over
 
@@ -98,11 +99,12 @@ class HumanErrors:
             if lanes is None:
                 lanes = self._lanes[edge] = int(self._api.edge.getLaneNumber(edge))
             kinds += [kind for kind, side in SIDE.items() if 0 <= int(index) + self._hand * side < lanes]
-        end = self._ends.get(lane)
-        if end is None:
-            leads_on = bool(self._api.lane.getLinks(lane))
-            end = self._ends[lane] = float(self._api.lane.getLength(lane)) if leads_on else float("inf")
-        if end < float("inf") and end - self._simulation.lane_position(vehicle) < AT_LINE:
+        if lane not in self._lines:
+            api = self._api.lane
+            leads_on = bool(api.getLinks(lane))
+            self._lines[lane] = centreline(api.getShape(lane), api.getLength(lane)) if leads_on else None
+        line = self._lines[lane]
+        if line is not None and line.length - line.station_of(self._simulation.lane_position(vehicle)) < AT_LINE:
             kinds += self._at_line(vehicle)
         return tuple(kinds)
 

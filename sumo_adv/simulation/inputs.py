@@ -271,7 +271,7 @@ def _scan_all(source: Path, network: Path, demand: tuple[Path, ...]) -> tuple[Ne
         if not file.is_file():
             trouble = "is a folder" if file.is_dir() else "is missing"
             raise UsageError(f"{source} names the file {file}, which {trouble}.")
-    roads, scans = scan_network(network), tuple(scan_demand(file) for file in demand)
+    roads, scans = scan_network(network, cars=not demand), tuple(scan_demand(file) for file in demand)
     for file, scan in zip(demand, scans, strict=True):
         for edge in scan.edges:
             if edge not in roads.edges and not edge.startswith(":"):

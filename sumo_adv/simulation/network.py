@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -13,14 +13,19 @@ import numpy as np
 
 from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError
-from sumo_adv.geometry import Path, make_path, read_only, wrap
-from sumo_adv.simulation.drivable import KEY, Drivable, area_of
+from sumo_adv.geometry import Path, along, make_path, read_only, same_layer, stations, wrap
+from sumo_adv.simulation.centreline import Centreline, centreline
+from sumo_adv.simulation.drivable import KEY, Drivable, Surface, area_of
+from sumo_adv.simulation.layers import KEY as HEIGHTS
+from sumo_adv.simulation.layers import Heights, Strip, heights_of
+from sumo_adv.simulation.permissions import ALL, CAR, EVERYWHERE, ON_FOOT, allowed, is_carriageway, is_paved
 
 MOVEMENTS = {"s": "straight", "l": "left", "L": "left", "r": "right", "R": "right", "t": "u-turn"}
 MOST_WIDTH = 6.0  # m: no lane is wider
 IN_LINE = 0.6  # rad between a box and the lane that it is in
 TIGHTEST = 0.195  # 1/m: what a car can follow within the limit of 0.2
 MAX_PATHS = 6  # ways on that are followed for one vehicle
+GAP_M = 0.3  # gaps between lanes of up to twice this are carriageway, too
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +33,8 @@ class Connection:
     """A way from the end of a lane through a junction (``via``: internal lanes) to the next lane.
 
     link: junction and index there; yields_to: indices of those that have the right of way (SUMO's ``response``).
-    light: its traffic light's id and place in the light's state; empty without one."""
+    light: its traffic light's id and place in the light's state; empty without one. classes: SUMO's vehicle classes
+    that may take it."""
 
     to: str
     via: tuple[str, ...]
@@ -37,23 +43,36 @@ class Connection:
     link: tuple[str, int] = ("", -1)
     yields_to: frozenset[int] = frozenset()
     light: tuple[str, int] = ("", -1)
+    classes: frozenset[str] = field(repr=False, default=ALL)
 
 
-@dataclass(frozen=True, slots=True)
-class Lane:
-    """One lane. ``shape`` is ``(n, 2)`` [m]; width, length [m]; speed [m/s]. index: from the right, also in left-hand
-    traffic, where SUMO counts from the left."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Lane(Centreline):
+    """One lane. width [m]; speed [m/s]. index: from the right, also in left-hand traffic, where SUMO counts from the
+    left. classes: SUMO's vehicle classes that may use it."""
 
     id: str
     edge: str
     index: int
-    shape: Floats
     width: float
-    length: float
     speed: float
     internal: bool
-    passenger: bool
+    classes: frozenset[str] = field(repr=False)
     connections: tuple[Connection, ...] = ()
+
+    def allows(self, vclass: str) -> bool:
+        """Whether a vehicle of a class may use it."""
+        return vclass in self.classes
+
+    @property
+    def carriageway(self) -> bool:
+        """Whether it is for motor vehicles of some class: also a bus lane, no cycle lane, sidewalk or track."""
+        return is_carriageway(self.classes)
+
+    @property
+    def paved(self) -> bool:
+        """Whether a car that leaves its own lane can drive on it: a carriageway or a cycle lane."""
+        return is_paved(self.classes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,12 +93,22 @@ class Way:
         return self.rule not in "MOo"
 
 
+Closed = Callable[[str], bool]
+"""Says of a lane's id whether it is closed now."""
+
+
+def open_to_all(lane: str) -> bool:
+    """``Closed`` where nothing is."""
+    return False
+
+
 @dataclass(frozen=True)
 class RoadMap:
     """All lanes of a network, with what can be reached from where.
 
     ground: the drivable area that the network carries (shapely polygons, m), None where it carries none.
-    hand: 1; -1 in left-hand traffic (netconvert's ``--lefthand``)."""
+    hand: 1; -1 in left-hand traffic (netconvert's ``--lefthand``).
+    heights: of the lanes; None where the network is flat and has no bridges. rims: the junctions with heights."""
 
     name: str
     lanes: dict[str, Lane]
@@ -87,6 +116,13 @@ class RoadMap:
     junctions: tuple[Floats, ...] = field(repr=False, default=())  # polygons (n, 2)
     ground: Any = field(repr=False, default=None)
     hand: float = 1.0
+    heights: Heights | None = field(repr=False, default=None)
+    rims: tuple[Floats, ...] = field(repr=False, default=())
+
+    def line(self, lane: Lane) -> Floats:
+        """The centreline of a lane ``(n, 2)`` [m], or ``(n, 3)`` with heights where the network has some."""
+        line = None if self.heights is None else self.heights.lines.get(lane.id)
+        return lane.shape if line is None else line
 
     @cached_property
     def _tree(self) -> tuple[Any, list[Lane]]:
@@ -101,49 +137,57 @@ class RoadMap:
 
     @cached_property
     def meeting_junctions(self) -> frozenset[str]:
-        """Ids of the junctions that passenger cars reach from two or more edges."""
+        """Ids of the junctions that motor vehicles reach from two or more edges."""
         edges: dict[str, set[str]] = {}
         for lane in self.lanes.values():
             for connection in () if lane.internal else lane.connections:
-                if connection.link[0] and lane.passenger:
+                if connection.link[0] and lane.carriageway and is_carriageway(connection.classes):
                     edges.setdefault(connection.link[0], set()).add(lane.edge)
         return frozenset(name for name, approaching in edges.items() if len(approaching) > 1)
 
     @cached_property
-    def _passenger_tree(self) -> tuple[Any, list[Lane]]:
-        return _tree_of(lane for lane in self.lanes.values() if lane.passenger)
+    def _paved_tree(self) -> tuple[Any, list[Lane]]:
+        return _tree_of(lane for lane in self.lanes.values() if lane.paved)
 
-    def passenger_lanes_within(self, x: float, y: float, radius: float) -> list[Lane]:
-        """Passenger lanes, also within junctions, of which a part of the centreline is within ``radius`` [m]."""
+    def paved_lanes_within(self, x: float, y: float, radius: float) -> list[Lane]:
+        """Paved lanes, also within junctions, of which a part of the centreline is within ``radius`` [m]."""
         from shapely import Point
 
-        tree, lanes = self._passenger_tree
+        tree, lanes = self._paved_tree
         return [lanes[i] for i in sorted(tree.query(Point(x, y).buffer(radius), predicate="intersects"))]
 
-    def lane_at(self, x: float, y: float, heading: float) -> tuple[str, float] | None:
-        """The passenger lane outside junctions in which a point is, and how far along [m]; its direction must agree."""
+    def lane_at(
+        self, x: float, y: float, heading: float, vclass: str = CAR, z: float | None = None
+    ) -> tuple[str, float] | None:
+        """The lane for a class, outside junctions, in which a point is, and how far along [m]; its direction must
+        agree. z: so must its layer [m]; None = any."""
         best: tuple[float, str, float] | None = None
-        for lane in self.lanes_near(x, y, MOST_WIDTH):
-            a, along = lane.shape[:-1], np.diff(lane.shape, axis=0)
-            length = np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)
-            t = np.clip(((x - a[:, 0]) * along[:, 0] + (y - a[:, 1]) * along[:, 1]) / length**2, 0.0, 1.0)
-            away = np.hypot(a[:, 0] + t * along[:, 0] - x, a[:, 1] + t * along[:, 1] - y)
-            i = int(np.argmin(away))
-            turned = abs(wrap(math.atan2(along[i, 1], along[i, 0]) - heading))
-            if lane.passenger and away[i] < lane.width / 2 and turned < IN_LINE and (not best or away[i] < best[0]):
-                best = float(away[i]), lane.id, float(length[:i].sum() + t[i] * length[i])
+        for lane in self.level(self.lanes_near(x, y, MOST_WIDTH), x, y, z):
+            station = lane.station_at(x, y)
+            nearest_x, nearest_y, direction = lane.point_at(station)
+            away, turned = math.dist((x, y), (nearest_x, nearest_y)), abs(wrap(direction - heading))
+            inside = away < lane.width / 2 and turned < IN_LINE
+            if lane.allows(vclass) and inside and (not best or away < best[0]):
+                best = away, lane.id, station
         return None if best is None else best[1:]
 
-    def opposite_offset(self, x: float, y: float, heading: float) -> float | None:
+    def level(self, lanes: Sequence[Lane], x: float, y: float, z: float | None) -> list[Lane]:
+        """The lanes that are at a point on the layer of the height ``z`` [m]; all where that is None."""
+        if self.heights is None or z is None:
+            return list(lanes)
+        return [lane for lane in lanes if same_layer(self.heights.at(lane.id, x, y), z)]
+
+    def opposite_offset(self, x: float, y: float, heading: float, z: float | None = None) -> float | None:
         """Lateral offset of the nearest lane on the inner side (left, in left-hand traffic right) that leads the
-        other way and touches ours; None if none."""
+        other way and touches ours, on the layer of the height ``z`` [m]; None if none. Only lanes for motor vehicles
+        count."""
         best: float | None = None
-        for lane in self.lanes_near(x, y, 12.0):
+        for lane in self.level(self.lanes_near(x, y, 12.0), x, y, z):
             i = int(np.argmin(np.hypot(lane.shape[:-1, 0] - x, lane.shape[:-1, 1] - y))) if len(lane.shape) > 2 else 0
             for j in range(max(0, i - 1), min(i + 2, len(lane.shape) - 1)):
                 a, b = lane.shape[j], lane.shape[j + 1]
                 h = math.atan2(b[1] - a[1], b[0] - a[0])
-                if not lane.passenger or abs(wrap(h - heading)) < 2.6:
+                if not lane.carriageway or abs(wrap(h - heading)) < 2.6:
                     continue
                 d = math.cos(h) * (y - a[1]) - math.sin(h) * (x - a[0])
                 t = math.cos(h) * (x - a[0]) + math.sin(h) * (y - a[1])
@@ -152,42 +196,47 @@ class RoadMap:
                     best = d
         return best
 
-    def side_offsets(self, lane_id: str, x: float, y: float, heading: float) -> list[tuple[float, str]]:
-        """Lanes beside ``lane_id`` as (offset [m], "same" | "opposite"), left positive, up to two to each side."""
+    def side_offsets(
+        self, lane_id: str, x: float, y: float, heading: float, vclass: str = CAR
+    ) -> list[tuple[float, str]]:
+        """Lanes beside ``lane_id`` as (offset [m], "same" | "opposite"), left positive, up to two to each side. Those
+        of the same direction are the ones that a vehicle of the class may use."""
         lane = self.lanes.get(lane_id)
         if lane is None or lane.internal:
             return []
-        offsets = [(offset, "same") for _, offset in self._beside(lane)]
+        offsets = [(offset, "same") for _, offset in self.beside(lane, vclass)]
         row = self.edges[lane.edge]
         inner = row[lane.index + 1 :] if self.hand > 0 else row[: lane.index]
         reach = sum(self.lanes[n].width for n in inner) + lane.width / 2
-        opposite = self.opposite_offset(x, y, heading)
+        z = None if self.heights is None else float(self.heights.at(lane_id, x, y))
+        opposite = self.opposite_offset(x, y, heading, z)
         if opposite is not None and abs(opposite) < reach + 2.6:
             offsets.append((opposite, "opposite"))
         return offsets
 
-    def _beside(self, lane: Lane) -> Iterator[tuple[Lane, float]]:
-        """The lanes of its edge, up to two to each side, and their offsets [m, left positive]."""
+    def beside(self, lane: Lane, vclass: str) -> Iterator[tuple[Lane, float]]:
+        """The lanes of its edge for a class, up to two to each side, and their offsets [m, left positive]."""
         row = [self.lanes[n] for n in self.edges[lane.edge]]
         for i, neighbour in enumerate(row):
-            if i == lane.index or abs(i - lane.index) > 2 or not neighbour.passenger:
+            if i == lane.index or abs(i - lane.index) > 2 or not neighbour.allows(vclass):
                 continue
             between = sum(o.width for o in row[min(i, lane.index) + 1 : max(i, lane.index)])
             yield neighbour, math.copysign(between + (neighbour.width + lane.width) / 2, i - lane.index)
 
     def ways(
-        self, lane_id: str, position: float, reach: float, route: tuple[str, ...] = (), farthest: float = 0.0
-    ) -> list[Way]:
-        """Ways on from ``position`` metres along a lane for ``reach`` metres, on to ``farthest`` [m] where the last
-        lane goes as far.
+        self, lane_id: str, station: float, reach: float, route: tuple[str, ...] = (), farthest: float = 0.0,
+        vclass: str = CAR, closed: Closed = open_to_all,
+    ) -> list[Way]:  # fmt: skip
+        """Ways on of a vehicle of a class from ``station`` metres along a lane for ``reach`` metres, on to
+        ``farthest`` [m] where the last lane goes as far.
 
         With ``route`` (edge ids from the present one) only that way; else one way for each movement at the first
-        junction, then the straightest.
+        junction, then the straightest. ``closed``: says which lanes are avoided.
         """
         ways: list[Way] = []
-        for chain, first, junction, bay in self._chains(lane_id, position, reach, route):
-            points = np.vstack([self.lanes[n].shape for n in chain])
-            path = make_path(_cut(points, position, max(reach, farthest)), tightest=TIGHTEST)
+        for chain, first, junction, bay in self._chains(lane_id, station, reach, route, vclass, closed):
+            points = np.vstack([self.line(self.lanes[n]) for n in chain])
+            path = make_path(_cut(points, station, max(reach, farthest)), tightest=TIGHTEST)
             if path.length < reach:
                 path = path.extended(reach - path.length)
             movement, rule = ("none", "") if first is None else (first.movement, first.state)
@@ -196,12 +245,28 @@ class RoadMap:
                 break
         return ways
 
+    def chain(
+        self, lane_id: str, station: float, reach: float, route: tuple[str, ...], vclass: str = CAR,
+        closed: Closed = open_to_all,
+    ) -> tuple[str, ...]:  # fmt: skip
+        """The lanes of the first of the ``ways``."""
+        return tuple(next(self._chains(lane_id, station, reach, route, vclass, closed))[0])
+
+    def metres_ahead(self, lanes: Sequence[str], station: float, distance: float) -> float:
+        """Metres from ``station`` on the first of some lanes to what is ``distance`` [m] ahead in SUMO's lengths."""
+        gone, position = -station, self.lanes[lanes[0]].position_of(station) + distance
+        for lane in (self.lanes[name] for name in lanes):
+            if position <= lane.positions[-1]:
+                return gone + lane.station_of(position)
+            gone, position = gone + lane.length, position - float(lane.positions[-1])
+        return gone + position
+
     def _chains(
-        self, lane_id: str, position: float, reach: float, route: tuple[str, ...]
+        self, lane_id: str, station: float, reach: float, route: tuple[str, ...], vclass: str, closed: Closed
     ) -> Iterator[tuple[list[str], Connection | None, float, float]]:
         lane = self.lanes[lane_id]
-        start = lane.length - position
-        options = self.onward(lane, route)
+        start = lane.length - station
+        options = self.onward(lane, route, vclass, closed)
         if start >= reach or not options:
             yield [lane_id], None, math.inf, math.inf
             return
@@ -209,7 +274,7 @@ class RoadMap:
             chain, length = [lane_id, *first.via, first.to], start
             length += sum(self.lanes[n].length for n in (*first.via, first.to))
             while length < reach:
-                onward = self.onward(self.lanes[chain[-1]], route)
+                onward = self.onward(self.lanes[chain[-1]], route, vclass, closed)
                 if not onward:
                     break
                 step = onward[0]
@@ -225,44 +290,85 @@ class RoadMap:
             return start if on.via else math.inf
         return start + self.lanes[on.via[0]].length if len(on.via) > 1 else math.inf
 
-    def onward(self, lane: Lane, route: tuple[str, ...]) -> list[Connection]:
-        """Connections from a lane, straight ones first; only along ``route`` where that says something."""
+    def onward(
+        self, lane: Lane, route: tuple[str, ...], vclass: str = CAR, closed: Closed = open_to_all
+    ) -> list[Connection]:
+        """Connections from a lane for a class, straight ones first; only along ``route`` where that says something.
+        Those to closed lanes only where there are no others.
+
+        A vehicle on a lane that its class may not use goes on as the lane leads."""
         near, far = ("right", "left") if self.hand > 0 else ("left", "right")
         order = {"straight": 0, near: 1, far: 2, "u-turn": 3}
-        options = sorted((c for c in lane.connections if c.to in self.lanes), key=lambda c: order[c.movement])
+        errs = not lane.allows(vclass)
+        options = sorted(
+            (c for c in lane.connections if c.to in self.lanes and (errs or vclass in c.classes)),
+            key=lambda c: order[c.movement],
+        )
         if route and not lane.internal and lane.edge in route:
             at = route.index(lane.edge)
             following = route[at + 1] if at + 1 < len(route) else None
-            chosen = [c for c in options if self.lanes[c.to].edge == following]
-            if not chosen and following is not None:  # a neighbour lane leads there: the vehicle will change lanes
-                for name in self.edges[lane.edge][:: int(self.hand)]:
-                    chosen += [c for c in self.lanes[name].connections if self.lanes[c.to].edge == following]
-            return chosen[:1] if following is not None else []
-        return [c for c in options if c.movement != "u-turn"]
+            row = (self.lanes[name] for name in self.edges[lane.edge][:: int(self.hand)])
+            # From a lane beside it: the vehicle will change lanes.
+            beside = [c for other in row for c in other.connections if c.to in self.lanes and vclass in c.classes]
+            leads = [c for c in (*options, *beside) if self.lanes[c.to].edge == following]
+            return [c for c in leads if not closed(c.to)][:1] or leads[:1]
+        options = [c for c in options if c.movement != "u-turn"]
+        return [c for c in options if not closed(c.to)] or options
 
     def strips(self, x: float, y: float, radius: float) -> list[tuple[Floats, float, bool]]:
-        """Shape, width [m], internal? of all passenger lanes near a place, for pictures."""
-        return [
-            (lane.shape, lane.width, lane.internal) for lane in self.lanes.values()
-            if lane.passenger
+        """Centreline, width [m], internal? of all paved lanes near a place, for pictures: upper ones last."""
+        near = [
+            lane for lane in self.lanes.values()
+            if lane.paved
             and np.min(np.hypot(lane.shape[:, 0] - x, lane.shape[:, 1] - y)) < radius + lane.length
         ]  # fmt: skip
+        return [(self.line(lane), lane.width, lane.internal) for lane in sorted(near, key=self.top)]
 
-    def drivable(self, x: float, y: float, radius: float) -> Drivable:
-        """The carriageway within about ``radius`` metres of a place: the network's own, else lanes and junctions."""
+    def top(self, lane: Lane) -> float:
+        """The greatest height of a lane [m]: what is drawn later hides what is below it."""
+        line = self.line(lane)
+        return float(line[:, 2].max()) if line.shape[1] > 2 else 0.0
+
+    def leads_over(self, way: Floats, line: Floats) -> bool:
+        """Whether a lane passes above or below a way where it is nearest to it; lines as :meth:`line` has them."""
+        from shapely import LineString, shortest_line
+
+        if self.heights is None or way.shape[1] < 3 or line.shape[1] < 3:
+            return False
+        plans = [LineString(points[:, :2]) for points in (way, line)]
+        places = np.asarray(shortest_line(*plans).coords)
+        z = (
+            np.interp(along(points[:, :2], *place), stations(*points[:, :2].T), points[:, 2])
+            for points, place in zip((way, line), places, strict=True)
+        )
+        return not same_layer(*z)
+
+    def drivable(self, x: float, y: float, radius: float, way: Floats | None = None) -> Drivable:
+        """The drivable ground within about ``radius`` metres of a place: the network's own, else the paved lanes and
+        the junctions. It is the same for all classes: a car that cuts into a bus lane is on the road.
+        way: leave out what leads over or under this line ``(n, 3)`` [m]."""
         from shapely import LineString, Point, Polygon, union_all
 
         if self.ground is not None:
             return Drivable(self.ground)
         reach = Point(x, y).buffer(radius)
+        lanes = [
+            lane for lane in self.paved_lanes_within(x, y, radius)
+            if way is None or not self.leads_over(way, self.line(lane))
+        ]  # fmt: skip
         shapes = [
             LineString(lane.shape).buffer(lane.width / 2 + 0.05, cap_style="square" if lane.internal else "flat")
-            for lane in self.passenger_lanes_within(x, y, radius)
+            for lane in lanes
         ]
-        for polygon in self.junctions:
+        lines = [self.line(lane) for lane in lanes]
+        for polygon, line in zip(self.junctions, self.rims or self.junctions, strict=True):
+            if way is not None and self.leads_over(way, line):
+                continue
             if len(polygon) > 2 and (p := Polygon(polygon).buffer(0.05)).intersects(reach):
                 shapes.append(p)
-        return Drivable(union_all(shapes).buffer(0.3).buffer(-0.3))
+                lines.append(line)
+        surfaces = () if self.heights is None else map(Surface, (s.buffer(GAP_M) for s in shapes), lines)
+        return Drivable(union_all(shapes).buffer(GAP_M).buffer(-GAP_M), tuple(surfaces))
 
 
 def _tree_of(lanes: Iterable[Lane]) -> tuple[Any, list[Lane]]:
@@ -275,11 +381,11 @@ def _tree_of(lanes: Iterable[Lane]) -> tuple[Any, list[Lane]]:
 
 def _cut(points: Floats, position: float, length: float) -> Floats:
     """The polyline from ``position`` metres on, for ``length`` metres."""
-    step = np.hypot(*np.diff(points, axis=0).T)
+    step = np.hypot(*np.diff(points[:, :2], axis=0).T)
     station = np.concatenate([[0.0], np.cumsum(step)])
     position = min(max(position, 0.0), station[-1] - 0.1)
     ends = np.array([position, min(position + length, station[-1])])
-    start, end = np.column_stack([np.interp(ends, station, points[:, k]) for k in range(2)])
+    start, end = np.column_stack([np.interp(ends, station, values) for values in points.T])
     inside = (station > position + 1e-6) & (station < ends[1] - 1e-6)
     return np.vstack([start, points[inside], end])
 
@@ -295,6 +401,12 @@ def read_network(path: FilePath) -> RoadMap:
             f"{path} could not be read as a SUMO network ({error}); rebuild it with netconvert."
         ) from error
     hand = -1.0 if is_left_hand(path) else 1.0
+    ground = _ground(path, net)
+    try:
+        strips = [_strip(lane) for edge in net.getEdges(withInternal=True) for lane in edge.getLanes()]
+    except ValueError as error:
+        raise UsageError(f"The heights in {path} are damaged ({error}); convert the record again.") from error
+    heights = heights_of(strips, infer=ground is None)
     lanes: dict[str, Lane] = {}
     edges: dict[str, tuple[str, ...]] = {}
     for edge in net.getEdges(withInternal=True):
@@ -302,16 +414,44 @@ def read_network(path: FilePath) -> RoadMap:
         edges[edge.getID()] = row if hand > 0 else row[::-1]
         internal = edge.getFunction() == "internal"
         for lane in edge.getLanes():
+            line = centreline(lane.getShape3D(), float(lane.getLength()))
             lanes[lane.getID()] = Lane(
+                line.shape, line.stations, line.positions,
                 lane.getID(), edge.getID(), edges[edge.getID()].index(lane.getID()),
-                read_only(np.asarray(lane.getShape(), float)[:, :2]),
-                float(lane.getWidth()), float(lane.getLength()), float(lane.getSpeed()), internal,
-                bool(lane.allows("passenger")) and edge.getFunction() in ("", "internal"), _connections(net, lane),
+                float(lane.getWidth()), float(lane.getSpeed()), internal,
+                _classes(lane), _connections(net, lane),
             )  # fmt: skip
-    junctions = tuple(
-        read_only(np.asarray(n.getShape(), float)[:, :2]) for n in net.getNodes() if len(n.getShape()) > 2
-    )
-    return RoadMap(path.name.split(".net.xml")[0], lanes, edges, junctions, _ground(path, net), hand)
+    nodes = [n for n in net.getNodes() if len(n.getShape()) > 2]
+    junctions = tuple(read_only(np.asarray(n.getShape(), float)[:, :2]) for n in nodes)
+    rims = () if heights is None else tuple(_rim(n, heights) for n in nodes)
+    return RoadMap(path.name.split(".net.xml")[0], lanes, edges, junctions, ground, hand, heights, rims)
+
+
+def _strip(lane: Any) -> Strip:
+    """A lane of sumolib for its height. A faster, wider road bridges another rather than the other way round."""
+    edge = lane.getEdge()
+    shape = np.asarray(lane.getShape3D(), float)
+    start, end = edge.getFromNode().getID(), edge.getToNode().getID()
+    if edge.getFunction():  # within a junction, whose name is in that of the edge
+        start = end = edge.getID()[1:].rpartition("_")[0]
+    size = edge.getPriority(), edge.getSpeed(), edge.getLaneNumber()
+    z = np.array(lane.getParam(HEIGHTS).split(), float) if lane.getParam(HEIGHTS) else shape[:, 2]
+    if len(z) != len(shape):
+        raise ValueError(f"lane {lane.getID()} has {len(shape)} points and {len(z)} heights")
+    rank = (not edge.getFunction(), *size, *sorted((start, end)), edge.getID())
+    return Strip(lane.getID(), edge.getID(), shape[:, :2], z, start, end, rank)
+
+
+def _rim(node: Any, heights: Heights) -> Floats:
+    """The outline of a junction with heights ``(n, 3)``: at each point that of the lane that ends there."""
+    shape = np.asarray(node.getShape(), float)[:, :2]
+    ways = ((node.getIncoming(), -1), (node.getOutgoing(), 0))
+    lanes = ((lane.getID(), end) for edges, end in ways for edge in edges for lane in edge.getLanes())
+    ends = np.array([heights.lines[name][end] for name, end in lanes if name in heights.lines]).reshape(-1, 3)
+    if not len(ends):
+        return shape
+    nearest = np.hypot(*(shape[:, None, :] - ends[None, :, :2]).transpose(2, 0, 1)).argmin(axis=1)
+    return np.column_stack([shape, ends[nearest, 2]])
 
 
 def is_left_hand(path: FilePath) -> bool:
@@ -332,7 +472,20 @@ def _ground(path: FilePath, net: Any) -> Any:
         raise UsageError(f"The drivable area in {path} is damaged ({error}); convert the record again.") from error
 
 
+def _classes(lane: Any) -> frozenset[str]:
+    """The vehicle classes that may use a lane of sumolib's; none but people on crossings and the like."""
+    classes = allowed(lane.getPermissions())
+    return _one(classes if lane.getEdge().getFunction() in ("", "internal") else classes & ON_FOOT)
+
+
+@cache
+def _one(classes: frozenset[str]) -> frozenset[str]:
+    """The one object for equal sets: a large network has thousands of lanes, and few different sets."""
+    return classes
+
+
 def _connections(net: Any, lane: Any) -> tuple[Connection, ...]:
+    """The connections from a lane that any vehicle may take."""
     connections = []
     for c in lane.getOutgoing():
         via, name = [], c.getViaLaneID()
@@ -340,12 +493,15 @@ def _connections(net: Any, lane: Any) -> tuple[Connection, ...]:
             via.append(name)
             onward = net.getLane(name).getOutgoing()
             name = onward[0].getViaLaneID() if onward and onward[0].getViaLaneID() not in via else ""
-        if c.getToLane().allows("passenger"):
+        classes = _classes(lane) & _classes(c.getToLane()) & allowed(c._allowed)  # sumolib has no getter for it
+        for name in via:
+            classes &= _classes(net.getLane(name))
+        if classes - ON_FOOT - {EVERYWHERE}:
             movement = MOVEMENTS.get(c.getDirection(), "straight")
             link, yields_to = _right_of_way(lane, via)
             light = (c.getTLSID() or "", int(c.getTLLinkIndex()))
             to, state = c.getToLane().getID(), c.getState() or "M"
-            connections.append(Connection(to, tuple(via), movement, state, link, yields_to, light))
+            connections.append(Connection(to, tuple(via), movement, state, link, yields_to, light, _one(classes)))
     return tuple(connections)
 
 

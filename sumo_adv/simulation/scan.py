@@ -14,6 +14,7 @@ from xml.sax.saxutils import quoteattr
 
 from sumo_adv import parsing
 from sumo_adv.errors import UsageError
+from sumo_adv.simulation.permissions import CAR, classes_of, is_paved
 from sumo_adv.simulation.simulation import PERSON, check_nameable
 from sumo_adv.simulation.sumo_options import NO_JUNCTIONS
 
@@ -51,18 +52,19 @@ class DemandScan:
         return vehicle in self.vehicles | self.persons or flow in self.flows | self.persons
 
 
-def scan_network(path: Path, shown: Path | None = None) -> NetworkScan:
+def scan_network(path: Path, shown: Path | None = None, *, cars: bool = True) -> NetworkScan:
     """The edges of the SUMO network ``path``.
 
     shown: the user's file that sentences name, where the network was made of it.
 
     Raises UsageError: it is damaged, is no SUMO network, has a lane with an impossible length, width, speed or shape,
-    has no lane for passenger cars, or none on its junctions.
+    has no lane for passenger cars (without ``cars``: none for vehicles of the road), or none on its junctions.
     """
     check_nameable(path)
     named = path if shown is None else shown
     edges: set[str] = set()
     drivable: set[str] = set()
+    paved: list[bool] = []
     root: list[str] = []
     current, crossings, across = "", 0, 0
 
@@ -80,6 +82,7 @@ def scan_network(path: Path, shown: Path | None = None) -> NetworkScan:
             _check_lane(named, attributes)
             if current and allows_passenger(attributes):
                 drivable.add(current)
+            paved.append(bool(current) and is_paved(classes_of(attributes)))
         elif tag == "connection":
             crossings += not attributes.get("from", ":").startswith(":")
             across += "via" in attributes
@@ -87,10 +90,9 @@ def scan_network(path: Path, shown: Path | None = None) -> NetworkScan:
     parse(path, start)
     if crossings and not across:
         raise UsageError(f"The network {named} has no lanes on its junctions: {NO_JUNCTIONS}.")
-    if not drivable:
-        raise UsageError(
-            f"The network {named} has no lane that a passenger car may drive on: nothing can be run there."
-        )
+    if not (drivable if cars else any(paved)):
+        kind = "passenger car" if cars else "vehicle of the road"
+        raise UsageError(f"The network {named} has no lane that a {kind} may drive on: nothing can be run there.")
     return NetworkScan(frozenset(edges), frozenset(drivable))
 
 
@@ -118,10 +120,7 @@ def _bad_lane(path: Path, lane: dict[str, str], what: str) -> str:
 
 def allows_passenger(lane: dict[str, str]) -> bool:
     """Whether SUMO's ``allow``/``disallow`` attributes of a lane let a passenger car in."""
-    allow, disallow = lane.get("allow"), lane.get("disallow", "").split()
-    if allow is not None and allow.split() != ["all"]:
-        return "passenger" in allow.split()
-    return "passenger" not in disallow and "all" not in disallow
+    return CAR in classes_of(lane)
 
 
 def scan_demand(path: Path) -> DemandScan:

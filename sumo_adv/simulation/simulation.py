@@ -9,14 +9,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
 from sumo_adv.datatypes import DriverModel, VehicleState
 from sumo_adv.errors import SimulationError, UsageError
 from sumo_adv.geometry import Pose, wrap
+from sumo_adv.simulation.arrivals import Arrival, arrival, arrival_attributes
 from sumo_adv.simulation.given_options import check
+from sumo_adv.simulation.permissions import CYCLES, EVERYWHERE, MOTOR, ON_FOOT, is_carriageway
 from sumo_adv.simulation.programs import load_libsumo
 from sumo_adv.simulation.remote import RawState, Remote
 from sumo_adv.simulation.sumo_options import DEFAULTS, FORCED
@@ -27,7 +31,7 @@ KEEP_ROUTE = 2  # moveToXY places exactly and rewrites the route where it must
 PERSON = "person:"
 """Before the id of a ``<person>``: SUMO lets a person and a vehicle have one id."""
 FASTEST_PERSON, PERSON_JUMPS = 10.5, 1.0  # m/s, SUMO's highest speed of a person; m beyond it that are a jump
-LANELESS = ("bicycle", "pedestrian")
+LANELESS = CYCLES | ON_FOOT
 """Classes that many lanes of cars do not allow. SUMO has a moved vehicle on no lane where its class may not be, and its
 drivers then drive through it (measured). So a moved one gets the class of a car; ``vehicle_class`` tells its own. In
 the step after that, drivers in the lane beside brake for it (measured, 0.3 to 0.5 m/s)."""
@@ -127,27 +131,31 @@ class Snapshot:
     """Everything SUMO said after one step. ``raw``: vehicle id -> bumper pose, speed, lane; also ``person:ID`` of each
     person on foot: the middle of its front, its speed, and no lane.
 
-    lights: by id the states of the traffic lights near the ego, where they are recorded.
+    lights: by id the states of the traffic lights near the ego, where they are recorded. heights: by id those of the
+    road under all vehicles and persons [m], where roads have heights.
     """
 
     time: float
     raw: Mapping[str, RawState]
     lights: Mapping[str, str] = field(default_factory=dict)
+    heights: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
 class Fleet:
-    """Sizes (length, width in m) and vClasses of the vehicles and persons seen, asked of SUMO once each. persons: those
-    of them that are SUMO's persons, and no vehicles."""
+    """Sizes (length, width in m) and vClasses of the vehicles and persons seen, and attributes of where a vehicle
+    leaves, asked of SUMO once each. persons: those of them that are SUMO's persons, and no vehicles."""
 
     sizes: dict[str, tuple[float, float]] = field(default_factory=dict)
     classes: dict[str, str] = field(default_factory=dict)
+    arrivals: dict[str, Mapping[str, str]] = field(default_factory=dict)
     persons: set[str] = field(default_factory=set)
 
     def forget(self, keep: Collection[str]) -> None:
         """Drop all but these: what a simulation that goes on for hours needs."""
         self.sizes = {name: size for name, size in self.sizes.items() if name in keep}
         self.classes = {name: kind for name, kind in self.classes.items() if name in keep}
+        self.arrivals = {name: known for name, known in self.arrivals.items() if name in keep}
         self.persons.intersection_update(keep)
 
 
@@ -165,7 +173,11 @@ class Simulation:
         self._asked: dict[str, float] = {}  # speeds [m/s] of the vehicles that are moved in the next step,
         self._given: dict[str, float] = {}  # and that were moved in the last one
         self._walked: dict[str, tuple[float, float]] = {}  # where the persons on foot are
+        self._limits: dict[str, float] = {}  # of lanes in this step [m/s],
+        self._closed: dict[str, Collection[str]] = {}  # and the classes that may not use them
         self._as_cars: set[str] = set()  # moved pedestrians and cyclists, which SUMO takes for cars
+        self._on: dict[str, str] = {}  # lanes of the vehicles that were moved in the last step
+        self._trespassing: set[str] = set()  # moved vehicles on lanes that are not for their class
         self.api: Any  # libsumo or the connection itself, for what only ``stage.py`` asks of it
         self.errors: tuple[type[Exception], ...]  # what ``api`` raises
         if remote is not None:
@@ -209,6 +221,8 @@ class Simulation:
             raise SimulationError("A SUMO that others are connected to cannot be loaded again: start another.")
         self.fleet.forget(())
         self._asked, self._given, self._as_cars, self._walked = {}, {}, set(), {}
+        self._on, self._trespassing = {}, set()
+        self._limits, self._closed = {}, {}
         try:
             with sumo_at_work("when it read its files again", LOAD_LIMIT):
                 self.api.load(self.spec.arguments())
@@ -235,7 +249,13 @@ class Simulation:
 
     def step(self) -> None:
         """One step of ``step_length``. Raises SimulationError: SUMO failed."""
+        for name in self._trespassing - self._asked.keys():  # no longer moved
+            self._trespassing.discard(name)
+            with suppress(*self.errors):  # it may be gone
+                self.api.vehicle.setVehicleClass(name, self.vehicle_class(name))
         self._given, self._asked = self._asked, {}
+        self._limits.clear()
+        self._closed.clear()
         if self.remote is not None:
             self.remote.step()
             return
@@ -259,6 +279,7 @@ class Simulation:
             if x > INVALID:
                 raw[v] = (x, y, angle(v), speed(v), lane(v))
         correct_speeds(raw, self._given)
+        self._on = {name: raw[name][4] for name in self._given if name in raw}
         person = self.api.person
         self._add_persons(raw, {
             p: (*person.getPosition(p), person.getAngle(p), person.getSpeed(p), person.getVehicle(p))
@@ -271,6 +292,7 @@ class Simulation:
         for name in raw.keys() - self.fleet.sizes.keys():
             self._measure(name)
         correct_speeds(raw, self._given)
+        self._on = {name: raw[name][4] for name in self._given if name in raw}
         self._add_persons(raw, remote.persons)
         return Snapshot(remote.time, raw)
 
@@ -302,7 +324,8 @@ class Simulation:
     def state_as(self, make: Callable[..., S], snapshot: Snapshot, vehicle: str, acceleration: float) -> S:
         """The same as another class that begins with the arguments of ``VehicleState``."""
         raw, (length, width) = snapshot.raw[vehicle], self.fleet.sizes[vehicle]
-        return make(vehicle, *pose_of(raw, length), raw[3], acceleration, length, width, raw[4])
+        z = snapshot.heights.get(vehicle, 0.0)
+        return make(vehicle, *pose_of(raw, length), raw[3], acceleration, length, width, raw[4], z)
 
     def expected(self) -> int:
         """Vehicles that are on the road or still to come."""
@@ -320,10 +343,36 @@ class Simulation:
         return edges[max(at, 0) :]
 
     def lane_position(self, vehicle: str) -> float:
-        """Metres from the start of the present lane to the front bumper."""
+        """SUMO's position of the front bumper on the present lane [m]; ``Lane.station_of`` makes it metres of road."""
         if self.remote is not None and vehicle in self.remote.lane_positions:
             return self.remote.lane_positions[vehicle]
         return float(self.api.vehicle.getLanePosition(vehicle))
+
+    def lane_limit(self, lane: str) -> float:
+        """The speed limit of a lane now [m/s]; variable signs and other programs change it."""
+        if lane not in self._limits:
+            self._limits[lane] = float(self.api.lane.getMaxSpeed(lane))
+        return self._limits[lane]
+
+    def closed(self, lane: str, kind: str) -> bool:
+        """Whether vehicles of a class may not use a lane now; rerouters and other programs close lanes."""
+        if lane not in self._closed:
+            self._closed[lane] = self.api.lane.getDisallowed(lane)
+        return kind in self._closed[lane]
+
+    def arrival(self, vehicle: str, route: Sequence[str]) -> Arrival | None:
+        """Where SUMO takes a vehicle out that drives this whole route; None where it is unknown (empty)."""
+        if not route:
+            return None
+        if vehicle not in self.fleet.arrivals:
+            self.fleet.arrivals[vehicle] = arrival_attributes(self.api, vehicle)
+        return arrival(self.fleet.arrivals[vehicle], route, self.api)
+
+    def lane_of(self, snapshot: Snapshot, name: str) -> str:
+        """The lane that a vehicle or person of a snapshot that was just read is on; empty off all lanes."""
+        if name in self.fleet.persons:
+            return str(self.api.person.getLaneID(name.removeprefix(PERSON)))
+        return snapshot.raw[name][4]
 
     def vehicle_class(self, vehicle: str) -> str:
         """SUMO's vClass; asked once a vehicle."""
@@ -345,9 +394,12 @@ class Simulation:
         """Traffic lights ahead of a vehicle: (id, distance [m], state letter)."""
         return [(t[0], t[2], t[3]) for t in self.api.vehicle.getNextTLS(vehicle)]
 
-    def limit(self, vehicle: str) -> float:
-        """The fastest its driver goes where it is [m/s]."""
-        return float(self.api.vehicle.getAllowedSpeed(vehicle))
+    def limit(self, vehicle: str, lane: str | None = None) -> float:
+        """The fastest its driver goes [m/s] where it is, or on another lane."""
+        v = self.api.vehicle
+        if lane is None:
+            return float(v.getAllowedSpeed(vehicle))
+        return float(min(v.getMaxSpeed(vehicle), self.lane_limit(lane) * v.getSpeedFactor(vehicle)))
 
     def reachable(self, vehicle: str, speed: float) -> float:
         """The highest speed [m/s] that SUMO lets a vehicle have after a step, with no vehicle and no line ahead."""
@@ -387,6 +439,7 @@ class Simulation:
                 if name not in self._as_cars and self.vehicle_class(name) in LANELESS:
                     vehicle.setVehicleClass(name, "passenger")
                     self._as_cars.add(name)
+                self._let_trespass(name, pose)
                 ahead = self.fleet.sizes[name][0] / 2
                 x, y = pose.x + ahead * math.cos(pose.heading), pose.y + ahead * math.sin(pose.heading)
                 vehicle.setSpeedMode(name, HEEDING_SPEED_MODE if name == heeding else FREE_SPEED_MODE)
@@ -395,6 +448,41 @@ class Simulation:
                 vehicle.moveToXY(name, "", -1, x, y, angle_deg_of(pose.heading), KEEP_ROUTE, SEARCHED)
             except self.errors as error:
                 raise SimulationError(f"SUMO could not move vehicle '{name}' ({error}).") from error
+
+    def _let_trespass(self, vehicle: str, pose: Pose) -> None:
+        """Have SUMO place a moved vehicle on a lane for motor vehicles that its class may not use.
+
+        Measured with SUMO 1.28: it has a car that is moved onto a bus lane on no lane, and a bus there drives through
+        the car. With the class ``ignoring`` the car is on the lane, and the bus brakes for it.
+        """
+        lane, own = self._on.get(vehicle), self.vehicle_class(vehicle)
+        if lane is None or own in LANELESS or not self._has_reserved_lanes:
+            return
+        if vehicle in self._trespassing and lane and self._lane_allows(lane, own):
+            self._trespassing.discard(vehicle)
+            self.api.vehicle.setVehicleClass(vehicle, own)
+        elif lane == "" and vehicle not in self._trespassing:
+            try:
+                edge, _, index = self.api.simulation.convertRoad(pose.x, pose.y, False, EVERYWHERE)
+            except self.errors:  # no lane is near
+                return
+            below = f"{edge}_{index}"
+            if not self._lane_allows(below, own) and is_carriageway(self.api.lane.getAllowed(below)):
+                self._trespassing.add(vehicle)
+                self.api.vehicle.setVehicleClass(vehicle, EVERYWHERE)
+
+    @cached_property
+    def _has_reserved_lanes(self) -> bool:
+        """Whether some lane is for motor vehicles, but not for those of every class. It saves others 1 ms a look."""
+        lanes = self.api.lane
+        return any(
+            is_carriageway(classes) and not classes.issuperset(MOTOR - {EVERYWHERE})
+            for classes in (frozenset(lanes.getAllowed(name)) for name in lanes.getIDList())
+        )
+
+    def _lane_allows(self, lane: str, vclass: str) -> bool:
+        classes = self.api.lane.getAllowed(lane)  # nothing where every class may use it
+        return not classes or vclass in classes
 
     def released(self, vehicle: str) -> None:
         """Give a vehicle that is moved no more its own class back."""
@@ -421,7 +509,7 @@ class Simulation:
         present = float(v.getDecel(vehicle))
         if present != v.getEmergencyDecel(vehicle):
             return present
-        return float(self.api.vehicletype.getDecel(v.getTypeID(vehicle).removesuffix(f"@{vehicle}")))
+        return float(self.api.vehicletype.getDecel(self.own_type(vehicle)))
 
     def strengthen(self, vehicle: str, braking: float) -> None:
         """Let a vehicle brake as hard as ``braking`` [m/s2] if a speed is asked for, also where its type cannot."""
@@ -433,21 +521,40 @@ class Simulation:
         """Ask SUMO's driver to change to the lane of that index within 3 s."""
         self.api.vehicle.changeLane(vehicle, lane, 3.0)
 
+    def set_speed_factor(self, vehicle: str, factor: float) -> None:
+        """Have its driver go for this share of the speed limit."""
+        self.api.vehicle.setSpeedFactor(vehicle, factor)
+
     def set_route(self, vehicle: str, edges: Sequence[str]) -> None:
         """Give a vehicle the edges that are left of its way, the present one first."""
         self.api.vehicle.setRoute(vehicle, list(edges))
 
-    def set_type(self, vehicle: str, type_id: str) -> None:
-        """Give a vehicle another driver (a vType of an additional file); its size and lane-changing habits stay."""
-        length, width = self.fleet.sizes[vehicle]
-        fastest = self.api.vehicle.getMaxSpeed(vehicle)
-        habits = {n: self.api.vehicle.getParameter(vehicle, f"laneChangeModel.{n}") for n in LANE_HABITS}
-        self.api.vehicle.setType(vehicle, type_id)
+    def own_type(self, vehicle: str) -> str:
+        """The vType of a vehicle, also where some of its values were changed for the vehicle alone."""
+        return str(self.api.vehicle.getTypeID(vehicle)).removesuffix(f"@{vehicle}")
+
+    def set_type(self, vehicle: str, type_id: str, otherwise: str = "", *, keeps_factor: bool = True) -> None:
+        """Give a vehicle another driver (a vType of an additional file); class, size, highest speed and lane-changing
+        habits stay.
+
+        Args:
+            vehicle: its id.
+            type_id: the vType; ``otherwise`` where SUMO has none of that name.
+            keeps_factor: its own factor of the speed limit stays, too, where SUMO has that vType.
+        """
+        v, (length, width) = self.api.vehicle, self.fleet.sizes[vehicle]
+        vclass, fastest, factor = self.vehicle_class(vehicle), v.getMaxSpeed(vehicle), v.getSpeedFactor(vehicle)
+        habits = {n: v.getParameter(vehicle, f"laneChangeModel.{n}") for n in LANE_HABITS}
+        known = not otherwise or type_id in self.api.vehicletype.getIDList()
+        v.setType(vehicle, type_id if known else otherwise)
         for name, value in habits.items():
-            self.api.vehicle.setParameter(vehicle, f"laneChangeModel.{name}", value)
-        self.api.vehicle.setLength(vehicle, length)
-        self.api.vehicle.setWidth(vehicle, width)
-        self.api.vehicle.setMaxSpeed(vehicle, fastest)
+            v.setParameter(vehicle, f"laneChangeModel.{name}", value)
+        v.setVehicleClass(vehicle, vclass)
+        v.setLength(vehicle, length)
+        v.setWidth(vehicle, width)
+        v.setMaxSpeed(vehicle, fastest)
+        if keeps_factor and known:
+            v.setSpeedFactor(vehicle, factor)
 
     def add(self, vehicle: str, edges: Sequence[str], type_id: str, depart: Mapping[str, str], route: str = "") -> None:
         """Insert a vehicle with a route of its own, under a new name if it departs again."""

@@ -25,12 +25,12 @@ from sumo_adv.geometry import wrap, wrap_below_pi
 from sumo_adv.simulation.remote import RawState
 from sumo_adv.simulation.scan import read_text
 from sumo_adv.simulation.simulation import Snapshot
+from sumo_adv.times import seconds_text
 
 COLUMNS = ("time", "id", "kind", "valid", "x", "y", "heading", "speed", "length", "width")
 KINDS = ("vehicle", "pedestrian", "cyclist", "other")
 SAME_TIME = 2e-3  # s: how far a row's time may be from the grid
 MOST_STEPS = 1_000_000
-EXACT = 1e-7  # s: two times that differ by less are the same
 
 Row = tuple[float, float, float, float, float, float, int]  # x, y, heading, speed, length, width, line
 
@@ -228,11 +228,10 @@ def write_tracks(path: Path, log: TrackLog) -> None:
     text = io.StringIO()
     out = csv.writer(text, lineterminator="\n")
     out.writerow(COLUMNS)
-    digits = next((d for d in (2, 3, 4, 5) if np.abs(log.time - np.round(log.time, d)).max() < EXACT), 6)
     for k, time in enumerate(log.time.tolist()):
         for t in log.tracks.values():
             if t.valid[k]:
-                row = [f"{time:.{digits}f}", t.id, t.kind, "1", f"{t.x[k]:.4f}", f"{t.y[k]:.4f}", f"{t.heading[k]:.6f}"]
+                row = [seconds_text(time), t.id, t.kind, "1", f"{t.x[k]:.4f}", f"{t.y[k]:.4f}", f"{t.heading[k]:.6f}"]
                 out.writerow([*row, f"{t.speed[k]:.4f}", f"{t.length:.3f}", f"{t.width:.3f}"])
     data = text.getvalue().encode()
     path.write_bytes(gzip.compress(data, mtime=0) if path.name.endswith(".gz") else data)
@@ -269,12 +268,16 @@ def tracks_of(
     """One track a vehicle, ordered by its first appearance; acceleration is the difference of speeds over the step (0
     at the first state)."""
     rows: dict[str, list[tuple[float, RawState]]] = {}
+    heights: dict[str, list[float]] = {}
     names = None if only is None else set(only)
     for snapshot in snapshots:
         for name, raw in snapshot.raw.items():
             if names is None or name in names:
                 rows.setdefault(name, []).append((snapshot.time, raw))
-    return [_track(n, r, sizes[n], roles.get(n, Role.BACKGROUND), step_length) for n, r in rows.items()]
+                if snapshot.heights:
+                    heights.setdefault(name, []).append(snapshot.heights[name])
+    tracks = (_track(n, r, sizes[n], roles.get(n, Role.BACKGROUND), step_length) for n, r in rows.items())
+    return [replace(t, z=np.array(heights[t.id])) if t.id in heights else t for t in tracks]
 
 
 def _track(

@@ -131,7 +131,7 @@ def segments_of(road: RoadMap) -> Segments:
                 turns[via] = c.movement, c.state not in "MOo", bool(c.light[0])
     pieces = []
     for lane in road.lanes.values():
-        if lane.passenger and len(lane.shape) > 1:
+        if lane.carriageway and len(lane.shape) > 1:
             movement, yields, light = turns.get(lane.id, ("", False, False))
             about = lane.internal, movement == "left", movement == "right", yields, light, lane.speed / LIMIT
             pieces.append((lane.shape, INNER_SEGMENT if lane.internal else SEGMENT, about))

@@ -190,13 +190,13 @@ def _demand(ego: EgoDraft, ego_drive: Drive, start: float, placed: list[Placed])
             f'tau="{_headway(backs, drive, position, speed):.2g}" speedDev="0" maxSpeed="{max(speed, 3.0):.2f}" '
             f'length="{length:g}" width="{width:g}" lcKeepRight="0" lcSpeedGain="0"{lanes}/>\n'
         )
-        stop = ""
+        stop, depart = "", drive.line.position_of(position)
         if stands:
             lane = f"{drive.edges[0]}_{drive.lane}"
-            stop = f'        <stop lane={quoteattr(lane)} endPos="{position:.2f}" duration="{LASTS:g}"/>\n'
+            stop = f'        <stop lane={quoteattr(lane)} endPos="{depart:.2f}" duration="{LASTS:g}"/>\n'
         vehicles.append(
             f'    <vehicle id="{name}" type="type_{name}" depart="0" departLane="{drive.lane}" '
-            f'departPos="{position:.2f}" departSpeed="{0.0 if stands else speed:.2f}" insertionChecks="none">\n'
+            f'departPos="{depart:.2f}" departSpeed="{0.0 if stands else speed:.2f}" insertionChecks="none">\n'
             f"        <route edges={quoteattr(' '.join(drive.edges))}/>\n{stop}    </vehicle>\n"
         )
     return f'<?xml version="1.0" encoding="UTF-8"?>\n\n<routes>\n{"".join(types)}{"".join(vehicles)}</routes>\n'

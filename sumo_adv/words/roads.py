@@ -29,6 +29,7 @@ from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError, nearest
 from sumo_adv.files import scratch_prefix
 from sumo_adv.geometry import stations
+from sumo_adv.simulation.centreline import Centreline, centreline
 from sumo_adv.simulation.inputs import data_folder, shipped_files
 from sumo_adv.simulation.programs import find_netconvert
 from sumo_adv.words.draft import RoadDraft
@@ -206,15 +207,20 @@ def _build(nodes: Sequence[Attributes], edges: Sequence[Attributes], links: Sequ
 @dataclass(frozen=True, slots=True)
 class Drive:
     """A vehicle's way: its edges, SUMO's index of the lane on the first one, its points (n, 2) every ``STEP`` m from
-    the beginning of the first edge, the length of that edge [m], its limit [m/s], and the station [m] at which each
-    edge begins."""
+    the beginning of the first edge, that lane's middle line, its limit [m/s], and the station [m] at which each edge
+    begins."""
 
     edges: tuple[str, ...]
     lane: int
     points: Floats
-    first: float
+    line: Centreline
     limit: float
     begins: tuple[float, ...]
+
+    @property
+    def first(self) -> float:
+        """Length of the lane on the first edge [m]."""
+        return self.line.length
 
     def at(self, station: float) -> tuple[float, float, float]:
         """x, y [m] and heading [rad] at a station [m]; straight on beyond the ends."""
@@ -260,8 +266,8 @@ class Net:
         points = _even(np.concatenate(shapes))
         begins = tuple(float(np.argmin(np.hypot(*(points - shape[0]).T))) * STEP for shape in shapes)
         return Drive(
-            tuple(str(e.getID()) for e in edges), int(chosen.getIndex()), points, float(start.getLength()),
-            float(chosen.getSpeed()), begins,
+            tuple(str(e.getID()) for e in edges), int(chosen.getIndex()), points,
+            centreline(chosen.getShape3D(), float(chosen.getLength())), float(chosen.getSpeed()), begins,
         )  # fmt: skip
 
     def green_for(self, edges: Sequence[str]) -> dict[str, str]:

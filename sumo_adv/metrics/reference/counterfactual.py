@@ -23,7 +23,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Bools, Boxes, Floats, Ints
 from sumo_adv.metrics.avoidance import OnRoad, escapes, window
-from sumo_adv.metrics.boxes import first_contact, pick, some_steps, touches
+from sumo_adv.metrics.boxes import first_contact, height_as, pick, some_steps, touches
 from sumo_adv.metrics.contact import SAME_DIRECTION
 from sumo_adv.metrics.reference import BRAKERS, COMPETENT, MANOEUVRE, REFERENCE_DRIVERS, Braker
 from sumo_adv.metrics.reference.cc_human import CcHuman
@@ -105,7 +105,8 @@ class Counterfactual:
     def moving(self, station: Floats, speed: Floats) -> Answer:
         """What egos that go along their paths in a given way make of them: stations [m] and speeds ``(N, steps)``."""
         x, y, heading = self.paths.poses(station)
-        return self._touched(replace(self.ego, x=x, y=y, heading=heading, speed=speed), station)
+        z = self.paths.heights(station)
+        return self._touched(replace(self.ego, x=x, y=y, heading=heading, speed=speed, z=z), station)
 
     def manoeuvring(self, alarm: Floats, on_road: OnRoad | None = None) -> tuple[Answer, Ints]:
         """What braking and steering make of them, begun after ``alarm`` [s]; and the best combination, -1 = none."""
@@ -155,7 +156,7 @@ class Counterfactual:
         n = len(ego.x)
         wide = Boxes(
             ego.x[:, None], ego.y[:, None], ego.heading[:, None], np.asarray(ego.speed)[:, None],
-            _size(ego.length, n), _size(ego.width, n),
+            _size(ego.length, n), _size(ego.width, n), height_as(ego, lambda z: z[:, None]),
         )  # fmt: skip
         when = first_contact(wide, self._everybody(), self.time)
         first, last = (steps[:, None] * self.given.dt for steps in (self.given.start, self._until))
@@ -177,9 +178,11 @@ class Counterfactual:
         o = self.others
         part, steps = slice(first, int(self._until[row]) + 1), slice(int(self._until[row]) + 1 - first)
         there_x, there_y, turned, pace = (v[row][:, part] for v in (o.x, o.y, o.heading, o.speed))
-        near = Boxes(there_x, there_y, turned, pace, np.asarray(o.length)[row], np.asarray(o.width)[row])
+        size = np.asarray(o.length)[row], np.asarray(o.width)[row]
+        near = Boxes(there_x, there_y, turned, pace, *size, height_as(o, lambda z: z[row][:, part]))
         x, y, heading, speed = (v[which, place][:, None, steps] for v in (poses.x, poses.y, poses.heading, poses.speed))
-        ego = Boxes(x, y, heading, speed, *self._ego_size())
+        z = height_as(self.ego, lambda z: z[row, part][None, None])
+        ego = Boxes(x, y, heading, speed, *self._ego_size(), z)
         others = np.arange(1, self.others.x.shape[1] + 1)
         there, left, _ = self.views.place(row, others, first)
         behind = (there < self.paths.station[row, first]) & (np.abs(left) < self.given.lane_half_width)
@@ -188,17 +191,20 @@ class Counterfactual:
     def _everybody(self, adversary: Boxes | None = None) -> Boxes:
         """The adversary (as it is, or as given) and the others, ``(N, 1 + K, steps)``."""
         a, n = self.adversary if adversary is None else adversary, len(self.ego.x)
-        sizes = [_size(a.length, n), _size(a.width, n)]
+        sizes = _size(a.length, n), _size(a.width, n)
         if self.others is None:
             x, y, heading, speed = (v[:, None, :] for v in (a.x, a.y, a.heading, a.speed))
-            return Boxes(x, y, heading, speed, *sizes)
+            return Boxes(x, y, heading, speed, *sizes, height_as(a, lambda z: z[:, None, :]))
         o = self.others
         x, y, heading, speed = (
             np.concatenate([p[:, None, :], q], axis=1)
             for p, q in ((a.x, o.x), (a.y, o.y), (a.heading, o.heading), (a.speed, o.speed))
         )
         length, width = (np.concatenate(pair, axis=1) for pair in zip(sizes, (o.length, o.width), strict=True))
-        return Boxes(x, y, heading, speed, length, width)
+        z: Floats | float = a.z
+        if np.ndim(a.z) or np.ndim(o.z):
+            z = np.concatenate([np.broadcast_to(a.z, a.x.shape)[:, None, :], np.broadcast_to(o.z, o.x.shape)], axis=1)
+        return Boxes(x, y, heading, speed, length, width, z)
 
     def _ego_size(self) -> tuple[float, float]:
         return float(np.ravel(self.ego.length)[0]), float(np.ravel(self.ego.width)[0])
@@ -264,7 +270,8 @@ def _extended(b: Boxes, steps: int, dt: float) -> Boxes:
     heading, speed = (
         np.concatenate([v, np.repeat(v[..., -1:], steps - have, axis=-1)], axis=-1) for v in (b.heading, b.speed)
     )
-    return Boxes(x, y, heading, speed, b.length, b.width)
+    z = height_as(b, lambda z: np.concatenate([z, np.repeat(z[..., -1:], steps - have, axis=-1)], axis=-1))
+    return Boxes(x, y, heading, speed, b.length, b.width, z)
 
 
 def _for_all(others: Boxes, n: int) -> Boxes:
@@ -275,4 +282,5 @@ def _for_all(others: Boxes, n: int) -> Boxes:
     x, y, heading, speed = (
         np.broadcast_to(v, (n, *v.shape[-2:])) for v in (others.x, others.y, others.heading, others.speed)
     )
-    return Boxes(x, y, heading, speed, length, width)
+    z = height_as(others, lambda z: np.broadcast_to(z, (n, *z.shape[-2:])))
+    return Boxes(x, y, heading, speed, length, width, z)

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Boxes, Floats, Ints
-from sumo_adv.geometry import crosses_box, wrap_below_pi
-from sumo_adv.metrics.boxes import corners
+from sumo_adv.geometry import crosses_box, same_layer, wrap_below_pi
+from sumo_adv.metrics.boxes import corners, flat
 from sumo_adv.metrics.contact import SAME_DIRECTION
 from sumo_adv.road_users import unprotected
 
@@ -25,11 +25,17 @@ class EgoPaths:
     """The paths of N egos, ``(N, T)`` box centres with headings; ``station`` ``(N, T)``: arc length [m] of each."""
 
     def __init__(self, ego: Boxes) -> None:
-        self._x, self._y = ego.x, ego.y
+        self._x, self._y, self._z = ego.x, ego.y, np.broadcast_to(ego.z, ego.x.shape) if np.ndim(ego.z) else ego.z
         self._heading = np.unwrap(np.broadcast_to(ego.heading, ego.x.shape), axis=1)
         step = np.hypot(np.diff(ego.x), np.diff(ego.y))
         self.station: Floats = np.concatenate([np.zeros((len(ego.x), 1)), np.cumsum(step, axis=1)], axis=1)
         self._onward, self._back = _moving(step)
+
+    def heights(self, station: Floats) -> Floats | float:
+        """The heights of the road [m] at stations ``(N, K)``; a number where all is flat."""
+        if not isinstance(self._z, np.ndarray):
+            return self._z
+        return np.stack([np.interp(s, own, z) for s, own, z in zip(station, self.station, self._z, strict=True)])
 
     def locate(self, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
         """Station [m], offset to the left [m] and path heading [rad] of points ``(N, K)``; NaN stays NaN."""
@@ -154,9 +160,15 @@ class View(NamedTuple):
 
 
 def located_on(paths: EgoPaths, others: Boxes) -> tuple[Floats, Floats, Floats]:
-    """Stations [m], offsets [m] and path headings [rad] of vehicles ``(N, M, T)`` on the paths of N egos."""
+    """Stations [m], offsets [m] and path headings [rad] of vehicles ``(N, M, T)`` on the paths of N egos.
+
+    They are NaN where a vehicle's road is above or below the path there."""
     n, m, steps = others.x.shape
     located = paths.locate(*(v.reshape((n, m * steps)) for v in (others.x, others.y)))
+    heights = paths.heights(located[0])
+    if np.ndim(heights) or np.ndim(others.z) or heights != others.z:
+        level = same_layer(heights, np.broadcast_to(others.z, others.x.shape).reshape((n, m * steps)))
+        located = tuple(np.where(level, v, np.nan) for v in located)  # type: ignore[assignment]
     station, left, heading = (v.reshape(others.x.shape) for v in located)
     return station, left, heading
 
@@ -238,6 +250,7 @@ def _known(values: Floats) -> Floats:
 def hidden(ego: Boxes, other: Boxes, screens: Boxes) -> Bools:
     """In which steps another box is hidden from the ego's centre, ``(N, T)``: its centre and all corners are.
 
+    A box on another layer than both hides nothing.
     ego, other: ``(N, T)``; screens: the boxes that may be in the way, ``(N, K, T)``, NaN = absent.
     """
     points = np.concatenate([np.stack([other.x, other.y], -1)[..., None, :], corners(other)], axis=-2)
@@ -247,6 +260,10 @@ def hidden(ego: Boxes, other: Boxes, screens: Boxes) -> Bools:
     box = screens.x[..., None], screens.y[..., None], screens.heading[..., None]
     with np.errstate(invalid="ignore"):
         blocked = crosses_box(eye, point, box, (length, width))
+    if not (flat(ego, screens) and flat(other, screens)):
+        z = np.broadcast_to(screens.z, screens.x.shape)
+        level = [same_layer(np.broadcast_to(b.z, b.x.shape)[:, None], z) for b in (ego, other)]
+        blocked &= (level[0] | level[1])[..., None]
     return np.asarray(blocked.any(axis=1).all(axis=-1))
 
 

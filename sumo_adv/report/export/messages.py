@@ -13,8 +13,10 @@ import struct
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from sumo_adv.datatypes import Role, Track
-from sumo_adv.report.export.piece import HEIGHT, Piece, kind, map_lanes
+from sumo_adv.report.export.piece import HEIGHT, Piece, height_of, kind, map_lanes
 
 FRAME = "world"
 COLOURS = {
@@ -81,7 +83,7 @@ def _pose(track: Track, k: int, z: float = 0.0) -> Any:
 
     half = float(track.heading[k]) / 2
     return Pose(
-        position=Vector3(x=float(track.x[k]), y=float(track.y[k]), z=z),
+        position=Vector3(x=float(track.x[k]), y=float(track.y[k]), z=z + height_of(track, k)),
         orientation=Quaternion(x=0.0, y=0.0, z=math.sin(half), w=math.cos(half)),
     )
 
@@ -114,7 +116,10 @@ def _road(piece: Piece) -> Any:
 
     entities, strip, grey = [], m.LinePrimitiveLineType.LineStrip, m.Color(r=0.8, g=0.8, b=0.8, a=1.0)
     for each in map_lanes(piece):
-        points = [[m.Point3(x=x, y=y, z=0.0) for x, y in line.tolist()] for line in (each.left, each.right)]
+        points = [
+            [m.Point3(x=x, y=y, z=float(each.height(x, y))) for x, y in line.tolist()]
+            for line in (each.left, each.right)
+        ]  # fmt: skip
         lines = [m.LinePrimitive(type=strip, thickness=LINE, color=grey, points=some) for some in points]
         entities.append(m.SceneEntity(timestamp=_stamp(piece.begin), frame_id=FRAME, id=each.lane.id, lines=lines))
     return m.SceneUpdate(entities=entities)
@@ -166,7 +171,8 @@ def _add_object(truth: Any, number: int, track: Track, k: int) -> None:
     category, heading, speed = kind(track), float(track.heading[k]), float(track.speed[k])
     base = made.base
     base.dimension.length, base.dimension.width, base.dimension.height = track.length, track.width, HEIGHT[category]
-    base.position.x, base.position.y, base.position.z = float(track.x[k]), float(track.y[k]), HEIGHT[category] / 2
+    base.position.x, base.position.y = float(track.x[k]), float(track.y[k])
+    base.position.z = height_of(track, k) + HEIGHT[category] / 2
     base.orientation.roll = base.orientation.pitch = 0.0
     base.orientation.yaw = heading
     if still:
@@ -188,8 +194,8 @@ def _add_lanes(truth: Any, piece: Piece) -> None:
         what = lane.classification
         what.type = what.TYPE_INTERSECTION if each.lane.internal else what.TYPE_DRIVING
         what.centerline_is_driving_direction = True
-        for x, y in each.lane.shape.tolist():
-            what.centerline.add(x=x, y=y, z=0.0)
+        for x, y, z in np.column_stack([each.lane.shape, each.height(*each.lane.shape.T)]).tolist():
+            what.centerline.add(x=x, y=y, z=z)
         sides = (each.beside_left, what.left_adjacent_lane_id), (each.beside_right, what.right_adjacent_lane_id)
         for beside, ids in sides:
             if beside is not None:

@@ -15,6 +15,7 @@ import re
 import subprocess
 import tempfile
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from datetime import datetime
 from functools import cache
 from pathlib import Path
@@ -29,7 +30,17 @@ from sumo_adv.datatypes import Floats, Role, Track
 from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.files import scratch_prefix
 from sumo_adv.report.export import Variant
-from sumo_adv.report.export.piece import HEIGHT, LARGEST_STEER, WHEELBASE, Piece, kind, metres, printable
+from sumo_adv.report.export.piece import (
+    HEIGHT,
+    LARGEST_STEER,
+    WHEELBASE,
+    Piece,
+    height_of,
+    kind,
+    metres,
+    printable,
+)
+from sumo_adv.report.page_road import network
 from sumo_adv.simulation.network import is_left_hand
 
 SCENARIO, ROAD = "scenario.xosc", "road.xodr"
@@ -67,6 +78,9 @@ def openscenario(piece: Piece, variant: Variant = Variant.REPLAY) -> str:
     """
     if variant is Variant.FREE_EGO and (piece.adversary is None or piece.takeover is None):
         raise UsageError("A free ego needs an adversary: export a run that was attacked, without --unattacked.")
+    heights = network(piece.network).heights
+    if heights is not None and heights.inferred:  # netconvert's OpenDRIVE has no heights that we inferred
+        piece = replace(piece, tracks=tuple(replace(track, z=0.0) for track in piece.tracks))
     names = entity_names(piece.tracks)
     root = Element("OpenSCENARIO")
     header = SubElement(
@@ -264,6 +278,8 @@ def _add_following(event: Element, name: str, track: Track, time: Floats, *, abs
 def _add_position(parent: Element, track: Track, k: int) -> None:
     x, y, heading = reference_points(track)
     place = {"x": metres(float(x[k])), "y": metres(float(y[k])), "h": f"{heading[k] + 0.0:.6f}"}
+    if np.ndim(track.z):
+        place["z"] = metres(height_of(track, k))
     SubElement(SubElement(parent, "Position"), "WorldPosition", place)
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -125,6 +126,11 @@ def kind(track: Track) -> str:
     return "truck" if track.length >= SHORTEST_TRUCK else "car"
 
 
+def height_of(track: Track, k: int) -> float:
+    """The height of the road under a vehicle at a state [m]."""
+    return float(np.broadcast_to(track.z, track.x.shape)[k])
+
+
 def printable(text: str) -> str:
     """Text that XML 1.0 can hold and that OpenSCENARIO does not take for a parameter."""
     return "".join(c if c.isprintable() and c != "$" else "_" for c in text)
@@ -150,17 +156,23 @@ class MapLane:
     exits: tuple[int, ...]
     beside_left: int | None
     beside_right: int | None
+    road: RoadMap
+
+    def height(self, x: Any, y: Any) -> Any:
+        """The height [m] of the lane at points (any shape)."""
+        return 0.0 * x if self.road.heights is None else self.road.heights.at(self.lane.id, x, y)
 
 
 def map_lanes(piece: Piece) -> list[MapLane]:
-    """The passenger lanes within ``REACH`` of the vehicles' paths, also those within junctions, numbered from 1.
+    """The lanes for motor vehicles within ``REACH`` of the vehicles' paths, also those within junctions,
+    numbered from 1.
 
     Raises UsageError: the network is unreadable.
     """
     from shapely import MultiPoint, dwithin, linestrings
 
     road = network(piece.network)
-    lanes = [lane for lane in road.lanes.values() if lane.passenger and len(lane.shape) > 1]
+    lanes = [lane for lane in road.lanes.values() if lane.carriageway and len(lane.shape) > 1]
     points = np.concatenate([np.column_stack([t.x, t.y])[::10] for t in piece.tracks])
     near = dwithin([linestrings(lane.shape) for lane in lanes], MultiPoint(points), REACH)
     kept = [lane for lane, is_near in zip(lanes, near, strict=True) if is_near]
@@ -191,7 +203,7 @@ def _map_lane(lane: Lane, road: RoadMap, numbers: Mapping[str, int], exits: Mapp
     return MapLane(
         number, lane, _shifted(lane.shape, lane.width / 2), _shifted(lane.shape, -lane.width / 2),
         tuple(a for a, following in exits.items() if number in following), tuple(exits[number]), beside[True],
-        beside[False],
+        beside[False], road,
     )  # fmt: skip
 
 

@@ -23,11 +23,12 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from sumo_adv.datatypes import Role, Track
-from sumo_adv.report.export.piece import Piece
+from sumo_adv.report.export.piece import Piece, height_of
 from sumo_adv.report.tables import quoted
 from sumo_adv.road_users import RoadUser, road_user
 from sumo_adv.simulation.network import Lane, RoadMap, read_network
 from sumo_adv.simulation.simulation import angle_deg_of
+from sumo_adv.times import seconds_text
 
 HEAD = '<?xml version="1.0" encoding="UTF-8"?>\n<fcd-export>\n'
 CONFIGURATION, TYPES, TRAJECTORIES, VIEW = "replay.sumocfg", "types.add.xml", "replay.fcd.xml", "view.xml"
@@ -56,10 +57,12 @@ class Row:
     acceleration: float
     lane: str
     position: float
+    z: float | None = None
 
     def text(self) -> str:
+        z = "" if self.z is None else f'z="{self.z:.4f}" '
         return (
-            f'        <vehicle id={quoteattr(self.id)} x="{self.x:.4f}" y="{self.y:.4f}" angle="{self.angle:.4f}" '
+            f'        <vehicle id={quoteattr(self.id)} x="{self.x:.4f}" y="{self.y:.4f}" {z}angle="{self.angle:.4f}" '
             f'type={quoteattr(self.kind)} speed="{self.speed:.4f}" pos="{self.position:.4f}" '
             f'lane={quoteattr(self.lane)} slope="0.00" acceleration="{self.acceleration:.4f}"/>\n'
         )
@@ -77,9 +80,11 @@ def _track_rows(track: Track, lanes: Iterable[Lane | None]) -> Iterator[Row]:
     kind = _type_name(track)
     for k, lane in zip(range(len(track.time)), lanes, strict=False):
         x, y = front(track, k)
+        position = lane.position_of(lane.station_at(x, y)) if lane else 0.0
         yield Row(
             float(track.time[k]), track.id, kind, x, y, angle_deg_of(float(track.heading[k])), float(track.speed[k]),
-            float(track.acceleration[k]), lane.id if lane else "", _place_on(lane, x, y) if lane else 0.0,
+            float(track.acceleration[k]), lane.id if lane else "", position,
+            height_of(track, k) if np.ndim(track.z) else None,
         )  # fmt: skip
 
 
@@ -90,7 +95,7 @@ def _fcd_text(rows: Iterable[Row], piece: Piece) -> str:
         steps[round(row.time / piece.step)].append(row)
     parts = [HEAD]
     for step in sorted(steps):
-        parts.append(f'    <timestep time="{steps[step][0].time:.2f}">\n')
+        parts.append(f'    <timestep time="{seconds_text(steps[step][0].time)}">\n')
         parts += [row.text() for row in steps[step]]
         parts.append("    </timestep>\n")
     parts.append("</fcd-export>\n")
@@ -105,16 +110,6 @@ def front(track: Track, k: int) -> tuple[float, float]:
 
 def _type_name(track: Track) -> str:
     return f"{track.role}_{track.length:.2f}x{track.width:.2f}"
-
-
-def _place_on(lane: Lane, x: float, y: float) -> float:
-    """How far along a lane a point is, in SUMO's length of the lane [m], which may differ from its line's."""
-    a, along = lane.shape[:-1], np.diff(lane.shape, axis=0)
-    length = np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)
-    t = np.clip(((x - a[:, 0]) * along[:, 0] + (y - a[:, 1]) * along[:, 1]) / length**2, 0.0, 1.0)
-    away = np.hypot(a[:, 0] + t * along[:, 0] - x, a[:, 1] + t * along[:, 1] - y)
-    i = int(np.argmin(away))
-    return float(length[:i].sum() + t[i] * length[i]) * lane.length / float(length.sum())
 
 
 def write_replay(folder: Path, piece: Piece) -> None:
@@ -134,7 +129,7 @@ def _rows(track: Track, road: RoadMap, piece: Piece) -> Iterator[Row]:
     home = _home(track, road)
     first, *others = _track_rows(track, repeat(home))
     heading = float(track.heading[0])
-    point = _point_at(home, first.position)
+    point = home.point_at(home.station_of(first.position))
     if math.dist(point[:2], (first.x, first.y)) > OFF_CENTRE or math.cos(point[2] - heading) < math.cos(1e-3):
         before = first.time - piece.step
         yield replace(first, time=before) if before >= 0 else first
@@ -151,17 +146,6 @@ def _home(track: Track, road: RoadMap) -> Lane:
     x, y = float(track.x[0]), float(track.y[0])
     near: list[Lane] = next((lanes for radius in SEARCHED if (lanes := road.lanes_near(x, y, radius))), [])
     return min(near, key=lambda lane: float(np.min(np.hypot(lane.shape[:, 0] - x, lane.shape[:, 1] - y))))
-
-
-def _point_at(lane: Lane, position: float) -> tuple[float, float, float]:
-    """x, y [m] and heading [rad] of a place on a lane."""
-    step = np.diff(lane.shape, axis=0)
-    length = np.hypot(step[:, 0], step[:, 1])
-    station = np.concatenate([[0.0], np.cumsum(length)])
-    s = position * station[-1] / lane.length
-    i = min(int(np.searchsorted(station, s, side="right")) - 1, len(step) - 1)
-    x, y = (float(np.interp(s, station, lane.shape[:, axis])) for axis in (0, 1))
-    return x, y, math.atan2(step[i, 1], step[i, 0])
 
 
 def _types(piece: Piece) -> str:
@@ -212,8 +196,8 @@ def _configuration(piece: Piece, network: str, begin: float) -> str:
         <additional-files value="{TYPES}"/>
     </input>
     <time>
-        <begin value="{begin:.2f}"/>
-        <end value="{piece.end + piece.step:.2f}"/>
+        <begin value="{seconds_text(begin)}"/>
+        <end value="{seconds_text(piece.end + piece.step)}"/>
         <step-length value="{piece.step:g}"/>
     </time>
     <processing>
@@ -253,7 +237,7 @@ def table(piece: Piece) -> str:
             numbers = f"{track.x[k]:.4f},{track.y[k]:.4f},{track.heading[k]:.6f},{track.speed[k]:.4f}"
             driven = track.role is Role.ADVERSARY and piece.takeover is not None and time > piece.takeover + 5e-4
             text = (
-                f"{time:.2f},{quoted(track.id)},{track.role},{numbers},{track.acceleration[k]:.4f},{track.length:.2f},"
+                f"{seconds_text(time)},{quoted(track.id)},{track.role},{numbers},{track.acceleration[k]:.4f},{track.length:.2f},"
                 f"{track.width:.2f},{quoted(track.lane[k])},{int(driven)},{f'{distance[k]:.4f}' if there[k] else ''}\n"
             )
             rows.append((time, order, text))

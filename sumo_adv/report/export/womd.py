@@ -103,7 +103,8 @@ def _add_track(
     made = message.tracks.add(id=number, object_type=object_type)
     x, y, speed = (np.interp(time, track.time, v) for v in (track.x, track.y, track.speed))
     heading = np.interp(time, track.time, np.unwrap(track.heading))
-    z = height / 2 + (np.zeros(len(time)) if heights is None else heights(x, y))
+    own = np.interp(time, track.time, np.broadcast_to(track.z, track.time.shape))
+    z = height / 2 + (own if heights is None else heights(x, y))
     for k, valid in enumerate(_valid(track, time).tolist()):
         if not valid:
             made.states.add(valid=False)
@@ -163,7 +164,7 @@ def _add_signals(message: Any, piece: Piece, lanes: Sequence[MapLane], time: Flo
     """For each link with a light a state of the lane that it leads to, which begins at the stop line."""
     numbers = {each.lane.id: each.number for each in lanes}
     links = sorted(
-        (connection.light, number, each.lane.shape[-1].tolist())
+        (connection.light, number, [*each.lane.shape[-1].tolist(), float(each.height(*each.lane.shape[-1]))])
         for each in lanes if not each.lane.internal
         for connection in each.lane.connections if connection.light[0]
         for number in [next((numbers[n] for n in (*connection.via, connection.to) if n in numbers), None)]
@@ -172,10 +173,10 @@ def _add_signals(message: Any, piece: Piece, lanes: Sequence[MapLane], time: Flo
     for t in time.tolist():
         states = message.dynamic_map_states.add()
         shown = piece.lights.states(t) if t <= piece.end + CLOCK else {}
-        for (light, index), number, (x, y) in links:
+        for (light, index), number, (x, y, z) in links:
             if light in shown:
                 made = states.lane_states.add(lane=number, state=SIGNALS.get(shown[light][index], 0))
-                made.stop_point.x, made.stop_point.y, made.stop_point.z = x, y, 0.0
+                made.stop_point.x, made.stop_point.y, made.stop_point.z = x, y, z
 
 
 def _add_lane(message: Any, each: MapLane, lines: Mapping[int, Floats]) -> None:
@@ -186,7 +187,7 @@ def _add_lane(message: Any, each: MapLane, lines: Mapping[int, Floats]) -> None:
     lane.interpolating = each.lane.internal
     lane.entry_lanes.extend(each.entries)
     lane.exit_lanes.extend(each.exits)
-    _extend(lane.polyline, lines[each.number])
+    _extend(lane.polyline, lines[each.number], each)
     last = len(lines[each.number]) - 1
     for side, line, neighbour, near, parts in (
         (0, each.left, each.beside_left, lane.left_neighbors, lane.left_boundaries),
@@ -202,7 +203,7 @@ def _add_lane(message: Any, each: MapLane, lines: Mapping[int, Floats]) -> None:
         parts.add(lane_start_index=0, lane_end_index=last, boundary_feature_id=number, boundary_type=BROKEN_WHITE)
         boundary = message.map_features.add(id=number).road_line
         boundary.type = BROKEN_WHITE
-        _extend(boundary.polyline, spaced(line))
+        _extend(boundary.polyline, spaced(line), each)
 
 
 def _add_edges(message: Any, lanes: Sequence[MapLane], junctions: Sequence[Floats]) -> None:
@@ -215,9 +216,20 @@ def _add_edges(message: Any, lanes: Sequence[MapLane], junctions: Sequence[Float
     for number, line in enumerate(road_outline([*strips, *near]), 3 * len(lanes) + 2):  # behind the lines' numbers
         edge = message.map_features.add(id=number).road_edge
         edge.type = EDGE_BOUNDARY
-        _extend(edge.polyline, spaced(line))
+        _extend(edge.polyline, spaced(line), _nearest(lanes, line))
 
 
-def _extend(points: Any, line: Floats) -> None:
-    for x, y in line.tolist():
-        points.add(x=x, y=y, z=0.0)
+def _nearest(lanes: Sequence[MapLane], line: Floats) -> MapLane | None:
+    """The lane that is nearest to a line, for its height; None without lanes."""
+    from shapely import LineString, distance, linestrings
+
+    if not lanes:
+        return None
+    return lanes[int(np.argmin(distance([linestrings(each.lane.shape) for each in lanes], LineString(line))))]
+
+
+def _extend(points: Any, line: Floats, lane: MapLane | None) -> None:
+    """Add the points of a line at the height of a lane."""
+    z = np.zeros(len(line)) if lane is None else lane.height(*line.T)
+    for x, y, height in np.column_stack([line, z]).tolist():
+        points.add(x=x, y=y, z=height)

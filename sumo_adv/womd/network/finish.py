@@ -15,8 +15,10 @@ import numpy as np
 from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.drivable import KEY, area_text
+from sumo_adv.simulation.layers import KEY as HEIGHTS
+from sumo_adv.simulation.layers import pass_over
 from sumo_adv.womd.network.right_of_way import RightOfWay
-from sumo_adv.womd.network.roads import Link, Roads
+from sumo_adv.womd.network.roads import Link, RoadLane, Roads
 from sumo_adv.womd.network.signals import Program
 
 NO_CARS = 'allow="bicycle"'
@@ -103,13 +105,16 @@ def finish(
     tree = ET.parse(source)
     net = tree.getroot()
     lanes = {lane.get("id", ""): lane for edge in net.iter("edge") for lane in edge}
+    ways: list[RoadLane | Link] = [lane for edge in roads.edges.values() for lane in edge.lanes]
+    ways += roads.links
+    high = pass_over([np.column_stack([way.shape, way.heights]) for way in ways])
     for edge in roads.edges.values():
         for index, lane in enumerate(edge.lanes):
             element = lanes.get(f"{edge.name}_{index}")
             if element is None:
                 raise UsageError(f"netconvert left out lane {edge.name}_{index}: the network is not complete.")
-            _shape(element, lane.shape, lane.width, lane.speed)
-    via = _connections(net, lanes, roads, order, programs)
+            _shape(element, lane, high=high)
+    via = _connections(net, lanes, roads, order, programs, high=high)
     _junctions(net, roads, order, programs, via)
     if ground is not None:
         ET.SubElement(net.findall("junction")[0], "param", key=KEY, value=area_text(ground))
@@ -122,17 +127,21 @@ def finish(
     return via
 
 
-def _shape(lane: ET.Element, shape: Floats, width: float, speed: float) -> None:
-    length = float(np.sum(np.hypot(*np.diff(shape, axis=0).T)))
-    lane.set("shape", coordinates(shape))
+def _shape(lane: ET.Element, way: RoadLane | Link, *, high: bool) -> None:
+    """Write the shape of a lane; ``high``: with its heights."""
+    length = float(np.sum(np.hypot(*np.diff(way.shape, axis=0).T)))
+    lane.set("shape", coordinates(way.shape))
     lane.set("length", f"{max(length, MIN_LENGTH):.3f}")
-    lane.set("width", f"{width:.2f}")
-    lane.set("speed", f"{speed:.2f}")
+    lane.set("width", f"{way.width:.2f}")
+    lane.set("speed", f"{way.speed:.2f}")
+    if high:
+        ET.SubElement(lane, "param", key=HEIGHTS, value=" ".join(f"{z:.2f}" for z in way.heights))
 
 
 def _connections(
-    net: ET.Element, lanes: dict[str, ET.Element], roads: Roads, order: RightOfWay, programs: Mapping[str, Program]
-) -> list[str]:
+    net: ET.Element, lanes: dict[str, ET.Element], roads: Roads, order: RightOfWay, programs: Mapping[str, Program],
+    *, high: bool,
+) -> list[str]:  # fmt: skip
     """Set every connection's letters and its internal lane's shape; the internal lane of each link."""
     number = {(k.source, k.from_lane, k.target, k.to_lane): n for n, k in enumerate(roads.links)}
     via = [""] * len(roads.links)
@@ -155,7 +164,7 @@ def _connections(
             element.set("tl", link.junction)
             element.set("linkIndex", str(program.index[n]))
             element.set("state", "O" if order.state[n] == "M" else "o")
-        _shape(lanes[via[n]], link.shape, link.width, link.speed)
+        _shape(lanes[via[n]], link, high=high)
     for element in inner:
         link = roads.links[link_of_via[f"{element.get('from')}_{element.get('fromLane')}"]]
         element.set("dir", link.direction)

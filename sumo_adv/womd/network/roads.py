@@ -110,9 +110,10 @@ def _spacings(strands: tuple[Strand, ...], rows: Iterable[Row]) -> dict[Stretch,
 
 @dataclass(frozen=True, slots=True)
 class RoadLane:
-    """A lane of an edge. shape ``(n, 2)`` [m], width m, speed m/s."""
+    """A lane of an edge. shape ``(n, 2)`` [m], heights ``(n,)`` [m], width m, speed m/s."""
 
     shape: Floats
+    heights: Floats
     width: float
     speed: float
     bike: bool
@@ -201,8 +202,8 @@ def _edges(layout: Layout, widths: dict[Stretch, float]) -> tuple[dict[str, Road
         lanes = []
         for index, stretch in enumerate(row):
             strand = strands[stretch.strand]
-            shape = part(strand.points[:, :2], strand.along, stretch.start, stretch.end)
-            lanes.append(RoadLane(shape, widths[stretch], strand.speed, strand.bike))
+            line = part(strand.points, strand.along, stretch.start, stretch.end)
+            lanes.append(RoadLane(line[:, :2], line[:, 2], widths[stretch], strand.speed, strand.bike))
             place[stretch] = name, index
         edges[name] = RoadEdge(name, f"n{start}", f"n{end}", tuple(lanes))
     return edges, place
