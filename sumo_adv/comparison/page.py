@@ -23,7 +23,8 @@ from sumo_adv.report.staging import staged
 
 HOW = (
     "Rates: Wilson's 95 % interval. Means and differences: bootstrap, paired, 95 %; p: McNemar's exact test of rates, "
-    f"the sign-flip test of means (exact up to 13 encounters); without an interval where there are fewer than {LEAST} encounters."
+    "the sign-flip test of means (exact up to 13 encounters); "
+    f"without an interval where there are fewer than {LEAST} encounters."
 )
 MOST = 30  # changes shown
 Link = Callable[[Compared], str | None]
