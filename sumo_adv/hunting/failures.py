@@ -68,18 +68,6 @@ class Failure:
         return (not self.near_touch, int(self.level), robust and human, robust or human, self.delta_v)
 
     @property
-    def facts(self) -> str:
-        """What tells it from others that read alike, in words."""
-        said = "" if self.robust is None else "robust" if self.robust else "not robust"
-        human = "not humanlike" if self.humanlike is False else ""
-        broken = [f"{who} passed a red light" for who in _who(self.red_light)]
-        broken += [f"{who} took the right of way" for who in _who(self.right_of_way)]
-        fault = None if self.fault is None else f"fault: {self.fault}"
-        overlap = None if self.overlap is None else f"overlap {100 * self.overlap:.0f} %"
-        warning = None if self.warning is None else f"warning {self.warning:.1f} s"
-        return ", ".join(filter(None, (said, human, *broken, fault, overlap, warning)))
-
-    @property
     def words(self) -> str:
         c = self.cell
         hit = f"{self.level}: {c.intent} ({c.relation}, {c.road}), hit on the {c.side} with {self.delta_v:.1f} m/s"
@@ -106,11 +94,6 @@ def failure_of(row: Mapping[str, Any], runs: Path) -> Failure | None:
         red_light=row.get("red_light"), right_of_way=row.get("right_of_way"), overlap=row.get("overlap"),
         warning=row.get("warning"),
     )  # fmt: skip
-
-
-def _who(broken_by: str | None) -> Sequence[str]:
-    """Subjects of a sentence for who broke a rule."""
-    return {"adversary": ("the adversary",), "ego": ("the ego",), "both": ("both",)}.get(broken_by or "", ())
 
 
 def distinct(failures: Iterable[Failure]) -> list[Failure]:
