@@ -19,12 +19,11 @@ if TYPE_CHECKING:
 EXAMPLE = "Example: sumo-adv hunt motorway priority_crossing --ego my_package.driver:MyDriver --minutes 30"
 SHOWN = 20  # failures in the table on the screen
 COLUMNS: dict[str, Literal["left", "right"]] = {
-    "rank": "right", "level": "left", "delta-v": "right", "hit on": "left", "robust": "left", "human": "left",
-    "fault": "left", "times": "right", "attack and cause": "left",
+    "rank": "right", "level": "left", "delta-v": "right", "hit on": "left", "times": "right", "attack and cause": "left"
 }  # fmt: skip
-DIFFERING = ("speed_band", "cause", "red_light", "right_of_way", "overlap", "warning", "network", "seed", "adversary")
+BROKEN = ("adversary", "ego", "both")
+DIFFERING = ("speed_band", "cause", "seed", "adversary")
 """Columns of which rows that read alike say those that differ."""
-YES = {True: "yes", False: "no", None: "-"}
 
 Given = Annotated[
     list[str],
@@ -122,10 +121,9 @@ def _show(found: Found, rows: list[dict[str, Any]], index: Path | None) -> None:
         for name, justify in COLUMNS.items():
             shown.add_column(name, justify=justify, vertical="top", overflow="fold")
         for row in some[:SHOWN]:
-            words = "\n".join(filter(None, (_what(row), row["cause_sentence"], _differing(row, rows))))
+            words = "\n".join(filter(None, (_what(row), _facts(row), row["cause_sentence"], _differing(row, rows))))
             shown.add_row(
-                str(row["rank"]), row["level"], f"{row['delta_v']:.1f} m/s", row["side"], YES[row["robust"]],
-                YES[row["humanlike"]], row["fault"] or "-", str(row["count"]), words,
+                str(row["rank"]), row["level"], f"{row['delta_v']:.1f} m/s", row["side"], str(row["count"]), words
             )  # fmt: skip
         Console(highlight=False, markup=False).print(shown)
     more = f" The table shows the first {SHOWN}." if len(failures) > SHOWN else ""
@@ -148,6 +146,19 @@ def _show(found: Found, rows: list[dict[str, Any]], index: Path | None) -> None:
 
 def _what(row: Mapping[str, Any]) -> str:
     return f"{row['intent']} ({row['relation']}, {row['road']}), {row['network']}"
+
+
+def _facts(row: Mapping[str, Any]) -> str:
+    """Whether the attack holds and is human, and who broke what."""
+    holds = [
+        word if row[key] else f"not {word}" for key, word in (("robust", "robust"), ("humanlike", "humanlike"))
+        if row[key] is not None
+    ]  # fmt: skip
+    broken = [f"{key.replace('_', ' ')}: {row[key]}" for key in ("red_light", "right_of_way") if row[key] in BROKEN]
+    fault = [] if row["fault"] is None else [f"fault: {row['fault']}"]
+    warning = [] if row["warning"] is None else [f"warning {row['warning']:.1f} s"]
+    overlap = [] if row["overlap"] is None else [f"overlap {100 * row['overlap']:.0f} %"]
+    return ", ".join([*holds, *fault, *broken, *warning, *overlap])
 
 
 def _differing(row: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> str:
