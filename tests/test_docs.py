@@ -23,6 +23,7 @@ from sumo_adv.cli.main import app
 from sumo_adv.config import Settings
 from sumo_adv.config_odd import Odd, read_odd
 from sumo_adv.datatypes import Ending
+from sumo_adv.regression.waivers import read_waivers
 from sumo_adv.simulation.scenario import load_scenario
 
 PAGES = pages()
