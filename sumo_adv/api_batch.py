@@ -20,9 +20,12 @@ import numpy as np
 from sumo_adv.api import Result, Table
 from sumo_adv.app import batch_parts, cluster_processors, estimate_rate, run_campaign, shipped_bank
 from sumo_adv.campaigns.results import NUMBERS, WHOLES, read_csv, read_row
+from sumo_adv.config import Until
 from sumo_adv.config_odd import Odd, read_odd
+from sumo_adv.datatypes import Level
 from sumo_adv.errors import UsageError
 from sumo_adv.files import refuse_links, scratch_prefix
+from sumo_adv.goal import Goal
 from sumo_adv.memory.store import default_bank_path
 
 if TYPE_CHECKING:
@@ -240,7 +243,8 @@ def hunt(
     """The worst distinct failures that ``minutes`` are enough for, as ``sumo-adv hunt``. The same call again goes on.
 
     inputs: networks, .sumocfg files, scenarios, records, folders and shipped names. distinct: end sooner with this many
-    failures. until: the level at which an encounter ends, ``serious`` by default (``valid`` for the ego careful).
+    failures. until: the level at which an encounter ends, ``serious`` by default (``valid`` for the ego careful); if it
+    is given, only collisions of this level or a higher one are failures.
     deadline: seconds after which an episode is stuck. pages: make an index page with replays. tell: called after each
     round. stopping: called when Ctrl-C is pressed, with True where it is pressed again. note: called at the start with
     each sentence on what of the inputs is not kept, as options of a .sumocfg.
@@ -256,18 +260,21 @@ def hunt(
     def campaign(plan: Plan, orders: Orders) -> Summary:
         return run_campaign(plan, orders, Teller(None, stopping))
 
+    asked = settings.get("until")
     settings.setdefault("until", "valid" if ego == "careful" else "serious")
     named = [str(each) for each in ([inputs] if isinstance(inputs, str | Path) else inputs)]
     given: dict[str, Any] = {"inputs": named, "seeds": [seed], "settings": settings}
     given |= {} if ego is None else {"egos": [ego]}
     given |= {} if memory is None else {"memory": str(memory)}
     plan = make_plan(given, Path(), "The hunt", batch_parts(), None if settings_file is None else Path(settings_file))
+    least = Level.VALID if asked is None else max(Until(asked).level, Level.VALID)
+    goal = Goal(least, float(settings.get("min_delta_v") or 0.0))
     if note is not None:
         for sentence in (each for source in plan.inputs for each in source.notes):
             note(sentence)
     orders = orders_of(plan, out, workers, deadline, ray=ray)
     at_once = orders.pace if ray is None else replace(orders.pace, workers=cluster_processors(ray))
-    found = Hunt(plan, replace(orders, pace=at_once), campaign, minutes, distinct).run(tell or (lambda _: None))
+    found = Hunt(plan, replace(orders, pace=at_once), campaign, minutes, distinct, goal).run(tell or (lambda _: None))
     rows = table(found.failures, found.folder)
     return HuntResult(found, rows, _index(found, orders.pace.workers) if pages and rows else None)
 

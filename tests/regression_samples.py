@@ -42,6 +42,27 @@ class StandingEgo(CalmEgo):
         return LaneSpeed(lane=None, speed=max(0.0, seen.ego.speed - 5.0 * seen.dt))
 
 
+class SlowerEgo(CalmEgo):
+    """Drives at 11 m/s at most, so it comes to the trigger 3 m/s slower than SUMO's driver."""
+
+    name = "slower"
+
+    def act(self, seen: Observation) -> LaneSpeed | None:
+        """Keep to the speed."""
+        return LaneSpeed(lane=None, speed=min(11.0, seen.ego.speed + 2.0 * seen.dt))
+
+
+class FarStoppingEgo(CalmEgo):
+    """Drives like SUMO until a vehicle is within 60 m, and then comes to a stop far before the adversary."""
+
+    name = "far_stopping"
+
+    def act(self, seen: Observation) -> LaneSpeed | None:
+        """Stop for whatever is near."""
+        near = any((o.x - seen.ego.x) ** 2 + (o.y - seen.ego.y) ** 2 < 60.0**2 for o in seen.others)
+        return LaneSpeed(lane=None, speed=max(0.0, seen.ego.speed - 6.0 * seen.dt)) if near else None
+
+
 class BrokenEgo(CalmEgo):
     """Raises as soon as it drives."""
 

@@ -8,6 +8,8 @@ takes 20^2 / (2 * 45.33) = 4.41 m/s2, so that 4.5 m/s2 are enough.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from metrics_tracks import TIME, braking, car, cruise, drift
@@ -137,6 +139,30 @@ def test_what_no_reference_driver_is_alarmed_about_no_one_could_know() -> None:
     cause = why(STEADY, drift("adversary", 0.0, 3.2, 20.0, 3.0, 1.0, 0.0))
     assert cause is not None and (cause.kind, cause.alarm, cause.enough) == (CauseKind.UNFORESEEABLE, None, None)
     assert cause.sentence == "No one could have known before the contact."
+
+
+def test_a_contact_that_braking_in_time_does_not_avoid_says_how_the_careful_driver_is_hit() -> None:
+    """The leader, 20 m ahead, stops within 20^2 / (2 * 30) = 6.7 m from 2.0 s on: the ego reaches its back after
+    20 + 6.7 - 5 = 21.7 m, at 3.08 s.  The careful driver brakes from 2.85 s on, which is 0.2 s before; the force of its
+    brakes has just begun to grow by then."""
+    cause = why(STEADY, braking("adversary", 20.0, 0.0, 20.0, 2.0, 30.0))
+    assert cause is not None and (cause.kind, cause.careful) == (CauseKind.UNFORESEEABLE, pytest.approx(2.85))
+    assert cause.moment == pytest.approx(2.0 + 21.7 / 20.0, abs=0.01)
+    assert cause.sentence == (
+        "A careful driver would have braked 0.2 s before the contact, and is hit all the same 0.2 s later, at 19.6 m/s."
+    )
+
+
+def test_a_driver_that_avoids_only_the_recorded_motion_is_not_said_to_avoid_it() -> None:
+    """As in the first story, but in the loop the adversary plans again and hits the careful driver, too."""
+    gates = judge(STEADY, LEADER, (), trigger_time=1.0)
+    verdict = with_level(gates, STEADY, LEADER, (), trigger_time=1.0, unattacked=STEADY)
+    assert verdict.preventability is not None
+    hit = {name: "collides" for name, answer in verdict.preventability.answers.items() if answer == "avoids"}
+    in_loop = replace(verdict, preventability=replace(verdict.preventability, in_loop=hit))
+    cause = cause_of(STEADY, LEADER, (), in_loop, trigger_time=1.0, unattacked=STEADY)
+    assert cause is not None
+    assert cause.sentence.endswith("When the adversary plans again, no reference driver avoids it.")
 
 
 def test_a_danger_from_another_vehicle_is_not_the_adversarys() -> None:

@@ -23,6 +23,7 @@ from sumo_adv.cli.main import app
 from sumo_adv.config import Settings
 from sumo_adv.config_odd import Odd, read_odd
 from sumo_adv.datatypes import Ending
+from sumo_adv.regression.waivers import read_waivers
 from sumo_adv.simulation.scenario import load_scenario
 
 PAGES = pages()
@@ -169,6 +170,8 @@ def test_scenarios_and_plans_in_the_docs_are_read(tmp_path: Path) -> None:
             read_plan(file)
         elif keys <= set(Odd.model_fields):
             read_odd(file)
+        elif keys == {"waive"}:
+            read_waivers(file, (), ())
         else:
             load_scenario(file)
 

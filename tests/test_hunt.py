@@ -19,8 +19,9 @@ from sumo_adv.campaigns.plan import Plan
 from sumo_adv.campaigns.results import Input, Learn
 from sumo_adv.datatypes import Level
 from sumo_adv.errors import SumoAdvError, UsageError
-from sumo_adv.hunting.failures import distinct, failure_of
-from sumo_adv.hunting.hunt import Found, Hunt, HuntProgress, RunCampaign, over_time
+from sumo_adv.goal import Goal
+from sumo_adv.hunting.failures import distinct, failure_of, table
+from sumo_adv.hunting.hunt import Found, Hunt, HuntProgress, RunCampaign, counted, over_time
 
 ROW: Mapping[str, Any] = {
     "id": "a", "level": "serious", "intent": "Cut", "composition": None, "relation": "neighbour", "road": "motorway",
@@ -74,6 +75,25 @@ def test_the_same_crash_by_another_fault_is_another_failure() -> None:
     rows = [row(), row(id="b", cause="no_reaction"), row(id="c", delta_v=1.0)]
     found = distinct(f for r in rows if (f := failure_of(r, Path())) is not None)
     assert [(f.cell.cause, f.count) for f in found] == [("late", 2), ("no_reaction", 1)]
+
+
+def test_robust_and_humanlike_failures_come_first_within_a_level_and_near_touches_last() -> None:
+    """A serious one with 0.4 m/s (below 1 mph) stands behind a valid one."""
+    rows = [
+        row(id="fragile", kind="k / a", delta_v=9.0, robust=False, humanlike=False),
+        row(id="touch", kind="k / b", delta_v=0.4, robust=True, humanlike=True),
+        row(id="human", kind="k / c", delta_v=5.0, robust=False, humanlike=True),
+        row(id="both", kind="k / d", delta_v=3.0, robust=True, humanlike=True),
+        row(
+            id="valid", kind="k / e", level="valid", robust=True, humanlike=True, fault="ego", overlap=0.5, warning=1.5
+        ),
+    ]
+    found = distinct(f for r in rows if (f := failure_of(r, Path())) is not None)
+    assert [f.run.name for f in found] == ["both", "human", "fragile", "valid", "touch"]
+    told = table(found, Path())
+    assert [each["near_touch"] for each in told] == [False] * 4 + [True]
+    assert [told[3][key] for key in ("humanlike", "fault", "overlap", "warning")] == [True, "ego", 0.5, 1.5]
+    assert counted(found, Level.VALID) == 4
 
 
 class Campaigns:
@@ -133,10 +153,23 @@ def test_a_hunt_ends_with_enough_distinct_failures_and_ranks_them(tmp_path: Path
     assert (found.ended, len(found.failures), found.encounters, found.attempts) == ("distinct", 4, 8, 16)
     assert [seeds for _, seeds in campaign.rounds] == [(0,), (1,), (2,), (3,)]
     with (tmp_path / "out" / "results.csv").open(newline="") as text:
-        table = list(csv.DictReader(text))
-    assert [r["rank"] for r in table] == ["1", "2", "3", "4"]
-    assert all((tmp_path / "out" / r["run"]).is_dir() for r in table)
-    assert {r["network"] for r in table} == {"good"}
+        shown = list(csv.DictReader(text))
+    assert [r["rank"] for r in shown] == ["1", "2", "3", "4"]
+    assert all((tmp_path / "out" / r["run"]).is_dir() for r in shown)
+    assert {r["network"] for r in shown} == {"good"}
+
+
+def test_failures_are_those_that_reach_the_level_asked_for(tmp_path: Path) -> None:
+    """All that the input comes to is serious, so with that level all count, and with 5 m/s of delta-v none."""
+    for folder, goal, many in (("a", Goal(Level.SERIOUS), 3), ("b", Goal(Level.VALID, min_delta_v=5.0), 0)):
+        orders = Orders(tmp_path / folder / "out", tmp_path / "bank.sqlite", {}, Pace(1, 60.0, 200))
+        campaign = Campaigns()
+
+        def once(plan: Plan, orders: Orders, campaign: Campaigns = campaign) -> Summary:
+            return replace(campaign(plan, orders), interrupted=True)
+
+        found = Hunt(plan_of("good"), orders, once, 10.0, None, goal).run(lambda _: None)
+        assert len(found.failures) == many
 
 
 def test_where_failures_come_from_gets_more_of_the_rounds(tmp_path: Path) -> None:

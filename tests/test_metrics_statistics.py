@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from metrics_tracks import TIME, car, cruise, drift
+from scipy import stats
 
 from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError
@@ -20,7 +21,7 @@ from sumo_adv.metrics.realism import (
     wasserstein,
     wosac_features,
 )
-from sumo_adv.metrics.statistics import bootstrap, mcnemar, paired_bootstrap, wilson
+from sumo_adv.metrics.statistics import bootstrap, mcnemar, paired_means, paired_rates, wilson
 
 
 def test_wilson_s_interval_of_eight_in_ten() -> None:
@@ -53,13 +54,40 @@ def test_mcnemar_looks_at_discordant_pairs_alone() -> None:
         mcnemar([True], [True, False])
 
 
-def test_the_paired_bootstrap_sees_a_difference_that_pairing_makes_plain() -> None:
+def test_the_paired_means_sees_a_difference_that_pairing_makes_plain() -> None:
     generator = np.random.default_rng(2)
     base = generator.normal(0, 10, 100)
     better = base + 0.5 + generator.normal(0, 0.5, 100)
-    result = paired_bootstrap(better, base, resamples=2000)
+    result = paired_means(better, base, resamples=2000)
     assert result.low > 0.3 and result.high < 0.7 and result.p < 0.01
-    assert paired_bootstrap(base, base, resamples=200).p == 1.0
+    assert paired_means(base, base, resamples=200).p == 1.0
+
+
+def test_six_pairs_that_all_went_down_are_no_proof() -> None:
+    """One difference is 0, five are negative: of the 64 sign flips 2 have a mean as low, so p is 2 * 2 / 64."""
+    after, before = [0.87, 2.0, 0.40, 0.35, 0.88, 0.98], [1.0, 2.0, 2.0, 2.0, 1.0, 1.0]
+    assert paired_means(after, before).p == pytest.approx(0.0625)
+    assert paired_means(after[2:3], before[2:3]).p == 1.0
+
+
+def test_every_interval_and_p_is_scipy_s() -> None:
+    draw = np.random.default_rng(3)
+    few, many = draw.normal(0.5, 1.0, 12), draw.normal(0.2, 1.0, 40)
+    rate = wilson(7, 31)
+    assert (rate.low, rate.high) == pytest.approx(stats.binomtest(7, 31).proportion_ci(method="wilson"))
+    interval = stats.bootstrap(
+        (many,), np.median, method="percentile", n_resamples=10_000, rng=np.random.default_rng(0)
+    ).confidence_interval
+    estimate = bootstrap(many, of=np.median)
+    assert (estimate.low, estimate.high) == pytest.approx((interval.low, interval.high))
+    exact = stats.permutation_test((few,), np.mean, permutation_type="samples", n_resamples=np.inf).pvalue
+    assert paired_means(few, np.zeros(12)).p == pytest.approx(exact)  # all 4096 sign flips
+    assert paired_means(many, np.zeros(40)).p == pytest.approx(stats.ttest_1samp(many, 0.0).pvalue, abs=0.03)
+    first, second = draw.random(50) < 0.7, draw.random(50) < 0.4
+    only_first, only_second = int((first & ~second).sum()), int((second & ~first).sum())
+    difference = paired_rates(first, second)
+    assert difference.p == pytest.approx(stats.binomtest(only_first, only_first + only_second).pvalue)
+    assert difference.difference == pytest.approx((only_first - only_second) / 50)
 
 
 def test_divergences_by_hand() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from sumo_adv.datatypes import Floats
 from sumo_adv.rate.estimate import effective_runs, rate
@@ -50,6 +51,17 @@ def test_few_crashes_do_not_tell_how_large_the_unseen_ones_are() -> None:
     high = rate(few, np.ones(1000), most_weight=10.0).high
     assert high == pytest.approx(36.889 / 1000, rel=0.01)  # as without a crash
     assert rate(enough, np.ones(1000), most_weight=10.0).high == pytest.approx(0.001 * 18.39 / 1000, rel=1e-3)
+
+
+def test_the_limits_are_those_of_gamma_distributions() -> None:
+    """Fay and Feuer 1997, by scipy.stats: weights 0.5 and 0.05, twelve times each, whose sum is 6.6."""
+    weights = np.zeros(100)
+    weights[:12], weights[12:24] = 0.5, 0.05
+    total, square = 6.6, 12 * (0.25 + 0.0025)
+    found = rate(weights, np.ones(100))
+    assert found.low * 100 == pytest.approx(stats.gamma.ppf(0.025, total**2 / square, scale=square / total))
+    total, square = total + 0.5, square + 0.25
+    assert found.high * 100 == pytest.approx(stats.gamma.ppf(0.975, total**2 / square, scale=square / total))
 
 
 def test_uneven_exposure_widens_the_interval_and_the_unit_does_not_matter() -> None:

@@ -248,7 +248,7 @@ def test_keep_takes_what_reached_a_level_from_a_folder_of_runs(program: Program)
     assert kept.out.splitlines() == [f"Kept suite/{FOUND}-0 from first", "1 case into suite."]
     again = json.loads(program.here("keep", "runs", "--suite", "suite", "--json").out)
     assert again == {
-        "suite": "suite", "kept": [], "there_already": [f"suite/{FOUND}-0"], "left_out": []
+        "suite": "suite", "kept": [], "there_already": [f"suite/{FOUND}-0"], "left_out": [], "not_passed": []
     }  # fmt: skip
 
 

@@ -21,5 +21,5 @@ def test_a_case_repeats_what_the_driver_drove_before(program: Program) -> None:
     assert tomllib.loads(case.read_text())["attack"]["ego_before"] == before
     again = program.here("regress", "suite", "--ego", "idm", "--out", "again", "--json")
     (row,) = json.loads(again.out)["cases"]
-    assert row["level"] == run.outcome["outcome"]["level"] == "valid"
+    assert row["level"] == run.outcome["outcome"]["level"] and row["level"] in ("valid", "strict", "serious")
     assert row["delta_v"] == run.outcome["outcome"]["delta_v"]

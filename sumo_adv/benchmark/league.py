@@ -21,7 +21,7 @@ from sumo_adv.benchmark.columns import COLUMNS
 from sumo_adv.benchmark.nouns import Case, Cell
 from sumo_adv.benchmark.table import grid, number, signed
 from sumo_adv.benchmark.write import MAIN, SCHEMA, aligned, as_csv, as_json, on_screen, plain, rate, write_files
-from sumo_adv.metrics.statistics import Estimate, Paired, bootstrap, paired_bootstrap, wilson
+from sumo_adv.metrics.statistics import Estimate, Paired, bootstrap, paired_means, paired_rates, wilson
 
 LIKELY = 0.5  # an attempt counts as predicted to be valid from this probability on
 SHOWN = ("valid", "strict", "serious", "valid_1", "kinds")
@@ -127,10 +127,10 @@ def _duel(first_ego: str, second_ego: str, by_ego: dict[str, list[Cell]], budget
     if not both:
         return None
     a, b = ([group[k] for k in both] for group in (first, second))
-    attempts = paired_bootstrap([_attempts(x, budget) for x in a], [_attempts(x, budget) for x in b])
+    attempts = paired_means([_attempts(x, budget) for x in a], [_attempts(x, budget) for x in b])
     if attempts.difference < 0:
         return _duel(second_ego, first_ego, by_ego, budget)
-    valid = paired_bootstrap(*([float(c.first_valid(x) is not None) for x in group] for group in (a, b)))
+    valid = paired_rates(*([c.first_valid(x) is not None for x in group] for group in (a, b)))
     return Duel(fewer=second_ego, more=first_ego, attempts=attempts, valid=valid)
 
 

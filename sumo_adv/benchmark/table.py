@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from sumo_adv.benchmark.cells import RAW, Key, first_valid, is_raw, key, names, parts
 from sumo_adv.benchmark.columns import BY_PART, COLUMNS, COMPARED, MEAN, MEDIAN, RATE, SECTIONS, Column
 from sumo_adv.benchmark.nouns import Case, Cell
-from sumo_adv.metrics.statistics import Estimate, Paired, mcnemar, paired_bootstrap, wilson
+from sumo_adv.metrics.statistics import Estimate, Paired, paired_means, paired_rates, wilson
 
 SHOWN = 6  # names of missing encounters in a sentence
 
@@ -118,7 +118,7 @@ def _entries(
 def compare(column: Column, first: Sequence[Cell], second: Sequence[Cell]) -> Paired | None:
     """``first`` - ``second`` over the encounters that both have; None without any.
 
-    The interval resamples encounters; p is McNemar's for rates, the bootstrap's for means.
+    The interval resamples encounters; p is McNemar's for rates, the sign-flip test's for means.
     """
     left, right = column.values(first), column.values(second)
     common = [name for name in left if name in right]
@@ -128,11 +128,10 @@ def compare(column: Column, first: Sequence[Cell], second: Sequence[Cell]) -> Pa
 
 
 def paired(left: Sequence[float], right: Sequence[float], *, rate: bool) -> Paired:
-    interval = paired_bootstrap(left, right)
-    if not rate:
-        return interval
-    p = mcnemar([v > 0.5 for v in left], [v > 0.5 for v in right])
-    return Paired(interval.difference, interval.low, interval.high, p, interval.n)
+    """``left`` - ``right``, encounter by encounter."""
+    if rate:
+        return paired_rates([v > 0.5 for v in left], [v > 0.5 for v in right])
+    return paired_means(left, right)
 
 
 def _missing(
@@ -316,7 +315,7 @@ def _differences(table: Table, ego: str) -> list[str]:
     head = ["row", "pairs", *(c.title if c.key != "mean_min_ttc" else "mean min TTC [s]" for c in columns)]
     return [
         f"### Differences to `{table.reference}`", "", "Over the encounters that both rows have; p by McNemar's exact "
-        "test for rates and the paired bootstrap for means, not corrected for how many there are.", "",
+        "test for rates and the sign-flip test for means, not corrected for how many there are.", "",
         *grid(head, rows),
     ]  # fmt: skip
 

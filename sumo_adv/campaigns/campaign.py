@@ -90,6 +90,7 @@ class Summary:
         return {
             "folder": str(self.folder), "episodes": self.total, "finished": len(self.rows), "ran": self.ran, **counts,
             "collided": sum(bool(r["collided"]) for r in self.rows), "valid": sum(bool(r["valid"]) for r in self.rows),
+            **{k: sum(bool(r["valid"] and r.get(k)) for r in self.rows) for k in ("humanlike", "robust")},
             "stopped": self.stopped, "seconds": round(self.seconds, 2), "learnt": self.learnt,
             "bytes_an_episode": round(self.bytes / self.ran) if self.ran else None, "input_bytes": self.input_bytes,
             "bank_hash": self.bank_hash,

@@ -109,18 +109,22 @@ COLUMNS = (
     "attempts", "seconds", "failure", "traceback", "level", "strict", "preventable_by", "inconclusive",
     "ego_stationary", "humanlike", "delta_v", "severity", "serious", "fault", "contact_time", "adversary", "relation",
     "kind", "road", "ego_speed", "supports", "composition", "cause", "cause_sentence",
-    "robust",
+    "robust", "overlap", "warning", "red_light", "right_of_way",
 )  # fmt: skip
 """Of the table; settings that vary come behind them, as ``set_NAME``. Times in s, speeds in m/s. An empty min_ttc is
 never; an empty valid, strict or serious is no collision. ``valid``, ``strict`` and what follows ``level`` are of
 verdict version 2. ``road`` and ``ego_speed`` are those of the encounter. ``supports``: the other adversaries with
 their roles, as ``id:role``; ``composition``: what all of them do together. Both are empty for a single adversary.
 ``cause``: its kind (``metrics/cause.py``); empty for neither a contact nor a near miss. ``robust``:
-whether most of its neighbours succeed, too; empty where none was simulated."""
+whether most of its neighbours succeed, too; empty where none was simulated. ``overlap``: share of the touching face;
+``warning``: s from the alarm of ``cc_human`` to the contact; ``red_light``, ``right_of_way``: who broke it
+(``episode/rules_broken.py``)."""
 
 
 WHOLES = ("seed", "attempts")
-NUMBERS = ("raw_min_ttc", "min_ttc", "seconds", "delta_v", "contact_time", "ego_speed")
+NUMBERS = (
+    "raw_min_ttc", "min_ttc", "seconds", "delta_v", "contact_time", "ego_speed", "overlap", "warning",
+)  # fmt: skip
 TRUTHS = ("collided", "valid", "critical", "strict", "serious", "ego_stationary", "humanlike", "robust")
 """Columns that hold whole numbers, numbers, yes or no; the others hold text. Any may be empty."""
 
@@ -143,6 +147,7 @@ def row_of(name: str, outcome: Mapping[str, Any], traceback: bool) -> Row:
         **{key: best.get(key) for key in ("inconclusive", "ego_stationary", "humanlike", "delta_v", "severity")},
         "serious": best["level"] == "serious" if best.get("collided") and "level" in best else None,
         "fault": best.get("fault"), "contact_time": best.get("contact_time"), **_attack(outcome),
+        **{key: best.get(key) for key in ("overlap", "warning", "red_light", "right_of_way")},
     }  # fmt: skip
 
 

@@ -160,7 +160,7 @@ def _words_of(summary: Summary) -> str:
     s = summary.as_dict()
     lines = [
         f"{s['finished']} of {s['episodes']} episodes: {s['critical']} critical, {s['collided']} collided, "
-        f"{s['valid']} valid, {s['failed']} failed."
+        f"{s['valid']} valid ({s['humanlike']} humanlike, {s['robust']} robust), {s['failed']} failed."
     ]
     if summary.ran:
         size = f"{s['bytes_an_episode'] / 1000:.0f} kB an episode, {s['input_bytes'] / 1000:.0f} kB of inputs"

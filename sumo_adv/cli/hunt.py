@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -21,6 +22,9 @@ SHOWN = 20  # failures in the table on the screen
 COLUMNS: dict[str, Literal["left", "right"]] = {
     "rank": "right", "level": "left", "delta-v": "right", "hit on": "left", "times": "right", "attack and cause": "left"
 }  # fmt: skip
+BROKEN = ("adversary", "ego", "both")
+DIFFERING = ("speed_band", "cause", "seed", "adversary")
+"""Columns of which rows that read alike say those that differ."""
 
 Given = Annotated[
     list[str],
@@ -35,7 +39,8 @@ Out = Annotated[Path | None, option(OUTPUT, "Folder; the same one goes on.", def
 UntilLevel = Annotated[
     opt.Until | None,
     option(
-        ATTACK, "Level at which an encounter ends: valid, strict or serious.", metavar="LEVEL",
+        ATTACK, "Level at which an encounter ends, and that a failure reaches: valid, strict or serious.",
+        metavar="LEVEL",
         default="serious; valid for the ego careful",
     ),
 ]  # fmt: skip
@@ -102,22 +107,30 @@ def _show(found: Found, rows: list[dict[str, Any]], index: Path | None) -> None:
     from rich.console import Console
     from rich.table import Table
 
+    from sumo_adv.hunting.failures import TOUCH_M_S
+
     ends = {
         "time": "The time is used up", "distinct": "Enough distinct failures were found", "stopped": "Stopped by Ctrl-C"
     }  # fmt: skip
-    if rows:
+    failures, touches = ([row for row in rows if row["near_touch"] is touch] for touch in (False, True))
+    for some in (failures, touches):
+        if not some:
+            continue
+        if some is touches:
+            typer.echo(f"Near-touches, with a delta-v below {TOUCH_M_S:g} m/s:")
         shown = Table(box=None, pad_edge=False)
         for name, justify in COLUMNS.items():
             shown.add_column(name, justify=justify, vertical="top", overflow="fold")
-        for row in rows[:SHOWN]:
-            what = f"{row['intent']} ({row['relation']}, {row['road']}), {row['network']}"
-            hard = f"{row['delta_v']:.1f} m/s"
-            words = f"{what}\n{row['cause_sentence']}".rstrip()
-            shown.add_row(str(row["rank"]), row["level"], hard, row["side"], str(row["count"]), words)
+        for row in some[:SHOWN]:
+            words = "\n".join(filter(None, (_what(row), _facts(row), row["cause_sentence"], _differing(row, rows))))
+            shown.add_row(
+                str(row["rank"]), row["level"], f"{row['delta_v']:.1f} m/s", row["side"], str(row["count"]), words
+            )  # fmt: skip
         Console(highlight=False, markup=False).print(shown)
-    more = f" The table shows the first {SHOWN}." if len(rows) > SHOWN else ""
+    more = f" The table shows the first {SHOWN}." if len(failures) > SHOWN else ""
+    near = f" and {len(touches)} near-touch{'es' * (len(touches) > 1)}" if touches else ""
     typer.echo(
-        f"{ends[found.ended]}: {len(rows)} distinct failures in {found.encounters} encounters, "
+        f"{ends[found.ended]}: {len(failures)} distinct failures{near} in {found.encounters} encounters, "
         f"{found.attempts} attempts, {found.seconds / 60:.1f} min.{more}"
     )
     for sentence in said_of(kinds_below(found.folder)):
@@ -132,3 +145,31 @@ def _show(found: Found, rows: list[dict[str, Any]], index: Path | None) -> None:
         typer.echo(f"Keep them as a regression suite: sumo-adv keep {found.folder / 'failures'} --suite regression")
     if found.ended == "stopped":
         typer.echo("The same command goes on.")
+
+
+def _what(row: Mapping[str, Any]) -> str:
+    return f"{row['intent']} ({row['relation']}, {row['road']}), {row['network']}"
+
+
+def _facts(row: Mapping[str, Any]) -> str:
+    """Whether the attack holds and is human, and who broke what."""
+    holds = [
+        word if row[key] else f"not {word}" for key, word in (("robust", "robust"), ("humanlike", "humanlike"))
+        if row[key] is not None
+    ]  # fmt: skip
+    broken = [f"{key.replace('_', ' ')}: {row[key]}" for key in ("red_light", "right_of_way") if row[key] in BROKEN]
+    fault = [] if row["fault"] is None else [f"fault: {row['fault']}"]
+    warning = [] if row["warning"] is None else [f"warning {row['warning']:.1f} s"]
+    overlap = [] if row["overlap"] is None else [f"overlap {100 * row['overlap']:.0f} %"]
+    return ", ".join([*holds, *fault, *broken, *warning, *overlap])
+
+
+def _differing(row: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> str:
+    """What tells a row from those that read as it does, in words; empty where it stands alone."""
+
+    def read(each: Mapping[str, Any]) -> tuple[Any, ...]:
+        return _what(each), each["cause_sentence"], each["level"], each["side"]
+
+    alike = [each for each in rows if read(each) == read(row)]
+    names = [name for name in DIFFERING if len({each[name] for each in alike}) > 1]
+    return ", ".join(f"{name.replace('_', ' ')} {row[name] if row[name] is not None else '-'}" for name in names)

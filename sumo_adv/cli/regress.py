@@ -6,12 +6,15 @@ import json
 import os
 from itertools import count
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from sumo_adv.config import Until
 from sumo_adv.errors import UsageError
+
+if TYPE_CHECKING:
+    from sumo_adv.regression.waivers import Waivers
 
 KEEP_EXAMPLE = "Example: sumo-adv keep runs/priority_crossing-3 --suite regression"
 
@@ -23,50 +26,69 @@ def keep(
         Until, typer.Option(help="From a folder that holds runs, keep only attacks that reach this level.")
     ] = Until.COLLISION,
     avoid: Annotated[
-        Until | None, typer.Option(help="Expect that the attack stays below this level (default: collision).")
+        Until | None,
+        typer.Option(help="Expect that the attack stays below this level (default: what a reference driver does)."),
     ] = None,
     min_ttc: Annotated[float | None, typer.Option(min=0, help="Expect a least TTC above this, s.")] = None,
     no_worse: Annotated[
         bool, typer.Option("--no-worse", help="Expect the ego to be no worse than in a baseline.")
     ] = False,
     name: Annotated[str | None, typer.Option(help="Of the case, for one RUN (default: input and seed).")] = None,
+    every: Annotated[bool, typer.Option("--all", help="Keep cases that no reference driver passes, too.")] = False,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes (default: one a core).")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
 ) -> None:
     """Keep found attacks in a suite: scenario, planner, parameters and trigger, in a folder a case.
 
+    The driver careful drives each of them first. An attack that no reference driver passes is left out.
     The files are text, and stand on their own: put them under version control, and edit what is expected in case.toml.
     """
+    from sumo_adv.cli.progress import Counter
     from sumo_adv.regression.case import Expectation
-    from sumo_adv.regression.keep import keep_run
+    from sumo_adv.regression.keep import held_in, keep_run
+    from sumo_adv.regression.reference import references
     from sumo_adv.report.judging import run_folders
     from sumo_adv.report.read import read_outcome
     from sumo_adv.report.run_outcome import level_of
 
-    if avoid is None and min_ttc is None and not no_worse:
-        avoid = Until.COLLISION
-    level_name = None if avoid is None else str(avoid.level)
-    expect = Expectation.model_validate({"avoid": level_name, "min_ttc": min_ttc, "no_worse": no_worse})
+    given_one = avoid is not None or min_ttc is not None or no_worse
+    wanted = {"avoid": None if avoid is None else str(avoid.level), "min_ttc": min_ttc, "no_worse": no_worse}
+    expect = Expectation.model_validate(wanted) if given_one else None
     runs = run_folders(given)
     if name is not None and len(runs) != 1:
         raise UsageError(f"--name is for one run, and {len(runs)} were given.")
-    kept, again, left = dict[Path, str](), list[Path](), list[Path]()
+    kept, again, left, failed = dict[Path, Path](), list[Path](), list[Path](), dict[Path, str]()
+    fresh = list[Path]()
     for run in runs:
         if run not in given and level_of((read_outcome(run).get("outcome") or {}).get("level")) < level.level:
             left.append(run)
+        elif (folder := held_in(run, suite, name)) is not None:
+            again.append(folder)
+        else:
+            fresh.append(run)
+    counter, done = Counter("attacks", quiet=as_json), count(1)
+    answers = references(fresh, expect, workers or os.cpu_count() or 1, lambda: counter.tell(next(done), len(fresh)))
+    counter.close()
+    for run, answer in zip(fresh, answers, strict=True):
+        if not answer.passed_by and not every:
+            failed[run] = answer.why
             continue
-        folder, new = keep_run(run, suite, expect, name)
+        folder, new = keep_run(run, suite, answer.expect, name, answer.passed_by)
         if new:
-            kept[folder] = run.name
+            kept[folder] = run
         else:
             again.append(folder)
     if as_json:
-        names = {"kept": list(kept), "there_already": again, "left_out": left}
+        names = {"kept": list(kept), "there_already": again, "left_out": left, "not_passed": list(failed)}
         typer.echo(json.dumps({"suite": str(suite)} | {key: [str(p) for p in value] for key, value in names.items()}))
         return
-    for folder, run_name in kept.items():
-        typer.echo(f"Kept {folder} from {run_name}")
+    for folder, run in kept.items():
+        typer.echo(f"Kept {folder} from {run.name}")
+    for run, why in failed.items():
+        typer.echo(f"Left out {run}: no reference driver passes it (careful: {why})")
     more = [f"{len(again)} there already"] if again else []
     more += [f"{len(left)} left out (below {level})"] if left else []
+    more += [f"{len(failed)} left out (no reference driver passes; --all keeps them)"] if failed else []
     typer.echo(f"{len(kept)} case{'s' * (len(kept) != 1)} into {suite}{''.join(', ' + each for each in more)}.")
 
 
@@ -80,6 +102,13 @@ def regress(
     baseline: Annotated[
         Path | None, typer.Option(metavar="FILE", help="regress.json of another driver or revision, to compare with.")
     ] = None,
+    attempts: Annotated[
+        int, typer.Option(min=1, help="Of a case at most; more than one also tries numbers near its own (default: 1).")
+    ] = 1,
+    waive: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Cases that need not pass until a date (default: waive.toml in SUITE)."),
+    ] = None,
     junit: Annotated[Path | None, typer.Option(metavar="FILE", help="JUnit XML to write, for build servers.")] = None,
     allow_untested: Annotated[
         bool, typer.Option("--allow-untested", help="Do not fail for cases without an encounter or a fair attack.")
@@ -89,10 +118,11 @@ def regress(
     force: Annotated[bool, typer.Option("--force", help="Replace the folder of other results.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
 ) -> None:
-    """Run each case of a suite once against a driver, and say whether it does what the case expects.
+    """Run each case of a suite against a driver, and say whether it does what the case expects.
 
     The adversary is not replayed: it plans again against what this driver does, with the kept planner, parameters and
-    trigger. Exit status 0: all cases pass; 3: a case does not; 2: bad input.
+    trigger. Where the driver arrives otherwise than the one that the case was found with, near numbers are tried, too.
+    Exit status 0: all cases pass; 3: a case does not; 2: bad input.
     """
     from sumo_adv.cli.progress import Counter
     from sumo_adv.regression.case import read_suite
@@ -100,14 +130,15 @@ def regress(
 
     cases = read_suite(suite)
     before = None if baseline is None else read_baseline(baseline)
-    for note in (note for case in cases for note in case.notes):
+    waivers = _waivers(suite, waive, [case.name for case in cases])
+    for note in (*(note for case in cases for note in case.notes), *waivers.notes):
         typer.echo(f"sumo-adv: {note}", err=True)
     name = suite.resolve().name
     target = out or Path("runs") / f"regress-{name}"
     counter, done = Counter("cases", quiet=as_json), count(1)
     run = run_suite(
-        cases, name, ego, target, workers=workers or os.cpu_count() or 1, force=force, baseline=before,
-        tell=lambda _: counter.tell(next(done), len(cases)),
+        cases, name, ego, target, workers=workers or os.cpu_count() or 1, force=force, attempts=attempts,
+        baseline=before, waived=waivers.by_case, tell=lambda _: counter.tell(next(done), len(cases)),
     )  # fmt: skip
     counter.close()
     if junit is not None:
@@ -119,3 +150,15 @@ def regress(
         typer.echo(f"Files: {target}")
     if not run.passed(allow_untested=allow_untested):
         raise typer.Exit(NOT_PASSED)
+
+
+def _waivers(suite: Path, given: Path | None, cases: list[str]) -> Waivers:
+    """The waivers for the cases that run: those of the file, else those of the suite. Raises UsageError."""
+    from sumo_adv.regression.case import CASE_FILE
+    from sumo_adv.regression.waivers import WAIVERS, Waivers, read_waivers
+
+    whole = suite.resolve().parent if (suite / CASE_FILE).is_file() else suite
+    file = given or whole / WAIVERS
+    if given is None and not file.is_file():
+        return Waivers()
+    return read_waivers(file, cases, {p.parent.name for p in whole.glob(f"*/{CASE_FILE}")})

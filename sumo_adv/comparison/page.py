@@ -22,7 +22,8 @@ from sumo_adv.report.page import page_of
 from sumo_adv.report.staging import staged
 
 HOW = (
-    "Rates: Wilson's 95 % interval. Means and differences: bootstrap, paired, 95 %; "
+    "Rates: Wilson's 95 % interval. Means and differences: bootstrap, paired, 95 %; p: McNemar's exact test of rates, "
+    "the sign-flip test of means (exact up to 13 encounters); "
     f"without an interval where there are fewer than {LEAST} encounters."
 )
 MOST = 30  # changes shown

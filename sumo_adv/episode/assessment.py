@@ -29,6 +29,7 @@ from sumo_adv.datatypes import (
     Track,
     Verdict,
 )
+from sumo_adv.episode.rules_broken import red_light_at
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.geometry import Frame, Path, wrap
 from sumo_adv.goal import Goal
@@ -41,6 +42,7 @@ from sumo_adv.planners.sessions import Roads, Sessions
 from sumo_adv.search.intents import named
 from sumo_adv.search.sampling import kind_of
 from sumo_adv.simulation.engine import Engine
+from sumo_adv.situation import Situation
 from sumo_adv.words.motion import Motion, Scene, misfits, observe
 from sumo_adv.words.request import Reading, read_motion
 
@@ -254,31 +256,14 @@ def motion_of(attempt: Attempt, result: AttemptResult, found: FoundEncounter, se
         Scene(
             cut[found.ego], cut[p.bv], others, situation.baseline.path, first.relation, first.hidden,
             attempt.verdict.contact_side if attempt.verdict.collided else None, start,
-            _red_at(p, result, found, cut[p.bv].time[0] if len(cut[p.bv].time) else start),
+            _red_at(p.bv, situation, result, float(cut[p.bv].time[0]) if len(cut[p.bv].time) else start),
         )
     )  # fmt: skip
 
 
-def _red_at(p: Proposal, result: AttemptResult, found: FoundEncounter, begun: float) -> float | None:
-    """When the adversary passes its stop line on red [s]; None if it does not, or if its light changes before."""
-    situation = found.situations[p.delay]
-    signals = situation.traffic.signals.get(p.bv, ())
-    if not signals or signals[0][2] not in "ru":
-        return None
-    light, distance, _ = signals[0]
-    gone, before, shown = 0.0, None, None
-    for snapshot in result.snapshots:
-        if snapshot.time < begun or p.bv not in snapshot.raw:
-            continue
-        x, y = snapshot.raw[p.bv][0], snapshot.raw[p.bv][1]
-        gone += 0.0 if before is None else ((x - before[0]) ** 2 + (y - before[1]) ** 2) ** 0.5
-        before, state = (x, y), snapshot.lights.get(light)
-        if shown is not None and state is not None and state != shown:
-            return None
-        shown = shown or state
-        if gone > distance:
-            return snapshot.time
-    return None
+def _red_at(bv: str, situation: Situation, result: AttemptResult, begun: float) -> float | None:
+    """When the adversary passes its stop line on red [s]."""
+    return red_light_at(bv, situation.traffic.signals.get(bv, ()), [s for s in result.snapshots if s.time >= begun])
 
 
 # -- from a result to an attempt ------------------------------------------------------------------------------------

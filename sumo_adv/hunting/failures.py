@@ -14,8 +14,11 @@ from sumo_adv.report.run_outcome import level_of
 
 COLUMNS = (
     "rank", "level", "intent", "relation", "road", "speed_band", "side", "delta_v", "count", "network", "seed",
-    "adversary", "preventable_by", "run", "cause", "cause_sentence", "robust",
+    "adversary", "preventable_by", "run", "cause", "cause_sentence", "robust", "humanlike", "fault", "red_light",
+    "right_of_way", "overlap", "warning", "near_touch",
 )  # fmt: skip
+TOUCH_M_S = 0.447
+"""Delta-v [m/s] (1 mph) below which a collision is a near-touch: it is listed apart, behind all others."""
 
 
 class FailureCell(NamedTuple):
@@ -45,12 +48,24 @@ class Failure:
     run: Path
     why: str = ""
     robust: bool | None = None  # whether most of its neighbours succeed, too; None where none was simulated
+    humanlike: bool | None = None  # whether the adversary moved as a person could
+    fault: str | None = None  # ego | adversary
+    red_light: str | None = None  # who passed one: adversary | ego | both | none
+    right_of_way: str | None = None  # who took it from the other
+    overlap: float | None = None  # share of the touching face
+    warning: float | None = None  # s from the alarm of cc_human to the contact
     count: int = 1
 
     @property
-    def worth(self) -> tuple[int, bool, float]:
-        """Sorts failures, the most serious robust one last."""
-        return (int(self.level), self.robust is True, self.delta_v)
+    def near_touch(self) -> bool:
+        """Whether the contact was negligible."""
+        return self.delta_v < TOUCH_M_S
+
+    @property
+    def worth(self) -> tuple[bool, int, bool, bool, float]:
+        """Sorts failures, the one to look at first last: no near-touch, by level, robust and humanlike, by delta-v."""
+        robust, human = self.robust is True, self.humanlike is True
+        return (not self.near_touch, int(self.level), robust and human, robust or human, self.delta_v)
 
     @property
     def words(self) -> str:
@@ -75,12 +90,14 @@ def failure_of(row: Mapping[str, Any], runs: Path) -> Failure | None:
     return Failure(
         cell, level, float(row["delta_v"] or 0.0), str(row["network"]), int(row["seed"]), str(row["adversary"]),
         str(row["preventable_by"] or ""), runs / str(row["id"]), str(row.get("cause_sentence") or ""),
-        row.get("robust"),
+        robust=row.get("robust"), humanlike=row.get("humanlike"), fault=row.get("fault"),
+        red_light=row.get("red_light"), right_of_way=row.get("right_of_way"), overlap=row.get("overlap"),
+        warning=row.get("warning"),
     )  # fmt: skip
 
 
 def distinct(failures: Iterable[Failure]) -> list[Failure]:
-    """One failure of each cell, most serious first; of equals the first one found."""
+    """One failure of each cell, the one to look at first first (``Failure.worth``); of equals the first one found."""
     cells: dict[FailureCell, Failure] = {}
     for failure in failures:
         best = cells.get(failure.cell)
@@ -89,7 +106,7 @@ def distinct(failures: Iterable[Failure]) -> list[Failure]:
         else:
             chosen = failure if failure.worth > best.worth else best
             cells[failure.cell] = replace(chosen, count=best.count + failure.count)
-    return sorted(cells.values(), key=lambda f: (-f.level, -f.delta_v, f.cell))
+    return sorted(sorted(cells.values(), key=lambda f: f.cell), key=lambda f: f.worth, reverse=True)
 
 
 def table(found: Sequence[Failure], folder: Path) -> list[dict[str, Any]]:
@@ -98,7 +115,8 @@ def table(found: Sequence[Failure], folder: Path) -> list[dict[str, Any]]:
         {
             "rank": k + 1, "level": str(f.level), **f.cell._asdict(), "delta_v": round(f.delta_v, 3), "count": f.count,
             "network": f.network, "seed": f.seed, "adversary": f.adversary, "preventable_by": f.preventable_by,
-            "run": f.run.relative_to(folder).as_posix(), "cause_sentence": f.why, "robust": f.robust,
+            "run": f.run.relative_to(folder).as_posix(), "cause_sentence": f.why,
+            **{key: getattr(f, key) for key in COLUMNS[COLUMNS.index("robust") :]},
         }
         for k, f in enumerate(found)
     ]  # fmt: skip

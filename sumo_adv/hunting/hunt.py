@@ -26,6 +26,7 @@ from sumo_adv.campaigns.results import OUTCOME, failed, read_row
 from sumo_adv.datatypes import Level
 from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.files import refuse_links, sentences, write_text
+from sumo_adv.goal import Goal
 from sumo_adv.hunting.failures import COLUMNS, Failure, distinct, failure_of, table
 from sumo_adv.parsing import read_json, read_object
 from sumo_adv.report.index import HUNT, RESULTS
@@ -41,8 +42,15 @@ PATIENCE = 3.0  # an encounter may take this many times the median time to the f
 KINDS = 3  # kinds of attacks that are looked for in an encounter once fresh encounters brought nothing new
 SHARE = 0.1  # of the time that is left: the most that an encounter may take
 LEVELS = (Level.VALID, Level.STRICT, Level.SERIOUS)
+FAILURE = Goal(Level.VALID)
+"""What a failure comes to at least, if no level is asked for."""
 RunCampaign = Callable[[Plan, Orders], Summary]
 """Runs what is missing of a plan. Raises SumoAdvError."""
+
+
+def counted(found: Sequence[Failure], level: Level) -> int:
+    """How many failures are of this level or a higher one; near-touches do not count."""
+    return sum(f.level >= level and not f.near_touch for f in found)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,8 +67,8 @@ class HuntProgress:
     lost: int
 
     def count(self, level: Level) -> int:
-        """Distinct failures of this level or a higher one."""
-        return sum(f.level >= level for f in self.found)
+        """Distinct failures of this level or a higher one, without near-touches."""
+        return counted(self.found, level)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,8 +91,12 @@ class Hunt:
     Raises UsageError: the folder holds another hunt.
     """
 
-    def __init__(self, plan: Plan, orders: Orders, campaign: RunCampaign, minutes: float, most: int | None) -> None:
-        """minutes: of the whole hunt, also over several calls. most: distinct failures that end it sooner."""
+    def __init__(
+        self, plan: Plan, orders: Orders, campaign: RunCampaign, minutes: float, most: int | None, goal: Goal = FAILURE
+    ) -> None:  # fmt: skip
+        """minutes: of the whole hunt, also over several calls. most: distinct failures that end it sooner. goal: what a
+        failure comes to at least."""
+        self._goal = goal
         self._plan, self._orders, self._campaign = plan, orders, campaign
         self._limit, self._most, self.folder = minutes * 60.0, most, orders.out
         self._inputs = {i.content: i for i in plan.inputs if not i.error}
@@ -158,7 +170,7 @@ class Hunt:
         found = self.found()
         if self._rows:
             self._state["rounds"][len(self._rows) - 1]["found"] = {
-                str(level): sum(f.level >= level for f in found) for level in LEVELS
+                str(level): counted(found, level) for level in LEVELS
             }
         self._write(found)
         return found
@@ -205,10 +217,11 @@ class Hunt:
 
     def _failures(self, k: int, rows: Sequence[Mapping[str, Any]]) -> list[Failure]:
         first = [f for row in rows if (f := failure_of(row, self._runs_of(k))) is not None]
-        return first + [f for row in rows for f in self._more[k].get(str(row["id"]), ())]
+        every = first + [f for row in rows for f in self._more[k].get(str(row["id"]), ())]
+        return [f for f in every if f.level >= self._goal.level and f.delta_v >= self._goal.min_delta_v]
 
     def _enough(self) -> bool:
-        return self._most is not None and len(self.found()) >= self._most
+        return self._most is not None and counted(self.found(), Level.VALID) >= self._most
 
     def _seconds(self) -> float:
         return sum(float(r.get("took", 0.0)) for r in self._state["rounds"])

@@ -3,7 +3,8 @@
 ============= ====================================================================================================
 kind          meaning
 ============= ====================================================================================================
-unforeseeable no danger shows to ``cc_human`` soon enough for it to brake, and no reference driver avoids the contact
+unforeseeable no danger shows to ``cc_human`` soon enough: it does not brake, or is hit all the same, and no reference
+              driver and no constant braking avoids the contact
 steered_in    the ego left its way towards the adversary, and on its way it would not have been hit
 no_reaction   the ego neither braked nor steered away before the contact
 late          it began more than 0.2 s after the careful driver
@@ -51,6 +52,7 @@ IN_TIME = 0.2  # s after the careful driver is still in time
 CALM = 2.0  # s without a danger, after which the next one is another
 SOON = 0.05  # s before the moment, which is 0.0 s in words
 STEP, COARSE = 0.1, 5  # m/s2 between the constant brakings that are tried; every fifth one is tried first
+STANDS = 0.1  # m/s: a slower ego stands
 CAREFUL = CcHuman.name
 DELAYS = {name: braker.delay for name, braker in BRAKERS.items()} | {MANOEUVRE: DELAY - PERCEPTION}
 """Seconds from a reference driver's alarm until it acts."""
@@ -154,8 +156,12 @@ def cause_of(
     into = into and missed_on_its_way(ego, adversary, others, trigger_time, moment, lane_half_width, unattacked)
     avoided = verdict.preventability is not None and bool(verdict.preventability.by)
     harder = enough is not None and _avoids(check, first, FULL_BRAKING)
-    kind = _kind(found, contact is not None, into, avoided, harder)
-    return replace(found, kind=kind, sentence=_sentence(replace(found, kind=kind), contact is not None))
+    found = replace(found, kind=_kind(found, contact is not None, into, avoided, harder))
+    hopeless = found.kind is CauseKind.UNFORESEEABLE and careful is not None
+    sentence = _all_the_same(found, check, begin) if hopeless else _sentence(found, contact is not None)
+    in_loop = verdict.preventability is not None and verdict.preventability.simulated
+    again = " When the adversary plans again, no reference driver avoids it." * (in_loop and not avoided)
+    return replace(found, sentence=sentence + again)
 
 
 def _kind(c: Cause, met: bool, into: bool, avoided: bool, harder: bool) -> CauseKind:
@@ -295,8 +301,10 @@ def _sentence(c: Cause, met: bool) -> str:
             return f"No danger showed to a careful driver before {moment}{', and what yours did was not enough' * met}."
         if unknown or c.alarm is None:
             return f"No one could have known before {moment}."
-        known = f"No one could have known earlier than {c.moment - c.alarm:.1f} s before {moment}"
-        return f"{known}, and no reference driver avoids it." if c.careful is not None else f"{known}."
+        before = f"{c.moment - c.alarm:.1f} s before {moment}"
+        if c.moment - c.alarm > REACTION + IN_TIME:
+            return f"A danger showed to a careful driver {before}, but none that made it brake."
+        return f"No one could have known earlier than {before}."
     careful = NAMES.get(c.reference, f"the reference driver {c.reference}")
     if c.kind is CauseKind.NO_REACTION:
         behind = "" if c.careful is None else f", {c.moment - c.careful:.1f} s after {careful} began to act"
@@ -323,6 +331,19 @@ def _sentence(c: Cause, met: bool) -> str:
     if c.action is Action.BRAKED and c.enough is not None and (c.braking or 0.0) >= c.enough:
         return f"Your driver braked in time and at first too gently{_enough_words(c, met)}."
     return f"Your driver {did[2]} in time and {too}, {did[1]}{_enough_words(c, met)}."
+
+
+def _all_the_same(c: Cause, check: Counterfactual, begin: float) -> str:
+    """Why a careful driver that brakes before the contact does not avoid it."""
+    braked = f"A careful driver would have braked {c.moment - (c.careful or 0.0):.1f} s before the contact"
+    station, speed, _ = check.roll_out(CcHuman)
+    contact = float(check.moving(station, speed).contact[0])
+    if not math.isfinite(contact):
+        return f"{braked}, and avoids the adversary's recorded motion."
+    pace = float(np.interp(contact, check.time, speed[0]))
+    later = begin + contact - (c.careful or 0.0)
+    hit = "standing" if pace < STANDS else f"at {pace:.1f} m/s"
+    return f"{braked}, and is hit all the same {later:.1f} s later, {hit}."
 
 
 def _did(c: Cause, moment: str) -> tuple[str, str, str]:

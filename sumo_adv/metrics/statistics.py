@@ -1,15 +1,13 @@
-"""Intervals and tests for every table: Wilson, bootstrap, McNemar, paired bootstrap.
+"""Intervals and tests for every table: Wilson, bootstrap, McNemar, sign flips of paired differences.
 
-Only numpy and the standard library.  Intervals are those of 95 %.  Every bootstrap takes a seed and is
-deterministic.
+All are those of ``scipy.stats``, which is imported where a figure is asked for, since that takes half a second.
+Intervals are those of 95 %.  What is drawn takes a seed and is deterministic.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -19,8 +17,7 @@ from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError
 
 CONFIDENCE = 0.95
-TAILS = ((1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2)
-RESAMPLES = 10_000
+RESAMPLES = 10_000  # of a bootstrap; as many sign flips make a test exact up to 13 pairs
 AT_ONCE = 1_000_000  # values drawn at a time
 Summary = Callable[..., Any]  # a numpy function with an ``axis``: mean, median
 Values = Sequence[float] | NDArray[np.float64]
@@ -44,20 +41,18 @@ class Estimate:
 def wilson(successes: int, n: int) -> Estimate:
     """A rate with Wilson's score interval (Wilson 1927).
 
-    centre = (p + z^2/2n) / (1 + z^2/n), half width = z sqrt(p(1-p)/n + z^2/4n^2) / (1 + z^2/n).
     With n = 0: value nan, interval 0 to 1.  Raises UsageError unless 0 <= successes <= n.
     """
+    from scipy.stats import binomtest
+
     if not 0 <= successes <= n:
         raise UsageError(f"A rate needs 0 <= successes <= n; got {successes} of {n}.")
     if n == 0:
         return Estimate(float("nan"), 0.0, 1.0, 0)
-    z, p = NormalDist().inv_cdf(TAILS[1]), successes / n
-    scale = 1 + z * z / n
-    centre = (p + z * z / (2 * n)) / scale
-    half = z * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n)) / scale
-    low = 0.0 if successes == 0 else centre - half
-    high = 1.0 if successes == n else centre + half
-    return Estimate(p, low, high, n)
+    share = successes / n
+    test = binomtest(successes, n, share)  # of its own share: that p is known without a sum
+    interval = test.proportion_ci(CONFIDENCE, method="wilson")
+    return Estimate(share, float(interval.low), float(interval.high), n)
 
 
 def bootstrap(values: Values, *, resamples: int = RESAMPLES, seed: int = 0, of: Summary = np.mean) -> Estimate:
@@ -66,8 +61,8 @@ def bootstrap(values: Values, *, resamples: int = RESAMPLES, seed: int = 0, of: 
     Raises UsageError on no values or on any not finite.
     """
     data = _finite(values)
-    low, high = np.quantile(_resampled(data, resamples, seed, of), TAILS)
-    return Estimate(float(of(data, axis=0)), float(low), float(high), len(data))
+    low, high = _percentiles(data, resamples, seed, of)
+    return Estimate(float(of(data, axis=0)), low, high, len(data))
 
 
 def _finite(values: Values) -> Floats:
@@ -77,12 +72,17 @@ def _finite(values: Values) -> Floats:
     return data
 
 
-def _resampled(data: Floats, resamples: int, seed: int, of: Summary) -> Floats:
-    """The summary of each resample, in portions that keep memory small."""
-    generator, size = np.random.default_rng(seed), len(data)
-    at_once = max(AT_ONCE // size, 1)
-    counts = [min(at_once, resamples - begun) for begun in range(0, resamples, at_once)]
-    return np.concatenate([of(data[generator.integers(0, size, (count, size))], axis=1) for count in counts])
+def _percentiles(data: Floats, resamples: int, seed: int, of: Summary) -> tuple[float, float]:
+    """The percentile bootstrap interval, drawn in portions that keep memory small; of one value this value."""
+    from scipy.stats import bootstrap as resampled
+
+    if len(data) == 1:
+        return float(data[0]), float(data[0])
+    interval = resampled(
+        (data,), of, n_resamples=resamples, confidence_level=CONFIDENCE, method="percentile",
+        rng=np.random.default_rng(seed), batch=max(AT_ONCE // len(data), 1),
+    ).confidence_interval  # fmt: skip
+    return float(interval.low), float(interval.high)
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,29 +99,53 @@ class Paired:
 def mcnemar(first: Flags, second: Flags) -> float:
     """Exact two-sided p of McNemar's test: are successes of two methods on the same encounters equally frequent?
 
-    Binomial on the discordant pairs (McNemar 1947): p = 2 P(X <= min(b, c)), X ~ B(b + c, 1/2), at most 1.
-    Raises UsageError where the lengths differ.
+    Binomial on the discordant pairs (McNemar 1947).  Raises UsageError where the lengths differ.
     """
+    from scipy.stats import binomtest
+
     _same_length(len(first), len(second))
     successes, other_successes = np.asarray(first, dtype=bool), np.asarray(second, dtype=bool)
     b, c = int((successes & ~other_successes).sum()), int((~successes & other_successes).sum())
-    tail = sum(math.comb(b + c, k) for k in range(min(b, c) + 1))
-    return float(min(2 * tail / 2 ** (b + c), 1.0))
+    return float(binomtest(b, b + c).pvalue) if b + c else 1.0
 
 
-def paired_bootstrap(first: Values, second: Values, *, resamples: int = RESAMPLES, seed: int = 0) -> Paired:
-    """Difference of means on the same encounters, resampling encounters (both methods together).
+def paired_means(first: Values, second: Values, *, resamples: int = RESAMPLES, seed: int = 0) -> Paired:
+    """Difference of means on the same encounters.
 
-    p is twice the smaller share of resampled differences on one side of zero (with one added, at most 1).
+    The interval is a percentile bootstrap over encounters.  p is that of the sign-flip test (Fisher 1935): under the
+    hypothesis of no difference, each encounter's difference is as likely to have the other sign.  All flips are counted
+    where ``resamples`` are enough (up to 13 encounters), else that many are drawn.
     Raises UsageError where the lengths differ or values are not finite.
     """
     _same_length(len(first), len(second))
     values, other_values = _finite(first), _finite(second)
-    means = _resampled(values - other_values, resamples, seed, np.mean)
-    low, high = np.quantile(means, TAILS)
-    side = min(int((means <= 0).sum()), int((means >= 0).sum()))
-    p = min(2 * (side + 1) / (resamples + 1), 1.0)
-    return Paired(float((values - other_values).mean()), float(low), float(high), p, len(values))
+    differences = values - other_values
+    low, high = _percentiles(differences, resamples, seed, np.mean)
+    return Paired(float(differences.mean()), low, high, _sign_flips(differences, resamples, seed), len(values))
+
+
+def paired_rates(first: Flags, second: Flags, *, resamples: int = RESAMPLES, seed: int = 0) -> Paired:
+    """Difference of rates on the same encounters: percentile bootstrap over encounters, p of McNemar's exact test.
+
+    Raises UsageError where the lengths differ.
+    """
+    p = mcnemar(first, second)
+    differences = _finite(np.asarray(first, dtype=float) - np.asarray(second, dtype=float))
+    low, high = _percentiles(differences, resamples, seed, np.mean)
+    return Paired(float(differences.mean()), low, high, p, len(differences))
+
+
+def _sign_flips(differences: Floats, resamples: int, seed: int) -> float:
+    """Two-sided p of the sign-flip test."""
+    from scipy.stats import permutation_test
+
+    if len(differences) == 1:
+        return 1.0
+    test = permutation_test(
+        (differences,), np.mean, permutation_type="samples", n_resamples=resamples, rng=np.random.default_rng(seed),
+        batch=max(AT_ONCE // len(differences), 1), vectorized=True,
+    )  # fmt: skip
+    return float(test.pvalue)
 
 
 def _same_length(one: int, two: int) -> None:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from sumo_adv.config import LONGEST_DELAY, load_settings
 from sumo_adv.datatypes import MOST_ADVERSARIES, Duty, Level, Proposal, acceleration_of
@@ -23,6 +23,7 @@ from sumo_adv.errors import SandboxError, UsageError
 from sumo_adv.files import refuse_links
 from sumo_adv.parsing import read_toml
 from sumo_adv.planners.source import make_planner
+from sumo_adv.regression.at_trigger import AtTrigger
 from sumo_adv.simulation.inputs import RunInput, load_input
 from sumo_adv.simulation.sumo_options import refuse
 
@@ -93,21 +94,36 @@ class _Attack(_Member):
         return self
 
 
+class _Found(BaseModel):
+    model_config = ConfigDict(extra="allow", frozen=True, allow_inf_nan=False)
+
+    level: str = "none"
+    situation: AtTrigger | None = None
+
+    @field_validator("level")
+    @classmethod
+    def _known(cls, level: str) -> str:
+        if level.upper() not in Level.__members__:
+            raise ValueError(f"it is one of {', '.join(map(str, Level))}")
+        return level
+
+
 class _File(_Table):
     schema_version: Literal[1] = Field(alias="schema")
     expect: Expectation = Expectation(avoid="collision")
     attack: _Attack
     settings: dict[str, Any] = Field(default_factory=dict)
-    found: dict[str, Any] = Field(default_factory=dict)
+    found: _Found = _Found()
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A kept attack. ``settings``: those that shape the run, as data; ``found``: its outcome when it was kept.
+    """A kept attack. ``settings``: those that shape the run, as data; ``level``: that it reached when it was kept.
 
     relations: of the adversaries to the ego at the trigger, by id. ego_driven_from: the earliest time at which the
     ego's driver takes over [s], None = as soon as the ego is there. ego_before: the vehicles that it drives before, and
-    when it takes over and releases each [s]. notes: what has changed since the case was kept.
+    when it takes over and releases each [s]. situation: how both stood to each other when the attack began, None in
+    cases of earlier versions. notes: what has changed since the case was kept.
     """
 
     name: str
@@ -119,7 +135,8 @@ class Case:
     ego_driven_from: float | None = None
     ego_before: tuple[tuple[str, float, float], ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
-    found: Mapping[str, Any] = field(default_factory=dict)
+    level: Level = Level.NONE
+    situation: AtTrigger | None = None
     notes: tuple[str, ...] = ()
 
 
@@ -162,7 +179,8 @@ def read_case(folder: Path) -> Case:
     note = f"{name}: the network {source.network.name} is not the one that the case was kept with."
     return Case(
         name, folder, source, proposal, relations, given.expect, attack.ego_driven_from,
-        attack.ego_before, given.settings, given.found, (note,) if changed else (),
+        attack.ego_before, given.settings, Level[given.found.level.upper()], given.found.situation,
+        (note,) if changed else (),
     )  # fmt: skip
 
 

@@ -10,8 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv.datatypes import MOST_ADVERSARIES, Level, Proposal, plain_acceleration
+from sumo_adv.episode.references import state_at
 from sumo_adv.errors import UsageError
 from sumo_adv.files import refuse_links, sentences, toml_lines, toml_value
+from sumo_adv.regression.at_trigger import AtTrigger
 from sumo_adv.regression.case import (
     CASE_FILE,
     NETWORKS,
@@ -24,7 +26,7 @@ from sumo_adv.regression.case import (
     read_case,
 )
 from sumo_adv.report.manifest import Recorded, read_manifest
-from sumo_adv.report.read import read_outcome
+from sumo_adv.report.read import read_outcome, read_run
 from sumo_adv.report.run_outcome import level_of
 from sumo_adv.report.staging import staged
 from sumo_adv.simulation.inputs import EgoRoute, data_folder
@@ -36,29 +38,21 @@ HASH_AND_DASH = 13  # characters in front of an input's own name in a run's fold
 PROPS = {"parked": "parked", "pedestrian": "pedestrians", "cyclist": "cyclists"}
 
 
-def keep_run(run: Path, suite: Path, expect: Expectation, name: str | None = None) -> tuple[Path, bool]:
+def keep_run(
+    run: Path, suite: Path, expect: Expectation, name: str | None = None, passed_by: Sequence[str] | None = None
+) -> tuple[Path, bool]:
     """Write the attack of a run as a case into a suite; its folder, and whether it is new.
 
     name: of the case; by default that of the input with the seed, and a number where that is taken by another attack.
+    passed_by: reference drivers that pass the case (``reference.py``), None where none was asked.
 
     Raises UsageError: no run's folder, a run without a collision or a low TTC, a name that is taken, or a suite that
     cannot be written.
     """
     refuse_links(suite)
-    recorded, outcome = read_manifest(run), read_outcome(run)
-    if level_of((outcome.get("outcome") or {}).get("level")) is Level.NONE:
-        raise UsageError(f"The attack of {run} reached no level, so there is nothing to keep.")
-    encounter = outcome.get("encounter") or {}
-    relations = {r["id"]: r["relation"] for r in encounter.get("ranking", ())}
-    if not relations.keys() >= set(recorded.proposal.bvs):
-        raise UsageError(f"{run} does not say how its adversary stood to the ego; run the attack again.")
-    texts = {
-        SCENARIO_FILE: _scenario(recorded, outcome, suite),
-        **{planner_file(k): p.planner.source for k, p in enumerate(recorded.proposal.members)},
-        CASE_FILE: _case(recorded, outcome, relations, expect),
-    }
+    recorded, texts = _texts(run, suite, expect, passed_by)
     with sentences(suite):
-        folder = _place(suite, name or _slug(f"{recorded.source.name}-{recorded.settings.seed}"), texts, fixed=name)
+        folder = _place(suite, name or _named(recorded), texts, fixed=name)
         if folder.exists():
             return folder, False
         with staged(folder, force=False, inside=True) as made:
@@ -70,6 +64,48 @@ def keep_run(run: Path, suite: Path, expect: Expectation, name: str | None = Non
             made.keep(force=False)
     read_case(folder)
     return folder, True
+
+
+def held_in(run: Path, suite: Path, name: str | None = None) -> Path | None:
+    """The case in a suite that has the attack of a run already; None if there is none. Raises UsageError as
+    ``keep_run`` does."""
+    recorded, texts = _texts(run, suite, Expectation(avoid="collision"), None)
+    with sentences(suite):
+        folder = _place(suite, name or _named(recorded), texts, fixed=name)
+    return folder if folder.exists() else None
+
+
+def _texts(
+    run: Path, suite: Path, expect: Expectation, passed_by: Sequence[str] | None
+) -> tuple[Recorded, dict[str, str]]:
+    """What the manifest of a run records, and the texts of its case by file."""
+    recorded, outcome = read_manifest(run), read_outcome(run)
+    if level_of((outcome.get("outcome") or {}).get("level")) is Level.NONE:
+        raise UsageError(f"The attack of {run} reached no level, so there is nothing to keep.")
+    encounter = outcome.get("encounter") or {}
+    relations = {r["id"]: r["relation"] for r in encounter.get("ranking", ())}
+    if not relations.keys() >= set(recorded.proposal.bvs):
+        raise UsageError(f"{run} does not say how its adversary stood to the ego; run the attack again.")
+    situation = _situation(run, recorded, outcome)
+    return recorded, {
+        SCENARIO_FILE: _scenario(recorded, outcome, suite),
+        **{planner_file(k): p.planner.source for k, p in enumerate(recorded.proposal.members)},
+        CASE_FILE: _case(recorded, outcome, relations, expect, passed_by, situation),
+    }
+
+
+def _situation(run: Path, recorded: Recorded, outcome: Mapping[str, Any]) -> AtTrigger | None:
+    """How the ego and the adversary stood to each other when the attack began; None where the states do not say."""
+    when, tracks = float(outcome["trigger_time"]), {t.id: t for t in read_run(run).best}
+    ego, adversary = (tracks.get(name) for name in (str(outcome["ego"]["id"]), recorded.proposal.bv))
+    if ego is None or adversary is None:
+        return None
+    here, there = state_at(ego, when), state_at(adversary, when)
+    return None if here is None or there is None else AtTrigger.of(here, there)
+
+
+def _named(recorded: Recorded) -> str:
+    return _slug(f"{recorded.source.name}-{recorded.settings.seed}")
 
 
 def _place(suite: Path, name: str, texts: Mapping[str, str], *, fixed: str | None) -> Path:
@@ -84,11 +120,16 @@ def _place(suite: Path, name: str, texts: Mapping[str, str], *, fixed: str | Non
 
 
 def _same(folder: Path, texts: Mapping[str, str]) -> bool:
-    """Whether a folder holds the same attack; its expectation may have been edited."""
+    """Whether a folder holds the same attack; its expectation and what is told of its finding may differ."""
     held = {name: (folder / name).read_text(encoding="utf-8") for name in texts if (folder / name).is_file()}
-    attack = [text[CASE_FILE].partition("[attack]")[2] for text in (held, texts) if CASE_FILE in text]
+    attack = [_attack_in(text[CASE_FILE]) for text in (held, texts) if CASE_FILE in text]
     same = all(held.get(name) == text for name, text in texts.items() if name != CASE_FILE)
     return same and len(attack) == 2 and attack[0] == attack[1]
+
+
+def _attack_in(case: str) -> str:
+    """The tables ``[attack]`` and ``[settings]`` of the text of a case."""
+    return case.partition("[attack]")[2].partition("[found]")[0]
 
 
 def _slug(name: str) -> str:
@@ -175,7 +216,10 @@ def _box(prop: Prop) -> dict[str, Any]:
     return {k: getattr(prop, k) for k in keys} | {"times": None if always else [prop.start, prop.end]}
 
 
-def _case(recorded: Recorded, outcome: Mapping[str, Any], relations: Mapping[str, str], expect: Expectation) -> str:
+def _case(
+    recorded: Recorded, outcome: Mapping[str, Any], relations: Mapping[str, str], expect: Expectation,
+    passed_by: Sequence[str] | None, situation: AtTrigger | None,
+) -> str:  # fmt: skip
     p, task = recorded.proposal, recorded.task
     encounter, verdict = outcome["encounter"], outcome["outcome"]
     before = encounter.get("driven_before", ()) if task.ego is None else task.driven_before
@@ -188,11 +232,13 @@ def _case(recorded: Recorded, outcome: Mapping[str, Any], relations: Mapping[str
     }  # fmt: skip
     expected = {k: v for k, v in expect.model_dump().items() if v not in (None, False)}
     observed = {"ego": task.ego_driver} | {k: verdict.get(k) for k in FOUND}
+    observed["passed_by"] = None if passed_by is None else list(passed_by)
+    at_trigger = [] if situation is None else ["", "[found.situation]", *toml_lines(situation.as_data())]
     lines = [
         f"schema = {SCHEMA}", "", "[expect]", *toml_lines(expected), "", "[attack]", *toml_lines(attack), "",
         "[attack.parameters]", *toml_lines(dict(p.parameters)), "", *_supports(p, relations),
         "[settings]", *_settings(recorded), "",
-        "[found]", *toml_lines(observed),
+        "[found]", *toml_lines(observed), *at_trigger,
     ]  # fmt: skip
     return "\n".join(lines) + "\n"
 

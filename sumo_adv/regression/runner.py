@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import TypeAdapter
@@ -20,9 +20,8 @@ from pydantic import TypeAdapter
 from sumo_adv.campaigns.results import Done
 from sumo_adv.campaigns.worker import share
 from sumo_adv.config import Settings, Until, forget_environment, load_settings
-from sumo_adv.datatypes import Attempt, Ending, Intent, Level
+from sumo_adv.datatypes import Attempt, Intent, Level, Track
 from sumo_adv.episode.episode import Episode
-from sumo_adv.episode.loop import attack_once
 from sumo_adv.episode.planned_encounter import seek
 from sumo_adv.episode.task import FoundEncounter, Task, make_task
 from sumo_adv.episode.warm import WarmProcesses
@@ -30,6 +29,8 @@ from sumo_adv.errors import SumoAdvError
 from sumo_adv.files import is_storage_error, scratch_prefix
 from sumo_adv.metrics.contact import first_other_contact
 from sumo_adv.planners.sandbox import Sandbox
+from sumo_adv.regression.at_trigger import AtTrigger
+from sumo_adv.regression.attack import Arrived, attack
 from sumo_adv.regression.case import Case, Expectation, read_case
 from sumo_adv.report.folder import all_sizes, write_run
 from sumo_adv.report.staging import staged
@@ -39,21 +40,23 @@ from sumo_adv.simulation.tracks import tracks_of
 NO_CONCERN = 4.0  # s: a larger TTC is no danger to a driver (Minderhoud and Bovy 2001), so it is not compared
 LOWER_TTC = 0.1  # s, a step of the simulation: a smaller loss of TTC is not worse
 HARDER = 0.447  # m/s (1 mph, the bound of negligible severity): a smaller gain of delta-v is not worse
+NEAR_M, NEAR_TTC_S = 5.0, 3.0  # an attack that came to neither was no danger, so it says nothing of the driver
 INPUTS = "inputs"  # beside the runs: networks and demand, each content once
 
 
 class Result(StrEnum):
-    """How a case ended. Only ``PASS`` passes; ``NO_ENCOUNTER`` and ``INVALID`` say nothing about the ego."""
+    """How a case ended. Only ``PASS`` passes; those of ``UNTESTED`` say nothing about the ego."""
 
     PASS = "pass"
     FAIL = "fail"
     NO_ENCOUNTER = "no encounter"  # the ego never came into the trigger's situation
+    NOT_REACHED = "not reached"  # the attack, which was a collision, no longer comes near the ego
     INVALID = "invalid"  # the adversary could not drive the attack as a car can
     ERROR = "error"  # the ego's driver or the simulation broke
 
 
 LevelName = Literal["none", "critical", "collision", "valid", "strict", "serious"]
-UNTESTED = (Result.NO_ENCOUNTER, Result.INVALID)
+UNTESTED = (Result.NO_ENCOUNTER, Result.NOT_REACHED, Result.INVALID)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +67,11 @@ class Measured:
     failed_gates, min_ttc, delta_v, severity, contact_time, preventable_by: of the attempt's verdict. touched: another
     vehicle or object that the ego ran into. planner: why the adversary's planner failed. seconds: that it took. cause,
     cause_sentence: the kind of cause of a contact or near miss, and the cause in words.
+
+    arrived: how the ego stood to the adversary when the attack began; otherwise: how that differs from the kept case,
+    in words, empty if it does not. attempts: that were made; near: whether one of them came near the ego; min_distance
+    [m]: in the one that counts. progress: how far the ego drove in it [m]; jerk: its largest one [m/s3];
+    time_to_end: that it drove [s]; all from the start of the attack to the contact or the end.
     """
 
     case: str
@@ -84,6 +92,14 @@ class Measured:
     seconds: float = 0.0
     cause: str | None = None
     cause_sentence: str = ""
+    arrived: AtTrigger | None = None
+    otherwise: str = ""
+    attempts: int = 1
+    near: bool = True
+    min_distance: float | None = None
+    progress: float | None = None
+    jerk: float | None = None
+    time_to_end: float | None = None
 
     @property
     def compared_ttc(self) -> float:
@@ -125,7 +141,17 @@ def judged(case: Case, measured: Measured, before: Measured | None) -> Judged:
         return Judged(m, Result.INVALID, f"The adversary collides, but no car can drive so ({gates}).", before)
     remark = "The adversary runs into the ego's back, which is not held against the ego." if m.rear_end else ""
     why = _broken_expectation(case.expect, m, before)
+    if not why and not m.near and case.level >= Level.COLLISION:
+        return Judged(m, Result.NOT_REACHED, _far(m), before)
     return Judged(m, Result.FAIL if why else Result.PASS, why or remark, before)
+
+
+def _far(m: Measured) -> str:
+    """Why nothing can be said of an ego that the attack does not come near."""
+    arrives = f"The ego arrives {m.otherwise}" if m.otherwise else "The ego arrives as in the kept case"
+    tries = f"{m.attempts} attempts" if m.attempts > 1 else "the attack"
+    stays = "" if m.min_distance is None else f": it stays {m.min_distance:.0f} m away"
+    return f"{arrives}, and {tries} did not come near it{stays}."
 
 
 def _broken_expectation(expect: Expectation, m: Measured, before: Measured | None) -> str:
@@ -171,10 +197,12 @@ class CaseJob:
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """What each worker needs. ``runs``: where the folders of the runs go; ``ego``: the driver under test."""
+    """What each worker needs. runs: where the folders of the runs go; ego: the driver under test; attempts: that a case
+    may take."""
 
     runs: Path
     ego: str
+    attempts: int = 1
 
 
 class CaseRunner(WarmProcesses):
@@ -208,14 +236,15 @@ class CaseRunner(WarmProcesses):
             task = task_for(case, settings, Path(scratch))
             sandbox = self._sandboxes.of(settings)
             with self._engine.episode() as engine:
-                episode, missed = run_case(case, settings, task, engine, sandbox)
-            if missed:
-                return Measured(case.name, settings.ego, broken=missed, missed=True)
+                came = run_case(case, settings, task, engine, sandbox, self._setup.attempts)
+            if isinstance(came, str):
+                return Measured(case.name, settings.ego, broken=came, missed=True)
+            episode, arrived = came
             with staged(self._setup.runs / case.name, force=True, inside=True) as folder:
                 outcome = write_run(folder, episode, figure=False)
                 share(folder.stage / INPUTS, self._setup.runs.parent / INPUTS)
                 folder.keep(force=True)
-        return measure(case, episode, outcome)
+        return measure(case, episode, arrived, outcome)
 
 
 def settings_for(case: Case, ego: str) -> Settings:
@@ -235,8 +264,10 @@ def task_for(case: Case, settings: Settings, scratch: Path) -> Task:
     return replace(task, driven_from=case.ego_driven_from, driven_before=case.ego_before, delay=case.proposal.delay)
 
 
-def run_case(case: Case, settings: Settings, task: Task, engine: Engine, sandbox: Sandbox) -> tuple[Episode, str]:
-    """Drive to the trigger and attack as the case says; and why there was no encounter, or empty.
+def run_case(
+    case: Case, settings: Settings, task: Task, engine: Engine, sandbox: Sandbox, attempts: int
+) -> tuple[Episode, Arrived] | str:
+    """Drive to the trigger and attack as the case says; or why there was no encounter.
 
     Raises SumoAdvError: the driver or the simulation broke.
     """
@@ -245,14 +276,12 @@ def run_case(case: Case, settings: Settings, task: Task, engine: Engine, sandbox
     episode.intent = Intent(p.bv, p.label, "", "", p.acceleration, "a kept case")
     encounter = seek(episode, engine, lambda *_: None)
     if encounter is None:
-        return episode, episode.reason
-    why = _elsewhere(case, encounter)
-    if why:
-        episode.ending, episode.reason, episode.found = Ending.NO_ENCOUNTER, why, None
-        return episode, why
-    attack_once(episode, engine, sandbox, encounter, p)
+        return episode.reason
+    if why := _elsewhere(case, encounter):
+        return why
+    arrived = attack(case, episode, engine, sandbox, encounter, attempts)
     episode.isolation = sandbox.isolation
-    return episode, ""
+    return episode, arrived
 
 
 def _elsewhere(case: Case, encounter: FoundEncounter) -> str:
@@ -269,30 +298,64 @@ def _elsewhere(case: Case, encounter: FoundEncounter) -> str:
     return ""
 
 
-def measure(case: Case, episode: Episode, outcome: Mapping[str, Any]) -> Measured:
-    best, verdict = episode.best, outcome["outcome"]
-    assert best is not None
+def measure(case: Case, episode: Episode, arrived: Arrived, outcome: Mapping[str, Any]) -> Measured:
+    """What came of a case, by the attempt that counts."""
+    best, verdict, encounter = episode.best, outcome["outcome"], episode.found
+    assert best is not None and encounter is not None
+    made = episode.refinement.attempts
     cause = verdict["cause"] or {}
+    tracks = _tracks(episode, best)
+    ego = tracks.get(encounter.ego)
+    drive = _Drive() if ego is None else _drive(ego, best)
     return Measured(
         case.name, episode.settings.ego, level=verdict["level"], collided=verdict["collided"],
         rear_end=verdict["rear_end"], failed_gates=tuple(verdict["failed_gates"]), min_ttc=verdict["min_ttc"],
         delta_v=verdict["delta_v"], severity=verdict["severity"], contact_time=verdict["contact_time"],
-        preventable_by=tuple(verdict["preventable_by"] or ()), touched=_touched(episode, best),
+        preventable_by=tuple(verdict["preventable_by"] or ()),
+        touched=None if ego is None else _touched(ego, tracks, best, encounter.time),
         planner=best.message if best.ending == "planner_failed" else "", cause=cause.get("kind"),
-        cause_sentence=cause.get("sentence", ""),
+        cause_sentence=cause.get("sentence", ""), arrived=arrived.situation, otherwise=arrived.otherwise,
+        attempts=len(made), near=any(map(_near, made)), min_distance=verdict["min_distance"],
+        progress=drive.progress, jerk=drive.jerk, time_to_end=drive.time_to_end,
     )  # fmt: skip
 
 
-def _touched(episode: Episode, best: Attempt) -> str | None:
-    """Another vehicle or object that the ego ran into before the end of the attempt."""
-    encounter, prefix = episode.found, episode.prefix
-    assert encounter is not None and prefix is not None
-    snapshots = [*prefix.snapshots[-1:], *episode.refinement.results[0].snapshots]
-    tracks = {t.id: t for t in tracks_of(snapshots, all_sizes(episode), {}, episode.settings.step_length)}
-    ego = tracks.pop(encounter.ego, None)
-    tracks.pop(best.proposal.bv, None)
+def _near(attempt: Attempt) -> bool:
+    """Whether an attempt was a danger to the ego."""
+    v = attempt.verdict
+    return v.collided or v.min_distance <= NEAR_M or v.min_ttc <= NEAR_TTC_S
+
+
+def _tracks(episode: Episode, best: Attempt) -> dict[str, Track]:
+    """The motions in the attempt that counts, by id, from the trigger to its end."""
+    prefix, done = episode.prefix, episode.refinement
+    assert prefix is not None and done.best is not None
+    snapshots = [*prefix.snapshots[-1:], *done.results[done.best].snapshots]
     end = np.inf if best.verdict.contact_time is None else best.verdict.contact_time
-    if ego is None:
-        return None
-    touched = first_other_contact(ego.between(-np.inf, end), list(tracks.values()), encounter.time)
+    tracks = tracks_of(snapshots, all_sizes(episode), {}, episode.settings.step_length)
+    return {t.id: t.between(-np.inf, end) for t in tracks}
+
+
+class _Drive(NamedTuple):
+    """How the ego drove from the start of the attack on [m, m/s3, s]; None where it was gone at once."""
+
+    progress: float | None = None
+    jerk: float | None = None
+    time_to_end: float | None = None
+
+
+def _drive(ego: Track, best: Attempt) -> _Drive:
+    """How the ego drove in the attempt that counts: so a driver that creeps or jerks shows."""
+    t = ego.between(best.trigger_time, np.inf)
+    if len(t.time) < 2:
+        return _Drive()
+    progress = float(np.hypot(np.diff(t.x), np.diff(t.y)).sum())
+    jerk = float(np.abs(np.diff(t.acceleration) / np.diff(t.time)).max())
+    return _Drive(round(progress, 2), round(jerk, 2), round(float(t.time[-1] - t.time[0]), 2))
+
+
+def _touched(ego: Track, tracks: Mapping[str, Track], best: Attempt, start: float) -> str | None:
+    """Another vehicle or object that the ego ran into before the end of the attempt."""
+    others = [t for name, t in tracks.items() if name not in (ego.id, best.proposal.bv)]
+    touched = first_other_contact(ego, others, start)
     return None if touched is None else touched[0]

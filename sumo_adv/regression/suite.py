@@ -13,7 +13,7 @@ import xml.etree.ElementTree as ElementTree
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +37,7 @@ from sumo_adv.regression.runner import (
     judged,
     measured_of,
 )
+from sumo_adv.regression.waivers import Waiver
 from sumo_adv.report.outcome import versions
 from sumo_adv.report.staging import staged
 
@@ -45,16 +46,22 @@ RESULTS = "regress.json"
 DEADLINE = 300.0  # s after which a case is held to be stuck; one takes a few seconds
 RECYCLE = 200  # cases after which a worker process is replaced
 FORBIDDEN = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")  # XML 1.0, section 2.2
-HEAD = ("case", "result", "level", "min TTC", "delta-v", "baseline", "")
+HEAD = ("case", "result", "level", "min TTC", "delta-v", "progress", "jerk", "time", "baseline", "")
+BASELINE = HEAD.index("baseline")
+PROPERTIES = (
+    "level", "min_ttc", "min_distance", "delta_v", "progress", "jerk", "time_to_end", "attempts", "otherwise",
+)  # fmt: skip
+"""Measurements that JUnit has as properties of a test case."""
 
 
 @dataclass(frozen=True, slots=True)
 class SuiteRun:
-    """What a suite came to: its cases in order."""
+    """What a suite came to: its cases in order. ``waived``: cases that need not pass, by name."""
 
     suite: str
     ego: str
     cases: Sequence[Judged]
+    waived: Mapping[str, Waiver] = field(default_factory=dict)
 
     @property
     def counts(self) -> Mapping[Result, int]:
@@ -62,23 +69,32 @@ class SuiteRun:
         return {result: counts[result] for result in Result}
 
     def passed(self, *, allow_untested: bool) -> bool:
-        """Whether all cases pass, leaving out those that say nothing about the ego if they are allowed."""
+        """Whether all cases pass but those that are waived, leaving out those that say nothing about the ego if they
+        are allowed."""
         fine = {Result.PASS, *(UNTESTED if allow_untested else ())}
-        return all(case.result in fine for case in self.cases)
+        return all(case.result in fine or case.measured.case in self.waived for case in self.cases)
 
     def document(self) -> dict[str, Any]:
         return {
             "schema": SCHEMA, "suite": self.suite, "ego": self.ego, "versions": versions(),
             "counts": {str(result): many for result, many in self.counts.items()},
-            "cases": [case.row() for case in self.cases],
+            "cases": [{**case.row(), "waived": self._waived(case)} for case in self.cases],
         }  # fmt: skip
+
+    def _waived(self, case: Judged) -> str | None:
+        waiver = self.waived.get(case.measured.case)
+        return None if waiver is None else waiver.words
 
 
 def run_suite(
-    cases: Sequence[Case], suite: str, ego: str, out: Path, *, workers: int, force: bool,
-    baseline: Mapping[str, Measured] | None = None, tell: Callable[[Judged], None] = lambda case: None,
+    cases: Sequence[Case], suite: str, ego: str, out: Path, *, workers: int, force: bool, attempts: int = 1,
+    baseline: Mapping[str, Measured] | None = None, waived: Mapping[str, Waiver] | None = None,
+    tell: Callable[[Judged], None] = lambda case: None,
 ) -> SuiteRun:  # fmt: skip
-    """Run each case once against ``ego``, and write ``out``. ``tell``: called with each case when it is done.
+    """Run each case against ``ego``, and write ``out``.
+
+    attempts: that a case may take; with more than one, numbers near those of the case are tried. waived: cases that
+    need not pass. tell: called with each case when it is done.
 
     Raises:
         UsageError: no such ego, a case without its baseline, or ``out`` is taken or cannot be written.
@@ -96,29 +112,42 @@ def run_suite(
     results: dict[str, Judged] = {}
     by_name = {case.name: case for case in cases}
 
-    def finished(job: Any, done: Done) -> None:
-        measured = Measured(**(done.row or {}))
-        results[job.id] = judged(by_name[job.id], measured, known.get(job.id))
-        tell(results[job.id])
-
-    def failed(job: Any, why: str, text: str) -> Done:
-        return Done(job.id, asdict(Measured(job.id, ego, broken=why)), text=text)
+    def finished(measured: Measured) -> None:
+        name = measured.case
+        results[name] = judged(by_name[name], measured, known.get(name))
+        tell(results[name])
 
     with staged(out, force=force) as folder, sentences(out):
-        runs, scratch = folder.stage / "runs", folder.stage / ".workers"
-        runs.mkdir()
-        scratch.mkdir()
-        jobs = [CaseJob(case.name, case.folder.absolute()) for case in cases]
-        setup, pace = Setup(runs.absolute(), ego), Pace(workers, DEADLINE, RECYCLE)
-        with closing(LocalWorkers(setup, pace, scratch.absolute(), failed, Stop(), CaseRunner)) as pool:
-            pool.run(jobs, finished)
-        shutil.rmtree(scratch, ignore_errors=True)
-        whole = SuiteRun(suite, ego, [results[case.name] for case in cases])
+        runs = folder.stage / "runs"
+        measure_cases(cases, ego, runs, workers, attempts, finished)
+        whole = SuiteRun(suite, ego, [results[case.name] for case in cases], waived or {})
         write_text(folder.stage / RESULTS, json_text(whole.document(), 2))
         rows: list[Row] = [row for run in sorted(runs.iterdir()) if (row := read_row(run)) is not None]
         write_csv(folder.stage / "results.csv", rows, [])
         folder.keep(force=force)
     return whole
+
+
+def measure_cases(
+    cases: Sequence[Case], ego: str, runs: Path, workers: int, attempts: int, tell: Callable[[Measured], None]
+) -> None:
+    """Run each case on worker processes. runs: a folder that is made for the folders of the runs; tell: called with
+    what each case came to. Raises SumoAdvError: no worker process starts."""
+
+    def finished(job: Any, done: Done) -> None:
+        tell(measured_of(done.row or {}))
+
+    def failed(job: Any, why: str, text: str) -> Done:
+        return Done(job.id, asdict(Measured(job.id, ego, broken=why)), text=text)
+
+    scratch = runs.parent / ".workers"
+    runs.mkdir()
+    scratch.mkdir()
+    jobs = [CaseJob(case.name, case.folder.absolute()) for case in cases]
+    setup, pace = Setup(runs.absolute(), ego, attempts), Pace(workers, DEADLINE * max(1, attempts // 4), RECYCLE)
+    with closing(LocalWorkers(setup, pace, scratch.absolute(), failed, Stop(), CaseRunner)) as pool:
+        pool.run(jobs, finished)
+    shutil.rmtree(scratch, ignore_errors=True)
 
 
 def read_results(path: Path) -> dict[str, Any]:
@@ -153,8 +182,9 @@ def write_junit(file: Path, run: SuiteRun, *, allow_untested: bool) -> None:
 
 
 def junit(run: SuiteRun, *, allow_untested: bool) -> str:
-    """The text. A case that says nothing about the ego is a failure, or skipped if such cases are allowed."""
-    kinds = [_kind(case, allow_untested) for case in run.cases]
+    """The text. A case that says nothing about the ego is a failure, or skipped if such cases are allowed. One that is
+    waived and does not pass is skipped."""
+    kinds = [_kind(case, allow_untested, case.measured.case in run.waived) for case in run.cases]
     suite = ElementTree.Element("testsuite", {
         "name": _clean(run.suite), "tests": str(len(run.cases)), "failures": str(kinds.count("failure")),
         "errors": str(kinds.count("error")), "skipped": str(kinds.count("skipped")),
@@ -165,8 +195,16 @@ def junit(run: SuiteRun, *, allow_untested: bool) -> str:
         test = ElementTree.SubElement(suite, "testcase", {
             "classname": _clean(f"{run.suite}.{run.ego}"), "name": _clean(m.case), "time": f"{m.seconds:.3f}",
         })  # fmt: skip
+        measured = ElementTree.SubElement(test, "properties")
+        for name in PROPERTIES:
+            value = getattr(m, name)
+            ElementTree.SubElement(measured, "property", {
+                "name": name, "value": "" if value is None else _clean(str(value)),
+            })  # fmt: skip
         if kind:
-            about = {"message": _clean(case.sentence)} | ({"type": str(case.result)} if kind != "skipped" else {})
+            waiver = run.waived.get(m.case)
+            words = case.sentence if waiver is None else f"{waiver.words} ({case.result}: {case.sentence})"
+            about = {"message": _clean(words)} | ({"type": str(case.result)} if kind != "skipped" else {})
             ElementTree.SubElement(test, kind, about)
     whole = ElementTree.Element("testsuites")
     whole.append(suite)
@@ -174,10 +212,12 @@ def junit(run: SuiteRun, *, allow_untested: bool) -> str:
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(whole, encoding="unicode") + "\n"
 
 
-def _kind(case: Judged, allow_untested: bool) -> str:
+def _kind(case: Judged, allow_untested: bool, waived: bool) -> str:
     """The element inside the test case; empty if it passes."""
     if case.result is Result.PASS:
         return ""
+    if waived:
+        return "skipped"
     if case.result is Result.ERROR:
         return "error"
     return "skipped" if allow_untested and case.result is not Result.FAIL else "failure"
@@ -189,24 +229,32 @@ def _clean(text: str) -> str:
 
 def lines(run: SuiteRun) -> list[str]:
     """A line a case, and a sum; the baseline's column only if there is a baseline."""
-    rows = [_row(case) for case in run.cases]
-    shown = [k for k in range(len(HEAD)) if k != 5 or any(case.before for case in run.cases)]
+    rows = [_row(case, run.waived.get(case.measured.case)) for case in run.cases]
+    shown = [k for k in range(len(HEAD)) if k != BASELINE or any(case.before for case in run.cases)]
     widths = [max(len(row[k]) for row in (HEAD, *rows)) for k in range(len(HEAD))]
     table = ["  ".join(row[k].ljust(widths[k]) for k in shown).rstrip() for row in (HEAD, *rows)]
     counts = [f"{many} {result}" for result, many in run.counts.items() if many or result is Result.PASS]
     cases = f"{len(run.cases)} case{'s' * (len(run.cases) != 1)}"
-    return [*table, "", f"{cases} of {run.suite} against {run.ego}: {', '.join(counts)}."]
+    waived = [case for case in run.cases if case.measured.case in run.waived and case.result is not Result.PASS]
+    excused = f" {len(waived)} of them {'is' if len(waived) == 1 else 'are'} waived." if waived else ""
+    return [*table, "", f"{cases} of {run.suite} against {run.ego}: {', '.join(counts)}.{excused}"]
 
 
-def _row(case: Judged) -> Sequence[str]:
+def _row(case: Judged, waiver: Waiver | None) -> Sequence[str]:
     m = case.measured
-    measured = case.result not in (Result.NO_ENCOUNTER, Result.ERROR)
-    figures = (m.level, _number(m.min_ttc, "s"), _number(m.delta_v, "m/s")) if measured else ("-", "-", "-")
-    return (m.case, str(case.result), *figures, _before(case.before), case.sentence.split("\n")[0])
+    figures: Sequence[str] = ("-",) * 6
+    if case.result not in (Result.NO_ENCOUNTER, Result.ERROR):
+        figures = (
+            m.level, _number(m.min_ttc, "s"), _number(m.delta_v, "m/s"), _number(m.progress, "m", 0),
+            _number(m.jerk, "m/s3", 0), _number(m.time_to_end, "s", 1),
+        )  # fmt: skip
+    excuse = waiver.words if waiver is not None and case.result is not Result.PASS else ""
+    words = " ".join(filter(None, (excuse, case.sentence.split("\n")[0])))
+    return (m.case, str(case.result), *figures, _before(case.before), words)
 
 
-def _number(value: float | None, unit: str) -> str:
-    return "-" if value is None else f"{value:.2f} {unit}"
+def _number(value: float | None, unit: str, digits: int = 2) -> str:
+    return "-" if value is None else f"{value:.{digits}f} {unit}"
 
 
 def _before(m: Measured | None) -> str:

@@ -46,7 +46,8 @@ HUNT = "hunt.json"  # in the folder of a hunt
 WORDS = (
     "id", "network", "ego", "intent", "ending", "failure", "level", "severity", "relation", "road", "preventable_by",
 )  # fmt: skip
-LATER = ("cause", "cause_sentence")  # words that tables of earlier versions lack
+LATER = ("cause", "cause_sentence", "fault", "red_light", "right_of_way")  # words that earlier tables may lack
+LATER_NUMBERS, LATER_TRUTHS = ("overlap", "warning"), ("humanlike", "robust")  # the same
 NUMBERS = ("seed", "raw_min_ttc", "min_ttc", "attempts", "seconds", "delta_v")
 TRUTHS = ("collided", "valid", "critical")
 VARIED = "set_"
@@ -57,7 +58,7 @@ STYLES = ("common.css", "index.css")
 MOST_LANES = 4000  # on the map of a network
 DECIMETRE = 0.1
 THINNED = 0.5  # m a line on such a map may be off
-CODED = {*WORDS, "cause"} - {"id", "failure"}  # few values, many rows
+CODED = {*WORDS, *LATER} - {"id", "failure", "cause_sentence"}  # few values, many rows
 INDEX, PAGES, MADE = "index.html", "pages", "made.json"
 SAFE = re.compile(r"[0-9A-Za-z][0-9A-Za-z._-]{0,127}")
 MOST_MAPS = 40  # networks on the index's map
@@ -98,8 +99,9 @@ def read_rows(file: Path) -> Table:
 
 def _row(row: Mapping[str, str | None], varied: Sequence[str]) -> dict[str, Any]:
     made: dict[str, Any] = {name: cell_text(row.get(name) or "") for name in (*WORDS, *LATER, *varied)}
-    made |= {name: _number(row[name]) for name in NUMBERS}
-    return made | {name: {"true": True, "false": False}.get(row[name] or "") for name in TRUTHS}
+    made |= {name: _number(row.get(name)) for name in (*NUMBERS, *LATER_NUMBERS)}
+    truths = (*TRUTHS, *LATER_TRUTHS)
+    return made | {name: {"true": True, "false": False}.get(row.get(name) or "") for name in truths}
 
 
 def _number(text: str | None) -> float | None:
@@ -152,6 +154,7 @@ def make_index(
     maps = [n for n, _ in Counter(m.network for m in pages if m and m.place and m.network in roads).most_common()]
     columns: dict[str, Any] = {n: [row[n] for row in rows] for n in (*WORDS, *NUMBERS, *TRUTHS, *table.varied)}
     columns |= {n: [row.get(n) or "" for row in rows] for n in LATER}
+    columns |= {n: [row.get(n) for row in rows] for n in (*LATER_NUMBERS, *LATER_TRUTHS)}
     data = {
         "schema": SCHEMA, "name": name, "varied": list(table.varied),
         "columns": {n: _coded(v) if n in CODED else v for n, v in columns.items()},

@@ -14,14 +14,16 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Attempt, Floats, Role, Track
+from sumo_adv.datatypes import Attempt, Floats, Role, Track, Verdict
 from sumo_adv.episode.episode import Episode
+from sumo_adv.episode.rules_broken import RulesBroken, rules_broken
 from sumo_adv.episode.task import AttemptResult, FoundEncounter, Prefix
 from sumo_adv.episode.verdict import first_judged, unattacked
 from sumo_adv.metrics.case import make_case
 from sumo_adv.metrics.cause import Cause, cause_of
 from sumo_adv.metrics.full import PAPER_EPSILON, Crossing, FullVerdict, Strip, full_judge, markings_crossed
 from sumo_adv.metrics.realism import PAPER_BINS, WOSAC_BINS, distances, own_figures, realism, wosac_features
+from sumo_adv.metrics.reference.cc_human import CcHuman
 from sumo_adv.parsing import LARGEST_SUMO_FILE, read_bytes
 from sumo_adv.report.outcome import number
 from sumo_adv.report.tables import series_rows
@@ -41,7 +43,7 @@ SHARES = (
 FULL_KEYS = (
     "kind", "collision_class", "impact", "rss", "sensitivity", "latest_careful", "latest_manoeuvre", "reacting", "tet",
     "tit", "min_headway", "max_btn", "max_required_lateral", "conflict_point", "paper_centre_distance", "min_ttc_time",
-    "cause",
+    "cause", "warning", "red_light", "right_of_way",
 )  # fmt: skip
 LEVEL_FIELDS = (
     "level", "valid", "strict", "preventability", "ego_stationary", "ego_blocking", "humanlike", "beyond_human",
@@ -57,6 +59,7 @@ class Judged:
 
     full: FullVerdict | None
     cause: Cause | None
+    rules: RulesBroken | None
     markings: Sequence[Crossing]
     realism: Mapping[str, Any]
     rows: Sequence[str]  # of criticality.csv.gz, without the header
@@ -74,7 +77,7 @@ def judge_best(episode: Episode) -> Judged | None:
     bv = best.proposal.bv
     case = make_case(tracks, encounter.ego, best.proposal.bvs, result.start, result.driven.beyond, logged)
     if case is None:
-        return Judged(None, None, (), {}, ())
+        return Judged(None, None, None, (), {}, ())
     recorded = {t.id: t for t in tracks}
     rows = series_rows(case.ego.between(result.start, np.inf), tracks, bv)
     lane_half = encounter.half_lane(result.start)
@@ -94,7 +97,8 @@ def judge_best(episode: Episode) -> Judged | None:
         lane_half_width=lane_half, unattacked=_unattacked(episode, best, encounter),
     )  # fmt: skip
     return Judged(
-        full, cause, markings_crossed(moved, strips, encounter.drivable), _realism(episode, moved, encounter, prefix),
+        full, cause, rules_broken(best, result, encounter), markings_crossed(moved, strips, encounter.drivable),
+        _realism(episode, moved, encounter, prefix),
         rows,
     )  # fmt: skip
 
@@ -131,6 +135,7 @@ def figures(judged: Judged | None) -> dict[str, Any]:
     markings = [] if judged is None else _plain(list(judged.markings))
     if judged is None or full is None:
         return {**dict.fromkeys(FULL_KEYS), "markings_crossed": markings}
+    rules = judged.rules
     impact = None if full.impact is None else {k: v for k, v in _plain(full.impact).items() if k != "time"}
     return {
         "kind": str(full.kind), "collision_class": _plain(full.collision_class), "impact": impact,
@@ -144,7 +149,18 @@ def figures(judged: Judged | None) -> dict[str, Any]:
             "within": full.min_centre_distance <= PAPER_EPSILON,
         },
         "min_ttc_time": number(full.verdict.min_ttc_time), "cause": _plain(judged.cause), "markings_crossed": markings,
+        "warning": number(warning_of(full.verdict)),
+        "red_light": None if rules is None else rules.red_light,
+        "right_of_way": None if rules is None else rules.right_of_way,
     }  # fmt: skip
+
+
+def warning_of(verdict: Verdict) -> float | None:
+    """Seconds from the alarm of ``cc_human`` to the contact, 0 if none came before; None without a contact."""
+    p, contact = verdict.preventability, verdict.contact_time
+    if p is None or contact is None:
+        return None
+    return max(contact - p.alarms.get(CcHuman.name, contact), 0.0)
 
 
 def _plain(value: Any) -> Any:

@@ -1,11 +1,16 @@
 const ROW = 33, OVER = 12;  // px of a row with its line; rows kept beyond the visible ones
 const DRAWN = CLASSES.filter((c) => c.key !== "failed");
 const SECONDS = (v) => (v === null ? NEVER : v.toFixed(2));
+const YES = (v) => (v === null ? "–" : v ? "yes" : "no");
 const HEADS = [
   { name: "network", words: "network", wide: "wide" }, { name: "ego", words: "ego", wide: "middle" }, { name: "seed", words: "seed", wide: "narrow" },
   { name: "intent", words: "intent", wide: "wide" }, { name: "raw_min_ttc", words: "unattacked", wide: "narrow", show: SECONDS },
   { name: "min_ttc", words: "min TTC", wide: "narrow", show: SECONDS }, { name: "class", words: "came to", wide: "wide" },
   { name: "severity", words: "severity", wide: "narrow" }, { name: "delta_v", words: "delta-v [m/s]", wide: "narrow", show: (v) => (v === null ? "–" : v.toFixed(1)) },
+  { name: "humanlike", words: "human", wide: "narrow", show: YES }, { name: "robust", words: "robust", wide: "narrow", show: YES },
+  { name: "fault", words: "fault", wide: "narrow" }, { name: "red_light", words: "red light", wide: "narrow" }, { name: "right_of_way", words: "right of way", wide: "narrow" },
+  { name: "overlap", words: "overlap", wide: "narrow", show: (v) => (v === null ? "–" : `${Math.round(100 * v)} %`) },
+  { name: "warning", words: "warning [s]", wide: "narrow", show: (v) => (v === null ? "–" : v.toFixed(1)) },
   { name: "preventable_by", words: "preventable by", wide: "wide" }, { name: "cause", words: "cause", wide: "middle", show: (v) => (v ? v.replaceAll("_", " ") : "–") },
   { name: "cause_sentence", words: "why", wide: "wide" }, { name: "relation", words: "adversary", wide: "narrow" }, { name: "road", words: "road", wide: "narrow" },
   { name: "attempts", words: "attempts", wide: "narrow" }, { name: "seconds", words: "took [s]", wide: "narrow", show: (v) => (v === null ? "–" : v.toFixed(1)) },
@@ -81,7 +86,8 @@ function gap(id, rows) {
   body.hidden = rows === 0;
 }
 
-const filter = { search: "", network: "", intent: "", ego: "", outcome: "", valid: "", severity: "", most: null };
+const CHOICES = ["network", "intent", "ego", "outcome", "valid", "severity", "humanlike", "robust", "fault", "red_light", "right_of_way", "touch"];
+const filter = { search: "", most: null, ...Object.fromEntries(CHOICES.map((name) => [name, ""])) };
 const order = { name: null, sign: 1 };
 
 function fill(id, options) {
@@ -115,15 +121,15 @@ function start() {
   byId("title").replaceChildren(quoted(data.name), `: ${total} episodes`);
   document.title = `${plain(data.name)} — episodes`;
   byId("lead").textContent = `${data.page.filter(Boolean).length} have a replay page. Failed episodes stay in every denominator.`;
-  for (const name of ["network", "intent", "ego"]) fill(name, kinds[name].filter(Boolean).map((v) => [v, v]));
+  for (const name of ["network", "intent", "ego", "fault", "red_light", "right_of_way"]) fill(name, kinds[name].filter(Boolean).map((v) => [v, v]));
   fill("outcome", CLASSES.map((c) => [c.key, c.words]));
   fill("severity", SEVERITIES.map((name) => [name, name]));
-  for (const name of ["network", "intent", "ego", "outcome", "valid", "severity"]) byId(name).addEventListener("change", (e) => { filter[name] = e.target.value; refresh(); });
+  for (const name of CHOICES) byId(name).addEventListener("change", (e) => { filter[name] = e.target.value; refresh(); });
   byId("search").addEventListener("input", (e) => { filter.search = e.target.value.trim().toLowerCase(); refresh(); });
   byId("most").addEventListener("input", (e) => { filter.most = e.target.value === "" ? null : Number(e.target.value); refresh(); });
   byId("reset").addEventListener("click", () => {
-    Object.assign(filter, { search: "", network: "", intent: "", ego: "", outcome: "", valid: "", severity: "", most: null });
-    for (const name of ["search", "network", "intent", "ego", "outcome", "valid", "severity", "most"]) byId(name).value = "";
+    Object.assign(filter, { search: "", most: null, ...Object.fromEntries(CHOICES.map((name) => [name, ""])) });
+    for (const name of ["search", "most", ...CHOICES]) byId(name).value = "";
     refresh();
   });
   heads(refresh);

@@ -23,7 +23,16 @@ function classOf(i) {
 
 const classes = Array.from({ length: total }, (_, i) => classOf(i));
 const haystack = Array.from({ length: total }, (_, i) =>
-  ["id", "network", "ego", "intent", "ending", "failure", "relation", "road", "preventable_by", "cause", "cause_sentence"].map((name) => columns[name][i]).join("\n").toLowerCase());
+  ["id", "network", "ego", "intent", "ending", "failure", "relation", "road", "preventable_by", "cause", "cause_sentence", "fault"].map((name) => columns[name][i]).join("\n").toLowerCase());
+
+/** Whether a collision that counts has a delta-v of the ego below 1 mph. */
+const nearTouch = (i) => ["serious", "strict", "valid"].includes(classes[i]) && columns.delta_v[i] !== null && columns.delta_v[i] < 0.447;
+
+/** The default order: by what it came to, near-touches behind all collisions that count; robust and humanlike ones first among equals. */
+const ranks = Array.from({ length: total }, (_, i) => {
+  const level = CLASSES.findIndex((c) => c.key === classes[i]), good = Number(columns.robust[i] === true) + Number(columns.humanlike[i] === true);
+  return (nearTouch(i) ? 2.5 + level / 10 : level) * 10 + 2 - good;
+});
 
 /** The numbers of the rows that pass a filter, in the order of a column. */
 function selected(filter, order) {
@@ -36,10 +45,13 @@ function selected(filter, order) {
     if (filter.outcome && classes[i] !== filter.outcome) continue;
     if (filter.valid && { true: "yes", false: "no" }[columns.valid[i]] !== filter.valid && !(filter.valid === "none" && columns.valid[i] === null)) continue;
     if (filter.severity && columns.severity[i] !== filter.severity) continue;
+    if (["humanlike", "robust"].some((name) => filter[name] && columns[name][i] !== (filter[name] === "yes"))) continue;
+    if (["fault", "red_light", "right_of_way"].some((name) => filter[name] && columns[name][i] !== filter[name])) continue;
+    if (filter.touch && nearTouch(i) !== (filter.touch === "yes")) continue;
     if (filter.most !== null && !(columns.min_ttc[i] !== null && columns.min_ttc[i] <= filter.most)) continue;
     rows.push(i);
   }
-  if (order.name === null) return rows;
+  if (order.name === null) return rows.sort((a, b) => compare(ranks[a], ranks[b]) || a - b);
   const keys = order.name === "class" ? classes.map((key) => CLASSES.findIndex((c) => c.key === key)) : columns[order.name];
   return rows.sort((a, b) => compare(keys[a], keys[b]) * order.sign || a - b);
 }

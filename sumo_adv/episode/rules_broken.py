@@ -1,0 +1,105 @@
+"""Who passed a red light, and who took the right of way of the other, before the ego and the adversary met."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from sumo_adv.datatypes import Attempt
+from sumo_adv.episode.task import AttemptResult, FoundEncounter
+from sumo_adv.metrics.fault import ADVERSARY, EGO
+from sumo_adv.simulation.simulation import Snapshot
+from sumo_adv.situation import ReferencePath, Signal, Situation
+
+BOTH, NONE = "both", "none"
+AT_CONFLICT_M = 20.0  # from where the two ways meet: a contact further away is no matter of the right of way there
+FIRST_BY_SIGN = "MOo"  # SUMO's letters of connections that do not give way
+MINOR_GREEN, MAJOR_GREEN = "g", "G"
+
+
+@dataclass(frozen=True, slots=True)
+class RulesBroken:
+    """By whom: ``adversary``, ``ego``, ``both`` or ``none``.
+
+    Attributes:
+        red_light: Passed a stop line at a light that was red all the time since the attack began.
+        right_of_way: Had to give way where the two ways meet, by sign or by a minor green, and did not.
+    """
+
+    red_light: str
+    right_of_way: str
+
+
+def rules_broken(attempt: Attempt, result: AttemptResult, found: FoundEncounter) -> RulesBroken | None:
+    """Who broke which rule before a contact; None without one, or where the situation is not known."""
+    p, contact = attempt.proposal, attempt.verdict.contact_time
+    situation = found.situations.get(p.delay)
+    if contact is None or situation is None or p.bv not in situation.targets:
+        return None
+    before = [s for s in result.snapshots if result.start <= s.time <= contact]
+    signals = situation.traffic.signals
+    red = {
+        name: red_light_at(vehicle, signals.get(vehicle, ()), before) is not None
+        for name, vehicle in ((ADVERSARY, p.bv), (EGO, found.ego))
+    }
+    return RulesBroken(_by(red[ADVERSARY], red[EGO]), _not_yielding(situation, p.bv, found.ego, before))
+
+
+def red_light_at(vehicle: str, signals: Sequence[Signal], snapshots: Sequence[Snapshot]) -> float | None:
+    """When a vehicle passes its stop line on red [s]; None if it does not, or if its light changes before.
+
+    Args:
+        vehicle: Its id.
+        signals: The lights ahead of it at the first snapshot, nearest first.
+        snapshots: The states from then on.
+    """
+    if not signals or signals[0][2] not in "ru":
+        return None
+    light, distance, _ = signals[0]
+    gone, last, shown = 0.0, None, None
+    for snapshot in snapshots:
+        if vehicle not in snapshot.raw:
+            continue
+        x, y = snapshot.raw[vehicle][:2]
+        gone += 0.0 if last is None else math.hypot(x - last[0], y - last[1])
+        last, state = (x, y), snapshot.lights.get(light)
+        if shown is not None and state is not None and state != shown:
+            return None
+        shown = shown or state
+        if gone > distance:
+            return snapshot.time
+    return None
+
+
+def _by(adversary: bool, ego: bool) -> str:
+    return BOTH if adversary and ego else ADVERSARY if adversary else EGO if ego else NONE
+
+
+def _not_yielding(situation: Situation, bv: str, ego: str, before: Sequence[Snapshot]) -> str:
+    """Who had to give way where the ways meet."""
+    seen = [s.raw[bv][:2] for s in before if bv in s.raw]
+    if not seen:
+        return NONE
+    x, y = seen[-1]
+    ways = [way for way in situation.targets[bv].ways if way.conflict is not None]
+    way = min(ways, key=lambda w: abs(w.path.project(x, y)[1]), default=None)
+    if way is None or way.conflict is None or math.hypot(way.conflict.x - x, way.conflict.y - y) > AT_CONFLICT_M:
+        return NONE
+    letters = [_letter(situation, name) for name in (bv, ego)]
+    if all(letters):  # a light rules there
+        yields = [letter == MINOR_GREEN for letter in letters]
+        return _by(yields[0] and letters[1] == MAJOR_GREEN, yields[1] and letters[0] == MAJOR_GREEN)
+    return _by(*_by_sign(way, situation.road.rule))
+
+
+def _letter(situation: Situation, vehicle: str) -> str:
+    """What the next light shows a vehicle when the attack begins; empty without a light."""
+    signals = situation.traffic.signals.get(vehicle, ())
+    return signals[0][2] if signals else ""
+
+
+def _by_sign(way: ReferencePath, rule: str) -> tuple[bool, bool]:
+    """Whether the adversary and the ego have to give way to the other; ``rule``: SUMO's letter for the ego."""
+    ego_yields = bool(rule) and rule not in FIRST_BY_SIGN and way.before_ego
+    return way.gives_way and not ego_yields, ego_yields

@@ -1,0 +1,83 @@
+"""The attack of a case on another driver: as it was kept, then near its numbers.
+
+Without a search a case is one attempt. It is more where the ego arrives otherwise than the one that the case was found
+with, and where more attempts are asked for: then the numbers are moved to the new situation and varied around what came
+nearest, as the search does (``search/evolution.py``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from sumo_adv.datatypes import Level, Verdict
+from sumo_adv.episode.assessment import attempt_of, checked, runner_of
+from sumo_adv.episode.episode import Episode
+from sumo_adv.episode.loop import attack_once
+from sumo_adv.episode.refinement import settle_best
+from sumo_adv.episode.task import FoundEncounter
+from sumo_adv.planners.sandbox import Sandbox
+from sumo_adv.regression.at_trigger import AtTrigger
+from sumo_adv.regression.case import Case, Expectation
+from sumo_adv.search.evolution import Evolution
+from sumo_adv.search.sampling import Sampler
+from sumo_adv.search.settings import SearchSettings
+from sumo_adv.simulation.engine import Engine
+
+NEIGHBOURS = 8  # attempts against an ego that arrives otherwise
+
+
+@dataclass(frozen=True, slots=True)
+class Arrived:
+    """How the ego came to the trigger; ``otherwise``: than in the kept case, in words, empty if it did not."""
+
+    situation: AtTrigger
+    otherwise: str
+
+
+def arrived(case: Case, encounter: FoundEncounter) -> Arrived:
+    """How the ego came to the start of the case's attack."""
+    p = case.proposal
+    here = encounter.situations[p.delay]
+    situation = AtTrigger.of(here.ego, here.targets[p.bv].state)
+    return Arrived(situation, "" if case.situation is None else case.situation.difference(situation))
+
+
+def attack(
+    case: Case, episode: Episode, engine: Engine, sandbox: Sandbox, encounter: FoundEncounter, attempts: int
+) -> Arrived:
+    """Attack the ego until an attempt breaks what the case expects, ``attempts`` times at most, and ``NEIGHBOURS``
+    times at least if the ego arrives otherwise. The attempt that came nearest to that counts."""
+    came, settings, done = arrived(case, encounter), episode.settings, episode.refinement
+    attack_once(episode, engine, sandbox, encounter, case.proposal)
+    most = max(attempts, NEIGHBOURS if came.otherwise else 1)
+    if most == 1:
+        return came
+    search = SearchSettings()
+    evolution = Evolution(Sampler(search.sampling, settings.seed), settings.goal, search.evolution)
+    runner = runner_of(engine, sandbox, encounter, settings)
+    if came.otherwise and case.situation is not None:
+        evolution.add([case.situation.moved(case.proposal, came.situation)])
+    while True:
+        last = done.attempts[-1]
+        evolution.observe(last.proposal, last.verdict, last.kind)
+        broken = breaks(case.expect, last.verdict)
+        if broken or last.ending in ("crashed", "planner_failed") or len(done.attempts) >= most:
+            break
+        proposal = evolution.propose()
+        if proposal is None:
+            break
+        (result,) = runner.attempt([proposal])
+        attempt = attempt_of(len(done.attempts), "neighbour", proposal, result, encounter, settings)
+        done.attempts.append(checked(attempt, result, runner, settings.goal, Level.COLLISION))
+        done.results.append(result)
+    settle_best(done, runner)
+    return came
+
+
+def breaks(expect: Expectation, verdict: Verdict) -> bool:
+    """Whether an attempt shows that the ego does not do what is expected of it."""
+    if not verdict.counts:
+        return False
+    near = expect.min_ttc is not None and verdict.min_ttc <= expect.min_ttc
+    least = Level.COLLISION if expect.no_worse else expect.level
+    return near or (least is not None and verdict.level >= least)
