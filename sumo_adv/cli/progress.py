@@ -269,7 +269,7 @@ def summary(result: Mapping[str, Any], folder: Path) -> str:
     if best is not None and best.get("cause"):
         lines.append(f"Why: {best['cause']['sentence']}")
     if (robust := result.get("robust")) is not None:
-        lines.append(f"It holds in {robust['held']} of {robust['of']} neighbours (slightly other numbers or timing).")
+        lines.append(f"It holds in {robust['held']} of {robust['of']} neighbours (other arrivals or numbers).")
     for success in result["successes"] if len(result["successes"]) > 1 else ():
         path = f" ({folder / success['folder']})" if success["folder"] else ""
         lines.append(f"Attack of attempt {success['attempt'] + 1}: {success['kind']}{path}.")
