@@ -223,8 +223,8 @@ def _write_widths(path: Path, side: Element) -> None:
         if borders and not widths:  # the standard: widths go before borders
             widths = [(s, sign * (_cubic_at(borders, s) - _cubic_at(inner, s))) for s in _starts(inner, borders)]
             for s, cubic in widths:
-                numbers = {name: f"{value:.9g}" for name, value in zip("abcd", cubic.tolist(), strict=True)}
-                SubElement(lane, "width", sOffset=f"{s:.9g}", **numbers)
+                values = zip(("sOffset", *"abcd"), (s, *cubic.tolist()), strict=True)
+                SubElement(lane, "width", {name: f"{value:.9g}" for name, value in values})
         if widths:
             inner = [(s, _cubic_at(inner, s) + sign * _cubic_at(widths, s)) for s in _starts(inner, widths)]
 
