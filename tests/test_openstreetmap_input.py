@@ -157,6 +157,14 @@ def test_what_holds_for_one_direction_or_lane_is_said(tmp_path: Path) -> None:
     }  # fmt: skip
 
 
+def test_what_netconvert_warns_of_is_said(tmp_path: Path) -> None:
+    """``variable`` is no limit in km/h, so netconvert takes that of its type of road."""
+    made = with_tags(tmp_path, {**ONE_WAY, "maxspeed": "variable"})
+    (kind,) = made.warnings
+    assert kind.count == 1 and "'maxspeed' is not numeric ('variable')" in kind.first
+    assert made.said[-1] == f"netconvert warns: {kind.first}"
+
+
 def test_ways_may_come_before_their_nodes(tmp_path: Path) -> None:
     """As Overpass writes them after ``out body; >; out skel``."""
     assert EDGES in converted(tmp_path, *WAYS, nodes()).said[0]
