@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import threading
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO
@@ -19,6 +20,7 @@ from sumo_adv.simulation.warnings_log import warnings_in
 
 PATIENCE = 600.0  # s
 PART = 1 << 16  # bytes that are read at once
+FCD_DEVICES = ("device.fcd.", "person-device.fcd.")  # options that say of whom and when SUMO writes FCD
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,8 +45,16 @@ def arguments_of(spec: SimulationSpec, source: Path, step: float) -> list[str]:
         return spec.arguments()
     files = (("-n", (spec.network,)), ("-r", spec.routes), ("-a", spec.additional))
     args = [part for flag, each in files if each for part in (flag, ",".join(map(str, each)))]
-    options = {**as_sumo_reads_it(source), **FORCED, "step-length": repr(step)}
+    options = {**_of_all(as_sumo_reads_it(source)), **FORCED, "step-length": repr(step)}
     return [*args, *(part for name, value in options.items() for part in (f"--{name}", value))]
+
+
+def _of_all(options: Mapping[str, str]) -> dict[str, str]:
+    """The options with FCD of all vehicles and persons at all times. A probability becomes 1, as SUMO then draws its
+    random numbers as often as before."""
+    kept = {name: value for name, value in options.items() if not name.startswith(FCD_DEVICES)}
+    drawn = {f"{device}probability" for device in FCD_DEVICES} & options.keys()
+    return {**kept, **dict.fromkeys(sorted(drawn), "1")}
 
 
 def run_alone(spec: SimulationSpec, source: Path, step: float, until: float, folder: Path) -> Alone:
