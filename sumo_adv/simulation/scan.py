@@ -262,16 +262,17 @@ def _read(path: Path, start: _Handler, end: Callable[[str], None] | None) -> Non
 
 
 def read_text(path: Path, what: str) -> str:
-    """The text of a file, packed by gzip or not. Raises UsageError; ``what``: the file in words."""
+    """The text of a file in UTF-8, packed by gzip or not, without its byte order mark. Raises UsageError; ``what``: the
+    file in words."""
     try:
         data = path.read_bytes()
-        return (gzip.decompress(data) if data[:2] == b"\x1f\x8b" else data).decode()
+        return (gzip.decompress(data) if data[:2] == b"\x1f\x8b" else data).decode("utf-8-sig")
     except OSError as error:
         raise UsageError(f"{what} {path} cannot be read: {error.strerror or error}.") from error
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise UsageError(f"{what} {path} are a damaged or truncated gzip file: write them again.") from error
     except UnicodeDecodeError as error:
-        raise UsageError(f"{what} {path} are not text: give a CSV file.") from error
+        raise UsageError(f"{what} {path} are not text in UTF-8: write them as CSV in UTF-8.") from error
 
 
 def _open(path: Path) -> BinaryIO:
