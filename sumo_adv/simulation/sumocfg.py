@@ -94,7 +94,9 @@ def read_sumocfg(path: Path, environ: Mapping[str, str] = os.environ) -> Configu
     begin = begin or 0.0
     if end is not None and end <= begin:
         raise UsageError(f"{path} ends at {end:g} s, which is not after its begin: correct one of the two.")
-    sumo_step = seconds(path, "step-length", given.get("step-length")) or SUMO_STEP
+    sumo_step = seconds(path, "step-length", given.get("step-length", str(SUMO_STEP)))
+    if not sumo_step:
+        raise UsageError(f"{path} has steps of {given['step-length'][:40]} s: give a step-length above 0.")
     step, said = _step(path, sumo_step, named="step-length" in given)
     options, left = kept(path, {name: value for name, value in given.items() if name not in _OURS})
     if end is not None:
