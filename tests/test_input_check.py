@@ -119,6 +119,10 @@ CROSSING = {
         <vehicle id="bike" type="bike" route="we" depart="0"/><flow id="f" route="we" period="8" begin="1" end="41"/>
         ''', "", {"lateral-resolution": "0.8", "scale": "2"}, (12, 0)
     ),
+    "pedestrians without interaction": (
+        '<personFlow id="p" period="6" begin="0" end="40"><walk from="WC" to="CE"/></personFlow>', "",
+        {"pedestrian.model": "nonInteracting"}, (0, 7)
+    ),
     "recorded in part": (
         f'''{WE}{SN}<flow id="a" route="we" period="4" begin="0" end="40"/>
         <flow id="b" from="SC" to="CE" period="9" begin="0" end="40"/>''', "",
