@@ -150,6 +150,7 @@ def test_the_tag_that_is_nearest_to_cars_says_whether_they_may(tmp_path: Path, t
 
 def test_what_holds_for_one_direction_or_lane_is_said(tmp_path: Path) -> None:
     shut = {"motor_vehicle:backward": "no"}
+    assert with_tags(tmp_path, {**ONE_WAY, **shut}).lost == {}
     lanes = {"lanes": "3", "lanes:both_ways": "1", "maxspeed:lanes:forward": "50"}
     assert with_tags(tmp_path, {**BOTH_WAYS, **shut, **lanes}).lost == {
         "closing of a direction to cars": 1, "way with limits of single lanes": 1,

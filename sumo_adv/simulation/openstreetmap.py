@@ -196,7 +196,9 @@ def _access_of_cars(tags: Tags) -> Tags:
 
 
 def _closed_directions(tags: Tags) -> int:
-    """Directions of a way that are closed to cars, which netconvert leaves open."""
+    """Directions of a road both ways that are closed to cars, which netconvert leaves open."""
+    if "highway" not in tags or _is_one_way(tags):
+        return 0
     return sum(
         next((tags[f"{key}:{way}"] for key in OF_CARS if f"{key}:{way}" in tags), "") in CLOSED_TO_CARS
         for way in ("forward", "backward")
