@@ -316,4 +316,4 @@ def test_options_of_sumo_are_name_and_value_and_have_one_place() -> None:
     with pytest.raises(UsageError, match="'seed' cannot be passed through: use --seed"):
         refuse({"seed": "3"})
     with pytest.raises(UsageError, match=r"'collision.action' is set by this program: leave it out"):
-        refuse({"collision.action": "none"})
+        refuse({"collision.action": "remove"})
