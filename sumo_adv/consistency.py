@@ -227,7 +227,8 @@ def _beyond_turns(m: Motion) -> Fault | None:
     what = f"has the heading {m.heading[k]:g}{m.angles.unit} for '{m.name}', which is beyond {most}"
     if not radians:
         return Fault(m, k, what, "")
-    fits = len(m.time) > 1 and _fits(RADIANS, m, _stretches(m))
+    stretches = _stretches(m) if len(m.time) > 1 else None
+    fits = stretches and len(stretches.chord) and float(np.median(_off(RADIANS, m, stretches))) < FITTING_RAD
     return Fault(m, k, what, "headings are added up over turns" if fits else "headings look like degrees")
 
 
@@ -310,23 +311,25 @@ def _against_heading(m: Motion, s: _Stretches) -> Fault | None:
     if s.extent < LEAST_TRAVEL_M or not len(s.chord):
         return None
     off = _off(m.angles, m, s)
+    against: Bools = (np.maximum(m.speed[s.first], m.speed[s.last]) < 0.0) & (off < ASKEW_RAD)
+    if 2 * np.count_nonzero(against) > len(against):
+        k = int(s.first[against.argmax()])
+        what = f"has the speed {m.speed[k]:g} m/s for '{m.name}', which moves forwards"
+        return Fault(m, k, what, "speeds look like velocities along an axis")
     askew = np.minimum(off, np.pi - off) > ASKEW_RAD
     backwards = (off > np.pi - ASKEW_RAD) & (s.chord / s.seconds > REVERSING_MS)
     wrong: Bools = askew | backwards
     if 2 * np.count_nonzero(wrong) <= len(wrong):
         return None
     k = int(wrong.argmax())
-    others = [angles for angles in CONVENTIONS if angles.words != m.angles.words]
-    likely = next((angles.words for angles in others if _fits(angles, m, s)), None)
-    cause = f"headings look like {likely}" if likely else "headings point backwards" if backwards[k] else ""
+    fits = [(float(np.median(_off(angles, m, s))), f"headings look like {angles.words}") for angles in CONVENTIONS]
+    if backwards[k]:
+        fits.append((float(np.median(np.pi - off)), "headings point backwards"))
+    best, words = min(fits)
+    cause = words if best < FITTING_RAD else ""
     given, towards = float(m.heading[s.first[k]]), float(np.degrees(s.direction[k]))
     what = f"has the heading {given:g}{m.angles.unit} for '{m.name}', which moves towards {towards:.0f} degrees from +x"
     return Fault(m, int(s.first[k]), what, cause)
-
-
-def _fits(angles: Angles, m: Motion, s: _Stretches) -> bool:
-    """Whether the headings, read as ``angles``, are those of the motion."""
-    return len(s.chord) > 0 and float(np.median(_off(angles, m, s))) < FITTING_RAD
 
 
 def _off(angles: Angles, m: Motion, s: _Stretches) -> Floats:

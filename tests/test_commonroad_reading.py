@@ -86,6 +86,14 @@ def box(track: ObjectTrack, step: int) -> Polygon:
 # -- versions
 
 
+def test_places_may_be_those_of_utm(tmp_path: Path) -> None:
+    """Maps of many converters: 48 degrees north are 5,300 km from the equator."""
+    lane, problem = lanelet(1, 500_000.0, 500_300.0, y=5.3e6), PROBLEM.replace("20.0<", "500020.0<")
+    record = read_commonroad(write(tmp_path, lane, problem.replace("1.75<", "5300001.75<")))
+    assert np.allclose(record.lanes[1].points[0, :2], (500_000.0, 5_300_001.75))
+    assert (record.tracks[0].x[0], record.tracks[0].y[0]) == (500_020.0, 5_300_001.75)
+
+
 @pytest.mark.parametrize("version", ["2017a", "2018a", "2023a", "x"])
 def test_another_format_is_refused_by_its_name(tmp_path: Path, version: str) -> None:
     """commonroad-io 2022.1 reads two: ``SUPPORTED_COMMONROAD_VERSIONS``."""

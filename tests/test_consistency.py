@@ -84,6 +84,28 @@ def test_degrees_below_two_pi_are_against_the_motion() -> None:
     assert "headings look like degrees" in fault(replace(small, heading=np.full(60, np.degrees(0.036))))
 
 
+@pytest.mark.parametrize(
+    ("heading", "says"),
+    [
+        (np.pi / 2, "headings look like radians clockwise from north"),
+        (np.pi, "headings point backwards"),
+        (3.0, "headings look like degrees counter-clockwise from +x"),
+    ],
+)
+def test_the_likeliest_cause_is_that_which_fits_best(heading: float, says: str) -> None:
+    """To the east at 12 m/s: 1.57 rad is 1.6 degrees off as degrees, and not at all as an angle from north."""
+    east = replace(bend(), x=12.0 * TIME, y=0.0 * TIME, speed=np.full(60, 12.0))
+    assert fault(replace(east, heading=np.full(60, heading))).endswith(says)
+
+
+def test_negative_speeds_of_a_vehicle_that_drives_forwards_are_named() -> None:
+    """To the west: drone data sets give the velocity along x, which is negative there."""
+    west = bend(turned=np.pi)
+    assert fault(west) == ""
+    says = fault(replace(west, speed=-west.speed))
+    assert says == "has the speed -9 m/s for 'a', which moves forwards: speeds look like velocities along an axis"
+
+
 def test_angles_of_sumo_are_degrees_from_north() -> None:
     turned = bend(turned=2.0)
     assert fault(replace(turned, heading=90.0 - np.degrees(turned.heading), angles=SUMO_DEGREES)) == ""

@@ -113,6 +113,16 @@ def test_a_passenger_is_no_pedestrian_within_the_bus(program: Program, world: Wo
     assert ("Persons are left out while they are in a vehicle: ego." in done.err) == (not person.valid.all())
 
 
+def test_a_container_is_no_road_user_and_is_said(program: Program, world: World) -> None:
+    """SUMO writes ``<container>`` beside vehicles and persons."""
+    text = world.record("fcd.xml").read_text(encoding="utf-8")
+    box = '<container id="box" x="1.00" y="2.00" angle="0.00" speed="0.00" pos="9.00" edge="ab"/>'
+    (world.folder / "box.xml").write_text(text.replace("</timestep>", f"{box}</timestep>"), encoding="utf-8")
+    done = imported(program, world, world.folder / "box.xml")
+    assert "Containers are left out: box." in done.err
+    assert "box" not in tracks(program, done).tracks
+
+
 @pytest.mark.parametrize(
     ("option", "far", "says"),
     [
@@ -199,7 +209,7 @@ def test_what_cannot_be_right_is_refused_with_its_place(
             (),
             "has no angle at 0 s; --fcd-output.attr",
         ),
-        (("--fcd-output.attributes", "x,y,angle,speed"), "geo.net.xml", (), "is on no lane of geo.net.xml"),
+        (("--fcd-output.attributes", "x,y,angle,speed"), "geo.net.xml", (), "'ego' has no lane; --fcd-output.attr"),
         ((), "geo.net.xml", ("--warm-up", "30"), "for 11.9 s, and the recording moves it for the first 30 s"),
     ],
 )

@@ -119,6 +119,19 @@ CROSSING = {
         <vehicle id="bike" type="bike" route="we" depart="0"/><flow id="f" route="we" period="8" begin="1" end="41"/>
         ''', "", {"lateral-resolution": "0.8", "scale": "2"}, (12, 0)
     ),
+    "pedestrians without interaction": (
+        '<personFlow id="p" period="6" begin="0" end="40"><walk from="WC" to="CE"/></personFlow>', "",
+        {"pedestrian.model": "nonInteracting"}, (0, 7)
+    ),
+    "recorded in part": (
+        f'''{WE}{SN}<flow id="a" route="we" period="4" begin="0" end="40"/>
+        <flow id="b" from="SC" to="CE" period="9" begin="0" end="40"/>''', "",
+        {"device.fcd.probability": "0.4", "device.fcd.period": "2", "device.rerouting.probability": "0.5"}, (15, 0)
+    ),
+    "recorded by name": (
+        f'{WE}<vehicle id="a" route="we" depart="0"/><vehicle id="b" route="we" depart="3"/>', "",
+        {"device.fcd.explicit": "b", "device.fcd.begin": "20"}, (2, 0)
+    ),
     "flow by number": (f'{WE}<flow id="f" route="we" number="9"/>', "", {"end": "90"}, (4, 0)),
     "route errors ignored": (
         f'''{WE}<vehicle id="bad" depart="0"><route edges="WC NC"/></vehicle>

@@ -69,7 +69,8 @@ def ends(lane: dict[str, str]) -> list[list[float]]:
 @pytest.mark.parametrize(
     ("limit", "metres_per_second"),
     [
-        ('max="80" unit="km/h"', 22.22), ('max="30" unit="mph"', 13.41), ('max="22.22" unit="m/s"', 22.22),
+        ('max="80" unit="km/h"', 22.22), ('max=" 80 " unit=" km/h "', 22.22),
+        ('max="30" unit="mph"', 13.41), ('max="22.22" unit="m/s"', 22.22),
         ('max="22.22"', 22.22), ('max="no limit"', 39.44), ('max="undefined"', 13.89), ('max="-1"', 13.89),
     ],
 )  # fmt: skip
@@ -186,6 +187,11 @@ def test_a_lane_for_both_directions_is_said(tmp_path: Path) -> None:
 # -- roads and lanes
 
 
+def test_a_turn_lane_for_both_directions_is_said(tmp_path: Path) -> None:
+    made = converted(tmp_path, road(1, lane(-1, "bidirectional") + lane(-2), lane(1)))
+    assert made.lost == {"second direction of a lane for both": 1}
+
+
 def test_a_road_without_junctions_runs(program: Program) -> None:
     write(program.folder, road(1, lane(-1) + lane(-2)))
     done = program.here(
@@ -217,6 +223,48 @@ def test_every_type_of_lane_has_its_classes_and_its_place(tmp_path: Path) -> Non
         12.25: True,
     }
     assert made.lost == {"lane border": 1}
+
+
+@pytest.mark.parametrize("kind", ["median", "none", "border", "shoulder", "curb", "special1"])
+def test_what_lies_in_the_middle_of_a_road_keeps_lanes_apart(tmp_path: Path, kind: str) -> None:
+    """2 m of something on both sides of the reference line: lanes of 3.5 m have their middle at 3.75 m."""
+    made = converted(
+        tmp_path, road(1, lane(-1, kind, width=2.0) + lane(-2), lane(2) + lane(1, kind, width=2.0))
+    )  # fmt: skip
+    places = {ends(each)[0][1] for each in lanes(made).values() if "passenger" in may(each)}
+    assert places == {-3.75, 3.75}
+    assert not made.lost
+
+
+def test_a_lane_without_a_width_takes_no_place(tmp_path: Path) -> None:
+    without = '<lane id="-1" type="none"/>'
+    (only,) = lanes(converted(tmp_path, road(1, without + lane(-2)))).values()
+    assert ends(only)[0][1] == -1.75
+
+
+@pytest.mark.parametrize("attributes", ["", 'rule="LHT"'])
+def test_borders_say_how_wide_lanes_are(tmp_path: Path, attributes: str) -> None:
+    """Outer borders at 2.5 and 5.5 m to the right; to the left one at 3 m beyond a lane that has a width of 1 m."""
+    right = bordered(-1, -2.5) + bordered(-2, -5.5)
+    left = bordered(2, 4.0) + lane(1, "biking", width=1.0)
+    made = converted(tmp_path, road(1, right, left, attributes=attributes))
+    found = {(abs(ends(each)[0][1]) * np.sign(ends(each)[0][1]), float(each["width"])) for each in lanes(made).values()}
+    assert found == {(-1.25, 2.5), (-4.0, 3.0), (0.5, 1.0), (2.5, 3.0)}
+
+
+def test_borders_that_change_along_the_road_give_widths_from_there(tmp_path: Path) -> None:
+    """The inner border goes out by 0.01 m a metre. At 100 m it is at 3.5 m, where the outer one jumps to 7.5 m; at
+    300 m it is at 5.5 m. netconvert takes the largest width of a piece of road."""
+    inner, outer = bordered(-1, -2.5, slope=-0.01), bordered(-2, -5.0, then=(100.0, -7.5))
+    *_, at_the_kerb, in_the_middle = lanes(converted(tmp_path, road(1, inner + outer))).values()
+    assert (float(at_the_kerb["width"]), float(in_the_middle["width"])) == (4.0, 5.5)
+
+
+def bordered(number: int, at: float, *, slope: float = 0.0, then: tuple[float, float] | None = None) -> str:
+    """A lane with its outer border, which jumps to another place at an offset ``then`` [m]."""
+    later = "" if then is None else f'<border sOffset="{then[0]}" a="{then[1]}" b="0" c="0" d="0"/>'
+    border = f'<border sOffset="0" a="{at}" b="{slope}" c="0" d="0"/>{later}'
+    return f'<lane id="{number}" type="driving"><link/>{border}</lane>'
 
 
 def may(lane: dict[str, str]) -> set[str]:
@@ -270,6 +318,7 @@ def test_a_namespace_is_read(tmp_path: Path) -> None:
             road(1, lane(-1)).replace('<lane id="-1"', '<lane id="first"'),
             'a <lane> with id="first": give a whole number',
         ),
+        (road(1, lane(-1)) + road(1, lane(-1), y=50.0), "two roads with the id 1: give each its own"),
         (road(1, lane(-1)).replace('length="300.0"', 'length="1e12"'), "more than the 1e+07 m that are read"),
     ],
 )

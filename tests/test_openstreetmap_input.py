@@ -129,6 +129,43 @@ WAYS = (way(10, (1, 2, 3), BOTH_WAYS), way(12, (4, 2, 5), CROSSING))
 EDGES = "8 edges with 8 lanes for cars"  # four arms both ways
 
 
+@pytest.mark.parametrize(
+    ("tags", "cars"),
+    [
+        ({"motor_vehicle": "no"}, False), ({"vehicle": "no", "bicycle": "yes"}, False), ({"motorcar": "no"}, False),
+        ({"motor_vehicle": "no", "bus": "yes"}, False), ({"vehicle": "agricultural;forestry"}, False),
+        ({"access": "no", "psv": "yes"}, False), ({"access": "no", "motor_vehicle": "yes"}, True),
+        ({"motor_vehicle": "no", "motorcar": "yes"}, True), ({"motor_vehicle": "destination"}, True),
+        ({"access": "private"}, True), ({"bicycle": "no"}, True), ({"vehicle": "delivery;no"}, True),
+    ],
+    ids=lambda value: " ".join(f"{k}={v}" for k, v in value.items()) if isinstance(value, dict) else None,
+)  # fmt: skip
+def test_the_tag_that_is_nearest_to_cars_says_whether_they_may(tmp_path: Path, tags: Tags, cars: bool) -> None:
+    """OpenStreetMap's page "Access": motorcar goes before motor_vehicle, vehicle and access."""
+    made = with_tags(tmp_path, {**BOTH_WAYS, **tags})
+    ids = {edge.get("id") for edge in ElementTree.parse(made.network).getroot().iter("edge")}
+    assert ("10" in ids, "-10" in ids) == (cars, cars)
+    assert made.lost == ({} if cars else {"secondary": 1})
+
+
+def test_what_holds_for_one_direction_or_lane_is_said(tmp_path: Path) -> None:
+    shut = {"motor_vehicle:backward": "no"}
+    assert with_tags(tmp_path, {**ONE_WAY, **shut}).lost == {}
+    lanes = {"lanes": "3", "lanes:both_ways": "1", "maxspeed:lanes:forward": "50"}
+    assert with_tags(tmp_path, {**BOTH_WAYS, **shut, **lanes}).lost == {
+        "closing of a direction to cars": 1, "way with limits of single lanes": 1,
+        "second direction of a lane for both": 1,
+    }  # fmt: skip
+
+
+def test_what_netconvert_warns_of_is_said(tmp_path: Path) -> None:
+    """``variable`` is no limit in km/h, so netconvert takes that of its type of road."""
+    made = with_tags(tmp_path, {**ONE_WAY, "maxspeed": "variable"})
+    (kind,) = made.warnings
+    assert kind.count == 1 and "'maxspeed' is not numeric ('variable')" in kind.first
+    assert made.said[-1] == f"netconvert warns: {kind.first}"
+
+
 def test_ways_may_come_before_their_nodes(tmp_path: Path) -> None:
     """As Overpass writes them after ``out body; >; out skel``."""
     assert EDGES in converted(tmp_path, *WAYS, nodes()).said[0]

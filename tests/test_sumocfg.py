@@ -65,6 +65,10 @@ def test_variables_lists_and_short_names(tmp_path: Path) -> None:
         ('<n value="a"/><net-file value="a"/>', "names the option 'net-file' twice"),
         ('<seed value="1" v="1"/>', "names the option 'seed' twice"),
         ('<begin value="-5"/>', "begins at -5 s: SUMO takes no negative begin"),
+        ('<step-length value="0"/>', "has steps of 0 s: give a step-length above 0"),
+        ('<step-length value="-1"/>', "has steps of -1 s"),
+        ('<seed value="1e1"/>', "has the seed 1e1: give a whole number from 0 on"),
+        ('<seed value="-5"/>', "has the seed -5: give a whole number"),  # SUMO's, but none of numpy
         ('<no-internal-links value="true"/>', "sets no-internal-links: SUMO dies when a vehicle is moved across"),
     ],
 )

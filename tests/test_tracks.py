@@ -134,6 +134,13 @@ def test_damaged_files_are_refused(tmp_path: Path) -> None:
         read_tracks(tmp_path / "none.csv")
 
 
+def test_a_byte_order_mark_is_no_part_of_the_header(tmp_path: Path) -> None:
+    """Spreadsheets, and pandas with ``utf-8-sig``, begin a file with it."""
+    plain, marked = written(tmp_path, HEADER + CAR), tmp_path / "marked.csv"
+    marked.write_bytes(b"\xef\xbb\xbf" + plain.read_bytes())
+    assert list(read_tracks(marked).tracks) == list(read_tracks(plain).tracks)
+
+
 @given(st.text(alphabet='0123456789.,-eainf\nvehicl"', max_size=120))
 def test_any_text_is_a_log_or_a_sentence(tmp_path_factory: pytest.TempPathFactory, text: str) -> None:
     path = tmp_path_factory.getbasetemp() / "any.csv"

@@ -261,12 +261,12 @@ def test_convert_keeps_going_or_stops(program: Program) -> None:
 
 def test_a_coordinate_at_10_000_km_costs_nothing_and_does_not_stop_the_next_record(program: Program) -> None:
     far = straight()
-    far.scenario_id, far.map_features[0].lane.polyline[3].x = "far", 1e7
+    far.scenario_id, far.map_features[0].lane.polyline[3].x = "far", 1e8
     write(program.folder / "two.tfrecord", far, four_way())
     going = program.here("convert", "two.tfrecord", "--out", "b", "--keep-going", "--json", "--no-traffic")
     report = json.loads(going.out)
     assert going.status == 0 and [r["scenario_id"] for r in report["records"]] == ["four_way"]
-    assert "1e+07 m from the origin" in report["failed"][0] and len(going.err.splitlines()) == 1
+    assert "1e+08 m from the origin" in report["failed"][0] and len(going.err.splitlines()) == 1
 
 
 def test_convert_of_nothing_good_fails(program: Program) -> None:

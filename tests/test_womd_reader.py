@@ -163,8 +163,8 @@ def bad(change: str) -> bytes:
         message.tracks[1].id = 1
     elif change == "nan":
         message.map_features[0].lane.polyline[3].x = float("nan")
-    elif change == "a point at 1e7 m":
-        message.map_features[0].lane.polyline[3].x = 1e7
+    elif change == "a point at 1e8 m":
+        message.map_features[0].lane.polyline[3].x = 1e8
     elif change == "a point 30 km off":
         message.map_features[0].lane.polyline[3].x = 30_000.0
     elif change == "an object 30 km off":
@@ -194,7 +194,7 @@ def bad(change: str) -> bytes:
         ("20,000 tracks", "tracks, more than the 5,000 that are read"),
         ("two of one id", "two tracks of the same id"),
         ("nan", "a map point that is not a finite number"),
-        ("a point at 1e7 m", r"a map point 1e\+07 m from the origin"),
+        ("a point at 1e8 m", r"a map point 1e\+08 m from the origin"),
         ("a point 30 km off", "a map point 30.* km from another place"),
         ("an object 30 km off", "a position of an object 30.* km from another place"),
         ("to and fro", "km of lines, more than the 500 that are read"),

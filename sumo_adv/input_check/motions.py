@@ -76,6 +76,17 @@ def listed(names: tuple[str, ...]) -> str:
     return ", ".join(names[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
+def _without_ends(
+    ours: dict[int, State], theirs: dict[int, State], every: int
+) -> tuple[dict[int, State], dict[int, State]]:
+    """Both without one step at the ends that only one of them has: without interaction, SUMO writes the place at which
+    a person appears, and we read that at which it arrives."""
+    if ours and theirs:
+        ours.pop(max(theirs) + every, None)
+        theirs.pop(min(ours) - every, None)
+    return ours, theirs
+
+
 def compare(here: Motions, sumo: Motions, begin: float, times: tuple[float, float], step: float) -> Comparison:
     """Compare the states after the first and up to the last of ``times`` [s].
 
@@ -97,6 +108,7 @@ def compare(here: Motions, sumo: Motions, begin: float, times: tuple[float, floa
         theirs = {t: s for t, s in sumo.get(name, {}).items() if first < t <= last}
         if name.startswith(PERSON):  # a step in which it jumps is left out here
             theirs = {t: s for t, s in theirs.items() if math.dist(s[:2], theirs.get(t - every, s)[:2]) < reach}
+            ours, theirs = _without_ends(ours, theirs, every)
         of_sumo |= {name} if theirs else set()
         seen |= {name} if ours else set()
         apart = 0.0

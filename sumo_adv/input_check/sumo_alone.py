@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import threading
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO
@@ -19,6 +20,8 @@ from sumo_adv.simulation.warnings_log import warnings_in
 
 PATIENCE = 600.0  # s
 PART = 1 << 16  # bytes that are read at once
+WITHOUT_STEPS = "nonInteracting"  # the model of pedestrians whose places hold at the moment at which they are read
+FCD_DEVICES = ("device.fcd.", "person-device.fcd.")  # options that say of whom and when SUMO writes FCD
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,8 +46,16 @@ def arguments_of(spec: SimulationSpec, source: Path, step: float) -> list[str]:
         return spec.arguments()
     files = (("-n", (spec.network,)), ("-r", spec.routes), ("-a", spec.additional))
     args = [part for flag, each in files if each for part in (flag, ",".join(map(str, each)))]
-    options = {**as_sumo_reads_it(source), **FORCED, "step-length": repr(step)}
+    options = {**_of_all(as_sumo_reads_it(source)), **FORCED, "step-length": repr(step)}
     return [*args, *(part for name, value in options.items() for part in (f"--{name}", value))]
+
+
+def _of_all(options: Mapping[str, str]) -> dict[str, str]:
+    """The options with FCD of all vehicles and persons at all times. A probability becomes 1, as SUMO then draws its
+    random numbers as often as before."""
+    kept = {name: value for name, value in options.items() if not name.startswith(FCD_DEVICES)}
+    drawn = {f"{device}probability" for device in FCD_DEVICES} & options.keys()
+    return {**kept, **dict.fromkeys(sorted(drawn), "1")}
 
 
 def run_alone(spec: SimulationSpec, source: Path, step: float, until: float, folder: Path) -> Alone:
@@ -68,7 +79,7 @@ def run_alone(spec: SimulationSpec, source: Path, step: float, until: float, fol
         patience.start()
         try:
             assert process.stdout is not None
-            motions, reached = _read(process.stdout, step, until)
+            motions, reached = _read(process.stdout, step, until, 0.0 if WITHOUT_STEPS in command else step)
         finally:
             in_time = patience.is_alive()
             patience.cancel()
@@ -84,9 +95,9 @@ def run_alone(spec: SimulationSpec, source: Path, step: float, until: float, fol
     return Alone(motions, warnings_in(printed))
 
 
-def _read(stream: IO[bytes], step: float, until: float) -> tuple[Motions, bool]:
+def _read(stream: IO[bytes], step: float, until: float, walked: float) -> tuple[Motions, bool]:
     """The states of FCD at the times after the steps, up to ``until`` [s], and whether it goes so far. SUMO writes the
-    state after a step with the time before it."""
+    state after a step with the time before it. ``walked``: how long a person has walked since that time [s]."""
     motions: dict[str, dict[int, State]] = {}
     time, last = 0, round(1000 * until)
 
@@ -97,7 +108,8 @@ def _read(stream: IO[bytes], step: float, until: float) -> tuple[Motions, bool]:
         elif tag in ("vehicle", "person") and not attributes.get("vehicle"):
             name = attributes["id"] if tag == "vehicle" else PERSON + attributes["id"]
             state = (float(attributes["x"]), float(attributes["y"]), float(attributes["speed"]))
-            motions.setdefault(name, {})[time] = state
+            at = time if tag == "vehicle" else time - round(1000 * (step - walked))
+            motions.setdefault(name, {})[at] = state
 
     parser = expat.ParserCreate()
     parser.StartElementHandler = start

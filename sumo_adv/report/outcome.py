@@ -258,6 +258,7 @@ def manifest(episode: Episode, inputs: Mapping[Path, str]) -> dict[str, Any]:
         "trigger": task.trigger, "warm_up": task.warm_up, "only": list(task.only),
         "playback": _playback(task.playback, inputs), "conversion": None if made is None else {
             "map": made.source.name, "options": list(made.options), "lost": dict(made.lost), "said": list(made.said),
+            "warnings": [asdict(kind) for kind in made.warnings],
         },
         "waymo": None if record is None else {**asdict(record), "file": str(record.file)},
         "notes": list(episode.source.notes),

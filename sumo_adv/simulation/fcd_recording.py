@@ -25,6 +25,7 @@ from sumo_adv.simulation.simulation import PERSON
 
 LATEST = 1e7  # s, about four months: of times in a recording
 NEEDED = ("x", "y", "angle", "speed")
+MUST_NAME = "--fcd-output.attributes must name x,y,angle,speed,type,lane"
 NEAR_M = 20.0  # from a vehicle's front to the middle of its lane; a vehicle that overtakes is within 10
 COMPARED = 200  # states of the ego that are compared with its lanes
 States = dict[float, dict[str, str]]  # attributes by time [s]
@@ -62,6 +63,7 @@ def read_recording(path: Path) -> FcdRecording:
     vehicles: dict[str, States] = {}
     persons: dict[str, States] = {}
     riding: set[str] = set()
+    containers: set[str] = set()
     places: set[tuple[str | None, str | None]] = set()  # of the vehicles of the present timestep
     times: list[float] = []
 
@@ -71,6 +73,8 @@ def read_recording(path: Path) -> FcdRecording:
             if wrong := unordered(np.array(times[-2:])):
                 raise _no_fcd(path, f"the timestep {wrong[1]}")
             places.clear()
+        elif tag == "container":
+            containers.add(attributes.get("id", ""))
         elif tag in ("vehicle", "person"):
             if not times or "id" not in attributes:
                 raise _no_fcd(path, f"a {tag} is in no timestep" if not times else f"a {tag} has no id")
@@ -94,8 +98,8 @@ def read_recording(path: Path) -> FcdRecording:
     for name, states in persons.items():
         own = PERSON + name if name in objects else name
         objects[own] = _object(path, own, states, person=True)
-    note = f"Persons are left out while they are in a vehicle: {some(sorted(riding))}."
-    return FcdRecording(objects, (note,) if riding else ())
+    left_out = (("Persons are left out while they are in a vehicle", riding), ("Containers are left out", containers))
+    return FcdRecording(objects, tuple(f"{what}: {some(sorted(names))}." for what, names in left_out if names))
 
 
 def some(names: Sequence[str]) -> str:
@@ -123,8 +127,7 @@ def _object(path: Path, name: str, states: States, *, person: bool) -> RecordedO
             columns[key] = np.array([float(state[key]) for state in states.values()])
         except KeyError:
             time = next(t for t, state in states.items() if key not in state)
-            must = "--fcd-output.attributes must name x,y,angle,speed,type,lane"
-            raise _no_fcd(path, f"'{name}' has no {key} at {time:g} s; {must}") from None
+            raise _no_fcd(path, f"'{name}' has no {key} at {time:g} s; {MUST_NAME}") from None
         except ValueError as error:
             raise _no_fcd(path, f"the {key} of '{name}': {error}") from error
     kind = next(iter(states.values())).get("type", "")
@@ -152,6 +155,8 @@ def in_network(path: Path, recording: FcdRecording, network: Path, road: RoadMap
     Raises UsageError: the ego is on no lane of it, or far from the lanes that it is on, in whatever coordinates.
     """
     me = recording.objects[ego]
+    if not any(me.lanes):
+        raise _no_fcd(path, f"'{ego}' has no lane; {MUST_NAME}")
     if not any(lane in road.lanes for lane in me.lanes):
         raise UsageError(f"The vehicle '{ego}' is on no lane of {network.name} in {path}; is it that network's?")
     far = _from_lanes(me, road)

@@ -19,7 +19,7 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
 
@@ -32,6 +32,7 @@ from sumo_adv.simulation.opendrive import TYPE_MAP, read_opendrive
 from sumo_adv.simulation.openstreetmap import read_openstreetmap
 from sumo_adv.simulation.programs import find_netconvert, find_type_maps
 from sumo_adv.simulation.scan import allows_passenger, parse
+from sumo_adv.simulation.warnings_log import WarningKind, kinds_of, said_of, warnings_in, with_names
 
 OPENDRIVE = (".xodr", ".xodr.gz")
 OPENSTREETMAP = (".osm", ".osm.gz", ".osm.xml", ".osm.xml.gz")
@@ -68,13 +69,14 @@ READERS = {"osm": read_openstreetmap, "opendrive": read_opendrive}
 @dataclass(frozen=True, slots=True)
 class Conversion:
     """A converted map. network: the SUMO network. options: netconvert's. lost: what the network lacks, by kind. said:
-    one to three sentences on what was converted and lost."""
+    sentences on what was converted and lost, and on what netconvert warns of. warnings: all kinds of that."""
 
     source: Path
     network: Path
     options: tuple[str, ...]
     lost: Mapping[str, int]
     said: tuple[str, ...]
+    warnings: tuple[WarningKind, ...] = ()
 
 
 def is_map(path: Path) -> bool:
@@ -105,8 +107,9 @@ def convert_map(path: Path, *, cache: Path | None = None) -> Conversion:
         (folder / OWN_TYPES).write_text(TYPE_MAP, encoding="utf-8")
         report = None
         for chosen in ((*options, *CONNECTED), options) if form == "osm" else (options,):
-            if report is None and _netconvert(form, path, folder, chosen):
-                report = _report(path, content, folder / NETWORK, chosen)
+            warned = _netconvert(form, path, folder, chosen) if report is None else None
+            if warned is not None:
+                report = _report(path, content, folder / NETWORK, chosen, warned)
         if report is None:
             raise UsageError(f"{path} has no road for cars: nothing can be run there; choose another part of the map.")
         (folder / NETWORK).rename(folder / "made" / f"{stem}.net.xml")
@@ -149,9 +152,9 @@ def _kept(path: Path, stem: str, place: Path) -> Conversion | None:
         os.utime(place)
     except (OSError, ValueError):
         return None
-    return Conversion(
-        path, place / f"{stem}.net.xml", tuple(report["options"]), dict(report["lost"]), tuple(report["said"])
-    )
+    warnings = tuple(WarningKind(each["first"], each["count"]) for each in report["warnings"])
+    network = place / f"{stem}.net.xml"
+    return Conversion(path, network, tuple(report["options"]), dict(report["lost"]), tuple(report["said"]), warnings)
 
 
 def _trim(cache: Path) -> None:
@@ -162,9 +165,10 @@ def _trim(cache: Path) -> None:
             shutil.rmtree(old, ignore_errors=True)
 
 
-def _netconvert(form: str, path: Path, folder: Path, options: Sequence[str]) -> bool:
-    """Write ``NETWORK`` from ``TEXT``, without the comment that holds paths and the time; False: nothing is left of the
-    map. All names are relative: netconvert takes a comma or colon in a path for something else."""
+def _netconvert(form: str, path: Path, folder: Path, options: Sequence[str]) -> tuple[str, ...] | None:
+    """Write ``NETWORK`` from ``TEXT``, without the comment that holds paths and the time, and return netconvert's
+    warnings; None: nothing is left of the map. All names are relative: netconvert takes a comma or colon in a path for
+    something else."""
     program = find_netconvert()
     types = ",".join((*(str(find_type_maps(program) / name) for name in TYPES[form]), OWN_TYPES))
     command = [str(program), f"--{form}-files", TEXT, "--type-files", types, *options, "-o", NETWORK]
@@ -180,15 +184,17 @@ def _netconvert(form: str, path: Path, folder: Path, options: Sequence[str]) -> 
     if done.returncode != 0 or not target.is_file():
         errors = [line.removeprefix("Error: ") for line in done.stderr.splitlines() if line.startswith("Error")]
         if any("No edges loaded" in line or "No nodes loaded" in line for line in errors):
-            return False
+            return None
         reason = errors[0].rstrip(".").replace(TEXT, path.name) if errors else f"exit status {done.returncode}"
         raise UsageError(f"netconvert could not convert {path} ({reason}): correct the map, or convert it by hand.")
     written = target.read_text(encoding="utf-8")
     target.write_text(re.sub(r"<!--.*?-->\s*", "", written, count=1, flags=re.DOTALL), encoding="utf-8")
-    return True
+    return tuple(with_names(each, {TEXT: path.name}) for each in warnings_in(done.stderr))
 
 
-def _report(path: Path, content: MapContent, network: Path, options: Sequence[str]) -> dict[str, object] | None:
+def _report(
+    path: Path, content: MapContent, network: Path, options: Sequence[str], warned: Sequence[str]
+) -> dict[str, object] | None:
     """What ``REPORT`` holds; None: the network has no lane for cars."""
     counts: Counter[str] = Counter()
     kept: set[str] = set()
@@ -220,7 +226,11 @@ def _report(path: Path, content: MapContent, network: Path, options: Sequence[st
     ]
     if lost:
         said.append(f"Left out: {_named(lost)}.")
-    return {"map": path.name, "options": list(options), "lost": lost, "said": said}
+    kinds = kinds_of(warned)
+    return {
+        "map": path.name, "options": list(options), "lost": lost, "said": [*said, *said_of(kinds, "netconvert")],
+        "warnings": [asdict(kind) for kind in kinds],
+    }  # fmt: skip
 
 
 def _named(lost: Mapping[str, int]) -> str:

@@ -1,9 +1,10 @@
 """Reads ASAM OpenDRIVE 1.x, and writes it so that netconvert means what the standard means.
 
 netconvert 1.28 reads neither the limits of ``<type>`` nor limits in words, knows no ``rule``, puts the lanes of
-left-hand roads on the wrong side, does not know all types of lanes, and closes the gap that a border between two lanes
-leaves. So limits are written to the lanes in m/s, left-hand roads are mirrored in their lane numbers, and borders
-between lanes are kept as lanes that are closed to all.
+left-hand roads on the wrong side, does not know all types of lanes, takes ``<border>`` for no width, and closes the
+gap that a median or a border within the road leaves. So limits are written to the lanes in m/s, left-hand roads are
+mirrored in their lane numbers, borders become widths, and what lies between lanes, or between them and the middle, is
+kept as lanes that are closed to all.
 """
 
 from __future__ import annotations
@@ -11,11 +12,15 @@ from __future__ import annotations
 import gzip
 import math
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
+import numpy as np
+
+from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.map_content import MapContent, parse_map
 
@@ -52,7 +57,7 @@ def read_opendrive(path: Path) -> MapContent:
     """The map at ``path``.
 
     Raises UsageError: it is damaged, no OpenDRIVE 1.x in one file, longer than ``MOST_LENGTH_M``, has a limit, rule or
-    lane that cannot be understood, or traffic on both sides.
+    lane that cannot be understood, two roads of one id, or traffic on both sides.
     """
     parse_map(path, lambda tag, attributes: None, "OpenDRIVE")
     tree = _tree(path)
@@ -68,6 +73,9 @@ def read_opendrive(path: Path) -> MapContent:
     if not length <= MOST_LENGTH_M:
         raise UsageError(f"{path} has {length:.3g} m of roads, more than the {MOST_LENGTH_M:.0g} m that are read.")
     left_hand = _left_hand(path, roads)
+    twice = [name for name, number in Counter(road.get("id", "") for road in roads).items() if number > 1]
+    if twice:
+        raise UsageError(f"{path} has two roads with the id {twice[0][:40]}: give each its own.")
     for lane in root.iter("lane"):
         if not re.fullmatch(r"[+-]?\d{1,4}", lane.get("id", ""), re.ASCII):
             raise UsageError(f'{path} has a <lane> with id="{lane.get("id", "")[:40]}": give a whole number.')
@@ -80,12 +88,14 @@ def read_opendrive(path: Path) -> MapContent:
         for section in road.iter("laneSection"):
             for side in section:
                 if side.tag in ("left", "right"):
+                    _write_widths(path, side)
                     _close_gaps(side)
             if left_hand:
                 _mirror(section)
         for lane in road.iter("lane"):
-            if lane.get("type", "none") != "none":
-                kinds[f"{road.get('id')}_{lane.get('id')}"] = f"lane {lane.attrib.pop('was', lane.get('type'))}"
+            kind = lane.attrib.pop("was", lane.get("type", "none"))
+            if kind != "none":
+                kinds[f"{road.get('id')}_{lane.get('id')}"] = f"lane {kind}"
     if left_hand:
         for element, names in (("laneLink", ("from", "to")), ("validity", ("fromLane", "toLane"))):
             for each in root.iter(element):
@@ -128,7 +138,9 @@ def _left_out(root: Element) -> dict[str, int]:
         "sign": sum(signal.get("dynamic") != "yes" for signal in other),
         "dynamic signal": sum(signal.get("dynamic") == "yes" for signal in other),
         "object": sum(1 for _ in root.iter("object")),
-        "second direction of a lane for both": sum(lane.get("direction") == "both" for lane in _motor(root)),
+        "second direction of a lane for both": sum(
+            lane.get("direction") == "both" or lane.get("type") == "bidirectional" for lane in _motor(root)
+        ),
     }
     return {kind: number for kind, number in counts.items() if number}
 
@@ -199,14 +211,59 @@ def _negate(element: Element, *names: str) -> None:
 # -- lanes ------------------------------------------------------------------------------------------------------------
 
 
+Pieces = list[tuple[float, Floats]]  # where each begins [m], and a, b, c, d of its cubic from there
+
+
+def _write_widths(path: Path, side: Element) -> None:
+    """Give lanes that have borders but no widths the widths between their borders and those of the lanes within."""
+    sign = 1.0 if side.tag == "left" else -1.0
+    inner: Pieces = [(0.0, np.zeros(4))]
+    for lane in _from_the_middle(side):
+        widths, borders = _pieces(path, lane, "width"), _pieces(path, lane, "border")
+        if borders and not widths:  # the standard: widths go before borders
+            widths = [(s, sign * (_cubic_at(borders, s) - _cubic_at(inner, s))) for s in _starts(inner, borders)]
+            for s, cubic in widths:
+                values = zip(("sOffset", *"abcd"), (s, *cubic.tolist()), strict=True)
+                SubElement(lane, "width", {name: f"{value:.9g}" for name, value in values})
+        if widths:
+            inner = [(s, _cubic_at(inner, s) + sign * _cubic_at(widths, s)) for s in _starts(inner, widths)]
+
+
+def _from_the_middle(side: Element) -> list[Element]:
+    return sorted(side.findall("lane"), key=lambda lane: abs(int(lane.get("id", "0"))))
+
+
+def _pieces(path: Path, lane: Element, tag: str) -> Pieces:
+    """The cubics of ``<width>`` or ``<border>``, in order."""
+    found = [
+        (_number(path, each, "sOffset", "0"), np.array([_number(path, each, name, "0") for name in "abcd"]))
+        for each in lane.findall(tag)
+    ]
+    return sorted(found, key=lambda piece: piece[0])
+
+
+def _starts(one: Pieces, other: Pieces) -> list[float]:
+    return sorted({s for s, _ in (*one, *other)})
+
+
+def _cubic_at(pieces: Pieces, s: float) -> Floats:
+    """The cubic that holds at ``s``, counted from there."""
+    start, (a, b, c, d) = next((piece for piece in reversed(pieces) if piece[0] <= s), pieces[0])
+    h = s - start
+    return np.array([a + h * (b + h * (c + h * d)), b + h * (2 * c + 3 * h * d), c + 3 * h * d, d])
+
+
 def _close_gaps(side: Element) -> None:
-    """Keep what lies between two lanes, such as a border, as a closed lane; its own type becomes ``was``."""
-    lanes = sorted(side.findall("lane"), key=lambda lane: abs(int(lane.get("id", "0"))))
+    """Keep what lies between a lane and the middle, such as a median or a border, as a closed lane; its own type
+    becomes ``was``. Without a width it is 0 m wide, where netconvert would take 3.65 m."""
+    lanes = _from_the_middle(side)
     kept = [k for k, lane in enumerate(lanes) if lane.get("type") in LANES]
-    for lane in lanes[kept[0] : kept[-1]] if kept else ():
+    for lane in lanes[: kept[-1]] if kept else ():
         if lane.get("type") not in LANES:
             lane.set("was", lane.get("type", "none"))
             lane.set("type", CLOSED)
+            if lane.find("width") is None:
+                SubElement(lane, "width", sOffset="0", a="0", b="0", c="0", d="0")
 
 
 Limit = tuple[float, float | None]  # where it begins [m], and the limit [m/s]; None: not given
@@ -255,7 +312,7 @@ def _limit(path: Path, speed: Element | None) -> float | None:
         return None
     if text == "no limit":
         return NO_LIMIT_M_S
-    unit = speed.get("unit", "")
+    unit = speed.get("unit", "").strip()
     if unit not in UNITS:
         raise UsageError(f'{path} has a speed limit in "{unit[:40]}": give m/s, km/h or mph.')
     value = _number(path, speed, "max") * UNITS[unit]

@@ -1,8 +1,9 @@
 """Reads OpenStreetMap XML, and writes it so that netconvert finds all of it.
 
-netconvert 1.28 wants nodes before ways, draws a way straight across a node that the file lacks, and reads bus and cycle
-lanes only from tags that name a side or each lane. So nodes are written first (also those that ways carry themselves,
-as Overpass's ``out geom`` writes them), ways are cut where nodes are missing, and tags are made explicit.
+netconvert 1.28 wants nodes before ways, draws a way straight across a node that the file lacks, reads bus and cycle
+lanes only from tags that name a side or each lane, and of what is said about cars knows ``access`` alone. So nodes are
+written first (also those that ways carry themselves, as Overpass's ``out geom`` writes them), ways are cut where nodes
+are missing, and tags are made explicit.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ LANE_COUNTS = ("lanes", "lanes:forward", "lanes:backward", "lanes:both_ways")
 PUBLIC = ("bus", "psv")
 ALLOWED = ("yes", "designated", "official")
 CLOSING = ("access", "vehicle", "motor_vehicle")
+OF_CARS = ("motorcar", "motor_vehicle", "vehicle", "access")  # OpenStreetMap's order: the first that is given holds
+CLOSED_TO_CARS = frozenset(("no", "agricultural", "forestry", "emergency", "military", "bus", "psv", "taxi"))
 SIDED = ("sidewalk", "cycleway", "busway")
 SWAP = {"left": "right", "right": "left"}
 ONE_WAY = ("motorway", "motorway_link")
@@ -57,6 +60,9 @@ def read_openstreetmap(path: Path) -> MapContent:
             _check_lanes(path, name, tags)
             lost["bus lane without a side"] += _is_without_side(tags)
             lost["closing of a lane to cars"] += _closed_lanes(tags)
+            lost["closing of a direction to cars"] += _closed_directions(tags)
+            lost["way with limits of single lanes"] += any(key.startswith("maxspeed:lanes") for key in tags)
+            lost["second direction of a lane for both"] += _count(tags.get("lanes:both_ways", "")) or 0
     for name, along in nodes.items():
         runs = _runs(along, known)
         if not runs:
@@ -169,16 +175,34 @@ def _pieces(way: Element, known: Set[str], numbers: Iterator[int]) -> Iterator[E
 
 
 def _explicit(way: Element, left_hand: bool) -> Element:
-    """The way with its bus and cycle lanes in tags that netconvert reads."""
+    """The way with its bus and cycle lanes, and what cars may, in tags that netconvert reads."""
     tags = _tags(way)
     if "highway" not in tags:
         return way
-    made = _sides(_lanes_of_buses(tags, left_hand), left_hand)
+    made = _sides(_lanes_of_buses(tags, left_hand), left_hand) | _access_of_cars(tags)
     for tag in way.findall("tag"):
         way.remove(tag)
     for key, value in made.items():
         SubElement(way, "tag", k=key, v=value)
     return way
+
+
+def _access_of_cars(tags: Tags) -> Tags:
+    """Whether cars may use the way, as ``access``; nothing where no tag says so."""
+    given = next((tags[key] for key in OF_CARS if key in tags), None)
+    if given is None:
+        return {}
+    return {"access": "no" if {word.strip() for word in given.split(";")} <= CLOSED_TO_CARS else "yes"}
+
+
+def _closed_directions(tags: Tags) -> int:
+    """Directions of a road both ways that are closed to cars, which netconvert leaves open."""
+    if "highway" not in tags or _is_one_way(tags):
+        return 0
+    return sum(
+        next((tags[f"{key}:{way}"] for key in OF_CARS if f"{key}:{way}" in tags), "") in CLOSED_TO_CARS
+        for way in ("forward", "backward")
+    )
 
 
 def _is_one_way(tags: Tags) -> bool:

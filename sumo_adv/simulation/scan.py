@@ -269,13 +269,14 @@ def _read(path: Path, start: _Handler, end: Callable[[str], None] | None) -> Non
 
 
 def read_text(path: Path, what: str) -> str:
-    """The text of a file, packed by gzip or not. Raises UsageError; ``what``: the file in words."""
+    """The text of a file in UTF-8, packed by gzip or not, without its byte order mark. Raises UsageError; ``what``: the
+    file in words."""
     try:
-        return parsing.read_text(path, parsing.LARGEST_UNPACKED)
+        return parsing.read_text(path, parsing.LARGEST_UNPACKED).removeprefix("\ufeff")
     except OSError as error:
         raise UsageError(f"{what} {path} cannot be read: {error.strerror or error}.") from error
     except UnicodeDecodeError as error:
-        raise UsageError(f"{what} {path} are not text: give a CSV file.") from error
+        raise UsageError(f"{what} {path} are not text in UTF-8: write them as CSV in UTF-8.") from error
     except ValueError as error:
         raise UsageError(f"{what} {path} cannot be used ({error}): write them again.") from error
 

@@ -94,15 +94,16 @@ def read_sumocfg(path: Path, environ: Mapping[str, str] = os.environ) -> Configu
     begin = begin or 0.0
     if end is not None and end <= begin:
         raise UsageError(f"{path} ends at {end:g} s, which is not after its begin: correct one of the two.")
-    sumo_step = seconds(path, "step-length", given.get("step-length")) or SUMO_STEP
+    sumo_step = seconds(path, "step-length", given.get("step-length", str(SUMO_STEP)))
+    if not sumo_step:
+        raise UsageError(f"{path} has steps of {given['step-length'][:40]} s: give a step-length above 0.")
     step, said = _step(path, sumo_step, named="step-length" in given)
     options, left = kept(path, {name: value for name, value in given.items() if name not in _OURS})
     if end is not None:
         options["end"] = given["end"]  # flows without an end of their own have this one
-    seed = seconds(path, "seed", given.get("seed"))
     networks, routes, additional = (_files(path, given.get(name, "")) for name in _FILES)
     return Configuration(
-        networks, routes, additional, begin, end, SUMOS_SEED if seed is None else int(seed), step, sumo_step, options,
+        networks, routes, additional, begin, end, _seed(path, given), step, sumo_step, options,
         (*said, *left, *notes),
     )  # fmt: skip
 
@@ -153,6 +154,17 @@ def _expanded(text: str, environ: Mapping[str, str]) -> tuple[str, list[str]]:
     if whole.startswith("~"):
         whole = f"{home}{whole[1:]}"
     return whole.replace(",~", f",{home}"), unset
+
+
+def _seed(path: Path, given: Mapping[str, str]) -> int:
+    """SUMO's own where none is named. Raises UsageError: it is none, or below 0, which SUMO alone takes."""
+    try:
+        seed = int(given.get("seed", SUMOS_SEED))
+    except ValueError:
+        seed = -1
+    if seed < 0:
+        raise UsageError(f"{path} has the seed {given['seed'][:40]}: give a whole number from 0 on.")
+    return seed
 
 
 def _step(path: Path, step: float, *, named: bool) -> tuple[float | None, tuple[str, ...]]:
