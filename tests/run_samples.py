@@ -15,10 +15,11 @@ GEOMETRIES = {"straight": "motorway_cut_in_left", "crossing": "priority_left_tur
 
 @cache
 def run_folder(geometry: str) -> Path:
-    """The folder of a run with one attempt."""
+    """The folder of a run until a collision."""
     home = Path(tempfile.mkdtemp(prefix="sumo_adv-tests-"))
     atexit.register(shutil.rmtree, home, ignore_errors=True)
     result = sumo_adv.run(
-        GEOMETRIES[geometry], out=home / "run", attempts=1, proposals=24, learn="off", memory=home / "bank.sqlite"
+        GEOMETRIES[geometry], out=home / "run", until="collision", attempts=20, proposals=24, learn="off",
+        memory=home / "bank.sqlite",
     )
     return result.folder

@@ -52,10 +52,12 @@ from sumo_adv.words.request import Reading, read_motion
 class Attempts(Protocol):
     """Runs attempts; a result is taken only if the ones before it did not succeed.
 
-    displaces: whether the ego can be put where it would be if it arrived otherwise (``Proposal.arrival``).
+    displaces: whether the ego can be put where it would be if it arrived otherwise (``Proposal.arrival``). repeats:
+    whether attempts can be made of the same encounter at will, so that neighbours of a success can be tried.
     """
 
     displaces: bool
+    repeats: bool
 
     def attempt(self, proposals: Sequence[Proposal]) -> Iterable[AttemptResult]:
         """The results of the proposals, in order."""
@@ -77,7 +79,7 @@ class AttemptRunner:
     ) -> None:  # fmt: skip
         """``displaces``: False if a log moves the ego."""
         self._engine, self._sandbox, self._found, self._seed = engine, sandbox, found, seed
-        self.displaces = displaces
+        self.displaces, self.repeats = displaces, True
 
     def attempt(self, proposals: Sequence[Proposal]) -> Iterator[AttemptResult]:
         for k in range(0, len(proposals), self._engine.at_once):

@@ -139,8 +139,9 @@ class Refiner:
         if _all(found, "crashed"):
             found.ending, found.reason = Ending.SIMULATION_FAILED, found.attempts[-1].message
         settle_best(found, self._runner)
-        if found.successes and found.best is not None and found.best not in found.robust:
-            self._try_neighbours(found, found.best)
+        best = found.best
+        if found.successes and best is not None and best not in found.robust and self._runner.repeats:
+            self._try_neighbours(found, best)
         found.seconds = time.perf_counter() - began
 
     def optimizer(self, intents: Sequence[Intent]) -> Optimizer:
@@ -182,8 +183,9 @@ class Refiner:
             self._tell("attempt", attempt)
             if found.goal.met(attempt.verdict):
                 self._keep(attempt, found, began)
-                for tried, verdict in self._try_neighbours(found, attempt.index):
-                    optimizer.observe(tried, None, verdict)
+                if self._runner.repeats:
+                    for tried, verdict in self._try_neighbours(found, attempt.index):
+                        optimizer.observe(tried, None, verdict)
             if self._enough(found):
                 return True
         return False
@@ -223,7 +225,8 @@ class Refiner:
         last, settled = len(found.attempts) - 1, set[str]()
         for k in found.successes:
             kind = found.attempts[k].kind
-            if self._settings.tuner == "off" or last - k >= FRAGILE or kind in _robust_kinds(found):
+            given_up = self._settings.tuner == "off" or not self._runner.repeats or last - k >= FRAGILE
+            if given_up or kind in _robust_kinds(found):
                 settled.add(kind)
         for kind in sorted(settled - self._settled):
             self._search.succeeded(kind)

@@ -132,7 +132,7 @@ def describe(
 class LiveAttempts:
     """Runs attempts in the session at hand, each after the first in what ``again`` gives: the same encounter anew."""
 
-    displaces = False
+    displaces, repeats = False, False  # each attempt is driven by the client
 
     def __init__(
         self, session: Session, scene: Scene, road: RoadMap, settings: Settings, sandbox: Sandbox, events: Events,
