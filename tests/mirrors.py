@@ -93,12 +93,12 @@ def _attack(case: Case, folder: Path) -> Attacked:
     sandboxes, warm = WarmSandboxes(), WarmEngine()
     try:
         with warm.episode() as engine:
-            episode, missed = run_case(case, settings, task, engine, sandboxes.of(settings))
+            came = run_case(case, settings, task, engine, sandboxes.of(settings), 1)
     finally:
         warm.close()
         sandboxes.close()
-    assert missed == ""
-    return _outcome(episode)
+    assert not isinstance(came, str), came
+    return _outcome(came[0])
 
 
 def _outcome(episode: Episode) -> Attacked:

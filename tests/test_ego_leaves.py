@@ -50,7 +50,7 @@ def test_other_drivers_leave_too(program: Program, case: Path, ego: str) -> None
 def test_what_is_made_of_the_run_works(program_there: Program) -> None:
     again = program_there.here("run", "--replay", "out", "--out", "again", "--json")
     mild = program_there.here("minimise", "out", "--attempts", "2", "--out", "mild", "--json")
-    kept = program_there.here("keep", "out", "--suite", "suite")
+    kept = program_there.here("keep", "out", "--suite", "suite", "--all")
     tested = program_there.here("regress", "suite", "--ego", "idm", "--out", "tested", "--json")
     assert [each.status for each in (again, mild, kept)] == [0, 0, 0], (again.err, mild.err, kept.err)
     assert tested.status in (0, 3) and "KeyError" not in tested.err + tested.out

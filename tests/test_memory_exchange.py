@@ -171,7 +171,7 @@ def test_wrong_and_hostile_folders_are_refused_whole(tmp_path: Path) -> None:
     cases = [
         ("evidence.csv", rows.replace("plain,straight", "other,straight"), "line 2, is no evidence: there is no plan"),
         ("evidence.csv", rows.replace(",7\n", ",\n"), "line 2, is no evidence"),
-        ("evidence.csv", rows.replace('""closing"": -1.25', '""closing"": NaN'), "must be a finite number"),
+        ("evidence.csv", rows.replace('""closing"": -1.25', '""closing"": NaN'), "a number in it is not finite"),
         ("evidence.csv", rows.replace("planner,", "planer,"), "must have the columns planner,"),
         ("evidence.csv", rows.replace(",1,1,1,0,1,0,", ",1,1,2,0,1,0,"), "1 or 0"),
         ("intent.toml", toml + "[planners.nobody]\norigin = 'x'\n", "wrong table for the planner 'nobody'"),

@@ -135,8 +135,9 @@ def test_a_vehicle_beside_the_line_comes_back_to_it() -> None:
 
 
 def test_too_fast_a_timetable_makes_it_late_and_not_faster_than_the_limits() -> None:
+    """People speed up with 4 - 2 (v - 5) / 15 m/s2 at most, 3.33 m/s2 at 10 m/s, of which 95 % are used."""
     rows, follower = drive(straight(10.0, 9.0), 10.0)
-    assert rows[:, 4].max() == pytest.approx(4.0)
+    assert 3.0 < rows[:, 4].max() <= 0.95 * 10.0 / 3.0
     assert follower.farthest > 10.0
 
 

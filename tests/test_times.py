@@ -72,7 +72,7 @@ def test_what_a_run_with_steps_of_a_thirtieth_writes_the_other_commands_read(pro
     level = json.loads((first.folder / "outcome.json").read_text())["outcome"]["level"]
     judged = json.loads(program.here("judge", "out", "--json").out)
     assert [run["level"] for run in judged["runs"]] == [level]
-    kept = program.here("keep", "out", "--suite", "suite")
+    kept = program.here("keep", "out", "--suite", "suite", "--all")
     assert kept.status == 0, kept.err
     regressed = program.here("regress", "suite", "--ego", "own_driver:Own", "--json")
     assert json.loads(regressed.out)["cases"][0]["level"] == level

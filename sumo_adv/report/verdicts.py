@@ -47,7 +47,8 @@ FULL_KEYS = (
 )  # fmt: skip
 LEVEL_FIELDS = (
     "level", "valid", "strict", "preventability", "ego_stationary", "ego_blocking", "humanlike", "beyond_human",
-    "contact_side", "delta_v", "adversary_delta_v", "severity", "injury_risk", "impact_speed", "log_gates",
+    "contact_side", "delta_v", "adversary_delta_v", "severity", "injury_risk", "impact_speed", "overlap",
+    "log_gates",
 )  # fmt: skip
 DEFAULT_SIGMA = 0.5  # SUMO's, where a vehicle type does not say
 TYPE, SIGMA = re.compile(rb"<vType\b[^>]*>"), re.compile(rb"\bsigma\s*=\s*[\"']([^\"']*)[\"']")
