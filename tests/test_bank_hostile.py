@@ -111,7 +111,7 @@ def test_a_journal_beside_a_database_has_no_file_elsewhere_deleted(tmp_path: Pat
     other.write_text("kept", encoding="utf-8")
     bank, lock = with_super_journal(bank_of(tmp_path / "bank.sqlite"), other), tmp_path / "lock"
     with_super_journal(lock, other)
-    with pytest.raises(UsageError, match="bank.sqlite-journal would have SQLite delete a file elsewhere"):
+    with pytest.raises(UsageError, match=r"bank\.sqlite-journal would have SQLite delete a file elsewhere"):
         MemoryBank.open(bank)
     with pytest.raises(UsageError, match="lock-journal would have SQLite delete"), held(lock):
         pass

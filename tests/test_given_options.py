@@ -98,6 +98,30 @@ def test_a_sumocfg_with_an_option_for_a_value_is_refused(tmp_path: Path) -> None
         load_input(configured(tmp_path, '<ignore-route-errors value="--fcd-output=F"/>'))
 
 
+SPY = """<vType id="spy">
+  <param key="has.ssm.device" value="true"/><param key="device.ssm.file" value="{log}"/>
+</vType>"""
+"""A type whose vehicles have SUMO write."""
+
+
+def test_doctor_does_not_have_sumo_write(program: Program) -> None:
+    """It starts the program ``sumo`` with options that a run does not keep: a switch whose value is another option, and
+    a state whose vehicles would write."""
+    trip = '<trip id="{name}" type="{kind}" depart="0" from="west_in" to="east_out"/>'
+    folder, log = program.folder, program.folder / "F"
+    (folder / "spy.rou.xml").write_text(f"<routes>{SPY.format(log='G')}{trip.format(name='s', kind='spy')}</routes>")
+    state = ("--save-state.times", "2", "--save-state.files", "state.xml", "--end", "3")
+    subprocess.run([find_sumo(), "-n", NETWORK, "-r", "spy.rou.xml", *state], cwd=folder, check=True)
+    file = folder / "state.xml"
+    assert file.read_text().count('"G"') == 1 and (folder / "G").is_file()
+    file.write_text(file.read_text().replace('"G"', f'"{log}"'))
+    (folder / "r.rou.xml").write_text(f"<routes>{trip.format(name='v', kind='DEFAULT_VEHTYPE')}</routes>")
+    routes = '<route-files value="r.rou.xml"/><step-length value="0.1"/>'
+    for option in (f'<mesosim value="--tripinfo-output={log}"/>', '<load-state value="state.xml"/><begin value="2"/>'):
+        program.here("doctor", str(configured(folder, routes + option)), "--seconds", "2")
+        assert not log.exists()
+
+
 def test_a_manifest_does_not_have_sumo_write(program: Program) -> None:
     done = program.here("run", "motorway_cut_in_left", "--attempts", "1", "--until", "critical", "--out", "out")
     assert done.outcome["attempts"]
