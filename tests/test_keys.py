@@ -10,6 +10,7 @@ from cli_samples import Program
 from sumo_adv.campaigns.plan import read_plan
 from sumo_adv.config import load_settings
 from sumo_adv.errors import UsageError
+from sumo_adv.simulation.sumocfg import read_sumocfg
 
 THEIRS, OURS = "http://attacker.example/v1", "http://gpu:8000/v1"
 
@@ -59,3 +60,12 @@ def test_a_run_with_such_a_file_ends_before_it_asks(program: Program) -> None:
     done = program.here("run", "motorway", "--settings", "s.toml", "--out", "out")
     assert done.status == 2
     assert "would be sent your key" in done.err
+
+
+@pytest.mark.parametrize("option", ["device.emissions.explicit", "threads", "net-file", "weight-files"])
+def test_a_sumocfg_has_no_key_among_its_values(tmp_path: Path, option: str) -> None:
+    """They stand in messages, ``manifest.json`` and ``outcome.json``, which people share."""
+    file = tmp_path / "c.sumocfg"
+    file.write_text(f'<configuration><{option} value="a${{SUMO_ADV_LLM_API_KEY}}"/></configuration>', encoding="utf-8")
+    with pytest.raises(UsageError, match="names the variable 'SUMO_ADV_LLM_API_KEY', which may hold a secret"):
+        read_sumocfg(file, {"SUMO_ADV_LLM_API_KEY": "secret-of-mine"})
