@@ -62,6 +62,8 @@ def test_every_option_that_may_be_given_is_sumos_own_by_its_long_name_and_type(t
         ("pedestrian.jupedsim.wkt", "F", "is not one that can be given"),
         ("pedestrian.jupedsim.py", "F", "is not one that can be given"),
         ("device.rerouting.output", "F", "is not one that can be given"),
+        ("device.rerouting.explicit", "${SUMO_ADV_LLM_API_KEY}", "takes a text"),
+        ("device.rerouting.explicit", "~", "takes a text"),
         ("timetoteleport", "3", "the nearest is 'time-to-teleport'"),
     ],
 )
@@ -192,3 +194,19 @@ def test_a_file_that_sumo_cannot_be_told_is_refused_in_a_sentence(tmp_path: Path
         make_spec(home, "signalised_crossing", [vehicle("east", "west_in east_out", 1, 20.0, 8.0)])
     with pytest.raises(UsageError, match="SUMO cannot be told the file"):
         SimulationSpec(tmp_path / "\udce9.net.xml", (), (), 0.0, 1)
+
+
+def test_sumo_reads_no_other_file_than_was_checked(program: Program) -> None:
+    """SUMO puts in variables on its command line: it would read ``spy.rou.xml`` and write where that says."""
+    trip = '<trip id="s" {of} depart="0" from="west_in" to="east_out"/>'
+    log = program.folder / "F"
+    for name, text in (("spy", SPY.format(log=log) + trip.format(of='type="spy"')), ("${NONE}spy", trip.format(of=""))):
+        (program.folder / f"{name}.rou.xml").write_text(f"<routes>{text}</routes>", encoding="utf-8")
+    named = f'schema = 1\nnetwork = "{NETWORK}"\n[demand]\nfiles = ["${{NONE}}spy.rou.xml"]\n'
+    (program.folder / "s.toml").write_text(named, encoding="utf-8")
+    done = program.here("run", "s.toml", "--end", "2", "--out", "out")
+    assert (done.status, log.exists()) == (2, False)
+    assert "SUMO cannot be told the file" in done.err
+    for place in ("~/a.net.xml", "${HOME}.net.xml"):
+        with pytest.raises(UsageError, match="SUMO cannot be told the file"):
+            SimulationSpec(Path(place), (), (), 0.0, 1)

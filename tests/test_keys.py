@@ -63,9 +63,10 @@ def test_a_run_with_such_a_file_ends_before_it_asks(program: Program) -> None:
 
 
 @pytest.mark.parametrize("option", ["device.emissions.explicit", "threads", "net-file", "weight-files"])
-def test_a_sumocfg_has_no_key_among_its_values(tmp_path: Path, option: str) -> None:
+@pytest.mark.parametrize("value", ["a${SUMO_ADV_LLM_API_KEY}", "$${NONE}{SUMO_ADV_LLM_API_KEY}"])
+def test_a_sumocfg_has_no_key_among_its_values(tmp_path: Path, option: str, value: str) -> None:
     """They stand in messages, ``manifest.json`` and ``outcome.json``, which people share."""
     file = tmp_path / "c.sumocfg"
-    file.write_text(f'<configuration><{option} value="a${{SUMO_ADV_LLM_API_KEY}}"/></configuration>', encoding="utf-8")
+    file.write_text(f'<configuration><{option} value="{value}"/></configuration>', encoding="utf-8")
     with pytest.raises(UsageError, match="names the variable 'SUMO_ADV_LLM_API_KEY', which may hold a secret"):
         read_sumocfg(file, {"SUMO_ADV_LLM_API_KEY": "secret-of-mine"})

@@ -134,12 +134,12 @@ def _options(path: Path, environ: Mapping[str, str]) -> tuple[dict[str, str], tu
         unknown = [key for key in attributes if key not in _KNOWN_ATTRIBUTES]
         if unknown:
             notes.append(f"SUMO passes over the attribute '{unknown[0]}' of the option '{tag}' in {path.name}.")
-        secret = next((each for each in _VARIABLE.findall(values[0]) if _SECRET.search(each)), None)
+        value, unset = _expanded(values[0].strip(), environ)
+        secret = next((each for each in _VARIABLE.findall(f"{values[0]} {value}") if _SECRET.search(each)), None)
         if secret is not None:  # values of options stand in messages and in a run's files
             raise UsageError(
                 f"{path} names the variable {secret!r}, which may hold a secret: take it out or rename it."
             )
-        value, unset = _expanded(values[0].strip(), environ)
         if unset and name in _FILES:
             raise UsageError(f"{path} names its {name} by the variable {unset[0]}, which is not set: set it.")
         notes.extend(f"The variable {each} of {path.name} is not set, so it is empty, as in SUMO." for each in unset)
