@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 import subprocess
@@ -136,6 +137,33 @@ def test_a_manifest_does_not_have_sumo_write(program: Program) -> None:
         assert done.status == 2
         assert "'ignore-route-errors' takes a switch" in done.err
     assert not (program.folder / "F").exists()
+
+
+@pytest.mark.parametrize("kind", ["network", "routes"])
+def test_the_files_of_a_run_folder_do_not_have_sumo_write(program: Program, kind: str) -> None:
+    """A stranger's folder: the types of its demand have a device that writes, its lights log, the hashes are right."""
+    done = program.here("run", "signals_red_light", "--attempts", "1", "--until", "critical", "--out", "out")
+    assert done.outcome["attempts"]
+    log, file = program.folder / "F", program.folder / "out" / "manifest.json"
+    manifest = json.loads(file.read_text(encoding="utf-8"))
+    named = manifest[kind] if kind == "network" else manifest[kind][0]
+    inputs = program.folder / "out" / "inputs"
+    text = (inputs / named).read_text(encoding="utf-8")
+    spying = SPY.format(log=log).partition("\n")[2].partition("\n")[0]
+    changed = {
+        "network": re.sub(r"<phase.*?(?=</tlLogic>)", SWARM.format(log=log), text, flags=re.DOTALL).replace(
+            'type="static" programID', 'type="swarm" programID'
+        ),
+        "routes": re.sub(r"(<vType [^>]*?)/>", rf"\1>{spying}</vType>", text),
+    }[kind]
+    assert str(log) in changed
+    (inputs / named).write_text(changed, encoding="utf-8")
+    digest = hashlib.sha256(changed.encode()).hexdigest()[:12]
+    renamed = (inputs / named).rename(inputs / f"{digest}{named[12:]}").name
+    manifest[kind] = renamed if kind == "network" else [renamed]
+    file.write_text(json.dumps(manifest), encoding="utf-8")
+    program.here("run", "--replay", "out", "--out", "again")
+    assert not log.exists()
 
 
 @pytest.mark.parametrize("line", ['"ignore-route-errors" = "--fcd-output=F"', '"l" = "F"', '"fcd-output" = "F"'])
