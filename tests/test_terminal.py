@@ -6,6 +6,8 @@ import os
 import pty
 import subprocess
 import sys
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -40,19 +42,44 @@ def test_numbers_and_other_texts_stay(value: object) -> None:
         assert cell_text(value) == value
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs a pseudo-terminal")
-def test_a_key_of_a_file_steers_no_terminal(program: Program) -> None:
-    file = program.folder / "s.toml"
-    file.write_text('"a\\u001b]0;owned\\u0007b" = 1\n', encoding="utf-8")
-    main, end = pty.openpty()
-    command = [sys.executable, "-m", "sumo_adv", "run", "motorway", "--settings", str(file)]
-    try:
-        subprocess.run(command, cwd=program.folder, env=program.environment(), stdout=end, stderr=end, timeout=60)
-        said = os.read(main, 4096).decode()
-    finally:
-        os.close(end)
-        os.close(main)
+@pytest.fixture
+def on_a_terminal(program: Program) -> Callable[..., str]:
+    """What a command writes to a terminal."""
+    if not hasattr(os, "fork"):
+        pytest.skip("needs a pseudo-terminal")
+
+    def run(*words: str) -> str:
+        main, end = pty.openpty()
+        environment = {key: value for key, value in program.environment().items() if key != "CI"}  # which has no bars
+        command = [sys.executable, "-m", "sumo_adv", *words]
+        try:
+            with subprocess.Popen(command, cwd=program.folder, env=environment, stdout=end, stderr=end):
+                os.close(end)
+                parts = list[bytes]()
+                with suppress(OSError):  # the end on Linux
+                    while part := os.read(main, 4096):
+                        parts.append(part)
+                return b"".join(parts).decode()
+        finally:
+            os.close(main)
+
+    return run
+
+
+def test_a_key_of_a_file_steers_no_terminal(program: Program, on_a_terminal: Callable[..., str]) -> None:
+    (program.folder / "s.toml").write_text('"a\\u001b]0;owned\\u0007b" = 1\n', encoding="utf-8")
+    said = on_a_terminal("run", "motorway", "--settings", "s.toml")
     assert "There is no setting 'ab'" in said
+    assert "owned" not in said
+
+
+def test_an_episode_that_fails_beside_the_bar_steers_no_terminal(
+    program: Program, on_a_terminal: Callable[..., str]
+) -> None:
+    text = 'schema = 1\nnetwork = "motorway"\n"a\\u001b]0;owned\\u0007b" = 1\n'
+    (program.folder / "s.toml").write_text(text, encoding="utf-8")
+    said = on_a_terminal("batch", "run", "s.toml", "--workers", "1", "--out", "out")
+    assert "has an unknown key 'ab'" in " ".join(said.split())
     assert "owned" not in said
 
 
