@@ -197,3 +197,24 @@ def test_links_are_what_the_system_calls_so(tmp_path: Path) -> None:
     (tmp_path / "a").write_text("x", encoding="utf-8")
     os.link(tmp_path / "a", tmp_path / "b")
     refuse_links(tmp_path)
+
+
+def test_a_case_in_a_case_is_not_passed_over(tmp_path: Path) -> None:
+    """A suite with a case file of its own was one case, and none of the others was run."""
+    suite = suite_in(tmp_path, "a", "b")
+    for file in (suite / "a").iterdir():
+        shutil.copyfile(file, suite / file.name)
+    with pytest.raises(UsageError, match="suite is a case and holds the case a: move one of them"):
+        read_suite(suite)
+
+
+@pytest.mark.parametrize("ranking", [[1], [{"id": "a"}], [{"id": [], "relation": "leader"}], {"a": 1}])
+def test_a_strange_run_is_not_kept_but_a_sentence(program: Program, ranking: object) -> None:
+    run = program.folder / "run"
+    shutil.copytree(attacked(), run)
+    outcome = json.loads((run / "outcome.json").read_text(encoding="utf-8"))
+    outcome["encounter"]["ranking"] = ranking
+    (run / "outcome.json").write_text(json.dumps(outcome), encoding="utf-8")
+    done = program.here("keep", "run", "--suite", "suite")
+    assert (done.status, done.err.count("\n")) == (2, 1)
+    assert "is not as this program writes it" in done.err

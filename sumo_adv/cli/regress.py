@@ -39,7 +39,7 @@ def keep(
     from sumo_adv.regression.case import Expectation
     from sumo_adv.regression.keep import keep_run
     from sumo_adv.report.judging import run_folders
-    from sumo_adv.report.read import read_outcome
+    from sumo_adv.report.read import read_outcome, reading
     from sumo_adv.report.run_outcome import level_of
 
     if avoid is None and min_ttc is None and not no_worse:
@@ -51,10 +51,11 @@ def keep(
         raise UsageError(f"--name is for one run, and {len(runs)} were given.")
     kept, again, left = dict[Path, str](), list[Path](), list[Path]()
     for run in runs:
-        if run not in given and level_of((read_outcome(run).get("outcome") or {}).get("level")) < level.level:
-            left.append(run)
-            continue
-        folder, new = keep_run(run, suite, expect, name)
+        with reading(run):
+            if run not in given and level_of((read_outcome(run).get("outcome") or {}).get("level")) < level.level:
+                left.append(run)
+                continue
+            folder, new = keep_run(run, suite, expect, name)
         if new:
             kept[folder] = run.name
         else:
