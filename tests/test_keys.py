@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from cli_samples import Program
 
+from sumo_adv.api_batch import planned
 from sumo_adv.campaigns.plan import read_plan
 from sumo_adv.config import load_settings
 from sumo_adv.errors import UsageError
@@ -43,6 +44,25 @@ def test_a_file_may_not_name_the_server_while_the_key_comes_from_elsewhere(
     if file.name != "vary.toml":  # which has two addresses
         monkeypatch.setenv("SUMO_ADV_LLM_BASE_URL", THEIRS)  # the user trusts it
         read(file)
+
+
+def test_an_empty_address_of_the_users_is_none(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As Docker Compose sets it for a variable without a value: the file's address would be used, with the key."""
+    monkeypatch.setenv("SUMO_ADV_LLM_API_KEY", "secret-of-mine")
+    monkeypatch.setenv("SUMO_ADV_LLM_BASE_URL", "")
+    with pytest.raises(UsageError, match="names llm_base_url, and would be sent your key"):
+        read(file)
+
+
+@pytest.mark.parametrize("name", ["LLM_BASE_URL", "Llm_base_url"])
+def test_a_setting_has_one_name(file: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    """In capitals the address went past the check, and the key to it."""
+    file.write_text(file.read_text(encoding="utf-8").replace("llm_base_url", name), encoding="utf-8")
+    monkeypatch.setenv("SUMO_ADV_LLM_API_KEY", "secret-of-mine")
+    with pytest.raises(UsageError, match=f"There is no setting '{name}'; the nearest is 'llm_base_url'"):
+        load_settings(file) if file.name == "settings.toml" else planned(file, {}, {})
+    with pytest.raises(UsageError, match=f"There is no setting '{name}'"):
+        load_settings(None, **{name: THEIRS})  # of a manifest
 
 
 def test_the_users_own_address_goes_before_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
