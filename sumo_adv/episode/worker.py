@@ -94,10 +94,10 @@ class Worker:
         self._road = read_network(task.spec.network)
         folder = Path(self._folder.name)
         given = task.spec
-        demand = (*given.routes, *given.additional)
-        network, *silent = silent_copies((given.network, *demand), folder)  # those of others' run folders may write
+        files = (given.network, *given.routes, *given.additional)
+        network, *silent = silent_copies(files, folder)  # those of others' run folders may write
         routes, additional = silent[: len(given.routes)], silent[len(given.routes) :]
-        additional.append(ego_type_file(controller, folder, demand))
+        additional.append(ego_type_file(controller, folder, silent))
         spec = replace(given, network=network, routes=tuple(routes), additional=tuple(additional))
         self._drive = Drive(
             spec, controller, task.settings.seed, playback=self._playback(task), deadline=task.settings.ego_deadline
