@@ -18,6 +18,7 @@ from sumo_adv.errors import UsageError
 from sumo_adv.files import refuse_links, scratch_prefix, sweep_scratch
 from sumo_adv.regression.case import read_suite
 from sumo_adv.regression.suite import read_results
+from sumo_adv.report.manifest import read_manifest
 from sumo_adv.report.read import read_run
 from sumo_adv.report.staging import staged
 
@@ -218,3 +219,12 @@ def test_a_strange_run_is_not_kept_but_a_sentence(program: Program, ranking: obj
     done = program.here("keep", "run", "--suite", "suite")
     assert (done.status, done.err.count("\n")) == (2, 1)
     assert "is not as this program writes it" in done.err
+
+
+def test_a_run_folder_takes_down_no_wall_of_the_sandbox(tmp_path: Path) -> None:
+    """Its planners are a stranger's."""
+    run = shutil.copytree(attacked(), tmp_path / "run")
+    manifest = json.loads((run / "manifest.json").read_text(encoding="utf-8"))
+    manifest["settings"]["bubblewrap"] = False
+    (run / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
+    assert read_manifest(run).settings.bubblewrap
