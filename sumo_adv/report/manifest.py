@@ -25,12 +25,7 @@ from sumo_adv.simulation.simulation import SimulationSpec
 from sumo_adv.simulation.sumo_options import DEFAULTS, FORCED
 
 RETIRED = ("experience",)  # settings of earlier versions; a replay drives the recorded attempt and needs none of them
-
-
-USERS = (
-    "llm_base_url",
-    "bubblewrap",
-)  # settings that a run folder does not bring: a model's server, the sandbox's wall
+USERS = ("llm_base_url", "bubblewrap")  # settings that no run folder brings: a model's server, the sandbox's wall
 
 
 @dataclass(frozen=True, slots=True)
