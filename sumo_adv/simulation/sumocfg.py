@@ -42,7 +42,7 @@ SYNONYMS: Mapping[str, str] = {
 """Other names of SUMO's options (``sumo --save-template``), and the name that it uses itself."""
 _KNOWN_ATTRIBUTES = frozenset(("value", "v", "type", "help", "synonymes"))
 _VARIABLE = re.compile(r"\$\{(.+?)\}")
-_SECRET = re.compile(r"KEY|TOKEN|SECRET|PASSW|CREDENTIAL", re.IGNORECASE)  # in names of variables, such as our own
+_SECRET = re.compile(r"KEY|TOKEN|SECRET|PASSW|CREDENTIAL|SUMO_ADV_", re.IGNORECASE)  # in names of variables
 _OF_SUMO = ("LOCALTIME", "UTC", "PID")  # variables that SUMO itself sets, for names of outputs
 _FILES = ("net-file", "route-files", "additional-files")
 _OURS = (*_FILES, "begin", "end", "seed", "step-length")
