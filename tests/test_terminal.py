@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pty
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -12,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from cli_samples import Program
+from regression_samples import attacked
 
 from sumo_adv.cli.terminal import clean
 from sumo_adv.files import cell_text, plain_cell
@@ -81,6 +83,13 @@ def test_an_episode_that_fails_beside_the_bar_steers_no_terminal(
     said = on_a_terminal("batch", "run", "s.toml", "--workers", "1", "--out", "out")
     assert "has an unknown key 'ab'" in " ".join(said.split())
     assert "owned" not in said
+
+
+def test_the_program_itself_writes_its_line_anew(program: Program, on_a_terminal: Callable[..., str]) -> None:
+    for name in ("a", "b"):
+        shutil.copytree(attacked(), program.folder / "runs" / name)
+    said = on_a_terminal("report", "runs", "--workers", "1")
+    assert "\r1 of 2 pages \r2 of 2 pages " in said
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")

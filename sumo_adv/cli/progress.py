@@ -211,7 +211,8 @@ class Counter:
     def tell(self, done: int, of: int, phase: str = "") -> None:
         if self._shown:
             self._said = True
-            typer.echo(f"\r{phase}{done} of {of} {self._what} ", nl=False, err=True)
+            words = f"\r{phase}{done} of {of} {self._what} "  # the order in it is ours, which sys.stderr leaves out
+            print(words, end="", file=sys.__stderr__, flush=True)
 
     def close(self) -> None:
         if self._said:
