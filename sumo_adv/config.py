@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -315,11 +315,14 @@ def load_settings(file: Path | None = None, **given: Any) -> Settings:
     Raises:
         UsageError: an unknown name or a value out of range.
     """
+    _refuse_capitals(given)
     if file is not None:
         if not file.is_file():
             raise UsageError(f"The settings file {file} does not exist.")
         table = read_toml(file, "The settings file")
-        if ADDRESS not in map(str.upper, os.environ) and not given.get("llm_base_url"):  # these go before the file's
+        _refuse_capitals(table)
+        named = any(name.upper() == ADDRESS and value for name, value in os.environ.items())  # an empty one is none
+        if not named and not given.get("llm_base_url"):  # these go before the file's
             refuse_address(table, f"The settings file {file}", own_key=bool(given.get("llm_api_key")))
         _chosen_file.append(file)
     try:
@@ -331,6 +334,13 @@ def load_settings(file: Path | None = None, **given: Any) -> Settings:
     finally:
         if file is not None:
             _chosen_file.pop()
+
+
+def _refuse_capitals(names: Iterable[str]) -> None:
+    """A setting has one name, which is what files are checked by; pydantic takes it in capitals, too."""
+    for name in names:
+        if name not in Settings.model_fields and name.lower() in Settings.model_fields:
+            raise UsageError(f"There is no setting '{name}'; the nearest is '{name.lower()}'.")
 
 
 def _sentence(detail: ErrorDetails) -> str:

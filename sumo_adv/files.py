@@ -217,13 +217,42 @@ def _plain(value: Any) -> Any:
     return value
 
 
+_SUPER_JOURNAL = bytes.fromhex("d9d505f920a163d7")
+
+
+def refuse_super_journal(database: Path) -> None:
+    """Raises UsageError for a SQLite database whose journal names a file that SQLite would delete; OSError.
+
+    SQLite undoes what a journal beside a database holds when it opens the database. If the last bytes of the journal
+    name the super-journal of a transaction over several databases, it then deletes the file of that name, whatever it
+    is. This program makes no such transaction.
+
+    Source: "File Format For SQLite Databases", section 3; ``readSuperJournal`` and ``pager_delsuper`` in pager.c.
+    """
+    place = database.resolve()
+    journal = place.with_name(f"{place.name}-journal")
+    try:
+        with journal.open("rb") as file:
+            size = file.seek(0, os.SEEK_END)
+            file.seek(max(0, size - len(_SUPER_JOURNAL)))
+            names_another = file.read() == _SUPER_JOURNAL
+    except FileNotFoundError:
+        return
+    if names_another:
+        raise UsageError(
+            f"{journal} would have SQLite delete a file elsewhere, and this program never writes such a journal: "
+            "delete it."
+        )
+
+
 @contextmanager
 def held(file: Path) -> Iterator[bool]:
     """Whether no other process holds ``file``, which is then held until the end, at the latest that of the process.
 
     SQLite's lock, since every system has it; on a disk without locks no other process is seen. The file stays behind,
-    empty. Raises OSError."""
+    empty. Raises OSError; UsageError: a journal beside it is not of this program."""
     file.touch()
+    refuse_super_journal(file)
     with closing(sqlite3.connect(file, timeout=0.0, isolation_level=None)) as lock:
         try:
             lock.execute("BEGIN EXCLUSIVE")

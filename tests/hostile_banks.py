@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import shutil
 import sqlite3
+import struct
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -86,3 +88,28 @@ def dump(path: Path) -> list[tuple[object, ...]]:
             connection.execute(f"SELECT * FROM {name}").fetchmany(10) for kind, name, _ in tables if kind == "table"
         ]
     return [*tables, *(row for each in rows for row in each)]
+
+
+def with_super_journal(database: Path, other: Path) -> Path:
+    """Break off a transaction of ``database``, and name ``other`` as its super-journal: SQLite undoes the transaction
+    when it opens the database, and then deletes ``other``.
+
+    Source: "File Format For SQLite Databases", section 3: page, name, length and checksum of the name, magic.
+    """
+    journal, saved = database.with_name(f"{database.name}-journal"), database.with_name("saved")
+    with contextlib.closing(sqlite3.connect(database, isolation_level=None)) as connection:
+        connection.execute("PRAGMA journal_mode = DELETE").fetchone()
+        connection.execute("CREATE TABLE IF NOT EXISTS plain (x)")
+        connection.execute("PRAGMA cache_size = 1")  # pages go to the file, and so to the journal, before the end
+        connection.execute("BEGIN IMMEDIATE")
+        connection.execute("CREATE TABLE half_made (x)")
+        connection.executemany("INSERT INTO half_made VALUES (?)", 100 * [("x" * 2000,)])
+        shutil.copyfile(database, saved)
+        broken_off = journal.read_bytes()
+        connection.execute("ROLLBACK")
+    saved.replace(database)
+    name = bytes(other)
+    lock_page = 2**30 // 4096 + 1
+    tail = struct.pack(f">I{len(name)}sII", lock_page, name, len(name), sum(name)) + broken_off[:8]
+    journal.write_bytes(broken_off + tail)
+    return database

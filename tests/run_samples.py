@@ -19,7 +19,12 @@ def run_folder(geometry: str) -> Path:
     home = Path(tempfile.mkdtemp(prefix="sumo_adv-tests-"))
     atexit.register(shutil.rmtree, home, ignore_errors=True)
     result = sumo_adv.run(
-        GEOMETRIES[geometry], out=home / "run", until="collision", attempts=20, proposals=24, learn="off",
+        GEOMETRIES[geometry],
+        out=home / "run",
+        until="collision",
+        attempts=20,
+        proposals=24,
+        learn="off",
         memory=home / "bank.sqlite",
     )
     return result.folder

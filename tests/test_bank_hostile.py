@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
+import sqlite3
 import tracemalloc
 from pathlib import Path
 
 import pytest
 from bank_samples import BRAKE_PLANNER, BRAKING, evidence
-from hostile_banks import HUGE, WRONG, bank_of, dump, spoil
+from hostile_banks import HUGE, WRONG, bank_of, dump, spoil, with_super_journal
 
 from sumo_adv.datatypes import Parameter, Planner
-from sumo_adv.errors import BankError
+from sumo_adv.errors import BankError, UsageError
+from sumo_adv.files import held
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.build import read_sources
 from sumo_adv.memory.exchange import export_bank
@@ -98,5 +101,23 @@ def test_evidence_with_a_number_of_401_digits_is_refused_by_its_line(export: Pat
     text = file.read_text(encoding="utf-8")
     assert '""gap"": 12.5' in text
     file.write_text(text.replace('""gap"": 12.5', f'""gap"": {HUGE}'), encoding="utf-8")
-    with pytest.raises(BankError, match=r"evidence\.csv, line 2, is no evidence: a whole number in it has more than 64"):
+    with pytest.raises(
+        BankError, match=r"evidence\.csv, line 2, is no evidence: a whole number in it has more than 64"
+    ):
         read_sources(export, lambda _: BRAKE_PLANNER.parameters)
+
+
+def test_a_journal_beside_a_database_has_no_file_elsewhere_deleted(tmp_path: Path) -> None:
+    """A bank, and the lock of a campaign's folder, with journals of a stranger; another database shows what they do."""
+    other = tmp_path / "other.txt"
+    other.write_text("kept", encoding="utf-8")
+    bank, lock = with_super_journal(bank_of(tmp_path / "bank.sqlite"), other), tmp_path / "lock"
+    with_super_journal(lock, other)
+    with pytest.raises(UsageError, match=r"bank\.sqlite-journal would have SQLite delete a file elsewhere"):
+        MemoryBank.open(bank)
+    with pytest.raises(UsageError, match="lock-journal would have SQLite delete"), held(lock):
+        pass
+    assert other.read_text(encoding="utf-8") == "kept"
+    with contextlib.closing(sqlite3.connect(lock)) as connection:
+        connection.execute("SELECT * FROM plain")
+    assert not other.exists()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 import subprocess
@@ -62,6 +63,8 @@ def test_every_option_that_may_be_given_is_sumos_own_by_its_long_name_and_type(t
         ("pedestrian.jupedsim.wkt", "F", "is not one that can be given"),
         ("pedestrian.jupedsim.py", "F", "is not one that can be given"),
         ("device.rerouting.output", "F", "is not one that can be given"),
+        ("device.rerouting.explicit", "${SUMO_ADV_LLM_API_KEY}", "takes a text"),
+        ("device.rerouting.explicit", "~", "takes a text"),
         ("timetoteleport", "3", "the nearest is 'time-to-teleport'"),
     ],
 )
@@ -98,6 +101,30 @@ def test_a_sumocfg_with_an_option_for_a_value_is_refused(tmp_path: Path) -> None
         load_input(configured(tmp_path, '<ignore-route-errors value="--fcd-output=F"/>'))
 
 
+SPY = """<vType id="spy">
+  <param key="has.ssm.device" value="true"/><param key="device.ssm.file" value="{log}"/>
+</vType>"""
+"""A type whose vehicles have SUMO write."""
+
+
+def test_doctor_does_not_have_sumo_write(program: Program) -> None:
+    """It starts the program ``sumo`` with options that a run does not keep: a switch whose value is another option, and
+    a state whose vehicles would write."""
+    trip = '<trip id="{name}" type="{kind}" depart="0" from="west_in" to="east_out"/>'
+    folder, log = program.folder, program.folder / "F"
+    (folder / "spy.rou.xml").write_text(f"<routes>{SPY.format(log='G')}{trip.format(name='s', kind='spy')}</routes>")
+    state = ("--save-state.times", "2", "--save-state.files", "state.xml", "--end", "3")
+    subprocess.run([find_sumo(), "-n", NETWORK, "-r", "spy.rou.xml", *state], cwd=folder, check=True)
+    file = folder / "state.xml"
+    assert file.read_text().count('"G"') == 1 and (folder / "G").is_file()
+    file.write_text(file.read_text().replace('"G"', f'"{log}"'))
+    (folder / "r.rou.xml").write_text(f"<routes>{trip.format(name='v', kind='DEFAULT_VEHTYPE')}</routes>")
+    routes = '<route-files value="r.rou.xml"/><step-length value="0.1"/>'
+    for option in (f'<mesosim value="--tripinfo-output={log}"/>', '<load-state value="state.xml"/><begin value="2"/>'):
+        program.here("doctor", str(configured(folder, routes + option)), "--seconds", "2")
+        assert not log.exists()
+
+
 def test_a_manifest_does_not_have_sumo_write(program: Program) -> None:
     done = program.here("run", "motorway_cut_in_left", "--attempts", "1", "--until", "critical", "--out", "out")
     assert done.outcome["attempts"]
@@ -110,6 +137,33 @@ def test_a_manifest_does_not_have_sumo_write(program: Program) -> None:
         assert done.status == 2
         assert "'ignore-route-errors' takes a switch" in done.err
     assert not (program.folder / "F").exists()
+
+
+@pytest.mark.parametrize("kind", ["network", "routes"])
+def test_the_files_of_a_run_folder_do_not_have_sumo_write(program: Program, kind: str) -> None:
+    """A stranger's folder: the types of its demand have a device that writes, its lights log, the hashes are right."""
+    done = program.here("run", "signals_red_light", "--attempts", "1", "--until", "critical", "--out", "out")
+    assert done.outcome["attempts"]
+    log, file = program.folder / "F", program.folder / "out" / "manifest.json"
+    manifest = json.loads(file.read_text(encoding="utf-8"))
+    named = manifest[kind] if kind == "network" else manifest[kind][0]
+    inputs = program.folder / "out" / "inputs"
+    text = (inputs / named).read_text(encoding="utf-8")
+    spying = SPY.format(log=log).partition("\n")[2].partition("\n")[0]
+    changed = {
+        "network": re.sub(r"<phase.*?(?=</tlLogic>)", SWARM.format(log=log), text, flags=re.DOTALL).replace(
+            'type="static" programID', 'type="swarm" programID'
+        ),
+        "routes": re.sub(r"(<vType [^>]*?)/>", rf"\1>{spying}</vType>", text),
+    }[kind]
+    assert str(log) in changed
+    (inputs / named).write_text(changed, encoding="utf-8")
+    digest = hashlib.sha256(changed.encode()).hexdigest()[:12]
+    renamed = (inputs / named).rename(inputs / f"{digest}{named[12:]}").name
+    manifest[kind] = renamed if kind == "network" else [renamed]
+    file.write_text(json.dumps(manifest), encoding="utf-8")
+    program.here("run", "--replay", "out", "--out", "again")
+    assert not log.exists()
 
 
 @pytest.mark.parametrize("line", ['"ignore-route-errors" = "--fcd-output=F"', '"l" = "F"', '"fcd-output" = "F"'])
@@ -168,3 +222,19 @@ def test_a_file_that_sumo_cannot_be_told_is_refused_in_a_sentence(tmp_path: Path
         make_spec(home, "signalised_crossing", [vehicle("east", "west_in east_out", 1, 20.0, 8.0)])
     with pytest.raises(UsageError, match="SUMO cannot be told the file"):
         SimulationSpec(tmp_path / "\udce9.net.xml", (), (), 0.0, 1)
+
+
+def test_sumo_reads_no_other_file_than_was_checked(program: Program) -> None:
+    """SUMO puts in variables on its command line: it would read ``spy.rou.xml`` and write where that says."""
+    trip = '<trip id="s" {of} depart="0" from="west_in" to="east_out"/>'
+    log = program.folder / "F"
+    for name, text in (("spy", SPY.format(log=log) + trip.format(of='type="spy"')), ("${NONE}spy", trip.format(of=""))):
+        (program.folder / f"{name}.rou.xml").write_text(f"<routes>{text}</routes>", encoding="utf-8")
+    named = f'schema = 1\nnetwork = "{NETWORK}"\n[demand]\nfiles = ["${{NONE}}spy.rou.xml"]\n'
+    (program.folder / "s.toml").write_text(named, encoding="utf-8")
+    done = program.here("run", "s.toml", "--end", "2", "--out", "out")
+    assert (done.status, log.exists()) == (2, False)
+    assert "SUMO cannot be told the file" in done.err
+    for place in ("~/a.net.xml", "${HOME}.net.xml"):
+        with pytest.raises(UsageError, match="SUMO cannot be told the file"):
+            SimulationSpec(Path(place), (), (), 0.0, 1)

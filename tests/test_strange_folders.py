@@ -18,6 +18,7 @@ from sumo_adv.errors import UsageError
 from sumo_adv.files import refuse_links, scratch_prefix, sweep_scratch
 from sumo_adv.regression.case import read_suite
 from sumo_adv.regression.suite import read_results
+from sumo_adv.report.manifest import read_manifest
 from sumo_adv.report.read import read_run
 from sumo_adv.report.staging import staged
 
@@ -197,3 +198,33 @@ def test_links_are_what_the_system_calls_so(tmp_path: Path) -> None:
     (tmp_path / "a").write_text("x", encoding="utf-8")
     os.link(tmp_path / "a", tmp_path / "b")
     refuse_links(tmp_path)
+
+
+def test_a_case_in_a_case_is_not_passed_over(tmp_path: Path) -> None:
+    """A suite with a case file of its own was one case, and none of the others was run."""
+    suite = suite_in(tmp_path, "a", "b")
+    for file in (suite / "a").iterdir():
+        shutil.copyfile(file, suite / file.name)
+    with pytest.raises(UsageError, match="suite is a case and holds the case a: move one of them"):
+        read_suite(suite)
+
+
+@pytest.mark.parametrize("ranking", [[1], [{"id": "a"}], [{"id": [], "relation": "leader"}], {"a": 1}])
+def test_a_strange_run_is_not_kept_but_a_sentence(program: Program, ranking: object) -> None:
+    run = program.folder / "run"
+    shutil.copytree(attacked(), run)
+    outcome = json.loads((run / "outcome.json").read_text(encoding="utf-8"))
+    outcome["encounter"]["ranking"] = ranking
+    (run / "outcome.json").write_text(json.dumps(outcome), encoding="utf-8")
+    done = program.here("keep", "run", "--suite", "suite")
+    assert (done.status, done.err.count("\n")) == (2, 1)
+    assert "is not as this program writes it" in done.err
+
+
+def test_a_run_folder_takes_down_no_wall_of_the_sandbox(tmp_path: Path) -> None:
+    """Its planners are a stranger's."""
+    run = shutil.copytree(attacked(), tmp_path / "run")
+    manifest = json.loads((run / "manifest.json").read_text(encoding="utf-8"))
+    manifest["settings"]["bubblewrap"] = False
+    (run / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
+    assert read_manifest(run).settings.bubblewrap

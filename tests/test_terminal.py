@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import os
 import pty
+import shutil
 import subprocess
 import sys
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 from cli_samples import Program
+from regression_samples import attacked
 
 from sumo_adv.cli.terminal import clean
 from sumo_adv.files import cell_text, plain_cell
@@ -40,20 +44,52 @@ def test_numbers_and_other_texts_stay(value: object) -> None:
         assert cell_text(value) == value
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs a pseudo-terminal")
-def test_a_key_of_a_file_steers_no_terminal(program: Program) -> None:
-    file = program.folder / "s.toml"
-    file.write_text('"a\\u001b]0;owned\\u0007b" = 1\n', encoding="utf-8")
-    main, end = pty.openpty()
-    command = [sys.executable, "-m", "sumo_adv", "run", "motorway", "--settings", str(file)]
-    try:
-        subprocess.run(command, cwd=program.folder, env=program.environment(), stdout=end, stderr=end, timeout=60)
-        said = os.read(main, 4096).decode()
-    finally:
-        os.close(end)
-        os.close(main)
+@pytest.fixture
+def on_a_terminal(program: Program) -> Callable[..., str]:
+    """What a command writes to a terminal."""
+    if not hasattr(os, "fork"):
+        pytest.skip("needs a pseudo-terminal")
+
+    def run(*words: str) -> str:
+        main, end = pty.openpty()
+        environment = {key: value for key, value in program.environment().items() if key != "CI"}  # which has no bars
+        command = [sys.executable, "-m", "sumo_adv", *words]
+        try:
+            with subprocess.Popen(command, cwd=program.folder, env=environment, stdout=end, stderr=end):
+                os.close(end)
+                parts = list[bytes]()
+                with suppress(OSError):  # the end on Linux
+                    while part := os.read(main, 4096):
+                        parts.append(part)
+                return b"".join(parts).decode()
+        finally:
+            os.close(main)
+
+    return run
+
+
+def test_a_key_of_a_file_steers_no_terminal(program: Program, on_a_terminal: Callable[..., str]) -> None:
+    (program.folder / "s.toml").write_text('"a\\u001b]0;owned\\u0007b" = 1\n', encoding="utf-8")
+    said = on_a_terminal("run", "motorway", "--settings", "s.toml")
     assert "There is no setting 'ab'" in said
     assert "owned" not in said
+
+
+def test_an_episode_that_fails_beside_the_bar_steers_no_terminal(
+    program: Program, on_a_terminal: Callable[..., str]
+) -> None:
+    text = 'schema = 1\nnetwork = "motorway"\n"a\\u001b]0;owned\\u0007b" = 1\n'
+    (program.folder / "s.toml").write_text(text, encoding="utf-8")
+    said = on_a_terminal("batch", "run", "s.toml", "--workers", "1", "--out", "out")
+    assert "has an unknown key 'ab'" in " ".join(said.split())
+    assert "owned" not in said
+
+
+def test_the_program_itself_writes_its_line_anew(program: Program, on_a_terminal: Callable[..., str]) -> None:
+    for name in ("a", "b"):
+        shutil.copytree(attacked(), program.folder / "runs" / name)
+    said = on_a_terminal("report", "runs", "--workers", "1")
+    assert "\r1 of 2 pages \r2 of 2 pages " in said
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")

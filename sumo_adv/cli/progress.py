@@ -133,7 +133,7 @@ class _Barred(Shown):
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
         self._display = Progress(
-            TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
+            TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
             TextColumn("{task.fields[note]}"), console=Console(file=sys.__stderr__, highlight=False),
         )  # fmt: skip
 
@@ -175,7 +175,7 @@ class BatchProgress(_Barred):
         if self._display is None:
             typer.echo(before + text, err=True)
         else:
-            self._display.console.print(text, markup=False)
+            self._display.console.print(clean(text), markup=False)
 
 
 class BenchProgress(_Barred):
@@ -196,7 +196,7 @@ class BenchProgress(_Barred):
     def finished(self, job: bench.Job) -> None:
         self._done += len(job.rows)
         if self._display is not None:
-            self._display.update(self._task, advance=len(job.rows), description=job.case.name)
+            self._display.update(self._task, advance=len(job.rows), description=clean(job.case.name))
         elif not self._quiet and time.monotonic() - self._told > EVERY:
             self._told = time.monotonic()
             typer.echo(f"{self._done} of {self._total} cells.", err=True)
@@ -211,7 +211,8 @@ class Counter:
     def tell(self, done: int, of: int, phase: str = "") -> None:
         if self._shown:
             self._said = True
-            typer.echo(f"\r{phase}{done} of {of} {self._what} ", nl=False, err=True)
+            words = f"\r{phase}{done} of {of} {self._what} "  # the order in it is ours, which sys.stderr leaves out
+            print(words, end="", file=sys.__stderr__, flush=True)
 
     def close(self) -> None:
         if self._said:

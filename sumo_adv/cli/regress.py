@@ -48,7 +48,7 @@ def keep(
     from sumo_adv.regression.keep import held_in, keep_run
     from sumo_adv.regression.reference import references
     from sumo_adv.report.judging import run_folders
-    from sumo_adv.report.read import read_outcome
+    from sumo_adv.report.read import read_outcome, reading
     from sumo_adv.report.run_outcome import level_of
 
     given_one = avoid is not None or min_ttc is not None or no_worse
@@ -60,12 +60,13 @@ def keep(
     kept, again, left, failed = dict[Path, Path](), list[Path](), list[Path](), dict[Path, str]()
     fresh = list[Path]()
     for run in runs:
-        if run not in given and level_of((read_outcome(run).get("outcome") or {}).get("level")) < level.level:
-            left.append(run)
-        elif (folder := held_in(run, suite, name)) is not None:
-            again.append(folder)
-        else:
-            fresh.append(run)
+        with reading(run):
+            if run not in given and level_of((read_outcome(run).get("outcome") or {}).get("level")) < level.level:
+                left.append(run)
+            elif (folder := held_in(run, suite, name)) is not None:
+                again.append(folder)
+            else:
+                fresh.append(run)
     counter, done = Counter("attacks", quiet=as_json), count(1)
     answers = references(fresh, expect, workers or os.cpu_count() or 1, lambda: counter.tell(next(done), len(fresh)))
     counter.close()
@@ -73,7 +74,8 @@ def keep(
         if not answer.passed_by and not every:
             failed[run] = answer.why
             continue
-        folder, new = keep_run(run, suite, answer.expect, name, answer.passed_by)
+        with reading(run):
+            folder, new = keep_run(run, suite, answer.expect, name, answer.passed_by)
         if new:
             kept[folder] = run
         else:

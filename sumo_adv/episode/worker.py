@@ -93,10 +93,12 @@ class Worker:
         controller = make_ego(task.ego_driver, task.ego_parameters, task.ego_given)
         self._road = read_network(task.spec.network)
         folder = Path(self._folder.name)
-        silent = silent_copies(task.spec.additional, folder)  # those of an earlier version's manifest may write
-        demand = (*task.spec.routes, *task.spec.additional)
-        additional = (*silent, ego_type_file(controller, folder, demand))
-        spec = replace(task.spec, additional=additional)
+        given = task.spec
+        files = (given.network, *given.routes, *given.additional)
+        network, *silent = silent_copies(files, folder)  # those of others' run folders may write
+        routes, additional = silent[: len(given.routes)], silent[len(given.routes) :]
+        additional.append(ego_type_file(controller, folder, silent))
+        spec = replace(given, network=network, routes=tuple(routes), additional=tuple(additional))
         self._drive = Drive(
             spec, controller, task.settings.seed, playback=self._playback(task), deadline=task.settings.ego_deadline
         )

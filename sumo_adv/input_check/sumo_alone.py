@@ -13,6 +13,7 @@ from xml.parsers import expat
 from sumo_adv.errors import SimulationError, UsageError
 from sumo_adv.input_check.motions import Motions, State
 from sumo_adv.simulation.programs import find_sumo
+from sumo_adv.simulation.scan import silent_copies
 from sumo_adv.simulation.simulation import PERSON, SimulationSpec
 from sumo_adv.simulation.sumo_options import FORCED
 from sumo_adv.simulation.sumocfg import as_sumo_reads_it, is_sumocfg
@@ -22,6 +23,7 @@ PATIENCE = 600.0  # s
 PART = 1 << 16  # bytes that are read at once
 WITHOUT_STEPS = "nonInteracting"  # the model of pedestrians whose places hold at the moment at which they are read
 FCD_DEVICES = ("device.fcd.", "person-device.fcd.")  # options that say of whom and when SUMO writes FCD
+STATE = "load-state"  # SUMO's option: a file with vehicles and types, whose parameters could have SUMO write
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,11 +34,13 @@ class Alone:
     warnings: tuple[str, ...]
 
 
-def arguments_of(spec: SimulationSpec, source: Path, step: float) -> list[str]:
+def arguments_of(spec: SimulationSpec, source: Path, step: float, folder: Path) -> list[str]:
     """The options of ``sumo`` for an input in steps of ``step`` [s].
 
     Of a .sumocfg they are those that it names, as SUMO reads them; of other inputs those of this program. The files are
-    the same ones, without outputs.
+    the same ones, without outputs. folder: for a copy of a state without outputs.
+
+    Raises UsageError: the state is missing or damaged.
     """
     spec = replace(
         spec, network=spec.network.absolute(), routes=tuple(file.absolute() for file in spec.routes),
@@ -44,10 +48,12 @@ def arguments_of(spec: SimulationSpec, source: Path, step: float) -> list[str]:
     )  # fmt: skip
     if not is_sumocfg(source):
         return spec.arguments()
-    files = (("-n", (spec.network,)), ("-r", spec.routes), ("-a", spec.additional))
-    args = [part for flag, each in files if each for part in (flag, ",".join(map(str, each)))]
-    options = {**_of_all(as_sumo_reads_it(source)), **FORCED, "step-length": repr(step)}
-    return [*args, *(part for name, value in options.items() for part in (f"--{name}", value))]
+    files = {"net-file": (spec.network,), "route-files": spec.routes, "additional-files": spec.additional}
+    named = {name: ",".join(map(str, each)) for name, each in files.items() if each}
+    options = {**named, **_of_all(as_sumo_reads_it(source)), **FORCED, "step-length": repr(step)}
+    if STATE in options:
+        options[STATE] = str(silent_copies([Path(options[STATE])], folder)[0])
+    return [f"--{name}={value}" for name, value in options.items()]  # apart, a value could be an option of its own
 
 
 def _of_all(options: Mapping[str, str]) -> dict[str, str]:
@@ -67,7 +73,7 @@ def run_alone(spec: SimulationSpec, source: Path, step: float, until: float, fol
         SimulationError: It takes too long.
     """
     command = [
-        str(find_sumo()), *arguments_of(spec, source, step), "--fcd-output", "stdout",
+        str(find_sumo()), *arguments_of(spec, source, step, folder), "--fcd-output", "stdout",
         "--fcd-output.attributes", "x,y,speed,vehicle", "--precision", "6",
     ]  # fmt: skip
     words = folder / "sumo.txt"

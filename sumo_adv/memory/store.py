@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 from sumo_adv.errors import BankError
-from sumo_adv.files import user_folder
+from sumo_adv.files import refuse_super_journal, user_folder
 from sumo_adv.memory import rows
 from sumo_adv.memory.migrations import (
     APPLICATION_ID,
@@ -64,7 +64,11 @@ def sentences(path: Path) -> Iterator[None]:
 
 
 def connect(path: Path, mode: str) -> sqlite3.Connection:
-    """A connection in autocommit mode with foreign keys on; ``mode`` is the query part of SQLite's file URI."""
+    """A connection in autocommit mode with foreign keys on; ``mode`` is the query part of SQLite's file URI.
+
+    Raises UsageError: a journal beside the file is not of this program; OSError, sqlite3.Error.
+    """
+    refuse_super_journal(path)
     connection = sqlite3.connect(
         f"{path.absolute().as_uri()}?{mode}", uri=True, isolation_level=None, timeout=BUSY_TIMEOUT_MS / 1000
     )

@@ -141,11 +141,14 @@ class Case:
 
 
 def read_suite(folder: Path) -> list[Case]:
-    """The cases of a suite, by name. Raises UsageError: there are none, or one of them is damaged."""
+    """The cases of a suite, by name. Raises UsageError: there are none, one of them is damaged, or one lies in
+    another."""
     refuse_links(folder)
-    if (folder / CASE_FILE).is_file():
-        return [read_case(folder)]
     files = sorted(folder.glob(f"*/{CASE_FILE}")) if folder.is_dir() else []
+    if (folder / CASE_FILE).is_file():
+        if files:  # which would not be run, and nobody would hear of it
+            raise UsageError(f"{folder} is a case and holds the case {files[0].parent.name}: move one of them.")
+        return [read_case(folder)]
     if not files:
         raise UsageError(f"{folder} holds no case: give a folder that sumo-adv keep has made.")
     return [read_case(file.parent) for file in files]

@@ -25,6 +25,7 @@ from sumo_adv.simulation.simulation import SimulationSpec
 from sumo_adv.simulation.sumo_options import DEFAULTS, FORCED
 
 RETIRED = ("experience",)  # settings of earlier versions; a replay drives the recorded attempt and needs none of them
+USERS = ("llm_base_url", "bubblewrap")  # settings that no run folder brings: a model's server, the sandbox's wall
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,9 +108,9 @@ def _proposal(folder: Path, a: dict[str, Any], planners: dict[str, Any]) -> Prop
 
 
 def _settings(recorded: dict[str, Any]) -> dict[str, Any]:
-    """The settings of a manifest, without a model's server, under the names of today: before 0.2 ``ttc`` was what
-    ``critical_ttc`` is now."""
-    kept = {name: value for name, value in recorded.items() if name not in (*RETIRED, "llm_base_url")}
+    """The settings of a manifest, without what is the user's alone, under the names of today: before 0.2 ``ttc`` was
+    what ``critical_ttc`` is now."""
+    kept = {name: value for name, value in recorded.items() if name not in (*RETIRED, *USERS)}
     return {**kept, "ttc": None, "critical_ttc": kept["ttc"]} if isinstance(kept.get("ttc"), float) else kept
 
 

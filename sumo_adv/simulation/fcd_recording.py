@@ -9,6 +9,7 @@ the ego, which must be near the lane that the recording says it is on.
 from __future__ import annotations
 
 import math
+import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,9 +19,10 @@ import numpy as np
 from sumo_adv.consistency import SUMO_DEGREES, Motion, find_fault, unordered
 from sumo_adv.datatypes import Floats
 from sumo_adv.errors import SimulationError, UsageError
+from sumo_adv.files import scratch_prefix
 from sumo_adv.simulation.network import RoadMap
 from sumo_adv.simulation.programs import load_libsumo
-from sumo_adv.simulation.scan import parse, seconds
+from sumo_adv.simulation.scan import parse, seconds, silent_copies
 from sumo_adv.simulation.simulation import PERSON
 
 LATEST = 1e7  # s, about four months: of times in a recording
@@ -239,10 +241,12 @@ def _projected(network: Path, lon_lat: Floats) -> Floats:
     """
     libsumo = load_libsumo()
     try:
-        libsumo.start(["sumo", "-n", str(network), "--no-step-log", "--no-warnings", "--xml-validation", "never"])
-        try:
-            return np.array([libsumo.simulation.convertGeo(x, y, True) for x, y in lon_lat.tolist()])
-        finally:
-            libsumo.close()
+        with tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch:
+            (silent,) = silent_copies((network,), Path(scratch))
+            libsumo.start(["sumo", "-n", str(silent), "--no-step-log", "--no-warnings", "--xml-validation", "never"])
+            try:
+                return np.array([libsumo.simulation.convertGeo(x, y, True) for x, y in lon_lat.tolist()])
+            finally:
+                libsumo.close()
     except libsumo.TraCIException as error:
         raise SimulationError(f"SUMO cannot convert places with the projection of {network}: {error}.") from error

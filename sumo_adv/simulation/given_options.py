@@ -17,6 +17,7 @@ Kind = Literal["switch", "number", "whole number", "time", "text"]
 LARGEST_NUMBER = 1e9  # of a number or time that an option may have
 LARGEST_WHOLE = 1_000_000  # SUMO reserves memory by some of them
 LONGEST_TEXT = 10_000  # characters
+VARIABLE, HOME = "${", "~"  # SUMO puts in an environment variable, and the home at a start, also on its command line
 
 _BY_KIND: Mapping[Kind, str] = {
     "switch": """
@@ -130,7 +131,8 @@ def _fits(kind: Kind, value: str) -> bool:
     if kind == "switch":
         return _SWITCH.fullmatch(value) is not None
     if kind == "text":
-        return 0 < len(value) <= LONGEST_TEXT and value.isprintable() and value[0] not in "-+"
+        plain = value.isprintable() and VARIABLE not in value
+        return 0 < len(value) <= LONGEST_TEXT and plain and not value.startswith(("-", "+", HOME))
     if kind == "time" and _CLOCK.fullmatch(value):
         return True
     if _NUMBER.fullmatch(value) is None:

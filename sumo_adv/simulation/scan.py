@@ -316,7 +316,10 @@ FROM_HERE = "edgesFile"
 
 def silent_copies(additional: Sequence[Path], folder: Path) -> tuple[Path, ...]:
     """Each file itself if it names no other file, else a copy in a new folder in ``folder``. Additional files, demand
-    and networks are treated alike. Raises UsageError for a damaged or missing file."""
+    and networks are treated alike. Raises UsageError for a file that is damaged, missing, or that SUMO cannot be told.
+    """
+    for file in additional:
+        check_nameable(file)
     return tuple(_copy(file, folder) if _names_files(file) else file for file in additional)
 
 

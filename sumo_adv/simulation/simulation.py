@@ -19,7 +19,7 @@ from sumo_adv.datatypes import DriverModel, VehicleState
 from sumo_adv.errors import SimulationError, UsageError
 from sumo_adv.geometry import Pose, wrap
 from sumo_adv.simulation.arrivals import Arrival, arrival, arrival_attributes
-from sumo_adv.simulation.given_options import check
+from sumo_adv.simulation.given_options import HOME, VARIABLE, check
 from sumo_adv.simulation.permissions import CYCLES, EVERYWHERE, MOTOR, ON_FOOT, is_carriageway
 from sumo_adv.simulation.programs import load_libsumo
 from sumo_adv.simulation.remote import RawState, Remote
@@ -43,13 +43,13 @@ INVALID = -1e9  # SUMO's coordinates of a vehicle that is nowhere are about -2**
 
 
 def check_nameable(file: Path) -> None:
-    """Raises UsageError for a file that SUMO cannot be told: it reads UTF-8, and parts its lists at commas and
-    semicolons."""
+    """Raises UsageError for a file that SUMO cannot be told: it reads UTF-8, parts its lists at commas and semicolons,
+    and would read another file where it puts in a variable of the environment or the home."""
     name = str(file)
-    if not name.isprintable() or {",", ";"} & set(name):
+    if not name.isprintable() or {",", ";"} & set(name) or VARIABLE in name or name.startswith(HOME):
         raise UsageError(
             f"SUMO cannot be told the file {name!r}: rename it, or its folder, to a name in UTF-8 without commas, "
-            "semicolons and control characters."
+            f"semicolons, control characters and '{VARIABLE}', and without '{HOME}' at its start."
         )
 
 

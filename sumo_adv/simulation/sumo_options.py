@@ -46,12 +46,13 @@ SHOWING_NAMES = frozenset(
      "step-log.period", "start", "quit-on-end", "delay", "game", "breakpoints", "summary", "tripinfo", "netstate",
      "netstate-dump", "print-options", "help", "version", "precision", "precision.geo", "human-readable-time",
      "aggregate-warnings", "language", "demo", "disable-textures", "registry-viewport", "tracker-interval",
-     "edgedata-files", "alternative-net-file", "selection-file", "game.mode", "tls.actuated.show-detectors")
+     "edgedata-files", "alternative-net-file", "selection-file", "game.mode", "tls.actuated.show-detectors",
+     "pedestrian.jupedsim.wkt", "pedestrian.jupedsim.wkt.geo", "pedestrian.jupedsim.py")
 )  # fmt: skip
 """Options that write, report or show, by the beginnings of their names and by their names."""
 _OTHERS = """
     net-file route-files additional-files weight-files load-state load-state.offset load-state.remove-vehicles
-    pedestrian.jupedsim.wkt pedestrian.jupedsim.wkt.geo pedestrian.jupedsim.py begin step-length threads
+    begin step-length threads
     no-internal-links astar.all-distances astar.landmark-distances device.rerouting.threads phemlight-path
     device.example.probability device.example.explicit device.example.deterministic device.example.parameter
     device.taxi.dispatch-algorithm.params device.fcd-replay.probability device.fcd-replay.explicit

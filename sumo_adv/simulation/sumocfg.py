@@ -42,6 +42,7 @@ SYNONYMS: Mapping[str, str] = {
 """Other names of SUMO's options (``sumo --save-template``), and the name that it uses itself."""
 _KNOWN_ATTRIBUTES = frozenset(("value", "v", "type", "help", "synonymes"))
 _VARIABLE = re.compile(r"\$\{(.+?)\}")
+_SECRET = re.compile(r"KEY|TOKEN|SECRET|PASSW|CREDENTIAL|SUMO_ADV_", re.IGNORECASE)  # in names of variables
 _OF_SUMO = ("LOCALTIME", "UTC", "PID")  # variables that SUMO itself sets, for names of outputs
 _FILES = ("net-file", "route-files", "additional-files")
 _OURS = (*_FILES, "begin", "end", "seed", "step-length")
@@ -135,6 +136,11 @@ def _options(path: Path, environ: Mapping[str, str]) -> tuple[dict[str, str], tu
         if unknown:
             notes.append(f"SUMO passes over the attribute '{unknown[0]}' of the option '{tag}' in {path.name}.")
         value, unset = _expanded(values[0].strip(), environ)
+        secret = next((each for each in _VARIABLE.findall(f"{values[0]} {value}") if _SECRET.search(each)), None)
+        if secret is not None:  # values of options stand in messages and in a run's files
+            raise UsageError(
+                f"{path} names the variable {secret!r}, which may hold a secret: take it out or rename it."
+            )
         if unset and name in _FILES:
             raise UsageError(f"{path} names its {name} by the variable {unset[0]}, which is not set: set it.")
         notes.extend(f"The variable {each} of {path.name} is not set, so it is empty, as in SUMO." for each in unset)
