@@ -22,7 +22,7 @@ from sumo_adv.search.support_intents import SUPPORT_INTENTS
 INPUT, COLLIDER, SUPPORT = "neighbour_ahead_left", "left_ahead", "right_behind"
 
 
-def pinch(collider: str, support: str, mode: str = "slow", ahead: float = -4.0) -> Proposal:
+def pinch(collider: str, support: str, mode: str = "side", ahead: float = -4.0) -> Proposal:
     """One vehicle cuts in, another one keeps beside the ego on its right."""
     cut_in = shipped_planners()["Aggressive Cut-in", mode]
     (keep,) = SUPPORT_INTENTS[Duty.BLOCK_RIGHT][0].planners
