@@ -256,7 +256,7 @@ def test_a_hunt_from_the_command_line_goes_on_from_python_and_is_kept(program: P
     (program.folder / "few.toml").write_text("proposals = 20\nattempts = 6\n")
     options = ("--ego", "idm", "--until", "valid", "--settings", "few.toml", "--distinct", "1", "--minutes", "2")
     options = (*options, "--workers", "1", "--out", "hunt")
-    done = program.here("hunt", "motorway_cut_in_left", *options)
+    done = program.here("hunt", "signals_red_light", *options)
     assert done.status == 0, done.err
     assert "Enough distinct failures were found: " in done.out
     assert (program.folder / "hunt" / "report" / "index.html").is_file()

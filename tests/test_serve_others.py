@@ -42,14 +42,20 @@ print(tried(lambda: lights.setProgramLogic("centre", logic)))
 
 @needs_sumo
 def test_a_client_cannot_have_sumo_write_by_a_parameter(tmp_path: Path) -> None:
-    """14 tries at a file, and 4 parameters of which SUMO writes nothing."""
+    """14 tries at a file, and 4 parameters of which SUMO writes nothing. A text of more than 80 bytes is refused as
+    such, and the name of the file is longer in some temporary folders."""
     file = tmp_path / "user.txt"
     with scene(tmp_path, 30.0, rules=Rules(frozenset({"trafficlight"}))) as simulation:
         script = Script(simulation.gate.port, connected(f"FILE = {str(file)!r}\n{SETS}\nclient.close()"))
         assert simulation.gate.wait_connected(10.0)
         simulation.step(2)
         refused, allowed = script.end().split("then\n")
-        assert refused.splitlines() == ["This parameter is not a client's: SUMO could write a file by it."] * 14
+        by_key, by_length = (
+            "This parameter is not a client's: SUMO could write a file by it.",
+            "is not what SUMO 1.28 reads",
+        )
+        assert len(refused.splitlines()) == 14
+        assert all(line == by_key or by_length in line for line in refused.splitlines())
         assert allowed.splitlines()[1:] == ["done"] * 3
         assert "SUMO could write" not in allowed
     assert not file.exists()

@@ -98,7 +98,7 @@ class PlannedAdversary:
         self._ego_station = s
         array = tuple(np.array([q]) for q in (s, d, ego[2], self._mean_acceleration(now, ego[2], ego[3])))
         batch = _many(self.motion)
-        self._hard = bool(self.ground.may_brake_hard(batch, array[0])[0])
+        self._hard = bool(self.ground.may_brake_hard(batch)[0])
         observation = self.ground.observe(batch, now, array, [self.last])[0]  # type: ignore[arg-type]
         answer = self._ask(observation)
         if isinstance(answer, str):

@@ -90,15 +90,12 @@ class AdversaryBatch:
         s, d = np.where(near, s0 + (s1 - s0) * w, s0), np.where(near, d0 + (d1 - d0) * w, d0)
         return s - motion.d * np.sin(h0), d + motion.d * np.cos(h0), wrap(h)
 
-    def may_brake_hard(self, motion: Motion, ego_station: Floats) -> Bools:
-        """Which vehicles are ahead of the ego in its lane and go its way, ``(n,)``: people brake hard for what is
-        before them. Pedestrians and cyclists have limits of their own.
-
-        ``ego_station``: on the ego's path [m], ``(n,)``.
-        """
-        s, d, h = self.relative(motion)
-        ahead = (s > ego_station) & (np.abs(d) < self._lane / 2) & (np.abs(h) < SAME_DIRECTION)
-        return np.asarray(ahead | self._unprotected)
+    def may_brake_hard(self, motion: Motion) -> Bools:
+        """Which vehicles are in the ego's lane and go its way, ``(n,)``: people brake hard for what is before them.
+        Pedestrians and cyclists have limits of their own."""
+        _, d, h = self.relative(motion)
+        in_line = (np.abs(d) < self._lane / 2) & (np.abs(h) < SAME_DIRECTION)
+        return np.asarray(in_line | self._unprotected)
 
     def at_junction(self, motion: Motion) -> AtJunction | None:
         """How the vehicles block the junction where their ways meet the ego's path; None if no way meets it at one.

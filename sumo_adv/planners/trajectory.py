@@ -6,7 +6,7 @@ sets of operations, and every function takes one of them as ``m``.
 
 Longitudinal: the acceleration moves by at most J dt towards that of the cubic to (s_T, v_T) at T. It is bounded by the
 limits, by the bends ahead, by a speed cap and by what people do (``metrics/realism.py``); braking harder than people
-usually do is left to a vehicle that is ahead of the ego in its lane.
+usually do is left to a vehicle in the ego's lane.
 
 Lateral: a quintic in the offset d from the path, stretched until lateral acceleration, slope and jerk are within
 bounds. Its clock runs with the vehicle's speed. So braking in the middle of a lane change slows the move down and does

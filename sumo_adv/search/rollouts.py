@@ -72,7 +72,7 @@ def predict(
             mean = egos.a if k == 0 else (egos.v - speed_before) / (replan * dt)  # as in an attempt
             own = tuple(np.tile(q, each) for q in (egos.s, np.zeros(n), egos.v, mean))
             goal, motion = _replan(ground, motion, own, goal, last, followers, moment, rows, ask)  # type: ignore[arg-type]
-            speed_before, hard = egos.v, ground.may_brake_hard(motion, own[0])
+            speed_before, hard = egos.v, ground.may_brake_hard(motion)
         adversary[k] = (*pose(Batch, motion, ground.rows), motion.v)
         if to_the_end or not over.all():
             ego[k] = egos.pose()
