@@ -21,7 +21,7 @@ from sumo_adv.simulation.warnings_log import warnings_in
 
 PATIENCE = 600.0  # s
 PART = 1 << 16  # bytes that are read at once
-WITHOUT_STEPS = "nonInteracting"  # the model of pedestrians whose places hold at the moment at which they are read
+WITHOUT_STEPS = "--pedestrian.model=nonInteracting"  # pedestrians whose places hold at the moment they are read
 FCD_DEVICES = ("device.fcd.", "person-device.fcd.")  # options that say of whom and when SUMO writes FCD
 STATE = "load-state"  # SUMO's option: a file with vehicles and types, whose parameters could have SUMO write
 
@@ -85,7 +85,8 @@ def run_alone(spec: SimulationSpec, source: Path, step: float, until: float, fol
         patience.start()
         try:
             assert process.stdout is not None
-            motions, reached = _read(process.stdout, step, until, 0.0 if WITHOUT_STEPS in command else step)
+            walked = 0.0 if WITHOUT_STEPS in command else step
+            motions, reached = _read(process.stdout, step, until, walked)
         finally:
             in_time = patience.is_alive()
             patience.cancel()
