@@ -19,9 +19,9 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from sumo_adv.errors import UsageError
+from sumo_adv.geometry import Pose
 from sumo_adv.womd.commonroad_obstacles import (
     BOUNDARY,
-    Pose,
     child,
     make_track,
     obstacle_type,

@@ -15,6 +15,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from sumo_adv.datatypes import Floats
+from sumo_adv.geometry import Pose
 from sumo_adv.womd.record import TRACK_KINDS, VEHICLE, ObjectTrack
 
 KINDS = {
@@ -25,16 +26,6 @@ KINDS = {
 """By CommonRoad's types; all others are vehicles."""
 BOUNDARY = "roadBoundary"  # a type that is no object: the lanelets say where the road ends
 ROLES = {"dynamicObstacle": "dynamic", "staticObstacle": "static"}
-
-
-@dataclass(frozen=True, slots=True)
-class Pose:
-    """A state: x, y [m], heading [rad], speed [m/s]; a speed that is not given is NaN."""
-
-    x: float
-    y: float
-    heading: float
-    speed: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +149,7 @@ def time_step(state: Element) -> int:
 
 
 def read_pose(state: Element) -> Pose:
-    """A state; the middle where a place or value is given as a range."""
+    """A state; the middle where a place or value is given as a range. A speed that is not given is NaN."""
     position = child(state, "position")
     exact, region = position.find("point"), position.find("polygon")
     if exact is not None:
