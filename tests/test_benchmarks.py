@@ -118,13 +118,15 @@ def test_womd_ground_counts_vehicles_that_leave_the_area(program: Program) -> No
     assert "nothing to do" in printed(program, "womd_ground.py")
 
 
-def test_where_the_seconds_of_an_encounter_go(program: Program) -> None:
-    header, _, *rows = printed(program, "profile_encounter.py", "--suite", "smoke", "--every", "6").splitlines()
-    assert re.fullmatch(r"1 encounters of smoke against idm:" + NUMBER + " s each", header)
-    seconds = {row[:30].strip(): float(row[30:].split()[0]) for row in rows}
-    assert len(seconds) == 9 and seconds["attempts in SUMO"] > 0.0
-    planners, predictions = seconds["planners asked"], seconds["predictions, all"]
-    assert 0.0 < planners < predictions
+def test_a_profile_has_the_shares_of_attempts_in_all_processes(program: Program) -> None:
+    header, *rows = printed(program, "profile_attempts.py", "--attempts", "3").splitlines()
+    assert re.match(r"3 attempts on straight_4lane against cautious_ego:CautiousEgo: \d contacts", header)
+    seconds = {row[:34].strip(): float(row[34:].split()[0]) for row in rows}
+    processes = sum(seconds[name] for name in ("front", "engine", "forks of the engine"))
+    assert abs(processes - seconds["all"]) < 0.05  # each is rounded
+    parts = seconds["begin and end of the process"] + seconds["driving"] + seconds["verdict"]
+    assert 0.0 < seconds["observation"] < seconds["ego's turn"] < seconds["driving"] < parts
+    assert parts <= seconds["forks of the engine"] + 0.05
 
 
 def test_prediction_says_of_how_many_attacks_it_foresaw_what_came(program: Program) -> None:
