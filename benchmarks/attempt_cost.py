@@ -26,9 +26,9 @@ from typing import Any
 from sumo_adv.config import Settings, load_settings
 from sumo_adv.datatypes import LibraryEntry, Proposal
 from sumo_adv.episode.assessment import AttemptRunner
+from sumo_adv.episode.engine import EpisodeCalls, EpisodeEngine, episode_worker
 from sumo_adv.episode.memory_access import read_library
 from sumo_adv.episode.task import AttemptResult, FoundEncounter, make_task
-from sumo_adv.episode.worker import body
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.records import SceneSignature
 from sumo_adv.planners.adversary_batch import AdversaryBatch
@@ -69,10 +69,10 @@ def library() -> list[LibraryEntry]:
         return read_library(bank, SceneSignature("straight", "neighbour", {}, "idm"), seed=0, situations={})[0]
 
 
-def encounter(engine: Engine, source: RunInput, settings: Settings, folder: Path) -> FoundEncounter:
+def encounter(engine: EpisodeEngine, source: RunInput, settings: Settings, folder: Path) -> FoundEncounter:
     """Bring an engine to the scenario's trigger."""
-    engine.request("open", make_task(source, settings, folder))
-    outcome = engine.request("seek")
+    engine.call(EpisodeCalls.open, make_task(source, settings, folder))
+    outcome = engine.call(EpisodeCalls.seek)
     if not isinstance(outcome, FoundEncounter):
         raise SystemExit(f"{source.name}: {outcome.reason}")
     return outcome
@@ -126,7 +126,7 @@ def measure(name: str, pairs: int, proposals: int, entries: Sequence[LibraryEntr
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="sumo_adv-")))
         sandbox = stack.enter_context(Sandbox())
-        engines = [stack.enter_context(Engine(body)) for _ in ways]
+        engines = [stack.enter_context(Engine(episode_worker)) for _ in ways]
         encounters = [encounter(e, source, s, folder) for e, s in zip(engines, ways, strict=True)]
         best, count, searched = search(sandbox, ways[0], encounters[0], entries)
         runners = [AttemptRunner(e, sandbox, f, ways[0].seed) for e, f in zip(engines, encounters, strict=True)]
@@ -161,7 +161,7 @@ def first_attempts(entries: Sequence[LibraryEntry]) -> bool:
     took: dict[str, list[float]] = {name: [] for name in KINDS}
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="sumo_adv-")))
-        sandbox, engine = stack.enter_context(Sandbox()), stack.enter_context(Engine(body))
+        sandbox, engine = stack.enter_context(Sandbox()), stack.enter_context(Engine(episode_worker))
         found = encounter(engine, source, settings, folder)
         predictor = Predictor(sandbox, settings, found.drivable, found.situations)
         weights = SearchSettings(share=FIRST)

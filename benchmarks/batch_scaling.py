@@ -37,9 +37,9 @@ from sumo_adv.campaigns.plan import Plan, make_plan
 from sumo_adv.campaigns.results import Job, Learn, Row, Setup
 from sumo_adv.campaigns.worker import Runner
 from sumo_adv.config import load_settings
+from sumo_adv.episode.engine import episode_worker
 from sumo_adv.episode.loop import run_episode
 from sumo_adv.episode.task import make_task
-from sumo_adv.episode.worker import body
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.report.folder import write_run
@@ -190,7 +190,7 @@ def plain(plan: Plan, folder: Path) -> Took:
             settings = load_settings(None, seed=job.seed, learn="off", **plan.variants[0])
             with (
                 tempfile.TemporaryDirectory() as scratch, staged(folder / job.id, force=False) as place,
-                open_agents(settings, sandbox) as cast, Engine(body) as engine,
+                open_agents(settings, sandbox) as cast, Engine(episode_worker) as engine,
             ):  # fmt: skip
                 task = make_task(given, settings, Path(scratch))
                 episode = run_episode(given, settings, task, engine, cast, bank, lambda *_: None)

@@ -25,8 +25,8 @@ from attempt_cost import library
 from sumo_adv.config import load_settings
 from sumo_adv.datatypes import LibraryEntry, ObservedMotion, Proposal
 from sumo_adv.episode.assessment import AttemptRunner, observed_motion
+from sumo_adv.episode.engine import EpisodeCalls, episode_worker
 from sumo_adv.episode.task import FoundEncounter, make_task
-from sumo_adv.episode.worker import body
 from sumo_adv.geometry import Path
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.search.prediction import Predictor
@@ -71,9 +71,9 @@ def compare(name: str, ego: str, count: int, seed: int, entries: Sequence[Librar
     settings = load_settings(None, ego=ego, horizon=source.horizon, seed=seed)
     with ExitStack() as stack:
         folder = File(stack.enter_context(tempfile.TemporaryDirectory(prefix="sumo_adv-")))
-        sandbox, engine = stack.enter_context(Sandbox()), stack.enter_context(Engine(body))
-        engine.request("open", make_task(source, settings, folder))
-        encounter = engine.request("seek", "")
+        sandbox, engine = stack.enter_context(Sandbox()), stack.enter_context(Engine(episode_worker))
+        engine.call(EpisodeCalls.open, make_task(source, settings, folder))
+        encounter = engine.call(EpisodeCalls.seek, "")
         if not isinstance(encounter, FoundEncounter):
             print(f"  {source.name}: {encounter.reason}")
             return []

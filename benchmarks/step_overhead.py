@@ -19,14 +19,13 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 from sumo_adv.config import load_settings
 from sumo_adv.datatypes import Planner, Proposal, acceleration_at
 from sumo_adv.episode.task import FoundEncounter, Task
-from sumo_adv.episode.worker import Worker
+from sumo_adv.episode.worker import EpisodeWorker
 from sumo_adv.planners.answers import Answer, PlannerObservation, road_of, world_endpoint
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Roads, Sessions
@@ -63,7 +62,7 @@ class DurationSpec(SimulationSpec):
         return [*given[:at], "--lanechange.duration", "3", *given[at + 2 :]]
 
 
-class Bench(Worker):
+class Bench(EpisodeWorker):
     """The engine's worker, with windows of one and the same stretch timed."""
 
     def bare(self, steps: int) -> float:
@@ -111,12 +110,6 @@ def _local(encounter: FoundEncounter, proposal: Proposal) -> Callable[[PlannerOb
         return Answer(world_endpoint(situation, answer))
 
     return ask
-
-
-def body(slots: list[Connection]) -> dict[str, Callable[..., Any]]:
-    """The commands of the engine process."""
-    worker = Bench(slots)
-    return {"open": worker.open, "seek": worker.seek, "bare": worker.bare, "loop": worker.loop}
 
 
 def traffic(file: Path, vehicles: int) -> None:
@@ -185,28 +178,24 @@ def measure(case: Case, pairs: int, steps: int, sandbox: Sandbox) -> Row:
     """One case in an engine of its own, after a pair that is not counted."""
     planner = make_planner("Benchmark", "stand-in", STAND_IN, "person")
     proposal = _proposal(planner, ram=max(0.0, steps / 10 - 3.0))
-    with tempfile.TemporaryDirectory(prefix="sumo_adv-") as folder, Engine(body) as engine:
+    with tempfile.TemporaryDirectory(prefix="sumo_adv-") as folder, Engine(Bench) as engine:
         routes = Path(folder) / "traffic.rou.xml"
         traffic(routes, case.vehicles)
-        engine.request("open", case.task(routes, steps))
-        encounter = engine.request("seek")
+        engine.call(Bench.open, case.task(routes, steps))
+        encounter = engine.call(Bench.seek)
         if not isinstance(encounter, FoundEncounter):
             raise SystemExit(f"The benchmark's own encounter was not found: {encounter.reason}")
         with Sessions(sandbox, Roads(encounter.situations), [proposal], 0) as sessions:
 
             def window() -> tuple[float, int, int, str]:
                 remote = case.planner == "sandbox"
-                answer: tuple[float, int, int, str] = engine.request(
-                    "loop",
-                    proposal,
-                    remote,
-                    answer=lambda observation: sessions.answer(proposal, observation),
+                return engine.call_answering(
+                    lambda observation: sessions.answer(proposal, observation), Bench.loop, proposal, remote
                 )
-                return answer
 
             _, count, vehicles, ending = window()
-            engine.request("bare", count)
-            times = [(engine.request("bare", count), window()[0]) for _ in range(pairs)]
+            engine.call(Bench.bare, count)
+            times = [(engine.call(Bench.bare, count), window()[0]) for _ in range(pairs)]
     return Row(case, count, vehicles, ending, [a for a, _ in times], [b for _, b in times])
 
 

@@ -15,10 +15,10 @@ from collections.abc import Callable
 import numpy as np
 from shapely import box
 
-from sumo_adv.datatypes import Boxes, Floats, Role, Track
+from sumo_adv.datatypes import Boxes, Floats, LaneStrip, Role, Track
 from sumo_adv.metrics.avoidance import avoidance
 from sumo_adv.metrics.criticality import ttc
-from sumo_adv.metrics.full import Strip, full_judge, markings_crossed
+from sumo_adv.metrics.full import full_judge, markings_crossed
 from sumo_adv.metrics.levels import with_level
 from sumo_adv.metrics.reference.counterfactual import Encounters, answers
 from sumo_adv.metrics.validity import hazard_index, judge
@@ -76,7 +76,7 @@ def main() -> int:
     foes = rollouts([cut_in(9.0 + i / 10, 3.0 + i, 1.5 + i / 15) for i in range(60)])
     trigger, contact = np.full(60, 10), np.full(60, 80)
     road = Drivable(box(-500.0, -20.0, 2000.0, 20.0))
-    strips = [Strip(np.array([[0.0, 3.2 * k], [900.0, 3.2 * k]]), 3.2, False) for k in range(-15, 15)]
+    strips = [LaneStrip(np.array([[0.0, 3.2 * k], [900.0, 3.2 * k]]), 3.2, False) for k in range(-15, 15)]
     hazards, _ = hazard_index(egos, foes, trigger, contact)
     gates = judge(ego, adversary, others, trigger_time=1.0, on_road=on_road)
     wide = rollouts([cut_in(9.0 + i / 25, 3.0 + i / 2, 1.5 + i / 40) for i in range(150)])

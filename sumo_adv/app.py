@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from sumo_adv.datatypes import LibraryEntry
     from sumo_adv.driver_check import Checked, DriverCheck
     from sumo_adv.drivers.registry import GivenEgo
+    from sumo_adv.episode.engine import EpisodeEngine
     from sumo_adv.episode.episode import Episode
     from sumo_adv.episode.warm import WarmEngine
     from sumo_adv.input_check import InputCheck
@@ -44,7 +45,6 @@ if TYPE_CHECKING:
     from sumo_adv.rate.blocks import RatePlan
     from sumo_adv.rate.estimate import Estimate
     from sumo_adv.report.manifest import Recorded
-    from sumo_adv.simulation.engine import Engine
     from sumo_adv.simulation.inputs import RunInput
 
 # -- the input and the memory bank --------------------------------------------------------------------------------
@@ -261,11 +261,11 @@ def check_driver(
     Raises UsageError or SimulationError.
     """
     from sumo_adv.driver_check.check import DURATION, check_driver, twelve
-    from sumo_adv.driver_check.drive import body
+    from sumo_adv.driver_check.drive import CheckWorker
     from sumo_adv.simulation.engine import Engine, deaf
 
     with _without_main(), deaf():
-        engine = Engine(body, slots=0)
+        engine = Engine(CheckWorker, slots=0)
     with engine, tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch:
         driven = twelve() if inputs is None else inputs
         return check_driver(engine, driven, settings, Path(scratch), seconds=seconds or DURATION, tell=tell)
@@ -274,11 +274,11 @@ def check_driver(
 def check_input(given: RunInput, settings: Settings, seconds: float) -> InputCheck:
     """Compare an input's traffic without an attack with the program ``sumo`` over ``seconds`` [s], and count what was
     read of it. Raises UsageError or SimulationError."""
-    from sumo_adv.input_check import body, check_input
+    from sumo_adv.input_check import WatchWorker, check_input
     from sumo_adv.simulation.engine import Engine, deaf
 
     with _without_main(), deaf():
-        engine = Engine(body, slots=0)
+        engine = Engine(WatchWorker, slots=0)
     with engine, tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
         return check_input(engine, given, settings, Path(scratch), seconds)
 
@@ -297,7 +297,7 @@ if hasattr(os, "register_at_fork"):
 
 
 @contextmanager
-def new_engine() -> Iterator[Engine]:
+def new_engine() -> Iterator[EpisodeEngine]:
     """An engine process that does not run the user's script again, and that no Ctrl-C reaches while it starts. It stays
     for the next run of this process, which so begins a second sooner."""
     from multiprocessing.util import Finalize

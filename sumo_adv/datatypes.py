@@ -191,6 +191,21 @@ class Track:
         )  # fmt: skip
 
 
+@dataclass(frozen=True, slots=True)
+class LaneStrip:
+    """One lane as a strip of ground.
+
+    Attributes:
+        shape: Its centreline in the direction of traffic, ``(n, 2)``, or ``(n, 3)`` with heights [m].
+        width: Its width [m].
+        internal: Whether it is inside a junction.
+    """
+
+    shape: Floats
+    width: float
+    internal: bool
+
+
 class RoadClass(StrEnum):
     """Where the ego is when an attack may begin; ``episode/encounter_detector.py`` has the rules."""
 

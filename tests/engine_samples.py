@@ -135,14 +135,21 @@ class Errands:
         simulation.close()
         return runs
 
+    def pid(self) -> int:
+        return os.getpid()
 
-def body(slots: list[Connection]) -> dict[str, Callable[..., Any]]:
-    """The commands."""
-    errands = Errands(slots)
-    commands: dict[str, Callable[..., Any]] = {n: getattr(errands, n) for n in dir(errands) if not n.startswith("_")}
-    return {**commands, "pid": os.getpid, "sleep": time.sleep, "die": lambda: os.kill(os.getpid(), signal.SIGKILL)}
+    def sleep(self, seconds: float) -> None:
+        time.sleep(seconds)
+
+    def die(self) -> None:
+        os.kill(os.getpid(), signal.SIGKILL)
 
 
-def broken_body(slots: list[Connection]) -> dict[str, Callable[..., Any]]:
-    """A process that cannot be set up."""
-    raise UsageError("Nothing works here.")
+class BrokenErrands:
+    """A worker that cannot be made."""
+
+    def __init__(self, slots: list[Connection]) -> None:
+        raise UsageError("Nothing works here.")
+
+    def add(self, a: int, b: int) -> int:
+        return a + b

@@ -19,8 +19,8 @@ from sumo_adv.benchmark.nouns import course_proposal
 from sumo_adv.benchmark.rows import make_row
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Ending, Level, PrescribedMotion, Proposal
+from sumo_adv.episode.engine import episode_worker
 from sumo_adv.episode.task import make_task
-from sumo_adv.episode.worker import body
 from sumo_adv.errors import PlannerResultError, PlannerRuntimeError, SumoAdvError, UsageError
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.planners.sandbox import Sandbox
@@ -180,7 +180,7 @@ def arena() -> Iterator[tuple[Arena, MemoryBank]]:
         tempfile.TemporaryDirectory() as scratch,
         MemoryBank.open(shipped_bank(), read_only=True) as bank,
         Sandbox() as sandbox,
-        Engine(body) as engine,
+        Engine(episode_worker) as engine,
     ):
         yield Arena(source, settings, make_task(source, settings, Path(scratch)), engine, sandbox, bank, settings), bank
 

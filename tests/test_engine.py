@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from engine_samples import body, broken_body
+from engine_samples import BrokenErrands, Errands
 from sumo_samples import make_spec, vehicle
 
 from sumo_adv.errors import SimulationError, UsageError
@@ -20,9 +20,9 @@ needs_fork = pytest.mark.skipif(not can_fork(), reason="this system cannot fork 
 
 
 @pytest.fixture(scope="module")
-def engine() -> Iterator[Engine]:
+def engine() -> Iterator[Engine[Errands]]:
     """One engine for all stories that leave it alive."""
-    with Engine(body) as shared:
+    with Engine(Errands) as shared:
         yield shared
 
 
@@ -45,60 +45,60 @@ def gone(pid: int, patience: float = 3.0) -> bool:
 # ---- commands and questions
 
 
-def test_commands_are_done_in_another_process(engine: Engine) -> None:
-    assert engine.request("add", 2, 3) == 5
-    assert engine.request("pid") != os.getpid()
+def test_commands_are_done_in_another_process(engine: Engine[Errands]) -> None:
+    assert engine.call(Errands.add, 2, 3) == 5
+    assert engine.call(Errands.pid) != os.getpid()
 
 
-def test_the_front_answers_while_it_waits(engine: Engine) -> None:
-    assert engine.request("ask", [3, 4], answer=lambda q: q * q) == [9, 16]
-    assert engine.request("ask", [3]) == [None]  # there is no front to ask
+def test_the_front_answers_while_it_waits(engine: Engine[Errands]) -> None:
+    assert engine.call_answering(lambda q: q * q, Errands.ask, [3, 4]) == [9, 16]
+    assert engine.call(Errands.ask, [3]) == [None]  # there is no front to ask
 
 
-def test_a_command_may_be_a_conversation(engine: Engine) -> None:
-    talk = engine.converse("talk", 1, answer=lambda number: number * number)
+def test_a_command_may_be_a_conversation(engine: Engine[Errands]) -> None:
+    talk = engine.converse(lambda number: number * number, Errands.talk, 1)
     assert (talk.said, talk.ask(2), talk.ask(3)) == (1, 5, 14)
     talk.end()
     talk.end()
-    assert engine.request("add", 2, 3) == 5
+    assert engine.call(Errands.add, 2, 3) == 5
 
 
-def test_a_conversation_that_fails_is_over(engine: Engine) -> None:
-    talk = engine.converse("talk", 1)
+def test_a_conversation_that_fails_is_over(engine: Engine[Errands]) -> None:
+    talk = engine.converse(None, Errands.talk, 1)
     for sentence in ("Nothing was added", "begin another"):
         with pytest.raises(SimulationError, match=sentence):
             talk.ask(0)
     talk.end()
-    assert engine.request("add", 2, 3) == 5
+    assert engine.call(Errands.add, 2, 3) == 5
 
 
 @needs_fork
-def test_two_forks_ask_through_slots_of_their_own(engine: Engine) -> None:
+def test_two_forks_ask_through_slots_of_their_own(engine: Engine[Errands]) -> None:
     askers: list[int] = []
 
     def answer(pid: int) -> int:
         askers.append(pid)
         return -pid
 
-    answers = engine.request("ask_in_forks", answer=answer)
+    answers = engine.call_answering(answer, Errands.ask_in_forks)
     assert sorted(answers) == sorted(-pid for pid in askers)
-    assert len({*askers, engine.request("pid")}) == 3
+    assert len({*askers, engine.call(Errands.pid)}) == 3
 
 
-def test_errors_of_ours_come_through_and_others_are_named(engine: Engine) -> None:
+def test_errors_of_ours_come_through_and_others_are_named(engine: Engine[Errands]) -> None:
     with pytest.raises(UsageError, match=r"^The input is wrong; give another\.$"):
-        engine.request("wrong_use")
+        engine.call(Errands.wrong_use)
     with pytest.raises(SimulationError, match=r"^The simulation failed \(ZeroDivisionError: one by none\)\.$"):
-        engine.request("bug")
-    assert engine.request("add", 1, 1) == 2
+        engine.call(Errands.bug)
+    assert engine.call(Errands.add, 1, 1) == 2
 
 
 # ---- forks
 
 
 @needs_fork
-def test_forks_give_their_results_in_order(engine: Engine) -> None:
-    assert engine.request("squares", [3, 4, 5]) == [9, 16, 25]
+def test_forks_give_their_results_in_order(engine: Engine[Errands]) -> None:
+    assert engine.call(Errands.squares, [3, 4, 5]) == [9, 16, 25]
 
 
 @needs_fork
@@ -114,33 +114,33 @@ def test_forks_give_their_results_in_order(engine: Engine) -> None:
     ],
 )
 def test_a_fork_that_fails_is_an_error_and_the_engine_goes_on(
-    engine: Engine, failure: str, kind: type[Exception], sentence: str
+    engine: Engine[Errands], failure: str, kind: type[Exception], sentence: str
 ) -> None:
     with pytest.raises(kind, match=sentence):
-        engine.request("fork_that", failure)
-    assert engine.request("add", 2, 2) == 4
+        engine.call(Errands.fork_that, failure)
+    assert engine.call(Errands.add, 2, 2) == 4
 
 
 @needs_fork
-def test_a_fork_that_dies_is_repeated_once_by_reload(engine: Engine) -> None:
+def test_a_fork_that_dies_is_repeated_once_by_reload(engine: Engine[Errands]) -> None:
     """The second piece of work crashes before the reload and does well after it; the third crashes both times."""
-    assert engine.request("fork_again", [1, -2, 3]) == ["1", "-2 reloaded", "3"]
+    assert engine.call(Errands.fork_again, [1, -2, 3]) == ["1", "-2 reloaded", "3"]
     with pytest.raises(SimulationError, match="also when the simulation was loaded again and the attempt repeated"):
-        engine.request("fork_again", [1, 0])
+        engine.call(Errands.fork_again, [1, 0])
 
 
 @needs_fork
-def test_a_fork_that_dies_twice_may_be_skipped(engine: Engine) -> None:
-    first, died, last = engine.request("fork_again", [1, 0, 2], True)
+def test_a_fork_that_dies_twice_may_be_skipped(engine: Engine[Errands]) -> None:
+    first, died, last = engine.call(Errands.fork_again, [1, 0, 2], True)
     assert (first, last) == ("1", "2")
     assert died.startswith("SUMO OR THE EGO'S DRIVER CRASHED IN A FORKED ATTEMPT (SIGSEGV), ALSO WHEN")
 
 
 @needs_fork
-def test_forks_run_as_the_process_itself_would(engine: Engine, tmp_path: Path) -> None:
+def test_forks_run_as_the_process_itself_would(engine: Engine[Errands], tmp_path: Path) -> None:
     cars = [vehicle(f"car{k}", "eastbound", k % 3, 40.0 + 9.0 * k, 12.0, "nervous") for k in range(8)]
     spec = make_spec(tmp_path, "straight_3lane", [*cars, vehicle("leader", "eastbound", 0, 125.0, 12.0)])
-    first, second, in_place, again = engine.request("branches", spec)
+    first, second, in_place, again = engine.call(Errands.branches, spec)
     assert len(first) == 30
     assert first == second
     assert first == in_place
@@ -150,41 +150,41 @@ def test_forks_run_as_the_process_itself_would(engine: Engine, tmp_path: Path) -
 # ---- SUMO's own words
 
 
-def test_sumo_says_what_is_wrong_with_an_input(engine: Engine, tmp_path: Path) -> None:
+def test_sumo_says_what_is_wrong_with_an_input(engine: Engine[Errands], tmp_path: Path) -> None:
     spec = make_spec(tmp_path, "straight_3lane", [vehicle("ego", "nowhere", 0, 10.0, 5.0)])
     with pytest.raises(
         SimulationError, match=r"The edge 'nowhere' within the route for vehicle 'ego' is not known\. The"
     ):
-        engine.request("simulate", spec)
+        engine.call(Errands.simulate, spec)
     missing = SimulationSpec(tmp_path / "missing.net.xml", (), (), 0.0, 1)
     with pytest.raises(SimulationError, match=r"missing\.net\.xml"):
-        engine.request("simulate", missing)
+        engine.call(Errands.simulate, missing)
 
 
-def test_words_on_stderr_end_up_in_the_sentence_of_their_own_failure_alone(engine: Engine) -> None:
+def test_words_on_stderr_end_up_in_the_sentence_of_their_own_failure_alone(engine: Engine[Errands]) -> None:
     with pytest.raises(SimulationError, match=r"^SUMO failed: The wheel came off$"):
-        engine.request("complain", "The wheel came off", "SUMO failed.")
+        engine.call(Errands.complain, "The wheel came off", "SUMO failed.")
     with pytest.raises(SimulationError, match=r"^No fuel\.$"):
-        engine.request("complain", "", "No fuel.")
+        engine.call(Errands.complain, "", "No fuel.")
 
 
 # ---- ends
 
 
 def test_a_killed_engine_is_one_sentence_and_leaves_no_process() -> None:
-    with Engine(body) as engine:
-        pid = engine.request("pid")
+    with Engine(Errands) as engine:
+        pid = engine.call(Errands.pid)
         assert alive(pid)
         with pytest.raises(SimulationError, match=r"^The simulation process ended unexpectedly.*\.$"):
-            engine.request("die")
+            engine.call(Errands.die)
         with pytest.raises(SimulationError, match="ended unexpectedly"):
-            engine.request("add", 1, 1)
+            engine.call(Errands.add, 1, 1)
     assert gone(pid, 0.1)
 
 
 def test_an_engine_that_cannot_be_set_up_says_why() -> None:
-    with Engine(broken_body) as engine, pytest.raises(SimulationError, match="Nothing works here"):
-        engine.request("add", 1, 1)
+    with Engine(BrokenErrands) as engine, pytest.raises(SimulationError, match="Nothing works here"):
+        engine.call(Errands.add, 1, 1)
 
 
 @needs_fork
@@ -195,10 +195,10 @@ def test_a_front_that_gives_up_leaves_neither_engine_nor_forks() -> None:
         askers.append(pid)
         raise KeyboardInterrupt
 
-    engine = Engine(body)
-    pid = engine.request("pid")
+    engine = Engine(Errands)
+    pid = engine.call(Errands.pid)
     with pytest.raises(KeyboardInterrupt):
-        engine.request("ask_in_forks", answer=interrupted)
+        engine.call_answering(interrupted, Errands.ask_in_forks)
     engine.close()
     assert gone(pid, 0.1)
     assert all(gone(child) for child in askers)
@@ -207,8 +207,8 @@ def test_a_front_that_gives_up_leaves_neither_engine_nor_forks() -> None:
 @needs_fork
 def test_forks_of_a_killed_engine_do_not_take_its_place() -> None:
     askers: list[int] = []
-    with Engine(body) as engine:
-        pid = engine.request("pid")
+    with Engine(Errands) as engine:
+        pid = engine.call(Errands.pid)
 
         def kill_the_engine(child: int) -> None:
             askers.append(child)
@@ -216,15 +216,15 @@ def test_forks_of_a_killed_engine_do_not_take_its_place() -> None:
                 os.kill(pid, signal.SIGKILL)
 
         with pytest.raises(SimulationError, match="ended unexpectedly"):
-            engine.request("ask_in_forks", answer=kill_the_engine)
+            engine.call_answering(kill_the_engine, Errands.ask_in_forks)
     assert gone(pid, 0.1)
     assert all(gone(child) for child in askers)
 
 
 def test_a_busy_engine_is_ended_too() -> None:
-    engine = Engine(body)
-    pid = engine.request("pid")
-    engine._control.send(("sleep", (60.0,)))
+    engine = Engine(Errands)
+    pid = engine.call(Errands.pid)
+    engine.post(Errands.sleep, 60.0)
     start = time.monotonic()
     engine.close()
     assert time.monotonic() - start < 4.0

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import errno
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from engine_samples import body
+from engine_samples import Errands
 
 from sumo_adv import app
 from sumo_adv.config import Settings
@@ -21,16 +21,16 @@ SHORT_OF_MEMORY = [MemoryError(), OSError(errno.ENOMEM, "Cannot allocate memory"
 
 
 @pytest.fixture
-def engine() -> Iterator[Engine]:
-    with Engine(body) as made:
+def engine() -> Iterator[Engine[Errands]]:
+    with Engine(Errands) as made:
         yield made
 
 
-@pytest.mark.parametrize("command", ["hoard", "hoard_in_forks"])
-def test_an_engine_without_memory_says_so(engine: Engine, command: str) -> None:
+@pytest.mark.parametrize("method", [Errands.hoard, Errands.hoard_in_forks])
+def test_an_engine_without_memory_says_so(engine: Engine[Errands], method: Callable[[Errands], object]) -> None:
     with pytest.raises(SimulationError, match="Memory ran out"):
-        engine.request(command)
-    assert engine.request("add", 1, 2) == 3
+        engine.call(method)
+    assert engine.call(Errands.add, 1, 2) == 3
 
 
 @pytest.mark.parametrize("error", [*SHORT_OF_MEMORY, ZeroDivisionError("one by none")])

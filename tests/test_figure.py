@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sumo_adv.datatypes import Role, Track, Verdict
+from sumo_adv.datatypes import LaneStrip, Role, Track, Verdict
 from sumo_adv.report.encounter_figure import decisive_time, draw_encounter, lane_polygon
 
 
@@ -23,7 +23,7 @@ def track(id: str, role: Role, x: NDArray[np.floating], y: NDArray[np.floating])
 
 
 T = 0.1 * np.arange(61)
-LANES = [(np.array([[-50.0, y], [200.0, y]]), 3.2, False) for y in (0.0, 3.2, 6.4)]
+LANES = [LaneStrip(np.array([[-50.0, y], [200.0, y]]), 3.2, False) for y in (0.0, 3.2, 6.4)]
 EGO = track("ego", Role.EGO, 14 * T, 0 * T)
 RAW = track("bv", Role.ADVERSARY, 8 + 11 * T, 0 * T + 3.2)
 CUT = track("bv", Role.ADVERSARY, 8 + 13 * T, 3.2 / (1 + np.exp(3 * (T - 3))))

@@ -20,7 +20,7 @@ from simulation_samples import (
 )
 
 from sumo_adv.config import load_settings
-from sumo_adv.input_check import InputCheck, body, check_input
+from sumo_adv.input_check import InputCheck, WatchWorker, check_input
 from sumo_adv.input_check.motions import compare
 from sumo_adv.simulation.engine import Engine
 from sumo_adv.simulation.inputs import load_input, own_simulation
@@ -52,7 +52,7 @@ def country(folder: Path) -> Path:
 @pytest.fixture(scope="module")
 def check(folder: Path) -> Iterator[Check]:
     """The check of one input, all in one engine process."""
-    with Engine(body, slots=0) as engine:
+    with Engine(WatchWorker, slots=0) as engine:
 
         def checked(path: Path) -> InputCheck:
             given = load_input(path)

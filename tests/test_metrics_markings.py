@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from metrics_tracks import TIME, car
 
-from sumo_adv.datatypes import Bools, Floats, Track
-from sumo_adv.metrics.full import Marking, Strip, markings_crossed
+from sumo_adv.datatypes import Bools, Floats, LaneStrip, Track
+from sumo_adv.metrics.full import Marking, markings_crossed
 
 
-def lane(y: float, *, start: float = 0.0, end: float = 200.0, west: bool = False, internal: bool = False) -> Strip:
+def lane(y: float, *, start: float = 0.0, end: float = 200.0, west: bool = False, internal: bool = False) -> LaneStrip:
     """A straight lane along x with its centre line at ``y``."""
     points = np.array([[start, y], [end, y]])
-    return Strip(points[::-1] if west else points, 3.2, internal)
+    return LaneStrip(points[::-1] if west else points, 3.2, internal)
 
 
 TWO_WAY = (lane(-4.8), lane(-1.6), lane(1.6, west=True))

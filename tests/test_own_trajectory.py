@@ -21,8 +21,8 @@ from sumo_adv.config import load_settings
 from sumo_adv.datatypes import Bools, Floats, Limits, Planner, Proposal, Role, Track
 from sumo_adv.episode.assessment import AttemptRunner
 from sumo_adv.episode.attempt import PlannedAdversary
+from sumo_adv.episode.engine import EpisodeCalls, episode_worker
 from sumo_adv.episode.task import AttemptResult, FoundEncounter, make_task
-from sumo_adv.episode.worker import body
 from sumo_adv.errors import PlannerResultError
 from sumo_adv.metrics.gates import motion
 from sumo_adv.planners.follower import Follower, Line, aligned, leaves_road
@@ -290,9 +290,9 @@ def encounter(tmp_path_factory: pytest.TempPathFactory, sandbox: Sandbox) -> Ite
     """A vehicle one lane to the left, 12 m ahead of the ego, at 20 m/s."""
     source = load_input(Path("neighbour_ahead_left"))
     given = load_settings(None, horizon=source.horizon, ego=source.ego_controller)
-    with Engine(body) as engine:
-        engine.request("open", make_task(source, given, tmp_path_factory.mktemp("own")))
-        encounter = engine.request("seek", "")
+    with Engine(episode_worker) as engine:
+        engine.call(EpisodeCalls.open, make_task(source, given, tmp_path_factory.mktemp("own")))
+        encounter = engine.call(EpisodeCalls.seek, "")
         assert isinstance(encounter, FoundEncounter)
         yield AttemptRunner(engine, sandbox, encounter, 0)
 

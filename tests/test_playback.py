@@ -17,8 +17,8 @@ from sumo_adv.drivers import CarefulEgo, EgoController, Observation, ReplayEgo, 
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.encounter_builder import danger
 from sumo_adv.episode.encounter_detector import ego_path
+from sumo_adv.episode.engine import EpisodeCalls, episode_worker
 from sumo_adv.episode.task import FoundEncounter, make_task
-from sumo_adv.episode.worker import body
 from sumo_adv.geometry import Pose
 from sumo_adv.metrics.case import make_case
 from sumo_adv.metrics.validity import judge
@@ -248,9 +248,9 @@ def test_a_situation_knows_how_long_the_log_goes_on_and_whether_it_moves_the_oth
     for ego, background in (("replay", "sumo"), ("idm", "log"), ("idm", "sumo")):
         given = load_input(path)
         settings = load_settings(None, ego=ego, background=background)
-        with Engine(body) as engine:
-            engine.request("open", make_task(given, settings, tmp_path))
-            encounter = engine.request("seek", "")
+        with Engine(episode_worker) as engine:
+            engine.call(EpisodeCalls.open, make_task(given, settings, tmp_path))
+            encounter = engine.call(EpisodeCalls.seek, "")
         assert isinstance(encounter, FoundEncounter)
         for s in encounter.situations.values():
             ends = (ego, background) != ("idm", "sumo")

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from sumo_adv.config import load_settings
+from sumo_adv.episode.engine import EpisodeCalls, episode_worker
 from sumo_adv.episode.task import FoundEncounter, make_task
-from sumo_adv.episode.worker import body
 from sumo_adv.planners.answers import road_of
 from sumo_adv.simulation.engine import Engine
 from sumo_adv.simulation.inputs import load_input
@@ -16,9 +16,9 @@ def test_the_lights_ahead_of_ego_and_targets_are_in_every_situation(tmp_path: Pa
     """The ego has green and the vehicle from the right red, as the scenario says."""
     given = load_input(Path("signals_red_light"))
     settings = load_settings(None, horizon=given.horizon, ego=given.ego_controller)
-    with Engine(body) as engine:
-        engine.request("open", make_task(given, settings, tmp_path))
-        encounter = engine.request("seek", "")
+    with Engine(episode_worker) as engine:
+        engine.call(EpisodeCalls.open, make_task(given, settings, tmp_path))
+        encounter = engine.call(EpisodeCalls.seek, "")
     assert isinstance(encounter, FoundEncounter)
     bv = encounter.ranking[0][0]
     for situation in encounter.situations.values():

@@ -7,7 +7,7 @@ import os
 import signal
 import subprocess
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -65,22 +65,23 @@ def test_a_process_that_a_driver_has_changed_goes_on(program: Program, driver: s
 # -- SUMO that does not return ----------------------------------------------------------------------------------------
 
 
-def stuck(slots: list[Connection]) -> Mapping[str, Callable[..., Any]]:
-    """An engine in which SUMO works for ten minutes."""
+class Stuck:
+    """A worker in which SUMO works for ten minutes."""
 
-    def work() -> None:
+    def __init__(self, slots: list[Connection]) -> None:
+        pass
+
+    def work(self) -> None:
         with sumo_at_work("in a step", 0.2):
             time.sleep(600.0)
-
-    return {"work": work}
 
 
 def test_a_step_of_sumo_that_does_not_return_is_a_sentence() -> None:
     with (
-        Engine(stuck) as engine,
+        Engine(Stuck) as engine,
         pytest.raises(Exception, match=r"SUMO did not return within 0\.2 s in a step") as said,
     ):
-        engine.request("work")
+        engine.call(Stuck.work)
     assert type(said.value).__name__ == "SimulationError"
     assert engine.lost
 

@@ -20,9 +20,9 @@ from shapely import box
 from sumo_adv.agents.agents import Agents
 from sumo_adv.config import load_settings
 from sumo_adv.datatypes import Track
+from sumo_adv.episode.engine import episode_worker
 from sumo_adv.episode.loop import Episode, replay_episode, run_episode
 from sumo_adv.episode.task import make_task
-from sumo_adv.episode.worker import body
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.report.folder import write_run
@@ -74,7 +74,7 @@ def crossing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
     with (
         MemoryBank.open(folder / "bank.sqlite", seed_from=data_folder("memory_bank.sqlite")) as bank,
         Sandbox() as sandbox,
-        Engine(body) as engine,
+        Engine(episode_worker) as engine,
     ):
         episode = run_episode(given, settings, task, engine, Agents(settings, sandbox), bank, lambda *_: None)
     yield write(episode, folder / "run")
@@ -214,7 +214,7 @@ def test_without_an_attempt_there_is_nothing_to_say(crossing: Run) -> None:
 
 def test_a_replay_comes_to_the_same_bytes(crossing: Run, tmp_path: Path) -> None:
     recorded = read_manifest(crossing.folder)
-    with Sandbox() as sandbox, Engine(body) as engine:
+    with Sandbox() as sandbox, Engine(episode_worker) as engine:
         episode = replay_episode(
             recorded.source, recorded.settings, recorded.task, engine, sandbox, recorded.proposal, recorded.skips
         )

@@ -13,9 +13,9 @@ from pathlib import Path
 from sumo_adv.agents.agents import ROLES, Agents
 from sumo_adv.app import shipped_prompts
 from sumo_adv.config import load_settings
+from sumo_adv.episode.engine import episode_worker
 from sumo_adv.episode.loop import run_episode
 from sumo_adv.episode.task import make_task
-from sumo_adv.episode.worker import body
 from sumo_adv.llm.chat import BudgetedModel, ChatReply, ChatRequest, Ledger
 from sumo_adv.llm.recording import Recorder
 from sumo_adv.memory.bank import MemoryBank
@@ -73,7 +73,7 @@ def main() -> None:
         tempfile.TemporaryDirectory() as scratch,
         MemoryBank.open(Path(scratch) / "bank.sqlite", seed_from=data_folder("memory_bank.sqlite")) as bank,
         Sandbox() as sandbox,
-        Engine(body) as engine,
+        Engine(episode_worker) as engine,
         Recorder(HERE / "recording.jsonl", Author.name, note=NOTE) as recorder,
     ):
         model = recorder.wrap(BudgetedModel(Author(), ledger))

@@ -19,6 +19,7 @@ from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Level, Proposal, Role, Track
 from sumo_adv.episode.assessment import AttemptRunner, attempt_of, checked, runner_of
 from sumo_adv.episode.attempt import Driven
+from sumo_adv.episode.engine import EpisodeCalls, EpisodeEngine
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.loop import decide, model_ending, pursue
 from sumo_adv.episode.memory_access import read_library, signature
@@ -33,7 +34,6 @@ from sumo_adv.metrics.boxes import on_grid
 from sumo_adv.metrics.criticality import ttc
 from sumo_adv.metrics.full import PAPER_EPSILON
 from sumo_adv.planners.sandbox import Sandbox
-from sumo_adv.simulation.engine import Engine
 from sumo_adv.simulation.inputs import RunInput
 from sumo_adv.simulation.tracks import tracks_of
 
@@ -46,8 +46,8 @@ class Arena:
     """
 
     def __init__(
-        self, source: RunInput, settings: Settings, task: Task, engine: Engine, sandbox: Sandbox, bank: MemoryBank,
-        common: Settings,
+        self, source: RunInput, settings: Settings, task: Task, engine: EpisodeEngine, sandbox: Sandbox,
+        bank: MemoryBank, common: Settings,
     ) -> None:  # fmt: skip
         self.engine, self.sandbox = engine, sandbox
         self.episode = Episode(source, common, task, bank_hash=bank.content_hash())
@@ -145,7 +145,7 @@ class Arena:
     def _lost(self) -> bool:
         """Whether the simulation itself is gone, and not only a fork of it."""
         try:
-            return not self.engine.request("forks")
+            return not self.engine.call(EpisodeCalls.forks)
         except SimulationError:
             return True
 
@@ -183,7 +183,7 @@ class _Clock:
 # -- whether the attempt that counts is robust
 
 
-def robustness(episode: Episode, engine: Engine, sandbox: Sandbox) -> dict[str, Any] | None:
+def robustness(episode: Episode, engine: EpisodeEngine, sandbox: Sandbox) -> dict[str, Any] | None:
     """In how many neighbours the attempt that counts holds (``episode/neighbours.py``); None if it is not valid."""
     best, done, found = episode.best, episode.refinement, episode.found
     if best is None or found is None or best.verdict.level < Level.VALID:

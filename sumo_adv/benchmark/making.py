@@ -13,20 +13,19 @@ import shutil
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 from random import Random
-from typing import Any
 
 from sumo_adv.benchmark.drafts import STRAIGHT, Draft, draw_junction, draw_straight, write_draft
 from sumo_adv.benchmark.suites import NAME, SUITE_FILE, hash_of_file
 from sumo_adv.config import load_settings
 from sumo_adv.episode.encounter_detector import FASTEST_START, LATEST
 from sumo_adv.episode.task import FoundEncounter, NoEncounter, Task, make_task
-from sumo_adv.episode.worker import Worker
+from sumo_adv.episode.worker import EpisodeWorker
 from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.simulation.engine import Engine, can_fork, in_forks
 from sumo_adv.simulation.inputs import data_folder, load_input
@@ -67,7 +66,7 @@ def trial(scenario: Path, ego: str, bv: str, kind: str) -> Trial:
 
 def tried(candidate: Trial) -> str:
     """What is wrong with an encounter, in words without figures; empty if it is good."""
-    worker = Worker([])
+    worker = EpisodeWorker([])
     worker.open(candidate.task)
     try:
         outcome = worker.seek()
@@ -115,12 +114,17 @@ def in_time(target: Target, ego_speed: float) -> bool:
     return False
 
 
-def body(slots: list[Connection]) -> dict[str, Callable[..., Any]]:
-    """The command of the process that forks the trials."""
-    import shapely.geometry  # noqa: F401 - what every trial needs is there before the first fork
+class TrialWorker:
+    """Forks the trials, in the engine process."""
 
-    load_libsumo()
-    return {"trials": lambda trials: in_forks([partial(tried, candidate) for candidate in trials])}
+    def __init__(self, slots: Sequence[Connection]) -> None:
+        import shapely.geometry  # noqa: F401 - what every trial needs is there before the first fork
+
+        load_libsumo()
+
+    def trials(self, trials: Sequence[Trial]) -> list[str]:
+        """Return what is wrong with each encounter, as ``tried`` says it."""
+        return in_forks([partial(tried, candidate) for candidate in trials])
 
 
 # -- the suite
@@ -180,7 +184,10 @@ def make_suite(
     began = time.perf_counter()
     folder.parent.mkdir(parents=True, exist_ok=True)
     faults = Counter[str]()  # of the candidates drawn; '' is a good one's
-    with tempfile.TemporaryDirectory(prefix=".making-", dir=folder.parent) as scratch, Engine(body, slots=1) as engine:
+    with (
+        tempfile.TemporaryDirectory(prefix=".making-", dir=folder.parent) as scratch,
+        Engine(TrialWorker, slots=1) as engine,
+    ):
         work = Path(scratch) / "suite"
         work.mkdir()
         places = places_of(shares)
@@ -212,7 +219,9 @@ def candidate(place: Place, seed: int, attempt: int) -> Draft:
     return (draw_straight if place.kind in STRAIGHT else draw_junction)(place.kind, place.number, draw)
 
 
-def _fill(place: Place, seed: int, work: Path, engine: Engine, faults: Counter[str], report: Report | None) -> None:
+def _fill(
+    place: Place, seed: int, work: Path, engine: Engine[TrialWorker], faults: Counter[str], report: Report | None
+) -> None:
     """Candidates for one place until one is good; their ``faults`` are counted."""
     for attempt in range(MOST_TRIES):
         draft = candidate(place, seed, attempt)
@@ -229,13 +238,13 @@ def _fill(place: Place, seed: int, work: Path, engine: Engine, faults: Counter[s
     raise SumoAdvError(f"No calm encounter was found for {place.name} in {MOST_TRIES} candidates; try another seed.")
 
 
-def _refused(draft: Draft, scenario: Path, engine: Engine) -> str:
+def _refused(draft: Draft, scenario: Path, engine: Engine[TrialWorker]) -> str:
     """Why a candidate is refused, and by which driver; the first driver alone, then all others."""
     for egos in (EGOS[:1], EGOS[1:]):
         trials = [trial(scenario, ego, draft.bv_id(), draft.kind) for ego in egos]
-        for fault in engine.request("trials", trials):
+        for fault in engine.call(TrialWorker.trials, trials):
             if fault:
-                return str(fault)
+                return fault
     return ""
 
 

@@ -52,9 +52,9 @@ def rerun(
     Raises UsageError for a scenario that cannot be read.
     """
     from sumo_adv.agents.agents import Agents
+    from sumo_adv.episode.engine import episode_worker
     from sumo_adv.episode.loop import run_episode
     from sumo_adv.episode.task import make_task
-    from sumo_adv.episode.worker import body
     from sumo_adv.memory.bank import MemoryBank
     from sumo_adv.simulation.engine import Engine
     from sumo_adv.simulation.inputs import load_input
@@ -66,7 +66,7 @@ def rerun(
             attempts=attempts,
         )  # fmt: skip
         task = make_task(given, settings, Path(folder))
-        with MemoryBank.open(Path(folder) / "one.sqlite") as bank, Engine(body) as engine:
+        with MemoryBank.open(Path(folder) / "one.sqlite") as bank, Engine(episode_worker) as engine:
             bank.add(source.intent, [planner])
             episode = run_episode(given, settings, task, engine, Agents(settings, sandbox), bank, lambda *_: None)
     own = [a.verdict for a in episode.refinement.attempts if a.proposal.planner.hash == planner.hash]

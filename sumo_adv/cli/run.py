@@ -23,10 +23,10 @@ from sumo_adv.files import scratch_prefix
 from sumo_adv.report.staging import RunFolder, scratch_folder, staged
 
 if TYPE_CHECKING:
+    from sumo_adv.episode.engine import EpisodeEngine
     from sumo_adv.episode.episode import Episode
     from sumo_adv.episode.planned_encounter import PlannedEncounter
     from sumo_adv.llm.prompts import Prompt
-    from sumo_adv.simulation.engine import Engine
     from sumo_adv.simulation.inputs import RunInput
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)  # Ctrl-C; what services and time limits send
@@ -232,7 +232,7 @@ def _analyzer(episode: Any, planned: PlannedEncounter, bank: Any) -> Prompt:
     )  # fmt: skip
 
 
-def _writers(planned: PlannedEncounter, settings: Settings, agents: Any, engine: Engine) -> list[Prompt]:
+def _writers(planned: PlannedEncounter, settings: Settings, agents: Any, engine: EpisodeEngine) -> list[Prompt]:
     from sumo_adv.agents.generator import generator_prompt
     from sumo_adv.agents.modifier import modifier_prompt
     from sumo_adv.episode.assessment import AttemptRunner

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from sumo_adv.config import Settings
-from sumo_adv.driver_check.drive import UnattackedDrive
+from sumo_adv.driver_check.drive import CheckWorker, UnattackedDrive
 from sumo_adv.driver_check.findings import Finding, Kind, apart, judge, milliseconds, travelled
 from sumo_adv.episode.task import Task, make_task
 from sumo_adv.errors import UsageError
@@ -82,7 +82,7 @@ class DriverCheck:
 
 
 def check_driver(
-    engine: Engine,
+    engine: Engine[CheckWorker],
     inputs: Sequence[RunInput],
     settings: Settings,
     folder: Path,
@@ -92,7 +92,7 @@ def check_driver(
 ) -> DriverCheck:
     """Drive ``settings.ego`` unattacked through the inputs, each for ``seconds`` [s].
 
-    engine: a process with the commands of ``drive.py``. folder: for generated demand. tell: called with each scenario
+    engine: a process that drives. folder: for generated demand. tell: called with each scenario
     as soon as it is done.
 
     Raises:
@@ -103,7 +103,7 @@ def check_driver(
     for k, given in enumerate(inputs):
         task = _task(given, settings, folder / str(k), seconds)
         if task.ego is None:
-            task = replace(task, ego=engine.request("choose", task))
+            task = replace(task, ego=engine.call(CheckWorker.choose, task))
         drive, result = _check(engine, task, given.name)
         checked.append(result)
         drives.append(drive)
@@ -119,9 +119,9 @@ def _task(given: RunInput, settings: Settings, folder: Path, seconds: float) -> 
     return replace(task, end=task.spec.recorded_from + seconds)
 
 
-def _check(engine: Engine, task: Task, name: str) -> tuple[UnattackedDrive, Checked]:
-    idm: UnattackedDrive = engine.request("drive", replace(task, ego_driver="idm", ego_parameters={}))
-    first: UnattackedDrive = engine.request("drive", task)
+def _check(engine: Engine[CheckWorker], task: Task, name: str) -> tuple[UnattackedDrive, Checked]:
+    idm = engine.call(CheckWorker.drive, replace(task, ego_driver="idm", ego_parameters={}))
+    first = engine.call(CheckWorker.drive, task)
     findings = judge(first, idm)
     if not first.failure:
         findings += _repeated(engine, task, first)
@@ -129,17 +129,17 @@ def _check(engine: Engine, task: Task, name: str) -> tuple[UnattackedDrive, Chec
     return first, Checked(name, seconds, travelled(first.ego), travelled(idm.ego), tuple(findings))
 
 
-def _repeated(engine: Engine, task: Task, first: UnattackedDrive) -> list[Finding]:
+def _repeated(engine: Engine[CheckWorker], task: Task, first: UnattackedDrive) -> list[Finding]:
     """Drive once more with the same object and another clock. Only if that differs, further drives say why."""
-    later: UnattackedDrive = engine.request("drive_again", task, LATER)
+    later = engine.call(CheckWorker.drive, task, fresh=False, later=LATER)
     if later.failure:
         words = f"only if its clock is {LATER:g} s ahead: {later.failure}"
         return [Finding(Kind.TIME_BASE, float(later.ego.time[-1]), words)]
     when, far = apart(first.ego, later.ego, REPEATED)
     if math.isinf(when):
         return []
-    new: UnattackedDrive = engine.request("drive", task)
-    again: UnattackedDrive = engine.request("drive_again", task, 0.0)
+    new = engine.call(CheckWorker.drive, task)
+    again = engine.call(CheckWorker.drive, task, fresh=False)
     subjects = (Kind.RANDOM, new, "two drives"), (Kind.RESET, again, "the drives before and after it")
     for kind, drive, subject in subjects:
         since, most = apart(first.ego, drive.ego, REPEATED)

@@ -8,11 +8,10 @@ from __future__ import annotations
 import math
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -109,9 +108,9 @@ class ObservedDriver:
 
 
 class CheckWorker:
-    """Drives one scenario after the other. All public methods are commands of the engine."""
+    """Drives one scenario after the other, in the engine process."""
 
-    def __init__(self) -> None:
+    def __init__(self, slots: Sequence[Connection] = ()) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix=scratch_prefix())
         self._roads: dict[Path, RoadMap] = {}
         self._driver: EgoController | None = None
@@ -209,11 +208,3 @@ def _from_lane(shape: Floats, track: Track) -> Floats:
     away = np.hypot(dx - share * step[:, 0], dy - share * step[:, 1])
     turned: Bools = np.abs(wrap(np.arctan2(step[:, 1], step[:, 0]) - track.heading[:, None])) > SAME_WAY
     return np.asarray(np.where(turned, np.inf, away).min(axis=1))
-
-
-def body(slots: list[Connection]) -> Mapping[str, Callable[..., Any]]:
-    worker = CheckWorker()
-    return {
-        "choose": worker.choose, "drive": worker.drive,
-        "drive_again": lambda task, later: worker.drive(task, fresh=False, later=later),
-    }  # fmt: skip

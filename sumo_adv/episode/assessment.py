@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -29,6 +30,7 @@ from sumo_adv.datatypes import (
     Track,
     Verdict,
 )
+from sumo_adv.episode.engine import EpisodeCalls, EpisodeEngine, PlannerQuestion
 from sumo_adv.episode.rules_broken import red_light_at
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.geometry import Frame, Path, wrap
@@ -41,7 +43,6 @@ from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Roads, Sessions
 from sumo_adv.search.intents import named
 from sumo_adv.search.sampling import kind_of
-from sumo_adv.simulation.engine import Engine
 from sumo_adv.situation import Situation
 from sumo_adv.words.motion import Motion, Scene, misfits, observe
 from sumo_adv.words.request import Reading, read_motion
@@ -75,7 +76,7 @@ class AttemptRunner:
     """
 
     def __init__(
-        self, engine: Engine, sandbox: Sandbox, found: FoundEncounter, seed: int, *, displaces: bool = True
+        self, engine: EpisodeEngine, sandbox: Sandbox, found: FoundEncounter, seed: int, *, displaces: bool = True
     ) -> None:  # fmt: skip
         """``displaces``: False if a log moves the ego."""
         self._engine, self._sandbox, self._found, self._seed = engine, sandbox, found, seed
@@ -84,35 +85,35 @@ class AttemptRunner:
     def attempt(self, proposals: Sequence[Proposal]) -> Iterator[AttemptResult]:
         for k in range(0, len(proposals), self._engine.at_once):
             some = list(proposals[k : k + self._engine.at_once])
-            yield from self._request("attempts", some, some)
+            with self._answering(some) as reply:
+                results = self._engine.call_answering(reply, EpisodeCalls.attempts, some)
+            yield from results
 
     def references(self, proposal: Proposal, result: AttemptResult, all_drivers: bool) -> Preventability | None:
-        answer: Preventability | None = self._request(
-            "references", [proposal] * len(REFERENCE_DRIVERS), proposal, result, all_drivers
-        )
-        return answer
+        with self._answering([proposal] * len(REFERENCE_DRIVERS)) as reply:
+            return self._engine.call_answering(reply, EpisodeCalls.references, proposal, result, all_drivers)
 
-    def _request(self, command: str, proposals: Sequence[Proposal], *arguments: Any) -> Any:
-        """Have the engine do something; ``proposals``: by the index of the run that asks a planner."""
+    @contextmanager
+    def _answering(self, proposals: Sequence[Proposal]) -> Iterator[Callable[[PlannerQuestion], Answer | str]]:
+        """Answer the questions to planners of proposals; ``proposals``: by the index of the question."""
         opened: dict[tuple[int, int], Sessions] = {}
         roads = Roads(self._found.situations)
 
-        def answer(question: tuple[int, int, Any]) -> Answer | str:
-            k, member, observation = question
-            adversary = proposals[k].members[member]
-            if (k, member) not in opened:
+        def answer(question: PlannerQuestion) -> Answer | str:
+            adversary, key = proposals[question.index].members[question.member], (question.index, question.member)
+            if key not in opened:
                 session = Sessions(self._sandbox, roads, [adversary], self._seed, drivable=self._found.drivable)
-                opened[k, member] = session.__enter__()
-            return opened[k, member].answer(adversary, observation)
+                opened[key] = session.__enter__()
+            return opened[key].answer(adversary, question.observation)
 
         try:
-            return self._engine.request(command, *arguments, answer=answer)
+            yield answer
         finally:
             for sessions in opened.values():
                 sessions.__exit__(None, None, None)
 
 
-def runner_of(engine: Engine, sandbox: Sandbox, found: FoundEncounter, settings: Settings) -> AttemptRunner:
+def runner_of(engine: EpisodeEngine, sandbox: Sandbox, found: FoundEncounter, settings: Settings) -> AttemptRunner:
     """What runs the attempts of an encounter. An ego that a log moves cannot arrive otherwise."""
     return AttemptRunner(engine, sandbox, found, settings.seed, displaces=settings.ego != "replay")
 

@@ -9,7 +9,7 @@ from typing import Any
 from sumo_adv.agents.agents import Agents
 from sumo_adv.asked import Asked
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Attempt, Ending, Intent, Level
+from sumo_adv.datatypes import Attempt, Ending, Intent, LaneStrip, Level
 from sumo_adv.episode.refinement import Refinement
 from sumo_adv.episode.task import FoundEncounter, Prefix, Task
 from sumo_adv.search.supports import Cast
@@ -47,7 +47,7 @@ class Episode:
     declined: str = ""  # why what was asked for cannot be played in the last encounter
     refinement: Refinement = field(default_factory=Refinement)
     prefix: Prefix | None = None
-    lanes: Sequence[Any] = ()
+    lanes: Sequence[LaneStrip] = ()
     known_labels: frozenset[str] = frozenset()  # of intents that the bank had
     forked: bool = False
     skips: int = 0  # encounters passed over because no intent reaches the ego, by prediction

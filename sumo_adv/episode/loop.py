@@ -14,6 +14,7 @@ from sumo_adv.agents.agents import Agents
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Proposal
 from sumo_adv.episode.assessment import NOTHING, Attempts, Fitting, rank, reader_of, runner_of
+from sumo_adv.episode.engine import EpisodeEngine
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.memory_access import learn
 from sumo_adv.episode.planned_encounter import BankView, PlannedEncounter, Tell, analyze, find_attackable, seek
@@ -22,7 +23,6 @@ from sumo_adv.episode.task import FoundEncounter, Task
 from sumo_adv.errors import BudgetError, MissingVehicleError, ModelError, SumoAdvError, UsageError, fault_sentence
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.planners.sandbox import Sandbox
-from sumo_adv.simulation.engine import Engine
 from sumo_adv.simulation.inputs import RunInput
 from sumo_adv.simulation.warnings_log import about, with_names
 
@@ -30,8 +30,9 @@ MOST_ASKED = 4  # encounters that a model is asked about, where those before can
 
 
 def run_episode(
-    source: RunInput, settings: Settings, task: Task, engine: Engine, agents: Agents, bank: MemoryBank, tell: Tell
-) -> Episode:
+    source: RunInput, settings: Settings, task: Task, engine: EpisodeEngine, agents: Agents, bank: MemoryBank,
+    tell: Tell,
+) -> Episode:  # fmt: skip
     """Find an encounter, attack it, and learn from it. Only wrong use is raised; everything else is an ending. Raises
     UsageError, BankError: wrong use that shows only in the simulation (an unknown ego, a broken driver class)."""
     episode = Episode(source, settings, task, bank_hash=bank.content_hash(), agents=agents)
@@ -64,7 +65,7 @@ def model_ending(error: ModelError) -> Ending:
     return Ending.BUDGET_EXHAUSTED if isinstance(error, BudgetError) else Ending.MODEL_FAILED
 
 
-def _run(episode: Episode, engine: Engine, agents: Agents, bank: MemoryBank, tell: Tell) -> None:
+def _run(episode: Episode, engine: EpisodeEngine, agents: Agents, bank: MemoryBank, tell: Tell) -> None:
     began, best = time.perf_counter(), None
     try:
         while True:
@@ -157,8 +158,9 @@ def pursue(
 
 
 def replay_episode(
-    source: RunInput, settings: Settings, task: Task, engine: Engine, sandbox: Sandbox, proposal: Proposal, skips: int
-) -> Episode:
+    source: RunInput, settings: Settings, task: Task, engine: EpisodeEngine, sandbox: Sandbox, proposal: Proposal,
+    skips: int,
+) -> Episode:  # fmt: skip
     """The encounter again, with one given attempt and nothing else: no analyzer, no bank; ``skips`` as recorded."""
     episode = Episode(source, settings, task)
     episode.intent = Intent(proposal.bv, proposal.label, "", "", proposal.acceleration, "replayed from a manifest")
@@ -169,7 +171,9 @@ def replay_episode(
     return episode
 
 
-def attack_once(episode: Episode, engine: Engine, sandbox: Sandbox, found: FoundEncounter, proposal: Proposal) -> None:
+def attack_once(
+    episode: Episode, engine: EpisodeEngine, sandbox: Sandbox, found: FoundEncounter, proposal: Proposal
+) -> None:
     """Run one given attempt in an encounter, with its reference drivers, and keep it as the only one."""
     settings = episode.settings
     runner = runner_of(engine, sandbox, found, settings)
@@ -185,7 +189,9 @@ def attack_once(episode: Episode, engine: Engine, sandbox: Sandbox, found: Found
     episode.ending = Ending.CRITICAL if ok else Ending.ATTEMPTS_EXHAUSTED
 
 
-def recorded_encounter(episode: Episode, engine: Engine, proposal: Proposal, skips: int) -> FoundEncounter | None:
+def recorded_encounter(
+    episode: Episode, engine: EpisodeEngine, proposal: Proposal, skips: int
+) -> FoundEncounter | None:
     """The encounter of a recorded attack; None if the simulation does not come to it (the episode says why). Raises
     UsageError: the recorded start or vehicle is none of the encounter's."""
     for _ in range(skips + 1):

@@ -16,6 +16,7 @@ from random import Random
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Intent, Level, Proposal
 from sumo_adv.episode.assessment import attempt_of, confirmed, runner_of
+from sumo_adv.episode.engine import EpisodeEngine
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.loop import recorded_encounter
 from sumo_adv.episode.planned_encounter import Tell
@@ -25,7 +26,6 @@ from sumo_adv.metrics.gates import largest_acceleration
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.search.prediction import Predictor
 from sumo_adv.search.sampling import Scorer, varied
-from sumo_adv.simulation.engine import Engine
 from sumo_adv.simulation.inputs import RunInput
 
 OF_DELTA_V = 1.0  # 1/s: a delta-v of 1 m/s counts as an acceleration of 1 m/s2
@@ -87,8 +87,8 @@ class Minimiser:
 
 
 def minimise_episode(
-    source: RunInput, settings: Settings, task: Task, engine: Engine, sandbox: Sandbox, proposal: Proposal, skips: int,
-    tell: Tell,
+    source: RunInput, settings: Settings, task: Task, engine: EpisodeEngine, sandbox: Sandbox, proposal: Proposal,
+    skips: int, tell: Tell,
 ) -> Episode:  # fmt: skip
     """The encounter of a recorded attack again, with the attack and milder variants. The mildest one counts.
 

@@ -10,6 +10,7 @@ from typing import Any
 from sumo_adv.agents.agents import Agents
 from sumo_adv.agents.teams import Teamwork
 from sumo_adv.datatypes import Intent, LibraryEntry
+from sumo_adv.episode.engine import EpisodeCalls, EpisodeEngine
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.memory_access import (
     known_casts,
@@ -29,7 +30,6 @@ from sumo_adv.search.prediction import Predictor
 from sumo_adv.search.sampling import templates_of
 from sumo_adv.search.search import AttackSearch
 from sumo_adv.search.settings import SearchSettings
-from sumo_adv.simulation.engine import Engine
 from sumo_adv.words.request import needs_model
 
 MOST_SKIPS = 6  # encounters that are passed over because no candidate is predicted to collide
@@ -55,7 +55,7 @@ class PlannedEncounter:
 
 
 def find_attackable(
-    episode: Episode, engine: Engine, sandbox: Sandbox, bank: MemoryBank, tell: Tell, *, ask: bool = False
+    episode: Episode, engine: EpisodeEngine, sandbox: Sandbox, bank: MemoryBank, tell: Tell, *, ask: bool = False
 ) -> PlannedEncounter | None:
     """The first encounter in which some candidate is predicted to collide; None if there is none.
 
@@ -160,22 +160,22 @@ def passed_over(episode: Episode) -> str:
     return "no intent reaches the ego, by prediction"
 
 
-def seek(episode: Episode, engine: Engine, tell: Tell) -> FoundEncounter | None:
+def seek(episode: Episode, engine: EpisodeEngine, tell: Tell) -> FoundEncounter | None:
     """Start the simulation, if it has not started, and go on to the next encounter; None if there is none."""
     began = time.perf_counter()
     if episode.found is None:
-        engine.request("open", episode.task)
-        episode.forked = engine.request("forks")
+        engine.call(EpisodeCalls.open, episode.task)
+        episode.forked = engine.call(EpisodeCalls.forks)
         episode.timing["start"] = time.perf_counter() - began
         began = time.perf_counter()
-    encounter = engine.request("seek", "" if episode.found is None else passed_over(episode))
+    encounter = engine.call(EpisodeCalls.seek, "" if episode.found is None else passed_over(episode))
     episode.timing["seek"] = episode.timing.get("seek", 0.0) + time.perf_counter() - began
     if isinstance(encounter, NoEncounter):
         episode.ending, episode.reason, episode.found = encounter.ending, encounter.reason, None
         episode.intents = ()  # they belong to an encounter that was passed over
         return None
-    episode.found, episode.prefix = encounter, engine.request("prefix")
-    episode.lanes = engine.request("lanes", *encounter.area)
+    episode.found, episode.prefix = encounter, engine.call(EpisodeCalls.prefix)
+    episode.lanes = engine.call(EpisodeCalls.lanes, *encounter.area)
     tell("encounter", encounter)
     return encounter
 

@@ -7,48 +7,62 @@ does if that dies. Without forks each episode gets a new process.
 
 from __future__ import annotations
 
-import ctypes
-import faulthandler
 import os
-import shutil
-import signal
 import sys
-import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, Self
+from typing import Protocol, Self
 
 from sumo_adv.config import Settings
+from sumo_adv.episode.engine import EpisodeCalls, EpisodeEngine
 from sumo_adv.planners.sandbox import Sandbox
-from sumo_adv.simulation.engine import QUIET_VARIABLES, Engine, can_fork
-from sumo_adv.simulation.programs import load_libsumo
+from sumo_adv.simulation.engine import Engine, can_fork
 
-PR_SET_PDEATHSIG = 1  # linux/prctl.h
-OWN_VARIABLES = {*QUIET_VARIABLES, "TMPDIR"}  # of the engine process, whatever its front has
+
+class WarmCalls(EpisodeCalls, Protocol):
+    """The calls of an engine process for many episodes; those of an episode come between ``begin`` and ``end``."""
+
+    def begin(self, environment: Mapping[str, str], folder: str, path: Sequence[str]) -> None:
+        """Begin an episode.
+
+        Args:
+            environment: The front's environment variables.
+            folder: Its working folder.
+            path: Its ``sys.path``.
+        """
+
+    def end(self) -> None:
+        """End the episode."""
+
+
+def _warm_worker(slots: list[Connection]) -> WarmCalls:
+    from sumo_adv.episode.warm_worker import WarmWorker
+
+    return WarmWorker(slots)
 
 
 class WarmEngine:
     """One engine process for many episodes, started again after a failure; ``slots``: see ``Engine``."""
 
     def __init__(self, slots: int = 1) -> None:
-        self._engine: Engine | None = None
+        self._engine: Engine[WarmCalls] | None = None
         self._slots = slots
 
     @contextmanager
-    def episode(self) -> Iterator[Engine]:
+    def episode(self) -> Iterator[EpisodeEngine]:
         """The engine for one episode; the process loads its modules meanwhile. Raises SimulationError if it does not
         start."""
         if self._engine is None:
-            self._engine = Engine(body, self._slots)
+            self._engine = Engine(_warm_worker, self._slots)
         engine = self._engine
         try:
-            engine.post("begin", dict(os.environ), str(Path.cwd()), sys.path)
+            engine.post(WarmCalls.begin, dict(os.environ), str(Path.cwd()), sys.path)
             yield engine
             in_order = not (engine.lost or engine.talks or engine.asked)
             if in_order:
-                engine.request("end")
+                engine.call(WarmCalls.end)
         except BaseException:
             self.close()
             raise
@@ -96,75 +110,3 @@ class WarmProcesses:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-class _Nursery:
-    """The commands ``begin`` and ``end``, and those of the episode in between."""
-
-    def __init__(self, slots: list[Connection]) -> None:
-        self._slots = slots
-        self._handlers: dict[str, Callable[..., Any]] = {}
-        self._in_fork = False
-
-    def begin(self, environment: dict[str, str], folder: str, path: list[str]) -> None:
-        """Begin an episode with its front's environment, working folder and ``sys.path``.
-
-        Returns in the fork that serves it; and in the parent when the fork has ended, in answer to the last command. A
-        fork that does not end by itself takes its parent along.
-        """
-        from sumo_adv.episode.worker import body as episode_body
-
-        if can_fork():
-            own = tempfile.mkdtemp()
-            pid = os.fork()
-            if pid != 0:
-                _, status = os.waitpid(pid, 0)
-                shutil.rmtree(own, ignore_errors=True)
-                if status != 0:
-                    _end_as(os.waitstatus_to_exitcode(status))
-                return
-            self._in_fork = True
-            die_with_parent()
-            tempfile.tempdir = own
-        os.environ.update({k: v for k, v in environment.items() if k not in OWN_VARIABLES})
-        for name in os.environ.keys() - environment.keys() - OWN_VARIABLES:
-            del os.environ[name]
-        os.chdir(folder)
-        sys.path[:] = path
-        self._handlers = episode_body(self._slots)
-
-    def end(self) -> None:
-        """End the fork. Its parent answers."""
-        if self._in_fork:
-            sys.stdout.flush()
-            os._exit(0)
-
-    def command(self, name: str) -> Callable[..., Any]:
-        return lambda *arguments: self._handlers[name](*arguments)
-
-
-def _end_as(exitcode: int) -> None:
-    """End this process as another one ended: by that signal if negative."""
-    if exitcode < 0:
-        faulthandler.disable()
-        signal.signal(-exitcode, signal.SIG_DFL)
-        os.kill(os.getpid(), -exitcode)
-    os._exit(exitcode)
-
-
-def body(slots: list[Connection]) -> dict[str, Callable[..., Any]]:
-    """The commands of the engine process."""
-    import shapely.geometry  # noqa: F401 - imported before the first fork, because every episode needs it
-
-    from sumo_adv.episode.worker import COMMANDS
-
-    load_libsumo()
-    faulthandler.enable()
-    nursery = _Nursery(slots)
-    return {"begin": nursery.begin, "end": nursery.end, **{name: nursery.command(name) for name in COMMANDS}}
-
-
-def die_with_parent() -> None:
-    """On Linux: have this process killed when its parent ends."""
-    if sys.platform.startswith("linux"):
-        ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)

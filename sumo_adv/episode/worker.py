@@ -1,4 +1,6 @@
-"""The commands of the engine process: find an encounter, run attempts on it. It has no model, no sandbox and no bank.
+"""The worker of an episode, in the engine process: it finds an encounter and runs attempts on it.
+
+It has no model, no sandbox and no bank.
 
 The baseline and all attempts branch off at the trigger. A branch is a fork where that is possible (bit-identical, takes
 milliseconds). Elsewhere it runs in place, and then the simulation is loaded again and the same commands are repeated.
@@ -10,7 +12,7 @@ import math
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -19,8 +21,7 @@ from typing import Any
 import numpy as np
 import numpy.ma
 
-from sumo_adv.config import Settings
-from sumo_adv.datatypes import AS_FOUND, Arrival, Boxes, Ending, Preventability, Proposal, Track
+from sumo_adv.datatypes import AS_FOUND, Arrival, Boxes, Ending, LaneStrip, Preventability, Proposal, Track
 from sumo_adv.drivers import ReplayEgo, make_ego
 from sumo_adv.drivers.protocol import MAX_BRAKING
 from sumo_adv.episode.attempt import Driven, attack, box_of, controller_of
@@ -28,6 +29,7 @@ from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.encounter_builder import ENDANGERS, LEAST, UnattackedMotion, build_encounter, nearest_ones
 from sumo_adv.episode.encounter_detector import LOOK_EVERY, RankedVehicle
 from sumo_adv.episode.encounter_search import EncounterSearch
+from sumo_adv.episode.engine import EpisodeCalls, OpenEncounter, PlannerQuestion
 from sumo_adv.episode.references import WARM_UP_S, PlannedEgo, ReferenceEgo, avoids, manoeuvre_plan
 from sumo_adv.episode.task import AttemptResult, FoundEncounter, NoEncounter, Prefix, Task
 from sumo_adv.episode.verdict import first_judged, gate_verdict, own_reference, unattacked
@@ -49,21 +51,6 @@ from sumo_adv.simulation.simulation import Snapshot
 from sumo_adv.simulation.tracks import tracks_of
 from sumo_adv.situation import Situation
 
-
-@dataclass(frozen=True, slots=True)
-class OpenEncounter:
-    """An encounter at its trigger. trigger_step: how many snapshots the recording has. dialogue: to the front, which
-    sends None at the end. ask_front: asks the planner of the attempt's proposal in its sandbox."""
-
-    drive: Drive
-    found: FoundEncounter
-    settings: Settings
-    road: RoadMap
-    trigger_step: int
-    dialogue: Connection
-    ask_front: AskOne
-
-
 ROOM_M = 60.0  # within which other vehicles may be in the way of an ego that arrives otherwise
 MOST_BESIDE = 3  # recorded vehicles on which SUMO crashes
 COOL_DOWN = 2.0  # s without an encounter after an encounter that was passed over
@@ -72,12 +59,12 @@ COOL_DOWN = 2.0  # s without an encounter after an encounter that was passed ove
 Looks = dict[float, list[RankedVehicle]]
 
 
-class Worker:
-    """Holds one episode's simulation. All public methods are commands of the engine."""
+class EpisodeWorker(EpisodeCalls):
+    """Holds one episode's simulation."""
 
     def __init__(self, slots: Sequence[Connection]) -> None:
         self._slots = slots
-        self._folder = tempfile.TemporaryDirectory(prefix=scratch_prefix())
+        self._folder: tempfile.TemporaryDirectory[str]
         self._road: RoadMap
         self._passed: list[str] = []
         self._encounter: FoundEncounter
@@ -87,11 +74,11 @@ class Worker:
     # -- commands -----------------------------------------------------------------------------------------------
 
     def open(self, task: Task) -> None:
-        """Start SUMO. Raises SimulationError or UsageError."""
         self._task = task
         self._settings = task.settings
         controller = make_ego(task.ego_driver, task.ego_parameters, task.ego_given)
         self._road = read_network(task.spec.network)
+        self._folder = tempfile.TemporaryDirectory(prefix=scratch_prefix())
         folder = Path(self._folder.name)
         given = task.spec
         files = (given.network, *given.routes, *given.additional)
@@ -153,8 +140,6 @@ class Worker:
         return self._forks
 
     def seek(self, passed_over: str = "") -> FoundEncounter | NoEncounter:
-        """Simulate until an encounter with a harmless baseline begins, or until no encounter can come. ``passed_over``:
-        why the last encounter is not attacked; empty at first."""
         passed = self._passed
         if passed_over:
             passed.append(f"{self._encounter.time:.1f} s ({passed_over})")
@@ -186,16 +171,10 @@ class Worker:
         self._at_trigger()
         return Prefix(self._drive.recording.snapshots[: self._trigger_step], dict(self._drive.simulation.fleet.sizes))
 
-    def lanes(self, x: float, y: float, radius: float) -> list[tuple[Any, float, bool]]:
-        """Shape, width [m] and whether internal, of all lanes within ``radius`` [m] of a place. For pictures."""
+    def lanes(self, x: float, y: float, radius: float) -> list[LaneStrip]:
         return self._road.strips(x, y, radius)
 
     def attempts(self, plans: Sequence[Proposal]) -> list[AttemptResult]:
-        """The results of attempts from the trigger. As many run at the same time as there are slots.
-
-        An attempt in which SUMO dies, also when it is repeated, or which the ego's driver does not let end, has the
-        ending ``crashed``.
-        """
         results: list[AttemptResult] = []
         for first in range(0, len(plans), len(self._slots)):
             batch = list(enumerate(plans))[first : first + len(self._slots)]
@@ -207,11 +186,6 @@ class Worker:
         return AttemptResult(Driven("crashed", why), None, self._encounter.time)
 
     def references(self, proposal: Proposal, result: AttemptResult, all_drivers: bool) -> Preventability | None:
-        """Which reference drivers avoid the collision of an attempt: kinematically, and of those in the loop.
-
-        In the loop ``cc_human`` is asked first, and the others that make a collision valid if it fails; with
-        ``all_drivers`` all are asked. None if there was no collision that counts, or if SUMO dies.
-        """
         self._at_trigger()
         verdict, case = result.verdict, self._case(proposal, result)
         if case is None or verdict is None or verdict.contact_time is None or not verdict.counts:
@@ -261,9 +235,7 @@ class Worker:
             answers |= {name: AVOIDS if good else COLLIDES for name, good in zip(batch, avoid, strict=True)}
         return answers
 
-    def converse(self, prepare: Callable[[OpenEncounter], Callable[[], None]]) -> None:
-        """Make an attempt from the trigger on, as the front asks for it in the first slot. prepare: returns what does
-        so; it is called before the fork."""
+    def directed_attempt(self, prepare: Callable[[OpenEncounter], Callable[[], None]]) -> None:
         dialogue, questions = self._slots[:2]
 
         def ask_front(observation: PlannerObservation) -> Any:
@@ -411,7 +383,7 @@ class Worker:
         situation = self._situation_for(proposal)
 
         def ask_front(member: int, observation: PlannerObservation) -> Any:
-            slot.send((index, member, observation))
+            slot.send(PlannerQuestion(index, member, observation))
             return slot.recv()
 
         return [ask_trusted(p, situation, partial(ask_front, member)) for member, p in enumerate(proposal.members)]
@@ -476,11 +448,3 @@ class Worker:
                 raise SimulationError(f"Vehicle '{bv}' cannot attack {proposal.delay:g} s after the trigger.")
         assert situation is not None
         return situation
-
-
-COMMANDS = ("open", "forks", "seek", "prefix", "lanes", "attempts", "references", "converse")
-
-
-def body(slots: list[Connection]) -> dict[str, Callable[..., Any]]:
-    worker = Worker(slots)
-    return {name: getattr(worker, name) for name in COMMANDS}

@@ -18,6 +18,7 @@ from sumo_adv.drivers import Action, Observation
 from sumo_adv.drivers.registry import PREFIX, GivenEgo, pack
 from sumo_adv.drivers.sumo_driven import sumo_type
 from sumo_adv.episode.assessment import AttemptRunner
+from sumo_adv.episode.engine import EpisodeCalls
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.loop import decide
 from sumo_adv.episode.planned_encounter import find_attackable, seek, with_predictions
@@ -193,7 +194,7 @@ class Played:
         self.encounter, self.play, self._sandbox = encounter, play, sandbox
         self._stack = ExitStack()
         self._sessions: Sessions | None = None
-        self._talk: Conversation = encounter.engine.converse("converse", play, answer=self._answer)
+        self._talk: Conversation = encounter.engine.converse(self._answer, EpisodeCalls.directed_attempt, play)
         self.first = self._talk.said
 
     def ask(self, message: Any) -> Any:

@@ -30,17 +30,17 @@ def draw(road: RoadMap, drive: Drive, ego: str, adversary: str | None, middle: V
         return SIZE / 2 + (x - middle.x) * scale, SIZE / 2 - (y - middle.y) * scale
 
     strips = road.strips(middle.x, middle.y, 2 * SHOWN)
-    for shape, width, _ in strips:
-        line = [pixel(x, y) for x, y in shape[:, :2].tolist()]
-        pen.line(line, fill=ASPHALT, width=math.ceil(width * scale) + 1, joint="curve")
-    for shape, width, internal in strips:
-        for side in () if internal else (-width / 2, width / 2):
-            pen.line([pixel(x, y) for x, y in beside(shape[:, :2], side)], fill=PAINT)
+    for strip in strips:
+        line = [pixel(x, y) for x, y in strip.shape[:, :2].tolist()]
+        pen.line(line, fill=ASPHALT, width=math.ceil(strip.width * scale) + 1, joint="curve")
+    for strip in strips:
+        for side in () if strip.internal else (-strip.width / 2, strip.width / 2):
+            pen.line([pixel(x, y) for x, y in beside(strip.shape[:, :2], side)], fill=PAINT)
     for name in drive.snapshot.raw:
         v = drive.state(name)
         if math.hypot(v.x - middle.x, v.y - middle.y) > 2 * SHOWN:
             continue
-        if name not in (ego, adversary) and any(bool(covers(line, w, v.x, v.y, v.z)) for line, w, _ in strips):
+        if name not in (ego, adversary) and any(bool(covers(s.shape, s.width, v.x, v.y, v.z)) for s in strips):
             continue
         kind = "ego" if name == ego else "adversary" if name == adversary else "other"
         c, s, ahead, left = math.cos(v.heading), math.sin(v.heading), v.length / 2, v.width / 2

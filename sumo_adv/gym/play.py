@@ -22,8 +22,8 @@ from sumo_adv.episode.attempt import (
     apart_of,
     controller_of,
 )
+from sumo_adv.episode.engine import OpenEncounter
 from sumo_adv.episode.verdict import gate_verdict, unattacked
-from sumo_adv.episode.worker import OpenEncounter
 from sumo_adv.geometry import Pose, stations
 from sumo_adv.gym.actions import controlled, ego_action, endpoint
 from sumo_adv.gym.picture import draw

@@ -2,6 +2,6 @@
 
 from sumo_adv.input_check.check import InputCheck, check_input
 from sumo_adv.input_check.motions import Comparison
-from sumo_adv.input_check.worker import body
+from sumo_adv.input_check.worker import WatchWorker
 
-__all__ = ["Comparison", "InputCheck", "body", "check_input"]
+__all__ = ["Comparison", "InputCheck", "WatchWorker", "check_input"]

@@ -11,7 +11,7 @@ from sumo_adv.episode.task import make_task
 from sumo_adv.input_check.contents import contents_of, departures
 from sumo_adv.input_check.motions import Comparison, compare
 from sumo_adv.input_check.sumo_alone import run_alone
-from sumo_adv.input_check.worker import Watched
+from sumo_adv.input_check.worker import WatchWorker
 from sumo_adv.simulation.engine import Engine
 from sumo_adv.simulation.inputs import RunInput
 from sumo_adv.simulation.sumocfg import is_sumocfg, read_sumocfg
@@ -48,10 +48,12 @@ class InputCheck:
         return self.comparison is None or self.comparison.same
 
 
-def check_input(engine: Engine, given: RunInput, settings: Settings, folder: Path, seconds: float) -> InputCheck:
+def check_input(
+    engine: Engine[WatchWorker], given: RunInput, settings: Settings, folder: Path, seconds: float
+) -> InputCheck:
     """Check an input over ``seconds`` [s] from its first departure, or until its end.
 
-    engine: a process with the commands of ``worker.py``. folder: for generated files.
+    engine: a process that runs the simulation. folder: for generated files.
 
     Raises:
         UsageError: The input cannot be run, or the program ``sumo`` is not installed.
@@ -64,7 +66,7 @@ def check_input(engine: Engine, given: RunInput, settings: Settings, folder: Pat
     spec = task.spec
     first, until = spec.recorded_from, min(task.end, spec.recorded_from + seconds)
     engine.begin_words()
-    watched: Watched = engine.request("watch", spec, until)
+    watched = engine.call(WatchWorker.watch, spec, until)
     alone = run_alone(spec, given.source, spec.step_length, until, folder)
     own = read_sumocfg(given.source).sumo_step if is_sumocfg(given.source) else None
     beside = None

@@ -14,7 +14,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from sumo_adv.datatypes import Bools, Floats, Limits, Track, Verdict
+from sumo_adv.datatypes import Bools, Floats, LaneStrip, Limits, Track, Verdict
 from sumo_adv.geometry import same_layer, wrap_below_pi
 from sumo_adv.metrics.avoidance import DELAY, PERCEPTION, RAMP, REACTION, Manoeuvre, OnRoad, avoidance
 from sumo_adv.metrics.boxes import at_time, on_grid, pick
@@ -43,16 +43,6 @@ class Marking(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Strip:
-    """One lane: ``shape`` ``(n, 2)``, or ``(n, 3)`` with heights [m], in the direction of traffic, width [m], inside a
-    junction or not."""
-
-    shape: Floats
-    width: float
-    internal: bool
-
-
-@dataclass(frozen=True, slots=True)
 class Crossing:
     """The first step [s] at which the box centre is past a marking."""
 
@@ -60,7 +50,7 @@ class Crossing:
     kind: Marking
 
 
-def markings_crossed(track: Track, strips: Sequence[Strip], on_road: OnRoad | None = None) -> list[Crossing]:
+def markings_crossed(track: Track, strips: Sequence[LaneStrip], on_road: OnRoad | None = None) -> list[Crossing]:
     """All markings that the box centre crossed over a track, in order.
 
     A line between lanes is crossed where the centre is in another lane while it is still abreast of the one it was in
@@ -88,7 +78,7 @@ def markings_crossed(track: Track, strips: Sequence[Strip], on_road: OnRoad | No
     return crossings
 
 
-def _project(track: Track, strips: Sequence[Strip]) -> tuple[Bools, Floats, Floats]:
+def _project(track: Track, strips: Sequence[LaneStrip]) -> tuple[Bools, Floats, Floats]:
     """For each strip and step ``(k, n)``: neither before nor past its ends, lateral offset [m], its direction [rad]."""
     shape = (len(strips), len(track.time))
     abreast, offset, heading = np.zeros(shape, dtype=bool), np.full(shape, np.inf), np.zeros(shape)
@@ -110,7 +100,7 @@ def _project(track: Track, strips: Sequence[Strip]) -> tuple[Bools, Floats, Floa
     return abreast, offset, heading
 
 
-def _lane_of(abreast: Bools, offset: Floats, strips: Sequence[Strip]) -> NDArray[np.intp]:
+def _lane_of(abreast: Bools, offset: Floats, strips: Sequence[LaneStrip]) -> NDArray[np.intp]:
     """The strip with the nearest centre line, in its widths, at each step ``(n,)``; -1 where no strip holds it."""
     if not strips:
         return np.full(abreast.shape[1], -1)

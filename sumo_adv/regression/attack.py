@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from sumo_adv.datatypes import Level, Verdict
 from sumo_adv.episode.assessment import attempt_of, checked, runner_of
+from sumo_adv.episode.engine import EpisodeEngine
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.loop import attack_once
 from sumo_adv.episode.refinement import settle_best
@@ -21,7 +22,6 @@ from sumo_adv.regression.case import Case, Expectation
 from sumo_adv.search.evolution import Evolution
 from sumo_adv.search.sampling import Sampler
 from sumo_adv.search.settings import SearchSettings
-from sumo_adv.simulation.engine import Engine
 
 NEIGHBOURS = 8  # attempts against an ego that arrives otherwise
 
@@ -43,7 +43,7 @@ def arrived(case: Case, encounter: FoundEncounter) -> Arrived:
 
 
 def attack(
-    case: Case, episode: Episode, engine: Engine, sandbox: Sandbox, encounter: FoundEncounter, attempts: int
+    case: Case, episode: Episode, engine: EpisodeEngine, sandbox: Sandbox, encounter: FoundEncounter, attempts: int
 ) -> Arrived:
     """Attack the ego until an attempt breaks what the case expects, ``attempts`` times at most, and ``NEIGHBOURS``
     times at least if the ego arrives otherwise. The attempt that came nearest to that counts."""

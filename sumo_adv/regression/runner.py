@@ -21,6 +21,7 @@ from sumo_adv.campaigns.results import Done
 from sumo_adv.campaigns.worker import share
 from sumo_adv.config import Settings, Until, forget_environment, load_settings
 from sumo_adv.datatypes import Attempt, Intent, Level, Track
+from sumo_adv.episode.engine import EpisodeEngine
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.planned_encounter import seek
 from sumo_adv.episode.task import FoundEncounter, Task, make_task
@@ -34,7 +35,6 @@ from sumo_adv.regression.attack import Arrived, attack
 from sumo_adv.regression.case import Case, Expectation, read_case
 from sumo_adv.report.folder import all_sizes, write_run
 from sumo_adv.report.staging import staged
-from sumo_adv.simulation.engine import Engine
 from sumo_adv.simulation.tracks import tracks_of
 
 NO_CONCERN = 4.0  # s: a larger TTC is no danger to a driver (Minderhoud and Bovy 2001), so it is not compared
@@ -265,7 +265,7 @@ def task_for(case: Case, settings: Settings, scratch: Path) -> Task:
 
 
 def run_case(
-    case: Case, settings: Settings, task: Task, engine: Engine, sandbox: Sandbox, attempts: int
+    case: Case, settings: Settings, task: Task, engine: EpisodeEngine, sandbox: Sandbox, attempts: int
 ) -> tuple[Episode, Arrived] | str:
     """Drive to the trigger and attack as the case says; or why there was no encounter.
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Floats, Role, Track, Verdict
+from sumo_adv.datatypes import Floats, LaneStrip, Role, Track, Verdict
 from sumo_adv.files import write_whole
 from sumo_adv.road_users import RoadUser, road_user
 from sumo_adv.simulation.layers import covers
@@ -25,7 +25,6 @@ ASPHALT, JUNCTION, EDGE, GROUND = "#E3E3E3", "#D8D8D8", "#FFFFFF", "#F7F7F4"
 LEAST_EXTENT = 40.0  # m of the shown area
 BARS = (500, 200, 100, 50, 20, 10, 5)  # m
 
-Lanes = Sequence[tuple[Floats, float, bool]]
 """Centreline ``(n, 2)``, or ``(n, 3)`` with heights [m], width [m], inside a junction or not; upper ones last."""
 View = tuple[float, float, float, float]
 """Left, bottom, width, height [m] of the shown area."""
@@ -85,11 +84,11 @@ def pose_at(track: Track, time: float) -> tuple[float, float, float] | None:
     return float(np.interp(time, track.time, track.x)), float(np.interp(time, track.time, track.y)), float(heading)
 
 
-def draw_lanes(axes: Any, lanes: Lanes, style: Style = LARGE) -> None:
+def draw_lanes(axes: Any, lanes: Sequence[LaneStrip], style: Style = LARGE) -> None:
     from matplotlib.collections import PolyCollection
 
     for inside in (True, False):
-        shapes = [lane_polygon(line, width) for line, width, internal in lanes if internal is inside and len(line) > 1]
+        shapes = [lane_polygon(s.shape, s.width) for s in lanes if s.internal is inside and len(s.shape) > 1]
         colour, edge = (JUNCTION, JUNCTION) if inside else (ASPHALT, EDGE)
         axes.add_collection(
             PolyCollection(
@@ -112,13 +111,13 @@ def lane_polygon(line: Floats, width: float) -> Floats:
     return np.vstack((line + offset, (line - offset)[::-1]))
 
 
-def seen_from_above(lanes: Lanes, tracks: Sequence[Track], time: float) -> list[Track]:
+def seen_from_above(lanes: Sequence[LaneStrip], tracks: Sequence[Track], time: float) -> list[Track]:
     """The tracks that no lane passes over at ``time`` [s]."""
     uncovered = []
     for track in tracks:
         pose = pose_at(track, time)
         z = np.interp(time, track.time, np.broadcast_to(track.z, track.time.shape)) if pose is not None else 0.0
-        if pose is None or not any(covers(line, width, pose[0], pose[1], float(z)).any() for line, width, _ in lanes):
+        if pose is None or not any(covers(s.shape, s.width, pose[0], pose[1], float(z)).any() for s in lanes):
             uncovered.append(track)
     return uncovered
 
@@ -198,7 +197,7 @@ def load_matplotlib() -> None:
 def draw_encounter(
     target: Path,
     *,
-    lanes: Lanes,
+    lanes: Sequence[LaneStrip],
     ego: Track,
     adversary: Track,
     others: Sequence[Track],

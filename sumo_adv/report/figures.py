@@ -22,7 +22,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from sumo_adv.datatypes import Track
+from sumo_adv.datatypes import LaneStrip, Track
 from sumo_adv.errors import UsageError
 from sumo_adv.files import write_whole
 from sumo_adv.report.encounter_figure import (
@@ -32,7 +32,6 @@ from sumo_adv.report.encounter_figure import (
     LEAST_EXTENT,
     OTHER,
     SUPPORT,
-    Lanes,
     Style,
     View,
     closest_time,
@@ -93,7 +92,7 @@ class Story:
 
     name: str
     intent: str
-    lanes: Lanes
+    lanes: Sequence[LaneStrip]
     attacked: Scene
     raw: Scene | None
     trigger: float
@@ -137,7 +136,7 @@ def read_story(folder: Path) -> Story:
         decisive = closest_time(*attacked.pair(), trigger) if contact is None else float(contact)
         end = min(decisive + AFTER, float(max(t.time[-1] for t in attacked.pair())))
         network = run.folder / "inputs" / Path(run.manifest["network"]).name
-        lanes: Lanes = ()
+        lanes: Sequence[LaneStrip] = ()
         if network.is_file():
             x, y, _ = pose_at(attacked.ego, decisive) or (float(attacked.ego.x[-1]), float(attacked.ego.y[-1]), 0.0)
             lanes = read_network(network).strips(x, y, 400.0)

@@ -21,7 +21,7 @@ from sumo_adv.episode.task import AttemptResult, FoundEncounter, Prefix
 from sumo_adv.episode.verdict import first_judged, unattacked
 from sumo_adv.metrics.case import make_case
 from sumo_adv.metrics.cause import Cause, cause_of
-from sumo_adv.metrics.full import PAPER_EPSILON, Crossing, FullVerdict, Strip, full_judge, markings_crossed
+from sumo_adv.metrics.full import PAPER_EPSILON, Crossing, FullVerdict, full_judge, markings_crossed
 from sumo_adv.metrics.realism import PAPER_BINS, WOSAC_BINS, distances, own_figures, realism, wosac_features
 from sumo_adv.metrics.reference.cc_human import CcHuman
 from sumo_adv.parsing import LARGEST_SUMO_FILE, read_bytes
@@ -92,13 +92,12 @@ def judge_best(episode: Episode) -> Judged | None:
     contact = full.verdict.contact_time
     end = float(min(case.ego.time[-1], recorded[bv].time[-1])) if contact is None else contact
     moved = recorded[bv].between(result.start + episode.settings.step_length / 2, end)
-    strips = [Strip(shape, width, internal) for shape, width, internal in episode.lanes]
     cause = cause_of(
         case.ego, case.adversary, case.others, full.verdict, trigger_time=result.start,
         lane_half_width=lane_half, unattacked=_unattacked(episode, best, encounter),
     )  # fmt: skip
     return Judged(
-        full, cause, rules_broken(best, result, encounter), markings_crossed(moved, strips, encounter.drivable),
+        full, cause, rules_broken(best, result, encounter), markings_crossed(moved, episode.lanes, encounter.drivable),
         _realism(episode, moved, encounter, prefix),
         rows,
     )  # fmt: skip

@@ -19,7 +19,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
-from typing import Any
+from typing import Any, Concatenate, Generic, ParamSpec, Self, TypeVar
 
 from sumo_adv.errors import OUT_OF_MEMORY, DriverError, SimulationError, SumoAdvError, ran_out_of_memory
 from sumo_adv.files import scratch_prefix
@@ -32,20 +32,40 @@ QUIET_VARIABLES = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM
 ASIDE = "aside"  # beside the log
 MOST_ASIDE = 1 << 20  # bytes of what attempts have printed, after which it begins anew
 
-Answer = Callable[[Any], Any]
-Body = Callable[[list[Connection]], Mapping[str, Callable[..., Any]]]
+Reply = Callable[[Any], Any]
+"""What the front says to a question of the process."""
+W = TypeVar("W", covariant=True)
+P = ParamSpec("P")
+R = TypeVar("R")
+Message = tuple[str, tuple[Any, ...], dict[str, Any]]
+"""A method's name, its positional and its named arguments, as they are sent."""
 
 
-class Engine:
-    """The front's handle. ``body`` (importable by name) makes the handlers inside the new process; ``slots`` forks run
-    at once in it."""
+class Engine(Generic[W]):
+    """The front's handle of an engine process that holds one worker.
 
-    def __init__(self, body: Body, slots: int = SLOTS) -> None:
+    A call names a method of the worker, as ``engine.call(EpisodeCalls.seek, "")``: type checkers compare its arguments
+    with the method's, and the process calls the method of that name. The front need not import the worker's class; a
+    protocol with its methods does.
+
+    Attributes:
+        at_once: How many forks run at once in the process.
+        lost: Whether the process has died.
+        talks: Whether a conversation goes on.
+        asked: Whether a call has no result yet, because its caller was interrupted.
+    """
+
+    def __init__(self, worker: Callable[[list[Connection]], W], slots: int = SLOTS) -> None:
+        """Start the process.
+
+        Args:
+            worker: Makes the worker in the new process, from the connections of its forks to the front. It must be
+                importable by name.
+            slots: How many forks run at once.
+        """
         self.at_once = slots
-        self.lost = False  # its process has died
-        self.talks = False  # a conversation goes on
-        self.asked = False  # a request has no answer yet: whoever made it was interrupted
-        self._owed = 0  # replies to commands that were posted
+        self.lost = self.talks = self.asked = False
+        self._owed = 0  # results of calls that were posted
         self._heard = 0  # bytes of the log that belong to earlier episodes
         context = multiprocessing.get_context("spawn")
         self._folder = tempfile.TemporaryDirectory(prefix=scratch_prefix())  # the process may be killed: not its own
@@ -65,7 +85,7 @@ class Engine:
         os.environ.update(variables)
         try:
             self._process = context.Process(
-                target=_serve, args=(body, control, [p[1] for p in pairs], str(self._log), note, leash), daemon=True
+                target=_serve, args=(worker, control, [p[1] for p in pairs], str(self._log), note, leash), daemon=True
             )
             with _allowed_to_start():
                 self._process.start()
@@ -77,35 +97,56 @@ class Engine:
         for _, child_end in pairs:
             child_end.close()
 
-    def request(self, command: str, *arguments: Any, answer: Answer | None = None) -> Any:
-        """Have the engine do something, answering its questions meanwhile. Raises SumoAdvError: what the engine raised,
-        or SimulationError if its process died."""
+    def call(self, method: Callable[Concatenate[W, P], R], *arguments: P.args, **named: P.kwargs) -> R:
+        """Call a method of the worker.
+
+        Returns:
+            What the method returns.
+
+        Raises:
+            SumoAdvError: The method raised it.
+            SimulationError: The process died, or the method raised another error.
+        """
+        result: R = self._result((method.__name__, arguments, named), None)
+        return result
+
+    def call_answering(
+        self, reply: Reply, method: Callable[Concatenate[W, P], R], *arguments: P.args, **named: P.kwargs
+    ) -> R:
+        """Call a method of the worker, and answer the questions that it or its forks ask meanwhile; see ``call``."""
+        result: R = self._result((method.__name__, arguments, named), reply)
+        return result
+
+    def _result(self, message: Message, reply: Reply | None) -> Any:
         self.asked = True
         with self._alive():
-            self._order(command, arguments)
+            self._order(message)
             while True:
                 for ready in self._ready(self._control, *self._slots):
                     if ready is self._control:
                         self.asked = False
-                        return self._reply()
+                        return self._returned()
                     question = ready.recv()
-                    ready.send(answer(question) if answer is not None else None)
+                    ready.send(reply(question) if reply is not None else None)
 
-    def converse(self, command: str, *arguments: Any, answer: Answer | None = None) -> Conversation:
-        """Begin a command that sends a first message in the first slot, and then a reply to each message there.
+    def converse(
+        self, reply: Reply | None, method: Callable[Concatenate[W, P], None], *arguments: P.args, **named: P.kwargs
+    ) -> Conversation:
+        """Call a method that the front directs by messages in the first slot.
 
-        It goes on until it is told to end. Its own questions come in the other slots; ``answer`` answers them.
-
-        Raises as ``request``.
+        The method sends a first message there, and then one message for each that it receives. It returns when it
+        receives None. Its questions come in the other slots, and ``reply`` answers them. Raises as ``call``.
         """
-        return Conversation(self, (command, arguments), answer)
+        return Conversation(self, (method.__name__, arguments, named), reply)
 
-    def post(self, command: str, *arguments: Any) -> None:
-        """Have the engine do something, and go on meanwhile; what it raises the next request raises. Its words from now
-        on are those of an episode of their own. Raises SimulationError if its process died."""
+    def post(self, method: Callable[Concatenate[W, P], None], *arguments: P.args, **named: P.kwargs) -> None:
+        """Call a method without waiting until it returns. The next call raises what the method raises.
+
+        What the process prints from now on belongs to a new episode. Raises SimulationError if the process died.
+        """
         self.begin_words()
         with self._alive():
-            self._order(command, arguments)
+            self._order((method.__name__, arguments, named))
         self._owed += 1
 
     def begin_words(self) -> None:
@@ -113,13 +154,13 @@ class Engine:
         self._heard = self._log.stat().st_size
         self._aside.write_bytes(b"")
 
-    def _order(self, command: str, arguments: tuple[Any, ...]) -> None:
+    def _order(self, message: Message) -> None:
         while self._owed:
             self._owed -= 1
-            self._reply()
-        self._control.send((command, arguments))
+            self._returned()
+        self._control.send(message)
 
-    def _reply(self) -> Any:
+    def _returned(self) -> Any:
         kind, value = self._control.recv()
         if kind == "error":
             raise value
@@ -182,7 +223,7 @@ class Engine:
                 os.killpg(self._process.pid, signal.SIGKILL)
         self._process.kill()
 
-    def __enter__(self) -> Engine:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -190,12 +231,12 @@ class Engine:
 
 
 class Conversation:
-    """A command of the engine that goes on until it is told to end. ``said``: what it said last."""
+    """A call that goes on until it is told to end. ``said``: the last message from it."""
 
-    def __init__(self, engine: Engine, order: tuple[str, tuple[Any, ...]], answer: Answer | None) -> None:
-        self._engine, self._answer, self._over = engine, answer, False
+    def __init__(self, engine: Engine[Any], message: Message, reply: Reply | None) -> None:
+        self._engine, self._reply, self._over = engine, reply, False
         with engine._alive():
-            engine._order(*order)
+            engine._order(message)
         engine.talks = True
         self.said = self._listen()
 
@@ -219,10 +260,10 @@ class Conversation:
                     return first.recv()
                 if engine._control in ready:
                     self._over, engine.talks = True, False
-                    return engine._reply()
+                    return engine._returned()
                 for slot in ready:
                     question = slot.recv()
-                    slot.send(self._answer(question) if self._answer is not None else None)
+                    slot.send(self._reply(question) if self._reply is not None else None)
 
     def end(self) -> None:
         """Tell the command to end; the engine is free for others then. May be called twice. Raises as ``ask``."""
@@ -235,7 +276,7 @@ class Conversation:
             engine.talks = False
             while engine._slots[0].poll():  # a reply that was not read: asking was interrupted
                 engine._slots[0].recv()
-            engine._reply()
+            engine._returned()
 
 
 @contextmanager
@@ -253,7 +294,10 @@ def _allowed_to_start() -> Iterator[None]:
         me.daemon = daemonic
 
 
-def _serve(body: Body, control: Connection, slots: list[Connection], log: str, note: Path, front: Connection) -> None:
+def _serve(
+    make_worker: Callable[[list[Connection]], object], control: Connection, slots: list[Connection], log: str,
+    note: Path, front: Connection,
+) -> None:  # fmt: skip
     """The engine process: SUMO's words go into a file, Ctrl-C and SIGTERM are the front's business."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
@@ -268,15 +312,15 @@ def _serve(body: Body, control: Connection, slots: list[Connection], log: str, n
     sys.stdout.flush()
     os.dup2(words, 1)
     os.dup2(words, 2)
-    handlers = body(slots)
+    worker = make_worker(slots)
     while True:
         try:
-            command, arguments = control.recv()
+            method, arguments, named = control.recv()
         except EOFError:
             os._exit(0)  # nothing is left to write, and an interpreter that ends in good order keeps the front waiting
         log_sizes = [file.stat().st_size for file in files]
         try:
-            reply = ("value", handlers[command](*arguments))
+            reply = ("value", getattr(worker, method)(*arguments, **named))
         except SumoAdvError as error:
             since = b"".join(file.read_bytes()[size:] for file, size in zip(files, log_sizes, strict=True))
             reply = ("error", _with_words(error, since.decode(errors="replace")))

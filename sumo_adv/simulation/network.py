@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Floats
+from sumo_adv.datatypes import Floats, LaneStrip
 from sumo_adv.errors import UsageError
 from sumo_adv.geometry import Path, along, make_path, read_only, same_layer, stations, wrap
 from sumo_adv.simulation.centreline import Centreline, centreline
@@ -315,14 +315,14 @@ class RoadMap:
         options = [c for c in options if c.movement != "u-turn"]
         return [c for c in options if not closed(c.to)] or options
 
-    def strips(self, x: float, y: float, radius: float) -> list[tuple[Floats, float, bool]]:
-        """Centreline, width [m], internal? of all paved lanes near a place, for pictures: upper ones last."""
+    def strips(self, x: float, y: float, radius: float) -> list[LaneStrip]:
+        """Return all paved lanes near a place, for pictures: upper ones last."""
         near = [
             lane for lane in self.lanes.values()
             if lane.paved
             and np.min(np.hypot(lane.shape[:, 0] - x, lane.shape[:, 1] - y)) < radius + lane.length
         ]  # fmt: skip
-        return [(self.line(lane), lane.width, lane.internal) for lane in sorted(near, key=self.top)]
+        return [LaneStrip(self.line(lane), lane.width, lane.internal) for lane in sorted(near, key=self.top)]
 
     def top(self, lane: Lane) -> float:
         """The greatest height of a lane [m]: what is drawn later hides what is below it."""

@@ -1,0 +1,119 @@
+"""What the engine process of an episode can be asked for: its calls, and what crosses between it and the front.
+
+``worker.py:EpisodeWorker`` implements the methods of ``EpisodeCalls``. The front calls them as
+``engine.call(EpisodeCalls.seek, "")``, and does not load the modules that only the engine process needs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from typing import Protocol, TypeAlias
+
+from sumo_adv.config import Settings
+from sumo_adv.datatypes import LaneStrip, Preventability, Proposal
+from sumo_adv.episode.drive import Drive
+from sumo_adv.episode.task import AttemptResult, FoundEncounter, NoEncounter, Prefix, Task
+from sumo_adv.planners.answers import AskOne, PlannerObservation
+from sumo_adv.simulation.engine import Engine
+from sumo_adv.simulation.network import RoadMap
+
+
+@dataclass(frozen=True, slots=True)
+class PlannerQuestion:
+    """A question of an attempt to a planner that answers in the front's sandbox.
+
+    Attributes:
+        index: The index of the attempt among those of the call, or of the reference driver in ``REFERENCE_DRIVERS``.
+        member: The index of the adversary among the proposal's members.
+        observation: What the planner sees.
+    """
+
+    index: int
+    member: int
+    observation: PlannerObservation
+
+
+@dataclass(frozen=True, slots=True)
+class OpenEncounter:
+    """An encounter at its trigger, in the engine process.
+
+    Attributes:
+        drive: The simulation with the ego.
+        found: The encounter.
+        settings: The run's settings.
+        road: The map.
+        trigger_step: How many snapshots the recording has.
+        dialogue: The connection to the front, which sends None at the end.
+        ask_front: Asks the planner of the attempt's proposal in its sandbox.
+    """
+
+    drive: Drive
+    found: FoundEncounter
+    settings: Settings
+    road: RoadMap
+    trigger_step: int
+    dialogue: Connection
+    ask_front: AskOne
+
+
+class EpisodeCalls(Protocol):
+    """The calls of an episode: ``open`` comes first, then ``seek``, and the others on the encounter that it finds."""
+
+    def open(self, task: Task) -> None:
+        """Start SUMO. Raises SimulationError or UsageError."""
+
+    def forks(self) -> bool:
+        """Return whether attempts run in forks; otherwise the simulation is loaded again for each."""
+
+    def seek(self, passed_over: str = "") -> FoundEncounter | NoEncounter:
+        """Simulate until an encounter with a harmless baseline begins, or until none can come.
+
+        Args:
+            passed_over: Why the last encounter is not attacked; empty at first.
+        """
+
+    def prefix(self) -> Prefix:
+        """Return the simulation from its start to the trigger."""
+
+    def lanes(self, x: float, y: float, radius: float) -> list[LaneStrip]:
+        """Return all lanes within ``radius`` [m] of a place, for pictures."""
+
+    def attempts(self, plans: Sequence[Proposal]) -> list[AttemptResult]:
+        """Simulate attempts from the trigger; as many run at the same time as there are slots.
+
+        Questions to planners come as ``PlannerQuestion``. An attempt has the ending ``crashed`` if SUMO dies in it
+        and again when it is repeated, or if the ego's driver does not let it end.
+        """
+
+    def references(self, proposal: Proposal, result: AttemptResult, all_drivers: bool) -> Preventability | None:
+        """Return which reference drivers avoid the collision of an attempt, kinematically and in the loop.
+
+        In the loop ``cc_human`` comes first, and the others that make a collision valid only if it fails.
+
+        Args:
+            proposal: The attempt's proposal.
+            result: The attempt's result.
+            all_drivers: Whether all reference drivers drive in the loop.
+
+        Returns:
+            The answers; None if there was no collision that counts, or if SUMO dies.
+        """
+
+    def directed_attempt(self, prepare: Callable[[OpenEncounter], Callable[[], None]]) -> None:
+        """Simulate an attempt from the trigger on that the front directs by messages in the first slot.
+
+        Args:
+            prepare: Returns what makes the attempt; it is called before the fork.
+        """
+
+
+EpisodeEngine: TypeAlias = Engine[EpisodeCalls]
+
+
+def episode_worker(slots: list[Connection]) -> EpisodeCalls:
+    """Make the worker of one episode, in its process."""
+    from sumo_adv.episode.worker import EpisodeWorker
+
+    return EpisodeWorker(slots)

@@ -1,0 +1,78 @@
+"""The engine process for many episodes: each runs in a fork of it; ``warm.py`` says why."""
+
+from __future__ import annotations
+
+import ctypes
+import faulthandler
+import os
+import shutil
+import signal
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from multiprocessing.connection import Connection
+
+import shapely.geometry  # noqa: F401 - imported before the first fork, because every episode needs it
+
+from sumo_adv.episode.warm import WarmCalls
+from sumo_adv.episode.worker import EpisodeWorker
+from sumo_adv.simulation.engine import QUIET_VARIABLES, can_fork
+from sumo_adv.simulation.programs import load_libsumo
+
+PR_SET_PDEATHSIG = 1  # linux/prctl.h
+OWN_VARIABLES = {*QUIET_VARIABLES, "TMPDIR"}  # of the engine process, whatever its front has
+
+
+class WarmWorker(EpisodeWorker, WarmCalls):
+    """The worker of one episode after the other, each in a fork of its own."""
+
+    def __init__(self, slots: Sequence[Connection]) -> None:
+        load_libsumo()
+        faulthandler.enable()
+        super().__init__(slots)
+        self._in_fork = False
+
+    def begin(self, environment: Mapping[str, str], folder: str, path: Sequence[str]) -> None:
+        """Begin an episode with its front's environment, working folder and ``sys.path``.
+
+        Returns in the fork that serves it. In the parent it returns when the fork has ended, and that answers the
+        fork's last call. A fork that does not end by itself takes its parent along.
+        """
+        if can_fork():
+            own = tempfile.mkdtemp()
+            pid = os.fork()
+            if pid != 0:
+                _, status = os.waitpid(pid, 0)
+                shutil.rmtree(own, ignore_errors=True)
+                if status != 0:
+                    _end_as(os.waitstatus_to_exitcode(status))
+                return
+            self._in_fork = True
+            die_with_parent()
+            tempfile.tempdir = own
+        os.environ.update({k: v for k, v in environment.items() if k not in OWN_VARIABLES})
+        for name in os.environ.keys() - environment.keys() - OWN_VARIABLES:
+            del os.environ[name]
+        os.chdir(folder)
+        sys.path[:] = path
+
+    def end(self) -> None:
+        """End the fork. Its parent answers."""
+        if self._in_fork:
+            sys.stdout.flush()
+            os._exit(0)
+
+
+def _end_as(exitcode: int) -> None:
+    """End this process as another one ended: by that signal if negative."""
+    if exitcode < 0:
+        faulthandler.disable()
+        signal.signal(-exitcode, signal.SIG_DFL)
+        os.kill(os.getpid(), -exitcode)
+    os._exit(exitcode)
+
+
+def die_with_parent() -> None:
+    """On Linux: have this process killed when its parent ends."""
+    if sys.platform.startswith("linux"):
+        ctypes.CDLL(None, use_errno=True).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
