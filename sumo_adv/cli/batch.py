@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,6 +13,7 @@ from typer.core import TyperGroup
 from sumo_adv.app import check_intents, run_campaign
 from sumo_adv.campaigns.results import Learn
 from sumo_adv.cli import options as opt
+from sumo_adv.cli.groups import grouped, named_settings
 from sumo_adv.cli.options import INPUT, OUTPUT, RUNNING, SEARCH, option, set_values, words
 from sumo_adv.errors import UsageError
 from sumo_adv.files import sentences
@@ -71,46 +72,108 @@ DryRun = Annotated[bool, option(RUNNING, "Print the episodes and run none.", "--
 Force = Annotated[bool, option(RUNNING, "Go on in a folder of another plan.", "--force")]
 
 
+@dataclass(frozen=True)
+class InputOptions:
+    """What is run."""
+
+    seeds: Seeds = None
+    egos: Egos = None
+    records: Records = None
+    setting: Setting = None
+    odd: OddFile = None
+    settings_file: opt.SettingsFile = None
+
+
+@dataclass(frozen=True)
+class AttackOptions:
+    """Which attack is wanted."""
+
+    until: opt.UntilLevel = None
+    ttc: opt.Ttc = None
+    critical_ttc: opt.CriticalTtc = None
+    min_delta_v: opt.MinDeltaV = None
+    intents: opt.Intents = None
+    exclude: opt.Exclude = None
+    kind: opt.Kind = None
+    adversaries: opt.Adversaries = None
+    diverse: opt.Diverse = None
+    attempts: opt.Attempts = None
+
+
+@dataclass(frozen=True)
+class BankOptions:
+    """The memory bank of the batch."""
+
+    learn: Learning = None
+    memory: Memory = None
+
+
+@dataclass(frozen=True)
+class RunningOptions:
+    """How the episodes are run."""
+
+    workers: opt.Workers = None
+    deadline: Deadline = 600.0
+    recycle: Recycle = 200
+    ray: opt.RayCluster = None
+    retry_failed: Retry = False
+    dry_run: DryRun = False
+    force: Force = False
+
+
+@dataclass(frozen=True)
+class OutputOptions:
+    """What is written, and what is printed."""
+
+    figures: Figures = None
+    out: Out = None
+    parquet: Parquet = False
+    states: States = False
+    as_json: opt.AsJson = False
+
+
 @app.command("run", epilog=EXAMPLE)
+@grouped
 def batch(
-    context: typer.Context, given: Given, seeds: Seeds = None, egos: Egos = None, records: Records = None,
-    setting: Setting = None, odd: OddFile = None, settings_file: opt.SettingsFile = None,
-    until: opt.UntilLevel = None,
-    ttc: opt.Ttc = None, critical_ttc: opt.CriticalTtc = None, min_delta_v: opt.MinDeltaV = None,
-    intents: opt.Intents = None, exclude: opt.Exclude = None, kind: opt.Kind = None,
-    adversaries: opt.Adversaries = None,
-    diverse: opt.Diverse = None, attempts: opt.Attempts = None, learn: Learning = None, memory: Memory = None,
-    workers: opt.Workers = None, deadline: Deadline = 600.0, recycle: Recycle = 200, ray: opt.RayCluster = None,
-    retry_failed: Retry = False, dry_run: DryRun = False, force: Force = False, figures: Figures = None,
-    out: Out = None, parquet: Parquet = False, states: States = False, as_json: opt.AsJson = False,
+    given: Given, what: InputOptions, attack: AttackOptions, bank: BankOptions, running: RunningOptions,
+    output: OutputOptions,
 ) -> None:  # fmt: skip
     """Run every input with every ego and every seed; the same command again does what is missing.
 
     Ctrl-C finishes what runs, twice stops now. Also: batch pack OUT, batch unpack OUT.
     """
-    from sumo_adv.api_batch import orders_of, planned
+    from sumo_adv.api_batch import orders_of
     from sumo_adv.campaigns.plan import is_plan
 
-    if parquet or states:
+    if output.parquet or output.states:
         from sumo_adv.campaigns.results import check_parquet
 
         check_parquet()
-    overrides = {
-        "seeds": None if seeds is None else _seeds(seeds), "egos": None if egos is None else words(egos),
-        "records": None if records is None else words(records), "learn": learn, "memory": memory, "figures": figures,
-    }  # fmt: skip
-    chosen = {**set_values(setting or [], "attempts=5"), **opt.given(context.params, opt.CHOICE)}
-    plan = planned(given, overrides, chosen, odd, settings_file)
+    plan = _plan(given, what, attack, bank, output.figures)
     check_intents(plan.variants, plan.memory or default_bank_path())
     first = Path(given[0])
-    target = out or Path("runs") / (first.stem if len(given) == 1 and is_plan(first) else "batch")
-    if dry_run:
-        _show(plan, target, as_json=as_json)
+    target = output.out or Path("runs") / (first.stem if len(given) == 1 and is_plan(first) else "batch")
+    if running.dry_run:
+        _show(plan, target, as_json=output.as_json)
         return
     orders = orders_of(
-        plan, target, workers, deadline, recycle, force=force, retry_failed=retry_failed, parquet=parquet, ray=ray
-    )
-    _run(plan, orders, states=states, as_json=as_json)
+        plan, target, running.workers, running.deadline, running.recycle, force=running.force,
+        retry_failed=running.retry_failed, parquet=output.parquet, ray=running.ray,
+    )  # fmt: skip
+    _run(plan, orders, states=output.states, as_json=output.as_json)
+
+
+def _plan(given: list[str], what: InputOptions, attack: AttackOptions, bank: BankOptions, figures: bool | None) -> Plan:
+    from sumo_adv.api_batch import planned
+
+    overrides = {
+        "seeds": None if what.seeds is None else _seeds(what.seeds),
+        "egos": None if what.egos is None else words(what.egos),
+        "records": None if what.records is None else words(what.records),
+        "learn": bank.learn, "memory": bank.memory, "figures": figures,
+    }  # fmt: skip
+    chosen = {**set_values(what.setting or [], "attempts=5"), **named_settings(attack)}
+    return planned(given, overrides, chosen, what.odd, what.settings_file)
 
 
 def _seeds(text: str) -> int | list[int]:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sumo_adv.app import bench_parts
+from sumo_adv.cli.groups import grouped
 from sumo_adv.cli.options import set_values, words
 from sumo_adv.config import BUILTIN, Settings, load_settings
 from sumo_adv.errors import UsageError
@@ -51,6 +52,28 @@ Setting = Annotated[list[str] | None, typer.Option("--set", metavar="NAME=VALUE"
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")]
 
 
+@dataclass(frozen=True)
+class EncounterOptions:
+    """The encounters of a table, and the budget of a row in each."""
+
+    suite: SuiteOption
+    ego: Egos = "idm"
+    seed: Seed = 0
+    attempts: Attempts = FEW
+    until: Until = "valid"
+
+
+@dataclass(frozen=True)
+class RunningOptions:
+    """How the rows are run, and where their table is written."""
+
+    setting: Setting = None
+    memory: Memory = None
+    workers: Workers = None
+    out: Out = None
+    as_json: Json = False
+
+
 @app.command("table", epilog=EXAMPLE)
 def table(
     suite: SuiteOption,
@@ -86,35 +109,38 @@ def table(
     if reference is not None and reference not in rows:
         raise UsageError(f"--reference '{reference}' is none of the table's rows: {', '.join(rows)}.")
     most = attempts or (FEW if seconds is None else Settings.model_fields["attempts"].default)
-    ran = _run(
-        suite, ego, rows, seed, most, until, setting, memory, workers, out, as_json, keep_runs=keep_runs,
-        seconds=seconds,
-    )  # fmt: skip
+    encounters = EncounterOptions(suite, ego, seed, most, until)
+    running = RunningOptions(setting, memory, workers, out, as_json)
+    ran = _run(encounters, rows, running, keep_runs=keep_runs, seconds=seconds)
     ran.write("table", reference or next((r for r in rows if r.startswith("expert")), None), {})
 
 
 @app.command("ablations", epilog="Example: sumo-adv bench ablations --suite suite81 --ego idm --out runs/bench")
+@grouped
 def ablations(
-    suite: SuiteOption, ego: Egos = "idm", seed: Seed = 0, attempts: Attempts = FEW, until: Until = "valid",
+    encounters: EncounterOptions,
     llm: Annotated[str | None, typer.Option(help="With a model also: 1, 3 and 5 samples of the analyzer.")] = None,
-    setting: Setting = None, memory: Memory = None, workers: Workers = None, out: Out = None, as_json: Json = False,
-) -> None:  # fmt: skip
+    *,
+    running: RunningOptions,
+) -> None:
     """What each part is worth: the expert without memory, tuner, replanning, ego model, at other times."""
     from sumo_adv.benchmark.jobs import ABLATIONS, REFERENCE, sampled
 
     words = {**ABLATIONS, **(sampled(llm) if llm else {})}
-    ran = _run(suite, ego, list(words), seed, attempts, until, setting, memory, workers, out, as_json)
+    ran = _run(encounters, list(words), running)
     ran.write("ablations", REFERENCE, words)
 
 
 @app.command("analyzer", epilog="Example: sumo-adv bench analyzer --suite smoke --ego idm --out runs/bench")
+@grouped
 def analyzer(
-    suite: SuiteOption, ego: Egos = "idm", seed: Seed = 0, attempts: Attempts = FEW, until: Until = "valid",
+    encounters: EncounterOptions,
     llm: Annotated[
         list[str] | None, typer.Option(help="A model as analyzer, with and without the evidence table; repeatable.")
     ] = None,
-    setting: Setting = None, memory: Memory = None, workers: Workers = None, out: Out = None, as_json: Json = False,
-) -> None:  # fmt: skip
+    *,
+    running: RunningOptions,
+) -> None:
     """Which analyzer names the most dangerous intent: against oracle, chance, the best constant answer, the ceiling."""
     from sumo_adv.benchmark.analysis import analysis_text, analyze, labels_hash, write_analysis
     from sumo_adv.benchmark.jobs import REFERENCE
@@ -122,7 +148,7 @@ def analyzer(
 
     answering = [REFERENCE, *(f"llm-a:{m}+learn=off{more}" for m in llm or () for more in ("", "+evidence=off"))]
     rows = ["oracle", *answering]
-    ran = _run(suite, ego, rows, seed, attempts, until, setting, memory, workers, out, as_json)
+    ran = _run(encounters, rows, running)
     title = f"Analyzers on {ran.request.suite.name}"
     analysis = analyze(ran.cells, ran.request.suite.cases, title=title, analyzers=answering, reference=REFERENCE)
     about = {**ran.about, "labels_hash": labels_hash(ran.request.suite)}
@@ -132,11 +158,13 @@ def analyzer(
 
 
 @app.command("growth", epilog="Example: sumo-adv bench growth --suite suite81 --ego idm --out runs/bench")
+@grouped
 def growth(
-    suite: SuiteOption, ego: Egos = "idm", seed: Seed = 0, attempts: Attempts = FEW, until: Until = "valid",
+    encounters: EncounterOptions,
     llm: Annotated[str | None, typer.Option(help="A model in all parts as well.")] = None,
-    setting: Setting = None, memory: Memory = None, workers: Workers = None, out: Out = None, as_json: Json = False,
-) -> None:  # fmt: skip
+    *,
+    running: RunningOptions,
+) -> None:
     """How the bank grows as encounters go by: hits, seconds, model calls; beside a bank that stays as it is."""
     from sumo_adv.benchmark.jobs import GROWING
     from sumo_adv.benchmark.league import growth as growing
@@ -144,7 +172,7 @@ def growth(
     from sumo_adv.benchmark.plots import draw_growth
 
     rows = [f"{who}{more}" for who in ("expert", *([f"llm-a:{llm}"] if llm else [])) for more in GROWING]
-    ran = _run(suite, ego, rows, seed, attempts, until, setting, memory, workers, out, as_json)
+    ran = _run(encounters, rows, running)
     steps = growing(ran.cells, ran.request.suite.cases)
     files = write_growth(steps, ran.cells, ran.folder, ran.about)
     files.append(draw_growth(ran.folder / "figures" / "growth.png", steps, f"Growth over {ran.request.suite.name}"))
@@ -152,16 +180,14 @@ def growth(
 
 
 @app.command("label", epilog="Example: sumo-adv bench label --suite suite81 --ego idm,krauss --out runs/bench")
-def label(
-    suite: SuiteOption, ego: Egos = "idm", seed: Seed = 0, attempts: Attempts = FEW, until: Until = "valid",
-    setting: Setting = None, memory: Memory = None, workers: Workers = None, out: Out = None, as_json: Json = False,
-) -> None:  # fmt: skip
+@grouped
+def label(encounters: EncounterOptions, running: RunningOptions) -> None:
     """What the oracle finds most dangerous, into labels.json: put it beside a suite's suite.toml."""
     from sumo_adv.benchmark.rows import oracle_labels
     from sumo_adv.benchmark.write import as_json as text_of
     from sumo_adv.benchmark.write import write_files
 
-    ran = _run(suite, ego, ["oracle"], seed, attempts, until, setting, memory, workers, out, as_json)
+    ran = _run(encounters, ["oracle"], running)
     labels: dict[str, dict[str, Any]] = {}
     for cell in ran.cells:
         if cell["attempts"]:
@@ -171,16 +197,17 @@ def label(
 
 
 @app.command("league", epilog="Example: sumo-adv bench league --suite suite81 --ego idm,careful,my_driver:Mine")
+@grouped
 def league(
     suite: SuiteOption, ego: Egos, seed: Seed = 0, attempts: Attempts = FEW, until: Until = "serious",
-    setting: Setting = None, memory: Memory = None, workers: Workers = None, out: Out = None, as_json: Json = False,
+    *, running: RunningOptions,
 ) -> None:  # fmt: skip
     """Which of several drivers is hardest to hit: the expert against each of them, in the same encounters."""
     from sumo_adv.benchmark.jobs import REFERENCE
     from sumo_adv.benchmark.league import league as ranked
     from sumo_adv.benchmark.league import league_text, write_league
 
-    ran = _run(suite, ego, [REFERENCE], seed, attempts, until, setting, memory, workers, out, as_json)
+    ran = _run(EncounterOptions(suite, ego, seed, attempts, until), [REFERENCE], running)
     places, duels = ranked(ran.cells, attempts)
     files = write_league(places, duels, ran.title, ran.cells, ran.folder, ran.about)
     ran.say(files, league_text(places, ran.title, files[0]))
@@ -272,9 +299,8 @@ class _Ran:
 
 
 def _run(
-    suite: Sequence[str], ego: str, rows: Sequence[str], seed: int, attempts: int, until: str,
-    setting: Sequence[str] | None, memory: Path | None, workers: int | None, out: Path | None, as_json: bool, *,
-    keep_runs: bool = False, seconds: float | None = None,
+    encounters: EncounterOptions, rows: Sequence[str], running: RunningOptions, *, keep_runs: bool = False,
+    seconds: float | None = None,
 ) -> _Ran:  # fmt: skip
     from sumo_adv.benchmark.bench import Means, TableRequest, of_rows, run_table
     from sumo_adv.benchmark.suites import load_suite
@@ -282,26 +308,28 @@ def _run(
     from sumo_adv.report.outcome import versions
     from sumo_adv.simulation.inputs import data_folder
 
-    egos = _unique(words(ego))
+    egos = _unique(words(encounters.ego))
     if not egos:
         raise UsageError("--ego names no driver; say for instance --ego idm,careful.")
-    loaded = load_suite(*suite)
-    settings = {"seconds": SECONDS, **_settings(setting or ()), "attempts": attempts, "until": until}
+    loaded = load_suite(*encounters.suite)
+    budget = {"attempts": encounters.attempts, "until": encounters.until}
+    settings = {"seconds": SECONDS, **_settings(running.setting or ()), **budget}
     if seconds is not None:
         settings["seconds"] = seconds
     limit = load_settings(None, **settings).cell_seconds
     settings.pop("cell_seconds", None)  # it may be another when a table goes on
-    request = TableRequest(loaded, egos, tuple(rows), seed, settings, memory or data_folder("memory_bank.sqlite"))
+    memory = running.memory or data_folder("memory_bank.sqlite")
+    request = TableRequest(loaded, egos, tuple(rows), encounters.seed, settings, memory)
     _check_models(request)
-    folder = out or Path("runs") / f"bench-{loaded.name}"
-    means = Means(folder, workers or os.cpu_count() or 1, bench_parts(), versions(), keep_runs, limit)
+    folder = running.out or Path("runs") / f"bench-{loaded.name}"
+    means = Means(folder, running.workers or os.cpu_count() or 1, bench_parts(), versions(), keep_runs, limit)
     try:
-        with BenchProgress(quiet=as_json) as watcher:
+        with BenchProgress(quiet=running.as_json) as watcher:
             cells = run_table(request, means, watcher)
     except KeyboardInterrupt:
         typer.echo("sumo-adv: interrupted; what finished is kept, the same command again does the rest.", err=True)
         raise typer.Exit(1) from None
-    return _Ran(request, means, of_rows(cells, rows, egos), as_json)
+    return _Ran(request, means, of_rows(cells, rows, egos), running.as_json)
 
 
 def _check_models(request: TableRequest) -> None:

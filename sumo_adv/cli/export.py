@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -61,21 +63,15 @@ def export(
         for sentence in left_out():
             typer.echo(f"Left out: {sentence}", err=True)
     single = runs == [folder]
-    one = single and format is not Format.ALL
     source = folder.resolve()
     place = out or (source.parent if single else source.with_name(f"{source.name}-exports"))
+    cut = partial(read_piece, unattacked=unattacked, before=before, whole=whole)
     made = 0
-    for run in chain(runs, unpacked(folder, packed)):
-        try:
-            with reading(run):
-                piece = read_piece(run, unattacked=unattacked, before=before, whole=whole)
-        except UsageError as error:
-            if single:
-                raise
-            typer.echo(f"Left out: {error}", err=True)
-            continue
+    for run, piece in _pieces(chain(runs, unpacked(folder, packed)), cut, single=single):
         for each in formats:
-            target = out if one and out is not None else place / f"{run.resolve().name}{FORMATS[each].ending}"
+            target = place / f"{run.resolve().name}{FORMATS[each].ending}"
+            if out is not None and single and format is not Format.ALL:
+                target = out
             with reading(run):
                 lost = write_export(target, piece, each, variant, force=force)
             if lost is not None:
@@ -84,6 +80,22 @@ def export(
             made += 1
     if not made:
         raise UsageError(f"None of the {len(runs) + len(packed)} runs in {folder} could be exported.")
+
+
+def _pieces(runs: Iterable[Path], cut: Callable[[Path], Piece], *, single: bool) -> Iterator[tuple[Path, Piece]]:
+    """The runs that can be exported, each with what is exported of it. Raises UsageError if a ``single`` one cannot."""
+    from sumo_adv.report.read import reading
+
+    for run in runs:
+        try:
+            with reading(run):
+                piece = cut(run)
+        except UsageError as error:
+            if single:
+                raise
+            typer.echo(f"Left out: {error}", err=True)
+            continue
+        yield run, piece
 
 
 def _say(target: Path, piece: Piece, format: Format, *, as_json: bool) -> None:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from sumo_adv.cli import options as opt
+from sumo_adv.cli.groups import grouped, named_settings
 from sumo_adv.cli.options import ATTACK, INPUT, OUTPUT, RUNNING, SEARCH, option
 from sumo_adv.datatypes import Level
 from sumo_adv.simulation.warnings_log import kinds_below, said_of
@@ -48,13 +50,50 @@ Deadline = Annotated[float, option(RUNNING, "Seconds after which an episode is s
 NoPages = Annotated[bool, option(OUTPUT, "Make no index page and no replays.", "--no-pages")]
 
 
+@dataclass(frozen=True)
+class AttackOptions:
+    """Which failures are looked for, and how long."""
+
+    minutes: Minutes = 30.0
+    distinct: Distinct = None
+    until: UntilLevel = None
+    min_delta_v: opt.MinDeltaV = None
+    intents: opt.Intents = None
+    exclude: opt.Exclude = None
+    kind: opt.Kind = None
+    adversaries: opt.Adversaries = None
+
+
+@dataclass(frozen=True)
+class SearchOptions:
+    """From which seed and with which bank they are searched for."""
+
+    seed: Seed = 0
+    memory: Memory = None
+
+
+@dataclass(frozen=True)
+class RunningOptions:
+    """How the encounters are run."""
+
+    workers: opt.Workers = None
+    deadline: Deadline = 600.0
+    ray: opt.RayCluster = None
+
+
+@dataclass(frozen=True)
+class OutputOptions:
+    """What is written, and what is printed."""
+
+    out: Out = None
+    no_pages: NoPages = False
+    as_json: opt.AsJson = False
+
+
+@grouped
 def hunt(
-    context: typer.Context, given: Given, ego: Ego = None, minutes: Minutes = 30.0, distinct: Distinct = None,
-    until: UntilLevel = None, min_delta_v: opt.MinDeltaV = None, intents: opt.Intents = None,
-    exclude: opt.Exclude = None, kind: opt.Kind = None, adversaries: opt.Adversaries = None,
-    settings_file: opt.SettingsFile = None, seed: Seed = 0, memory: Memory = None, workers: opt.Workers = None,
-    deadline: Deadline = 600.0, ray: opt.RayCluster = None, out: Out = None,
-    no_pages: NoPages = False, as_json: opt.AsJson = False,
+    given: Given, *, ego: Ego = None, settings_file: opt.SettingsFile = None, attack: AttackOptions,
+    search: SearchOptions, running: RunningOptions, output: OutputOptions,
 ) -> None:  # fmt: skip
     """Find the worst distinct failures of a driver in a given time. The same command again goes on.
 
@@ -62,16 +101,16 @@ def hunt(
     """
     from sumo_adv.api_batch import hunt as hunted
 
-    if not as_json:
-        typer.echo(f"Hunting for {minutes:g} min; a line follows after each round of encounters.")
-    chosen = opt.given(context.params, ("until", "min_delta_v", "intents", "exclude", "kind", "adversaries"))
+    quiet = output.as_json
+    if not quiet:
+        typer.echo(f"Hunting for {attack.minutes:g} min; a line follows after each round of encounters.")
     found = hunted(
-        given, ego=ego, minutes=minutes, distinct=distinct, out=out or Path("runs") / "hunt", seed=seed, memory=memory,
-        workers=workers, deadline=deadline, ray=ray, settings_file=settings_file,
-        pages=not no_pages, tell=None if as_json else _tell, stopping=_stopping, note=None if as_json else typer.echo,
-        **chosen,
+        given, ego=ego, minutes=attack.minutes, distinct=attack.distinct, out=output.out or Path("runs") / "hunt",
+        **asdict(search), **asdict(running), settings_file=settings_file, pages=not output.no_pages,
+        tell=None if quiet else _tell, stopping=_stopping, note=None if quiet else typer.echo,
+        **named_settings(attack),
     )  # fmt: skip
-    if as_json:
+    if quiet:
         typer.echo(json.dumps(_document(found.found, found.rows)))
     else:
         _show(found.found, found.rows, found.index)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,11 +16,6 @@ from sumo_adv.parsing import parse_toml
 INPUT, EGO, ATTACK, SEARCH, MODEL, OUTPUT = "Input", "Ego", "Attack", "Search", "Language model", "Output"
 RUNNING = "Running"
 """Panels of the help."""
-CHOICE = (
-    "until", "ttc", "critical_ttc", "min_delta_v", "diverse", "intents", "exclude", "kind", "attempts", "seconds",
-    "adversaries",
-)  # fmt: skip
-"""Settings that say which attack is wanted; ``run`` and ``batch`` have an option for each."""
 
 
 def option(panel: str, help: str, *flags: str, setting: str = "", default: str = "", **more: Any) -> Any:
@@ -29,11 +25,6 @@ def option(panel: str, help: str, *flags: str, setting: str = "", default: str =
         default = f"{value:g}" if isinstance(value, float) else str(value)
     text = f"{help} (default: {default})" if default else help
     return typer.Option(*flags, help=text, rich_help_panel=panel, show_default=False, **more)
-
-
-def given(params: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
-    """The settings among the parameters of a command that were given."""
-    return {name: params[name] for name in names if params.get(name) is not None}
 
 
 # -- which attack is wanted
@@ -180,6 +171,89 @@ Force = Annotated[bool, option(OUTPUT, "Replace another run's folder.", "--force
 Replay = Annotated[
     Path | None, option(INPUT, "Run the attempt of that folder again, from its manifest.", default="none")
 ]
+
+
+# -- the groups of ``run``; other commands share some of the options above
+
+
+@dataclass(frozen=True)
+class AttackOptions:
+    """Which attack is wanted."""
+
+    ask: Ask = None
+    until: UntilLevel = None
+    ttc: Ttc = None
+    critical_ttc: CriticalTtc = None
+    min_delta_v: MinDeltaV = None
+    intents: Intents = None
+    exclude: Exclude = None
+    kind: Kind = None
+    adversary: Adversary = None
+    adversaries: Adversaries = None
+    trigger: Trigger = None
+    diverse: Diverse = None
+    attempts: Attempts = None
+    seconds: Seconds = None
+    total_seconds: TotalSeconds = None
+
+
+@dataclass(frozen=True)
+class InputOptions:
+    """Where it is looked for."""
+
+    record: Record = None
+    begin: Begin = None
+    end: End = None
+    density: Density = None
+    background: Background = None
+    sumo_option: SumoOption = None
+    settings_file: SettingsFile = None
+    replay: Replay = None
+
+
+@dataclass(frozen=True)
+class EgoOptions:
+    """What drives the ego."""
+
+    ego: Ego = None
+    ego_id: EgoId = None
+    ego_deadline: EgoDeadline = None
+
+
+@dataclass(frozen=True)
+class SearchOptions:
+    """How the attack is searched for."""
+
+    tuner: Tuner = None
+    seed: Seed = None
+    learn: Learn = None
+    recall: Recall = None
+    memory: Memory = None
+    no_fork: NoFork = False
+
+
+@dataclass(frozen=True)
+class ModelOptions:
+    """Which language model plays which part, and how."""
+
+    llm: Llm = None
+    analyzer: Analyzer = None
+    generator: Generator = None
+    modifier: Modifier = None
+    fallback: Fallback = None
+    samples: Samples = None
+    evidence: Evidence = None
+    instruction: Instruction = None
+    show_prompts: ShowPrompts = False
+
+
+@dataclass(frozen=True)
+class OutputOptions:
+    """What is written, and what is printed."""
+
+    out: Out = None
+    force: Force = False
+    as_json: AsJson = False
 
 
 def words(text: str) -> list[str]:

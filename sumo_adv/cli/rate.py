@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from sumo_adv.app import estimate_rate
+from sumo_adv.cli.groups import grouped
 from sumo_adv.cli.options import EGO, INPUT, OUTPUT, SEARCH, AsJson, RayCluster, Workers, option
 
 if TYPE_CHECKING:
@@ -37,11 +39,30 @@ Out = Annotated[
 ]
 
 
+@dataclass(frozen=True)
+class SamplingOptions:
+    """How many runs are drawn, and from what."""
+
+    runs: Runs = 1000
+    pilot: Pilot = 200
+    plain: Plain = False
+    seed: Seed = 0
+
+
+@dataclass(frozen=True)
+class TrafficOptions:
+    """The traffic in which the ego drives."""
+
+    duration: Duration = 60.0
+    warm_up: WarmUp = 20.0
+    density: Density = None
+    errors: Errors = 1.0
+
+
+@grouped
 def rate(
-    source: Source,
-    ego: Ego = None, runs: Runs = 1000, pilot: Pilot = 200, plain: Plain = False, seed: Seed = 0,
-    duration: Duration = 60.0, warm_up: WarmUp = 20.0, density: Density = None, errors: Errors = 1.0,
-    workers: Workers = None, ray: RayCluster = None, out: Out = None, as_json: AsJson = False,
+    source: Source, *, ego: Ego = None, sampling: SamplingOptions, traffic: TrafficOptions, workers: Workers = None,
+    ray: RayCluster = None, out: Out = None, as_json: AsJson = False,
 ) -> None:  # fmt: skip
     """Estimate how often the ego crashes in an hour and in a kilometre of normal traffic, in which drivers err.
 
@@ -54,13 +75,13 @@ def rate(
     from sumo_adv.simulation.inputs import input_name
 
     plan = RatePlan(
-        source, ego, density=density, warm_up=warm_up, duration=duration, factor=errors, pilot=pilot, plain=plain,
-        seed=seed,
+        source, ego, density=traffic.density, warm_up=traffic.warm_up, duration=traffic.duration,
+        factor=traffic.errors, pilot=sampling.pilot, plain=sampling.plain, seed=sampling.seed,
     )  # fmt: skip
     target = out or Path("runs") / f"rate-{input_name(source)}-{(ego or 'ego').replace(':', '.')}"
     counter = Counter("blocks", quiet=as_json)
     watcher = Teller(lambda told, job, _: counter.tell(told.done, told.total, f"{job.phase}: "), _stopping)
-    estimate = estimate_rate(plan, target, runs, workers, watcher, ray)
+    estimate = estimate_rate(plan, target, sampling.runs, workers, watcher, ray)
     counter.close()
     if estimate is None:
         typer.echo(f"sumo-adv: stopped; the same command goes on in {target}.", err=True)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Sequence, Set
+from dataclasses import dataclass, field
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,6 +16,7 @@ from sumo_adv.config import Until
 from sumo_adv.errors import UsageError
 
 if TYPE_CHECKING:
+    from sumo_adv.regression.case import Expectation
     from sumo_adv.regression.waivers import Waivers
 
 KEEP_EXAMPLE = "Example: sumo-adv keep runs/priority_crossing-3 --suite regression"
@@ -44,42 +47,77 @@ def keep(
     The files are text, and stand on their own: put them under version control, and edit what is expected in case.toml.
     """
     from sumo_adv.cli.progress import Counter
-    from sumo_adv.regression.case import Expectation
-    from sumo_adv.regression.keep import held_in, keep_run
+    from sumo_adv.regression.keep import keep_run
     from sumo_adv.regression.reference import references
     from sumo_adv.report.judging import run_folders
-    from sumo_adv.report.read import read_outcome, reading
-    from sumo_adv.report.run_outcome import level_of
+    from sumo_adv.report.read import reading
 
-    given_one = avoid is not None or min_ttc is not None or no_worse
-    wanted = {"avoid": None if avoid is None else str(avoid.level), "min_ttc": min_ttc, "no_worse": no_worse}
-    expect = Expectation.model_validate(wanted) if given_one else None
+    expect = _expected(avoid, min_ttc, no_worse=no_worse)
     runs = run_folders(given)
     if name is not None and len(runs) != 1:
         raise UsageError(f"--name is for one run, and {len(runs)} were given.")
-    kept, again, left, failed = dict[Path, Path](), list[Path](), list[Path](), dict[Path, str]()
-    fresh = list[Path]()
-    for run in runs:
-        with reading(run):
-            if run not in given and level_of((read_outcome(run).get("outcome") or {}).get("level")) < level.level:
-                left.append(run)
-            elif (folder := held_in(run, suite, name)) is not None:
-                again.append(folder)
-            else:
-                fresh.append(run)
-    counter, done = Counter("attacks", quiet=as_json), count(1)
-    answers = references(fresh, expect, workers or os.cpu_count() or 1, lambda: counter.tell(next(done), len(fresh)))
+    done, fresh = _sorted(runs, set(given), suite, level, name)
+    counter, number = Counter("attacks", quiet=as_json), count(1)
+    answers = references(fresh, expect, workers or os.cpu_count() or 1, lambda: counter.tell(next(number), len(fresh)))
     counter.close()
     for run, answer in zip(fresh, answers, strict=True):
         if not answer.passed_by and not every:
-            failed[run] = answer.why
+            done.not_passed[run] = answer.why
             continue
         with reading(run):
             folder, new = keep_run(run, suite, answer.expect, name, answer.passed_by)
         if new:
-            kept[folder] = run
+            done.kept[folder] = run
         else:
-            again.append(folder)
+            done.there_already.append(folder)
+    _say(done, suite, level, as_json=as_json)
+
+
+@dataclass(frozen=True)
+class _Keeping:
+    """What ``keep`` did with each run."""
+
+    kept: dict[Path, Path] = field(default_factory=dict)
+    """The run of each new case."""
+    there_already: list[Path] = field(default_factory=list)
+    left_out: list[Path] = field(default_factory=list)
+    not_passed: dict[Path, str] = field(default_factory=dict)
+    """Why no reference driver passes the attack of a run."""
+
+
+def _sorted(
+    runs: Sequence[Path], given: Set[Path], suite: Path, level: Until, name: str | None
+) -> tuple[_Keeping, list[Path]]:
+    """The runs that are settled at once, and those that reference drivers must drive first."""
+    from sumo_adv.regression.keep import held_in
+    from sumo_adv.report.read import read_outcome, reading
+    from sumo_adv.report.run_outcome import level_of
+
+    done, fresh = _Keeping(), list[Path]()
+    for run in runs:
+        with reading(run):
+            if run not in given and level_of((read_outcome(run).get("outcome") or {}).get("level")) < level.level:
+                done.left_out.append(run)
+            elif (folder := held_in(run, suite, name)) is not None:
+                done.there_already.append(folder)
+            else:
+                fresh.append(run)
+    return done, fresh
+
+
+def _expected(avoid: Until | None, min_ttc: float | None, *, no_worse: bool) -> Expectation | None:
+    """What the options expect of the ego; None if none of them was given."""
+    from sumo_adv.regression.case import Expectation
+
+    if avoid is None and min_ttc is None and not no_worse:
+        return None
+    return Expectation.model_validate(
+        {"avoid": None if avoid is None else str(avoid.level), "min_ttc": min_ttc, "no_worse": no_worse}
+    )
+
+
+def _say(done: _Keeping, suite: Path, level: Until, *, as_json: bool) -> None:
+    kept, again, left, failed = done.kept, done.there_already, done.left_out, done.not_passed
     if as_json:
         names = {"kept": list(kept), "there_already": again, "left_out": left, "not_passed": list(failed)}
         typer.echo(json.dumps({"suite": str(suite)} | {key: [str(p) for p in value] for key, value in names.items()}))

@@ -16,6 +16,7 @@ import typer
 from sumo_adv import app
 from sumo_adv.app import new_engine, new_sandbox, open_for_run, shipped_prompts
 from sumo_adv.cli import options as opt
+from sumo_adv.cli.groups import grouped, named_settings
 from sumo_adv.config import Settings, Until, load_settings
 from sumo_adv.datatypes import FAILED_ENDINGS
 from sumo_adv.errors import UsageError
@@ -75,48 +76,33 @@ EXAMPLE = "Example: sumo-adv run priority_crossing --seed 3 --ego idm --until va
 OF_A_REPLAY = {"replay", "out", "force", "as_json", "ego"}  # options that count with --replay; ego confirms a class
 
 
+@grouped
 def run(
-    context: typer.Context, source: opt.Source = None, ask: opt.Ask = None, record: opt.Record = None,
-    begin: opt.Begin = None,
-    end: opt.End = None, density: opt.Density = None, background: opt.Background = None,
-    sumo_option: opt.SumoOption = None,
-    settings_file: opt.SettingsFile = None, replay: opt.Replay = None, ego: opt.Ego = None,
-    ego_id: opt.EgoId = None, ego_deadline: opt.EgoDeadline = None,
-    until: opt.UntilLevel = None, ttc: opt.Ttc = None,
-    critical_ttc: opt.CriticalTtc = None, min_delta_v: opt.MinDeltaV = None, intents: opt.Intents = None,
-    exclude: opt.Exclude = None, kind: opt.Kind = None, adversary: opt.Adversary = None,
-    adversaries: opt.Adversaries = None,
-    trigger: opt.Trigger = None, diverse: opt.Diverse = None, attempts: opt.Attempts = None,
-    seconds: opt.Seconds = None, total_seconds: opt.TotalSeconds = None,
-    tuner: opt.Tuner = None, seed: opt.Seed = None, learn: opt.Learn = None, recall: opt.Recall = None,
-    memory: opt.Memory = None, no_fork: opt.NoFork = False, llm: opt.Llm = None,
-    analyzer: opt.Analyzer = None, generator: opt.Generator = None, modifier: opt.Modifier = None,
-    fallback: opt.Fallback = None, samples: opt.Samples = None, evidence: opt.Evidence = None,
-    instruction: opt.Instruction = None, show_prompts: opt.ShowPrompts = False, out: opt.Out = None,
-    force: opt.Force = False, as_json: opt.AsJson = False,
+    context: typer.Context, attack: opt.AttackOptions, where: opt.InputOptions, driver: opt.EgoOptions,
+    search: opt.SearchOptions, models: opt.ModelOptions, output: opt.OutputOptions, source: opt.Source = None,
 ) -> None:  # fmt: skip
     """Find an encounter, attack the ego in it, and write what happened."""
-    if replay is not None:
+    if where.replay is not None:
         _refuse_what_a_replay_ignores(context, source)
-        _replay(replay, out, ego, force=force, as_json=as_json)
+        _replay(where.replay, driver.ego, output)
         return
     from sumo_adv.simulation.inputs import own_simulation
     from sumo_adv.simulation.sumo_options import parse
 
-    given, driver = _input(source, record, ego)
-    named = opt.given(context.params, list(Settings.model_fields))
+    given, ego = _input(source, where.record, driver.ego)
+    named = named_settings(attack, where, driver, search, models)
     settings = load_settings(
-        settings_file,
+        where.settings_file,
         **{
-            **own_simulation(given), **given.settings(named), **named, "ego": driver,
-            "fork": False if no_fork else None, "sumo_options": parse(sumo_option) if sumo_option else None,
+            **own_simulation(given), **given.settings(named), **named, "ego": ego,
+            "fork": False if search.no_fork else None,
+            "sumo_options": parse(where.sumo_option) if where.sumo_option else None,
         },
     )  # fmt: skip
-    if show_prompts:
-        show_prompts_of(given, settings, as_json=as_json)
+    if models.show_prompts:
+        show_prompts_of(given, settings, as_json=output.as_json)
         return
-    target = out or Path("runs") / f"{given.name}-{settings.seed}"
-    _run(given, settings, target, force=force, as_json=as_json)
+    _run(given, settings, output)
 
 
 def _input(source: Path | None, record: str | None, ego: str | None) -> tuple[RunInput, str | None]:
@@ -129,17 +115,18 @@ def _input(source: Path | None, record: str | None, ego: str | None) -> tuple[Ru
     return given, trusted_driver(ego, given.ego_controller, given.source)
 
 
-def _run(source: RunInput, settings: Settings, target: Path, *, force: bool, as_json: bool) -> None:
+def _run(source: RunInput, settings: Settings, output: opt.OutputOptions) -> None:
     from sumo_adv.cli.progress import RunProgress
 
-    reporter = RunProgress(quiet=as_json, seconds=settings.seconds)
-    with Interrupts() as interrupts, staged(target, force=force) as folder, scratch_folder() as scratch:
+    target = output.out or Path("runs") / f"{source.name}-{settings.seed}"
+    reporter = RunProgress(quiet=output.as_json, seconds=settings.seconds)
+    with Interrupts() as interrupts, staged(target, force=output.force) as folder, scratch_folder() as scratch:
         tell = interrupts.checked(reporter.tell)
         with reporter:
             episode = app.play(source, settings, folder.stage, scratch, tell, interrupts.hold)
-        for note in () if as_json else source.notes:
+        for note in () if output.as_json else source.notes:
             typer.echo(note)
-        finish(folder, episode, force=force, as_json=as_json)
+        finish(folder, episode, force=output.force, as_json=output.as_json)
 
 
 def finish(folder: RunFolder, episode: Episode, *, force: bool, as_json: bool) -> None:
@@ -171,7 +158,7 @@ def _refuse_what_a_replay_ignores(context: typer.Context, source: Path | None) -
             )
 
 
-def _replay(source: Path, out: Path | None, ego: str | None, *, force: bool, as_json: bool) -> None:
+def _replay(source: Path, ego: str | None, output: opt.OutputOptions) -> None:
     from sumo_adv.drivers.registry import trusted_driver
     from sumo_adv.report.manifest import read_manifest
 
@@ -182,10 +169,10 @@ def _replay(source: Path, out: Path | None, ego: str | None, *, force: bool, as_
             f"The run in {source} was driven by {driver!r}, and a replay repeats it: leave out --ego {ego}, "
             "or give the INPUT for a new run with that driver."
         )
-    target = out or source.with_name(f"{source.resolve().name}-replay")
-    with staged(target, force=force) as folder:
+    target = output.out or source.with_name(f"{source.resolve().name}-replay")
+    with staged(target, force=output.force) as folder:
         episode = app.replay(recorded)
-        finish(folder, episode, force=force, as_json=as_json)
+        finish(folder, episode, force=output.force, as_json=output.as_json)
 
 
 def show_prompts_of(given: RunInput, settings: Settings, *, as_json: bool) -> None:

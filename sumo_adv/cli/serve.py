@@ -7,7 +7,7 @@ import re
 import shutil
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,6 +16,7 @@ import typer
 
 from sumo_adv import app
 from sumo_adv.cli import options as opt
+from sumo_adv.cli.groups import grouped, named_settings
 from sumo_adv.config import Settings, load_settings
 from sumo_adv.datatypes import Ending
 from sumo_adv.errors import SumoAdvError, UsageError
@@ -95,79 +96,122 @@ EXAMPLE = (
 LONG = 3600.0  # s of simulation in continuous mode, where nothing else says how long
 
 
+@dataclass(frozen=True)
+class ClientOptions:
+    """Who may connect, and what is expected of the client."""
+
+    mode: Annotated[
+        Mode, typer.Option(help="continuous: encounter after encounter; episodes: each again, refined.")
+    ] = Mode.CONTINUOUS
+    host: Annotated[str, typer.Option(help="Address to listen at; not loopback only with --allow.")] = "127.0.0.1"
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port for the client; 0 = any free one.")] = 8813
+    allow: Annotated[str, typer.Option(help="Addresses or networks that may connect, with commas between.")] = ""
+    ego_id: Annotated[str | None, typer.Option(help="The vehicle of the demand that the client drives.")] = None
+    ego_type: Annotated[str | None, typer.Option(help="vType of the inserted ego (default: SUMO's car).")] = None
+    may_set: Annotated[
+        str, typer.Option(help="What the client may set besides its own, with commas between: trafficlight, ..")
+    ] = ""
+    on_loss: Annotated[
+        OnLoss, typer.Option(help="Who drives while the client is lost or late: sumo, brake, or end.")
+    ] = OnLoss.SUMO
+    real_time: Annotated[bool, typer.Option("--real-time", help="Simulated seconds last a second each.")] = False
+    deadline: Annotated[
+        float | None, typer.Option(min=0.05, help="s the client may take for a step (default: 10, real time 2).")
+    ] = None
+    patience: Annotated[
+        float | None, typer.Option(min=0.1, help="s to wait for a client before giving up (default: for ever).")
+    ] = None
+    traci_version: Annotated[
+        int, typer.Option(min=21, max=22, help="The newest that the client knows: 21 for Veins and the like.")
+    ] = 22
+    encounters: Annotated[
+        int | None, typer.Option(min=1, help="Number of encounters after which it ends (default: at Ctrl-C).")
+    ] = None
+
+
+@dataclass(frozen=True)
+class AttackOptions:
+    """Which attack is wanted."""
+
+    adversary: opt.Adversary = None
+    adversaries: opt.Adversaries = None
+    trigger: opt.Trigger = None
+    until: opt.UntilLevel = None
+    attempts: opt.Attempts = None
+    critical_ttc: opt.CriticalTtc = None
+
+
+@dataclass(frozen=True)
+class InputOptions:
+    """The simulation in which the client drives."""
+
+    begin: opt.Begin = None
+    end: Annotated[float | None, typer.Option(help="Simulation end, s; then the next one begins.")] = None
+    density: opt.Density = None
+    settings_file: opt.SettingsFile = None
+
+
+@dataclass(frozen=True)
+class SearchOptions:
+    """How an attack is searched for, with which bank and model."""
+
+    llm: opt.Llm = None
+    learn: opt.Learn = None
+    memory: opt.Memory = None
+    seed: opt.Seed = None
+
+
+@dataclass(frozen=True)
+class OutputOptions:
+    """What is written, told and printed."""
+
+    out: Annotated[Path | None, typer.Option(help="Folder to write (default: runs/serve-<input>-<seed>).")] = None
+    force: Annotated[bool, typer.Option("--force", help="Replace another server's folder.")] = False
+    events: Annotated[Path | None, typer.Option(help="File of JSON lines: everything that happens.")] = None
+    status_port: Annotated[
+        int | None, typer.Option(min=0, max=65535, help="Port for /health and /status over HTTP, on loopback.")
+    ] = None
+    as_json: opt.AsJson = False
+
+
+@grouped
 def serve(
-    context: typer.Context,
     source: Annotated[
         Path,
         typer.Argument(
             metavar="INPUT", help="net.xml(.gz), .sumocfg, scenario .toml, .osm(.gz), .xodr, or a shipped name."
         ),
     ],
-    mode: Annotated[
-        Mode, typer.Option(help="continuous: encounter after encounter; episodes: each again, refined.")
-    ] = Mode.CONTINUOUS,
-    host: Annotated[str, typer.Option(help="Address to listen at; not loopback only with --allow.")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port for the client; 0 = any free one.")] = 8813,
-    allow: Annotated[str, typer.Option(help="Addresses or networks that may connect, with commas between.")] = "",
-    ego_id: Annotated[str | None, typer.Option(help="The vehicle of the demand that the client drives.")] = None,
-    ego_type: Annotated[str | None, typer.Option(help="vType of the inserted ego (default: SUMO's car).")] = None,
-    may_set: Annotated[
-        str, typer.Option(help="What the client may set besides its own, with commas between: trafficlight, ..")
-    ] = "",
-    on_loss: Annotated[
-        OnLoss, typer.Option(help="Who drives while the client is lost or late: sumo, brake, or end.")
-    ] = OnLoss.SUMO,
-    real_time: Annotated[bool, typer.Option("--real-time", help="Simulated seconds last a second each.")] = False,
-    deadline: Annotated[
-        float | None, typer.Option(min=0.05, help="s the client may take for a step (default: 10, real time 2).")
-    ] = None,
-    patience: Annotated[
-        float | None, typer.Option(min=0.1, help="s to wait for a client before giving up (default: for ever).")
-    ] = None,
-    traci_version: Annotated[
-        int, typer.Option(min=21, max=22, help="The newest that the client knows: 21 for Veins and the like.")
-    ] = 22,
-    encounters: Annotated[
-        int | None, typer.Option(min=1, help="Number of encounters after which it ends (default: at Ctrl-C).")
-    ] = None,
-    adversary: opt.Adversary = None, adversaries: opt.Adversaries = None, trigger: opt.Trigger = None,
-    begin: opt.Begin = None,
-    end: Annotated[float | None, typer.Option(help="Simulation end, s; then the next one begins.")] = None,
-    until: opt.UntilLevel = None, attempts: opt.Attempts = None, critical_ttc: opt.CriticalTtc = None,
-    llm: opt.Llm = None, learn: opt.Learn = None, memory: opt.Memory = None, density: opt.Density = None,
-    seed: opt.Seed = None,
-    out: Annotated[Path | None, typer.Option(help="Folder to write (default: runs/serve-<input>-<seed>).")] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace another server's folder.")] = False,
-    events: Annotated[Path | None, typer.Option(help="File of JSON lines: everything that happens.")] = None,
-    status_port: Annotated[
-        int | None, typer.Option(min=0, max=65535, help="Port for /health and /status over HTTP, on loopback.")
-    ] = None,
-    settings_file: opt.SettingsFile = None, as_json: opt.AsJson = False,
+    client: ClientOptions, attack: AttackOptions, where: InputOptions, search: SearchOptions, output: OutputOptions,
 ) -> None:  # fmt: skip
     """Attack an ego that a program of yours drives over TraCI, encounter after encounter."""
-    from sumo_adv.simulation.inputs import own_simulation
-
     given = _input(source)
-    named = opt.given(context.params, list(Settings.model_fields))
-    settings = load_settings(
-        settings_file, **{**own_simulation(given), **named, "ego": "external", "horizon": given.horizon}
-    )
-    if not as_json:
+    settings = _settings(given, where.settings_file, named_settings(client, attack, where, search))
+    if not output.as_json:
         for note in given.notes:
             typer.echo(note)
-    if settings.adversaries > 1 and real_time:
+    if settings.adversaries > 1 and client.real_time:
         raise UsageError(
             "With --real-time nothing waits until supports are predicted, so it allows one adversary only: leave out "
             "--real-time or --adversaries."
         )
-    if mode is Mode.CONTINUOUS and "search" not in settings.model_fields_set:
+    if client.mode is Mode.CONTINUOUS and "search" not in settings.model_fields_set:
         settings = settings.model_copy(update={"search": LONG})
-    options = Options(
-        host, port, tuple(opt.words(allow)), mode, on_loss, real_time, encounters, ego_type, tuple(opt.words(may_set)),
-        patience, deadline, traci_version < NEWEST,
+    _serve(given, settings, _options(client), output)
+
+
+def _settings(given: Any, file: Path | None, named: Mapping[str, Any]) -> Settings:
+    from sumo_adv.simulation.inputs import own_simulation
+
+    return load_settings(file, **{**own_simulation(given), **named, "ego": "external", "horizon": given.horizon})
+
+
+def _options(client: ClientOptions) -> Options:
+    return Options(
+        client.host, client.port, tuple(opt.words(client.allow)), client.mode, client.on_loss, client.real_time,
+        client.encounters, client.ego_type, tuple(opt.words(client.may_set)), client.patience, client.deadline,
+        client.traci_version < NEWEST,
     )  # fmt: skip
-    target = out or Path("runs") / f"serve-{given.name}-{settings.seed}"
-    _serve(given, settings, options, target, events, status_port, force=force, as_json=as_json)
 
 
 def _input(source: Path) -> Any:
@@ -181,10 +225,7 @@ def _input(source: Path) -> Any:
     return given
 
 
-def _serve(
-    given: Any, settings: Settings, options: Options, target: Path, events_file: Path | None,
-    status_port: int | None, *, force: bool, as_json: bool,
-) -> None:  # fmt: skip
+def _serve(given: Any, settings: Settings, options: Options, output: OutputOptions) -> None:
     from sumo_adv.cli.progress import ServeProgress
     from sumo_adv.cli.run import Interrupts
     from sumo_adv.report.outcome import MODEL_FILE
@@ -192,6 +233,7 @@ def _serve(
     from sumo_adv.serve.server import Server, ServerDependencies
     from sumo_adv.simulation.network import read_network
 
+    target = output.out or Path("runs") / f"serve-{given.name}-{settings.seed}"
     with ExitStack() as stack:
         interrupts = stack.enter_context(Interrupts())
         scratch = stack.enter_context(scratch_folder())
@@ -199,22 +241,22 @@ def _serve(
         road = read_network(task_for(0).spec.network)
         bank = stack.enter_context(app.open_for_run(settings))
         sandbox = stack.enter_context(app.new_sandbox(settings))
-        status, terminal = Status(), ServeProgress(quiet=as_json)
+        status, terminal = Status(), ServeProgress(quiet=output.as_json)
         listeners: list[Any] = [status, terminal]
-        if events_file is not None:
-            listeners.append(file := EventFile(events_file))
+        if output.events is not None:
+            listeners.append(file := EventFile(output.events))
             stack.callback(file.close)
         events = Events(*listeners)
         gate = stack.enter_context(_gate(options, events))
-        claim(target, force=force)
+        claim(target, force=output.force)
         agents = stack.enter_context(app.open_agents(settings, sandbox, target / MODEL_FILE))
         note(target, given, settings, options, None)
         writer = ResultWriter(folder_writer(target), events)
         stack.enter_context(terminal)
         parts = ServerDependencies(given, options, task_for, road, agents, bank, gate, events, writer, interrupts.check)
         server = Server(parts)
-        if status_port is not None:
-            page = stack.enter_context(StatusPage(status_port, lambda: {**status.report(), "time": server.time}))
+        if output.status_port is not None:
+            page = stack.enter_context(StatusPage(output.status_port, lambda: {**status.report(), "time": server.time}))
             events.tell("status_page", port=page.port)
         events.tell(
             "listening", host=options.host, port=gate.port, ego=server.ego, mode=str(options.mode), opens=gate.opens,
@@ -228,7 +270,7 @@ def _serve(
         summary = _summary(ending, server.reason, writer, target)
         events.tell("stopped", **summary)
         note(target, given, settings, options, summary)
-    _finish(ending, summary, writer, options, as_json=as_json)
+    _finish(ending, summary, writer, options, as_json=output.as_json)
 
 
 def _gate(options: Options, events: Events) -> Gate:

@@ -6,6 +6,7 @@ import datetime
 import json
 import shutil
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,6 +14,7 @@ import typer
 
 from sumo_adv import app
 from sumo_adv.cli import options as opt
+from sumo_adv.cli.groups import grouped, named_settings
 from sumo_adv.cli.options import INPUT, OUTPUT, option
 from sumo_adv.config import Settings, Until, load_settings
 from sumo_adv.errors import UsageError
@@ -27,6 +29,34 @@ MOST_BYTES = 100_000  # of a report
 BESIDE = (".rou.xml", ".net.xml", ".add.xml")  # files that a scenario may have beside it
 
 
+@dataclass(frozen=True)
+class OutputOptions:
+    """What is written."""
+
+    out: Annotated[Path, option(OUTPUT, "Scenario to write.", metavar="FILE.toml", default="written.toml")] = Path(
+        "written.toml"
+    )
+    run_out: Annotated[Path | None, option(OUTPUT, "Folder of its run.", "--run-out", default="runs/<scenario>")] = None
+
+    @property
+    def folder(self) -> Path:
+        """The folder of the scenario's run."""
+        return self.run_out or Path("runs") / self.out.stem
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """Settings of the run."""
+
+    llm: opt.Llm = None
+    ego: opt.Ego = None
+    attempts: opt.Attempts = None
+    seconds: opt.Seconds = None
+    seed: opt.Seed = None
+    memory: opt.Memory = None
+
+
+@grouped
 def write(
     words: Annotated[str | None, typer.Argument(help="What is to happen, in any language.")] = None,
     report: Annotated[
@@ -35,29 +65,24 @@ def write(
     network: Annotated[
         Path | None, option(INPUT, "Your own network, on which it is to happen.", default="chosen by the model")
     ] = None,
-    out: Annotated[Path, option(OUTPUT, "Scenario to write.", metavar="FILE.toml", default="written.toml")] = Path(
-        "written.toml"
-    ),
-    run_out: Annotated[
-        Path | None, option(OUTPUT, "Folder of its run.", "--run-out", default="runs/<scenario>")
-    ] = None,
-    llm: opt.Llm = None, ego: opt.Ego = None, attempts: opt.Attempts = None, seconds: opt.Seconds = None,
-    seed: opt.Seed = None, memory: opt.Memory = None, settings_file: opt.SettingsFile = None,
+    *,
+    output: OutputOptions,
+    run: RunOptions,
+    settings_file: opt.SettingsFile = None,
     force: Annotated[bool, option(OUTPUT, "Replace the scenario and the folder of its run.", "--force")] = False,
     as_json: opt.AsJson = False,
-) -> None:  # fmt: skip
+) -> None:
     """Make a scenario of words with a language model, run it, and say whether what happened is what was asked for."""
     from sumo_adv.words.request import checked_words, needs_model
 
     request = checked_words(_request(words, report))
-    named = {"llm": llm, "ego": ego, "attempts": attempts, "seconds": seconds, "seed": seed, "memory": memory}
-    settings = load_settings(settings_file, **named)
+    settings = load_settings(settings_file, **named_settings(run))
     model = settings.player("analyzer")
     if model is None:
         raise needs_model("Making a scenario of words", request)
+    out, folder = output.out, output.folder
     if out.suffix != ".toml" or not out.stem:
         raise UsageError(f"The scenario {out} needs the ending .toml.")
-    folder = run_out or Path("runs") / out.stem
     _refuse_what_is_there(out, folder, force=force)
     made = _write(request, model, settings, network, out, folder, force=force, quiet=as_json)
     typer.echo(json.dumps(_as_json(made, out, folder)) if as_json else _three_lines(made, out, folder))
