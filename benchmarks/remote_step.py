@@ -24,7 +24,7 @@ from traci import constants
 
 from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.simulation.programs import find_sumo
-from sumo_adv.simulation.remote import STATE, Remote
+from sumo_adv.simulation.remote import VEHICLE_STATE, Remote
 from sumo_adv.simulation.simulation import Simulation, SimulationSpec
 
 BOUND = 0.6
@@ -85,7 +85,7 @@ def measure(spec: SimulationSpec, windows: int) -> dict[str, list[float]]:
         timed(samples["our read"], remote.read, remote.step)
         timed(samples["our step"], remote.step)
         timed(samples["stock step"], stock.simulationStep)
-        stock.simulation.subscribeContext("", constants.CMD_GET_VEHICLE_VARIABLE, -1, list(STATE))
+        stock.simulation.subscribeContext("", constants.CMD_GET_VEHICLE_VARIABLE, -1, list(VEHICLE_STATE))
         timed(samples["stock all"], stock.simulationStep)
         stock.simulation.unsubscribeContext("", constants.CMD_GET_VEHICLE_VARIABLE, -1)
     library.close()

@@ -22,9 +22,9 @@ import numpy as np
 
 from sumo_adv.cli.convert import show
 from sumo_adv.errors import SumoAdvError
+from sumo_adv.simulation.scenario import NETWORK_FILE
 from sumo_adv.womd.convert import convert_record, random_traffic
 from sumo_adv.womd.reader import read_records
-from sumo_adv.womd.scene import NETWORK
 
 TARGETS = {  # name in the totals: least or most
     "within_0.5": (">=", 0.999), "within_0.1": (">=", 0.99), "connectivity": (">=", 0.995), "in_junctions": ("<", 0.30),
@@ -78,7 +78,7 @@ def _convert(file: Path, seeds: list[int]) -> tuple[list[dict[str, Any]], list[s
         try:
             with tempfile.TemporaryDirectory() as folder:
                 report = convert_record(record, Path(folder), traffic=False)
-                trials = {seed: random_traffic(Path(folder) / NETWORK, seed=seed) for seed in seeds}
+                trials = {seed: random_traffic(Path(folder) / NETWORK_FILE, seed=seed) for seed in seeds}
             reports.append({**report, "traffic": trials[seeds[0]] if seeds else None, "trials": trials})
         except SumoAdvError as error:
             failed.append(f"{record.scenario_id}: {error}")

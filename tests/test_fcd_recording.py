@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from cli_samples import Done, Program
 
-from sumo_adv.simulation.fcd_scenario import ROUTES, SCENARIO, TRACKS
 from sumo_adv.simulation.fcd_types import CAR_SIZE, CLASS_SIZES
 from sumo_adv.simulation.programs import find_netconvert, find_sumo, load_libsumo
+from sumo_adv.simulation.scenario import ROUTES_FILE, SCENARIO_FILE, TRACKS_FILE
 from sumo_adv.simulation.tracks import TrackLog, read_tracks
 
 NODES = """<nodes><node id="a" x="9.0" y="47.85"/><node id="b" x="9.005" y="47.85"/><node id="c" x="9.009" y="47.852"/>
@@ -79,7 +79,7 @@ def imported(program: Program, world: World, recording: Path, *more: str, networ
 
 def tracks(program: Program, done: Done) -> TrackLog:
     assert done.status == 0, done.err
-    return read_tracks(program.folder / "made" / TRACKS)
+    return read_tracks(program.folder / "made" / TRACKS_FILE)
 
 
 def test_classes_have_sumos_own_sizes(world: World) -> None:
@@ -100,7 +100,7 @@ def test_each_vehicle_has_the_size_of_its_class_and_goes_on(program: Program, wo
     assert sizes["bus"] == (12.0, 2.5) and sizes["lorry"] == (16.5, 2.55) and sizes["bike"] == (2.2, 0.9)
     assert sizes["ego"] == (3.5, 1.6)
     assert log.tracks["ego"].x[0] == pytest.approx(20.0 - 3.5 / 2, abs=0.01)  # the middle, behind the bumper
-    routes = (program.folder / "made" / ROUTES).read_text(encoding="utf-8")
+    routes = (program.folder / "made" / ROUTES_FILE).read_text(encoding="utf-8")
     assert '<route id="ego" edges="ab bc"/>' in routes  # after 12 s it is still on ab
 
 
@@ -239,5 +239,5 @@ def test_what_a_short_recording_becomes_runs(program: Program, world: World) -> 
     """After 4 s the ego is at 80 m of 373; the run drives it on for 20 s."""
     tracks(program, imported(program, world, world.record("short.xml", seconds=4.0)))
     limits = ("--attempts", "1", "--seconds", "5", "--total-seconds", "5", "--learn", "off")
-    done = program.here("run", program.folder / "made" / SCENARIO, "--ego", "idm", "--out", "out", *limits)
+    done = program.here("run", program.folder / "made" / SCENARIO_FILE, "--ego", "idm", "--out", "out", *limits)
     assert done.status == 0 and "Result: " in done.out, done.err

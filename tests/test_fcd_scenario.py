@@ -16,8 +16,9 @@ from sumo_adv.cli.main import app
 from sumo_adv.errors import UsageError
 from sumo_adv.report.export.piece import read_piece
 from sumo_adv.report.export.sumo import TYPES, fcd, write_replay
-from sumo_adv.simulation.fcd_scenario import ROUTES, SCENARIO, TRACKS, write_scenario
+from sumo_adv.simulation.fcd_scenario import write_scenario
 from sumo_adv.simulation.inputs import load_input
+from sumo_adv.simulation.scenario import ROUTES_FILE, SCENARIO_FILE, TRACKS_FILE
 from sumo_adv.simulation.tracks import read_tracks
 
 NETWORK = ROOT / "networks" / "two_way.net.xml"
@@ -38,7 +39,7 @@ def imported(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_tracks_come_back_as_they_were(imported: Path) -> None:
     piece = read_piece(run_folder("crossing"), unattacked=True, whole=True)
-    log = read_tracks(imported / TRACKS)
+    log = read_tracks(imported / TRACKS_FILE)
     assert set(log.tracks) == {track.id for track in piece.tracks}
     for track in piece.tracks:
         back = log.track(track.id)
@@ -49,16 +50,16 @@ def test_tracks_come_back_as_they_were(imported: Path) -> None:
 
 
 def test_routes_are_those_that_were_driven(imported: Path) -> None:
-    text = (imported / ROUTES).read_text()
+    text = (imported / ROUTES_FILE).read_text()
     assert '<route id="ego" edges="west_in east_out"/>' in text
     assert '<route id="turning" edges="east_in south_out"/>' in text  # a left turn
 
 
 def test_the_scenario_runs(imported: Path, tmp_path: Path) -> None:
-    assert load_input(imported / SCENARIO).ego == "ego"
+    assert load_input(imported / SCENARIO_FILE).ego == "ego"
     bank = tmp_path / "bank.sqlite"
     result = sumo_adv.run(
-        imported / SCENARIO, attempts=1, proposals=24, learn="off", out=tmp_path / "out", memory=bank
+        imported / SCENARIO_FILE, attempts=1, proposals=24, learn="off", out=tmp_path / "out", memory=bank
     )  # fmt: skip
     assert len(result.outcome.attempts) == 1
 
@@ -77,7 +78,7 @@ AT_NIGHT = f'<timestep time="1.01">{CAR}</timestep><timestep time="500000">{CAR}
 def test_bumpers_become_centres_and_persons_stay(tmp_path: Path) -> None:
     (tmp_path / "fcd.xml").write_text(text_of(CAR, PERSON))
     assert write_scenario(tmp_path, tmp_path / "fcd.xml", NETWORK, "a", warm_up=0.0).objects == 2
-    log = read_tracks(tmp_path / TRACKS)
+    log = read_tracks(tmp_path / TRACKS_FILE)
     car, person = log.tracks["a"], log.tracks["p"]
     assert (car.kind, car.x[0], car.y[0], car.heading[0]) == ("vehicle", 10.0, -1.6, 0.0)  # 5 m long
     assert (person.kind, person.x[0], person.y[0]) == ("pedestrian", 7.0, 5.0)

@@ -14,7 +14,7 @@ from regression_samples import suite_in
 from sumo_samples import make_spec, vehicle
 
 from sumo_adv.errors import UsageError
-from sumo_adv.simulation.given_options import KINDS, check
+from sumo_adv.simulation.given_options import OPTION_TYPES, check
 from sumo_adv.simulation.inputs import data_folder, load_input
 from sumo_adv.simulation.programs import find_sumo
 from sumo_adv.simulation.scan import scan_demand, silent_copies
@@ -38,11 +38,13 @@ def test_every_option_that_may_be_given_is_sumos_own_by_its_long_name_and_type(t
     subprocess.run(command, check=True, capture_output=True)
     found = re.findall(r'<([\w.-]+) value="[^"]*"[^>]* type="(\w+)', template.read_text(encoding="utf-8"))
     types = dict(found)
-    assert len(KINDS) > 200
+    assert len(OPTION_TYPES) > 200
     texts = {"device.emissions.begin", "device.emissions.period"}
-    assert {name for name, kind in KINDS.items() if types.get(name) != SUMOS_TYPES[kind]} <= texts
-    assert not {name for name in KINDS if types[name] == "FILE"}
-    assert {n for n in types if n not in KINDS and n not in OTHERS and n not in FORCED and not only_shows(n)} == set()
+    assert {name for name, kind in OPTION_TYPES.items() if types.get(name) != SUMOS_TYPES[kind]} <= texts
+    assert not {name for name in OPTION_TYPES if types[name] == "FILE"}
+    assert {
+        n for n in types if n not in OPTION_TYPES and n not in OTHERS and n not in FORCED and not only_shows(n)
+    } == set()
     assert types.keys() >= OTHERS
 
 

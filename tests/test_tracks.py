@@ -12,9 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sumo_adv.errors import UsageError
-from sumo_adv.simulation.tracks import COLUMNS, TrackLog, read_tracks, write_tracks
+from sumo_adv.simulation.tracks import TRACK_COLUMNS, TrackLog, read_tracks, write_tracks
 
-HEADER = ",".join(COLUMNS) + "\n"
+HEADER = ",".join(TRACK_COLUMNS) + "\n"
 CAR = """0.0,a,vehicle,1,0,0,0,10,4.0,2.0
 0.0,p,pedestrian,1,5,5,1.5,1,0.6,0.6
 0.1,a,vehicle,0,,,,,,

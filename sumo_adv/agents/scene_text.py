@@ -15,7 +15,7 @@ from sumo_adv.datatypes import Track
 from sumo_adv.llm.prompts import sanitize
 from sumo_adv.metrics.severity import UNPROTECTED_TENTH
 from sumo_adv.road_users import LIMITS, RoadUser, is_unprotected, road_user
-from sumo_adv.simulation.sumo_rules import AHEAD, SEES
+from sumo_adv.simulation.sumo_rules import MINOR_TIME_GAP_S, VISIBILITY_DISTANCE_M
 from sumo_adv.situation import ReferencePath, Signal, Situation, Target
 
 MAX_OTHERS = 8  # vehicles besides the ego and the possible adversaries, the nearest ones
@@ -161,10 +161,10 @@ def _at_junctions(situation: Situation) -> str:
     if situation.baseline.model.kind not in SUMO_DRIVERS or not (meets or math.isfinite(situation.road.junction)):
         return ""
     return (
-        f"At a junction where it must give way it decides {SEES:g} m before its line: it stops for a vehicle that goes"
-        f" first and arrives less than {AHEAD:g} s after EGO would be across. With priority too it brakes for one"
-        " across its path as soon as, and not before, the front of that one is on the junction, unless EGO was"
-        " on it first. "
+        f"At a junction where it must give way it decides {VISIBILITY_DISTANCE_M:g} m before its line:"
+        f" it stops for a vehicle that goes first and arrives less than {MINOR_TIME_GAP_S:g} s"
+        " after EGO would be across. With priority too it brakes for one across its path as soon as, and not before,"
+        " the front of that one is on the junction, unless EGO was on it first. "
     )
 
 

@@ -148,8 +148,9 @@ def import_fcd(
     force: Annotated[bool, typer.Option("--force", help="Replace an earlier import.")] = False,
 ) -> None:
     """Make a scenario of floating car data: run it with any ego; the other vehicles become SUMO's, or stay recorded."""
-    from sumo_adv.simulation.fcd_scenario import SCENARIO, write_scenario
+    from sumo_adv.simulation.fcd_scenario import write_scenario
     from sumo_adv.simulation.scan import scan_network
+    from sumo_adv.simulation.scenario import SCENARIO_FILE
 
     scan_network(network)
     with staged(out, force=force) as folder:
@@ -157,7 +158,7 @@ def import_fcd(
         folder.keep(force=force)
     for note in done.notes:
         typer.echo(note, err=True)
-    typer.echo(f"{done.objects} objects; run it: sumo-adv run {out / SCENARIO}")
+    typer.echo(f"{done.objects} objects; run it: sumo-adv run {out / SCENARIO_FILE}")
 
 
 SCENARIOS_EXAMPLE = "Example: sumo-adv scenarios"

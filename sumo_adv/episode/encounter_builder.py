@@ -26,7 +26,7 @@ from sumo_adv.metrics.boxes import first_contact, on_grid, overlaps
 from sumo_adv.metrics.case import closest
 from sumo_adv.metrics.criticality import ttc
 from sumo_adv.simulation.network import RoadMap
-from sumo_adv.simulation.permissions import ELSEWHERE
+from sumo_adv.simulation.permissions import OFF_ROAD_CLASSES
 from sumo_adv.simulation.simulation import Snapshot, heading_of
 from sumo_adv.situation import fastest_of
 
@@ -243,7 +243,7 @@ def nearest_ones(drive: Drive) -> str:
         if name != drive.ego and math.hypot(ahead, left) < NAMED_WITHIN:
             side = "" if abs(left) < 1.0 else f" and {abs(left):.0f} m to the {'left' if left > 0 else 'right'}"
             place = f"{name} {abs(ahead):.0f} m {'ahead' if ahead >= 0 else 'behind'}{side}, at {speed:.0f} m/s"
-            place += f" (a {kind}, which cannot attack)" if (kind := drive.kind(name)) in ELSEWHERE else ""
+            place += f" (a {kind}, which cannot attack)" if (kind := drive.kind(name)) in OFF_ROAD_CLASSES else ""
             places.append((math.hypot(ahead, left), place))
     return f": {'; '.join(place for _, place in sorted(places)[:NAMED])}" if places else ""
 

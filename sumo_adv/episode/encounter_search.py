@@ -16,7 +16,7 @@ from sumo_adv.episode.task import NoEncounter, Task
 from sumo_adv.errors import MissingVehicleError, UsageError
 from sumo_adv.simulation.inputs import EgoRoute
 from sumo_adv.simulation.network import RoadMap
-from sumo_adv.simulation.permissions import ELSEWHERE
+from sumo_adv.simulation.permissions import OFF_ROAD_CLASSES
 
 PATIENCE = 15.0  # s after which a chosen ego without an encounter is replaced by another
 SAME = 15.0  # s after an encounter that was left, in which the same vehicles make no other one
@@ -163,7 +163,7 @@ class EncounterSearch:
             advice = "check --adversary or the scenario's candidates"
             raise self._missing(unknown[0], advice)
         kinds = {name: self.drive.kind(name) for name in self.task.only if name in self.drive.snapshot.raw}
-        bound = next((name for name, kind in kinds.items() if kind in ELSEWHERE), None)
+        bound = next((name for name, kind in kinds.items() if kind in OFF_ROAD_CLASSES), None)
         if bound is not None:
             why = f"is a {kinds[bound]}, and no vehicle of that class can attack: it drives on no road"
             raise UsageError(f"Vehicle '{bound}' {why}; name another adversary.")

@@ -16,7 +16,14 @@ import numpy as np
 from sumo_adv.datatypes import Floats
 from sumo_adv.geometry import along
 from sumo_adv.simulation.network import Connection, RoadMap
-from sumo_adv.simulation.sumo_rules import AHEAD, CLEARANCE, FOE_ACCELERATION, FOE_SPEED, HALTING, seconds
+from sumo_adv.simulation.sumo_rules import (
+    FOE_ACCELERATION_M_S2,
+    FOE_SPEED_M_S,
+    HALTING_SPEED_M_S,
+    MEETING_CLEARANCE_M,
+    MINOR_TIME_GAP_S,
+    seconds,
+)
 
 # -- where ways meet ------------------------------------------------------------------------------------------------
 
@@ -98,10 +105,11 @@ class Meetings:
 
 # -- who waits ------------------------------------------------------------------------------------------------------
 
-COMFORTABLE = 3.0  # m/s2: a driver that can stop with this braking stops at a yellow light, and keeps ``AHEAD``
+# m/s2: a driver that can stop with this braking stops at a yellow light, and keeps ``MINOR_TIME_GAP_S``
+COMFORTABLE = 3.0
 STOPS = 4.5  # m/s2: a driver that cannot stop with this (SUMO's ``decel``) passes, unless it had to wait already
 CAN_STOP = 0.5  # m: a driver that would stop at most this far beyond the line can still stop before it
-RELAX = 1.0  # s more than ``AHEAD`` before a reason to wait goes away: SUMO's own margin once more
+RELAX = 1.0  # s more than ``MINOR_TIME_GAP_S`` before a reason to wait goes away: SUMO's own margin once more
 PASSED = 0.5  # m by which the front bumper may be over a line and still stand at it, as in ``drivers/junctions.py``
 AT_SIGN = 3.0  # m before a stop sign's line within which a standstill counts
 LETS_GO = 3.0  # s: a vehicle that has stood this long lets the ego go first, so that two do not wait for each other
@@ -169,12 +177,12 @@ class RightOfWay:
         if signal == "red":
             return True
         if signal == "yellow":
-            if speed * speed <= 2 * COMFORTABLE * max(line.room, 0.0) or speed < HALTING:
+            if speed * speed <= 2 * COMFORTABLE * max(line.room, 0.0) or speed < HALTING_SPEED_M_S:
                 self._yellow.add(line.link)
             return line.link in self._yellow
         self._yellow.discard(line.link)
         if sign_of(line.letter) == "stop":
-            if speed < HALTING and line.room <= AT_SIGN:
+            if speed < HALTING_SPEED_M_S and line.room <= AT_SIGN:
                 self._stood[line.link] = max(stood, self._stood.get(line.link, 0.0))
             elif line.link not in self._stood:
                 return True
@@ -204,9 +212,9 @@ class RightOfWay:
         entered = foe.to_line < 0.0
         if foe.letter in "rRuyY" and not entered:
             return False
-        margin = AHEAD
+        margin = MINOR_TIME_GAP_S
         if (line.link, foe.id) in self._waits:
-            margin = AHEAD + RELAX
+            margin = MINOR_TIME_GAP_S + RELAX
         elif line.room <= speed * speed / (2 * STOPS) - CAN_STOP:
             return False
         elif line.link in self._let_go or line.room <= speed * speed / (2 * COMFORTABLE) - CAN_STOP:
@@ -214,22 +222,22 @@ class RightOfWay:
         for meeting in self._meetings.of(line.link):
             if meeting.other != foe.link or not (meeting.yields or entered) or meeting.at < line.begin:
                 continue
-            to_zone = foe.to_line + meeting.other_at - CLEARANCE
-            to_clear = foe.to_line + meeting.other_at + foe.length + CLEARANCE
+            to_zone = foe.to_line + meeting.other_at - MEETING_CLEARANCE_M
+            to_clear = foe.to_line + meeting.other_at + foe.length + MEETING_CLEARANCE_M
             if to_clear <= 0.0:
                 continue
-            if to_zone > 0.0 and foe.speed < HALTING and foe.stood() >= LETS_GO:
+            if to_zone > 0.0 and foe.speed < HALTING_SPEED_M_S and foe.stood() >= LETS_GO:
                 continue
             if line.letter == "w" and not entered and foe.stood() <= self._stood[line.link]:
                 continue
             to_meeting = line.room + meeting.at - line.begin
             at_line = _seconds(line.room, speed)
-            across = _seconds(to_meeting + length + CLEARANCE, speed, line.limit)
-            gone = to_clear / max(foe.speed, HALTING)
+            across = _seconds(to_meeting + length + MEETING_CLEARANCE_M, speed, line.limit)
+            gone = to_clear / max(foe.speed, HALTING_SPEED_M_S)
             if across + margin > _seconds(to_zone, foe.speed) and gone > at_line:
                 return True
         return False
 
 
-def _seconds(distance: float, speed: float, fastest: float = FOE_SPEED) -> float:
-    return float(seconds(np.array([distance]), np.array([speed]), FOE_ACCELERATION, fastest)[0])
+def _seconds(distance: float, speed: float, fastest: float = FOE_SPEED_M_S) -> float:
+    return float(seconds(np.array([distance]), np.array([speed]), FOE_ACCELERATION_M_S2, fastest)[0])

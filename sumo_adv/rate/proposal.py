@@ -28,7 +28,13 @@ import numpy as np
 
 from sumo_adv.datatypes import Boxes, Floats, Ints
 from sumo_adv.metrics.boxes import separation
-from sumo_adv.simulation.human_errors import BRAKING, DRIFT, REACTION, SIDE, ErrorKind
+from sumo_adv.simulation.human_errors import (
+    DRIFT_DISTANCE_M,
+    ERROR_SIDES,
+    LATE_BRAKING_M_S2,
+    LATE_REACTION_S,
+    ErrorKind,
+)
 
 KINDS = tuple(ErrorKind)
 SLOT = 1.0  # s between two decisions of a driver
@@ -104,12 +110,12 @@ def _motions(speed: Floats) -> tuple[Floats, Floats]:
     gone = begun * gaining + GO_ACCELERATION * gaining**2 / 2 + np.maximum(speed[:, 0], GO_SPEED) * (AHEAD - gaining)
     for k, kind in enumerate(KINDS):
         if kind is ErrorKind.LATE_BRAKING:
-            along[:, k] = _braked(speed[:, 0], REACTION, BRAKING)
+            along[:, k] = _braked(speed[:, 0], LATE_REACTION_S, LATE_BRAKING_M_S2)
         elif kind in (ErrorKind.PRIORITY, ErrorKind.RED_LIGHT):
             along[:, k] = gone
-        elif kind in SIDE:
-            wide = DRIFT if kind in (ErrorKind.DRIFT_LEFT, ErrorKind.DRIFT_RIGHT) else LANE
-            left[:, k] = SIDE[kind] * np.minimum(SIDEWAYS * AHEAD, wide)
+        elif kind in ERROR_SIDES:
+            wide = DRIFT_DISTANCE_M if kind in (ErrorKind.DRIFT_LEFT, ErrorKind.DRIFT_RIGHT) else LANE
+            left[:, k] = ERROR_SIDES[kind] * np.minimum(SIDEWAYS * AHEAD, wide)
     return along, left
 
 

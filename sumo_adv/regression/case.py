@@ -25,10 +25,11 @@ from sumo_adv.parsing import read_toml
 from sumo_adv.planners.source import make_planner
 from sumo_adv.regression.at_trigger import AtTrigger
 from sumo_adv.simulation.inputs import RunInput, load_input
+from sumo_adv.simulation.scenario import SCENARIO_FILE
 from sumo_adv.simulation.sumo_options import refuse
 
 SCHEMA = 1
-CASE_FILE, SCENARIO_FILE, PLANNER_FILE, NETWORKS = "case.toml", "scenario.toml", "planner.py", "networks"
+CASE_FILE, PLANNER_FILE, NETWORKS = "case.toml", "planner.py", "networks"
 HASH_DIGITS = 12
 SHAPING = (
     "seed", "step_length", "history", "duration", "replan", "delays", "forecast", "ttc", "limits", "sumo_options",

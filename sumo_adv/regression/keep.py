@@ -17,7 +17,6 @@ from sumo_adv.regression.at_trigger import AtTrigger
 from sumo_adv.regression.case import (
     CASE_FILE,
     NETWORKS,
-    SCENARIO_FILE,
     SCHEMA,
     SHAPING,
     Expectation,
@@ -31,6 +30,7 @@ from sumo_adv.report.run_outcome import level_of
 from sumo_adv.report.staging import staged
 from sumo_adv.simulation.inputs import EgoRoute, data_folder
 from sumo_adv.simulation.playback_spec import Prop
+from sumo_adv.simulation.scenario import SCENARIO_FILE
 from sumo_adv.simulation.sumo_options import differing
 
 FOUND = ("level", "contact_time", "min_ttc", "delta_v", "severity", "preventable_by")

@@ -16,7 +16,7 @@ from sumo_adv.files import plain_cell
 from sumo_adv.metrics.case import NEAR
 from sumo_adv.metrics.criticality import AVAILABLE, series
 from sumo_adv.metrics.validity import MOST
-from sumo_adv.simulation.signals import COLUMNS
+from sumo_adv.simulation.signals import SIGNAL_COLUMNS
 from sumo_adv.simulation.simulation import Snapshot
 from sumo_adv.simulation.tracks import tracks_of
 from sumo_adv.times import seconds_text
@@ -77,7 +77,7 @@ def write_signals(target: Path, snapshots: Sequence[Snapshot]) -> None:
                 shown[name] = state
                 rows.append(f"{seconds_text(snapshot.time)},{quoted(name)},{state}\n")
     if rows:
-        write_gzip(target, ",".join(COLUMNS) + "\n" + "".join(rows))
+        write_gzip(target, ",".join(SIGNAL_COLUMNS) + "\n" + "".join(rows))
 
 
 PLAN_HEADER = "time,x,y,heading,speed,acceleration\n"

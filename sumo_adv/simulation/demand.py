@@ -17,15 +17,16 @@ from xml.sax.saxutils import quoteattr
 
 from sumo_adv.errors import UsageError
 
-FREE_DENSITY = 10.0  # departures per minute and origin lane without yielding: a third of a lane's capacity
-YIELDING_DENSITY = 4.0  # the same where some route must yield or stop at lights
-MAX_DEFAULT_DENSITY = 30.0  # departures per minute over the whole network
-INNER_DENSITY = 12.0  # departures per minute over a network that has no fringe
-INNER_LENGTH = 150.0  # m that a route between inner edges must have
-MIN_ORIGIN = 8.0  # m of an edge that a vehicle has room to start on; shorter fringe edges are stumps of a cut map
-FRINGE_COVER = 0.5  # of the network's length that fringe routes must cover, else inner routes are added
-PAIR_TRIES = 400
-PART = 120.0  # s of traffic that are drawn at a time, so that a later end changes nothing before it
+FREE_DEPARTURES_PER_MIN = 10.0  # departures per minute and origin lane without yielding: a third of a lane's capacity
+YIELDING_DEPARTURES_PER_MIN = 4.0  # the same where some route must yield or stop at lights
+MAX_DEFAULT_DEPARTURES_PER_MIN = 30.0  # departures per minute over the whole network
+INNER_DEPARTURES_PER_MIN = 12.0  # departures per minute over a network that has no fringe
+MIN_INNER_ROUTE_LENGTH_M = 150.0  # that a route between inner edges must have
+# of an edge that a vehicle has room to start on; shorter fringe edges are stumps of a cut map
+MIN_ORIGIN_LENGTH_M = 8.0
+MIN_FRINGE_SHARE = 0.5  # of the network's length that fringe routes must cover, else inner routes are added
+MAX_PAIR_TRIES = 400
+DEMAND_PART_S = 120.0  # of traffic that are drawn at a time, so that a later end changes nothing before it
 
 _HEADER = """<?xml version="1.0" encoding="UTF-8"?>
 
@@ -59,9 +60,9 @@ def generate(
     routes, density = _routes_and_density(network, draw, density)
     lines, weights = [_HEADER], [journey.lanes for journey in routes]
     drawn = list[tuple[float, Journey]]()
-    for part in range(math.ceil((end - begin) / PART)):
-        first = begin + part * PART
-        departs = _departures(draw, density, first, min(first + PART, end))
+    for part in range(math.ceil((end - begin) / DEMAND_PART_S)):
+        first = begin + part * DEMAND_PART_S
+        departs = _departures(draw, density, first, min(first + DEMAND_PART_S, end))
         drawn += [(depart, draw.choices(routes, weights=weights)[0]) for depart in departs]
     for number, (depart, journey) in enumerate(drawn):
         lines.append(
@@ -103,8 +104,8 @@ def _routes_and_density(network: Path, draw: random.Random, density: float | Non
 def default_density(found: list[Journey]) -> float:
     """Departures per minute that give lively but free traffic: in proportion to the lanes on which vehicles enter."""
     lanes = {journey.edges[0]: journey.lanes for journey in found if journey.fringe}
-    share = YIELDING_DENSITY if any(journey.yields for journey in found) else FREE_DENSITY
-    return min(share * sum(lanes.values()), MAX_DEFAULT_DENSITY) or INNER_DENSITY
+    share = YIELDING_DEPARTURES_PER_MIN if any(journey.yields for journey in found) else FREE_DEPARTURES_PER_MIN
+    return min(share * sum(lanes.values()), MAX_DEFAULT_DEPARTURES_PER_MIN) or INNER_DEPARTURES_PER_MIN
 
 
 def journeys(network: Path, draw: random.Random) -> list[Journey]:
@@ -118,12 +119,12 @@ def journeys(network: Path, draw: random.Random) -> list[Journey]:
         raise UsageError(f"The network {network} lacks what traffic is made from ({error}): build it again.") from error
     edges = sorted((edge for edge in net.getEdges() if edge.allows("passenger")), key=lambda edge: str(edge.getID()))
     origins = [edge for edge in edges if not _passable(edge.getIncoming())]
-    origins = [edge for edge in origins if edge.getLength() >= MIN_ORIGIN] or origins
+    origins = [edge for edge in origins if edge.getLength() >= MIN_ORIGIN_LENGTH_M] or origins
     destinations = [edge for edge in edges if not _passable(edge.getOutgoing())]
     routes = _routes(net, _pairs(origins, destinations, draw), fringe=True)
     covered = {edge for journey in routes for edge in journey.edges}
     length = sum(edge.getLength() for edge in edges)
-    if sum(edge.getLength() for edge in edges if edge.getID() in covered) < FRINGE_COVER * length or not routes:
+    if sum(edge.getLength() for edge in edges if edge.getID() in covered) < MIN_FRINGE_SHARE * length or not routes:
         routes += _routes(net, _pairs(edges, edges, draw), fringe=False)
     if not routes:
         raise UsageError(f"No route leads through the network {network}: give a demand of your own.")
@@ -140,10 +141,10 @@ def _passable(neighbours: Any) -> list[Any]:
 
 
 def _pairs(origins: list[Any], destinations: list[Any], draw: random.Random) -> list[tuple[Any, Any]]:
-    """Pairs of different edges, all of them or a seeded sample of PAIR_TRIES."""
-    if len(origins) * len(destinations) <= PAIR_TRIES:
+    """Pairs of different edges, all of them or a seeded sample of MAX_PAIR_TRIES."""
+    if len(origins) * len(destinations) <= MAX_PAIR_TRIES:
         return [(a, b) for a in origins for b in destinations if a is not b or not _passable(a.getOutgoing())]
-    drawn = [(draw.choice(origins), draw.choice(destinations)) for _ in range(PAIR_TRIES)]
+    drawn = [(draw.choice(origins), draw.choice(destinations)) for _ in range(MAX_PAIR_TRIES)]
     return [(a, b) for a, b in drawn if a is not b]
 
 
@@ -152,7 +153,7 @@ def _routes(net: Any, pairs: list[tuple[Any, Any]], *, fringe: bool) -> list[Jou
     routes = []
     for origin, destination in pairs:
         route, _ = net.getFastestPath(origin, destination, vClass="passenger")
-        if route is None or (not fringe and sum(edge.getLength() for edge in route) < INNER_LENGTH):
+        if route is None or (not fringe and sum(edge.getLength() for edge in route) < MIN_INNER_ROUTE_LENGTH_M):
             continue
         if any(link.getDirection() == "t" for a, b in pairwise(route) for link in a.getConnections(b)):
             continue

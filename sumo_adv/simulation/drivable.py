@@ -20,7 +20,7 @@ import numpy as np
 from sumo_adv.datatypes import Bools, Floats
 from sumo_adv.geometry import along, same_layer, stations
 
-KEY = "drivable"
+DRIVABLE_KEY = "drivable"
 
 
 @dataclass(frozen=True, slots=True)

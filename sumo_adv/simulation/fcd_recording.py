@@ -25,11 +25,11 @@ from sumo_adv.simulation.programs import load_libsumo
 from sumo_adv.simulation.scan import parse, seconds, silent_copies
 from sumo_adv.simulation.simulation import PERSON
 
-LATEST = 1e7  # s, about four months: of times in a recording
-NEEDED = ("x", "y", "angle", "speed")
+MAX_RECORDING_TIME_S = 1e7  # about four months: of times in a recording
+NEEDED_ATTRIBUTES = ("x", "y", "angle", "speed")
 MUST_NAME = "--fcd-output.attributes must name x,y,angle,speed,type,lane"
-NEAR_M = 20.0  # from a vehicle's front to the middle of its lane; a vehicle that overtakes is within 10
-COMPARED = 200  # states of the ego that are compared with its lanes
+MAX_LANE_OFFSET_M = 20.0  # from a vehicle's front to the middle of its lane; a vehicle that overtakes is within 10
+MAX_COMPARED_STATES = 200  # states of the ego that are compared with its lanes
 States = dict[float, dict[str, str]]  # attributes by time [s]
 
 
@@ -117,14 +117,14 @@ def _time(path: Path, attributes: Mapping[str, str]) -> float:
     if "time" not in attributes:
         raise _no_fcd(path, "a timestep has no time")
     time = seconds(path, "timestep", attributes["time"])
-    if time is None or not time < LATEST:
+    if time is None or not time < MAX_RECORDING_TIME_S:
         raise _no_fcd(path, f"a timestep at {attributes['time'][:40]}")
     return time
 
 
 def _object(path: Path, name: str, states: States, *, person: bool) -> RecordedObject:
     columns: dict[str, Floats] = {}
-    for key in NEEDED:
+    for key in NEEDED_ATTRIBUTES:
         try:
             columns[key] = np.array([float(state[key]) for state in states.values()])
         except KeyError:
@@ -162,12 +162,12 @@ def in_network(path: Path, recording: FcdRecording, network: Path, road: RoadMap
     if not any(lane in road.lanes for lane in me.lanes):
         raise UsageError(f"The vehicle '{ego}' is on no lane of {network.name} in {path}; is it that network's?")
     far = _from_lanes(me, road)
-    if far <= NEAR_M or not math.isfinite(far):
+    if far <= MAX_LANE_OFFSET_M or not math.isfinite(far):
         return recording
     offset, projection = _location(network)
     lon_lat = _places(recording)
     unshifted = _moved(recording, lon_lat + offset)
-    if _from_lanes(unshifted.objects[ego], road) <= NEAR_M:
+    if _from_lanes(unshifted.objects[ego], road) <= MAX_LANE_OFFSET_M:
         note = "Places of --fcd-output.utm are moved by the network's offset."
         moved = dict(unshifted.objects)
         for name, o in recording.objects.items():  # SUMO 1.28 writes persons in the network's coordinates nevertheless
@@ -181,7 +181,7 @@ def in_network(path: Path, recording: FcdRecording, network: Path, road: RoadMap
                 "record it without --fcd-output.geo."
             )
         projected = _moved(recording, _projected(network, lon_lat))
-        if _from_lanes(projected.objects[ego], road) <= NEAR_M:
+        if _from_lanes(projected.objects[ego], road) <= MAX_LANE_OFFSET_M:
             note = "Longitudes and latitudes are converted with the network's projection."
             return replace(projected, notes=(*recording.notes, note))
     raise UsageError(
@@ -201,7 +201,7 @@ def _from_lanes(o: RecordedObject, road: RoadMap) -> float:
 
     on = [k for k, lane in enumerate(o.lanes) if lane in road.lanes]
     lines = {lane: LineString(road.lanes[lane].shape) for lane in {o.lanes[k] for k in on}}
-    some = on[:: max(1, len(on) // COMPARED)]
+    some = on[:: max(1, len(on) // MAX_COMPARED_STATES)]
     return float(np.median([lines[o.lanes[k]].distance(Point(o.x[k], o.y[k])) for k in some]))
 
 

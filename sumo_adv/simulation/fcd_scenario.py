@@ -25,14 +25,13 @@ from sumo_adv.simulation.fcd_recording import (
 from sumo_adv.simulation.fcd_types import CAR_SIZE, CLASS_SIZES, Size, read_sizes, size_of
 from sumo_adv.simulation.network import RoadMap, read_network
 from sumo_adv.simulation.permissions import CAR
-from sumo_adv.simulation.scenario import DEFAULT_WARM_UP
+from sumo_adv.simulation.scenario import DEFAULT_WARM_UP_S, NETWORK_FILE, ROUTES_FILE, SCENARIO_FILE, TRACKS_FILE
 from sumo_adv.simulation.simulation import heading_of
 from sumo_adv.simulation.tracks import LoggedTrack, TrackLog, write_tracks
 
-SCENARIO, TRACKS, ROUTES = "scenario.toml", "tracks.csv.gz", "routes.rou.xml"
-MOST_STATES = 20_000_000  # of all objects at all times: about 700 MB
-MOVEMENTS = ("straight", "right", "left", "u-turn")  # in the order in which a route goes on
-ONWARD_M = 500.0  # of road behind the recording's end: half a minute in town, more than an attack takes
+MAX_RECORDED_STATES = 20_000_000  # of all objects at all times: about 700 MB
+PREFERRED_MOVEMENTS = ("straight", "right", "left", "u-turn")  # in the order in which a route goes on
+FCD_ROUTE_EXTENSION_M = 500.0  # of road behind the recording's end: half a minute in town, more than an attack takes
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +43,12 @@ class ImportedFcd:
 
 
 def write_scenario(
-    folder: Path, recording: Path, network: Path, ego: str, types: Sequence[Path] = (), warm_up: float = DEFAULT_WARM_UP
+    folder: Path,
+    recording: Path,
+    network: Path,
+    ego: str,
+    types: Sequence[Path] = (),
+    warm_up: float = DEFAULT_WARM_UP_S,
 ) -> ImportedFcd:
     """Network, tracks, routes and scenario into ``folder``.
 
@@ -71,12 +75,12 @@ def write_scenario(
             f"The vehicle '{ego}' is in {recording} for {lasts:g} s, and the recording moves it for the first "
             f"{warm_up:g} s: give a shorter --warm-up, or record longer."
         )
-    copy = "network.net.xml.gz" if network.name.lower().endswith(".gz") else "network.net.xml"
+    copy = f"{NETWORK_FILE}.gz" if network.name.lower().endswith(".gz") else NETWORK_FILE
     shutil.copyfile(network, folder / copy)
-    write_tracks(folder / TRACKS, log)
+    write_tracks(folder / TRACKS_FILE, log)
     lines = [f'    <route id={quoteattr(n)} edges="{" ".join(edges)}"/>\n' for n, edges in routes.items() if edges]
-    (folder / ROUTES).write_text("<routes>\n" + "".join(lines) + "</routes>\n", encoding="utf-8")
-    (folder / SCENARIO).write_text(_scenario(copy, ego, float(log.time[0]), warm_up), encoding="utf-8")
+    (folder / ROUTES_FILE).write_text("<routes>\n" + "".join(lines) + "</routes>\n", encoding="utf-8")
+    (folder / SCENARIO_FILE).write_text(_scenario(copy, ego, float(log.time[0]), warm_up), encoding="utf-8")
     return ImportedFcd(len(log.tracks), (*recorded.notes, *_said(unknown)))
 
 
@@ -105,10 +109,10 @@ def _said(unknown: Sequence[str]) -> list[str]:
 def _log(recording: Path, recorded: FcdRecording, sizes: Mapping[str, Size]) -> TrackLog:
     objects = recorded.objects
     times = np.unique(np.concatenate([o.time for o in objects.values()]))
-    if (steps_over(times) + 1) * len(objects) > MOST_STATES:
+    if (steps_over(times) + 1) * len(objects) > MAX_RECORDED_STATES:
         raise UsageError(
             f"{recording} spans {times[-1] - times[0]:.3g} s in steps of {np.diff(times).min():.3g} s with "
-            f"{len(objects)} objects, more than {MOST_STATES:.0e} states; cut it to the part that you need."
+            f"{len(objects)} objects, more than {MAX_RECORDED_STATES:.0e} states; cut it to the part that you need."
         )
     if (worst := off_grid(times)) is not None:
         raise UsageError(f"{recording} has no even steps: {times[worst]:g} s is off; record it with one period.")
@@ -142,7 +146,7 @@ def _edges(o: RecordedObject, road: RoadMap, end: float) -> tuple[str, ...]:
         route.append(lane.edge)
     if not route or o.time[-1] < end:
         return tuple(route)
-    left = ONWARD_M
+    left = FCD_ROUTE_EXTENSION_M
     while left > 0.0 and (onward := [edge for edge in _next_edges(route[-1], road) if edge not in route]):
         lanes = [road.lanes[name] for name in road.edges[onward[0]]]
         if not any(lane.allows(CAR) for lane in lanes):
@@ -155,17 +159,17 @@ def _edges(o: RecordedObject, road: RoadMap, end: float) -> tuple[str, ...]:
 def _next_edges(edge: str, road: RoadMap) -> list[str]:
     """Edges that one leads to: straight ones first, then right, left and back."""
     found = {(road.lanes[c.to].edge, c.movement) for lane in road.edges[edge] for c in road.lanes[lane].connections}
-    return [to for to, _ in sorted(found, key=lambda each: (MOVEMENTS.index(each[1]), each[0]))]
+    return [to for to, _ in sorted(found, key=lambda each: (PREFERRED_MOVEMENTS.index(each[1]), each[0]))]
 
 
 def _scenario(network: str, ego: str, begin: float, warm_up: float) -> str:
     return f"""\
 schema = 1
 network = "{network}"
-tracks = "{TRACKS}"
+tracks = "{TRACKS_FILE}"
 
 [demand]
-files = ["{ROUTES}"]
+files = ["{ROUTES_FILE}"]
 begin = {begin:.3f}
 
 [ego]

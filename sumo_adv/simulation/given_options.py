@@ -14,9 +14,9 @@ from typing import Literal
 from sumo_adv.errors import UsageError, nearest
 
 Kind = Literal["switch", "number", "whole number", "time", "text"]
-LARGEST_NUMBER = 1e9  # of a number or time that an option may have
-LARGEST_WHOLE = 1_000_000  # SUMO reserves memory by some of them
-LONGEST_TEXT = 10_000  # characters
+MAX_OPTION_NUMBER = 1e9  # of a number or time that an option may have
+MAX_OPTION_INTEGER = 1_000_000  # SUMO reserves memory by some of them
+MAX_OPTION_CHARACTERS = 10_000
 VARIABLE, HOME = "${", "~"  # SUMO puts in an environment variable, and the home at a start, also on its command line
 
 _BY_KIND: Mapping[Kind, str] = {
@@ -108,7 +108,7 @@ _BY_KIND: Mapping[Kind, str] = {
         person-device.rerouting.mode person-device.rerouting.scope
     """,
 }
-KINDS: Mapping[str, Kind] = {name: kind for kind, names in _BY_KIND.items() for name in names.split()}
+OPTION_TYPES: Mapping[str, Kind] = {name: kind for kind, names in _BY_KIND.items() for name in names.split()}
 """Long name of each option that may be given -> the type of its value."""
 _SWITCH = re.compile(r"1|0|yes|no|true|false|on|off|x|t|f", re.IGNORECASE | re.ASCII)
 _NUMBER = re.compile(r"[+-]?(\d{1,40}\.?\d{0,40}|\.\d{1,40})([eE][+-]?\d{1,3})?", re.ASCII)
@@ -118,12 +118,12 @@ _CLOCK = re.compile(r"(\d{1,9}:)?\d{1,9}:\d{1,9}:\d{1,9}(\.\d{1,9})?", re.ASCII)
 def check(options: Mapping[str, str]) -> None:
     """Raises UsageError for an option that may not be given, or whose value is not of its type."""
     for name, value in options.items():
-        if name not in KINDS:
+        if name not in OPTION_TYPES:
             raise UsageError(
-                f"SUMO's option '{name[:80]}' is not one that can be given{nearest(name, KINDS)}: leave it out."
+                f"SUMO's option '{name[:80]}' is not one that can be given{nearest(name, OPTION_TYPES)}: leave it out."
             )
-        if not isinstance(value, str) or not _fits(KINDS[name], value):
-            kind = {"time": "time [s]", "switch": "switch (true or false)"}.get(KINDS[name], KINDS[name])
+        if not isinstance(value, str) or not _fits(OPTION_TYPES[name], value):
+            kind = {"time": "time [s]", "switch": "switch (true or false)"}.get(OPTION_TYPES[name], OPTION_TYPES[name])
             raise UsageError(f"SUMO's option '{name}' takes a {kind}, and not {str(value)[:80]!r}.")
 
 
@@ -132,11 +132,11 @@ def _fits(kind: Kind, value: str) -> bool:
         return _SWITCH.fullmatch(value) is not None
     if kind == "text":
         plain = value.isprintable() and VARIABLE not in value
-        return 0 < len(value) <= LONGEST_TEXT and plain and not value.startswith(("-", "+", HOME))
+        return 0 < len(value) <= MAX_OPTION_CHARACTERS and plain and not value.startswith(("-", "+", HOME))
     if kind == "time" and _CLOCK.fullmatch(value):
         return True
     if _NUMBER.fullmatch(value) is None:
         return False
     if kind == "whole number":
-        return value.lstrip("+-").isdecimal() and abs(int(value)) <= LARGEST_WHOLE
-    return abs(float(value)) <= LARGEST_NUMBER
+        return value.lstrip("+-").isdecimal() and abs(int(value)) <= MAX_OPTION_INTEGER
+    return abs(float(value)) <= MAX_OPTION_NUMBER

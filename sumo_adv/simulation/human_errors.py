@@ -25,12 +25,14 @@ from sumo_adv.simulation.network import is_left_hand
 from sumo_adv.simulation.remote import RawState
 from sumo_adv.simulation.simulation import FREE_SPEED_MODE, SUMO_SPEED_MODE, Simulation
 
-IGNORING_PRIORITY, IGNORING_LIGHTS = 55, 39  # speed modes: bit 3 is right of way before, 5 on the junction, 4 lights
-NO_LANE_RULES, SUMO_LANE_MODE = 0, 1621  # lane change modes
-MOVING = 2.0  # m/s, below it a driver that keeps its speed or its lane does nothing wrong
-AT_LINE = 40.0  # m before a stop line, from where a driver decides to go on
-REACTION, BRAKING = 1.5, 6.0  # s, m/s2 of late braking
-DRIFT = 2.0  # m sideways: in a lane of 3.5 m a car of 1.8 m then is 1.15 m beyond the line
+# speed modes: bit 3 is right of way before, 5 on the junction, 4 lights
+PRIORITY_IGNORING_SPEED_MODE = 55
+LIGHTS_IGNORING_SPEED_MODE = 39
+UNRULED_LANE_MODE, SUMO_LANE_MODE = 0, 1621  # lane change modes
+MIN_ERRING_SPEED_M_S = 2.0  # below it a driver that keeps its speed or its lane does nothing wrong
+STOP_LINE_DECISION_DISTANCE_M = 40.0  # before a stop line, from where a driver decides to go on
+LATE_REACTION_S, LATE_BRAKING_M_S2 = 1.5, 6.0  # s, m/s2 of late braking
+DRIFT_DISTANCE_M = 2.0  # sideways: in a lane of 3.5 m a car of 1.8 m then is 1.15 m beyond the line
 
 
 class ErrorKind(StrEnum):
@@ -46,20 +48,22 @@ class ErrorKind(StrEnum):
     RED_LIGHT = "red_light"
 
 
-SIDE = {ErrorKind.CHANGE_LEFT: 1, ErrorKind.DRIFT_LEFT: 1, ErrorKind.CHANGE_RIGHT: -1, ErrorKind.DRIFT_RIGHT: -1}
+ERROR_SIDES = {ErrorKind.CHANGE_LEFT: 1, ErrorKind.DRIFT_LEFT: 1, ErrorKind.CHANGE_RIGHT: -1, ErrorKind.DRIFT_RIGHT: -1}
 """Lanes to the left that an error leads to."""
-LASTS = {
+ERROR_DURATIONS_S = {
     ErrorKind.INATTENTION: 3.0, ErrorKind.LATE_BRAKING: 4.0, ErrorKind.CHANGE_LEFT: 4.0, ErrorKind.CHANGE_RIGHT: 4.0,
     ErrorKind.DRIFT_LEFT: 4.0, ErrorKind.DRIFT_RIGHT: 4.0, ErrorKind.PRIORITY: 6.0, ErrorKind.RED_LIGHT: 6.0,
 }  # fmt: skip
 """How long each error lasts [s]."""
-KEEPS_SPEED = frozenset({ErrorKind.INATTENTION, ErrorKind.LATE_BRAKING, ErrorKind.DRIFT_LEFT, ErrorKind.DRIFT_RIGHT})
+SPEED_KEEPING_ERRORS = frozenset(
+    {ErrorKind.INATTENTION, ErrorKind.LATE_BRAKING, ErrorKind.DRIFT_LEFT, ErrorKind.DRIFT_RIGHT}
+)
 
 
 def speed_in_error(kind: ErrorKind, begun: float, after: float) -> float:
     """The speed [m/s] of a driver that keeps its speed ``begun`` [m/s], ``after`` [s] the error began."""
-    if kind is ErrorKind.LATE_BRAKING and after > REACTION:
-        return max(0.0, begun - BRAKING * (after - REACTION))
+    if kind is ErrorKind.LATE_BRAKING and after > LATE_REACTION_S:
+        return max(0.0, begun - LATE_BRAKING_M_S2 * (after - LATE_REACTION_S))
     return begun
 
 
@@ -89,22 +93,25 @@ class HumanErrors:
         lane, kinds = raw[4], list[ErrorKind]()
         if vehicle in self.active:
             return ()
-        if raw[3] > MOVING:
+        if raw[3] > MIN_ERRING_SPEED_M_S:
             kinds += [ErrorKind.INATTENTION, ErrorKind.LATE_BRAKING]
         if not lane or lane.startswith(":"):
             return tuple(kinds)
-        if raw[3] > MOVING:
+        if raw[3] > MIN_ERRING_SPEED_M_S:
             edge, _, index = lane.rpartition("_")
             lanes = self._lanes.get(edge)
             if lanes is None:
                 lanes = self._lanes[edge] = int(self._api.edge.getLaneNumber(edge))
-            kinds += [kind for kind, side in SIDE.items() if 0 <= int(index) + self._hand * side < lanes]
+            kinds += [kind for kind, side in ERROR_SIDES.items() if 0 <= int(index) + self._hand * side < lanes]
         if lane not in self._lines:
             api = self._api.lane
             leads_on = bool(api.getLinks(lane))
             self._lines[lane] = centreline(api.getShape(lane), api.getLength(lane)) if leads_on else None
         line = self._lines[lane]
-        if line is not None and line.length - line.station_of(self._simulation.lane_position(vehicle)) < AT_LINE:
+        if (
+            line is not None
+            and line.length - line.station_of(self._simulation.lane_position(vehicle)) < STOP_LINE_DECISION_DISTANCE_M
+        ):
             kinds += self._at_line(vehicle)
         return tuple(kinds)
 
@@ -117,17 +124,17 @@ class HumanErrors:
 
     def begin(self, vehicle: str, kind: ErrorKind, speed: float) -> None:
         """Have a driver make an error from the next step on. ``speed``: its own [m/s]."""
-        v, side, lane = self._api.vehicle, self._hand * SIDE.get(kind, 0), self._api.lane
+        v, side, lane = self._api.vehicle, self._hand * ERROR_SIDES.get(kind, 0), self._api.lane
         self.active[vehicle] = self.last[vehicle] = Begun(kind, self._simulation.time, speed)
-        if kind in KEEPS_SPEED:
+        if kind in SPEED_KEEPING_ERRORS:
             v.setSpeedMode(vehicle, FREE_SPEED_MODE)
         elif kind is ErrorKind.PRIORITY:
-            v.setSpeedMode(vehicle, IGNORING_PRIORITY)
+            v.setSpeedMode(vehicle, PRIORITY_IGNORING_SPEED_MODE)
         elif kind is ErrorKind.RED_LIGHT:
-            v.setSpeedMode(vehicle, IGNORING_LIGHTS)
-        v.setLaneChangeMode(vehicle, NO_LANE_RULES)
+            v.setSpeedMode(vehicle, LIGHTS_IGNORING_SPEED_MODE)
+        v.setLaneChangeMode(vehicle, UNRULED_LANE_MODE)
         if kind in (ErrorKind.DRIFT_LEFT, ErrorKind.DRIFT_RIGHT):
-            v.changeSublane(vehicle, side * DRIFT)
+            v.changeSublane(vehicle, side * DRIFT_DISTANCE_M)
         elif side:  # not changeLane, which waits beside a vehicle in every mode
             here = str(v.getLaneID(vehicle))
             edge, _, index = here.rpartition("_")
@@ -142,11 +149,11 @@ class HumanErrors:
             after = time - error.since
             if vehicle not in there:
                 del self.active[vehicle]
-            elif after >= LASTS[error.kind] - 1e-6:
+            elif after >= ERROR_DURATIONS_S[error.kind] - 1e-6:
                 del self.active[vehicle]
                 v.setSpeed(vehicle, -1.0)
                 v.setSpeedMode(vehicle, SUMO_SPEED_MODE)
                 v.setLaneChangeMode(vehicle, SUMO_LANE_MODE)
-            elif error.kind in KEEPS_SPEED:
+            elif error.kind in SPEED_KEEPING_ERRORS:
                 step = self._simulation.spec.step_length
                 v.setSpeed(vehicle, speed_in_error(error.kind, error.speed, after + step))

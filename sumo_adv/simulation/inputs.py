@@ -16,7 +16,7 @@ from sumo_adv.errors import UsageError, nearest
 from sumo_adv.simulation.maps import MAPS, Conversion, convert_map, is_map
 from sumo_adv.simulation.playback_spec import PlaybackSpec, scenario_playback
 from sumo_adv.simulation.scan import DemandScan, NetworkScan, scan_demand, scan_network
-from sumo_adv.simulation.scenario import DEFAULT_WARM_UP, Ego, Label, Scenario, load_scenario
+from sumo_adv.simulation.scenario import DEFAULT_WARM_UP_S, SCENARIO_FILE, Ego, Label, Scenario, load_scenario
 from sumo_adv.simulation.sumocfg import is_sumocfg, read_sumocfg
 
 _NETWORK_SUFFIXES = (".net.xml", ".net.xml.gz", ".xml", ".xml.gz")
@@ -24,7 +24,7 @@ _SUFFIXES = (
     *sorted(MAPS, key=len, reverse=True),
     ".net.xml.gz", ".net.xml", ".xml.gz", ".xml", ".sumocfg", ".sumo.cfg", ".toml",
 )  # fmt: skip
-HEAD = 4096  # bytes in which the root element of a CommonRoad scenario begins
+ROOT_ELEMENT_BYTES = 4096  # in which the root element of a CommonRoad scenario begins
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +75,7 @@ class RunInput:
     ego_controller: str | None = None
     ego_parameters: Mapping[str, bool | int | float | str] = field(default_factory=dict)
     trigger: float | Literal["auto"] = "auto"
-    warm_up: float = DEFAULT_WARM_UP
+    warm_up: float = DEFAULT_WARM_UP_S
     horizon: float | None = None
     candidates: tuple[str, ...] = ()
     supports: tuple[str, ...] = ()
@@ -134,7 +134,7 @@ def is_commonroad(path: Path) -> bool:
         return False
     try:
         with path.open("rb") as file:
-            return b"<commonRoad" in file.read(HEAD)
+            return b"<commonRoad" in file.read(ROOT_ELEMENT_BYTES)
     except OSError:  # whoever reads it says why
         return False
 
@@ -148,7 +148,7 @@ def own_simulation(given: RunInput) -> dict[str, float | int]:
 def input_name(path: Path) -> str:
     """The file's name without its known ending, ``crossing.net.xml.gz`` -> ``crossing``; its folder's if the file is
     just a ``scenario.toml``."""
-    if path.name == "scenario.toml" and path.resolve().parent.name:
+    if path.name == SCENARIO_FILE and path.resolve().parent.name:
         return path.resolve().parent.name
     for suffix in _SUFFIXES:
         if path.name.lower().endswith(suffix) and len(path.name) > len(suffix):

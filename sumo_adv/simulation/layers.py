@@ -8,11 +8,10 @@ A network that was converted from a record is a cut-out, in which lanes of one j
 is inferred. Where its record has roads above one another, its lanes carry their heights as SUMO's generic parameter
 ``heights``, a number [m] for each point of the shape, so that SUMO's own lengths stay those of the plan.
 
-Lanes are joined where a way of at most ``JOINED_M`` along the network leads from one to the other: at a junction, at
-its pedestrian crossings, where a road was split. A bridge is raised to ``CLEARANCE_M`` above the other road. Its ramps
-follow the network, so that what branches off a bridge comes down with it. They are ``RAMP_M`` long, or shorter where
-they come to the road below.
-"""
+Lanes are joined where a way of at most ``OVERPASS_DISTANCE_M`` along the network leads from one to the other: at a
+junction, at its pedestrian crossings, where a road was split. A bridge is raised to ``BRIDGE_CLEARANCE_M`` above the
+other road. Its ramps follow the network, so that what branches off a bridge comes down with it. They are
+``RAMP_LENGTH_M`` long, or shorter where they come to the road below."""
 
 from __future__ import annotations
 
@@ -29,14 +28,14 @@ import numpy as np
 from sumo_adv.datatypes import Bools, Floats
 from sumo_adv.geometry import LAYER_HEIGHT_M, along, same_layer, stations
 
-KEY = "heights"
-CLEARANCE_M = 6.0  # of an inferred bridge: a lorry is 4 m high, and a deck is thick
-JOINED_M = 40.0  # along the network: no road climbs over another within less
-RAMP_M = 250.0  # along the network; the half at the bridge is level, which is further than a driver sees
-SAMPLE_M = 5.0  # between the heights of a raised lane
-MOST_ROUNDS = 20  # of raising bridges over bridges
-BESIDE_M = 10.0  # how far beside a lane a vehicle off all lanes is still taken to be at its height
-LONGEST_STEP_M = 60.0  # of a vehicle: one that moves further in a step was put there
+HEIGHTS_KEY = "heights"
+BRIDGE_CLEARANCE_M = 6.0  # of an inferred bridge: a lorry is 4 m high, and a deck is thick
+OVERPASS_DISTANCE_M = 40.0  # along the network: no road climbs over another within less
+RAMP_LENGTH_M = 250.0  # along the network; the half at the bridge is level, which is further than a driver sees
+HEIGHT_SAMPLE_STEP_M = 5.0  # between the heights of a raised lane
+MAX_RAISING_ROUNDS = 20  # of raising bridges over bridges
+OFF_LANE_HEIGHT_DISTANCE_M = 10.0  # how far beside a lane a vehicle off all lanes is still taken to be at its height
+MAX_VEHICLE_STEP_M = 60.0  # of a vehicle: one that moves further in a step was put there
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +143,7 @@ class Heights:
         It is that of SUMO's lane. SUMO may take a vehicle that is moved, or is off the road, to be on a lane above or
         below it: then it is that of the lane near that continues its motion, or it stays.
         """
-        if before is not None and math.hypot(x - before[0], y - before[1]) > LONGEST_STEP_M:
+        if before is not None and math.hypot(x - before[0], y - before[1]) > MAX_VEHICLE_STEP_M:
             before = None
         own = float(self.at(lane, x, y)) if lane in self.lines else None
         if own is not None and (before is None or same_layer(own, before[2])):
@@ -164,12 +163,12 @@ class Heights:
         return np.column_stack([points, np.array(heights)])
 
     def beside(self, x: float, y: float) -> list[str]:
-        """Lanes within ``BESIDE_M`` of a point, nearest first."""
+        """Lanes within ``OFF_LANE_HEIGHT_DISTANCE_M`` of a point, nearest first."""
         from shapely import Point, distance
 
         tree, names = self._tree
         point = Point(x, y)
-        near = tree.query(point, predicate="dwithin", distance=BESIDE_M)
+        near = tree.query(point, predicate="dwithin", distance=OFF_LANE_HEIGHT_DISTANCE_M)
         return [names[i] for i in near[np.argsort(distance(tree.geometries[near], point), kind="stable")]]
 
     def way(self, lane: str, x: float, y: float, other: str, other_x: float, other_y: float, farthest: float) -> float:
@@ -230,7 +229,7 @@ def pass_over(lines: Sequence[Floats]) -> bool:
 def _line(network: Network, strip: Strip, humps: Sequence[Hump]) -> Floats:
     """The centreline with heights ``(n, 3)``; it gets more points only where a bridge raises it."""
     own = stations(*strip.shape.T)
-    station = np.union1d(own, np.arange(0.0, float(own[-1]), SAMPLE_M))
+    station = np.union1d(own, np.arange(0.0, float(own[-1]), HEIGHT_SAMPLE_STEP_M))
     raised = np.max([hump.over(network, strip.id, station) for hump in humps], axis=0) if humps else 0.0 * station
     if not raised.any():
         return np.column_stack([strip.shape, strip.z])
@@ -249,16 +248,16 @@ def _bridges(network: Network) -> list[Hump]:
         return own, max((float(hump.over(network, lane, place)[0]) for hump in humps), default=0.0)
 
     crossings = list(_crossings(network))
-    for _ in range(MOST_ROUNDS if crossings else 0):
+    for _ in range(MAX_RAISING_ROUNDS if crossings else 0):
         before = len(humps)
         for pair in crossings:
             (under, below), (over, above) = sorted(pair, key=lambda place: network.strips[place[0]].rank)
             low, (own, raised) = sum(height(under, below)), height(over, above)
             if same_layer(low, own + raised):
-                distance = network.from_place(over, above, RAMP_M)
-                reach = min(RAMP_M, float(network.to_place(distance, under, below)))
+                distance = network.from_place(over, above, RAMP_LENGTH_M)
+                reach = min(RAMP_LENGTH_M, float(network.to_place(distance, under, below)))
                 edge = network.strips[over].edge
-                humps.append(Hump(edge, above, low + CLEARANCE_M - own, reach, distance))
+                humps.append(Hump(edge, above, low + BRIDGE_CLEARANCE_M - own, reach, distance))
         if len(humps) == before:
             break
     return humps
@@ -282,6 +281,6 @@ def _crossings(network: Network) -> Iterator[tuple[tuple[str, float], tuple[str,
                 continue
             s, t = (float(along(strip.shape, point.x, point.y)) for strip in (a, b))
             z = (np.interp(u, stations(*strip.shape.T), strip.z) for u, strip in ((s, a), (t, b)))
-            joined = network.to_place(network.from_place(a.id, s, JOINED_M), b.id, t) <= JOINED_M
+            joined = network.to_place(network.from_place(a.id, s, OVERPASS_DISTANCE_M), b.id, t) <= OVERPASS_DISTANCE_M
             if not joined and same_layer(*z):
                 yield (a.id, s), (b.id, t)

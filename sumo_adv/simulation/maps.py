@@ -38,11 +38,14 @@ OPENDRIVE = (".xodr", ".xodr.gz")
 OPENSTREETMAP = (".osm", ".osm.gz", ".osm.xml", ".osm.xml.gz")
 MAPS = (*OPENDRIVE, *OPENSTREETMAP)
 PACKED = (".osm.pbf", ".osm.bz2", ".pbf")  # that netconvert does not read
-PATIENCE = 600.0  # s, of one conversion: a town takes seconds
-MOST_KEPT = 100  # conversions in the cache; the oldest go first
-MOST_KINDS = 6  # of lost ways that a line names
-REPORT = "conversion.json"
-TEXT, OWN_TYPES, NETWORK = "map.xml", "own.typ.xml", "made.net.xml"  # what netconvert reads and writes
+CONVERSION_TIMEOUT_S = 600.0  # of one conversion: a town takes seconds
+MAX_CACHED_MAPS = 100  # conversions in the cache; the oldest go first
+MAX_NAMED_WAY_KINDS = 6  # of lost ways that a line names
+CONVERSION_FILE = "conversion.json"
+# what netconvert reads and writes
+MAP_FILE = "map.xml"
+OWN_TYPES_FILE = "own.typ.xml"
+MADE_NETWORK_FILE = "made.net.xml"
 
 COMMON = (
     "--keep-edges.by-vclass", "passenger", "--ramps.guess", "--junctions.join", "--output.original-names",
@@ -103,17 +106,17 @@ def convert_map(path: Path, *, cache: Path | None = None) -> Conversion:
     with tempfile.TemporaryDirectory(dir=place.parent, prefix="unfinished-") as scratch:
         folder = Path(scratch)
         (folder / "made").mkdir()
-        content.write(folder / TEXT)
-        (folder / OWN_TYPES).write_text(TYPE_MAP, encoding="utf-8")
+        content.write(folder / MAP_FILE)
+        (folder / OWN_TYPES_FILE).write_text(TYPE_MAP, encoding="utf-8")
         report = None
         for chosen in ((*options, *CONNECTED), options) if form == "osm" else (options,):
             warned = _netconvert(form, path, folder, chosen) if report is None else None
             if warned is not None:
-                report = _report(path, content, folder / NETWORK, chosen, warned)
+                report = _report(path, content, folder / MADE_NETWORK_FILE, chosen, warned)
         if report is None:
             raise UsageError(f"{path} has no road for cars: nothing can be run there; choose another part of the map.")
-        (folder / NETWORK).rename(folder / "made" / f"{stem}.net.xml")
-        (folder / "made" / REPORT).write_text(json.dumps(report, indent=2), encoding="utf-8")
+        (folder / MADE_NETWORK_FILE).rename(folder / "made" / f"{stem}.net.xml")
+        (folder / "made" / CONVERSION_FILE).write_text(json.dumps(report, indent=2), encoding="utf-8")
         with contextlib.suppress(OSError):  # another process was faster: its files are the same
             (folder / "made").rename(place)
     _trim(place.parent)
@@ -148,7 +151,7 @@ def _key(path: Path) -> str:
 def _kept(path: Path, stem: str, place: Path) -> Conversion | None:
     """The whole conversion at ``place``, or None."""
     try:
-        report = read_json(place / REPORT)
+        report = read_json(place / CONVERSION_FILE)
         os.utime(place)
     except (OSError, ValueError):
         return None
@@ -158,26 +161,29 @@ def _kept(path: Path, stem: str, place: Path) -> Conversion | None:
 
 
 def _trim(cache: Path) -> None:
-    """Remove the oldest conversions beyond ``MOST_KEPT``."""
+    """Remove the oldest conversions beyond ``MAX_CACHED_MAPS``."""
     with contextlib.suppress(OSError):
-        kept = sorted((p for p in cache.iterdir() if (p / REPORT).is_file()), key=lambda p: p.stat().st_mtime)
-        for old in kept[:-MOST_KEPT]:
+        kept = sorted((p for p in cache.iterdir() if (p / CONVERSION_FILE).is_file()), key=lambda p: p.stat().st_mtime)
+        for old in kept[:-MAX_CACHED_MAPS]:
             shutil.rmtree(old, ignore_errors=True)
 
 
 def _netconvert(form: str, path: Path, folder: Path, options: Sequence[str]) -> tuple[str, ...] | None:
-    """Write ``NETWORK`` from ``TEXT``, without the comment that holds paths and the time, and return netconvert's
-    warnings; None: nothing is left of the map. All names are relative: netconvert takes a comma or colon in a path for
-    something else."""
+    """Write ``MADE_NETWORK_FILE`` from ``MAP_FILE``, without the comment that holds paths and the time, and return
+    netconvert's warnings; None: nothing is left of the map. All names are relative: netconvert takes a comma or colon
+    in a path for something else."""
     program = find_netconvert()
-    types = ",".join((*(str(find_type_maps(program) / name) for name in TYPES[form]), OWN_TYPES))
-    command = [str(program), f"--{form}-files", TEXT, "--type-files", types, *options, "-o", NETWORK]
-    target = folder / NETWORK
+    types = ",".join((*(str(find_type_maps(program) / name) for name in TYPES[form]), OWN_TYPES_FILE))
+    command = [str(program), f"--{form}-files", MAP_FILE, "--type-files", types, *options, "-o", MADE_NETWORK_FILE]
+    target = folder / MADE_NETWORK_FILE
     try:
-        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE, cwd=folder)
+        done = subprocess.run(
+            command, capture_output=True, text=True, check=False, timeout=CONVERSION_TIMEOUT_S, cwd=folder
+        )
     except subprocess.TimeoutExpired as error:
         raise UsageError(
-            f"{path} took netconvert more than {PATIENCE:g} s: cut out the part that you need, and give that."
+            f"{path} took netconvert more than {CONVERSION_TIMEOUT_S:g} s: "
+            "cut out the part that you need, and give that."
         ) from error
     except OSError as error:
         raise UsageError(f"netconvert could not be started ({error}): install it again.") from error
@@ -185,17 +191,17 @@ def _netconvert(form: str, path: Path, folder: Path, options: Sequence[str]) -> 
         errors = [line.removeprefix("Error: ") for line in done.stderr.splitlines() if line.startswith("Error")]
         if any("No edges loaded" in line or "No nodes loaded" in line for line in errors):
             return None
-        reason = errors[0].rstrip(".").replace(TEXT, path.name) if errors else f"exit status {done.returncode}"
+        reason = errors[0].rstrip(".").replace(MAP_FILE, path.name) if errors else f"exit status {done.returncode}"
         raise UsageError(f"netconvert could not convert {path} ({reason}): correct the map, or convert it by hand.")
     written = target.read_text(encoding="utf-8")
     target.write_text(re.sub(r"<!--.*?-->\s*", "", written, count=1, flags=re.DOTALL), encoding="utf-8")
-    return tuple(with_names(each, {TEXT: path.name}) for each in warnings_in(done.stderr))
+    return tuple(with_names(each, {MAP_FILE: path.name}) for each in warnings_in(done.stderr))
 
 
 def _report(
     path: Path, content: MapContent, network: Path, options: Sequence[str], warned: Sequence[str]
 ) -> dict[str, object] | None:
-    """What ``REPORT`` holds; None: the network has no lane for cars."""
+    """What ``CONVERSION_FILE`` holds; None: the network has no lane for cars."""
     counts: Counter[str] = Counter()
     kept: set[str] = set()
     function = ""
@@ -235,5 +241,7 @@ def _report(
 
 def _named(lost: Mapping[str, int]) -> str:
     kinds = [f"{number} {kind}" for kind, number in lost.items()]
-    more = len(kinds) - MOST_KINDS
-    return ", ".join(kinds[:MOST_KINDS]) + (f", and {more} further kinds ({REPORT})" if more > 0 else "")
+    more = len(kinds) - MAX_NAMED_WAY_KINDS
+    return ", ".join(kinds[:MAX_NAMED_WAY_KINDS]) + (
+        f", and {more} further kinds ({CONVERSION_FILE})" if more > 0 else ""
+    )

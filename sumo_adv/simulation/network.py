@@ -15,17 +15,17 @@ from sumo_adv.datatypes import Floats, LaneStrip
 from sumo_adv.errors import UsageError
 from sumo_adv.geometry import Path, along, make_path, read_only, same_layer, stations, wrap
 from sumo_adv.simulation.centreline import Centreline, centreline
-from sumo_adv.simulation.drivable import KEY, Drivable, Surface, area_of
-from sumo_adv.simulation.layers import KEY as HEIGHTS
+from sumo_adv.simulation.drivable import DRIVABLE_KEY, Drivable, Surface, area_of
+from sumo_adv.simulation.layers import HEIGHTS_KEY as HEIGHTS
 from sumo_adv.simulation.layers import Heights, Strip, heights_of
-from sumo_adv.simulation.permissions import ALL, CAR, EVERYWHERE, ON_FOOT, allowed, is_carriageway, is_paved
+from sumo_adv.simulation.permissions import ALL_CLASSES, CAR, EVERYWHERE, ON_FOOT, allowed, is_carriageway, is_paved
 
-MOVEMENTS = {"s": "straight", "l": "left", "L": "left", "r": "right", "R": "right", "t": "u-turn"}
-MOST_WIDTH = 6.0  # m: no lane is wider
-IN_LINE = 0.6  # rad between a box and the lane that it is in
-TIGHTEST = 0.195  # 1/m: what a car can follow within the limit of 0.2
+MOVEMENT_OF_LETTER = {"s": "straight", "l": "left", "L": "left", "r": "right", "R": "right", "t": "u-turn"}
+LANE_SEARCH_DISTANCE_M = 6.0  # no lane is wider
+MAX_LANE_ANGLE_RAD = 0.6  # between a box and the lane that it is in
+MAX_PATH_CURVATURE_1_M = 0.195  # what a car can follow within the limit of 0.2
 MAX_PATHS = 6  # ways on that are followed for one vehicle
-GAP_M = 0.3  # gaps between lanes of up to twice this are carriageway, too
+HALF_LANE_GAP_M = 0.3  # gaps between lanes of up to twice this are carriageway, too
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +43,7 @@ class Connection:
     link: tuple[str, int] = ("", -1)
     yields_to: frozenset[int] = frozenset()
     light: tuple[str, int] = ("", -1)
-    classes: frozenset[str] = field(repr=False, default=ALL)
+    classes: frozenset[str] = field(repr=False, default=ALL_CLASSES)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -162,11 +162,11 @@ class RoadMap:
         """The lane for a class, outside junctions, in which a point is, and how far along [m]; its direction must
         agree. z: so must its layer [m]; None = any."""
         best: tuple[float, str, float] | None = None
-        for lane in self.level(self.lanes_near(x, y, MOST_WIDTH), x, y, z):
+        for lane in self.level(self.lanes_near(x, y, LANE_SEARCH_DISTANCE_M), x, y, z):
             station = lane.station_at(x, y)
             nearest_x, nearest_y, direction = lane.point_at(station)
             away, turned = math.dist((x, y), (nearest_x, nearest_y)), abs(wrap(direction - heading))
-            inside = away < lane.width / 2 and turned < IN_LINE
+            inside = away < lane.width / 2 and turned < MAX_LANE_ANGLE_RAD
             if lane.allows(vclass) and inside and (not best or away < best[0]):
                 best = away, lane.id, station
         return None if best is None else best[1:]
@@ -236,7 +236,7 @@ class RoadMap:
         ways: list[Way] = []
         for chain, first, junction, bay in self._chains(lane_id, station, reach, route, vclass, closed):
             points = np.vstack([self.line(self.lanes[n]) for n in chain])
-            path = make_path(_cut(points, station, max(reach, farthest)), tightest=TIGHTEST)
+            path = make_path(_cut(points, station, max(reach, farthest)), tightest=MAX_PATH_CURVATURE_1_M)
             if path.length < reach:
                 path = path.extended(reach - path.length)
             movement, rule = ("none", "") if first is None else (first.movement, first.state)
@@ -367,8 +367,8 @@ class RoadMap:
             if len(polygon) > 2 and (p := Polygon(polygon).buffer(0.05)).intersects(reach):
                 shapes.append(p)
                 lines.append(line)
-        surfaces = () if self.heights is None else map(Surface, (s.buffer(GAP_M) for s in shapes), lines)
-        return Drivable(union_all(shapes).buffer(GAP_M).buffer(-GAP_M), tuple(surfaces))
+        surfaces = () if self.heights is None else map(Surface, (s.buffer(HALF_LANE_GAP_M) for s in shapes), lines)
+        return Drivable(union_all(shapes).buffer(HALF_LANE_GAP_M).buffer(-HALF_LANE_GAP_M), tuple(surfaces))
 
 
 def _tree_of(lanes: Iterable[Lane]) -> tuple[Any, list[Lane]]:
@@ -467,7 +467,7 @@ def is_left_hand(path: FilePath) -> bool:
 def _ground(path: FilePath, net: Any) -> Any:
     """The drivable area that a network carries."""
     try:
-        return area_of(node.getParam(KEY) for node in net.getNodes() if node.getParam(KEY))
+        return area_of(node.getParam(DRIVABLE_KEY) for node in net.getNodes() if node.getParam(DRIVABLE_KEY))
     except ValueError as error:
         raise UsageError(f"The drivable area in {path} is damaged ({error}); convert the record again.") from error
 
@@ -497,7 +497,7 @@ def _connections(net: Any, lane: Any) -> tuple[Connection, ...]:
         for name in via:
             classes &= _classes(net.getLane(name))
         if classes - ON_FOOT - {EVERYWHERE}:
-            movement = MOVEMENTS.get(c.getDirection(), "straight")
+            movement = MOVEMENT_OF_LETTER.get(c.getDirection(), "straight")
             link, yields_to = _right_of_way(lane, via)
             light = (c.getTLSID() or "", int(c.getTLLinkIndex()))
             to, state = c.getToLane().getID(), c.getState() or "M"

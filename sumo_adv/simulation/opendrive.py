@@ -24,21 +24,21 @@ from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.map_content import MapContent, parse_map
 
-MOST_LENGTH_M = 1e7  # of all roads: netconvert samples curves every 2 m
-UNITS = {"": 1.0, "m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704}  # m/s; the standard's default is m/s
+MAX_ROADS_LENGTH_M = 1e7  # of all roads: netconvert samples curves every 2 m
+SPEED_UNITS_M_S = {"": 1.0, "m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704}  # m/s; the standard's default is m/s
 NO_LIMIT_M_S = 39.44  # netconvert's own value (142 km/h) where a map says that there is no limit
 UNKNOWN_LIMIT_M_S = 13.89  # SUMO's type map: lanes for driving
-MOTOR = frozenset({
+MOTOR_LANE_TYPES = frozenset({
     "driving", "stop", "restricted", "entry", "exit", "onRamp", "offRamp", "mwyEntry", "mwyExit", "slipLane",
     "connectingRamp", "bus", "taxi", "HOV", "shared", "bidirectional",
 })  # fmt: skip
 """Types of lanes that limits are written to."""
-LANES = MOTOR | {"biking", "sidewalk", "walking", "parking", "roadWorks", "tram", "rail"}
+OPENDRIVE_LANE_TYPES = MOTOR_LANE_TYPES | {"biking", "sidewalk", "walking", "parking", "roadWorks", "tram", "rail"}
 """Types that become lanes of SUMO."""
-LIGHTS = frozenset(str(1_000_000 + k) for k in (1, 2, 3, 4, 5, 6, 7, 9, 10, 11, 12, 13, 20))
+TRAFFIC_LIGHT_TYPES = frozenset(str(1_000_000 + k) for k in (1, 2, 3, 4, 5, 6, 7, 9, 10, 11, 12, 13, 20))
 """Types of signals that netconvert 1.28 makes traffic lights of."""
-SIDES = {"left": 0, "center": 1, "right": 2}  # their order in a section
-CLOSED = "restricted"  # SUMO's type map: a lane that no class may use
+SECTION_SIDE_ORDER = {"left": 0, "center": 1, "right": 2}  # their order in a section
+CLOSED_LANE_TYPE = "restricted"  # SUMO's type map: a lane that no class may use
 NO_ROAD = "rail rail_urban rail_electric rail_fast tram subway cable_car ship drone aircraft container"  # classes
 TYPE_MAP = f"""<types>
     <type id="bus" priority="1" speed="13.89" width="3.65" allow="bus coach emergency authority"/>
@@ -56,9 +56,8 @@ TYPE_MAP = f"""<types>
 def read_opendrive(path: Path) -> MapContent:
     """The map at ``path``.
 
-    Raises UsageError: it is damaged, no OpenDRIVE 1.x in one file, longer than ``MOST_LENGTH_M``, has a limit, rule or
-    lane that cannot be understood, two roads of one id, or traffic on both sides.
-    """
+    Raises UsageError: it is damaged, no OpenDRIVE 1.x in one file, longer than ``MAX_ROADS_LENGTH_M``, has a limit,
+    rule or lane that cannot be understood, two roads of one id, or traffic on both sides."""
     parse_map(path, lambda tag, attributes: None, "OpenDRIVE")
     tree = _tree(path)
     root = tree.getroot()
@@ -70,8 +69,8 @@ def read_opendrive(path: Path) -> MapContent:
         raise UsageError(f"{path} includes other files (<include>): put all of the map into one file.")
     roads = root.findall("road")
     length = sum(_number(path, road, "length") for road in roads)
-    if not length <= MOST_LENGTH_M:
-        raise UsageError(f"{path} has {length:.3g} m of roads, more than the {MOST_LENGTH_M:.0g} m that are read.")
+    if not length <= MAX_ROADS_LENGTH_M:
+        raise UsageError(f"{path} has {length:.3g} m of roads, more than the {MAX_ROADS_LENGTH_M:.0g} m that are read.")
     left_hand = _left_hand(path, roads)
     twice = [name for name, number in Counter(road.get("id", "") for road in roads).items() if number > 1]
     if twice:
@@ -133,7 +132,7 @@ def _number(path: Path, element: Element, name: str, default: str = "") -> float
 
 def _left_out(root: Element) -> dict[str, int]:
     """By kind: signs and objects that netconvert does not take, and lanes of two directions, which have one in SUMO."""
-    other = [signal for signal in root.iter("signal") if signal.get("type", "") not in LIGHTS]
+    other = [signal for signal in root.iter("signal") if signal.get("type", "") not in TRAFFIC_LIGHT_TYPES]
     counts = {
         "sign": sum(signal.get("dynamic") != "yes" for signal in other),
         "dynamic signal": sum(signal.get("dynamic") == "yes" for signal in other),
@@ -146,7 +145,7 @@ def _left_out(root: Element) -> dict[str, int]:
 
 
 def _motor(element: Element) -> Iterator[Element]:
-    return (lane for lane in element.iter("lane") if lane.get("type") in MOTOR)
+    return (lane for lane in element.iter("lane") if lane.get("type") in MOTOR_LANE_TYPES)
 
 
 # -- the side of the road ---------------------------------------------------------------------------------------------
@@ -190,7 +189,7 @@ def _mirror(section: Element) -> None:
     standard (``rule="LHT"``) these are the lanes with positive numbers.
     """
     for side in list(section):
-        if side.tag not in SIDES:
+        if side.tag not in SECTION_SIDE_ORDER:
             continue
         side.tag = {"left": "right", "right": "left"}.get(side.tag, side.tag)
         for lane in side:
@@ -198,7 +197,7 @@ def _mirror(section: Element) -> None:
             for link in lane.findall("link/*"):
                 _negate(link, "id")
         side[:] = sorted(side, key=lambda lane: -int(lane.get("id", "0")))
-    section[:] = sorted(section, key=lambda side: SIDES.get(side.tag, len(SIDES)))
+    section[:] = sorted(section, key=lambda side: SECTION_SIDE_ORDER.get(side.tag, len(SECTION_SIDE_ORDER)))
 
 
 def _negate(element: Element, *names: str) -> None:
@@ -257,11 +256,11 @@ def _close_gaps(side: Element) -> None:
     """Keep what lies between a lane and the middle, such as a median or a border, as a closed lane; its own type
     becomes ``was``. Without a width it is 0 m wide, where netconvert would take 3.65 m."""
     lanes = _from_the_middle(side)
-    kept = [k for k, lane in enumerate(lanes) if lane.get("type") in LANES]
+    kept = [k for k, lane in enumerate(lanes) if lane.get("type") in OPENDRIVE_LANE_TYPES]
     for lane in lanes[: kept[-1]] if kept else ():
-        if lane.get("type") not in LANES:
+        if lane.get("type") not in OPENDRIVE_LANE_TYPES:
             lane.set("was", lane.get("type", "none"))
-            lane.set("type", CLOSED)
+            lane.set("type", CLOSED_LANE_TYPE)
             if lane.find("width") is None:
                 SubElement(lane, "width", sOffset="0", a="0", b="0", c="0", d="0")
 
@@ -313,7 +312,7 @@ def _limit(path: Path, speed: Element | None) -> float | None:
     if text == "no limit":
         return NO_LIMIT_M_S
     unit = speed.get("unit", "").strip()
-    if unit not in UNITS:
+    if unit not in SPEED_UNITS_M_S:
         raise UsageError(f'{path} has a speed limit in "{unit[:40]}": give m/s, km/h or mph.')
-    value = _number(path, speed, "max") * UNITS[unit]
+    value = _number(path, speed, "max") * SPEED_UNITS_M_S[unit]
     return value if value > 0.0 else None

@@ -23,7 +23,7 @@ from xml.sax.saxutils import quoteattr
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.map_content import MapContent, parse_map
 
-MOST_LANES = 30  # of a way: the widest roads there are have some 25, and netconvert makes as many as it is told
+MAX_LANES_OF_WAY = 30  # of a way: the widest roads there are have some 25, and netconvert makes as many as it is told
 LANE_COUNTS = ("lanes", "lanes:forward", "lanes:backward", "lanes:both_ways")
 PUBLIC = ("bus", "psv")
 ALLOWED = ("yes", "designated", "official")
@@ -33,7 +33,7 @@ CLOSED_TO_CARS = frozenset(("no", "agricultural", "forestry", "emergency", "mili
 SIDED = ("sidewalk", "cycleway", "busway")
 SWAP = {"left": "right", "right": "left"}
 ONE_WAY = ("motorway", "motorway_link")
-FIRST_PIECE = 10**17  # id of the first piece of a way that was cut; OpenStreetMap's ids have 11 digits
+FIRST_PIECE_ID = 10**17  # id of the first piece of a way that was cut; OpenStreetMap's ids have 11 digits
 Tags = dict[str, str]
 
 
@@ -103,9 +103,9 @@ def _check_lanes(path: Path, way: str, tags: Tags) -> None:
     """Refuse a way that would cost netconvert the memory."""
     for key, value in tags.items():
         number = _count(value) if key in LANE_COUNTS else value.count("|") + 1 if ":lanes" in key else None
-        if number is not None and number > MOST_LANES:
+        if number is not None and number > MAX_LANES_OF_WAY:
             raise UsageError(
-                f"{path} has way {way} with {number} lanes ({key}), more than the {MOST_LANES} that are read: "
+                f"{path} has way {way} with {number} lanes ({key}), more than the {MAX_LANES_OF_WAY} that are read: "
                 "correct its tag."
             )
 
@@ -123,7 +123,7 @@ def _count(text: str) -> int | None:
 
 def _write(path: Path, known: Set[str], left_hand: bool, target: Path) -> None:
     """Nodes, then everything else."""
-    numbers = itertools.count(FIRST_PIECE)
+    numbers = itertools.count(FIRST_PIECE_ID)
     written: set[str] = set()
     with tempfile.TemporaryFile() as later, target.open("wb") as out:
         out.write(b'<?xml version="1.0" encoding="UTF-8"?>\n<osm version="0.6">\n')

@@ -20,17 +20,17 @@ MOTOR = CARS | HEAVY | TWO_WHEELED | {EVERYWHERE}
 CYCLES = frozenset({"bicycle", "scooter"})
 """Classes that ride like a bicycle."""
 ON_FOOT = frozenset({"pedestrian", "wheelchair"})
-ELSEWHERE = frozenset({
+OFF_ROAD_CLASSES = frozenset({
     "tram", "rail_urban", "rail", "rail_electric", "rail_fast", "subway", "cable_car", "ship", "container", "aircraft",
     "drone",
 })  # fmt: skip
 """Classes that drive on rails, water or in the air."""
-ALL = MOTOR | CYCLES | ON_FOOT | ELSEWHERE
+ALL_CLASSES = MOTOR | CYCLES | ON_FOOT | OFF_ROAD_CLASSES
 
 
 def allowed(names: Collection[str]) -> frozenset[str]:
     """The classes that a list of allowed ones, as sumolib reads it, means; ``all`` means every one."""
-    return ALL if "all" in names else (ALL & frozenset(names)) | {EVERYWHERE}
+    return ALL_CLASSES if "all" in names else (ALL_CLASSES & frozenset(names)) | {EVERYWHERE}
 
 
 def classes_of(lane: Mapping[str, str]) -> frozenset[str]:
@@ -38,7 +38,7 @@ def classes_of(lane: Mapping[str, str]) -> frozenset[str]:
     if "allow" in lane:
         return allowed(lane["allow"].split())
     out = frozenset(lane.get("disallow", "").split())
-    return allowed(() if "all" in out else ALL - out)
+    return allowed(() if "all" in out else ALL_CLASSES - out)
 
 
 def is_carriageway(classes: Collection[str]) -> bool:

@@ -27,7 +27,7 @@ from sumo_adv.simulation.stage import Stage
 from sumo_adv.simulation.tracks import TrackLog, read_tracks
 
 OBJECTS = {"pedestrian": "pedestrian", "cyclist": "bicycle"}  # kinds of a log -> SUMO's vClasses
-ROOM = 1.0  # m before and behind a vehicle that is inserted for SUMO to drive
+INSERTION_ROOM_M = 1.0  # before and behind a vehicle that is inserted for SUMO to drive
 
 
 class Playback:
@@ -220,7 +220,7 @@ class Playback:
             length, width = self._fleet.sizes[name]
             h, ahead = heading_of(angle_deg), speed * self._step - length / 2
             dx, dy = x + ahead * math.cos(h) - pose.x, y + ahead * math.sin(h) - pose.y
-            along = (vehicle.length + length) / 2 + ROOM
+            along = (vehicle.length + length) / 2 + INSERTION_ROOM_M
             if abs(c * dx + s * dy) < along and abs(c * dy - s * dx) < (vehicle.width + width) / 2:
                 return False
         return True

@@ -16,11 +16,11 @@ from sumo_adv.errors import SimulationError
 SIMSTEP, VEHICLE_GET, SIMULATION_GET, PERSON_GET = 0x02, 0xA4, 0xAB, 0xAE
 POSITION, ANGLE, SPEED, LANE_POSITION, LANE, RIDE = 0x42, 0x43, 0x40, 0x56, 0x51, 0xC3
 ID_LIST, TIME = 0x00, 0x66
-STATE = (POSITION, ANGLE, SPEED, LANE_POSITION, LANE)  # the lane is the last: its name may have any length
+VEHICLE_STATE = (POSITION, ANGLE, SPEED, LANE_POSITION, LANE)  # the lane is the last: its name may have any length
 PERSON_STATE = (POSITION, ANGLE, SPEED, LANE_POSITION, RIDE)  # of the same form
-STATUS = 7  # bytes of a status without words
-LENGTH = struct.Struct("!i")
-STEP = struct.pack("!BBd", 10, SIMSTEP, 0.0)
+BARE_STATUS_BYTES = 7  # of a status without words
+LENGTH_FORMAT = struct.Struct("!i")
+STEP_COMMAND = struct.pack("!BBd", 10, SIMSTEP, 0.0)
 
 RawState = tuple[float, float, float, float, str]  # bumper x, y [m], angle [deg], speed [m/s], lane id
 
@@ -54,7 +54,7 @@ class Remote:
 
     def step(self) -> None:
         """One step. Raises SimulationError if SUMO ended."""
-        answer = self._exchange(STEP)
+        answer = self._exchange(STEP_COMMAND)
         if answer[2] != 0:
             raise SimulationError(f"SUMO failed in a step ({_words(answer)}).")
 
@@ -63,7 +63,7 @@ class Remote:
         vehicles, persons = self._names()
         if len(self._questions) > 2 * (len(vehicles) + len(persons)) + 100:  # those that have left
             self._questions.clear()
-        messages = [self._question(VEHICLE_GET, STATE, name) for name in vehicles]
+        messages = [self._question(VEHICLE_GET, VEHICLE_STATE, name) for name in vehicles]
         messages += [self._question(PERSON_GET, PERSON_STATE, name) for name in persons]
         answer = self._exchange(b"".join(messages)) if messages else b""
         states, self.lane_positions, at = self._states(vehicles, answer, 0)
@@ -109,7 +109,7 @@ class Remote:
                 place = self._place(len(name.encode()))
                 x, y, angle, speed, positions[name] = place.unpack_from(answer, at)
                 at = _value(answer, at + place.size, len(name.encode()))
-                (size,) = LENGTH.unpack_from(answer, at)
+                (size,) = LENGTH_FORMAT.unpack_from(answer, at)
                 at += 4 + size
                 states[name] = (x, y, angle, speed, answer[at - size : at].decode())
         except (struct.error, IndexError, UnicodeDecodeError) as error:
@@ -120,7 +120,7 @@ class Remote:
         """Where the numbers of a vehicle lie if its id has ``size`` bytes."""
         place = self._places.get(size)
         if place is None:
-            two_numbers, one_number = (STATUS + _head(6 + size + 8 * k) + 6 + size for k in (2, 1))
+            two_numbers, one_number = (BARE_STATUS_BYTES + _head(6 + size + 8 * k) + 6 + size for k in (2, 1))
             place = self._places[size] = struct.Struct(f"!{two_numbers}xdd{one_number}xd{one_number}xd{one_number}xd")
         return place
 
@@ -129,8 +129,8 @@ class Remote:
         if socket is None:
             raise SimulationError("The connection to SUMO is closed.")
         try:
-            socket.sendall(LENGTH.pack(len(commands) + 4) + commands)
-            (size,) = LENGTH.unpack(_received(socket, 4))
+            socket.sendall(LENGTH_FORMAT.pack(len(commands) + 4) + commands)
+            (size,) = LENGTH_FORMAT.unpack(_received(socket, 4))
             return _received(socket, size - 4)
         except (OSError, struct.error) as error:
             raise SimulationError(f"SUMO ended or closed the connection ({error}).") from error
@@ -143,17 +143,17 @@ def _head(size: int) -> int:
 
 def _value(answer: bytes, at: int, name: int) -> int:
     """Where the value of an answer lies that begins at ``at`` with its status; ``name``: bytes of the object's id."""
-    at += STATUS
+    at += BARE_STATUS_BYTES
     return at + (6 if answer[at] == 0 else 2) + 1 + 4 + name + 1
 
 
 def _strings(answer: bytes, at: int) -> tuple[list[str], int]:
     """The list of strings that begins at ``at``, and where it ends."""
-    (count,) = LENGTH.unpack_from(answer, at)
+    (count,) = LENGTH_FORMAT.unpack_from(answer, at)
     at += 4
     names = []
     for _ in range(count):
-        (size,) = LENGTH.unpack_from(answer, at)
+        (size,) = LENGTH_FORMAT.unpack_from(answer, at)
         names.append(answer[at + 4 : at + 4 + size].decode())
         at += 4 + size
     return names, at
@@ -172,5 +172,5 @@ def _received(socket: Any, size: int) -> bytes:
 
 def _words(answer: bytes) -> str:
     """What a status says."""
-    (size,) = LENGTH.unpack_from(answer, 3) if len(answer) >= 7 else (0,)
+    (size,) = LENGTH_FORMAT.unpack_from(answer, 3) if len(answer) >= 7 else (0,)
     return answer[7 : 7 + size].decode(errors="replace") or "no words"

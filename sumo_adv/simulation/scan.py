@@ -13,13 +13,13 @@ from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
 from sumo_adv import parsing
+from sumo_adv.consistency import MAX_COORDINATE_M
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.permissions import CAR, classes_of, is_paved
 from sumo_adv.simulation.simulation import PERSON, check_nameable
 from sumo_adv.simulation.sumo_options import NO_JUNCTIONS
 
-LONGEST_LANE = 1e6  # m, and m/s: beyond any
-FARTHEST = 1e9  # m from the origin
+MAX_LANE_NUMBER = 1e6  # m of length, and m/s of speed: beyond any
 _Handler = Callable[[str, dict[str, str]], None]
 ENCODINGS = ("utf-8", "utf-16", "iso-8859-1", "us-ascii", "ascii")  # those that expat knows by itself
 _DRIVING = ("vehicle", "trip", "flow")
@@ -104,11 +104,11 @@ def _check_lane(path: Path, lane: dict[str, str]) -> None:
         places = [float(number) for number in shape.replace(",", " ").split()]
     except (KeyError, ValueError) as error:
         raise UsageError(_bad_lane(path, lane, f"lacks a number or has a wrong one ({error})")) from error
-    if not 0.0 < length < LONGEST_LANE:
+    if not 0.0 < length < MAX_LANE_NUMBER:
         raise UsageError(_bad_lane(path, lane, f"has a length of {lane['length']} m"))
-    if not 0.0 < width < LONGEST_LANE or not 0.0 <= speed < LONGEST_LANE:
+    if not 0.0 < width < MAX_LANE_NUMBER or not 0.0 <= speed < MAX_LANE_NUMBER:
         raise UsageError(_bad_lane(path, lane, f"has a width of {width:g} m and a speed of {speed:g} m/s"))
-    if len(shape.split()) < 2 or not all(abs(place) < FARTHEST for place in places):
+    if len(shape.split()) < 2 or not all(abs(place) < MAX_COORDINATE_M for place in places):
         raise UsageError(_bad_lane(path, lane, "has no shape of two places or more"))
 
 

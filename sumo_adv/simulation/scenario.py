@@ -20,14 +20,18 @@ from sumo_adv.datatypes import MOST_ADVERSARIES, Relation
 from sumo_adv.errors import UsageError
 from sumo_adv.parsing import read_toml
 
-SCHEMA = 1
-DEFAULT_WARM_UP = 3.0  # s after the ego's insertion
-LONGEST_PART, LONGEST_PATH = 200, 2000  # characters of a file's name and path: systems refuse to look for longer ones
+SCENARIO_SCHEMA = 1
+SCENARIO_FILE, NETWORK_FILE = "scenario.toml", "network.net.xml"  # of an imported or kept scenario, as the next two
+TRACKS_FILE, ROUTES_FILE = "tracks.csv.gz", "routes.rou.xml"
+DEFAULT_WARM_UP_S = 3.0  # after the ego's insertion
+# characters of a file's name and path: systems refuse to look for longer ones
+MAX_FILE_NAME_CHARACTERS = 200
+MAX_PATH_CHARACTERS = 2000
 
 
 def _from_scenario_folder(path: Path, info: ValidationInfo) -> Path:
     """``path`` counted from the scenario's folder, which the validation context carries; absolute paths stay."""
-    if any(len(part) > LONGEST_PART for part in path.parts) or len(str(path)) > LONGEST_PATH:
+    if any(len(part) > MAX_FILE_NAME_CHARACTERS for part in path.parts) or len(str(path)) > MAX_PATH_CHARACTERS:
         raise ValueError("the name of the file is too long")
     return Path(info.context["folder"], path) if info.context else path
 
@@ -91,7 +95,7 @@ class Window(_Table):
     """When to attack: ``trigger`` [s] or "auto" (looked for online, ``warm_up`` s after the ego's insertion at the
     earliest), and for how long (``horizon`` [s])."""
 
-    warm_up: Seconds = DEFAULT_WARM_UP
+    warm_up: Seconds = DEFAULT_WARM_UP_S
     trigger: Seconds | Literal["auto"] = "auto"
     horizon: Annotated[float, Field(gt=0.0)] | None = None
 
@@ -182,7 +186,8 @@ def _sentence(path: Path, detail: ErrorDetails) -> str:
     if detail["type"] == "missing":
         return f"The scenario {path} lacks the key '{key}'."
     if key == "schema":
-        return f"The scenario {path} has schema = {repr(detail['input'])[:200]}; this program reads schema = {SCHEMA}."
+        given = repr(detail["input"])[:200]
+        return f"The scenario {path} has schema = {given}; this program reads schema = {SCENARIO_SCHEMA}."
     reason = detail["msg"].removeprefix("Value error, ")
     return f"The scenario {path} has a bad '{key}': {reason[:1].lower()}{reason[1:]}."
 

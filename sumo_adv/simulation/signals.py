@@ -22,8 +22,8 @@ from sumo_adv.simulation.network import RoadMap
 from sumo_adv.simulation.scan import read_text
 from sumo_adv.simulation.simulation import Simulation
 
-COLUMNS = ("time", "tls", "state")
-LETTERS = frozenset("GgYyRrsuoO")
+SIGNAL_COLUMNS = ("time", "tls", "state")
+SIGNAL_LETTERS = frozenset("GgYyRrsuoO")
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +45,8 @@ class SignalLog:
 def read_signals(path: Path) -> SignalLog:
     """The recorded lights in ``path``. Raises UsageError: one sentence with file and line for whatever is wrong."""
     reader = csv.reader(io.StringIO(read_text(path, "The signals")))
-    if tuple(next(reader, [])) != COLUMNS:
-        raise UsageError(f"The signals {path} begin with another header: line 1 must be '{','.join(COLUMNS)}'.")
+    if tuple(next(reader, [])) != SIGNAL_COLUMNS:
+        raise UsageError(f"The signals {path} begin with another header: line 1 must be '{','.join(SIGNAL_COLUMNS)}'.")
     lights: dict[str, list[tuple[float, str]]] = {}
     for fields in reader:
         time, name, state = _row(path, reader.line_num, fields)
@@ -62,12 +62,12 @@ def _row(path: Path, line: int, fields: list[str]) -> tuple[float, str, str]:
         time, name, state = float(fields[0]), fields[1], fields[2]
     except (ValueError, IndexError):
         time, name, state = math.nan, "", ""
-    if not math.isfinite(time) or not name or not state or not set(state) <= LETTERS:
+    if not math.isfinite(time) or not name or not state or not set(state) <= SIGNAL_LETTERS:
         raise UsageError(f"The signals {path} cannot be used: line {line} is not a time, a light and its SUMO letters.")
     return time, name, state
 
 
-REACH = 250.0  # m: a light further away is on no picture of the encounter
+SIGNAL_DISTANCE_M = 250.0  # a light further away is on no picture of the encounter
 
 
 class LightsNear:
@@ -88,6 +88,6 @@ class LightsNear:
         return len(self._names)
 
     def states(self, simulation: Simulation, x: float, y: float) -> dict[str, str]:
-        """The states of the lights with a stop line within ``REACH`` of (x, y) [m], in SUMO's letters."""
-        near = np.flatnonzero(np.hypot(self._places[:, 0] - x, self._places[:, 1] - y) <= REACH)
+        """The states of the lights with a stop line within ``SIGNAL_DISTANCE_M`` of (x, y) [m], in SUMO's letters."""
+        near = np.flatnonzero(np.hypot(self._places[:, 0] - x, self._places[:, 1] - y) <= SIGNAL_DISTANCE_M)
         return {name: simulation.light(name) for name in sorted({self._names[k] for k in near})}

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from sumo_adv.errors import UsageError
-from sumo_adv.simulation.given_options import KINDS, check
+from sumo_adv.simulation.given_options import OPTION_TYPES, check
 
 DEFAULTS = {
     "time-to-teleport": "-1", "lateral-resolution": "0.8", "default.speeddev": "0", "collision.mingap-factor": "0",
@@ -27,9 +27,9 @@ FORCED = {
 }  # fmt: skip
 """None of these changes a motion. A vehicle may have an SSM device of its own, which would write a file in the working
 folder."""
-SHORTEST_STEP, LONGEST_STEP = 0.01, 0.5  # s
-SUMO_STEP, FINE_STEP = 1.0, 0.1  # s: SUMO's default, and the longest part of a step that is too long
-ELSEWHERE = {
+MIN_STEP_LENGTH_S, MAX_STEP_LENGTH_S = 0.01, 0.5  # s
+SUMO_STEP_LENGTH_S, FINE_STEP_LENGTH_S = 1.0, 0.1  # s: SUMO's default, and the longest part of a step that is too long
+OPTIONS_SET_ELSEWHERE = {
     "net-file": "give the network as the INPUT", "route-files": "name it in a .sumocfg",
     "additional-files": "name it in a .sumocfg", "begin": "use --begin", "end": "use --end", "seed": "use --seed",
     "step-length": "use the setting step_length",
@@ -68,7 +68,7 @@ OTHERS = frozenset(_OTHERS.split())
 def is_own(name: str) -> bool:
     """Whether this program sets the option itself, or leaves it alone: effects of collisions, outputs, messages, GUI,
     threads, port; and whatever is not in the list of those that may be given."""
-    return name in FORCED or name not in KINDS
+    return name in FORCED or name not in OPTION_TYPES
 
 
 def only_shows(name: str) -> bool:
@@ -145,16 +145,18 @@ def _collisions(source: str, given: Mapping[str, str]) -> tuple[dict[str, str], 
 
 
 def part_of(step: float) -> float | None:
-    """The longest step [s] up to ``FINE_STEP`` of which ``step`` is a multiple, so that what SUMO does at the times of
-    the long steps is done; None if there is none. SUMO counts in whole ms."""
+    """The longest step [s] up to ``FINE_STEP_LENGTH_S`` of which ``step`` is a multiple, so that what SUMO does at the
+    times of the long steps is done; None if there is none. SUMO counts in whole ms."""
     whole = round(1000 * step)
-    shortest, longest = round(1000 * SHORTEST_STEP), round(1000 * FINE_STEP)
+    shortest, longest = round(1000 * MIN_STEP_LENGTH_S), round(1000 * FINE_STEP_LENGTH_S)
     return next((part / 1000 for part in range(longest, shortest - 1, -1) if whole >= part and whole % part == 0), None)
 
 
 def differing(options: Mapping[str, str]) -> dict[str, str]:
     """What a scenario needs of its own, beside ``DEFAULTS``, to run with these options."""
-    wanted = {name: value for name, value in {**SUMOS, **options}.items() if name not in (*FORCED, *ELSEWHERE)}
+    wanted = {
+        name: value for name, value in {**SUMOS, **options}.items() if name not in (*FORCED, *OPTIONS_SET_ELSEWHERE)
+    }
     return {
         name: value for name, value in wanted.items()
         if DEFAULTS.get(name) != value and (name in COLLISIONS or not is_own(name))
@@ -176,8 +178,8 @@ def refuse(options: Mapping[str, str]) -> None:
     """Raises UsageError for an option that has another place, that this program must set itself, or that may not be
     given; and for a value that is not of the option's type."""
     for name in options:
-        if name in ELSEWHERE:
-            raise UsageError(f"SUMO's option '{name}' cannot be passed through: {ELSEWHERE[name]}.")
+        if name in OPTIONS_SET_ELSEWHERE:
+            raise UsageError(f"SUMO's option '{name}' cannot be passed through: {OPTIONS_SET_ELSEWHERE[name]}.")
         if name == "no-internal-links":
             raise UsageError(f"SUMO's option '{name}' cannot be passed through: {NO_JUNCTIONS}.")
         if name in FORCED or (name in COLLISIONS and _collisions("--option", {**DEFAULTS, **options})[1]):

@@ -99,8 +99,8 @@ def _profile_at_once(s: Sequence[float], v: Sequence[float], time: float, dt: fl
     return s[i] * (1 - w) + s[i + 1] * w + beyond * v[-1], v[i] * (1 - w) + v[i + 1] * w
 
 
-AMPLIFIED = 1.2  # -, in an emergency Krauss's driver brakes harder than necessary by this factor
-NUMERICAL = 0.001  # SUMO's NUMERICAL_EPS
+EMERGENCY_BRAKING_FACTOR = 1.2  # -, in an emergency Krauss's driver brakes harder than necessary by this factor
+NUMERICAL_EPS = 0.001  # SUMO's NUMERICAL_EPS
 
 
 class CarFollowing:
@@ -135,28 +135,28 @@ class CarFollowing:
 
     def _safe(self, room: Floats, headway: float) -> Floats:
         """The speed from which even braking in steps ends within ``room`` [m] (``maximumSafeStopSpeedEuler``)."""
-        b, dt, t, usable = self.deceleration * self._dt, self._dt, headway, np.maximum(room - NUMERICAL, 0.0)
+        b, dt, t, usable = self.deceleration * self._dt, self._dt, headway, np.maximum(room - NUMERICAL_EPS, 0.0)
         root = np.sqrt(np.maximum(dt * dt + 4.0 * (dt * (2.0 * usable / b - t) + t * t), 0.0))
         n = np.floor(0.5 - (t - root / 2.0) / dt)
         distance = 0.5 * n * (n - 1.0) * b * dt + n * b * t
-        return np.asarray(np.where(room < NUMERICAL, 0.0, n * b + (usable - distance) / (n * dt + t)))
+        return np.asarray(np.where(room < NUMERICAL_EPS, 0.0, n * b + (usable - distance) / (n * dt + t)))
 
     def _safe_behind(self, v: Floats, room: Floats, leader: Floats) -> Floats:
         """Krauss's safe speed (``maximumSafeFollowSpeed``). Where comfortable braking is not enough, the driver brakes
-        harder than necessary by ``AMPLIFIED``."""
+        harder than necessary by ``EMERGENCY_BRAKING_FACTOR``."""
         dt = self._dt
         safe = self._safe(np.maximum(room, 0.0) + brake_gap(leader, self.deceleration, dt), self.tau)
         safe = np.where(room >= 0.0, safe, v - self._hardest * dt)
         hard = (v - safe) / dt
-        if not (hard > self.deceleration + NUMERICAL).any():
+        if not (hard > self.deceleration + NUMERICAL_EPS).any():
             return safe
-        usable = np.maximum(room, NUMERICAL)
+        usable = np.maximum(room, NUMERICAL_EPS)
         needed = 0.5 * v * v / (usable + 0.5 * leader * leader / self.deceleration)
         needed = np.where(needed <= self.deceleration, needed, 0.5 * (v * v - leader * leader) / usable)
         needed = np.minimum(
-            np.maximum(AMPLIFIED * np.where(room > 0.0, needed, self._hardest), self.deceleration), hard
+            np.maximum(EMERGENCY_BRAKING_FACTOR * np.where(room > 0.0, needed, self._hardest), self.deceleration), hard
         )
-        return np.where(hard > self.deceleration + NUMERICAL, np.maximum(v - needed * dt, 0.0), safe)
+        return np.where(hard > self.deceleration + NUMERICAL_EPS, np.maximum(v - needed * dt, 0.0), safe)
 
     def _idm(self, v: Floats, desired_gap: Floats, gap: Floats) -> Floats:
         a = self.acceleration * (1 - (v / self.desired_speed) ** 4 - (desired_gap / np.maximum(gap, 0.1)) ** 2)
@@ -170,16 +170,21 @@ def brake_gap(v: Floats, deceleration: float, dt: float) -> Floats:
     return dt * (steps * v - b * steps * (steps + 1.0) / 2.0)
 
 
-FAR = 1e4  # m
-FOE_ACCELERATION, FOE_SPEED = 2.6, 13.9  # m/s2, m/s: how a driver expects other vehicles to approach a junction
-AHEAD = 1.0  # s by which a driver that gives way wants to be across before another vehicle arrives (jmTimegapMinor)
-GOES = ("", "M", "O", "o", "w")  # right of way letters with which the ego waits for no adversary. At an all-way stop
+FAR_AWAY_M = 1e4
+# m/s2, m/s: how a driver expects other vehicles to approach a junction
+FOE_ACCELERATION_M_S2 = 2.6
+FOE_SPEED_M_S = 13.9
+# by which a driver that gives way wants to be across before another vehicle arrives (jmTimegapMinor)
+MINOR_TIME_GAP_S = 1.0
+# right of way letters with which the ego waits for no adversary. At an all-way stop
+UNYIELDING_LETTERS = ("", "M", "O", "o", "w")
 # (w) the vehicle that stood first goes first, and an approaching adversary does not stand.
-SEES = 4.5  # m before the line where a driver decides (SUMO's visibility distance); until then it brakes as to stop
-CLEARANCE = 2.0  # m before and behind the meeting place that a vehicle on the other way takes up
-LONGEST = 60.0  # m from the beginning of a junction; a meeting place farther away is on another junction
-STOPS_BEFORE = 0.1  # m before the line or the junction at which a driver stops (SUMO's POSITION_EPS)
-HALTING = 0.1  # m/s: the least speed at which a driver expects another one to leave (SUMO's haltingSpeed)
+# before the line where a driver decides (SUMO's visibility distance); until then it brakes as to stop
+VISIBILITY_DISTANCE_M = 4.5
+MEETING_CLEARANCE_M = 2.0  # before and behind the meeting place that a vehicle on the other way takes up
+MAX_MEETING_DISTANCE_M = 60.0  # from the beginning of a junction; a meeting place farther away is on another junction
+POSITION_EPS_M = 0.1  # before the line or the junction at which a driver stops (SUMO's POSITION_EPS)
+HALTING_SPEED_M_S = 0.1  # the least speed at which a driver expects another one to leave (SUMO's haltingSpeed)
 
 
 class AtJunction(NamedTuple):
@@ -218,10 +223,10 @@ class Junctions:
         self._enters, self._bay = scenes.each(lambda s: s.road.junction), scenes.each(lambda s: s.road.bay)
         has_bay = np.isfinite(self._bay)
         self._begins = np.where(has_bay, self._bay, self._enters)
-        must_stop = scenes.each(lambda s: float(s.road.rule not in GOES)) > 0.0
+        must_stop = scenes.each(lambda s: float(s.road.rule not in UNYIELDING_LETTERS)) > 0.0
         self._line = np.where(has_bay, self._bay, np.where(must_stop, self._enters, math.inf))
         self._gives_way = bool(np.isfinite(self._line).any())
-        self._sees = np.where(has_bay & (scenes.each(_has_priority) > 0.0), FAR, SEES)
+        self._sees = np.where(has_bay & (scenes.each(_has_priority) > 0.0), FAR_AWAY_M, VISIBILITY_DISTANCE_M)
         later = [situation.road.later for situation in scenes.of]
         n, most = len(later), max(map(len, later))
         self._later = np.array([(*rest, *[math.inf] * (most - len(rest))) for rest in later]).reshape(n, most)
@@ -237,7 +242,7 @@ class Junctions:
         front = s + self._half
         late = adversary.goes_first | adversary.ran_red
         begins, enters = self._meeting_junction(adversary.meets_at)
-        near = (adversary.meets_at < begins + LONGEST) | ~np.isfinite(adversary.meets_at)
+        near = (adversary.meets_at < begins + MAX_MEETING_DISTANCE_M) | ~np.isfinite(adversary.meets_at)
         ego_first = (front > np.where(late, begins, enters)) & near & ~self._adversary_entered
         ego_first &= ~adversary.entered | (v >= adversary.speed)  # if both enter in one step, the slower one yields
         self._ego_first_at = np.where(ego_first, begins, self._ego_first_at)
@@ -262,14 +267,14 @@ class Junctions:
         gap = adversary.rear_station - front
         beside = (front < adversary.joins_at) & (self._ego_first_at != begins)
         in_zone = (front < adversary.meets_at) & (adversary.front_to_zone < 0.0)
-        entry = np.where(np.isfinite(begins), begins - front - STOPS_BEFORE, 0.0)
-        follow = self._driver.behind(v, np.minimum(gap, FAR), adversary.speed)
+        entry = np.where(np.isfinite(begins), begins - front - POSITION_EPS_M, 0.0)
+        follow = self._driver.behind(v, np.minimum(gap, FAR_AWAY_M), adversary.speed)
         speed = np.where(gap >= self._driver.min_gap, follow, self._driver.stopping(v, entry))
         return np.where(adversary.on_junction & (beside | in_zone), speed, np.inf)
 
     def _crossing(self, adversary: AtJunction, begins: Floats, front: Floats, v: Floats) -> Floats:
         """Stop before the meeting place, or be slow enough to arrive after a crossing adversary has passed it."""
-        to_zone = np.minimum(adversary.meets_at - adversary.half_zone - front, FAR)
+        to_zone = np.minimum(adversary.meets_at - adversary.half_zone - front, FAR_AWAY_M)
         to_clear = np.maximum(adversary.rear_to_zone + 2 * adversary.half_zone, 0.0)  # until its rear is past
         in_zone = (to_zone > 0.0) & (adversary.front_to_zone < 0.0)
         held = adversary.on_junction & (to_zone + 2 * adversary.half_zone >= 0.0)
@@ -278,10 +283,10 @@ class Junctions:
             return np.full(len(v), np.inf)
         driver, gap = self._driver, to_zone - self._driver.min_gap - to_clear
         room = to_zone - driver.min_gap
-        entry = np.where(np.isfinite(begins), begins - front - STOPS_BEFORE, room)
+        entry = np.where(np.isfinite(begins), begins - front - POSITION_EPS_M, room)
         follow = driver.behind(v, gap + driver.min_gap, adversary.speed)
         speed = np.where(gap >= 0.0, follow, driver.stopping(v, entry))
-        time = np.maximum(to_clear, 1e-3) / np.maximum(adversary.speed, HALTING)
+        time = np.maximum(to_clear, 1e-3) / np.maximum(adversary.speed, HALTING_SPEED_M_S)
         later = v + (np.maximum(v, 2 * room / time - v) - v) / time * self._dt
         speed = np.where(to_zone >= 0.0, np.maximum(speed, np.minimum(later, driver.stopping(v, room))), speed)
         before_bay = np.isfinite(self._bay) & (front < begins)
@@ -293,19 +298,19 @@ class Junctions:
 
         The adversary is expected to accelerate. On the junction, only an adversary that turns over a bay counts.
         """
-        room = np.where(np.isfinite(self._line), self._line - front, -FAR)
+        room = np.where(np.isfinite(self._line), self._line - front, -FAR_AWAY_M)
         left = adversary.meets_at - front
         stops = (room > -0.5) & (room < self._sees) & (room > brake_gap(v, self._driver.deceleration, self._dt))
         stops &= adversary.goes_first & ~adversary.ran_red & (~adversary.on_junction | adversary.has_bay)
         stops &= np.isfinite(adversary.meets_at) & (begins == self._begins) & (adversary.rear_to_exit > 0.0)
         if not stops.any():
             return np.full(len(v), np.inf)
-        arrival = seconds(adversary.front_to_zone + adversary.half_zone, adversary.speed, FOE_ACCELERATION)
-        gone = seconds(adversary.rear_to_exit, adversary.speed, FOE_ACCELERATION)
+        arrival = seconds(adversary.front_to_zone + adversary.half_zone, adversary.speed, FOE_ACCELERATION_M_S2)
+        gone = seconds(adversary.rear_to_exit, adversary.speed, FOE_ACCELERATION_M_S2)
         at_line = seconds(room, v, self._driver.acceleration)
-        across = seconds(left + 2 * self._half + CLEARANCE, v, self._driver.acceleration)
-        waits = stops & (across + AHEAD > arrival) & (gone > at_line)
-        return np.where(waits, self._driver.stopping(v, np.maximum(room - STOPS_BEFORE, 0.0)), np.inf)
+        across = seconds(left + 2 * self._half + MEETING_CLEARANCE_M, v, self._driver.acceleration)
+        waits = stops & (across + MINOR_TIME_GAP_S > arrival) & (gone > at_line)
+        return np.where(waits, self._driver.stopping(v, np.maximum(room - POSITION_EPS_M, 0.0)), np.inf)
 
 
 def _has_priority(situation: Situation) -> float:
@@ -314,7 +319,7 @@ def _has_priority(situation: Situation) -> float:
     return float(lights[0][2] == "G" if lights else situation.road.rule == "M")
 
 
-def seconds(distance: Floats, speed: Floats, acceleration: float, fastest: float = FOE_SPEED) -> Floats:
+def seconds(distance: Floats, speed: Floats, acceleration: float, fastest: float = FOE_SPEED_M_S) -> Floats:
     """The time [s] for a distance [m] with even acceleration up to ``fastest`` [m/s]; 0 for a negative distance."""
     distance, initial = np.maximum(distance, 0.0), np.maximum(speed, 0.01)
     final = np.maximum(np.minimum(np.sqrt(initial * initial + 2 * acceleration * distance), fastest), initial)

@@ -16,9 +16,9 @@ from pathlib import Path
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.scan import parse, seconds
 from sumo_adv.simulation.sumo_options import (
-    LONGEST_STEP,
-    SHORTEST_STEP,
-    SUMO_STEP,
+    MAX_STEP_LENGTH_S,
+    MIN_STEP_LENGTH_S,
+    SUMO_STEP_LENGTH_S,
     SUMOS_SEED,
     kept,
     only_shows,
@@ -95,7 +95,7 @@ def read_sumocfg(path: Path, environ: Mapping[str, str] = os.environ) -> Configu
     begin = begin or 0.0
     if end is not None and end <= begin:
         raise UsageError(f"{path} ends at {end:g} s, which is not after its begin: correct one of the two.")
-    sumo_step = seconds(path, "step-length", given.get("step-length", str(SUMO_STEP)))
+    sumo_step = seconds(path, "step-length", given.get("step-length", str(SUMO_STEP_LENGTH_S)))
     if not sumo_step:
         raise UsageError(f"{path} has steps of {given['step-length'][:40]} s: give a step-length above 0.")
     step, said = _step(path, sumo_step, named="step-length" in given)
@@ -175,11 +175,11 @@ def _seed(path: Path, given: Mapping[str, str]) -> int:
 
 def _step(path: Path, step: float, *, named: bool) -> tuple[float | None, tuple[str, ...]]:
     """The step [s] and no note; a part of it, or None for this program's own, and a note."""
-    if SHORTEST_STEP <= step <= LONGEST_STEP:
+    if MIN_STEP_LENGTH_S <= step <= MAX_STEP_LENGTH_S:
         return step, ()
     taken = part_of(step)
     said = f"{step:g} s" if named else "SUMO's default of 1 s"
-    why = f"this program takes steps of {SHORTEST_STEP:g} to {LONGEST_STEP:g} s"
+    why = f"this program takes steps of {MIN_STEP_LENGTH_S:g} to {MAX_STEP_LENGTH_S:g} s"
     but = "Drivers decide at other times then, so motions differ from those of SUMO alone."
     if taken is None:
         return None, (f"The step-length of {path.name}, {said}, is not kept: {why}, here of its own. {but}",)

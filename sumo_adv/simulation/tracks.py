@@ -27,10 +27,10 @@ from sumo_adv.simulation.scan import read_text
 from sumo_adv.simulation.simulation import Snapshot
 from sumo_adv.times import seconds_text
 
-COLUMNS = ("time", "id", "kind", "valid", "x", "y", "heading", "speed", "length", "width")
-KINDS = ("vehicle", "pedestrian", "cyclist", "other")
-SAME_TIME = 2e-3  # s: how far a row's time may be from the grid
-MOST_STEPS = 1_000_000
+TRACK_COLUMNS = ("time", "id", "kind", "valid", "x", "y", "heading", "speed", "length", "width")
+OBJECT_KINDS = ("vehicle", "pedestrian", "cyclist", "other")
+TRACK_TIME_TOLERANCE_S = 2e-3  # how far a row's time may be from the grid
+MAX_TRACK_STEPS = 1_000_000
 
 Row = tuple[float, float, float, float, float, float, int]  # x, y, heading, speed, length, width, line
 
@@ -85,7 +85,7 @@ class TrackLog:
         even = self.time[1] - self.time[0] if len(self.time) > 1 else step
         u = (time - self.time[0]) / even
         nearest = np.rint(u)
-        u = np.where(np.abs(u - nearest) * even < SAME_TIME, nearest, u)
+        u = np.where(np.abs(u - nearest) * even < TRACK_TIME_TOLERANCE_S, nearest, u)
         inside = (u >= 0) & (u <= len(self.time) - 1)
         low = np.clip(np.floor(u), 0, len(self.time) - 1).astype(np.intp)
         high = np.clip(np.ceil(u), 0, len(self.time) - 1).astype(np.intp)
@@ -151,8 +151,10 @@ def _lines(path: Path) -> Iterable[tuple[int, list[str]]]:
     reader = csv.reader(io.StringIO(read_text(path, "The tracks")))
     try:
         header = next(reader, [])
-        if tuple(header) != COLUMNS:
-            raise UsageError(f"The tracks {path} begin with another header: line 1 must be '{','.join(COLUMNS)}'.")
+        if tuple(header) != TRACK_COLUMNS:
+            raise UsageError(
+                f"The tracks {path} begin with another header: line 1 must be '{','.join(TRACK_COLUMNS)}'."
+            )
         for fields in reader:
             yield reader.line_num, fields
     except csv.Error as error:
@@ -161,17 +163,19 @@ def _lines(path: Path) -> Iterable[tuple[int, list[str]]]:
 
 def _row(path: Path, line: int, fields: list[str]) -> tuple[float, str, str, Row | None]:
     """Time, id, kind and, where valid, the numbers of one row."""
-    if len(fields) != len(COLUMNS):
-        raise _wrong(path, line, f"has {len(fields)} fields, not {len(COLUMNS)}")
+    if len(fields) != len(TRACK_COLUMNS):
+        raise _wrong(path, line, f"has {len(fields)} fields, not {len(TRACK_COLUMNS)}")
     _, name, kind, valid, *numbers = fields
-    if not name or kind not in KINDS or valid not in ("0", "1"):
-        column = "id" if not name else "kind" if kind not in KINDS else "valid"
-        rule = {"id": "one", "kind": f"one of {', '.join(KINDS)}", "valid": "0 or 1"}[column]
+    if not name or kind not in OBJECT_KINDS or valid not in ("0", "1"):
+        column = "id" if not name else "kind" if kind not in OBJECT_KINDS else "valid"
+        rule = {"id": "one", "kind": f"one of {', '.join(OBJECT_KINDS)}", "valid": "0 or 1"}[column]
         raise _wrong(path, line, f"has no usable {column}, which must be {rule}")
     time = round(_number(path, line, "time", fields[0]), 6)
     if valid == "0":
         return time, name, kind, None
-    x, y, heading, speed, length, width = (_number(path, line, c, n) for c, n in zip(COLUMNS[4:], numbers, strict=True))
+    x, y, heading, speed, length, width = (
+        _number(path, line, c, n) for c, n in zip(TRACK_COLUMNS[4:], numbers, strict=True)
+    )
     if length <= 0 or width <= 0:
         raise _wrong(path, line, f"gives '{name}' a size of {length:g} by {width:g} m")
     return time, name, kind, (x, y, heading, speed, length, width, line)
@@ -197,7 +201,7 @@ def _grid(path: Path, times: set[float]) -> Floats:
     if len(grid) == 1:
         return grid
     step = float(np.diff(grid).min())
-    if steps_over(grid) > MOST_STEPS:
+    if steps_over(grid) > MAX_TRACK_STEPS:
         raise UsageError(f"The tracks {path} span too much time for their step of {step:g} s; write an even grid.")
     if (worst := off_grid(grid)) is not None:
         raise UsageError(
@@ -227,7 +231,7 @@ def write_tracks(path: Path, log: TrackLog) -> None:
     bytes for equal logs."""
     text = io.StringIO()
     out = csv.writer(text, lineterminator="\n")
-    out.writerow(COLUMNS)
+    out.writerow(TRACK_COLUMNS)
     for k, time in enumerate(log.time.tolist()):
         for t in log.tracks.values():
             if t.valid[k]:

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 WARNINGS_FILE = "warnings.txt"  # of a run's folder
-MOST_SHOWN = 6  # kinds that a sentence each is given
-LONGEST_SHOWN = 300  # characters of a warning in a sentence
+MAX_SHOWN_WARNINGS = 6  # kinds that a sentence each is given
+MAX_WARNING_CHARACTERS = 300  # of a warning in a sentence
 _BEGIN = "Warning: "
 _VARIABLE = re.compile(r"'[^']*'|\"[^\"]*\"|(?<![A-Za-z])[-+]?\d[\d.:,]*(?:[eE][-+]?\d+)?")
 
@@ -67,10 +67,10 @@ def kinds_below(folder: Path) -> tuple[WarningKind, ...]:
 
 def said_of(kinds: Sequence[WarningKind], program: str = "SUMO") -> tuple[str, ...]:
     """A sentence for each kind of warning: the first one, and how many there were. Nothing where there were none."""
-    shown = [f"{program} warns{times(kind.count)}: {_short(kind.first)}" for kind in kinds[:MOST_SHOWN]]
-    more = len(kinds) - MOST_SHOWN
+    shown = [f"{program} warns{times(kind.count)}: {_short(kind.first)}" for kind in kinds[:MAX_SHOWN_WARNINGS]]
+    more = len(kinds) - MAX_SHOWN_WARNINGS
     if more > 0:
-        rest = sum(kind.count for kind in kinds[MOST_SHOWN:])
+        rest = sum(kind.count for kind in kinds[MAX_SHOWN_WARNINGS:])
         shown.append(f"{program} warns{times(rest)} of {more} further kinds.")
     return tuple(shown)
 
@@ -81,7 +81,7 @@ def times(count: int) -> str:
 
 
 def _short(text: str) -> str:
-    whole = text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}..."
+    whole = text if len(text) <= MAX_WARNING_CHARACTERS else f"{text[:MAX_WARNING_CHARACTERS]}..."
     return whole if whole.endswith((".", "!", "?")) else f"{whole}."
 
 

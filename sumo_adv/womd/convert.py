@@ -29,8 +29,9 @@ from sumo_adv.files import scratch_prefix, user_folder, write_text
 from sumo_adv.parsing import read_json
 from sumo_adv.simulation.demand import generate
 from sumo_adv.simulation.programs import find_netconvert
+from sumo_adv.simulation.scenario import NETWORK_FILE, SCENARIO_FILE
 from sumo_adv.womd.record import Record, evenly_sampled
-from sumo_adv.womd.scene import NETWORK, SCENARIO, write_scene
+from sumo_adv.womd.scene import write_scene
 
 REPORT, PICTURE = "fidelity.json", "fidelity.png"
 MOST_KEPT = 300  # conversions in the cache; the oldest go first
@@ -51,7 +52,7 @@ class Conversion:
     @property
     def scenario(self) -> Path:
         """The scenario file."""
-        return self.folder / SCENARIO
+        return self.folder / SCENARIO_FILE
 
 
 def convert_record(record: Record, folder: Path, *, traffic: bool) -> dict[str, Any]:
@@ -85,7 +86,7 @@ def convert_record(record: Record, folder: Path, *, traffic: bool) -> dict[str, 
 
 def _written(folder: Path, report: dict[str, Any], *, traffic: bool) -> dict[str, Any]:
     if traffic:
-        report = {**report, "traffic": random_traffic(folder / NETWORK)}
+        report = {**report, "traffic": random_traffic(folder / NETWORK_FILE)}
     write_text(folder / REPORT, json.dumps(report, indent=2, allow_nan=False) + "\n")
     return report
 

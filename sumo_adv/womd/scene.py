@@ -14,7 +14,8 @@ import numpy as np
 
 from sumo_adv.errors import UsageError
 from sumo_adv.geometry import wrap
-from sumo_adv.simulation.tracks import KINDS, LoggedTrack, TrackLog, write_tracks
+from sumo_adv.simulation.scenario import NETWORK_FILE, ROUTES_FILE, SCENARIO_FILE, TRACKS_FILE
+from sumo_adv.simulation.tracks import OBJECT_KINDS, LoggedTrack, TrackLog, write_tracks
 from sumo_adv.womd.lines import Segments
 from sumo_adv.womd.matching import Link, Stretch, SumoNet
 from sumo_adv.womd.record import STEP, TRACK_KINDS, VEHICLE, ObjectTrack, Record
@@ -24,7 +25,6 @@ _STRAIGHTEST = "slrLRt"  # SUMO's letters of direction, the preferred first
 STANDING = 1.0  # m that a parked vehicle may seem to move
 QUEUED = 1.5  # m from a lane's centre line within which a standing vehicle queues rather than parks
 QUEUED_TURN = 0.52  # rad between it and the lane
-NETWORK, SCENARIO, TRACKS, ROUTES = "network.net.xml", "scenario.toml", "tracks.csv.gz", "routes.rou.xml"
 CROSSWALKS = "crosswalks.add.xml"
 
 
@@ -118,10 +118,10 @@ def write_scene(record: Record, net: SumoNet, matched: Mapping[int, Sequence[Str
     left_out = {track.id for track in parked}
     moving = [t for t in record.tracks if t.id not in left_out and t.valid.any()]
     time = np.asarray(STEP * np.arange(len(record.time)), np.float64)
-    write_tracks(folder / TRACKS, TrackLog(time, {str(t.id): _logged(t) for t in moving}))
-    _write_xml(folder / ROUTES, "routes", _routes(record, Router(net), moving, matched))
+    write_tracks(folder / TRACKS_FILE, TrackLog(time, {str(t.id): _logged(t) for t in moving}))
+    _write_xml(folder / ROUTES_FILE, "routes", _routes(record, Router(net), moving, matched))
     _write_xml(folder / CROSSWALKS, "additional", _crosswalks(record))
-    (folder / SCENARIO).write_text(_scenario(record, ego, parked), encoding="utf-8", newline="\n")
+    (folder / SCENARIO_FILE).write_text(_scenario(record, ego, parked), encoding="utf-8", newline="\n")
 
 
 def _write_xml(path: Path, tag: str, lines: Iterable[str]) -> None:
@@ -162,7 +162,7 @@ def _logged(track: ObjectTrack) -> LoggedTrack:
     kind = TRACK_KINDS[track.kind] if 0 <= track.kind < len(TRACK_KINDS) else ""
     *_, length, width = _pose(track)
     return LoggedTrack(
-        id=str(track.id), kind=kind if kind in KINDS else "other", valid=track.valid, x=track.x, y=track.y,
+        id=str(track.id), kind=kind if kind in OBJECT_KINDS else "other", valid=track.valid, x=track.x, y=track.y,
         heading=wrap(track.heading), speed=np.hypot(track.vx, track.vy), length=length, width=width,
     )  # fmt: skip
 
@@ -196,12 +196,12 @@ def _scenario(record: Record, ego: ObjectTrack, parked: Sequence[ObjectTrack]) -
 {STEP * record.current:.1f} s.
 # Objects of interest: {interest}. Tracks to predict: {predicted}.
 schema = 1
-network = "{NETWORK}"
-tracks = "{TRACKS}"
+network = "{NETWORK_FILE}"
+tracks = "{TRACKS_FILE}"
 additional = ["{CROSSWALKS}"]
 
 [demand]
-files = ["{ROUTES}"]
+files = ["{ROUTES_FILE}"]
 begin = 0.0
 
 [ego]

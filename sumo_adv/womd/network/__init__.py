@@ -14,6 +14,7 @@ from typing import Any
 from sumo_adv.errors import UsageError
 from sumo_adv.files import write_whole
 from sumo_adv.simulation.programs import find_netconvert
+from sumo_adv.simulation.scenario import NETWORK_FILE
 from sumo_adv.womd.network.finish import finish, run_netconvert, write_plain
 from sumo_adv.womd.network.ground import drivable_ground
 from sumo_adv.womd.network.layout import Layout, Leg, Stretch, make_layout
@@ -23,7 +24,6 @@ from sumo_adv.womd.network.signals import SignalPlan, plan_signals, ruling_lanes
 from sumo_adv.womd.network.strands import Kept, KeptLane, Run, keep
 from sumo_adv.womd.record import Record
 
-NAME = "network.net.xml"
 SCRAP = 0.01  # m, shorter parts are not told
 
 
@@ -74,12 +74,14 @@ def convert_network(record: Record, folder: Path) -> ConvertedNetwork:
         work = Path(name)
         write_plain(roads, work)
         run_netconvert(program, work, work / "raw.net.xml")
-        via = finish(work / "raw.net.xml", work / NAME, roads, order, signals.programs, drivable_ground(record, roads))
-        write_whole(folder / NAME, lambda part: shutil.copyfile(work / NAME, part))
+        via = finish(
+            work / "raw.net.xml", work / NETWORK_FILE, roads, order, signals.programs, drivable_ground(record, roads)
+        )
+        write_whole(folder / NETWORK_FILE, lambda part: shutil.copyfile(work / NETWORK_FILE, part))
     pieces = _find_pieces(kept.lanes, layout, roads, via)
     report = _report(kept, layout, roads, order, signals)
     report["crosswalks"] = sum(area.kind == "crosswalk" for area in record.areas)
-    return ConvertedNetwork(folder / NAME, pieces, report, time.perf_counter() - began)
+    return ConvertedNetwork(folder / NETWORK_FILE, pieces, report, time.perf_counter() - began)
 
 
 def _report(kept: Kept, layout: Layout, roads: Roads, order: RightOfWay, signals: SignalPlan) -> dict[str, Any]:

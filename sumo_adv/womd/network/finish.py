@@ -14,8 +14,8 @@ import numpy as np
 
 from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError
-from sumo_adv.simulation.drivable import KEY, area_text
-from sumo_adv.simulation.layers import KEY as HEIGHTS
+from sumo_adv.simulation.drivable import DRIVABLE_KEY, area_text
+from sumo_adv.simulation.layers import HEIGHTS_KEY as HEIGHTS
 from sumo_adv.simulation.layers import pass_over
 from sumo_adv.womd.network.right_of_way import RightOfWay
 from sumo_adv.womd.network.roads import Link, RoadLane, Roads
@@ -117,7 +117,7 @@ def finish(
     via = _connections(net, lanes, roads, order, programs, high=high)
     _junctions(net, roads, order, programs, via)
     if ground is not None:
-        ET.SubElement(net.findall("junction")[0], "param", key=KEY, value=area_text(ground))
+        ET.SubElement(net.findall("junction")[0], "param", key=DRIVABLE_KEY, value=area_text(ground))
     points = np.vstack([lane.shape for edge in roads.edges.values() for lane in edge.lanes])
     (west, south), (east, north) = points.min(axis=0), points.max(axis=0)
     boundary = f"{west:.3f},{south:.3f},{east:.3f},{north:.3f}"
