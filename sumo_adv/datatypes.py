@@ -24,6 +24,7 @@ Acceleration = float | tuple[tuple[float, float], ...]
 """m/s2: a number, or 1 to ``MOST_KNOTS`` knots (s since the takeover, m/s2); linear between, constant outside."""
 
 MOST_KNOTS = 4
+MPH_M_S = 0.44704  # one mile per hour
 
 
 class Role(StrEnum):

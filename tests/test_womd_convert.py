@@ -17,7 +17,7 @@ from womd_samples import WITH_MAP, empty, four_way, frame, no_map, straight, wri
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.inputs import load_input
 from sumo_adv.womd.convert import _teleports, cache_folder, conversion, random_traffic
-from sumo_adv.womd.fidelity import COLUMNS, row
+from sumo_adv.womd.fidelity import FIDELITY_COLUMNS, row
 from sumo_adv.womd.reader import Choice, choice_of, read_records
 from sumo_adv.womd.record import Record
 
@@ -74,7 +74,7 @@ def test_the_report_of_the_four_way_junction(tmp_path: Path, bench: Any) -> None
     assert (report["routes"]["driven"], report["routes"]["broken"]) == (2, [])
     assert report["scenario"]["ego"] == 1
     assert report["traffic"]["vehicles"] > 10 and report["traffic"]["collisions"] == 0
-    assert len(row(report)) == len(COLUMNS)
+    assert len(row(report)) == len(FIDELITY_COLUMNS)
     total = bench.totals([report, report])
     assert (total["records"], total["signals_mapped"], total["connectivity"]) == (2, 24, 1.0)
     assert total["disturbed"] == float(report["traffic"]["teleports"] > 0)

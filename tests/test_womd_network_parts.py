@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.programs import find_netconvert
-from sumo_adv.womd.fidelity import FAR, connectivity, lane_deviations
+from sumo_adv.womd.fidelity import MAX_LANE_DEVIATION_M, connectivity, lane_deviations
 from sumo_adv.womd.matching import read_net
 from sumo_adv.womd.network import convert_network
 from sumo_adv.womd.network.finish import run_netconvert
@@ -237,5 +237,5 @@ def test_any_topology_loads_and_keeps_its_lanes_and_connections(made_up: tuple[A
         net = read_net(made.path)
         connections, deviations = connectivity(given, net, made.pieces), lane_deviations(given, net)
         assert connections["kept"] == connections["wanted"] == 2 * ways
-        assert deviations.distance.max() < FAR
+        assert deviations.distance.max() < MAX_LANE_DEVIATION_M
         assert lanes_in_sumo(made.path) >= made.report["lanes_made"]

@@ -27,7 +27,7 @@ from womd_samples import (
 from sumo_adv.errors import UsageError
 from sumo_adv.womd import scenario_pb2
 from sumo_adv.womd.framing import crc32c, masked_crc, read_frames
-from sumo_adv.womd.reader import ALL, Choice, read_records
+from sumo_adv.womd.reader import ALL_RECORDS, Choice, read_records
 from sumo_adv.womd.record import Record
 
 SHARED = Path(__file__).parents[2] / "shared" / "womd"
@@ -101,7 +101,7 @@ def test_signals_signs_and_areas(tmp_path: Path) -> None:
 def test_choosing_by_id_index_and_number(tmp_path: Path) -> None:
     path = write(tmp_path / "a.tfrecord", straight(), four_way(), overpass(), merge())
     ids = [[r.scenario_id for r in read_records(path, choice)] for choice in (
-        ALL, Choice(id="overpass"), Choice(index=3), Choice(first=2),
+        ALL_RECORDS, Choice(id="overpass"), Choice(index=3), Choice(first=2),
     )]  # fmt: skip
     assert ids == [
         ["straight", "four_way", "overpass", "merge"], ["overpass"], ["merge"], ["straight", "four_way"],

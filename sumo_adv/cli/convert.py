@@ -83,11 +83,11 @@ def _records(source: Path, choice: Choice, told: Told | None) -> Iterable[Record
     """The chosen records of a TFRecord file, or the record made of a CommonRoad scenario. Raises UsageError."""
     from sumo_adv.simulation.inputs import is_commonroad
     from sumo_adv.womd.commonroad import read_commonroad
-    from sumo_adv.womd.reader import ALL, read_records
+    from sumo_adv.womd.reader import ALL_RECORDS, read_records
 
     if not is_commonroad(source):
         return read_records(source, choice, told)
-    if choice != ALL:
+    if choice != ALL_RECORDS:
         raise UsageError(f"--id and --first choose among records of a TFRecord file, which {source} is not.")
     return [read_commonroad(source)]
 
@@ -119,10 +119,10 @@ def show(reports: list[dict[str, Any]]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from sumo_adv.womd.fidelity import COLUMNS, LEGEND, row
+    from sumo_adv.womd.fidelity import FIDELITY_COLUMNS, LEGEND, row
 
     table = Table(box=SIMPLE_HEAD, padding=0, collapse_padding=True, pad_edge=False)
-    for name in COLUMNS:
+    for name in FIDELITY_COLUMNS:
         table.add_column(name, no_wrap=True, justify="left" if name == "record" else "right")
     for report in reports:
         table.add_row(*row(report))

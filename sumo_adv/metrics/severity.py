@@ -28,14 +28,13 @@ from enum import StrEnum
 
 import numpy as np
 
-from sumo_adv.datatypes import Boxes, Track
+from sumo_adv.datatypes import MPH_M_S, Boxes, Track
 from sumo_adv.geometry import wrap_below_pi
 from sumo_adv.metrics.boxes import at_time, axis_separations
 from sumo_adv.metrics.contact import Side, contact_point, contact_sides
 from sumo_adv.road_users import RoadUser, Sized, is_motorcycle, road_user
 
 RESTITUTION = 0.1
-MPH = 0.44704  # m/s
 RISK_SLOPE, RISK_TENTH = 0.041, 112.0  # per km/h, and the closing speed [km/h] of a risk of 10 %
 UNPROTECTED_SLOPE = 0.090  # per km/h
 UNPROTECTED_TENTH = {RoadUser.PEDESTRIAN: 29.0, RoadUser.CYCLIST: 44.0}  # km/h, of a risk of 10 %
@@ -88,7 +87,7 @@ def mass_of(length: float) -> float:
 def severity_of(delta_v: float) -> Severity:
     """The class of a delta-v [m/s]."""
     for limit, name in ((1, Severity.NEGLIGIBLE), (5, Severity.MINOR), (15, Severity.MODERATE)):
-        if delta_v < limit * MPH:
+        if delta_v < limit * MPH_M_S:
             return name
     return Severity.SEVERE
 

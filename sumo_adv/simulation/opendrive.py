@@ -20,12 +20,12 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from sumo_adv.datatypes import Floats
+from sumo_adv.datatypes import MPH_M_S, Floats
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.map_content import MapContent, parse_map
 
 MAX_ROADS_LENGTH_M = 1e7  # of all roads: netconvert samples curves every 2 m
-SPEED_UNITS_M_S = {"": 1.0, "m/s": 1.0, "km/h": 1 / 3.6, "mph": 0.44704}  # m/s; the standard's default is m/s
+SPEED_UNITS_M_S = {"": 1.0, "m/s": 1.0, "km/h": 1 / 3.6, "mph": MPH_M_S}  # m/s; the standard's default is m/s
 NO_LIMIT_M_S = 39.44  # netconvert's own value (142 km/h) where a map says that there is no limit
 UNKNOWN_LIMIT_M_S = 13.89  # SUMO's type map: lanes for driving
 MOTOR_LANE_TYPES = frozenset({

@@ -43,10 +43,10 @@ from sumo_adv.womd.commonroad_roads import (
     read_lanes,
     read_signals,
 )
-from sumo_adv.womd.record import LONGEST, VEHICLE, Record, check_record
+from sumo_adv.womd.record import MAX_RECORD_DURATION_S, VEHICLE, Record, check_record
 
 VERSIONS = ("2018b", "2020a")
-EGO_SIZE = 4.508, 1.610  # m: CommonRoad's vehicle 2, BMW 320i; a planning problem names no size
+PLANNING_EGO_SIZE_M = 4.508, 1.610  # CommonRoad's vehicle 2, BMW 320i; a planning problem names no size
 LEFT_HAND = frozenset(
     {"AUS", "JPN", "HKG", "IND", "JEY", "IMN", "IRL", "JAM", "KEN", "MLT", "MYS", "NPL", "NZL", "ZAF", "SGP", "THA",
      "GBR", "IDN", "MAC", "PAK", "CYP"}
@@ -85,16 +85,17 @@ def _record(root: Element, path: Path, content: str) -> Record:
     initial = child(problem, "initialState")
     first = time_step(initial)
     count = max([first + 2, *(max(each) + 1 for each in poses)])
-    if count * step > LONGEST:
+    if count * step > MAX_RECORD_DURATION_S:
         raise UsageError(
-            f"{path} spans {count * step:.3g} s, more than the {LONGEST:g} s that are read: check its times."
+            f"{path} spans {count * step:.3g} s, more than the {MAX_RECORD_DURATION_S:g} s that are read: "
+            "check its times."
         )
     pose = read_pose(initial)
     ego = Pose(pose.x, pose.y, pose.heading, 0.0 if math.isnan(pose.speed) else pose.speed)
     ahead = ego.speed * step
     onward = Pose(ego.x + ahead * math.cos(ego.heading), ego.y + ahead * math.sin(ego.heading), ego.heading, ego.speed)
     number = int(problem.attrib["id"])
-    tracks = [make_track(number, VEHICLE, plain_box(*EGO_SIZE), {first: ego, first + 1: onward}, count)]
+    tracks = [make_track(number, VEHICLE, plain_box(*PLANNING_EGO_SIZE_M), {first: ego, first + 1: onward}, count)]
     numbers = itertools.count(
         1 + max(int(each.get("id", "0")) for each in root.iter() if each.get("id", "0").isdigit())
     )

@@ -18,7 +18,7 @@ from sumo_adv.datatypes import Floats
 from sumo_adv.geometry import Pose
 from sumo_adv.womd.record import TRACK_KINDS, VEHICLE, ObjectTrack
 
-KINDS = {
+TRACK_KIND_OF_TYPE = {
     "pedestrian": TRACK_KINDS.index("pedestrian"),
     "bicycle": TRACK_KINDS.index("cyclist"),
     **dict.fromkeys(("constructionZone", "building", "pillar", "median_strip", "train"), TRACK_KINDS.index("other")),
@@ -62,7 +62,7 @@ def read_tracks(
 ) -> Iterator[ObjectTrack]:
     """A track for each of its shapes, over ``count`` steps; the first has the obstacle's id, others one of
     ``numbers``."""
-    kind = KINDS.get(obstacle_type(obstacle), VEHICLE)
+    kind = TRACK_KIND_OF_TYPE.get(obstacle_type(obstacle), VEHICLE)
     shapes = list(child(obstacle, "shape"))
     if not shapes:
         raise ValueError(f"obstacle {obstacle.get('id', '')} has an empty shape")

@@ -23,14 +23,20 @@ from sumo_adv.womd.record import (
     SignalState,
 )
 
-SPACING = 0.5  # m between points of a centre line
-MAX_SPEED = {"USA": "R2-1", "ESP": "r301"}
+CENTRE_LINE_SPACING_M = 0.5  # between points of a centre line
+SPEED_LIMIT_SIGNS = {"USA": "R2-1", "ESP": "r301"}
 """Speed limit signs in commonroad-io's catalogues by country; in all others, and in Zamunda, it is ``DEFAULT_SIGN``."""
 DEFAULT_SIGN = "274"
 WALKWAYS = ("sidewalk", "crosswalk")  # lanelet types that are no lanes for vehicles
-COLOURS = {"red": "stop", "redYellow": "stop", "yellow": "caution", "green": "go", "inactive": "flashing_caution"}
-MOST_STEPS = 10**9  # of a light's cycle
-TURNS = {"right": "successorsRight", "straight": "successorsStraight", "left": "successorsLeft"}
+SIGNAL_STATE_OF_COLOUR = {
+    "red": "stop",
+    "redYellow": "stop",
+    "yellow": "caution",
+    "green": "go",
+    "inactive": "flashing_caution",
+}
+MAX_LIGHT_CYCLE_STEPS = 10**9  # of a light's cycle
+SUCCESSOR_TAGS = {"right": "successorsRight", "straight": "successorsStraight", "left": "successorsLeft"}
 
 
 def is_walkway(lanelet: Element) -> bool:
@@ -74,7 +80,7 @@ def read_lanes(root: Element, lanelets: Sequence[Element], version: str) -> dict
 def _centre(lanelet: Element) -> Floats:
     bounds = [points(child(lanelet, name)) for name in ("leftBound", "rightBound")]
     length = max(float(np.hypot(*np.diff(bound, axis=0).T).sum()) for bound in bounds)
-    count = max(2, math.ceil(length / SPACING) + 1)
+    count = max(2, math.ceil(length / CENTRE_LINE_SPACING_M) + 1)
     along = [stations(bound) for bound in bounds]
     middle = sum(at(b, s, np.linspace(0.0, s[-1], count)) for b, s in zip(bounds, along, strict=True)) / 2
     return np.column_stack([middle, np.zeros(count)])
@@ -118,7 +124,7 @@ def country(root: Element) -> str:
 
 def _sign_limits(root: Element) -> dict[str, float]:
     """Speed limits [m/s] by the number of the sign; every country's values are in m/s."""
-    wanted = MAX_SPEED.get(country(root), DEFAULT_SIGN)
+    wanted = SPEED_LIMIT_SIGNS.get(country(root), DEFAULT_SIGN)
     limits: dict[str, float] = {}
     for sign in root.findall("trafficSign"):
         for element in sign.findall("trafficSignElement"):
@@ -131,7 +137,7 @@ def _sign_limits(root: Element) -> dict[str, float]:
 
 def other_signs(root: Element) -> Counter[str]:
     """The signs that say no speed limit, by their catalogue number."""
-    wanted = MAX_SPEED.get(country(root), DEFAULT_SIGN)
+    wanted = SPEED_LIMIT_SIGNS.get(country(root), DEFAULT_SIGN)
     ids = (each.findtext("trafficSignID", "").strip() for each in root.iterfind("trafficSign/trafficSignElement"))
     return Counter(f"sign {name}" for name in ids if name != wanted)
 
@@ -139,7 +145,7 @@ def other_signs(root: Element) -> Counter[str]:
 def _turns(root: Element) -> dict[int, str]:
     """Which way the lanelets of intersections lead."""
     incoming = root.findall("intersection/incoming")
-    return {int(ref): turn for turn, name in TURNS.items() for each in incoming for ref in _refs(each, name)}
+    return {int(ref): turn for turn, name in SUCCESSOR_TAGS.items() for each in incoming for ref in _refs(each, name)}
 
 
 def read_signals(
@@ -173,9 +179,11 @@ def is_lit(light: Element) -> bool:
 def _states(light: Element, count: int) -> Ints:
     """Indices of ``SIGNAL_STATES`` at each step."""
     cycle = light.findall("cycle/cycleElement")
-    colours = np.array([SIGNAL_STATES.index(COLOURS[each.findtext("color", "").strip()]) for each in cycle])
+    colours = np.array(
+        [SIGNAL_STATES.index(SIGNAL_STATE_OF_COLOUR[each.findtext("color", "").strip()]) for each in cycle]
+    )
     durations = [int(child(each, "duration").text or "") for each in cycle]
-    if min(durations) < 0 or not 0 < sum(durations) < MOST_STEPS:
+    if min(durations) < 0 or not 0 < sum(durations) < MAX_LIGHT_CYCLE_STEPS:
         raise ValueError(f"traffic light {light.get('id', '')} has a cycle of {sum(durations)} steps")
     ends = np.cumsum(durations)
     passed = (np.arange(count) - int(light.findtext("cycle/timeOffset", "0"))) % ends[-1]

@@ -33,11 +33,11 @@ from sumo_adv.simulation.scenario import NETWORK_FILE, SCENARIO_FILE
 from sumo_adv.womd.record import Record, evenly_sampled
 from sumo_adv.womd.scene import write_scene
 
-REPORT, PICTURE = "fidelity.json", "fidelity.png"
-MOST_KEPT = 300  # conversions in the cache; the oldest go first
-DURATION = 120.0  # s
-PATIENCE = 60.0  # s without a move after which SUMO teleports a vehicle
-TIME_LIMIT = 120.0  # s of wall time
+FIDELITY_FILE, FIDELITY_PICTURE = "fidelity.json", "fidelity.png"
+MAX_CACHED_RECORDS = 300  # conversions in the cache; the oldest go first
+TRAFFIC_TRIAL_DURATION_S = 120.0
+TELEPORT_TIME_S = 60.0  # without a move after which SUMO teleports a vehicle
+TRAFFIC_TRIAL_TIMEOUT_S = 120.0  # of wall time
 _TELEPORT = re.compile(r"Teleporting vehicle '[^']*'; ([^,]*), lane='([^']*)', time=([0-9.]+)\.")
 
 
@@ -71,7 +71,7 @@ def convert_record(record: Record, folder: Path, *, traffic: bool) -> dict[str, 
     net = read_net(converted.path)
     fidelity = measure(record, net, converted)
     write_scene(record, net, fidelity.matched, folder)
-    draw_fidelity(folder / PICTURE, record, net, fidelity)
+    draw_fidelity(folder / FIDELITY_PICTURE, record, net, fidelity)
     seconds["all"] = perf_counter() - began
     scenario = {
         "ego": record.tracks[record.sdc].id, "objects_of_interest": list(record.objects_of_interest),
@@ -87,7 +87,7 @@ def convert_record(record: Record, folder: Path, *, traffic: bool) -> dict[str, 
 def _written(folder: Path, report: dict[str, Any], *, traffic: bool) -> dict[str, Any]:
     if traffic:
         report = {**report, "traffic": random_traffic(folder / NETWORK_FILE)}
-    write_text(folder / REPORT, json.dumps(report, indent=2, allow_nan=False) + "\n")
+    write_text(folder / FIDELITY_FILE, json.dumps(report, indent=2, allow_nan=False) + "\n")
     return report
 
 
@@ -128,16 +128,16 @@ def conversion(record: Record, *, traffic: bool, cache: Path | None = None) -> I
 def _known(place: Path) -> dict[str, Any] | None:
     """The report of a whole conversion at ``place``, or None."""
     try:
-        return dict(read_json(place / REPORT))
+        return dict(read_json(place / FIDELITY_FILE))
     except (OSError, ValueError, TypeError):
         return None
 
 
 def _trim(cache: Path) -> None:
-    """Remove the oldest conversions beyond ``MOST_KEPT``."""
+    """Remove the oldest conversions beyond ``MAX_CACHED_RECORDS``."""
     with contextlib.suppress(OSError):
         kept = sorted((p for p in cache.iterdir() if p.is_dir()), key=lambda p: p.stat().st_mtime)
-        for old in kept[:-MOST_KEPT]:
+        for old in kept[:-MAX_CACHED_RECORDS]:
             shutil.rmtree(old, ignore_errors=True)
 
 
@@ -155,7 +155,7 @@ def cache_folder(
     return user_folder("cache", environ, platform, home) / "womd"
 
 
-def random_traffic(network: Path, *, seed: int = 0, duration: float = DURATION) -> dict[str, Any]:
+def random_traffic(network: Path, *, seed: int = 0, duration: float = TRAFFIC_TRIAL_DURATION_S) -> dict[str, Any]:
     """Runs generated traffic of the default density for ``duration`` s: vehicles, collisions, teleports, and the place
     and time of each of those (``events``).
 
@@ -195,12 +195,12 @@ def _sumo(network: Path, demand: Path, folder: Path, seed: int, duration: float)
     command = [
         str(sumo), "-n", str(network), "-r", str(demand), "--end", str(duration), "--seed", str(seed),
         "--step-length", "0.1", "--collision.action", "warn", "--collision.mingap-factor", "0",
-        "--collision.check-junctions", "true", "--lanechange.duration", "3", "--time-to-teleport", str(PATIENCE),
+        "--collision.check-junctions", "true", "--lanechange.duration", "3", "--time-to-teleport", str(TELEPORT_TIME_S),
         "--statistic-output", str(folder / "statistics.xml"), "--collision-output", str(folder / "collisions.xml"),
         "--xml-validation", "never", "--no-step-log", "true",
     ]  # fmt: skip
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=TIME_LIMIT, check=False)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=TRAFFIC_TRIAL_TIMEOUT_S, check=False)
     except (OSError, subprocess.TimeoutExpired) as error:
         raise SimulationError(f"Random traffic could not be tried on {network}: {error}.") from error
     if done.returncode:

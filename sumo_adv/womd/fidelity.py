@@ -15,7 +15,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Floats
 from sumo_adv.files import write_whole
-from sumo_adv.womd.lines import Segments, resample, stations
+from sumo_adv.womd.lines import MAX_CONNECTION_GAP_M, Segments, resample, stations
 from sumo_adv.womd.matching import LaneGraph, Stretch, SumoNet, match, net_graph, record_graph
 from sumo_adv.womd.record import BIKE, VEHICLE, ObjectTrack, Record
 from sumo_adv.womd.scene import Router
@@ -23,19 +23,18 @@ from sumo_adv.womd.scene import Router
 if TYPE_CHECKING:
     from sumo_adv.womd.network import ConvertedNetwork, Piece
 
-SAMPLE_STEP = 0.5  # m between samples of a lane
-NEAR = 1.0  # m within which the nearest SUMO lane is looked for first
-FAR = 20.0  # m: deviations are not looked for beyond
-ALONG = 0.8  # rad within which a SUMO lane leads the same way
-MAX_GAP = 1.0  # m between a lane and its exit that still counts as a connection
-ENDS = 0.3  # m within which a piece is a lane's first or last
-WOMD_HALF_WIDTH = 1.75  # m about a centre line that counts as the lane
-MOVING_SPEED = 1.0  # m/s from which a logged vehicle counts as moving
-DRIVEN = 5.0  # m that a track must cover to count as driven
-BANDS = ((0.1, 0.5, "#F0E442"), (0.5, 1.0, "#E69F00"), (1.0, np.inf, "#D55E00"))  # m from, m to, colour
-DATASET, OUTSIDE, INSIDE, EGO = "#BBD7EA", "#333333", "#009E73", "#0072B2"
-WIDTH, LEAST, MOST = 14.0, 6.0, 18.0  # inches; 100 dots an inch
-COLUMNS = (
+LANE_SAMPLE_STEP_M = 0.5  # between samples of a lane
+FIRST_LANE_SEARCH_DISTANCE_M = 1.0  # within which the nearest SUMO lane is looked for first
+MAX_LANE_DEVIATION_M = 20.0  # deviations are not looked for beyond
+SAME_DIRECTION_RAD = 0.8  # within which a SUMO lane leads the same way
+PIECE_END_TOLERANCE_M = 0.3  # within which a piece is a lane's first or last
+HALF_LANE_WIDTH_M = 1.75  # about a centre line that counts as the lane
+MIN_LOGGED_SPEED_M_S = 1.0  # from which a logged vehicle counts as moving
+MIN_DRIVEN_DISTANCE_M = 5.0  # that a track must cover to count as driven
+DEVIATION_BANDS_M = ((0.1, 0.5, "#F0E442"), (0.5, 1.0, "#E69F00"), (1.0, np.inf, "#D55E00"))  # m from, m to, colour
+DATASET_COLOUR, OUTSIDE_COLOUR, INSIDE_COLOUR, EGO_COLOUR = "#BBD7EA", "#333333", "#009E73", "#0072B2"
+PICTURE_WIDTH_IN, MIN_PICTURE_HEIGHT_IN, MAX_PICTURE_HEIGHT_IN = 14.0, 6.0, 18.0  # inches; 100 dots an inch
+FIDELITY_COLUMNS = (
     "record", "km", "kept %", "<0.1 m %", "<0.5 m %", "p99 m", "links", "signals", "inside %", "centre %", "broken",
     "junct. %", "traffic", "s",
 )  # fmt: skip
@@ -50,7 +49,7 @@ Report = Mapping[str, Any]
 @dataclass(frozen=True, slots=True)
 class Deviations:
     """Samples of all lanes. xy ``(n, 2)`` m; distance ``(n,)`` m to the nearest SUMO lane of the same direction, at
-    most ``FAR``."""
+    most ``MAX_LANE_DEVIATION_M``."""
 
     xy: Floats
     distance: Floats
@@ -90,19 +89,19 @@ def kept_lanes(record: Record) -> dict[int, Floats]:
 
 
 def lane_deviations(record: Record, net: SumoNet) -> Deviations:
-    """Samples every ``SAMPLE_STEP`` m of all lanes, and how far SUMO's lanes are from them."""
+    """Samples every ``LANE_SAMPLE_STEP_M`` of all lanes, and how far SUMO's lanes are from them."""
     places, distances = [np.empty((0, 2))], [np.empty(0)]
     for bikes in (False, True):
         lines = [p for i, p in kept_lanes(record).items() if (record.lanes[i].kind == BIKE) == bikes]
         if lines:
-            samples = [resample(line, SAMPLE_STEP) for line in lines]
+            samples = [resample(line, LANE_SAMPLE_STEP_M) for line in lines]
             xy, headings = (np.concatenate([s[k] for s in samples]) for k in (1, 2))
             usable = {n: lane.shape for n, lane in net.lanes.items() if (lane.bicycles if bikes else lane.cars)}
-            segments, distance = Segments(usable), np.full(len(xy), FAR)
-            for radius in (NEAR, FAR):
-                left = np.flatnonzero(distance == FAR)
+            segments, distance = Segments(usable), np.full(len(xy), MAX_LANE_DEVIATION_M)
+            for radius in (FIRST_LANE_SEARCH_DISTANCE_M, MAX_LANE_DEVIATION_M):
+                left = np.flatnonzero(distance == MAX_LANE_DEVIATION_M)
                 hits = segments.near(xy[left], radius, headings[left])
-                distance[left] = hits.where(hits.turned < ALONG).least(len(left), FAR)
+                distance[left] = hits.where(hits.turned < SAME_DIRECTION_RAD).least(len(left), MAX_LANE_DEVIATION_M)
             places.append(xy)
             distances.append(distance)
     return Deviations(np.concatenate(places), np.concatenate(distances))
@@ -143,14 +142,14 @@ def _union(ranges: Sequence[tuple[float, float]], length: float) -> float:
 
 
 def connectivity(record: Record, net: SumoNet, pieces: Mapping[int, Sequence[Piece]]) -> dict[str, Any]:
-    """How many of the record's connections (a lane and its exit, less than ``MAX_GAP`` m apart) can be driven in SUMO,
-    from a lane's last piece to the next one's first."""
+    """How many of the record's connections (a lane and its exit, less than ``MAX_CONNECTION_GAP_M`` apart) can be
+    driven in SUMO, from a lane's last piece to the next one's first."""
     lines = kept_lanes(record)
     connections = [
         (i, e)
         for i, points in lines.items()
         for e in dict.fromkeys(record.lanes[i].exits)
-        if e in lines and np.linalg.norm(points[-1] - lines[e][0]) < MAX_GAP
+        if e in lines and np.linalg.norm(points[-1] - lines[e][0]) < MAX_CONNECTION_GAP_M
     ]
     lost = [(a, b) for a, b in connections if not _joined(net, pieces.get(a, ()), pieces.get(b, ()))]
     total, kept = len(connections), len(connections) - len(lost)
@@ -161,20 +160,24 @@ def _joined(net: SumoNet, before: Sequence[Piece], after: Sequence[Piece]) -> bo
     if not before or not after:
         return False
     end, start = max(p.end for p in before), min(p.start for p in after)
-    last = {p.sumo_lane for p in before if p.end > end - ENDS}
-    first = {p.sumo_lane for p in after if p.start < start + ENDS}
+    last = {p.sumo_lane for p in before if p.end > end - PIECE_END_TOLERANCE_M}
+    first = {p.sumo_lane for p in after if p.start < start + PIECE_END_TOLERANCE_M}
     return bool(first & last) or any(first.intersection(_onward(net, lane)) for lane in last)
 
 
 def _onward(net: SumoNet, lane: str) -> set[str]:
-    """The lanes after ``lane``, and those after them where they are shorter than ``MAX_GAP`` m."""
+    """The lanes after ``lane``, and those after them where they are shorter than ``MAX_CONNECTION_GAP_M``."""
     reached: set[str] = set()
     queue = list(net.following.get(lane, ()))
     while queue:
         here = queue.pop()
         if here not in reached:
             reached.add(here)
-            queue += net.following.get(here, ()) if here in net.lanes and net.lanes[here].length < MAX_GAP else ()
+            queue += (
+                net.following.get(here, ())
+                if here in net.lanes and net.lanes[here].length < MAX_CONNECTION_GAP_M
+                else ()
+            )
     return reached
 
 
@@ -196,7 +199,7 @@ def inside_lanes(record: Record, net: SumoNet) -> dict[str, float]:
     cars = {n: lane for n, lane in net.lanes.items() if lane.cars}
     half = np.array([lane.width / 2 for lane in cars.values()])
     lines = {i: p for i, p in kept_lanes(record).items() if record.lanes[i].kind != BIKE}
-    near = Segments(lines).near(xy, WOMD_HALF_WIDTH).least(len(xy), FAR) <= WOMD_HALF_WIDTH
+    near = Segments(lines).near(xy, HALF_LANE_WIDTH_M).least(len(xy), MAX_LANE_DEVIATION_M) <= HALF_LANE_WIDTH_M
     inside = np.zeros(len(xy), bool)
     hits = Segments({n: lane.shape for n, lane in cars.items()}).near(xy, float(half.max(initial=0.0)))
     inside[hits.point[hits.distance <= half[hits.line]]] = True
@@ -208,7 +211,7 @@ def _moving(record: Record) -> Floats:
     parts = [np.empty((0, 2))]
     for t in record.tracks:
         if t.kind == VEHICLE:
-            moving = t.valid & (np.hypot(t.vx, t.vy) > MOVING_SPEED)
+            moving = t.valid & (np.hypot(t.vx, t.vy) > MIN_LOGGED_SPEED_M_S)
             parts.append(np.stack([t.x[moving], t.y[moving]], axis=1))
     return np.concatenate(parts)
 
@@ -218,7 +221,7 @@ def _routes(
 ) -> dict[str, Any]:
     """Driven tracks, those with edges that break in SUMO, and those that break on the record's own graph."""
     own: LaneGraph = record_graph(record)
-    driven = [t for t in tracks if np.hypot(np.diff(t.x[t.valid]), np.diff(t.y[t.valid])).sum() > DRIVEN]
+    driven = [t for t in tracks if np.hypot(np.diff(t.x[t.valid]), np.diff(t.y[t.valid])).sum() > MIN_DRIVEN_DISTANCE_M]
     broken = [t.id for t in driven if not router.unbroken(matched[t.id])]
     own_broken = [t.id for t in driven if len(match(own, t)) > 1]
     return {
@@ -234,19 +237,26 @@ def draw_fidelity(target: Path, record: Record, net: SumoNet, fidelity: Fidelity
     lines = [points[:, :2] for points in kept_lanes(record).values()]
     points = np.concatenate(lines or [np.zeros((1, 2))])
     low, high = points.min(axis=0) - 10.0, points.max(axis=0) + 10.0
-    height = float(np.clip(WIDTH * (high[1] - low[1]) / (high[0] - low[0]), LEAST, MOST))
-    figure = Figure(figsize=(WIDTH, height + 1.0), dpi=100, facecolor="white")
+    height = float(
+        np.clip(
+            PICTURE_WIDTH_IN * (high[1] - low[1]) / (high[0] - low[0]), MIN_PICTURE_HEIGHT_IN, MAX_PICTURE_HEIGHT_IN
+        )
+    )
+    figure = Figure(figsize=(PICTURE_WIDTH_IN, height + 1.0), dpi=100, facecolor="white")
     axes = figure.add_axes((0.05, 0.05, 0.93, 0.86))
-    _lines(axes, lines, DATASET, 5.0, f"lanes of the record ({len(lines)})")
-    for internal, colour, name in ((False, OUTSIDE, "SUMO lanes"), (True, INSIDE, "SUMO lanes inside junctions")):
+    _lines(axes, lines, DATASET_COLOUR, 5.0, f"lanes of the record ({len(lines)})")
+    for internal, colour, name in (
+        (False, OUTSIDE_COLOUR, "SUMO lanes"),
+        (True, INSIDE_COLOUR, "SUMO lanes inside junctions"),
+    ):
         _lines(axes, [a.shape for a in net.lanes.values() if a.internal == internal], colour, 0.8, name)
-    for start, end, colour in BANDS:
+    for start, end, colour in DEVIATION_BANDS_M:
         d = fidelity.deviations
         chosen = d.xy[(d.distance > start) & (d.distance <= end)]
         name = f"{start:g} to {end:g} m off" if np.isfinite(end) else f"over {start:g} m off"
         axes.plot(*chosen.T, "o", ms=4, color=colour, zorder=5, label=f"{name} ({len(chosen)} samples)")
     ego = record.tracks[record.sdc]
-    axes.plot(ego.x[ego.valid], ego.y[ego.valid], color=EGO, lw=1.8, ls=(0, (3, 2)), zorder=4, label="ego's log")
+    axes.plot(ego.x[ego.valid], ego.y[ego.valid], color=EGO_COLOUR, lw=1.8, ls=(0, (3, 2)), zorder=4, label="ego's log")
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])
     axes.set_aspect("equal")

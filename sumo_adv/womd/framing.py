@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from sumo_adv.errors import UsageError
 
-POLYNOMIAL = 0x82F63B78
-MASK_DELTA = 0xA282EAD8
-MAX_LENGTH = 1 << 30  # bytes of one record; real ones have about 1 MB
+CRC_POLYNOMIAL = 0x82F63B78
+CRC_MASK_DELTA = 0xA282EAD8
+MAX_RECORD_BYTES = 1 << 30  # of one record; real ones have about 1 MB
 _HEAD = struct.Struct("<QI")
-_STRIPS = 1024  # strips that are computed side by side
-_LONG = 4096  # bytes from which strips are worth it
+_STRIP_COUNT = 1024  # strips that are computed side by side
+_MIN_STRIPPED_BYTES = 4096  # from which strips are worth it
 _ALL_ONES = 0xFFFFFFFF
 
 
@@ -54,7 +54,7 @@ def read_frames(file: BinaryIO, name: str, skip: int = 0) -> Iterator[Frame]:
                 f"Record {number} of {name} has a damaged length, so nothing after it can be read: fetch the file "
                 "again, or give a TFRecord file."
             )
-        if length > MAX_LENGTH:
+        if length > MAX_RECORD_BYTES:
             raise UsageError(f"Record {number} of {name} would be {length} bytes long: this is no file of scenarios.")
         data = file.read(length + 4)
         if len(data) < length + 4:
@@ -77,16 +77,16 @@ def frame(data: bytes) -> bytes:
 def masked_crc(data: bytes) -> int:
     """TFRecord's masked CRC-32C of ``data``."""
     crc = crc32c(data)
-    return (((crc >> 15) | (crc << 17)) + MASK_DELTA) & _ALL_ONES
+    return (((crc >> 15) | (crc << 17)) + CRC_MASK_DELTA) & _ALL_ONES
 
 
 def crc32c(data: bytes) -> int:
     """CRC-32C of ``data``."""
     crc, rest = _ALL_ONES, data
-    if len(data) >= _LONG:
-        size = len(data) // _STRIPS
-        strips = np.frombuffer(data, np.uint8, _STRIPS * size).reshape(_STRIPS, size)
-        crc, rest = _join(_strip_crcs(strips), size), data[_STRIPS * size :]
+    if len(data) >= _MIN_STRIPPED_BYTES:
+        size = len(data) // _STRIP_COUNT
+        strips = np.frombuffer(data, np.uint8, _STRIP_COUNT * size).reshape(_STRIP_COUNT, size)
+        crc, rest = _join(_strip_crcs(strips), size), data[_STRIP_COUNT * size :]
     table = _table().tolist()
     for byte in rest:
         crc = table[(crc ^ byte) & 0xFF] ^ (crc >> 8)
@@ -117,7 +117,7 @@ def _table() -> NDArray[np.uint32]:
     """What one byte does to the register."""
     table: NDArray[np.uint32] = np.arange(256, dtype=np.uint32)
     for _ in range(8):
-        table = (table >> np.uint32(1)) ^ (table & np.uint32(1)) * np.uint32(POLYNOMIAL)
+        table = (table >> np.uint32(1)) ^ (table & np.uint32(1)) * np.uint32(CRC_POLYNOMIAL)
     return table
 
 

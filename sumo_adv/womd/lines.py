@@ -13,8 +13,9 @@ from sumo_adv import geometry
 from sumo_adv.datatypes import Floats, Ints
 from sumo_adv.geometry import wrap, wrap_below_pi
 
-SAME = 1e-3  # m, points nearer than this are one
-SEAM = 0.2  # m, gaps between areas that are no gaps of the road
+SAME_POINT_DISTANCE_M = 1e-3  # points nearer than this are one
+MAX_CONNECTION_GAP_M = 1.0  # between the end of a lane and the start of its exit
+AREA_SEAM_M = 0.2  # gaps between areas that are no gaps of the road
 
 
 def stations(points: Floats) -> Floats:
@@ -25,7 +26,7 @@ def stations(points: Floats) -> Floats:
 def distinct(points: Floats) -> Floats:
     """The points without those that repeat the one before."""
     step = np.hypot(*np.diff(points[:, :2], axis=0).T)
-    return points[np.concatenate([[True], step > SAME])]
+    return points[np.concatenate([[True], step > SAME_POINT_DISTANCE_M])]
 
 
 def at(points: Floats, along: Floats, where: Floats | float) -> Floats:
@@ -35,7 +36,7 @@ def at(points: Floats, along: Floats, where: Floats | float) -> Floats:
 
 def part(points: Floats, along: Floats, start: float, end: float) -> Floats:
     """The line from station ``start`` to ``end``, with its own points between."""
-    inner = points[(along > start + SAME) & (along < end - SAME)]
+    inner = points[(along > start + SAME_POINT_DISTANCE_M) & (along < end - SAME_POINT_DISTANCE_M)]
     ends = at(points, along, np.array([start, end]))
     return np.vstack([ends[:1], inner, ends[1:]])
 
@@ -49,7 +50,7 @@ def headings(points: Floats, along: Floats, where: Floats) -> Floats:
 def turned(points: Floats) -> float:
     """Heading at the end less heading at the start [rad], added up along the line (left positive)."""
     step = np.diff(points[:, :2], axis=0)
-    step = step[np.hypot(*step.T) > SAME]
+    step = step[np.hypot(*step.T) > SAME_POINT_DISTANCE_M]
     heading = np.arctan2(step[:, 1], step[:, 0])
     return float(np.sum(wrap(np.diff(heading))))
 
@@ -140,7 +141,7 @@ def road_outline(areas: Sequence[Any]) -> list[Floats]:
     """Closed lines ``(n, 2)`` [m] around the union of shapely polygons."""
     from shapely import get_parts, union_all
 
-    ground = union_all([area.buffer(SEAM) for area in areas]).buffer(-SEAM)
+    ground = union_all([area.buffer(AREA_SEAM_M) for area in areas]).buffer(-AREA_SEAM_M)
     lines = []
     for part in get_parts(ground):
         outer = part.exterior if part.exterior.is_ccw else part.exterior.reverse()

@@ -22,17 +22,17 @@ from sumo_adv.datatypes import Floats, Ints
 from sumo_adv.womd.lines import Segments, stations
 from sumo_adv.womd.record import BIKE, LaneFeature, ObjectTrack, Record
 
-DEFAULT_WIDTH = 3.2  # m, SUMO's for lanes without one
-NEAR = 2.5  # m from a lane's centre line at which a vehicle may still be on it
-TURNED = 0.9  # rad between vehicle and lane at most
-SIGMA = 0.8  # m, of a vehicle about its lane's centre line
-TURN_SIGMA = 0.35  # rad, of its heading about the lane's
-DETOUR_SIGMA = 3.0  # m, of the way along the lanes about the way driven
-CHANGE_COST = 1.0  # of a lane change
-SLACK = 12.0  # m that the way along the lanes may be longer than the way driven
-STEP = 3.0  # m between the positions that are matched
-REACH_STEP = 20.0  # m by which the search ahead grows
-MOST_CHANGES = 2  # lane changes between two positions
+SUMO_LANE_WIDTH_M = 3.2  # SUMO's for lanes without one
+MAX_MATCH_DISTANCE_M = 2.5  # from a lane's centre line at which a vehicle may still be on it
+MAX_MATCH_ANGLE_RAD = 0.9  # between vehicle and lane at most
+LATERAL_SIGMA_M = 0.8  # of a vehicle about its lane's centre line
+HEADING_SIGMA_RAD = 0.35  # of its heading about the lane's
+DETOUR_SIGMA_M = 3.0  # of the way along the lanes about the way driven
+LANE_CHANGE_COST = 1.0  # of a lane change
+MAX_DETOUR_M = 12.0  # that the way along the lanes may be longer than the way driven
+MATCHED_STEP_M = 3.0  # between the positions that are matched
+SEARCH_STEP_M = 20.0  # by which the search ahead grows
+MAX_LANE_CHANGES = 2  # lane changes between two positions
 Lane = Any  # a SUMO lane's name or a WOMD lane's number
 
 
@@ -110,7 +110,7 @@ def read_net(path: Path) -> SumoNet:
 def _lane(attributes: Mapping[str, str], edge: str, internal: bool) -> NetLane:
     shape = np.array([[float(v) for v in pair.split(",")[:2]] for pair in attributes["shape"].split()])
     return NetLane(
-        edge, shape, float(attributes.get("width", DEFAULT_WIDTH)), float(attributes["length"]), internal,
+        edge, shape, float(attributes.get("width", SUMO_LANE_WIDTH_M)), float(attributes["length"]), internal,
         _allows(attributes, "passenger"), _allows(attributes, "bicycle"),
     )  # fmt: skip
 
@@ -206,9 +206,9 @@ def match(graph: LaneGraph, track: ObjectTrack) -> tuple[Stretch, ...]:
     if not len(steps):
         return ()
     xy = np.stack([track.x[steps], track.y[steps]], axis=1)
-    hits = graph.segments.near(xy, NEAR, track.heading[steps])
-    hits = hits.where(hits.turned < TURNED).nearest_of_each_line()
-    cost = (hits.distance / SIGMA) ** 2 + (hits.turned / TURN_SIGMA) ** 2
+    hits = graph.segments.near(xy, MAX_MATCH_DISTANCE_M, track.heading[steps])
+    hits = hits.where(hits.turned < MAX_MATCH_ANGLE_RAD).nearest_of_each_line()
+    cost = (hits.distance / LATERAL_SIGMA_M) ** 2 + (hits.turned / HEADING_SIGMA_RAD) ** 2
     stretches: list[Stretch] = []
     rows: list[_Row] = []
     for i in np.unique(hits.point):
@@ -223,12 +223,12 @@ def match(graph: LaneGraph, track: ObjectTrack) -> tuple[Stretch, ...]:
 
 
 def _positions(track: ObjectTrack) -> tuple[Ints, Floats]:
-    """Steps about ``STEP`` m apart, the first and the last one included, and the way driven until each, m."""
+    """Steps about ``MATCHED_STEP_M`` apart, the first and the last one included, and the way driven until each, m."""
     valid = np.flatnonzero(track.valid)
     if not len(valid):
         return valid, np.empty(0)
     way = stations(np.column_stack([track.x, track.y])[valid])
-    _, first = np.unique((way / STEP).astype(int), return_index=True)
+    _, first = np.unique((way / MATCHED_STEP_M).astype(int), return_index=True)
     chosen = np.unique([*first, len(valid) - 1])
     return valid[chosen], way[chosen]
 
@@ -246,13 +246,13 @@ class _Row:
         best = np.full(len(self.lanes), np.inf)
         origin: list[tuple[int, Way] | None] = [None] * len(self.lanes)
         for k in np.flatnonzero(np.isfinite(before.cost)):
-            ways = _ways(graph, before.lanes[k], driven + SLACK)
+            ways = _ways(graph, before.lanes[k], driven + MAX_DETOUR_M)
             for j in range(len(self.lanes)):
                 way = ways.get(self.lanes[j])
                 gone = math.inf if way is None else way.length + self.at[j] - before.at[k]
-                if way is None or not -SLACK / 2 < gone < driven + SLACK:
+                if way is None or not -MAX_DETOUR_M / 2 < gone < driven + MAX_DETOUR_M:
                     continue
-                total = before.cost[k] + ((gone - driven) / DETOUR_SIGMA) ** 2 + CHANGE_COST * way.changes
+                total = before.cost[k] + ((gone - driven) / DETOUR_SIGMA_M) ** 2 + LANE_CHANGE_COST * way.changes
                 if total < best[j]:
                     best[j], origin[j] = total, (int(k), way)
         if not np.isfinite(best).any():
@@ -264,12 +264,12 @@ class _Row:
 def _ways(graph: LaneGraph, lane: Lane, reach: float) -> dict[Lane, Way]:
     """Ways to all lanes that begin less than ``reach`` m (rounded up) after the end of ``lane``: of fewest changes,
     then shortest."""
-    rounds = math.ceil(reach / REACH_STEP)
+    rounds = math.ceil(reach / SEARCH_STEP_M)
     cached = graph.ways.get((lane, rounds))
     if cached is not None:
         return cached
     ways: dict[Lane, Way] = {}
-    farthest = graph.lengths[lane] + rounds * REACH_STEP
+    farthest = graph.lengths[lane] + rounds * SEARCH_STEP_M
     queue: list[tuple[int, float, int, Lane, tuple[Lane, ...]]] = [(0, 0.0, 0, lane, ())]
     count = 0
     while queue:
@@ -279,7 +279,7 @@ def _ways(graph: LaneGraph, lane: Lane, reach: float) -> dict[Lane, Way]:
         ways[here] = Way(length, changes, passed)
         end = length + graph.lengths[here]
         onward = [(changes, end, next_lane) for next_lane in graph.following[here] if end < farthest]
-        if changes < MOST_CHANGES:
+        if changes < MAX_LANE_CHANGES:
             onward += [(changes + 1, length - shift, next_lane) for next_lane, shift in graph.beside[here]]
         for more, start, next_lane in onward:
             count += 1  # settles draws

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Floats
+from sumo_adv.datatypes import MPH_M_S, Floats
 from sumo_adv.errors import UsageError
 from sumo_adv.womd.framing import Frame, read_frames
 from sumo_adv.womd.record import (
@@ -31,10 +31,9 @@ from sumo_adv.womd.record import (
     check_record,
 )
 
-MPH = 0.44704  # m/s
-MOST_TRACKS = 5_000  # of a record; of the dataset: some hundreds
-LARGEST_OBJECT = 100.0  # m, length or width: a state with a larger one is taken for invalid
-INDEX_DIGITS = 9  # a longer number is an id
+MAX_TRACKS_PER_RECORD = 5_000  # of a record; of the dataset: some hundreds
+MAX_OBJECT_SIZE_M = 100.0  # length or width: a state with a larger one is taken for invalid
+MAX_INDEX_DIGITS = 9  # a longer number is an id
 _SAFE_ID = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}")  # it becomes a folder's name
 _AREAS = ("crosswalk", "speed_bump", "driveway")
 _FIELDS = (
@@ -54,10 +53,10 @@ class Choice:
     first: int | None = None
 
 
-ALL = Choice()
+ALL_RECORDS = Choice()
 
 
-def read_records(path: Path, choice: Choice = ALL, told: Told | None = None) -> Iterator[Record]:
+def read_records(path: Path, choice: Choice = ALL_RECORDS, told: Told | None = None) -> Iterator[Record]:
     """The chosen records of the file at ``path``, read as they are asked for.
 
     told: takes the fault of a record, which is then passed over; None = it is raised.
@@ -106,7 +105,7 @@ def choice_of(record: str | None) -> Choice:
     """The choice that ``--record`` means; the first record if it was not given."""
     if record is None:
         return Choice(index=0)
-    if record.isascii() and record.isdigit() and len(record) <= INDEX_DIGITS:
+    if record.isascii() and record.isdigit() and len(record) <= MAX_INDEX_DIGITS:
         return Choice(index=int(record))
     return Choice(id=record)
 
@@ -194,8 +193,10 @@ def record_of(message: Any, where: str) -> Record:
     lanes = {f.id: _lane(f, label) for f in message.map_features if f.HasField("lane")}
     if not lanes:
         raise UsageError(f"{label} has no map: it holds no lane, so it cannot be driven.")
-    if len(message.tracks) > MOST_TRACKS:
-        raise UsageError(f"{label} has {len(message.tracks):,} tracks, more than the {MOST_TRACKS:,} that are read.")
+    if len(message.tracks) > MAX_TRACKS_PER_RECORD:
+        raise UsageError(
+            f"{label} has {len(message.tracks):,} tracks, more than the {MAX_TRACKS_PER_RECORD:,} that are read."
+        )
     tracks = [_track(t, len(time), label) for t in message.tracks]
     if len({t.id for t in tracks}) < len(tracks):
         raise UsageError(f"{label} has two tracks of the same id.")
@@ -220,7 +221,7 @@ def _points(points: Sequence[Any], label: str) -> Floats:
 
 def _lane(feature: Any, label: str) -> LaneFeature:
     lane = feature.lane
-    speed = lane.speed_limit_mph * MPH
+    speed = lane.speed_limit_mph * MPH_M_S
     return LaneFeature(
         id=feature.id, points=_points(lane.polyline, label), kind=lane.type,
         speed_limit=speed if np.isfinite(speed) and speed > 0.0 else 0.0, interpolating=lane.interpolating,
@@ -280,6 +281,6 @@ def _track(track: Any, steps: int, label: str) -> ObjectTrack:
         raise UsageError(f"{label} has {len(track.states)} states for its track {track.id}, not one a step ({steps}).")
     columns = np.array([[getattr(state, field) for state in track.states] for field in _FIELDS], dtype=np.float64)
     size = columns[2:4]
-    sound = np.isfinite(columns).all(axis=0) & (size > 0.0).all(axis=0) & (size < LARGEST_OBJECT).all(axis=0)
+    sound = np.isfinite(columns).all(axis=0) & (size > 0.0).all(axis=0) & (size < MAX_OBJECT_SIZE_M).all(axis=0)
     valid = np.array([state.valid for state in track.states], dtype=bool) & sound
     return ObjectTrack(track.id, track.object_type, valid, *columns[:-2])

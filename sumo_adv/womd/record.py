@@ -23,14 +23,15 @@ SIGNAL_STATES = (
     "unknown", "arrow_stop", "arrow_caution", "arrow_go", "stop", "caution", "go", "flashing_stop", "flashing_caution",
 )  # fmt: skip
 VEHICLE, BIKE = TRACK_KINDS.index("vehicle"), LANE_TYPES.index("bike")
-MOST_EXTENT = 20_000.0  # m between any two places; of the dataset: 600 m
-MOST_ROAD = 500_000.0  # m of lanes and lines together; of the dataset: 20 km
-FARTHEST = 1e7  # m from the origin: northings of UTM are up to 10,000 km
-LONGEST = 3600.0  # s from the first time stamp to the last
-STEP = 0.1  # s
-UNEVEN = 0.05  # s that a time stamp may be off an even grid: clocks that are slow by 0.5 % are taken as they are
-JITTER = 0.01  # s that a step may be longer or shorter: 0.15 m at 15 m/s, the slack of the gate ``continuity``
-BRIDGED = 0.35  # s between two states that are joined by a straight line; over a longer gap an object is unseen
+MAX_RECORD_EXTENT_M = 20_000.0  # between any two places; of the dataset: 600 m
+MAX_RECORD_ROAD_M = 500_000.0  # of lanes and lines together; of the dataset: 20 km
+MAX_RECORD_COORDINATE_M = 1e7  # from the origin: northings of UTM are up to 10,000 km
+MAX_RECORD_DURATION_S = 3600.0  # from the first time stamp to the last
+RECORD_STEP_S = 0.1
+# that a time stamp may be off an even grid: clocks that are slow by 0.5 % are taken as they are
+TIME_STAMP_TOLERANCE_S = 0.05
+STEP_TOLERANCE_S = 0.01  # that a step may be longer or shorter: 0.15 m at 15 m/s, the slack of the gate ``continuity``
+MAX_BRIDGED_GAP_S = 0.35  # between two states that are joined by a straight line; over a longer gap an object is unseen
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,8 +161,10 @@ def _check_bounds(record: Record, where: str) -> None:
     resampled step by step.
     """
     span = float(record.time[-1] - record.time[0])
-    if span > LONGEST:
-        raise UsageError(f"{where} spans {span:.3g} s, more than the {LONGEST:g} s that are read: its times are wrong.")
+    if span > MAX_RECORD_DURATION_S:
+        raise UsageError(
+            f"{where} spans {span:.3g} s, more than the {MAX_RECORD_DURATION_S:g} s that are read: its times are wrong."
+        )
     drawn: list[LaneFeature | LineFeature | AreaFeature]
     drawn = [*record.lanes.values(), *record.lines.values(), *record.areas]
     lines = [each.points[:, :2] for each in drawn]
@@ -171,9 +174,9 @@ def _check_bounds(record: Record, where: str) -> None:
         _check_places(np.concatenate([np.empty((0, 2)), *places]), kind, where)
     _check_places(np.concatenate([np.empty((0, 2)), *lines, *states]), "position of an object", where)
     road = sum(float(np.hypot(*np.diff(line, axis=0).T).sum()) for line in lines)
-    if road > MOST_ROAD:
+    if road > MAX_RECORD_ROAD_M:
         raise UsageError(
-            f"{where} has {road / 1000:.4g} km of lines, more than the {MOST_ROAD / 1000:g} that are read."
+            f"{where} has {road / 1000:.4g} km of lines, more than the {MAX_RECORD_ROAD_M / 1000:g} that are read."
         )
 
 
@@ -181,10 +184,10 @@ def _check_places(places: Floats, kind: str, where: str) -> None:
     if not len(places):
         return
     far = float(np.abs(places).max())
-    if far > FARTHEST:
+    if far > MAX_RECORD_COORDINATE_M:
         raise UsageError(f"{where} has a {kind} {far:.3g} m from the origin: that is no place on a map in metres.")
     extent = float(np.ptp(places, axis=0).max())
-    if extent > MOST_EXTENT:
+    if extent > MAX_RECORD_EXTENT_M:
         raise UsageError(f"{where} has a {kind} {extent / 1000:.4g} km from another place, which no record spans.")
 
 
@@ -216,17 +219,17 @@ def evenly_sampled(record: Record) -> tuple[Record, Sampling]:
     states on both sides are. Signals keep the last state. The current step is the nearest to that of the record.
     """
     time = record.time - record.time[0]
-    steps = np.diff(time) if len(time) > 1 else np.array([STEP])
-    step, jitter = float(np.median(steps)), float(np.abs(steps - STEP).max())
-    worst = float(np.abs(time - STEP * np.arange(len(time))).max())
-    if worst <= UNEVEN and jitter <= JITTER:
+    steps = np.diff(time) if len(time) > 1 else np.array([RECORD_STEP_S])
+    step, jitter = float(np.median(steps)), float(np.abs(steps - RECORD_STEP_S).max())
+    worst = float(np.abs(time - RECORD_STEP_S * np.arange(len(time))).max())
+    if worst <= TIME_STAMP_TOLERANCE_S and jitter <= STEP_TOLERANCE_S:
         return record, Sampling(step, worst, jitter, resampled=False)
-    grid = np.asarray(STEP * np.arange(int(time[-1] / STEP + 1e-6) + 1), np.float64)
+    grid = np.asarray(RECORD_STEP_S * np.arange(int(time[-1] / RECORD_STEP_S + 1e-6) + 1), np.float64)
     high = np.clip(np.searchsorted(time, grid - 1e-9), 0, len(time) - 1)
     low = np.maximum(high - (time[high] > grid + 1e-9), 0)
     gap = time[high] - time[low]
     share = np.where(gap > 0.0, (grid - time[low]) / np.maximum(gap, 1e-9), 0.0)
-    bridged: Bools = np.asarray(gap <= max(BRIDGED, 1.5 * step))
+    bridged: Bools = np.asarray(gap <= max(MAX_BRIDGED_GAP_S, 1.5 * step))
     even = replace(
         record, time=record.time[0] + grid, current=int(np.argmin(np.abs(grid - time[record.current]))),
         tracks=[_track(track, low, high, share, bridged) for track in record.tracks],

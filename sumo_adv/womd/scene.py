@@ -18,13 +18,13 @@ from sumo_adv.simulation.scenario import NETWORK_FILE, ROUTES_FILE, SCENARIO_FIL
 from sumo_adv.simulation.tracks import OBJECT_KINDS, LoggedTrack, TrackLog, write_tracks
 from sumo_adv.womd.lines import Segments
 from sumo_adv.womd.matching import Link, Stretch, SumoNet
-from sumo_adv.womd.record import STEP, TRACK_KINDS, VEHICLE, ObjectTrack, Record
+from sumo_adv.womd.record import RECORD_STEP_S, TRACK_KINDS, VEHICLE, ObjectTrack, Record
 
-RUN_ON = 300.0  # m that a route leads on beyond the log, if no edge ends before
+WOMD_ROUTE_EXTENSION_M = 300.0  # that a route leads on beyond the log, if no edge ends before
 _STRAIGHTEST = "slrLRt"  # SUMO's letters of direction, the preferred first
-STANDING = 1.0  # m that a parked vehicle may seem to move
-QUEUED = 1.5  # m from a lane's centre line within which a standing vehicle queues rather than parks
-QUEUED_TURN = 0.52  # rad between it and the lane
+MAX_PARKED_MOTION_M = 1.0  # that a parked vehicle may seem to move
+MAX_QUEUE_OFFSET_M = 1.5  # from a lane's centre line within which a standing vehicle queues rather than parks
+MAX_QUEUE_ANGLE_RAD = 0.52  # between it and the lane
 CROSSWALKS = "crosswalks.add.xml"
 
 
@@ -45,7 +45,7 @@ class Router:
         """Edges of the stretch that a vehicle is on at a step or next, led on; empty where it is on none.
 
         Begins with the edge of the stretch's first lane (if that is inside a junction, with the edge before it) and
-        ends with an edge that nothing follows, or ``RUN_ON`` m further on.
+        ends with an edge that nothing follows, or ``WOMD_ROUTE_EXTENSION_M`` further on.
         """
         chosen = next((s for s in stretches if s.steps[-1] >= step), stretches[-1] if stretches else None)
         if chosen is None:
@@ -95,7 +95,7 @@ class Router:
         added: list[str] = []
         length = 0.0
         last = edges[-1] if edges else ""
-        while length < RUN_ON:
+        while length < WOMD_ROUTE_EXTENSION_M:
             options = [k for k in self._from.get(last, ()) if self._net.lanes[k.end].edge not in {*edges, *added}]
             if not options:
                 break
@@ -117,7 +117,7 @@ def write_scene(record: Record, net: SumoNet, matched: Mapping[int, Sequence[Str
     parked = parked_vehicles(record, net)
     left_out = {track.id for track in parked}
     moving = [t for t in record.tracks if t.id not in left_out and t.valid.any()]
-    time = np.asarray(STEP * np.arange(len(record.time)), np.float64)
+    time = np.asarray(RECORD_STEP_S * np.arange(len(record.time)), np.float64)
     write_tracks(folder / TRACKS_FILE, TrackLog(time, {str(t.id): _logged(t) for t in moving}))
     _write_xml(folder / ROUTES_FILE, "routes", _routes(record, Router(net), moving, matched))
     _write_xml(folder / CROSSWALKS, "additional", _crosswalks(record))
@@ -139,14 +139,14 @@ def parked_vehicles(record: Record, net: SumoNet) -> list[ObjectTrack]:
         return []
     poses = np.array([_pose(t)[:3] for t in standing])
     lanes = Segments({name: lane.shape for name, lane in net.lanes.items() if lane.cars})
-    hits = lanes.near(poses[:, :2], QUEUED, poses[:, 2])
-    queued = set(hits.point[hits.turned < QUEUED_TURN].tolist())
+    hits = lanes.near(poses[:, :2], MAX_QUEUE_OFFSET_M, poses[:, 2])
+    queued = set(hits.point[hits.turned < MAX_QUEUE_ANGLE_RAD].tolist())
     return [t for i, t in enumerate(standing) if i not in queued]
 
 
 def _stands(track: ObjectTrack) -> bool:
     x, y = track.x[track.valid], track.y[track.valid]
-    return float(np.hypot(x - x[0], y - y[0]).max()) <= STANDING
+    return float(np.hypot(x - x[0], y - y[0]).max()) <= MAX_PARKED_MOTION_M
 
 
 def _pose(track: ObjectTrack) -> tuple[float, float, float, float, float]:
@@ -193,7 +193,7 @@ def _scenario(record: Record, ego: ObjectTrack, parked: Sequence[ObjectTrack]) -
     interest = ", ".join(map(str, record.objects_of_interest)) or "none"
     text = f"""\
 # Converted from the record {record.scenario_id}: {len(record.time)} steps, the current one at \
-{STEP * record.current:.1f} s.
+{RECORD_STEP_S * record.current:.1f} s.
 # Objects of interest: {interest}. Tracks to predict: {predicted}.
 schema = 1
 network = "{NETWORK_FILE}"
@@ -208,7 +208,7 @@ begin = 0.0
 id = "{ego.id}"
 
 [window]
-warm_up = {STEP * max(record.current - first, 0):.1f}
+warm_up = {RECORD_STEP_S * max(record.current - first, 0):.1f}
 """
     for track in parked:
         x, y, heading, length, width = _pose(track)

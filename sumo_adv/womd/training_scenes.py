@@ -16,7 +16,7 @@ from sumo_adv.transformer import dataset, scene
 from sumo_adv.womd.reader import read_records
 from sumo_adv.womd.record import BIKE, VEHICLE, Record, evenly_sampled
 
-TURNS = 0.5  # rad between the directions of a lane's ends: it turns
+MIN_LANE_TURN_RAD = 0.5  # between the directions of a lane's ends: it turns
 
 
 def make_from_records(source: Path, folder: Path, progress: Callable[[int, int], None]) -> int:
@@ -78,7 +78,13 @@ def _segments(record: Record) -> scene.Segments:
         (ax, ay), (bx, by) = shape[1] - shape[0], shape[-1] - shape[-2]
         turn = float(np.arctan2(ax * by - ay * bx, ax * bx + ay * by))
         inner = lane.interpolating
-        about = inner, inner and turn > TURNS, inner and turn < -TURNS, lane.id in yields, lane.id in lit
+        about = (
+            inner,
+            inner and turn > MIN_LANE_TURN_RAD,
+            inner and turn < -MIN_LANE_TURN_RAD,
+            lane.id in yields,
+            lane.id in lit,
+        )
         length = scene.INNER_SEGMENT if inner else scene.SEGMENT
         pieces.append((shape, length, (*about, lane.speed_limit / scene.LIMIT)))
     return scene.cut(pieces)

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Floats, Role, Track
+from sumo_adv.datatypes import MPH_M_S, Floats, Role, Track
 from sumo_adv.errors import UsageError
 from sumo_adv.report.export.piece import HEIGHT, MapLane, Piece, kind, map_lanes, spaced
 from sumo_adv.report.page_road import network
@@ -24,7 +24,6 @@ from sumo_adv.womd.lines import road_outline
 STEPS, CURRENT, STEP = 91, 10, 0.1
 AFTER = 0.5  # s that a record goes on after the contact
 TYPES = {"car": 1, "truck": 1, "obstacle": 1, "pedestrian": 2, "bicycle": 3}  # Track.ObjectType
-MPH = 0.44704  # m/s
 FREEWAY, SURFACE = 1, 2  # LaneCenter.LaneType
 FREEWAY_SPEED = 22.5  # m/s, from which a lane is a freeway's
 EDGE_BOUNDARY, BROKEN_WHITE = 1, 1  # RoadEdgeType, RoadLineType
@@ -182,7 +181,7 @@ def _add_signals(message: Any, piece: Piece, lanes: Sequence[MapLane], time: Flo
 def _add_lane(message: Any, each: MapLane, lines: Mapping[int, Floats]) -> None:
     """The lane's centre line, and a line at each side that has a neighbour of the same direction."""
     lane = message.map_features.add(id=each.number).lane
-    lane.speed_limit_mph = each.lane.speed / MPH
+    lane.speed_limit_mph = each.lane.speed / MPH_M_S
     lane.type = FREEWAY if each.lane.speed >= FREEWAY_SPEED else SURFACE
     lane.interpolating = each.lane.internal
     lane.entry_lanes.extend(each.entries)

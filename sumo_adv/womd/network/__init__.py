@@ -24,7 +24,7 @@ from sumo_adv.womd.network.signals import SignalPlan, plan_signals, ruling_lanes
 from sumo_adv.womd.network.strands import Kept, KeptLane, Run, keep
 from sumo_adv.womd.record import Record
 
-SCRAP = 0.01  # m, shorter parts are not told
+MIN_REPORTED_PART_M = 0.01  # shorter parts are not told
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,6 +134,6 @@ def _on(run: Run, parts: list[tuple[float, float, float, str, bool]]) -> Iterato
     scale = (run.lane_end - run.lane_start) / max(run.end - run.start, 1e-9)
     for a, b, _, name, internal in parts:
         start, end = max(a, run.start), min(b, run.end)
-        if end - start > SCRAP:
+        if end - start > MIN_REPORTED_PART_M:
             low, high = (run.lane_start + scale * (v - run.start) for v in (start, end))
             yield Piece(name, low, high, internal)

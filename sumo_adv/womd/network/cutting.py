@@ -14,25 +14,25 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from sumo_adv.datatypes import Bools, Floats, Ints
-from sumo_adv.geometry import wrap
+from sumo_adv.geometry import LAYER_HEIGHT_M, wrap
 from sumo_adv.womd.lines import at, headings
 from sumo_adv.womd.network.strands import KeptLane, Strand, Strands
 
-STEP = 1.0  # m between samples
-OVERPASS = 3.0  # m of height that keep two lanes apart
-BESIDE = 1.2  # m, lanes of one direction with nearer centres overlap
-ACROSS = 2.6  # m, the same for lanes at a right angle
-OPPOSITE = np.deg2rad(150.0)  # lanes that head against each other share their ground (left-turn lanes of both sides)
-JOINT = 8.0  # m around the joint of a lane and its exit where they are near by nature
-MIN_BESIDE = 5.0  # m, lanes beside one another for less are not a row
-CUT = 0.1  # m, half of the span where one edge is cut in two
-SNAP = 6.0  # m, a cut this near to another is the same
-ALIKE = 1.5  # m by which spans of lanes beside one another may differ
-MIN_EDGE = 6.0  # m, shorter stretches between two spans join them
-MIN_TURNING_EDGE = 25.0  # m, the same on lanes that turn in a junction
-STOP_LINE = 15.0  # m that a span reaches back to the line where a signal or stop sign holds
-STUB = 0.5  # m of edge kept where a strand begins or ends in a conflict and nothing leads there
-ROUNDS = 12
+CONFLICT_SAMPLE_STEP_M = 1.0  # between samples
+MIN_PARALLEL_SPACING_M = 1.2  # lanes of one direction with nearer centres overlap
+MIN_CROSSING_SPACING_M = 2.6  # the same for lanes at a right angle
+# lanes that head against each other share their ground (left-turn lanes of both sides)
+MIN_OPPOSITE_ANGLE_RAD = np.deg2rad(150.0)
+JOINT_RADIUS_M = 8.0  # around the joint of a lane and its exit where they are near by nature
+MIN_ROW_LENGTH_M = 5.0  # lanes beside one another for less are not a row
+HALF_CUT_LENGTH_M = 0.1  # half of the span where one edge is cut in two
+CUT_SNAP_DISTANCE_M = 6.0  # a cut this near to another is the same
+SPAN_TOLERANCE_M = 1.5  # by which spans of lanes beside one another may differ
+MIN_EDGE_LENGTH_M = 6.0  # shorter stretches between two spans join them
+MIN_TURNING_EDGE_LENGTH_M = 25.0  # the same on lanes that turn in a junction
+STOP_LINE_REACH_M = 15.0  # that a span reaches back to the line where a signal or stop sign holds
+STUB_LENGTH_M = 0.5  # of edge kept where a strand begins or ends in a conflict and nothing leads there
+MAX_CUTTING_ROUNDS = 12
 
 Span = tuple[float, float]
 _Range = tuple[float, float, float, float]  # from and to on one strand, from and to on the other [m]
@@ -54,20 +54,22 @@ def find_conflicts(strands: tuple[Strand, ...]) -> Conflicts:
     places, directions = [np.empty((0, 3))], [np.empty(0)]
     for strand in strands:
         if not strand.bike:
-            own_stations = np.linspace(0.0, strand.length, max(2, int(strand.length / STEP) + 1))
+            own_stations = np.linspace(0.0, strand.length, max(2, int(strand.length / CONFLICT_SAMPLE_STEP_M) + 1))
             owners.append(np.full(len(own_stations), strand.number, dtype=np.intp))
             stations.append(own_stations)
             places.append(at(strand.points, strand.along, own_stations))
             directions.append(headings(strand.points, strand.along, own_stations))
     owner, station = np.concatenate(owners), np.concatenate(stations)
     place, heading = np.concatenate(places), np.concatenate(directions)
-    pairs = cKDTree(place[:, :2]).query_pairs(ACROSS, output_type="ndarray")
+    pairs = cKDTree(place[:, :2]).query_pairs(MIN_CROSSING_SPACING_M, output_type="ndarray")
     i, j = pairs[:, 0], pairs[:, 1]
-    apart = (owner[i] != owner[j]) & (np.abs(place[i, 2] - place[j, 2]) < OVERPASS)
+    apart = (owner[i] != owner[j]) & (np.abs(place[i, 2] - place[j, 2]) < LAYER_HEIGHT_M)
     i, j = i[apart], j[apart]
     distance = np.hypot(*(place[i, :2] - place[j, :2]).T)
     angle = np.abs(wrap(heading[i] - heading[j]))
-    near = (distance < BESIDE + (ACROSS - BESIDE) * np.sin(angle)) & (angle < OPPOSITE)
+    near = (distance < MIN_PARALLEL_SPACING_M + (MIN_CROSSING_SPACING_M - MIN_PARALLEL_SPACING_M) * np.sin(angle)) & (
+        angle < MIN_OPPOSITE_ANGLE_RAD
+    )
     i, j = i[near], j[near]
     natural = _at_joint(strands, owner, station, i, j) | _at_joint(strands, owner, station, j, i)
     i, j = i[~natural], j[~natural]
@@ -80,7 +82,7 @@ def _at_joint(strands: tuple[Strand, ...], owner: Ints, station: Floats, i: Ints
     for strand in strands:
         linked[strand.number, list(strand.exits)] = True
     length = np.array([strand.length for strand in strands])
-    return linked[owner[i], owner[j]] & (length[owner[i]] - station[i] + station[j] < JOINT)
+    return linked[owner[i], owner[j]] & (length[owner[i]] - station[i] + station[j] < JOINT_RADIUS_M)
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +142,9 @@ def _besides_of(key: tuple[int, int], rows: list[_Range]) -> Iterator[Beside]:
     """Ranges that touch or overlap put together."""
     run: list[_Range] = []
     for row in sorted(rows):
-        if run and (row[0] > run[-1][1] + MIN_BESIDE or row[2] < run[-1][2] or row[2] > run[-1][3] + MIN_BESIDE):
+        if run and (
+            row[0] > run[-1][1] + MIN_ROW_LENGTH_M or row[2] < run[-1][2] or row[2] > run[-1][3] + MIN_ROW_LENGTH_M
+        ):
             yield from _beside(key, run)
             run = []
         if run and row[0] < run[-1][1] - 0.1:  # the same range, told by the other lane
@@ -152,7 +156,7 @@ def _besides_of(key: tuple[int, int], rows: list[_Range]) -> Iterator[Beside]:
 
 
 def _beside(key: tuple[int, int], run: list[_Range]) -> Iterator[Beside]:
-    if run and run[-1][1] - run[0][0] >= MIN_BESIDE and run[-1][3] - run[0][2] >= MIN_BESIDE:
+    if run and run[-1][1] - run[0][0] >= MIN_ROW_LENGTH_M and run[-1][3] - run[0][2] >= MIN_ROW_LENGTH_M:
         right = np.maximum.accumulate([v for row in run for v in row[:2]])
         left = np.maximum.accumulate([v for row in run for v in row[2:]])
         yield Beside(*key, right, left)
@@ -164,7 +168,7 @@ class Spans:
     def __init__(self, strands: tuple[Strand, ...]) -> None:
         self.strands = strands
         self.of: list[list[Span]] = [[] for _ in strands]
-        stubs = [min(STUB, strand.length / 3) for strand in strands]
+        stubs = [min(STUB_LENGTH_M, strand.length / 3) for strand in strands]
         self.bounds = [
             (0.0 if s.entries else stub, s.length if s.exits else s.length - stub)
             for s, stub in zip(strands, stubs, strict=True)
@@ -205,23 +209,23 @@ def first_spans(strands: Strands, conflicts: Conflicts, held: Collection[int]) -
     for strand in strands.all:
         if strand.bike:
             continue
-        least = MIN_TURNING_EDGE if strand.turning else MIN_EDGE
+        least = MIN_TURNING_EDGE_LENGTH_M if strand.turning else MIN_EDGE_LENGTH_M
         for a, b in _runs(np.sort(station[owner == strand.number]), least):
-            start = 0.0 if a < SNAP and strand.entries else a - 0.5
-            end = strand.length if b > strand.length - SNAP and strand.exits else b + 0.5
+            start = 0.0 if a < CUT_SNAP_DISTANCE_M and strand.entries else a - 0.5
+            end = strand.length if b > strand.length - CUT_SNAP_DISTANCE_M and strand.exits else b + 0.5
             spans.add(strand.number, start, end)
         if strand.entries:
-            spans.add(strand.number, 0.0, CUT)
+            spans.add(strand.number, 0.0, HALF_CUT_LENGTH_M)
         if strand.exits:
-            spans.add(strand.number, strand.length - CUT, strand.length)
+            spans.add(strand.number, strand.length - HALF_CUT_LENGTH_M, strand.length)
     for lane in held:
         number, run = strands.of_lane[lane][0]
         start = run.start
-        ends = [a for a, _ in spans.of[number] if start <= a < start + STOP_LINE]
-        ends += [b for _, b in spans.of[number] if start - SNAP < b <= start]
+        ends = [a for a, _ in spans.of[number] if start <= a < start + STOP_LINE_REACH_M]
+        ends += [b for _, b in spans.of[number] if start - CUT_SNAP_DISTANCE_M < b <= start]
         nearest = min(ends, key=lambda end: abs(end - start), default=start)
-        if not spans.covers(number, start - CUT, start + CUT, CUT):
-            spans.add(number, min(start, nearest) - CUT, max(start, nearest) + CUT)
+        if not spans.covers(number, start - HALF_CUT_LENGTH_M, start + HALF_CUT_LENGTH_M, HALF_CUT_LENGTH_M):
+            spans.add(number, min(start, nearest) - HALF_CUT_LENGTH_M, max(start, nearest) + HALF_CUT_LENGTH_M)
     return spans
 
 
@@ -235,7 +239,7 @@ def _runs(stations: np.ndarray, gap: float) -> Iterable[Span]:
 
 def grow(spans: Spans, besides: list[Beside]) -> None:
     """Carry spans across to the lanes beside and join what is too near, until nothing changes."""
-    for _ in range(ROUNDS):
+    for _ in range(MAX_CUTTING_ROUNDS):
         changed = False
         for beside in besides:
             changed |= _carry(spans, beside.right, beside.left, beside.right_at, beside.left_at)
@@ -251,24 +255,26 @@ def _carry(spans: Spans, source: int, target: int, at: np.ndarray, there: np.nda
     changed = False
     length = spans.strands[target].length
     for end in (there[0], there[-1]):
-        if SNAP < end < length - SNAP and not spans.covers(target, end - CUT, end + CUT, SNAP):
-            changed |= spans.add(target, float(end) - CUT, float(end) + CUT)
+        if CUT_SNAP_DISTANCE_M < end < length - CUT_SNAP_DISTANCE_M and not spans.covers(
+            target, end - HALF_CUT_LENGTH_M, end + HALF_CUT_LENGTH_M, CUT_SNAP_DISTANCE_M
+        ):
+            changed |= spans.add(target, float(end) - HALF_CUT_LENGTH_M, float(end) + HALF_CUT_LENGTH_M)
     for a, b in spans.of[source]:
         start, end = max(a, at[0]), min(b, at[-1])
         if end < start:
             continue
         low, high = (float(v) for v in np.interp([start, end], at, there))
-        if b - a > 4 * CUT:
-            if high - low > 2 * CUT and not spans.covers(target, low, high, ALIKE):
+        if b - a > 4 * HALF_CUT_LENGTH_M:
+            if high - low > 2 * HALF_CUT_LENGTH_M and not spans.covers(target, low, high, SPAN_TOLERANCE_M):
                 changed |= spans.add(target, low, high)
-        elif not spans.covers(target, low, high, SNAP):
-            changed |= spans.add(target, low, max(high, low + 2 * CUT))
+        elif not spans.covers(target, low, high, CUT_SNAP_DISTANCE_M):
+            changed |= spans.add(target, low, max(high, low + 2 * HALF_CUT_LENGTH_M))
     return changed
 
 
 def _join(spans: Spans, strand: Strand) -> bool:
     """Turn stretches too short for an edge into junction, except where a strand begins or ends for good."""
-    least = MIN_TURNING_EDGE if strand.turning else MIN_EDGE
+    least = MIN_TURNING_EDGE_LENGTH_M if strand.turning else MIN_EDGE_LENGTH_M
     changed = False
     for a, b in spans.stretches(strand.number):
         loose = (a == 0.0 and not strand.entries) or (b == strand.length and not strand.exits)

@@ -21,17 +21,17 @@ from sumo_adv.womd.network.right_of_way import RightOfWay
 from sumo_adv.womd.network.roads import Link, RoadLane, Roads
 from sumo_adv.womd.network.signals import Program
 
-NO_CARS = 'allow="bicycle"'
-CARS = 'disallow="pedestrian tram rail_urban rail rail_electric rail_fast ship"'
-POINTS = 6  # of a line that netconvert is told
+BIKE_LANE_ATTRIBUTE = 'allow="bicycle"'
+CAR_LANE_ATTRIBUTE = 'disallow="pedestrian tram rail_urban rail rail_electric rail_fast ship"'
+MAX_LINE_POINTS = 6  # of a line that netconvert is told
 _OCTAGON = [(0.2 * math.cos(k * math.pi / 4), 0.2 * math.sin(k * math.pi / 4)) for k in range(8)]
-OPTIONS = (
+NETCONVERT_OPTIONS = (
     "--offset.disable-normalization", "--no-turnarounds", "--junctions.join", "false",
     "--geometry.avoid-overlap", "false", "--default.junctions.radius", "0", "--precision", "3",
     "--geometry.max-angle", "-1", "--geometry.min-radius", "-1", "--no-warnings", "--xml-validation", "never",
 )  # fmt: skip
-TIMEOUT = 120.0  # s
-MIN_LENGTH = 0.1  # m, SUMO's shortest lane
+NETCONVERT_TIMEOUT_S = 120.0
+MIN_LANE_LENGTH_M = 0.1  # SUMO's shortest lane
 
 
 def write_plain(roads: Roads, folder: Path) -> None:
@@ -54,7 +54,7 @@ def write_plain(roads: Roads, folder: Path) -> None:
         for index, lane in enumerate(edge.lanes):
             edges.append(
                 f'<lane index="{index}" speed="{lane.speed:.2f}" width="{lane.width:.2f}" '
-                f'{NO_CARS if lane.bike else CARS} shape="{coordinates(_thin(lane.shape))}"/>'
+                f'{BIKE_LANE_ATTRIBUTE if lane.bike else CAR_LANE_ATTRIBUTE} shape="{coordinates(_thin(lane.shape))}"/>'
             )
         edges.append("</edge>")
     connections = ["<connections>"]
@@ -76,17 +76,17 @@ def coordinates(shape: Floats) -> str:
 
 def _thin(shape: Floats) -> Floats:
     """The ends and some of the points between."""
-    count = min(len(shape), POINTS)
+    count = min(len(shape), MAX_LINE_POINTS)
     return shape[np.linspace(0, len(shape) - 1, count).round().astype(int)]
 
 
 def run_netconvert(program: Path, folder: Path, target: Path) -> None:
     """From ``plain.*.xml`` in ``folder`` to ``target``. Raises UsageError with netconvert's last error."""
-    command = [str(program), *OPTIONS, "-o", str(target)]
+    command = [str(program), *NETCONVERT_OPTIONS, "-o", str(target)]
     for option, kind in (("-n", "nod"), ("-e", "edg"), ("-x", "con")):
         command += [option, str(folder / f"plain.{kind}.xml")]
     try:
-        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=TIMEOUT)
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=NETCONVERT_TIMEOUT_S)
     except (OSError, subprocess.TimeoutExpired) as error:
         raise UsageError(f"netconvert could not build the network: {error}.") from error
     if done.returncode != 0 or not target.is_file():
@@ -131,7 +131,7 @@ def _shape(lane: ET.Element, way: RoadLane | Link, *, high: bool) -> None:
     """Write the shape of a lane; ``high``: with its heights."""
     length = float(np.sum(np.hypot(*np.diff(way.shape, axis=0).T)))
     lane.set("shape", coordinates(way.shape))
-    lane.set("length", f"{max(length, MIN_LENGTH):.3f}")
+    lane.set("length", f"{max(length, MIN_LANE_LENGTH_M):.3f}")
     lane.set("width", f"{way.width:.2f}")
     lane.set("speed", f"{way.speed:.2f}")
     if high:

@@ -18,15 +18,18 @@ from sumo_adv.datatypes import Bools, Floats
 from sumo_adv.womd.network.roads import Roads
 from sumo_adv.womd.record import Record
 
-REACH = 10.0  # m from the middle of a lane: a lane, a bay of parked cars and a shoulder; beyond it nothing is claimed
-KNOWN = 30.0  # m from an edge within which it says something of a place: as far as the middle of a wide junction
-BESIDE = 5.0  # m further to which edges are taken, because the nearest edge decides about a place
-ONWARD = 45.0  # m by which an edge is thought to go on straight beyond its end, more than KNOWN
-SPACING = 1.0  # m between the points of edges around which Voronoi cells are cut
-APRON = 0.3  # m by which a driveway is widened: its polygon ends a little before the road edge
-SEAM = 0.05  # m: half the width of cracks that are closed
-EXACT = 0.02  # m that the outline may be off for the sake of fewer points
-ON_LINE = 0.01  # m of a centre line that a part of its lane must hold
+# from the middle of a lane: a lane, a bay of parked cars and a shoulder; beyond it nothing is claimed
+MAX_ROAD_HALF_WIDTH_M = 10.0
+# from an edge within which it says something of a place: as far as the middle of a wide junction
+EDGE_RELEVANCE_DISTANCE_M = 30.0
+EDGE_MARGIN_M = 5.0  # further to which edges are taken, because the nearest edge decides about a place
+# by which an edge is thought to go on straight beyond its end, more than EDGE_RELEVANCE_DISTANCE_M
+EDGE_EXTENSION_M = 45.0
+EDGE_POINT_SPACING_M = 1.0  # between the points of edges around which Voronoi cells are cut
+DRIVEWAY_MARGIN_M = 0.3  # by which a driveway is widened: its polygon ends a little before the road edge
+HALF_CRACK_WIDTH_M = 0.05  # half the width of cracks that are closed
+OUTLINE_TOLERANCE_M = 0.02  # that the outline may be off for the sake of fewer points
+MIN_CENTRE_LINE_PART_M = 0.01  # of a centre line that a part of its lane must hold
 
 
 def drivable_ground(record: Record, roads: Roads) -> Any:
@@ -38,13 +41,17 @@ def drivable_ground(record: Record, roads: Roads) -> Any:
     lanes += [(k.shape, k.width) for k in roads.links if not roads.edges[k.source].lanes[k.from_lane].bike]
     if not edges or not lanes:
         return None
-    near = union_all([LineString(shape).simplify(0.2).buffer(REACH, quad_segs=4) for shape, _ in lanes])
+    near = union_all([LineString(shape).simplify(0.2).buffer(MAX_ROAD_HALF_WIDTH_M, quad_segs=4) for shape, _ in lanes])
     driveways = [
-        make_valid(Polygon(area.points[:, :2])).buffer(APRON)
+        make_valid(Polygon(area.points[:, :2])).buffer(DRIVEWAY_MARGIN_M)
         for area in record.areas if area.kind == "driveway" and len(area.points) > 2
     ]  # fmt: skip
     ground = union_all([left_of_edges(edges, near), *_lane_ground(lanes, edges), *driveways])
-    ground = ground.buffer(SEAM, join_style="mitre").buffer(-SEAM, join_style="mitre").simplify(EXACT)
+    ground = (
+        ground.buffer(HALF_CRACK_WIDTH_M, join_style="mitre")
+        .buffer(-HALF_CRACK_WIDTH_M, join_style="mitre")
+        .simplify(OUTLINE_TOLERANCE_M)
+    )
     return MultiPolygon([p for p in getattr(ground, "geoms", [ground]) if p.geom_type == "Polygon"])
 
 
@@ -53,10 +60,12 @@ def left_of_edges(edges: Sequence[Floats], near: Any) -> Any:
     import shapely
 
     lines = [shapely.LineString(edge) for edge in edges]
-    close = [line for line in lines if bool(shapely.dwithin(line, near, BESIDE))]
+    close = [line for line in lines if bool(shapely.dwithin(line, near, EDGE_MARGIN_M))]
     if not close:
         return shapely.Polygon()
-    near = near.intersection(shapely.union_all(shapely.buffer(shapely.simplify(close, 0.2), KNOWN, quad_segs=4)))
+    near = near.intersection(
+        shapely.union_all(shapely.buffer(shapely.simplify(close, 0.2), EDGE_RELEVANCE_DISTANCE_M, quad_segs=4))
+    )
     owner, sites = _sites(close)
     cells = shapely.get_parts(shapely.voronoi_polygons(shapely.MultiPoint(sites), extend_to=near.envelope))
     cells = np.where(shapely.is_valid(cells), cells, shapely.buffer(cells, 0.0))  # of evenly spaced points on a grid
@@ -74,23 +83,24 @@ def left_of_edges(edges: Sequence[Floats], near: Any) -> Any:
 
 
 def _sites(lines: Sequence[Any]) -> tuple[Any, Floats]:
-    """Distinct points every ``SPACING`` along the lines ``(n, 2)``, and the number of the line of each ``(n,)``."""
+    """Distinct points every ``EDGE_POINT_SPACING_M`` along the lines ``(n, 2)``, and the number of the line of each
+    ``(n,)``."""
     from shapely import get_coordinates, segmentize
 
-    coordinates, owner = get_coordinates(segmentize(lines, SPACING), return_index=True)
+    coordinates, owner = get_coordinates(segmentize(lines, EDGE_POINT_SPACING_M), return_index=True)
     sites, first = np.unique(np.round(coordinates, 3), axis=0, return_index=True)
     return owner[first], sites
 
 
 def _extended(line: Any) -> Any:
-    """A line straight on over ``ONWARD`` from both ends of an open line: there the side changes as well."""
+    """A line straight on over ``EDGE_EXTENSION_M`` from both ends of an open line: there the side changes as well."""
     from shapely import MultiLineString
 
     c = np.asarray(line.coords)
     ends = []
     for tip, inner in ((c[0], c[1]), (c[-1], c[-2])):
         out = (tip - inner) / max(float(np.hypot(*(tip - inner))), 1e-6)
-        ends.append([tip, tip + ONWARD * out])
+        ends.append([tip, tip + EDGE_EXTENSION_M * out])
     return MultiLineString([] if line.is_closed else ends)
 
 
@@ -122,6 +132,6 @@ def _lane_ground(lanes: Sequence[tuple[Floats, float]], edges: Sequence[Floats])
     for k in np.unique(crossed):
         cuts = union_all([strips[k].boundary, *(borders[j] for j in by[crossed == k])])
         parts = get_parts(polygonize(get_parts(cuts)))
-        held = length(intersection(intersection(parts, strips[k]), centres[k])) > ON_LINE
+        held = length(intersection(intersection(parts, strips[k]), centres[k])) > MIN_CENTRE_LINE_PART_M
         strips[k] = union_all(intersection(parts[held], strips[k]))
     return strips

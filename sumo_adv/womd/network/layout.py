@@ -15,8 +15,8 @@ from scipy.sparse.csgraph import connected_components
 from sumo_adv.datatypes import Floats, Ints
 from sumo_adv.womd.lines import at
 from sumo_adv.womd.network.cutting import (
-    CUT,
-    MIN_EDGE,
+    HALF_CUT_LENGTH_M,
+    MIN_EDGE_LENGTH_M,
     Beside,
     Conflicts,
     Spans,
@@ -27,12 +27,12 @@ from sumo_adv.womd.network.cutting import (
 )
 from sumo_adv.womd.network.strands import KeptLane, Strands, make_strands
 
-MIN_SHARE = 0.55  # of both stretches that must be beside one another
-MAX_RAGGED = 9.0  # m by which the ends of lanes of an edge may differ along the road
-MAX_SPACING = 7.0  # m between centres of lanes beside one another
+MIN_BESIDE_SHARE = 0.55  # of both stretches that must be beside one another
+MAX_RAGGED_ENDS_M = 9.0  # by which the ends of lanes of an edge may differ along the road
+MAX_LANE_SPACING_M = 7.0  # between centres of lanes beside one another
 MAX_WAYS = 200  # looked at from one stretch
-MAX_SPANS = 12  # in one way
-MAX_TRIES = 12
+MAX_SPANS_PER_WAY = 12  # in one way
+MAX_LAYOUT_TRIES = 12
 Leg = tuple[int, int]  # strand, index of its span
 
 
@@ -59,7 +59,7 @@ def _make_rows(spans: Spans, besides: list[Beside]) -> list[Row]:
         for right in of_strand.get(beside.right, []):
             for left in of_strand.get(beside.left, []):
                 share = _share(spans, beside, right, left)
-                if share >= MIN_SHARE:
+                if share >= MIN_BESIDE_SHARE:
                     offers.append((-share, right, left))
     left_of: dict[Stretch, Stretch] = {}
     right_of: dict[Stretch, Stretch] = {}
@@ -93,19 +93,19 @@ def _share(spans: Spans, beside: Beside, right: Stretch, left: Stretch) -> float
     a, b = (float(v) for v in np.interp([start, end], beside.right_at, beside.left_at))
     common = min(b, left.end) - max(a, left.start)
     share = min(common / (right.end - right.start), common / (left.end - left.start))
-    if share < MIN_SHARE:
+    if share < MIN_BESIDE_SHARE:
         return 0.0
     there = np.interp([right.start, right.end], beside.right_at, beside.left_at)
     there[0] -= max(0.0, beside.right_at[0] - right.start)
     there[1] += max(0.0, right.end - beside.right_at[-1])
-    if abs(there[0] - left.start) > MAX_RAGGED or abs(there[1] - left.end) > MAX_RAGGED:
+    if abs(there[0] - left.start) > MAX_RAGGED_ENDS_M or abs(there[1] - left.end) > MAX_RAGGED_ENDS_M:
         return 0.0
     strands = spans.strands
     middle = (max(a, left.start) + min(b, left.end)) / 2
     across = float(np.interp(middle, beside.left_at, beside.right_at))
     p = at(strands[left.strand].points, strands[left.strand].along, middle)
     q = at(strands[right.strand].points, strands[right.strand].along, across)
-    return share if np.hypot(*(p - q)[:2]) < MAX_SPACING else 0.0
+    return share if np.hypot(*(p - q)[:2]) < MAX_LANE_SPACING_M else 0.0
 
 
 def _join_up(spans: Spans, rows: list[Row], conflicts: Conflicts) -> list[int]:
@@ -183,7 +183,7 @@ def _from(spans: Spans, source: Stretch, starts: dict[tuple[int, float], Stretch
                 if (number, start) in starts:
                     count += 1
                     yield Way(source, starts[number, start], legs, length)
-            elif (number, k) not in legs and len(legs) < MAX_SPANS:
+            elif (number, k) not in legs and len(legs) < MAX_SPANS_PER_WAY:
                 a, b = spans.of[number][k]
                 stack.append((number, b, (*legs, (number, k)), length + b - a))
 
@@ -206,7 +206,7 @@ def make_layout(lanes: dict[int, KeptLane], held: Collection[int]) -> Layout:
     conflicts = find_conflicts(strands.all)
     spans = first_spans(strands, conflicts, held)
     besides = find_beside(lanes, strands)
-    for _ in range(MAX_TRIES):
+    for _ in range(MAX_LAYOUT_TRIES):
         grow(spans, besides)
         rows = _make_rows(spans, besides)
         junctions = _join_up(spans, rows, conflicts)
@@ -214,8 +214,8 @@ def make_layout(lanes: dict[int, KeptLane], held: Collection[int]) -> Layout:
         for row, start, end in zip(rows, junctions[::2], junctions[1::2], strict=False):
             for stretch in row if start == end else ():
                 middle = (stretch.start + stretch.end) / 2
-                if stretch.end - stretch.start > 2 * MIN_EDGE + 2 * CUT:
-                    changed |= spans.add(stretch.strand, middle - CUT, middle + CUT)
+                if stretch.end - stretch.start > 2 * MIN_EDGE_LENGTH_M + 2 * HALF_CUT_LENGTH_M:
+                    changed |= spans.add(stretch.strand, middle - HALF_CUT_LENGTH_M, middle + HALF_CUT_LENGTH_M)
                 else:
                     changed |= spans.add(stretch.strand, stretch.start, stretch.end)
         if not changed:

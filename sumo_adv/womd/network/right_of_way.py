@@ -19,21 +19,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sumo_adv.datatypes import Floats
-from sumo_adv.womd.lines import SAME, at, stations
+from sumo_adv.geometry import LAYER_HEIGHT_M
+from sumo_adv.womd.lines import SAME_POINT_DISTANCE_M, at, stations
 from sumo_adv.womd.network.roads import Link, RoadEdge
 
 if TYPE_CHECKING:
     from shapely import LineString
 
-CLOSE = 0.8  # m between the lines of two links that are in each other's way without crossing
-BEND = 4.0  # m before and after the nearest place over which a line is bent
-END = 1.0  # m from its end where a line is not bent
-MOST_BENT = 0.45  # m that one line is bent
-OVER = 0.05  # m by which bent lines reach over each other
-OVERPASS = 3.0  # m of height that keep two links apart
-AXIS = math.radians(35.0)  # approaches with directions (or opposites) that differ by less are one road
-SPEED_STEP = 2.2  # m/s (5 mph), limits that differ by less count as the same
-ORDER = {"s": 3, "r": 2, "l": 1, "t": 0}
+MAX_CONFLICT_DISTANCE_M = 0.8  # between the lines of two links that are in each other's way without crossing
+BEND_LENGTH_M = 4.0  # before and after the nearest place over which a line is bent
+UNBENT_END_M = 1.0  # from its end where a line is not bent
+MAX_BEND_OFFSET_M = 0.45  # that one line is bent
+CROSSING_OVERLAP_M = 0.05  # by which bent lines reach over each other
+SAME_AXIS_RAD = math.radians(35.0)  # approaches with directions (or opposites) that differ by less are one road
+SAME_LIMIT_M_S = 2.2  # (5 mph), limits that differ by less count as the same
+MOVEMENT_PRIORITY = {"s": 3, "r": 2, "l": 1, "t": 0}
 Rank = tuple[float, ...]
 
 
@@ -44,7 +44,7 @@ def find_foes(links: Sequence[Link]) -> set[tuple[int, int]]:
     if not links:
         return set()
     lines = [linestrings(link.shape) for link in links]
-    pairs = STRtree(lines).query(lines, predicate="dwithin", distance=CLOSE).T
+    pairs = STRtree(lines).query(lines, predicate="dwithin", distance=MAX_CONFLICT_DISTANCE_M).T
     foes = set()
     for i, j in pairs[pairs[:, 0] < pairs[:, 1]].tolist():
         a, b = links[i], links[j]
@@ -57,11 +57,11 @@ def find_foes(links: Sequence[Link]) -> set[tuple[int, int]]:
 
 def _apart(a: Link, b: Link) -> bool:
     """Whether one passes over the other."""
-    if abs(float(np.mean(a.heights)) - float(np.mean(b.heights))) < OVERPASS / 2:
+    if abs(float(np.mean(a.heights)) - float(np.mean(b.heights))) < LAYER_HEIGHT_M / 2:
         return False
     distance = np.hypot(a.shape[:, None, 0] - b.shape[None, :, 0], a.shape[:, None, 1] - b.shape[None, :, 1])
     i, j = np.unravel_index(int(np.argmin(distance)), distance.shape)
-    return abs(float(a.heights[i] - b.heights[j])) >= OVERPASS
+    return abs(float(a.heights[i] - b.heights[j])) >= LAYER_HEIGHT_M
 
 
 def bend_together(links: Sequence[Link], foes: set[tuple[int, int]]) -> tuple[Link, ...]:
@@ -77,11 +77,16 @@ def bend_together(links: Sequence[Link], foes: set[tuple[int, int]]) -> tuple[Li
         lines = LineString(a.shape), LineString(b.shape)
         if lines[0].intersects(lines[1]):
             continue
-        nearest_at, missing = _nearest(lines, [substring(line, END, line.length - END) for line in lines])
-        if np.hypot(*missing) > 2.0 * MOST_BENT:
+        nearest_at, missing = _nearest(
+            lines, [substring(line, UNBENT_END_M, line.length - UNBENT_END_M) for line in lines]
+        )
+        if np.hypot(*missing) > 2.0 * MAX_BEND_OFFSET_M:
             nearest_at, missing = _nearest(lines, lines)
-        midway = [END - SAME <= w <= line.length - END + SAME for w, line in zip(nearest_at, lines, strict=True)]
-        if not any(midway) or (not all(midway) and np.hypot(*missing) > MOST_BENT):
+        midway = [
+            UNBENT_END_M - SAME_POINT_DISTANCE_M <= w <= line.length - UNBENT_END_M + SAME_POINT_DISTANCE_M
+            for w, line in zip(nearest_at, lines, strict=True)
+        ]
+        if not any(midway) or (not all(midway) and np.hypot(*missing) > MAX_BEND_OFFSET_M):
             continue
         share = 1.0 / sum(midway)
         if midway[0]:
@@ -99,13 +104,13 @@ def _nearest(lines: Sequence[LineString], parts: Sequence[LineString]) -> tuple[
     ends = nearest_points(*parts)
     nearest_at = [float(line.project(end)) for line, end in zip(lines, ends, strict=True)]
     gap = np.array([ends[1].x - ends[0].x, ends[1].y - ends[0].y])
-    return nearest_at, gap * (1.0 + OVER / max(float(np.hypot(*gap)), 1e-6))
+    return nearest_at, gap * (1.0 + CROSSING_OVERLAP_M / max(float(np.hypot(*gap)), 1e-6))
 
 
 def _bend(link: Link, station: float, way: Floats) -> Link:
     """The link moved by ``way`` [m] at ``station``, less and less to both sides, its ends kept."""
     along = stations(link.shape)
-    reach = min(BEND, station, float(along[-1]) - station)
+    reach = min(BEND_LENGTH_M, station, float(along[-1]) - station)
     extra = station + reach * np.linspace(-1.0, 1.0, 17)
     every = np.unique(np.concatenate([along, extra]))
     weight = 0.5 + 0.5 * np.cos(np.pi * np.clip((every - station) / reach, -1.0, 1.0))
@@ -170,13 +175,13 @@ def _ranks(
     for name in sources:
         axis = [source for source in sources if _one_road(heading[name], heading[source])]
         lanes = sum(len(edges[source].lanes) for source in axis)
-        speed = max(math.floor(edges[source].speed / SPEED_STEP + 0.5) for source in axis)
+        speed = max(math.floor(edges[source].speed / SAME_LIMIT_M_S + 0.5) for source in axis)
         worth[name] = (float(any(straight[source] for source in axis)), float(speed), float(lanes))
     ranks = {}
     for k in members:
         link = links[k]
         sign = (float(k in ruled), float(not stopped[k]))
-        turn = (float(ORDER[link.direction]), float(not link.turning), -round(abs(link.turn), 2))
+        turn = (float(MOVEMENT_PRIORITY[link.direction]), float(not link.turning), -round(abs(link.turn), 2))
         ranks[k] = (*sign, *worth[link.source], *turn, -float(k))
     return ranks
 
@@ -190,4 +195,4 @@ def _heading(edge: RoadEdge) -> float:
 
 def _one_road(a: float, b: float) -> bool:
     difference = abs((a - b + math.pi / 2) % math.pi - math.pi / 2)
-    return difference < AXIS
+    return difference < SAME_AXIS_RAD

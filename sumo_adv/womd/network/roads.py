@@ -13,22 +13,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from sumo_adv.datatypes import Floats
+from sumo_adv.geometry import LAYER_HEIGHT_M
 from sumo_adv.womd.lines import at, headings, joined, part, turned
 from sumo_adv.womd.network.layout import Layout, Leg, Row, Stretch, Way
 from sumo_adv.womd.network.strands import Strand
 from sumo_adv.womd.record import LineFeature
 
-REACH = 3.5  # m to a side that a line is looked for
-PROBES = 5  # places along a stretch
-DEFAULT = 3.4  # m
-BIKE_DEFAULT = 1.5  # m
-LEAST, MOST = 2.8, 5.0  # m
-BIKE_LEAST, BIKE_MOST = 1.0, 2.5  # m
-OVERPASS = 3.0  # m of height between a line and a lane that do not belong together
-STRAIGHT = math.radians(30.0)  # less of a turn is straight on
-ROUND = math.radians(150.0)  # more of a turn to the left is a U-turn
-SIDE_GRIP = 5.5  # m/s2 that limits speed in a bend, as netconvert has it
-MIN_TURN_SPEED = 3.0  # m/s, no bend is slower
+BORDER_SEARCH_DISTANCE_M = 3.5  # to a side that a line is looked for
+WIDTH_PROBE_COUNT = 5  # places along a stretch
+DEFAULT_LANE_WIDTH_M = 3.4
+DEFAULT_BIKE_LANE_WIDTH_M = 1.5
+MIN_CAR_LANE_WIDTH_M, MAX_CAR_LANE_WIDTH_M = 2.8, 5.0  # m
+MIN_BIKE_LANE_WIDTH_M, MAX_BIKE_LANE_WIDTH_M = 1.0, 2.5  # m
+MAX_STRAIGHT_TURN_RAD = math.radians(30.0)  # less of a turn is straight on
+MIN_U_TURN_RAD = math.radians(150.0)  # more of a turn to the left is a U-turn
+BEND_LATERAL_ACCELERATION_M_S2 = 5.5  # that limits speed in a bend, as netconvert has it
+MIN_BEND_SPEED_M_S = 3.0  # no bend is slower
 
 
 def find_widths(strands: tuple[Strand, ...], rows: Sequence[Row], lines: Iterable[LineFeature]) -> dict[Stretch, float]:
@@ -36,13 +36,17 @@ def find_widths(strands: tuple[Strand, ...], rows: Sequence[Row], lines: Iterabl
     stretches = [stretch for row in rows for stretch in row]
     centre, side = _probes(strands, stretches)
     sides = _distances(np.vstack([centre, centre]), np.vstack([side, -side]), lines)
-    left, right = (part.reshape(-1, PROBES) for part in np.split(sides, 2))
+    left, right = (part.reshape(-1, WIDTH_PROBE_COUNT) for part in np.split(sides, 2))
     spacing = _spacings(strands, rows)
     width: dict[Stretch, float] = {}
     for k, stretch in enumerate(stretches):
         bike = strands[stretch.strand].bike
-        value = _choose(left[k], right[k], spacing.get(stretch), BIKE_DEFAULT if bike else DEFAULT)
-        low, high = (BIKE_LEAST, BIKE_MOST) if bike else (LEAST, MOST)
+        value = _choose(
+            left[k], right[k], spacing.get(stretch), DEFAULT_BIKE_LANE_WIDTH_M if bike else DEFAULT_LANE_WIDTH_M
+        )
+        low, high = (
+            (MIN_BIKE_LANE_WIDTH_M, MAX_BIKE_LANE_WIDTH_M) if bike else (MIN_CAR_LANE_WIDTH_M, MAX_CAR_LANE_WIDTH_M)
+        )
         width[stretch] = round(min(max(value, low), high), 2)
     return width
 
@@ -63,7 +67,9 @@ def _probes(strands: tuple[Strand, ...], stretches: list[Stretch]) -> tuple[Floa
     centres, sides = [], []
     for stretch in stretches:
         strand = strands[stretch.strand]
-        places = stretch.start + (stretch.end - stretch.start) * (np.arange(PROBES) + 0.5) / PROBES
+        places = (
+            stretch.start + (stretch.end - stretch.start) * (np.arange(WIDTH_PROBE_COUNT) + 0.5) / WIDTH_PROBE_COUNT
+        )
         centres.append(at(strand.points, strand.along, places))
         heading = headings(strand.points, strand.along, places)
         sides.append(np.stack([-np.sin(heading), np.cos(heading)], axis=-1))
@@ -73,7 +79,8 @@ def _probes(strands: tuple[Strand, ...], stretches: list[Stretch]) -> tuple[Floa
 
 
 def _distances(centre: Floats, side: Floats, lines: Iterable[LineFeature]) -> Floats:
-    """Distance from each centre to the first line that crosses the ray to its side, inf if none within ``REACH``."""
+    """Distance from each centre to the first line that crosses the ray to its side, inf if none within
+    ``BORDER_SEARCH_DISTANCE_M``."""
     from shapely import STRtree, linestrings
 
     distances = np.full(len(centre), np.inf)
@@ -81,7 +88,7 @@ def _distances(centre: Floats, side: Floats, lines: Iterable[LineFeature]) -> Fl
     if not pieces or not len(centre):
         return distances
     segments = np.concatenate(pieces)
-    rays = np.stack([centre[:, :2] + 0.2 * side, centre[:, :2] + REACH * side], axis=1)
+    rays = np.stack([centre[:, :2] + 0.2 * side, centre[:, :2] + BORDER_SEARCH_DISTANCE_M * side], axis=1)
     ray, hit = STRtree(linestrings(segments[:, :, :2])).query(linestrings(rays))
     p, d = centre[ray], side[ray]
     a, b = segments[hit, 0], segments[hit, 1]
@@ -91,7 +98,9 @@ def _distances(centre: Floats, side: Floats, lines: Iterable[LineFeature]) -> Fl
         to = a[:, :2] - p[:, :2]
         t = (to[:, 0] * along[:, 1] - to[:, 1] * along[:, 0]) / cross
         u = (to[:, 0] * d[:, 1] - to[:, 1] * d[:, 0]) / cross
-    good = (t > 0.2) & (t < REACH) & (u >= 0) & (u <= 1) & (np.abs(a[:, 2] - p[:, 2]) < OVERPASS)
+    good = (
+        (t > 0.2) & (t < BORDER_SEARCH_DISTANCE_M) & (u >= 0) & (u <= 1) & (np.abs(a[:, 2] - p[:, 2]) < LAYER_HEIGHT_M)
+    )
     np.minimum.at(distances, ray[good], t[good])
     return distances
 
@@ -159,9 +168,9 @@ class Link:
     @property
     def direction(self) -> str:
         """SUMO's letter: s straight, l left, r right, t U-turn."""
-        if abs(self.turn) < STRAIGHT:
+        if abs(self.turn) < MAX_STRAIGHT_TURN_RAD:
             return "s"
-        if self.turn > ROUND:
+        if self.turn > MIN_U_TURN_RAD:
             return "t"
         return "l" if self.turn > 0 else "r"
 
@@ -232,7 +241,7 @@ def _link(layout: Layout, way: Way, edges: dict[str, RoadEdge], place: dict[Stre
 
 
 def _bend_speed(shape: Floats) -> float:
-    """The speed [m/s] at which the mean bend of a shape takes ``SIDE_GRIP``."""
+    """The speed [m/s] at which the mean bend of a shape takes ``BEND_LATERAL_ACCELERATION_M_S2``."""
     length = float(np.sum(np.hypot(*np.diff(shape, axis=0).T)))
     bend = abs(turned(shape)) / max(length, 1.0)
-    return max(math.sqrt(SIDE_GRIP / max(bend, 1e-4)), MIN_TURN_SPEED)
+    return max(math.sqrt(BEND_LATERAL_ACCELERATION_M_S2 / max(bend, 1e-4)), MIN_BEND_SPEED_M_S)

@@ -6,9 +6,8 @@ that drive off there tell (one that drives over a stop line has green), else it 
 approaches that go straight on across ruled ones and of which the record tells no signal. In the default no two streams
 that cross or merge are green together.
 
-A witnessed green lasts from when the vehicle last stood (if it did not, from ``LEAD`` before) until just after its
-front is over the line; short breaks between two vehicles are green too. Yellow follows.
-"""
+A witnessed green lasts from when the vehicle last stood (if it did not, from ``GREEN_BEFORE_PASSING_S`` before) until
+just after its front is over the line; short breaks between two vehicles are green too. Yellow follows."""
 
 from __future__ import annotations
 
@@ -25,15 +24,19 @@ from sumo_adv.womd.network.right_of_way import RightOfWay
 from sumo_adv.womd.network.roads import Link
 from sumo_adv.womd.record import VEHICLE, Record
 
-LEAD, TAIL = 4.0, 1.0  # s of green before and after a vehicle that did not stand drives over the line
-JOIN = 5.0  # s of a break that is green too
-STANDING = 1.0  # m/s
-BESIDE = 1.5  # m from a link's line at most
-TURNED = 0.5  # rad between a vehicle and the link at the line
-FOLLOWED, SHARE = 12.0, 0.6  # m, or that share of it, that a vehicle must follow a link to have taken it
-LETTERS = ("", "r", "y", "g", "r", "y", "g", "r", "o")  # by the dataset's number; "" = unknown
-ENOUGH = 5.0  # s of green in the record after which the default need not serve a stream
-GREEN, YELLOW, CLEARANCE = 8.0, 3.0, 1.0  # s of the default's phases
+# s of green before and after a vehicle that did not stand drives over the line
+GREEN_BEFORE_PASSING_S = 4.0
+GREEN_AFTER_PASSING_S = 1.0
+JOINED_GREEN_GAP_S = 5.0  # of a break that is green too
+MAX_STANDING_SPEED_AT_LIGHT_M_S = 1.0
+MAX_LINK_OFFSET_M = 1.5  # from a link's line at most
+MAX_LINK_ANGLE_RAD = 0.5  # between a vehicle and the link at the line
+# m, or that share of it, that a vehicle must follow a link to have taken it
+MIN_FOLLOWED_LINK_M = 12.0
+MIN_FOLLOWED_LINK_SHARE = 0.6
+LETTER_OF_SIGNAL_STATE = ("", "r", "y", "g", "r", "y", "g", "r", "o")  # by the dataset's number; "" = unknown
+ENOUGH_GREEN_S = 5.0  # of green in the record after which the default need not serve a stream
+DEFAULT_GREEN_S, DEFAULT_YELLOW_S, DEFAULT_CLEARANCE_S = 8.0, 3.0, 1.0  # s of the default's phases
 
 Rulers = Mapping[int, int | None]  # link -> the lane of its signal, None where the record has none for it
 Stream = tuple[str, str]  # edge and direction
@@ -71,18 +74,20 @@ def witnessed_letters(traffic: Traffic, links: Sequence[Link]) -> list[str]:
     green = np.zeros(traffic.valid.shape[1], bool)
     for link in links:
         for vehicle, over in _drives(traffic, link):
-            stood = np.flatnonzero((traffic.speed[vehicle, :over] < STANDING) & traffic.valid[vehicle, :over])
-            begin = int(stood[-1]) if len(stood) else over - round(LEAD / traffic.step)
-            green[max(begin, 0) : over + round(TAIL / traffic.step)] = True
+            stood = np.flatnonzero(
+                (traffic.speed[vehicle, :over] < MAX_STANDING_SPEED_AT_LIGHT_M_S) & traffic.valid[vehicle, :over]
+            )
+            begin = int(stood[-1]) if len(stood) else over - round(GREEN_BEFORE_PASSING_S / traffic.step)
+            green[max(begin, 0) : over + round(GREEN_AFTER_PASSING_S / traffic.step)] = True
     if not green.any():
         return []
     on = np.flatnonzero(green)
     for a, b in pairwise(on):
-        if b - a <= JOIN / traffic.step:
+        if b - a <= JOINED_GREEN_GAP_S / traffic.step:
             green[a:b] = True
     letters = np.where(green, "g", "r")
     for end in np.flatnonzero(green[:-1] & ~green[1:]) + 1:
-        after = letters[end : end + round(YELLOW / traffic.step)]
+        after = letters[end : end + round(DEFAULT_YELLOW_S / traffic.step)]
         after[after == "r"] = "y"
     return [str(letter) for letter in letters]
 
@@ -96,15 +101,15 @@ def _drives(traffic: Traffic, link: Link) -> Iterator[tuple[int, int]]:
     way /= np.hypot(*way)
     off = traffic.fronts - link.shape[0]
     along, aside = off @ way, off @ np.array([-way[1], way[0]])
-    straight = np.abs(wrap(traffic.heading - np.arctan2(way[1], way[0]))) < TURNED
+    straight = np.abs(wrap(traffic.heading - np.arctan2(way[1], way[0]))) < MAX_LINK_ANGLE_RAD
     over = (along[:, :-1] <= 0.0) & (along[:, 1:] > 0.0) & traffic.valid[:, :-1] & traffic.valid[:, 1:]
-    over &= straight[:, 1:] & (np.abs(aside[:, 1:]) < BESIDE)
+    over &= straight[:, 1:] & (np.abs(aside[:, 1:]) < MAX_LINK_OFFSET_M)
     for vehicle, step in np.argwhere(over):
         later = traffic.centres[vehicle, step + 1 :][traffic.valid[vehicle, step + 1 :]]
         at = line_locate_point(line, points(later))
         inside = (at > 0.0) & (at < line.length)
-        near = distance(line, points(later)) < BESIDE
-        if near[inside].all() and at.max() > min(FOLLOWED, SHARE * line.length):
+        near = distance(line, points(later)) < MAX_LINK_OFFSET_M
+        if near[inside].all() and at.max() > min(MIN_FOLLOWED_LINK_M, MIN_FOLLOWED_LINK_SHARE * line.length):
             yield int(vehicle), int(step) + 1
 
 
@@ -179,7 +184,7 @@ def _letters(record: Record) -> dict[int, list[str]]:
     for k, step in enumerate(record.signals):
         for state in step:
             states = letters.setdefault(state.lane, [""] * len(record.signals))
-            states[k] = LETTERS[state.state] if 0 <= state.state < len(LETTERS) else ""
+            states[k] = LETTER_OF_SIGNAL_STATE[state.state] if 0 <= state.state < len(LETTER_OF_SIGNAL_STATE) else ""
     for states in letters.values():
         last = next((letter for letter in states if letter), "")
         for k, letter in enumerate(states):
@@ -232,7 +237,7 @@ def _needy(links: Sequence[Link], members: list[int], phases: list[tuple[float, 
         seen = sum(duration for duration, state in phases if state[k] in "go")
         stream = _stream(links[n])
         green[stream] = min(green.get(stream, seen), seen)
-    return [stream for stream, seen in green.items() if seen < ENOUGH]
+    return [stream for stream, seen in green.items() if seen < ENOUGH_GREEN_S]
 
 
 def _default(
@@ -244,7 +249,7 @@ def _default(
         of_stream.setdefault(_stream(links[n]), []).append(n)
     orders = [needy[k:] + needy[:k] for k in range(len(needy))]
     greens = min((_serve(waiting, of_stream, order) for waiting in orders), key=len, default=[])
-    return [(GREEN, "".join("g" if n in green else "r" for n in members)) for green in greens]
+    return [(DEFAULT_GREEN_S, "".join("g" if n in green else "r" for n in members)) for green in greens]
 
 
 def _serve(waiting: list[Stream], of_stream: Mapping[Stream, list[int]], order: RightOfWay) -> list[set[int]]:
@@ -280,7 +285,7 @@ def _change(before: str, after: str) -> list[tuple[float, str]]:
     both = list(zip(before, after, ends, strict=True))
     yellow = "".join("y" if end else "g" if b == a == "g" else b if b == "o" else "r" for b, a, end in both)
     clear = "".join("g" if b == a == "g" else b if b == "o" else "r" for b, a, end in both)
-    return [(YELLOW, yellow), (CLEARANCE, clear)]
+    return [(DEFAULT_YELLOW_S, yellow), (DEFAULT_CLEARANCE_S, clear)]
 
 
 def _major(state: str, members: list[int], order: RightOfWay) -> str:

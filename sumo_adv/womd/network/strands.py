@@ -2,9 +2,8 @@
 nothing but the next one follows, so that cuts need not lie at lane ends.
 
 Lanes that split run over the same ground for their first metres, and lanes that merge for their last. As long as they
-are within ``SAME_GROUND`` of one another they are one section here, so that it can be an edge and need not be junction.
-The start of a lane that a signal or a stop sign holds is left alone: that is where vehicles wait.
-"""
+are within ``SHARED_GROUND_DISTANCE_M`` of one another they are one section here, so that it can be an edge and need not
+be junction. The start of a lane that a signal or a stop sign holds is left alone: that is where vehicles wait."""
 
 from __future__ import annotations
 
@@ -15,19 +14,18 @@ from itertools import pairwise
 import numpy as np
 
 from sumo_adv.datatypes import Floats
-from sumo_adv.womd.lines import at, distinct, part, stations, turned
+from sumo_adv.womd.lines import MAX_CONNECTION_GAP_M, at, distinct, part, stations, turned
 from sumo_adv.womd.record import BIKE, LaneFeature, Record
 
-MAX_GAP = 1.0  # m between a lane's end and the start of its exit
-MIN_SCRAP = 1.0  # m, shorter lanes that nothing leads to or from are dropped
-DEFAULT_SPEED = 11.176  # m/s (25 mph) where no limit is given anywhere near
-BIKE_SPEED = 6.7  # m/s where a bike lane has no limit
-SAME_GROUND = 0.1  # m from the straightest of the lanes that share their ground
-STEP = 0.5  # m between the places compared
-MOST = 12.0  # m that lanes share at most
-MOST_PART = 0.4  # of a lane that is shared at either end
-LEAST = 0.5  # m, less is not worth a section
-SAME_SPEED = 0.5  # m/s, sections with limits that differ by less are one road
+MIN_LONE_LANE_LENGTH_M = 1.0  # shorter lanes that nothing leads to or from are dropped
+DEFAULT_SPEED_LIMIT_M_S = 11.176  # (25 mph) where no limit is given anywhere near
+BIKE_LANE_SPEED_M_S = 6.7  # where a bike lane has no limit
+SHARED_GROUND_DISTANCE_M = 0.1  # from the straightest of the lanes that share their ground
+SHARED_GROUND_STEP_M = 0.5  # between the places compared
+MAX_SHARED_LENGTH_M = 12.0  # that lanes share at most
+MAX_SHARED_PART = 0.4  # of a lane that is shared at either end
+MIN_SHARED_LENGTH_M = 0.5  # less is not worth a section
+SAME_SECTION_LIMIT_M_S = 0.5  # sections with limits that differ by less are one road
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,8 +77,8 @@ def keep(record: Record) -> Kept:
     links, gaps = _links(record, usable)
     linked = {lane for pair in links for lane in pair}
     for number, points in list(usable.items()):
-        if number not in linked and stations(points)[-1] < MIN_SCRAP:
-            dropped[number] = f"unconnected and under {MIN_SCRAP:g} m"
+        if number not in linked and stations(points)[-1] < MIN_LONE_LANE_LENGTH_M:
+            dropped[number] = f"unconnected and under {MIN_LONE_LANE_LENGTH_M:g} m"
             del usable[number]
     speeds, assumed = _speeds(record, usable, links)
     lanes = {
@@ -102,7 +100,7 @@ def _links(record: Record, usable: dict[int, Floats]) -> tuple[set[tuple[int, in
     for a, b in sorted(pairs):
         if a not in usable or b not in usable or a == b:
             continue
-        if np.hypot(*(usable[b][0] - usable[a][-1])[:2]) < MAX_GAP:
+        if np.hypot(*(usable[b][0] - usable[a][-1])[:2]) < MAX_CONNECTION_GAP_M:
             links.add((a, b))
         else:
             gaps.append((a, b))
@@ -119,7 +117,7 @@ def _speeds(record: Record, usable: dict[int, Floats], links: set[tuple[int, int
             if own in near:
                 near[own].append(record.lanes[neighbour].speed_limit)
     for n in without:
-        default = BIKE_SPEED if record.lanes[n].kind == BIKE else DEFAULT_SPEED
+        default = BIKE_LANE_SPEED_M_S if record.lanes[n].kind == BIKE else DEFAULT_SPEED_LIMIT_M_S
         speeds[n] = max((limit for limit in near[n] if limit > 0), default=default)
     return speeds, len(without)
 
@@ -203,7 +201,7 @@ def _shared(lanes: dict[int, KeptLane], held: Collection[int], *, at_end: bool) 
         if len(group) < 2:
             continue
         length = _common([lanes[k] for k in group], at_end=at_end)
-        if length >= LEAST:
+        if length >= MIN_SHARED_LENGTH_M:
             group.sort(key=lambda k: (lanes[k].feature.interpolating, abs(turned(lanes[k].points)), k))
             groups.append((group, length))
     return groups
@@ -211,12 +209,12 @@ def _shared(lanes: dict[int, KeptLane], held: Collection[int], *, at_end: bool) 
 
 def _common(group: Sequence[KeptLane], *, at_end: bool) -> float:
     """How far [m] all lanes are on the same ground, from their ends backward or their starts forward."""
-    most = min(MOST, MOST_PART * min(lane.length for lane in group))
-    distance = np.arange(0.0, most, STEP)
+    most = min(MAX_SHARED_LENGTH_M, MAX_SHARED_PART * min(lane.length for lane in group))
+    distance = np.arange(0.0, most, SHARED_GROUND_STEP_M)
     if len(distance) < 2:
         return 0.0
     lines = [at(lane.points[:, :2], lane.along, lane.length - distance if at_end else distance) for lane in group]
-    apart = np.max([np.hypot(*(line - lines[0]).T) for line in lines[1:]], axis=0) > SAME_GROUND
+    apart = np.max([np.hypot(*(line - lines[0]).T) for line in lines[1:]], axis=0) > SHARED_GROUND_DISTANCE_M
     high = np.max([lane.points[-1 if at_end else 0, 2] for lane in group])
     low = np.min([lane.points[-1 if at_end else 0, 2] for lane in group])
     if high - low > 1.0:
@@ -300,7 +298,7 @@ def _follows(sections: dict[int, Section]) -> dict[int, int]:
     for key, section in sections.items():
         if len(section.exits) == 1 and section.exits[0] != key:
             after = sections[section.exits[0]]
-            alike = after.bike == section.bike and abs(after.speed - section.speed) < SAME_SPEED
+            alike = after.bike == section.bike and abs(after.speed - section.speed) < SAME_SECTION_LIMIT_M_S
             if after.entries == (key,) and alike:
                 successors[key] = section.exits[0]
     return successors
