@@ -260,7 +260,7 @@ def check_driver(
     tell: called with each scenario as soon as it is done. seconds: how long each is driven [s].
     Raises UsageError or SimulationError.
     """
-    from sumo_adv.driver_check.check import DURATION, check_driver, twelve
+    from sumo_adv.driver_check.check import DRIVE_DURATION_S, check_driver, twelve
     from sumo_adv.driver_check.drive import CheckWorker
     from sumo_adv.simulation.engine import Engine, deaf
 
@@ -268,7 +268,7 @@ def check_driver(
         engine = Engine(CheckWorker, slots=0)
     with engine, tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch:
         driven = twelve() if inputs is None else inputs
-        return check_driver(engine, driven, settings, Path(scratch), seconds=seconds or DURATION, tell=tell)
+        return check_driver(engine, driven, settings, Path(scratch), seconds=seconds or DRIVE_DURATION_S, tell=tell)
 
 
 def check_input(given: RunInput, settings: Settings, seconds: float) -> InputCheck:

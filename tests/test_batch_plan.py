@@ -14,7 +14,7 @@ from cli_samples import ROOT, TRAIL, files_of
 
 from sumo_adv.app import batch_parts
 from sumo_adv.campaigns.plan import Plan, differences, is_plan, make_plan, read_plan
-from sumo_adv.campaigns.results import COLUMNS, Job, row_of, table_of, write_csv, write_failure
+from sumo_adv.campaigns.results import RESULT_COLUMNS, Job, row_of, table_of, write_csv, write_failure
 from sumo_adv.campaigns.store import open_store, pack, packed_rows, packed_texts, unpack
 from sumo_adv.campaigns.worker import (
     Collector,
@@ -211,7 +211,7 @@ def test_the_table_is_in_the_plans_order_and_never_is_empty(tmp_path: Path) -> N
     with (tmp_path / "results.csv").open(newline="") as file:
         written = list(csv.DictReader(file))
     assert [r["id"] for r in written] == ["b", "a"]
-    assert list(written[0]) == [*COLUMNS, "set_attempts"]
+    assert list(written[0]) == [*RESULT_COLUMNS, "set_attempts"]
     assert (written[0]["min_ttc"], written[0]["attempts"], written[0]["set_attempts"]) == ("", "0", "3")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["outcome.json", "results.csv", "traceback.txt"]
 

@@ -8,7 +8,7 @@ from scipy import stats
 
 from sumo_adv.datatypes import Floats
 from sumo_adv.rate.estimate import effective_runs, rate
-from sumo_adv.rate.proposal import MOST_WEIGHT, Counts, Decisions, Proposal, learnt, pilot_proposal
+from sumo_adv.rate.proposal import MAX_WEIGHT, Counts, Decisions, Proposal, learnt, pilot_proposal
 
 
 def test_equal_weights_give_the_exact_interval_of_a_count() -> None:
@@ -114,7 +114,7 @@ def estimate(seed: int, runs: int) -> Floats:
 def test_the_interval_covers_a_known_rate_with_a_hundredth_of_the_runs() -> None:
     """Plain Monte Carlo needs (1.96/0.3)^2 / 3e-4, some 142 000 runs, for a half-width of 30 %."""
     assert pytest.approx(3e-4, rel=1e-3) == EXACT
-    rates = [rate(estimate(seed, RUNS), np.ones(RUNS), MOST_WEIGHT) for seed in range(100)]
+    rates = [rate(estimate(seed, RUNS), np.ones(RUNS), MAX_WEIGHT) for seed in range(100)]
     assert sum(r.low <= EXACT <= r.high for r in rates) >= 95
     assert np.mean([r.value for r in rates]) == pytest.approx(EXACT, rel=0.05)
     assert np.median([r.half_width or np.inf for r in rates]) < 0.3

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from sumo_adv.rate.proposal import (
-    BUDGET,
-    MOST,
-    MOST_WEIGHT,
-    STARTS,
+    ERROR_BUDGET,
+    EXPECTED_ERRORS_PER_RUN,
+    MAX_ERROR_PROBABILITY,
+    MAX_WEIGHT,
     Counts,
     Decisions,
     Proposal,
@@ -27,7 +27,7 @@ def test_a_raised_probability_is_never_below_the_models_nor_above_zero_where_tha
     raised = proposal.raised(model, np.array([[3, 3], [0, 0]]))
     assert raised.tolist() == [[0.2, 0.0], [0.01, 0.1]]
     crowded = proposal.raised(np.array([[0.01, 0.02]]), np.array([[3, 3]]))
-    assert crowded.sum() == pytest.approx(MOST) and (crowded >= [[0.01, 0.02]]).all()
+    assert crowded.sum() == pytest.approx(MAX_ERROR_PROBABILITY) and (crowded >= [[0.01, 0.02]]).all()
 
 
 def test_weights_of_one_decision() -> None:
@@ -63,9 +63,9 @@ def test_what_is_spent_in_a_run_is_limited_and_so_is_every_weight() -> None:
         for _ in range(50):
             raised += decisions.raising
             decisions.next(MODEL, HIGH)
-        assert raised <= BUDGET / 0.223 + 1
+        assert raised <= ERROR_BUDGET / 0.223 + 1
         weights.append(decisions.weight)
-    assert max(weights) <= MOST_WEIGHT
+    assert max(weights) <= MAX_WEIGHT
     assert np.mean(weights) == pytest.approx(1.0, abs=0.35)
 
 
@@ -95,9 +95,9 @@ def test_what_pilot_runs_teach() -> None:
     low, high = 1e-4 * np.sqrt(0.002 / 101), 1e-4 * np.sqrt(0.373)
     in_a_run = (80 * low + 20 * high) / 2  # two pilot runs
     starts = learnt([counts, none], np.array([1e-4])).starts[0]
-    assert starts[0] == pytest.approx(low * STARTS / in_a_run)
-    assert starts[3] == pytest.approx(high * STARTS / in_a_run)
-    assert 80 / 2 * starts[0] + 20 / 2 * starts[3] == pytest.approx(STARTS)
+    assert starts[0] == pytest.approx(low * EXPECTED_ERRORS_PER_RUN / in_a_run)
+    assert starts[3] == pytest.approx(high * EXPECTED_ERRORS_PER_RUN / in_a_run)
+    assert 80 / 2 * starts[0] + 20 / 2 * starts[3] == pytest.approx(EXPECTED_ERRORS_PER_RUN)
 
 
 def test_pilot_runs_without_a_chance_of_an_error_teach_nothing() -> None:

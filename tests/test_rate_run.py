@@ -14,13 +14,13 @@ from sumo_adv.cli.rate import lines
 from sumo_adv.errors import UsageError
 from sumo_adv.rate.blocks import Block, BlockRunner, RatePlan, seed_of
 from sumo_adv.rate.estimate import estimated
-from sumo_adv.rate.proposal import KINDS
+from sumo_adv.rate.proposal import ERROR_KINDS
 from sumo_adv.rate.run import Record
 from sumo_adv.simulation.human_errors import ErrorKind
 
 BESIDE = Path(__file__).resolve().parent.parent / "benchmarks" / "rate" / "side_by_side.toml"
-DRIFTS = np.zeros((len(KINDS), 4))
-DRIFTS[KINDS.index(ErrorKind.DRIFT_RIGHT), 3] = 0.5
+DRIFTS = np.zeros((len(ERROR_KINDS), 4))
+DRIFTS[ERROR_KINDS.index(ErrorKind.DRIFT_RIGHT), 3] = 0.5
 
 
 def test_forced_drifts_end_in_collisions_with_small_weights_and_runs_repeat() -> None:

@@ -23,9 +23,9 @@ from scipy.stats import norm
 
 from sumo_adv.datatypes import Floats
 from sumo_adv.files import json_text, write_text
-from sumo_adv.rate.blocks import BLOCK, Block, BlockRunner, RatePlan, seed_of
+from sumo_adv.rate.blocks import RUNS_PER_BLOCK, Block, BlockRunner, RatePlan, seed_of
 from sumo_adv.rate.estimate import Estimate, Estimation, Rate, counts_of, estimated, rate, records_of
-from sumo_adv.rate.proposal import KINDS, SLOT, Proposal, chances, learnt, pilot_proposal
+from sumo_adv.rate.proposal import DECISION_INTERVAL_S, ERROR_KINDS, Proposal, chances, learnt, pilot_proposal
 
 CHUNK = 800_000  # plain runs in a file
 
@@ -74,7 +74,7 @@ def thinned(plan: RatePlan, first: int, runs: int, others: int, out: Path) -> in
     file = out / f"thinned-{plan.ego}-{plan.factor:g}-{first}-{runs}.json"
     if file.exists():
         return int(json.loads(file.read_text(encoding="utf-8")))
-    most, draws = float(chances(plan.factor).sum()), round(plan.duration / SLOT) * others
+    most, draws = float(chances(plan.factor).sum()), round(plan.duration / DECISION_INTERVAL_S) * others
     crashes, block = 0, Block("plain", 0, None)
     with BlockRunner(plan) as runner:
         for number in range(first, first + runs):
@@ -93,10 +93,10 @@ def repetition(plan: RatePlan, runs: int, out: Path) -> dict[str, Any]:
     with BlockRunner(plan) as runner:
 
         def blocks(phase: str, number: int, proposal: Proposal) -> list[dict[str, Any]]:
-            jobs = [Block(phase, first, proposal.starts.tolist()) for first in range(0, number, BLOCK)]
+            jobs = [Block(phase, first, proposal.starts.tolist()) for first in range(0, number, RUNS_PER_BLOCK)]
             return [dict(runner.run(job, last=True).row or {}) for job in jobs]
 
-        pilot = blocks("pilot", plan.pilot, pilot_proposal(len(KINDS)))
+        pilot = blocks("pilot", plan.pilot, pilot_proposal(len(ERROR_KINDS)))
         rows = blocks("runs", runs, learnt(counts_of(pilot), chances(plan.factor)))
     document = estimated(plan, records_of(rows), records_of(pilot)).document()
     write_text(file, json_text(document, 1))

@@ -16,7 +16,7 @@ from typing import Any, Protocol
 from sumo_adv.campaigns.local import LocalWorkers, Pace, Stop
 from sumo_adv.campaigns.plan import Plan
 from sumo_adv.campaigns.results import (
-    LEARNT,
+    LEARNT_FILE,
     Done,
     Job,
     Learn,
@@ -28,7 +28,7 @@ from sumo_adv.campaigns.results import (
     write_csv,
     write_parquet,
 )
-from sumo_adv.campaigns.store import PLAN, TAUGHT, Store, discard, open_store, packed_texts
+from sumo_adv.campaigns.store import PLAN_FILE, TAUGHT_FILE, Store, discard, open_store, packed_texts
 from sumo_adv.campaigns.worker import Lessons, lessons_of, teach
 from sumo_adv.errors import BankError, UsageError
 from sumo_adv.files import sentences, write_text
@@ -160,7 +160,7 @@ def _prepare(
     with MemoryBank.open(store.bank, read_only=True) as bank:
         summary.bank_hash = bank.content_hash()
     document = {**document, "bank_hash": summary.bank_hash}
-    write_text(store.folder / PLAN, json.dumps(document, indent=1, ensure_ascii=False) + "\n")
+    write_text(store.folder / PLAN_FILE, json.dumps(document, indent=1, ensure_ascii=False) + "\n")
     place = orders.bank if plan.learn is Learn.DURING else store.bank
     return Setup(store.runs.absolute(), place.absolute(), plan.learn, plan.variants, plan.figures, parts)
 
@@ -175,17 +175,17 @@ def _workers(setup: Setup, orders: Orders, scratch: Path, store: Store, stop: St
 
 def _teach(store: Store, plan: Plan, orders: Orders, rows: Mapping[str, Row]) -> int:
     """Write what was learnt into the bank, in the plan's order, once. Raises BankError, UsageError."""
-    marker = store.folder / TAUGHT
+    marker = store.folder / TAUGHT_FILE
     if marker.exists():
         try:
             return int(read_json(marker)["written"])
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise UsageError(f"{marker} is damaged ({error}); delete it to have the bank taught again.") from error
-    packed = packed_texts(store.folder, LEARNT)
+    packed = packed_texts(store.folder, LEARNT_FILE)
 
     def lessons() -> Iterator[Lessons]:
         for job in plan.jobs:
-            file = store.runs / job.id / LEARNT
+            file = store.runs / job.id / LEARNT_FILE
             if job.id in packed:
                 yield from lessons_of(packed[job.id], f"The lessons of the packed run {job.id}")
             elif job.id in rows and file.exists():

@@ -24,7 +24,7 @@ from pathlib import Path
 from sumo_adv.campaigns.local import LocalWorkers, Pace, Stop
 from sumo_adv.campaigns.plan import hash_of
 from sumo_adv.campaigns.ray_pool import RayPool
-from sumo_adv.campaigns.results import LEARNT, Done, Job, Learn, Setup, read_row
+from sumo_adv.campaigns.results import LEARNT_FILE, Done, Job, Learn, Setup, read_row
 from sumo_adv.campaigns.store import Store
 from sumo_adv.campaigns.worker import lessons_of, share, teach
 from sumo_adv.drivers.registry import check_name, find_class
@@ -152,9 +152,11 @@ class ClusterWorkers:
             share(folder.stage / "inputs", self._setup.runs.parent / "inputs")
             folder.keep(force=True)
         kept = self._setup.runs / job.id
-        if self._setup.learn is Learn.DURING and (kept / LEARNT).exists():
+        if self._setup.learn is Learn.DURING and (kept / LEARNT_FILE).exists():
             with MemoryBank.open(self._setup.bank) as bank:
-                if teach(bank, lessons_of((kept / LEARNT).read_text(encoding="utf-8"), f"The file {kept / LEARNT}")):
+                if teach(
+                    bank, lessons_of((kept / LEARNT_FILE).read_text(encoding="utf-8"), f"The file {kept / LEARNT_FILE}")
+                ):
                     self._sent = self._send()
         return Done(job.id, read_row(kept), size)
 

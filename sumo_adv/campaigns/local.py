@@ -19,11 +19,11 @@ from sumo_adv.campaigns.results import Done, Job
 from sumo_adv.errors import SumoAdvError
 from sumo_adv.simulation.engine import QUIET_VARIABLES, deaf, how
 
-TRIES = 2  # of an episode if its worker crashes or hangs, or its simulation fails
-STARTS = 3  # workers in a row that may die before they are ready
-START_SECONDS = 120.0
-TICK = 0.25  # s between looks at deadlines and at Ctrl-C
-LAST_WORDS = 20_000  # characters of a dead worker's output that are kept
+MAX_EPISODE_TRIES = 2  # of an episode if its worker crashes or hangs, or its simulation fails
+MAX_FAILED_STARTS = 3  # workers in a row that may die before they are ready
+WORKER_START_TIMEOUT_S = 120.0
+POLL_INTERVAL_S = 0.25  # between looks at deadlines, results, messages and at Ctrl-C
+MAX_KEPT_OUTPUT_CHARACTERS = 20_000  # of a dead worker's output that are kept
 
 
 @dataclass
@@ -59,7 +59,7 @@ class _Slot:
     @property
     def words(self) -> str:
         try:
-            return (self.folder / "log").read_text(errors="replace")[-LAST_WORDS:]
+            return (self.folder / "log").read_text(errors="replace")[-MAX_KEPT_OUTPUT_CHARACTERS:]
         except OSError:
             return ""
 
@@ -91,7 +91,7 @@ class LocalWorkers:
     stop: Stop
     make: Callable[[Any], AbstractContextManager[Any]] | None = None
     seen: Callable[[Any], tuple[Any, float]] = lambda job: (None, 0.0)
-    hangs: int = TRIES
+    hangs: int = MAX_EPISODE_TRIES
     _slots: list[_Slot] = field(default_factory=list)
     _tried: dict[str, int] = field(default_factory=dict)
     _again: deque[Job] = field(default_factory=deque)
@@ -99,7 +99,8 @@ class LocalWorkers:
     _made: int = 0
 
     def run(self, jobs: Iterable[Any], told: Callable[[Any, Done], None]) -> None:
-        """Each job in turn, at most ``TRIES`` times; ``told`` of each that is finished. Raises SumoAdvError.
+        """Each job in turn, at most ``MAX_EPISODE_TRIES`` times; ``told`` of each that is finished. Raises
+        SumoAdvError.
 
         A deque of jobs may grow meanwhile.
         """
@@ -140,7 +141,7 @@ class LocalWorkers:
             for name, value in saved.items():
                 os.environ.pop(name) if value is None else os.environ.update({name: value})
         worker_end.close()
-        return _Slot(process, own_end, folder, time.monotonic() + START_SECONDS)
+        return _Slot(process, own_end, folder, time.monotonic() + WORKER_START_TIMEOUT_S)
 
     def _assign(self, waiting: deque[Job]) -> None:
         for slot in self._slots:
@@ -150,11 +151,11 @@ class LocalWorkers:
                 slot.job = self._again.popleft() if self._again else waiting.popleft()
                 slot.seen, slot.until = None, time.monotonic() + self.pace.deadline
                 with suppress(OSError):  # it may have died: found by ``_listen``
-                    slot.connection.send((slot.job, self._tried.get(slot.job.id, 0) + 1 == TRIES))
+                    slot.connection.send((slot.job, self._tried.get(slot.job.id, 0) + 1 == MAX_EPISODE_TRIES))
 
     def _listen(self, told: Callable[[Job, Done], None]) -> None:
         by_handle = {s.connection: s for s in self._slots}
-        for ready in wait(list(by_handle), timeout=TICK):
+        for ready in wait(list(by_handle), timeout=POLL_INTERVAL_S):
             slot = by_handle[ready]  # type: ignore[index]
             try:
                 self._hear(slot, slot.connection.recv(), told)
@@ -188,7 +189,7 @@ class LocalWorkers:
             if checked_at > slot.until + uncounted and (slot.job is not None or not slot.ready):
                 self._lose(slot, f"it was not done after {self.pace.deadline:g} s", told, self.hangs)
 
-    def _lose(self, slot: _Slot, why: str, told: Callable[[Job, Done], None], tries: int = TRIES) -> None:
+    def _lose(self, slot: _Slot, why: str, told: Callable[[Job, Done], None], tries: int = MAX_EPISODE_TRIES) -> None:
         """A worker died, or has to."""
         text, job = slot.words, slot.job
         self._dismiss(slot)
@@ -196,11 +197,13 @@ class LocalWorkers:
             self._retry(job, why, text, told, tries)
         elif not slot.ready:
             self._died += 1
-            if self._died >= STARTS:
+            if self._died >= MAX_FAILED_STARTS:
                 last = next((line for line in reversed(text.splitlines()) if line.strip()), "they said nothing")
                 raise SumoAdvError(f"The worker processes do not start ({last.strip()[:300]}).")
 
-    def _retry(self, job: Job, why: str, text: str, told: Callable[[Job, Done], None], tries: int = TRIES) -> None:
+    def _retry(
+        self, job: Job, why: str, text: str, told: Callable[[Job, Done], None], tries: int = MAX_EPISODE_TRIES
+    ) -> None:
         self._tried[job.id] = self._tried.get(job.id, 0) + 1
         if self._tried[job.id] < tries:
             self._again.append(job)

@@ -39,7 +39,7 @@ from sumo_adv.parsing import parse_toml, read_toml
 from sumo_adv.simulation.inputs import data_folder, input_name, resolve
 
 MAGIC = re.compile(r"[*?\[]")
-SHIPPED = ("scenarios", "networks")
+SHIPPED_FOLDERS = ("scenarios", "networks")
 
 
 def find_inputs(
@@ -69,7 +69,7 @@ def find_inputs(
 def _sources(name: str, folder: Path) -> list[Path]:
     """The files of a pattern, those of a folder, or the one file or shipped name."""
     given, shipped = folder / name, Path(name).parts[0]
-    if shipped in SHIPPED and not (folder / shipped).exists():
+    if shipped in SHIPPED_FOLDERS and not (folder / shipped).exists():
         root = data_folder(shipped)
         return [
             Path(shipped) / p.relative_to(root) for p in _sources(str(root.joinpath(*Path(name).parts[1:])), Path())
@@ -143,7 +143,7 @@ def hash_of(files: Sequence[Path]) -> str:
 # -- the plan
 
 
-SCHEMA = 1
+PLAN_SCHEMA = 1
 ID_DIGITS = 16
 OWN_KEYS = {"ego": "egos", "seed": "seeds", "learn": "learn", "memory": "memory"}
 Seed = Annotated[int, Field(ge=0, le=2**31 - 1)]
@@ -195,7 +195,7 @@ class Plan:
     def as_dict(self) -> dict[str, Any]:
         """What a folder of results remembers of its plan, and what two plans are compared by."""
         return {
-            "schema": SCHEMA,
+            "schema": PLAN_SCHEMA,
             "inputs": [{"name": i.name, "content": i.content, "broken": i.error} for i in self.inputs],
             "egos": list(self.egos), "seeds": list(self.seeds), "settings": list(self.variants),
             "learn": str(self.learn), "memory": None if self.memory is None else str(self.memory.absolute()),
@@ -280,8 +280,8 @@ def _sentence(subject: str, error: ValidationError) -> str:
 
 def checked_plan(value: Any) -> dict[str, Any]:
     """What a folder remembers of its plan, as ``Plan.as_dict`` gives it. Raises ValueError for anything else."""
-    if not isinstance(value, dict) or value.get("schema") != SCHEMA:
-        raise ValueError(f"it is no table with schema {SCHEMA}")
+    if not isinstance(value, dict) or value.get("schema") != PLAN_SCHEMA:
+        raise ValueError(f"it is no table with schema {PLAN_SCHEMA}")
     for key in ("inputs", "egos", "seeds", "settings"):
         if not isinstance(value.get(key), list):
             raise ValueError(f"it has no list '{key}'")

@@ -16,12 +16,11 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.campaigns.local import alone
+from sumo_adv.campaigns.local import POLL_INTERVAL_S, alone
 from sumo_adv.errors import SumoAdvError
 
-KNOCK_SECONDS = 5.0  # for a server to take a connection
-TICK = 0.25  # s between looks at results and at messages
-LOOK_SECONDS = 2.0  # between looks at the cluster's nodes
+CONNECTION_TIMEOUT_S = 5.0  # for a server to take a connection
+NODE_POLL_INTERVAL_S = 2.0  # between looks at the cluster's nodes
 LOG = "log"
 
 
@@ -132,7 +131,7 @@ def _knock(address: str) -> None:
     """Raises OSError if no server listens at HOST:PORT."""
     host, _, port = address.removeprefix("ray://").rpartition(":")
     if host and port.isdigit():
-        socket.create_connection((host, int(port)), KNOCK_SECONDS).close()
+        socket.create_connection((host, int(port)), CONNECTION_TIMEOUT_S).close()
 
 
 class _Driver:
@@ -146,7 +145,7 @@ class _Driver:
     def run(self) -> None:
         look = 0.0
         while True:
-            while self._connection.poll(0.0 if self._running else TICK):
+            while self._connection.poll(0.0 if self._running else POLL_INTERVAL_S):
                 command = self._connection.recv()
                 if command is None:
                     return
@@ -156,9 +155,9 @@ class _Driver:
                     self._start(command)
             if time.monotonic() >= look:
                 self._connection.send(self._nodes())
-                look = time.monotonic() + LOOK_SECONDS
+                look = time.monotonic() + NODE_POLL_INTERVAL_S
             if self._running:
-                for ready in self._ray.wait(list(self._running), timeout=TICK)[0]:
+                for ready in self._ray.wait(list(self._running), timeout=POLL_INTERVAL_S)[0]:
                     self._connection.send(self._end(self._running.pop(ready), ready))
 
     def _nodes(self) -> Nodes:

@@ -1,9 +1,8 @@
 """Jobs on the nodes of a Ray cluster: each node is checked before its first job, and left out where it is unfit.
 
 A node takes as many jobs at a time as it has processors. A job whose worker or node was lost is tried again,
-``LOSSES`` times; one on a node that turns out to be unfit is done elsewhere. Ray is spoken to by a process of its own
-(``ray_driver.py``): where that hangs or dies, this one says so and ends in order.
-"""
+``MAX_LOSSES_PER_JOB`` times; one on a node that turns out to be unfit is done elsewhere. Ray is spoken to by a process
+of its own (``ray_driver.py``): where that hangs or dies, this one says so and ends in order."""
 
 from __future__ import annotations
 
@@ -24,19 +23,18 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv.campaigns import ray_driver
-from sumo_adv.campaigns.local import Stop
+from sumo_adv.campaigns.local import POLL_INTERVAL_S, Stop
 from sumo_adv.campaigns.ray_driver import LOG, Lost, Node, Nodes, Put, Raised, Refused, Result, Start
 from sumo_adv.campaigns.results import Done
 from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.simulation.engine import QUIET_VARIABLES, deaf
 
-LOSSES = 5  # times that a job is tried again after its worker or node was lost
-LOAD_SECONDS = 60.0  # for Python to start and to import Ray
-CONNECT_SECONDS = 10.0  # for the cluster to answer
-SILENT_SECONDS = 90.0  # without a word of the cluster: Ray itself gives its head up after 60 s
-CLOSE_SECONDS = 5.0  # for Ray to leave the cluster
-TICK = 0.25  # s
-PLACE = re.compile(r"^\[[^\]]*\] *(\S+:\d+: )?")  # at the beginning of a line of Ray's log
+MAX_LOSSES_PER_JOB = 5  # times that a job is tried again after its worker or node was lost
+RAY_START_TIMEOUT_S = 60.0  # for Python to start and to import Ray
+CLUSTER_TIMEOUT_S = 10.0  # for the cluster to answer
+CLUSTER_SILENCE_TIMEOUT_S = 90.0  # without a word of the cluster: Ray itself gives its head up after 60 s
+RAY_CLOSE_TIMEOUT_S = 5.0  # for Ray to leave the cluster
+LOG_LINE_ORIGIN = re.compile(r"^\[[^\]]*\] *(\S+:\d+: )?")  # at the beginning of a line of Ray's log
 CHECK = "check"  # the job that a node's check is
 
 
@@ -52,7 +50,7 @@ class _Place:
 class RayPool:
     """Runs ``task(sent, job)`` on the cluster for each job; ``sent`` is put into Ray's store once (``put``).
 
-    Raises UsageError: Ray is not installed, or no cluster at ``address`` answers within ``CONNECT_SECONDS``.
+    Raises UsageError: Ray is not installed, or no cluster at ``address`` answers within ``CLUSTER_TIMEOUT_S``.
     """
 
     def __init__(
@@ -127,7 +125,7 @@ class RayPool:
     def close(self) -> None:
         """Leave the cluster; what still runs there is ended by Ray."""
         self._send(None)
-        self._process.join(CLOSE_SECONDS if self._places else 0.0)  # where it has not connected it hears nothing
+        self._process.join(RAY_CLOSE_TIMEOUT_S if self._places else 0.0)  # where it has not connected it hears nothing
         with suppress(OSError, AttributeError):
             os.killpg(self._process.pid or 0, signal.SIGKILL)
         self._process.kill()
@@ -157,11 +155,11 @@ class RayPool:
 
     def _connected(self) -> None:
         """Wait for the cluster's nodes, or for Ctrl-C. Raises UsageError."""
-        until, limit = time.monotonic() + LOAD_SECONDS, LOAD_SECONDS
+        until, limit = time.monotonic() + RAY_START_TIMEOUT_S, RAY_START_TIMEOUT_S
         while not self._stop.drain:
             if time.monotonic() > until:
                 raise self._no_cluster(f"no answer within {limit:g} s")
-            if not self._connection.poll(TICK):
+            if not self._connection.poll(POLL_INTERVAL_S):
                 continue
             try:
                 message = self._connection.recv()
@@ -172,7 +170,7 @@ class RayPool:
             if isinstance(message, Nodes):
                 self._look(message)
                 return
-            until, limit = time.monotonic() + CONNECT_SECONDS, CONNECT_SECONDS
+            until, limit = time.monotonic() + CLUSTER_TIMEOUT_S, CLUSTER_TIMEOUT_S
 
     def _no_cluster(self, why: str) -> UsageError:
         if "not installed" in why:
@@ -181,9 +179,9 @@ class RayPool:
 
     def _messages(self) -> Iterator[Any]:
         """What has come. Raises SumoAdvError where the process has died, or the cluster is silent."""
-        if not self._connection.poll(TICK):
-            if time.monotonic() - self._heard > SILENT_SECONDS:
-                raise self._cluster_lost(f"silent for {SILENT_SECONDS:g} s")
+        if not self._connection.poll(POLL_INTERVAL_S):
+            if time.monotonic() - self._heard > CLUSTER_SILENCE_TIMEOUT_S:
+                raise self._cluster_lost(f"silent for {CLUSTER_SILENCE_TIMEOUT_S:g} s")
             return
         while self._connection.poll():
             try:
@@ -204,7 +202,11 @@ class RayPool:
         with suppress(OSError):
             text = (self._folder / LOG).read_text(errors="replace")
         lines = [line.strip() for line in text.splitlines() if line.strip()]
-        return PLACE.sub("", lines[-1]).partition(". ")[0][:200].rstrip(".") if lines else "Ray ended without a word"
+        return (
+            LOG_LINE_ORIGIN.sub("", lines[-1]).partition(". ")[0][:200].rstrip(".")
+            if lines
+            else "Ray ended without a word"
+        )
 
     # -- jobs and nodes -----------------------------------------------------------------------------------------
 
@@ -262,10 +264,10 @@ class RayPool:
             waiting.appendleft(job)
         else:
             self._losses[job.id] += 1
-            if self._losses[job.id] <= LOSSES:
+            if self._losses[job.id] <= MAX_LOSSES_PER_JOB:
                 waiting.appendleft(job)
             else:
-                told(job, lost(job, f"Its worker or node was lost {LOSSES + 1} times.", message.text))
+                told(job, lost(job, f"Its worker or node was lost {MAX_LOSSES_PER_JOB + 1} times.", message.text))
 
     def _checked(self, place: _Place | None, message: Result | Raised | Lost) -> None:
         if place is None or isinstance(message, Lost):  # looked at again, if it is still there

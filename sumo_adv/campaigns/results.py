@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from sumo_adv.simulation.inputs import RunInput
 
 Row = Mapping[str, Any]
-"""One line of ``results.csv``; see ``COLUMNS``."""
+"""One line of ``results.csv``; see ``RESULT_COLUMNS``."""
 
 
 class Learn(StrEnum):
@@ -102,9 +102,9 @@ class Setup:
     parts: Parts
 
 
-OUTCOME, TRACEBACK, LEARNT = "outcome.json", "traceback.txt", "learnt.json"
-SCHEMA = 1
-COLUMNS = (
+OUTCOME_FILE, TRACEBACK_FILE, LEARNT_FILE = "outcome.json", "traceback.txt", "learnt.json"
+RESULTS_SCHEMA = 1
+RESULT_COLUMNS = (
     "id", "network", "seed", "ego", "intent", "raw_min_ttc", "min_ttc", "collided", "valid", "critical", "ending",
     "attempts", "seconds", "failure", "traceback", "level", "strict", "preventable_by", "inconclusive",
     "ego_stationary", "humanlike", "delta_v", "severity", "serious", "fault", "contact_time", "adversary", "relation",
@@ -121,11 +121,11 @@ whether most of its neighbours succeed, too; empty where none was simulated. ``o
 (``episode/rules_broken.py``)."""
 
 
-WHOLES = ("seed", "attempts")
-NUMBERS = (
+INTEGER_COLUMNS = ("seed", "attempts")
+NUMBER_COLUMNS = (
     "raw_min_ttc", "min_ttc", "seconds", "delta_v", "contact_time", "ego_speed", "overlap", "warning",
 )  # fmt: skip
-TRUTHS = ("collided", "valid", "critical", "strict", "serious", "ego_stationary", "humanlike", "robust")
+BOOLEAN_COLUMNS = ("collided", "valid", "critical", "strict", "serious", "ego_stationary", "humanlike", "robust")
 """Columns that hold whole numbers, numbers, yes or no; the others hold text. Any may be empty."""
 
 
@@ -141,7 +141,7 @@ def row_of(name: str, outcome: Mapping[str, Any], traceback: bool) -> Row:
         **{key: best.get(key) for key in ("min_ttc", "collided", "valid", "critical")},
         "ending": outcome["ending"], "attempts": len(outcome["attempts"]),
         "seconds": (outcome["timing"] or {}).get("total"), "failure": failure,
-        "traceback": f"runs/{name}/{TRACEBACK}" if traceback else None,
+        "traceback": f"runs/{name}/{TRACEBACK_FILE}" if traceback else None,
         "level": best.get("level"), "strict": best.get("strict"),
         "preventable_by": None if preventable_by is None else " ".join(preventable_by),
         **{key: best.get(key) for key in ("inconclusive", "ego_stationary", "humanlike", "delta_v", "severity")},
@@ -172,9 +172,17 @@ def _attack(outcome: Mapping[str, Any]) -> dict[str, Any]:
 def checked_row(row: Any) -> Row:
     """A row that was read from a file; one of an earlier version lacks some columns. Raises ValueError, KeyError or
     TypeError for what is none."""
-    for name in COLUMNS:
+    for name in RESULT_COLUMNS:
         value = dict(row).get(name)
-        kind = float if name in NUMBERS else int if name in WHOLES else bool if name in TRUTHS else str
+        kind = (
+            float
+            if name in NUMBER_COLUMNS
+            else int
+            if name in INTEGER_COLUMNS
+            else bool
+            if name in BOOLEAN_COLUMNS
+            else str
+        )
         ok = isinstance(value, int | float) if kind is float else isinstance(value, kind)
         if value is not None and (not ok or (isinstance(value, bool) and kind is not bool)):
             raise ValueError(f"its {name} cannot be {str(value)[:40]!r}")
@@ -191,8 +199,8 @@ def failed(row: Row) -> bool:
 def read_row(folder: Path) -> Row | None:
     """The row of a run's folder; None if there is none, or it is damaged."""
     try:
-        outcome = read_json(folder / OUTCOME)
-        return checked_row(row_of(folder.name, outcome, (folder / TRACEBACK).exists()))
+        outcome = read_json(folder / OUTCOME_FILE)
+        return checked_row(row_of(folder.name, outcome, (folder / TRACEBACK_FILE).exists()))
     except (OSError, ValueError, LookupError, TypeError, AttributeError):
         return None
 
@@ -200,14 +208,14 @@ def read_row(folder: Path) -> Row | None:
 def write_failure(stage: Path, job: Job, failure: str, text: str) -> Row:
     """The files of an episode that could not be run, into ``stage``: an outcome with its reason, and a traceback."""
     outcome = {
-        "schema": SCHEMA, "ending": str(Ending.SIMULATION_FAILED),
+        "schema": RESULTS_SCHEMA, "ending": str(Ending.SIMULATION_FAILED),
         "reason": f"{ENDING_SENTENCES[Ending.SIMULATION_FAILED]} {failure}", "network": job.input.name,
         "seed": job.seed, "ego": {"id": None, "controller": job.ego}, "adversaries": [], "trigger_time": None,
         "encounter": None, "agents": None, "intent": None, "intents": [], "raw": None, "attempts": [], "best": None,
         "outcome": None, "realism": {}, "timing": {"total": None}, "llm": None, "notes": [], "failure": failure,
     }  # fmt: skip
-    (stage / TRACEBACK).write_text(text or f"{failure}\n", encoding="utf-8")
-    (stage / OUTCOME).write_text(json.dumps(outcome, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+    (stage / TRACEBACK_FILE).write_text(text or f"{failure}\n", encoding="utf-8")
+    (stage / OUTCOME_FILE).write_text(json.dumps(outcome, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
     return row_of(job.id, outcome, True)
 
 
@@ -231,7 +239,7 @@ def write_csv(target: Path, table: Iterable[Mapping[str, Any]], varied: Sequence
 
     def write(part: Path) -> None:
         with part.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, [*COLUMNS, *(f"set_{name}" for name in varied)], lineterminator="\n")
+            writer = csv.DictWriter(file, [*RESULT_COLUMNS, *(f"set_{name}" for name in varied)], lineterminator="\n")
             writer.writeheader()
             writer.writerows({key: _cell(value) for key, value in row.items()} for row in table)
 
@@ -261,9 +269,9 @@ def read_csv(file: Path) -> dict[str, list[Any]]:
 def _value(name: str, text: str) -> Any:
     if not text:
         return None
-    if name in TRUTHS:
+    if name in BOOLEAN_COLUMNS:
         return text == "true"
-    return int(text) if name in WHOLES else float(text) if name in NUMBERS else cell_text(text)
+    return int(text) if name in INTEGER_COLUMNS else float(text) if name in NUMBER_COLUMNS else cell_text(text)
 
 
 def check_parquet() -> None:
@@ -281,9 +289,11 @@ def write_parquet(target: Path, table: Sequence[Mapping[str, Any]], varied: Sequ
     from pyarrow import parquet
 
     kinds = {
-        **dict.fromkeys(WHOLES, pa.int64()), **dict.fromkeys(NUMBERS, pa.float64()), **dict.fromkeys(TRUTHS, pa.bool_())
+        **dict.fromkeys(INTEGER_COLUMNS, pa.int64()), **dict.fromkeys(NUMBER_COLUMNS, pa.float64()),
+        **dict.fromkeys(BOOLEAN_COLUMNS, pa.bool_()),
     }  # fmt: skip
-    columns = {name: [row.get(name) for row in table] for name in COLUMNS}  # packed rows of old versions lack some
+    # packed rows of old versions lack some
+    columns = {name: [row.get(name) for row in table] for name in RESULT_COLUMNS}
     columns |= {f"set_{name}": [str(_cell(row[f"set_{name}"])) for row in table] for name in varied}
     arrays = {name: pa.array(values, kinds.get(name, pa.string())) for name, values in columns.items()}
     write_whole(target, lambda part: parquet.write_table(pa.table(arrays), part, compression="zstd"))

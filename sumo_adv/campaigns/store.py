@@ -26,17 +26,17 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv.campaigns.plan import checked_plan, differences
-from sumo_adv.campaigns.results import OUTCOME, Done, Job, Row, checked_row, keep_failure, read_row
+from sumo_adv.campaigns.results import OUTCOME_FILE, Done, Job, Row, checked_row, keep_failure, read_row
 from sumo_adv.errors import UsageError
 from sumo_adv.files import is_plain_name, refuse_links, scratch_prefix, sentences, write_text, write_whole
 from sumo_adv.memory.store import connect
 from sumo_adv.parsing import LARGEST_UNPACKED, read_json
 
-SCHEMA = 1
-MOST_RUNS = 1000
+PACK_SCHEMA = 1
+MAX_PACKED_RUNS = 1000
 STORED = (".gz", ".png", ".zip")  # compressed already
-BROKEN = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError)  # of a zip file that is damaged or enciphered
-EPOCH = (1980, 1, 1, 0, 0, 0)
+ZIP_FAULTS = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError)  # of a zip file that is damaged or enciphered
+ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,12 +63,12 @@ def packed_texts(folder: Path, name: str) -> dict[str, str]:
                 for run in _read(index):
                     if f"{run}/{name}" in inside:
                         texts[run] = _unpacked(source, f"{run}/{name}").decode()
-        except (*BROKEN, OSError, ValueError) as error:
+        except (*ZIP_FAULTS, OSError, ValueError) as error:
             raise _damaged(index.with_suffix(".zip"), error) from error
     return texts
 
 
-def pack(folder: Path, most: int = MOST_RUNS) -> Packed:
+def pack(folder: Path, most: int = MAX_PACKED_RUNS) -> Packed:
     """Move the finished runs of a batch into zip files of ``most`` runs. Raises UsageError, SumoAdvError."""
     done = packed_rows(folder)
     runs = [r for r in sorted((folder / "runs").iterdir()) if not r.name.startswith(".")]
@@ -102,7 +102,7 @@ def _pack_one(folder: Path, runs: Sequence[Path], rows: dict[Path, Row]) -> tupl
     target = folder / "packs" / f"{number:04d}.zip"
     index = {run.name: {"row": rows[run], "inputs": sorted(p.name for p in (run / "inputs").glob("*"))} for run in runs}
     write_whole(target, lambda part: _zip(part, runs))
-    write_text(target.with_suffix(".json"), json.dumps({"schema": SCHEMA, "runs": index}) + "\n")
+    write_text(target.with_suffix(".json"), json.dumps({"schema": PACK_SCHEMA, "runs": index}) + "\n")
     for run in runs:
         shutil.rmtree(run)
     return target, target.with_suffix(".json")
@@ -123,7 +123,7 @@ def _zip(target: Path, runs: Sequence[Path]) -> None:
 
 
 def _add(out: zipfile.ZipFile, name: str, file: Path) -> None:
-    entry = zipfile.ZipInfo(name, EPOCH)
+    entry = zipfile.ZipInfo(name, ZIP_EPOCH)
     entry.external_attr = 0o644 << 16
     entry.compress_type = zipfile.ZIP_STORED if file.suffix in STORED else zipfile.ZIP_DEFLATED
     out.writestr(entry, file.read_bytes())
@@ -159,7 +159,7 @@ def _unpack_one(
         with zipfile.ZipFile(file) as source:
             names = source.namelist()
             for run, inputs in runs.items():
-                if (into / run / OUTCOME).exists():
+                if (into / run / OUTCOME_FILE).exists():
                     continue
                 members = {n: n.removeprefix(f"{run}/") for n in names if n.startswith(f"{run}/")}
                 members |= {f"inputs/{n}": f"inputs/{n}" for n in inputs}
@@ -172,7 +172,7 @@ def _unpack_one(
                         target.write_bytes(_unpacked(source, inside))
                     folder.keep(force=True)
                 yield into / run
-    except (*BROKEN, FileNotFoundError, KeyError, ValueError) as error:
+    except (*ZIP_FAULTS, FileNotFoundError, KeyError, ValueError) as error:
         raise _damaged(file, error) from error
 
 
@@ -202,7 +202,7 @@ def _read(index: Path) -> dict[str, Any]:
         raise UsageError(f"The index {index} of a pack is damaged ({error}); restore it from a copy.") from error
 
 
-PLAN, BANK, TAUGHT, LOCK = "plan.json", "bank.sqlite", "taught.json", ".lock"
+PLAN_FILE, BANK_FILE, TAUGHT_FILE, LOCK_FILE = "plan.json", "bank.sqlite", "taught.json", ".lock"
 
 
 # -- the folder
@@ -212,12 +212,12 @@ class Store:
     """A batch's folder, held by one program at a time. Use :func:`open_store`."""
 
     def __init__(self, folder: Path, staged: Callable[..., AbstractContextManager[Any]]) -> None:
-        self.folder, self.runs, self.bank = folder, folder / "runs", folder / BANK
+        self.folder, self.runs, self.bank = folder, folder / "runs", folder / BANK_FILE
         self._staged = staged
 
     def known_plan(self) -> Mapping[str, Any] | None:
         """The plan that this folder is about, or None for a new one. Raises UsageError for what is no batch."""
-        file = self.folder / PLAN
+        file = self.folder / PLAN_FILE
         if not file.is_file():
             return None
         try:
@@ -245,7 +245,7 @@ class Store:
         """Copy the bank, once; what is there already stays. Raises OSError, sqlite3.Error."""
         if self.bank.exists():
             return
-        part = self.bank.with_name(f".{BANK}.part")
+        part = self.bank.with_name(f".{BANK_FILE}.part")
         with suppress(FileNotFoundError):
             part.unlink()
         with closing(connect(bank, "mode=ro")) as source, closing(sqlite3.connect(part)) as target:
@@ -289,7 +289,7 @@ def open_store(folder: Path, staged: Callable[..., AbstractContextManager[Any]])
     with sentences(folder):
         if folder.exists() and not folder.is_dir():
             raise UsageError(f"{folder} is not a folder; give another --out.")
-        if folder.exists() and any(folder.iterdir()) and not any((folder / n).exists() for n in (PLAN, LOCK)):
+        if folder.exists() and any(folder.iterdir()) and not any((folder / n).exists() for n in (PLAN_FILE, LOCK_FILE)):
             raise UsageError(f"{folder} holds something else than a batch's results; give another --out.")
         refuse_links(folder)
         made = not folder.exists()
@@ -304,14 +304,14 @@ def open_store(folder: Path, staged: Callable[..., AbstractContextManager[Any]])
         store.sweep()
         os.close(lock)
         with suppress(OSError):
-            (folder / LOCK).unlink()
-        if made and not (folder / PLAN).exists():
+            (folder / LOCK_FILE).unlink()
+        if made and not (folder / PLAN_FILE).exists():
             shutil.rmtree(folder, ignore_errors=True)
 
 
 def _locked(folder: Path) -> int:
     """An open file that no other program has locked. Raises UsageError, OSError."""
-    lock = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
+    lock = os.open(folder / LOCK_FILE, os.O_RDWR | os.O_CREAT, 0o644)
     try:
         import fcntl
 

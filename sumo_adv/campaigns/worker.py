@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.campaigns.results import LEARNT, TRACEBACK, Done, Job, Learn, Row, Setup, keep_failure, row_of
+from sumo_adv.campaigns.results import LEARNT_FILE, TRACEBACK_FILE, Done, Job, Learn, Row, Setup, keep_failure, row_of
 from sumo_adv.config import Settings, forget_environment, load_settings
 from sumo_adv.datatypes import Ending, Parameter, Planner
 from sumo_adv.drivers.registry import trusted_driver
@@ -239,10 +239,10 @@ class Runner(WarmProcesses):
         """What a batch adds to a run's folder; the row and the bytes of the folder but for its inputs, which are
         shared."""
         if isinstance(bank, Collector) and bank.lessons:
-            (stage / LEARNT).write_text(as_text(bank.lessons), encoding="utf-8")
+            (stage / LEARNT_FILE).write_text(as_text(bank.lessons), encoding="utf-8")
         text = episode.traceback or log
         if text:
-            (stage / TRACEBACK).write_text(text, encoding="utf-8")
+            (stage / TRACEBACK_FILE).write_text(text, encoding="utf-8")
         size = sum(p.stat().st_size for p in stage.iterdir() if p.is_file())
         share(stage / "inputs", self._setup.runs.parent / "inputs")
         return row_of(job.id, result, bool(text)), size

@@ -201,9 +201,9 @@ def _tell(checked: Checked) -> None:
 
 
 def summary(done: DriverCheck) -> list[str]:
-    from sumo_adv.driver_check import MEANING
+    from sumo_adv.driver_check import FINDING_MEANINGS
 
-    lines = [f"{kind}: {MEANING[kind]}" for kind in done.kinds]
+    lines = [f"{kind}: {FINDING_MEANINGS[kind]}" for kind in done.kinds]
     if done.act_ms is not None:
         lines.append("An answer takes {:.1f} ms (median; 99 % within {:.1f} ms).".format(*done.act_ms))
     wrong = sum(bool(checked.findings) for checked in done.scenarios)
@@ -215,12 +215,12 @@ def summary(done: DriverCheck) -> list[str]:
 
 
 def _plain(done: DriverCheck) -> dict[str, Any]:
-    from sumo_adv.driver_check import MEANING
+    from sumo_adv.driver_check import FINDING_MEANINGS
 
     return {
         "ego": done.ego,
         "ok": not done.kinds,
-        "findings": {kind: MEANING[kind] for kind in done.kinds},
+        "findings": {kind: FINDING_MEANINGS[kind] for kind in done.kinds},
         "act_ms": None if done.act_ms is None else {"median": done.act_ms[0], "p99": done.act_ms[1]},
         "scenarios": [asdict(checked) for checked in done.scenarios],
     }

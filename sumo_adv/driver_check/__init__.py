@@ -4,6 +4,16 @@
 """
 
 from sumo_adv.driver_check.check import Checked, DriverCheck, by_name, check_driver, named, twelve
-from sumo_adv.driver_check.findings import MEANING, Finding, Kind
+from sumo_adv.driver_check.findings import FINDING_MEANINGS, Finding, Kind
 
-__all__ = ["MEANING", "Checked", "DriverCheck", "Finding", "Kind", "by_name", "check_driver", "named", "twelve"]
+__all__ = [
+    "FINDING_MEANINGS",
+    "Checked",
+    "DriverCheck",
+    "Finding",
+    "Kind",
+    "by_name",
+    "check_driver",
+    "named",
+    "twelve",
+]

@@ -19,7 +19,7 @@ from sumo_adv.errors import UsageError
 from sumo_adv.simulation.engine import Engine
 from sumo_adv.simulation.inputs import RunInput, data_folder, load_input
 
-TWELVE = (
+CHECK_SCENARIOS = (
     ("check/stop_and_go", "ego"),  # follows, stops behind a leader, goes on; traffic in the other direction
     ("motorway_cut_in_left", "ego"),  # a motorway with traffic beside it
     ("onramp_cut_in", "ego"),  # passes an on-ramp from which others merge
@@ -34,15 +34,18 @@ TWELVE = (
     ("roundabout_entry", "entering"),  # enters a roundabout and goes half around
 )
 """Shipped scenarios, with the vehicle that is driven."""
-DURATION = 45.0  # s from the begin of a scenario: SUMO's drivers wait for the light and have passed it in that time
-LATER = 997.3  # s by which a clock is set forward: 9973 steps, a prime number, so that no plan's length divides it
-REPEATED = 1e-6  # m by which a drive may differ that is repeated
-ROUNDED = 1.0  # m by which it may differ with another clock: larger numbers are rounded otherwise, which tips a choice
+# From the begin of a scenario: SUMO's drivers wait for the light and have passed it in that time
+DRIVE_DURATION_S = 45.0
+# A clock is set forward by 9973 steps, a prime number, so that no plan's length divides it
+CLOCK_SHIFT_S = 997.3
+REPEATED_DRIVE_TOLERANCE_M = 1e-6  # by which a drive may differ that is repeated
+# A drive with another clock may differ more: larger numbers are rounded otherwise, which tips a choice.
+SHIFTED_DRIVE_TOLERANCE_M = 1.0
 
 
 def twelve() -> tuple[RunInput, ...]:
     """The inputs; each is named ``scenario:vehicle``. Raises UsageError: shipped files are missing."""
-    return tuple(named(scenario, vehicle) for scenario, vehicle in TWELVE)
+    return tuple(named(scenario, vehicle) for scenario, vehicle in CHECK_SCENARIOS)
 
 
 def named(scenario: str, vehicle: str) -> RunInput:
@@ -52,7 +55,9 @@ def named(scenario: str, vehicle: str) -> RunInput:
 
 def by_name(name: str) -> RunInput | None:
     """One of the twelve by its name in the table, ``scenario:vehicle``; None if there is none."""
-    found = (named(scenario, vehicle) for scenario, vehicle in TWELVE if name == f"{Path(scenario).name}:{vehicle}")
+    found = (
+        named(scenario, vehicle) for scenario, vehicle in CHECK_SCENARIOS if name == f"{Path(scenario).name}:{vehicle}"
+    )
     return next(found, None)
 
 
@@ -87,7 +92,7 @@ def check_driver(
     settings: Settings,
     folder: Path,
     *,
-    seconds: float = DURATION,
+    seconds: float = DRIVE_DURATION_S,
     tell: Callable[[Checked], None] = lambda checked: None,
 ) -> DriverCheck:
     """Drive ``settings.ego`` unattacked through the inputs, each for ``seconds`` [s].
@@ -131,22 +136,22 @@ def _check(engine: Engine[CheckWorker], task: Task, name: str) -> tuple[Unattack
 
 def _repeated(engine: Engine[CheckWorker], task: Task, first: UnattackedDrive) -> list[Finding]:
     """Drive once more with the same object and another clock. Only if that differs, further drives say why."""
-    later = engine.call(CheckWorker.drive, task, fresh=False, later=LATER)
+    later = engine.call(CheckWorker.drive, task, fresh=False, later=CLOCK_SHIFT_S)
     if later.failure:
-        words = f"only if its clock is {LATER:g} s ahead: {later.failure}"
+        words = f"only if its clock is {CLOCK_SHIFT_S:g} s ahead: {later.failure}"
         return [Finding(Kind.TIME_BASE, float(later.ego.time[-1]), words)]
-    when, far = apart(first.ego, later.ego, REPEATED)
+    when, far = apart(first.ego, later.ego, REPEATED_DRIVE_TOLERANCE_M)
     if math.isinf(when):
         return []
     new = engine.call(CheckWorker.drive, task)
     again = engine.call(CheckWorker.drive, task, fresh=False)
     subjects = (Kind.RANDOM, new, "two drives"), (Kind.RESET, again, "the drives before and after it")
     for kind, drive, subject in subjects:
-        since, most = apart(first.ego, drive.ego, REPEATED)
+        since, most = apart(first.ego, drive.ego, REPEATED_DRIVE_TOLERANCE_M)
         if math.isfinite(since):
             return [Finding(kind, since, f"{subject} are {_far(most)} apart")]
-    when, far = apart(first.ego, later.ego, ROUNDED)
-    words = f"with a clock {LATER:g} s ahead, {_far(far)} off"
+    when, far = apart(first.ego, later.ego, SHIFTED_DRIVE_TOLERANCE_M)
+    words = f"with a clock {CLOCK_SHIFT_S:g} s ahead, {_far(far)} off"
     return [] if math.isinf(when) else [Finding(Kind.TIME_BASE, when, words)]
 
 

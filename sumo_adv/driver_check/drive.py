@@ -28,12 +28,16 @@ from sumo_adv.geometry import wrap
 from sumo_adv.metrics.boxes import corners
 from sumo_adv.simulation.network import RoadMap, read_network
 
-SAME_WAY = 1.05  # rad between a car and the lane that it is in: 60 degrees, for cars that turn on a junction
-CHOSEN = 15.0  # s after the begin at which an ego is chosen where the input names none: traffic is there by then
-AT_LINE, FURTHER = 3.0, 1.0  # m: a line this near can be passed in a step; the next one is further than it was
-WAITED = 1.0  # s for which it must have had to wait: less is no time to brake in
-MOVING = 0.1  # m/s
-NEAR = 5.0  # m around the ego's motion in which the road is looked at
+# Between a car and the lane that it is in: 60 degrees, for cars that turn on a junction
+MAX_DRIVEN_LANE_ANGLE_RAD = 1.05
+# After the begin; the ego is chosen then if the input names none: traffic is there by then.
+EGO_CHOICE_TIME_S = 15.0
+# A line this near can be passed in a step; the next one is further than it was
+LINE_PASSING_DISTANCE_M = 3.0
+NEXT_LINE_DISTANCE_M = 1.0
+MIN_WAIT_S = 1.0  # for which it must have had to wait: less is no time to brake in
+MIN_DRIVE_SPEED_M_S = 0.1
+ROAD_SEARCH_DISTANCE_M = 5.0  # around the ego's motion in which the road is looked at
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,9 +102,14 @@ class ObservedDriver:
         lines = () if road is None else road.stop_lines
         line = next((line for line in lines if line.ahead > front - PASSED), None)
         last, time = self._line, observation.time
-        passed = last is not None and last.ahead - front < AT_LINE
-        passed = passed and (line is None or last is None or line.ahead > last.ahead + FURTHER)
-        if passed and last is not None and time - self._since >= WAITED - 1e-6 and observation.ego.speed > MOVING:
+        passed = last is not None and last.ahead - front < LINE_PASSING_DISTANCE_M
+        passed = passed and (line is None or last is None or line.ahead > last.ahead + NEXT_LINE_DISTANCE_M)
+        if (
+            passed
+            and last is not None
+            and time - self._since >= MIN_WAIT_S - 1e-6
+            and observation.ego.speed > MIN_DRIVE_SPEED_M_S
+        ):
             self.lines.append(PassedLine(time, last.signal))
         must_wait = line is not None and line.must_wait
         self._since = min(self._since, time) if must_wait and not passed else time if must_wait else math.inf
@@ -119,7 +128,9 @@ class CheckWorker:
         """The vehicle that a run of the task would choose for its ego. Raises UsageError: there is none in time."""
         drive = self._made(replace(task, ego_driver="idm", ego_parameters={}), make_ego("idm", {}))
         try:
-            search = EncounterSearch(drive, self._road(task), replace(task, trigger=task.spec.recorded_from + CHOSEN))
+            search = EncounterSearch(
+                drive, self._road(task), replace(task, trigger=task.spec.recorded_from + EGO_CHOICE_TIME_S)
+            )
             search.until_encounter()
             if drive.ego is None:
                 raise UsageError(f"No vehicle of {task.spec.network.name} could be the ego; give a scenario with one.")
@@ -185,14 +196,17 @@ def off_road(road: RoadMap, track: Track) -> Floats:
     from shapely import distance, points
 
     x, y = float(np.median(track.x)), float(np.median(track.y))
-    area = road.drivable(x, y, float(np.hypot(track.x - x, track.y - y).max()) + NEAR).area
+    area = road.drivable(x, y, float(np.hypot(track.x - x, track.y - y).max()) + ROAD_SEARCH_DISTANCE_M).area
     return np.asarray(distance(points(corners(track.boxes())), area))
 
 
 def off_lane(road: RoadMap, track: Track) -> Floats:
     """How far the centre of a vehicle is from the nearest lane that leads its way [m], ``(n,)``; 0 in it."""
     nearest = np.full(len(track.x), np.inf)
-    low, high = np.array([track.x.min(), track.y.min()]) - NEAR, np.array([track.x.max(), track.y.max()]) + NEAR
+    low, high = (
+        np.array([track.x.min(), track.y.min()]) - ROAD_SEARCH_DISTANCE_M,
+        np.array([track.x.max(), track.y.max()]) + ROAD_SEARCH_DISTANCE_M,
+    )
     for lane in road.lanes.values():
         around = (lane.shape.max(axis=0) > low) & (lane.shape.min(axis=0) < high)
         if lane.carriageway and len(lane.shape) > 1 and around.all():
@@ -206,5 +220,7 @@ def _from_lane(shape: Floats, track: Track) -> Floats:
     dx, dy = track.x[:, None] - start[:, 0], track.y[:, None] - start[:, 1]
     share = np.clip((dx * step[:, 0] + dy * step[:, 1]) / np.maximum((step**2).sum(axis=1), 1e-9), 0.0, 1.0)
     away = np.hypot(dx - share * step[:, 0], dy - share * step[:, 1])
-    turned: Bools = np.abs(wrap(np.arctan2(step[:, 1], step[:, 0]) - track.heading[:, None])) > SAME_WAY
+    turned: Bools = (
+        np.abs(wrap(np.arctan2(step[:, 1], step[:, 0]) - track.heading[:, None])) > MAX_DRIVEN_LANE_ANGLE_RAD
+    )
     return np.asarray(np.where(turned, np.inf, away).min(axis=1))

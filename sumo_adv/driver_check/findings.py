@@ -17,10 +17,15 @@ from sumo_adv.metrics.boxes import at_time, first_contact, on_grid, row_of
 from sumo_adv.metrics.contact import contact_sides
 from sumo_adv.metrics.gates import kinematic_gates
 
-OUTSIDE, OUTSIDE_FOR = 0.3, 0.5  # m beyond the edge of road or lane, for more than s: no cutting of a corner
-STANDING, STANDING_FOR = 0.1, 10.0  # m/s; s longer than SUMO's IDM stands in the same scenario
-LEAST_PROGRESS = 0.5  # share of the way of SUMO's IDM in the same time
-POSSIBLE = Limits(braking=8.0, acceleration=6.0)  # a pose is a jump from 12 m/s2 on, both ways (gate ``continuity``)
+# Beyond the edge of road or lane for longer than this: no cutting of a corner.
+MAX_OUTSIDE_DISTANCE_M = 0.3
+MAX_OUTSIDE_DURATION_S = 0.5
+# Longer than SUMO's IDM stands in the same scenario.
+MAX_STANDSTILL_SPEED_M_S = 0.1
+MAX_EXTRA_STANDSTILL_S = 10.0
+MIN_PROGRESS_SHARE = 0.5  # share of the way of SUMO's IDM in the same time
+# A pose is a jump from 12 m/s2 on, both ways (gate ``continuity``)
+POSSIBLE_LIMITS = Limits(braking=8.0, acceleration=6.0)
 FRONT_SHARE = (0.35, 0.65)  # of the ego's length: a jump ahead by about half of it
 
 
@@ -40,7 +45,7 @@ class Kind(StrEnum):
     RANDOM = "not repeatable"
 
 
-MEANING: Mapping[Kind, str] = {
+FINDING_MEANINGS: Mapping[Kind, str] = {
     Kind.FAILS: "The driver, or SUMO because of it, ended the drive with an error; correct that first.",
     Kind.COLLIDES: "Nothing attacked it, so each of these collisions would be counted as found by the attack; check "
     "sizes (x, y is the centre of the box), which vehicles it is given, and its braking.",
@@ -121,12 +126,12 @@ def _outside(drive: UnattackedDrive, steps: int) -> list[Finding]:
     time = drive.ego.time[:steps]
     if len(time) < 2:
         return []
-    needed = round(OUTSIDE_FOR / float(time[1] - time[0]))
+    needed = round(MAX_OUTSIDE_DURATION_S / float(time[1] - time[0]))
     for kind, far in ((Kind.LEAVES_ROAD, drive.off_road.max(axis=1)), (Kind.LEAVES_LANE, drive.off_lane)):
-        first, length = longest(far[:steps] > OUTSIDE)
+        first, length = longest(far[:steps] > MAX_OUTSIDE_DISTANCE_M)
         if length > needed:
             then = far[first : min(first + length, steps)]
-            most = float(then[np.isfinite(then)].max(initial=OUTSIDE))
+            most = float(then[np.isfinite(then)].max(initial=MAX_OUTSIDE_DISTANCE_M))
             subject = "a corner is" if kind is Kind.LEAVES_ROAD else "its centre is"
             return [Finding(kind, float(time[first]), f"{subject} up to {most:.1f} m outside")]
     return []
@@ -135,14 +140,14 @@ def _outside(drive: UnattackedDrive, steps: int) -> list[Finding]:
 def _lags(ego: Track, idm: Track) -> list[Finding]:
     """Stands, else is slow."""
     dt = float(ego.time[1] - ego.time[0]) if len(ego.time) > 1 else 1.0
-    first, steps = longest(ego.speed < STANDING)
-    stood, would = steps * dt, longest(idm.speed < STANDING)[1] * dt
-    if stood > would + STANDING_FOR:
+    first, steps = longest(ego.speed < MAX_STANDSTILL_SPEED_M_S)
+    stood, would = steps * dt, longest(idm.speed < MAX_STANDSTILL_SPEED_M_S)[1] * dt
+    if stood > would + MAX_EXTRA_STANDSTILL_S:
         words = f"it stands for {stood:.0f} s, SUMO's idm for {would:.0f} s"
         return [Finding(Kind.STANDS, float(ego.time[first]), words)]
     until = min(float(ego.time[-1]), float(idm.time[-1]))
     way, usual = (travelled(t.between(float(t.time[0]), until)) for t in (ego, idm))
-    if way < LEAST_PROGRESS * usual:
+    if way < MIN_PROGRESS_SHARE * usual:
         return [Finding(Kind.SLOW, until, f"it has come {way:.0f} m, SUMO's idm {usual:.0f} m")]
     return []
 
@@ -157,7 +162,7 @@ def _jump(drive: UnattackedDrive) -> Finding | None:
         for key in ("x", "y", "heading", "speed")
     )
     steps = Boxes(x, y, heading, speed, drive.ego.length, drive.ego.width)
-    broken = kinematic_gates(steps, np.zeros_like(x), np.array([0.0, dt]), POSSIBLE)["continuity"].any(axis=1)
+    broken = kinematic_gates(steps, np.zeros_like(x), np.array([0.0, dt]), POSSIBLE_LIMITS)["continuity"].any(axis=1)
     if not broken.any():
         return None
     k = int(np.argmax(broken))

@@ -22,7 +22,7 @@ from typing import Any
 
 from sumo_adv.campaigns.campaign import Orders, Summary
 from sumo_adv.campaigns.plan import Plan
-from sumo_adv.campaigns.results import OUTCOME, failed, read_row
+from sumo_adv.campaigns.results import OUTCOME_FILE, failed, read_row
 from sumo_adv.datatypes import Level
 from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.files import refuse_links, sentences, write_text
@@ -296,7 +296,7 @@ def _further(runs: Path, rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Fa
 
 def _outcomes(runs: Path, rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
     """What ``outcome.json`` of each episode says."""
-    files = [runs / str(row["id"]) / OUTCOME for row in rows]
+    files = [runs / str(row["id"]) / OUTCOME_FILE for row in rows]
     return [read_object(file, "The outcome") for file in files if file.is_file()]
 
 

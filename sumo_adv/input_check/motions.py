@@ -10,8 +10,8 @@ from sumo_adv.simulation.simulation import FASTEST_PERSON, PERSON, PERSON_JUMPS
 
 State = tuple[float, float, float]  # x, y of the front [m], speed [m/s]
 Motions = Mapping[str, Mapping[int, State]]  # by id, persons as ``person:ID``, and time [ms]
-SAME = 0.01  # m and m/s: SUMO's files have six decimals
-MOST_NAMED = 5  # ids in a sentence
+SAME_MOTION_TOLERANCE = 0.01  # m and m/s: SUMO's files have six decimals
+MAX_NAMED_IDS = 5  # in a sentence
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +22,7 @@ class Comparison:
         seconds: How long both were compared [s].
         step: Of the program ``sumo`` [s].
         vehicles: In SUMO.
-        same_vehicles: Those that are here in every step, and nowhere more than ``SAME`` away.
+        same_vehicles: Those that are here in every step, and nowhere more than ``SAME_MOTION_TOLERANCE`` away.
         persons: In SUMO, on foot.
         same_persons: The same of them.
         position: The largest difference of a position [m].
@@ -60,7 +60,7 @@ class Comparison:
             f"{self.same_vehicles} of {self.vehicles} vehicles{persons}, largest difference {self.position:.3f} m and "
             f"{self.speed:.3f} m/s over {self.seconds:g} s"
         )
-        if self.worst is not None and self.position > SAME:
+        if self.worst is not None and self.position > SAME_MOTION_TOLERANCE:
             words += f" ({self.worst[0]} at {self.worst[1]:.1f} s)"
         for what, names in (
             ("never here", self.missing), ("here alone", self.additional), ("not in the same steps", self.absent)
@@ -72,8 +72,8 @@ class Comparison:
 
 def listed(names: tuple[str, ...]) -> str:
     """The first of the names, and how many more there are."""
-    more = len(names) - MOST_NAMED
-    return ", ".join(names[:MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
+    more = len(names) - MAX_NAMED_IDS
+    return ", ".join(names[:MAX_NAMED_IDS]) + (f" and {more} more" if more > 0 else "")
 
 
 def _without_ends(
@@ -121,7 +121,7 @@ def compare(here: Motions, sumo: Motions, begin: float, times: tuple[float, floa
                 position, worst = distance, (name, time / 1000)
         if ours and theirs and ours.keys() != theirs.keys():
             absent.add(name)
-        elif ours and theirs and apart <= SAME:
+        elif ours and theirs and apart <= SAME_MOTION_TOLERANCE:
             same.add(name)
     persons = {name for name in of_sumo if name.startswith(PERSON)}
     return Comparison(

@@ -19,11 +19,12 @@ from sumo_adv.simulation.sumo_options import FORCED
 from sumo_adv.simulation.sumocfg import as_sumo_reads_it, is_sumocfg
 from sumo_adv.simulation.warnings_log import warnings_in
 
-PATIENCE = 600.0  # s
-PART = 1 << 16  # bytes that are read at once
+SUMO_TIMEOUT_S = 600.0
+READ_AT_ONCE_BYTES = 1 << 16
 WITHOUT_STEPS = "--pedestrian.model=nonInteracting"  # pedestrians whose places hold at the moment they are read
 FCD_DEVICES = ("device.fcd.", "person-device.fcd.")  # options that say of whom and when SUMO writes FCD
-STATE = "load-state"  # SUMO's option: a file with vehicles and types, whose parameters could have SUMO write
+# SUMO's option: a file with vehicles and types, whose parameters could have SUMO write
+LOAD_STATE_OPTION = "load-state"
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +52,8 @@ def arguments_of(spec: SimulationSpec, source: Path, step: float, folder: Path) 
     files = {"net-file": (spec.network,), "route-files": spec.routes, "additional-files": spec.additional}
     named = {name: ",".join(map(str, each)) for name, each in files.items() if each}
     options = {**named, **_of_all(as_sumo_reads_it(source)), **FORCED, "step-length": repr(step)}
-    if STATE in options:
-        options[STATE] = str(silent_copies([Path(options[STATE])], folder)[0])
+    if LOAD_STATE_OPTION in options:
+        options[LOAD_STATE_OPTION] = str(silent_copies([Path(options[LOAD_STATE_OPTION])], folder)[0])
     return [f"--{name}={value}" for name, value in options.items()]  # apart, a value could be an option of its own
 
 
@@ -81,7 +82,7 @@ def run_alone(spec: SimulationSpec, source: Path, step: float, until: float, fol
         process = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=said, cwd=folder
         )  # fmt: skip
-        patience = threading.Timer(PATIENCE, process.kill)
+        patience = threading.Timer(SUMO_TIMEOUT_S, process.kill)
         patience.start()
         try:
             assert process.stdout is not None
@@ -94,7 +95,7 @@ def run_alone(spec: SimulationSpec, source: Path, step: float, until: float, fol
             process.wait()
     printed = words.read_text(encoding="utf-8", errors="replace")
     if not in_time:
-        raise SimulationError(f"SUMO alone took more than {PATIENCE:g} s: give fewer --seconds.")
+        raise SimulationError(f"SUMO alone took more than {SUMO_TIMEOUT_S:g} s: give fewer --seconds.")
     if not reached:
         errors = [line.removeprefix("Error: ") for line in printed.splitlines() if line.startswith("Error: ")]
         if errors:
@@ -120,6 +121,6 @@ def _read(stream: IO[bytes], step: float, until: float, walked: float) -> tuple[
 
     parser = expat.ParserCreate()
     parser.StartElementHandler = start
-    while time <= last and (part := stream.read(PART)):
+    while time <= last and (part := stream.read(READ_AT_ONCE_BYTES)):
         parser.Parse(part)
     return motions, time > last

@@ -31,16 +31,16 @@ from sumo_adv.episode.encounter_search import INSERTED_EGO, EncounterSearch
 from sumo_adv.episode.task import Task, make_task, refuse_density
 from sumo_adv.errors import SimulationError, UsageError
 from sumo_adv.files import scratch_prefix
-from sumo_adv.rate.proposal import PER_HOUR, Proposal, chances
+from sumo_adv.rate.proposal import ERRORS_PER_HOUR, Proposal, chances
 from sumo_adv.rate.run import Record, Run
 from sumo_adv.simulation.demand import generate_flows
 from sumo_adv.simulation.inputs import EgoRoute, load_input
 from sumo_adv.simulation.network import read_network
 from sumo_adv.simulation.scan import scan_demand
 
-SCHEMA = 1
-WAIT = 60.0  # s after the warm-up within which the ego must come
-BLOCK = 20  # runs
+RATE_SCHEMA = 1
+MAX_EGO_WAIT_S = 60.0  # after the warm-up within which the ego must come
+RUNS_PER_BLOCK = 20
 PHASES = ("pilot", "runs", "plain")
 _workers: list[LocalWorkers] = []  # of this Ray worker process: one, from its first block on
 
@@ -72,7 +72,7 @@ class RatePlan:
         refuse_density(given, self.density)
         driven = any(scan.vehicles or scan.flows for scan in map(scan_demand, given.additional))
         if not given.routes and not driven:
-            end = self.warm_up + WAIT + self.duration
+            end = self.warm_up + MAX_EGO_WAIT_S + self.duration
             density = given.density if self.density is None else self.density
             flows = generate_flows(given.network, folder / "flows.rou.xml", density=density, end=end)
             given = replace(given, routes=(flows,), begin=0.0)
@@ -91,8 +91,8 @@ class RatePlan:
     def document(self) -> dict[str, Any]:
         """The plan as JSON, with the content of the input and the rates of the model."""
         return {
-            "schema": SCHEMA, **asdict(self), "source": str(self.source), "parameters": dict(self.parameters),
-            "content": self.content(), "errors_per_hour": {str(kind): value for kind, value in PER_HOUR.items()},
+            "schema": RATE_SCHEMA, **asdict(self), "source": str(self.source), "parameters": dict(self.parameters),
+            "content": self.content(), "errors_per_hour": {str(kind): value for kind, value in ERRORS_PER_HOUR.items()},
         }  # fmt: skip
 
 
@@ -112,7 +112,7 @@ class Block:
     @property
     def words(self) -> str:
         """The block for people."""
-        return f"{self.phase} {self.first} to {self.first + BLOCK - 1}"
+        return f"{self.phase} {self.first} to {self.first + RUNS_PER_BLOCK - 1}"
 
 
 def failed(job: Block, why: str, text: str) -> Done:
@@ -150,7 +150,7 @@ class BlockRunner:
 
     def run(self, job: Block, *, last: bool) -> Done:
         """The records of a block, and of a pilot what it counted."""
-        runs = [self.one(job, number) for number in range(job.first, job.first + BLOCK)]
+        runs = [self.one(job, number) for number in range(job.first, job.first + RUNS_PER_BLOCK)]
         counts = [run.counts for run, _ in runs if job.phase == "pilot"]
         counted = [[array.tolist() for array in (c.chances, c.starts, c.crashes)] for c in counts]
         return Done(job.id, {"records": [asdict(record) for _, record in runs], "counts": counted})
@@ -164,7 +164,7 @@ class BlockRunner:
         run = Run(self._drive, chances(plan.factor), proposal, seed, pilot=job.phase == "pilot")
         ego = INSERTED_EGO if isinstance(task.ego, EgoRoute) else task.ego
         start = task.spec.recorded_from + (plan.warm_up if ego is None else 0.0)
-        return run, run.until(ego, start, start + WAIT + plan.duration, plan.duration)
+        return run, run.until(ego, start, start + MAX_EGO_WAIT_S + plan.duration, plan.duration)
 
 
 @dataclass(frozen=True, slots=True)

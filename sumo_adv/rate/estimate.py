@@ -31,18 +31,19 @@ from sumo_adv.campaigns.results import Done
 from sumo_adv.datatypes import Floats, Level
 from sumo_adv.errors import UsageError
 from sumo_adv.files import held, json_text, refuse_links, scratch_prefix, sentences, write_text
+from sumo_adv.metrics.statistics import CONFIDENCE
 from sumo_adv.parsing import read_json, read_object
-from sumo_adv.rate.blocks import BLOCK, WAIT, Block, BlockRunner, ClusterBlocks, RatePlan, failed
-from sumo_adv.rate.proposal import KINDS, MOST_WEIGHT, Counts, Proposal, chances, learnt, pilot_proposal
+from sumo_adv.rate.blocks import MAX_EGO_WAIT_S, RUNS_PER_BLOCK, Block, BlockRunner, ClusterBlocks, RatePlan, failed
+from sumo_adv.rate.proposal import ERROR_KINDS, MAX_WEIGHT, Counts, Proposal, chances, learnt, pilot_proposal
 from sumo_adv.rate.run import Record
 from sumo_adv.report.outcome import versions
 
-CONFIDENCE = 0.95
-ENOUGH = 10  # crashes: the weights of fewer do not tell how large those are that were not seen
-PLAN, RESULT, LOCK = "plan.json", "rate.json", "rate.lock"
-DEADLINE, RECYCLE = 600.0, 200  # s for a block, blocks after which a worker is replaced
-CONTACT = "contact"
-LEVELS = (CONTACT, *(str(level) for level in Level if level >= Level.COLLISION))
+ENOUGH_CRASHES = 10  # crashes: the weights of fewer do not tell how large those are that were not seen
+RATE_PLAN_FILE, RATE_FILE, RATE_LOCK_FILE = "plan.json", "rate.json", "rate.lock"
+BLOCK_DEADLINE_S = 600.0
+MAX_BLOCKS_PER_WORKER = 200  # after which it is replaced
+CONTACT_EVENT = "contact"
+RATED_LEVELS = (CONTACT_EVENT, *(str(level) for level in Level if level >= Level.COLLISION))
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,8 +73,8 @@ def rate(weights: Floats, exposure: Floats, most_weight: float = 1.0) -> Rate:
     """The rate of crashes.
 
     weights ``(runs,)``: the weight of each run that crashed, at the crash; 0 for others. exposure ``(runs,)``:
-    weighted, in any unit. most_weight: that a crash can have; the upper limit rests on it unless ``ENOUGH`` were seen.
-    """
+    weighted, in any unit. most_weight: that a crash can have; the upper limit rests on it unless ``ENOUGH_CRASHES``
+    were seen."""
     total, over = float(weights.sum()), float(exposure.sum())
     seen = int((weights > 0).sum())
     if over <= 0.0:
@@ -82,7 +83,7 @@ def rate(weights: Floats, exposure: Floats, most_weight: float = 1.0) -> Rate:
     if not seen:
         return Rate(0.0, 0.0, float(gammaincinv(1.0, 1 - tail)) * most_weight / over, 0, 0.0, None, None)
     square, seen_largest = float((weights**2).sum()), float(weights.max())
-    largest = seen_largest if seen >= ENOUGH else most_weight
+    largest = seen_largest if seen >= ENOUGH_CRASHES else most_weight
     variance = square + (total / over) ** 2 * float(((exposure - exposure.mean()) ** 2).sum())
     low = _quantile(total, variance, tail)
     high = _quantile(total + largest, variance + largest**2, 1 - tail)
@@ -133,7 +134,8 @@ class Estimate:
             "seed": self.plan.seed, "runs": self.runs, "pilot": 0 if self.plan.plain else self.plan.pilot,
             "effective_runs": self.effective_runs, "hours": self.hours, "km": self.km, "plain_km": self.plain_km,
             "levels": {
-                name: {"per_hour": plain(self.per_hour[name]), "per_km": plain(self.per_km[name])} for name in LEVELS
+                name: {"per_hour": plain(self.per_hour[name]), "per_km": plain(self.per_km[name])}
+                for name in RATED_LEVELS
             },
             "by_error": dict(self.by_error),
         }  # fmt: skip
@@ -142,9 +144,9 @@ class Estimate:
 def estimated(plan: RatePlan, records: Sequence[Record], pilot: Sequence[Record] = ()) -> Estimate:
     """The rates from the records of all runs."""
     weight, hours, km = (_column(records, name) for name in ("weight", "weighted_hours", "weighted_km"))
-    most = 1.0 if plan.plain else MOST_WEIGHT
-    reached = {CONTACT: [r.contact for r in records]}
-    for name in LEVELS[1:]:
+    most = 1.0 if plan.plain else MAX_WEIGHT
+    reached = {CONTACT_EVENT: [r.contact for r in records]}
+    for name in RATED_LEVELS[1:]:
         least = Level[name.upper()]
         reached[name] = [r.contact and Level[r.level.upper()] >= least for r in records]
     per_hour = {name: rate(weight * np.array(flags), hours, most) for name, flags in reached.items()}
@@ -187,14 +189,14 @@ class Estimation:
             self.plan.task(Path(scratch))
             refuse_links(self.out)
             (self.out / "blocks").mkdir(parents=True, exist_ok=True)
-            with held(self.out / LOCK) as alone:
+            with held(self.out / RATE_LOCK_FILE) as alone:
                 if not alone:
                     raise UsageError(f"Another estimate writes into {self.out}; wait for it, or give another --out.")
                 self._keep_plan()
                 return self._run(runs, Path(scratch))
 
     def _keep_plan(self) -> None:
-        file, document = self.out / PLAN, json.loads(json_text(self.plan.document()))
+        file, document = self.out / RATE_PLAN_FILE, json.loads(json_text(self.plan.document()))
         if file.exists():
             before = read_object(file, "The plan of the estimate")
             changed = [key for key in document if before.get(key) != document[key]]
@@ -210,7 +212,7 @@ class Estimation:
         with stopping(self.watcher) as stop, closing(self._pool(scratch, stop)) as pool:
             starts, pilot = None, list[dict[str, Any]]()
             if not plan.plain:
-                measured = self._blocks("pilot", plan.pilot, pilot_proposal(len(KINDS)), pool)
+                measured = self._blocks("pilot", plan.pilot, pilot_proposal(len(ERROR_KINDS)), pool)
                 if measured is None:
                     return None
                 pilot = measured
@@ -219,11 +221,11 @@ class Estimation:
         if blocks is None:
             return None
         result = estimated(plan, records_of(blocks), records_of(pilot))
-        write_text(self.out / RESULT, json_text(result.document(), 1))
+        write_text(self.out / RATE_FILE, json_text(result.document(), 1))
         return result
 
     def _pool(self, scratch: Path, stop: Stop) -> Workers:
-        pace = Pace(self.workers, DEADLINE, RECYCLE)
+        pace = Pace(self.workers, BLOCK_DEADLINE_S, MAX_BLOCKS_PER_WORKER)
         if self.ray is None:
             return LocalWorkers(self.plan, pace, scratch, failed, stop, BlockRunner)
         return ClusterBlocks(self.plan, pace, self.ray, versions(), stop)
@@ -231,7 +233,7 @@ class Estimation:
     def _blocks(self, phase: str, runs: int, proposal: Proposal | None, pool: Workers) -> list[dict[str, Any]] | None:
         """The blocks of a phase, those that are missing run now; None if the user stopped it."""
         starts = None if proposal is None else proposal.starts.tolist()
-        jobs = [Block(phase, first, starts) for first in range(0, runs, BLOCK)]
+        jobs = [Block(phase, first, starts) for first in range(0, runs, RUNS_PER_BLOCK)]
         files = {job.id: self.out / "blocks" / f"{job.id}.json" for job in jobs}
         by_id = {name: block for name, file in files.items() if (block := read_block(file)) is not None}
         self.watcher.begin(len(jobs), list(by_id.values()))
@@ -248,8 +250,8 @@ class Estimation:
         blocks = [by_id[job.id] for job in jobs]
         if not any(record.hours for record in records_of(blocks)):
             raise UsageError(
-                f"In none of the runs was there an ego within {WAIT:g} s after the warm-up; give more --density, or an "
-                "input with an ego that departs earlier."
+                f"In none of the runs was there an ego within {MAX_EGO_WAIT_S:g} s after the warm-up; give more --density, "
+                "or an input with an ego that departs earlier."
             )
         return blocks
 

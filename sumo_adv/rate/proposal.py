@@ -7,7 +7,7 @@ level of danger.
 
 The model P starts an error of kind k with its probability p. The raised proposal R starts it with r >= p, which depends
 on how dangerous the error would be, so on the past alone. It goes back to p for the rest of a run as soon as an error
-has begun, or when it has spent ``BUDGET``.
+has begun, or when it has spent ``ERROR_BUDGET``.
 
 Before a run, a coin is tossed: with probability ``MODEL_SHARE`` the whole run is drawn from P, else from R. Its weight
 is that of the mixture, whichever side the coin fell (the balance heuristic, Veach and Guibas 1995; Hesterberg 1995):
@@ -36,10 +36,10 @@ from sumo_adv.simulation.human_errors import (
     ErrorKind,
 )
 
-KINDS = tuple(ErrorKind)
-SLOT = 1.0  # s between two decisions of a driver
-NEAR = 100.0  # m around the ego in which drivers err
-PER_HOUR = {
+ERROR_KINDS = tuple(ErrorKind)
+DECISION_INTERVAL_S = 1.0  # of a driver
+ERRING_DISTANCE_M = 100.0  # around the ego in which drivers err
+ERRORS_PER_HOUR = {
     ErrorKind.INATTENTION: 0.14,
     ErrorKind.LATE_BRAKING: 0.07,
     ErrorKind.CHANGE_LEFT: 0.005,
@@ -50,25 +50,26 @@ PER_HOUR = {
     ErrorKind.RED_LIGHT: 0.1,
 }
 """Errors that a driver begins in an hour in which the error is possible (``HumanErrors.possible``)."""
-AHEAD = np.arange(0.25, 6.01, 0.25)  # s
-CLOSE = 1.5  # m between the boxes
-EGO_REACTION, EGO_BRAKING = 1.0, 4.5  # s, m/s2
-SIDEWAYS, LANE = 1.0, 3.2  # m/s of SUMO's lane changes, m
-GO_SPEED, GO_ACCELERATION = 8.0, 2.0  # m/s, m/s2 of a driver that enters a junction from a low speed
+LOOK_AHEAD_TIMES_S = np.arange(0.25, 6.01, 0.25)
+DANGER_GAP_M = 1.5  # between the boxes
+EGO_REACTION_S, EGO_BRAKING_M_S2 = 1.0, 4.5
+LANE_CHANGE_SPEED_M_S, LANE_CHANGE_DISTANCE_M = 1.0, 3.2  # SUMO's
+GO_SPEED_M_S, GO_ACCELERATION_M_S2 = 8.0, 2.0  # of a driver that enters a junction from a low speed
 MODEL_SHARE = 0.1  # of the runs that are drawn from the model
-MOST_WEIGHT = 1.0 / MODEL_SHARE
-BUDGET = 3.0  # the sum of -log(1 - r) that is spent in a run: without an error it leaves 5 % (exp -3) of runs
-STARTS = 1.5  # errors that the proposal would begin in a run if it did not stop after the first
-MOST = 0.5  # the highest probability of an error in one decision
-LEVELS = 4  # of danger
-PRIOR = np.array([0.002, 0.02, 0.1, 0.3])  # guess of the share of errors that end in a collision, by level of danger
-PRIOR_STARTS = 1.0  # errors that the guess weighs as much as
-PILOT = np.array([0.01, 0.05, 0.05, 0.1])  # probabilities in the pilot runs, by level of danger
+MAX_WEIGHT = 1.0 / MODEL_SHARE
+ERROR_BUDGET = 3.0  # the sum of -log(1 - r) that is spent in a run: without an error it leaves 5 % (exp -3) of runs
+EXPECTED_ERRORS_PER_RUN = 1.5  # that the proposal would begin in a run if it did not stop after the first
+MAX_ERROR_PROBABILITY = 0.5  # in one decision
+DANGER_LEVEL_COUNT = 4
+# guess of the share of errors that end in a collision, by level of danger
+PRIOR_COLLISION_SHARES = np.array([0.002, 0.02, 0.1, 0.3])
+PRIOR_ERROR_COUNT = 1.0  # the guess weighs as much as this number of errors
+PILOT_PROBABILITIES = np.array([0.01, 0.05, 0.05, 0.1])  # of an error in the pilot runs, by level of danger
 
 
 def chances(factor: float) -> Floats:
     """The probability ``(kinds,)`` that a driver begins each error in a slot, with all rates times ``factor``."""
-    return np.array([PER_HOUR[kind] for kind in KINDS]) * factor * SLOT / 3600.0
+    return np.array([ERRORS_PER_HOUR[kind] for kind in ERROR_KINDS]) * factor * DECISION_INTERVAL_S / 3600.0
 
 
 def danger(ego: Boxes, others: Boxes) -> Ints:
@@ -85,15 +86,17 @@ def danger(ego: Boxes, others: Boxes) -> Ints:
     z = np.asarray(others.z)[:, None, None] if np.ndim(others.z) else others.z
     moved = Boxes(x, y, np.broadcast_to(others.heading[:, None, None], x.shape), speed, length, width, z)
     pace = np.asarray(ego.speed, float)
-    ways = (pace * AHEAD, _braked(pace, EGO_REACTION, EGO_BRAKING))
+    ways = (pace * LOOK_AHEAD_TIMES_S, _braked(pace, EGO_REACTION_S, EGO_BRAKING_M_S2))
     keeps, brakes = (separation(_straight(ego, way), moved).min(axis=-1) for way in ways)
-    return (np.asarray(keeps < CLOSE, np.intp) + (keeps <= 0.0) + ((keeps <= 0.0) & (brakes <= 0.0))).astype(np.intp)
+    return (np.asarray(keeps < DANGER_GAP_M, np.intp) + (keeps <= 0.0) + ((keeps <= 0.0) & (brakes <= 0.0))).astype(
+        np.intp
+    )
 
 
 def _braked(speed: Floats, reaction: float, hardest: float) -> Floats:
-    """How far a vehicle goes that brakes after its reaction time, by ``AHEAD`` [m]."""
-    braking = np.clip(AHEAD - reaction, 0.0, speed / hardest)
-    return np.asarray(speed * (np.minimum(AHEAD, reaction) + braking) - hardest * braking**2 / 2)
+    """How far a vehicle goes that brakes after its reaction time, by ``LOOK_AHEAD_TIMES_S`` [m]."""
+    braking = np.clip(LOOK_AHEAD_TIMES_S - reaction, 0.0, speed / hardest)
+    return np.asarray(speed * (np.minimum(LOOK_AHEAD_TIMES_S, reaction) + braking) - hardest * braking**2 / 2)
 
 
 def _straight(ego: Boxes, distance: Floats) -> Boxes:
@@ -103,19 +106,23 @@ def _straight(ego: Boxes, distance: Floats) -> Boxes:
 
 def _motions(speed: Floats) -> tuple[Floats, Floats]:
     """How far a vehicle goes along its heading and to the left of it [m], ``(vehicles, kinds, times)``."""
-    along = np.repeat(speed * AHEAD, len(KINDS), axis=1)
+    along = np.repeat(speed * LOOK_AHEAD_TIMES_S, len(ERROR_KINDS), axis=1)
     left = np.zeros_like(along)
-    begun = np.minimum(speed[:, 0], GO_SPEED)
-    gaining = np.minimum(AHEAD, (GO_SPEED - begun) / GO_ACCELERATION)
-    gone = begun * gaining + GO_ACCELERATION * gaining**2 / 2 + np.maximum(speed[:, 0], GO_SPEED) * (AHEAD - gaining)
-    for k, kind in enumerate(KINDS):
+    begun = np.minimum(speed[:, 0], GO_SPEED_M_S)
+    gaining = np.minimum(LOOK_AHEAD_TIMES_S, (GO_SPEED_M_S - begun) / GO_ACCELERATION_M_S2)
+    gone = (
+        begun * gaining
+        + GO_ACCELERATION_M_S2 * gaining**2 / 2
+        + np.maximum(speed[:, 0], GO_SPEED_M_S) * (LOOK_AHEAD_TIMES_S - gaining)
+    )
+    for k, kind in enumerate(ERROR_KINDS):
         if kind is ErrorKind.LATE_BRAKING:
             along[:, k] = _braked(speed[:, 0], LATE_REACTION_S, LATE_BRAKING_M_S2)
         elif kind in (ErrorKind.PRIORITY, ErrorKind.RED_LIGHT):
             along[:, k] = gone
         elif kind in ERROR_SIDES:
-            wide = DRIFT_DISTANCE_M if kind in (ErrorKind.DRIFT_LEFT, ErrorKind.DRIFT_RIGHT) else LANE
-            left[:, k] = ERROR_SIDES[kind] * np.minimum(SIDEWAYS * AHEAD, wide)
+            wide = DRIFT_DISTANCE_M if kind in (ErrorKind.DRIFT_LEFT, ErrorKind.DRIFT_RIGHT) else LANE_CHANGE_DISTANCE_M
+            left[:, k] = ERROR_SIDES[kind] * np.minimum(LANE_CHANGE_SPEED_M_S * LOOK_AHEAD_TIMES_S, wide)
     return along, left
 
 
@@ -133,12 +140,16 @@ class Proposal:
         proposed = self.starts[np.arange(model.shape[1]), danger]
         raised = np.where(model > 0.0, np.maximum(proposed, model), 0.0)
         total = raised.sum(axis=1, keepdims=True)
-        return np.where(total > MOST, np.maximum(raised * MOST / np.maximum(total, MOST), model), raised)
+        return np.where(
+            total > MAX_ERROR_PROBABILITY,
+            np.maximum(raised * MAX_ERROR_PROBABILITY / np.maximum(total, MAX_ERROR_PROBABILITY), model),
+            raised,
+        )
 
 
 def pilot_proposal(kinds: int) -> Proposal:
     """The proposal of the pilot runs: by the level of danger alone."""
-    return Proposal(np.tile(PILOT, (kinds, 1)))
+    return Proposal(np.tile(PILOT_PROBABILITIES, (kinds, 1)))
 
 
 @dataclass(frozen=True)
@@ -159,15 +170,17 @@ def learnt(counts: Sequence[Counts], model: Floats) -> Proposal:
 
     A sum of rare events with probabilities p c (p: of the error, c: that it ends in a collision) is estimated with the
     least variance, at a given number of errors, if errors are drawn in proportion to p sqrt(c). c is estimated for each
-    kind and level, the guess ``PRIOR`` weighing as much as ``PRIOR_STARTS`` errors.
+    kind and level, the guess ``PRIOR_COLLISION_SHARES`` weighing as much as ``PRIOR_ERROR_COUNT`` errors.
     """
     tried, begun, ended = (
         np.sum([getattr(c, name) for c in counts], axis=0) for name in ("chances", "starts", "crashes")
     )
-    collides = (ended + PRIOR_STARTS * PRIOR) / (begun + PRIOR_STARTS)
+    collides = (ended + PRIOR_ERROR_COUNT * PRIOR_COLLISION_SHARES) / (begun + PRIOR_ERROR_COUNT)
     worth = model[:, None] * np.sqrt(collides)
     in_a_run = float((tried * worth).sum()) / len(counts)
-    return Proposal(np.minimum(worth * STARTS / in_a_run, MOST) if in_a_run > 0.0 else worth)
+    return Proposal(
+        np.minimum(worth * EXPECTED_ERRORS_PER_RUN / in_a_run, MAX_ERROR_PROBABILITY) if in_a_run > 0.0 else worth
+    )
 
 
 class Decisions:
@@ -199,7 +212,7 @@ class Decisions:
             assert self._proposal is not None and danger is not None
             used = self._proposal.raised(model, danger)
             cost = -float(np.log1p(-used.sum(axis=1)).sum())
-            if self._spent + cost > BUDGET and not self._pilot:
+            if self._spent + cost > ERROR_BUDGET and not self._pilot:
                 self.raising, used = False, model
             self._spent += cost
         begun = self._drawn(model if self._from_model else used)

@@ -14,18 +14,27 @@ from sumo_adv.metrics.boxes import first_contact
 from sumo_adv.metrics.case import make_case
 from sumo_adv.metrics.levels import with_level
 from sumo_adv.metrics.validity import judge
-from sumo_adv.rate.proposal import KINDS, LEVELS, NEAR, SLOT, Counts, Decisions, Proposal, danger
+from sumo_adv.rate.proposal import (
+    DANGER_LEVEL_COUNT,
+    DECISION_INTERVAL_S,
+    ERRING_DISTANCE_M,
+    ERROR_KINDS,
+    Counts,
+    Decisions,
+    Proposal,
+    danger,
+)
 from sumo_adv.simulation.human_errors import HumanErrors
 from sumo_adv.simulation.remote import RawState
 
 SECONDS_PER_HOUR = 3600.0
-GOES_ON = 4.0  # s after a contact, which show what the other vehicle would have done
-BEFORE = 4.0  # s before a contact from which it is judged, if the other vehicle made no error
-MEMORY = 10.0  # s before a contact: an earlier error has nothing to do with it
-HISTORY = 2.0  # s before that, which the judge may look at
+AFTER_CONTACT_S = 4.0  # after a contact, which show what the other vehicle would have done
+BEFORE_CONTACT_S = 4.0  # before a contact from which it is judged, if the other vehicle made no error
+MAX_ERROR_AGE_S = 10.0  # before a contact: an earlier error has nothing to do with it
+JUDGED_HISTORY_S = 2.0  # before that, which the judge may look at
 UNLIMITED = Limits(*[1e9] * 5)  # the traffic is the model's own: the limits of an adversary do not apply to it
-BOX = ("x", "y", "heading", "speed", "length", "width")
-CLEAR = 0.2  # m that two boxes are apart for certain, beside what they move in a step
+BOX_FIELDS = ("x", "y", "heading", "speed", "length", "width")
+CLEAR_DISTANCE_M = 0.2  # that two boxes are apart for certain, beside what they move in a step
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +67,7 @@ class Run:
     def __post_init__(self) -> None:
         self.errors = HumanErrors(self.drive.simulation)
         self.decisions = Decisions(np.random.default_rng([self.seed, 1]), self.proposal, pilot=self.pilot)
-        self.counts = Counts(*np.zeros((3, len(KINDS), LEVELS)))
+        self.counts = Counts(*np.zeros((3, len(ERROR_KINDS), DANGER_LEVEL_COUNT)))
         self._begun: dict[str, tuple[int, int]] = {}  # kind and level of danger of each driver's latest error
         self._hours = self._km = self._weighted_hours = self._weighted_km = 0.0
 
@@ -69,7 +78,7 @@ class Run:
         Raises SimulationError.
         """
         drive, dt = self.drive, self.drive.recording.step_length
-        every, left = round(SLOT / dt), round(duration / dt)
+        every, left = round(DECISION_INTERVAL_S / dt), round(duration / dt)
         while drive.now < end - 1e-6 and left > 0:
             if drive.ego is not None and left % every == 0:
                 self._decide()
@@ -106,23 +115,25 @@ class Run:
         drive = self.drive
         assert drive.ego is not None
         ego = drive.state(drive.ego)
-        names = [n for n in drive.near(ego, NEAR) if n not in self.errors.active and n not in drive.obstacles]
-        model = np.zeros((len(names), len(KINDS)))
+        names = [
+            n for n in drive.near(ego, ERRING_DISTANCE_M) if n not in self.errors.active and n not in drive.obstacles
+        ]
+        model = np.zeros((len(names), len(ERROR_KINDS)))
         for row, name in enumerate(names):
             for kind in self.errors.possible(name, drive.snapshot.raw[name]):
-                k = KINDS.index(kind)
+                k = ERROR_KINDS.index(kind)
                 model[row, k] = self.chances[k]
         if not model.any():
             return
         levels: Ints | None = None
         if self.decisions.raising:
-            x, y, heading, speed = (np.array(getattr(ego, key)) for key in BOX[:4])
+            x, y, heading, speed = (np.array(getattr(ego, key)) for key in BOX_FIELDS[:4])
             box = Boxes(x, y, heading, speed, ego.length, ego.width, ego.z)
             levels = danger(box, boxes_of([drive.state(name) for name in names]))
         kinds = self.decisions.next(model, levels)
         for row, (name, kind) in enumerate(zip(names, kinds, strict=True)):
             if kind >= 0:
-                self.errors.begin(name, KINDS[kind], drive.snapshot.raw[name][3])
+                self.errors.begin(name, ERROR_KINDS[kind], drive.snapshot.raw[name][3])
                 if self.pilot and levels is not None:
                     self._begun[name] = (int(kind), int(levels[row, kind]))
                     self.counts.starts[self._begun[name]] += 1.0
@@ -154,15 +165,15 @@ class Run:
     def _judged(self, foe: str, when: float) -> Record:
         record, drive = self._record(), self.drive
         error = self.errors.last.get(foe)
-        recent = error is not None and when - error.since < MEMORY
-        start = error.since if error is not None and recent else when - BEFORE
+        recent = error is not None and when - error.since < MAX_ERROR_AGE_S
+        start = error.since if error is not None and recent else when - BEFORE_CONTACT_S
         ego = drive.ego
         assert ego is not None
-        for _ in range(round(GOES_ON / drive.recording.step_length)):
+        for _ in range(round(AFTER_CONTACT_S / drive.recording.step_length)):
             self.errors.before_step()
             drive.tick()
         snapshots = drive.recording.snapshots
-        first = next(k for k, s in enumerate(snapshots) if ego in s.raw and s.time >= start - HISTORY - 1e-6)
+        first = next(k for k, s in enumerate(snapshots) if ego in s.raw and s.time >= start - JUDGED_HISTORY_S - 1e-6)
         case = make_case(drive.tracks(foe, start=first), ego, [foe], start, {})
         level = Level.NONE
         if case is not None:
@@ -178,7 +189,7 @@ class Run:
 
 def boxes_of(states: Sequence[VehicleState]) -> Boxes:
     z = np.array([s.z for s in states])
-    boxes = Boxes(*(np.array([getattr(s, name) for s in states]) for name in BOX))
+    boxes = Boxes(*(np.array([getattr(s, name) for s in states]) for name in BOX_FIELDS))
     return replace(boxes, z=z) if z.any() else boxes
 
 
@@ -198,6 +209,7 @@ def _clear(a: RawState, b: RawState, size_a: tuple[float, float], size_b: tuple[
     along = abs(c * dx + s * dy + (size_a[0] - size_b[0] * ct) / 2)
     across = abs(c * dy - s * dx - size_b[0] * st / 2)
     return (
-        along - (size_a[0] + size_b[0] * abs(ct) + size_b[1] * abs(st)) / 2 > abs(b[3] * ct - a[3]) * dt + CLEAR
-        or across - (size_a[1] + size_b[0] * abs(st) + size_b[1] * abs(ct)) / 2 > abs(b[3] * st) * dt + CLEAR
+        along - (size_a[0] + size_b[0] * abs(ct) + size_b[1] * abs(st)) / 2
+        > abs(b[3] * ct - a[3]) * dt + CLEAR_DISTANCE_M
+        or across - (size_a[1] + size_b[0] * abs(st) + size_b[1] * abs(ct)) / 2 > abs(b[3] * st) * dt + CLEAR_DISTANCE_M
     )
