@@ -14,8 +14,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from sumo_adv.datatypes import Relation
 from sumo_adv.road_users import RoadUser
 
-LONGEST_WORDS = 6000  # characters of a request or a report
-NEAR_MISS = (0.2, 1.5)  # s: the min TTC of a near miss that is asked for
+MAX_REQUEST_CHARACTERS = 6000  # of a request or a report
+NEAR_MISS_TTC_S = (0.2, 1.5)  # the min TTC of a near miss that is asked for
 Side = Literal["front", "rear", "left", "right"]
 
 
@@ -89,12 +89,12 @@ class Asked(_Table):
         """The settings of the level that is asked for; empty without one."""
         if self.level is None:
             return {}
-        return {"ttc": NEAR_MISS, "until": "critical"} if self.level == "near_miss" else {"until": self.level}
+        return {"ttc": NEAR_MISS_TTC_S, "until": "critical"} if self.level == "near_miss" else {"until": self.level}
 
 
 class Written(_Table):
     """Where a scenario comes from: the words, the model that made a scenario of them, and the date (YYYY-MM-DD)."""
 
-    words: Annotated[str, Field(min_length=1, max_length=LONGEST_WORDS)]
+    words: Annotated[str, Field(min_length=1, max_length=MAX_REQUEST_CHARACTERS)]
     model: str
     date: str

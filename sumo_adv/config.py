@@ -20,7 +20,7 @@ from pydantic_settings import (
 )
 
 from sumo_adv.config_odd import Odd
-from sumo_adv.datatypes import MOST_ADVERSARIES, Level, Limits, Relation
+from sumo_adv.datatypes import MAX_ADVERSARIES, Level, Limits, Relation
 from sumo_adv.errors import UsageError, nearest
 from sumo_adv.goal import Goal
 from sumo_adv.parsing import read_toml
@@ -82,14 +82,14 @@ def one_word(key: str) -> SecretStr | None:
     return SecretStr(key)
 
 
-PREFIX = "SUMO_ADV_"  # of variables of the environment that are settings
-KEY = f"{PREFIX}LLM_API_KEY"  # is written to no plan: workers read it from the environment
-ADDRESS = f"{PREFIX}LLM_BASE_URL"
+SETTING_PREFIX = "SUMO_ADV_"  # of variables of the environment that are settings
+API_KEY_VARIABLE = f"{SETTING_PREFIX}LLM_API_KEY"  # is written to no plan: workers read it from the environment
+BASE_URL_VARIABLE = f"{SETTING_PREFIX}LLM_BASE_URL"
 SECRET = ("llm_api_key", "llm_base_url")  # the values of these settings are never printed
 
 BUILTIN = "builtin"
-LONGEST_TTC = 20.0  # s
-LONGEST_DELAY = 60.0  # s after the trigger at which an attack may begin
+MAX_TTC_S = 20.0
+MAX_ATTACK_DELAY_S = 60.0  # after the trigger at which an attack may begin
 
 
 class Until(StrEnum):
@@ -131,7 +131,7 @@ class Settings(ModelSettings, BaseSettings):
     """Everything that shapes a run, times in s."""
 
     model_config = SettingsConfigDict(
-        env_prefix=PREFIX,
+        env_prefix=SETTING_PREFIX,
         env_nested_delimiter="__",
         env_ignore_empty=True,
         frozen=True,
@@ -145,7 +145,7 @@ class Settings(ModelSettings, BaseSettings):
     ego_deadline: float = Field(60.0, ge=0, le=86_400)  # real s in which its driver must answer; 0: none
     attempt_memory: float = Field(4096.0, ge=0, le=1_048_576)  # MiB of a fork beyond what it begins with; 0: no bound
     adversary: str | None = None
-    adversaries: int = Field(1, ge=1, le=MOST_ADVERSARIES)  # of an attack at most: a collider and supports
+    adversaries: int = Field(1, ge=1, le=MAX_ADVERSARIES)  # of an attack at most: a collider and supports
     trigger: float | None = Field(None, ge=0)
     begin: float | None = Field(None, ge=0)
     end: float | None = Field(None, ge=0)
@@ -155,7 +155,7 @@ class Settings(ModelSettings, BaseSettings):
     total_seconds: float = Field(300.0, ge=0, le=604_800)  # after which no further encounter is begun
     diverse: int = Field(1, ge=1, le=20)  # successes of different kinds that are wanted
     ttc: tuple[float, float] | None = None  # a near miss is wanted: the band in which its min TTC lies
-    critical_ttc: float = Field(1.0, gt=0, le=LONGEST_TTC)
+    critical_ttc: float = Field(1.0, gt=0, le=MAX_TTC_S)
     min_delta_v: float = Field(0.0, ge=0, le=60)  # m/s
     intents: Annotated[tuple[str, ...], NoDecode] = ()  # labels that may be tried; empty: all
     exclude: Annotated[tuple[str, ...], NoDecode] = ()  # labels that may not
@@ -228,8 +228,8 @@ class Settings(ModelSettings, BaseSettings):
                 raise ValueError(f"{name} is shorter than a step of {self.step_length:g} s")
         if not self.delays or min(self.delays) < 0:
             raise ValueError("delays needs one time or more, none of them negative")
-        if max(self.delays) > LONGEST_DELAY:
-            raise ValueError(f"delays has a time of more than {LONGEST_DELAY:g} s")
+        if max(self.delays) > MAX_ATTACK_DELAY_S:
+            raise ValueError(f"delays has a time of more than {MAX_ATTACK_DELAY_S:g} s")
         return self
 
     @model_validator(mode="after")
@@ -237,8 +237,8 @@ class Settings(ModelSettings, BaseSettings):
         """A near miss has no collision, so nothing can be wanted of one."""
         if self.ttc is None:
             return self
-        if not 0 <= self.ttc[0] < self.ttc[1] <= LONGEST_TTC:
-            raise ValueError(f"ttc is a band: LOW is 0 s or more, HIGH is larger and at most {LONGEST_TTC:g} s")
+        if not 0 <= self.ttc[0] < self.ttc[1] <= MAX_TTC_S:
+            raise ValueError(f"ttc is a band: LOW is 0 s or more, HIGH is larger and at most {MAX_TTC_S:g} s")
         if self.until.level > Level.CRITICAL:
             raise ValueError(f"ttc wants a near miss and until = {self.until} a collision; give one of the two")
         if self.min_delta_v > 0:
@@ -288,7 +288,7 @@ def forget_environment() -> None:
 
     For workers: their plan contains the settings of the environment in which it was made.
     """
-    for name in [n for n in os.environ if n.upper().startswith(PREFIX) and n.upper() != KEY]:
+    for name in [n for n in os.environ if n.upper().startswith(SETTING_PREFIX) and n.upper() != API_KEY_VARIABLE]:
         del os.environ[name]
 
 
@@ -298,11 +298,11 @@ def refuse_address(table: Mapping[str, Any], said: str, *, own_key: bool = False
     table: the settings in the file. own_key: a key was given beside the file. Raises UsageError.
     """
     environ = {name.upper(): value for name, value in os.environ.items()}
-    address, known = table.get("llm_base_url"), environ.get(ADDRESS)
-    if address and address != known and (own_key or environ.get(KEY)):
+    address, known = table.get("llm_base_url"), environ.get(BASE_URL_VARIABLE)
+    if address and address != known and (own_key or environ.get(API_KEY_VARIABLE)):
         raise UsageError(
-            f"{said} names llm_base_url, and would be sent your key: set {ADDRESS} yourself if you trust that server, "
-            f"or unset {KEY}."
+            f"{said} names llm_base_url, and would be sent your key: "
+            f"set {BASE_URL_VARIABLE} yourself if you trust that server, or unset {API_KEY_VARIABLE}."
         )
 
 
@@ -321,7 +321,8 @@ def load_settings(file: Path | None = None, **given: Any) -> Settings:
             raise UsageError(f"The settings file {file} does not exist.")
         table = read_toml(file, "The settings file")
         _refuse_capitals(table)
-        named = any(name.upper() == ADDRESS and value for name, value in os.environ.items())  # an empty one is none
+        # an empty one is none
+        named = any(name.upper() == BASE_URL_VARIABLE and value for name, value in os.environ.items())
         if not named and not given.get("llm_base_url"):  # these go before the file's
             refuse_address(table, f"The settings file {file}", own_key=bool(given.get("llm_api_key")))
         _chosen_file.append(file)

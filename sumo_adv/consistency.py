@@ -16,21 +16,23 @@ import numpy as np
 from sumo_adv.datatypes import Bools, Floats, Ints
 from sumo_adv.geometry import wrap
 
-STRETCH_M = 1.0  # of motion over which a speed and a heading are compared with the positions
-LEAST_TRAVEL_M = 10.0  # that an object must have moved, or claim to have moved, to be compared
-OVER_SPEED, UNDER_SPEED = 2.1, 0.45  # speed over motion; mph is 2.24, and SUMO's lanes may be twice as long as drawn
+COMPARED_MOTION_M = 1.0  # over which a speed and a heading are compared with the positions
+MIN_TRAVEL_M = 10.0  # that an object must have moved, or claim to have moved, to be compared
+# Speed over motion: mph is 2.24, and SUMO's lanes may be twice as long as drawn
+MAX_SPEED_RATIO = 2.1
+MIN_SPEED_RATIO = 0.45
 ASKEW_RAD = math.radians(30.0)  # between heading and motion, forwards or backwards; slip angles stay far below
 FITTING_RAD = math.radians(10.0)  # between heading and motion where a convention explains the motion
-REVERSING_MS = 10.0  # m/s: no car drives backwards faster
-NEAR_UNIT = 0.06  # of a factor between two units
+MAX_REVERSING_SPEED_M_S = 10.0  # no car drives backwards faster
+UNIT_TOLERANCE = 0.06  # of a factor between two units
 ROUNDING_RAD = 0.01  # of a heading of 2 pi
 MAX_COORDINATE_M = 1e9  # from the origin
-WIDEST_M = 100.0  # of anything on a road; a car is 180 cm wide
+MAX_WIDTH_M = 100.0  # of anything on a road; a car is 180 cm wide
 GRID_SLACK_S = 2e-3  # that a time may be off an even grid, and at most a quarter of a step: SUMO's times are in ms
-FRAME_RATES = (5.0, 120.0)  # 1/s
+FRAME_RATES_HZ = (5.0, 120.0)
 
 Range = tuple[float, float]
-SIZES: Mapping[str, tuple[Range, Range]] = {
+SIZE_RANGES_M: Mapping[str, tuple[Range, Range]] = {
     "vehicle": ((0.5, 1000.0), (0.2, 5.0)),
     "pedestrian": ((0.1, 3.0), (0.1, 3.0)),
     "cyclist": ((0.3, 5.0), (0.1, 2.0)),
@@ -38,7 +40,7 @@ SIZES: Mapping[str, tuple[Range, Range]] = {
 }
 """Length and width [m] that an object of a kind may have; SUMO's longest class is a train of 200 m."""
 SIZE_UNITS = (("centimetres", 0.01), ("millimetres", 0.001), ("feet", 0.3048), ("inches", 0.0254))
-TYPICAL: Mapping[str, tuple[Range, Range]] = {**SIZES, "vehicle": ((1.0, 30.0), (0.5, 3.0))}
+TYPICAL_SIZE_RANGES_M: Mapping[str, tuple[Range, Range]] = {**SIZE_RANGES_M, "vehicle": ((1.0, 30.0), (0.5, 3.0))}
 SPEED_UNITS = (
     ("speeds look like km/h", 3.6), ("speeds look like mph", 2.23694), ("speeds look like feet per second", 3.28084),
     ("speeds look like cm/s", 100.0), ("positions look like feet", 0.3048), ("positions look like centimetres", 0.01),
@@ -46,7 +48,7 @@ SPEED_UNITS = (
     ("times look like microseconds", 1e6), ("times look like nanoseconds", 1e9),
 )  # fmt: skip
 """What a track looks like whose speed is a factor times its motion."""
-DEGREE_M = (3e4, 1.3e5)  # m/s of motion for one degree/s: places in longitude and latitude
+METRES_PER_DEGREE = (3e4, 1.3e5)  # m/s of motion for one degree/s: places in longitude and latitude
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +128,7 @@ def find_fault(motions: Sequence[Motion], *, noisy: bool) -> Fault | None:
         stretches = _stretches(motion) if len(motion.time) > 1 else None
         moves = stretches is not None and stretches.counts
         size = _wrong_size(motion, motion.kind if moves or not noisy else "other")
-        if size and (not noisy or motion.width > WIDEST_M):
+        if size and (not noisy or motion.width > MAX_WIDTH_M):
             return size
         sizes += [size] if size else []
         if stretches is None or motion.kind not in ("vehicle", "cyclist"):
@@ -204,10 +206,14 @@ def _not_finite(m: Motion) -> Fault | None:
 
 def _wrong_size(m: Motion, kind: str) -> Fault | None:
     """What is wrong of its size for an object of a ``kind``."""
-    if _within((m.length, m.width), SIZES[kind]) and not (kind == "vehicle" and m.width > max(m.length, 3.0)):
+    if _within((m.length, m.width), SIZE_RANGES_M[kind]) and not (kind == "vehicle" and m.width > max(m.length, 3.0)):
         return None
-    swapped = _within((m.width, m.length), TYPICAL[m.kind])
-    units = (unit for unit, factor in SIZE_UNITS if _within((m.length * factor, m.width * factor), TYPICAL[m.kind]))
+    swapped = _within((m.width, m.length), TYPICAL_SIZE_RANGES_M[m.kind])
+    units = (
+        unit
+        for unit, factor in SIZE_UNITS
+        if _within((m.length * factor, m.width * factor), TYPICAL_SIZE_RANGES_M[m.kind])
+    )
     unit = next(units, None)
     cause = "length and width look swapped" if swapped else f"sizes look like {unit}" if unit else ""
     return Fault(m, 0, f"gives the {m.kind} '{m.name}' a size of {m.length:g} by {m.width:g} m", cause)
@@ -254,7 +260,7 @@ class _Stretches:
     @property
     def counts(self) -> bool:
         """Whether the object moved far enough to be compared."""
-        return max(self.extent, self.claimed) >= LEAST_TRAVEL_M
+        return max(self.extent, self.claimed) >= MIN_TRAVEL_M
 
 
 def _stretches(m: Motion) -> _Stretches:
@@ -265,11 +271,11 @@ def _stretches(m: Motion) -> _Stretches:
     claimed = np.where(seen, (speed[1:] + speed[:-1]) / 2 * dt, 0.0)
     driven = np.concatenate([[0.0], np.cumsum(claimed)])
     gaps = np.concatenate([[0], np.cumsum(~seen)])
-    metre = np.concatenate([[0], np.floor(np.cumsum(moved) / STRETCH_M)])
+    metre = np.concatenate([[0], np.floor(np.cumsum(moved) / COMPARED_MOTION_M)])
     ends = np.flatnonzero(np.diff(metre, prepend=-1.0) > 0)
     first, last = ends[:-1], ends[1:]
     chord = np.hypot(m.x[last] - m.x[first], m.y[last] - m.y[first])
-    keep = (gaps[last] == gaps[first]) & (chord > STRETCH_M / 2)  # jitter of a standing object makes no chord
+    keep = (gaps[last] == gaps[first]) & (chord > COMPARED_MOTION_M / 2)  # jitter of a standing object makes no chord
     first, last, chord = first[keep], last[keep], chord[keep]
     direction = np.arctan2(m.y[last] - m.y[first], m.x[last] - m.x[first])
     return _Stretches(
@@ -281,13 +287,13 @@ def _stretches(m: Motion) -> _Stretches:
 def _against_speed(m: Motion, s: _Stretches) -> Fault | None:
     if not s.counts:
         return None
-    if s.extent >= LEAST_TRAVEL_M and len(s.chord):
+    if s.extent >= MIN_TRAVEL_M and len(s.chord):
         k, factor = int(s.first[0]), float(np.median(s.driven / s.chord))
         moves = f"moves at {float(np.median(s.chord / s.seconds)):.3g} m/s"
     else:
         k, factor = int(np.abs(m.speed).argmax()), s.claimed / max(s.path, 1e-12)
         moves = f"moves {s.path:.3g} m in all"
-    if UNDER_SPEED <= factor <= OVER_SPEED:
+    if MIN_SPEED_RATIO <= factor <= MAX_SPEED_RATIO:
         return None
     what = f"has the speed {m.speed[k]:g} m/s for '{m.name}', which {moves}"
     return Fault(m, k, what, _unit_of(factor, m.time))
@@ -298,17 +304,17 @@ def _unit_of(factor: float, time: Floats) -> str:
     if factor <= 0.0:
         return "speeds are missing"
     off, words = min((abs(math.log(factor / unit)), words) for words, unit in SPEED_UNITS)
-    if off < NEAR_UNIT:
+    if off < UNIT_TOLERANCE:
         return words
-    if np.all(time == np.rint(time)) and FRAME_RATES[0] <= factor <= FRAME_RATES[1]:
+    if np.all(time == np.rint(time)) and FRAME_RATES_HZ[0] <= factor <= FRAME_RATES_HZ[1]:
         return "times look like numbers of frames"
-    if DEGREE_M[0] <= factor <= DEGREE_M[1]:
+    if METRES_PER_DEGREE[0] <= factor <= METRES_PER_DEGREE[1]:
         return "positions look like longitude and latitude"
     return ""
 
 
 def _against_heading(m: Motion, s: _Stretches) -> Fault | None:
-    if s.extent < LEAST_TRAVEL_M or not len(s.chord):
+    if s.extent < MIN_TRAVEL_M or not len(s.chord):
         return None
     off = _off(m.angles, m, s)
     against: Bools = (np.maximum(m.speed[s.first], m.speed[s.last]) < 0.0) & (off < ASKEW_RAD)
@@ -317,7 +323,7 @@ def _against_heading(m: Motion, s: _Stretches) -> Fault | None:
         what = f"has the speed {m.speed[k]:g} m/s for '{m.name}', which moves forwards"
         return Fault(m, k, what, "speeds look like velocities along an axis")
     askew = np.minimum(off, np.pi - off) > ASKEW_RAD
-    backwards = (off > np.pi - ASKEW_RAD) & (s.chord / s.seconds > REVERSING_MS)
+    backwards = (off > np.pi - ASKEW_RAD) & (s.chord / s.seconds > MAX_REVERSING_SPEED_M_S)
     wrong: Bools = askew | backwards
     if 2 * np.count_nonzero(wrong) <= len(wrong):
         return None

@@ -21,9 +21,9 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.intp]
 Acceleration = float | tuple[tuple[float, float], ...]
-"""m/s2: a number, or 1 to ``MOST_KNOTS`` knots (s since the takeover, m/s2); linear between, constant outside."""
+"""m/s2: a number, or 1 to ``MAX_KNOTS`` knots (s since the takeover, m/s2); linear between, constant outside."""
 
-MOST_KNOTS = 4
+MAX_KNOTS = 4
 MPH_M_S = 0.44704  # one mile per hour
 
 
@@ -47,7 +47,7 @@ class Duty(StrEnum):
     OPEN = "open"  # it makes room into which the collider can go
 
 
-MOST_ADVERSARIES = 3  # of an attack: a collider and two supports
+MAX_ADVERSARIES = 3  # of an attack: a collider and two supports
 
 
 class Relation(StrEnum):
@@ -120,8 +120,8 @@ def acceleration_of(value: Any, limits: Limits | None = None) -> Acceleration:
     """An acceleration from what JSON holds: a number or a list of [time, m/s2]. Raises ValueError: it is neither, or
     beyond the limits where they are given; with a sentence."""
     knots = value if isinstance(value, list | tuple) else [[0.0, value]]
-    if not 1 <= len(knots) <= MOST_KNOTS or not all(isinstance(k, list | tuple) and len(k) == 2 for k in knots):
-        raise ValueError(f"acceleration must be a number or 1 to {MOST_KNOTS} knots [time, acceleration].")
+    if not 1 <= len(knots) <= MAX_KNOTS or not all(isinstance(k, list | tuple) and len(k) == 2 for k in knots):
+        raise ValueError(f"acceleration must be a number or 1 to {MAX_KNOTS} knots [time, acceleration].")
     if not all(isinstance(n, int | float) and not isinstance(n, bool) and abs(n) < 1e6 for k in knots for n in k):
         raise ValueError("acceleration must be made of finite numbers.")
     times = [k[0] for k in knots]

@@ -19,7 +19,7 @@ from sumo_adv.errors import SumoAdvError, UsageError
 
 FULL = (errno.ENOSPC, errno.EDQUOT)
 FORMULA = ("=", "+", "-", "@", "\t", "\r")
-REFUSED = (errno.EROFS, errno.EACCES, errno.EPERM, errno.EFBIG, errno.EIO)
+WRITE_REFUSED = (errno.EROFS, errno.EACCES, errno.EPERM, errno.EFBIG, errno.EIO)
 
 USER_FOLDERS = {
     # variable and folder of Linux and the rest, folder of macOS
@@ -144,7 +144,7 @@ def storage_error(error: OSError, place: Path) -> SumoAdvError:
 def is_storage_error(error: BaseException) -> bool:
     """Whether it comes from a disk that is full or may not be written, directly or as its cause."""
     cause = error if isinstance(error, OSError) else error.__cause__
-    return isinstance(cause, OSError) and cause.errno in (*FULL, *REFUSED)
+    return isinstance(cause, OSError) and cause.errno in (*FULL, *WRITE_REFUSED)
 
 
 @contextmanager

@@ -11,11 +11,11 @@ import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats
 
-PATH_STEP = 0.5  # m between samples of a path
-SMOOTHING = 1.5  # m over which headings are averaged
-BRAKING = 4.0  # m/s2 before bends
+PATH_STEP_M = 0.5  # between samples of a path
+HEADING_SMOOTHING_M = 1.5  # over which headings are averaged
+BEND_BRAKING_M_S2 = 4.0  # before bends
 # passes of the average over a path with a bend that is too tight, each on top of the last
-ROUNDING = (2, 2, 3, 3, 4, 4, 6, 8)
+ROUNDING_PASSES = (2, 2, 3, 3, 4, 4, 6, 8)
 LAYER_HEIGHT_M = 3.0
 """How much higher or lower another road may be at one place to be the same road: less than the clearance of a bridge,
 more than what two lanes of one road, or two ends of a long vehicle, differ."""
@@ -113,7 +113,7 @@ class Frame:
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """A line on the ground, sampled every ``PATH_STEP`` metres from station 0. Arrays are ``(n,)``.
+    """A line on the ground, sampled every ``PATH_STEP_M`` metres from station 0. Arrays are ``(n,)``.
 
     x, y [m]; heading [rad], unwrapped; curvature [1/m]; speed: the fastest a car takes the bends ahead [m/s]; z: height
     of the road [m], a number where all is flat.
@@ -129,11 +129,11 @@ class Path:
     @property
     def length(self) -> float:
         """Length in m."""
-        return (len(self.x) - 1) * PATH_STEP
+        return (len(self.x) - 1) * PATH_STEP_M
 
     def height(self, s: Any) -> Any:
         """The height of the road [m] at stations ``s`` (any shape)."""
-        return np.interp(s, PATH_STEP * np.arange(len(self.x)), self.z) if np.ndim(self.z) else self.z
+        return np.interp(s, PATH_STEP_M * np.arange(len(self.x)), self.z) if np.ndim(self.z) else self.z
 
     def at(self, s: Floats, d: Floats | float = 0.0) -> tuple[Floats, Floats, Floats]:
         """x, y, heading at stations ``s`` and offsets ``d`` (left positive); straight on beyond both ends."""
@@ -143,23 +143,23 @@ class Path:
         """Station and offset of a point. ``near``: search only within ``reach`` metres of that station."""
         low, high = 0, len(self.x)
         if near is not None:
-            low = min(max(0, int((near - reach) / PATH_STEP)), high - 2)
-            high = max(min(high, int((near + reach) / PATH_STEP) + 2), low + 2)
+            low = min(max(0, int((near - reach) / PATH_STEP_M)), high - 2)
+            high = max(min(high, int((near + reach) / PATH_STEP_M) + 2), low + 2)
         dx, dy = x - self.x[low:high], y - self.y[low:high]
         i = int(np.argmin(dx * dx + dy * dy))
         c, s = math.cos(self.heading[low + i]), math.sin(self.heading[low + i])
         along = c * dx[i] + s * dy[i]
         last = len(self.x) - 1
         if 0 < low + i < last:
-            along = min(max(along, -PATH_STEP), PATH_STEP)
-        station = (low + i) * PATH_STEP + along
+            along = min(max(along, -PATH_STEP_M), PATH_STEP_M)
+        station = (low + i) * PATH_STEP_M + along
         px, py, ph = (float(q) for q in self.at(np.asarray(station)))
         return float(station), float(-math.sin(ph) * (x - px) + math.cos(ph) * (y - py))
 
     def extended(self, metres: float) -> Path:
         """The path with a straight piece added at its end."""
-        n = max(1, math.ceil(metres / PATH_STEP))
-        k = PATH_STEP * np.arange(1, n + 1)
+        n = max(1, math.ceil(metres / PATH_STEP_M))
+        k = PATH_STEP_M * np.arange(1, n + 1)
         c, s = math.cos(self.heading[-1]), math.sin(self.heading[-1])
         fill = np.ones(n)
         return Path(
@@ -190,12 +190,12 @@ def _place(
 ) -> tuple[Floats, Floats, Floats]:
     """x, y, heading at stations and offsets. A path begins at the place ``first`` in each of the ``tables`` and has
     ``last`` more samples."""
-    u = np.minimum(np.maximum(s / PATH_STEP, 0.0), last)
+    u = np.minimum(np.maximum(s / PATH_STEP_M, 0.0), last)
     i = np.minimum(u.astype(np.intp), last - 1)
     w = u - i
     i = i + first
     x, y, heading = (t.take(i) * (1 - w) + t.take(i + 1) * w for t in tables)
-    beyond, cos, sin = s - u * PATH_STEP, np.cos(heading), np.sin(heading)
+    beyond, cos, sin = s - u * PATH_STEP_M, np.cos(heading), np.sin(heading)
     return x + beyond * cos - d * sin, y + beyond * sin + d * cos, heading
 
 
@@ -204,20 +204,19 @@ def make_path(
 ) -> Path:
     """A path through ``points`` ``(n, 2)``, or ``(n, 3)`` with heights [m].
 
-    The bend speed is sqrt(lateral / curvature) with a backward pass at ``BRAKING``. Bends with more than ``tightest``
-    [1/m] are rounded, as by a driver that cannot turn as sharply as a lane's centre line.
-    """
+    The bend speed is sqrt(lateral / curvature) with a backward pass at ``BEND_BRAKING_M_S2``. Bends with more than
+    ``tightest`` [1/m] are rounded, as by a driver that cannot turn as sharply as a lane's centre line."""
     p = np.asarray(points, float)
     p = p[np.concatenate([[True], np.hypot(*np.diff(p[:, :2], axis=0).T) > 1e-3])]
     if len(p) < 2:
-        p = np.vstack([p[0], p[0] + [PATH_STEP, *(0.0,) * (p.shape[1] - 1)]])
+        p = np.vstack([p[0], p[0] + [PATH_STEP_M, *(0.0,) * (p.shape[1] - 1)]])
     station = stations(p[:, 0], p[:, 1])
     x, y = _even(p[:, 0], p[:, 1])
-    if station[-1] < PATH_STEP:
-        x[1], y[1] = p[-1, :2] + (p[-1, :2] - p[0, :2]) / station[-1] * (PATH_STEP - station[-1])
+    if station[-1] < PATH_STEP_M:
+        x[1], y[1] = p[-1, :2] + (p[-1, :2] - p[0, :2]) / station[-1] * (PATH_STEP_M - station[-1])
     x, y = _smooth(x), _smooth(y)
     heading, curvature = _turning(x, y)
-    for passes in ROUNDING:
+    for passes in ROUNDING_PASSES:
         if np.abs(curvature).max() <= tightest:
             break
         for _ in range(passes):
@@ -234,16 +233,16 @@ def stations(x: Floats, y: Floats) -> Floats:
 
 
 def _even(x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """A polyline's points every ``PATH_STEP`` metres, at least two."""
+    """A polyline's points every ``PATH_STEP_M`` metres, at least two."""
     station = stations(x, y)
-    s = PATH_STEP * np.arange(max(2, int(station[-1] / PATH_STEP) + 1))
+    s = PATH_STEP_M * np.arange(max(2, int(station[-1] / PATH_STEP_M) + 1))
     return np.interp(s, station, x), np.interp(s, station, y)
 
 
 def _turning(x: Floats, y: Floats) -> tuple[Floats, Floats]:
     """Heading [rad, unwrapped] and curvature [1/m] of evenly spaced points."""
     heading = _smooth(np.unwrap(np.arctan2(np.gradient(y), np.gradient(x))))
-    return heading, np.gradient(heading, PATH_STEP)
+    return heading, np.gradient(heading, PATH_STEP_M)
 
 
 def along(shape: Floats, x: Floats | float, y: Floats | float) -> Floats:
@@ -258,8 +257,8 @@ def along(shape: Floats, x: Floats | float, y: Floats | float) -> Floats:
 
 
 def _smooth(values: Floats) -> Floats:
-    """Moving average over ``SMOOTHING`` metres that keeps both ends."""
-    half = round(SMOOTHING / PATH_STEP / 2 + 0.5)
+    """Moving average over ``HEADING_SMOOTHING_M`` metres that keeps both ends."""
+    half = round(HEADING_SMOOTHING_M / PATH_STEP_M / 2 + 0.5)
     if len(values) < 2 * half + 1:
         return values
     # odd reflection at the ends keeps them, and their slope, where they are
@@ -271,7 +270,7 @@ def _smooth(values: Floats) -> Floats:
 def _bend_speed(curvature: Floats, lateral: float) -> Floats:
     """min over all places ahead of sqrt(v^2 + 2 b distance), v = sqrt(lateral / curvature)."""
     square = np.minimum(lateral / np.maximum(np.abs(curvature), 1e-4), 3600.0)
-    gained = 2 * BRAKING * PATH_STEP * np.arange(len(square))
+    gained = 2 * BEND_BRAKING_M_S2 * PATH_STEP_M * np.arange(len(square))
     least = np.minimum.accumulate((square + gained)[::-1])[::-1]
     return np.asarray(np.sqrt(least - gained))
 

@@ -18,12 +18,12 @@ from typing import Any
 
 from sumo_adv.errors import UsageError
 
-LARGEST_WHOLE = 2**63 - 1  # of TOML and SQLite; within any float
-DEEPEST = 100  # tables and lists within one another
-LONGEST_TEXT = 64 * 2**20  # bytes of a TOML or JSON file
-LARGEST_UNPACKED = 512 * 2**20  # bytes of a packed table
-LARGEST_SUMO_FILE = 4 * 2**30  # bytes of a network or demand, unpacked: those of large cities have 1 GB
-_PART = 2**20  # bytes that are unpacked at a time
+MAX_INTEGER = 2**63 - 1  # of TOML and SQLite; within any float
+MAX_NESTING = 100  # tables and lists within one another
+MAX_TEXT_BYTES = 64 * 2**20  # of a TOML or JSON file
+MAX_UNPACKED_BYTES = 512 * 2**20  # of a packed table
+MAX_SUMO_FILE_BYTES = 4 * 2**30  # of a network or demand, unpacked: those of large cities have 1 GB
+_UNPACKED_PART_BYTES = 2**20  # that are unpacked at a time
 GZIP = b"\x1f\x8b"  # first bytes of a file packed by gzip
 BAD_GZIP = (gzip.BadGzipFile, EOFError, zlib.error)
 
@@ -66,13 +66,13 @@ def read_object(path: Path, what: str) -> dict[str, Any]:
     return value
 
 
-def read_text(path: Path, most: int = LONGEST_TEXT) -> str:
+def read_text(path: Path, most: int = MAX_TEXT_BYTES) -> str:
     """The text of a file, packed by gzip or not. Raises OSError; ValueError: it is no UTF-8, is damaged, or has
     more than ``most`` bytes."""
     return read_bytes(path, most).decode()
 
 
-def read_bytes(path: Path, most: int = LARGEST_UNPACKED) -> bytes:
+def read_bytes(path: Path, most: int = MAX_UNPACKED_BYTES) -> bytes:
     """What a file holds, unpacked if gzip has packed it. Raises OSError; ValueError: it is damaged, or has more than
     ``most`` bytes."""
     with path.open("rb") as file:
@@ -81,7 +81,7 @@ def read_bytes(path: Path, most: int = LARGEST_UNPACKED) -> bytes:
         source = gzip.GzipFile(fileobj=file) if packed else file
         whole = io.BytesIO()
         try:
-            while part := source.read(_PART):
+            while part := source.read(_UNPACKED_PART_BYTES):
                 whole.write(part)
                 if whole.tell() > most:
                     raise ValueError(f"it holds more than {most // 2**20} MiB")
@@ -91,8 +91,8 @@ def read_bytes(path: Path, most: int = LARGEST_UNPACKED) -> bytes:
 
 
 def _checked(parse: Callable[[str], Any], text: str) -> Any:
-    if len(text) > LONGEST_TEXT:
-        raise ValueError(f"it holds more than {LONGEST_TEXT // 2**20} MiB")
+    if len(text) > MAX_TEXT_BYTES:
+        raise ValueError(f"it holds more than {MAX_TEXT_BYTES // 2**20} MiB")
     try:
         value = parse(text)
     except RecursionError as error:
@@ -100,7 +100,7 @@ def _checked(parse: Callable[[str], Any], text: str) -> Any:
     left = [(value, 0)]
     while left:
         each, depth = left.pop()
-        if depth >= DEEPEST and isinstance(each, dict | list):
+        if depth >= MAX_NESTING and isinstance(each, dict | list):
             raise ValueError("it nests too deeply")
         if isinstance(each, dict):
             left += [(inside, depth + 1) for pair in each.items() for inside in pair]
@@ -108,7 +108,7 @@ def _checked(parse: Callable[[str], Any], text: str) -> Any:
             left += [(inside, depth + 1) for inside in each]
         elif isinstance(each, str) and "\0" in each and parse is tomllib.loads:  # it may be a path
             raise ValueError("a text in it holds the character NUL")
-        elif isinstance(each, int) and abs(each) > LARGEST_WHOLE:
+        elif isinstance(each, int) and abs(each) > MAX_INTEGER:
             raise ValueError("a whole number in it has more than 64 bits")
         elif isinstance(each, float) and not math.isfinite(each) and parse is json.loads:
             raise ValueError("a number in it is not finite")

@@ -52,20 +52,20 @@ class RoadUser(StrEnum):
     PEDESTRIAN = "pedestrian"
 
 
-LARGEST_PEDESTRIAN = 1.2  # m, of both sides of the box
-SHORTEST_BICYCLE = 1.2  # m: a scooter of SUMO's; a box as long and no wider than a bicycle rides
-LONGEST_BICYCLE, WIDEST_BICYCLE = 2.0, 0.85  # m
-LONGEST_MOTORCYCLE, WIDEST_MOTORCYCLE = 2.8, 1.1  # m; also mopeds
-SHORTEST_HEAVY = 7.0  # m: SUMO's trucks have 7.1 m, its delivery vans and ambulances 6.5 m
-LIMITS: Mapping[RoadUser, Limits] = {
+MAX_PEDESTRIAN_SIZE_M = 1.2  # of both sides of the box
+MIN_BICYCLE_LENGTH_M = 1.2  # a scooter of SUMO's; a box as long and no wider than a bicycle rides
+MAX_BICYCLE_LENGTH_M, MAX_BICYCLE_WIDTH_M = 2.0, 0.85
+MAX_MOTORCYCLE_LENGTH_M, MAX_MOTORCYCLE_WIDTH_M = 2.8, 1.1  # also mopeds
+MIN_HEAVY_LENGTH_M = 7.0  # SUMO's trucks have 7.1 m, its delivery vans and ambulances 6.5 m
+UNPROTECTED_LIMITS: Mapping[RoadUser, Limits] = {
     RoadUser.PEDESTRIAN: Limits(braking=5.0, acceleration=3.0, lateral=4.0, curvature=50.0, jerk=20.0),
     RoadUser.CYCLIST: Limits(braking=4.0, acceleration=1.5, lateral=3.5, curvature=0.5, jerk=12.0),
 }
 """Limits of the motion of an unprotected road user."""
-MOTORCYCLE = Limits(braking=8.0, acceleration=6.0, lateral=5.0, curvature=0.4, jerk=12.0)
-HEAVY = Limits(braking=7.0, acceleration=2.0, lateral=3.5, curvature=0.12, jerk=12.0)
+MOTORCYCLE_LIMITS = Limits(braking=8.0, acceleration=6.0, lateral=5.0, curvature=0.4, jerk=12.0)
+HEAVY_LIMITS = Limits(braking=7.0, acceleration=2.0, lateral=3.5, curvature=0.12, jerk=12.0)
 """Limits of the motion of a truck or bus; those of the settings where they are lower."""
-FASTEST: Mapping[RoadUser, float] = {RoadUser.PEDESTRIAN: 4.0, RoadUser.CYCLIST: 8.0}
+UNPROTECTED_SPEEDS_M_S: Mapping[RoadUser, float] = {RoadUser.PEDESTRIAN: 4.0, RoadUser.CYCLIST: 8.0}
 """The highest speed [m/s] of an unprotected road user."""
 
 
@@ -81,16 +81,16 @@ class Sized(Protocol):
 
 def road_user(box: Sized) -> RoadUser:
     """The kind of a road user with this box."""
-    rides = box.length >= SHORTEST_BICYCLE and box.width <= WIDEST_BICYCLE
-    if max(box.length, box.width) <= LARGEST_PEDESTRIAN and not rides:
+    rides = box.length >= MIN_BICYCLE_LENGTH_M and box.width <= MAX_BICYCLE_WIDTH_M
+    if max(box.length, box.width) <= MAX_PEDESTRIAN_SIZE_M and not rides:
         return RoadUser.PEDESTRIAN
     return RoadUser.CYCLIST if unprotected(box.length, box.width) else RoadUser.VEHICLE
 
 
 def unprotected(length: Any, width: Any) -> Any:
     """Whether boxes of these sizes [m] are pedestrians or cyclists; numbers or arrays of one shape."""
-    small = np.maximum(length, width) <= LARGEST_PEDESTRIAN
-    return small | ((np.asarray(length) <= LONGEST_BICYCLE) & (np.asarray(width) <= WIDEST_BICYCLE))
+    small = np.maximum(length, width) <= MAX_PEDESTRIAN_SIZE_M
+    return small | ((np.asarray(length) <= MAX_BICYCLE_LENGTH_M) & (np.asarray(width) <= MAX_BICYCLE_WIDTH_M))
 
 
 def is_unprotected(box: Sized) -> bool:
@@ -100,16 +100,16 @@ def is_unprotected(box: Sized) -> bool:
 
 def is_motorcycle(box: Sized) -> bool:
     """Whether the box is that of a motorcycle or moped."""
-    return not is_unprotected(box) and box.length <= LONGEST_MOTORCYCLE and box.width <= WIDEST_MOTORCYCLE
+    return not is_unprotected(box) and box.length <= MAX_MOTORCYCLE_LENGTH_M and box.width <= MAX_MOTORCYCLE_WIDTH_M
 
 
 def limits_of(box: Sized, car: Limits) -> Limits:
     """The limits of the motion of a road user with this box; ``car``: those of a car."""
     user = road_user(box)
     if user is not RoadUser.VEHICLE:
-        return LIMITS[user]
+        return UNPROTECTED_LIMITS[user]
     if is_motorcycle(box):
-        return MOTORCYCLE
-    if box.length < SHORTEST_HEAVY:
+        return MOTORCYCLE_LIMITS
+    if box.length < MIN_HEAVY_LENGTH_M:
         return car
-    return Limits(**{f.name: min(getattr(car, f.name), getattr(HEAVY, f.name)) for f in fields(Limits)})
+    return Limits(**{f.name: min(getattr(car, f.name), getattr(HEAVY_LIMITS, f.name)) for f in fields(Limits)})

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_adv.datatypes import Bools, DriverModel, Floats, Track, VehicleState
-from sumo_adv.geometry import PATH_STEP, Frame, Path, same_layer, wrap
-from sumo_adv.road_users import FASTEST, RoadUser, road_user
+from sumo_adv.geometry import PATH_STEP_M, Frame, Path, same_layer, wrap
+from sumo_adv.road_users import UNPROTECTED_SPEEDS_M_S, RoadUser, road_user
 
-CROSSING_ANGLE = 0.35  # rad: paths that meet at less merge
-NO_ARRIVAL = 1e3  # s: an arrival that is never
+MIN_CROSSING_ANGLE_RAD = 0.35  # paths that meet at less merge
+NO_ARRIVAL_S = 1e3  # an arrival that is never
 
 Signal = tuple[str, float, str]
 """A traffic light ahead of a vehicle: id, distance from its front bumper [m], SUMO's state letter (r, y, g, G ...)."""
@@ -72,7 +72,7 @@ def fastest_of(speed: float) -> float:
 
 def top_speed(state: VehicleState) -> float:
     """The highest speed [m/s] that a BV goes for: of a vehicle by its speed at the trigger, else that of its kind."""
-    return FASTEST.get(road_user(state)) or fastest_of(state.speed)
+    return UNPROTECTED_SPEEDS_M_S.get(road_user(state)) or fastest_of(state.speed)
 
 
 MEET_AHEAD = ("crossing", "merging")  # relations of vehicles that the ego can meet only where their paths meet
@@ -206,7 +206,7 @@ def on_path(track: Track, time: float, dt: float, steps: int, path: Path) -> OnP
     i = _nearest(x, y, path)
     cos, sin = np.cos(path.heading[i]), np.sin(path.heading[i])
     dx, dy = x - path.x[i], y - path.y[i]
-    s[k[within]], d[k[within]] = i * PATH_STEP + cos * dx + sin * dy, cos * dy - sin * dx
+    s[k[within]], d[k[within]] = i * PATH_STEP_M + cos * dx + sin * dy, cos * dy - sin * dx
     heading[k[within]], speed[k[within]] = wrap(track.heading[within] - path.heading[i]), track.speed[within]
     return OnPath(track.id, s, d, heading, speed, track.length)
 
@@ -237,26 +237,26 @@ def relate(path: Path, movement: str, junction: float, gives_way: bool, ego_path
     ex, ey, eh = ego_path.x[nearest], ego_path.y[nearest], ego_path.heading[nearest]
     along = np.cos(eh) * (path.x - ex) + np.sin(eh) * (path.y - ey)
     d = -np.sin(eh) * (path.x - ex) + np.cos(eh) * (path.y - ey)
-    s = nearest * PATH_STEP + along
+    s = nearest * PATH_STEP_M + along
     h = wrap(path.heading - eh)
     return ReferencePath(path, movement, junction, gives_way, s, d, h, _conflict(path, movement, s, d, h, ego_path))
 
 
-COARSE = 8  # samples of the ego's path between those that are looked at first
-BLOCK = 64  # points at a time: larger arrays would be new memory every time, which costs more than the sums
+COARSE_STRIDE = 8  # samples of the ego's path between those that are looked at first
+POINTS_PER_BLOCK = 64  # larger arrays would be new memory every time, which costs more than the sums
 
 
 def _nearest(x: Floats, y: Floats, ego_path: Path) -> NDArray[np.intp]:
     """For each point the nearest sample of the ego's path: first every eighth, then those around the best."""
-    px, py = ego_path.x[::COARSE], ego_path.y[::COARSE]
-    around, last = np.arange(-COARSE, COARSE + 1), len(ego_path.x) - 1
+    px, py = ego_path.x[::COARSE_STRIDE], ego_path.y[::COARSE_STRIDE]
+    around, last = np.arange(-COARSE_STRIDE, COARSE_STRIDE + 1), len(ego_path.x) - 1
     indices = np.empty(len(x), np.intp)
-    for k in range(0, len(x), BLOCK):
-        bx, by = x[k : k + BLOCK, None], y[k : k + BLOCK, None]
+    for k in range(0, len(x), POINTS_PER_BLOCK):
+        bx, by = x[k : k + POINTS_PER_BLOCK, None], y[k : k + POINTS_PER_BLOCK, None]
         first = ((bx - px) ** 2 + (by - py) ** 2).argmin(axis=1)
-        near = np.minimum(np.maximum(first[:, None] * COARSE + around, 0), last)
+        near = np.minimum(np.maximum(first[:, None] * COARSE_STRIDE + around, 0), last)
         best = ((bx - ego_path.x[near]) ** 2 + (by - ego_path.y[near]) ** 2).argmin(axis=1)
-        indices[k : k + BLOCK] = near[np.arange(len(near)), best]
+        indices[k : k + POINTS_PER_BLOCK] = near[np.arange(len(near)), best]
     return indices
 
 
@@ -264,10 +264,10 @@ def _conflict(path: Path, movement: str, s: Floats, d: Floats, h: Floats, ego: P
     inside = (s > 1.0) & (s < ego.length - 1.0)
     if np.ndim(path.z) or np.ndim(ego.z):
         inside &= same_layer(path.z, ego.height(s))
-    crossing = (d[:-1] * d[1:] <= 0) & (np.abs(d[:-1] - d[1:]) < 1.5) & (np.abs(h[:-1]) > CROSSING_ANGLE)
-    crossing &= (np.abs(h[:-1]) < np.pi - CROSSING_ANGLE) & inside[:-1]
+    crossing = (d[:-1] * d[1:] <= 0) & (np.abs(d[:-1] - d[1:]) < 1.5) & (np.abs(h[:-1]) > MIN_CROSSING_ANGLE_RAD)
+    crossing &= (np.abs(h[:-1]) < np.pi - MIN_CROSSING_ANGLE_RAD) & inside[:-1]
     apart = np.maximum.accumulate((np.abs(d) > 2.0) & (np.abs(h) < 2.6))
-    merging = (np.abs(d) < 0.8) & (np.abs(h) < CROSSING_ANGLE) & inside & apart
+    merging = (np.abs(d) < 0.8) & (np.abs(h) < MIN_CROSSING_ANGLE_RAD) & inside & apart
     i_cross = int(np.argmax(crossing)) if crossing.any() else len(d)
     i_merge = int(np.argmax(merging)) if merging.any() else len(d)
     i = min(i_cross, i_merge)
@@ -275,4 +275,4 @@ def _conflict(path: Path, movement: str, s: Floats, d: Floats, h: Floats, ego: P
         return None
     kind = "crossing" if i == i_cross else "merging"
     here = (float(values[i]) for values in (s, path.x, path.y, path.heading, h))
-    return Conflict(kind, movement, i * PATH_STEP, *here)
+    return Conflict(kind, movement, i * PATH_STEP_M, *here)

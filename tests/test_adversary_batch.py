@@ -18,7 +18,7 @@ from sumo_adv.geometry import Frame, Path
 from sumo_adv.planners.adversary_batch import AdversaryBatch
 from sumo_adv.planners.answers import road_of
 from sumo_adv.planners.trajectory import Batch, Goal, Motion, pose
-from sumo_adv.situation import NO_ARRIVAL, Situation, Target, relate
+from sumo_adv.situation import NO_ARRIVAL_S, Situation, Target, relate
 
 EXAMPLES = settings(max_examples=20, deadline=None, derandomize=True)
 AT_START = tuple(np.array([q]) for q in (0.0, 0.0, 10.0, 0.0))  # the ego: station, offset, speed, acceleration
@@ -282,7 +282,7 @@ def test_a_planner_observes_places_in_the_egos_frame() -> None:
     assert bv == pytest.approx(expected)
     assert [ego[n] for n in ("x", "y", "speed", "length", "width")] == pytest.approx([0.0, 0.0, 10.0, 5.0, 2.0])
     assert ego["path"][3] == pytest.approx([3.0, 30.0, 0.0, 0.0, 10.0])  # time, x, y, heading, speed
-    assert ego["arrivals"] == [NO_ARRIVAL]
+    assert ego["arrivals"] == [NO_ARRIVAL_S]
 
 
 def test_a_lane_change_under_way_is_observed_with_its_end_and_the_seconds_left() -> None:
@@ -298,7 +298,7 @@ def test_a_lane_change_under_way_is_observed_with_its_end_and_the_seconds_left()
 
 def test_arrivals_stand_in_the_order_of_the_ways() -> None:
     _, ego = observed(situation([crossing()]))
-    assert ego["arrivals"] == [pytest.approx(3.0, abs=0.05), NO_ARRIVAL]
+    assert ego["arrivals"] == [pytest.approx(3.0, abs=0.05), NO_ARRIVAL_S]
 
 
 def test_observations_and_roads_are_plain_data() -> None:

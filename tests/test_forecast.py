@@ -16,7 +16,7 @@ from sumo_adv.geometry import Frame
 from sumo_adv.planners.answers import Answer, PlannerObservation, arrivals, local_endpoint, stations, world_endpoint
 from sumo_adv.search.rollouts import Ask, Rollouts, predict
 from sumo_adv.simulation.sumo_rules import Scenes, profile_at
-from sumo_adv.situation import NO_ARRIVAL, Situation
+from sumo_adv.situation import NO_ARRIVAL_S, Situation
 
 SIT = situation([neighbour()])  # an ego at 10 m/s for 5 s
 
@@ -59,7 +59,7 @@ def test_arrivals_are_seconds_to_the_conflict_negative_once_past_and_never_for_a
     v = array(10.0, 10.0, 0.0, 5.0, 10.0)
     at = array(50.0, 17.0, 50.0, 30.0, math.inf)[:, None]
     arrival = arrivals(Scenes([SIT] * 5), 2.0, s, v, array(0.0, 0.0, 0.0, 0.0, 0.0), at)
-    assert arrival[:, 0] == pytest.approx([3.0, -0.3, NO_ARRIVAL, 2.0, NO_ARRIVAL], abs=1e-6)
+    assert arrival[:, 0] == pytest.approx([3.0, -0.3, NO_ARRIVAL_S, 2.0, NO_ARRIVAL_S], abs=1e-6)
 
 
 # ---- rollouts

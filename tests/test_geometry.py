@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sumo_adv.datatypes import Floats
-from sumo_adv.geometry import PATH_STEP, Frame, Path, along, make_path, quintics, wrap
+from sumo_adv.geometry import PATH_STEP_M, Frame, Path, along, make_path, quintics, wrap
 
 COORDINATE = st.floats(-2000.0, 2000.0)
 ANGLE = st.floats(-math.pi + 1e-6, math.pi)
@@ -109,9 +109,9 @@ def test_projecting_a_point_of_a_gentle_bend_gives_its_station_and_offset(
 @given(RADIUS, TURN)
 def test_samples_lie_half_a_metre_apart_on_the_curve_they_were_made_from(radius: float, turn: float) -> None:
     path = arc(radius, turn)
-    assert spacing(path) == pytest.approx(PATH_STEP, abs=0.005)
+    assert spacing(path) == pytest.approx(PATH_STEP_M, abs=0.005)
     assert np.hypot(path.x, path.y - turn * radius) == pytest.approx(radius, abs=0.02)
-    assert path.heading[4:-4] == pytest.approx(turn * np.arange(4, len(path.x) - 4) * PATH_STEP / radius, abs=0.01)
+    assert path.heading[4:-4] == pytest.approx(turn * np.arange(4, len(path.x) - 4) * PATH_STEP_M / radius, abs=0.01)
 
 
 def test_a_bend_of_20_metres_is_taken_at_8_metres_a_second() -> None:
@@ -124,15 +124,15 @@ def test_before_a_bend_the_speed_is_what_4_metres_a_second_squared_can_still_bra
     bend = [(100.0 + 20.0 * math.sin(a), 20.0 - 20.0 * math.cos(a)) for a in np.arange(0.01, 1.5, 0.01)]
     path = make_path([*[(float(x), 0.0) for x in range(101)], *bend])
     at_bend = int(np.argmax(path.speed < 8.1))
-    assert at_bend * PATH_STEP == pytest.approx(100.0, abs=3.0)  # the bend is smoothed in
+    assert at_bend * PATH_STEP_M == pytest.approx(100.0, abs=3.0)  # the bend is smoothed in
     assert path.speed[at_bend - 20] == pytest.approx(12.0, abs=0.1)  # 10 m before: sqrt(8^2 + 2 * 4 * 10)
-    assert (np.diff(path.speed[:at_bend] ** 2) >= -2 * 4.0 * PATH_STEP - 1e-9).all()
+    assert (np.diff(path.speed[:at_bend] ** 2) >= -2 * 4.0 * PATH_STEP_M - 1e-9).all()
 
 
 def test_an_extended_path_is_straight_on_and_fast() -> None:
     path = arc(25.0, 1.0).extended(7.2)
     assert path.length == pytest.approx(39.5 + 7.5)  # whole samples: 0.5 * ceil(14.4)
-    assert spacing(path)[-16:] == pytest.approx(PATH_STEP, abs=0.005)
+    assert spacing(path)[-16:] == pytest.approx(PATH_STEP_M, abs=0.005)
     assert path.heading[-15:] == pytest.approx(path.heading[-16])
     assert path.curvature[-15:] == pytest.approx(0.0)
     assert path.speed[-1] == pytest.approx(50.0)

@@ -14,14 +14,14 @@ from regression_samples import attacked, suite_in
 
 from sumo_adv.config import load_settings
 from sumo_adv.errors import UsageError
-from sumo_adv.parsing import DEEPEST, LARGEST_UNPACKED, parse_json, parse_toml, read_bytes, read_object
+from sumo_adv.parsing import MAX_NESTING, MAX_UNPACKED_BYTES, parse_json, parse_toml, read_bytes, read_object
 from sumo_adv.report.read import columns_of
 from sumo_adv.simulation.scan import read_text
 
 DEEP, LONG = "[" * 100_000, "1" * 5_000
 
 
-@pytest.mark.parametrize("text", [DEEP, LONG, '{"a":' * 100_000, "[" * (DEEPEST + 1) + "]" * (DEEPEST + 1)])
+@pytest.mark.parametrize("text", [DEEP, LONG, '{"a":' * 100_000, "[" * (MAX_NESTING + 1) + "]" * (MAX_NESTING + 1)])
 def test_json_that_is_too_deep_or_has_too_many_digits_is_refused(text: str, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"nests too deeply|digits|more than 64 bits"):
         parse_json(text)
@@ -98,7 +98,7 @@ def bomb(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A gzip file of less than 1 MB that unpacks to more than the limit."""
     file = tmp_path_factory.mktemp("bomb") / "states.csv.gz"
     part = gzip.compress(b"\n" * 2**26)
-    file.write_bytes(part * (LARGEST_UNPACKED // 2**26 + 1))
+    file.write_bytes(part * (MAX_UNPACKED_BYTES // 2**26 + 1))
     assert file.stat().st_size < 1_000_000
     return file
 

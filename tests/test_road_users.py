@@ -32,7 +32,7 @@ from sumo_adv.planners.sessions import is_trusted
 from sumo_adv.planners.source import parse_parameters
 from sumo_adv.planners.trial import trial
 from sumo_adv.report.export.openscenario import kind
-from sumo_adv.road_users import LIMITS, RoadUser, road_user
+from sumo_adv.road_users import UNPROTECTED_LIMITS, RoadUser, road_user
 from sumo_adv.simulation.simulation import Simulation
 from sumo_adv.situation import Target
 
@@ -61,7 +61,7 @@ def test_the_size_says_what_a_road_user_is(length: float, width: float, user: st
 def test_settings_change_the_limits_of_vehicles_alone() -> None:
     limits = load_settings(None, limits={"braking": 6.0}).limits
     assert (limits.of(Box(5.0, 1.8)).braking, limits.of(Box(0.5, 0.5)).braking) == (6.0, 5.0)
-    assert limits.of(Box(1.8, 0.6)) == LIMITS[RoadUser.CYCLIST]
+    assert limits.of(Box(1.8, 0.6)) == UNPROTECTED_LIMITS[RoadUser.CYCLIST]
 
 
 # ---- gates
@@ -88,7 +88,12 @@ def test_a_pedestrian_may_be_beside_the_road() -> None:
     for size, expected in ((PERSON, ()), ({"length": 2.6, "width": 1.2}, ("off_road",))):
         walks = cruise("adversary", 60.0, -5.0, 1.5, NORTH, **size)
         failed = failed_gates(
-            walks, LIMITS[RoadUser.PEDESTRIAN], on_road=lambda x, y: np.abs(y) < 3.0, ego=ego, others=(), end=3.0
+            walks,
+            UNPROTECTED_LIMITS[RoadUser.PEDESTRIAN],
+            on_road=lambda x, y: np.abs(y) < 3.0,
+            ego=ego,
+            others=(),
+            end=3.0,
         )
         assert failed == expected
 
@@ -183,7 +188,8 @@ def test_the_careful_ego_does_not_see_through_a_van() -> None:
     for name in ("seen", "hidden"):
         ego = CarefulEgo()
         for k in range(20):
-            walker = Vehicle(name, 22.0, -4.0 + 0.15 * k, NORTH, 1.5, 0.0, 0.5, 0.5, "", senses=Hides())  # type: ignore[arg-type]
+            # type: ignore[arg-type]
+            walker = Vehicle(name, 22.0, -4.0 + 0.15 * k, NORTH, 1.5, 0.0, 0.5, 0.5, "", senses=Hides())
             me = VehicleState("ego", 0.0, 0.0, 0.0, 10.0, 0.0, 5.0, 2.0, "")
             speeds[name] = ego.act(Observation(0.1 * k, 0.1, me, (walker,), 0.0, 0.0, None, None))
     assert speeds["seen"] is not None and speeds["hidden"] is None
@@ -193,7 +199,7 @@ def test_serious_depends_on_the_impact_speed() -> None:
     """The front of the ego meets the pedestrian at 10 m/s, which is more than 8.06; at 7 m/s it is strict."""
     for speed, expected in ((10.0, Level.SERIOUS), (7.0, Level.STRICT)):
         ego, walks = cruise("ego", 80.0 - 10.0 * speed, 0.0, speed), crossing(3.2, **PERSON)
-        verdict = judge(ego, walks, (), trigger_time=2.0, limits=LIMITS[RoadUser.PEDESTRIAN])
+        verdict = judge(ego, walks, (), trigger_time=2.0, limits=UNPROTECTED_LIMITS[RoadUser.PEDESTRIAN])
         assert verdict.collided and verdict.feasible
         verdict = with_level(verdict, ego, walks, (), trigger_time=2.0)
         assert verdict.impact_speed == pytest.approx(speed, abs=0.01) and verdict.humanlike
@@ -222,7 +228,7 @@ def test_one_that_moves_has_ways_that_begin_as_it_moves_and_that_it_can_follow(
     state = person(60.0, y, heading, speed, **size)
     ways = unprotected_ways(state, EGO_PATH)
     assert [w.movement for w in ways] == ["along"] + ["across"] * 5
-    limits = LIMITS[road_user(state)]
+    limits = UNPROTECTED_LIMITS[road_user(state)]
     for way in ways:
         assert (way.path.x[0], way.path.y[0]) == pytest.approx((60.0, y))
         assert math.cos(way.path.heading[0] - heading) > math.cos(0.1)

@@ -30,7 +30,7 @@ from sumo_adv.campaigns.results import OUTCOME_FILE, Done, Job, Row, checked_row
 from sumo_adv.errors import UsageError
 from sumo_adv.files import is_plain_name, refuse_links, scratch_prefix, sentences, write_text, write_whole
 from sumo_adv.memory.store import connect
-from sumo_adv.parsing import LARGEST_UNPACKED, read_json
+from sumo_adv.parsing import MAX_UNPACKED_BYTES, read_json
 
 PACK_SCHEMA = 1
 MAX_PACKED_RUNS = 1000
@@ -178,8 +178,8 @@ def _unpack_one(
 
 def _unpacked(source: zipfile.ZipFile, name: str) -> bytes:
     """A member of a pack; ``zipfile`` reads no more than its head says. Raises ValueError: it is too large."""
-    if source.getinfo(name).file_size > LARGEST_UNPACKED:
-        raise ValueError(f"{name} holds more than {LARGEST_UNPACKED // 2**20} MiB")
+    if source.getinfo(name).file_size > MAX_UNPACKED_BYTES:
+        raise ValueError(f"{name} holds more than {MAX_UNPACKED_BYTES // 2**20} MiB")
     return source.read(name)
 
 

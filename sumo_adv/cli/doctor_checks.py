@@ -19,7 +19,7 @@ from pathlib import Path
 
 from sumo_adv import __version__
 from sumo_adv.app import shipped_bank
-from sumo_adv.config import PREFIX
+from sumo_adv.config import SETTING_PREFIX
 from sumo_adv.errors import SumoAdvError
 from sumo_adv.memory.store import default_bank_path
 from sumo_adv.planners.source import make_planner
@@ -236,8 +236,8 @@ LITTLE_SPACE = 500e6  # bytes
 
 def variables(known: Collection[str], environment: Mapping[str, str] = os.environ) -> Iterator[Finding]:
     """Variables that look like settings and are none; ``known``: the names of settings. Values are never shown."""
-    given = [name for name in environment if name.upper().startswith(PREFIX)]
-    unknown = sorted(n for n in given if n.upper().removeprefix(PREFIX).split("__")[0].lower() not in known)
+    given = [name for name in environment if name.upper().startswith(SETTING_PREFIX)]
+    unknown = sorted(n for n in given if n.upper().removeprefix(SETTING_PREFIX).split("__")[0].lower() not in known)
     if unknown:
         state = f"{', '.join(unknown)}: no setting has that name, so it does nothing"
         yield Finding("variables", Level.WARN, state, "see docs/settings.md for the names")

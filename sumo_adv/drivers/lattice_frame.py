@@ -16,7 +16,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats, VehicleState
 from sumo_adv.drivers.lattice import Egos, Expected, Size, look_ahead, steering
-from sumo_adv.geometry import PATH_STEP, Path, make_path, wrap
+from sumo_adv.geometry import PATH_STEP_M, Path, make_path, wrap
 from sumo_adv.metrics.reference.cc_human import STOPPING_SHORT
 
 COARSE = 2  # samples of the path between those that points are compared with
@@ -43,10 +43,10 @@ class RoadFrame:
         """``points``: (x, y) [m] of the path's centreline in driving direction."""
         self.path: Path = make_path(points)
         count = len(self.path.x)
-        self._grid = PATH_STEP * np.arange(count)
+        self._grid = PATH_STEP_M * np.arange(count)
         index = np.arange(count)
         first, last = np.maximum(index - BEND_SPAN, 0), np.minimum(index + BEND_SPAN, count - 1)
-        self._curvature = (self.path.heading[last] - self.path.heading[first]) / ((last - first) * PATH_STEP)
+        self._curvature = (self.path.heading[last] - self.path.heading[first]) / ((last - first) * PATH_STEP_M)
         square = np.minimum(BEND_LATERAL / np.maximum(np.abs(self._curvature), 1e-9), FASTEST**2)
         gained = 2 * BEND_BRAKING * self._grid
         self._pace = np.sqrt(np.minimum.accumulate((square + gained)[::-1])[::-1] - gained)
@@ -58,7 +58,7 @@ class RoadFrame:
         i = COARSE * np.argmin((x[..., None] - px) ** 2 + (y[..., None] - py) ** 2, axis=-1)
         cos, sin = np.cos(p.heading[i]), np.sin(p.heading[i])
         dx, dy = x - p.x[i], y - p.y[i]
-        s = PATH_STEP * i + cos * dx + sin * dy
+        s = PATH_STEP_M * i + cos * dx + sin * dy
         there = np.interp(s, self._grid, p.heading)
         return s, cos * dy - sin * dx, wrap(heading - there)
 

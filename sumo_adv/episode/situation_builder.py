@@ -16,7 +16,7 @@ from sumo_adv.episode.ego_place import lane_on_route
 from sumo_adv.episode.encounter_detector import REACH, RankedVehicle, continued
 from sumo_adv.episode.surroundings import Sight
 from sumo_adv.episode.unprotected import STANDS, unprotected_ways
-from sumo_adv.geometry import PATH_STEP, Frame, Path, wrap
+from sumo_adv.geometry import PATH_STEP_M, Frame, Path, wrap
 from sumo_adv.metrics.case import closest, smoothed
 from sumo_adv.road_users import is_unprotected
 from sumo_adv.simulation.network import Connection, RoadMap, Way
@@ -77,8 +77,8 @@ def spent(target: Target, lateral: float) -> bool:
     there with more than ``lateral`` [m/s2] at its speed. False for any other relation."""
     if target.relation not in MEET_AHEAD:
         return False
-    k, square = max(int(target.station / PATH_STEP), 0), target.state.speed**2
-    meeting = [w.path.curvature[k : k + round(AT_ONCE / PATH_STEP)] for w in target.ways if w.conflict is not None]
+    k, square = max(int(target.station / PATH_STEP_M), 0), target.state.speed**2
+    meeting = [w.path.curvature[k : k + round(AT_ONCE / PATH_STEP_M)] for w in target.ways if w.conflict is not None]
     return not any(square * float(np.abs(bends).max(initial=0.0)) <= lateral for bends in meeting)
 
 
@@ -328,7 +328,7 @@ def _target(
     if lane is None or not ways:
         return None
     station, offset = ways[0].path.project(bv.x, bv.y, near=0.0)
-    heading = ways[0].path.heading[min(max(int(station / PATH_STEP), 0), len(ways[0].path.x) - 1)]
+    heading = ways[0].path.heading[min(max(int(station / PATH_STEP_M), 0), len(ways[0].path.x) - 1)]
     turn = wrap(bv.heading - float(heading))
     sides = tuple((float(o), k) for o, k in road.side_offsets(lane.id, bv.x, bv.y, bv.heading, vclass))
     unattacked = _along(onward, road, lane.id, route)

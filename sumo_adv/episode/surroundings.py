@@ -21,7 +21,7 @@ from sumo_adv.episode.encounter_detector import REACH, logged_path
 from sumo_adv.episode.right_of_way import Meetings
 from sumo_adv.episode.road_here import RoadHere
 from sumo_adv.errors import SimulationError
-from sumo_adv.geometry import PATH_STEP, crosses_box, same_layer, wrap
+from sumo_adv.geometry import PATH_STEP_M, crosses_box, same_layer, wrap
 from sumo_adv.simulation.network import RoadMap
 from sumo_adv.simulation.simulation import heading_of
 
@@ -161,7 +161,7 @@ class LaneLine:
             path, lanes = (ways[0].path, ways[0].lanes) if ways else (None, lanes)
         if path is None:
             return None
-        count = round(LINE_AHEAD / PATH_STEP)
+        count = round(LINE_AHEAD / PATH_STEP_M)
         self._line = tuple(zip(path.x[:count:2].tolist(), path.y[:count:2].tolist(), strict=True))
         self._lanes, self._from = lanes, (ego.x, ego.y)
         return self._line

@@ -18,7 +18,7 @@ from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.ego_place import front_on, lane_on_route
 from sumo_adv.episode.encounter_detector import REACH
 from sumo_adv.episode.situation_builder import HISTORY
-from sumo_adv.geometry import PATH_STEP, Path, make_path, same_layer, wrap
+from sumo_adv.geometry import PATH_STEP_M, Path, make_path, same_layer, wrap
 from sumo_adv.metrics.boxes import height_as
 from sumo_adv.simulation.network import Lane, RoadMap
 
@@ -91,7 +91,7 @@ def _place(road: RoadMap, drive: Drive, state: VehicleState, vclass: str) -> tup
 
 
 def _stations(path: Path) -> Floats:
-    return np.asarray(PATH_STEP * np.arange(len(path.x)), float)
+    return np.asarray(PATH_STEP_M * np.arange(len(path.x)), float)
 
 
 def _caps(limits: Floats, path: Path, ends: Floats, state: VehicleState) -> Floats:
@@ -132,7 +132,7 @@ def _advance(courses: Sequence[ForecastPath], a: Floats, steps: int, dt: float) 
         room = np.maximum(gap + np.where(follows, went[leader], 0.0) - went, 0.0)
         ahead = np.where(follows, v[leader], 0.0)
         safe = -BRAKING * TAU + np.sqrt((BRAKING * TAU) ** 2 + ahead**2 + 2 * BRAKING * room)
-        place = np.minimum(((start + went) / PATH_STEP).astype(np.intp), cap.shape[1] - 1)
+        place = np.minimum(((start + went) / PATH_STEP_M).astype(np.intp), cap.shape[1] - 1)
         wish = np.minimum(v + a * dt, np.where(follows, safe, math.inf))
         v = np.clip(np.minimum(wish, cap[rows, place]), np.maximum(v - 2 * BRAKING * dt, 0.0), 60.0)
         a, went = a * fade, went + v * dt
@@ -151,7 +151,7 @@ def _leaders(courses: Sequence[ForecastPath]) -> tuple[np.ndarray, Floats]:
         for j in np.flatnonzero(near & (np.abs(wrap(h - c.state.heading)) < TURNED)):
             s, d = c.path.project(float(x[j]), float(y[j]))
             free = s - c.station - half[k] - half[j] - MIN_GAP
-            turned = abs(wrap(h[j] - c.path.heading[min(int(max(s, 0.0) / PATH_STEP), len(c.path.x) - 1)]))
+            turned = abs(wrap(h[j] - c.path.heading[min(int(max(s, 0.0) / PATH_STEP_M), len(c.path.x) - 1)]))
             level = same_layer(z[j], c.path.height(s))
             if j != k and s > c.station and abs(d) < IN_LINE and turned < SAME_WAY and free < room[k] and level:
                 leader[k], room[k] = j, free

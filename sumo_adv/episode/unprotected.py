@@ -15,8 +15,8 @@ import numpy as np
 
 from sumo_adv.datatypes import VehicleState
 from sumo_adv.episode.drive import Drive
-from sumo_adv.geometry import PATH_STEP, Path, make_path, wrap
-from sumo_adv.road_users import FASTEST, LIMITS, RoadUser, is_unprotected, road_user
+from sumo_adv.geometry import PATH_STEP_M, Path, make_path, wrap
+from sumo_adv.road_users import UNPROTECTED_LIMITS, UNPROTECTED_SPEEDS_M_S, RoadUser, is_unprotected, road_user
 from sumo_adv.simulation.network import Way
 from sumo_adv.simulation.permissions import CYCLES, ON_FOOT
 from sumo_adv.situation import ReferencePath, relate
@@ -69,7 +69,7 @@ def _at(state: VehicleState, path: Path) -> Path:
 def _beside(lane: Path, state: VehicleState) -> Path:
     """The path of a lane, moved sideways to where a cyclist rides in it."""
     station, offset = lane.project(state.x, state.y, near=0.0)
-    x, y, _ = lane.at(np.arange(station, lane.length, PATH_STEP), offset)
+    x, y, _ = lane.at(np.arange(station, lane.length, PATH_STEP_M), offset)
     return _at(state, make_path(np.column_stack([x, y])))
 
 
@@ -99,7 +99,7 @@ def _across(state: VehicleState, user: RoadUser, ego_path: Path, after: float, *
         )  # fmt: skip
     end = points[-1]
     points.append((end[0] + ACROSS * math.cos(heading), end[1] + ACROSS * math.sin(heading)))
-    return make_path(points, tightest=LIMITS[user].curvature, lateral=LEAN)
+    return make_path(points, tightest=UNPROTECTED_LIMITS[user].curvature, lateral=LEAN)
 
 
 def crossing_risk(ways: Sequence[ReferencePath], state: VehicleState, ego: VehicleState) -> float:
@@ -111,7 +111,7 @@ def crossing_risk(ways: Sequence[ReferencePath], state: VehicleState, ego: Vehic
         if conflict is None or conflict.bv_s > FARTHEST:
             continue
         ego_time = conflict.ego_s / max(ego.speed, 1.0)
-        earliest = STARTS + conflict.bv_s / FASTEST[user]
+        earliest = STARTS + conflict.bv_s / UNPROTECTED_SPEEDS_M_S[user]
         if EGO_TIME[0] < ego_time < EGO_TIME[1] and earliest < ego_time:
             best = max(best, 0.95 * math.exp(-max(0.0, ego_time - 5.0) / 4.0))
     return best

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from sumo_adv.datatypes import MOST_ADVERSARIES, Acceleration, Duty, Planner, Verdict, acceleration_of
+from sumo_adv.datatypes import MAX_ADVERSARIES, Acceleration, Duty, Planner, Verdict, acceleration_of
 from sumo_adv.errors import BankError
 
 RELATIONS = (
@@ -214,9 +214,9 @@ class Composition:
         if not canonical(self.label) or not self.description.strip():
             raise BankError(f"The composition {self.label!r} needs a label and a description.")
         colliders = [part.duty is Duty.COLLIDER for part in self.parts]
-        if not 2 <= len(colliders) <= MOST_ADVERSARIES or colliders != [True] + [False] * (len(colliders) - 1):
+        if not 2 <= len(colliders) <= MAX_ADVERSARIES or colliders != [True] + [False] * (len(colliders) - 1):
             raise BankError(
-                f"The composition {self.label!r} must have 2 to {MOST_ADVERSARIES} parts: a collider, then supports."
+                f"The composition {self.label!r} must have 2 to {MAX_ADVERSARIES} parts: a collider, then supports."
             )
 
     @property

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Endpoint, Floats
-from sumo_adv.geometry import PATH_STEP, wrap
+from sumo_adv.geometry import PATH_STEP_M, wrap
 from sumo_adv.metrics.contact import SAME_DIRECTION
 from sumo_adv.planners.answers import LOOK, PlannerObservation, arrivals, stations
 from sumo_adv.planners.follower import Follower, Line, aligned
@@ -80,7 +80,7 @@ class AdversaryBatch:
     def relative(self, motion: Motion) -> tuple[Floats, Floats, Floats]:
         """Station, offset and heading of the box centres in the ego path's frame, each ``(n,)``."""
         row = self.rows.row
-        u = np.minimum(np.maximum(motion.s / PATH_STEP, 0.0), self._ego.shape[2] - 1.0)
+        u = np.minimum(np.maximum(motion.s / PATH_STEP_M, 0.0), self._ego.shape[2] - 1.0)
         i = np.minimum(u.astype(np.intp), self._ego.shape[2] - 2)
         w = u - i
         s0, d0, h0 = self._ego[row, :, i].T
@@ -139,7 +139,7 @@ class AdversaryBatch:
         half = self.length[rows] / 2
         x, y = x + half * np.cos(h), y + half * np.sin(h)
         least, nearest = np.full(len(rows), np.inf), self._sumo_way[rows]
-        here = ((motion.s[rows] + half) / PATH_STEP).astype(np.intp)
+        here = ((motion.s[rows] + half) / PATH_STEP_M).astype(np.intp)
         near = np.clip(here[:, None] + BESIDE, 0, self.rows.table.shape[2] - 1)[:, None]
         places, count = np.arange(int(self._count[rows].max())), self._count[rows][:, None]
         ways = self._base[rows][:, None] + np.where(places < count, places, 0)
@@ -201,8 +201,8 @@ class AdversaryBatch:
         px, py, heading = table[row, :3, i].T
         dx, dy, c, s = x - px, y - py, np.cos(heading), np.sin(heading)
         along, aside = c * dx + s * dy, -s * dx + c * dy
-        along = np.where((i > 0) & (i < last), np.minimum(np.maximum(along, -PATH_STEP), PATH_STEP), along)
-        return i * PATH_STEP + along, aside, np.abs(wrap(h - heading))
+        along = np.where((i > 0) & (i < last), np.minimum(np.maximum(along, -PATH_STEP_M), PATH_STEP_M), along)
+        return i * PATH_STEP_M + along, aside, np.abs(wrap(h - heading))
 
     def follower(self, k: int, motion: Motion, states: Floats) -> Follower:
         """A follower that drives vehicle ``k`` along a planner's states (n, 4) on its way. Raises PlannerResultError:
@@ -285,7 +285,7 @@ def _junction(way: ReferencePath, lane: float) -> tuple[float, float, float, flo
     if c is None:
         return np.inf, 0.0, np.inf, 0.0, 0.0, np.inf
     wide = 2.0 / abs(math.sin(c.angle)) - 1.0 if c.kind == "crossing" else 0.0
-    at = int(c.bv_s / PATH_STEP)
+    at = int(c.bv_s / PATH_STEP_M)
     apart = np.flatnonzero(np.abs(way.ego_d[: at + 1]) > min(JOINED, lane))
     joins = float(way.ego_s[min(apart[-1] + 1, at)]) if len(apart) else c.ego_s
     return way.junction, c.bv_s, c.ego_s, float(c.kind == "merging"), wide, joins

@@ -15,7 +15,7 @@ import numpy as np
 from sumo_adv.datatypes import Endpoint, Floats, Proposal, acceleration_at
 from sumo_adv.planners.session import Call
 from sumo_adv.simulation.sumo_rules import Scenes
-from sumo_adv.situation import NO_ARRIVAL, Situation, mirrored
+from sumo_adv.situation import NO_ARRIVAL_S, Situation, mirrored
 
 PlannerObservation = tuple[dict[str, Any], dict[str, Any]]
 """The dictionaries ``bv`` and ``ego`` of a planner's call, in the frame of the ego at the trigger."""
@@ -66,7 +66,7 @@ def road_of(situation: Situation, name: str) -> dict[str, Any]:
     ways = []
     for way in target.ways:
         entry: dict[str, Any] = {
-            "movement": mirrored(way.movement, hand), "junction": min(way.junction, NO_ARRIVAL), "conflict": None,
+            "movement": mirrored(way.movement, hand), "junction": min(way.junction, NO_ARRIVAL_S), "conflict": None,
             "centreline": _points(situation, way.path),
         }  # fmt: skip
         if way.conflict is not None:
@@ -117,9 +117,9 @@ def stations(scenes: Scenes, now: float, s: Floats, v: Floats, a: Floats, look: 
 
 
 def arrivals(scenes: Scenes, now: float, s: Floats, v: Floats, a: Floats, conflict_s: Floats) -> Floats:
-    """Seconds until egos (n,) are at stations ``conflict_s`` (n, k). Negative once past, ``NO_ARRIVAL`` if the ego does
-    not get there within the forecast."""
-    times = np.full(conflict_s.shape, NO_ARRIVAL)
+    """Seconds until egos (n,) are at stations ``conflict_s`` (n, k). Negative once past, ``NO_ARRIVAL_S`` if the ego
+    does not get there within the forecast."""
+    times = np.full(conflict_s.shape, NO_ARRIVAL_S)
     if not np.isfinite(conflict_s).any():
         return times
     way, _ = stations(scenes, now, s, v, a, ARRIVAL_LOOK)
@@ -131,5 +131,5 @@ def arrivals(scenes: Scenes, now: float, s: Floats, v: Floats, a: Floats, confli
         w = np.clip((at - before) / np.maximum(after - before, 1e-6), 0.0, 1.0)
         time = ARRIVAL_LOOK[i - 1] + w * (ARRIVAL_LOOK[i] - ARRIVAL_LOOK[i - 1])
         left = at - s
-        times[:, k] = np.where(left <= 0, left / np.maximum(v, 3.0), np.where(reached[:, -1], time, NO_ARRIVAL))
+        times[:, k] = np.where(left <= 0, left / np.maximum(v, 3.0), np.where(reached[:, -1], time, NO_ARRIVAL_S))
     return times

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sumo_adv.datatypes import Limits
-from sumo_adv.geometry import PATH_STEP, Path
+from sumo_adv.geometry import PATH_STEP_M, Path
 from sumo_adv.metrics.realism import BOUNDS, FAST, SLOW
 
 FULL_CLOCK_SPEED = 6.0  # m/s: a lateral move of a slower vehicle is planned for this speed, and takes longer
@@ -117,11 +117,11 @@ class PathRow:
 
     def at(self, s: float) -> tuple[float, float, float, float]:
         """x, y, heading, curvature; the path goes straight on beyond both ends."""
-        u = s / PATH_STEP
+        u = s / PATH_STEP_M
         i = int(u)
         if u < 0.0 or i >= self._last:
             x, y, h, _, _ = self._table[0 if u < 0.0 else self._last]
-            over = s if u < 0.0 else s - self._last * PATH_STEP
+            over = s if u < 0.0 else s - self._last * PATH_STEP_M
             return x + over * math.cos(h), y + over * math.sin(h), h, 0.0
         w = u - i
         a, b = self._table[i], self._table[i + 1]
@@ -130,7 +130,7 @@ class PathRow:
 
     def bend_speed(self, s: float, d: float) -> float:
         """The speed at which the path can be taken there at an offset d [m/s]; bends are tighter on the inside."""
-        i = int(s / PATH_STEP)
+        i = int(s / PATH_STEP_M)
         row = self._table[i if 0 <= i < self._last else (0 if i < 0 else self._last)]
         return row[4] * math.sqrt(max(1.0 - row[3] * d, 0.2))
 
@@ -164,18 +164,18 @@ class PathRows:
     def _look_up(self, s: Any) -> tuple[Any, Any, Any, Any]:
         row = self.row
         last = self.last[row]
-        u = np.minimum(np.maximum(s / PATH_STEP, 0.0), last)
+        u = np.minimum(np.maximum(s / PATH_STEP_M, 0.0), last)
         i = np.minimum(u.astype(np.intp), last - 1)
         w = u - i
         a, b = self.table[row, :4, i], self.table[row, :4, i + 1]
         x, y, h, k = (a + (b - a) * w[:, None]).T
-        over = s - u * PATH_STEP
+        over = s - u * PATH_STEP_M
         return x + over * np.cos(h), y + over * np.sin(h), h, np.where(over == 0.0, k, 0.0)
 
     def bend_speed(self, s: Any, d: Any) -> Any:
         """The speed at which the path can be taken there at an offset d [m/s]; bends are tighter on the inside."""
         row = self.row
-        i = np.minimum(np.maximum((s / PATH_STEP).astype(np.intp), 0), self.last[row])
+        i = np.minimum(np.maximum((s / PATH_STEP_M).astype(np.intp), 0), self.last[row])
         curvature, speed = self.table[row, 3, i], self.table[row, 4, i]
         return speed * np.sqrt(np.maximum(1.0 - curvature * d, 0.2))
 

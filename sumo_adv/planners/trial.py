@@ -12,8 +12,8 @@ import numpy as np
 from sumo_adv.datatypes import Floats, Planner
 from sumo_adv.errors import SandboxError
 from sumo_adv.geometry import wrap
-from sumo_adv.road_users import FASTEST, RoadUser
-from sumo_adv.situation import NO_ARRIVAL, fastest_of
+from sumo_adv.road_users import UNPROTECTED_SPEEDS_M_S, RoadUser
+from sumo_adv.situation import NO_ARRIVAL_S, fastest_of
 
 if TYPE_CHECKING:
     from sumo_adv.planners.sandbox import Sandbox
@@ -95,7 +95,7 @@ def _lane(name: str, relation: str, curvature: float, speed: float, time: float)
     turned = math.pi if oncoming else 0.0
     step = -2.0 if oncoming else 2.0
     line = [list(on_arc(ahead + step * i, left, curvature)[:2]) for i in range(60)]
-    way = {"movement": "straight", "junction": NO_ARRIVAL, "conflict": None, "centreline": line}
+    way = {"movement": "straight", "junction": NO_ARRIVAL_S, "conflict": None, "centreline": line}
     bv = _bv((x, y, wrap(h + turned)), bv_speed, travelled, time)
     bv |= {
         "ahead": station - speed * time, "left": left, "relative_heading": turned, "road_heading": h,
@@ -103,7 +103,7 @@ def _lane(name: str, relation: str, curvature: float, speed: float, time: float)
         "speed_along": -bv_speed if oncoming else bv_speed,
     }  # fmt: skip
     road = _road(relation, left, curvature, bv_speed, (*on_arc(ahead, left, curvature)[:2], turned), way)
-    return Probe(name, bv, _ego(curvature, speed, time, [NO_ARRIVAL]), road)
+    return Probe(name, bv, _ego(curvature, speed, time, [NO_ARRIVAL_S]), road)
 
 
 def _meeting(
@@ -128,7 +128,7 @@ def _meeting(
 def _arrival(speed: float, time: float) -> float:
     """Seconds until the ego is where the ways meet."""
     left = CONFLICT - speed * time
-    return left / max(speed, 3.0) if left <= 0 else (left / speed if speed > 2.8 else NO_ARRIVAL)
+    return left / max(speed, 3.0) if left <= 0 else (left / speed if speed > 2.8 else NO_ARRIVAL_S)
 
 
 def _crossing(name: str, relation: str, curvature: float, speed: float, time: float) -> Probe:
@@ -151,9 +151,9 @@ def _crossing(name: str, relation: str, curvature: float, speed: float, time: fl
 def _small(name: str, relation: str, curvature: float, speed: float, time: float) -> Probe:
     """A pedestrian that stands beside the road at first, or a cyclist that rides along it; both may cross."""
     cyclist = relation.startswith("cyclist")
-    across, at = _meeting("crossing", "across", NO_ARRIVAL, math.pi / 2, BESIDE, 15, curvature)
+    across, at = _meeting("crossing", "across", NO_ARRIVAL_S, math.pi / 2, BESIDE, 15, curvature)
     along = [list(on_arc(CONFLICT + 2.0 * i, -BESIDE, curvature)[:2]) for i in range(60)]
-    ways = [{"movement": "along", "junction": NO_ARRIVAL, "conflict": None, "centreline": along}] if cyclist else []
+    ways = [{"movement": "along", "junction": NO_ARRIVAL_S, "conflict": None, "centreline": along}] if cyclist else []
     pace, ch = 4.0 if cyclist else 1.5, on_arc(CONFLICT, 0.0, curvature)[2]
     travelled = min(pace * time, 20.0)
     x, y, heading = on_arc(CONFLICT + travelled, -BESIDE, curvature) if cyclist else at(travelled)
@@ -166,8 +166,12 @@ def _small(name: str, relation: str, curvature: float, speed: float, time: float
         "length": SIZES[relation][0], "width": SIZES[relation][1],
     }  # fmt: skip
     road = _road("crossing", -BESIDE, curvature, speed_now, (*at(0.0)[:2], heading), across)
-    road |= {"ways": [*ways, across], "sides": [], "fastest": FASTEST[RoadUser(relation.removesuffix("_hidden"))]}
-    arrivals = [NO_ARRIVAL] * len(ways) + [_arrival(speed, time)]
+    road |= {
+        "ways": [*ways, across],
+        "sides": [],
+        "fastest": UNPROTECTED_SPEEDS_M_S[RoadUser(relation.removesuffix("_hidden"))],
+    }
+    arrivals = [NO_ARRIVAL_S] * len(ways) + [_arrival(speed, time)]
     return Probe(name, bv, _ego(curvature, speed, time, arrivals), road)
 
 

@@ -250,8 +250,8 @@ class Estimation:
         blocks = [by_id[job.id] for job in jobs]
         if not any(record.hours for record in records_of(blocks)):
             raise UsageError(
-                f"In none of the runs was there an ego within {MAX_EGO_WAIT_S:g} s after the warm-up; give more --density, "
-                "or an input with an ego that departs earlier."
+                f"In none of the runs was there an ego within {MAX_EGO_WAIT_S:g} s after the warm-up; "
+                "give more --density, or an input with an ego that departs earlier."
             )
         return blocks
 

@@ -17,8 +17,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from sumo_adv.config import LONGEST_DELAY, load_settings
-from sumo_adv.datatypes import MOST_ADVERSARIES, Duty, Level, Proposal, acceleration_of
+from sumo_adv.config import MAX_ATTACK_DELAY_S, load_settings
+from sumo_adv.datatypes import MAX_ADVERSARIES, Duty, Level, Proposal, acceleration_of
 from sumo_adv.errors import SandboxError, UsageError
 from sumo_adv.files import refuse_links
 from sumo_adv.parsing import read_toml
@@ -81,12 +81,12 @@ class _Support(_Member):
 
 
 class _Attack(_Member):
-    delay: Annotated[float, Field(ge=0.0, le=LONGEST_DELAY)]
+    delay: Annotated[float, Field(ge=0.0, le=MAX_ATTACK_DELAY_S)]
     ego_driven_from: float | None = None
     ego_before: tuple[tuple[str, float, float], ...] = ()
     network: str
     composition: str = ""
-    supports: Annotated[tuple[_Support, ...], Field(max_length=MOST_ADVERSARIES - 1)] = ()
+    supports: Annotated[tuple[_Support, ...], Field(max_length=MAX_ADVERSARIES - 1)] = ()
 
     @model_validator(mode="after")
     def _each_once(self) -> _Attack:

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.datatypes import MOST_ADVERSARIES, Level, Proposal, plain_acceleration
+from sumo_adv.datatypes import MAX_ADVERSARIES, Level, Proposal, plain_acceleration
 from sumo_adv.episode.references import state_at
 from sumo_adv.errors import UsageError
 from sumo_adv.files import refuse_links, sentences, toml_lines, toml_value
@@ -143,7 +143,7 @@ def _traffic(recorded: Recorded) -> dict[Path, str]:
     names: dict[Path, str] = {}
     for file in files:
         own = file.name[HASH_AND_DASH:]
-        taken = own in (*names.values(), SCENARIO_FILE, CASE_FILE, *map(planner_file, range(MOST_ADVERSARIES)))
+        taken = own in (*names.values(), SCENARIO_FILE, CASE_FILE, *map(planner_file, range(MAX_ADVERSARIES)))
         names.setdefault(file, f"{len(names)}-{own}" if taken else own)
     return names
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import MOST_ADVERSARIES, Attempt, plain_acceleration
+from sumo_adv.datatypes import MAX_ADVERSARIES, Attempt, plain_acceleration
 from sumo_adv.episode.episode import Episode
 from sumo_adv.files import json_text
 from sumo_adv.metrics.boxes import first_contact, on_grid
@@ -109,7 +109,7 @@ def _write_tables(stage: Path, episode: Episode) -> None:
 
 def plan_names() -> tuple[str, ...]:
     """The files of the planned motions: the collider's, then the supports'."""
-    return (PLAN, *(PLAN.replace(".", f"_{number}.", 1) for number in range(2, MOST_ADVERSARIES + 1)))
+    return (PLAN, *(PLAN.replace(".", f"_{number}.", 1) for number in range(2, MAX_ADVERSARIES + 1)))
 
 
 def all_sizes(episode: Episode) -> dict[str, tuple[float, float]]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv.asked import Asked
-from sumo_adv.config import LONGEST_DELAY, Settings, load_settings
+from sumo_adv.config import MAX_ATTACK_DELAY_S, Settings, load_settings
 from sumo_adv.datatypes import Duty, Proposal, acceleration_of
 from sumo_adv.episode.task import Task
 from sumo_adv.errors import UsageError
@@ -97,7 +97,7 @@ def _proposal(folder: Path, a: dict[str, Any], planners: dict[str, Any]) -> Prop
     planner = make_planner(p["label"], p["mode"], p["source"], p["origin"], p["parent"])
     if planner.hash != a["planner"]:
         raise UsageError(f"The planner in {folder}/manifest.json was changed after the run, so it cannot be replayed.")
-    if not 0.0 <= a["delay"] <= LONGEST_DELAY:
+    if not 0.0 <= a["delay"] <= MAX_ATTACK_DELAY_S:
         raise ValueError(f"its delay of {a['delay']} s is none")
     numbers = {str(k): float(v) for k, v in a["parameters"].items()}
     return Proposal(

@@ -16,7 +16,7 @@ import numpy as np
 from sumo_adv.datatypes import Role, Track
 from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.files import refuse_links, write_whole
-from sumo_adv.parsing import LARGEST_UNPACKED, read_json, read_text
+from sumo_adv.parsing import MAX_UNPACKED_BYTES, read_json, read_text
 from sumo_adv.report.folder import FIRST, SIGNALS
 from sumo_adv.report.outcome import ATTACKS
 from sumo_adv.report.tables import HEADER, HEIGHT
@@ -111,7 +111,7 @@ def columns_of(file: Path, expected: str = HEADER) -> dict[str, tuple[str, ...]]
     if not file.is_file():
         return dict.fromkeys(names, ())
     try:
-        table = csv.reader(io.StringIO(read_text(file, LARGEST_UNPACKED), newline=""))
+        table = csv.reader(io.StringIO(read_text(file, MAX_UNPACKED_BYTES), newline=""))
         header, *rows = islice(table, MOST_ROWS)
         if next(table, None) is not None:
             raise ValueError(f"it has more than {MOST_ROWS:,} rows")

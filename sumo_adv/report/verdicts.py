@@ -24,7 +24,7 @@ from sumo_adv.metrics.cause import Cause, cause_of
 from sumo_adv.metrics.full import PAPER_EPSILON, Crossing, FullVerdict, full_judge, markings_crossed
 from sumo_adv.metrics.realism import PAPER_BINS, WOSAC_BINS, distances, own_figures, realism, wosac_features
 from sumo_adv.metrics.reference.cc_human import CcHuman
-from sumo_adv.parsing import LARGEST_SUMO_FILE, read_bytes
+from sumo_adv.parsing import MAX_SUMO_FILE_BYTES, read_bytes
 from sumo_adv.report.outcome import number
 from sumo_adv.report.tables import series_rows
 from sumo_adv.simulation.network import Drivable
@@ -250,7 +250,7 @@ def demand_sigmas(files: Sequence[Path]) -> list[float]:
     """The sigmas of the vehicle types that demand files declare, sorted; SUMO's 0.5 where none is declared or said."""
     sigmas: set[float] = set()
     for file in files:
-        for kind in TYPE.findall(read_bytes(file, LARGEST_SUMO_FILE)):
+        for kind in TYPE.findall(read_bytes(file, MAX_SUMO_FILE_BYTES)):
             match = SIGMA.search(kind)
             try:
                 sigmas.add(float(match.group(1)) if match else DEFAULT_SIGMA)

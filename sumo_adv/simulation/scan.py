@@ -272,7 +272,7 @@ def read_text(path: Path, what: str) -> str:
     """The text of a file in UTF-8, packed by gzip or not, without its byte order mark. Raises UsageError; ``what``: the
     file in words."""
     try:
-        return parsing.read_text(path, parsing.LARGEST_UNPACKED).removeprefix("\ufeff")
+        return parsing.read_text(path, parsing.MAX_UNPACKED_BYTES).removeprefix("\ufeff")
     except OSError as error:
         raise UsageError(f"{what} {path} cannot be read: {error.strerror or error}.") from error
     except UnicodeDecodeError as error:
@@ -282,16 +282,16 @@ def read_text(path: Path, what: str) -> str:
 
 
 class _Bounded:
-    """A file for expat that has at most ``parsing.LARGEST_SUMO_FILE`` bytes, unpacked."""
+    """A file for expat that has at most ``parsing.MAX_SUMO_FILE_BYTES`` bytes, unpacked."""
 
     def __init__(self, path: Path, file: BinaryIO) -> None:
-        self._path, self._file, self._left = path, file, parsing.LARGEST_SUMO_FILE
+        self._path, self._file, self._left = path, file, parsing.MAX_SUMO_FILE_BYTES
 
     def read(self, size: int = -1, /) -> bytes:
         part = self._file.read(size)
         self._left -= len(part)
         if self._left < 0:
-            raise UsageError(f"{self._path} has more than {parsing.LARGEST_SUMO_FILE // 2**30} GiB: cut it smaller.")
+            raise UsageError(f"{self._path} has more than {parsing.MAX_SUMO_FILE_BYTES // 2**30} GiB: cut it smaller.")
         return part
 
 

@@ -16,7 +16,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from pydantic_core import ErrorDetails
 
 from sumo_adv.asked import Asked, Written
-from sumo_adv.datatypes import MOST_ADVERSARIES, Relation
+from sumo_adv.datatypes import MAX_ADVERSARIES, Relation
 from sumo_adv.errors import UsageError
 from sumo_adv.parsing import read_toml
 
@@ -143,7 +143,7 @@ class Label(_Table):
     source: Literal["annotated", "oracle"] = "annotated"
     relation: Relation | None = None
     level: Literal["critical", "collision", "valid", "strict", "serious"] | None = None
-    adversaries: Annotated[int, Field(ge=1, le=MOST_ADVERSARIES)] = 1
+    adversaries: Annotated[int, Field(ge=1, le=MAX_ADVERSARIES)] = 1
 
 
 class Scenario(_Table):

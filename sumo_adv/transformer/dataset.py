@@ -22,7 +22,7 @@ import numpy as np
 from sumo_adv.datatypes import Floats
 from sumo_adv.errors import SimulationError, UsageError
 from sumo_adv.files import scratch_prefix, write_text, write_whole
-from sumo_adv.geometry import PATH_STEP, stations
+from sumo_adv.geometry import PATH_STEP_M, stations
 from sumo_adv.simulation.demand import Journey, default_density, journeys
 from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.simulation.network import RoadMap, read_network
@@ -281,7 +281,9 @@ def follow(road: RoadMap, agents: Agents, i: int, lane: str) -> Floats:
     me = Agents(
         *(values[i : i + 1] for values in (agents.past, agents.heading, agents.speed, agents.size, agents.light))
     )
-    for way, path in enumerate(w.path for w in road.ways(lane, max(at - 2 * PATH_STEP, 0.0), float(ahead[-1]) + 30.0)):
+    for way, path in enumerate(
+        w.path for w in road.ways(lane, max(at - 2 * PATH_STEP_M, 0.0), float(ahead[-1]) + 30.0)
+    ):
         s, d = path.project(float(x), float(y))
         px, py, _ = path.at(s + ahead, d)
         ways[way] = to_local(np.column_stack([px, py])[None], me)[0]

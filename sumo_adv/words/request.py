@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pydantic import BaseModel, Field
 
-from sumo_adv.asked import LONGEST_WORDS
+from sumo_adv.asked import MAX_REQUEST_CHARACTERS
 from sumo_adv.errors import UsageError
 from sumo_adv.llm.asking import MeteredModel, ask
 from sumo_adv.llm.chat import one_line
@@ -22,10 +22,10 @@ def checked_words(text: str) -> str:
     plain = one_line(text)
     if not any(c.isalpha() for c in plain):
         raise UsageError("The request holds no words: say in a sentence or two what is to happen on the road.")
-    if len(plain) > LONGEST_WORDS:
+    if len(plain) > MAX_REQUEST_CHARACTERS:
         raise UsageError(
-            f"The request has {len(plain)} characters, and at most {LONGEST_WORDS} are read: shorten it to what "
-            "happens on the road."
+            f"The request has {len(plain)} characters, and at most {MAX_REQUEST_CHARACTERS} are read: "
+            "shorten it to what happens on the road."
         )
     return plain
 
