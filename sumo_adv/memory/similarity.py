@@ -30,10 +30,10 @@ from sumo_adv.errors import BankError
 from sumo_adv.memory.records import IntentRecord, canonical
 from sumo_adv.memory.slots import OPTIONAL, SLOTS, Slots, slots_of
 from sumo_adv.memory.words import features
-from sumo_adv.metrics.statistics import CONFIDENCE
 from sumo_adv.parsing import parse_toml
 
 RESAMPLES = 2000
+CONFIDENCE = 0.95
 
 
 class TextAndSlots:
