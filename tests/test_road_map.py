@@ -4,22 +4,29 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from road_samples import drive, steps
 from shapely import LineString, Point
 from sumo_samples import vehicle
 
 from sumo_adv.datatypes import VehicleState
-from sumo_adv.drivers import Observation, Road
+from sumo_adv.drivers import Observation
 from sumo_adv.episode.ego_place import EgoPlace
 from sumo_adv.errors import SimulationError
+from sumo_adv.geometry import along
+from sumo_adv.simulation.centreline import centreline
 from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.simulation.network import read_network
+
+METRES = st.floats(-200.0, 200.0)
 
 NETWORKS = data_folder("networks")
 FROM_SOUTH = vehicle("ego", "south_in north_out", 1, 110.0, 12.0)  # its front at y = -110, its centre at y = -112.5
@@ -86,13 +93,34 @@ def test_the_observation_says_where_the_ego_is_in_its_lane(before_crossing: Mapp
 
 
 def test_what_was_not_read_in_its_own_step_is_refused(tmp_path: Path) -> None:
-    def keep(seen: Observation) -> Road | None:
-        return seen.road
-
-    with drive(tmp_path, "priority_crossing", [FROM_SOUTH], keep) as (moving, watcher):
+    with drive(tmp_path, "priority_crossing", [FROM_SOUTH], lambda seen: seen) as (moving, watcher):
         steps(moving, 3)
+        seen = watcher.kept[0]
         with pytest.raises(SimulationError, match=r"observation.road of 0.1 s was read at 0.3 s"):
-            _ = watcher.kept[0].lanes
+            _ = seen.road.lanes
+        with pytest.raises(SimulationError, match=r"the path of an observation of 0.1 s was read at 0.3 s"):
+            _ = seen.path
+        assert (seen.time, seen.lane_offset, seen.others) == (0.1, pytest.approx(0.0), ())
+
+
+def test_an_observation_can_be_copied_with_a_change(tmp_path: Path) -> None:
+    def later(seen: Observation) -> tuple[Observation, Observation]:
+        return seen, replace(seen, time=seen.time + 5.0)
+
+    with drive(tmp_path, "priority_crossing", [FROM_SOUTH], later) as (moving, watcher):
+        steps(moving, 2)
+        seen, copied = watcher.kept[0]
+        assert copied.time == 5.1 and copied.path is seen.path and copied.road is seen.road
+
+
+@given(points=st.lists(st.tuples(METRES, METRES), min_size=2, max_size=6, unique=True), place=st.tuples(METRES, METRES))
+def test_a_lane_has_the_same_numbers_as_numpy(points: list[tuple[float, float]], place: tuple[float, float]) -> None:
+    line = centreline(points, 100.0)
+    station = line.station_at(*place)
+    assert station == along(line.shape, *place)
+    xy = [float(np.interp(station, line.stations, column)) for column in line.shape.T]
+    assert line.point_at(station)[:2] == tuple(xy)
+    assert line.station_of(place[0]) == np.interp(place[0], line.positions, line.stations)
 
 
 def waits(seen: Observation) -> tuple[bool, float]:

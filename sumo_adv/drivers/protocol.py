@@ -183,8 +183,8 @@ class Observation:
     one of its route that is nearest to it, whatever lane SUMO takes it to be on. lane_heading: of that lane at the ego
     [rad]. lane_offset: of the ego's centre from the lane's centre [m, left positive]. path: points [m] on the
     centreline of that lane and of the route, from the ego (or a few metres before) to at least 60 m ahead. road: the
-    map at the ego. These four are None where they are not known, as off the road. ``road`` and each
-    ``Vehicle`` must be read in the ``act`` that got them: later an attribute that was not read yet is refused.
+    map at the ego. These four are None where they are not known, as off the road. ``path``, ``road`` and
+    each ``Vehicle`` must be read in the ``act`` that got them: later what was not read yet is refused.
     """
 
     time: float

@@ -8,7 +8,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,10 +20,9 @@ from sumo_adv.drivers import (
     Observation,
     ReplayEgo,
     Steer,
-    Vehicle,
     apply_steer,
 )
-from sumo_adv.drivers.protocol import Senses, wishes_of
+from sumo_adv.drivers.protocol import wishes_of
 from sumo_adv.drivers.sumo_driven import defaults_of
 from sumo_adv.episode.ego_place import EgoPlace, LanePlace, back_to_lane
 from sumo_adv.errors import DriverError
@@ -40,7 +38,7 @@ from sumo_adv.simulation.stage import LOGGED_TYPE_XML, Stage
 from sumo_adv.simulation.tracks import Recording, tracks_of
 from sumo_adv.simulation.watch import Call, OutOfTimeError, watched
 
-SLOWER = 0.05  # m/s below what was asked for: more than rounding, less than any braking
+LIMITED_BY_M_S = 0.05  # below the speed that was asked for: more than rounding, less than any braking
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +63,7 @@ class ActionCount:
 
     def stepped(self, speed: float) -> None:
         """``speed``: the ego's after the step [m/s]."""
-        if self._expected is not None and speed < self._expected - SLOWER:
+        if self._expected is not None and speed < self._expected - LIMITED_BY_M_S:
             self._limited += 1
         self._expected = None
 
@@ -74,7 +72,7 @@ class ActionCount:
 
 
 Observe = Callable[[VehicleState, Sequence[str]], Observation]
-OBSERVED = 120.0  # m: how far the ego's driver sees
+OBSERVED_RADIUS_M = 120.0  # how far the ego's driver sees
 
 
 def ego_type_file(controller: EgoController, folder: Path, demand: Sequence[Path] = ()) -> Path:
@@ -272,11 +270,6 @@ class Drive:
     def state(self, vehicle: str) -> VehicleState:
         return self.simulation.state(self.snapshot, vehicle, self.recording.acceleration(vehicle))
 
-    def vehicle(self, name: str, senses: Senses) -> Vehicle:
-        """A vehicle's newest state, with what ``senses`` tell of it."""
-        make = partial(Vehicle, senses=senses)
-        return self.simulation.state_as(make, self.snapshot, name, self.recording.acceleration(name))
-
     def kind(self, vehicle: str) -> str:
         """SUMO's vClass of a vehicle or person; what an object is that is none."""
         if self.playback is not None and vehicle in self.playback.obstacles:
@@ -289,9 +282,18 @@ class Drive:
 
     def near(self, vehicle: VehicleState, radius: float) -> list[str]:
         """The other vehicles with their centres within ``radius`` [m] of a vehicle's centre, not above or below it."""
-        poses = ((n, self.pose(n)) for n in self.snapshot.raw if n != vehicle.id)
-        near = [n for n, (x, y, _) in poses if math.hypot(x - vehicle.x, y - vehicle.y) < radius]
+        x, y, sizes, near = vehicle.x, vehicle.y, self.simulation.fleet.sizes, list[str]()
+        for name, (front_x, front_y, *_) in self.snapshot.raw.items():
+            room = radius - math.hypot(front_x - x, front_y - y)
+            surely = abs(room) > sizes[name][0]  # the centre is half a length behind the front
+            if name != vehicle.id and (room > 0 if surely else self._away(name, x, y) < radius):
+                near.append(name)
         return near if self.heights is None else [n for n in near if self._level(vehicle, n, radius, self.heights)]
+
+    def _away(self, vehicle: str, x: float, y: float) -> float:
+        """The distance [m] of the centre of a vehicle's box from a place."""
+        there_x, there_y, _ = self.pose(vehicle)
+        return math.hypot(there_x - x, there_y - y)
 
     def _level(self, vehicle: VehicleState, other: str, radius: float, heights: Heights) -> bool:
         """Whether another vehicle is on a vehicle's layer, or on a road that leads there within ``radius`` [m]."""
@@ -430,7 +432,7 @@ class Drive:
     def observation(self) -> Observation:
         assert self.ego is not None
         me = self.state(self.ego)
-        near = self.near(me, OBSERVED)
+        near = self.near(me, OBSERVED_RADIUS_M)
         if self.observe is not None:
             return self.observe(me, near)
         return Observation(self.now, self.recording.step_length, me, tuple(self.state(name) for name in near))

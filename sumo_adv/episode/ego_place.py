@@ -189,7 +189,7 @@ def _front(lane: Lane, vehicle: VehicleState) -> float:
 
 def _turned(lane: Lane, vehicle: VehicleState) -> float:
     """The angle between a vehicle and a lane's direction [rad]."""
-    return abs(wrap(lane.point_at(lane.station_at(vehicle.x, vehicle.y))[2] - vehicle.heading))
+    return abs(wrap(lane.direction_at(lane.station_at(vehicle.x, vehicle.y)) - vehicle.heading))
 
 
 def _edge_of(road: RoadMap, lane: Lane) -> str:

@@ -1,11 +1,11 @@
-"""What the ego's driver sees: others, the path, its place in the lane, and the road map, which is made when read."""
+"""What the ego's driver sees: others, the path, its place in the lane, and the road map, each made when it is read."""
 
 from __future__ import annotations
 
 import gzip
 import math
-from collections.abc import Iterable, Sequence
-from functools import cached_property
+from collections.abc import Callable, Iterable, Sequence
+from functools import cached_property, partial
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats, VehicleState
-from sumo_adv.drivers import Observation, Vehicle
+from sumo_adv.drivers import Observation, Road, Vehicle
 from sumo_adv.drivers.protocol import wishes_of
 from sumo_adv.episode.ego_place import LanePlace
 from sumo_adv.episode.encounter_detector import REACH, logged_path
@@ -24,6 +24,7 @@ from sumo_adv.errors import SimulationError
 from sumo_adv.geometry import PATH_STEP_M, crosses_box, same_layer, wrap
 from sumo_adv.simulation.network import RoadMap
 from sumo_adv.simulation.simulation import heading_of
+from sumo_adv.simulation.tracks import acceleration
 
 if TYPE_CHECKING:
     from sumo_adv.episode.drive import Drive
@@ -90,8 +91,8 @@ def _targets(box: VehicleState) -> Floats:
 
 # -- what the driver sees -------------------------------------------------------------------------------------------
 
-LINE_AHEAD, LINE_FRESH = 120.0, 40.0  # m: length of the path that a driver gets, and after how far it is renewed
-RIGHT, LEFT, BRAKES = 1, 2, 8  # SUMO's bits of a vehicle's lamps
+PATH_LENGTH_M, PATH_RENEWED_M = 120.0, 40.0  # of the path that a driver gets, and after how far it is renewed
+LAMP_RIGHT, LAMP_LEFT, LAMP_BRAKE = 1, 2, 8  # SUMO's bits of a vehicle's lamps
 
 
 class Surroundings:
@@ -109,16 +110,56 @@ class Surroundings:
     def __call__(self, ego: VehicleState, near: Sequence[str]) -> Observation:
         """What the driver of the ego sees now; ``near``: the vehicles near it."""
         drive = self._drive
-        place = drive.place(self._map)  # first: it may restore the ego's route
+        place = drive.place(self._map)  # also if it is not read: it may restore the ego's route
         senses = SensesNow(drive, ego, near, self._sight)
-        states = senses.vehicles
-        if self._wishes.visible_only:
-            states = tuple(state for state in states if state.visible)
-        heading, offset = (None, None) if place is None else in_lane(place, ego)
-        return Observation(
-            drive.now, drive.recording.step_length, ego, states, heading, offset, self._path(ego, place),
-            self._road(ego, place),
-        )  # fmt: skip
+        road = self._road(ego, place)
+        path = partial(self._path, ego, place)
+        return ObservationNow.made(drive, ego, place, senses, road, path, visible_only=self._wishes.visible_only)
+
+
+Points = Sequence[tuple[float, float]]
+
+
+class ObservationNow(Observation):
+    """An observation of which each part is worked out when it is first read."""
+
+    _place: LanePlace | None
+    _senses: SensesNow
+    _find_path: Callable[[], Points | None]
+    _visible_only: bool
+
+    @classmethod
+    def made(
+        cls, drive: Drive, ego: VehicleState, place: LanePlace | None, senses: SensesNow, road: Road | None,
+        find_path: Callable[[], Points | None], *, visible_only: bool,
+    ) -> ObservationNow:  # fmt: skip
+        """The observation of one step. The constructor is that of ``Observation``, for ``dataclasses.replace``."""
+        seen = cls(drive.now, drive.recording.step_length, ego, (), road=road)
+        vars(seen).clear()  # the constructor has given what is worked out later a value
+        vars(seen).update(_place=place, _senses=senses, _find_path=find_path, _visible_only=visible_only)
+        return seen
+
+    @cached_property
+    def others(self) -> Sequence[VehicleState]:
+        states = self._senses.vehicles
+        return tuple(state for state in states if state.visible) if self._visible_only else states
+
+    @cached_property
+    def lane_heading(self) -> float | None:
+        return self._in_lane[0]
+
+    @cached_property
+    def lane_offset(self) -> float | None:
+        return self._in_lane[1]
+
+    @cached_property
+    def _in_lane(self) -> tuple[float | None, float | None]:
+        return (None, None) if self._place is None else in_lane(self._place, self.ego)
+
+    @cached_property
+    def path(self) -> Points | None:
+        self._senses.check("the path")
+        return self._find_path()
 
 
 def in_lane(place: LanePlace, ego: VehicleState) -> tuple[float, float]:
@@ -151,8 +192,8 @@ class LaneLine:
         lanes: tuple[str, ...] = (ego.lane,) if place is None else (place.lane.id,)
         if place is not None and not logged:
             begin = place.front - ego.length / 2
-            lanes = self._road.chain(place.lane.id, begin, LINE_AHEAD, place.route, vclass, drive.closed)
-        fresh = math.dist(self._from, (ego.x, ego.y)) <= LINE_FRESH
+            lanes = self._road.chain(place.lane.id, begin, PATH_LENGTH_M, place.route, vclass, drive.closed)
+        fresh = math.dist(self._from, (ego.x, ego.y)) <= PATH_RENEWED_M
         if fresh and lanes[:1] == self._lanes[:1] and all(a == b for a, b in zip(lanes, self._lanes, strict=False)):
             return self._line
         path = logged_path(self._road, drive) if logged else None
@@ -161,7 +202,7 @@ class LaneLine:
             path, lanes = (ways[0].path, ways[0].lanes) if ways else (None, lanes)
         if path is None:
             return None
-        count = round(LINE_AHEAD / PATH_STEP_M)
+        count = round(PATH_LENGTH_M / PATH_STEP_M)
         self._line = tuple(zip(path.x[:count:2].tolist(), path.y[:count:2].tolist(), strict=True))
         self._lanes, self._from = lanes, (ego.x, ego.y)
         return self._line
@@ -172,10 +213,14 @@ class SensesNow:
 
     def __init__(self, drive: Drive, ego: VehicleState, near: Sequence[str], sight: Sight) -> None:
         self._drive, self._ego, self._near, self._sight, self._time = drive, ego, near, sight, drive.now
+        self._snapshot, self._before = drive.snapshot, drive.recording.before
 
     @cached_property
     def vehicles(self) -> tuple[Vehicle, ...]:
-        return tuple(self._drive.vehicle(name, self) for name in self._near)
+        """The states of those vehicles then; also later."""
+        make, newest, before = self._drive.simulation.state_as, self._snapshot, self._before
+        step = self._drive.recording.step_length
+        return tuple(make(Vehicle, newest, n, acceleration(n, newest, before, step), self) for n in self._near)
 
     def kind(self, vehicle: str) -> str:
         self.check()
@@ -183,18 +228,17 @@ class SensesNow:
 
     def yaw_rate(self, vehicle: str) -> float:
         self.check()
-        snapshots = self._drive.recording.snapshots
-        if len(snapshots) < 2 or vehicle not in snapshots[-2].raw:
+        if self._before is None or vehicle not in self._before.raw:
             return 0.0
-        newest, before = (heading_of(s.raw[vehicle][2]) for s in (snapshots[-1], snapshots[-2]))
+        newest, before = (heading_of(s.raw[vehicle][2]) for s in (self._snapshot, self._before))
         return wrap(newest - before) / self._drive.recording.step_length
 
     def indicator(self, vehicle: str) -> str | None:
         lamps = self._lamps(vehicle)
-        return "left" if lamps & LEFT else "right" if lamps & RIGHT else None
+        return "left" if lamps & LAMP_LEFT else "right" if lamps & LAMP_RIGHT else None
 
     def brake_light(self, vehicle: str) -> bool:
-        return bool(self._lamps(vehicle) & BRAKES)
+        return bool(self._lamps(vehicle) & LAMP_BRAKE)
 
     def visible(self, vehicle: str) -> bool:
         self.check()
@@ -210,10 +254,10 @@ class SensesNow:
         self.check()
         return 0 if vehicle in self._drive.obstacles else self._drive.simulation.lamps(vehicle)
 
-    def check(self) -> None:
+    def check(self, what: str = "more of a vehicle") -> None:
         """Raises SimulationError: the step is over."""
         if self._drive.now != self._time:
             raise SimulationError(
-                f"a vehicle that was seen at {self._time:g} s was asked for more at {self._drive.now:g} s: "
+                f"{what} of an observation of {self._time:g} s was read at {self._drive.now:g} s: "
                 "read what you need in the act that got it"
             )

@@ -172,6 +172,7 @@ class Simulation:
         self.remote = remote  # the other end, where SUMO is a program of its own
         self._asked: dict[str, float] = {}  # speeds [m/s] of the vehicles that are moved in the next step,
         self._given: dict[str, float] = {}  # and that were moved in the last one
+        self._now = math.nan  # s; nan: not asked of SUMO since its last step
         self._walked: dict[str, tuple[float, float]] = {}  # where the persons on foot are
         self._limits: dict[str, float] = {}  # of lanes in this step [m/s],
         self._closed: dict[str, Collection[str]] = {}  # and the classes that may not use them
@@ -222,7 +223,7 @@ class Simulation:
         self.fleet.forget(())
         self._asked, self._given, self._as_cars, self._walked = {}, {}, set(), {}
         self._on, self._trespassing = {}, set()
-        self._limits, self._closed = {}, {}
+        self._limits, self._closed, self._now = {}, {}, math.nan
         try:
             with sumo_at_work("when it read its files again", LOAD_LIMIT):
                 self.api.load(self.spec.arguments())
@@ -245,7 +246,9 @@ class Simulation:
         """Simulated time [s]."""
         if self.remote is not None:
             return self.remote.time
-        return round(float(self.api.simulation.getTime()), 6)
+        if math.isnan(self._now):
+            self._now = round(float(self.api.simulation.getTime()), 6)
+        return self._now
 
     def step(self) -> None:
         """One step of ``step_length``. Raises SimulationError: SUMO failed."""
@@ -256,6 +259,7 @@ class Simulation:
         self._given, self._asked = self._asked, {}
         self._limits.clear()
         self._closed.clear()
+        self._now = math.nan
         if self.remote is not None:
             self.remote.step()
             return
@@ -321,11 +325,13 @@ class Simulation:
         """One vehicle of a snapshot as a box (KeyError if it is not there)."""
         return self.state_as(VehicleState, snapshot, vehicle, acceleration)
 
-    def state_as(self, make: Callable[..., S], snapshot: Snapshot, vehicle: str, acceleration: float) -> S:
-        """The same as another class that begins with the arguments of ``VehicleState``."""
+    def state_as(
+        self, make: Callable[..., S], snapshot: Snapshot, vehicle: str, acceleration: float, *more: Any
+    ) -> S:  # fmt: skip
+        """The same as another class, which takes the arguments of ``VehicleState`` and then ``more``."""
         raw, (length, width) = snapshot.raw[vehicle], self.fleet.sizes[vehicle]
         z = snapshot.heights.get(vehicle, 0.0)
-        return make(vehicle, *pose_of(raw, length), raw[3], acceleration, length, width, raw[4], z)
+        return make(vehicle, *pose_of(raw, length), raw[3], acceleration, length, width, raw[4], z, *more)
 
     def expected(self) -> int:
         """Vehicles that are on the road or still to come."""

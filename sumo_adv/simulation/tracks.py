@@ -257,12 +257,22 @@ class Recording:
     def append(self, snapshot: Snapshot) -> None:
         self.snapshots.append(snapshot)
 
+    @property
+    def before(self) -> Snapshot | None:
+        """The snapshot before the newest one; None if there is none."""
+        return self.snapshots[-2] if len(self.snapshots) > 1 else None
+
     def acceleration(self, vehicle: str) -> float:
         """The last step's change of speed over time [m/s2]; 0 for a vehicle that has just come."""
-        if len(self.snapshots) < 2:
-            return 0.0
-        newest, before = self.snapshots[-1].raw.get(vehicle), self.snapshots[-2].raw.get(vehicle)
-        return 0.0 if newest is None or before is None else (newest[3] - before[3]) / self.step_length
+        return acceleration(vehicle, self.snapshots[-1], self.before, self.step_length) if self.snapshots else 0.0
+
+
+def acceleration(vehicle: str, newest: Snapshot, before: Snapshot | None, step_length: float) -> float:
+    """The change of a vehicle's speed between two snapshots over the step [m/s2]; 0 if it is not in both."""
+    if before is None:
+        return 0.0
+    now, then = newest.raw.get(vehicle), before.raw.get(vehicle)
+    return 0.0 if now is None or then is None else (now[3] - then[3]) / step_length
 
 
 def tracks_of(
