@@ -262,9 +262,10 @@ def check_driver(
     """
     from sumo_adv.driver_check.check import DRIVE_DURATION_S, check_driver, twelve
     from sumo_adv.driver_check.drive import CheckWorker
-    from sumo_adv.simulation.engine import Engine, deaf
+    from sumo_adv.simulation.engine import Engine
+    from sumo_adv.simulation.processes import deferred_interrupts
 
-    with _without_main(), deaf():
+    with _without_main(), deferred_interrupts():
         engine = Engine(CheckWorker, slots=0)
     with engine, tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch:
         driven = twelve() if inputs is None else inputs
@@ -275,9 +276,10 @@ def check_input(given: RunInput, settings: Settings, seconds: float) -> InputChe
     """Compare an input's traffic without an attack with the program ``sumo`` over ``seconds`` [s], and count what was
     read of it. Raises UsageError or SimulationError."""
     from sumo_adv.input_check import WatchWorker, check_input
-    from sumo_adv.simulation.engine import Engine, deaf
+    from sumo_adv.simulation.engine import Engine
+    from sumo_adv.simulation.processes import deferred_interrupts
 
-    with _without_main(), deaf():
+    with _without_main(), deferred_interrupts():
         engine = Engine(WatchWorker, slots=0)
     with engine, tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
         return check_input(engine, given, settings, Path(scratch), seconds)
@@ -303,16 +305,17 @@ def new_engine() -> Iterator[EpisodeEngine]:
     from multiprocessing.util import Finalize
 
     from sumo_adv.episode.warm import WarmEngine
-    from sumo_adv.simulation.engine import SLOTS, deaf
+    from sumo_adv.simulation.engine import DEFAULT_SLOTS
+    from sumo_adv.simulation.processes import deferred_interrupts
 
     try:
         warm, ending = _idle.pop()
     except IndexError:
-        warm = WarmEngine(SLOTS)
+        warm = WarmEngine(DEFAULT_SLOTS)
     else:
         ending.cancel()
     with ExitStack() as stack:
-        with _without_main(), deaf():
+        with _without_main(), deferred_interrupts():
             engine = stack.enter_context(warm.episode())
         yield engine
     if _idle:  # that of a run beside this one

@@ -14,7 +14,7 @@ import numpy
 from sumo_samples import over_the_line
 
 from sumo_adv.errors import SimulationError, UsageError
-from sumo_adv.simulation.engine import in_forks
+from sumo_adv.simulation.forks import in_forks
 from sumo_adv.simulation.simulation import Simulation, SimulationSpec, Snapshot
 
 
@@ -145,11 +145,8 @@ class Errands:
         os.kill(os.getpid(), signal.SIGKILL)
 
 
-class BrokenErrands:
+class BrokenErrands(Errands):
     """A worker that cannot be made."""
 
     def __init__(self, slots: list[Connection]) -> None:
         raise UsageError("Nothing works here.")
-
-    def add(self, a: int, b: int) -> int:
-        return a + b

@@ -25,7 +25,8 @@ from sumo_adv.benchmark.drafts import (
 from sumo_adv.benchmark.making import SHARES, TrialWorker, candidate, make_suite, places_of, trial
 from sumo_adv.benchmark.suites import load_suite, shipped_suites
 from sumo_adv.errors import UsageError
-from sumo_adv.simulation.engine import Engine, can_fork
+from sumo_adv.simulation.engine import Engine
+from sumo_adv.simulation.forks import can_fork
 from sumo_adv.simulation.inputs import data_folder, load_input
 
 WOMD = Path(__file__).parents[2] / "shared" / "womd"

@@ -9,7 +9,7 @@ import pytest
 from cli_samples import Done, Program, Runs, States, lacking, moves, position, read_states
 from ego_samples import BRAKES_AT
 
-from sumo_adv.simulation.engine import can_fork
+from sumo_adv.simulation.forks import can_fork
 
 needs_fork = pytest.mark.skipif(not can_fork(), reason="this system cannot fork a simulation")
 

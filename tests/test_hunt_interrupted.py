@@ -13,7 +13,7 @@ import pytest
 from cli_samples import Program, tiny_disk
 from test_interrupt import interrupted, wait_until
 
-from sumo_adv.simulation.engine import can_fork
+from sumo_adv.simulation.forks import can_fork
 
 HUNT = (
     "hunt", "motorway_cut_in_left", "priority_crossing", "neighbour_ahead_left", "--ego", "idm", "--workers", "1",

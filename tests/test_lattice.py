@@ -23,7 +23,7 @@ from sumo_adv.episode.right_of_way import Meetings
 from sumo_adv.episode.surroundings import Surroundings
 from sumo_adv.errors import UsageError
 from sumo_adv.metrics.boxes import first_contact, on_grid, overlaps
-from sumo_adv.simulation.engine import in_forks
+from sumo_adv.simulation.forks import in_forks
 from sumo_adv.simulation.network import read_network
 from sumo_adv.simulation.scenario import load_scenario
 from sumo_adv.simulation.simulation import SimulationSpec

@@ -9,7 +9,7 @@ import pytest
 from cli_samples import Program
 from log_samples import LEFT, MIDDLE, RIGHT, moving, write_scenario
 
-from sumo_adv.simulation.engine import can_fork
+from sumo_adv.simulation.forks import can_fork
 
 
 @pytest.mark.skipif(not can_fork(), reason="this system cannot rehearse a log in a fork")

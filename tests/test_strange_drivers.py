@@ -15,7 +15,8 @@ from typing import Any
 import pytest
 from cli_samples import Program
 
-from sumo_adv.simulation.engine import Engine, can_fork
+from sumo_adv.simulation.engine import Engine
+from sumo_adv.simulation.forks import can_fork
 from sumo_adv.simulation.programs import find_sumo
 from sumo_adv.simulation.watch import sumo_at_work
 

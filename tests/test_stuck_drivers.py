@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from cli_samples import Program
 
-from sumo_adv.simulation.engine import can_fork
+from sumo_adv.simulation.forks import can_fork
 
 needs_fork = pytest.mark.skipif(not can_fork(), reason="this system cannot fork a simulation")
 RUN = ("run", "motorway_cut_in_left", "--attempts", "3", "--until", "serious", "--out", "out", "--learn", "off")

@@ -27,7 +27,8 @@ from sumo_adv.episode.encounter_detector import FASTEST_START, LATEST
 from sumo_adv.episode.task import FoundEncounter, NoEncounter, Task, make_task
 from sumo_adv.episode.worker import EpisodeWorker
 from sumo_adv.errors import SumoAdvError, UsageError
-from sumo_adv.simulation.engine import Engine, can_fork, in_forks
+from sumo_adv.simulation.engine import Engine
+from sumo_adv.simulation.forks import can_fork, in_forks
 from sumo_adv.simulation.inputs import data_folder, load_input
 from sumo_adv.simulation.programs import load_libsumo
 from sumo_adv.situation import Target

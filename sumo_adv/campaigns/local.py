@@ -17,7 +17,7 @@ from typing import Any
 
 from sumo_adv.campaigns.results import Done, Job
 from sumo_adv.errors import SumoAdvError
-from sumo_adv.simulation.engine import QUIET_VARIABLES, deaf, how
+from sumo_adv.simulation.processes import SINGLE_THREAD_VARIABLES, deferred_interrupts, environment, exit_in_words
 
 MAX_EPISODE_TRIES = 2  # of an episode if its worker crashes or hangs, or its simulation fails
 MAX_FAILED_STARTS = 3  # workers in a row that may die before they are ready
@@ -130,16 +130,10 @@ class LocalWorkers:
         folder = self.scratch / f"worker-{self._made}"
         folder.mkdir()
         own_end, worker_end = context.Pipe()
-        variables = {**QUIET_VARIABLES, "TMPDIR": str(folder)}
-        saved = {name: os.environ.get(name) for name in variables}
-        os.environ.update(variables)
+        variables = {**SINGLE_THREAD_VARIABLES, "TMPDIR": str(folder)}
         process = context.Process(target=_work, args=(worker_end, self.setup, folder / "log", self.make))
-        try:
-            with deaf():
-                process.start()
-        finally:
-            for name, value in saved.items():
-                os.environ.pop(name) if value is None else os.environ.update({name: value})
+        with environment(variables), deferred_interrupts():
+            process.start()
         worker_end.close()
         return _Slot(process, own_end, folder, time.monotonic() + WORKER_START_TIMEOUT_S)
 
@@ -161,7 +155,7 @@ class LocalWorkers:
                 self._hear(slot, slot.connection.recv(), told)
             except (EOFError, OSError):
                 slot.process.join(1.0)
-                self._lose(slot, f"its worker process ended ({how(slot.process.exitcode)})", told)
+                self._lose(slot, f"its worker process ended ({exit_in_words(slot.process.exitcode)})", told)
 
     def _hear(self, slot: _Slot, message: Any, told: Callable[[Job, Done], None]) -> None:
         if isinstance(message, SumoAdvError):

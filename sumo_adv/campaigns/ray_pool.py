@@ -27,7 +27,7 @@ from sumo_adv.campaigns.local import POLL_INTERVAL_S, Stop
 from sumo_adv.campaigns.ray_driver import LOG, Lost, Node, Nodes, Put, Raised, Refused, Result, Start
 from sumo_adv.campaigns.results import Done
 from sumo_adv.errors import SumoAdvError, UsageError
-from sumo_adv.simulation.engine import QUIET_VARIABLES, deaf
+from sumo_adv.simulation.processes import SINGLE_THREAD_VARIABLES, deferred_interrupts, environment
 
 MAX_LOSSES_PER_JOB = 5  # times that a job is tried again after its worker or node was lost
 RAY_START_TIMEOUT_S = 60.0  # for Python to start and to import Ray
@@ -139,14 +139,9 @@ class RayPool:
         context = multiprocessing.get_context("spawn")
         self._connection, other_end = context.Pipe()
         self._process = context.Process(target=driver, args=(other_end, self._address, self._folder))
-        quiet = {name: value for name, value in QUIET_VARIABLES.items() if name not in os.environ}
-        os.environ.update(quiet)
-        try:
-            with deaf():
-                self._process.start()
-        finally:
-            for name in quiet:
-                os.environ.pop(name, None)
+        quiet = {name: value for name, value in SINGLE_THREAD_VARIABLES.items() if name not in os.environ}
+        with environment(quiet), deferred_interrupts():
+            self._process.start()
         other_end.close()
 
     def _send(self, command: Put | Start | None) -> None:

@@ -197,7 +197,7 @@ class Runner(WarmProcesses):
                 self._engine.episode() as engine,
             ):
                 episode = run_episode(given, settings, task, engine, agents, bank, lambda *_: None)
-                log = engine.said() if episode.ending is Ending.SIMULATION_FAILED else ""
+                log = engine.log.said() if episode.ending is Ending.SIMULATION_FAILED else ""
             if episode.ending is Ending.SIMULATION_FAILED:
                 self._engine.close()
                 if not last:

@@ -425,7 +425,7 @@ class Drive:
                 if os.getpid() != process:  # it has forked: the copy must not go on as a second simulation
                     os._exit(0)
         except OutOfTimeError:
-            raise DriverError(call.late()) from None
+            raise call.too_late() from None
         except SystemExit as error:
             raise DriverError(call.ended(f"SystemExit: {error.code}")) from error
 

@@ -45,12 +45,12 @@ def run_episode(
         episode.ending, episode.reason = model_ending(error), str(error)
     except SumoAdvError as error:
         if error.exit_status == 2:
-            raise _explained(error, task.own_names(engine.warnings())) from error
+            raise _explained(error, task.own_names(engine.log.warnings())) from error
         episode.ending, episode.reason = Ending.SIMULATION_FAILED, with_names(str(error), task.copies)
     except Exception as error:  # a fault of ours: earlier results are kept
         episode.ending, episode.reason = Ending.SIMULATION_FAILED, fault_sentence(error)
         episode.traceback = traceback.format_exc()
-    episode.warnings = task.own_names(engine.warnings())
+    episode.warnings = task.own_names(engine.log.warnings())
     episode.timing["total"] = time.perf_counter() - began
     return episode
 
@@ -167,7 +167,7 @@ def replay_episode(
     encounter = recorded_encounter(episode, engine, proposal, skips)
     if encounter is not None:
         attack_once(episode, engine, sandbox, encounter, proposal)
-    episode.warnings = task.own_names(engine.warnings())
+    episode.warnings = task.own_names(engine.log.warnings())
     return episode
 
 

@@ -18,7 +18,8 @@ from typing import Protocol, Self
 from sumo_adv.config import Settings
 from sumo_adv.episode.engine import EpisodeCalls, EpisodeEngine
 from sumo_adv.planners.sandbox import Sandbox
-from sumo_adv.simulation.engine import Engine, can_fork
+from sumo_adv.simulation.engine import Engine
+from sumo_adv.simulation.forks import can_fork
 
 
 class WarmCalls(EpisodeCalls, Protocol):

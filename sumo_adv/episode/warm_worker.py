@@ -16,11 +16,12 @@ import shapely.geometry  # noqa: F401 - imported before the first fork, because 
 
 from sumo_adv.episode.warm import WarmCalls
 from sumo_adv.episode.worker import EpisodeWorker
-from sumo_adv.simulation.engine import QUIET_VARIABLES, can_fork
+from sumo_adv.simulation.forks import can_fork
+from sumo_adv.simulation.processes import SINGLE_THREAD_VARIABLES
 from sumo_adv.simulation.programs import load_libsumo
 
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
-OWN_VARIABLES = {*QUIET_VARIABLES, "TMPDIR"}  # of the engine process, whatever its front has
+OWN_VARIABLES = {*SINGLE_THREAD_VARIABLES, "TMPDIR"}  # of the engine process, whatever its front has
 
 
 class WarmWorker(EpisodeWorker, WarmCalls):

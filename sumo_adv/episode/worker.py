@@ -42,7 +42,8 @@ from sumo_adv.metrics.levels import AVOIDS, COLLIDES, preventability
 from sumo_adv.metrics.reference import BRAKERS, COMPETENT, MANOEUVRE, REFERENCE_DRIVERS
 from sumo_adv.planners.answers import AskOne, PlannerObservation
 from sumo_adv.planners.sessions import ask_trusted
-from sumo_adv.simulation.engine import aside, can_fork, in_forks
+from sumo_adv.simulation.engine_log import aside
+from sumo_adv.simulation.forks import can_fork, in_forks
 from sumo_adv.simulation.network import RoadMap, read_network
 from sumo_adv.simulation.playback import Playback
 from sumo_adv.simulation.scan import silent_copies

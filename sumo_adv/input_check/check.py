@@ -65,7 +65,7 @@ def check_input(
     task = make_task(given, settings, folder)
     spec = task.spec
     first, until = spec.recorded_from, min(task.end, spec.recorded_from + seconds)
-    engine.begin_words()
+    engine.log.begin_episode()
     watched = engine.call(WatchWorker.watch, spec, until)
     alone = run_alone(spec, given.source, spec.step_length, until, folder)
     own = read_sumocfg(given.source).sumo_step if is_sumocfg(given.source) else None
@@ -74,7 +74,7 @@ def check_input(
         slow = run_alone(spec, given.source, own, until, folder)
         beside = compare(watched.motions, slow.motions, spec.begin, (first, until), own)
     due = departures(given, spec.begin, until)
-    here = task.own_names(engine.warnings())
+    here = task.own_names(engine.log.warnings())
     besides = [text for text in task.own_names(alone.warnings) if text not in here]
     return replace(
         read, comparison=compare(watched.motions, alone.motions, spec.begin, (first, until), spec.step_length),

@@ -24,7 +24,7 @@ from sumo_adv.simulation.permissions import CYCLES, EVERYWHERE, MOTOR, ON_FOOT, 
 from sumo_adv.simulation.programs import load_libsumo
 from sumo_adv.simulation.remote import RawState, Remote
 from sumo_adv.simulation.sumo_options import DEFAULTS, FORCED
-from sumo_adv.simulation.watch import LOAD_LIMIT, STEP_LIMIT, sumo_at_work
+from sumo_adv.simulation.watch import LOAD_LIMIT_S, STEP_LIMIT_S, sumo_at_work
 
 S = TypeVar("S", bound=VehicleState)
 KEEP_ROUTE = 2  # moveToXY places exactly and rewrites the route where it must
@@ -196,7 +196,7 @@ class Simulation:
         self.api = libsumo
         self.errors = (libsumo.TraCIException, libsumo.FatalTraCIError)
         try:
-            with sumo_at_work("when it read its files", LOAD_LIMIT):
+            with sumo_at_work("when it read its files", LOAD_LIMIT_S):
                 libsumo.start(["sumo", *self.spec.arguments()])
         except libsumo.TraCIException as error:
             raise SimulationError(f"SUMO refused to start ({' '.join(str(error).split())}).") from error
@@ -225,7 +225,7 @@ class Simulation:
         self._on, self._trespassing = {}, set()
         self._limits, self._closed, self._now = {}, {}, math.nan
         try:
-            with sumo_at_work("when it read its files again", LOAD_LIMIT):
+            with sumo_at_work("when it read its files again", LOAD_LIMIT_S):
                 self.api.load(self.spec.arguments())
         except self.errors as error:
             raise SimulationError(f"SUMO could not load the simulation again ({error}).") from error
@@ -264,7 +264,7 @@ class Simulation:
             self.remote.step()
             return
         try:
-            with sumo_at_work("in a step", STEP_LIMIT):
+            with sumo_at_work("in a step", STEP_LIMIT_S):
                 self.api.simulationStep()
         except self.errors as error:
             raise SimulationError(f"SUMO failed in a step ({' '.join(str(error).split())}).") from error

@@ -17,16 +17,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 
-SIZE = 1024  # bytes of a note
+from sumo_adv.errors import DriverError, SimulationError
+
+NOTE_BYTES = 1024  # bytes of a note
 HEAD = struct.Struct("=ddHH")  # begin and limit [s], lengths of who and where [bytes]
-LONGEST = 400  # bytes of who and of where
-GRACE = 2.0  # s after the limit in which code that catches the alarm, or does not return to Python, may still end
-LOOK = 0.5  # s between two looks of a process that waits
+MAX_TEXT_BYTES = 400  # bytes of who and of where
+GRACE_S = 2.0  # s after the limit in which code that catches the alarm, or does not return to Python, may still end
+LOOK_INTERVAL_S = 0.5  # s between two looks of a process that waits
 
 
 SUMO = "SUMO"
-STEP_LIMIT = 120.0  # s that a step of SUMO may take: one with 100,000 vehicles takes about 1 s
-LOAD_LIMIT = 1800.0  # s in which SUMO must have read its files: those of a large city take minutes
+STEP_LIMIT_S = 120.0  # s that a step of SUMO may take: one with 100,000 vehicles takes about 1 s
+LOAD_LIMIT_S = 1800.0  # s in which SUMO must have read its files: those of a large city take minutes
 
 
 class OutOfTimeError(BaseException):
@@ -46,14 +48,14 @@ class Call:
         """Whether it is SUMO's own work, and no code of the user's."""
         return self.who == SUMO
 
-    def late(self) -> str:
-        """The sentence where it did not return in time."""
+    def too_late(self) -> SimulationError:
+        """Return the error if it did not return in time."""
         if self.is_sumo:
-            return (
+            return SimulationError(
                 f"SUMO did not return within {self.limit:g} s {self.where}: it loops, or the input is too large for "
                 "this machine; try it with sumo itself."
             )
-        return (
+        return DriverError(
             f"{self.who} did not return within {self.limit:g} s {self.where}: raise its deadline (--ego-deadline), "
             "or give 0 for a debugger."
         )
@@ -67,15 +69,15 @@ class Watch:
     """The note of one process. Its forks write into the same note unless ``keep`` gives them another."""
 
     def __init__(self, file: Path | None = None) -> None:
-        """``file``: of SIZE bytes, for processes that are not forked."""
+        """``file``: of NOTE_BYTES bytes, for processes that are not forked."""
         if file is None:
-            self._note = mmap.mmap(-1, SIZE)
+            self._note = mmap.mmap(-1, NOTE_BYTES)
         else:
             with file.open("r+b") as opened:
-                self._note = mmap.mmap(opened.fileno(), SIZE)
+                self._note = mmap.mmap(opened.fileno(), NOTE_BYTES)
 
     def begin(self, call: Call) -> None:
-        who, where = call.who.encode()[:LONGEST], call.where.encode()[:LONGEST]
+        who, where = call.who.encode()[:MAX_TEXT_BYTES], call.where.encode()[:MAX_TEXT_BYTES]
         self._note[HEAD.size : HEAD.size + len(who) + len(where)] = who + where
         self._note[: HEAD.size] = HEAD.pack(time.monotonic(), call.limit, len(who), len(where))
 
@@ -89,7 +91,7 @@ class Watch:
     def overdue(self) -> Call | None:
         """The call that has not returned, if its time and the grace are over."""
         began, call = self._read()
-        late = call is not None and call.limit > 0 and time.monotonic() > began + call.limit + GRACE
+        late = call is not None and call.limit > 0 and time.monotonic() > began + call.limit + GRACE_S
         return call if late else None
 
     def _read(self) -> tuple[float, Call | None]:
@@ -118,7 +120,7 @@ def watched(call: Call) -> Iterator[None]:
     before = signal.signal(signal.SIGALRM, _out_of_time) if alarm else None
     try:
         if alarm:
-            signal.setitimer(signal.ITIMER_REAL, call.limit, GRACE / 4)
+            signal.setitimer(signal.ITIMER_REAL, call.limit, GRACE_S / 4)
         yield
     finally:
         if alarm:

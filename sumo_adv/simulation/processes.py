@@ -1,0 +1,126 @@
+"""Processes of this program: how they start, how they end with the process that started them, and how they ended."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from multiprocessing.connection import Connection, wait
+from typing import Any
+
+from sumo_adv.errors import OUT_OF_MEMORY, SimulationError, ran_out_of_memory
+
+SINGLE_THREAD_VARIABLES = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+
+
+@contextmanager
+def environment(variables: Mapping[str, str]) -> Iterator[None]:
+    """Set these environment variables for the processes that start within it."""
+    saved = {name: os.environ.get(name) for name in variables}
+    os.environ.update(variables)
+    try:
+        yield
+    finally:
+        for name, value in saved.items():
+            os.environ.pop(name) if value is None else os.environ.update({name: value})
+
+
+@contextmanager
+def allowed_from_daemons() -> Iterator[None]:
+    """Allow a daemonic process, such as a worker of a vectorised environment, to start processes within it.
+
+    ``multiprocessing`` refuses that because such a child would outlive a worker that is killed. The engine does not: it
+    ends when its connection closes.
+    """
+    me = multiprocessing.current_process()
+    daemonic, me.daemon = me.daemon, False
+    try:
+        yield
+    finally:
+        me.daemon = daemonic
+
+
+@contextmanager
+def deferred_interrupts() -> Iterator[None]:
+    """Start processes that ignore Ctrl-C from their first instruction on.
+
+    This process gets a Ctrl-C or SIGTERM that comes meanwhile at the end, so that no process is half started.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    from multiprocessing import resource_tracker
+
+    resource_tracker.ensure_running()  # starting it would unblock them
+    received: list[int] = []  # SIGTERM is not blocked: processes inherit that, and SIGTERM ends them
+    handlers = dict[int, Any]()
+    if threading.current_thread() is threading.main_thread():  # another thread may get a Ctrl-C that is blocked here
+        handlers = {k: h for k in (signal.SIGINT, signal.SIGTERM) if callable(h := signal.getsignal(k))}
+    for number in handlers:
+        signal.signal(number, lambda k, _: received.append(k))
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        if received:
+            signal.raise_signal(received[0])
+
+
+def end_with(front: Connection) -> None:
+    """Make a process group of this process and its children to come, which is killed when the other end of ``front``,
+    which nobody else has, closes: when the process that has it ends, however it ends.
+
+    A process of its own sees to it, since Python does nothing while SUMO works. Nothing happens where none can be
+    forked (Windows): there this process ends when it next reads its connection.
+    """
+    if not hasattr(os, "fork"):
+        return
+    os.setpgid(0, 0)
+    me, (inlet, outlet) = os.getpid(), os.pipe()
+    if os.fork() == 0:
+        os.close(outlet)
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        ended = wait([front, inlet])
+        if front in ended:
+            os.killpg(me, signal.SIGKILL)
+        os._exit(0)  # this process has ended by itself
+    os.close(inlet)  # ``outlet`` stays open as long as this process or a fork of it
+
+
+def repair_process() -> None:
+    """Undo what code of others may have done to this process that it and its forks cannot live with: children of which
+    the system says nothing, and closed standard files, whose numbers a fork's pipe would get."""
+    if hasattr(signal, "SIGCHLD"):
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+    for number in (0, 1, 2):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # the lowest number that is free
+    for name, number in (("stdout", 1), ("stderr", 2)):
+        if getattr(sys, name) is None or getattr(sys, name).closed:
+            setattr(sys, name, os.fdopen(number, "w", closefd=False))
+
+
+def exit_in_words(exitcode: int | None) -> str:
+    """Return an exit code in words."""
+    if exitcode is None or exitcode >= 0:
+        return f"exit status {exitcode}"
+    try:
+        return f"killed by {signal.Signals(-exitcode).name}"
+    except ValueError:
+        return f"killed by signal {-exitcode}"
+
+
+def unexpected(what: str, error: BaseException) -> SimulationError:
+    """Return the error that says that ``what`` failed with an error that this program does not raise."""
+    sentence = f"{what} failed ({type(error).__name__}: {error})."
+    return SimulationError(OUT_OF_MEMORY if ran_out_of_memory(error) else sentence)
