@@ -29,7 +29,7 @@ from sumo_adv.memory.records import Composition, Part
 from sumo_adv.planners.source import make_planner
 from sumo_adv.search.search import AttackSearch
 from sumo_adv.search.settings import SearchSettings
-from sumo_adv.search.supports import ANY, Cast, description_of
+from sumo_adv.search.supports import ANY_FITTING, Cast, description_of
 from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.situation import Target
 
@@ -60,7 +60,7 @@ def team(*parts: tuple[str, str, str], label: str = "Pinch", description: str = 
 
 COLLIDER, BLOCK = ("BV1", "collider", "Shift"), ("BV2", "block_left", "escape block left")
 PINCH = Composition(
-    "Pinch", WORDS, (Part(Duty.COLLIDER, "Shift", ANY), Part(Duty.BLOCK_LEFT, "Escape Block Left", ANY))
+    "Pinch", WORDS, (Part(Duty.COLLIDER, "Shift", ANY_FITTING), Part(Duty.BLOCK_LEFT, "Escape Block Left", ANY_FITTING))
 )
 
 
@@ -139,7 +139,7 @@ def test_a_composition_that_the_bank_knows_is_retrieved_and_another_one_is_compo
     with MemoryBank.open(tmp_path / "bank.sqlite") as bank:
         assert known_casts([proposed], bank) == [proposed]
         bank.record_composition(squeeze, [True])
-        assert known_casts([proposed], bank) == [Cast(replace(squeeze, succeeded=1), ("right", ANY, "left"))]
+        assert known_casts([proposed], bank) == [Cast(replace(squeeze, succeeded=1), ("right", ANY_FITTING, "left"))]
         unknown = Cast(replace(PINCH, description="A tractor turns round on a bridge at night."), ("right", "left"))
         assert known_casts([unknown], bank) == [unknown]
 

@@ -17,7 +17,7 @@ from sumo_adv.llm.prompts import MAX_TEXT, Prompts, sanitize
 from sumo_adv.memory.records import Composition, Part, canonical
 from sumo_adv.road_users import is_unprotected
 from sumo_adv.search.support_intents import SUPPORT_INTENTS, fits
-from sumo_adv.search.supports import ANY, EXPERT_COMPOSITIONS, Cast
+from sumo_adv.search.supports import ANY_FITTING, EXPERT_COMPOSITIONS, Cast
 from sumo_adv.situation import Situation, Target
 
 MOST_PROPOSED = 3  # compositions in one answer
@@ -121,7 +121,7 @@ def casts_of(teams: Iterable[Team], aliases: Aliases, library: Sequence[LibraryE
     """Usable compositions of a model's answers with their vehicles; of those with one label the first."""
     casts: dict[str, Cast] = {}
     for team in teams:
-        parts = tuple(Part(Duty(m.role), _entry(m, library).label, ANY) for m in team.parts)
+        parts = tuple(Part(Duty(m.role), _entry(m, library).label, ANY_FITTING) for m in team.parts)
         label = sanitize(team.label)
         same = next((c.description for c in EXPERT_COMPOSITIONS if canonical(c.label) == canonical(label)), "")
         composition = Composition(label, sanitize(team.description) or same or label, parts)

@@ -20,7 +20,7 @@ from sumo_adv.benchmark.transformer import Transformer
 from sumo_adv.datatypes import Attempt, Planner, PrescribedMotion, Proposal, acceleration_of
 from sumo_adv.drivers.registry import in_one_line, make_object
 from sumo_adv.errors import PlannerResultError, PlannerRuntimeError, UsageError
-from sumo_adv.search.sampling import BRAKING_LABEL, AttackTemplate, templates_of
+from sumo_adv.search.sampling import EMERGENCY_BRAKING_LABEL, AttackTemplate, templates_of
 from sumo_adv.situation import Situation
 
 
@@ -121,7 +121,7 @@ def _endless(label: str, ways: Sequence[AttackTemplate], draw: random.Random) ->
     while True:
         for k, way in enumerate(ways):
             proposal = way.proposal(None if turn == 0 else draw)
-            if label == BRAKING_LABEL:
+            if label == EMERGENCY_BRAKING_LABEL:
                 proposal = replace(proposal, acceleration=BRAKING[(turn + k) % len(BRAKING)])
             yield proposal
         turn += 1

@@ -20,7 +20,7 @@ from sumo_adv.memory.bank import MemoryBank, retrieve_composition
 from sumo_adv.memory.recall import SCALES, draw, explain, signature_distance
 from sumo_adv.memory.records import Composition, Evidence, IntentRecord, Part, SceneSignature, canonical, evidence_of
 from sumo_adv.search.intents import COMPOSED, EXPERT, FREE, Selection, applies_of, select
-from sumo_adv.search.supports import ANY, Cast, description_of
+from sumo_adv.search.supports import ANY_FITTING, Cast, description_of
 from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.situation import Situation
 
@@ -201,7 +201,7 @@ def known_casts(casts: Sequence[Cast], bank: MemoryBank) -> list[Cast]:
                 match = next((each for each in left if each[0] is part.duty), None)
                 if match is not None:
                     left.remove(match)
-                vehicles.append(ANY if match is None else match[1])
+                vehicles.append(ANY_FITTING if match is None else match[1])
             cast = Cast(composition, tuple(vehicles))
         replaced.append(cast)
     return replaced

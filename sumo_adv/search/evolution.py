@@ -19,21 +19,27 @@ import numpy as np
 
 from sumo_adv.datatypes import AS_FOUND, Duty, Level, Proposal, Verdict
 from sumo_adv.goal import Goal
-from sumo_adv.search.sampling import BRAKING_LABEL, BRAKING_RANGE, AttackTemplate, Sampler, originals, varied
-from sumo_adv.search.settings import EvolutionSettings
+from sumo_adv.search.sampling import (
+    EMERGENCY_BRAKING_LABEL,
+    EMERGENCY_BRAKING_RANGE_M_S2,
+    AttackTemplate,
+    Sampler,
+    originals,
+    varied,
+)
+from sumo_adv.search.settings import FULL_WARNING_S, MAX_COUNTED_DISTANCE_M, MAX_COUNTED_TTC_S, EvolutionSettings
 from sumo_adv.search.supports import Supports
 
-ENOUGH_WARNING = 2.0  # s from the alarm of ``cc_human`` to the contact: more makes a collision no more avoidable
-HARD = 10.0  # m/s of delta-v: more counts as this
-WHOLE_START_S, WHOLE_BRAKING = 3.0, 8.0  # s, m/s2: differences that count as the whole range of a number
-FAR, LATE = 30.0, 10.0  # m of distance, s of TTC: more counts as this
+MAX_COUNTED_DELTA_V_M_S = 10.0  # more counts as this
+START_SCALE_S, BRAKING_SCALE_M_S2 = 3.0, 8.0  # differences that count as the whole range of a number
 
 
 def badness(verdict: Verdict, goal: Goal) -> float:
     """How far an attempt is from the goal, lower is better: the level it reached, then the margin to the next one."""
     if goal.ttc is not None:
         return _off_band(verdict, goal.ttc)
-    gap = (min(verdict.min_distance, FAR) / FAR + min(verdict.min_ttc, LATE) / LATE) / 2
+    distance, ttc = min(verdict.min_distance, MAX_COUNTED_DISTANCE_M), min(verdict.min_ttc, MAX_COUNTED_TTC_S)
+    gap = (distance / MAX_COUNTED_DISTANCE_M + ttc / MAX_COUNTED_TTC_S) / 2
     if not verdict.counts:
         return 6.0 + gap
     if not verdict.collided:
@@ -43,8 +49,8 @@ def badness(verdict: Verdict, goal: Goal) -> float:
         return 4.0 + gap
     if level < verdict.level:  # too mild a collision
         return 4.0 - min(delta_v / goal.min_delta_v, 1.0) / 2
-    hard, human = min(delta_v / HARD, 1.0), float(bool(verdict.humanlike))
-    overlap, warning = verdict.overlap or 0.0, min(_warning(verdict) / ENOUGH_WARNING, 1.0)
+    hard, human = min(delta_v / MAX_COUNTED_DELTA_V_M_S, 1.0), float(bool(verdict.humanlike))
+    overlap, warning = verdict.overlap or 0.0, min(_warning(verdict) / FULL_WARNING_S, 1.0)
     if level < Level.STRICT:
         return 5.0 - float(level) - 0.5 * warning - 0.2 * human - 0.1 * overlap - 0.1 * hard
     return 5.0 - float(level) - 0.1 * warning - 0.2 * human - 0.1 * overlap - 0.5 * hard
@@ -52,8 +58,9 @@ def badness(verdict: Verdict, goal: Goal) -> float:
 
 def _off_band(verdict: Verdict, band: tuple[float, float]) -> float:
     """Distance of the least TTC from the middle of a band [s]; a contact and what does not count are worse."""
-    off = abs(min(verdict.min_ttc, LATE) - sum(band) / 2) + min(verdict.min_distance, FAR) / FAR
-    return off + (2.0 * LATE if not verdict.counts else LATE if verdict.collided else 0.0)
+    distance, ttc = min(verdict.min_distance, MAX_COUNTED_DISTANCE_M), min(verdict.min_ttc, MAX_COUNTED_TTC_S)
+    off = abs(ttc - sum(band) / 2) + distance / MAX_COUNTED_DISTANCE_M
+    return off + (2.0 * MAX_COUNTED_TTC_S if not verdict.counts else MAX_COUNTED_TTC_S if verdict.collided else 0.0)
 
 
 def _warning(verdict: Verdict) -> float:
@@ -95,7 +102,7 @@ def _place(p: Proposal) -> tuple[float, ...]:
         if q.high > q.low
     ]
     braking = p.acceleration if isinstance(p.acceleration, float) else 0.0
-    return (*numbers, p.delay / WHOLE_START_S, braking / WHOLE_BRAKING)
+    return (*numbers, p.delay / START_SCALE_S, braking / BRAKING_SCALE_M_S2)
 
 
 @dataclass(slots=True)
@@ -221,8 +228,8 @@ class Evolution:
         if self._random.random() < settings.other_start:
             child = self._begun_elsewhen(child)
         child = self._accompanied(child, parent.escape)
-        if child.label == BRAKING_LABEL and isinstance(child.acceleration, float):
-            low, high = BRAKING_RANGE
+        if child.label == EMERGENCY_BRAKING_LABEL and isinstance(child.acceleration, float):
+            low, high = EMERGENCY_BRAKING_RANGE_M_S2
             braking = -child.acceleration + self._random.gauss(0.0, parent.step * (high - low))
             child = replace(child, acceleration=-min(max(braking, low), high))
         self._parents[id(child)] = next(cell for cell, e in self._elites.items() if e is parent)

@@ -24,10 +24,10 @@ from sumo_adv.road_users import is_unprotected, road_user
 from sumo_adv.simulation.network import Drivable
 from sumo_adv.situation import Situation
 
-LEAST_WARNING = 0.5  # s from the alarm to the contact; with less no manoeuvre avoids anything
-NEAR = 60.0  # m from the ego at the contact: other vehicles that may be in a reference driver's way
-WAY = 60.0  # m of the ego's path past the contact, at points this far apart [m]:
-WAY_STEP = 2.0
+MIN_MANOEUVRE_WARNING_S = 0.5  # s from the alarm to the contact; with less no manoeuvre avoids anything
+BYSTANDER_DISTANCE_M = 60.0  # from the ego at the contact: other vehicles that may be in a reference driver's way
+PATH_AFTER_CONTACT_M = 60.0  # of the ego's path past the contact, at points that are this far apart:
+PATH_POINT_SPACING_M = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +86,7 @@ def danger_of(collisions: Collisions, drivable: Drivable) -> Danger:
     if len(rows := np.flatnonzero(careful)):
         careful[rows] = _check(collisions, onward, rows, with_others=True).braking(CcHuman).avoids
     manoeuvre = careful.copy()
-    if len(rows := np.flatnonzero(conclusive & ~careful & (warning >= LEAST_WARNING))):
+    if len(rows := np.flatnonzero(conclusive & ~careful & (warning >= MIN_MANOEUVRE_WARNING_S))):
         room = _check(collisions, onward, rows, with_others=True)
         manoeuvre[rows] = room.manoeuvring(normal.alarm[rows], drivable)[0].avoids
     impacts = [
@@ -136,7 +136,7 @@ def _check(collisions: Collisions, onward: Floats, rows: Ints, *, with_others: b
 
 def _onward(situations: Sequence[Situation], ego: Boxes, last: Ints) -> Floats:
     """Points ``(n, P, 2)`` of the ego's way past the contact: its unattacked path, beside it by the ego's offset."""
-    ahead = np.arange(WAY_STEP, WAY, WAY_STEP)
+    ahead = np.arange(PATH_POINT_SPACING_M, PATH_AFTER_CONTACT_M, PATH_POINT_SPACING_M)
     points = np.full((len(last), len(ahead), 2), np.nan)
     for row, k in enumerate(last.tolist()):
         path = situations[row].baseline.path
@@ -160,7 +160,7 @@ def _others(collisions: Collisions, rows: Ints) -> Boxes | None:
         ex, ey = (q[same, collisions.last[same]] for q in (collisions.ego.x, collisions.ego.y))
         tracks = [
             t for t in situation.traffic.others
-            if t.id not in bvs and (np.hypot(t.x[:, None] - ex, t.y[:, None] - ey) < NEAR).any()
+            if t.id not in bvs and (np.hypot(t.x[:, None] - ex, t.y[:, None] - ey) < BYSTANDER_DISTANCE_M).any()
         ]  # fmt: skip
         time = np.asarray(situation.time + np.arange(steps) * situation.dt, float)
         boxes_of[key] = on_grid(tracks, time)

@@ -19,7 +19,7 @@ from sumo_adv.search.settings import ScoreSettings
 from sumo_adv.simulation.network import Drivable
 from sumo_adv.situation import Situation
 
-TOGETHER = 12  # planners with a sandbox session open at the same time
+MAX_OPEN_SESSIONS = 12  # planners with a sandbox session open at the same time
 
 
 class Predictor:
@@ -103,9 +103,9 @@ def _no_garbage_collection() -> Iterator[None]:
 
 
 def batches_of(proposals: Sequence[Proposal]) -> list[set[str]]:
-    """Hashes of planners that are predicted together: at most ``TOGETHER`` that need the sandbox, a session each."""
+    """Hashes of planners that are predicted together: at most ``MAX_OPEN_SESSIONS`` that need the sandbox, a session each."""
     planners = {p.planner.hash: p.planner for p in proposals}
     ours = [name for name, planner in planners.items() if is_trusted(planner)]
     others = [name for name in planners if name not in ours]
-    results = [set(others[k : k + TOGETHER]) for k in range(0, len(others), TOGETHER)]
+    results = [set(others[k : k + MAX_OPEN_SESSIONS]) for k in range(0, len(others), MAX_OPEN_SESSIONS)]
     return [results[0].union(ours), *results[1:]] if results else [set(ours)] if ours else []

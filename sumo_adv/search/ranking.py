@@ -12,7 +12,7 @@ from sumo_adv.goal import Goal
 from sumo_adv.search.sampling import AttackTemplate
 from sumo_adv.search.settings import SearchSettings
 
-NOTHING_NEAR = 10.0  # s: the least TTC that is said where nothing was predicted
+NO_CONFLICT_TTC_S = 10.0  # s: the least TTC that is said where nothing was predicted
 
 
 def ranked_intents(
@@ -63,7 +63,7 @@ def _intent(members: Sequence[Proposal], description: str, settings: SearchSetti
     risk = "high" if best.score < settings.avoidable else ("medium" if best.score < settings.reaches else "low")
     avoidable = sum(p.score < settings.avoidable for p in members)
     made = [p.prediction for p in members if p.prediction is not None and not p.prediction.failure]
-    least = min((prediction.min_ttc for prediction in made), default=NOTHING_NEAR)
+    least = min((prediction.min_ttc for prediction in made), default=NO_CONFLICT_TTC_S)
     met = sum(p.score < settings.reaches for p in members)
     reason = f"predicted: {_counts(goal, met, avoidable, len(members))}; least TTC {least:.2f} s"
     return Intent(best.bv, best.label, description, risk, best.acceleration, reason)

@@ -16,9 +16,9 @@ from sumo_adv.datatypes import LibraryEntry, Planner, Proposal
 from sumo_adv.search.settings import SamplingSettings
 from sumo_adv.situation import Situation, Target
 
-VERSIONS = 2  # versions of a mode that are drawn from; the same number of learnt ones is tried with its own parameters
-BRAKING_LABEL = "Emergency Braking"
-DEFAULT_BRAKING, BRAKING_RANGE = 7.5, (5.0, 8.0)  # m/s2, the intent's acceleration with that label
+MAX_VERSIONS_PER_MODE = 2  # that are drawn from; as many learnt ones are tried with their own parameters
+EMERGENCY_BRAKING_LABEL = "Emergency Braking"
+DEFAULT_EMERGENCY_BRAKING_M_S2, EMERGENCY_BRAKING_RANGE_M_S2 = 7.5, (5.0, 8.0)  # of an intent with that label
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,11 +39,11 @@ class AttackTemplate:
     def proposal(self, draw: Random | None) -> Proposal:
         """A candidate with the author's parameters (``draw`` None), or with uniform ones within their bounds."""
         if draw is None:
-            numbers, braking = self.planner.defaults(), DEFAULT_BRAKING
+            numbers, braking = self.planner.defaults(), DEFAULT_EMERGENCY_BRAKING_M_S2
         else:
             numbers = {p.name: round(draw.uniform(p.low, p.high), 4) for p in self.planner.parameters}
-            braking = draw.uniform(*BRAKING_RANGE)
-        acceleration = -braking if self.entry.label == BRAKING_LABEL else 0.0
+            braking = draw.uniform(*EMERGENCY_BRAKING_RANGE_M_S2)
+        acceleration = -braking if self.entry.label == EMERGENCY_BRAKING_LABEL else 0.0
         return Proposal(self.target.state.id, self.entry.label, self.planner, numbers, acceleration, self.delay)
 
 
@@ -51,7 +51,7 @@ def templates_of(
     situations: Mapping[float, Situation], library: Sequence[LibraryEntry], allowed: Collection[str] | None = None
 ) -> list[AttackTemplate]:
     """All templates that apply: by delay, most dangerous vehicle first, in the library's order. Of each mode, the first
-    ``VERSIONS`` versions and the first ``VERSIONS`` learnt ones. ``allowed``: labels of intents, None for all."""
+    ``MAX_VERSIONS_PER_MODE`` versions and as many first learnt ones. ``allowed``: labels of intents, None for all."""
     entries = library if allowed is None else [entry for entry in library if entry.label in allowed]
     versions = [(entry, _first_versions(entry, library)) for entry in entries]
     selected = []
@@ -74,7 +74,7 @@ def _first_versions(entry: LibraryEntry, library: Sequence[LibraryEntry]) -> lis
     for planner in entry.planners:
         learnt = planner.mode in first and planner.parent is not None and planner.parent not in elsewhere
         count[planner.mode, learnt] += 1
-        if count[planner.mode, learnt] <= VERSIONS:
+        if count[planner.mode, learnt] <= MAX_VERSIONS_PER_MODE:
             selected.append((planner, learnt))
     return selected
 

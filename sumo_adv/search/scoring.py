@@ -34,15 +34,15 @@ from sumo_adv.metrics.gates import CLOCK_SLACK, kinematic_gates, near_pairs, off
 from sumo_adv.road_users import RoadUser, road_user, unprotected
 from sumo_adv.search.predicted_level import Collisions, Danger, danger_of, some_rows
 from sumo_adv.search.rollouts import Motions, Rollouts, Touch
-from sumo_adv.search.settings import ScoreSettings
+from sumo_adv.search.settings import MAX_COUNTED_DISTANCE_M, MAX_COUNTED_TTC_S, ScoreSettings
 from sumo_adv.simulation.network import Drivable
 from sumo_adv.situation import Situation, heights_along
 
-GENTLY = 1.0  # m/s2: gentler braking does not count
-ROAD_INSET = 0.05  # m; the judge's 0.15 would leave no room for the error of a prediction
-ROAD_STRIDE = 4  # steps between two tests of the corners, which are slow; off the road a vehicle stays for longer
-NEARBY = 5.0  # m between boxes: with more at every step two vehicles do not touch in between, up to 50 m/s
-LEAST_STEPS = 3  # before a contact, for a hazard to show
+UNCOUNTED_BRAKING_M_S2 = 1.0  # m/s2: gentler braking does not count
+ROAD_INSET_M = 0.05  # m; the judge's 0.15 would leave no room for the error of a prediction
+ROAD_CHECK_STRIDE = 4  # steps between two tests of the corners, which are slow; off the road a vehicle stays for longer
+NO_TOUCH_DISTANCE_M = 5.0  # m between boxes: with more at every step two vehicles do not touch in between, up to 50 m/s
+MIN_HAZARD_STEPS = 3  # before a contact, for a hazard to show
 
 
 def judge_all(
@@ -51,12 +51,13 @@ def judge_all(
 ) -> list[tuple[float, Prediction]]:  # fmt: skip
     """The score and the prediction of each rollout, row by row; ``situations``: by delay [s]."""
     seen = _look_at(situations, proposals, rollouts, drivable, limits)
-    missed = weights.miss_by_ttc * np.minimum(seen.least, 10.0) + weights.miss_by_gap * np.minimum(seen.nearest, 30.0)
+    ttc_left, gap_left = np.minimum(seen.least, MAX_COUNTED_TTC_S), np.minimum(seen.nearest, MAX_COUNTED_DISTANCE_M)
+    missed = weights.miss_by_ttc * ttc_left + weights.miss_by_gap * gap_left
     score = np.where(seen.hit, weights.no_warning, weights.miss + missed)
     score = np.where(seen.leaves, weights.off_road, np.where(seen.beyond, weights.beyond_limits, score))
     score = np.where(seen.third, weights.third_party, np.where(seen.rear, weights.rear_end, score))
     predictions = [_prediction(seen, k) for k in range(len(proposals))]
-    rows = np.flatnonzero(seen.counts & (seen.contact >= LEAST_STEPS))
+    rows = np.flatnonzero(seen.counts & (seen.contact >= MIN_HAZARD_STEPS))
     if len(rows):
         own, foe, *helpers = (some_rows(b, rows) for b in (seen.ego, seen.adversary, *seen.supports))
         ego_at, adversary_at = (pick(b, rows) for b in seen.at_contact)
@@ -125,8 +126,8 @@ def _look_at(
     for boxes, before in driven:
         third |= _third_party(begun, bvs, boxes, time, end_time)
         bound = judged & ~unprotected(boxes.length, boxes.width)  # to the carriageway
-        looked_at = bound & (np.arange(steps) % ROAD_STRIDE == 1)
-        leaves |= off_road(boxes, looked_at, drivable, ROAD_INSET).any(axis=1)
+        looked_at = bound & (np.arange(steps) % ROAD_CHECK_STRIDE == 1)
+        leaves |= off_road(boxes, looked_at, drivable, ROAD_INSET_M).any(axis=1)
         beyond |= _beyond_limits(boxes, before, time, judged, limits)
     for first, second in combinations((ego, adversary, *supports), 2):
         if second is not adversary:
@@ -161,7 +162,7 @@ def _raised(boxes: Boxes, paths: Sequence[tuple[Path, ...]]) -> Boxes:
 
 def _touch(one: Boxes, other: Boxes, time: Floats, end: Floats) -> Bools:
     """Whether the two of a row touch before ``end`` ``(n,)`` [s], ``(n,)``."""
-    reach = half_diagonal(one) + half_diagonal(other) + NEARBY
+    reach = half_diagonal(one) + half_diagonal(other) + NO_TOUCH_DISTANCE_M
     rows = np.flatnonzero((np.hypot(one.x - other.x, one.y - other.y) < reach).any(axis=1))
     touched = np.zeros(len(end), bool)
     if len(rows):
@@ -172,7 +173,7 @@ def _touch(one: Boxes, other: Boxes, time: Floats, end: Floats) -> Bools:
 def _prediction(seen: _Seen, k: int) -> Prediction:
     """The prediction of row ``k``, without what ``danger_of`` adds."""
     hit, last, dt = bool(seen.hit[k]), int(seen.last[k]), seen.dt
-    braking_share = (np.diff(seen.adversary.speed[k, : max(last, 1) + 1]) / dt < -GENTLY).mean()
+    braking_share = (np.diff(seen.adversary.speed[k, : max(last, 1) + 1]) / dt < -UNCOUNTED_BRAKING_M_S2).mean()
     return Prediction(
         hit=hit, min_ttc=0.0 if hit else float(seen.least[k]), gap=float(seen.nearest[k]), time=last * dt,
         braking=float(braking_share), third_party=bool(seen.third[k]),
@@ -310,8 +311,6 @@ def _beyond_limits(adversary: Boxes, before: Floats, time: Floats, judged: Bools
 
 # -- goals that are more than a level -------------------------------------------------------------------------------
 
-MOST_TTC, MOST_GAP = 10.0, 30.0  # s, m: what is farther off counts as this
-
 
 def goal_score(goal: Goal, score: float, made: Prediction, weights: ScoreSettings) -> float:
     """The score of a prediction for the goal; ``score``: by its level alone. What fails whatever the ego does keeps its
@@ -331,6 +330,6 @@ def _near_miss(band: tuple[float, float], made: Prediction, weights: ScoreSettin
         return weights.miss + weights.miss_by_ttc * low + weights.contact
     if low <= made.min_ttc <= high:
         return weights.strict * abs(2.0 * made.min_ttc - low - high) / (high - low)
-    off = low - made.min_ttc if made.min_ttc < low else min(made.min_ttc - high, MOST_TTC)
-    far = weights.miss_by_gap * min(made.gap, MOST_GAP) if made.min_ttc > high else 0.0
+    off = low - made.min_ttc if made.min_ttc < low else min(made.min_ttc - high, MAX_COUNTED_TTC_S)
+    far = weights.miss_by_gap * min(made.gap, MAX_COUNTED_DISTANCE_M) if made.min_ttc > high else 0.0
     return weights.miss + weights.miss_by_ttc * off + far

@@ -9,6 +9,9 @@ from dataclasses import dataclass, field
 
 from sumo_adv.datatypes import Level
 
+FULL_WARNING_S = 2.0  # from the alarm of ``cc_human`` to the contact: more makes a collision no more avoidable
+MAX_COUNTED_TTC_S, MAX_COUNTED_DISTANCE_M = 10.0, 30.0  # what is farther from a contact counts as this
+
 
 @dataclass(frozen=True, slots=True)
 class ScoreSettings:
@@ -20,8 +23,8 @@ class ScoreSettings:
     collision: float = 0.9  # a contact that no reference driver avoids
     no_warning: float = 1.3  # a contact before which no danger shows
     miss: float = 1.5  # no contact; more for each second of TTC and each metre of distance
-    miss_by_ttc: float = 0.3  # 1/s, up to 10 s
-    miss_by_gap: float = 0.1  # 1/m, up to 30 m
+    miss_by_ttc: float = 0.3  # 1/s, up to ``MAX_COUNTED_TTC_S``
+    miss_by_gap: float = 0.1  # 1/m, up to ``MAX_COUNTED_DISTANCE_M``
     near_miss: float = 1.0  # a miss that costs no more is tried, as long as no attempt has been critical
     too_mild: float = 0.3  # added to a miss: the share of the delta-v that is wanted and missing
     contact: float = 0.3  # added to a miss where a near miss is wanted
@@ -34,7 +37,7 @@ class ScoreSettings:
     not_human: float = 0.06  # added to a strict collision if no person would drive so
     to_warning: float = 0.2  # added to lower ones: the share of ``warned_enough`` that is missing
     to_delta_v_early: float = 0.05  # added to a valid one: the share of a serious delta-v that is missing
-    warned_enough: float = 2.0  # s from the alarm of ``cc_human`` to the contact
+    warned_enough: float = FULL_WARNING_S
 
 
 @dataclass(frozen=True, slots=True)

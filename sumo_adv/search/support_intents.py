@@ -15,8 +15,8 @@ from sumo_adv.road_users import is_unprotected
 from sumo_adv.search.intents import EXPERT
 from sumo_adv.situation import Target
 
-SAME_WAY = ("neighbour", "leader", "follower")  # relations of vehicles that go along the ego's path
-BESIDE = 1.6  # m from the ego's path, from which on a vehicle is on a lane beside it
+ALONG_RELATIONS = ("neighbour", "leader", "follower")  # relations of vehicles that go along the ego's path
+MIN_LANE_OFFSET_M = 1.6  # m from the ego's path, from which on a vehicle is on a lane beside it
 
 _PLACE = '''
 
@@ -136,14 +136,14 @@ _MEET = "An oncoming vehicle passes the ego just when the ego would swerve to th
 SUPPORT_INTENTS: Mapping[Duty, tuple[LibraryEntry, ...]] = {
     Duty.BLOCK_LEFT: (
         _entry(
-            "Escape Block Left", _BLOCK.format("left"), SAME_WAY, "beside", _KEEP, ahead="0.0, -5.0, 7.0",
+            "Escape Block Left", _BLOCK.format("left"), ALONG_RELATIONS, "beside", _KEEP, ahead="0.0, -5.0, 7.0",
             side="1.0, 1.0, 1.0",
         ),
         _entry("Oncoming Block Left", _MEET.format("left"), ("oncoming",), "pass", _PASS),
     ),
     Duty.BLOCK_RIGHT: (
         _entry(
-            "Escape Block Right", _BLOCK.format("right"), SAME_WAY, "beside", _KEEP, ahead="0.0, -5.0, 7.0",
+            "Escape Block Right", _BLOCK.format("right"), ALONG_RELATIONS, "beside", _KEEP, ahead="0.0, -5.0, 7.0",
             side="-1.0, -1.0, -1.0",
         ),
     ),
@@ -161,7 +161,7 @@ SUPPORT_INTENTS: Mapping[Duty, tuple[LibraryEntry, ...]] = {
     ),
     Duty.OPEN: (
         _entry(
-            "Gap Opening", "The vehicle changes its speed and opens a gap into which another one can go.", SAME_WAY,
+            "Gap Opening", "The vehicle changes its speed and opens a gap into which another one can go.", ALONG_RELATIONS,
             "pace", _PACE, change="-4.0, -10.0, 6.0",
         ),
     ),
@@ -177,6 +177,6 @@ def fits(duty: Duty, entry: LibraryEntry, target: Target) -> bool:
     if duty not in (Duty.BLOCK_LEFT, Duty.BLOCK_RIGHT):
         return True
     side = 1.0 if duty is Duty.BLOCK_LEFT else -1.0
-    if abs(left) >= BESIDE:
+    if abs(left) >= MIN_LANE_OFFSET_M:
         return left * side > 0.0
     return any(kind == "same" and offset * side > 0.0 for offset, kind in target.sides)

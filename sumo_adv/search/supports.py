@@ -16,24 +16,24 @@ import numpy as np
 from sumo_adv.datatypes import Duty, LibraryEntry, ObservedMotion, Proposal
 from sumo_adv.memory.records import Composition, Part
 from sumo_adv.road_users import is_unprotected
-from sumo_adv.search.sampling import AttackTemplate
+from sumo_adv.search.sampling import EMERGENCY_BRAKING_LABEL, AttackTemplate
 from sumo_adv.search.support_intents import SUPPORT_INTENTS, fits
 from sumo_adv.situation import MEET_AHEAD, Situation
 
 # -- how an ego escapes ---------------------------------------------------------------------------------------------
 
-ASIDE = 0.4  # m from its path, from which on the ego has swerved
-SLOWER = 0.5  # m/s below its unattacked speed, from which on it has braked
+MIN_SWERVE_M = 0.4  # m from its path, from which on the ego has swerved
+MIN_SPEED_LOSS_M_S = 0.5  # m/s below its unattacked speed, from which on it has braked
 
 
 def against(offset: float, speed: float, unattacked: float) -> tuple[Duty, ...]:
     """What a support has to do against an escape: an offset from the ego's path [m, left positive], and a speed
     compared with the unattacked one [m/s]."""
-    if offset > ASIDE:
+    if offset > MIN_SWERVE_M:
         return (Duty.BLOCK_LEFT,)
-    if offset < -ASIDE:
+    if offset < -MIN_SWERVE_M:
         return (Duty.BLOCK_RIGHT,)
-    return (Duty.SLOW, Duty.HIDE) if speed < unattacked - SLOWER else ()
+    return (Duty.SLOW, Duty.HIDE) if speed < unattacked - MIN_SPEED_LOSS_M_S else ()
 
 
 def observed_escape(situation: Situation, motion: ObservedMotion) -> tuple[Duty, ...]:
@@ -49,12 +49,12 @@ def observed_escape(situation: Situation, motion: ObservedMotion) -> tuple[Duty,
 
 # -- compositions ---------------------------------------------------------------------------------------------------
 
-ANY = ""  # of a part: any mode of the intent; of a cast: any vehicle that fits
+ANY_FITTING = ""  # of a part: any mode of the intent; of a cast: any vehicle that fits
 
 
 @dataclass(frozen=True, slots=True)
 class Cast:
-    """A composition with its vehicles. ``vehicles``: by part the id of the vehicle that carries it out, or ``ANY``;
+    """A composition with its vehicles. ``vehicles``: by part the id of the vehicle that carries it out, or ``ANY_FITTING``;
     empty if any may."""
 
     composition: Composition
@@ -62,32 +62,35 @@ class Cast:
 
     def vehicle(self, part: int) -> str:
         """The vehicle of a part, the collider's being 0."""
-        return self.vehicles[part] if self.vehicles else ANY
+        return self.vehicles[part] if self.vehicles else ANY_FITTING
 
 
 def _of(label: str, description: str, collider: str, *supports: tuple[Duty, str]) -> Composition:
-    parts = (Part(Duty.COLLIDER, collider, ANY), *(Part(duty, intent, ANY) for duty, intent in supports))
+    parts = (
+        Part(Duty.COLLIDER, collider, ANY_FITTING),
+        *(Part(duty, intent, ANY_FITTING) for duty, intent in supports),
+    )
     return Composition(label, description, parts)
 
 
-CUT_IN, BRAKING = "Aggressive Cut-in", "Emergency Braking"
+CUT_IN_LABEL = "Aggressive Cut-in"
 EXPERT_COMPOSITIONS: tuple[Composition, ...] = (
     _of(
         "Box-in",
         "The leader slows down, a vehicle on the left closes the gap beside the ego, and another one cuts in from the "
         "right.",
-        CUT_IN, (Duty.SLOW, "Slow Leader"), (Duty.BLOCK_LEFT, "Escape Block Left"),
+        CUT_IN_LABEL, (Duty.SLOW, "Slow Leader"), (Duty.BLOCK_LEFT, "Escape Block Left"),
     ),
     _of(
         "Squeezed Cut-in",
         "A vehicle cuts in from the right while another one keeps beside the ego on the left, so that the ego cannot "
         "make room.",
-        CUT_IN, (Duty.BLOCK_LEFT, "Escape Block Left"),
+        CUT_IN_LABEL, (Duty.BLOCK_LEFT, "Escape Block Left"),
     ),
     _of(
         "Blocked Escape",
         "The leader brakes hard just when an oncoming vehicle passes, so that the ego cannot swerve to the left.",
-        BRAKING, (Duty.BLOCK_LEFT, "Oncoming Block Left"),
+        EMERGENCY_BRAKING_LABEL, (Duty.BLOCK_LEFT, "Oncoming Block Left"),
     ),
     _of(
         "Hidden Crossing",
@@ -97,7 +100,7 @@ EXPERT_COMPOSITIONS: tuple[Composition, ...] = (
     _of(
         "Opened Gap",
         "A vehicle of a platoon beside the ego opens a gap, and another one cuts in through it.",
-        CUT_IN, (Duty.OPEN, "Gap Opening"),
+        CUT_IN_LABEL, (Duty.OPEN, "Gap Opening"),
     ),
 )  # fmt: skip
 """Compositions of intents of the shipped memory bank and of supports."""
@@ -124,7 +127,7 @@ def description_of(p: Proposal, library: Sequence[LibraryEntry], proposed: Itera
 
 # -- giving and taking supports --------------------------------------------------------------------------------------
 
-COLLIDERS = 2  # of a composition, at most: each costs an attempt
+MAX_COLLIDERS = 2  # of a composition, at most: each costs an attempt
 
 
 class Supports:
@@ -168,15 +171,20 @@ class Supports:
         return self._together(p, (*p.supports, replace(template.proposal(numbers), duty=duty)))
 
     def _fitting(
-        self, p: Proposal, duty: Duty, entries: Iterable[LibraryEntry], mode: str = ANY, vehicle: str = ANY
+        self,
+        p: Proposal,
+        duty: Duty,
+        entries: Iterable[LibraryEntry],
+        mode: str = ANY_FITTING,
+        vehicle: str = ANY_FITTING,
     ) -> list[tuple[Duty, AttackTemplate]]:
         """The vehicles that can do a duty for a candidate, each with an intent and a planner."""
         return [
             (duty, AttackTemplate(p.delay, target, entry, planner))
             for target in self._situations[p.delay].target_list()
-            if target.state.id not in p.bvs and vehicle in (ANY, target.state.id)
+            if target.state.id not in p.bvs and vehicle in (ANY_FITTING, target.state.id)
             for entry in entries if fits(duty, entry, target)
-            for planner in entry.planners if mode in (ANY, planner.mode)
+            for planner in entry.planners if mode in (ANY_FITTING, planner.mode)
         ]  # fmt: skip
 
     def _carried_out(self, casts: Sequence[Cast], templates: Sequence[AttackTemplate]) -> list[Proposal]:
@@ -185,11 +193,11 @@ class Supports:
         for cast in (c for c in casts if len(c.composition.parts) <= self._most):
             first, colliders = cast.composition.parts[0], dict[str, AttackTemplate]()
             for t in templates:
-                fitting = t.entry.label == first.intent and first.mode in (ANY, t.planner.mode)
-                if fitting and cast.vehicle(0) in (ANY, t.target.state.id):
+                fitting = t.entry.label == first.intent and first.mode in (ANY_FITTING, t.planner.mode)
+                if fitting and cast.vehicle(0) in (ANY_FITTING, t.target.state.id):
                     colliders.setdefault(t.target.state.id, t)
             complete = [q for t in colliders.values() if (q := self._cast(cast, t.proposal(None))) is not None]
-            made += complete[:COLLIDERS]
+            made += complete[:MAX_COLLIDERS]
         return made
 
     def _cast(self, cast: Cast, p: Proposal) -> Proposal | None:
