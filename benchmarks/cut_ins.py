@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 
 from sumo_adv.datatypes import Floats
-from sumo_adv.metrics.own_data import ANSWERS, COLUMNS, judge_cut_ins
+from sumo_adv.metrics.own_data import ANSWERING_DRIVERS, CASE_COLUMNS, judge_cut_ins
 
 
 def drawn(count: int, seed: int) -> Floats:
-    """Cases ``(count, 4)``, rows of ``COLUMNS``."""
+    """Cases ``(count, 4)``, rows of ``CASE_COLUMNS``."""
     random = np.random.default_rng(seed)
     ego = random.uniform(20.0, 60.0, count)
     return np.column_stack(
@@ -34,7 +34,7 @@ def draw(target: Path, cases: Floats, answers: list[dict[str, str]]) -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    names = ANSWERS[1:]
+    names = ANSWERING_DRIVERS[1:]
     figure, panels = pyplot.subplots(1, len(names), figsize=(3.2 * len(names), 3.4), sharey=True, layout="constrained")
     closing = cases[:, 0] - cases[:, 1]
     hit = np.array([a["unchanged"] != "none" for a in answers])
@@ -60,21 +60,22 @@ def main() -> None:
     answers = judge_cut_ins(cases)
     hit = [a for a in answers if a["unchanged"] != "none"]
     print(f"{len(cases)} cut-ins, {len(hit)} collisions of the unchanged ego")
-    for name in ANSWERS[1:]:
+    for name in ANSWERING_DRIVERS[1:]:
         kinds = [a[name] for a in hit]
         print(
             f"{name:10s} prevents {kinds.count('none'):4d} ({kinds.count('none') / max(len(hit), 1):.2f}); "
             f"left: front_to_rear {kinds.count('front_to_rear')}, side {kinds.count('side')}"
         )
-    new = sum(a["unchanged"] == "none" and any(a[n] != "none" for n in ANSWERS[1:]) for a in answers)
+    new = sum(a["unchanged"] == "none" and any(a[n] != "none" for n in ANSWERING_DRIVERS[1:]) for a in answers)
     print(f"a driver collides where the unchanged ego does not: {new}")
     if args.out:
         args.out.mkdir(parents=True, exist_ok=True)
         with (args.out / "cut-ins.csv").open("w", newline="", encoding="utf-8") as text:
             writer = csv.writer(text)
-            writer.writerow([*COLUMNS, *ANSWERS])
+            writer.writerow([*CASE_COLUMNS, *ANSWERING_DRIVERS])
             writer.writerows(
-                [*(f"{v:.4f}" for v in c), *(a[n] for n in ANSWERS)] for c, a in zip(cases, answers, strict=True)
+                [*(f"{v:.4f}" for v in c), *(a[n] for n in ANSWERING_DRIVERS)]
+                for c, a in zip(cases, answers, strict=True)
             )
         draw(args.out / "cut-ins.png", cases, answers)
 

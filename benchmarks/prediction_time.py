@@ -1,7 +1,7 @@
 """How long the network of the row ``transformer`` takes for a scene.  ``python benchmarks/prediction_time.py``.
 
-The median CPU time of features and prediction of ``AGENTS`` vehicles, on three networks, in numpy on one thread. Bound
-(issue 44): 20 ms.
+The median CPU time of features and prediction of ``MAX_AGENTS`` vehicles, on three networks, in numpy on one thread.
+Bound (issue 44): 20 ms.
 """
 
 from __future__ import annotations
@@ -19,7 +19,15 @@ import numpy as np
 from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.simulation.network import read_network
 from sumo_adv.transformer.model import Predictor
-from sumo_adv.transformer.scene import AGENTS, HISTORY, STEP, Agents, Segments, light_of, segments_of
+from sumo_adv.transformer.scene import (
+    HISTORY_COUNT,
+    MAX_AGENTS,
+    POSITION_STEP_S,
+    Agents,
+    Segments,
+    light_of,
+    segments_of,
+)
 
 BOUND = 20.0  # ms
 NETWORKS = ("straight_3lane", "signalised_wide", "roundabout_large")
@@ -27,12 +35,12 @@ NETWORKS = ("straight_3lane", "signalised_wide", "roundabout_large")
 
 def scene(segments: Segments, rng: np.random.Generator) -> Agents:
     """Vehicles that go evenly along drawn pieces of lanes."""
-    ends = segments.ends[rng.choice(len(segments.ends), AGENTS)]
+    ends = segments.ends[rng.choice(len(segments.ends), MAX_AGENTS)]
     heading = np.arctan2(ends[:, 3] - ends[:, 1], ends[:, 2] - ends[:, 0])
-    speed = rng.uniform(0.0, 20.0, AGENTS)
-    back = STEP * speed[:, None] * np.arange(1 - HISTORY, 1)
+    speed = rng.uniform(0.0, 20.0, MAX_AGENTS)
+    back = POSITION_STEP_S * speed[:, None] * np.arange(1 - HISTORY_COUNT, 1)
     past = ends[:, None, :2] + np.stack([np.cos(heading)[:, None] * back, np.sin(heading)[:, None] * back], axis=2)
-    return Agents(past, heading, speed, np.full((AGENTS, 2), (4.8, 1.8)), np.array([light_of(None)] * AGENTS))
+    return Agents(past, heading, speed, np.full((MAX_AGENTS, 2), (4.8, 1.8)), np.array([light_of(None)] * MAX_AGENTS))
 
 
 def main() -> int:

@@ -149,10 +149,10 @@ def new_sandbox(settings: Settings) -> Sandbox:
 @contextmanager
 def open_agents(settings: Settings, sandbox: Sandbox, record: Path | None = None) -> Iterator[Agents]:
     """The agents; every exchange with their models is written to the file ``record``. Raises UsageError."""
-    from sumo_adv.agents.agents import ROLES, Agents
+    from sumo_adv.agents.agents import AGENT_ROLES, Agents
     from sumo_adv.llm.chat import Ledger
 
-    names = {role: name for role in ROLES if (name := settings.player(role)) is not None}
+    names = {role: name for role in AGENT_ROLES if (name := settings.player(role)) is not None}
     if not names:
         yield Agents(settings, sandbox)
         return

@@ -10,7 +10,7 @@ from bank_samples import shipped_planners
 
 from sumo_adv.datatypes import Planner
 from sumo_adv.planners.sandbox import Sandbox
-from sumo_adv.planners.trial import HORIZON, Probe, probes
+from sumo_adv.planners.trial import TRIAL_HORIZON_S, Probe, probes
 
 COMES = probes("oncoming")[6]  # the ego at 24 m/s; the lane to the left, its middle at 3.2 m
 BESIDE = probes("neighbour")[6]  # in its lane at y = 3.2, 4 m ahead at 25 m/s; cars of 5 x 1.8 m
@@ -34,7 +34,7 @@ def endpoint(
     sandbox: Sandbox, mode: str, probe: Probe, numbers: Mapping[str, float], changes: Mapping[str, Any]
 ) -> dict[str, float]:
     with sandbox.session(planner(mode), {"here": probe.road}) as session:
-        return session.endpoint("here", {**probe.bv, **changes}, probe.ego, numbers, 0.0, HORIZON)
+        return session.endpoint("here", {**probe.bv, **changes}, probe.ego, numbers, 0.0, TRIAL_HORIZON_S)
 
 
 # ---- straddle: towards the ego

@@ -15,7 +15,7 @@ from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.build import build, read_sources
 from sumo_adv.memory.records import RELATIONS
 from sumo_adv.memory.similarity import TextAndSlots
-from sumo_adv.planners.trial import SIZES
+from sumo_adv.planners.trial import UNPROTECTED_SIZES_M
 
 LABELS = {
     "Emergency Braking", "Close Car-following", "Aggressive Cut-in", "Opposite Direction Intrusion",
@@ -143,4 +143,4 @@ def test_the_seven_intents_of_the_paper_are_there() -> None:
     assert {record.label for record in intents} == LABELS
     assert len(intents) == 7
     covered = {relation for record in intents for relation in record.applies}
-    assert covered == set(RELATIONS) - {"crossing_right", "merging", *SIZES}
+    assert covered == set(RELATIONS) - {"crossing_right", "merging", *UNPROTECTED_SIZES_M}

@@ -18,7 +18,7 @@ from sumo_adv.errors import BankError
 from sumo_adv.memory.bank import MemoryBank, all_compositions, compositions
 from sumo_adv.memory.build import build, write_part
 from sumo_adv.memory.exchange import Refused, export_bank, import_bank
-from sumo_adv.memory.records import FORGET, Composition, IntentRecord, Part
+from sumo_adv.memory.records import MAX_FAILURES_IN_A_ROW, Composition, IntentRecord, Part
 
 BLOCK = Part(Duty.BLOCK_LEFT, "Escape Block Left", "beside")
 SQUEEZE = Composition(
@@ -36,7 +36,7 @@ def filled(path: Path) -> MemoryBank:
     bank.add(BRAKING, [BRAKE_PLANNER])
     bank.add(CUT_IN, [CUT_PLANNER])
     bank.record_composition(SQUEEZE, [True, True, False])
-    bank.record_composition(TRAP, [True] + [False] * FORGET)
+    bank.record_composition(TRAP, [True] + [False] * MAX_FAILURES_IN_A_ROW)
     return bank
 
 
@@ -47,7 +47,7 @@ def test_compositions_survive_export_import_and_build(tmp_path: Path) -> None:
         export_bank(bank, out, force=True)
         expected_hash = bank.content_hash()
         assert all_compositions(bank) == [
-            replace(SQUEEZE, succeeded=2, failed=1), replace(TRAP, succeeded=1, failed=FORGET),
+            replace(SQUEEZE, succeeded=2, failed=1), replace(TRAP, succeeded=1, failed=MAX_FAILURES_IN_A_ROW),
         ]  # fmt: skip
     with MemoryBank.open(tmp_path / "back.sqlite") as back:
         added, refused = import_bank(back, out, parse, fine)

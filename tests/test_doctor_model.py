@@ -13,9 +13,11 @@ from model_server import KEY, Answer, Asked, Drop, ModelServer, Raw, Say, status
 from sumo_adv.cli.doctor_checks import Finding, Level
 from sumo_adv.cli.doctor_model import model
 from sumo_adv.config import Settings, load_settings
-from sumo_adv.llm.server_check import ANSWER_TOKENS, QUESTION_TOKENS
+from sumo_adv.llm.server_check import PROBE_ANSWER_TOKENS, PROBE_QUESTION_TOKENS
 
-BEGUN = Say('{"', finish="length", usage={"prompt_tokens": QUESTION_TOKENS, "completion_tokens": ANSWER_TOKENS})
+BEGUN = Say(
+    '{"', finish="length", usage={"prompt_tokens": PROBE_QUESTION_TOKENS, "completion_tokens": PROBE_ANSWER_TOKENS}
+)
 
 
 def settings(**given: object) -> Settings:
@@ -48,7 +50,7 @@ def test_a_server_without_a_list_gets_a_question_as_long_as_real_ones() -> None:
     with ModelServer([BEGUN]) as server:
         finding = found(server)
     assert finding.level is Level.OK and "lists" not in finding.found
-    assert len(server.asked[0].last.split()) == QUESTION_TOKENS
+    assert len(server.asked[0].last.split()) == PROBE_QUESTION_TOKENS
 
 
 def long_refused(request: Asked) -> Answer:

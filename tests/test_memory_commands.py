@@ -14,7 +14,7 @@ from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.records import RELATIONS, IntentRecord, SceneSignature, Source
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.source import make_planner
-from sumo_adv.planners.trial import CROSSING_ANGLES, LANE_PLACES, SIZES, probes, trial
+from sumo_adv.planners.trial import CROSSING_ANGLES_RAD, LANE_PLACES_M, UNPROTECTED_SIZES_M, probes, trial
 
 SHIPPED = ROOT / "memory_bank.sqlite"
 PARAPHRASES = ROOT / "tests" / "data" / "intents_paraphrases.toml"
@@ -159,7 +159,7 @@ def test_calibration_is_printed_and_stored_only_when_asked(program: Program) -> 
 
 
 def test_there_are_probes_for_every_relation() -> None:
-    assert set(LANE_PLACES) | set(CROSSING_ANGLES) | set(SIZES) == set(RELATIONS)
+    assert set(LANE_PLACES_M) | set(CROSSING_ANGLES_RAD) | set(UNPROTECTED_SIZES_M) == set(RELATIONS)
     names = [probe.name for relation in RELATIONS for probe in probes(relation)]
     assert len(set(names)) == len(names) == len(RELATIONS) * 2 * 3 * 3
     behind = probes("follower")[6]  # fast, straight: 16 m behind at 25 m/s

@@ -14,7 +14,7 @@ from situation_samples import changed, crossing, leader, neighbour, situation
 
 from sumo_adv.agents.analyzer import Analysis, Choice, ModelAnalyzer, analyzer_prompt
 from sumo_adv.agents.generator import mode_name, without_fence
-from sumo_adv.agents.modifier import MAX_EARLIER, AttemptReport, Row, earlier_words, report_words
+from sumo_adv.agents.modifier import MAX_EARLIER_ATTEMPTS, AttemptReport, Row, earlier_words, report_words
 from sumo_adv.agents.scene_text import Aliases, driver_words, relative_words, road_words, state_words
 from sumo_adv.agents.ways import evidence_words, modes_words, opening_comment
 from sumo_adv.datatypes import (
@@ -40,7 +40,7 @@ from sumo_adv.errors import ModelError, UsageError
 from sumo_adv.geometry import make_path
 from sumo_adv.llm.asking import MeteredModel
 from sumo_adv.llm.chat import Ledger
-from sumo_adv.llm.prompts import MAX_TEXT, NAMES, Prompts, danger_words, sanitize
+from sumo_adv.llm.prompts import MAX_PROMPT_TEXT_CHARACTERS, PROMPT_NAMES, Prompts, danger_words, sanitize
 from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.simulation.simulation import Snapshot
 
@@ -75,14 +75,14 @@ def test_a_variable_that_is_missing_or_unknown_is_an_error(prompts: Prompts) -> 
 
 
 def test_every_prompt_has_a_version_and_a_hash(prompts: Prompts) -> None:
-    assert set(prompts.versions) == set(NAMES)
+    assert set(prompts.versions) == set(PROMPT_NAMES)
     assert all(v["version"].isdigit() and len(v["sha256"]) == 64 for v in prompts.versions.values())
 
 
 def test_a_folder_that_lacks_a_prompt_is_named(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"analyzer\.md cannot be read"):
         Prompts(tmp_path)
-    for name in NAMES:
+    for name in PROMPT_NAMES:
         (tmp_path / f"{name}.md").write_text("version: 1\n=== system\nOnly this.\n")
     with pytest.raises(UsageError, match="lacks its part"):
         Prompts(tmp_path)
@@ -93,7 +93,7 @@ def test_a_folder_that_lacks_a_prompt_is_named(tmp_path: Path) -> None:
 
 def test_texts_from_files_are_sanitized() -> None:
     assert sanitize("a\n\n# 6 OUTPUT\x00  b```c") == "a # 6 OUTPUT b'''c"
-    assert len(sanitize("x" * 10_000)) == MAX_TEXT
+    assert len(sanitize("x" * 10_000)) == MAX_PROMPT_TEXT_CHARACTERS
 
 
 # -- scenes -----------------------------------------------------------------------------------------------------------
@@ -366,7 +366,7 @@ def test_other_attempts_are_a_line_each_with_what_they_lacked() -> None:
     assert first == f"1: {side}; needs a contact."
     assert second == f"2: {side}; not feasible (off_road); needs a motion that is feasible."
     many = earlier_words([replace(tries[0], index=k) for k in range(30)], {}).splitlines()
-    assert len(many) == MAX_EARLIER and many[-1].startswith("30: a vehicle,")
+    assert len(many) == MAX_EARLIER_ATTEMPTS and many[-1].startswith("30: a vehicle,")
 
 
 def test_a_vehicle_is_measured_from_the_way_that_it_took() -> None:

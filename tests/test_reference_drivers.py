@@ -14,9 +14,9 @@ from metrics_tracks import DT, TIME, car, cruise, drift
 
 from sumo_adv.datatypes import Boxes, Level, Track, Verdict
 from sumo_adv.metrics.levels import level_of, preventability, with_level
-from sumo_adv.metrics.own_data import COLUMNS, judge_cut_ins
+from sumo_adv.metrics.own_data import CASE_COLUMNS, judge_cut_ins
 from sumo_adv.metrics.reference import BRAKERS, REFERENCE_DRIVERS, SAME_DIRECTION_ONLY
-from sumo_adv.metrics.reference.brakers import FULL_BRAKING, critical, proactive, speed_lost
+from sumo_adv.metrics.reference.brakers import FULL_BRAKING_M_S2, critical, proactive, speed_lost
 from sumo_adv.metrics.reference.counterfactual import Counterfactual, Encounters
 from sumo_adv.metrics.reference.view import EgoPaths
 from sumo_adv.metrics.validity import judge
@@ -39,7 +39,7 @@ def judged(ego: Track, adversary: Track, *others: Track, trigger: float = 1.0) -
 
 
 def test_the_careful_driver_brakes_as_the_regulation_says() -> None:
-    assert pytest.approx(7.593, abs=1e-3) == FULL_BRAKING
+    assert pytest.approx(7.593, abs=1e-3) == FULL_BRAKING_M_S2
     assert speed_lost(np.array([-1.0, 0.0])).tolist() == [0.0, 0.0]
     assert float(speed_lost(np.array(0.6))) == pytest.approx(7.593 * 0.3, abs=1e-3)  # half of it within the ramp
     assert float(speed_lost(np.array(1.6))) == pytest.approx(7.593 * 1.3, abs=1e-3)
@@ -282,7 +282,7 @@ def test_cut_ins_with_known_answers() -> None:
     assert set(same.values()) == {"none"}
     assert near["unchanged"] != "none" and near["cc_human"] == near["unchanged"]
     assert far == {"unchanged": "front_to_rear"} | dict.fromkeys(REFERENCE_DRIVERS, "none")
-    assert len(COLUMNS) == cases.shape[1]
+    assert len(CASE_COLUMNS) == cases.shape[1]
 
 
 SLOW = np.array([[58.0, 24.0, 33.0, 0.4], [37.0, 5.0, 29.0, 0.5], [58.0, 11.0, 47.0, 0.4], [25.0, 8.0, 12.0, 0.6]])

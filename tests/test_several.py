@@ -32,7 +32,7 @@ from sumo_adv.drivers.prediction import PredictedEgos
 from sumo_adv.episode.task import make_task
 from sumo_adv.errors import BankError
 from sumo_adv.memory.bank import MemoryBank, compositions, retrieve_composition
-from sumo_adv.memory.records import FORGET, Composition, Part
+from sumo_adv.memory.records import MAX_FAILURES_IN_A_ROW, Composition, Part
 from sumo_adv.metrics.case import make_case
 from sumo_adv.metrics.validity import judge
 from sumo_adv.planners.answers import Answer, PlannerObservation
@@ -273,7 +273,7 @@ def test_a_composition_is_learnt_by_a_success_found_by_its_description_and_forgo
         nearest = retrieve_composition(bank, "Pinch", text)
         assert nearest is not None and nearest.label == "Squeeze"
         assert retrieve_composition(bank, "U-turn", "The vehicle turns round on a bridge at night.") is None
-        bank.record_composition(SQUEEZE, [False] * FORGET)
+        bank.record_composition(SQUEEZE, [False] * MAX_FAILURES_IN_A_ROW)
         assert compositions(bank) == []
 
 

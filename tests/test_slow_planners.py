@@ -12,7 +12,7 @@ from situation_samples import KRAUSS, neighbour, situation
 from sumo_adv.datatypes import Limits, Planner, Proposal
 from sumo_adv.errors import PlannerLimitError
 from sumo_adv.planners.sandbox import Sandbox
-from sumo_adv.planners.session import MOST_STOPPED, SandboxLimits
+from sumo_adv.planners.session import MAX_STOPPED_CALLS, SandboxLimits
 from sumo_adv.planners.sessions import Roads, Sessions
 from sumo_adv.planners.source import make_planner
 from sumo_adv.search.rollouts import predict
@@ -49,7 +49,7 @@ def test_a_batch_gives_up_after_three_calls_that_never_end(sandbox: Sandbox) -> 
         answers = session.endpoints([("a", {}, {"path": []}, {}, 0.0, 1.0)] * 20)
     assert all(isinstance(answer, PlannerLimitError) for answer in answers)
     stopped = ["ran into a limit" in str(answer) for answer in answers]
-    assert stopped == [True] * MOST_STOPPED + [False] * (20 - MOST_STOPPED)
+    assert stopped == [True] * MAX_STOPPED_CALLS + [False] * (20 - MAX_STOPPED_CALLS)
 
 
 def test_a_planner_that_loops_for_a_second_is_asked_no_more_in_that_episode(sandbox: Sandbox) -> None:

@@ -11,7 +11,7 @@ from bank_samples import shipped_planners
 
 from sumo_adv.datatypes import Planner
 from sumo_adv.planners.sandbox import Sandbox
-from sumo_adv.planners.trial import HORIZON, Probe, probes
+from sumo_adv.planners.trial import TRIAL_HORIZON_S, Probe, probes
 
 SHIFT, LEFT, STRAIGHT = (
     "Straight Lane Shift", "Intersection Rush-through Turn Left", "Intersection Rush-through Go-straight",
@@ -35,7 +35,7 @@ def asked(
 ) -> dict[str, float]:  # fmt: skip
     probe = replace(probe, road={**probe.road, **({} if sides is None else {"sides": sides})})
     with sandbox.session(which, {"here": probe.road}) as session:
-        return session.endpoint("here", {**probe.bv, **changes}, probe.ego, numbers, 0.0, HORIZON)
+        return session.endpoint("here", {**probe.bv, **changes}, probe.ego, numbers, 0.0, TRIAL_HORIZON_S)
 
 
 # ---- ahead of the ego

@@ -29,12 +29,12 @@ from sumo_adv.transformer.dataset import (
     scenes_of,
     together,
 )
-from sumo_adv.transformer.model import SHIPPED, Predictor, forward, make_parameters, read_weights
+from sumo_adv.transformer.model import SHIPPED_WEIGHTS, Predictor, forward, make_parameters, read_weights
 from sumo_adv.transformer.scene import (
-    AGENTS,
-    FUTURE,
-    HISTORY,
-    STEP,
+    FUTURE_COUNT,
+    HISTORY_COUNT,
+    MAX_AGENTS,
+    POSITION_STEP_S,
     Agents,
     Segments,
     agents_of,
@@ -68,7 +68,13 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def driving(*cars: tuple[float, float, float]) -> Agents:
     """Cars of 5 x 2 m that have gone east evenly: x, y [m] and speed [m/s] now; their lights are unknown."""
     x, y, speed = np.array(cars).T
-    past = np.stack([x[:, None] + speed[:, None] * STEP * np.arange(1 - HISTORY, 1), y[:, None] + np.zeros(HISTORY)], 2)
+    past = np.stack(
+        [
+            x[:, None] + speed[:, None] * POSITION_STEP_S * np.arange(1 - HISTORY_COUNT, 1),
+            y[:, None] + np.zeros(HISTORY_COUNT),
+        ],
+        2,
+    )
     n = len(cars)
     return Agents(past, np.zeros(n), speed, np.full((n, 2), (5.0, 2.0)), np.array([light_of(None)] * n))
 
@@ -98,7 +104,7 @@ def test_a_vehicle_sees_its_neighbour_and_the_lane_in_its_own_frame() -> None:
     assert f.near[0, 0, 0, 0] == pytest.approx(1.6, abs=1e-5)
     assert f.pairs[0, 1] == pytest.approx([1.0, 0.16, 1.0, 0.0], abs=1e-5)  # in units of 20 m, and the same direction
     assert f.lanes[0, 0, :4] == pytest.approx([0.0, 0.0, 1.2, 0.0], abs=1e-5)
-    assert f.lanes_there[0].sum() == 2 and f.there.tolist() == [1.0, 1.0] + [0.0] * (AGENTS - 2)
+    assert f.lanes_there[0].sum() == 2 and f.there.tolist() == [1.0, 1.0] + [0.0] * (MAX_AGENTS - 2)
 
 
 def test_a_light_ahead_is_told_as_red_yellow_or_green() -> None:
@@ -120,7 +126,7 @@ def test_an_encounter_gives_the_ego_its_adversaries_and_the_nearest_others() -> 
     from situation_samples import changed, neighbour, situation
 
     def seen(name: str, x: float, since: float) -> Track:
-        time = np.arange(since, 100.05, STEP)
+        time = np.arange(since, 100.05, POSITION_STEP_S)
         zero = 0.0 * time
         places = x + 10.0 * (time - 100.0)
         return Track(name, Role.BACKGROUND, time, places, zero + 3.2, zero, zero + 10.0, zero, 5.0, 2.0)
@@ -138,8 +144,8 @@ def test_an_encounter_gives_the_ego_its_adversaries_and_the_nearest_others() -> 
 
 
 def test_the_shipped_weights_are_small_and_of_this_network() -> None:
-    assert SHIPPED.stat().st_size < 5_000_000
-    assert 500_000 < sum(values.size for values in read_weights(SHIPPED).values()) < 1_000_000
+    assert SHIPPED_WEIGHTS.stat().st_size < 5_000_000
+    assert 500_000 < sum(values.size for values in read_weights(SHIPPED_WEIGHTS).values()) < 1_000_000
 
 
 def test_a_car_alone_on_a_straight_road_is_expected_to_drive_on_in_its_lane(road: RoadMap) -> None:
@@ -172,7 +178,7 @@ def test_a_scene_that_is_moved_and_rotated_is_predicted_moved_and_rotated(road: 
 def test_jax_and_numpy_compute_the_same(road: RoadMap) -> None:
     jax = pytest.importorskip("jax", reason="the extra train (JAX) is not installed")
     f = features(driving((300.0, 0.0, 15.0), (320.0, 3.2, 12.0)), segments_of(road))
-    parameters = read_weights(SHIPPED)
+    parameters = read_weights(SHIPPED_WEIGHTS)
     with jax.default_device(jax.devices("cpu")[0]):
         by_numpy, by_jax = forward(parameters, f), forward(parameters, f, jax.numpy)
     assert np.asarray(by_jax.place)[:2] == pytest.approx(by_numpy.place[:2], abs=2e-2)  # m, of up to 170
@@ -206,7 +212,7 @@ def test_scenes_are_what_happened(made: Path) -> None:
     scenes = load(made, TRAIN)
     steps = np.diff(scenes.future, axis=2, prepend=0.0)[scenes.known & (scenes.features.there[:, :, None] > 0.0)]
     assert len(scenes) > 20 and np.hypot(*steps.T).max() < 4.0
-    assert scenes.known.sum() > 0.5 * FUTURE * scenes.features.there.sum()
+    assert scenes.known.sum() > 0.5 * FUTURE_COUNT * scenes.features.there.sum()
     assert scenes.followed is None and load(made, HELD_OUT).followed is not None
 
 
@@ -232,13 +238,15 @@ def test_a_record_gives_the_vehicles_near_its_ego() -> None:
 
 def test_a_car_that_keeps_its_speed_is_no_problem_for_constant_velocity(road: RoadMap) -> None:
     agents = driving((300.0, 0.0, 10.0))
-    future = agents.past[:, -1][:, None] + np.stack([STEP * 10.0 * np.arange(1, 81), np.zeros(80)], axis=1)[None]
+    future = (
+        agents.past[:, -1][:, None] + np.stack([POSITION_STEP_S * 10.0 * np.arange(1, 81), np.zeros(80)], axis=1)[None]
+    )
     slower = future - np.stack([0.05 * np.arange(1, 81), np.zeros(80)], axis=1)[None]  # by 0.5 m/s: 4 m in the end
     ways = follow(road, agents, 0, "eastbound_1")[None]
     scores = {}
     for name, real in (("even", future), ("slower", slower)):
         scenes: Scenes = together([scene_of(agents, real, segments_of(road), ways)])
-        scores[name] = {s.predictor: s for s in evaluate(read_weights(SHIPPED), scenes)}
+        scores[name] = {s.predictor: s for s in evaluate(read_weights(SHIPPED_WEIGHTS), scenes)}
     for predictor in ("constant velocity", "lane following"):
         even, slow = scores["even"][predictor], scores["slower"][predictor]
         assert (even.min_ade, even.min_fde, even.miss_rate) == pytest.approx((0.0, 0.0, 0.0), abs=1e-3)
@@ -252,7 +260,7 @@ def test_the_shipped_weights_beat_constant_velocity_and_lane_following(tmp_path:
     assert run.network.parent == tmp_path
     scenes = scenes_of(run, np.random.default_rng(0), held_out=True)
     assert scenes is not None
-    scores = {s.predictor: s for s in evaluate(read_weights(SHIPPED), scenes)}
+    scores = {s.predictor: s for s in evaluate(read_weights(SHIPPED_WEIGHTS), scenes)}
     ours = scores["transformer"]
     assert ours.vehicles > 50
     for predictor in ("constant velocity", "lane following"):
@@ -305,10 +313,10 @@ def test_records_become_files_of_scenes(tmp_path: Path) -> None:
 def test_training_lowers_the_loss_and_goes_on_where_it_stopped(made: Path, tmp_path: Path) -> None:
     pytest.importorskip("jax", reason="the extra train (JAX) is not installed")
     pytest.importorskip("optax", reason="the extra train (optax) is not installed")
-    from sumo_adv.transformer.train import BATCH, loss, train
+    from sumo_adv.transformer.train import BATCH_SCENES, loss, train
 
     scenes = load(made, TRAIN)
-    two = np.arange(2 * BATCH) % len(scenes)  # two steps an epoch, some scenes twice
+    two = np.arange(2 * BATCH_SCENES) % len(scenes)  # two steps an epoch, some scenes twice
     few = Scenes(type(scenes.features)(*(v[two] for v in scenes.features)), scenes.future[two], scenes.known[two])
     reported: list[tuple[int, int]] = []
 

@@ -11,7 +11,7 @@ from bank_samples import shipped_planners
 
 from sumo_adv.datatypes import Planner
 from sumo_adv.planners.sandbox import Sandbox
-from sumo_adv.planners.trial import HORIZON, Probe, probes
+from sumo_adv.planners.trial import TRIAL_HORIZON_S, Probe, probes
 
 LABELS = (
     "Intersection Rush-through Go-straight", "Intersection Rush-through Turn Left", "Opposite Direction Intrusion",
@@ -36,7 +36,7 @@ def asked(
     travelled = probe.road["start"]["speed"] * time
     bv = {**probe.bv, "time": time, "travelled": travelled, "x": probe.bv["x"] + travelled}
     with sandbox.session(planner(), {"here": probe.road}) as session:
-        return session.endpoint("here", bv, probe.ego, {**NUMBERS, **numbers}, 0.0, HORIZON)
+        return session.endpoint("here", bv, probe.ego, {**NUMBERS, **numbers}, 0.0, TRIAL_HORIZON_S)
 
 
 def aside(end: Mapping[str, float]) -> float:

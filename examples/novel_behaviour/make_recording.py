@@ -10,7 +10,7 @@ import json
 import tempfile
 from pathlib import Path
 
-from sumo_adv.agents.agents import ROLES, Agents
+from sumo_adv.agents.agents import AGENT_ROLES, Agents
 from sumo_adv.app import shipped_prompts
 from sumo_adv.config import load_settings
 from sumo_adv.episode.engine import episode_worker
@@ -77,7 +77,7 @@ def main() -> None:
         Recorder(HERE / "recording.jsonl", Author.name, note=NOTE) as recorder,
     ):
         model = recorder.wrap(BudgetedModel(Author(), ledger))
-        agents = Agents(settings, sandbox, dict.fromkeys(ROLES, model), ledger, shipped_prompts())
+        agents = Agents(settings, sandbox, dict.fromkeys(AGENT_ROLES, model), ledger, shipped_prompts())
         episode = run_episode(
             given, settings, make_task(given, settings, Path(scratch)), engine, agents, bank, lambda *_: None
         )

@@ -33,8 +33,8 @@ from sumo_adv.search.search import AttackSearch
 from sumo_adv.search.supports import Cast
 from sumo_adv.situation import Situation
 
-ROLES = ("analyzer", "generator", "modifier")
-BUILT_IN = {"analyzer": EXPERT, "generator": EXPERT, "modifier": "none"}
+AGENT_ROLES = ("analyzer", "generator", "modifier")
+BUILT_IN_AGENTS = {"analyzer": EXPERT, "generator": EXPERT, "modifier": "none"}
 """Role -> what plays it without a model: nothing built in modifies planners."""
 T = TypeVar("T")
 
@@ -49,8 +49,8 @@ class Bought:
 
 
 class Agents:
-    """Analyzer, generator and modifier of one run. models: by role, the models that play one; ``BUILT_IN`` says what
-    plays the other roles. ledger: counts what the models spend. prompts: required if there are models."""
+    """Analyzer, generator and modifier of one run. models: by role, the models that play one; ``BUILT_IN_AGENTS`` says
+    what plays the other roles. ledger: counts what the models spend. prompts: required if there are models."""
 
     def __init__(
         self, settings: Settings, sandbox: Sandbox, models: Mapping[str, ChatModel] | None = None,
@@ -60,7 +60,7 @@ class Agents:
         self.models, self.ledger = dict(models or {}), ledger or Ledger()
         self._prompts, self._limits = prompts, settings.limits.limits()
         self._distribution: Distribution | None = None
-        self.calls = dict.fromkeys(ROLES, 0)
+        self.calls = dict.fromkeys(AGENT_ROLES, 0)
         self.failed: dict[str, str] = {}  # role -> why the expert took over
         self.bought: list[Bought] = []
         self.casts: tuple[Cast, ...] = ()  # compositions that the analysis proposes
@@ -69,8 +69,8 @@ class Agents:
         self._novel = False  # whether the analysis has a new intent
 
     def player(self, role: str) -> str:
-        """The name of the model that plays a role now, else that of ``BUILT_IN``."""
-        return self.models[role].name if self.by_model(role) else BUILT_IN[role]
+        """The name of the model that plays a role now, else that of ``BUILT_IN_AGENTS``."""
+        return self.models[role].name if self.by_model(role) else BUILT_IN_AGENTS[role]
 
     def by_model(self, role: str) -> bool:
         """Whether a model plays a role now."""

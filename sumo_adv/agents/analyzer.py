@@ -18,18 +18,18 @@ from pydantic import BaseModel, Field
 
 from sumo_adv.agents.choices import analysis_schema, same_schema
 from sumo_adv.agents.scene_text import Aliases, driver_words, outlook_words, relative_words, road_words, state_words
-from sumo_adv.agents.teams import MOST_PROPOSED, Team, Teamwork, casts_of, team_fault, teams_words
-from sumo_adv.agents.ways import MOST_WAYS, HowTo, library_words, modes_words, starts_words, way_fault, way_of
+from sumo_adv.agents.teams import MAX_PROPOSED_COMPOSITIONS, Team, Teamwork, casts_of, team_fault, teams_words
+from sumo_adv.agents.ways import MAX_WAYS_PER_INTENT, HowTo, library_words, modes_words, starts_words, way_fault, way_of
 from sumo_adv.asked import MEANINGS, Asked
 from sumo_adv.datatypes import Intent, LibraryEntry, Limits, acceleration_of
 from sumo_adv.llm.asking import MeteredModel, ask, ask_many
-from sumo_adv.llm.prompts import MAX_TEXT, Prompt, Prompts, danger_words, fenced, sanitize
+from sumo_adv.llm.prompts import MAX_PROMPT_TEXT_CHARACTERS, Prompt, Prompts, danger_words, fenced, sanitize
 from sumo_adv.search.supports import Cast
 from sumo_adv.situation import Situation
 
-RISKS: Mapping[str, float] = {"low": 0.2, "medium": 0.5, "high": 1.0}
-UNDECIDED = 0.5  # share of the maximum entropy from which the first intents are tried side by side
-MAX_NOVEL = 2  # novel intents in one answer
+RISK_VALUES: Mapping[str, float] = {"low": 0.2, "medium": 0.5, "high": 1.0}
+UNDECIDED_ENTROPY_SHARE = 0.5  # share of the maximum entropy from which the first intents are tried side by side
+MAX_NOVEL_INTENTS = 2  # novel intents in one answer
 Evidence = Callable[[Aliases], str]
 
 # The classes below are sent to the model as a JSON schema, with their names and docstrings.
@@ -41,10 +41,10 @@ class Choice(BaseModel):
     bv: str
     label: str = Field(min_length=1, max_length=80)
     novel: bool = False
-    description: str = Field(default="", max_length=MAX_TEXT)
+    description: str = Field(default="", max_length=MAX_PROMPT_TEXT_CHARACTERS)
     risk: Literal["low", "medium", "high"]
     acceleration: float | list[list[float]] = 0.0
-    ways: list[HowTo] = Field(default_factory=list, max_length=MOST_WAYS)
+    ways: list[HowTo] = Field(default_factory=list, max_length=MAX_WAYS_PER_INTENT)
     reason: str = Field(default="", max_length=2000)
 
 
@@ -58,7 +58,7 @@ class Analysis(BaseModel):
 class TeamAnalysis(Analysis):
     """A model's whole answer where several vehicles may act together."""
 
-    compositions: list[Team] = Field(default_factory=list, max_length=MOST_PROPOSED)
+    compositions: list[Team] = Field(default_factory=list, max_length=MAX_PROPOSED_COMPOSITIONS)
 
 
 class AskedAnalysis(TeamAnalysis):
@@ -73,7 +73,7 @@ class Same(BaseModel):
     """A model's answer on whether a behaviour is known."""
 
     same_as: str | None
-    ways: list[HowTo] = Field(default_factory=list, max_length=MOST_WAYS)
+    ways: list[HowTo] = Field(default_factory=list, max_length=MAX_WAYS_PER_INTENT)
     reason: str = Field(default="", max_length=2000)
 
 
@@ -94,7 +94,7 @@ class Distribution:
     @property
     def undecided(self) -> bool:
         """Whether the answers disagree, so that the first intents must be tried side by side."""
-        return self.entropy >= UNDECIDED and self.samples > 1
+        return self.entropy >= UNDECIDED_ENTROPY_SHARE and self.samples > 1
 
     def as_dict(self) -> dict[str, Any]:
         """The ``analysis`` of ``outcome.json``."""
@@ -227,8 +227,8 @@ class ModelAnalyzer:
             seen.add(key)
         if isinstance(answer, AskedAnalysis) and (wrong := _asked_fault(answer)) is not None:
             return wrong
-        if sum(c.novel for c in answer.intents) > MAX_NOVEL:
-            return f"At most {MAX_NOVEL} intents may be novel."
+        if sum(c.novel for c in answer.intents) > MAX_NOVEL_INTENTS:
+            return f"At most {MAX_NOVEL_INTENTS} intents may be novel."
         if self._teamwork is None or not isinstance(answer, TeamAnalysis):
             return None
         faults = (team_fault(team, self._teamwork, situation, aliases, library) for team in answer.compositions)
@@ -305,7 +305,7 @@ def _ranking(answers: Sequence[Analysis], aliases: Aliases) -> tuple[list[Choice
     for answer in answers:
         for place, choice in enumerate(answer.intents):
             key = (choice.bv, choice.label)
-            risk[key] += RISKS[choice.risk] / (1 + place) / len(answers)
+            risk[key] += RISK_VALUES[choice.risk] / (1 + place) / len(answers)
             chosen.setdefault(key, choice)
         if answer.intents:
             first[(answer.intents[0].bv, answer.intents[0].label)] += 1

@@ -11,13 +11,13 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from sumo_adv.agents.teams import ROLES, Teamwork
+from sumo_adv.agents.teams import DUTY_DESCRIPTIONS, Teamwork
 from sumo_adv.agents.ways import first_of_each_mode
 from sumo_adv.datatypes import Duty, LibraryEntry
 from sumo_adv.llm.prompts import sanitize
 from sumo_adv.search.support_intents import SUPPORT_INTENTS
 
-MOST_VALUES = 250  # of one enum: servers limit long ones, and compile them into their grammars
+MAX_ENUM_VALUES = 250  # of one enum: servers limit long ones, and compile them into their grammars
 Schema = dict[str, Any]
 Values = Mapping[str, Iterable[str]]
 """By class and property, such as ``Choice.bv``, the values that it may have."""
@@ -43,9 +43,9 @@ def analysis_schema(
         "HowTo.mode": _modes(library),
     }  # fmt: skip
     if teamwork is not None:
-        supports = [entry.label for duty in ROLES for entry in SUPPORT_INTENTS[duty]]
+        supports = [entry.label for duty in DUTY_DESCRIPTIONS for entry in SUPPORT_INTENTS[duty]]
         values["Member.bv"] = vehicles
-        values["Member.role"] = [str(Duty.COLLIDER), *map(str, ROLES)]
+        values["Member.role"] = [str(Duty.COLLIDER), *map(str, DUTY_DESCRIPTIONS)]
         values["Member.label"] = [*labels, *supports]
     free = answer_type.model_json_schema()
     schema = _with_values(free, values)
@@ -80,13 +80,13 @@ def _modes(library: Iterable[LibraryEntry]) -> list[str]:
 
 def _with_values(schema: Mapping[str, Any], values: Values) -> Schema:
     """A copy in which properties are enums. One that may be null stays so; one without values or with more than
-    ``MOST_VALUES`` stays as it is."""
+    ``MAX_ENUM_VALUES`` stays as it is."""
     made: Schema = copy.deepcopy(dict(schema))
     classes = {**made.get("$defs", {}), made["title"]: made}
     for name, allowed in values.items():
         owner, _, key = name.partition(".")
         distinct = list(dict.fromkeys(allowed))
-        if owner not in classes or not 0 < len(distinct) <= MOST_VALUES:
+        if owner not in classes or not 0 < len(distinct) <= MAX_ENUM_VALUES:
             continue
         enum = {"type": "string", "enum": distinct}
         nullable = "anyOf" in classes[owner]["properties"][key]

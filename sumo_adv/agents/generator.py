@@ -18,7 +18,7 @@ from sumo_adv.planners.source import HELPERS_TEXT, make_planner
 from sumo_adv.search.intents import EXPERT, NEW_INTENTS
 from sumo_adv.situation import Situation
 
-MAX_EXAMPLES = 2  # planners of similar intents in the prompt
+MAX_EXAMPLE_PLANNERS = 2  # planners of similar intents in the prompt
 Trial = Callable[[Planner], str | None]  # runs a planner in the sandbox; returns its fault, None for a usable planner
 
 
@@ -85,7 +85,7 @@ def generator_prompt(
         alias = aliases.by_id.get(intent.bv, "BV1")
         relation = situation.targets[intent.bv].relation
         scene, driver = scene_words(situation, aliases, alias), driver_words(situation)
-    shown = [e for e in examples if e.planners][:MAX_EXAMPLES]
+    shown = [e for e in examples if e.planners][:MAX_EXAMPLE_PLANNERS]
     texts = [f"--- {sanitize(e.label)}: {sanitize(e.description)}\n{e.planners[0].source}" for e in shown]
     psi = (
         f"\nTHE USER'S INSTRUCTION FOR THE TRAJECTORY (define `trajectory` so)\n{sanitize(instruction)}\n"

@@ -20,15 +20,15 @@ from sumo_adv.datatypes import Attempt, Diagnosis, Level, LibraryEntry, Limits, 
 from sumo_adv.llm.asking import MeteredModel, ask
 from sumo_adv.llm.prompts import Prompt, Prompts, danger_words, sanitize
 from sumo_adv.metrics.levels import SERIOUS_RISK
-from sumo_adv.metrics.reference.brakers import FULL_BRAKING
-from sumo_adv.metrics.reference.cc_human import REACTION
+from sumo_adv.metrics.reference.brakers import FULL_BRAKING_M_S2
+from sumo_adv.metrics.reference.cc_human import HUMAN_REACTION_S
 from sumo_adv.metrics.severity import SERIOUS_DELTA_V
 from sumo_adv.planners.source import make_planner
 
 # -- what attempts showed -------------------------------------------------------------------------------------------
 
-MAX_EARLIER = 10  # attempts of a line each
-ENOUGH = 2.5  # s of warning, from which on a collision that braking does not avoid is not a matter of time
+MAX_EARLIER_ATTEMPTS = 10  # attempts of a line each
+LONG_WARNING_S = 2.5  # of warning, from which on a collision that braking does not avoid is not a matter of time
 ENDINGS = {
     "contact": "it ended with the contact", "passed": "it ended because the two had passed each other",
     "time_limit": "it ended at its time limit", "ego_left": "it ended because EGO left the network or its recording",
@@ -108,10 +108,10 @@ def report_words(report: AttemptReport) -> str:
 
 
 def earlier_words(attempts: Sequence[Attempt], by_id: Mapping[str, str]) -> str:
-    """The last ``MAX_EARLIER`` of some attempts, a line each: vehicle (``by_id``: its alias), planner, numbers, level,
-    and what it lacked. The text of a planner has a short name of its own."""
+    """The last ``MAX_EARLIER_ATTEMPTS`` of some attempts, a line each: vehicle (``by_id``: its alias), planner,
+    numbers, level, and what it lacked. The text of a planner has a short name of its own."""
     lines = []
-    for attempt in attempts[-MAX_EARLIER:]:
+    for attempt in attempts[-MAX_EARLIER_ATTEMPTS:]:
         v, p = attempt.verdict, attempt.proposal
         gates = f"; not feasible ({', '.join(v.failed_gates)})" if v.failed_gates else ""
         numbers = ", ".join(f"{k} {q:.3g}" for k, q in p.parameters.items()) or "no parameters"
@@ -185,14 +185,14 @@ def _more_warning(v: Verdict, warning: float | None, alarm: float | None, start:
     if warning is None or alarm is None:
         return "a danger that shows earlier", f"So far {avoided}"
     shown = f"It showed {alarm - start:.1f} s after the start, {warning:.1f} s before the contact; {avoided}."
-    if warning >= ENOUGH:
+    if warning >= LONG_WARNING_S:
         return "a contact that braking avoids", (
             f"{shown} That is early enough, but EGO is hit also where it stops: the bv "
             "must come into the way that EGO still has before it, not into EGO's own place"
         )
     return "a danger that shows earlier", (
-        f"{shown} A careful driver that only brakes lets {REACTION:.2f} s pass, then brakes "
-        f"with up to {FULL_BRAKING:.1f} m/s2; show it 1.5 to 2.5 s before the contact"
+        f"{shown} A careful driver that only brakes lets {HUMAN_REACTION_S:.2f} s pass, then brakes "
+        f"with up to {FULL_BRAKING_M_S2:.1f} m/s2; show it 1.5 to 2.5 s before the contact"
     )
 
 
@@ -222,8 +222,8 @@ def _place(frame: tuple[float, float], of: str) -> str:
 
 # -- the modifier ---------------------------------------------------------------------------------------------------
 
-MAX_ATTEMPTS = 3  # attempts of a planner in the prompt, the best ones
-TRIES = 2  # times that a fault is sent back
+MAX_SHOWN_ATTEMPTS = 3  # attempts of a planner in the prompt, the best ones
+MAX_RE_ASKS = 2  # times that a fault is sent back
 
 
 # The two classes below are sent to the model as a JSON schema, with their names and docstrings.
@@ -262,7 +262,7 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class ModelModifier:
-    """Asks a model for a change. The fault of an answer is sent back at most ``TRIES`` times."""
+    """Asks a model for a change. The fault of an answer is sent back at most ``MAX_RE_ASKS`` times."""
 
     metered: MeteredModel
     prompts: Prompts
@@ -294,8 +294,9 @@ class ModelModifier:
 
         schema = change_schema(Changed, scene.choices)
         answer = ask(
-            self.metered, "modifier", prompt.system, prompt.user, Changed, check=check, re_asks=TRIES, schema=schema
-        )
+            self.metered, "modifier", prompt.system, prompt.user, Changed,
+            check=check, re_asks=MAX_RE_ASKS, schema=schema,
+        )  # fmt: skip
         match answer.action:
             case "numbers":
                 return Change(f"other numbers for '{planner.mode}'", planner, dict(answer.parameters), answer.begin)
@@ -340,7 +341,7 @@ def modifier_prompt(
     others = [f"- {alias}: {', '.join(sanitize(e.label) for e in es) or 'none'}" for alias, es in scene.choices.items()]
     entries = {e.label: e for es in scene.choices.values() for e in es}
     others.append(library_words(list(entries.values()), set(entries)))
-    shown = reports[:MAX_ATTEMPTS]
+    shown = reports[:MAX_SHOWN_ATTEMPTS]
     return prompts.render(
         "modifier", rules=planner_rules(prompts, limits), until=str(settings.until), ttc=f"{settings.critical_ttc:g}",
         label=sanitize(scene.entry.label), description=sanitize(scene.entry.description), mode=sanitize(planner.mode),

@@ -18,13 +18,13 @@ from sumo_adv.road_users import UNPROTECTED_LIMITS, RoadUser, is_unprotected, ro
 from sumo_adv.simulation.sumo_rules import MINOR_TIME_GAP_S, VISIBILITY_DISTANCE_M
 from sumo_adv.situation import ReferencePath, Signal, Situation, Target
 
-MAX_OTHERS = 8  # vehicles besides the ego and the possible adversaries, the nearest ones
-TIMES = (-1.1, -0.7, -0.3, 0.0)  # s: history of the ego and the possible adversaries
-FEW_TIMES = (-1.1, 0.0)  # s: history of the others
-EARLIEST_ACCELERATION = 4.0  # m/s2 for "at the earliest"
-SIGNALS = {"g": "green", "G": "green", "y": "yellow", "Y": "yellow", "r": "red", "R": "red", "u": "red-yellow"}
-SIGNALS |= {"o": "blinking", "O": "off", "s": "stop sign"}
-DRIVERS = {
+MAX_OTHER_VEHICLES = 8  # vehicles besides the ego and the possible adversaries, the nearest ones
+HISTORY_TIMES_S = (-1.1, -0.7, -0.3, 0.0)  # history of the ego and the possible adversaries
+OTHERS_HISTORY_TIMES_S = (-1.1, 0.0)  # history of the others
+EARLIEST_ARRIVAL_ACCELERATION_M_S2 = 4.0  # for "at the earliest"
+SIGNAL_COLOURS = {"g": "green", "G": "green", "y": "yellow", "Y": "yellow", "r": "red", "R": "red", "u": "red-yellow"}
+SIGNAL_COLOURS |= {"o": "blinking", "O": "off", "s": "stop sign"}
+DRIVER_DESCRIPTIONS = {
     "krauss": "SUMO's Krauss car-following driver",
     "idm": "an IDM car-following driver",
     "eidm": "an extended IDM car-following driver",
@@ -51,7 +51,7 @@ class Aliases:
         by_id = {situation.ego.id: "EGO"} | {i: a for a, i in bvs.items()}
         rest = [t for t in situation.traffic.history if t.id not in by_id]
         rest.sort(key=lambda t: math.hypot(t.x[-1] - situation.ego.x, t.y[-1] - situation.ego.y))
-        by_id |= {t.id: f"V{k + 1}" for k, t in enumerate(rest[:MAX_OTHERS])}
+        by_id |= {t.id: f"V{k + 1}" for k, t in enumerate(rest[:MAX_OTHER_VEHICLES])}
         return Aliases(bvs, by_id)
 
 
@@ -79,7 +79,7 @@ def state_words(situation: Situation, aliases: Aliases) -> str:
     for name, alias in aliases.by_id.items():
         if name not in tracks:
             continue
-        times = FEW_TIMES if alias.startswith("V") else TIMES
+        times = OTHERS_HISTORY_TIMES_S if alias.startswith("V") else HISTORY_TIMES_S
         lines.append(f"{alias}: {_history(tracks[name], situation, times)}")
     return "\n".join(lines)
 
@@ -107,14 +107,14 @@ def scene_words(situation: Situation, aliases: Aliases, alias: str) -> str:
     )  # fmt: skip
 
 
-OUTLOOK = (2.0, 4.0, 6.0, 8.0)  # s from now
+OUTLOOK_TIMES_S = (2.0, 4.0, 6.0, 8.0)  # from now
 
 
 def outlook_words(situation: Situation) -> str:
     """Where the ego is predicted to be without an attack; where the prediction ends."""
     path, b = situation.baseline.path, situation.baseline
     parts = []
-    for t in OUTLOOK:
+    for t in OUTLOOK_TIMES_S:
         k = round(t / situation.dt)
         if k >= len(b.s) or k > situation.left:
             break
@@ -130,7 +130,7 @@ def outlook_words(situation: Situation) -> str:
 def driver_words(situation: Situation) -> str:
     """The driver model of the ego."""
     model, ego = situation.baseline.model, situation.ego
-    kind = DRIVERS.get(model.kind, "an unknown driver")
+    kind = DRIVER_DESCRIPTIONS.get(model.kind, "an unknown driver")
     if not model.known:
         kind = f"an unknown driver; predictions take it for {kind} and for others like it"
     size = f"EGO is {ego.length:.1f} m long and {ego.width:.1f} m wide."
@@ -172,7 +172,7 @@ def _signal_lines(alias: str, signals: Sequence[Signal]) -> list[str]:
     if not signals:
         return []
     _, distance, state = signals[0]
-    return [f"{alias} has a signal {distance:.0f} m ahead, now {SIGNALS.get(state, 'unknown')}."]
+    return [f"{alias} has a signal {distance:.0f} m ahead, now {SIGNAL_COLOURS.get(state, 'unknown')}."]
 
 
 def _bends(situation: Situation) -> str:
@@ -205,7 +205,8 @@ def _conflict(path: ReferencePath, target: Target, situation: Situation) -> str:
     assert c is not None
     x, y, _ = situation.frame.to_local(c.x, c.y, c.heading)
     distance, speed = max(c.bv_s - target.station, 0.0), target.state.speed
-    soonest = (math.sqrt(speed**2 + 2 * EARLIEST_ACCELERATION * distance) - speed) / EARLIEST_ACCELERATION
+    most = EARLIEST_ARRIVAL_ACCELERATION_M_S2
+    soonest = (math.sqrt(speed**2 + 2 * most * distance) - speed) / most
     present = f"{distance / speed:.1f} s at its present speed, " if speed > 0.5 else "it stands, "
     arrival = np.flatnonzero(situation.baseline.s >= c.ego_s)
     ego = f"{arrival[0] * situation.dt:.1f} s" if len(arrival) else "not within the time looked at"
@@ -215,7 +216,7 @@ def _conflict(path: ReferencePath, target: Target, situation: Situation) -> str:
     if path.movement == "across":
         rule = "EGO does not expect it there"
     elif signals:
-        rule = f"its signal is {SIGNALS.get(signals[0][2], 'unknown')}"
+        rule = f"its signal is {SIGNAL_COLOURS.get(signals[0][2], 'unknown')}"
     return (
         f"{meets} EGO's path at ({x:.1f}, {y:.1f}) m at {abs(math.degrees(c.angle)):.0f} deg;"
         f" way to it: {distance:.1f} m ({present}{soonest:.1f} s at the earliest),"

@@ -13,15 +13,15 @@ from pydantic import BaseModel, Field
 
 from sumo_adv.agents.scene_text import Aliases
 from sumo_adv.datatypes import Duty, LibraryEntry
-from sumo_adv.llm.prompts import MAX_TEXT, Prompts, sanitize
+from sumo_adv.llm.prompts import MAX_PROMPT_TEXT_CHARACTERS, Prompts, sanitize
 from sumo_adv.memory.records import Composition, Part, canonical
 from sumo_adv.road_users import is_unprotected
 from sumo_adv.search.support_intents import SUPPORT_INTENTS, fits
 from sumo_adv.search.supports import ANY_FITTING, EXPERT_COMPOSITIONS, Cast
 from sumo_adv.situation import Situation, Target
 
-MOST_PROPOSED = 3  # compositions in one answer
-ROLES = {
+MAX_PROPOSED_COMPOSITIONS = 3  # compositions in one answer
+DUTY_DESCRIPTIONS = {
     Duty.BLOCK_LEFT: "takes the room into which EGO would swerve to the left",
     Duty.BLOCK_RIGHT: "takes the room into which EGO would swerve to the right",
     Duty.SLOW: "holds EGO up from ahead",
@@ -44,7 +44,7 @@ class Team(BaseModel):
     """A composition as a model gives it."""
 
     label: str = Field(min_length=1, max_length=80)
-    description: str = Field(default="", max_length=MAX_TEXT)
+    description: str = Field(default="", max_length=MAX_PROMPT_TEXT_CHARACTERS)
     parts: list[Member] = Field(max_length=6)
     reason: str = Field(default="", max_length=2000)
 
@@ -74,9 +74,9 @@ def teams_words(
 ) -> str:
     """The part of the analyzer's prompt on compositions."""
     roles = [
-        f"- {duty}: {ROLES[duty]}. Behaviours: "
+        f"- {duty}: {DUTY_DESCRIPTIONS[duty]}. Behaviours: "
         + "; ".join(f"{entry.label} ({entry.description})" for entry in SUPPORT_INTENTS[duty])
-        for duty in ROLES
+        for duty in DUTY_DESCRIPTIONS
     ]  # fmt: skip
     fitting = []
     for alias, name in aliases.bvs.items():
@@ -85,7 +85,7 @@ def teams_words(
         collides = collides and any(_applies(target, entry) for entry in library)
         may = [
             *([str(Duty.COLLIDER)] if collides else []),
-            *(f"{duty} ({entry.label})" for duty in ROLES for entry in SUPPORT_INTENTS[duty]
+            *(f"{duty} ({entry.label})" for duty in DUTY_DESCRIPTIONS for entry in SUPPORT_INTENTS[duty]
               if fits(duty, entry, target)),
         ]  # fmt: skip
         fitting.append(f"{alias}: {', '.join(may) or 'nothing'}")
@@ -95,7 +95,7 @@ def teams_words(
         for c in teamwork.named
     ]  # fmt: skip
     return prompts.piece(
-        "teams", most=str(teamwork.most), proposed=str(MOST_PROPOSED), roles="\n".join(roles),
+        "teams", most=str(teamwork.most), proposed=str(MAX_PROPOSED_COMPOSITIONS), roles="\n".join(roles),
         fitting="\n".join(fitting), known="\n".join(named),
     )  # fmt: skip
 
@@ -135,8 +135,8 @@ def _member_fault(
     bv, role = sanitize(member.bv), sanitize(member.role)
     if member.bv not in aliases.bvs:
         return f"There is no vehicle '{bv}' that may take part; there are {', '.join(aliases.bvs)}."
-    if member.role not in (Duty.COLLIDER, *ROLES):
-        return f"There is no role '{role}'; choose {', '.join((Duty.COLLIDER, *ROLES))}."
+    if member.role not in (Duty.COLLIDER, *DUTY_DESCRIPTIONS):
+        return f"There is no role '{role}'; choose {', '.join((Duty.COLLIDER, *DUTY_DESCRIPTIONS))}."
     duty, name = Duty(member.role), aliases.bvs[member.bv]
     entries = {e.label.lower(): e for e in (library if duty is Duty.COLLIDER else SUPPORT_INTENTS[duty])}
     entry, target = entries.get(member.label.lower()), situation.targets[name]

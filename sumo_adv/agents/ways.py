@@ -17,7 +17,7 @@ from sumo_adv.planners.source import uses_acceleration
 from sumo_adv.search.settings import SearchSettings
 from sumo_adv.situation import Situation
 
-MOST_WAYS = 3  # of one intent
+MAX_WAYS_PER_INTENT = 3  # of one intent
 NAME_LINE = re.compile(r'.*, mode "[^"]+"')  # the first line of shipped planners: # Aggressive Cut-in, mode "side"
 
 # The two classes below are sent to the model as a JSON schema, with their names and docstrings.

@@ -31,8 +31,8 @@ from sumo_adv.search.scoring import judge_all, touch_of
 from sumo_adv.search.settings import ScoreSettings
 from sumo_adv.simulation.network import read_network
 from sumo_adv.situation import Situation
-from sumo_adv.transformer.model import SHIPPED, Predicted, Predictor
-from sumo_adv.transformer.scene import FUTURE, STEP, agents_of, segments_of
+from sumo_adv.transformer.model import SHIPPED_WEIGHTS, Predicted, Predictor
+from sumo_adv.transformer.scene import FUTURE_COUNT, POSITION_STEP_S, agents_of, segments_of
 
 DRAWN = 3  # draws of each mode
 WIDEST_DRAW = 2.0  # of the scale
@@ -40,9 +40,9 @@ STILL = 0.05  # m between two steps: a slower vehicle keeps its heading
 
 
 class Transformer:
-    def __init__(self, weights: Path = SHIPPED) -> None:
+    def __init__(self, weights: Path = SHIPPED_WEIGHTS) -> None:
         """Raises UsageError if the file holds no weights."""
-        self.name = "transformer" if weights == SHIPPED else f"transformer:{weights}"
+        self.name = "transformer" if weights == SHIPPED_WEIGHTS else f"transformer:{weights}"
         self._predictor = Predictor(weights)
         self._proposals: list[Proposal] = []
 
@@ -92,11 +92,11 @@ def _draws(
 
 
 def _states(place: Floats, situation: Situation, bv: str) -> Floats:
-    """Positions ``STEP`` apart as states in the situation's steps, which the follower takes."""
+    """Positions ``POSITION_STEP_S`` apart as states in the situation's steps, which the follower takes."""
     state = situation.targets[bv].state
     points = np.vstack([[state.x, state.y], place])
-    time = situation.dt * np.arange(1, round(FUTURE * STEP / situation.dt) + 1)
-    x, y = (np.interp(time, STEP * np.arange(FUTURE + 1), points[:, column]) for column in range(2))
+    time = situation.dt * np.arange(1, round(FUTURE_COUNT * POSITION_STEP_S / situation.dt) + 1)
+    x, y = (np.interp(time, POSITION_STEP_S * np.arange(FUTURE_COUNT + 1), points[:, column]) for column in range(2))
     dx, dy = np.diff(x, prepend=state.x), np.diff(y, prepend=state.y)
     moved = np.hypot(dx, dy)
     heading, last = np.empty(len(x)), state.heading
@@ -114,7 +114,7 @@ def _ordered(encounter: Encounter, drawn: Sequence[_Drawn], name: str) -> list[P
     proposals = [Proposal(draw.bv, name, planner, {}, 0.0, draw.delay, by=name) for draw in drawn]
     ends = [draw.states[-1].tolist() for draw in drawn]
     answers = [
-        Answer(Endpoint(x, y, heading, speed, FUTURE * STEP), draw.states)
+        Answer(Endpoint(x, y, heading, speed, FUTURE_COUNT * POSITION_STEP_S), draw.states)
         for draw, (x, y, heading, speed) in zip(drawn, ends, strict=True)
     ]
     steps = settings.steps(settings.duration)

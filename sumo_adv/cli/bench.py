@@ -334,14 +334,14 @@ def _run(
 
 def _check_models(request: TableRequest) -> None:
     """Raises UsageError for a row with a model that has no server or no key; asks nothing."""
-    from sumo_adv.agents.agents import ROLES
+    from sumo_adv.agents.agents import AGENT_ROLES
     from sumo_adv.benchmark.jobs import method_of
     from sumo_adv.llm.chat import Ledger
     from sumo_adv.llm.client import connect
 
     for row in request.rows:
         given = method.settings if (method := method_of(row)) is not None else {}
-        for name in (given[key] for key in ("llm", *ROLES) if given.get(key, BUILTIN) != BUILTIN):
+        for name in (given[key] for key in ("llm", *AGENT_ROLES) if given.get(key, BUILTIN) != BUILTIN):
             settings = load_settings(None, **{**request.settings, **given})
             connect(name, settings, Ledger.for_settings(settings))
 

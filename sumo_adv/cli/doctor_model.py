@@ -24,10 +24,10 @@ MOST_LISTED = 5  # names of models in a finding
 def model(settings: Settings, environment: Mapping[str, str] = os.environ) -> Iterator[Finding]:
     """The servers of the models that the settings name. Each is asked for its models, and one question with an answer
     of two tokens. No key is shown."""
-    from sumo_adv.agents.agents import ROLES
+    from sumo_adv.agents.agents import AGENT_ROLES
     from sumo_adv.llm.client import REPLAY, find_server
 
-    names = sorted({name for role in ROLES if (name := settings.player(role)) is not None})
+    names = sorted({name for role in AGENT_ROLES if (name := settings.player(role)) is not None})
     level = Level.WARN if settings.fallback == "builtin" else Level.FAIL
     if not names:
         yield Finding("model", Level.OK, "none is set: the built-in expert plays all parts (--llm NAME names one)")

@@ -125,31 +125,31 @@ def _line(row: dict[str, Any]) -> str:
 def _cut_ins(file: Path, out: Path | None, *, as_json: bool) -> None:
     import numpy as np
 
-    from sumo_adv.metrics.own_data import ANSWERS, COLUMNS, judge_cut_ins
+    from sumo_adv.metrics.own_data import ANSWERING_DRIVERS, CASE_COLUMNS, judge_cut_ins
 
     try:
         with file.open(newline="", encoding="utf-8") as text:
             table = list(csv.DictReader(text))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise UsageError(f"The cut-ins in {file} cannot be read ({error}).") from error
-    if not table or any(name not in table[0] for name in COLUMNS):
-        raise UsageError(f"{file} needs rows with the columns {', '.join(COLUMNS)}.")
+    if not table or any(name not in table[0] for name in CASE_COLUMNS):
+        raise UsageError(f"{file} needs rows with the columns {', '.join(CASE_COLUMNS)}.")
     try:
-        cases = np.array([[float(row[name]) for name in COLUMNS] for row in table])
+        cases = np.array([[float(row[name]) for name in CASE_COLUMNS] for row in table])
     except (TypeError, ValueError) as error:
         raise UsageError(f"{file} holds something that is no number ({error}).") from error
     rows = [{**given, **answer} for given, answer in zip(table, judge_cut_ins(cases), strict=True)]
     if out is not None:
         _write(out, rows)
     if as_json:
-        typer.echo(json.dumps({"cut_ins": len(rows), "prevented": _prevented(rows, ANSWERS)}))
+        typer.echo(json.dumps({"cut_ins": len(rows), "prevented": _prevented(rows, ANSWERING_DRIVERS)}))
     elif out is None:
         head = list(rows[0])
         typer.echo(",".join(head))
         for row in rows:
             typer.echo(",".join(str(row[name]) for name in head))
     else:
-        typer.echo(f"{len(rows)} cut-ins into {out}: {_prevented(rows, ANSWERS)}")
+        typer.echo(f"{len(rows)} cut-ins into {out}: {_prevented(rows, ANSWERING_DRIVERS)}")
 
 
 def _prevented(rows: list[dict[str, Any]], names: tuple[str, ...]) -> dict[str, int]:

@@ -83,10 +83,10 @@ def evaluate(
 ) -> None:
     """Predict the held-out scenes, beside constant velocity and lane following."""
     from sumo_adv.transformer.dataset import HELD_OUT, load
-    from sumo_adv.transformer.model import SHIPPED, read_weights
+    from sumo_adv.transformer.model import SHIPPED_WEIGHTS, read_weights
     from sumo_adv.transformer.train import evaluate as scores
 
-    results = scores(read_weights(weights or SHIPPED), load(scenes, HELD_OUT))
+    results = scores(read_weights(weights or SHIPPED_WEIGHTS), load(scenes, HELD_OUT))
     typer.echo(json.dumps([asdict(score) for score in results]) if as_json else table(results))
 
 

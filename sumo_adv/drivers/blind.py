@@ -13,14 +13,13 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.datatypes import DriverModel, VehicleState
-from sumo_adv.drivers.lattice_frame import RoadFrame
+from sumo_adv.drivers.lattice_frame import LINE_HOLDING_M_S2, RoadFrame
 from sumo_adv.drivers.protocol import Action, Observation, Road, Steer, Wishes
 from sumo_adv.drivers.sumo_driven import Idm, known_model, sumo_type
 
-HELD = -3.0  # m/s2 at a line where it must wait
-GENTLE = 2.0  # m/s2: it begins to brake for a line when this is needed
-LATERAL = 4.0  # m/s2, the most that it steers for
-AHEAD = np.arange(0.0, 4.1, 0.25)  # s ahead at which the bends count
+MIN_LINE_BRAKING_M_S2 = 2.0  # it begins to brake for a line when this is needed
+MAX_BEND_LATERAL_M_S2 = 4.0  # the most that it steers for
+BEND_TIMES_S = np.arange(0.0, 4.1, 0.25)  # ahead at which the bends count
 
 
 class BlindEgo:
@@ -54,17 +53,17 @@ class BlindEgo:
         if self._frame is None or road is None or road.leaves:
             return None
         station = self._frame.locate(ego)[0]
-        bends = self._frame.bend(station + ego.length / 2 + max(ego.speed, 0.1) * AHEAD)[1]
+        bends = self._frame.bend(station + ego.length / 2 + max(ego.speed, 0.1) * BEND_TIMES_S)[1]
         desired_speed = max(min(road.limit, float(np.min(bends))), 0.1)
         free = self._idm.accel * (1.0 - (ego.speed / desired_speed) ** self._idm.delta)
         pedal = min(max(free, -self._idm.decel), _stopping(road, ego) if road.must_wait else math.inf)
-        return Steer(pedal, self._frame.wheel(ego, LATERAL))
+        return Steer(pedal, self._frame.wheel(ego, MAX_BEND_LATERAL_M_S2))
 
 
 def _stopping(road: Road, ego: VehicleState) -> float:
     """The acceleration [m/s2] with which it stops at the next line; inf while that is still far."""
     room = road.stop_lines[0].ahead - ego.length / 2 - 0.5  # m before the line
     if room < 1.0:
-        return HELD
+        return LINE_HOLDING_M_S2
     needed = ego.speed**2 / (2 * room)
-    return -needed if needed > GENTLE else math.inf
+    return -needed if needed > MIN_LINE_BRAKING_M_S2 else math.inf

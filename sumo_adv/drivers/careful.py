@@ -19,12 +19,12 @@ from typing import Any
 
 from sumo_adv.datatypes import DriverModel, Floats
 from sumo_adv.drivers.protocol import Action, LaneSpeed, Observation
-from sumo_adv.drivers.sumo_driven import MODELS, known_model, sumo_type
+from sumo_adv.drivers.sumo_driven import FOLLOWING_MODELS, known_model, sumo_type
 from sumo_adv.drivers.watching import Egos, Others, Watcher, braked_speed, lane_half_width_of, path_of, view_of
 from sumo_adv.errors import UsageError
 from sumo_adv.geometry import wrap_below_pi
 from sumo_adv.metrics.reference.cc_human import CcHuman
-from sumo_adv.metrics.reference.view import HISTORY
+from sumo_adv.metrics.reference.view import YAW_RATE_SPAN_S
 
 
 class CarefulEgo:
@@ -39,8 +39,9 @@ class CarefulEgo:
         """``parameters``: ``driver`` (krauss, idm or eidm; default idm) and that model's own. Raises UsageError."""
         own = dict(parameters or {})
         driver = own.pop("driver", "idm")
-        if driver not in MODELS:
-            raise UsageError(f"The ego 'careful' has no driver {driver!r}; choose one of {', '.join(MODELS)}.")
+        if driver not in FOLLOWING_MODELS:
+            known = ", ".join(FOLLOWING_MODELS)
+            raise UsageError(f"The ego 'careful' has no driver {driver!r}; choose one of {known}.")
         self.sumo_type: Mapping[str, str] = sumo_type(driver, own)
         self.reset(0)
 
@@ -80,7 +81,7 @@ class CarefulDrivers:
         """``ego``: length and width [m]; ``lane_half_width``: of the egos' lanes [m], ``(N,)``."""
         self._lane_half_width = lane_half_width[:, None]
         self._ego, self._length, self._width, self._dt = ego, length[:, None], width[:, None], dt
-        self._history = max(1, round(HISTORY / dt))
+        self._history = max(1, round(YAW_RATE_SPAN_S / dt))
         self._past: list[tuple[Floats, Floats, Floats]] = []  # offset, heading, speed of the last steps, (N, 1)
         self._drivers = CcHuman((len(length), 1), dt)
 

@@ -23,22 +23,22 @@ import fiss_planner as fiss
 import numpy as np
 
 from sumo_adv.datatypes import VehicleState
-from sumo_adv.drivers.lattice_frame import RoadFrame
-from sumo_adv.drivers.protocol import WHEELBASE, Action, Observation, Road, Steer
+from sumo_adv.drivers.lattice_frame import ALONG_PATH_RAD, RoadFrame
+from sumo_adv.drivers.protocol import WHEELBASE_M, Action, Observation, Road, Steer
 from sumo_adv.drivers.sumo_driven import sumo_type
 from sumo_adv.geometry import wrap
 
-REAR_AXLE = WHEELBASE / 2  # m behind the centre, as in ``protocol.py``
-HORIZON, STEP = 6.0, 0.1  # s, of predictions: a second more than the longest plan
-BRAKING = 8.0  # m/s2, the hardest
-LATERAL = 4.0  # m/s2, the planner's own limit
-BEHIND = 15.0  # m of the last path that are kept
-SPACING = 1.0  # m between the points of a lane
-LINE, OWN_LANE = 1, 1  # ids in the planner's map
-SHORT = 1.5  # m: the planner stops its minimal gap before a line, so the line is set this far behind the real one
-MOVED = 1.0  # m by which a line must be elsewhere before the map is drawn again
-ALONG, AGAINST = math.pi / 4, 3 * math.pi / 4  # rad between a vehicle and the path
-BESIDE = 8.0  # m: oncoming vehicles at most this far from the path follow its bends
+REAR_AXLE_OFFSET_M = WHEELBASE_M / 2  # behind the centre, as in ``protocol.py``
+FORESEEN_S, FORESEEN_STEP_S = 6.0, 0.1  # of predictions: a second more than the longest plan
+HARDEST_BRAKING_M_S2 = 8.0
+MAX_PLANNED_LATERAL_M_S2 = 4.0  # the planner's own limit
+KEPT_PATH_BEHIND_M = 15.0  # of the last path that are kept
+LANE_POINT_SPACING_M = 1.0  # between the points of a lane
+LINE_ID, OWN_LANE_ID = 1, 1  # ids in the planner's map
+LINE_SETBACK_M = 1.5  # the planner stops its minimal gap before a line, so the line is set this far behind the real one
+LINE_TOLERANCE_M = 1.0  # by which a line must be elsewhere before the map is drawn again
+AGAINST_PATH_RAD = 3 * math.pi / 4  # between a vehicle and the path
+ONCOMING_PATH_DISTANCE_M = 8.0  # oncoming vehicles at most this far from the path follow its bends
 
 
 class FissPlusEgo:
@@ -76,15 +76,15 @@ class FissPlusEgo:
         since = round(observation.time - self._begun, 6)  # its choices are discrete: the last digit could tip them
         plan = self._planner.step(since, self._rear_axle(ego), others, road.limit)
         if plan.emergency or len(np.asarray(plan.trajectory.t)) < 2:
-            self._wheel = self._frame.wheel(ego, LATERAL)
-            return Steer(-BRAKING, self._wheel)
+            self._wheel = self._frame.wheel(ego, MAX_PLANNED_LATERAL_M_S2)
+            return Steer(-HARDEST_BRAKING_M_S2, self._wheel)
         command = self._controller.compute(self._rear_axle(ego), plan.trajectory, observation.dt)
         self._wheel = float(command.steer)
         return Steer(float(command.accel), self._wheel)
 
     def _rear_axle(self, ego: VehicleState) -> Any:
-        x, y = ego.x - REAR_AXLE * math.cos(ego.heading), ego.y - REAR_AXLE * math.sin(ego.heading)
-        return fiss.EgoState(x, y, ego.heading, ego.speed, ego.acceleration, math.tan(self._wheel) / WHEELBASE)
+        x, y = ego.x - REAR_AXLE_OFFSET_M * math.cos(ego.heading), ego.y - REAR_AXLE_OFFSET_M * math.sin(ego.heading)
+        return fiss.EgoState(x, y, ego.heading, ego.speed, ego.acceleration, math.tan(self._wheel) / WHEELBASE_M)
 
     def _update_map(self, frame: RoadFrame, ego: VehicleState, road: Road) -> None:
         """Draw the map where path, lane or stop line are new; close the line while the ego must wait."""
@@ -93,20 +93,21 @@ class FissPlusEgo:
         if self._drawn is None or self._drawn[:2] != (frame, ego.lane) or not _same(self._drawn[2], line):
             self._drawn = (frame, ego.lane, line)
             self._map = _road_map(frame, here, road, line)
-            self._planner.set_map(self._map, [OWN_LANE])
-        self._planner.set_stop_line_active(LINE, road.must_wait)
+            self._planner.set_map(self._map, [OWN_LANE_ID])
+        self._planner.set_stop_line_active(LINE_ID, road.must_wait)
 
     def _predict(self, frame: RoadFrame, other: VehicleState) -> Any:
         """The planner's own prediction for vehicles that go the ego's way, and for those that cross it. It knows no
         lanes that lead against the ego's: an oncoming vehicle keeps its offset from the path."""
         number = zlib.crc32(other.id.encode()) & 0x7FFFFFFF
         s, d, turn = frame.locate(other)
-        state = (number, other.x, other.y, other.heading, other.speed, other.length, other.width, HORIZON, STEP)
-        if abs(turn) < ALONG:
+        place, size = (other.x, other.y, other.heading, other.speed), (other.length, other.width)
+        state = (number, *place, *size, FORESEEN_S, FORESEEN_STEP_S)
+        if abs(turn) < ALONG_PATH_RAD:
             return fiss.predict_lane_following(self._map, *state)
-        if abs(turn) < AGAINST or abs(d) > BESIDE:
+        if abs(turn) < AGAINST_PATH_RAD or abs(d) > ONCOMING_PATH_DISTANCE_M:
             return fiss.predict_constant_velocity(*state)
-        times = np.arange(0.0, HORIZON, STEP)
+        times = np.arange(0.0, FORESEEN_S, FORESEEN_STEP_S)
         x, y, heading = frame.path.at(s - other.speed * times, d)
         return fiss.Obstacle.from_arrays(number, other.length, other.width, times, x, y, wrap(heading + math.pi))
 
@@ -117,16 +118,18 @@ def _joined(before: RoadFrame | None, points: Sequence[tuple[float, float]]) -> 
     if before is None:
         return list(points)
     begins, offset = (float(q[0]) for q in before.project(*(np.array([q]) for q in (*points[0], 0.0)))[:2])
-    x, y, _ = before.path.at(np.arange(max(begins - BEHIND, 0.0), begins - SPACING / 2, SPACING), offset)
+    first, spacing = max(begins - KEPT_PATH_BEHIND_M, 0.0), LANE_POINT_SPACING_M
+    x, y, _ = before.path.at(np.arange(first, begins - spacing / 2, spacing), offset)
     return [*zip(x.tolist(), y.tolist(), strict=True), *points]
 
 
 def _planner(ego: VehicleState) -> tuple[Any, Any]:
     """Planner and controller for a car of the ego's size."""
     car, config = fiss.VehicleParams(), fiss.LocalPlannerConfig()
-    car.length, car.width, car.max_decel, car.max_lat_accel = ego.length, ego.width, BRAKING, LATERAL
-    car.wheelbase, car.rear_axle_to_center = WHEELBASE, REAR_AXLE
-    config.planner.type, config.emergency_decel = fiss.PlannerType.FISS_PLUS, BRAKING
+    car.length, car.width = ego.length, ego.width
+    car.max_decel, car.max_lat_accel = HARDEST_BRAKING_M_S2, MAX_PLANNED_LATERAL_M_S2
+    car.wheelbase, car.rear_axle_to_center = WHEELBASE_M, REAR_AXLE_OFFSET_M
+    config.planner.type, config.emergency_decel = fiss.PlannerType.FISS_PLUS, HARDEST_BRAKING_M_S2
     return fiss.LocalPlanner(config, car), fiss.make_controller("stanley_pid", car)
 
 
@@ -136,11 +139,11 @@ def _road_map(frame: RoadFrame, here: float, road: Road, line: float) -> Any:
     here: the ego's station [m]; line: that of the next stop line, inf without one.
     """
     offsets = sorted((0.0, *road.sides))  # from right to left
-    ids = [OWN_LANE if offset == 0.0 else OWN_LANE + 1 + k for k, offset in enumerate(offsets)]
+    ids = [OWN_LANE_ID if offset == 0.0 else OWN_LANE_ID + 1 + k for k, offset in enumerate(offsets)]
     made = fiss.RoadMap()
     for k, offset in enumerate(offsets):
         end = frame.path.length if offset == 0.0 else min(here + road.until, frame.path.length)
-        stations = np.linspace(0.0, end, max(round(end / SPACING), 1) + 1)
+        stations = np.linspace(0.0, end, max(round(end / LANE_POINT_SPACING_M), 1) + 1)
         lane = fiss.MapLane()
         lane.id, lane.speed_limit = ids[k], road.limit
         lane.left, lane.centerline, lane.right = (
@@ -152,10 +155,10 @@ def _road_map(frame: RoadFrame, here: float, road: Road, line: float) -> Any:
             lane.right_neighbor, lane.can_change_right = ids[k - 1], True
         made.add_lane(lane)
     if line < frame.path.length:
-        made.add_stop_line(fiss.StopLine(LINE, OWN_LANE, line + SHORT, False))
+        made.add_stop_line(fiss.StopLine(LINE_ID, OWN_LANE_ID, line + LINE_SETBACK_M, False))
     made.finalize()
     return made
 
 
 def _same(drawn: float, line: float) -> bool:
-    return drawn == line or abs(drawn - line) < MOVED
+    return drawn == line or abs(drawn - line) < LINE_TOLERANCE_M

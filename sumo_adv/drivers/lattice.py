@@ -14,16 +14,16 @@ from typing import NamedTuple
 import numpy as np
 
 from sumo_adv.datatypes import Floats
-from sumo_adv.drivers.protocol import MAX_STEERING, WHEELBASE
+from sumo_adv.drivers.protocol import MAX_STEERING_RAD, WHEELBASE_M
 from sumo_adv.drivers.sumo_driven import Idm
 
-STEP = 0.2  # s between the compared times
-EASING, EASED = 3.0, -2.0  # m/s3, m/s2: how fast it releases the brake, and from which acceleration on
-SETTING_OFF = 1.0  # m/s, below it the brake is released at once
-KEEPING = 2.0  # 1/s, how fast it slows down to a desired speed below its own
-SLOWEST = 0.5  # m/s, the lowest desired speed
-LOOK, LEAST_LOOK = 0.2, 2.0  # s, m: how far ahead the wheel aims
-FOLLOWING_GAP = 0.1  # m, added to the width of the ego's way
+COMPARED_STEP_S = 0.2  # between the compared times
+BRAKE_RELEASE_M_S3, RELEASED_ACCELERATION_M_S2 = 3.0, -2.0  # how fast it releases the brake, and up from where
+SETTING_OFF_SPEED_M_S = 1.0  # below it the brake is released at once
+SLOWING_RATE_1_S = 2.0  # how fast it slows down to a desired speed below its own
+MIN_DESIRED_SPEED_M_S = 0.5  # the lowest desired speed
+STEERING_LOOK_AHEAD_S, MIN_STEERING_LOOK_AHEAD_M = 0.2, 2.0  # how far ahead the wheel aims
+LEADER_WIDTH_MARGIN_M = 0.1  # added to the width of the ego's way
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +38,7 @@ class LatticeSettings:
     @property
     def times(self) -> Floats:
         """The compared times [s] from now, ``(time,)``."""
-        return STEP * np.arange(round(self.horizon / STEP) + 1.0)
+        return COMPARED_STEP_S * np.arange(round(self.horizon / COMPARED_STEP_S) + 1.0)
 
 
 class Size(NamedTuple):
@@ -112,40 +112,40 @@ def reference(
     v, front, root = egos.speed, egos.s + size.length / 2, 2 * np.sqrt(idm.accel * idm.decel)
     result = np.empty_like(rear)
     for k in range(rear.shape[1]):
-        free_road = _free(v, np.maximum(desired[:, k], SLOWEST), idm)
+        free_road = _free(v, np.maximum(desired[:, k], MIN_DESIRED_SPEED_M_S), idm)
         wish = idm.minGap + np.maximum(0.0, v * idm.tau + v * (v - pace[:, k]) / root)
         gap = np.maximum(rear[:, k] - front, 0.1)
         held = idm.accel * (_free(v, desired[:, k], idm) - (wish / gap) ** 2)
         a = np.minimum(np.minimum(idm.accel * free_road, np.where(np.isfinite(gap), held, np.inf)), cap)
-        result[:, k] = a = np.minimum(np.maximum(a, np.maximum(-settings.braking, -v / STEP)), idm.accel)
-        front = front + np.maximum(v * STEP + a * STEP * STEP / 2, 0.0)
-        v = np.maximum(v + a * STEP, 0.0)
+        result[:, k] = a = np.minimum(np.maximum(a, np.maximum(-settings.braking, -v / COMPARED_STEP_S)), idm.accel)
+        front = front + np.maximum(v * COMPARED_STEP_S + a * COMPARED_STEP_S * COMPARED_STEP_S / 2, 0.0)
+        v = np.maximum(v + a * COMPARED_STEP_S, 0.0)
         cap = np.where(cap < 0.0, cap, np.inf)
     return result
 
 
 def eased(cap: Floats, speed: Floats, before: Floats, dt: float) -> Floats:
     """``cap`` [m/s2], lowered so that the brake is released gradually; ``before``: the reference a step ago."""
-    gradual = np.maximum(before, EASED) + EASING * dt
-    return np.where(speed > SETTING_OFF, np.minimum(cap, gradual), cap)
+    gradual = np.maximum(before, RELEASED_ACCELERATION_M_S2) + BRAKE_RELEASE_M_S3 * dt
+    return np.where(speed > SETTING_OFF_SPEED_M_S, np.minimum(cap, gradual), cap)
 
 
 def look_ahead(speed: Floats) -> Floats:
     """How far ahead [m] the wheel aims."""
-    return np.maximum(LOOK * speed, LEAST_LOOK)
+    return np.maximum(STEERING_LOOK_AHEAD_S * speed, MIN_STEERING_LOOK_AHEAD_M)
 
 
 def steering(angle: Floats, ahead: Floats, speed: Floats, lateral: float) -> tuple[Floats, Floats]:
     """Wheel and slip angle [rad] that lead to a point ``ahead`` [m] at ``angle`` [rad] to the heading."""
-    grip = np.arcsin(np.minimum(1.0, lateral * WHEELBASE / (2 * np.maximum(speed, 1.0) ** 2)))
-    slip = np.clip(angle / (1 + ahead / WHEELBASE), -grip, grip)
-    wheel = np.clip(np.arctan(2 * np.tan(slip)), -MAX_STEERING, MAX_STEERING)
+    grip = np.arcsin(np.minimum(1.0, lateral * WHEELBASE_M / (2 * np.maximum(speed, 1.0) ** 2)))
+    slip = np.clip(angle / (1 + ahead / WHEELBASE_M), -grip, grip)
+    wheel = np.clip(np.arctan(2 * np.tan(slip)), -MAX_STEERING_RAD, MAX_STEERING_RAD)
     return wheel, np.arctan(np.tan(wheel) / 2)
 
 
 def _free(v: Floats, desired: Floats, idm: Idm) -> Floats:
     """The free-road term of IDM, as a share of its acceleration; above the desired speed it slows down to it."""
-    return np.where(v <= desired, 1.0 - (v / desired) ** idm.delta, (desired - v) * KEEPING / idm.accel)
+    return np.where(v <= desired, 1.0 - (v / desired) ** idm.delta, (desired - v) * SLOWING_RATE_1_S / idm.accel)
 
 
 def _leader(egos: Egos, size: Size, others: Expected, count: int) -> tuple[Floats, Floats]:
@@ -153,7 +153,7 @@ def _leader(egos: Egos, size: Size, others: Expected, count: int) -> tuple[Float
     n, m = others.speed.shape
     if m == 0:
         return np.full((n, count), np.inf), np.zeros((n, count))
-    inside = np.abs(others.d - egos.d[:, None, None]) < others.half_d + size.width / 2 + FOLLOWING_GAP
+    inside = np.abs(others.d - egos.d[:, None, None]) < others.half_d + size.width / 2 + LEADER_WIDTH_MARGIN_M
     inside &= ((others.s[:, :, 0] > egos.s[:, None]) & (others.speed > -0.5))[:, :, None]
     rears = np.where(inside, others.s - others.half_s, np.inf)
     nearest = rears.argmin(axis=1)

@@ -19,28 +19,28 @@ from typing import NamedTuple
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats, Ints
-from sumo_adv.drivers.lattice import STEP, Egos, Expected, LatticeSettings, Size
+from sumo_adv.drivers.lattice import COMPARED_STEP_S, Egos, Expected, LatticeSettings, Size
 from sumo_adv.geometry import quintics
 
-DURATIONS = (1.2, 2.0, 3.0)  # s, of a move sideways
-SHORTEST = 0.5  # s, the least that is left of a move
-STEPS_ASIDE = (-1.5, -1.0, -0.5, 0.5, 1.0, 1.5)  # m from the lane's centre
-BRAKES = (2.0, 4.0)  # m/s2: comfortable, hard; the emergency brake is a setting
-RAMP = 20.0  # m/s3, how fast pedals act
-CONTACT, CONTACT_SOON, CONTACT_FADES = 1000.0, 1.5, 0.8  # -, s, s
-NEAR, CLOSE, NEAR_FADES = 60.0, 6.0, 1.5  # 1/s, 1/s, s: within the margins of a contact
-CONTACT_MARGIN = (0.3, 0.15)  # m along, m across
-NEAR_MARGIN = (1.0, 0.3)
-CLOSE_MARGIN, CLOSE_HEADWAY = (1.5, 0.6), 0.2  # m, s: the margin along grows with speed
-OFF_ROAD = 800.0  # 1/m
-SLOWER, FASTER = 0.5, 4.0  # 1/(m/s)2, mean square deviation from the reference
-BRAKING, JERK_ASIDE, ACCELERATION_ASIDE = 0.2, 0.02, 0.05
-ASIDE, STRAYING, CHANGE = 0.5, 4.0, 0.5  # 1/m2: target, mean offset, another target than before
-OTHER_LANE = 8.0
-SLOPE, STEEP = 0.3, 20.0  # -, (s/m)2: a car moves sideways by at most that share of its way
-GRIP, SLIDING = 8.5, 40.0  # m/s2, 1/(m/s2): beyond the friction circle
-BITS = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1)  # of each byte, the highest first
-FIRST = np.where(BITS.any(axis=1), BITS.argmax(axis=1), 1 << 20)  # the first bit set; a large number if there is none
+MOVE_DURATIONS_S = (1.2, 2.0, 3.0)  # of a move sideways
+MIN_MOVE_REMAINDER_S = 0.5  # the least that is left of a move
+LATERAL_OFFSETS_M = (-1.5, -1.0, -0.5, 0.5, 1.0, 1.5)  # from the lane's centre
+BRAKING_LEVELS_M_S2 = (2.0, 4.0)  # comfortable, hard; the emergency brake is a setting
+PEDAL_JERK_M_S3 = 20.0  # how fast pedals act
+CONTACT_COST, CONTACT_SOON_S, CONTACT_FADE_S = 1000.0, 1.5, 0.8
+NEAR_COST_1_S, CLOSE_COST_1_S, NEAR_FADE_S = 60.0, 6.0, 1.5  # within the margins of a contact
+CONTACT_MARGINS_M = (0.3, 0.15)  # along, across
+NEAR_MARGINS_M = (1.0, 0.3)
+CLOSE_MARGINS_M, CLOSE_MARGIN_HEADWAY_S = (1.5, 0.6), 0.2  # the margin along grows with speed
+OFF_ROAD_COST_1_M = 800.0
+SLOWER_COST, FASTER_COST = 0.5, 4.0  # 1/(m/s)2, mean square deviation from the reference
+BRAKING_COST, LATERAL_JERK_COST, LATERAL_ACCELERATION_COST = 0.2, 0.02, 0.05
+TARGET_OFFSET_COST, MEAN_OFFSET_COST, TARGET_CHANGE_COST = 0.5, 4.0, 0.5  # 1/m2; change: from the last target
+OTHER_LANE_COST = 8.0
+MAX_LATERAL_SLOPE, SLOPE_COST = 0.3, 20.0  # -, (s/m)2: a car moves sideways by at most that share of its way
+GRIP_M_S2, SLIDING_COST = 8.5, 40.0  # m/s2, 1/(m/s2): beyond the friction circle
+BYTE_BITS = np.unpackbits(np.arange(256, dtype=np.uint8)[:, None], axis=1)  # of each byte, the highest first
+FIRST_SET_BIT = np.where(BYTE_BITS.any(axis=1), BYTE_BITS.argmax(axis=1), 1 << 20)  # a large number if none is set
 
 
 class Space(NamedTuple):
@@ -61,7 +61,7 @@ class Space(NamedTuple):
         """
         right, left = (np.array([edge((0.0, *s)) for s in sides]) for edge in (min, max))
         right, left = right - half, left + half
-        steps = [d for d in STEPS_ASIDE if right[0] + width / 2 <= d <= left[0] - width / 2]
+        steps = [d for d in LATERAL_OFFSETS_M if right[0] + width / 2 <= d <= left[0] - width / 2]
         return Space(np.array([0.0, *steps, *sides[0]]), half, right, left, until)
 
 
@@ -99,7 +99,7 @@ class Chosen(NamedTuple):
 
     def offset_after(self, ahead: Floats) -> Floats:
         """The offsets [m] of the chosen motions at the place ``ahead`` [m] of the present stations, ``(n,)``."""
-        way = self.s - self.s[:, :1] + 1e-6 * STEP * np.arange(self.s.shape[1])  # grows even at standstill
+        way = self.s - self.s[:, :1] + 1e-6 * COMPARED_STEP_S * np.arange(self.s.shape[1])  # grows even at standstill
         reached = way >= ahead[:, None]
         k = np.where(reached.any(axis=1), np.maximum(reached.argmax(axis=1), 1), way.shape[1] - 1)
         rows = np.arange(len(way))
@@ -134,20 +134,22 @@ def along(egos: Egos, reference: Floats, fastest: Floats, settings: LatticeSetti
     """The reference, keep the speed, accelerate to the ``fastest`` [m/s], and three brakes."""
     times, accelerate = settings.times, np.where(egos.speed < fastest, settings.idm.accel, 0.0)
     aims = np.zeros((len(fastest), 5, 1))
-    aims[:, 1, 0], aims[:, 2:, 0] = accelerate, [*(-b for b in BRAKES), -settings.braking]
+    aims[:, 1, 0], aims[:, 2:, 0] = accelerate, [*(-b for b in BRAKING_LEVELS_M_S2), -settings.braking]
     start = egos.acceleration[:, None, None]
-    pedals = np.concatenate([reference[:, None], start + np.clip(aims - start, -RAMP * times, RAMP * times)], axis=1)
+    pressed = PEDAL_JERK_M_S3 * times
+    pedals = np.concatenate([reference[:, None], start + np.clip(aims - start, -pressed, pressed)], axis=1)
     v = np.maximum(egos.speed[:, None, None] + _summed(pedals), 0.0)
     v[:, 2] = np.minimum(v[:, 2], np.maximum(fastest, egos.speed)[:, None])
     return Along(egos.s[:, None, None] + _summed(v), v, pedals)
 
 
 def aside(egos: Egos, offsets: Floats, times: Floats) -> Aside:
-    """To each of ``offsets`` [m] in each of ``DURATIONS``, and the rest of the present move."""
-    count = len(DURATIONS) * len(offsets)
+    """To each of ``offsets`` [m] in each of ``MOVE_DURATIONS_S``, and the rest of the present move."""
+    count = len(MOVE_DURATIONS_S) * len(offsets)
     target, duration = np.empty((2, len(egos.d), count + 1))
-    target[:, :-1], duration[:, :-1] = np.repeat(offsets, len(DURATIONS)), np.tile(DURATIONS, len(offsets))
-    target[:, -1], duration[:, -1] = egos.target, np.maximum(egos.left, SHORTEST)
+    target[:, :-1] = np.repeat(offsets, len(MOVE_DURATIONS_S))
+    duration[:, :-1] = np.tile(MOVE_DURATIONS_S, len(offsets))
+    target[:, -1], duration[:, -1] = egos.target, np.maximum(egos.left, MIN_MOVE_REMAINDER_S)
     start = (egos.d[:, None], egos.rate[:, None], egos.second[:, None])
     d, rate, second, jerk = quintics(start, target, duration, times)
     return Aside(d, rate, second, target, duration, jerk)
@@ -156,29 +158,31 @@ def aside(egos: Egos, offsets: Floats, times: Floats) -> Aside:
 def _summed(values: Floats) -> Floats:
     """The integral by time (the last axis), by trapezia from 0."""
     result = np.zeros_like(values)
-    np.cumsum((values[..., 1:] + values[..., :-1]) * (STEP / 2), axis=-1, out=result[..., 1:])
+    np.cumsum((values[..., 1:] + values[..., :-1]) * (COMPARED_STEP_S / 2), axis=-1, out=result[..., 1:])
     return result
 
 
 def _after(values: Floats, dt: float) -> Floats:
     """``values``, ``(n, time)``, ``dt`` [s] from now."""
-    at = min(dt / STEP, values.shape[1] - 1.0)
+    at = min(dt / COMPARED_STEP_S, values.shape[1] - 1.0)
     k = min(int(at), values.shape[1] - 2)
     return np.asarray(values[:, k] * (k + 1 - at) + values[:, k + 1] * (at - k))
 
 
 def _comfort(off: Aside, egos: Egos, space: Space) -> Floats:
     here = np.abs(off.target) < space.half[:, None]
-    away = np.where(here, ASIDE * off.target**2 + STRAYING * (off.d**2).mean(axis=2), OTHER_LANE)
-    change = CHANGE * np.minimum((off.target - egos.target[:, None]) ** 2, 4.0)
-    return np.asarray(away + change + JERK_ASIDE * off.jerk + ACCELERATION_ASIDE * (off.second**2).mean(axis=2))
+    offset = TARGET_OFFSET_COST * off.target**2 + MEAN_OFFSET_COST * (off.d**2).mean(axis=2)
+    away = np.where(here, offset, OTHER_LANE_COST)
+    change = TARGET_CHANGE_COST * np.minimum((off.target - egos.target[:, None]) ** 2, 4.0)
+    sideways = LATERAL_ACCELERATION_COST * (off.second**2).mean(axis=2)
+    return np.asarray(away + change + LATERAL_JERK_COST * off.jerk + sideways)
 
 
 def _pace(on: Along) -> Floats:
     slower, faster = np.maximum(on.v[:, :1] - on.v, 0.0), np.maximum(on.v - on.v[:, :1], 0.0)
-    braking = BRAKING * np.minimum(on.a, 0.0) ** 2
+    braking = BRAKING_COST * np.minimum(on.a, 0.0) ** 2
     braking[:, 0] = 0.0  # the reference brakes where it must, not by choice
-    return np.asarray((SLOWER * slower**2 + FASTER * faster**2 + braking).mean(axis=2))
+    return np.asarray((SLOWER_COST * slower**2 + FASTER_COST * faster**2 + braking).mean(axis=2))
 
 
 def _turned(off: Aside, on: Along) -> Floats:
@@ -193,15 +197,16 @@ def _off_road(off: Aside, on: Along, egos: Egos, size: Size, space: Space, times
     left = np.where(beside, space.left[:, None], space.half[:, None])[:, None]
     corner = size.width / 2 + size.length / 2 * _turned(off, on)
     out = np.maximum(np.maximum(off.d + corner - left, right - off.d + corner), 0.0)
-    return np.asarray(OFF_ROAD * np.maximum(out.max(axis=2) - out[:, :, 0], 0.0))
+    return np.asarray(OFF_ROAD_COST_1_M * np.maximum(out.max(axis=2) - out[:, :, 0], 0.0))
 
 
 def _physics(on: Along, off: Aside, bend: Floats | None) -> Floats:
     """Moving sideways without going on, and accelerations beyond the friction circle; ``(n, along, aside)``."""
-    slope = (np.abs(off.rate)[:, None] - (SLOPE * on.v + 0.1)[:, :, None]).max(axis=3)
+    slope = (np.abs(off.rate)[:, None] - (MAX_LATERAL_SLOPE * on.v + 0.1)[:, :, None]).max(axis=3)
     sideways = off.second[:, None] if bend is None else off.second[:, None] + (bend * on.v**2)[:, :, None]
     square = np.where((on.v > 0.5)[:, :, None], sideways**2 + (on.a**2)[:, :, None], 0.0).max(axis=3)
-    return np.asarray(STEEP * np.maximum(slope, 0.0) ** 2 + SLIDING * np.maximum(np.sqrt(square) - GRIP, 0.0))
+    sliding = np.maximum(np.sqrt(square) - GRIP_M_S2, 0.0)
+    return np.asarray(SLOPE_COST * np.maximum(slope, 0.0) ** 2 + SLIDING_COST * sliding)
 
 
 def _meetings(on: Along, off: Aside, others: Expected, size: Size, times: Floats) -> Floats:
@@ -209,17 +214,17 @@ def _meetings(on: Along, off: Aside, others: Expected, size: Size, times: Floats
     gap_s = np.abs(others.s[:, None] - on.s[:, :, None]) - others.half_s[:, None] - size.length / 2
     corner = _turned(off, on)[:, :, None] * size.length / 2
     gap_d = np.abs(others.d[:, None] - off.d[:, :, None]) - others.half_d[:, None] - size.width / 2 - corner
-    contact = _overlap(gap_s < CONTACT_MARGIN[0], gap_d < CONTACT_MARGIN[1])
-    near = _overlap(gap_s < NEAR_MARGIN[0], gap_d < NEAR_MARGIN[1])
-    long = (CLOSE_MARGIN[0] + CLOSE_HEADWAY * on.v)[:, :, None]
-    close = _overlap(gap_s < long, gap_d < CLOSE_MARGIN[1])
+    contact = _overlap(gap_s < CONTACT_MARGINS_M[0], gap_d < CONTACT_MARGINS_M[1])
+    near = _overlap(gap_s < NEAR_MARGINS_M[0], gap_d < NEAR_MARGINS_M[1])
+    long = (CLOSE_MARGINS_M[0] + CLOSE_MARGIN_HEADWAY_S * on.v)[:, :, None]
+    close = _overlap(gap_s < long, gap_d < CLOSE_MARGINS_M[1])
     first = _first(contact)
     when = np.minimum(first, len(times) - 1)
     pace = np.take_along_axis(on.v, when, axis=2)
-    weight = CONTACT * np.exp(-np.maximum(times - CONTACT_SOON, 0.0) / CONTACT_FADES)
+    weight = CONTACT_COST * np.exp(-np.maximum(times - CONTACT_SOON_S, 0.0) / CONTACT_FADE_S)
     hit = np.where(first < len(times), weight[when] * (0.5 + pace / 20.0), 0.0)
-    fades = np.exp(-times / NEAR_FADES) * STEP
-    return np.asarray(hit + _total(near, NEAR * fades) + _total(close, CLOSE * fades))
+    fades = np.exp(-times / NEAR_FADE_S) * COMPARED_STEP_S
+    return np.asarray(hit + _total(near, NEAR_COST_1_S * fades) + _total(close, CLOSE_COST_1_S * fades))
 
 
 def _overlap(along: Bools, across: Bools) -> Ints:
@@ -234,11 +239,11 @@ def _overlap(along: Bools, across: Bools) -> Ints:
 
 def _first(bits: Ints) -> Ints:
     """The index of the first time with a bit set; a large number if there is none."""
-    return np.min([FIRST[byte] + 8 * k for k, byte in enumerate(bits)], axis=0)
+    return np.min([FIRST_SET_BIT[byte] + 8 * k for k, byte in enumerate(bits)], axis=0)
 
 
 def _total(bits: Ints, weights: Floats) -> Floats:
     """The sum of ``weights``, ``(time,)``, over the times with a bit set."""
     padded = np.zeros(8 * len(bits))
     padded[: len(weights)] = weights
-    return np.sum([(BITS @ padded[8 * k : 8 * k + 8])[byte] for k, byte in enumerate(bits)], axis=0)
+    return np.sum([(BYTE_BITS @ padded[8 * k : 8 * k + 8])[byte] for k, byte in enumerate(bits)], axis=0)

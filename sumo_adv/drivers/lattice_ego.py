@@ -15,7 +15,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Floats, VehicleState
 from sumo_adv.drivers.lattice import (
-    SLOWEST,
+    MIN_DESIRED_SPEED_M_S,
     Egos,
     Expected,
     LatticeSettings,
@@ -27,15 +27,15 @@ from sumo_adv.drivers.lattice import (
     steering,
 )
 from sumo_adv.drivers.lattice_candidates import Space, choose
-from sumo_adv.drivers.lattice_frame import RoadFrame, Watch, expect, others_on
+from sumo_adv.drivers.lattice_frame import LINE_HOLDING_M_S2, RoadFrame, Watch, expect, others_on
 from sumo_adv.drivers.protocol import Action, Observation, Road, Steer, Wishes
 from sumo_adv.drivers.sumo_driven import Idm, sumo_type
 from sumo_adv.errors import UsageError
 from sumo_adv.geometry import wrap
 
-HELD = -3.0  # m/s2 at a line where it must wait
-SLOW, AT_LINE = 1.0, 12.5  # m/s, m from its centre: slower and nearer than this it stands at a line, without advice
-OWN = ("horizon", "braking", "lateral")  # settings that SUMO does not know
+# Without advice, an ego that is slower than this, and its centre nearer than this to a line, stands at the line.
+LINE_STANDING_SPEED_M_S, LINE_STANDING_DISTANCE_M = 1.0, 12.5
+OWN_SETTINGS = ("horizon", "braking", "lateral")  # settings that SUMO does not know
 
 
 class LatticeEgo:
@@ -53,7 +53,7 @@ class LatticeEgo:
         if not isinstance(visible_only, bool):
             raise UsageError(f"The ego 'lattice' needs 'visible_only' to be true or false, not {visible_only!r}.")
         self.wishes = Wishes(needs_road=True, visible_only=visible_only)
-        own = {name: others.pop(name) for name in OWN if name in others}
+        own = {name: others.pop(name) for name in OWN_SETTINGS if name in others}
         for name, value in own.items():
             if isinstance(value, bool) or not isinstance(value, int | float) or not 0.5 <= value <= 20.0:
                 raise UsageError(f"The ego 'lattice' needs {name!r} to be a number from 0.5 to 20, not {value!r}.")
@@ -125,15 +125,16 @@ class LatticeEgo:
         assert self._memory is not None
         times, v = self.settings.times, egos.speed[:, None]
         bends = frame.bend(egos.s[:, None] + size.length / 2 + np.maximum(v, 1.0) * times)[1]
-        speed = np.maximum(np.minimum(road.limit, bends), SLOWEST)
+        speed = np.maximum(np.minimum(road.limit, bends), MIN_DESIRED_SPEED_M_S)
         cap = eased(np.array([self._advice(road, float(egos.speed[0]), dt)]), egos.speed, self._memory.reference, dt)
         return reference(egos, size, others, speed, cap, self.settings)
 
     def _advice(self, road: Road, speed: float, dt: float) -> float:
         """The maximum acceleration [m/s2] by SUMO's driver, if it was slower than the ego asked for or may not go."""
         if road.advised is None:
-            at_line = speed < SLOW and bool(road.stop_lines) and road.stop_lines[0].ahead < AT_LINE
-            return HELD if at_line and road.must_wait else math.inf
+            near = bool(road.stop_lines) and road.stop_lines[0].ahead < LINE_STANDING_DISTANCE_M
+            at_line = speed < LINE_STANDING_SPEED_M_S and near
+            return LINE_HOLDING_M_S2 if at_line and road.must_wait else math.inf
         if road.advised > self._asked - 1e-3:
             return math.inf
         return (road.advised - self._speed) / dt

@@ -17,20 +17,21 @@ import numpy as np
 from sumo_adv.datatypes import Bools, Floats, VehicleState
 from sumo_adv.drivers.lattice import Egos, Expected, Size, look_ahead, steering
 from sumo_adv.geometry import PATH_STEP_M, Path, make_path, wrap
-from sumo_adv.metrics.reference.cc_human import STOPPING_SHORT
+from sumo_adv.metrics.reference.cc_human import YIELDING_BRAKING_M_S2
 
-COARSE = 2  # samples of the path between those that points are compared with
-BEND_LATERAL, BEND_BRAKING = 3.2, 3.0  # m/s2, m/s2: how bends are taken
-BEND_SPAN = 8  # samples to either side, over which the path turns: a lane's points are no smooth line
-FASTEST = 60.0  # m/s
-DRIFT_RATE = 0.15  # m/s, slower sideways motion is lane keeping
-DRIFT_BEND = 1.2  # m, times the yaw rate of a bend: added to that rate there
-DRIFT_TIME = 2.5  # s, how long a vehicle is expected to drift
-BRAKING = 0.5  # m/s2, less is no braking
-ALONG, ASIDE = math.pi / 4, 12.0  # rad, m: a vehicle at more than that to the path is not along it
-SMOOTHING = 0.5  # -, weight of the newest yaw rate
-NEARBY = 15.0  # m, a vehicle matters at that distance and what both go within the horizon
-FOLLOWER_GAP = 0.3  # m, added to the width of the ego's way for followers
+COARSE_PATH_STRIDE = 2  # samples of the path between those that points are compared with
+BEND_LATERAL_M_S2, BEND_BRAKING_M_S2 = 3.2, 3.0  # how bends are taken
+BEND_HALF_WINDOW = 8  # samples to either side, over which the path turns: a lane's points are no smooth line
+LINE_HOLDING_M_S2 = -3.0  # at a line where the ego must wait
+UNBENT_SPEED_M_S = 60.0
+MIN_DRIFT_M_S = 0.15  # slower sideways motion is lane keeping
+DRIFT_YAW_RATE_FACTOR_M = 1.2  # times the yaw rate of a bend: added to that rate there
+DRIFT_DURATION_S = 2.5  # how long a vehicle is expected to drift
+MIN_FORESEEN_BRAKING_M_S2 = 0.5  # less is no braking
+ALONG_PATH_RAD, ALONG_PATH_OFFSET_M = math.pi / 4, 12.0  # a vehicle at more than that to the path is not along it
+YAW_RATE_WEIGHT = 0.5  # -, weight of the newest yaw rate
+RELEVANT_GAP_M = 15.0  # a vehicle matters at that distance and what both go within the horizon
+FOLLOWER_WIDTH_MARGIN_M = 0.3  # added to the width of the ego's way for followers
 
 Poses: TypeAlias = tuple[Floats, Floats, Floats]
 """x, y [m] and heading [rad], or station, offset and heading against the path; any one shape."""
@@ -45,17 +46,17 @@ class RoadFrame:
         count = len(self.path.x)
         self._grid = PATH_STEP_M * np.arange(count)
         index = np.arange(count)
-        first, last = np.maximum(index - BEND_SPAN, 0), np.minimum(index + BEND_SPAN, count - 1)
+        first, last = np.maximum(index - BEND_HALF_WINDOW, 0), np.minimum(index + BEND_HALF_WINDOW, count - 1)
         self._curvature = (self.path.heading[last] - self.path.heading[first]) / ((last - first) * PATH_STEP_M)
-        square = np.minimum(BEND_LATERAL / np.maximum(np.abs(self._curvature), 1e-9), FASTEST**2)
-        gained = 2 * BEND_BRAKING * self._grid
+        square = np.minimum(BEND_LATERAL_M_S2 / np.maximum(np.abs(self._curvature), 1e-9), UNBENT_SPEED_M_S**2)
+        gained = 2 * BEND_BRAKING_M_S2 * self._grid
         self._pace = np.sqrt(np.minimum.accumulate((square + gained)[::-1])[::-1] - gained)
 
     def project(self, x: Floats, y: Floats, heading: Floats) -> tuple[Floats, Floats, Floats]:
         """Stations, offsets and relative headings of poses (any one shape); straight on beyond the path's ends."""
         p = self.path
-        px, py = p.x[::COARSE], p.y[::COARSE]
-        i = COARSE * np.argmin((x[..., None] - px) ** 2 + (y[..., None] - py) ** 2, axis=-1)
+        px, py = p.x[::COARSE_PATH_STRIDE], p.y[::COARSE_PATH_STRIDE]
+        i = COARSE_PATH_STRIDE * np.argmin((x[..., None] - px) ** 2 + (y[..., None] - py) ** 2, axis=-1)
         cos, sin = np.cos(p.heading[i]), np.sin(p.heading[i])
         dx, dy = x - p.x[i], y - p.y[i]
         s = PATH_STEP_M * i + cos * dx + sin * dy
@@ -113,7 +114,7 @@ class Watch:
                 before, x, y, h, rate = self._seen[o.id]
                 passed = max(time - before, 1e-3)
                 vx, vy = (o.x - x) / passed, (o.y - y) / passed
-                rate += SMOOTHING * (wrap(o.heading - h) / passed - rate)
+                rate += YAW_RATE_WEIGHT * (wrap(o.heading - h) / passed - rate)
             seen[o.id] = (time, o.x, o.y, o.heading, rate)
             rows[k] = vx, vy, rate
         self._seen = seen
@@ -128,8 +129,8 @@ def others_on(frame: RoadFrame, ego: VehicleState, others: Sequence[VehicleState
     s, d, turn = frame.project(x, y, h)
     direction = h - turn
     drift = vy * np.cos(direction) - vx * np.sin(direction)
-    keeps_lane = np.abs(drift) < DRIFT_RATE + DRIFT_BEND * (v * np.abs(frame.bend(s)[0]))
-    unknown = (s >= frame.path.length) & (np.cos(turn) <= math.cos(ALONG))  # it comes from beyond the known path
+    keeps_lane = np.abs(drift) < MIN_DRIFT_M_S + DRIFT_YAW_RATE_FACTOR_M * (v * np.abs(frame.bend(s)[0]))
+    unknown = (s >= frame.path.length) & (np.cos(turn) <= math.cos(ALONG_PATH_RAD))  # beyond the known path
     return Others(
         (x, y, h), (s, d, turn), v, a, np.where(keeps_lane, 0.0, drift), yaw_rate,
         np.where(unknown, np.inf, np.hypot(x - ego.x, y - ego.y)), length, width,
@@ -142,7 +143,7 @@ def expect(others: Others, egos: Egos, size: Size, times: Floats, project: Calla
     way = _travelled(v, others.acceleration, times)
     all_s, all_d = s[..., None] + np.cos(turn)[..., None] * way, _drifting(d, others.drift, turn, times)
     angle = np.repeat(turn[..., None], len(times), axis=-1)
-    along = (np.abs(np.sin(turn)) < math.sin(ALONG)) & (np.abs(d) < ASIDE)
+    along = (np.abs(np.sin(turn)) < math.sin(ALONG_PATH_RAD)) & (np.abs(d) < ALONG_PATH_OFFSET_M)
     if not along.all():
         free = ~along
         x, y, h = (q[free] for q in others.pose)
@@ -150,7 +151,7 @@ def expect(others: Others, egos: Egos, size: Size, times: Floats, project: Calla
     cos, sin = np.abs(np.cos(angle)), np.abs(np.sin(angle))
     length, width = others.length[..., None], others.width[..., None]
     half_s, half_d = (cos * length + sin * width) / 2, (sin * length + cos * width) / 2
-    matters = others.distance < NEARBY + times[-1] * (v + egos.speed[:, None])
+    matters = others.distance < RELEVANT_GAP_M + times[-1] * (v + egos.speed[:, None])
     matters &= ~_follows(others, egos, size, half_s[..., 0], half_d[..., 0])
     matters &= along | ~_yields(others, size, half_d[..., 0])
     return Expected(np.where(matters[..., None], all_s, np.inf), all_d, half_s, half_d, v * np.cos(turn))
@@ -158,7 +159,7 @@ def expect(others: Others, egos: Egos, size: Size, times: Floats, project: Calla
 
 def _travelled(v: Floats, a: Floats, times: Floats) -> Floats:
     """Metres at ``times``: a braking vehicle goes on braking, until standstill; all others keep their speed."""
-    braking = np.where(a < -BRAKING, a, 0.0)[..., None]
+    braking = np.where(a < -MIN_FORESEEN_BRAKING_M_S2, a, 0.0)[..., None]
     until = np.where(braking < 0, v[..., None] / np.maximum(-braking, 1e-6), np.inf)
     t = np.minimum(times, until)
     return np.asarray(v[..., None] * t + braking / 2 * t * t)
@@ -166,7 +167,7 @@ def _travelled(v: Floats, a: Floats, times: Floats) -> Floats:
 
 def _drifting(d: Floats, drift: Floats, turn: Floats, times: Floats) -> Floats:
     """Offsets of vehicles along the path; where one comes the same way to its centre, it stays there."""
-    moved = d[..., None] + drift[..., None] * np.minimum(times, DRIFT_TIME)
+    moved = d[..., None] + drift[..., None] * np.minimum(times, DRIFT_DURATION_S)
     through = (moved * d[..., None] < 0) & (np.cos(turn) > 0)[..., None]
     return np.where(through, 0.0, moved)
 
@@ -183,7 +184,7 @@ def _arcs(x: Floats, y: Floats, h: Floats, rate: Floats, way: Floats, v: Floats)
 def _follows(others: Others, egos: Egos, size: Size, half_s: Floats, half_d: Floats) -> Bools:
     """Whether a vehicle is wholly behind the ego, in its lane, and goes the same way."""
     s, d, turn = others.place
-    lane = np.abs(d - egos.d[:, None]) < half_d + size.width / 2 + FOLLOWER_GAP
+    lane = np.abs(d - egos.d[:, None]) < half_d + size.width / 2 + FOLLOWER_WIDTH_MARGIN_M
     return np.asarray((s + half_s < egos.s[:, None] - size.length / 2) & lane & (np.cos(turn) > 0))
 
 
@@ -193,4 +194,4 @@ def _yields(others: Others, size: Size, half_d: Floats) -> Bools:
     towards = -np.sign(d) * v * np.sin(turn)
     side_gap = np.abs(d) - half_d - size.width / 2
     room = side_gap * v / np.maximum(towards, 1e-6)
-    return np.asarray((side_gap > 0) & (towards > 0) & (room >= v * v / (2 * STOPPING_SHORT)))
+    return np.asarray((side_gap > 0) & (towards > 0) & (room >= v * v / (2 * YIELDING_BRAKING_M_S2)))

@@ -15,8 +15,8 @@ from sumo_adv.drivers.careful import CarefulDrivers
 from sumo_adv.road_users import unprotected
 from sumo_adv.simulation.sumo_rules import AtJunction, CarFollowing, Junctions, Scenes
 
-NOTICED = 0.005  # m/s below the unattacked speed after a step, from which on an ego no longer moves as unattacked
-ACROSS = (0.9, 2.2)  # rad: a vehicle at such an angle is no leader
+DISTURBED_SPEED_LOSS_M_S = 0.005  # after a step: with more, an ego no longer moves as unattacked
+ACROSS_ANGLES_RAD = (0.9, 2.2)  # a vehicle at such an angle is no leader
 
 
 class PredictedEgos:
@@ -65,7 +65,7 @@ class PredictedEgos:
         front_d = d + half * np.sin(h)
         ahead = s + half * np.cos(h) > self._of_pairs(self.s) + self.scenes.ego.length / 2
         bound = self._bound(adversary, speed, (ahead, front_d), at_junction)
-        self.disturbed |= bound < next_v - NOTICED
+        self.disturbed |= bound < next_v - DISTURBED_SPEED_LOSS_M_S
         v = next_v
         if self.disturbed.any():
             pace = np.maximum(self.scenes.pace(self.s), next_v)
@@ -106,7 +106,7 @@ class PredictedEgos:
         """
         own_s, own_v, own_a = (self._of_pairs(q) for q in (self.s, self.v, self.a))
         (s, _, h), (ahead, front_d) = adversary, front
-        across = (np.abs(h) > ACROSS[0]) & (np.abs(h) < ACROSS[1]) & ~self._unprotected
+        across = (np.abs(h) > ACROSS_ANGLES_RAD[0]) & (np.abs(h) < ACROSS_ANGLES_RAD[1]) & ~self._unprotected
         leads = (np.abs(front_d) < self._lane / 2) & ahead & ~across
         nose = s + self._length / 2 * np.cos(h)  # SUMO places the rear of a turned leader its length behind the nose
         gap = nose - self._length - own_s - self.scenes.ego.length / 2

@@ -267,10 +267,10 @@ def model_of(driver: Any, numbers: DriverModel) -> DriverModel:
     return numbers if own is None else own(numbers)
 
 
-WHEELBASE = 2.8  # m
-MAX_STEERING = 0.6  # rad, front wheel angle to either side
-MAX_BRAKING = 9.0  # m/s2, as SUMO's emergency deceleration
-MAX_ACCELERATION = 4.0  # m/s2
+WHEELBASE_M = 2.8
+MAX_STEERING_RAD = 0.6  # front wheel angle to either side
+MAX_BRAKING_M_S2 = 9.0  # as SUMO's emergency deceleration
+MAX_ACCELERATION_M_S2 = 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -278,17 +278,17 @@ class Bicycle:
     """A car's numbers. wheelbase [m]; rear_axle: from the box centre back to the rear axle [m], None = half of the
     wheelbase; max_steering: front wheel angle to either side [rad]; max_braking, max_acceleration [m/s2], positive."""
 
-    wheelbase: float = WHEELBASE
-    max_steering: float = MAX_STEERING
-    max_braking: float = MAX_BRAKING
-    max_acceleration: float = MAX_ACCELERATION
+    wheelbase: float = WHEELBASE_M
+    max_steering: float = MAX_STEERING_RAD
+    max_braking: float = MAX_BRAKING_M_S2
+    max_acceleration: float = MAX_ACCELERATION_M_S2
     rear_axle: float | None = None
 
 
-DEFAULT = Bicycle()
+DEFAULT_BICYCLE = Bicycle()
 
 
-def apply_steer(state: VehicleState, steer: Steer, dt: float, bicycle: Bicycle = DEFAULT) -> VehicleState:
+def apply_steer(state: VehicleState, steer: Steer, dt: float, bicycle: Bicycle = DEFAULT_BICYCLE) -> VehicleState:
     """``state`` after ``dt`` [s] of ``steer``, which is limited to what the ``bicycle`` can do.
 
     The kinematic bicycle model (Polack et al. 2017; Rajamani 2012, section 2.2, with l_r = r). Its reference point is
@@ -324,7 +324,7 @@ def apply_steer(state: VehicleState, steer: Steer, dt: float, bicycle: Bicycle =
     )
 
 
-STEEPEST = math.pi / 2  # rad: at this steering angle the bicycle would turn on the spot
+STEERING_LIMIT_RAD = math.pi / 2  # at this steering angle the bicycle would turn on the spot
 
 
 @dataclass(frozen=True, slots=True)
@@ -335,7 +335,7 @@ class Wishes:
     needs_road: bool = False
     visible_only: bool = False
     sees_buildings: bool = False
-    bicycle: Bicycle = DEFAULT
+    bicycle: Bicycle = DEFAULT_BICYCLE
 
 
 def wishes_of(controller: Any) -> Wishes:
@@ -357,7 +357,7 @@ def read_wishes(driver: Any, spec: str) -> Wishes:
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value < math.inf:
             raise UsageError(f"The ego {spec!r} has {number.name} = {value!r}; it must be a finite number above zero.")
         numbers[number.name] = float(value)
-    if numbers.get("max_steering", 0.0) >= STEEPEST:
+    if numbers.get("max_steering", 0.0) >= STEERING_LIMIT_RAD:
         raise UsageError(
             f"The ego {spec!r} has max_steering = {numbers['max_steering']:g} rad; it must be below pi / 2."
         )

@@ -36,12 +36,12 @@ from sumo_adv.drivers.blind import BlindEgo
 from sumo_adv.drivers.careful import CarefulEgo
 from sumo_adv.drivers.lattice_ego import LatticeEgo
 from sumo_adv.drivers.protocol import Action, EgoController, LaneSpeed, Observation, Pose, Steer, model_of, read_wishes
-from sumo_adv.drivers.sumo_driven import MODELS, DriverType, ReplayEgo, SumoEgo, sumo_type
+from sumo_adv.drivers.sumo_driven import FOLLOWING_MODELS, DriverType, ReplayEgo, SumoEgo, sumo_type
 from sumo_adv.errors import DriverError, SimulationError, UsageError, nearest, ran_out_of_memory
 from sumo_adv.simulation.watch import OutOfTimeError
 
 T = TypeVar("T")
-LARGEST_ANSWER = 1e9  # of a number in an action: SUMO takes whole numbers of 32 bits
+MAX_ACTION_NUMBER = 1e9  # of a number in an action: SUMO takes whole numbers of 32 bits
 METHODS = {"reset": "reset(seed)", "act": "act(observation)"}  # of a driver
 
 
@@ -82,10 +82,10 @@ class UserEgo:
             if not isinstance(value, int | float):
                 wrong = f"a number of it is of the type {type(value).__name__}: say float(...)"
                 raise DriverError(f"The ego {self._spec!r} returned {action!r} {at}; {wrong}.")
-            if not math.isfinite(value) or abs(value) > LARGEST_ANSWER:
+            if not math.isfinite(value) or abs(value) > MAX_ACTION_NUMBER:
                 raise DriverError(
                     f"The ego {self._spec!r} returned {str(action)[:200]} {at}; its numbers must be finite, "
-                    f"and at most {LARGEST_ANSWER:g}."
+                    f"and at most {MAX_ACTION_NUMBER:g}."
                 )
         return action
 
@@ -167,7 +167,7 @@ def make_object(kind: str, spec: str, parameters: Mapping[str, Any], methods: Ma
 
 COMMAND_LINE_READERS = ("absl", "argparse", "click", "docopt", "fire", "getopt", "optparse", "typer")
 """Packages that read the command line of the process, and end it."""
-MOST_WORDS = 200  # characters of what a module wrote, in a sentence
+MAX_MODULE_OUTPUT_CHARACTERS = 200  # of what a module wrote, in a sentence
 
 
 class _Words:
@@ -191,7 +191,7 @@ class _Words:
     @property
     def last_line(self) -> str:
         lines = [line.strip() for line in self._kept.splitlines() if line.strip()]
-        return lines[-1][-MOST_WORDS:].rstrip(".") if lines else ""
+        return lines[-1][-MAX_MODULE_OUTPUT_CHARACTERS:].rstrip(".") if lines else ""
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._to, name)
@@ -249,7 +249,7 @@ def _not_yours(kind: str, spec: str) -> UsageError:
     return UsageError(f"The {kind} {spec!r} is a class of Python's standard library: name a class of your own.")
 
 
-PREFIX = "object:"  # of the names of such drivers; no module can be called so, because a colon follows
+OBJECT_PREFIX = "object:"  # of the names of such drivers; no module can be called so, because a colon follows
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,7 +269,7 @@ def pack(ego: Any) -> GivenEgo:
     import cloudpickle
 
     made = not isinstance(ego, type)
-    name = PREFIX + (type(ego) if made else ego).__name__
+    name = OBJECT_PREFIX + (type(ego) if made else ego).__name__
     _check_methods("ego", name, ego, METHODS)
     try:
         return GivenEgo(name, made, cloudpickle.dumps(ego))
@@ -297,7 +297,7 @@ def unpack(given: GivenEgo, parameters: Mapping[str, Any]) -> Any:
 def lost(name: str, source: str) -> UsageError:
     """That a driver was given as an object, and ``source`` does not hold it."""
     return UsageError(
-        f"{source} was driven by an object from Python, {name.removeprefix(PREFIX)!r}, which no file holds: "
+        f"{source} was driven by an object from Python, {name.removeprefix(OBJECT_PREFIX)!r}, which no file holds: "
         "give it again with sumo_adv.run(ego=...)."
     )
 
@@ -320,7 +320,7 @@ def _fiss_plus(parameters: Mapping[str, Any]) -> EgoController:
 
 
 DRIVERS: Mapping[str, Callable[[Mapping[str, Any]], EgoController]] = {
-    **{name: partial(SumoEgo, name) for name in MODELS},
+    **{name: partial(SumoEgo, name) for name in FOLLOWING_MODELS},
     "blind": BlindEgo,
     "careful": CarefulEgo,
     "fiss_plus": _fiss_plus,
@@ -338,7 +338,7 @@ def make_ego(name: str, parameters: Mapping[str, Any], given: GivenEgo | None = 
     """
     if given is not None:
         return UserEgo(given.name, unpack(given, parameters))
-    if name.startswith(PREFIX):
+    if name.startswith(OBJECT_PREFIX):
         raise lost(name, "The run")
     if ":" in name:
         return UserEgo(name, make_object("ego", name, parameters, METHODS))
@@ -369,7 +369,7 @@ def trusted_driver(named: str | None, recorded: str | None, source: Path) -> str
 
     Raises UsageError: only ``source`` names the driver, and it is a class of another package or was given as an object.
     """
-    if named is None and recorded is not None and recorded.startswith(PREFIX):
+    if named is None and recorded is not None and recorded.startswith(OBJECT_PREFIX):
         raise lost(recorded, f"The run in {source}")
     if named is None and recorded is not None and is_foreign(recorded):
         raise UsageError(

@@ -58,7 +58,7 @@ class Eidm(Idm):
     sigmaerror: float = 0.0  # -, driving error (SUMO: 0.04)
 
 
-MODELS: Mapping[str, tuple[str, type[FollowingParameters]]] = {
+FOLLOWING_MODELS: Mapping[str, tuple[str, type[FollowingParameters]]] = {
     "krauss": ("Krauss", Krauss),
     "idm": ("IDM", Idm),
     "eidm": ("EIDM", Eidm),
@@ -81,7 +81,7 @@ def sumo_type(model: str, parameters: Mapping[str, Any]) -> DriverType:
 
     Raises UsageError for an unknown parameter, or a value that is no number or out of range.
     """
-    sumo_name, settings = MODELS[model]
+    sumo_name, settings = FOLLOWING_MODELS[model]
     values = {f.name: f.default for f in fields(settings)}
     for name, value in parameters.items():
         if name not in values:
@@ -117,7 +117,7 @@ class SumoEgo:
     needs_observation = False
 
     def __init__(self, model: str, parameters: Mapping[str, Any]) -> None:
-        """``model``: a key of ``MODELS``. Raises UsageError as ``sumo_type`` does."""
+        """``model``: a key of ``FOLLOWING_MODELS``. Raises UsageError as ``sumo_type`` does."""
         self.name = model
         self.sumo_type: Mapping[str, str] = sumo_type(model, parameters)
 

@@ -18,12 +18,12 @@ from sumo_adv.datatypes import Boxes, Floats, VehicleState
 from sumo_adv.drivers.protocol import Observation, Vehicle
 from sumo_adv.geometry import wrap_below_pi
 from sumo_adv.metrics.reference import Braker
-from sumo_adv.metrics.reference.view import HISTORY, EgoPaths, View
+from sumo_adv.metrics.reference.view import YAW_RATE_SPAN_S, EgoPaths, View
 from sumo_adv.road_users import is_unprotected
 
 HALF_LANE_M = 1.6  # half of SUMO's default lane, where the lane is not known
 SIGHT_S = 5.0  # of driving at both speeds, within which a vehicle is watched
-LEAST_SIGHT_M = 20.0
+MIN_SIGHT_M = 20.0
 PATH_SPACING_M = 2.0  # between the points of a path
 STRAIGHT_PATH_M = 150.0  # length of the path where the engine does not give one
 PastPose = tuple[float, float, float]  # x, y [m], heading [rad]
@@ -45,8 +45,8 @@ class Others:
     """The M vehicles that each ego watches, box centres in the frame of the ego's path, arrays ``(N, M)``.
 
     station, offset [m, left positive]; heading against the path [rad]; speed [m/s]; sideways: change of the offset over
-    the last step [m/s]; acceleration [m/s2]; yaw_rate: mean over the last ``HISTORY`` seconds [rad/s]; size [m].
-    """
+    the last step [m/s]; acceleration [m/s2]; yaw_rate: mean over the last ``YAW_RATE_SPAN_S`` seconds [rad/s]; size
+    [m]."""
 
     station: Floats
     offset: Floats
@@ -143,7 +143,7 @@ class Watcher:
 
     def _remember(self, others: Sequence[VehicleState]) -> None:
         """Append the present poses; forget vehicles out of sight."""
-        steps = max(1, round(HISTORY / self._dt)) + 1
+        steps = max(1, round(YAW_RATE_SPAN_S / self._dt)) + 1
         self._past = {o.id: self._past.get(o.id, deque(maxlen=steps)) for o in others}
         for vehicle in others:
             self._past[vehicle.id].append((vehicle.x, vehicle.y, vehicle.heading))
@@ -201,7 +201,7 @@ def lane_half_width_of(observation: Observation) -> float:
 
 def _in_sight(ego: VehicleState, other: VehicleState) -> bool:
     """Whether the two can meet soon, in whatever direction they turn."""
-    reach = LEAST_SIGHT_M + SIGHT_S * (ego.speed + other.speed)
+    reach = MIN_SIGHT_M + SIGHT_S * (ego.speed + other.speed)
     return abs(other.x - ego.x) < reach and abs(other.y - ego.y) < reach
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from sumo_adv.datatypes import VehicleState
 from sumo_adv.drivers import Steer
-from sumo_adv.drivers.protocol import WHEELBASE
+from sumo_adv.drivers.protocol import WHEELBASE_M
 from sumo_adv.geometry import wrap
 from sumo_adv.simulation.network import Lane, RoadMap
 from sumo_adv.simulation.simulation import Simulation
@@ -171,7 +171,7 @@ def back_to_lane(place: LanePlace, ego: VehicleState, speed: float | None, dt: f
     angle = wrap(math.atan2(y - ego.y, x - ego.x) - ego.heading)
     wanted = max(ego.speed if speed is None else speed, CREEP_M_S)
     away = max(math.dist((x, y), (ego.x, ego.y)), AIM_M / 2)
-    return Steer((wanted - ego.speed) / dt, math.atan(2 * WHEELBASE * math.sin(angle) / away))
+    return Steer((wanted - ego.speed) / dt, math.atan(2 * WHEELBASE_M * math.sin(angle) / away))
 
 
 def front_on(lane: Lane, vehicle: VehicleState, simulation: Simulation) -> float:

@@ -17,7 +17,7 @@ from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.errors import BankError
 from sumo_adv.memory.bank import MemoryBank, retrieve_composition
-from sumo_adv.memory.recall import SCALES, draw, explain, signature_distance
+from sumo_adv.memory.recall import SCENE_SCALES, draw, explain, signature_distance
 from sumo_adv.memory.records import Composition, Evidence, IntentRecord, Part, SceneSignature, canonical, evidence_of
 from sumo_adv.search.intents import COMPOSED, EXPERT, FREE, Selection, applies_of, select
 from sumo_adv.search.supports import ANY_FITTING, Cast, description_of
@@ -293,5 +293,7 @@ def signature(situation: Situation, bv: str, driver: str) -> SceneSignature:
     scene = (x, y, heading, target.state.speed, situation.ego.speed)
     kinds = {w.conflict.kind for w in target.ways if w.conflict is not None}
     geometry = "straight" if not kinds else ("crossing" if "crossing" in kinds else "merging")
-    relative = {name: round(value, 3 if name == "heading" else 2) for name, value in zip(SCALES, scene, strict=True)}
+    relative = {
+        name: round(value, 3 if name == "heading" else 2) for name, value in zip(SCENE_SCALES, scene, strict=True)
+    }
     return SceneSignature(geometry, target.relation, relative, driver)

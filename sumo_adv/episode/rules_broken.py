@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from sumo_adv.datatypes import Attempt
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
-from sumo_adv.metrics.fault import ADVERSARY, EGO
+from sumo_adv.metrics.fault import ADVERSARY_PARTY, EGO_PARTY
 from sumo_adv.simulation.simulation import Snapshot
 from sumo_adv.situation import ReferencePath, Signal, Situation
 
@@ -41,9 +41,9 @@ def rules_broken(attempt: Attempt, result: AttemptResult, found: FoundEncounter)
     signals = situation.traffic.signals
     red = {
         name: red_light_at(vehicle, signals.get(vehicle, ()), before) is not None
-        for name, vehicle in ((ADVERSARY, p.bv), (EGO, found.ego))
+        for name, vehicle in ((ADVERSARY_PARTY, p.bv), (EGO_PARTY, found.ego))
     }
-    return RulesBroken(_by(red[ADVERSARY], red[EGO]), _not_yielding(situation, p.bv, found.ego, before))
+    return RulesBroken(_by(red[ADVERSARY_PARTY], red[EGO_PARTY]), _not_yielding(situation, p.bv, found.ego, before))
 
 
 def red_light_at(vehicle: str, signals: Sequence[Signal], snapshots: Sequence[Snapshot]) -> float | None:
@@ -73,7 +73,7 @@ def red_light_at(vehicle: str, signals: Sequence[Signal], snapshots: Sequence[Sn
 
 
 def _by(adversary: bool, ego: bool) -> str:
-    return BOTH if adversary and ego else ADVERSARY if adversary else EGO if ego else NONE
+    return BOTH if adversary and ego else ADVERSARY_PARTY if adversary else EGO_PARTY if ego else NONE
 
 
 def _not_yielding(situation: Situation, bv: str, ego: str, before: Sequence[Snapshot]) -> str:

@@ -23,7 +23,7 @@ import numpy.ma
 
 from sumo_adv.datatypes import AS_FOUND, Arrival, Boxes, Ending, LaneStrip, Preventability, Proposal, Track
 from sumo_adv.drivers import ReplayEgo, make_ego
-from sumo_adv.drivers.protocol import MAX_BRAKING
+from sumo_adv.drivers.protocol import MAX_BRAKING_M_S2
 from sumo_adv.episode.attempt import Driven, attack, box_of, controller_of
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.encounter_builder import ENDANGERS, LEAST, UnattackedMotion, build_encounter, nearest_ones
@@ -275,7 +275,7 @@ class EpisodeWorker(EpisodeCalls):
             first = max(0, len(drive.recording.snapshots) - settings.steps(WARM_UP_S))
             logged = drive.replayed() or isinstance(tested, ReplayEgo)
             log = self._baseline_ego if logged else None
-            strong = partial(drive.simulation.strengthen, drive.ego, MAX_BRAKING)
+            strong = partial(drive.simulation.strengthen, drive.ego, MAX_BRAKING_M_S2)
             drive.controller = ReferenceEgo(
                 tested, BRAKERS[name], drive.tracks(start=first), drive.ego, strong, log
             )  # fmt: skip

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from sumo_adv.datatypes import Endpoint, Limits, VehicleState
 from sumo_adv.drivers import Action, LaneSpeed, Steer
-from sumo_adv.drivers.protocol import MAX_ACCELERATION, MAX_BRAKING, MAX_STEERING, WHEELBASE
+from sumo_adv.drivers.protocol import MAX_ACCELERATION_M_S2, MAX_BRAKING_M_S2, MAX_STEERING_RAD, WHEELBASE_M
 from sumo_adv.errors import UsageError
 from sumo_adv.geometry import Path, Pose, wrap
 
@@ -72,8 +72,8 @@ def ego_action(kind: str, numbers: Numbers, me: VehicleState, limit: float, dt: 
         return LaneSpeed(None, max(min(speed, max(limit, me.speed - GENTLE * dt)), 0.0))
     second = others[0]
     if kind == "controls":
-        acceleration = first * (MAX_ACCELERATION if first > 0 else MAX_BRAKING)
-        sharpest = min(MAX_STEERING, math.atan(LATERAL * WHEELBASE / max(me.speed, 1.0) ** 2))
+        acceleration = first * (MAX_ACCELERATION_M_S2 if first > 0 else MAX_BRAKING_M_S2)
+        sharpest = min(MAX_STEERING_RAD, math.atan(LATERAL * WHEELBASE_M / max(me.speed, 1.0) ** 2))
         return Steer(acceleration, second * sharpest)
     wished = (first + 1.0) / 2.0 * FASTER * limit
     speed = min(max(wished, me.speed - HARD * dt), me.speed + GENTLE * dt)

@@ -15,7 +15,7 @@ from sumo_adv.app import load, new_engine, new_sandbox, open_agents, open_for_ru
 from sumo_adv.config import Settings, load_settings
 from sumo_adv.datatypes import Proposal, Verdict
 from sumo_adv.drivers import Action, Observation
-from sumo_adv.drivers.registry import PREFIX, GivenEgo, pack
+from sumo_adv.drivers.registry import OBJECT_PREFIX, GivenEgo, pack
 from sumo_adv.drivers.sumo_driven import sumo_type
 from sumo_adv.episode.assessment import AttemptRunner
 from sumo_adv.episode.engine import EpisodeCalls
@@ -70,7 +70,7 @@ class AgentEgo:
         return None
 
 
-AGENT = PREFIX + AgentEgo.__name__
+AGENT = OBJECT_PREFIX + AgentEgo.__name__
 
 
 def _silent(*_: object) -> None:

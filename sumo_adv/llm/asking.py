@@ -15,12 +15,12 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from sumo_adv.errors import BudgetError, ModelError
-from sumo_adv.llm.chat import CUT, ChatModel, ChatRequest, Ledger, Messages, run_in_thread, without_thought
+from sumo_adv.llm.chat import CUT_SHORT, ChatModel, ChatRequest, Ledger, Messages, run_in_thread, without_thought
 
 T = TypeVar("T", bound=BaseModel)
-MAX_FAULTS = 5  # of an answer that are sent back
-MAX_OBJECTS = 40  # that are read from prose
-MAX_ECHO = 6000  # characters of a refused answer that are sent back
+MAX_LISTED_FAULTS = 5  # of an answer that are sent back
+MAX_OBJECTS_IN_PROSE = 40  # that are read from prose
+MAX_ECHO_CHARACTERS = 6000  # of a refused answer that are sent back
 
 _OBJECT = re.compile(r'\{(?=\s*["}])')
 _FENCE = re.compile(r"```[a-zA-Z]*[ \t]*\n(.*?)```", re.DOTALL)
@@ -63,7 +63,7 @@ def ask(
         answer, fault = read_answer(text, answer_type)
         if answer is None and not text:  # some servers leave the answer where the thinking is
             answer, _ = read_answer(reply.reasoning or reply.text, answer_type)
-        if answer is None and reply.finish == CUT:
+        if answer is None and reply.finish == CUT_SHORT:
             fault = f"It was cut at the token limit; answer in fewer words. {fault}"
         if answer is not None:
             fault = check(answer)
@@ -72,9 +72,9 @@ def ask(
         if turn < re_asks:
             metered.ledger.count_one(agent, "re_asks")
             again = f"That answer cannot be used. {fault}\nAnswer again: one JSON object, whole, and nothing else."
-            messages = (*messages, ("assistant", text[:MAX_ECHO] or "(nothing)"), ("user", again))
+            messages = (*messages, ("assistant", text[:MAX_ECHO_CHARACTERS] or "(nothing)"), ("user", again))
     times = "once" if re_asks == 0 else f"{re_asks + 1} times"
-    advice = "raise llm_answer_tokens or the server's own limit" if reply.finish == CUT else "try another model"
+    advice = "raise llm_answer_tokens or the server's own limit" if reply.finish == CUT_SHORT else "try another model"
     raise ModelError(
         f"The {agent}'s answer from {metered.model.name} was refused {times}; {advice}. Last fault: {fault}"
     )
@@ -144,7 +144,7 @@ def _objects_in_prose(text: str, decoder: json.JSONDecoder) -> tuple[list[Any], 
     objects: list[Any] = []
     fault: str | None = None
     at = 0
-    for _ in range(MAX_OBJECTS):
+    for _ in range(MAX_OBJECTS_IN_PROSE):
         begin = _OBJECT.search(text, at)
         if begin is None:
             break
@@ -168,9 +168,10 @@ def _reject_constant(word: str) -> float:
 def _faults(error: ValidationError) -> str:
     errors = error.errors(include_url=False)
     texts = [
-        f"{'.'.join(str(p) for p in e['loc']) or 'the answer'}: {e['msg']}{_given(e)}" for e in errors[:MAX_FAULTS]
+        f"{'.'.join(str(p) for p in e['loc']) or 'the answer'}: {e['msg']}{_given(e)}"
+        for e in errors[:MAX_LISTED_FAULTS]
     ]
-    more = f"; and {len(errors) - MAX_FAULTS} more" if len(errors) > MAX_FAULTS else ""
+    more = f"; and {len(errors) - MAX_LISTED_FAULTS} more" if len(errors) > MAX_LISTED_FAULTS else ""
     return f"It is not of the shape asked for. {'; '.join(texts)}{more}."
 
 

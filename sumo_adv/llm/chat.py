@@ -17,12 +17,12 @@ from sumo_adv.errors import BudgetError, ModelError
 
 Messages = tuple[tuple[str, str], ...]
 CHARACTERS_PER_TOKEN = 4  # of English text and code, roughly
-CUT = "length"  # the finish_reason of an answer that ended at the token limit
+CUT_SHORT = "length"  # the finish_reason of an answer that ended at the token limit
 T = TypeVar("T")
 _THOUGHT = re.compile(r"<think(?:ing)?>.*?</think(?:ing)?>", re.DOTALL)
 _END_OF_THOUGHT = re.compile(r"</think(?:ing)?>")
 _UNENDED_THOUGHT = re.compile(r"^\s*<think(?:ing)?>")
-COUNTS = (
+LEDGER_COUNTS = (
     "calls", "prompt_tokens", "completion_tokens", "cached_tokens", "milliseconds", "retries", "re_asks", "dropped",
 )  # fmt: skip
 
@@ -51,7 +51,7 @@ class ChatReply:
     prompt_tokens, completion_tokens: estimates if the server does not count them.
     seconds: duration of the question with all its retries [s], rounded to ms.
     mode: how the schema was sent: json_schema, json_object or text.
-    finish: the server's finish_reason, "" if it gives none; ``CUT`` is the token limit.
+    finish: the server's finish_reason, "" if it gives none; ``CUT_SHORT`` is the token limit.
     """
 
     text: str
@@ -202,11 +202,11 @@ class Ledger:
             return {**_with_seconds(self._totals()), "agents": agents}
 
     def _add(self, agent: str, name: str, number: int) -> None:
-        counts = self._agents.setdefault(agent, dict.fromkeys(COUNTS, 0))
+        counts = self._agents.setdefault(agent, dict.fromkeys(LEDGER_COUNTS, 0))
         counts[name] += number
 
     def _totals(self) -> dict[str, int]:
-        return {name: sum(counts[name] for counts in self._agents.values()) for name in COUNTS}
+        return {name: sum(counts[name] for counts in self._agents.values()) for name in LEDGER_COUNTS}
 
 
 def _with_seconds(counts: dict[str, int]) -> dict[str, Any]:

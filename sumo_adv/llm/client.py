@@ -13,7 +13,7 @@ from pydantic import SecretStr
 from sumo_adv.config import ModelSettings, ResponseFormat, one_word
 from sumo_adv.errors import UsageError
 from sumo_adv.llm import wire
-from sumo_adv.llm.chat import CUT, BudgetedModel, ChatModel, ChatReply, ChatRequest, Ledger, without_thought
+from sumo_adv.llm.chat import CUT_SHORT, BudgetedModel, ChatModel, ChatReply, ChatRequest, Ledger, without_thought
 from sumo_adv.llm.recording import Replay
 from sumo_adv.llm.transport import Clock, Question, ServerConnection
 
@@ -176,4 +176,4 @@ class HttpModel:
 def only_thought(reply: ChatReply) -> bool:
     """Whether the model thought and gave no answer: its thinking was cut off, or holds no JSON object."""
     thought = reply.reasoning or reply.text
-    return not without_thought(reply.text) and bool(thought) and (reply.finish == CUT or "{" not in thought)
+    return not without_thought(reply.text) and bool(thought) and (reply.finish == CUT_SHORT or "{" not in thought)

@@ -18,8 +18,10 @@ from sumo_adv.llm.chat import estimate_tokens, one_line
 from sumo_adv.metrics.avoidance import DELAY
 from sumo_adv.metrics.reference import brakers, cc_human
 
-NAMES = ("analyzer", "confirm", "danger", "generator", "modifier", "planner", "reading", "request", "teams", "write")
-MAX_TEXT = 600  # characters of a label or description in a prompt
+PROMPT_NAMES = (
+    "analyzer", "confirm", "danger", "generator", "modifier", "planner", "reading", "request", "teams", "write",
+)  # fmt: skip
+MAX_PROMPT_TEXT_CHARACTERS = 600  # of a label or description in a prompt
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,8 +39,9 @@ class Prompt:
 
 
 def sanitize(text: str) -> str:
-    """A text from a bank, a file or a person as one line without control characters and fences, cut to ``MAX_TEXT``."""
-    return one_line(text).replace("```", "'''")[:MAX_TEXT]
+    """A text from a bank, a file or a person as one line without control characters and fences, cut to
+    ``MAX_PROMPT_TEXT_CHARACTERS``."""
+    return one_line(text).replace("```", "'''")[:MAX_PROMPT_TEXT_CHARACTERS]
 
 
 def fenced(text: str) -> str:
@@ -52,7 +55,7 @@ class Prompts:
     def __init__(self, folder: Path) -> None:
         self._parts: dict[str, tuple[str, str]] = {}
         self.versions: dict[str, dict[str, str]] = {}  # version and SHA-256 of each file, for the manifest
-        for name in NAMES:
+        for name in PROMPT_NAMES:
             file = folder / f"{name}.md"
             try:
                 text = file.read_text(encoding="utf-8")
@@ -102,11 +105,12 @@ def _filled(name: str, text: str, variables: Mapping[str, str], allowed: set[str
 def danger_words(prompts: Prompts) -> str:
     """The rules by which a danger shows, and when the reference drivers then act."""
     numbers = {
-        "perception": cc_human.PERCEPTION, "drift": cc_human.WANDERING, "reach": cc_human.DANGER,
-        "hard": cc_human.HARD_BRAKING, "following": cc_human.FOLLOWING, "own": cc_human.OWN_BRAKING,
-        "reaction": cc_human.REACTION, "facing": cc_human.FACING_SIGHT, "facing_margin": cc_human.FACING_MARGIN,
-        "alarm": cc_human.ALARM_BRAKING, "short": cc_human.STOPPING_SHORT, "crossing": cc_human.CROSSING_SIGHT,
-        "crossing_margin": cc_human.CROSSING_MARGIN, "ramp": brakers.RAMP, "full": round(brakers.FULL_BRAKING, 1),
-        "steers": round(DELAY - cc_human.PERCEPTION, 2),
+        "perception": cc_human.PERCEPTION_S, "drift": cc_human.WANDERING_M, "reach": cc_human.DANGER_TTC_S,
+        "hard": cc_human.LEADER_HARD_BRAKING_M_S2, "following": cc_human.FOLLOWING_HEADWAY_S,
+        "own": cc_human.OWN_BRAKING_M_S2, "reaction": cc_human.HUMAN_REACTION_S, "facing": cc_human.FACING_SIGHT_S,
+        "facing_margin": cc_human.FACING_MARGIN_M, "alarm": cc_human.ALARM_BRAKING_M_S2,
+        "short": cc_human.YIELDING_BRAKING_M_S2, "crossing": cc_human.CROSSING_SIGHT_S,
+        "crossing_margin": cc_human.CROSSING_MARGIN_M, "ramp": brakers.FULL_BRAKING_RAMP_S,
+        "full": round(brakers.FULL_BRAKING_M_S2, 1), "steers": round(DELAY - cc_human.PERCEPTION_S, 2),
     }  # fmt: skip
     return prompts.piece("danger", **{name: f"{number:g}" for name, number in numbers.items()})

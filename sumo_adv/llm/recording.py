@@ -19,9 +19,9 @@ from sumo_adv.llm.chat import ChatModel, ChatReply, ChatRequest, Messages
 from sumo_adv.parsing import parse_json
 
 KIND = "sumo_adv recording of a language model"
-SCHEMA = 1
-REPLAYED = "replay of "
-CONTEXT = 30  # characters shown on both sides of the first difference of two questions
+RECORDING_SCHEMA = 1
+REPLAYED_PREFIX = "replay of "
+DIFFERENCE_CONTEXT = 30  # characters shown on both sides of the first difference of two questions
 
 
 class Recorder:
@@ -31,7 +31,7 @@ class Recorder:
         """Write the header. ``note``: origin of the answers. Raises ModelError if the file cannot be written."""
         self._path = path
         self._lock = threading.Lock()
-        header = {"kind": KIND, "schema": SCHEMA, "model": model.removeprefix(REPLAYED), "note": note}
+        header = {"kind": KIND, "schema": RECORDING_SCHEMA, "model": model.removeprefix(REPLAYED_PREFIX), "note": note}
         try:
             self._file = path.open("w", encoding="utf-8", newline="\n")
         except OSError as error:
@@ -127,7 +127,7 @@ class Replay:
     """
 
     def __init__(self, path: Path, model: str, exchanges: Sequence[Exchange]) -> None:
-        self.name = REPLAYED + model
+        self.name = REPLAYED_PREFIX + model
         self._path = path
         self._exchanges = tuple(exchanges)
         self._lock = threading.Lock()
@@ -179,7 +179,7 @@ class Replay:
             difference = f"is sample {nearest.sample} instead of {request.sample}"
         else:
             at = _common_prefix(old, new)
-            there, here = (repr(text[max(0, at - CONTEXT) : at + CONTEXT]) for text in (old, new))
+            there, here = (repr(text[max(0, at - DIFFERENCE_CONTEXT) : at + DIFFERENCE_CONTEXT]) for text in (old, new))
             difference = f"differs from character {at + 1} on: {there} recorded, {here} asked"
         return (
             f"The recording {self._path} lacks this question of the {request.agent}; record the run again "
@@ -198,9 +198,9 @@ def _read(path: Path, of_file: str) -> tuple[str, list[Exchange]]:
     header = _json(lines[0]) if lines else None
     if not isinstance(header, dict) or header.get("kind") != KIND:
         raise UsageError(f"The file {path} is no recording of this program; give the model.jsonl of a run.")
-    if header.get("schema") != SCHEMA:
+    if header.get("schema") != RECORDING_SCHEMA:
         raise UsageError(
-            f"The recording {path} has schema {header.get('schema')!r}, but this program reads {SCHEMA}; "
+            f"The recording {path} has schema {header.get('schema')!r}, but this program reads {RECORDING_SCHEMA}; "
             "record it again."
         )
     exchanges = [

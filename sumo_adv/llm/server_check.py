@@ -13,15 +13,15 @@ from sumo_adv.llm.client import HttpModel, Server
 from sumo_adv.llm.transport import Clock, ServerConnection
 from sumo_adv.llm.wire import quoted
 
-QUESTION_TOKENS = 8_000  # the longest question of the shipped recordings has 7,600
-CONTEXT_TOKENS = 11_000  # with the longest answer, of 3,000
-ANSWER_TOKENS = 2
-LIST_SECONDS = 10.0
-WORD = "road "  # one token of most models
+PROBE_QUESTION_TOKENS = 8_000  # the longest question of the shipped recordings has 7,600
+MIN_CONTEXT_TOKENS = 11_000  # with the longest answer, of 3,000
+PROBE_ANSWER_TOKENS = 2
+LIST_TIMEOUT_S = 10.0
+ONE_TOKEN_WORD = "road "  # one token of most models
 CONTEXT_KEYS = ("max_model_len", "context_length", "loaded_context_length", "context_window", "n_ctx")
 """Where servers say the context of a model: vLLM and SGLang, OpenRouter, LM Studio, Groq, llama.cpp."""
-REFUSED = (401, 403)  # status for a wrong key
-CUT = (1_000, 6_000)  # tokens that a server counts which cut the question; one that counts fewer counts something else
+KEY_REFUSED_STATUSES = (401, 403)  # status for a wrong key
+CUT_QUESTION_TOKENS = (1_000, 6_000)  # counts of a server that cut the question; smaller ones count something else
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,13 +40,13 @@ class ServerCheck:
 
 
 def check_server(name: str, server: Server, settings: ModelSettings, schema: Mapping[str, Any]) -> ServerCheck:
-    """Ask a server for its models, and then one question with ``schema`` and an answer of ``ANSWER_TOKENS``.
+    """Ask a server for its models, and then one question with ``schema`` and an answer of ``PROBE_ANSWER_TOKENS``.
 
     The question is short where the server says that its context is long enough. Raises ModelError, which says what is
     wrong: the key, the context, the model, or the server.
     """
-    status, listing = ServerConnection(name, server.base_url, server.key, settings, Clock()).models(LIST_SECONDS)
-    if status in REFUSED:
+    status, listing = ServerConnection(name, server.base_url, server.key, settings, Clock()).models(LIST_TIMEOUT_S)
+    if status in KEY_REFUSED_STATUSES:
         raise ModelError(
             f"The server of model {name} does not accept the key for its list of models (status {status}); set "
             "SUMO_ADV_LLM_API_KEY."
@@ -54,23 +54,23 @@ def check_server(name: str, server: Server, settings: ModelSettings, schema: Map
     entries = _entries(listing) if status == 200 else []
     listed = tuple(quoted(str(entry["id"])) for entry in entries)
     context = _context(entries, server.model)
-    if context is not None and context < CONTEXT_TOKENS:
+    if context is not None and context < MIN_CONTEXT_TOKENS:
         raise ModelError(_too_short(name, f"has a context of {context:,} tokens"))
-    words = 1 if context is not None else QUESTION_TOKENS
+    words = 1 if context is not None else PROBE_QUESTION_TOKENS
     asked = ChatRequest(
-        "doctor", (("system", "Answer with one JSON object."), ("user", WORD * words)), schema, "Analysis"
+        "doctor", (("system", "Answer with one JSON object."), ("user", ONE_TOKEN_WORD * words)), schema, "Analysis"
     )  # fmt: skip
-    limited = settings.model_copy(update={"llm_answer_tokens": ANSWER_TOKENS})
+    limited = settings.model_copy(update={"llm_answer_tokens": PROBE_ANSWER_TOKENS})
     reply = HttpModel(name, server, limited, Ledger(), Clock()).complete(asked)
-    if context is None and CUT[0] <= reply.prompt_tokens <= CUT[1]:
+    if context is None and CUT_QUESTION_TOKENS[0] <= reply.prompt_tokens <= CUT_QUESTION_TOKENS[1]:
         raise ModelError(_too_short(name, f"cut a question of {words:,} tokens to {reply.prompt_tokens:,}"))
     return ServerCheck(listed, context, reply.mode)
 
 
 def _too_short(name: str, what: str) -> str:
     return (
-        f"The server of model {name} {what}, and a question takes up to {CONTEXT_TOKENS:,} with its answer; start it "
-        "with a longer context (vLLM --max-model-len, llama.cpp -c, Ollama num_ctx)."
+        f"The server of model {name} {what}, and a question takes up to {MIN_CONTEXT_TOKENS:,} with its answer; start "
+        "it with a longer context (vLLM --max-model-len, llama.cpp -c, Ollama num_ctx)."
     )
 
 

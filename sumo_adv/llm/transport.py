@@ -29,25 +29,25 @@ from sumo_adv.config import ModelSettings
 from sumo_adv.errors import BudgetError, ModelError
 from sumo_adv.llm import wire
 from sumo_adv.llm.chat import run_in_thread
-from sumo_adv.llm.wire import LATER, ServerFault, fault_of
+from sumo_adv.llm.wire import TRY_LATER, ServerFault, fault_of
 
-BLANK = "***"
-MOST_BACKSLASHES = 8  # before one character: JSON in JSON in JSON has 7
+KEY_BLANK = "***"
+MAX_BACKSLASHES = 8  # before one character: JSON in JSON in JSON has 7
 
 Blanker = Callable[[str], str]
 MAX_ANSWER_BYTES = 2_000_000
-FIRST_WAIT = 0.5  # s, before the first retry
+FIRST_RETRY_WAIT_S = 0.5  # before the first retry
 NO_ADDRESS = re.compile(r"(?i)(unexpected|unknown|invalid|no such) (endpoint|url|route|path)")
 """In an error with status 200 of a server that does not know the address (LM Studio)."""
-MAX_WAIT = 8.0  # s, unless the server asks for more
-MOST_DOUBLINGS = 4  # of FIRST_WAIT: to MAX_WAIT
+MAX_RETRY_WAIT_S = 8.0  # unless the server asks for more
+MAX_WAIT_DOUBLINGS = 4  # of FIRST_RETRY_WAIT_S: to MAX_RETRY_WAIT_S
 _DROPPED = re.compile(r"disconnected|closed connection")  # what httpx says where a server ends a connection
 LOCAL_HOSTS = ("localhost", "127.0.0.1", "::1")  # reached without a proxy
 T = TypeVar("T")
 
 
 def blanker(key: str | None) -> Blanker:
-    """A function that returns a text with ``BLANK`` wherever the key is.
+    """A function that returns a text with ``KEY_BLANK`` wherever the key is.
 
     The key is found as it is, and with any of its characters as an escape of JSON, Python, URLs or HTML. Call it before
     a text is cut, and again on what is decoded from it.
@@ -55,13 +55,13 @@ def blanker(key: str | None) -> Blanker:
     if not key:
         return lambda text: text
     spelt = re.compile(r"\x00*".join(map(_spellings, key)))
-    return lambda text: spelt.sub(BLANK, text)
+    return lambda text: spelt.sub(KEY_BLANK, text)
 
 
 def _spellings(character: str) -> str:
     code = ord(character)
     numbers = rf"u0*{code:x}|u\{{0*{code:x}\}}|U0*{code:x}|x0*{code:x}|0*{code:o}"
-    slashes = rf"\\{{0,{MOST_BACKSLASHES}}}"
+    slashes = rf"\\{{0,{MAX_BACKSLASHES}}}"
     return (
         rf"(?:{slashes}{re.escape(character)}|\\{slashes}(?i:{numbers})"
         rf"|%(?i:{code:02x})|&#0*{code};|&#(?i:x0*{code:x});)"
@@ -101,7 +101,7 @@ class _Failure:
 
     reason: str
     wait: float = 0.0
-    advice: str = LATER
+    advice: str = TRY_LATER
     until_deadline: bool = False
 
 
@@ -227,7 +227,7 @@ class Question:
                         return None
                     result = self._failure(fault, result)
                 elif value is None:
-                    advice = self._server.address_advice or LATER
+                    advice = self._server.address_advice or TRY_LATER
                     result = _Failure(f"sent an answer that cannot be read ({unreadable})", advice=advice)
                 else:
                     try:
@@ -278,7 +278,8 @@ class Question:
         if counted == self._server.settings.llm_retries and not failure.until_deadline:
             retried = "" if self.retries == 0 else f", also after {self.retries} retries"
             self._fail(f"{failure.reason}{retried}; {failure.advice}")
-        backoff = min(MAX_WAIT, FIRST_WAIT * 2 ** min(number, MOST_DOUBLINGS)) * self._server.jitter.uniform(0.5, 1.0)
+        doubled = FIRST_RETRY_WAIT_S * 2 ** min(number, MAX_WAIT_DOUBLINGS)
+        backoff = min(MAX_RETRY_WAIT_S, doubled) * self._server.jitter.uniform(0.5, 1.0)
         wait = max(failure.wait, backoff)
         if self._server.clock.now() - self._began + wait >= self._allowed:
             self._fail(

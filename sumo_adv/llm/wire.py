@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from sumo_adv.llm.chat import CUT, ChatReply, ChatRequest, estimate_tokens, one_line
+from sumo_adv.llm.chat import CUT_SHORT, ChatReply, ChatRequest, estimate_tokens, one_line
 
 REASONING = ("reasoning_content", "reasoning")  # keys of a message that hold the model's thinking
 LESS_THINKING: tuple[Mapping[str, Any], ...] = (
@@ -24,11 +24,11 @@ LESS_THINKING: tuple[Mapping[str, Any], ...] = (
 )
 """Fields that ask for less thinking: of OpenAI, Ollama and others; of vLLM, SGLang and llama.cpp; of DeepSeek, Z.ai."""
 TOKEN_LIMITS = ("max_tokens", "max_completion_tokens")  # OpenAI's newer models take the second
-MAX_QUOTED = 200  # characters of a server's text that a message quotes
-LATER = "try again later, or use another model"
+MAX_QUOTED_CHARACTERS = 200  # of a server's text that a message quotes
+TRY_LATER = "try again later, or use another model"
 _FORM = re.compile(r"response_?format|json_?schema|json_?object|guided_|grammar", re.IGNORECASE)
 _LOADING = re.compile(r"\b(?:loading|starting)\b", re.IGNORECASE)
-_LONG = re.compile(r"maximum context length|context (?:length|size|window)", re.IGNORECASE)
+_CONTEXT_EXCEEDED = re.compile(r"maximum context length|context (?:length|size|window)", re.IGNORECASE)
 
 
 class InvalidAnswer(Exception):
@@ -108,7 +108,7 @@ def read_reply(value: Mapping[str, Any], request: ChatRequest, mode: str) -> Cha
         raise InvalidAnswer(
             "the model called a tool, and none was offered; switch tools off there, or use another model"
         )
-    if not (text or reasoning or finish in ("", "stop", CUT)):
+    if not (text or reasoning or finish in ("", "stop", CUT_SHORT)):
         raise InvalidAnswer(f"it is empty and ended with '{quoted(finish)}'; try again later, or use another model")
     given = value.get("usage")
     usage: Mapping[str, Any] = given if isinstance(given, dict) else {}
@@ -135,9 +135,9 @@ def error_text(value: Any) -> str:
 
 
 def quoted(text: str) -> str:
-    """A server's text for a message: one line of at most ``MAX_QUOTED`` characters."""
+    """A server's text for a message: one line of at most ``MAX_QUOTED_CHARACTERS`` characters."""
     line = one_line(text)
-    return line if len(line) <= MAX_QUOTED else line[: MAX_QUOTED - 3] + "..."
+    return line if len(line) <= MAX_QUOTED_CHARACTERS else line[: MAX_QUOTED_CHARACTERS - 3] + "..."
 
 
 def _content(given: Any) -> str:
@@ -179,60 +179,60 @@ class ServerFault:
     of_a_field: bool = False
 
 
-QUOTA = ServerFault(
+QUOTA_USED = ServerFault(
     "has no quota left for this key", "add credit to the account or raise its limit, or choose another model"
 )
-CONTEXT = ServerFault(
+CONTEXT_EXCEEDED = ServerFault(
     "finds the question longer than the model's context",
     "start the server with a longer context (vLLM --max-model-len, llama.cpp -c, Ollama num_ctx), or choose a model "
     "with one",
 )
-MODEL = ServerFault("does not know this model", "check the name '{model}'")
-KEY = ServerFault("does not accept the key", "set SUMO_ADV_LLM_API_KEY")
-RATE = ServerFault(
+UNKNOWN_MODEL = ServerFault("does not know this model", "check the name '{model}'")
+KEY_REFUSED = ServerFault("does not accept the key", "set SUMO_ADV_LLM_API_KEY")
+RATE_LIMITED = ServerFault(
     "limits how often it is asked", "lower llm_concurrency or raise llm_question_seconds, or try again later", True
 )
-OVERLOADED = ServerFault("is overloaded or still starting", LATER, True)
+OVERLOADED = ServerFault("is overloaded or still starting", TRY_LATER, True)
 LOADING = ServerFault("is still loading its model", "raise llm_question_seconds to wait longer", True, passes=True)
-FAILED = ServerFault("failed inside", f"look at its own log; {LATER}", True)
+FAILED_INSIDE = ServerFault("failed inside", f"look at its own log; {TRY_LATER}", True)
 REJECTED = ServerFault(
     "rejected the question", "correct what it names, or choose another model or server", of_a_field=True
 )
 
 BY_STATUS = {
     400: REJECTED,
-    401: KEY,
+    401: KEY_REFUSED,
     402: ServerFault("demands a payment", "add credit to the account, or choose another model"),
     403: ServerFault("does not let this key use the model", "set SUMO_ADV_LLM_API_KEY, or choose another model"),
     404: ServerFault("does not know this model or address", "check the name '{model}' and SUMO_ADV_LLM_BASE_URL"),
     405: ServerFault("takes no questions at this address", "check SUMO_ADV_LLM_BASE_URL, which often ends in /v1"),
-    408: ServerFault("gave up waiting for the question", LATER, True),
-    409: ServerFault("has a conflict with another question", f"lower llm_concurrency; {LATER}", True),
+    408: ServerFault("gave up waiting for the question", TRY_LATER, True),
+    409: ServerFault("has a conflict with another question", f"lower llm_concurrency; {TRY_LATER}", True),
     413: ServerFault("finds the question too large", "raise the server's limit, or choose another server"),
     422: REJECTED,
-    429: RATE,
-    500: FAILED,
-    502: ServerFault("has a gateway that gets no answer from the model", LATER, True),
+    429: RATE_LIMITED,
+    500: FAILED_INSIDE,
+    502: ServerFault("has a gateway that gets no answer from the model", TRY_LATER, True),
     503: OVERLOADED,
-    504: ServerFault("has a gateway that waited too long for the model", f"use a faster model; {LATER}", True),
+    504: ServerFault("has a gateway that waited too long for the model", f"use a faster model; {TRY_LATER}", True),
     529: OVERLOADED,
 }
 BY_CODE = {
-    "insufficient_quota": QUOTA,
-    "billing_hard_limit_reached": QUOTA,
-    "billing_not_active": QUOTA,
-    "context_length_exceeded": CONTEXT,
-    "exceed_context_size_error": CONTEXT,  # llama.cpp
-    "model_not_found": MODEL,
-    "invalid_api_key": KEY,
-    "authentication_error": KEY,
+    "insufficient_quota": QUOTA_USED,
+    "billing_hard_limit_reached": QUOTA_USED,
+    "billing_not_active": QUOTA_USED,
+    "context_length_exceeded": CONTEXT_EXCEEDED,
+    "exceed_context_size_error": CONTEXT_EXCEEDED,  # llama.cpp
+    "model_not_found": UNKNOWN_MODEL,
+    "invalid_api_key": KEY_REFUSED,
+    "authentication_error": KEY_REFUSED,
     "permission_error": BY_STATUS[403],
     "not_found_error": BY_STATUS[404],
     "request_too_large": BY_STATUS[413],
-    "rate_limit_exceeded": RATE,
-    "rate_limit_error": RATE,
-    "server_error": FAILED,
-    "api_error": FAILED,
+    "rate_limit_exceeded": RATE_LIMITED,
+    "rate_limit_error": RATE_LIMITED,
+    "server_error": FAILED_INSIDE,
+    "api_error": FAILED_INSIDE,
     "overloaded_error": OVERLOADED,
     "content_filter": ServerFault(
         "refused the question by its content filter", "switch the filter off there, or choose another model"
@@ -250,13 +250,13 @@ def fault_of(status: int, body: Mapping[str, Any] | None) -> ServerFault | None:
     for code in codes:
         if isinstance(code, str) and code in BY_CODE:
             return BY_CODE[code]
-    if status in (200, 400) and isinstance(error, dict) and _LONG.search(str(error.get("message"))):
-        return CONTEXT
+    if status in (200, 400) and isinstance(error, dict) and _CONTEXT_EXCEEDED.search(str(error.get("message"))):
+        return CONTEXT_EXCEEDED
     if status == 503 and body is not None and _LOADING.search(error_text(body)):  # llama.cpp
         return LOADING
     if status == 200:  # the error's own code may be a status
         numbers = [int(str(code)) for code in codes if str(code).isdecimal() and len(str(code)) == 3]
-        return _by_status(numbers[0]) if numbers else ServerFault("reports an error", LATER)
+        return _by_status(numbers[0]) if numbers else ServerFault("reports an error", TRY_LATER)
     return _by_status(status)
 
 
@@ -273,4 +273,4 @@ def _by_status(status: int) -> ServerFault:
         return BY_STATUS[status]
     if 300 <= status < 400:
         return ServerFault("redirects to another address", "set SUMO_ADV_LLM_BASE_URL to that address")
-    return FAILED if status >= 500 else REJECTED
+    return FAILED_INSIDE if status >= 500 else REJECTED

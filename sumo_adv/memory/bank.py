@@ -20,9 +20,9 @@ from sumo_adv.datatypes import Planner
 from sumo_adv.errors import BankError
 from sumo_adv.memory import edits, rows
 from sumo_adv.memory.migrations import Clock, utc_now
-from sumo_adv.memory.recall import LIMIT, SceneIndex, allows
+from sumo_adv.memory.recall import MAX_SIMILAR_DISTANCE, SceneIndex, allows
 from sumo_adv.memory.records import (
-    COMPOSITION,
+    COMPOSITION_KEY_PREFIX,
     Composition,
     Evidence,
     IntentRecord,
@@ -37,9 +37,9 @@ from sumo_adv.memory.records import (
 from sumo_adv.memory.similarity import TextAndSlots
 from sumo_adv.memory.store import open_file, sentences
 
-NEAREST = 5  # labels in a retrieval
-EPSILON_KEY = f"{rows.EPSILON}{TextAndSlots.name}"  # of the bank's setting
-BAND = 0.1  # share of epsilon; nearer to epsilon than this a retrieval is uncertain
+MAX_RETRIEVED_LABELS = 5  # labels in a retrieval
+EPSILON_KEY = f"{rows.EPSILON_KEY_PREFIX}{TextAndSlots.name}"  # of the bank's setting
+UNCERTAIN_EPSILON_SHARE = 0.1  # share of epsilon; nearer to epsilon than this a retrieval is uncertain
 
 
 class MemoryBank:
@@ -126,12 +126,12 @@ class MemoryBank:
                 tuple(sorted(content.planners[key], key=lambda planner: (planner.mode, planner.source))),
                 frozenset(planner.hash for planner in content.planners[key] if (key, planner.hash) in content.retired),
                 tuple(by_intent.get(key, ())),
-                content.settings.get(f"{rows.MERGED}{key}"),
+                content.settings.get(f"{rows.MERGED_KEY_PREFIX}{key}"),
             )
             for key, record in content.intents.items()
         ]
 
-    def recall_scene(self, signature: SceneSignature, limit: float = LIMIT) -> Evidence | None:
+    def recall_scene(self, signature: SceneSignature, limit: float = MAX_SIMILAR_DISTANCE) -> Evidence | None:
         """The evidence of a success in a similar scene, at most ``limit`` away by ``recall.signature_distance``.
 
         Valid collisions have precedence over other successes, then the nearest scene. Retired intents and planners are
@@ -175,9 +175,10 @@ class MemoryBank:
         if same is not None and same.status == "active":
             distances[self._fitted[same.label]] = 0.0
         labels = list(self._fitted)
-        nearest = [(labels[i], float(distances[i])) for i in np.argsort(distances, kind="stable")[:NEAREST]]
+        order = np.argsort(distances, kind="stable")[:MAX_RETRIEVED_LABELS]
+        nearest = [(labels[i], float(distances[i])) for i in order]
         first, distance = nearest[0]
-        band = abs(distance - epsilon) <= BAND * epsilon
+        band = abs(distance - epsilon) <= UNCERTAIN_EPSILON_SHARE * epsilon
         return Retrieval(first if distance <= epsilon else None, distance, epsilon, nearest, band)
 
     def _active(self) -> list[IntentRecord]:
@@ -300,8 +301,9 @@ class MemoryBank:
         self._scenes = None
 
 
-# Composed intents: a composition is kept under the settings of the bank (``COMPOSITION``), is found by its own label or
-# description, and is forgotten once ``FORGET`` attempts in a row have failed. Planners stay with their intents.
+# Composed intents: a composition is kept under the settings of the bank (``COMPOSITION_KEY_PREFIX``), is found by its
+# own label or description, and is forgotten once ``MAX_FAILURES_IN_A_ROW`` attempts in a row have failed. Planners stay
+# with their intents.
 
 
 def compositions(bank: MemoryBank) -> list[Composition]:
@@ -311,7 +313,7 @@ def compositions(bank: MemoryBank) -> list[Composition]:
 
 def all_compositions(bank: MemoryBank) -> list[Composition]:
     """The compositions of a bank by label, also those that are forgotten."""
-    return [composition_of(value) for _, value in sorted(bank.settings(COMPOSITION).items())]
+    return [composition_of(value) for _, value in sorted(bank.settings(COMPOSITION_KEY_PREFIX).items())]
 
 
 def retrieve_composition(bank: MemoryBank, label: str, description: str) -> Composition | None:

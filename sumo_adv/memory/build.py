@@ -25,7 +25,7 @@ from sumo_adv.memory import edits, rows
 from sumo_adv.memory.bank import EPSILON_KEY, MemoryBank, all_compositions
 from sumo_adv.memory.migrations import APPLICATION_ID, Clock, migrate
 from sumo_adv.memory.records import (
-    FLAGS,
+    EVIDENCE_FLAGS,
     STATUSES,
     Composition,
     Evidence,
@@ -50,18 +50,18 @@ EVERYTHING = "everything"
 SEED_TIME = "1970-01-01T00:00:00+00:00"  # of all rows of a built bank, so that building twice gives the same bytes
 EVIDENCE_FILE = "evidence.csv"
 COMPOSITIONS_FILE = "compositions.toml"
-MOST_LABEL = 400  # characters of a composition's label, which may be put together from those of three intents
+MAX_LABEL_CHARACTERS = 400  # of a composition's label, which may be put together from those of three intents
 SHARED_FOLDER = "planners"  # of the texts that several intents share
-MAX_TEXT_BYTES = 256 * 1024  # of an intent.toml or a planner
+MAX_SOURCE_FILE_BYTES = 256 * 1024  # of an intent.toml or a planner
 MAX_EVIDENCE_BYTES = 64 * 1024 * 1024
 _KEYS = {"label": str, "description": str, "applies": list}
 _MORE_KEYS = {"shared": dict, "status": str, "merged_into": str, "planners": dict}
 _PLANNER_KEYS = {"mode", "origin", "parent", "status"}
-COLUMNS = (
+EVIDENCE_FILE_COLUMNS = (
     "planner", "geometry", "relation", "controller", "relative", "parameters", "acceleration", "delay", "attempts",
-    "min_ttc", *FLAGS, "version", "network", "seed",
+    "min_ttc", *EVIDENCE_FLAGS, "version", "network", "seed",
 )  # fmt: skip
-MOST_ROWS = 200_000  # of a file: about 150 MB in memory
+MAX_EVIDENCE_ROWS = 200_000  # of a file: about 150 MB in memory
 
 
 def read_sources(folder: Path, parse: Parse, refuse: Refuse | None = None) -> list[Source]:
@@ -92,15 +92,17 @@ def read_compositions(folder: Path) -> list[Composition]:
     if not (file.exists() or file.is_symlink()):
         return []
     try:
-        table = parse_toml(_read_text(file, MAX_TEXT_BYTES))
+        table = parse_toml(_read_text(file, MAX_SOURCE_FILE_BYTES))
         if table.keys() != {"compositions"} or not isinstance(table["compositions"], list):
             raise ValueError("it must hold tables [[compositions]] and nothing else")
         made = [composition_of(each) for each in table["compositions"]]
     except ValueError as error:
         raise BankError(f"{file} cannot be read: {str(error).rstrip('.')}.") from error
     texts = [text for c in made for text in (c.label, c.description, *(t for p in c.parts for t in (p.intent, p.mode)))]
-    if not all(text.isprintable() for text in texts) or any(len(c.label) > MOST_LABEL for c in made):
-        raise BankError(f"{file} must hold texts that can be printed, and labels of at most {MOST_LABEL} characters.")
+    if not all(text.isprintable() for text in texts) or any(len(c.label) > MAX_LABEL_CHARACTERS for c in made):
+        raise BankError(
+            f"{file} must hold texts that can be printed, and labels of at most {MAX_LABEL_CHARACTERS} characters."
+        )
     if len({c.key for c in made}) < len(made):
         raise BankError(f"{file} holds a composition twice; labels must differ by letters or digits.")
     return made
@@ -113,7 +115,7 @@ def read_intent(file: Path) -> IntentRecord:
 
 def _read_toml(file: Path) -> dict[str, Any]:
     try:
-        table = parse_toml(_read_text(file, MAX_TEXT_BYTES))
+        table = parse_toml(_read_text(file, MAX_SOURCE_FILE_BYTES))
     except ValueError as error:
         raise BankError(f"{file} cannot be read as TOML: {error}.") from error
     types = {**_KEYS, **_MORE_KEYS}
@@ -180,7 +182,7 @@ def _read_source(file: Path, parse: Parse, refuse: Refuse | None) -> Source:
     for name in names:
         try:
             path = files.get(name, folder.parent / SHARED_FOLDER / f"{name}.template")
-            text = _read_text(path, MAX_TEXT_BYTES)
+            text = _read_text(path, MAX_SOURCE_FILE_BYTES)
             if name in shared:
                 text = _filled(path, text, intent.label, shared[name])
             planners[name] = _planner(path, text, intent.label, details.get(name, {}), parse)
@@ -263,7 +265,7 @@ def write_part(bank: MemoryBank, target: Path, labels: Iterable[str], clock: Clo
         for c in all_compositions(bank)
         if left_out.isdisjoint(canonical(part.intent) for part in c.parts)
     }
-    _write(target, sources, {**bank.settings(rows.EPSILON), **composed}, clock, replace=False)
+    _write(target, sources, {**bank.settings(rows.EPSILON_KEY_PREFIX), **composed}, clock, replace=False)
     return [source.intent.label for source in sources]
 
 
@@ -293,7 +295,7 @@ def write_evidence(evidence: Sequence[Evidence], names: Mapping[str, str]) -> st
     """The text of the file; ``names``: planner hash -> name of its file."""
     lines = io.StringIO()
     writer = csv.writer(lines, lineterminator="\n")
-    writer.writerow(COLUMNS)
+    writer.writerow(EVIDENCE_FILE_COLUMNS)
     writer.writerows(sorted(_row(each, names[each.planner_hash]) for each in evidence))
     return lines.getvalue()
 
@@ -304,7 +306,7 @@ def _row(e: Evidence, name: str) -> list[str]:
         json.dumps(dict(e.scene.relative), sort_keys=True), json.dumps(dict(e.parameters), sort_keys=True),
         json.dumps(plain_acceleration(e.acceleration)), repr(float(e.delay)), str(e.attempts),
         "" if math.isinf(e.min_ttc) else repr(float(e.min_ttc)),
-        *("" if (flag := getattr(e, name)) is None else str(int(flag)) for name in FLAGS),
+        *("" if (flag := getattr(e, name)) is None else str(int(flag)) for name in EVIDENCE_FLAGS),
         e.version, e.network, str(e.seed),
     ]  # fmt: skip
 
@@ -320,16 +322,16 @@ def read_evidence(
     try:
         lines = csv.reader(io.StringIO(text), strict=True)
         head = tuple(next(lines, ()))
-        if head != COLUMNS:
-            raise BankError(f"{where} must have the columns {', '.join(COLUMNS)}.")
+        if head != EVIDENCE_FILE_COLUMNS:
+            raise BankError(f"{where} must have the columns {', '.join(EVIDENCE_FILE_COLUMNS)}.")
         evidence: list[Evidence] = []
         for row in lines:
-            if len(evidence) >= MOST_ROWS:
-                raise BankError(f"{where} has more than {MOST_ROWS} rows; leave old ones out.")
+            if len(evidence) >= MAX_EVIDENCE_ROWS:
+                raise BankError(f"{where} has more than {MAX_EVIDENCE_ROWS} rows; leave old ones out.")
             if row and row[0] in left_out:
                 continue
             try:
-                evidence.append(_evidence(dict(zip(COLUMNS, row, strict=True)), label, hashes))
+                evidence.append(_evidence(dict(zip(EVIDENCE_FILE_COLUMNS, row, strict=True)), label, hashes))
             except (ValueError, KeyError, TypeError, RecursionError, BankError) as error:
                 fault = str(error).rstrip(".")
                 raise BankError(f"{where}, line {lines.line_num}, is no evidence: {fault}.") from error
@@ -345,7 +347,7 @@ def _evidence(row: Mapping[str, str], label: str, hashes: Mapping[str, str]) -> 
         if len(row[name]) > 200 or not row[name].isprintable():
             raise ValueError(f"{name} must be short text")
     flags: dict[str, Any] = {
-        name: None if not row[name] and name in ("valid", "strict") else _flag(row[name]) for name in FLAGS
+        name: None if not row[name] and name in ("valid", "strict") else _flag(row[name]) for name in EVIDENCE_FLAGS
     }
     return Evidence(
         label=label,

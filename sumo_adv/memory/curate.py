@@ -11,8 +11,8 @@ from typing import Any
 
 from sumo_adv.memory.bank import MemoryBank
 
-DUPLICATE = 0.5  # of epsilon: two intents this near are proposed for merging
-HOPELESS = 20  # pieces of evidence without one success: a planner is proposed for retiring
+DUPLICATE_EPSILON_SHARE = 0.5  # of epsilon: two intents this near are proposed for merging
+MIN_RETIRING_EVIDENCE_COUNT = 20  # pieces of evidence without one success: a planner is proposed for retiring
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ def near_duplicates(bank: MemoryBank) -> list[MergeProposal]:
             texts.setdefault(planner.hash, []).append(label)
         for neighbour, distance in bank.retrieve(label, source.intent.description).nearest:
             common = set(source.intent.applies) & set(sources[neighbour].intent.applies)
-            if neighbour != label and common and distance <= DUPLICATE * bank.epsilon()[0]:
+            if neighbour != label and common and distance <= DUPLICATE_EPSILON_SHARE * bank.epsilon()[0]:
                 into, later = sorted((label, neighbour), key=places.__getitem__)
                 proposals[later, into] = MergeProposal(later, into, distance, "they say nearly the same")
     for labels in texts.values():
@@ -94,7 +94,7 @@ def planner_counts(bank: MemoryBank) -> list[PlannerCounts]:
     return counts
 
 
-def hopeless(bank: MemoryBank, at_least: int = HOPELESS) -> list[PlannerCounts]:
+def hopeless(bank: MemoryBank, at_least: int = MIN_RETIRING_EVIDENCE_COUNT) -> list[PlannerCounts]:
     """Active planners that failed ``at_least`` times and never succeeded."""
     return [
         each for each in planner_counts(bank)

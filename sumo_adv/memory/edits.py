@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass, replace
 from sumo_adv.errors import BankError
 from sumo_adv.memory import rows
 from sumo_adv.memory.records import (
-    COMPOSITION,
+    COMPOSITION_KEY_PREFIX,
     Composition,
     Evidence,
     IntentRecord,
@@ -54,7 +54,7 @@ def absorb(
                 raise BankError(
                     f"The intent {source.intent.label!r} is merged into {source.merged_into!r}, which is not there."
                 )
-            rows.write_setting(connection, f"{rows.MERGED}{key}", source.merged_into)
+            rows.write_setting(connection, f"{rows.MERGED_KEY_PREFIX}{key}", source.merged_into)
     for composition in compositions:
         if composition.key not in content.settings:
             rows.write_setting(connection, composition.key, plain_composition(composition))
@@ -138,9 +138,9 @@ def merge(connection: sqlite3.Connection, label: str, into: str, now: str) -> No
     )
     connection.execute("DELETE FROM planners WHERE intent = (SELECT id FROM intents WHERE key = ?)", (source,))
     rows.set_intent_status(connection, source, "retired")
-    rows.write_setting(connection, f"{rows.MERGED}{source}", kept.label)
+    rows.write_setting(connection, f"{rows.MERGED_KEY_PREFIX}{source}", kept.label)
     for key, value in content.settings.items():
-        if key.startswith(COMPOSITION):
+        if key.startswith(COMPOSITION_KEY_PREFIX):
             after = renamed(composition_of(value), merged.label, kept.label, became)
             rows.write_setting(connection, key, plain_composition(after))
 
@@ -151,7 +151,7 @@ def retire(connection: sqlite3.Connection, label: str, mode: str | None, *, back
     record = _known(content, label)
     key = canonical(record.label)
     planners = content.planners[key]
-    if back and (into := content.settings.get(f"{rows.MERGED}{key}")) is not None:
+    if back and (into := content.settings.get(f"{rows.MERGED_KEY_PREFIX}{key}")) is not None:
         raise BankError(f"The intent {record.label!r} is merged into {into!r}, which has its planners; name that one.")
     chosen = [planner for planner in planners if mode is not None and planner.mode == mode]
     if mode is not None and not chosen:

@@ -22,7 +22,7 @@ from sumo_adv.errors import BankError
 APPLICATION_ID = 0x53414442  # "SADB", in bytes 68-71 of the file: this is one of ours
 
 Clock = Callable[[], str]
-REPAIR = "restore a copy, or move it away to start from the shipped one"
+REPAIR_ADVICE = "restore a copy, or move it away to start from the shipped one"
 _OBJECTS = "SELECT type, name, tbl_name, sql FROM sqlite_master WHERE name NOT LIKE 'sqlite\\_%' ESCAPE '\\'"
 Schema = frozenset[tuple[str, str, str, str]]
 """Type, name, table and statement of each object."""
@@ -174,7 +174,9 @@ def check_schema(connection: sqlite3.Connection, name: str, version: int) -> Non
     present, expected = _schema(connection), _schema_of(version)
     if present != expected:
         difference = sorted(f"{kind} {each}" for kind, each, *_ in present ^ expected)[0]
-        raise BankError(f"The memory bank {name} is not laid out as one (it differs in the {difference}); {REPAIR}.")
+        raise BankError(
+            f"The memory bank {name} is not laid out as one (it differs in the {difference}); {REPAIR_ADVICE}."
+        )
 
 
 def check_references(connection: sqlite3.Connection, name: str) -> None:
@@ -183,7 +185,8 @@ def check_references(connection: sqlite3.Connection, name: str) -> None:
     if orphan is not None:
         table, row, parent, _ = orphan
         raise BankError(
-            f"The memory bank {name} is damaged: row {row} of its {table} belongs to none of its {parent}; {REPAIR}."
+            f"The memory bank {name} is damaged: row {row} of its {table} belongs to none of its {parent}; "
+            f"{REPAIR_ADVICE}."
         )
 
 

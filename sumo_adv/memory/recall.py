@@ -25,26 +25,26 @@ import numpy as np
 from sumo_adv.datatypes import Bools, Floats, Planner, acceleration_at
 from sumo_adv.memory.records import Evidence, SceneSignature
 
-SCALES: Mapping[str, float] = {"ahead": 5.0, "left": 1.0, "heading": 0.2, "speed": 2.0, "ego_speed": 2.0}
+SCENE_SCALES: Mapping[str, float] = {"ahead": 5.0, "left": 1.0, "heading": 0.2, "speed": 2.0, "ego_speed": 2.0}
 """[m, m, rad, m/s, m/s]: position of the BV in the ego's frame, its heading there, and both speeds. Chosen by hand."""
 
-LIMIT = 1.0  # the distance up to which two scenes count as similar
+MAX_SIMILAR_DISTANCE = 1.0  # the distance up to which two scenes count as similar
 
-ROUNDED = 1e-4  # candidates are rounded to four digits, and may lie that far outside of their planner's bounds
+ROUNDING_SHARE = 1e-4  # candidates are rounded to four digits, and may lie that far outside of their planner's bounds
 
-_NAMES = tuple(SCALES)
-_HEADING = _NAMES.index("heading")
-_SCALE = np.asarray(tuple(SCALES.values()))
-OTHER_GEOMETRY = 0.3
-OTHER_RELATION = 0.5
-OTHER_CONTROLLER = 0.5
+_SCENE_NAMES = tuple(SCENE_SCALES)
+_HEADING = _SCENE_NAMES.index("heading")
+_SCALE = np.asarray(tuple(SCENE_SCALES.values()))
+OTHER_GEOMETRY_DISTANCE = 0.3
+OTHER_RELATION_DISTANCE = 0.5
+OTHER_CONTROLLER_DISTANCE = 0.5
 
 
 def signature_distance(a: SceneSignature, b: SceneSignature) -> float:
     """The distance between two scenes: symmetric, 0 for equal scenes.
 
-    It is ``inf`` if geometry class, relation or ego controller differ, or if a number of ``SCALES`` is absent or not
-    finite.
+    It is ``inf`` if geometry class, relation or ego controller differ, or if a number of ``SCENE_SCALES`` is absent or
+    not finite.
     """
     if _kind(a) != _kind(b):
         return math.inf
@@ -58,7 +58,7 @@ def allows(planner: Planner, evidence: Evidence) -> bool:
     """Whether evidence gives each parameter of its planner, no other one, and each within its bounds."""
     given = evidence.parameters
     return given.keys() == planner.defaults().keys() and all(
-        p.low - ROUNDED <= given[p.name] <= p.high + ROUNDED for p in planner.parameters
+        p.low - ROUNDING_SHARE <= given[p.name] <= p.high + ROUNDING_SHARE for p in planner.parameters
     )
 
 
@@ -76,7 +76,7 @@ class SceneIndex:
             table, pieces = np.stack([numbers for numbers, _ in rows]), [each for _, each in rows]
             self._kinds[kind] = table, np.asarray([each.valid is True for each in pieces]), pieces
 
-    def nearest(self, signature: SceneSignature, limit: float = LIMIT) -> Evidence | None:
+    def nearest(self, signature: SceneSignature, limit: float = MAX_SIMILAR_DISTANCE) -> Evidence | None:
         """The evidence of the nearest scene at most ``limit`` away; valid collisions have precedence over others.
 
         Ties are resolved by the content of the evidence, not by its order.
@@ -107,7 +107,7 @@ def _kind(scene: SceneSignature) -> tuple[str, str, str]:
 
 
 def _numbers(scene: SceneSignature) -> Floats | None:
-    values = [scene.relative.get(name, math.nan) for name in _NAMES]
+    values = [scene.relative.get(name, math.nan) for name in _SCENE_NAMES]
     return np.asarray(values, dtype=np.float64) if all(map(math.isfinite, values)) else None
 
 
@@ -138,9 +138,9 @@ class Arm:
 
 def likeness(scene: SceneSignature, now: SceneSignature) -> float:
     """How much evidence from ``scene`` counts in ``now``: 1 for the same kind of scene and ego, never 0."""
-    weight = 1.0 if scene.geometry == now.geometry else OTHER_GEOMETRY
-    weight *= 1.0 if scene.relation == now.relation else OTHER_RELATION
-    return weight * (1.0 if scene.controller == now.controller else OTHER_CONTROLLER)
+    weight = 1.0 if scene.geometry == now.geometry else OTHER_GEOMETRY_DISTANCE
+    weight *= 1.0 if scene.relation == now.relation else OTHER_RELATION_DISTANCE
+    return weight * (1.0 if scene.controller == now.controller else OTHER_CONTROLLER_DISTANCE)
 
 
 def draw(

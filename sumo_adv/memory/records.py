@@ -18,31 +18,34 @@ RELATIONS = (
 """Where a BV can stand to the ego, or what it is; what ``applies`` of an intent is made of."""
 
 STATUSES = ("active", "retired")
-FLAGS = ("collided", "critical", "feasible", "rear_end", "valid", "strict")  # of evidence, as of a verdict
+EVIDENCE_FLAGS = ("collided", "critical", "feasible", "rear_end", "valid", "strict")  # of evidence, as of a verdict
 
-LARGEST = 1e9  # bound of the numbers of evidence in SI units: beyond any of an encounter, and squares stay finite
-MOST_NUMBERS = 100  # in a relative state or among parameters
-COMPOSITION = "composition."  # keys of the bank's settings begin with it
-FORGET = 20  # attempts that failed in a row
-MOST_ATTEMPTS = 2**53  # bound of the counts: JSON and TOML keep whole numbers up to it
+MAX_EVIDENCE_VALUE = 1e9  # in SI units: beyond any number of an encounter, and squares stay finite
+MAX_EVIDENCE_NUMBERS = 100  # in a relative state or among parameters
+COMPOSITION_KEY_PREFIX = "composition."  # keys of the bank's settings begin with it
+MAX_FAILURES_IN_A_ROW = 20
+MAX_COUNTED_ATTEMPTS = 2**53  # bound of the counts: JSON and TOML keep whole numbers up to it
 
 
 def named_numbers(value: Any) -> dict[str, float]:
-    """``value`` as a dictionary, if it is a table of at most ``MOST_NUMBERS`` numbers within ``LARGEST``.
+    """``value`` as a dictionary, if it is a table of at most ``MAX_EVIDENCE_NUMBERS`` numbers within
+    ``MAX_EVIDENCE_VALUE``.
 
     Raises ValueError with a sentence for anything else.
     """
-    if not isinstance(value, Mapping) or len(value) > MOST_NUMBERS:
-        raise ValueError(f"relative and parameters must be tables of at most {MOST_NUMBERS} numbers")
+    if not isinstance(value, Mapping) or len(value) > MAX_EVIDENCE_NUMBERS:
+        raise ValueError(f"relative and parameters must be tables of at most {MAX_EVIDENCE_NUMBERS} numbers")
     for name, number in value.items():
         if not isinstance(name, str) or len(name) > 100 or not is_number(number):
-            raise ValueError(f"{str(name)[:40]!r} must be a finite number of at most {LARGEST:g}, under a short name")
+            bound = f"{MAX_EVIDENCE_VALUE:g}"
+            raise ValueError(f"{str(name)[:40]!r} must be a finite number of at most {bound}, under a short name")
     return dict(value)
 
 
 def is_number(value: Any) -> bool:
-    """Whether it is a number within ``LARGEST``; a whole number of any length compares exactly, and nan never does."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and -LARGEST <= value <= LARGEST
+    """Whether it is a number within ``MAX_EVIDENCE_VALUE``; whole numbers compare exactly, and nan never does."""
+    bound = MAX_EVIDENCE_VALUE
+    return isinstance(value, int | float) and not isinstance(value, bool) and -bound <= value <= bound
 
 
 def canonical(label: str) -> str:
@@ -96,7 +99,7 @@ class Evidence:
     where there was no collision; ``acceleration`` [m/s2] and ``delay`` [s] are those of the attempt, ``parameters``
     the planner's tuned values. ``created`` (ISO 8601, UTC) is set by the bank and no part of the content.
 
-    Raises BankError for a number that is not finite or beyond ``LARGEST``, and for a value of another kind.
+    Raises BankError for a number that is not finite or beyond ``MAX_EVIDENCE_VALUE``, and for a value of another kind.
     """
 
     label: str
@@ -155,7 +158,7 @@ class Evidence:
 
 def evidence_of(verdict: Verdict, **fields: Any) -> Evidence:
     """Evidence from the verdict of the attempt that counts; ``fields``: the other fields of Evidence."""
-    return Evidence(**{name: getattr(verdict, name) for name in ("min_ttc", *FLAGS)}, **fields)
+    return Evidence(**{name: getattr(verdict, name) for name in ("min_ttc", *EVIDENCE_FLAGS)}, **fields)
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,12 +225,12 @@ class Composition:
     @property
     def key(self) -> str:
         """The key under which the bank's settings have it."""
-        return f"{COMPOSITION}{canonical(self.label)}"
+        return f"{COMPOSITION_KEY_PREFIX}{canonical(self.label)}"
 
     @property
     def hopeless(self) -> bool:
         """Whether many attempts in a row have failed."""
-        return self.failed >= FORGET
+        return self.failed >= MAX_FAILURES_IN_A_ROW
 
 
 def plain_composition(composition: Composition) -> dict[str, Any]:
@@ -245,7 +248,7 @@ def composition_of(value: Any) -> Composition:
     rows = [_table(each, {"role": str, "intent": str, "mode": str}) for each in table["parts"]]
     if any(each["role"] not in list(Duty) for each in rows):
         raise ValueError(f"the role of a part of a composition must be one of {', '.join(Duty)}")
-    if not 0 <= min(table["succeeded"], table["failed"]) <= max(table["succeeded"], table["failed"]) < MOST_ATTEMPTS:
+    if not all(0 <= table[name] < MAX_COUNTED_ATTEMPTS for name in ("succeeded", "failed")):
         raise ValueError("the counts of a composition must be whole numbers of 0 or more")
     parts = tuple(Part(Duty(each["role"]), each["intent"], each["mode"]) for each in rows)
     return Composition(table["label"], table["description"], parts, table["succeeded"], table["failed"])

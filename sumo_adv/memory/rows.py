@@ -12,10 +12,10 @@ from typing import Any
 
 from sumo_adv.datatypes import Parameter, Planner, acceleration_at, acceleration_of
 from sumo_adv.errors import BankError
-from sumo_adv.memory.migrations import REPAIR
+from sumo_adv.memory.migrations import REPAIR_ADVICE
 from sumo_adv.memory.records import (
-    COMPOSITION,
-    FLAGS,
+    COMPOSITION_KEY_PREFIX,
+    EVIDENCE_FLAGS,
     Evidence,
     IntentRecord,
     SceneSignature,
@@ -25,12 +25,12 @@ from sumo_adv.memory.records import (
 )
 from sumo_adv.parsing import parse_json
 
-MOST_BRACKETS = 100  # in a setting: a few are in use, and about 1,000 nested ones exceed Python's recursion limit
-MERGED = "merged."  # settings ``merged.<key>``: the label of the intent into which this one was merged
-EPSILON = "epsilon."
+MAX_SETTING_BRACKETS = 100  # a few are in use, and about 1,000 nested ones exceed Python's recursion limit
+MERGED_KEY_PREFIX = "merged."  # settings ``merged.<key>``: the label of the intent into which this one was merged
+EPSILON_KEY_PREFIX = "epsilon."
 _EVIDENCE_COLUMNS = (
     "geometry", "relation", "relative", "controller", "parameters", "acceleration", "knots", "delay", "attempts",
-    "min_ttc", *FLAGS, "version", "network", "seed", "created",
+    "min_ttc", *EVIDENCE_FLAGS, "version", "network", "seed", "created",
 )  # fmt: skip
 _PLANNER_COLUMNS = "mode, source, parameters, parent, origin"
 
@@ -84,21 +84,21 @@ def _evidence(label: str, planner_hash: str, values: Sequence[Any]) -> Evidence:
         row["acceleration"] = acceleration_of(parse_json(knots))
     if row["min_ttc"] is None:
         row["min_ttc"] = math.inf
-    row |= {name: None if row[name] is None else bool(row[name]) for name in FLAGS}
+    row |= {name: None if row[name] is None else bool(row[name]) for name in EVIDENCE_FLAGS}
     return Evidence(label=label, planner_hash=planner_hash, scene=scene, parameters=parameters, **row)
 
 
 def _setting(key: str, text: str) -> Any:
-    if text.count("[") + text.count("{") > MOST_BRACKETS:
+    if text.count("[") + text.count("{") > MAX_SETTING_BRACKETS:
         raise ValueError("it nests deeper than a setting does")
     value = parse_json(text)
-    if key.startswith(MERGED) and not isinstance(value, str):
+    if key.startswith(MERGED_KEY_PREFIX) and not isinstance(value, str):
         raise ValueError("it must be the label of an intent")
-    if key.startswith(EPSILON):
+    if key.startswith(EPSILON_KEY_PREFIX):
         ok = isinstance(value, dict) and is_number(value.get("epsilon")) and isinstance(value.get("calibrated_on"), str)
         if not ok:
             raise ValueError("it must hold a number, epsilon, and a text, calibrated_on")
-    if key.startswith(COMPOSITION) and key != composition_of(value).key:
+    if key.startswith(COMPOSITION_KEY_PREFIX) and key != composition_of(value).key:
         raise ValueError("its key must be that of its label")
     return value
 
@@ -159,7 +159,7 @@ def _named(connection: sqlite3.Connection, row: str) -> Iterator[None]:
     except (ValueError, TypeError, RecursionError, BankError) as error:
         fault = str(error).rstrip(".")
         path = connection.execute("PRAGMA database_list").fetchone()[2]
-        raise BankError(f"The memory bank {path} is damaged in {row}: {fault[:300]}; {REPAIR}.") from error
+        raise BankError(f"The memory bank {path} is damaged in {row}: {fault[:300]}; {REPAIR_ADVICE}.") from error
 
 
 def read_settings(connection: sqlite3.Connection) -> dict[str, Any]:
@@ -224,7 +224,7 @@ def insert_evidence(connection: sqlite3.Connection, evidence: Evidence, now: str
         _json(evidence.acceleration) if isinstance(evidence.acceleration, tuple) else None,
         evidence.delay, evidence.attempts,
         None if math.isinf(evidence.min_ttc) else evidence.min_ttc,
-        *(getattr(evidence, name) for name in FLAGS), evidence.version, evidence.network, evidence.seed, now,
+        *(getattr(evidence, name) for name in EVIDENCE_FLAGS), evidence.version, evidence.network, evidence.seed, now,
     )  # fmt: skip
     key = canonical(evidence.label)
     connection.execute(
@@ -254,7 +254,7 @@ def set_planner_status(connection: sqlite3.Connection, key: str, planner_hash: s
 def resolve(settings: Mapping[str, Any], label: str) -> str:
     """The label of the intent that took this one over, of that one if it was merged too, and so on; else ``label``."""
     seen: set[str] = set()
-    while (key := canonical(label)) not in seen and isinstance(into := settings.get(f"{MERGED}{key}"), str):
+    while (key := canonical(label)) not in seen and isinstance(into := settings.get(f"{MERGED_KEY_PREFIX}{key}"), str):
         seen.add(key)
         label = into
     return label

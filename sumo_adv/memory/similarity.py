@@ -32,8 +32,8 @@ from sumo_adv.memory.slots import OPTIONAL, SLOTS, Slots, slots_of
 from sumo_adv.memory.words import features
 from sumo_adv.parsing import parse_toml
 
-RESAMPLES = 2000
-CONFIDENCE = 0.95
+CALIBRATION_RESAMPLES = 2000
+CALIBRATION_CONFIDENCE = 0.95
 
 
 class TextAndSlots:
@@ -297,8 +297,8 @@ def _figures(measured: Measured, epsilon: float, seed: int) -> SetFigures:
 
     def figure(statistic: Callable[[Measured], float]) -> Figure:
         rng = np.random.default_rng(seed)
-        values = [statistic(_resampled(measured, rng)) for _ in range(RESAMPLES)]
-        tail = 50.0 * (1.0 - CONFIDENCE)
+        values = [statistic(_resampled(measured, rng)) for _ in range(CALIBRATION_RESAMPLES)]
+        tail = 50.0 * (1.0 - CALIBRATION_CONFIDENCE)
         low, high = np.percentile(values, [tail, 100.0 - tail])
         return Figure(statistic(measured), float(low), float(high))
 

@@ -5,9 +5,9 @@ values are the answers in the label and the description, none or several.  Braki
 values, nor is the relation to the ego: many descriptions mention them in passing, and contradictions in them did not
 tell known from novel intents on the tuning sets.  They are compared as words of the text (``similarity.py``).
 
-``SLOTS`` has the phrases of each value and ``NAMES`` the words that are read as one.  In both, stems are compared, so
-one form of a word is enough; the words in ``LEFT_OUT`` are passed over; commas separate entries.  The table was written
-from the vocabulary of traffic rules and crash typologies, and completed on the tuning sets alone.
+``SLOTS`` has the phrases of each value and ``VALUE_NAMES`` the words that are read as one.  In both, stems are
+compared, so one form of a word is enough; the words in ``LEFT_OUT`` are passed over; commas separate entries.  The
+table was written from the vocabulary of traffic rules and crash typologies, and completed on the tuning sets alone.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Slots = Mapping[str, frozenset[str]]
 OPTIONAL = frozenset({"place"})
 """Slots that a text may leave unanswered although the behaviour has a value."""
 
-NAMES: Mapping[str, str] = {
+VALUE_NAMES: Mapping[str, str] = {
     "vehicle": (
         "car, van, truck, lorry, suv, sedan, saloon, taxi, cab, pickup, automobile, driver, motorist, agent, "
         "adversary, hatchback, coupe, minivan, tractor, motorcycle, motorcyclist, rider, attacker, opponent, "
@@ -185,8 +185,8 @@ SLOTS: Mapping[str, Mapping[str, str]] = {
 """By slot and value, the phrases that give the value. ``~`` stands for up to three words between."""
 
 _GAP = "~"
-_GAP_WORDS = 3
-_WORD = re.compile(r"[a-z0-9]+|~")
+_MAX_GAP_WORDS = 3
+_WORD_OR_GAP = re.compile(r"[a-z0-9]+|~")
 _END = re.compile(r"[.,;:!?]")  # a phrase ends here at the latest
 
 
@@ -196,28 +196,28 @@ def slots_of(label: str, description: str) -> Slots:
     for part in _END.split(f"{label}. {description}"):
         words = _read(part)
         for at, word in enumerate(words):
-            for phrase, slot, value in _PHRASES.get(word, ()):
+            for phrase, slot, value in _SLOT_PHRASES.get(word, ()):
                 if _begins(phrase, words, at):
                     values[slot].add(value)
     return {slot: frozenset(given) for slot, given in values.items()}
 
 
 def _stems(text: str) -> list[str]:
-    words = _WORD.findall(text.casefold().replace("'s", "").replace("'", ""))
+    words = _WORD_OR_GAP.findall(text.casefold().replace("'s", "").replace("'", ""))
     return [stem(word) for word in words if word not in _LEFT_OUT]
 
 
 def _read(text: str) -> list[str]:
     """The stems of a text; a name where the text has one of its entries, the longest first."""
     stems = _stems(text)
-    return [name or stems[at] for at, name in phrases(stems, _NAMES, _LONGEST)]
+    return [name or stems[at] for at, name in phrases(stems, _STEMMED_NAMES, _MAX_NAME_WORDS)]
 
 
 def _begins(phrase: Sequence[str], words: Sequence[str], at: int) -> bool:
     """Whether a phrase begins at this place of ``words``."""
     for i, word in enumerate(phrase):
         if word == _GAP:
-            return any(_begins(phrase[i + 1 :], words, at + i + skipped) for skipped in range(_GAP_WORDS + 1))
+            return any(_begins(phrase[i + 1 :], words, at + i + skipped) for skipped in range(_MAX_GAP_WORDS + 1))
         if at + i >= len(words) or words[at + i] != word:
             return False
     return True
@@ -231,10 +231,12 @@ def _phrases() -> Iterator[tuple[tuple[str, ...], str, str]]:
 
 
 _LEFT_OUT = frozenset(LEFT_OUT.split())
-_NAMES = {
-    tuple(_stems(entry)): "-".join(_stems(name)) for name, entries in NAMES.items() for entry in entries.split(",")
+_STEMMED_NAMES = {
+    tuple(_stems(entry)): "-".join(_stems(name))
+    for name, entries in VALUE_NAMES.items()
+    for entry in entries.split(",")
 }
-_LONGEST = max(map(len, _NAMES))
-_PHRASES: dict[str, list[tuple[tuple[str, ...], str, str]]] = {}  # by their first word
+_MAX_NAME_WORDS = max(map(len, _STEMMED_NAMES))
+_SLOT_PHRASES: dict[str, list[tuple[tuple[str, ...], str, str]]] = {}  # by their first word
 for _phrase in _phrases():
-    _PHRASES.setdefault(_phrase[0][0], []).append(_phrase)
+    _SLOT_PHRASES.setdefault(_phrase[0][0], []).append(_phrase)

@@ -16,7 +16,7 @@ from sumo_adv.memory import rows
 from sumo_adv.memory.migrations import (
     APPLICATION_ID,
     MIGRATIONS,
-    REPAIR,
+    REPAIR_ADVICE,
     Clock,
     check_identity,
     check_references,
@@ -26,7 +26,7 @@ from sumo_adv.memory.migrations import (
 
 BUSY_TIMEOUT_MS = 10_000  # how long a writer waits for another one
 _MAGIC = b"SQLite format 3\0"
-FILE_NAME = "memory_bank.sqlite"
+BANK_FILE_NAME = "memory_bank.sqlite"
 
 
 def bank_error(error: sqlite3.Error, path: Path) -> BankError:
@@ -38,7 +38,7 @@ def bank_error(error: sqlite3.Error, path: Path) -> BankError:
         sqlite3.SQLITE_READONLY: "is read-only; give another path, or make the file and its folder writable",
         sqlite3.SQLITE_CANTOPEN: "cannot be opened; check that you may read the file and write in its folder",
         sqlite3.SQLITE_BUSY: f"was in use by another process for over {BUSY_TIMEOUT_MS / 1000:.0f} s; try again",
-        sqlite3.SQLITE_CORRUPT: f"is damaged; {REPAIR}",
+        sqlite3.SQLITE_CORRUPT: f"is damaged; {REPAIR_ADVICE}",
         sqlite3.SQLITE_NOTADB: "is not a SQLite file; give the path of a memory bank",
     }
     if code is None and isinstance(error, sqlite3.OperationalError):
@@ -55,7 +55,7 @@ def sentences(path: Path) -> Iterator[None]:
     except sqlite3.Error as error:
         raise bank_error(error, path) from error
     except UnicodeDecodeError as error:  # in the schema, or in a message about it
-        raise BankError(f"The memory bank {path} is damaged; {REPAIR}.") from error
+        raise BankError(f"The memory bank {path} is damaged; {REPAIR_ADVICE}.") from error
     except OSError as error:
         reason = (error.strerror or str(error)).lower()
         raise BankError(
@@ -157,7 +157,7 @@ def _check(connection: sqlite3.Connection, path: Path) -> int:
     version = check_identity(connection, str(path))
     check_schema(connection, str(path), version)
     if connection.execute("PRAGMA quick_check(1)").fetchall() != [("ok",)]:
-        raise BankError(f"The memory bank {path} is damaged; {REPAIR}.")
+        raise BankError(f"The memory bank {path} is damaged; {REPAIR_ADVICE}.")
     check_references(connection, str(path))
     return version
 
@@ -220,4 +220,4 @@ def default_bank_path(
     environ: Mapping[str, str] = os.environ, platform: str = sys.platform, home: Path | None = None
 ) -> Path:
     """The bank in the user's data folder (:func:`~sumo_adv.files.user_folder`); nothing is created."""
-    return user_folder("data", environ, platform, home) / FILE_NAME
+    return user_folder("data", environ, platform, home) / BANK_FILE_NAME

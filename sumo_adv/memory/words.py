@@ -116,7 +116,7 @@ _WORD = re.compile(r"[a-z]+")
 _VOWEL = re.compile(r"[aeiouy]")
 _MEASURE = re.compile(r"[aeiouy]+[^aeiouy]+")
 T = TypeVar("T")
-_SUFFIXES = (
+_WORD_SUFFIXES = (
     ("ational", ""), ("ization", ""), ("fulness", ""), ("ousness", ""), ("iveness", ""), ("ively", ""), ("ently", ""),
     ("antly", ""), ("fully", ""), ("lessly", ""), ("ously", ""), ("ation", ""), ("ingly", ""), ("ally", ""),
     ("ness", ""), ("ment", ""), ("able", ""), ("ible", ""), ("edly", ""), ("ion", ""), ("ous", ""), ("ive", ""),
@@ -131,7 +131,7 @@ def stem(word: str) -> str:
     if len(word) <= 3:
         return word
     word = _past_or_progressive(_singular(word))
-    for suffix, ending in _SUFFIXES:
+    for suffix, ending in _WORD_SUFFIXES:
         if word.endswith(suffix) and len(_MEASURE.findall(word[: -len(suffix)])) >= 1 and len(word) - len(suffix) >= 4:
             word = word[: -len(suffix)] + ending
             break
@@ -161,7 +161,7 @@ def _past_or_progressive(word: str) -> str:
     return word
 
 
-_STOPS = frozenset(STOP_WORDS) | frozenset(stem(word) for word in STOP_WORDS)
+_STOP_STEMS = frozenset(STOP_WORDS) | frozenset(stem(word) for word in STOP_WORDS)
 
 
 def _phrases() -> dict[tuple[str, ...], tuple[str, ...]]:
@@ -176,8 +176,8 @@ def _phrases() -> dict[tuple[str, ...], tuple[str, ...]]:
     return {key: tuple(names) for key, names in table.items()}
 
 
-_PHRASES = _phrases()
-_LONGEST = max(len(key) for key in _PHRASES)
+_CONCEPT_PHRASES = _phrases()
+_MAX_CONCEPT_WORDS = max(len(key) for key in _CONCEPT_PHRASES)
 
 
 def features(text: str) -> Iterator[str]:
@@ -185,10 +185,10 @@ def features(text: str) -> Iterator[str]:
     first), the bare stem for each other word that is no stop word."""
     raw = _WORD.findall(text.casefold().replace("'", ""))
     stems = [stem(word) for word in raw]
-    for at, names in phrases(stems, _PHRASES, _LONGEST):
+    for at, names in phrases(stems, _CONCEPT_PHRASES, _MAX_CONCEPT_WORDS):
         if names is not None:
             yield from (CONCEPT_MARK + name for name in names)
-        elif raw[at] not in _STOPS and stems[at] not in _STOPS and len(raw[at]) > 1:
+        elif raw[at] not in _STOP_STEMS and stems[at] not in _STOP_STEMS and len(raw[at]) > 1:
             yield stems[at]
 
 

@@ -20,8 +20,8 @@ import numpy as np
 from sumo_adv.datatypes import Bools, Boxes, Floats, Ints, Track
 from sumo_adv.geometry import LAYER_HEIGHT_M, same_layer, wrap_below_pi
 
-LEAST_ADVANCE = 1e-3  # of one interval: 0.1 ms of a 0.1 s step
-TOUCH = 1e-9  # m, below this two boxes touch
+MIN_ADVANCE_SHARE = 1e-3  # of one interval: 0.1 ms of a 0.1 s step
+TOUCHING_DISTANCE_M = 1e-9  # below this two boxes touch
 Half = tuple[Floats | float, Floats | float]
 """Half the length and half the width [m]."""
 
@@ -206,7 +206,7 @@ def _advance(motion: list[Floats], group: Ints) -> Floats:
         done[group[active[~separated]]] = True
         go_on = ~done[group[active]] & (at < 1.0) & (at + safe <= 1.0 + 1e-12)
         active, motion = active[go_on], [v[go_on] for v in motion]
-        at = np.minimum(at[go_on] + np.maximum(safe[go_on], LEAST_ADVANCE), 1.0)
+        at = np.minimum(at[go_on] + np.maximum(safe[go_on], MIN_ADVANCE_SHARE), 1.0)
     return contact
 
 
@@ -225,7 +225,7 @@ def _safe_step(at: Floats, motion: list[Floats]) -> tuple[Bools, Floats]:
     apart = np.zeros(len(at), dtype=bool)
     safe = np.zeros(len(at))
     for distance, rate in zip(sat(dx, dy, ca, sa, cb, sb, (la, wa), (lb, wb)), rates, strict=True):
-        positive = distance > TOUCH
+        positive = distance > TOUCHING_DISTANCE_M
         apart |= positive
         with np.errstate(over="ignore"):  # by a rate of next to nothing: inf, as it should be
             step = np.where(rate > 0, distance / np.where(rate > 0, rate, 1.0), np.inf)

@@ -17,7 +17,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Limits, Track
 from sumo_adv.metrics.boxes import height_as
-from sumo_adv.metrics.gates import CLOCK_SLACK, GATES, kinematic_gates
+from sumo_adv.metrics.gates import CLOCK_SLACK_S, GATES, kinematic_gates
 
 SPAN = 0.5  # s before the take-over that are smoothed: the shortest manoeuvre in a log, a brake tap, lasts longer
 FEWEST = 4  # states: a line through fewer says nothing of their noise
@@ -29,7 +29,7 @@ def smoothed(track: Track, time: float, limits: Limits) -> Track:
 
     The acceleration is kept within the limits. A track of fewer than ``FEWEST`` states there stays as it is.
     """
-    k = np.flatnonzero((track.time >= time - SPAN - CLOCK_SLACK) & (track.time <= time + CLOCK_SLACK))
+    k = np.flatnonzero((track.time >= time - SPAN - CLOCK_SLACK_S) & (track.time <= time + CLOCK_SLACK_S))
     if len(k) < FEWEST:
         return track
     speed, heading, acceleration = track.speed.copy(), track.heading.copy(), track.acceleration.copy()
@@ -52,7 +52,7 @@ def log_breaches(track: Track, time: float, limits: Limits) -> tuple[str, ...]:
     if len(track.time) < FEWEST:
         return ()
     broken = kinematic_gates(track.boxes(), track.acceleration, track.time, limits)
-    until = int(np.searchsorted(track.time, time + CLOCK_SLACK)) + 1
+    until = int(np.searchsorted(track.time, time + CLOCK_SLACK_S)) + 1
     return tuple(name for name in GATES if name in broken and broken[name][2:until].any())
 
 

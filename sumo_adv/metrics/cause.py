@@ -43,8 +43,8 @@ from sumo_adv.metrics.avoidance import DELAY
 from sumo_adv.metrics.levels import encounter_of
 from sumo_adv.metrics.reaction import braking_of, missed_on_its_way, steering_of
 from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, SAME_DIRECTION_ONLY, Braker
-from sumo_adv.metrics.reference.brakers import FULL_BRAKING
-from sumo_adv.metrics.reference.cc_human import PERCEPTION, REACTION, CcHuman
+from sumo_adv.metrics.reference.brakers import FULL_BRAKING_M_S2
+from sumo_adv.metrics.reference.cc_human import HUMAN_REACTION_S, PERCEPTION_S, CcHuman
 from sumo_adv.metrics.reference.counterfactual import Counterfactual
 from sumo_adv.metrics.reference.view import View
 
@@ -54,7 +54,7 @@ SOON = 0.05  # s before the moment, which is 0.0 s in words
 STEP, COARSE = 0.1, 5  # m/s2 between the constant brakings that are tried; every fifth one is tried first
 STANDS = 0.1  # m/s: a slower ego stands
 CAREFUL = CcHuman.name
-DELAYS = {name: braker.delay for name, braker in BRAKERS.items()} | {MANOEUVRE: DELAY - PERCEPTION}
+DELAYS = {name: braker.delay for name, braker in BRAKERS.items()} | {MANOEUVRE: DELAY - PERCEPTION_S}
 """Seconds from a reference driver's alarm until it acts."""
 NAMES = {CAREFUL: "the careful one", MANOEUVRE: "a driver that brakes and steers"}
 """Reference drivers in sentences."""
@@ -155,7 +155,7 @@ def cause_of(
     into = contact is not None and steering is not None and not steering.away
     into = into and missed_on_its_way(ego, adversary, others, trigger_time, moment, lane_half_width, unattacked)
     avoided = verdict.preventability is not None and bool(verdict.preventability.by)
-    harder = enough is not None and _avoids(check, first, FULL_BRAKING)
+    harder = enough is not None and _avoids(check, first, FULL_BRAKING_M_S2)
     found = replace(found, kind=_kind(found, contact is not None, into, avoided, harder))
     hopeless = found.kind is CauseKind.UNFORESEEABLE and careful is not None
     sentence = _all_the_same(found, check, begin) if hopeless else _sentence(found, contact is not None)
@@ -219,7 +219,7 @@ class _Watched(CcHuman):
             if now - self._dangerous_at > CALM:
                 self.first, self.brakes = math.inf, math.inf
             self._dangerous_at, self.first = now, min(self.first, now)
-            acts = float(self._decided_at[0, 0]) + REACTION
+            acts = float(self._decided_at[0, 0]) + HUMAN_REACTION_S
             if np.isfinite(answer[0]) and now >= self._start - 1e-9 and now + self._dt > acts:
                 self.brakes = min(self.brakes, max(acts, self._start))
         return answer
@@ -235,7 +235,7 @@ def _reference(check: Counterfactual, begin: float, moment: float, verdict: Verd
     avoided, alarms = ((), {}) if p is None else (p.by, dict(p.alarms))
     known = alarm if alarm < moment else None
     if brakes < moment and (CAREFUL in avoided or not avoided):
-        return _Reference(CAREFUL, brakes - REACTION, brakes, known)
+        return _Reference(CAREFUL, brakes - HUMAN_REACTION_S, brakes, known)
     alarms |= {MANOEUVRE: alarm} if alarm + DELAYS[MANOEUVRE] < moment else {}
     acts = {n: max(alarms[n] + DELAYS[n], begin + start) for n in avoided if n in alarms}
     for name in acts:
@@ -268,7 +268,7 @@ def _last_onset(brakes: Sequence[bool], check: Counterfactual) -> float:
 
 def _enough(check: Counterfactual, first: int) -> float | None:
     """The least constant braking from the step ``first`` on that avoids the contact; 0 = keeping the speed."""
-    coarse = range(0, int(FULL_BRAKING / STEP) + 1, COARSE)
+    coarse = range(0, int(FULL_BRAKING_M_S2 / STEP) + 1, COARSE)
     found = next((k for k in coarse if _avoids(check, first, k * STEP)), None)
     if found is None:
         return None
@@ -302,7 +302,7 @@ def _sentence(c: Cause, met: bool) -> str:
         if unknown or c.alarm is None:
             return f"No one could have known before {moment}."
         before = f"{c.moment - c.alarm:.1f} s before {moment}"
-        if c.moment - c.alarm > REACTION + IN_TIME:
+        if c.moment - c.alarm > HUMAN_REACTION_S + IN_TIME:
             return f"A danger showed to a careful driver {before}, but none that made it brake."
         return f"No one could have known earlier than {before}."
     careful = NAMES.get(c.reference, f"the reference driver {c.reference}")

@@ -14,9 +14,9 @@ from sumo_adv.datatypes import Boxes, Floats, Track
 from sumo_adv.geometry import LAYER_HEIGHT_M, same_layer, wrap_below_pi
 from sumo_adv.metrics.boxes import corners, flat, gap, half, height_as, on_grid, overlaps, pick
 
-AVAILABLE = 8.0  # m/s2, the braking of a car on a dry road
-FINE = 51  # parts of a step in which PET is refined
-LEAST_MOVE_M = 0.01  # a step: below it a vehicle stands, and no slope can be told
+AVAILABLE_BRAKING_M_S2 = 8.0  # the braking of a car on a dry road
+PET_SUBSTEP_COUNT = 51  # parts of a step in which PET is refined
+MIN_MOVE_PER_STEP_M = 0.01  # below it a vehicle stands, and no slope can be told
 
 
 def ttc(a: Boxes, b: Boxes) -> Floats:
@@ -62,7 +62,7 @@ def climb(b: Boxes) -> Floats:
         return np.zeros(())
     moved = np.hypot(np.gradient(b.x, axis=-1), np.gradient(b.y, axis=-1))
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(moved > LEAST_MOVE_M, np.gradient(b.z, axis=-1) / moved, 0.0)
+        return np.where(moved > MIN_MOVE_PER_STEP_M, np.gradient(b.z, axis=-1) / moved, 0.0)
 
 
 def drac(ego: Boxes, other: Boxes, times: Floats | None = None) -> Floats:
@@ -124,8 +124,8 @@ def headway(ego: Boxes, other: Boxes) -> Floats:
 
 
 def btn(ego: Boxes, other: Boxes, times: Floats | None = None) -> Floats:
-    """Brake threat number: :func:`drac` over the ``AVAILABLE`` braking; >= 1: braking alone is too late."""
-    return drac(ego, other, times) / AVAILABLE
+    """Brake threat number: :func:`drac` over ``AVAILABLE_BRAKING_M_S2``; >= 1: braking alone is too late."""
+    return drac(ego, other, times) / AVAILABLE_BRAKING_M_S2
 
 
 def exposure(times: Floats, threshold: float, dt: float) -> tuple[Floats, Floats]:
@@ -175,7 +175,7 @@ def _refined(a: Track, b: Track, i: int, j: int) -> float:
 
     ``a`` was there first.
     """
-    part = np.linspace(0.0, 1.0, FINE)
+    part = np.linspace(0.0, 1.0, PET_SUBSTEP_COUNT)
     left, leaving = _between(a, i, min(i + 1, len(a.time) - 1), part[:, None])
     arrived, coming = _between(b, j, max(j - 1, 0), part)
     return max(float(np.where(overlaps(leaving, coming), arrived - left, np.inf).min()), 0.0)
@@ -189,11 +189,12 @@ def _between(track: Track, start: int, stop: int, part: Floats) -> tuple[Floats,
     return time, Boxes(x, y, track.heading[start] + part * turn, speed, track.length, track.width, z)
 
 
-COLUMNS = ("ttc", "gap", "centre_distance", "drac", "btn", "headway", "required_lateral")
+CRITICALITY_COLUMNS = ("ttc", "gap", "centre_distance", "drac", "btn", "headway", "required_lateral")
 
 
 def series(ego: Track, others: Sequence[Track]) -> dict[str, Floats]:
-    """Measures of the ego against every other vehicle over the ego's steps: each of ``COLUMNS`` as ``(n, steps)``.
+    """Measures of the ego against every other vehicle over the ego's steps: each of ``CRITICALITY_COLUMNS`` as ``(n,
+    steps)``.
 
     Plus ``time`` ``(steps,)`` [s].  Rows are in the order of ``others``; where a vehicle is not there TTC, gap, headway
     and centre distance are inf and the rates 0.

@@ -17,11 +17,11 @@ from sumo_adv.datatypes import Bools, Floats, Track
 from sumo_adv.geometry import wrap_below_pi
 from sumo_adv.metrics.contact import OPPOSITE_DIRECTION, SAME_DIRECTION, CollisionClass, collision_class
 
-EGO, ADVERSARY = "ego", "adversary"
-WAY = 60.0  # m before the contact, the same for both: an intrusion takes 2 to 3 s, at 20 m/s
-LEAST_WAY = 1.0  # m that both together drove, below which nothing can be said of a bend
-MOST_BEND = 1.3  # rad between their directions at the start; with more, one of them came from another road
-STRAIGHT = 1e-6  # 1/m, a curvature below which the arc is a line
+EGO_PARTY, ADVERSARY_PARTY = "ego", "adversary"
+LOOK_BACK_DISTANCE_M = 60.0  # before the contact, the same for both: an intrusion takes 2 to 3 s, at 20 m/s
+MIN_SHARED_PATH_M = 1.0  # that both together drove, below which nothing can be said of a bend
+MAX_START_ANGLE_RAD = 1.3  # between their directions at the start; with more, one of them came from another road
+STRAIGHT_CURVATURE_1_M = 1e-6  # a curvature below which the arc is a line
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,26 +42,26 @@ DEFAULT_RSS = Rss()
 def nuplan_fault(ego: Track, adversary: Track, contact_time: float) -> str:
     """``ego`` or ``adversary`` by nuPlan's rules."""
     kind = collision_class(ego, adversary, contact_time)
-    return EGO if kind in (CollisionClass.STOPPED_TRACK, CollisionClass.ACTIVE_FRONT) else ADVERSARY
+    return EGO_PARTY if kind in (CollisionClass.STOPPED_TRACK, CollisionClass.ACTIVE_FRONT) else ADVERSARY_PARTY
 
 
 def fault(ego: Track, adversary: Track, contact_time: float) -> str:
     """``ego`` or ``adversary``: nuPlan's rules, and in a head-on collision the vehicle that left its side.
 
     nuPlan blames an ego that is hit head-on in its own lane, because it meets the other with its front bumper.  Here
-    the vehicle is at fault that came further over to the other's side, on its last ``WAY``, even if it then stopped.
-    The road is taken to be the arc that their directions at the start of this stretch span.
+    the vehicle is at fault that came further over to the other's side, on its last ``LOOK_BACK_DISTANCE_M``, even if it
+    then stopped. The road is taken to be the arc that their directions at the start of this stretch span.
     """
     a, b = (t.between(-np.inf, contact_time) for t in (ego, adversary))
     turn = np.abs(wrap_below_pi(b.heading[-1:] - a.heading[-1:]))
     if len(a.time) < 2 or len(b.time) < 2 or turn[0] < OPPOSITE_DIRECTION:
         return nuplan_fault(ego, adversary, contact_time)
-    way = min(WAY, _to_go(a)[0], _to_go(b)[0])
+    way = min(LOOK_BACK_DISTANCE_M, _to_go(a)[0], _to_go(b)[0])
     a, b = (t.between(float(t.time[_to_go(t) >= way][-1]), np.inf) for t in (a, b))
     angle = float(wrap_below_pi(b.heading[:1] - np.pi - a.heading[:1])[0])
-    angle = angle if abs(angle) < MOST_BEND else 0.0
-    curvature = angle / max(_to_go(a)[0] + _to_go(b)[0], LEAST_WAY)
-    return ADVERSARY if _came_over(b, a, -curvature) > _came_over(a, b, curvature) else EGO
+    angle = angle if abs(angle) < MAX_START_ANGLE_RAD else 0.0
+    curvature = angle / max(_to_go(a)[0] + _to_go(b)[0], MIN_SHARED_PATH_M)
+    return ADVERSARY_PARTY if _came_over(b, a, -curvature) > _came_over(a, b, curvature) else EGO_PARTY
 
 
 def _to_go(track: Track) -> Floats:
@@ -82,7 +82,7 @@ def _left_of(track: Track, curvature: float, x: float, y: float) -> float:
     c, s = np.cos(track.heading[0]), np.sin(track.heading[0])
     dx, dy = x - track.x[0], y - track.y[0]
     along, left = dx * c + dy * s, dy * c - dx * s
-    if abs(curvature) < STRAIGHT:
+    if abs(curvature) < STRAIGHT_CURVATURE_1_M:
         return float(left)
     return float((1.0 - np.hypot(curvature * along, 1.0 - curvature * left)) / curvature)
 
@@ -125,12 +125,12 @@ def rss_opinion(ego: Track, adversary: Track, contact_time: float) -> SecondOpin
     spell = min(_spell(unsafe_along & unsafe_across), len(a.time) - 1)
     when = float(a.time[spell])
     if _spell(unsafe_across) > _spell(unsafe_along):
-        return SecondOpinion(when, "lateral", ADVERSARY if towards[spell] >= 0.0 else EGO)
+        return SecondOpinion(when, "lateral", ADVERSARY_PARTY if towards[spell] >= 0.0 else EGO_PARTY)
     if not behind[spell]:
-        return SecondOpinion(when, "longitudinal", ADVERSARY)
+        return SecondOpinion(when, "longitudinal", ADVERSARY_PARTY)
     due = a.time >= when + DEFAULT_RSS.response
     braked = bool((a.acceleration[due] <= -DEFAULT_RSS.braking + 0.1).all())
-    return SecondOpinion(when, "longitudinal", ADVERSARY if braked else EGO)
+    return SecondOpinion(when, "longitudinal", ADVERSARY_PARTY if braked else EGO_PARTY)
 
 
 def _unsafe(a: Track, b: Track) -> tuple[Floats, Bools, Bools, Bools]:

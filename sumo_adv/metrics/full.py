@@ -27,7 +27,7 @@ from sumo_adv.metrics.contact import (
     contact_point,
     impact,
 )
-from sumo_adv.metrics.criticality import AVAILABLE, exposure, pet, series
+from sumo_adv.metrics.criticality import AVAILABLE_BRAKING_M_S2, exposure, pet, series
 from sumo_adv.metrics.fault import SecondOpinion, rss_opinion
 from sumo_adv.metrics.validity import MOST, Encounter, Kind, align, avoidable_by, hazard_of, judge
 
@@ -175,7 +175,7 @@ def full_judge(
         tet=float(tet),
         tit=float(tit),
         min_headway=float(measures["headway"].min()),
-        max_btn=_largest(measures["drac"]) / AVAILABLE,
+        max_btn=_largest(measures["drac"]) / AVAILABLE_BRAKING_M_S2,
         max_required_lateral=_largest(measures["required_lateral"]),
         min_centre_distance=_nearest_centres(ego, adversary, measures["centre_distance"], contact),
         conflict_point=_conflict(ego, adversary, trigger_time, stop, contact),

@@ -19,16 +19,16 @@ from sumo_adv.metrics.avoidance import ROAD_TOLERANCE, OnRoad
 from sumo_adv.metrics.boxes import corners, first_contact, half_diagonal, on_grid, pick, row_of
 from sumo_adv.road_users import is_unprotected
 
-ACCELERATION_SLACK = 0.1  # m/s2: a speed rounded to 5 mm/s over 0.1 s
-LATERAL_SLACK = 0.1  # m/s2: a heading rounded to 5e-4 rad over 0.2 s at 20 m/s
-CURVATURE_SLACK = 0.01  # 1/m
-JERK_SLACK = 3.0  # m/s3: accelerations rounded to 0.1 m/s2 differ by up to 2 m/s3
-CRAWL = 1.0  # m/s, below it two poses 0.2 s apart do not define a curvature
-REST = 0.05  # m/s, below it a vehicle has come to rest, which ends any braking within one step
-STEP_SLACK, STEP_SHARE = 0.15, 0.05  # m, and share of v dt, by which a step may differ from its mean speed
-SLIP_ANGLE, SLIP_SLACK = 0.05, 0.02  # rad and m that the centre may slip sideways besides what a curve explains
-SIDEWAYS = 1.2  # m/s: the lateral speed of SUMO's own lane changes (3.2 m in 3 s) with a small margin
-CLOCK_SLACK = 5e-4  # s, times this close are equal
+ACCELERATION_SLACK_M_S2 = 0.1  # a speed rounded to 5 mm/s over 0.1 s
+LATERAL_SLACK_M_S2 = 0.1  # a heading rounded to 5e-4 rad over 0.2 s at 20 m/s
+CURVATURE_SLACK_1_M = 0.01
+JERK_SLACK_M_S3 = 3.0  # accelerations rounded to 0.1 m/s2 differ by up to 2 m/s3
+DEFINED_CURVATURE_SPEED_M_S = 1.0  # below it two poses 0.2 s apart do not define a curvature
+REST_SPEED_M_S = 0.05  # below it a vehicle has come to rest, which ends any braking within one step
+STEP_SLACK_M, STEP_SLACK_SHARE = 0.15, 0.05  # and share of v dt, by which a step may differ from its mean speed
+SLIP_ANGLE_RAD, SLIP_SLACK_M = 0.05, 0.02  # sideways slip of the centre besides what a curve explains
+LANE_CHANGE_SPEED_M_S = 1.2  # the lateral speed of SUMO's own lane changes (3.2 m in 3 s) with a small margin
+CLOCK_SLACK_S = 5e-4  # times this close are equal
 GATES = ("longitudinal", "lateral", "friction_circle", "curvature", "jerk", "continuity", "off_road", "third_party")
 
 
@@ -59,9 +59,10 @@ def derivatives(b: Boxes, acceleration: Floats, time: Floats) -> Motion:
     """
     jerk, turned = np.zeros_like(b.heading), np.unwrap(b.heading, axis=-1)
     yaw_rate = np.gradient(turned, time, axis=-1) if len(time) > 1 else np.zeros_like(turned)
-    jerk[..., 1:] = np.where(b.speed[..., 1:] < REST, 0.0, np.diff(acceleration, axis=-1) / np.diff(time))
+    jerk[..., 1:] = np.where(b.speed[..., 1:] < REST_SPEED_M_S, 0.0, np.diff(acceleration, axis=-1) / np.diff(time))
     size = np.abs(yaw_rate)
-    return Motion(b.speed, acceleration, yaw_rate, b.speed * size, size / np.maximum(b.speed, CRAWL), jerk)
+    curvature = size / np.maximum(b.speed, DEFINED_CURVATURE_SPEED_M_S)
+    return Motion(b.speed, acceleration, yaw_rate, b.speed * size, curvature, jerk)
 
 
 def largest_acceleration(b: Boxes, acceleration: Floats, time: Floats) -> Floats:
@@ -78,12 +79,12 @@ def kinematic_gates(b: Boxes, acceleration: Floats, time: Floats, limits: Limits
     m = derivatives(b, acceleration, time)
     friction = max(limits.braking, limits.acceleration, limits.lateral)
     return {
-        "longitudinal": (m.acceleration < -limits.braking - ACCELERATION_SLACK)
-        | (m.acceleration > limits.acceleration + ACCELERATION_SLACK),
-        "lateral": m.lateral > limits.lateral + LATERAL_SLACK,
-        "friction_circle": np.hypot(m.acceleration, m.lateral) > friction + LATERAL_SLACK,
-        "curvature": m.curvature > limits.curvature + CURVATURE_SLACK,
-        "jerk": np.abs(m.jerk) > limits.jerk + JERK_SLACK,
+        "longitudinal": (m.acceleration < -limits.braking - ACCELERATION_SLACK_M_S2)
+        | (m.acceleration > limits.acceleration + ACCELERATION_SLACK_M_S2),
+        "lateral": m.lateral > limits.lateral + LATERAL_SLACK_M_S2,
+        "friction_circle": np.hypot(m.acceleration, m.lateral) > friction + LATERAL_SLACK_M_S2,
+        "curvature": m.curvature > limits.curvature + CURVATURE_SLACK_1_M,
+        "jerk": np.abs(m.jerk) > limits.jerk + JERK_SLACK_M_S3,
         "continuity": _discontinuous(b, time, limits),
     }
 
@@ -101,12 +102,12 @@ def _discontinuous(b: Boxes, time: Floats, limits: Limits) -> Bools:
     speed = (b.speed[..., 1:] + b.speed[..., :-1]) / 2
     c, s = np.cos(middle), np.sin(middle)
     along, across = dx * c + dy * s, np.abs(dy * c - dx * s)
-    curve = np.minimum(limits.curvature, limits.lateral / np.maximum(speed, CRAWL) ** 2)
-    slip = speed * (curve * np.asarray(b.length) / 2 + SLIP_ANGLE) + SIDEWAYS
+    curve = np.minimum(limits.curvature, limits.lateral / np.maximum(speed, DEFINED_CURVATURE_SPEED_M_S) ** 2)
+    slip = speed * (curve * np.asarray(b.length) / 2 + SLIP_ANGLE_RAD) + LANE_CHANGE_SPEED_M_S
     change = np.diff(b.speed, axis=-1) / dt
     broken = np.zeros(b.x.shape, bool)
-    broken[..., 1:] = np.abs(along - speed * dt) > STEP_SLACK + STEP_SHARE * speed * dt
-    broken[..., 1:] |= across > slip * dt + SLIP_SLACK
+    broken[..., 1:] = np.abs(along - speed * dt) > STEP_SLACK_M + STEP_SLACK_SHARE * speed * dt
+    broken[..., 1:] |= across > slip * dt + SLIP_SLACK_M
     broken[..., 1:] |= (change > 2 * limits.acceleration) | (change < -1.5 * limits.braking)
     return broken
 
@@ -184,7 +185,7 @@ def failed_gates(
     """
     start = float(adversary.time[min(2, len(adversary.time) - 1)]) if start is None else start
     end = float(min(ego.time[-1], adversary.time[-1])) if end is None else end
-    judged = (adversary.time >= start - CLOCK_SLACK) & (adversary.time <= end + CLOCK_SLACK)
+    judged = (adversary.time >= start - CLOCK_SLACK_S) & (adversary.time <= end + CLOCK_SLACK_S)
     judged[0] = judged[0] and len(judged) == 1  # the first state has no derivative of its own
     if not judged.any():
         return ()
@@ -230,8 +231,8 @@ def _touches(adversary: Track, others: Sequence[Track], end: float) -> bool:
     return bool(third_party(pick(boxes, row), pick(around, column), time, np.array(end)).any())
 
 
-INSETS = (0.25, 0.5, 0.75)  # m by which a box is made smaller to see how far it is off the road
-AT_ONCE = 0.15  # s after the start: what fails by then was so at the take-over
+OFF_ROAD_INSETS_M = (0.25, 0.5, 0.75)  # by which a box is made smaller to see how far it is off the road
+TAKE_OVER_S = 0.15  # after the start: what fails by then was so at the take-over
 
 
 def explained_gates(
@@ -239,10 +240,10 @@ def explained_gates(
     start: float, end: float,
 ) -> list[str]:  # fmt: skip
     """A sentence for each gate of ``failed`` that the motion between ``start`` and ``end`` [s] shows."""
-    track = adversary.between(start - 2 * AT_ONCE, end)
+    track = adversary.between(start - 2 * TAKE_OVER_S, end)
     if len(track.time) < 3:
         return []
-    boxes, judged = track.boxes(), (track.time >= start - CLOCK_SLACK) & (track.time <= end + CLOCK_SLACK)
+    boxes, judged = track.boxes(), (track.time >= start - CLOCK_SLACK_S) & (track.time <= end + CLOCK_SLACK_S)
     motion = derivatives(boxes, track.acceleration, track.time)
     broken = kinematic_gates(boxes, track.acceleration, track.time, limits)
     shown: dict[str, tuple[Floats, str, float]] = {
@@ -268,7 +269,7 @@ def explained_gates(
 
 def _when(steps: Bools, track: Track, start: float) -> str:
     times = track.time[steps] - start
-    if times[0] <= AT_ONCE:
+    if times[0] <= TAKE_OVER_S:
         return "already at the take-over"
     return f"{times[0]:.1f} s after its start" + (f", until {times[-1]:.1f} s" if times[-1] > times[0] + 0.05 else "")
 
@@ -278,8 +279,8 @@ def _off_road(track: Track, judged: Bools, on_road: OnRoad, start: float) -> lis
     steps = off_road(boxes, judged, on_road)
     if not steps.any():
         return []
-    enough = next((i for i in INSETS if not off_road(boxes, judged, on_road, i).any()), None)
-    amount = f"more than {INSETS[-1]:g}" if enough is None else f"up to {enough:g}"
+    enough = next((i for i in OFF_ROAD_INSETS_M if not off_road(boxes, judged, on_road, i).any()), None)
+    amount = f"more than {OFF_ROAD_INSETS_M[-1]:g}" if enough is None else f"up to {enough:g}"
     k = int(np.flatnonzero(steps)[0])
     points = corners(pick(boxes, k))
     outside = ~on_the_road(pick(boxes, k), points, on_road)

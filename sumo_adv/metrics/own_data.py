@@ -23,9 +23,9 @@ from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, REFERENCE_DRIVERS
 from sumo_adv.metrics.reference.counterfactual import Counterfactual, Encounters
 from sumo_adv.road_users import unprotected
 
-NEEDED = ("time", "x", "y", "heading", "speed")
-LENGTH, WIDTH = 4.8, 1.8  # m, where a table does not say
-LEAST = 4  # states
+NEEDED_COLUMNS = ("time", "x", "y", "heading", "speed")
+DEFAULT_LENGTH_M, DEFAULT_WIDTH_M = 4.8, 1.8  # where a table does not say
+MIN_TRACK_STATES = 4
 
 
 def track_of(name: str, columns: Mapping[str, Any], role: Role) -> Track:
@@ -36,13 +36,13 @@ def track_of(name: str, columns: Mapping[str, Any], role: Role) -> Track:
     be right (``consistency.py``): a number is not finite, or a unit is wrong.
     """
     values = {}
-    for key in (*NEEDED, *(["z"] if "z" in columns else [])):
+    for key in (*NEEDED_COLUMNS, *(["z"] if "z" in columns else [])):
         if key not in columns:
-            raise UsageError(f"The track of {name!r} has no column '{key}': it needs {', '.join(NEEDED)}.")
+            raise UsageError(f"The track of {name!r} has no column '{key}': it needs {', '.join(NEEDED_COLUMNS)}.")
         values[key] = _numbers(name, key, columns[key])
     time = values["time"]
-    if len(time) < LEAST or any(len(v) != len(time) for v in values.values()):
-        raise UsageError(f"The track of {name!r} needs {LEAST} states or more, and columns of one length.")
+    if len(time) < MIN_TRACK_STATES or any(len(v) != len(time) for v in values.values()):
+        raise UsageError(f"The track of {name!r} needs {MIN_TRACK_STATES} states or more, and columns of one length.")
     if wrong := unordered(time):
         raise UsageError(f"The times of {name!r} must ascend in even steps: state {wrong[0]} {wrong[1]}.")
     if (k := off_grid(time)) is not None:
@@ -50,10 +50,10 @@ def track_of(name: str, columns: Mapping[str, Any], role: Role) -> Track:
             f"The times of {name!r} must ascend in even steps: state {k} at {time[k]:g} s is off; resample the track."
         )
     dt = float(np.mean(np.diff(time)))
-    length = _size(name, "length", columns, LENGTH)
-    width = _size(name, "width", columns, WIDTH)
+    length = _size(name, "length", columns, DEFAULT_LENGTH_M)
+    width = _size(name, "width", columns, DEFAULT_WIDTH_M)
     kind = "other" if unprotected(length, width) else "vehicle"
-    x, y, heading, speed = (values[key] for key in NEEDED[1:])
+    x, y, heading, speed = (values[key] for key in NEEDED_COLUMNS[1:])
     motion = Motion(name, kind, time, x, y, heading, speed, length, width)
     if fault := find_fault([motion], noisy=False):
         at = f"state {fault.index} at {fault.time:g} s"
@@ -71,7 +71,7 @@ def split(table: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     if "id" not in table:
         raise UsageError("The table has no column 'id': it tells the vehicles apart.")
     names = np.array([str(v) for v in table["id"]])
-    given = [key for key in (*NEEDED, "z", "length", "width", "lane") if key in table]
+    given = [key for key in (*NEEDED_COLUMNS, "z", "length", "width", "lane") if key in table]
     uneven = [key for key in given if np.size(table[key]) != len(names)]
     if uneven:
         raise UsageError(f"The table's column '{uneven[0]}' is not as long as its column 'id'.")
@@ -105,18 +105,18 @@ def _size(name: str, key: str, columns: Mapping[str, Any], default: float) -> fl
     return float(sizes[0])
 
 
-LANE, CAR_LENGTH, CAR_WIDTH, DT = 3.5, 4.3, 1.9, 0.1  # m, m, m, s
-COLUMNS = ("ego_kmh", "other_kmh", "gap_m", "lateral_ms")
-ANSWERS = ("unchanged", *REFERENCE_DRIVERS)
-AT_ONCE = 100  # cases in one batch
-LONGEST = 120.0  # s: a contact that would come later counts as none
-AFTER = 8.0  # s that a case goes on after the unchanged ego's contact
-NONE = "none"
+CASE_LANE_WIDTH_M, CASE_CAR_LENGTH_M, CASE_CAR_WIDTH_M, CASE_STEP_S = 3.5, 4.3, 1.9, 0.1
+CASE_COLUMNS = ("ego_kmh", "other_kmh", "gap_m", "lateral_ms")
+ANSWERING_DRIVERS = ("unchanged", *REFERENCE_DRIVERS)
+CASE_BATCH_SIZE = 100
+MAX_CONTACT_TIME_S = 120.0  # a contact that would come later counts as none
+CASE_AFTER_CONTACT_S = 8.0  # how long a case goes on after the unchanged ego's contact
+NO_DRIVER = "none"
 
 
 def judge_cut_ins(cases: Floats) -> list[dict[str, str]]:
-    """For each case, a row of ``COLUMNS`` ``(n, 4)``: ``none`` or the kind of contact of the unchanged ego and of each
-    reference driver: ``front_to_rear`` (the ego runs into the other's rear), ``side``.
+    """For each case, a row of ``CASE_COLUMNS`` ``(n, 4)``: ``none`` or the kind of contact of the unchanged ego and of
+    each reference driver: ``front_to_rear`` (the ego runs into the other's rear), ``side``.
 
     Raises UsageError: numbers that make no cut-in.
     """
@@ -134,12 +134,12 @@ def _batches(cases: Floats) -> Iterator[tuple[Ints, float]]:
     """Rows that take about equally long, and for how long [s] they are rolled out."""
     ego, leader, gap, lateral = cases.T
     closing = np.maximum((ego - leader) / 3.6, 1e-9)
-    until = np.minimum(np.maximum(gap / closing, 0.0), LONGEST)
-    until = np.maximum(until, LANE / np.maximum(lateral, 0.05))
+    until = np.minimum(np.maximum(gap / closing, 0.0), MAX_CONTACT_TIME_S)
+    until = np.maximum(until, CASE_LANE_WIDTH_M / np.maximum(lateral, 0.05))
     order = np.argsort(until, kind="stable")
-    for first in range(0, len(order), AT_ONCE):
-        rows = order[first : first + AT_ONCE]
-        yield rows, float(min(until[rows].max() + AFTER, LONGEST + AFTER))
+    for first in range(0, len(order), CASE_BATCH_SIZE):
+        rows = order[first : first + CASE_BATCH_SIZE]
+        yield rows, float(min(until[rows].max() + CASE_AFTER_CONTACT_S, MAX_CONTACT_TIME_S + CASE_AFTER_CONTACT_S))
 
 
 def _batch(cases: Floats, duration: float) -> list[dict[str, str]]:
@@ -149,25 +149,27 @@ def _batch(cases: Floats, duration: float) -> list[dict[str, str]]:
     for name, driver in BRAKERS.items():
         station, speed, shown = check.roll_out(driver)
         x, y, heading = check.paths.poses(station)
-        kinds[name] = _kinds(check, Boxes(x, y, heading, speed, CAR_LENGTH, CAR_WIDTH))
+        kinds[name] = _kinds(check, Boxes(x, y, heading, speed, CASE_CAR_LENGTH_M, CASE_CAR_WIDTH_M))
         alarm = shown if name == "cc_human" else alarm
     answer, _ = check.manoeuvring(alarm)
     kinds[MANOEUVRE] = [
-        NONE if avoids else kind for avoids, kind in zip(answer.avoids, kinds["unchanged"], strict=True)
+        NO_DRIVER if avoids else kind for avoids, kind in zip(answer.avoids, kinds["unchanged"], strict=True)
     ]
-    return [{name: kinds[name][k] for name in ANSWERS} for k in range(len(cases))]
+    return [{name: kinds[name][k] for name in ANSWERING_DRIVERS} for k in range(len(cases))]
 
 
 def encounters(cases: Floats, duration: float) -> Encounters:
-    """The cut-ins of rows of ``COLUMNS``, rolled out for ``duration`` [s]."""
-    time = np.arange(round(duration / DT) + 1) * DT
+    """The cut-ins of rows of ``CASE_COLUMNS``, rolled out for ``duration`` [s]."""
+    time = np.arange(round(duration / CASE_STEP_S) + 1) * CASE_STEP_S
     ego, leader = cases[:, :1] / 3.6, cases[:, 1:2] / 3.6
     zero = np.zeros((len(cases), len(time)))
-    ego_boxes = Boxes(ego * time, zero, zero, ego + zero, CAR_LENGTH, CAR_WIDTH)
-    aside = np.maximum(LANE - cases[:, 3:4] * time, 0.0)
-    leader_boxes = Boxes(cases[:, 2:3] + CAR_LENGTH + leader * time, aside, zero, leader + zero, CAR_LENGTH, CAR_WIDTH)
+    ego_boxes = Boxes(ego * time, zero, zero, ego + zero, CASE_CAR_LENGTH_M, CASE_CAR_WIDTH_M)
+    aside = np.maximum(CASE_LANE_WIDTH_M - cases[:, 3:4] * time, 0.0)
+    size = CASE_CAR_LENGTH_M, CASE_CAR_WIDTH_M
+    leader_boxes = Boxes(cases[:, 2:3] + size[0] + leader * time, aside, zero, leader + zero, *size)
     n = len(cases)
-    return Encounters(ego_boxes, leader_boxes, np.zeros(n, int), np.full(n, len(time) - 1), DT, None, LANE / 2)
+    first, last, half_lane = np.zeros(n, int), np.full(n, len(time) - 1), CASE_LANE_WIDTH_M / 2
+    return Encounters(ego_boxes, leader_boxes, first, last, CASE_STEP_S, None, half_lane)
 
 
 def _kinds(check: Counterfactual, ego: Boxes) -> Sequence[str]:
@@ -175,7 +177,7 @@ def _kinds(check: Counterfactual, ego: Boxes) -> Sequence[str]:
     kinds = []
     for row, time in enumerate(when):
         if not np.isfinite(time):
-            kinds.append(NONE)
+            kinds.append(NO_DRIVER)
             continue
         side, _ = contact_sides(_at(ego, row, float(time)), _at(check.adversary, row, float(time)))
         kinds.append("front_to_rear" if side is Side.FRONT else "side")
@@ -184,9 +186,9 @@ def _kinds(check: Counterfactual, ego: Boxes) -> Sequence[str]:
 
 def _at(b: Boxes, row: int, time: float) -> Boxes:
     """A box at a time between steps, as 0-d arrays."""
-    k = min(int(time / DT + 1e-9), b.x.shape[1] - 2)
-    part = time / DT - k
+    k = min(int(time / CASE_STEP_S + 1e-9), b.x.shape[1] - 2)
+    part = time / CASE_STEP_S - k
     x, y, heading, speed = (
         np.asarray(v[row, k] + part * (v[row, k + 1] - v[row, k])) for v in (b.x, b.y, b.heading, b.speed)
     )
-    return Boxes(x, y, heading, speed, CAR_LENGTH, CAR_WIDTH)
+    return Boxes(x, y, heading, speed, CASE_CAR_LENGTH_M, CASE_CAR_WIDTH_M)

@@ -11,16 +11,16 @@ import numpy as np
 from sumo_adv.datatypes import Bools, Track
 from sumo_adv.metrics.boxes import at_time, row_of
 from sumo_adv.metrics.levels import encounter_of
-from sumo_adv.metrics.reference.cc_human import WANDERING
+from sumo_adv.metrics.reference.cc_human import WANDERING_M
 from sumo_adv.metrics.reference.counterfactual import Counterfactual
 from sumo_adv.metrics.reference.view import EgoPaths
 
-MORE = 1.0  # m/s2 more braking than without the attack is a reaction
-LOSING = 0.5  # m/s2 that the ego loses at least while it brakes
-HELD = 0.2  # s for which it does so
-PAUSE = 0.5  # s without braking that do not end it
-STANDS, DRIVES = 0.1, 1.0  # m/s
-BESIDE = 0.03  # m beside its way, from which on a movement to the side is seen to have begun
+REACTION_BRAKING_M_S2 = 1.0  # more braking than without the attack is a reaction
+MIN_DECELERATION_M_S2 = 0.5  # of an ego that brakes
+MIN_BRAKING_DURATION_S = 0.2
+MAX_BRAKING_PAUSE_S = 0.5  # a shorter one does not end the braking
+STANDS_BELOW_M_S, DRIVES_ABOVE_M_S = 0.1, 1.0
+MIN_SIDE_MOVEMENT_M = 0.03  # beside its way, from which on a movement to the side is seen to have begun
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,35 +62,37 @@ def braking_of(
     if len(driven.time) < 2:
         return None
     dt = float(np.diff(driven.time).min())
-    change, stands = np.diff(driven.speed) / dt, driven.speed[1:] < STANDS
+    change, stands = np.diff(driven.speed) / dt, driven.speed[1:] < STANDS_BELOW_M_S
     usual, pace = np.zeros(len(change)), np.full(len(driven.time), driven.speed[0])
     if unattacked is not None and len(unattacked.time) > 1:
         pace = np.interp(driven.time, unattacked.time, unattacked.speed)
         known = driven.time[1:] <= unattacked.time[-1] + 5e-4
         usual = np.where(known, np.diff(pace) / dt, 0.0)
-    loses = change <= -LOSING
-    brakes = _lasting(loses & (usual - change >= MORE), round(HELD / dt)) | (stands & (pace[1:] >= DRIVES))
+    loses = change <= -MIN_DECELERATION_M_S2
+    brakes = _lasting(loses & (usual - change >= REACTION_BRAKING_M_S2), round(MIN_BRAKING_DURATION_S / dt))
+    brakes |= stands & (pace[1:] >= DRIVES_ABOVE_M_S)
     spells = [
-        (begun, ended) for begun, ended in _spells(brakes, loses | stands, round(PAUSE / dt))
+        (begun, ended) for begun, ended in _spells(brakes, loses | stands, round(MAX_BRAKING_PAUSE_S / dt))
         if alarm is None or driven.time[ended] >= alarm - 5e-4 or bool(stands[begun:ended].any())
     ]  # fmt: skip
     if not spells:
         return None
     first, until, let_go = spells[0][0], spells[-1][1], None
-    still = first + np.flatnonzero(driven.speed[first:] < STANDS)
-    stopped = bool(len(still)) and float(driven.speed[-1]) >= STANDS
+    still = first + np.flatnonzero(driven.speed[first:] < STANDS_BELOW_M_S)
+    stopped = bool(len(still)) and float(driven.speed[-1]) >= STANDS_BELOW_M_S
     if len(still):
         until = int(still[0])
         let_go = float(driven.time[still[-1]]) if stopped else None
     else:
         followed = [float(driven.time[begun]) for begun, _ in spells[1:]] + [moment]
-        gaps = [end for (_, end), then in zip(spells, followed, strict=True) if then - driven.time[end] > PAUSE + 1e-9]
+        pause = MAX_BRAKING_PAUSE_S + 1e-9
+        gaps = [end for (_, end), then in zip(spells, followed, strict=True) if then - driven.time[end] > pause]
         if gaps:
             until, let_go = gaps[-1], float(driven.time[gaps[-1]])
     since = first if careful is None else max(first, int(np.searchsorted(driven.time, careful - 5e-4)))
     since = since if since < until else first
     mean = float(driven.speed[since] - driven.speed[until]) / max((until - since) * dt, dt)
-    hold = max(round(HELD / dt), 1)
+    hold = max(round(MIN_BRAKING_DURATION_S / dt), 1)
     hardest = max(-float(change[k : k + hold].mean()) for k in range(first, max(spells[-1][1] - hold, first) + 1))
     return Braking(float(driven.time[first]), mean, hardest, let_go, stopped)
 
@@ -131,10 +133,10 @@ def steering_of(ego: Track, adversary: Track, unattacked: Track | None, start: f
         left = left - left[0]  # as far as it was beside that way at first
     least = np.where(np.abs(left) < np.abs(straight), left, straight)
     least = np.where(left * straight > 0.0, least, 0.0)
-    if abs(least[-1]) < WANDERING:
+    if abs(least[-1]) < WANDERING_M:
         return None
     side = float(np.sign(least[-1]))
-    still = np.flatnonzero(least * side < BESIDE)
+    still = np.flatnonzero(least * side < MIN_SIDE_MOVEMENT_M)
     began = float(driven.time[min(int(still[-1]) + 1 if len(still) else 0, len(driven.time) - 1)])
     then, foe = at_time(driven, began), at_time(adversary, began)
     there = (foe.y - then.y) * np.cos(then.heading) - (foe.x - then.x) * np.sin(then.heading)

@@ -36,17 +36,18 @@ from sumo_adv.metrics.boxes import corners, gap, on_grid, row_of
 from sumo_adv.metrics.criticality import ttc
 from sumo_adv.metrics.gates import derivatives, motion
 
-SLOW, FAST = 5.0, 20.0  # m/s
-BOUNDS = {
+SLOW_BOUND_SPEED_M_S, FAST_BOUND_SPEED_M_S = 5.0, 20.0
+HUMAN_BOUNDS = {
     "acceleration": (4.0, 2.0), "braking": (5.0, 3.5), "jerk": (7.6, 7.6), "lateral": (4.0, 3.0),
     "yaw_rate": (0.8, 0.15),
 }  # fmt: skip
-ALLOWED = 0.3  # s outside, in total
-BRAKING_SPAN, JERK_SPAN = 0.5, 1.0  # s over which means are taken
+MAX_OUTSIDE_BOUNDS_S = 0.3  # in total
+BRAKING_SPAN_S, JERK_SPAN_S = 0.5, 1.0  # over which means are taken
 
 
 def outside(track: Track, start: float, end: float, excused: Bools | None = None) -> tuple[str, ...]:
-    """Names of the signals that leave the envelope for more than ``ALLOWED`` between ``start`` and ``end`` [s].
+    """Names of the signals that leave the envelope for more than ``MAX_OUTSIDE_BOUNDS_S`` between ``start`` and ``end``
+    [s].
 
     ``excused``: the steps of the track in which braking is not judged, ``(n,)``.
     """
@@ -59,13 +60,14 @@ def outside(track: Track, start: float, end: float, excused: Bools | None = None
 
 
 def envelope_left(b: Boxes, time: Floats, judged: Bools, excused: Bools) -> dict[str, Bools]:
-    """Which motions ``(n, steps)`` leave the envelope for more than ``ALLOWED`` in the ``judged`` steps, by signal.
+    """Which motions ``(n, steps)`` leave the envelope for more than ``MAX_OUTSIDE_BOUNDS_S`` in the ``judged`` steps,
+    by signal.
 
     ``time`` ``(steps,)`` [s], evenly spaced; ``excused`` ``(n, steps)``: where braking is not judged.
     """
     dt = float(np.diff(time).min())
     change = np.diff(b.speed, axis=-1, prepend=b.speed[..., :1]) / dt
-    m, along = derivatives(b, change, time), _mean(change, dt, BRAKING_SPAN)
+    m, along = derivatives(b, change, time), _mean(change, dt, BRAKING_SPAN_S)
     jerk = _span_change(along, dt)
     signals = {
         "acceleration": along, "braking": np.where(excused, 0.0, -along),
@@ -73,8 +75,8 @@ def envelope_left(b: Boxes, time: Floats, judged: Bools, excused: Bools) -> dict
     }  # fmt: skip
     left_by_signal = {}
     for name, values in signals.items():
-        bound = np.interp(b.speed, (SLOW, FAST), BOUNDS[name])
-        left_by_signal[name] = (judged & (values > bound + 1e-6)).sum(axis=-1) * dt > ALLOWED + 1e-9
+        bound = np.interp(b.speed, (SLOW_BOUND_SPEED_M_S, FAST_BOUND_SPEED_M_S), HUMAN_BOUNDS[name])
+        left_by_signal[name] = (judged & (values > bound + 1e-6)).sum(axis=-1) * dt > MAX_OUTSIDE_BOUNDS_S + 1e-9
     return left_by_signal
 
 
@@ -86,13 +88,13 @@ def _mean(values: Floats, dt: float, span: float) -> Floats:
 
 
 def _span_change(values: Floats, dt: float) -> Floats:
-    """The change over ``JERK_SPAN`` [s], per second."""
-    back = np.maximum(np.arange(values.shape[-1]) - max(1, round(JERK_SPAN / dt)), 0)
-    return np.asarray((values - values[..., back]) / JERK_SPAN)
+    """The change over ``JERK_SPAN_S`` [s], per second."""
+    back = np.maximum(np.arange(values.shape[-1]) - max(1, round(JERK_SPAN_S / dt)), 0)
+    return np.asarray((values - values[..., back]) / JERK_SPAN_S)
 
 
-ABNORMAL_LATERAL = 4.0  # m/s2, the paper's threshold of abnormal lateral acceleration
-PSEUDOCOUNT = 0.1  # added to every bin, WOSAC's
+ABNORMAL_LATERAL_M_S2 = 4.0  # the paper's threshold of abnormal lateral acceleration
+BIN_PSEUDOCOUNT = 0.1  # added to every bin, WOSAC's
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +118,7 @@ class Bins:
 
 def smoothed(counts: Floats) -> Floats:
     """Probabilities of bins: counts + 0.1, normalised."""
-    return np.asarray((counts + PSEUDOCOUNT) / (counts + PSEUDOCOUNT).sum())
+    return np.asarray((counts + BIN_PSEUDOCOUNT) / (counts + BIN_PSEUDOCOUNT).sum())
 
 
 PAPER_BINS: Mapping[str, Bins] = {
@@ -263,4 +265,4 @@ def own_figures(
 
 
 def _abnormal(values: Mapping[str, Floats]) -> float:
-    return float((values["lateral_acceleration"] > ABNORMAL_LATERAL).mean())
+    return float((values["lateral_acceleration"] > ABNORMAL_LATERAL_M_S2).mean())

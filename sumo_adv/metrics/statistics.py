@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError
 
-CONFIDENCE = 0.95
-RESAMPLES = 10_000  # of a bootstrap; as many sign flips make a test exact up to 13 pairs
-AT_ONCE = 1_000_000  # values drawn at a time
+CONFIDENCE_LEVEL = 0.95
+BOOTSTRAP_RESAMPLES = 10_000  # as many sign flips make a test exact up to 13 pairs
+MAX_VALUES_AT_ONCE = 1_000_000  # values drawn at a time
 Summary = Callable[..., Any]  # a numpy function with an ``axis``: mean, median
 Values = Sequence[float] | NDArray[np.float64]
 Flags = Sequence[bool] | NDArray[np.bool_]
@@ -51,11 +51,13 @@ def wilson(successes: int, n: int) -> Estimate:
         return Estimate(float("nan"), 0.0, 1.0, 0)
     share = successes / n
     test = binomtest(successes, n, share)  # of its own share: that p is known without a sum
-    interval = test.proportion_ci(CONFIDENCE, method="wilson")
+    interval = test.proportion_ci(CONFIDENCE_LEVEL, method="wilson")
     return Estimate(share, float(interval.low), float(interval.high), n)
 
 
-def bootstrap(values: Values, *, resamples: int = RESAMPLES, seed: int = 0, of: Summary = np.mean) -> Estimate:
+def bootstrap(
+    values: Values, *, resamples: int = BOOTSTRAP_RESAMPLES, seed: int = 0, of: Summary = np.mean
+) -> Estimate:
     """The mean (or another summary ``of`` the values) with a percentile bootstrap interval.
 
     Raises UsageError on no values or on any not finite.
@@ -79,8 +81,8 @@ def _percentiles(data: Floats, resamples: int, seed: int, of: Summary) -> tuple[
     if len(data) == 1:
         return float(data[0]), float(data[0])
     interval = resampled(
-        (data,), of, n_resamples=resamples, confidence_level=CONFIDENCE, method="percentile",
-        rng=np.random.default_rng(seed), batch=max(AT_ONCE // len(data), 1),
+        (data,), of, n_resamples=resamples, confidence_level=CONFIDENCE_LEVEL, method="percentile",
+        rng=np.random.default_rng(seed), batch=max(MAX_VALUES_AT_ONCE // len(data), 1),
     ).confidence_interval  # fmt: skip
     return float(interval.low), float(interval.high)
 
@@ -109,7 +111,7 @@ def mcnemar(first: Flags, second: Flags) -> float:
     return float(binomtest(b, b + c).pvalue) if b + c else 1.0
 
 
-def paired_means(first: Values, second: Values, *, resamples: int = RESAMPLES, seed: int = 0) -> Paired:
+def paired_means(first: Values, second: Values, *, resamples: int = BOOTSTRAP_RESAMPLES, seed: int = 0) -> Paired:
     """Difference of means on the same encounters.
 
     The interval is a percentile bootstrap over encounters.  p is that of the sign-flip test (Fisher 1935): under the
@@ -124,7 +126,7 @@ def paired_means(first: Values, second: Values, *, resamples: int = RESAMPLES, s
     return Paired(float(differences.mean()), low, high, _sign_flips(differences, resamples, seed), len(values))
 
 
-def paired_rates(first: Flags, second: Flags, *, resamples: int = RESAMPLES, seed: int = 0) -> Paired:
+def paired_rates(first: Flags, second: Flags, *, resamples: int = BOOTSTRAP_RESAMPLES, seed: int = 0) -> Paired:
     """Difference of rates on the same encounters: percentile bootstrap over encounters, p of McNemar's exact test.
 
     Raises UsageError where the lengths differ.
@@ -143,7 +145,7 @@ def _sign_flips(differences: Floats, resamples: int, seed: int) -> float:
         return 1.0
     test = permutation_test(
         (differences,), np.mean, permutation_type="samples", n_resamples=resamples, rng=np.random.default_rng(seed),
-        batch=max(AT_ONCE // len(differences), 1), vectorized=True,
+        batch=max(MAX_VALUES_AT_ONCE // len(differences), 1), vectorized=True,
     )  # fmt: skip
     return float(test.pvalue)
 

@@ -17,23 +17,23 @@ import numpy as np
 from sumo_adv.datatypes import Bools, Endpoint, Floats
 from sumo_adv.geometry import PATH_STEP_M, wrap
 from sumo_adv.metrics.contact import SAME_DIRECTION
-from sumo_adv.planners.answers import LOOK, PlannerObservation, arrivals, stations
+from sumo_adv.planners.answers import PATH_TIMES_S, PlannerObservation, arrivals, stations
 from sumo_adv.planners.follower import Follower, Line, aligned
 from sumo_adv.planners.trajectory import Batch, Goal, Motion, PathRow, PathRows, pose, start
 from sumo_adv.road_users import is_unprotected
 from sumo_adv.simulation.sumo_rules import AtJunction, Scenes
 from sumo_adv.situation import ReferencePath, Situation, Target
 
-TURN_COST = 4.0  # m per rad: cost of a heading difference when the way of an endpoint is chosen
-LOYALTY = 0.5  # m: another way must be this much nearer to an endpoint than the present one
-SAME_PLACE = 0.4  # m: ways this near to each other still coincide
-LONGEST_MOVE = 20.0  # s: bound of ``lateral_time``, because the move of a vehicle that hardly moves takes minutes
-COARSE = 12  # samples of a way between those of the first search for the nearest one
-AROUND = np.arange(1 - COARSE, COARSE)
-SUMO_TURN_COST, SUMO_LOYALTY = 2.2, 2.0  # m per rad, m: SUMO's costs of heading and of another way (moveToXY)
-AFTER = 10.0  # m behind the place where ways meet, up to which a vehicle counts as on the junction
-BESIDE = np.arange(-12, 13)  # samples of a way around a vehicle's front
-JOINED = 2.5  # m: ways this near to each other have become one (SUMO's DIVERGENCE_MIN_WIDTH; at most a lane's width)
+TURN_COST_M_RAD = 4.0  # cost of a heading difference when an endpoint's way is chosen
+WAY_CHANGE_COST_M = 0.5  # another way must be this much nearer to an endpoint than the present one
+SAME_PLACE_DISTANCE_M = 0.4  # ways this near to each other still coincide
+MAX_LATERAL_MOVE_S = 20.0  # bound of ``lateral_time``, because the move of a vehicle that hardly moves takes minutes
+COARSE_WAY_STRIDE = 12  # samples of a way between those of the first search for the nearest one
+COARSE_NEIGHBOURS = np.arange(1 - COARSE_WAY_STRIDE, COARSE_WAY_STRIDE)
+SUMO_TURN_COST_M_RAD, SUMO_WAY_CHANGE_COST_M = 2.2, 2.0  # SUMO's costs of heading and of another way (moveToXY)
+AFTER_MERGE_M = 10.0  # behind the place where ways meet, up to which a vehicle counts as on the junction
+FRONT_NEIGHBOURS = np.arange(-12, 13)  # samples of a way around a vehicle's front
+JOINED_DISTANCE_M = 2.5  # ways this near to each other are one (SUMO's DIVERGENCE_MIN_WIDTH; at most a lane's width)
 
 
 class AdversaryBatch:
@@ -50,8 +50,8 @@ class AdversaryBatch:
         self._count = np.array([len(t.ways) for t in self.targets])
         self.rows = PathRows([w.path for w in ways], self._base.copy())
         longest = max(len(w.path.x) for w in ways)
-        beyond = np.arange(0, longest, COARSE) > self.rows.last[:, None, None]
-        self._coarse = np.where(beyond, np.inf, self.rows.table[:, :2, ::COARSE])
+        beyond = np.arange(0, longest, COARSE_WAY_STRIDE) > self.rows.last[:, None, None]
+        self._coarse = np.where(beyond, np.inf, self.rows.table[:, :2, ::COARSE_WAY_STRIDE])
         relative = [(w.ego_s, w.ego_d, w.ego_h) for w in ways]
         self._ego = np.array([[np.pad(a, (0, longest - len(a)), "edge") for a in own] for own in relative])
         conflicts = {id(t): [w.conflict.ego_s if w.conflict is not None else np.inf for w in t.ways] for t in unique}
@@ -140,7 +140,7 @@ class AdversaryBatch:
         x, y = x + half * np.cos(h), y + half * np.sin(h)
         least, nearest = np.full(len(rows), np.inf), self._sumo_way[rows]
         here = ((motion.s[rows] + half) / PATH_STEP_M).astype(np.intp)
-        near = np.clip(here[:, None] + BESIDE, 0, self.rows.table.shape[2] - 1)[:, None]
+        near = np.clip(here[:, None] + FRONT_NEIGHBOURS, 0, self.rows.table.shape[2] - 1)[:, None]
         places, count = np.arange(int(self._count[rows].max())), self._count[rows][:, None]
         ways = self._base[rows][:, None] + np.where(places < count, places, 0)
         px, py = (self.rows.table[ways[:, :, None], c, near] for c in range(2))
@@ -149,7 +149,7 @@ class AdversaryBatch:
         distance = np.sqrt(np.take_along_axis(square, at, axis=2)[:, :, 0])
         heading = self.rows.table[ways, 2, np.take_along_axis(near, at, axis=2)[:, :, 0]]
         turned = np.abs(wrap(h[:, None] - heading))
-        costs = distance + SUMO_TURN_COST * turned - SUMO_LOYALTY * (ways == nearest[:, None])
+        costs = distance + SUMO_TURN_COST_M_RAD * turned - SUMO_WAY_CHANGE_COST_M * (ways == nearest[:, None])
         costs[places >= count] = np.inf
         for cost, way in zip(costs.T, ways.T, strict=True):
             better = cost < least - 1e-6
@@ -180,12 +180,13 @@ class AdversaryBatch:
             row = self._base[vehicles] + k
             s, d, turned = self._project(row, x[vehicles], y[vehicles], h[vehicles])
             same = row == self.rows.row[vehicles]
-            cost = np.abs(d) + TURN_COST * turned - LOYALTY * same
+            cost = np.abs(d) + TURN_COST_M_RAD * turned - WAY_CHANGE_COST_M * same
             better = cost < least[vehicles]
             if here is not None:
                 part = motion._replace(s=motion.s[vehicles], d=motion.d[vehicles], slope=motion.slope[vehicles])
                 there = pose(Batch, part, self.rows.on(row))
-                better &= (np.hypot(there[0] - here[0][vehicles], there[1] - here[1][vehicles]) < SAME_PLACE) | same
+                apart = np.hypot(there[0] - here[0][vehicles], there[1] - here[1][vehicles])
+                better &= (apart < SAME_PLACE_DISTANCE_M) | same
             to = vehicles[better]
             least[to], best[to], best_s[to], best_d[to] = cost[better], row[better], s[better], d[better]
         self.rows.row = best
@@ -195,8 +196,8 @@ class AdversaryBatch:
         """Stations and offsets [m] of poses ``(n,)`` on the ways ``row``, and the heading differences [rad]."""
         table, last = self.rows.table, self.rows.last[row]
         coarse, way = self._coarse[row], row[:, None]
-        first = _nearest(coarse[:, 0], coarse[:, 1], x, y) * COARSE
-        near = np.minimum(np.maximum(first[:, None] + AROUND, 0), last[:, None])
+        first = _nearest(coarse[:, 0], coarse[:, 1], x, y) * COARSE_WAY_STRIDE
+        near = np.minimum(np.maximum(first[:, None] + COARSE_NEIGHBOURS, 0), last[:, None])
         i = near[np.arange(len(x)), _nearest(table[way, 0, near], table[way, 1, near], x, y)]
         px, py, heading = table[row, :3, i].T
         dx, dy, c, s = x - px, y - py, np.cos(heading), np.sin(heading)
@@ -228,15 +229,15 @@ class AdversaryBatch:
         x, y, h = scenes.to_local(*pose(Batch, motion, self.rows))
         rs, rd, rh = self.relative(motion)
         hand = scenes.each(lambda s: s.frame.hand)
-        ahead_s, ahead_v = stations(scenes, now, es, ev, ea, LOOK)
+        ahead_s, ahead_v = stations(scenes, now, es, ev, ea, PATH_TIMES_S)
         px, py, ph = scenes.to_local(*scenes.ego_at(ahead_s, ed[:, None]))
         table = np.empty((*px.shape, 5))
-        for column, values in enumerate((LOOK, px, py, ph, ahead_v)):
+        for column, values in enumerate((PATH_TIMES_S, px, py, ph, ahead_v)):
             table[:, :, column] = values
         road_h = wrap(scenes.ego_at(rs)[2] - scenes.each(lambda s: s.frame.heading))
         meet = arrivals(scenes, now, es, ev, ea, self._conflicts).tolist()  # at the conflict of each way
         target_left = rd + (motion.target - motion.d) * np.cos(rh)
-        busy = np.clip(motion.span - motion.clock, 0.0, LONGEST_MOVE) * (np.abs(motion.target - motion.d) > 0.05)
+        busy = np.clip(motion.span - motion.clock, 0.0, MAX_LATERAL_MOVE_S) * (np.abs(motion.target - motion.d) > 0.05)
         columns = np.array(
             [x, y, h, motion.v, motion.a, motion.s, hand * motion.d, rs - es, hand * (rd - ed), hand * rh,
              hand * road_h, hand * (target_left - ed), busy,
@@ -271,7 +272,7 @@ def _inside(target: Target) -> tuple[float, float]:
     """Stations [m] at which a BV enters and leaves the junction where its ways part."""
     begins = min(w.junction for w in target.ways)
     meets = [w.conflict.bv_s for w in target.ways if w.conflict is not None]
-    return begins, max(meets, default=begins) + AFTER
+    return begins, max(meets, default=begins) + AFTER_MERGE_M
 
 
 def _junction(way: ReferencePath, lane: float) -> tuple[float, float, float, float, float, float]:
@@ -286,7 +287,7 @@ def _junction(way: ReferencePath, lane: float) -> tuple[float, float, float, flo
         return np.inf, 0.0, np.inf, 0.0, 0.0, np.inf
     wide = 2.0 / abs(math.sin(c.angle)) - 1.0 if c.kind == "crossing" else 0.0
     at = int(c.bv_s / PATH_STEP_M)
-    apart = np.flatnonzero(np.abs(way.ego_d[: at + 1]) > min(JOINED, lane))
+    apart = np.flatnonzero(np.abs(way.ego_d[: at + 1]) > min(JOINED_DISTANCE_M, lane))
     joins = float(way.ego_s[min(apart[-1] + 1, at)]) if len(apart) else c.ego_s
     return way.junction, c.bv_s, c.ego_s, float(c.kind == "merging"), wide, joins
 

@@ -100,19 +100,19 @@ def _points(situation: Situation, path: Any) -> list[list[float]]:
 
 # -- the forecast of the ego ----------------------------------------------------------------------------------------
 
-ON_PROFILE_DISTANCE, ON_PROFILE_SPEED = 1.0, 0.6  # m, m/s: an ego nearer than this still follows its profile
-HELD_ACCELERATION = 0.5  # s: a disturbed ego keeps its acceleration for this time, then its speed
-LOOK = np.arange(0.0, 9.0)  # s: times of the predicted path in a planner's observation
-ARRIVAL_LOOK = np.arange(0.0, 16.1, 0.5)  # s
+ON_PROFILE_DISTANCE_M, ON_PROFILE_SPEED_M_S = 1.0, 0.6  # an ego nearer than this still follows its profile
+HELD_ACCELERATION_S = 0.5  # a disturbed ego keeps its acceleration for this time, then its speed
+PATH_TIMES_S = np.arange(0.0, 9.0)  # times of the predicted path in a planner's observation
+ARRIVAL_TIMES_S = np.arange(0.0, 16.1, 0.5)
 
 
 def stations(scenes: Scenes, now: float, s: Floats, v: Floats, a: Floats, look: Floats) -> tuple[Floats, Floats]:
     """Stations and speeds (n, k), ``look`` (k,) seconds from ``now``, of egos at ``s`` with ``v``, ``a`` (n,)."""
     (ps, pv), (fs, fv) = scenes.profile_now(now), scenes.profile(now + look)
-    held = np.minimum(look, HELD_ACCELERATION)
+    held = np.minimum(look, HELD_ACCELERATION_S)
     speed = np.maximum(v[:, None] + a[:, None] * held, 0.0)
     free = s[:, None] + (v[:, None] + speed) / 2 * held + speed * (look - held)
-    on = ((np.abs(s - ps) < ON_PROFILE_DISTANCE) & (np.abs(v - pv) < ON_PROFILE_SPEED))[:, None]
+    on = ((np.abs(s - ps) < ON_PROFILE_DISTANCE_M) & (np.abs(v - pv) < ON_PROFILE_SPEED_M_S))[:, None]
     return np.where(on, fs + (s - ps)[:, None], free), np.where(on, fv, speed)
 
 
@@ -122,14 +122,14 @@ def arrivals(scenes: Scenes, now: float, s: Floats, v: Floats, a: Floats, confli
     times = np.full(conflict_s.shape, NO_ARRIVAL_S)
     if not np.isfinite(conflict_s).any():
         return times
-    way, _ = stations(scenes, now, s, v, a, ARRIVAL_LOOK)
+    way, _ = stations(scenes, now, s, v, a, ARRIVAL_TIMES_S)
     rows = np.arange(len(s))
     for k, at in enumerate(conflict_s.T):
         reached = way >= at[:, None]
-        i = np.clip(np.argmax(reached, axis=1), 1, len(ARRIVAL_LOOK) - 1)
+        i = np.clip(np.argmax(reached, axis=1), 1, len(ARRIVAL_TIMES_S) - 1)
         before, after = way[rows, i - 1], way[rows, i]
         w = np.clip((at - before) / np.maximum(after - before, 1e-6), 0.0, 1.0)
-        time = ARRIVAL_LOOK[i - 1] + w * (ARRIVAL_LOOK[i] - ARRIVAL_LOOK[i - 1])
+        time = ARRIVAL_TIMES_S[i - 1] + w * (ARRIVAL_TIMES_S[i] - ARRIVAL_TIMES_S[i - 1])
         left = at - s
         times[:, k] = np.where(left <= 0, left / np.maximum(v, 3.0), np.where(reached[:, -1], time, NO_ARRIVAL_S))
     return times

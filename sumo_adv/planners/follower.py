@@ -17,25 +17,27 @@ from sumo_adv.datatypes import Bools, Boxes, Floats, Limits
 from sumo_adv.errors import PlannerResultError
 from sumo_adv.geometry import Path, stations, wrap
 from sumo_adv.metrics.gates import off_road
-from sumo_adv.planners.trajectory import LATERAL_RESERVE, LOOK_AHEAD, Motion, PathRow, Scalar, faster, pose
+from sumo_adv.planners.trajectory import BEND_SPEED_TIMES_S, LATERAL_RESERVE_M_S2, Motion, PathRow, Scalar, faster, pose
 
-LEAST_STATES = 4  # with fewer, speeds and accelerations cannot be fitted
-HALF_WINDOW = 3  # states on either side over which speeds and accelerations are fitted
-SIDEWAYS_RATE, ALONG_RATE = 2.0, 1.5  # 1/s, of the two springs
-LATE = 5.0  # m: bound of the delay that the spring along the line sees
-SHARE = 0.95  # used share of the limits on lateral acceleration and curvature
-LEAST_LATERAL = 0.5  # m/s2: lateral acceleration for corrections where the planner's line is straight
-LATERAL_JERK = 10.0  # m/s3
-MAX_TURN, MIN_STRETCH = 0.7, 0.3  # rad, 1 - curvature * offset: beyond these, a line has no place beside the way
-CRAWL, SLOW = 0.3, 2.0  # m/s: below the first, headings are the planner's; below the second, curvature is not checked
-ROAD_AHEAD = 3.0  # s of a trajectory that must be on the road
+MIN_FITTED_STATES = 4  # with fewer, speeds and accelerations cannot be fitted
+FIT_HALF_WINDOW = 3  # states on either side over which speeds and accelerations are fitted
+ACROSS_SPRING_1_S, ALONG_SPRING_1_S = 2.0, 1.5  # of the two springs
+MAX_SPRING_DELAY_M = 5.0  # that the spring along the line sees
+USED_LIMIT_SHARE = 0.95  # of the limits on lateral acceleration and curvature
+MIN_CORRECTION_M_S2 = 0.5  # lateral acceleration for corrections where the planner's line is straight
+MAX_LATERAL_JERK_M_S3 = 10.0
+# Beyond these, a line has no place beside the way; the stretch is 1 - curvature * offset.
+MAX_WAY_ANGLE_RAD, MIN_WAY_STRETCH = 0.7, 0.3
+MIN_HEADING_SPEED_M_S = 0.3  # below it, headings are the planner's
+MIN_CURVATURE_SPEED_M_S = 2.0  # below it, curvature is not checked
+ON_ROAD_S = 3.0  # of a trajectory that must be on the road
 
 
 class Line:
     """A planner's states (n, 4: x, y, heading, speed in the world, ``dt`` s apart) as a smooth motion.
 
-    Attributes are arrays ``(n,)``: x, y [m]; heading [rad], of the motion or, below ``CRAWL``, the planner's; p: metres
-    along the line; v [m/s]; a, lateral [m/s2]; curvature [1/m].
+    Attributes are arrays ``(n,)``: x, y [m]; heading [rad], of the motion or, below ``MIN_HEADING_SPEED_M_S``, the
+    planner's; p: metres along the line; v [m/s]; a, lateral [m/s2]; curvature [1/m].
     """
 
     def __init__(self, states: Floats, dt: float) -> None:
@@ -46,21 +48,21 @@ class Line:
         self.x, self.y = x, y
         self.v = np.hypot(vx, vy)
         self.p = stations(x, y)
-        moving = self.v > CRAWL
+        moving = self.v > MIN_HEADING_SPEED_M_S
         self.heading = np.where(moving, np.arctan2(vy, vx), heading)
-        speed = np.maximum(self.v, CRAWL)
+        speed = np.maximum(self.v, MIN_HEADING_SPEED_M_S)
         self.a = np.where(moving, (vx * ax + vy * ay) / speed, 0.0)
         self.lateral = np.where(moving, (vx * ay - vy * ax) / speed, 0.0)
         self.curvature = np.where(moving, self.lateral / speed**2, 0.0)
 
     def beyond(self, limits: Limits, cap: float) -> str:
         """The quantities that exceed the limits or the highest speed ``cap``, as words; empty if there are none."""
-        exceeded = []
+        exceeded, moves = [], self.v > MIN_CURVATURE_SPEED_M_S
         for quantity, value, most, unit in (
             ("sideways", np.abs(self.lateral).max(), limits.lateral, "m/s2"),
             ("braking", -self.a.min(), limits.braking, "m/s2"),
             ("acceleration", self.a.max(), limits.acceleration, "m/s2"),
-            ("curvature", np.abs(self.curvature[self.v > SLOW]).max(initial=0.0), limits.curvature, "1/m"),
+            ("curvature", np.abs(self.curvature[moves]).max(initial=0.0), limits.curvature, "1/m"),
             ("speed", self.v.max(), cap, "m/s"),
         ):
             if value > 1.05 * most:
@@ -71,7 +73,7 @@ class Line:
 def _slopes(values: Floats, dt: float) -> tuple[Floats, Floats]:
     """First and second derivatives of values ``dt`` apart, from a parabola fitted around each."""
     n = len(values)
-    width = min(2 * HALF_WINDOW + 1, n)
+    width = min(2 * FIT_HALF_WINDOW + 1, n)
     first = np.clip(np.arange(n) - width // 2, 0, n - width)
     fit = np.linalg.pinv(np.vander(np.arange(width) * dt, 3, increasing=True))
     c = np.lib.stride_tricks.sliding_window_view(values, width)[first] @ fit.T
@@ -82,7 +84,7 @@ def aligned(states: Floats, x: float, y: float, heading: float, dt: float) -> Fl
     """The states, beginning now: with the present pose before them if their first one is ``dt`` from now."""
     step = math.hypot(*(states[1, :2] - states[0, :2])) if len(states) > 1 else 0.0
     ahead = math.cos(heading) * (states[0, 0] - x) + math.sin(heading) * (states[0, 1] - y)
-    if step > CRAWL * dt and ahead > step / 2:
+    if step > MIN_HEADING_SPEED_M_S * dt and ahead > step / 2:
         return np.vstack([[x, y, heading, states[0, 3]], states])
     return states
 
@@ -90,8 +92,8 @@ def aligned(states: Floats, x: float, y: float, heading: float, dt: float) -> Fl
 def leaves_road(
     states: Floats, length: float, width: float, dt: float, on_road: Callable[[Floats, Floats], Bools]
 ) -> float | None:
-    """Seconds from now at which the box leaves the road, as the gate sees it; None if it stays for ``ROAD_AHEAD`` s."""
-    x, y, heading, speed = states[: round(ROAD_AHEAD / dt)].T
+    """Seconds from now at which the box leaves the road, as the gate sees it; None if it stays for ``ON_ROAD_S`` s."""
+    x, y, heading, speed = states[: round(ON_ROAD_S / dt)].T
     out = off_road(Boxes(x, y, heading, speed, length, width), np.ones(len(x), bool), on_road)
     return float((np.argmax(out) + 1) * dt) if out.any() else None
 
@@ -101,10 +103,10 @@ class Follower:
     or leaves the way."""
 
     def __init__(self, line: Line, way: Path) -> None:
-        if len(line.x) < LEAST_STATES:
-            raise PlannerResultError(f"trajectory() gave {len(line.x)} states, at least {LEAST_STATES} are needed")
+        if len(line.x) < MIN_FITTED_STATES:
+            raise PlannerResultError(f"trajectory() gave {len(line.x)} states, at least {MIN_FITTED_STATES} are needed")
         d, turned, curvature = _beside(line, way)
-        astray = (turned > MAX_TURN) | (1.0 - curvature * d < MIN_STRETCH)
+        astray = (turned > MAX_WAY_ANGLE_RAD) | (1.0 - curvature * d < MIN_WAY_STRETCH)
         if astray.any():
             k = int(np.argmax(astray))
             raise PlannerResultError(
@@ -115,7 +117,7 @@ class Follower:
         heading = np.unwrap(line.heading).tolist()
         self._rows = list(zip(line.x.tolist(), line.y.tolist(), heading, line.curvature.tolist(), strict=True))
         self._p, self._v, self._a = line.p.tolist(), line.v.tolist(), line.a.tolist()
-        self._lateral = max(LEAST_LATERAL, 1.02 * float(np.abs(line.lateral).max()))
+        self._lateral = max(MIN_CORRECTION_M_S2, 1.02 * float(np.abs(line.lateral).max()))
         self._k, self._here = 0, 0.0
         settled = np.flatnonzero(np.abs(d - d[-1]) > 0.05)
         self._end = float(d[-1]), (float(settled[-1] + 1) * line.dt if len(settled) else 0.0)
@@ -137,15 +139,15 @@ class Follower:
         bend = road.at(motion.s)[3]
         before = motion.ddd + v * v * bend
         aside, turn, curvature = self._place(x, y, h)
-        want, grip = self._along(v, limits), abs(before) + LATERAL_RESERVE
+        want, grip = self._along(v, limits), abs(before) + LATERAL_RESERVE_M_S2
         speed, a = faster(Scalar, v, motion.a, want, grip, limits, cap, dt, hard)
-        lateral = v * v * curvature + SIDEWAYS_RATE**2 * aside + 2 * SIDEWAYS_RATE * v * math.sin(turn)
-        most = min(SHARE * limits.lateral, self._lateral)
-        lateral = min(max(lateral, before - LATERAL_JERK * dt), before + LATERAL_JERK * dt)
+        lateral = v * v * curvature + ACROSS_SPRING_1_S**2 * aside + 2 * ACROSS_SPRING_1_S * v * math.sin(turn)
+        most = min(USED_LIMIT_SHARE * limits.lateral, self._lateral)
+        lateral = min(max(lateral, before - MAX_LATERAL_JERK_M_S3 * dt), before + MAX_LATERAL_JERK_M_S3 * dt)
         lateral = min(max(lateral, -most), most)
         mean = (v + speed) / 2
-        sharpest = SHARE * limits.curvature * mean
-        rate = min(max(lateral / max(mean, CRAWL), -sharpest), sharpest)
+        sharpest = USED_LIMIT_SHARE * limits.curvature * mean
+        rate = min(max(lateral / max(mean, MIN_HEADING_SPEED_M_S), -sharpest), sharpest)
         self._k += 1
         middle = h + rate * dt / 2
         return _on_way(
@@ -179,12 +181,12 @@ class Follower:
     def _along(self, v: float, limits: Limits) -> float:
         """The acceleration [m/s2] of the timetable, reduced for sharp bends ahead."""
         k = self._k
-        late = min(max(self._p[k] - self._here, -LATE), LATE)
-        want = (self._a[k] + self._a[k + 1]) / 2 + 2 * ALONG_RATE * (self._v[k] - v) + ALONG_RATE**2 * late
-        for t in LOOK_AHEAD:
+        late = min(max(self._p[k] - self._here, -MAX_SPRING_DELAY_M), MAX_SPRING_DELAY_M)
+        want = (self._a[k] + self._a[k + 1]) / 2 + 2 * ALONG_SPRING_1_S * (self._v[k] - v) + ALONG_SPRING_1_S**2 * late
+        for t in BEND_SPEED_TIMES_S:
             ahead = max(v * t, 0.5)
             sharp = abs(self._at(self._here + ahead)[3])
-            square = SHARE * limits.lateral / max(sharp, 1e-6)
+            square = USED_LIMIT_SHARE * limits.lateral / max(sharp, 1e-6)
             want = min(want, (square - v * v) / (2.0 * ahead) + (0.5 if square > v * v else 0.0))
         return want
 

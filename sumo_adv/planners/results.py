@@ -18,14 +18,14 @@ from sumo_adv.datatypes import Planner
 from sumo_adv.errors import PlannerResultError
 
 ENDPOINT_KEYS = ("x", "y", "heading", "speed", "time")
-MAX_TRAJECTORY = 400  # states
-MAX_MESSAGE = 500  # characters
-MAX_START_GAP = 3.0  # m from the vehicle to the start of its trajectory
-MAX_CHANGE = 150.0  # m/s2: a larger acceleration between two states is a jump
-MAX_DISTANCE, MAX_HEADING, MAX_SPEED, MAX_TIME = 1e5, 1e3, 100.0, 60.0
-RANGES = {
-    "x": (-MAX_DISTANCE, MAX_DISTANCE), "y": (-MAX_DISTANCE, MAX_DISTANCE), "heading": (-MAX_HEADING, MAX_HEADING),
-    "speed": (0.0, MAX_SPEED), "time": (0.0, MAX_TIME),
+MAX_TRAJECTORY_STATES = 400
+MAX_MESSAGE_CHARACTERS = 500
+MAX_START_GAP_M = 3.0  # from the vehicle to the start of its trajectory
+MAX_STATE_CHANGE_M_S2 = 150.0  # a larger acceleration between two states is a jump
+MAX_COORDINATE_M, MAX_HEADING_RAD, MAX_SPEED_M_S, MAX_TIME_S = 1e5, 1e3, 100.0, 60.0
+ENDPOINT_RANGES = {
+    "x": (-MAX_COORDINATE_M, MAX_COORDINATE_M), "y": (-MAX_COORDINATE_M, MAX_COORDINATE_M),
+    "heading": (-MAX_HEADING_RAD, MAX_HEADING_RAD), "speed": (0.0, MAX_SPEED_M_S), "time": (0.0, MAX_TIME_S),
 }  # fmt: skip
 """Metres, radians, m/s and s; ``time`` must also be more than 0."""
 
@@ -81,7 +81,7 @@ def path_ID(c):
                 return "trajectory() must return plain numbers of at most 1e9, not " + type_ID(n).__name__
             out.append(n)
     return out
-""".replace("MAX_TRAJECTORY", str(MAX_TRAJECTORY))
+""".replace("MAX_TRAJECTORY", str(MAX_TRAJECTORY_STATES))
 """Code of the session's helpers. A session replaces ``ID`` by its own random digits."""
 
 
@@ -92,8 +92,9 @@ def check_endpoint(subject: str, value: Any) -> dict[str, float]:
         raise _bad(subject, value)
     x, y, heading, speed, time = value
     if type(x) is type(y) is type(heading) is type(speed) is type(time) is float and (
-        -MAX_DISTANCE <= x <= MAX_DISTANCE and -MAX_DISTANCE <= y <= MAX_DISTANCE
-        and -MAX_HEADING <= heading <= MAX_HEADING and 0.0 <= speed <= MAX_SPEED and 0.0 < time <= MAX_TIME
+        -MAX_COORDINATE_M <= x <= MAX_COORDINATE_M and -MAX_COORDINATE_M <= y <= MAX_COORDINATE_M
+        and -MAX_HEADING_RAD <= heading <= MAX_HEADING_RAD
+        and 0.0 <= speed <= MAX_SPEED_M_S and 0.0 < time <= MAX_TIME_S
     ):  # the usual case: the checks below in one expression  # fmt: skip
         return {"x": x, "y": y, "heading": heading, "speed": speed, "time": time}
     result = {name: _number(subject, name, n) for name, n in zip(ENDPOINT_KEYS, value, strict=True)}
@@ -105,7 +106,7 @@ def check_endpoint(subject: str, value: Any) -> dict[str, float]:
 def check_trajectory(subject: str, value: Any) -> list[tuple[float, float, float, float]]:
     """States (x, y, heading, speed) from the session's flat list of numbers. Raises PlannerResultError: the value is
     anything else; the message says what is wrong."""
-    if type(value) is not list or not value or len(value) > 4 * MAX_TRAJECTORY or len(value) % 4:
+    if type(value) is not list or not value or len(value) > 4 * MAX_TRAJECTORY_STATES or len(value) % 4:
         raise _bad(subject, value)
     n = [_number(subject, ENDPOINT_KEYS[i % 4], number) for i, number in enumerate(value)]
     return [(n[i], n[i + 1], n[i + 2], n[i + 3]) for i in range(0, len(n), 4)]
@@ -117,27 +118,27 @@ def check_motion(
     """Check that states ``dt`` [s] apart are one motion that begins at the vehicle. Limits of vehicles are not checked.
     Raises PlannerResultError: the trajectory begins elsewhere, or jumps."""
     away = math.hypot(states[0][0] - bv["x"], states[0][1] - bv["y"])
-    if away > MAX_START_GAP + 1.5 * bv["speed"] * dt:
+    if away > MAX_START_GAP_M + 1.5 * bv["speed"] * dt:
         raise PlannerResultError(f"{subject}: its trajectory begins {away:.1f} m from where the vehicle is.")
     if len(states) > 1:  # from the vehicle's own velocity to that of the first two states: up to two steps of time
         (ax, ay, *_), (bx, by, *_) = states[:2]
         step = bv["speed"] * dt
         change = math.hypot(bx - ax - step * math.cos(bv["heading"]), by - ay - step * math.sin(bv["heading"]))
-        if change > 2.0 * MAX_CHANGE * dt * dt:
+        if change > 2.0 * MAX_STATE_CHANGE_M_S2 * dt * dt:
             jump = f"jumps between states 0 and 1, {change:.1f} m from where the vehicle was going"
             raise PlannerResultError(f"{subject}: its trajectory {jump}.")
     for k in range(1, len(states) - 1):
         (ax, ay, *_), (bx, by, *_), (cx, cy, *_) = states[k - 1 : k + 2]
         change = math.hypot(cx - 2 * bx + ax, cy - 2 * by + ay)
-        if change > MAX_CHANGE * dt * dt:
+        if change > MAX_STATE_CHANGE_M_S2 * dt * dt:
             jump = f"jumps between states {k} and {k + 1}, {change:.1f} m from where it was going"
             raise PlannerResultError(f"{subject}: its trajectory {jump}.")
 
 
 def clean(text: str) -> str:
-    """The text as one line of at most ``MAX_MESSAGE`` characters, without control codes for a terminal."""
-    short = text[: 2 * MAX_MESSAGE].replace("\n", "; ")
-    return "".join(c for c in short if c.isprintable())[:MAX_MESSAGE].rstrip("; .")
+    """The text as one line of at most ``MAX_MESSAGE_CHARACTERS`` characters, without control codes for a terminal."""
+    short = text[: 2 * MAX_MESSAGE_CHARACTERS].replace("\n", "; ")
+    return "".join(c for c in short if c.isprintable())[:MAX_MESSAGE_CHARACTERS].rstrip("; .")
 
 
 def subject_of(planner: Planner) -> str:
@@ -148,7 +149,7 @@ def subject_of(planner: Planner) -> str:
 def _number(subject: str, name: str, value: Any) -> float:
     if type(value) not in (int, float):
         raise PlannerResultError(f"{subject}: {name} must be a plain number.")
-    low, high = RANGES[name]
+    low, high = ENDPOINT_RANGES[name]
     if not low <= value <= high:  # NaN is in no range, and a huge int compares exactly
         shown = repr(value) if type(value) is float else "a whole number out of range"
         raise PlannerResultError(f"{subject}: {name} must be finite and within {low:g} to {high:g}, it is {shown}.")

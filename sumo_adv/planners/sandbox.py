@@ -41,9 +41,9 @@ if TYPE_CHECKING:
 
 # -- the second wall ------------------------------------------------------------------------------------------------
 
-SWITCH = "SUMO_ADV_BUBBLEWRAP"
-ADDRESS_SPACE = 1 << 30  # bytes, beside the memory limit: what the worker needs itself, with its type checker
-_PROBE_SECONDS = 10.0
+BUBBLEWRAP_VARIABLE = "SUMO_ADV_BUBBLEWRAP"
+WORKER_ADDRESS_SPACE_BYTES = 1 << 30  # beside the memory limit: what the worker needs itself, with its type checker
+_PROBE_TIMEOUT_S = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +59,7 @@ def make_jail(bubblewrap: bool = True) -> Jail:
     """Find the worker and the strongest way to start it here. ``bubblewrap``: False turns it off, and so does ``off``
     in the variable ``SUMO_ADV_BUBBLEWRAP``. Raises SandboxError: monty's worker is not installed."""
     worker = _find_worker()
-    if not bubblewrap or os.environ.get(SWITCH, "on").strip().lower() in ("off", "0", "false", "no"):
+    if not bubblewrap or os.environ.get(BUBBLEWRAP_VARIABLE, "on").strip().lower() in ("off", "0", "false", "no"):
         return _plain(worker, "bubblewrap is turned off")
     if not sys.platform.startswith("linux"):
         return _plain(worker, "bubblewrap exists on Linux alone")
@@ -82,7 +82,7 @@ def make_jail(bubblewrap: bool = True) -> Jail:
 def wrapper_script(jail: Jail, memory: int) -> str:
     """A POSIX ``sh`` script that starts the worker with an address-space limit, no core file and no messages.
     ``memory``: of the planner's heap [bytes]."""
-    kilobytes = (ADDRESS_SPACE + memory) // 1024
+    kilobytes = (WORKER_ADDRESS_SPACE_BYTES + memory) // 1024
     return (
         "#!/bin/sh\n"
         "ulimit -c 0 2>/dev/null\n"
@@ -120,7 +120,7 @@ def _libraries(worker: str) -> list[str]:
 
 def _done(*command: str) -> subprocess.CompletedProcess[str]:
     nothing = subprocess.DEVNULL
-    return subprocess.run(command, capture_output=True, text=True, timeout=_PROBE_SECONDS, check=False, stdin=nothing)
+    return subprocess.run(command, capture_output=True, text=True, timeout=_PROBE_TIMEOUT_S, check=False, stdin=nothing)
 
 
 def _probe(command: tuple[str, ...]) -> str | None:
@@ -134,7 +134,7 @@ def _probe(command: tuple[str, ...]) -> str | None:
 
 # -- the pool -------------------------------------------------------------------------------------------------------
 
-_INSTANT = datetime(2025, 1, 1, tzinfo=UTC)
+_SANDBOX_DATE = datetime(2025, 1, 1, tzinfo=UTC)
 
 
 class Sandbox:
@@ -265,7 +265,7 @@ class Sandbox:
             type_check=type_check,
             type_check_stubs=HELPERS_STUBS if type_check else None,
             type_check_format="concise" if type_check else None,
-            os_policy={"datetime": _INSTANT, "timezone": "utc", "sleep": "zero", "random_start": {"seed": seed}},
+            os_policy={"datetime": _SANDBOX_DATE, "timezone": "utc", "sleep": "zero", "random_start": {"seed": seed}},
         )
         try:
             owner.submit(session.__enter__).result()

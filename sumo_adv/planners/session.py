@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from pydantic_monty import MontyError, MontySession
 
 
-MOST_STOPPED = 3  # calls that may run into a limit: a quarter of a second each, where an honest one takes about 10 us
-BATCH_FEED = 256  # calls in a feed: a feed has ``call_seconds``, and an honest call takes about 10 us
+MAX_STOPPED_CALLS = 3  # by a limit: a quarter of a second each, where an honest call takes about 10 us
+MAX_CALLS_PER_FEED = 256  # a feed has ``call_seconds``, and an honest call takes about 10 us
 _PLANNER_FILE = "<python-input-1>"  # monty's name for the second feed of a session
 
 Data = Mapping[str, Any]
@@ -101,11 +101,11 @@ class PlannerSession:
         return check_endpoint(self._subject, self._feed(f"one_{self._id}(call_{self._id})", {f"call_{self._id}": call}))
 
     def endpoints(self, calls: Sequence[Call]) -> list[dict[str, float] | SandboxError]:
-        """Call the planner for many states, up to ``BATCH_FEED`` of them in one feed.
+        """Call the planner for many states, up to ``MAX_CALLS_PER_FEED`` of them in one feed.
 
         A call that fails runs once more by itself, and its error stands at its place. The other calls keep their
-        results. The batch takes at most ``batch_seconds`` and one call's limit, and ends once ``MOST_STOPPED`` calls
-        have run into a limit; after that, calls become ``PlannerLimitError``.
+        results. The batch takes at most ``batch_seconds`` and one call's limit, and ends once ``MAX_STOPPED_CALLS``
+        calls have run into a limit; after that, calls become ``PlannerLimitError``.
 
         Raises PlannerLimitError: the session had ended before.
         """
@@ -113,12 +113,12 @@ class PlannerSession:
         deadline = time.monotonic() + self._limits.batch_seconds
         results: list[dict[str, float] | SandboxError] = []
         stopped = 0
-        for start in range(0, len(calls), BATCH_FEED):
-            part = calls[start : start + BATCH_FEED]
+        for start in range(0, len(calls), MAX_CALLS_PER_FEED):
+            part = calls[start : start + MAX_CALLS_PER_FEED]
             for call, value in zip(part, self._many(part, deadline), strict=True):
                 results.append(self._again(call, deadline) if value is None else _or_error(self._subject, value))
                 stopped += isinstance(results[-1], PlannerLimitError)
-                if stopped >= MOST_STOPPED:
+                if stopped >= MAX_STOPPED_CALLS:
                     deadline = -math.inf
         if self._session is None:
             with suppress(SandboxError):
@@ -128,7 +128,7 @@ class PlannerSession:
     def trajectory(
         self, key: str, bv: Data, endpoint: Mapping[str, float], dt: float
     ) -> list[tuple[float, float, float, float]]:
-        """The planner's own trajectory: up to ``MAX_TRAJECTORY`` states (x, y, heading, speed), ``dt`` [s] apart.
+        """The planner's own trajectory: at most ``MAX_TRAJECTORY_STATES`` (x, y, heading, speed), ``dt`` [s] apart.
 
         The first state is ``dt`` from now, or now if it is at the vehicle's place (``follower.aligned``). Raises as
         ``endpoint``, also where the planner defines none, or where it begins elsewhere or jumps.
@@ -222,14 +222,14 @@ class _Prints:
             raise RuntimeError("too much output")
 
 
-MEASURED = re.compile(r"\d+(?:\.\d+)?m?s > (\d+(?:\.\d+)?m?s)")  # a time, which differs between runs, and its limit
+MEASURED_TIME = re.compile(r"\d+(?:\.\d+)?m?s > (\d+(?:\.\d+)?m?s)")  # which differs between runs, and its limit
 
 
 def _translate(error: MontyError, subject: str, loading: bool) -> tuple[SandboxError, bool]:
     """Monty's error as one of this program, and whether it ended the session."""
     from pydantic_monty import MontyRuntimeError, MontySyntaxError, MontyTypingError
 
-    message = MEASURED.sub(r"more than \1", clean(str(error)))
+    message = MEASURED_TIME.sub(r"more than \1", clean(str(error)))
     if isinstance(error, MontyTypingError):
         return PlannerSyntaxError(f"{subject} fails the type check: {message}"), False
     if isinstance(error, MontySyntaxError):

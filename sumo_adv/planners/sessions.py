@@ -27,7 +27,7 @@ from sumo_adv.planners.answers import Answer, AskOne, PlannerObservation, call_o
 from sumo_adv.planners.follower import leaves_road
 from sumo_adv.planners.results import ENDPOINT_KEYS, check_endpoint, subject_of
 from sumo_adv.planners.sandbox import Sandbox
-from sumo_adv.planners.session import MOST_STOPPED, Call, PlannerSession
+from sumo_adv.planners.session import MAX_STOPPED_CALLS, Call, PlannerSession
 from sumo_adv.planners.source import HELPERS_CODE, read_source
 from sumo_adv.simulation.network import Drivable
 from sumo_adv.situation import Situation
@@ -62,7 +62,7 @@ TRUSTED = frozenset(
 """Fingerprints of the planners in ``memory_bank/``, ``search/support_intents.py`` and ``search/intents.py``. They
 are listed here so that no bank can claim to be trusted."""
 
-FIELDS = itemgetter(*ENDPOINT_KEYS)
+ENDPOINT_VALUES = itemgetter(*ENDPOINT_KEYS)
 MOVEMENT = re.compile(r'^MOVEMENT = "\w+"$', re.MULTILINE)
 
 
@@ -133,10 +133,10 @@ class InProcessSession:
     def _answer(self, call: Call) -> dict[str, float]:
         key, bv, ego, parameters, acc, horizon = call
         value = self._endpoint(bv, ego, self._roads[key], dict(parameters), acc, horizon)
-        return check_endpoint(self._subject, FIELDS(value))
+        return check_endpoint(self._subject, ENDPOINT_VALUES(value))
 
 
-ROAD = "road"
+ROAD_KEY = "road"
 
 
 def ask_trusted(proposal: Proposal, situation: Situation, fallback: AskOne) -> AskOne:
@@ -147,11 +147,11 @@ def ask_trusted(proposal: Proposal, situation: Situation, fallback: AskOne) -> A
     """
     if proposal.course is not None or not is_trusted(proposal.planner):
         return fallback
-    session = InProcessSession(proposal.planner, {ROAD: road_of(situation, proposal.bv)}, _no_session)
+    session = InProcessSession(proposal.planner, {ROAD_KEY: road_of(situation, proposal.bv)}, _no_session)
 
     def ask(observation: PlannerObservation) -> Answer | str:
         try:
-            end = session.endpoint(*call_of(proposal, ROAD, observation, situation.horizon))
+            end = session.endpoint(*call_of(proposal, ROAD_KEY, observation, situation.horizon))
             return Answer(world_endpoint(situation, end))
         except SandboxError:
             return fallback(observation)
@@ -173,7 +173,7 @@ def _loaded(source: str) -> Callable[..., Any]:
 
 # -- sessions of proposals ------------------------------------------------------------------------------------------
 
-TRAJECTORY_SECONDS = 20.0  # s that one planner's trajectory() may take in a batch of predictions
+TRAJECTORY_BATCH_S = 20.0  # for one planner's trajectory() in a batch of predictions
 
 
 class Roads:
@@ -203,8 +203,8 @@ class Sessions:
     the planners' own trajectories must stay on; None does not check it. in_process: let trusted planners answer in this
     process. stopped: how many calls of each planner ran into a limit earlier, by hash.
 
-    ``failures`` has the planners that failed for all of their proposals, or ran into a limit ``MOST_STOPPED`` times;
-    ``stopped`` the calls since, too; ``broken`` the proposals that failed, as their place -> sentence, which
+    ``failures`` has the planners that failed for all of their proposals, or ran into a limit ``MAX_STOPPED_CALLS``
+    times; ``stopped`` the calls since, too; ``broken`` the proposals that failed, as their place -> sentence, which
     ``answers`` does not ask again.
     """
 
@@ -222,7 +222,7 @@ class Sessions:
         self.broken: dict[int, str] = {}
         self._proposals: dict[str, list[Proposal]] = {}  # by planner hash
         for p in proposals:
-            if self.stopped[p.planner.hash] >= MOST_STOPPED:
+            if self.stopped[p.planner.hash] >= MAX_STOPPED_CALLS:
                 reason = "it ran into its limits again and again, and is not asked any more: make it faster."
                 self.failures.setdefault(p.planner.hash, f"{subject_of(p.planner)}: {reason}")
             if p.course is None and p.planner.hash not in self.failures:
@@ -277,12 +277,12 @@ class Sessions:
                 try:
                     if isinstance(end, SandboxError):
                         raise end
-                    answers[k] = self._answer(proposals[k], observations[k], end, TRAJECTORY_SECONDS)
+                    answers[k] = self._answer(proposals[k], observations[k], end, TRAJECTORY_BATCH_S)
                 except SandboxError as error:
                     self.broken[k] = str(error)
                     self.stopped[name] += isinstance(error, PlannerLimitError)
             broken = [self.broken[k] for k in sorted(self.broken) if proposals[k].planner.hash == name]
-            if len(broken) >= len(self._proposals[name]) or self.stopped[name] >= MOST_STOPPED:
+            if len(broken) >= len(self._proposals[name]) or self.stopped[name] >= MAX_STOPPED_CALLS:
                 self.failures[name] = broken[0]
         return answers
 

@@ -25,9 +25,9 @@ from typing import NamedTuple
 from sumo_adv.datatypes import Parameter, Planner
 from sumo_adv.errors import PlannerSyntaxError
 
-MAX_SOURCE_BYTES = 32 * 1024
+MAX_PLANNER_BYTES = 32 * 1024
 MAX_PARAMETERS = 12
-LARGEST = 1e6  # bound of a parameter in SI units: beyond any distance, speed or time of an encounter
+MAX_PARAMETER_VALUE = 1e6  # in SI units: beyond any distance, speed or time of an encounter
 ENDPOINT_ARGUMENTS = ("bv", "ego", "road", "parameters", "acc", "horizon")
 TRAJECTORY_ARGUMENTS = ("bv", "endpoint", "road", "dt")
 REFUSED_NAMES = frozenset({"exec", "eval", "compile", "globals", "locals", "vars", "dir", "__import__"})
@@ -137,13 +137,13 @@ def uses_acceleration(source: str) -> bool:
 
 def _parse(source: str) -> ast.Module:
     """``ast.parse``, which raises ``PlannerSyntaxError`` for hostile text too."""
-    if not isinstance(source, str) or len(source) > MAX_SOURCE_BYTES:
-        raise PlannerSyntaxError(f"The planner must be text of at most {MAX_SOURCE_BYTES} bytes: shorten it.")
+    if not isinstance(source, str) or len(source) > MAX_PLANNER_BYTES:
+        raise PlannerSyntaxError(f"The planner must be text of at most {MAX_PLANNER_BYTES} bytes: shorten it.")
     strange = next((c for c in source if (c < " " and c not in "\n\r\t") or "\ud800" <= c <= "\udfff"), None)
     if strange is not None:
         raise PlannerSyntaxError(f"The planner's text holds the character {strange!r}: remove it.")
-    if len(source.encode()) > MAX_SOURCE_BYTES:
-        raise PlannerSyntaxError(f"The planner must be text of at most {MAX_SOURCE_BYTES} bytes: shorten it.")
+    if len(source.encode()) > MAX_PLANNER_BYTES:
+        raise PlannerSyntaxError(f"The planner must be text of at most {MAX_PLANNER_BYTES} bytes: shorten it.")
     try:
         tree = ast.parse(source)
         names = (node for node in ast.walk(tree) if isinstance(node, ast.Name))
@@ -212,8 +212,9 @@ def _parameter(name: str, entry: object, line: int) -> Parameter:
         raise _syntax_error(line, f"gives the parameter {name} a number that is too large") from None
     if not all(math.isfinite(n) for n in (default, low, high)):
         raise _syntax_error(line, f"gives the parameter {name} a number that is not finite")
-    if max(abs(low), abs(high), abs(default)) > LARGEST:
-        raise _syntax_error(line, f"gives the parameter {name} a number beyond {LARGEST:g}: use metres, seconds, m/s")
+    if max(abs(low), abs(high), abs(default)) > MAX_PARAMETER_VALUE:
+        bound = f"{MAX_PARAMETER_VALUE:g}"
+        raise _syntax_error(line, f"gives the parameter {name} a number beyond {bound}: use metres, seconds, m/s")
     if not low <= default <= high:
         raise _syntax_error(line, f"breaks low <= default <= high for the parameter {name}")
     words = entry[3:]

@@ -23,20 +23,20 @@ import numpy as np
 
 from sumo_adv.datatypes import Limits
 from sumo_adv.geometry import PATH_STEP_M, Path
-from sumo_adv.metrics.realism import BOUNDS, FAST, SLOW
+from sumo_adv.metrics.realism import FAST_BOUND_SPEED_M_S, HUMAN_BOUNDS, SLOW_BOUND_SPEED_M_S
 
-FULL_CLOCK_SPEED = 6.0  # m/s: a lateral move of a slower vehicle is planned for this speed, and takes longer
-FASTEST_CLOCK = 1.15  # bound of the clock's rate, for a vehicle that speeds up during a lateral move
-LEAST_TIME = 0.8  # s: shortest horizon of the longitudinal cubic
-USUAL = 2.4  # m/s2: bound of speeding up, as drivers hardly exceed it
-SAME_TARGET = 0.12  # m: a lateral target that moved less keeps the running quintic
-ELSEWHERE = 1e6  # m: a lateral target that differs from that of any goal
-STRETCH, STRETCHES = 1.13, 14  # factor by which the quintic's duration grows, maximum number of times
-LOOK_AHEAD = (0.3, 0.6, 1.0, 1.5)  # s: times ahead at which the bend speed is read
-SAMPLES = tuple((i + 0.5) / 10 for i in range(10))
-LATERAL_RESERVE = 0.6  # m/s2: lateral acceleration may grow by this before braking can be eased
-JERK_RESERVE = 0.92  # share of the jerk limit that is used
-HUMAN_RESERVE = 0.95  # share of the human bounds that is used: they fall with the speed, which is judged after a step
+FULL_CLOCK_SPEED_M_S = 6.0  # a lateral move of a slower vehicle is planned for this speed, and takes longer
+MAX_CLOCK_RATE = 1.15  # for a vehicle that speeds up during a lateral move
+MIN_LONGITUDINAL_HORIZON_S = 0.8  # shortest horizon of the longitudinal cubic
+USUAL_ACCELERATION_M_S2 = 2.4  # bound of speeding up, as drivers hardly exceed it
+SAME_LATERAL_TARGET_M = 0.12  # a lateral target that moved less keeps the running quintic
+NO_LATERAL_TARGET_M = 1e6  # a lateral target that differs from that of any goal
+LATERAL_STRETCH_FACTOR, MAX_LATERAL_STRETCHES = 1.13, 14  # of the quintic's duration
+BEND_SPEED_TIMES_S = (0.3, 0.6, 1.0, 1.5)  # ahead at which the bend speed is read
+QUINTIC_SAMPLES = tuple((i + 0.5) / 10 for i in range(10))
+LATERAL_RESERVE_M_S2 = 0.6  # lateral acceleration may grow by this before braking can be eased
+USED_JERK_SHARE = 0.92
+USED_HUMAN_BOUND_SHARE = 0.95  # the human bounds fall with the speed, which is judged after a step
 
 
 class Scalar:
@@ -51,8 +51,8 @@ class Scalar:
         """``a`` if the condition holds, else ``b``."""
         return a if condition else b
 
-    samples: Sequence[Any] = SAMPLES
-    ahead: Sequence[Any] = LOOK_AHEAD
+    samples: Sequence[Any] = QUINTIC_SAMPLES
+    ahead: Sequence[Any] = BEND_SPEED_TIMES_S
 
 
 class Batch:
@@ -61,8 +61,8 @@ class Batch:
     minimum, maximum, sqrt, arcsin = np.minimum, np.maximum, np.sqrt, np.arcsin
     cos, sin = np.cos, np.sin
     where = staticmethod(np.where)
-    samples: Sequence[Any] = (np.array(SAMPLES)[:, None],)  # all at once
-    ahead: Sequence[Any] = (np.array(LOOK_AHEAD)[:, None],)
+    samples: Sequence[Any] = (np.array(QUINTIC_SAMPLES)[:, None],)  # all at once
+    ahead: Sequence[Any] = (np.array(BEND_SPEED_TIMES_S)[:, None],)
 
     @staticmethod
     def worst(values: Sequence[Any]) -> Any:
@@ -184,7 +184,7 @@ def start(m: Any, s: Any, d: Any, slope: Any, v: Any, a: Any) -> Motion:
     """A motion with the given ``slope``, which levels out to the present offset."""
     zero = v * 0.0
     stays = (d, zero, zero, zero, zero, zero)
-    still = Motion(s, d, v * slope, zero, v, a, slope, zero + FULL_CLOCK_SPEED, zero, zero + 1.0, stays, d)
+    still = Motion(s, d, v * slope, zero, v, a, slope, zero + FULL_CLOCK_SPEED_M_S, zero, zero + 1.0, stays, d)
     return bend(m, still, d, zero + 1.5, zero)
 
 
@@ -192,7 +192,7 @@ def bend(m: Any, motion: Motion, target: Any, duration: Any, curvature: Any) -> 
     """Start a quintic to the offset ``target`` in ``duration`` seconds, or in more if the bounds need it. Bounds at ten
     samples: |d''| <= clip(3.6 - v^2 |kappa|, 0.8, 3), |d'| <= 0.28 max(v, 6), |d'''| <= 10."""
     v = motion.v
-    pace = m.maximum(v, FULL_CLOCK_SPEED)
+    pace = m.maximum(v, FULL_CLOCK_SPEED_M_S)
     rate = m.maximum(v / pace, 0.05)
     creeps = v < 0.05 * pace
     d0, a0 = motion.d, motion.ddd / (rate * rate)
@@ -207,20 +207,21 @@ def bend(m: Any, motion: Motion, target: Any, duration: Any, curvature: Any) -> 
 def _long_enough(m: Any, span: Any, move: tuple[Any, Any, Any, Any], most: Any, slope: Any) -> Any:
     """``span``, or more where the quintics of ``move`` (d0, v0, a0, d1) would be too sharp."""
     if m is Scalar:
-        for _ in range(STRETCHES):
+        for _ in range(MAX_LATERAL_STRETCHES):
             if not _too_sharp(m, _quintic(*move, span), span, most, slope):
                 break
-            span *= STRETCH
+            span *= LATERAL_STRETCH_FACTOR
         return span
     rows = np.flatnonzero(_too_sharp(m, _quintic(*move, span), span, most, slope))
     if len(rows):  # for these all durations at once
-        spans = np.full((STRETCHES + 1, len(rows)), STRETCH)
+        spans = np.full((MAX_LATERAL_STRETCHES + 1, len(rows)), LATERAL_STRETCH_FACTOR)
         spans[0] = span[rows]
         spans = np.multiply.accumulate(spans)
-        tried, each = spans[:-1].ravel(), np.tile(rows, STRETCHES)
+        tried, each = spans[:-1].ravel(), np.tile(rows, MAX_LATERAL_STRETCHES)
         d0, v0, a0, d1 = (q[each] for q in move)
-        sharp = _too_sharp(m, _quintic(d0, v0, a0, d1, tried), tried, most[each], slope[each]).reshape(STRETCHES, -1)
-        first = np.where(sharp.all(axis=0), STRETCHES, sharp.argmin(axis=0))
+        sharp = _too_sharp(m, _quintic(d0, v0, a0, d1, tried), tried, most[each], slope[each])
+        sharp = sharp.reshape(MAX_LATERAL_STRETCHES, -1)
+        first = np.where(sharp.all(axis=0), MAX_LATERAL_STRETCHES, sharp.argmin(axis=0))
         span[rows] = spans[first, np.arange(len(rows))]
     return span
 
@@ -246,8 +247,8 @@ def _too_sharp(m: Any, c: tuple[Any, ...], span: Any, most: Any, slope: Any) -> 
 
 
 def steer(m: Any, motion: Motion, goal: Goal, curvature: Any) -> Motion:
-    """Aim the lateral motion at a goal; the running quintic goes on if its end moved by less than ``SAME_TARGET``."""
-    moved = abs(goal.d - motion.target) >= SAME_TARGET
+    """Aim the lateral motion at a goal; the running quintic goes on if its end hardly moved."""
+    moved = abs(goal.d - motion.target) >= SAME_LATERAL_TARGET_M
     if m is Scalar:
         return bend(m, motion, goal.d, goal.time, curvature) if moved else motion
     rows = np.flatnonzero(moved)
@@ -260,7 +261,7 @@ def steer(m: Any, motion: Motion, goal: Goal, curvature: Any) -> Motion:
 
 def release(motion: Motion) -> Motion:
     """The motion without a lateral target, so that the next ``steer`` starts a new quintic."""
-    return motion._replace(target=motion.target * 0.0 + ELSEWHERE)
+    return motion._replace(target=motion.target * 0.0 + NO_LATERAL_TARGET_M)
 
 
 def _take(values: Any, rows: Any) -> Any:
@@ -295,17 +296,17 @@ def advance(
 ) -> Motion:  # fmt: skip
     """One step of ``dt`` s towards a goal; ``cap``: the vehicle's highest speed [m/s]; ``hard``: see ``faster``."""
     s, v, a = motion.s, motion.v, motion.a
-    time = m.maximum(goal.time, LEAST_TIME)
-    left = goal.s - s + goal.v * (time - goal.time)  # within LEAST_TIME the goal moves on at its speed
+    time = m.maximum(goal.time, MIN_LONGITUDINAL_HORIZON_S)
+    left = goal.s - s + goal.v * (time - goal.time)  # within MIN_LONGITUDINAL_HORIZON_S the goal moves on at its speed
     want = 6.0 * left / (time * time) - (4.0 * v + 2.0 * goal.v) / time
     bounds = []
     for t in m.ahead:
         ahead = m.maximum(v * t, 0.5)
         fastest = road.bend_speed(s + ahead, motion.d)
         bounds.append((fastest * fastest - v * v) / (2.0 * ahead) + m.where(fastest > v, 0.5, 0.0))
-    want = m.minimum(m.minimum(want, m.least(bounds)), USUAL)
+    want = m.minimum(m.minimum(want, m.least(bounds)), USUAL_ACCELERATION_M_S2)
     _, _, _, curvature = road.at(s)
-    lateral = abs(motion.ddd + v * v * curvature) + LATERAL_RESERVE
+    lateral = abs(motion.ddd + v * v * curvature) + LATERAL_RESERVE_M_S2
     speed, a = faster(m, v, a, want, lateral, limits, cap, dt, hard)
     clock, d, dd, ddd, slope = _sideways(m, motion, speed, dt)
     along = m.sqrt(m.maximum(speed * speed - dd * dd, 0.0)) / m.maximum(1.0 - curvature * d, 0.2)
@@ -315,9 +316,9 @@ def advance(
 
 def usual(m: Any, signal: str, v: Any) -> Any:
     """The bound of a signal of the human envelope at a speed ``v`` [m/s]; ``signal``: see ``realism.BOUNDS``."""
-    slow, fast = BOUNDS[signal]
-    share = m.minimum(m.maximum((v - SLOW) / (FAST - SLOW), 0.0), 1.0)
-    return HUMAN_RESERVE * (slow + (fast - slow) * share)
+    slow, fast = HUMAN_BOUNDS[signal]
+    share = m.minimum(m.maximum((v - SLOW_BOUND_SPEED_M_S) / (FAST_BOUND_SPEED_M_S - SLOW_BOUND_SPEED_M_S), 0.0), 1.0)
+    return USED_HUMAN_BOUND_SHARE * (slow + (fast - slow) * share)
 
 
 def faster(
@@ -328,7 +329,7 @@ def faster(
     ``lateral``: its lateral acceleration [m/s2], which reduces its grip for braking. ``cap``: its highest speed [m/s].
     ``hard``: whether it may brake as hard as the limits let it; else as people usually do.
     """
-    jerk = limits.jerk * JERK_RESERVE
+    jerk = limits.jerk * USED_JERK_SHARE
     room = cap - v
     want = m.minimum(want, m.where(room > 0.0, m.sqrt(1.6 * jerk * m.maximum(room, 0.0)), room))
     want = m.maximum(want, -m.sqrt(0.8 * jerk * m.maximum(v, 0.0)))
@@ -342,13 +343,13 @@ def faster(
 
 def _sideways(m: Any, motion: Motion, v: Any, dt: float) -> tuple[Any, Any, Any, Any, Any]:
     """Clock, offset, its two time derivatives and the slope after ``dt``. The slope of a stopped vehicle stays."""
-    rate = m.minimum(v / motion.pace, FASTEST_CLOCK)
+    rate = m.minimum(v / motion.pace, MAX_CLOCK_RATE)
     clock = m.minimum(motion.clock + rate * dt, motion.span)
     u, c, span = clock / motion.span, motion.c, motion.span
     d = c[0] + u * (c[1] + u * (c[2] + u * (c[3] + u * (c[4] + u * c[5]))))
     d1 = (c[1] + u * (2 * c[2] + u * (3 * c[3] + u * (4 * c[4] + u * 5 * c[5])))) / span
     d2 = (2 * c[2] + u * (6 * c[3] + u * (12 * c[4] + u * 20 * c[5]))) / (span * span)
-    per_metre = m.minimum(1.0 / motion.pace, FASTEST_CLOCK / m.maximum(v, 1.0))
+    per_metre = m.minimum(1.0 / motion.pace, MAX_CLOCK_RATE / m.maximum(v, 1.0))
     slope = m.minimum(m.maximum(d1 * per_metre, -0.8), 0.8)
     return clock, d, d1 * rate, d2 * rate * rate, slope
 

@@ -21,26 +21,26 @@ if TYPE_CHECKING:
 
 # -- made-up situations ---------------------------------------------------------------------------------------------
 
-LENGTH, WIDTH, LANE_WIDTH = 5.0, 1.8, 3.2  # m
-HORIZON = 8.0  # s
-CURVATURE = 1.0 / 80.0  # 1/m, of the curve
-TIMES = (0.0, 2.0, 5.0)  # s after the trigger
-SPEEDS = {"standing": 0.0, "slow": 4.0, "fast": 24.0}  # m/s, of the ego
-CONFLICT = 45.0  # m along the ego's path: where crossing and merging ways meet it
+TRIAL_LENGTH_M, TRIAL_WIDTH_M, TRIAL_LANE_WIDTH_M = 5.0, 1.8, 3.2
+TRIAL_HORIZON_S = 8.0
+TRIAL_CURVATURE_1_M = 1.0 / 80.0  # of the curve
+TRIAL_TIMES_S = (0.0, 2.0, 5.0)  # after the trigger
+TRIAL_EGO_SPEEDS_M_S = {"standing": 0.0, "slow": 4.0, "fast": 24.0}  # of the ego
+CONFLICT_STATION_M = 45.0  # along the ego's path: where crossing and merging ways meet it
 
-LANE_PLACES = {"leader": (18.0, 0.0), "follower": (-16.0, 0.0), "neighbour": (4.0, 3.2), "oncoming": (0.0, 3.2)}
-"""m ahead and to the left, along the ego's path. An oncoming BV is farther ahead and meets the ego after ``MEET``."""
+LANE_PLACES_M = {"leader": (18.0, 0.0), "follower": (-16.0, 0.0), "neighbour": (4.0, 3.2), "oncoming": (0.0, 3.2)}
+"""Ahead and to the left, along the ego's path. An oncoming BV is farther ahead: they meet at ``CONFLICT_TIME_S``."""
 
-MEET = 6.0  # s
+CONFLICT_TIME_S = 6.0
 
-SIZES = {
+UNPROTECTED_SIZES_M = {
     "pedestrian": (0.5, 0.5), "pedestrian_hidden": (0.5, 0.5), "cyclist": (1.8, 0.6), "cyclist_hidden": (1.8, 0.6),
 }  # fmt: skip
-"""m, of the road users that are no vehicles. They are ``BESIDE`` metres beside the ego's path."""
+"""m, of the road users that are no vehicles. They are ``UNPROTECTED_OFFSET_M`` metres beside the ego's path."""
 
-BESIDE = 4.0
+UNPROTECTED_OFFSET_M = 4.0
 
-CROSSING_ANGLES = {"crossing_straight": 1.57, "crossing_left": 2.2, "crossing_right": 0.7, "merging": 0.25}
+CROSSING_ANGLES_RAD = {"crossing_straight": 1.57, "crossing_left": 2.2, "crossing_right": 0.7, "merging": 0.25}
 """rad: the BV's heading at the conflict, relative to the ego's path there."""
 
 
@@ -58,12 +58,12 @@ Pose = tuple[float, float, float]
 
 
 def probes(relation: str) -> list[Probe]:
-    make = _small if relation in SIZES else _crossing if relation in CROSSING_ANGLES else _lane
+    make = _small if relation in UNPROTECTED_SIZES_M else _crossing if relation in CROSSING_ANGLES_RAD else _lane
     return [
         make(f"{relation}, {pace}, {shape}, after {time:.0f} s", relation, curvature, speed, time)
-        for curvature, shape in ((0.0, "straight"), (CURVATURE, "curve"))
-        for pace, speed in SPEEDS.items()
-        for time in TIMES
+        for curvature, shape in ((0.0, "straight"), (TRIAL_CURVATURE_1_M, "curve"))
+        for pace, speed in TRIAL_EGO_SPEEDS_M_S.items()
+        for time in TRIAL_TIMES_S
     ]
 
 
@@ -79,16 +79,17 @@ def _ego(curvature: float, speed: float, time: float, arrivals: list[float]) -> 
     path = [[float(t), *on_arc(speed * (time + t), 0.0, curvature), speed] for t in range(9)]
     x, y, heading = path[0][1:4]
     return {
-        "x": x, "y": y, "heading": heading, "speed": speed, "acceleration": 0.0, "length": LENGTH, "width": WIDTH,
+        "x": x, "y": y, "heading": heading, "speed": speed, "acceleration": 0.0,
+        "length": TRIAL_LENGTH_M, "width": TRIAL_WIDTH_M,
         "path": path, "arrivals": arrivals,
     }  # fmt: skip
 
 
 def _lane(name: str, relation: str, curvature: float, speed: float, time: float) -> Probe:
-    ahead, left = LANE_PLACES[relation]
+    ahead, left = LANE_PLACES_M[relation]
     oncoming = relation == "oncoming"
     bv_speed = max(speed, 3.0) if oncoming else speed + 1.0
-    ahead += MEET * (bv_speed + speed) if oncoming else 0.0
+    ahead += CONFLICT_TIME_S * (bv_speed + speed) if oncoming else 0.0
     travelled = bv_speed * time
     station = ahead + (-travelled if oncoming else travelled)
     x, y, h = on_arc(station, left, curvature)
@@ -99,7 +100,7 @@ def _lane(name: str, relation: str, curvature: float, speed: float, time: float)
     bv = _bv((x, y, wrap(h + turned)), bv_speed, travelled, time)
     bv |= {
         "ahead": station - speed * time, "left": left, "relative_heading": turned, "road_heading": h,
-        "target_left": 0.0 if time else left, "lateral_time": 1.5 if time == TIMES[1] else 0.0,
+        "target_left": 0.0 if time else left, "lateral_time": 1.5 if time == TRIAL_TIMES_S[1] else 0.0,
         "speed_along": -bv_speed if oncoming else bv_speed,
     }  # fmt: skip
     road = _road(relation, left, curvature, bv_speed, (*on_arc(ahead, left, curvature)[:2], turned), way)
@@ -110,7 +111,7 @@ def _meeting(
     kind: str, movement: str, junction: float, angle: float, away: float, points: int, curvature: float
 ) -> tuple[dict[str, Any], Callable[[float], Pose]]:
     """A way that begins ``away`` metres from where it meets the ego's path, and its pose after some metres."""
-    cx, cy, ch = on_arc(CONFLICT, 0.0, curvature)
+    cx, cy, ch = on_arc(CONFLICT_STATION_M, 0.0, curvature)
     heading = wrap(ch + angle)
     c, s = math.cos(heading), math.sin(heading)
 
@@ -118,7 +119,7 @@ def _meeting(
         return cx + (travelled - away) * c, cy + (travelled - away) * s, heading
 
     conflict = {
-        "kind": kind, "x": cx, "y": cy, "heading": heading, "bv_distance": away, "ego_distance": CONFLICT,
+        "kind": kind, "x": cx, "y": cy, "heading": heading, "bv_distance": away, "ego_distance": CONFLICT_STATION_M,
         "angle": angle,
     }  # fmt: skip
     line = [list(at(2.0 * i)[:2]) for i in range(points)]
@@ -127,12 +128,12 @@ def _meeting(
 
 def _arrival(speed: float, time: float) -> float:
     """Seconds until the ego is where the ways meet."""
-    left = CONFLICT - speed * time
+    left = CONFLICT_STATION_M - speed * time
     return left / max(speed, 3.0) if left <= 0 else (left / speed if speed > 2.8 else NO_ARRIVAL_S)
 
 
 def _crossing(name: str, relation: str, curvature: float, speed: float, time: float) -> Probe:
-    angle, away, pace = CROSSING_ANGLES[relation], 40.0, 7.0
+    angle, away, pace = CROSSING_ANGLES_RAD[relation], 40.0, 7.0
     kind = "merging" if relation == "merging" else "crossing"
     movement = relation.removeprefix("crossing_") if relation != "merging" else "right"
     way, at = _meeting(kind, movement, away - 8.0, angle, away, 60, curvature)
@@ -140,7 +141,7 @@ def _crossing(name: str, relation: str, curvature: float, speed: float, time: fl
     bv = _bv((x, y, heading), pace, pace * time, time)
     bv |= {
         "ahead": x - speed * time, "left": y, "relative_heading": angle,
-        "road_heading": on_arc(CONFLICT, 0.0, curvature)[2], "target_left": y, "lateral_time": 0.0,
+        "road_heading": on_arc(CONFLICT_STATION_M, 0.0, curvature)[2], "target_left": y, "lateral_time": 0.0,
         "speed_along": pace * math.cos(angle),
     }  # fmt: skip
     start = at(0.0)
@@ -151,26 +152,24 @@ def _crossing(name: str, relation: str, curvature: float, speed: float, time: fl
 def _small(name: str, relation: str, curvature: float, speed: float, time: float) -> Probe:
     """A pedestrian that stands beside the road at first, or a cyclist that rides along it; both may cross."""
     cyclist = relation.startswith("cyclist")
-    across, at = _meeting("crossing", "across", NO_ARRIVAL_S, math.pi / 2, BESIDE, 15, curvature)
-    along = [list(on_arc(CONFLICT + 2.0 * i, -BESIDE, curvature)[:2]) for i in range(60)]
+    across, at = _meeting("crossing", "across", NO_ARRIVAL_S, math.pi / 2, UNPROTECTED_OFFSET_M, 15, curvature)
+    along = [list(on_arc(CONFLICT_STATION_M + 2.0 * i, -UNPROTECTED_OFFSET_M, curvature)[:2]) for i in range(60)]
     ways = [{"movement": "along", "junction": NO_ARRIVAL_S, "conflict": None, "centreline": along}] if cyclist else []
-    pace, ch = 4.0 if cyclist else 1.5, on_arc(CONFLICT, 0.0, curvature)[2]
+    pace, ch = 4.0 if cyclist else 1.5, on_arc(CONFLICT_STATION_M, 0.0, curvature)[2]
     travelled = min(pace * time, 20.0)
-    x, y, heading = on_arc(CONFLICT + travelled, -BESIDE, curvature) if cyclist else at(travelled)
+    station = CONFLICT_STATION_M + travelled
+    x, y, heading = on_arc(station, -UNPROTECTED_OFFSET_M, curvature) if cyclist else at(travelled)
     turned, speed_now = heading - ch, pace if cyclist or time else 0.0
     bv = _bv((x, y, heading), speed_now, travelled, time)
-    left = -BESIDE if cyclist else travelled - BESIDE
+    left = -UNPROTECTED_OFFSET_M if cyclist else travelled - UNPROTECTED_OFFSET_M
     bv |= {
-        "ahead": CONFLICT + (travelled if cyclist else 0.0) - speed * time, "left": left, "relative_heading": turned,
+        "ahead": (station if cyclist else CONFLICT_STATION_M) - speed * time, "left": left, "relative_heading": turned,
         "road_heading": ch, "target_left": left, "lateral_time": 0.0, "speed_along": speed_now * math.cos(turned),
-        "length": SIZES[relation][0], "width": SIZES[relation][1],
+        "length": UNPROTECTED_SIZES_M[relation][0], "width": UNPROTECTED_SIZES_M[relation][1],
     }  # fmt: skip
-    road = _road("crossing", -BESIDE, curvature, speed_now, (*at(0.0)[:2], heading), across)
-    road |= {
-        "ways": [*ways, across],
-        "sides": [],
-        "fastest": UNPROTECTED_SPEEDS_M_S[RoadUser(relation.removesuffix("_hidden"))],
-    }
+    road = _road("crossing", -UNPROTECTED_OFFSET_M, curvature, speed_now, (*at(0.0)[:2], heading), across)
+    fastest = UNPROTECTED_SPEEDS_M_S[RoadUser(relation.removesuffix("_hidden"))]
+    road |= {"ways": [*ways, across], "sides": [], "fastest": fastest}
     arrivals = [NO_ARRIVAL_S] * len(ways) + [_arrival(speed, time)]
     return Probe(name, bv, _ego(curvature, speed, time, arrivals), road)
 
@@ -180,7 +179,7 @@ def _bv(pose: Pose, speed: float, travelled: float, time: float) -> dict[str, An
     last = {"x": x, "y": y, "heading": heading, "speed": speed, "time": 2.0} if time else None
     return {
         "x": x, "y": y, "heading": heading, "speed": speed, "acceleration": 0.0, "travelled": travelled, "offset": 0.0,
-        "length": LENGTH, "width": WIDTH, "time": time, "last": last,
+        "length": TRIAL_LENGTH_M, "width": TRIAL_WIDTH_M, "time": time, "last": last,
     }  # fmt: skip
 
 
@@ -189,8 +188,8 @@ def _road(
 ) -> dict[str, Any]:
     x, y, heading = start
     return {
-        "relation": relation, "left": left, "lane_width": LANE_WIDTH, "ways": [way],
-        "sides": [{"offset": LANE_WIDTH, "kind": "same"}, {"offset": -LANE_WIDTH, "kind": "opposite"}],
+        "relation": relation, "left": left, "lane_width": TRIAL_LANE_WIDTH_M, "ways": [way],
+        "sides": [{"offset": TRIAL_LANE_WIDTH_M, "kind": "same"}, {"offset": -TRIAL_LANE_WIDTH_M, "kind": "opposite"}],
         "start": {"x": x, "y": y, "heading": heading, "speed": speed},
         "ego_centreline": [list(on_arc(2.0 * i, 0.0, curvature)[:2]) for i in range(100)],
         "fastest": fastest_of(speed), "signals": {"bv": [], "ego": []},
@@ -199,9 +198,9 @@ def _road(
 
 # -- the trial ------------------------------------------------------------------------------------------------------
 
-REACH, REACH_SPEED = 20.0, 60.0  # m, m/s: an endpoint may be this far away, and farther by this speed
-OFF_ROAD, DRIFT = 10.0, 0.5  # m from every centreline, and metres more for each metre ahead: bends may be cut
-ACCELERATIONS = (0.0, -6.0)  # m/s2
+ENDPOINT_REACH_M, ENDPOINT_REACH_SPEED_M_S = 20.0, 60.0  # an endpoint may be this far away, and farther by this speed
+MAX_ROAD_DISTANCE_M, ROAD_DISTANCE_PER_METRE = 10.0, 0.5  # from every centreline: bends may be cut
+TRIAL_ACCELERATIONS_M_S2 = (0.0, -6.0)
 
 
 def trial(sandbox: Sandbox, planner: Planner, applies: Sequence[str], *, type_check: bool = False) -> str | None:
@@ -256,10 +255,10 @@ def _calls(planner: Planner, situations: Sequence[Probe]) -> list[tuple[str, Cal
         "high parameters": {p.name: p.high for p in planner.parameters},
     }
     return [
-        (f"{probe.name}, {words}", (probe.name, probe.bv, probe.ego, values, acceleration, HORIZON))
+        (f"{probe.name}, {words}", (probe.name, probe.bv, probe.ego, values, acceleration, TRIAL_HORIZON_S))
         for probe in situations
         for words, values in ends.items()
-        for acceleration in ACCELERATIONS
+        for acceleration in TRIAL_ACCELERATIONS_M_S2
     ]
 
 
@@ -268,11 +267,11 @@ def _fault(call: Call, road: Mapping[str, Any], answer: dict[str, float] | Sandb
         return str(answer)
     _, bv, *_ = call
     distance = math.hypot(answer["x"] - bv["x"], answer["y"] - bv["y"])
-    if distance > REACH + REACH_SPEED * answer["time"]:
+    if distance > ENDPOINT_REACH_M + ENDPOINT_REACH_SPEED_M_S * answer["time"]:
         return f"it asks for a place {distance:.0f} m away within {answer['time']:.1f} s, which no vehicle reaches."
     lines = (road["ego_centreline"], *(way["centreline"] for way in road["ways"]))
     aside = min(_from_line(np.asarray(line, float), answer["x"], answer["y"]) for line in lines)
-    if aside > OFF_ROAD + DRIFT * distance:
+    if aside > MAX_ROAD_DISTANCE_M + ROAD_DISTANCE_PER_METRE * distance:
         return f"it asks for a place {aside:.0f} m beside the road."
     return None
 

@@ -31,7 +31,7 @@ from sumo_adv.campaigns.results import Done
 from sumo_adv.datatypes import Floats, Level
 from sumo_adv.errors import UsageError
 from sumo_adv.files import held, json_text, refuse_links, scratch_prefix, sentences, write_text
-from sumo_adv.metrics.statistics import CONFIDENCE
+from sumo_adv.metrics.statistics import CONFIDENCE_LEVEL
 from sumo_adv.parsing import read_json, read_object
 from sumo_adv.rate.blocks import MAX_EGO_WAIT_S, RUNS_PER_BLOCK, Block, BlockRunner, ClusterBlocks, RatePlan, failed
 from sumo_adv.rate.proposal import ERROR_KINDS, MAX_WEIGHT, Counts, Proposal, chances, learnt, pilot_proposal
@@ -79,7 +79,7 @@ def rate(weights: Floats, exposure: Floats, most_weight: float = 1.0) -> Rate:
     seen = int((weights > 0).sum())
     if over <= 0.0:
         return Rate(math.nan, 0.0, math.inf, seen, 0.0, None, None)
-    tail = (1 - CONFIDENCE) / 2
+    tail = (1 - CONFIDENCE_LEVEL) / 2
     if not seen:
         return Rate(0.0, 0.0, float(gammaincinv(1.0, 1 - tail)) * most_weight / over, 0, 0.0, None, None)
     square, seen_largest = float((weights**2).sum()), float(weights.max())

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv import __version__
-from sumo_adv.agents.agents import BUILT_IN, ROLES
+from sumo_adv.agents.agents import AGENT_ROLES, BUILT_IN_AGENTS
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import ENDING_SENTENCES, Attempt, Duty, Intent, Level, Proposal, Verdict, plain_acceleration
 from sumo_adv.episode.assessment import motion_of
@@ -121,7 +121,7 @@ def _ego_actions(episode: Episode) -> dict[str, int] | None:
 def _agents(episode: Episode) -> dict[str, Any]:
     """The players of the parts. The built-in expert is never presented as a language model."""
     agents = episode.agents
-    players = dict(BUILT_IN) if agents is None else {role: agents.player(role) for role in ROLES}
+    players = dict(BUILT_IN_AGENTS) if agents is None else {role: agents.player(role) for role in AGENT_ROLES}
     models = sorted({m.name for m in agents.models.values()}) if agents is not None else []
     note = EXPERT_NOTE
     if models:
@@ -129,7 +129,7 @@ def _agents(episode: Episode) -> dict[str, Any]:
         note = f"Parts played at the end: {parts}; predictions and tuner are built in."
     return {
         **players, "tuner": episode.settings.tuner, "note": note,
-        "calls": dict.fromkeys(ROLES, 0) if agents is None else agents.calls,
+        "calls": dict.fromkeys(AGENT_ROLES, 0) if agents is None else agents.calls,
         "failed": {} if agents is None else agents.failed, "analysis": {} if agents is None else agents.analysis,
     }  # fmt: skip
 

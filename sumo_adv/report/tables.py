@@ -14,7 +14,7 @@ import numpy as np
 from sumo_adv.datatypes import Role, Track
 from sumo_adv.files import plain_cell
 from sumo_adv.metrics.case import NEAR
-from sumo_adv.metrics.criticality import AVAILABLE, series
+from sumo_adv.metrics.criticality import AVAILABLE_BRAKING_M_S2, series
 from sumo_adv.metrics.validity import MOST
 from sumo_adv.simulation.signals import SIGNAL_COLUMNS
 from sumo_adv.simulation.simulation import Snapshot
@@ -26,7 +26,7 @@ HEIGHT = "z"
 """The last column of states where roads have heights: that of the road under the vehicle [m]."""
 SERIES = ("ttc", "gap", "drac", "btn", "headway", "required_lateral", "centre_distance")
 SERIES_HEADER = f"time,id,{','.join(SERIES)}\n"
-BOUNDS = {"drac": MOST, "btn": MOST / AVAILABLE, "required_lateral": MOST}  # at contact they have none
+BOUNDS = {"drac": MOST, "btn": MOST / AVAILABLE_BRAKING_M_S2, "required_lateral": MOST}  # at contact they have none
 
 
 def write_states(

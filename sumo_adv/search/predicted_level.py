@@ -18,13 +18,13 @@ from sumo_adv.metrics.gates import largest_acceleration
 from sumo_adv.metrics.levels import STATIONARY, STATIONARY_FOR
 from sumo_adv.metrics.realism import envelope_left
 from sumo_adv.metrics.reference.cc_human import CcHuman
-from sumo_adv.metrics.reference.counterfactual import BEYOND, Counterfactual, Encounters
+from sumo_adv.metrics.reference.counterfactual import MIN_AFTER_CONTACT_S, Counterfactual, Encounters
 from sumo_adv.metrics.severity import crash_of, hardness
 from sumo_adv.road_users import is_unprotected, road_user
 from sumo_adv.simulation.network import Drivable
 from sumo_adv.situation import Situation
 
-MIN_MANOEUVRE_WARNING_S = 0.5  # s from the alarm to the contact; with less no manoeuvre avoids anything
+MIN_MANOEUVRE_WARNING_S = 0.5  # from the alarm to the contact; with less no manoeuvre avoids anything
 BYSTANDER_DISTANCE_M = 60.0  # from the ego at the contact: other vehicles that may be in a reference driver's way
 PATH_AFTER_CONTACT_M = 60.0  # of the ego's path past the contact, at points that are this far apart:
 PATH_POINT_SPACING_M = 2.0
@@ -124,7 +124,7 @@ def _check(collisions: Collisions, onward: Floats, rows: Ints, *, with_others: b
     """The counterfactual of some rows: the ego as predicted until the contact, the adversary as planned after it too.
     with_others: with the other vehicles near, which may leave a reference driver no room."""
     last, situation = collisions.last[rows], collisions.situations[0]
-    until, more = int(last.max()) + 1, round(BEYOND / situation.dt)
+    until, more = int(last.max()) + 1, round(MIN_AFTER_CONTACT_S / situation.dt)
     ego, adversary = (some_rows(b, rows) for b in (collisions.ego, collisions.adversary))
     given = Encounters(
         some_steps(ego, slice(0, until)), some_steps(adversary, slice(0, until + more)), np.zeros(len(last), np.intp),

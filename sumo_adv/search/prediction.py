@@ -103,7 +103,7 @@ def _no_garbage_collection() -> Iterator[None]:
 
 
 def batches_of(proposals: Sequence[Proposal]) -> list[set[str]]:
-    """Hashes of planners that are predicted together: at most ``MAX_OPEN_SESSIONS`` that need the sandbox, a session each."""
+    """Hashes of planners that are predicted together: at most ``MAX_OPEN_SESSIONS`` that need the sandbox."""
     planners = {p.planner.hash: p.planner for p in proposals}
     ours = [name for name, planner in planners.items() if is_trusted(planner)]
     others = [name for name in planners if name not in ours]

@@ -30,7 +30,7 @@ from sumo_adv.metrics.boxes import (
 )
 from sumo_adv.metrics.contact import rear_end
 from sumo_adv.metrics.criticality import ttc
-from sumo_adv.metrics.gates import CLOCK_SLACK, kinematic_gates, near_pairs, off_road, third_party
+from sumo_adv.metrics.gates import CLOCK_SLACK_S, kinematic_gates, near_pairs, off_road, third_party
 from sumo_adv.road_users import RoadUser, road_user, unprotected
 from sumo_adv.search.predicted_level import Collisions, Danger, danger_of, some_rows
 from sumo_adv.search.rollouts import Motions, Rollouts, Touch
@@ -38,10 +38,10 @@ from sumo_adv.search.settings import MAX_COUNTED_DISTANCE_M, MAX_COUNTED_TTC_S, 
 from sumo_adv.simulation.network import Drivable
 from sumo_adv.situation import Situation, heights_along
 
-UNCOUNTED_BRAKING_M_S2 = 1.0  # m/s2: gentler braking does not count
+UNCOUNTED_BRAKING_M_S2 = 1.0  # gentler braking does not count
 ROAD_INSET_M = 0.05  # m; the judge's 0.15 would leave no room for the error of a prediction
 ROAD_CHECK_STRIDE = 4  # steps between two tests of the corners, which are slow; off the road a vehicle stays for longer
-NO_TOUCH_DISTANCE_M = 5.0  # m between boxes: with more at every step two vehicles do not touch in between, up to 50 m/s
+NO_TOUCH_DISTANCE_M = 5.0  # between boxes: with more at every step two vehicles do not touch in between, up to 50 m/s
 MIN_HAZARD_STEPS = 3  # before a contact, for a hazard to show
 
 
@@ -120,7 +120,7 @@ def _look_at(
     end = np.minimum(steps - 1, left).astype(np.intp)
     last = np.minimum(contact, end)
     end_time, at_contact = _ends(ego, adversary, last, hit, time)
-    judged = (time > 0) & (time <= end_time[:, None] + CLOCK_SLACK)  # the first state is SUMO's own
+    judged = (time > 0) & (time <= end_time[:, None] + CLOCK_SLACK_S)  # the first state is SUMO's own
     third, leaves, beyond = np.zeros((3, len(proposals)), bool)
     bvs = [p.bvs for p in proposals]
     for boxes, before in driven:

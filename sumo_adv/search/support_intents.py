@@ -161,8 +161,8 @@ SUPPORT_INTENTS: Mapping[Duty, tuple[LibraryEntry, ...]] = {
     ),
     Duty.OPEN: (
         _entry(
-            "Gap Opening", "The vehicle changes its speed and opens a gap into which another one can go.", ALONG_RELATIONS,
-            "pace", _PACE, change="-4.0, -10.0, 6.0",
+            "Gap Opening", "The vehicle changes its speed and opens a gap into which another one can go.",
+            ALONG_RELATIONS, "pace", _PACE, change="-4.0, -10.0, 6.0",
         ),
     ),
 }  # fmt: skip

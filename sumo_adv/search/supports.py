@@ -54,8 +54,8 @@ ANY_FITTING = ""  # of a part: any mode of the intent; of a cast: any vehicle th
 
 @dataclass(frozen=True, slots=True)
 class Cast:
-    """A composition with its vehicles. ``vehicles``: by part the id of the vehicle that carries it out, or ``ANY_FITTING``;
-    empty if any may."""
+    """A composition with its vehicles. ``vehicles``: by part the id of the vehicle that carries it out, or
+    ``ANY_FITTING``; empty if any may."""
 
     composition: Composition
     vehicles: tuple[str, ...] = ()

@@ -30,10 +30,10 @@ from sumo_adv.simulation.programs import find_netconvert
 from sumo_adv.simulation.simulation import RawState, Simulation, SimulationSpec, pose_of
 from sumo_adv.situation import Signal
 from sumo_adv.transformer.scene import (
-    AGENTS,
-    FUTURE,
-    HISTORY,
-    STEP,
+    FUTURE_COUNT,
+    HISTORY_COUNT,
+    MAX_AGENTS,
+    POSITION_STEP_S,
     Agents,
     Features,
     Segments,
@@ -49,23 +49,23 @@ HELD_OUT_NETWORKS = (
 )  # fmt: skip
 """Shipped networks that are kept for the evaluation."""
 
-WARM_UP, SECONDS = 30.0, 180.0  # s: the network fills; of a run in all
-EVERY = 15  # steps between two scenes of a run
-TRIES = 5  # of netgenerate for a run
-DRIVERS = 24  # kinds of drivers in a run
-CROWD = (0.6, 2.2)  # of the usual density
-MOST_DEPARTURES = 60.0  # a minute
-MODELS = ("Krauss", "IDM", "EIDM")
-SIZES = ((4.8, 1.8), (4.4, 1.8), (5.0, 1.9), (6.0, 2.1), (4.0, 1.7))  # m
-JUNCTIONS = ("traffic_light", "traffic_light", "priority", "right_before_left", "allway_stop")
-HELD_OUT_SHARE = 8  # runs to train on for each held-out one
+TRAFFIC_WARM_UP_S, TRAFFIC_RUN_S = 30.0, 180.0  # the network fills; of a run in all
+SCENE_INTERVAL_STEPS = 15  # between two scenes of a run
+MAX_NETGENERATE_TRIES = 5  # for a run
+DRIVER_KIND_COUNT = 24  # kinds of drivers in a run
+DENSITY_FACTORS = (0.6, 2.2)  # of the usual density
+MAX_DEPARTURES_PER_MINUTE = 60.0
+CAR_FOLLOWING_MODELS = ("Krauss", "IDM", "EIDM")
+VEHICLE_SIZES_M = ((4.8, 1.8), (4.4, 1.8), (5.0, 1.9), (6.0, 2.1), (4.0, 1.7))
+JUNCTION_TYPES = ("traffic_light", "traffic_light", "priority", "right_before_left", "allway_stop")
+TRAINING_RUNS_PER_HELD_OUT = 8  # runs to train on for each held-out one
 TRAIN, HELD_OUT = "train", "held_out"  # how the names of files begin
-FOCUSES = 2  # scenes at a moment of a run
-NEAR_FOCUS = 150.0  # m: a scene is the vehicles that are this near to the one in its middle
-STANDS, KEPT = 0.5, 0.15  # m/s; the share of the scenes around a standing vehicle that is kept
-MOVES = 2.0  # m in 8 s: a vehicle that goes less far stands
-UNKNOWN = 0.3  # share of the vehicles, the middle one aside, with an unknown traffic light, as in an encounter
-WAYS = 6  # that lane following tries
+SCENES_PER_MOMENT = 2  # scenes at a moment of a run
+SCENE_RADIUS_M = 150.0  # a scene is the vehicles that are this near to the one in its middle
+STANDING_SCENE_SPEED_M_S, KEPT_STANDING_SHARE = 0.5, 0.15  # of scenes around a standing vehicle
+MIN_MOVING_DISTANCE_M = 2.0  # in 8 s: a vehicle that goes less far stands
+UNKNOWN_LIGHT_SHARE = 0.3  # of the vehicles but the middle one: as in an encounter
+MAX_FOLLOWED_LANES = 6  # that lane following tries
 Scene = tuple[Features, Any, Any, Any]
 """One scene: its features, and what ``Scenes`` has of it: future, known, followed."""
 
@@ -81,7 +81,7 @@ class Recorded:
     sizes: Mapping[str, tuple[float, float]]
 
 
-def record(number: int, seed: int, folder: Path, *, held_out: bool, seconds: float = SECONDS) -> Recorded:
+def record(number: int, seed: int, folder: Path, *, held_out: bool, seconds: float = TRAFFIC_RUN_S) -> Recorded:
     """The traffic of one run; ``folder``: for its files.
 
     Raises:
@@ -95,12 +95,12 @@ def record(number: int, seed: int, folder: Path, *, held_out: bool, seconds: flo
     steps: list[Mapping[str, RawState]] = []
     lights: dict[int, dict[str, Sequence[Signal]]] = {}
     try:
-        while simulation.time < WARM_UP:
+        while simulation.time < TRAFFIC_WARM_UP_S:
             simulation.step()
-        for k in range(round((seconds - WARM_UP) / simulation.spec.step_length)):
+        for k in range(round((seconds - TRAFFIC_WARM_UP_S) / simulation.spec.step_length)):
             simulation.step()
             steps.append(simulation.read().raw)
-            if k % EVERY == 0:
+            if k % SCENE_INTERVAL_STEPS == 0:
                 lights[k] = {name: simulation.signals(name) for name in steps[-1]}
         return Recorded(network, steps, lights, dict(simulation.fleet.sizes))
     finally:
@@ -114,11 +114,12 @@ def _network(number: int, draw: Random, folder: Path, *, held_out: bool) -> tupl
         chosen = [path for path in shipped if (path.name.removesuffix(".net.xml") in HELD_OUT_NETWORKS) == held_out]
         network = chosen[number // 2 % len(chosen)]
         return network, journeys(network, draw)
-    for _ in range(TRIES):
+    for _ in range(MAX_NETGENERATE_TRIES):
         network = _generated(draw, folder / "generated.net.xml")
         with suppress(UsageError):  # no route leads through it
             return network, journeys(network, draw)
-    raise SimulationError(f"netgenerate made no network with a route in {TRIES} tries; give another --seed.")
+    tries = MAX_NETGENERATE_TRIES
+    raise SimulationError(f"netgenerate made no network with a route in {tries} tries; give another --seed.")
 
 
 def _generated(draw: Random, target: Path) -> Path:
@@ -126,7 +127,7 @@ def _generated(draw: Random, target: Path) -> Path:
     program = find_netconvert()
     program = program.with_name(program.name.replace("netconvert", "netgenerate"))  # they are installed together
     flags = [
-        "--default-junction-type", draw.choice(JUNCTIONS), "--default.lanenumber", str(draw.randint(1, 3)),
+        "--default-junction-type", draw.choice(JUNCTION_TYPES), "--default.lanenumber", str(draw.randint(1, 3)),
         "--default.speed", f"{draw.choice((30, 50, 50, 60, 70)) / 3.6:.2f}", "--default.junctions.radius",
         str(draw.choice((4, 6, 9))), "--seed", str(draw.randrange(10**6)), "--turn-lanes", str(draw.randint(0, 1)),
         "--no-turnarounds", "true", "--random-lanenumber", draw.choice(("true", "false")), "--random-priority", "true",
@@ -145,15 +146,16 @@ def _generated(draw: Random, target: Path) -> Path:
 
 
 def _demand(journeys: list[Journey], target: Path, draw: Random, seconds: float) -> Path:
-    """Vehicles of ``DRIVERS`` kinds on the routes."""
-    density = min(default_density(journeys) * draw.uniform(*CROWD), MOST_DEPARTURES)
-    lines = ["<routes>\n", *(_driver(k, draw) for k in range(DRIVERS))]
+    """Vehicles of ``DRIVER_KIND_COUNT`` kinds on the routes."""
+    density = min(default_density(journeys) * draw.uniform(*DENSITY_FACTORS), MAX_DEPARTURES_PER_MINUTE)
+    lines = ["<routes>\n", *(_driver(k, draw) for k in range(DRIVER_KIND_COUNT))]
     depart, number = 0.0, 0
     while depart < seconds:
         journey = draw.choices(journeys, weights=[j.lanes for j in journeys])[0]
         lane = draw.choice(("best", "best", "random", "free"))
         lines.append(
-            f'<vehicle id="v{number}" type="driver{draw.randrange(DRIVERS)}" depart="{depart:.2f}" departLane="{lane}" '
+            f'<vehicle id="v{number}" type="driver{draw.randrange(DRIVER_KIND_COUNT)}" '
+            f'depart="{depart:.2f}" departLane="{lane}" '
             f'departSpeed="max"><route edges={quoteattr(" ".join(journey.edges))}/></vehicle>\n'
         )
         depart += draw.expovariate(density / 60.0)
@@ -164,7 +166,7 @@ def _demand(journeys: list[Journey], target: Path, draw: Random, seconds: float)
 
 def _driver(number: int, draw: Random) -> str:
     """A vType: car following, lane changing, speed and size."""
-    model, (length, width) = draw.choice(MODELS), draw.choice(SIZES)
+    model, (length, width) = draw.choice(CAR_FOLLOWING_MODELS), draw.choice(VEHICLE_SIZES_M)
     values: dict[str, str | float] = {
         "id": f"driver{number}", "vClass": "passenger", "carFollowModel": model, "length": length, "width": width,
         "accel": draw.uniform(1.5, 3.5), "decel": draw.uniform(3.0, 6.0), "tau": draw.uniform(0.9, 2.0),
@@ -197,15 +199,15 @@ class Scenes:
 
 
 def scene_of(agents: Agents, future: Floats, segments: Segments, followed: Floats | None = None) -> Scene:
-    """One scene for ``together``; future: the vehicles' next ``FUTURE`` positions in the world, nan = not there,
+    """One scene for ``together``; future: the vehicles' next ``FUTURE_COUNT`` positions in the world, nan = not there,
     ``(n, FUTURE, 2)``; ``followed``: see ``Scenes``."""
     n = len(future)
     known_steps = np.asarray(np.isfinite(future).all(axis=2))
-    whole, there = np.zeros((AGENTS, FUTURE, 2), np.float32), np.zeros((AGENTS, FUTURE), bool)
+    whole, there = np.zeros((MAX_AGENTS, FUTURE_COUNT, 2), np.float32), np.zeros((MAX_AGENTS, FUTURE_COUNT), bool)
     whole[:n], there[:n] = np.where(known_steps[..., None], to_local(future, agents), 0.0), known_steps
     ways = None
     if followed is not None:
-        ways = np.full((AGENTS, WAYS, FUTURE, 2), np.nan, np.float32)
+        ways = np.full((MAX_AGENTS, MAX_FOLLOWED_LANES, FUTURE_COUNT, 2), np.nan, np.float32)
         ways[:n] = followed
     return features(agents, segments), whole, there, ways
 
@@ -218,18 +220,18 @@ def together(scenes: Sequence[Scene]) -> Scenes:
 
 
 def scenes_of(run: Recorded, rng: np.random.Generator, *, held_out: bool) -> Scenes | None:
-    """The scenes of a run: ``FOCUSES`` every ``EVERY`` steps, each around a vehicle that is drawn; None if there are
-    none."""
+    """The scenes of a run: ``SCENES_PER_MOMENT`` every ``SCENE_INTERVAL_STEPS`` steps, each around a vehicle that is
+    drawn; None if there are none."""
     road = read_network(run.network)
     segments, scenes = segments_of(road), []
-    for k in range(0, len(run.steps) - FUTURE, EVERY):
-        current, before = run.steps[k], run.steps[max(k - HISTORY + 1, 0)]
-        names = [name for name in current if name in before] if k >= HISTORY - 1 else []
-        for focus in (names[i] for i in rng.permutation(len(names))[:FOCUSES]):
-            if current[focus][3] < STANDS and rng.random() > KEPT:
+    for k in range(0, len(run.steps) - FUTURE_COUNT, SCENE_INTERVAL_STEPS):
+        current, before = run.steps[k], run.steps[max(k - HISTORY_COUNT + 1, 0)]
+        names = [name for name in current if name in before] if k >= HISTORY_COUNT - 1 else []
+        for focus in (names[i] for i in rng.permutation(len(names))[:SCENES_PER_MOMENT]):
+            if current[focus][3] < STANDING_SCENE_SPEED_M_S and rng.random() > KEPT_STANDING_SHARE:
                 continue
             chosen = _around(focus, names, current)
-            lights_known = [name == focus or rng.random() > UNKNOWN for name in chosen]
+            lights_known = [name == focus or rng.random() > UNKNOWN_LIGHT_SHARE for name in chosen]
             agents, future = _agents(run, k, chosen, lights_known)
             ways = (
                 np.stack([follow(road, agents, i, current[n][4]) for i, n in enumerate(chosen)]) if held_out else None
@@ -241,8 +243,8 @@ def scenes_of(run: Recorded, rng: np.random.Generator, *, held_out: bool) -> Sce
 def _around(focus: str, names: Sequence[str], current: Any) -> list[str]:
     x, y = current[focus][:2]
     far = {name: float(np.hypot(current[name][0] - x, current[name][1] - y)) for name in names}
-    near = sorted((name for name in names if far[name] < NEAR_FOCUS), key=lambda name: (far[name], name))
-    return near[:AGENTS]
+    near = sorted((name for name in names if far[name] < SCENE_RADIUS_M), key=lambda name: (far[name], name))
+    return near[:MAX_AGENTS]
 
 
 def _agents(run: Recorded, k: int, names: Sequence[str], lights_known: Sequence[bool]) -> tuple[Agents, Floats]:
@@ -250,8 +252,8 @@ def _agents(run: Recorded, k: int, names: Sequence[str], lights_known: Sequence[
 
     lights_known: for each vehicle, whether its traffic light is known.
     """
-    place = np.full((len(names), HISTORY + FUTURE, 2), np.nan)
-    for j, states in enumerate(run.steps[k - HISTORY + 1 : k + FUTURE + 1]):
+    place = np.full((len(names), HISTORY_COUNT + FUTURE_COUNT, 2), np.nan)
+    for j, states in enumerate(run.steps[k - HISTORY_COUNT + 1 : k + FUTURE_COUNT + 1]):
         for i, name in enumerate(names):
             if name in states:
                 place[i, j] = pose_of(states[name], run.sizes[name][0])[:2]
@@ -259,18 +261,18 @@ def _agents(run: Recorded, k: int, names: Sequence[str], lights_known: Sequence[
     heading = [pose_of(state, 0.0)[2] for state in current]
     lights = [run.lights[k][n] if is_known else None for n, is_known in zip(names, lights_known, strict=True)]
     agents = Agents(
-        place[:, :HISTORY], np.array(heading), np.array([state[3] for state in current]),
+        place[:, :HISTORY_COUNT], np.array(heading), np.array([state[3] for state in current]),
         np.array([run.sizes[name] for name in names]), np.array([light_of(light) for light in lights]),
     )  # fmt: skip
-    return agents, place[:, HISTORY:]
+    return agents, place[:, HISTORY_COUNT:]
 
 
 def follow(road: RoadMap, agents: Agents, i: int, lane: str) -> Floats:
     """Lane following: vehicle ``i`` keeps its speed and its offset on every way on from its ``lane``, in its own frame,
     ``(WAYS, FUTURE, 2)``; straight on where it is on no lane. The straightest way is the first."""
-    ways = np.full((WAYS, FUTURE, 2), np.nan)
+    ways = np.full((MAX_FOLLOWED_LANES, FUTURE_COUNT, 2), np.nan)
     speed = float(agents.speed[i])
-    ahead = np.asarray(speed * STEP * np.arange(1, FUTURE + 1), float)
+    ahead = np.asarray(speed * POSITION_STEP_S * np.arange(1, FUTURE_COUNT + 1), float)
     ways[0] = np.column_stack([ahead, 0.0 * ahead])
     if lane not in road.lanes:
         return ways
@@ -290,7 +292,9 @@ def follow(road: RoadMap, agents: Agents, i: int, lane: str) -> Floats:
     return ways
 
 
-def make(folder: Path, *, seed: int, runs: int, progress: Callable[[int, int], None], seconds: float = SECONDS) -> int:
+def make(
+    folder: Path, *, seed: int, runs: int, progress: Callable[[int, int], None], seconds: float = TRAFFIC_RUN_S
+) -> int:
     """Write the scenes of ``runs`` runs to train on, and of an eighth as many held-out ones; those that are there stay.
 
     progress: told how many of how many are done; seconds: that a run simulates. Returns how many files there are.
@@ -300,7 +304,7 @@ def make(folder: Path, *, seed: int, runs: int, progress: Callable[[int, int], N
         SimulationError: SUMO fails.
     """
     begin(folder, f"sumo, seed {seed}, {seconds:g} s a run")
-    files = [(TRAIN, k) for k in range(runs)] + [(HELD_OUT, k) for k in range(-(-runs // HELD_OUT_SHARE))]
+    files = [(TRAIN, k) for k in range(runs)] + [(HELD_OUT, k) for k in range(-(-runs // TRAINING_RUNS_PER_HELD_OUT))]
     for done, (kind, number) in enumerate(files, 1):
         target = folder / f"{kind}-{number:04d}.npz"
         held_out = kind == HELD_OUT

@@ -2,7 +2,7 @@
 
 As in HiVT a vehicle first looks at its neighbours at every moment of its history (agent-agent attention). A Transformer
 over time sums its history up, it looks at the lanes (agent-lane attention), and then all vehicles of the scene look at
-each other by their relative poses (global interaction). ``MODES`` futures are decoded: each a Laplace
+each other by their relative poses (global interaction). ``MODE_COUNT`` futures are decoded: each a Laplace
 distribution a step and coordinate, and a logit for how likely it is.
 
 Unlike HiVT, two displacements make a token, and a decoded future is a smooth curve: the position at constant velocity
@@ -24,11 +24,11 @@ from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError
 from sumo_adv.files import write_whole
 from sumo_adv.transformer.scene import (
-    FUTURE,
-    METRES,
-    SPEED,
-    STEP,
-    TOKENS,
+    DISTANCE_SCALE_M,
+    FUTURE_COUNT,
+    POSITION_STEP_S,
+    SPEED_SCALE_M_S,
+    TOKEN_COUNT,
     Agents,
     Features,
     Segments,
@@ -36,18 +36,18 @@ from sumo_adv.transformer.scene import (
     to_world,
 )
 
-MODES = 6
-WIDTH, HEADS, INNER = 64, 4, 256  # of the embeddings, of an attention, of the layers behind it
-IN_TIME, AMONG_ALL = 4, 3  # layers of the temporal Transformer, of the global interaction
-DEGREE, SCALE_DEGREE = 10, 3  # of the polynomials of positions and of log-scales
-NARROWEST, WIDEST = -3.0, 4.0  # log of a Laplace scale [m]
-UNSEEN = -1e9  # logit of what is not there
-FLAT = 1e-5  # added to variances
+MODE_COUNT = 6
+EMBEDDING_SIZE, HEAD_COUNT, INNER_SIZE = 64, 4, 256  # of the embeddings, of an attention, of the layers behind it
+TEMPORAL_LAYER_COUNT, GLOBAL_LAYER_COUNT = 4, 3  # layers of the temporal Transformer, of the global interaction
+POSITION_DEGREE, SCALE_DEGREE = 10, 3  # of the polynomials of positions and of log-scales
+MIN_LOG_SCALE, MAX_LOG_SCALE = -3.0, 4.0  # log of a Laplace scale [m]
+UNSEEN_LOGIT = -1e9  # logit of what is not there
+VARIANCE_EPSILON = 1e-5  # added to variances
 
 Parameters = Mapping[str, Any]
 """Weights by name: arrays of numpy or of JAX."""
-TIMES = np.arange(1, FUTURE + 1, dtype=np.float32) * np.float32(STEP)
-SHIPPED = Path(__file__).with_name("weights.npz")
+FUTURE_TIMES_S = np.arange(1, FUTURE_COUNT + 1, dtype=np.float32) * np.float32(POSITION_STEP_S)
+SHIPPED_WEIGHTS = Path(__file__).with_name("weights.npz")
 
 
 class Modes(NamedTuple):
@@ -61,13 +61,13 @@ class Modes(NamedTuple):
 
 def bernstein(degree: int, first: int) -> NDArray[np.float32]:
     """The Bernstein polynomials ``first`` to ``degree`` at the steps of a future, ``(FUTURE, degree + 1 - first)``."""
-    t = np.arange(1, FUTURE + 1)[:, None] / FUTURE
+    t = np.arange(1, FUTURE_COUNT + 1)[:, None] / FUTURE_COUNT
     k = np.arange(first, degree + 1)
     choose = np.array([comb(degree, int(j)) for j in k])
     return np.asarray(choose * t**k * (1 - t) ** (degree - k), np.float32)
 
 
-PLACES, SCALES = bernstein(DEGREE, 1), bernstein(SCALE_DEGREE, 0)
+POSITION_BASIS, SCALE_BASIS = bernstein(POSITION_DEGREE, 1), bernstein(SCALE_DEGREE, 0)
 
 
 def make_parameters(seed: int) -> dict[str, NDArray[np.float32]]:
@@ -81,25 +81,25 @@ def make_parameters(seed: int) -> dict[str, NDArray[np.float32]]:
         made[f"{name}.b"] = np.zeros(out, np.float32)
 
     def norm(name: str) -> None:
-        made[f"{name}.w"], made[f"{name}.b"] = np.ones(WIDTH, np.float32), np.zeros(WIDTH, np.float32)
+        made[f"{name}.w"], made[f"{name}.b"] = np.ones(EMBEDDING_SIZE, np.float32), np.zeros(EMBEDDING_SIZE, np.float32)
 
     def embedding(name: str, into: int) -> None:
-        linear(f"{name}.1", into, WIDTH)
+        linear(f"{name}.1", into, EMBEDDING_SIZE)
         norm(f"{name}.norm")
-        linear(f"{name}.2", WIDTH, WIDTH)
+        linear(f"{name}.2", EMBEDDING_SIZE, EMBEDDING_SIZE)
 
     def attention(name: str) -> None:
         norm(f"{name}.norm")
         for part in ("q", "k", "v", "out"):
-            linear(f"{name}.{part}", WIDTH, WIDTH)
+            linear(f"{name}.{part}", EMBEDDING_SIZE, EMBEDDING_SIZE)
         norm(f"{name}.then")
-        linear(f"{name}.1", WIDTH, INNER)
-        linear(f"{name}.2", INNER, WIDTH)
+        linear(f"{name}.1", EMBEDDING_SIZE, INNER_SIZE)
+        linear(f"{name}.2", INNER_SIZE, EMBEDDING_SIZE)
 
     def gated(name: str) -> None:
         attention(name)
         for part in ("self", "new", "old"):
-            linear(f"{name}.{part}", WIDTH, WIDTH)
+            linear(f"{name}.{part}", EMBEDDING_SIZE, EMBEDDING_SIZE)
 
     embedding("own", 5)
     embedding("state", 8)
@@ -107,21 +107,21 @@ def make_parameters(seed: int) -> dict[str, NDArray[np.float32]]:
     embedding("lanes", 10)
     embedding("pairs", 4)
     gated("beside")
-    made["time.class"] = rng.normal(0.0, 0.02, (1, WIDTH)).astype(np.float32)
-    made["time.place"] = rng.normal(0.0, 0.02, (TOKENS + 1, WIDTH)).astype(np.float32)
-    for k in range(IN_TIME):
+    made["time.class"] = rng.normal(0.0, 0.02, (1, EMBEDDING_SIZE)).astype(np.float32)
+    made["time.place"] = rng.normal(0.0, 0.02, (TOKEN_COUNT + 1, EMBEDDING_SIZE)).astype(np.float32)
+    for k in range(TEMPORAL_LAYER_COUNT):
         attention(f"time{k}")
     gated("road")
-    for k in range(AMONG_ALL):
+    for k in range(GLOBAL_LAYER_COUNT):
         gated(f"all{k}")
     norm("all.norm")
-    linear("modes", WIDTH, MODES * WIDTH)
-    linear("decode.1", 2 * WIDTH, INNER)
-    linear("decode.2", INNER, 2 * WIDTH)
-    linear("place", 2 * WIDTH, 2 * DEGREE)
-    linear("scale", 2 * WIDTH, 2 * (SCALE_DEGREE + 1))
-    linear("logit.1", 2 * WIDTH, WIDTH)
-    linear("logit.2", WIDTH, 1)
+    linear("modes", EMBEDDING_SIZE, MODE_COUNT * EMBEDDING_SIZE)
+    linear("decode.1", 2 * EMBEDDING_SIZE, INNER_SIZE)
+    linear("decode.2", INNER_SIZE, 2 * EMBEDDING_SIZE)
+    linear("place", 2 * EMBEDDING_SIZE, 2 * POSITION_DEGREE)
+    linear("scale", 2 * EMBEDDING_SIZE, 2 * (SCALE_DEGREE + 1))
+    linear("logit.1", 2 * EMBEDDING_SIZE, EMBEDDING_SIZE)
+    linear("logit.2", EMBEDDING_SIZE, 1)
     return made
 
 
@@ -132,10 +132,10 @@ def forward(p: Parameters, f: Features, xp: Any = np) -> Modes:
     near = _embed(p, "near", f.near, xp)
     moments = _gated(p, "beside", own, near, None, f.near_there, xp)
 
-    shape = (*moments.shape[:-2], 1, WIDTH)
+    shape = (*moments.shape[:-2], 1, EMBEDDING_SIZE)
     tokens = xp.concatenate([moments, xp.broadcast_to(p["time.class"], shape)], axis=-2) + p["time.place"]
     every = xp.ones((*tokens.shape[:-1], tokens.shape[-2]), tokens.dtype)
-    for k in range(IN_TIME):
+    for k in range(TEMPORAL_LAYER_COUNT):
         x = _norm(p, f"time{k}.norm", tokens, xp)
         tokens = tokens + _attend(p, f"time{k}", x, x[..., None, :, :], None, every, xp)
         tokens = tokens + _onward(p, f"time{k}", tokens, xp)
@@ -147,22 +147,22 @@ def forward(p: Parameters, f: Features, xp: Any = np) -> Modes:
     pairs = _embed(p, "pairs", f.pairs, xp)
     there = xp.broadcast_to(f.there[..., None, :], f.pairs.shape[:-1])
     whole = local
-    for k in range(AMONG_ALL):
+    for k in range(GLOBAL_LAYER_COUNT):
         whole = _gated(p, f"all{k}", whole, whole[..., None, :, :], pairs, there, xp)
     whole = _norm(p, "all.norm", whole, xp)
 
     modes = _linear(p, "modes", whole)
-    modes = modes.reshape((*modes.shape[:-1], MODES, WIDTH))
+    modes = modes.reshape((*modes.shape[:-1], MODE_COUNT, EMBEDDING_SIZE))
     both = xp.concatenate([modes, xp.broadcast_to(local[..., None, :], modes.shape)], axis=-1)
     decoded = _relu(_linear(p, "decode.2", _relu(_linear(p, "decode.1", both), xp)), xp)
     logit = _linear(p, "logit.2", _relu(_linear(p, "logit.1", both), xp))[..., 0]
     curve = _linear(p, "place", decoded)
-    place = METRES * (PLACES @ curve.reshape((*curve.shape[:-1], DEGREE, 2)))
-    steady = SPEED * f.state[..., :1] * TIMES  # at constant velocity, along x
+    place = DISTANCE_SCALE_M * (POSITION_BASIS @ curve.reshape((*curve.shape[:-1], POSITION_DEGREE, 2)))
+    steady = SPEED_SCALE_M_S * f.state[..., :1] * FUTURE_TIMES_S  # at constant velocity, along x
     place = place + xp.stack([steady, xp.zeros_like(steady)], axis=-1)[..., None, :, :]
     spread = _linear(p, "scale", decoded)
-    spread = SCALES @ spread.reshape((*spread.shape[:-1], SCALE_DEGREE + 1, 2))
-    return Modes(place, xp.exp(xp.clip(spread, NARROWEST, WIDEST)), logit)
+    spread = SCALE_BASIS @ spread.reshape((*spread.shape[:-1], SCALE_DEGREE + 1, 2))
+    return Modes(place, xp.exp(xp.clip(spread, MIN_LOG_SCALE, MAX_LOG_SCALE)), logit)
 
 
 # -- layers -------------------------------------------------------------------------------------------------------
@@ -179,7 +179,7 @@ def _relu(x: Any, xp: Any) -> Any:
 def _norm(p: Parameters, name: str, x: Any, xp: Any) -> Any:
     centred = x - x.mean(axis=-1, keepdims=True)
     variance = (centred * centred).mean(axis=-1, keepdims=True)
-    return centred / xp.sqrt(variance + FLAT) * p[f"{name}.w"] + p[f"{name}.b"]
+    return centred / xp.sqrt(variance + VARIANCE_EPSILON) * p[f"{name}.w"] + p[f"{name}.b"]
 
 
 def _embed(p: Parameters, name: str, x: Any, xp: Any) -> Any:
@@ -191,17 +191,17 @@ def _attend(p: Parameters, name: str, x: Any, others: Any, relative: Any, there:
 
     relative: what is added to the keys and values for each pair, None = nothing.
     """
-    heads = (HEADS, WIDTH // HEADS)
+    heads = (HEAD_COUNT, EMBEDDING_SIZE // HEAD_COUNT)
     q, k, v = _linear(p, f"{name}.q", x), _linear(p, f"{name}.k", others), _linear(p, f"{name}.v", others)
     if relative is not None:
         k, v = k + relative @ p[f"{name}.k.w"], v + relative @ p[f"{name}.v.w"]
     q, k, v = (z.reshape((*z.shape[:-1], *heads)) for z in (q, k, v))
     score = (q[..., None, :, :] * k).sum(axis=-1) / heads[1] ** 0.5  # (..., n, heads)
-    score = xp.where(there[..., None] > 0.0, score, UNSEEN)
+    score = xp.where(there[..., None] > 0.0, score, UNSEEN_LOGIT)
     weight = xp.exp(score - score.max(axis=-2, keepdims=True)) * there[..., None]
-    weight = weight / xp.maximum(weight.sum(axis=-2, keepdims=True), FLAT)
+    weight = weight / xp.maximum(weight.sum(axis=-2, keepdims=True), VARIANCE_EPSILON)
     gathered = (weight[..., None] * v).sum(axis=-3)
-    return _linear(p, f"{name}.out", gathered.reshape((*gathered.shape[:-2], WIDTH)))
+    return _linear(p, f"{name}.out", gathered.reshape((*gathered.shape[:-2], EMBEDDING_SIZE)))
 
 
 def _onward(p: Parameters, name: str, x: Any, xp: Any) -> Any:
@@ -235,7 +235,7 @@ class Predicted:
 class Predictor:
     """A trained network."""
 
-    def __init__(self, weights: Path = SHIPPED) -> None:
+    def __init__(self, weights: Path = SHIPPED_WEIGHTS) -> None:
         """Raises UsageError if the file holds no weights of this network."""
         self._parameters = read_weights(weights)
 

@@ -22,19 +22,19 @@ from sumo_adv.geometry import stations
 from sumo_adv.simulation.network import RoadMap
 from sumo_adv.situation import Signal, Situation
 
-STEP = 0.1  # s between positions
-HISTORY, FUTURE = 11, 80  # positions: 1.1 s up to now (now included), the next 8 s
-TOKENS = (HISTORY - 1) // 2  # of two displacements each
-AGENTS = 12  # vehicles of a scene
-NEAR = 8  # neighbours that a vehicle attends to
-LANES = 40  # lane segments that a vehicle attends to
-SEGMENT, INNER_SEGMENT = 12.0, 6.0  # m: length of a lane segment on roads and on junctions
-METRES, SPEED = 10.0, 10.0  # m, m/s: scales of the features
-LENGTH, WIDTH, LIMIT, LIGHT_DISTANCE = 5.0, 2.0, 20.0, 50.0  # m, m, m/s, m: the same
-AHEAD_SPEED = 6.0  # m/s: distances ahead are divided by 1 + speed / this, where lanes are chosen
-BEHIND = 1.5  # factor of distances behind a vehicle, where lanes are chosen
-TURNED = 5.0  # m that are added for a lane at right angles to the vehicle, where lanes are chosen
-OUT_OF_SIGHT = 250.0  # m: farther lanes are left out; 8 s at 31 m/s
+POSITION_STEP_S = 0.1  # between positions
+HISTORY_COUNT, FUTURE_COUNT = 11, 80  # positions: 1.1 s up to now (now included), the next 8 s
+TOKEN_COUNT = (HISTORY_COUNT - 1) // 2  # of two displacements each
+MAX_AGENTS = 12  # vehicles of a scene
+MAX_NEIGHBOURS = 8  # neighbours that a vehicle attends to
+MAX_LANE_SEGMENTS = 40  # lane segments that a vehicle attends to
+ROAD_SEGMENT_M, JUNCTION_SEGMENT_M = 12.0, 6.0  # length of a lane segment on roads and on junctions
+DISTANCE_SCALE_M, SPEED_SCALE_M_S = 10.0, 10.0  # scales of the features
+LENGTH_SCALE_M, WIDTH_SCALE_M, LIMIT_SCALE_M_S, LIGHT_DISTANCE_SCALE_M = 5.0, 2.0, 20.0, 50.0  # the same
+AHEAD_SPEED_SCALE_M_S = 6.0  # distances ahead are divided by 1 + speed / this, where lanes are chosen
+BEHIND_DISTANCE_FACTOR = 1.5  # of distances behind a vehicle, where lanes are chosen
+TURNED_PENALTY_M = 5.0  # added for a lane at right angles to the vehicle, where lanes are chosen
+MAX_LANE_DISTANCE_M = 250.0  # farther lanes are left out; 8 s at 31 m/s
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ class Segments:
     """Pieces of the centre lines of lanes.
 
     ends: start and end, x0, y0, x1, y1 [m], ``(n, 4)``; about: on a junction, turns left, turns right, gives way, has a
-    traffic light (0 or 1 each), and the speed limit in ``LIMIT``, ``(n, 6)``.
+    traffic light (0 or 1 each), and the speed limit in ``LIMIT_SCALE_M_S``, ``(n, 6)``.
     """
 
     ends: Floats
@@ -53,9 +53,9 @@ class Segments:
 class Agents:
     """The vehicles of a scene, now.
 
-    past: box centres [m] of the last ``HISTORY`` steps, the last one now, ``(n, HISTORY, 2)``, nan where a vehicle was
-    not there; heading [rad], speed [m/s] ``(n,)``; size: length, width [m] ``(n, 2)``; light: see ``light_of``,
-    ``(n, 5)``.
+    past: box centres [m] of the last ``HISTORY_COUNT`` steps, the last one now, ``(n, HISTORY_COUNT, 2)``, nan where a
+    vehicle was not there; heading [rad], speed [m/s] ``(n,)``; size: length, width [m] ``(n, 2)``; light: see
+    ``light_of``, ``(n, 5)``.
     """
 
     past: Floats
@@ -85,33 +85,34 @@ class Features(NamedTuple):
 
 
 def light_of(signals: Sequence[Signal] | None) -> tuple[float, ...]:
-    """The next traffic light ahead: known, red, yellow, green, distance in ``LIGHT_DISTANCE``; None: it is unknown."""
+    """The next traffic light ahead: known, red, yellow, green, scaled distance; None: it is unknown."""
     if signals is None:
         return 0.0, 0.0, 0.0, 0.0, 0.0
     if not signals:
         return 1.0, 0.0, 0.0, 0.0, 0.0
     _, distance, letter = signals[0]
     shown = letter.lower()
-    return 1.0, float(shown in "ru"), float(shown == "y"), float(shown == "g"), min(distance / LIGHT_DISTANCE, 4.0)
+    far = min(distance / LIGHT_DISTANCE_SCALE_M, 4.0)
+    return 1.0, float(shown in "ru"), float(shown == "y"), float(shown == "g"), far
 
 
 def agents_of(situation: Situation) -> tuple[list[str], Agents]:
     """The ids and the states of the ego, its possible adversaries and the vehicles that are nearest to it, in this
-    order, ``AGENTS`` at most."""
+    order, ``MAX_AGENTS`` at most."""
     history = {track.id: track for track in situation.traffic.history}
     states = {s.id: s for s in (situation.ego, *(t.state for t in situation.target_list()))}
     for track in history.values():
-        if track.id not in states and abs(track.time[-1] - situation.time) < STEP / 2:
+        if track.id not in states and abs(track.time[-1] - situation.time) < POSITION_STEP_S / 2:
             x, y, h, v, a = (float(q[-1]) for q in (track.x, track.y, track.heading, track.speed, track.acceleration))
             states[track.id] = VehicleState(track.id, x, y, h, v, a, track.length, track.width, "")
     ego, first = situation.ego, 1 + len(situation.targets)
     others = sorted(list(states)[first:], key=lambda v: np.hypot(states[v].x - ego.x, states[v].y - ego.y))
-    chosen = [states[name] for name in (*list(states)[:first], *others)][:AGENTS]
-    past = np.full((len(chosen), HISTORY, 2), np.nan)
-    time = situation.time + STEP * np.arange(1 - HISTORY, 1)
+    chosen = [states[name] for name in (*list(states)[:first], *others)][:MAX_AGENTS]
+    past = np.full((len(chosen), HISTORY_COUNT, 2), np.nan)
+    time = situation.time + POSITION_STEP_S * np.arange(1 - HISTORY_COUNT, 1)
     for i, state in enumerate(chosen):
         if (seen := history.get(state.id)) is not None:
-            there = (time > seen.time[0] - STEP / 2) & (time < seen.time[-1] + STEP / 2)
+            there = (time > seen.time[0] - POSITION_STEP_S / 2) & (time < seen.time[-1] + POSITION_STEP_S / 2)
             past[i, there, 0] = np.interp(time[there], seen.time, seen.x)
             past[i, there, 1] = np.interp(time[there], seen.time, seen.y)
         past[i, -1] = state.x, state.y
@@ -133,8 +134,8 @@ def segments_of(road: RoadMap) -> Segments:
     for lane in road.lanes.values():
         if lane.carriageway and len(lane.shape) > 1:
             movement, yields, light = turns.get(lane.id, ("", False, False))
-            about = lane.internal, movement == "left", movement == "right", yields, light, lane.speed / LIMIT
-            pieces.append((lane.shape, INNER_SEGMENT if lane.internal else SEGMENT, about))
+            about = lane.internal, movement == "left", movement == "right", yields, light, lane.speed / LIMIT_SCALE_M_S
+            pieces.append((lane.shape, JUNCTION_SEGMENT_M if lane.internal else ROAD_SEGMENT_M, about))
     return cut(pieces)
 
 
@@ -151,28 +152,30 @@ def cut(pieces: Iterable[tuple[Floats, float, Sequence[float]]]) -> Segments:
 
 
 def features(agents: Agents, segments: Segments) -> Features:
-    """The features of one scene of at most ``AGENTS`` vehicles."""
+    """The features of one scene of at most ``MAX_AGENTS`` vehicles."""
     n = len(agents.heading)
     turn = _turns(agents.heading)
     here = agents.past[:, -1]
     apart = (here[None, :, :] - here[:, None, :]) @ turn  # (n, n, 2): of the second in the frame of the first
     far = np.hypot(*np.moveaxis(apart, 2, 0)) + np.where(np.eye(n, dtype=bool), np.inf, 0.0)
-    chosen = np.argsort(far, axis=1, kind="stable")[:, : min(NEAR, n - 1)]
-    steps = np.diff(agents.past, axis=1).reshape(n, TOKENS, 2, 2)  # displacements in the world
+    chosen = np.argsort(far, axis=1, kind="stable")[:, : min(MAX_NEIGHBOURS, n - 1)]
+    steps = np.diff(agents.past, axis=1).reshape(n, TOKEN_COUNT, 2, 2)  # displacements in the world
     known_steps = np.asarray(np.isfinite(steps).all(axis=(2, 3)))
-    own = np.where(known_steps[..., None], (steps @ turn[:, None]).reshape(n, TOKENS, 4), 0.0)
+    own = np.where(known_steps[..., None], (steps @ turn[:, None]).reshape(n, TOKEN_COUNT, 4), 0.0)
     near, near_there = _neighbours(agents, turn, chosen, steps, known_steps)
     lanes, lanes_there = _lanes(agents, turn, segments)
     between = agents.heading[None, :] - agents.heading[:, None]
-    pairs = np.concatenate([apart / (2 * METRES), np.cos(between)[..., None], np.sin(between)[..., None]], axis=2)
-    size = agents.size / (LENGTH, WIDTH)
-    state = np.concatenate([agents.speed[:, None] / SPEED, size, agents.light], axis=1)
+    turned = [np.cos(between)[..., None], np.sin(between)[..., None]]
+    pairs = np.concatenate([apart / (2 * DISTANCE_SCALE_M), *turned], axis=2)
+    size = agents.size / (LENGTH_SCALE_M, WIDTH_SCALE_M)
+    state = np.concatenate([agents.speed[:, None] / SPEED_SCALE_M_S, size, agents.light], axis=1)
     return Features(
-        _filled(np.concatenate([own, known_steps[..., None]], axis=2), (AGENTS, TOKENS, 5)),
-        _filled(state, (AGENTS, 8)),
-        _filled(near, (AGENTS, TOKENS, NEAR, 8)), _filled(near_there, (AGENTS, TOKENS, NEAR)),
-        _filled(lanes, (AGENTS, LANES, 10)), _filled(lanes_there, (AGENTS, LANES)),
-        _filled(pairs, (AGENTS, AGENTS, 4)), _filled(np.ones(n), (AGENTS,)),
+        _filled(np.concatenate([own, known_steps[..., None]], axis=2), (MAX_AGENTS, TOKEN_COUNT, 5)),
+        _filled(state, (MAX_AGENTS, 8)),
+        _filled(near, (MAX_AGENTS, TOKEN_COUNT, MAX_NEIGHBOURS, 8)),
+        _filled(near_there, (MAX_AGENTS, TOKEN_COUNT, MAX_NEIGHBOURS)),
+        _filled(lanes, (MAX_AGENTS, MAX_LANE_SEGMENTS, 10)), _filled(lanes_there, (MAX_AGENTS, MAX_LANE_SEGMENTS)),
+        _filled(pairs, (MAX_AGENTS, MAX_AGENTS, 4)), _filled(np.ones(n), (MAX_AGENTS,)),
     )  # fmt: skip
 
 
@@ -199,12 +202,13 @@ def _neighbours(agents: Agents, turn: Floats, chosen: Ints, steps: Floats, known
 
     Positions are those at the end of each token.
     """
-    at = agents.past[:, 2::2]  # (n, TOKENS, 2)
-    position = (at[chosen] - at[:, None]) @ turn[:, None]  # (n, k, TOKENS, 2)
-    moved = (steps[chosen] @ turn[:, None, None]).reshape(*chosen.shape, TOKENS, 4)
-    size = np.broadcast_to((agents.size / (LENGTH, WIDTH))[chosen][:, :, None], (*chosen.shape, TOKENS, 2))
+    at = agents.past[:, 2::2]  # (n, TOKEN_COUNT, 2)
+    position = (at[chosen] - at[:, None]) @ turn[:, None]  # (n, k, TOKEN_COUNT, 2)
+    moved = (steps[chosen] @ turn[:, None, None]).reshape(*chosen.shape, TOKEN_COUNT, 4)
+    scaled = agents.size / (LENGTH_SCALE_M, WIDTH_SCALE_M)
+    size = np.broadcast_to(scaled[chosen][:, :, None], (*chosen.shape, TOKEN_COUNT, 2))
     there = known_steps[chosen] & known_steps[:, None]
-    columns = np.where(there[..., None], np.concatenate([position / METRES, moved, size], axis=3), 0.0)
+    columns = np.where(there[..., None], np.concatenate([position / DISTANCE_SCALE_M, moved, size], axis=3), 0.0)
     return np.swapaxes(columns, 1, 2), np.swapaxes(there, 1, 2).astype(float)
 
 
@@ -215,13 +219,15 @@ def _lanes(agents: Agents, turn: Floats, segments: Segments) -> tuple[Floats, Fl
     along = (segments.ends[None, :, 2:] - segments.ends[None, :, :2]) @ turn
     x, y = np.moveaxis(start + along / 2, 2, 0)
     length = np.maximum(np.hypot(along[..., 0], along[..., 1]), 1e-6)
-    stretch = 1.0 + agents.speed[:, None] / AHEAD_SPEED
-    far = np.hypot(np.where(x > 0.0, x / stretch, -BEHIND * x), y) + TURNED * (1.0 - along[..., 0] / length)
-    nearest = np.argsort(far, axis=1, kind="stable")[:, :LANES]
+    stretch = 1.0 + agents.speed[:, None] / AHEAD_SPEED_SCALE_M_S
+    far = np.hypot(np.where(x > 0.0, x / stretch, -BEHIND_DISTANCE_FACTOR * x), y)
+    far += TURNED_PENALTY_M * (1.0 - along[..., 0] / length)
+    nearest = np.argsort(far, axis=1, kind="stable")[:, :MAX_LANE_SEGMENTS]
     rows = np.arange(len(here))[:, None]
     says = np.broadcast_to(segments.about, (len(here), *segments.about.shape))[rows, nearest]
-    there = np.hypot(x, y)[rows, nearest] < OUT_OF_SIGHT
-    columns = np.concatenate([start[rows, nearest] / METRES, along[rows, nearest] / METRES, says], axis=2)
+    there = np.hypot(x, y)[rows, nearest] < MAX_LANE_DISTANCE_M
+    pieces = [line[rows, nearest] / DISTANCE_SCALE_M for line in (start, along)]
+    columns = np.concatenate([*pieces, says], axis=2)
     return np.where(there[..., None], columns, 0.0), there.astype(float)
 
 

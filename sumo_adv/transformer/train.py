@@ -2,14 +2,14 @@
 
 The loss is HiVT's: the negative log-likelihood of the mode that is nearest to what happened, and the cross-entropy of
 the modes' probabilities against how near each mode came. On one machine the same scenes, seed and epochs give the same
-weights bit for bit, also where the training was interrupted: the state is stored every ``KEEP_EVERY`` steps.
+weights bit for bit, also where the training was interrupted: the state is stored every ``STORED_STATE_STEPS`` steps.
 
 ``evaluate`` says how good the predictions are, on vehicles of held-out networks, beside two simple predictors.
 
 minADE and minFDE: the mean and the last distance [m] between what happened and the nearest of up to six predictions,
-each measure with its own nearest one; miss rate: the share of vehicles with a minFDE of more than ``MISS``; ADE and
-FDE: those of the likeliest prediction alone. Constant velocity has one prediction; lane following has one for each way
-on from the vehicle's lane, the straightest first. A vehicle counts if it moves and its whole future is known.
+each measure with its own nearest one; miss rate: the share of vehicles with a minFDE of more than ``MISS_DISTANCE_M``;
+ADE and FDE: those of the likeliest prediction alone. Constant velocity has one prediction; lane following has one for
+each way on from the vehicle's lane, the straightest first. A vehicle counts if it moves and its whole future is known.
 """
 
 from __future__ import annotations
@@ -26,28 +26,28 @@ import numpy as np
 from sumo_adv.datatypes import Bools, Floats
 from sumo_adv.errors import UsageError
 from sumo_adv.files import write_whole
-from sumo_adv.transformer.dataset import MOVES, Scenes
-from sumo_adv.transformer.model import TIMES, Parameters, forward, make_parameters, softmax, write_weights
-from sumo_adv.transformer.scene import SPEED, Features
+from sumo_adv.transformer.dataset import MIN_MOVING_DISTANCE_M, Scenes
+from sumo_adv.transformer.model import FUTURE_TIMES_S, Parameters, forward, make_parameters, softmax, write_weights
+from sumo_adv.transformer.scene import SPEED_SCALE_M_S, Features
 
-BATCH = 32  # scenes a step
-RATE, WARM_STEPS, DECAY = 1e-3, 300, 1e-4  # of AdamW: the highest rate; the step at which it is reached; weight decay
-STANDING = 0.3  # weight in the loss of a vehicle that does not move, which is easy to predict
-CLIP = 5.0  # norm of the gradient
-COOL_STEPS = 1000  # the last ones, over which the rate goes to 0 wherever the training ends
-KEEP_EVERY = 200  # steps between two stored states
+BATCH_SCENES = 32  # scenes a step
+PEAK_LEARNING_RATE, WARM_UP_STEPS, WEIGHT_DECAY = 1e-3, 300, 1e-4  # of AdamW
+STANDING_LOSS_WEIGHT = 0.3  # of a vehicle that does not move, which is easy to predict
+MAX_GRADIENT_NORM = 5.0
+COOL_DOWN_STEPS = 1000  # the last ones, over which the rate goes to 0 wherever the training ends
+STORED_STATE_STEPS = 200  # between two stored states
 ONE_THREAD = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
-PARAMETER, MOMENT = "parameter/", "optimiser/"  # of names in the stored state
+PARAMETER_PREFIX, MOMENT_PREFIX = "parameter/", "optimiser/"  # of names in the stored state
 
 Progress = Callable[[int, int, float], None]
 """Told the step, the number of steps and the mean loss since it was told before, at every stored state."""
-MISS = 2.0  # m, as in HiVT
-AT_ONCE = 64  # scenes
+MISS_DISTANCE_M = 2.0  # as in HiVT
+EVALUATED_SCENES_AT_ONCE = 64
 
 
 def train(
     scenes: Scenes, folder: Path, *, seed: int, epochs: int, progress: Progress, steps: int | None = None,
-    keep_every: int = KEEP_EVERY,
+    keep_every: int = STORED_STATE_STEPS,
 ) -> Path:  # fmt: skip
     """Train from where the folder's training stands; returns the weights' file, which is written with every state.
 
@@ -57,17 +57,18 @@ def train(
         UsageError: JAX or optax is not installed; there are too few scenes; the folder holds another training.
     """
     jax, optax = _libraries()
-    total = epochs * (len(scenes) // BATCH)
+    total = epochs * (len(scenes) // BATCH_SCENES)
     if not total:
-        raise UsageError(f"{len(scenes)} scenes are too few: a step of the training takes {BATCH}.")
+        raise UsageError(f"{len(scenes)} scenes are too few: a step of the training takes {BATCH_SCENES}.")
     end = total if steps is None else min(steps, total)
-    cosine = optax.warmup_cosine_decay_schedule(0.0, RATE, min(WARM_STEPS, total // 2), total)
-    cool = min(COOL_STEPS, end)
+    cosine = optax.warmup_cosine_decay_schedule(0.0, PEAK_LEARNING_RATE, min(WARM_UP_STEPS, total // 2), total)
+    cool = min(COOL_DOWN_STEPS, end)
 
     def schedule(step: Any) -> Any:
         return cosine(step) * jax.numpy.clip((end - step) / cool, 0.0, 1.0)
 
-    optimiser = optax.chain(optax.clip_by_global_norm(CLIP), optax.adamw(schedule, weight_decay=DECAY))
+    adamw = optax.adamw(schedule, weight_decay=WEIGHT_DECAY)
+    optimiser = optax.chain(optax.clip_by_global_norm(MAX_GRADIENT_NORM), adamw)
     gradient = jax.value_and_grad(lambda parameters, f, future, known: loss(parameters, f, future, known, jax.numpy))
 
     @jax.jit
@@ -101,7 +102,8 @@ def loss(parameters: Any, f: Features, future: Any, known: Any, xp: Any = np) ->
     modes = forward(parameters, f, xp)
     counted = known.astype(future.dtype)
     count = counted.sum(axis=-1)
-    moves = (abs(future).max(axis=(-2, -1)) > MOVES) * (1.0 - STANDING) + STANDING
+    moves = abs(future).max(axis=(-2, -1)) > MIN_MOVING_DISTANCE_M
+    moves = moves * (1.0 - STANDING_LOSS_WEIGHT) + STANDING_LOSS_WEIGHT
     weight = f.there * (count > 0) * moves
     apart = modes.place - future[..., None, :, :]
     far = xp.sqrt((apart * apart).sum(axis=-1) + 1e-6)
@@ -133,20 +135,20 @@ def digest(scenes: Scenes) -> str:
 
 def _batches(scenes: Scenes, seed: int, first: int, end: int) -> Iterator[tuple[Features, Any, Any]]:
     """The batches of the steps ``first`` to ``end``: each epoch in an order of its own."""
-    a_epoch = len(scenes) // BATCH
+    a_epoch = len(scenes) // BATCH_SCENES
     epoch, order = -1, np.empty(0, np.intp)
     for step in range(first, end):
         if step // a_epoch != epoch:
             epoch = step // a_epoch
             order = np.random.default_rng([seed, epoch]).permutation(len(scenes))
-        rows = np.sort(order[step % a_epoch * BATCH :][:BATCH])
+        rows = np.sort(order[step % a_epoch * BATCH_SCENES :][:BATCH_SCENES])
         inputs = Features(*(np.asarray(values[rows], np.float32) for values in scenes.features))
         yield inputs, np.asarray(scenes.future[rows], np.float32), scenes.known[rows]
 
 
 def _keep(stored: Path, recipe: str, step: int, parameters: Any, moments: Any) -> None:
-    arrays: dict[str, Any] = {PARAMETER + name: np.asarray(values) for name, values in parameters.items()}
-    arrays |= {f"{MOMENT}{k:04d}": np.asarray(values) for k, values in enumerate(moments)}
+    arrays: dict[str, Any] = {PARAMETER_PREFIX + name: np.asarray(values) for name, values in parameters.items()}
+    arrays |= {f"{MOMENT_PREFIX}{k:04d}": np.asarray(values) for k, values in enumerate(moments)}
     arrays |= {"what": np.array(recipe), "step": np.array(step)}
     write_whole(stored, lambda part: np.savez(part, **arrays))
 
@@ -160,9 +162,9 @@ def _restore(stored: Path, recipe: str, parameters: Any, state: Any, jax: Any) -
         raise UsageError(f"{stored} cannot be read ({error}); delete it to train from the beginning.") from error
     if before != recipe:
         raise UsageError(f"{stored} is of another training ({before}, not {recipe}); give another --out.")
-    moments = [entries[name] for name in sorted(entries) if name.startswith(MOMENT)]
+    moments = [entries[name] for name in sorted(entries) if name.startswith(MOMENT_PREFIX)]
     structure = jax.tree_util.tree_structure(state)
-    restored = {name: entries[PARAMETER + name] for name in parameters}
+    restored = {name: entries[PARAMETER_PREFIX + name] for name in parameters}
     return int(entries["step"]), restored, jax.tree_util.tree_unflatten(structure, moments)
 
 
@@ -194,8 +196,8 @@ class Score:
 def evaluate(parameters: Parameters, scenes: Scenes) -> list[Score]:
     """The figures of the network, of lane following (where the scenes have it) and of constant velocity."""
     rows: dict[str, list[Floats]] = {}
-    for k in range(0, len(scenes), AT_ONCE):
-        some = slice(k, k + AT_ONCE)
+    for k in range(0, len(scenes), EVALUATED_SCENES_AT_ONCE):
+        some = slice(k, k + EVALUATED_SCENES_AT_ONCE)
         f = Features(*(np.asarray(values[some], np.float32) for values in scenes.features))
         future = np.asarray(scenes.future[some], float)
         chosen = counted(scenes.known[some], future)
@@ -206,7 +208,7 @@ def evaluate(parameters: Parameters, scenes: Scenes) -> list[Score]:
         rows.setdefault("transformer", []).append(_errors(ordered, future, chosen))
         if scenes.followed is not None:
             rows.setdefault("lane following", []).append(_errors(scenes.followed[some], future, chosen))
-        steady = f.state[..., :1] * SPEED * TIMES
+        steady = f.state[..., :1] * SPEED_SCALE_M_S * FUTURE_TIMES_S
         straight = np.stack([steady, 0.0 * steady], axis=-1)[:, :, None]
         rows.setdefault("constant velocity", []).append(_errors(straight, future, chosen))
     return [_score(name, np.concatenate(parts)) for name, parts in rows.items()]
@@ -214,7 +216,7 @@ def evaluate(parameters: Parameters, scenes: Scenes) -> list[Score]:
 
 def counted(known: Bools, future: Floats) -> Bools:
     """Which vehicles count, ``(n, AGENTS)``."""
-    return np.asarray(known.all(axis=-1) & (np.hypot(*np.moveaxis(future[..., -1, :], -1, 0)) > MOVES))
+    return np.asarray(known.all(axis=-1) & (np.hypot(*np.moveaxis(future[..., -1, :], -1, 0)) > MIN_MOVING_DISTANCE_M))
 
 
 def _errors(places: Floats, future: Floats, chosen: Bools) -> Floats:
@@ -226,4 +228,4 @@ def _errors(places: Floats, future: Floats, chosen: Bools) -> Floats:
 
 def _score(name: str, errors: Floats) -> Score:
     min_ade, min_fde, ade, fde = errors.mean(axis=0).tolist()
-    return Score(name, min_ade, min_fde, float((errors[:, 1] > MISS).mean()), ade, fde, len(errors))
+    return Score(name, min_ade, min_fde, float((errors[:, 1] > MISS_DISTANCE_M).mean()), ade, fde, len(errors))

@@ -30,7 +30,8 @@ def make_from_records(source: Path, folder: Path, progress: Callable[[int, int],
         raise UsageError(f"{source} is no folder with .tfrecord files.")
     dataset.begin(folder, f"womd, {len(files)} files")
     for number, file in enumerate(files):
-        kind = dataset.HELD_OUT if number % dataset.HELD_OUT_SHARE == dataset.HELD_OUT_SHARE - 1 else dataset.TRAIN
+        kept = (number + 1) % dataset.TRAINING_RUNS_PER_HELD_OUT == 0
+        kind = dataset.HELD_OUT if kept else dataset.TRAIN
         target = folder / f"{kind}-{number:04d}.npz"
         if not target.exists():
             scenes = [made for record in read_records(file) if (made := scene_of_record(record)) is not None]
@@ -43,28 +44,29 @@ def make_from_records(source: Path, folder: Path, progress: Callable[[int, int],
 def scene_of_record(record: Record) -> dataset.Scene | None:
     """The scene of a record around its ego (see ``dataset.scene_of``); None where its history is too short."""
     record, _ = evenly_sampled(record)
-    first = record.current - scene.HISTORY + 1
+    first = record.current - scene.HISTORY_COUNT + 1
     ego = record.tracks[record.sdc]
     if first < 0 or not ego.valid[record.current]:
         return None
     current = record.current
     there = [t for t in record.tracks if t.kind == VEHICLE and t.valid[current] and t.valid[first]]
     far = {t.id: float(np.hypot(t.x[current] - ego.x[current], t.y[current] - ego.y[current])) for t in there}
-    chosen = sorted((t for t in there if far[t.id] < dataset.NEAR_FOCUS), key=lambda t: far[t.id])[: scene.AGENTS]
+    near = (t for t in there if far[t.id] < dataset.SCENE_RADIUS_M)
+    chosen = sorted(near, key=lambda t: far[t.id])[: scene.MAX_AGENTS]
     if not chosen:
         return None
-    place = np.full((len(chosen), scene.HISTORY + scene.FUTURE, 2), np.nan)
+    place = np.full((len(chosen), scene.HISTORY_COUNT + scene.FUTURE_COUNT, 2), np.nan)
     for i, track in enumerate(chosen):
-        steps = min(scene.HISTORY + scene.FUTURE, len(track.x) - first)
+        steps = min(scene.HISTORY_COUNT + scene.FUTURE_COUNT, len(track.x) - first)
         valid = track.valid[first : first + steps]
         place[i, :steps][valid] = np.column_stack([track.x, track.y])[first : first + steps][valid]
     agents = scene.Agents(
-        place[:, :scene.HISTORY], np.array([t.heading[current] for t in chosen]),
+        place[:, :scene.HISTORY_COUNT], np.array([t.heading[current] for t in chosen]),
         np.array([np.hypot(t.vx[current], t.vy[current]) for t in chosen]),
         np.array([(t.length[current], t.width[current]) for t in chosen]),
         np.array([scene.light_of(None) for _ in chosen]),
     )  # fmt: skip
-    return dataset.scene_of(agents, place[:, scene.HISTORY :], _segments(record))
+    return dataset.scene_of(agents, place[:, scene.HISTORY_COUNT :], _segments(record))
 
 
 def _segments(record: Record) -> scene.Segments:
@@ -78,13 +80,8 @@ def _segments(record: Record) -> scene.Segments:
         (ax, ay), (bx, by) = shape[1] - shape[0], shape[-1] - shape[-2]
         turn = float(np.arctan2(ax * by - ay * bx, ax * bx + ay * by))
         inner = lane.interpolating
-        about = (
-            inner,
-            inner and turn > MIN_LANE_TURN_RAD,
-            inner and turn < -MIN_LANE_TURN_RAD,
-            lane.id in yields,
-            lane.id in lit,
-        )
-        length = scene.INNER_SEGMENT if inner else scene.SEGMENT
-        pieces.append((shape, length, (*about, lane.speed_limit / scene.LIMIT)))
+        left, right = turn > MIN_LANE_TURN_RAD, turn < -MIN_LANE_TURN_RAD
+        about = inner, inner and left, inner and right, lane.id in yields, lane.id in lit
+        length = scene.JUNCTION_SEGMENT_M if inner else scene.ROAD_SEGMENT_M
+        pieces.append((shape, length, (*about, lane.speed_limit / scene.LIMIT_SCALE_M_S)))
     return scene.cut(pieces)

@@ -1,8 +1,8 @@
 """``write``: a language model makes a scenario of words, sees what is wrong with it or what happened, and corrects it.
 
 Each answer is built, loaded and run. The exact error, or what happened, goes back to the model as the fault of its
-answer, at most ``CORRECTIONS`` times. The first scenario that reaches its level and fits is kept, else the best one.
-"""
+answer, at most ``MAX_CORRECTIONS`` times. The first scenario that reaches its level and fits is kept, else the best
+one."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from sumo_adv.words.draft import Draft, SceneDraft
 from sumo_adv.words.request import Reading, read_motion
 from sumo_adv.words.roads import Net
 
-CORRECTIONS = 5  # of the first answer
-MOST_QUESTIONS = 8  # for one request: drafts and readings
-DRAFT_AND_READING = 2  # questions that one more draft may take
-LEVEL = "valid"  # that is wanted where a draft names none
+MAX_CORRECTIONS = 5  # of the first answer
+MAX_REQUEST_QUESTIONS = 8  # for one request: drafts and readings
+QUESTIONS_PER_DRAFT = 2  # questions that one more draft may take
+DEFAULT_LEVEL = "valid"  # that is wanted where a draft names none
 Run = Callable[[Path, Path, Mapping[str, Any]], dict[str, Any]]
 """Runs a scenario: its file, the folder to write, settings of its goal. Returns what ``outcome.json`` holds. Raises
 SumoAdvError."""
@@ -93,7 +93,7 @@ class Played:
 
 def goal_of(scene: SceneDraft) -> dict[str, Any]:
     """The settings of the goal of a scene's attack."""
-    return scene.attack.asked.settings or {"until": LEVEL}
+    return scene.attack.asked.settings or {"until": DEFAULT_LEVEL}
 
 
 class Author:
@@ -125,7 +125,7 @@ class Author:
         )  # fmt: skip
         try:
             draft = ask(
-                self._metered, "author", prompt.system, prompt.user, Draft, check=self._fault, re_asks=CORRECTIONS
+                self._metered, "author", prompt.system, prompt.user, Draft, check=self._fault, re_asks=MAX_CORRECTIONS
             )
         except ModelError:
             if self.best is None:
@@ -153,7 +153,7 @@ class Author:
             return wrong
         if self.best is None or played.worth > self.best.worth:
             self.best = played
-        done = (played.reached and not played.misfits) or self._questions > MOST_QUESTIONS - DRAFT_AND_READING
+        done = (played.reached and not played.misfits) or self._questions > MAX_REQUEST_QUESTIONS - QUESTIONS_PER_DRAFT
         self._tell(f"Answer {self._tries}: {played.result}, {'fits' if not played.misfits else 'does not fit'}.")
         return None if done else _what_happened(played)
 
@@ -171,7 +171,7 @@ class Author:
         file = build(scene, folder / f"{self._name}.toml", written, self._network)
         load_input(file)
         played = Played(draft, file, folder / "run", self._run(file, folder / "run", goal_of(scene)))
-        if played.reached and not played.misfits and self._questions < MOST_QUESTIONS:
+        if played.reached and not played.misfits and self._questions < MAX_REQUEST_QUESTIONS:
             self._readings += 1
             motion = str(played.outcome["asked"]["motion"])
             reading = read_motion(self._metered, self._prompts, motion, self._words)

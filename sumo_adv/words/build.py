@@ -19,23 +19,23 @@ from sumo_adv.files import toml_lines, toml_text, toml_value
 from sumo_adv.words.draft import EgoDraft, SceneDraft, VehicleDraft
 from sumo_adv.words.roads import Drive, Net, make_network, meeting
 
-MEET = 9.0  # s after the start at which the ego is where it meets others
-SOONEST = 5.5  # s that must be left to a meeting
-BEFORE = 5.0  # s before a meeting at which the attack may begin
-EARLIEST = 2.0  # s after the start at which it may begin
-FREE = 3.0  # s after the start at which an attack without a meeting may begin
-ROOM = 60.0  # m of road behind the ego where nothing else says where it starts
-APART = 4.0  # m at least between the fronts of vehicles in one lane, beside their length
-HEADWAY = (0.2, 1.0)  # s that a vehicle keeps to the one ahead: as it is placed, within these
-MIN_GAP = 2.5  # m, SUMO's minGap
-HORIZON = 10.0  # s
-LASTS = 40.0  # s of demand
-SIZES = {
+MEETING_TIME_S = 9.0  # after the start at which the ego is where it meets others
+MIN_TIME_TO_MEETING_S = 5.5  # that is left at the trigger
+TRIGGER_BEFORE_MEETING_S = 5.0  # at the earliest
+MIN_TRIGGER_TIME_S = 2.0  # after the start at which it may begin
+FREE_TRIGGER_TIME_S = 3.0  # after the start at which an attack without a meeting may begin
+ROAD_BEHIND_EGO_M = 60.0  # of road behind the ego where nothing else says where it starts
+MIN_FRONT_DISTANCE_M = 4.0  # at least between the fronts of vehicles in one lane, beside their length
+PLACED_HEADWAY_RANGE_S = (0.2, 1.0)  # to the vehicle ahead: as placed, within these
+MIN_GAP_M = 2.5  # SUMO's minGap
+DRAFT_HORIZON_S = 10.0
+DEMAND_DURATION_S = 40.0
+ACTOR_SIZES_M = {
     "car": (4.8, 1.8), "van": (5.5, 2.0), "truck": (12.0, 2.5), "bus": (12.0, 2.55), "motorcycle": (2.2, 0.8),
     "bicycle": (1.8, 0.6),
 }  # fmt: skip
 """Length and width [m]."""
-PEDESTRIAN = (0.5, 0.5)
+PEDESTRIAN_SIZE_M = (0.5, 0.5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +96,7 @@ def _check_speed(kmh: float, drive: Drive, who: str) -> None:
 
 def _ego_start(scene: SceneDraft, ego: Drive, drives: dict[str, Drive]) -> float:
     """Where the ego's front starts on its first edge [m]."""
-    length = SIZES[scene.ego.type][0]
+    length = ACTOR_SIZES_M[scene.ego.type][0]
     if scene.ego.position is not None:
         if scene.ego.position > ego.first:
             raise UsageError(f"The ego's position is beyond its first edge, which is {ego.first:.0f} m long.")
@@ -107,21 +107,21 @@ def _ego_start(scene: SceneDraft, ego: Drive, drives: dict[str, Drive]) -> float
         met = meeting(ego, drives[vehicle.id]) if vehicle.arrives is not None or vehicle.stands else None
         if met is not None:
             start = max(met[0] - _seconds(vehicle, drives[vehicle.id], met[1]) * speed, length + 1.0)
-            if (met[0] - start) / speed < SOONEST:
+            if (met[0] - start) / speed < MIN_TIME_TO_MEETING_S:
                 raise UsageError(
                     f"The ego's way to where it meets '{vehicle.id}' is {met[0]:.0f} m, which is less than "
-                    f"{SOONEST:g} s at its speed: give a longer road, or a lower speed."
+                    f"{MIN_TIME_TO_MEETING_S:g} s at its speed: give a longer road, or a lower speed."
                 )
             return min(start, ego.first - 1.0)
     behind = max((-v.gap for v in scene.vehicles if v.gap is not None), default=0.0)
-    return min(max(ROOM, behind + ROOM / 2), ego.first / 2)
+    return min(max(ROAD_BEHIND_EGO_M, behind + ROAD_BEHIND_EGO_M / 2), ego.first / 2)
 
 
 def _seconds(v: VehicleDraft, drive: Drive, station: float) -> float:
     """The time to the meeting that lets the vehicle start on its first edge [s]."""
     if v.stands or v.speed == 0:
-        return MEET
-    return max(MEET, (station - drive.first + APART) / (v.speed / 3.6) - (v.arrives or 0.0))
+        return MEETING_TIME_S
+    return max(MEETING_TIME_S, (station - drive.first + MIN_FRONT_DISTANCE_M) / (v.speed / 3.6) - (v.arrives or 0.0))
 
 
 def _place(v: VehicleDraft, drive: Drive, ego: EgoDraft, ego_drive: Drive, start: float) -> Placed:
@@ -143,7 +143,7 @@ def _place(v: VehicleDraft, drive: Drive, ego: EgoDraft, ego_drive: Drive, start
     if drive.edges[0] == ego_drive.edges[0]:
         raise UsageError(f"'{v.id}' begins on the ego's edge, so it needs a gap, not arrives.")
     if met is None or meets is None:
-        meets = MEET
+        meets = MEETING_TIME_S
         x, y, _ = ego_drive.at(start + meets * speed)
         station = drive.nearest(x, y)
     else:
@@ -153,22 +153,24 @@ def _place(v: VehicleDraft, drive: Drive, ego: EgoDraft, ego_drive: Drive, start
 
 def _within(v: VehicleDraft, drive: Drive, position: float) -> float:
     """The position, if it is on the first edge. Raises UsageError."""
-    if not SIZES[v.type][0] <= position <= drive.first:
+    if not ACTOR_SIZES_M[v.type][0] <= position <= drive.first:
         way = "Its speed, arrives or gap must be less, or the road longer" if position < 0 else "Choose other numbers"
         raise UsageError(
             f"'{v.id}' would have to start at {position:.0f} m on edge '{drive.edges[0]}', which has room from "
-            f"{SIZES[v.type][0]:.0f} to {drive.first:.0f} m. {way}."
+            f"{ACTOR_SIZES_M[v.type][0]:.0f} to {drive.first:.0f} m. {way}."
         )
     return position
 
 
 def _check_room(placed: list[Placed], ego: EgoDraft, ego_drive: Drive, start: float) -> None:
     """No two may start on top of one another."""
-    fronts = [("the ego", ego_drive.edges[0], ego_drive.lane, start, SIZES[ego.type][0])]
-    fronts += [(f"'{p.draft.id}'", p.drive.edges[0], p.drive.lane, p.position, SIZES[p.draft.type][0]) for p in placed]
+    fronts = [("the ego", ego_drive.edges[0], ego_drive.lane, start, ACTOR_SIZES_M[ego.type][0])]
+    fronts += [
+        (f"'{p.draft.id}'", p.drive.edges[0], p.drive.lane, p.position, ACTOR_SIZES_M[p.draft.type][0]) for p in placed
+    ]
     for k, (one, *lane, front, length) in enumerate(fronts):
         for other, *beside, place, size in fronts[k + 1 :]:
-            if lane == beside and abs(front - place) < (size if place > front else length) + APART:
+            if lane == beside and abs(front - place) < (size if place > front else length) + MIN_FRONT_DISTANCE_M:
                 raise UsageError(
                     f"{one[:1].upper()}{one[1:]} and {other} would start on top of one another in lane {lane[1]} of "
                     f"'{lane[0]}' (fronts at {front:.0f} and {place:.0f} m)."
@@ -180,9 +182,9 @@ def _demand(ego: EgoDraft, ego_drive: Drive, start: float, placed: list[Placed])
     rows = [("ego", ego.type, ego.speed, ego_drive, start, False)]
     rows += [(p.draft.id, p.draft.type, p.draft.speed, p.drive, p.position, p.draft.stands) for p in placed]
     types, vehicles = [], []
-    backs = [(drive.edges[0], drive.lane, position - SIZES[kind][0]) for _, kind, _, drive, position, _ in rows]
+    backs = [(drive.edges[0], drive.lane, position - ACTOR_SIZES_M[kind][0]) for _, kind, _, drive, position, _ in rows]
     for name, kind, kmh, drive, position, stands in sorted(rows, key=lambda row: -row[4]):
-        length, width = SIZES[kind]
+        length, width = ACTOR_SIZES_M[kind]
         speed = min(kmh / 3.6, drive.limit)  # 70 km/h are a little more than the 19.4 m/s of a network
         lanes = "" if len(drive.edges) > 1 else ' lcStrategic="-1" lcCooperative="0"'  # it keeps its lane by itself
         types.append(
@@ -193,7 +195,7 @@ def _demand(ego: EgoDraft, ego_drive: Drive, start: float, placed: list[Placed])
         stop, depart = "", drive.line.position_of(position)
         if stands:
             lane = f"{drive.edges[0]}_{drive.lane}"
-            stop = f'        <stop lane={quoteattr(lane)} endPos="{depart:.2f}" duration="{LASTS:g}"/>\n'
+            stop = f'        <stop lane={quoteattr(lane)} endPos="{depart:.2f}" duration="{DEMAND_DURATION_S:g}"/>\n'
         vehicles.append(
             f'    <vehicle id="{name}" type="type_{name}" depart="0" departLane="{drive.lane}" '
             f'departPos="{depart:.2f}" departSpeed="{0.0 if stands else speed:.2f}" insertionChecks="none">\n'
@@ -205,8 +207,8 @@ def _demand(ego: EgoDraft, ego_drive: Drive, start: float, placed: list[Placed])
 def _headway(backs: list[tuple[str, int, float]], drive: Drive, position: float, speed: float) -> float:
     """The time [s] to the back of the next vehicle in its lane: a vehicle placed close behind another stays there."""
     ahead = [b - position for edge, lane, b in backs if (edge, lane) == (drive.edges[0], drive.lane) and b > position]
-    least, most = HEADWAY
-    return min(max((min(ahead, default=math.inf) - MIN_GAP) / max(speed, 1.0), least), most)
+    least, most = PLACED_HEADWAY_RANGE_S
+    return min(max((min(ahead, default=math.inf) - MIN_GAP_M) / max(speed, 1.0), least), most)
 
 
 def _signals(states: dict[str, str]) -> str:
@@ -227,15 +229,16 @@ def _scenario(
     adversary = walkers.get(attack.adversary, attack.adversary)
     meets = {p.draft.id: p.meets for p in placed} | {w.id: w.at / speed for w in scene.walkers}
     met = meets.get(attack.adversary)
-    trigger = FREE if met is None else max(round(met - BEFORE, 1), EARLIEST)
+    trigger = FREE_TRIGGER_TIME_S if met is None else max(round(met - TRIGGER_BEFORE_MEETING_S, 1), MIN_TRIGGER_TIME_S)
     name = scene.road.name if scene.road.kind == "shipped" else network.name
     if scene.road.kind == "given":
         name = str(network.resolve())
     lines = [
         "# Made from words by sumo-adv write; [written] holds them.\n"
         f"schema = 1\nnetwork = {toml_text(name)}\n\n[demand]\nfiles = [{toml_text(f'{stem}.rou.xml')}]\nbegin = 0.0\n"
-        f"end = {LASTS}\n\n[ego]\nid = \"ego\"\n\n[window]\nwarm_up = {min(trigger, EARLIEST)}\ntrigger = {trigger}\n"
-        f"horizon = {HORIZON}\n\n[adversary]\ncandidates = {toml_value([adversary])}\n",
+        f"end = {DEMAND_DURATION_S}\n\n[ego]\nid = \"ego\"\n\n[window]\n"
+        f"warm_up = {min(trigger, MIN_TRIGGER_TIME_S)}\ntrigger = {trigger}\n"
+        f"horizon = {DRAFT_HORIZON_S}\n\n[adversary]\ncandidates = {toml_value([adversary])}\n",
         f"supports = {toml_value(attack.supports)}\n" if attack.supports else "",
         f"intents = {toml_value(attack.intents)}\n" if attack.intents else "",
         f"\n[signals]\nfiles = [{toml_text(f'{stem}.add.xml')}]\n" if lights else "",
@@ -253,13 +256,13 @@ def _boxes(scene: SceneDraft, ego: Drive, start: float) -> tuple[dict[str, str],
     counts = {"pedestrian": 0, "cyclist": 0}
     for parked in scene.parked:
         x, y, heading = _beside(ego, start + parked.at, parked.offset)
-        tables.append(_box("parked", x, y, heading, *SIZES[parked.type]))
+        tables.append(_box("parked", x, y, heading, *ACTOR_SIZES_M[parked.type]))
     for walker in scene.walkers:
         x, y, heading = _beside(ego, start + walker.at, walker.offset)
         turned = heading - math.copysign(math.pi / 2, walker.offset)
         ids[walker.id] = f"{walker.kind}{counts[walker.kind]}"
         counts[walker.kind] += 1
-        size = PEDESTRIAN if walker.kind == "pedestrian" else SIZES["bicycle"]
+        size = PEDESTRIAN_SIZE_M if walker.kind == "pedestrian" else ACTOR_SIZES_M["bicycle"]
         tables.append(_box(f"{walker.kind}s", x, y, turned, *size))
     return ids, tables
 

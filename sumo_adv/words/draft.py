@@ -17,7 +17,7 @@ Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,29}$")]
 Kmh = Annotated[float, Field(ge=0, le=160)]
 RoadKind = Literal["shipped", "given", "straight", "ramp", "lane_drop", "t", "crossing", "roundabout"]
 VehicleType = Literal["car", "van", "truck", "bus", "motorcycle", "bicycle"]
-MOST_ACTORS = 12
+MAX_ACTORS = 12
 
 
 class _Part(BaseModel):
@@ -98,7 +98,7 @@ class SceneDraft(_Part):
 
     road: RoadDraft
     ego: EgoDraft
-    vehicles: list[VehicleDraft] = Field(default_factory=list, max_length=MOST_ACTORS)
+    vehicles: list[VehicleDraft] = Field(default_factory=list, max_length=MAX_ACTORS)
     walkers: list[WalkerDraft] = Field(default_factory=list, max_length=4)
     parked: list[ParkedDraft] = Field(default_factory=list, max_length=8)
     attack: AttackDraft

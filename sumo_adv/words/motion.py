@@ -18,20 +18,20 @@ from sumo_adv.datatypes import Bools, Floats, Track
 from sumo_adv.geometry import Path, wrap
 from sumo_adv.road_users import RoadUser, road_user
 
-REACH = 30.0  # m along the path within which a vehicle's next place is looked for
-PASS = 1.0  # m behind the ego's front or back from which a vehicle counts as behind or ahead
-ACROSS = math.radians(35)  # heading against the ego's path from which a vehicle crosses it
-TURN = math.radians(45)  # change of its own heading that is a turn
-BEND = math.radians(30)  # of the ego's heading: it turns
-ONCOMING = math.radians(120)  # heading against the ego's path from which a vehicle comes towards it
-CHANGE = 2.0  # m/s that are lost or gained
-AVERAGED = 0.5  # s over which braking is averaged
-STANDING = 0.5  # m/s
-BESIDE = 4.5  # m: offset of a vehicle beside the ego at most
-AFTER = 3.0  # s after the nearest approach that still count where nothing is hit
-MOST_OTHERS = 4  # other vehicles in the description, the nearest ones
-EVERY = 1.0  # s between the lines of the description
-SLACK = 0.4  # s by which an event may be earlier than its predecessor
+NEXT_PLACE_REACH_M = 30.0  # along the path within which a vehicle's next place is looked for
+PASSED_MARGIN_M = 1.0  # behind the ego's front or back from which a vehicle counts as behind or ahead
+CROSSING_ANGLE_RAD = math.radians(35)  # heading against the ego's path from which a vehicle crosses it
+TURN_ANGLE_RAD = math.radians(45)  # change of its own heading that is a turn
+EGO_TURN_ANGLE_RAD = math.radians(30)  # of the ego's heading: it turns
+ONCOMING_ANGLE_RAD = math.radians(120)  # heading against the ego's path from which a vehicle comes towards it
+MIN_SPEED_CHANGE_M_S = 2.0  # lost or gained
+BRAKING_WINDOW_S = 0.5  # over which braking is averaged
+STANDING_SPEED_M_S = 0.5
+MAX_BESIDE_OFFSET_M = 4.5  # offset of a vehicle beside the ego at most
+AFTER_APPROACH_S = 3.0  # after the nearest approach: what still counts if nothing is hit
+MAX_DESCRIBED_OTHERS = 4  # other vehicles in the description, the nearest ones
+DESCRIPTION_STEP_S = 1.0  # between the lines of the description
+EVENT_ORDER_SLACK_S = 0.4  # by which an event may be earlier than its predecessor
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +94,7 @@ def observe(scene: Scene) -> Motion | None:
     events = tuple(sorted(_events(scene, time - time[0], ego, bv, a, b)))
     others = [_at(t, time) for t in scene.others if len(np.intersect1d(np.round(t.time, 3), time)) == len(time)]
     along = [(t, _along(t, scene.path)) for t in others]
-    sides = (_beside(a, o) for t, o in along if t.speed.max() > STANDING)  # not those that are parked
+    sides = (_beside(a, o) for t, o in along if t.speed.max() > STANDING_SPEED_M_S)  # not those that are parked
     beside = frozenset(side for side in sides if side is not None)
     user = road_user(scene.adversary)
     words = _words(scene, time - time[0], ego, bv, a, b, events, user, along)
@@ -104,11 +104,11 @@ def observe(scene: Scene) -> Motion | None:
 
 
 def _end(scene: Scene, ego: Track, bv: Track) -> int:
-    """How many states count: all to a contact, else those until ``AFTER`` s after the two were nearest."""
+    """How many states count: all to a contact, else those until ``AFTER_APPROACH_S`` s after the two were nearest."""
     if scene.side is not None:
         return len(ego.time)
     nearest = int(np.argmin(np.hypot(ego.x - bv.x, ego.y - bv.y)))
-    return int(np.searchsorted(ego.time, ego.time[nearest] + AFTER, side="right"))
+    return int(np.searchsorted(ego.time, ego.time[nearest] + AFTER_APPROACH_S, side="right"))
 
 
 def _at(track: Track, time: Floats) -> Track:
@@ -118,7 +118,7 @@ def _at(track: Track, time: Floats) -> Track:
 def _along(track: Track, path: Path) -> _Along:
     places, near = [], None
     for x, y in zip(track.x.tolist(), track.y.tolist(), strict=True):
-        station, offset = path.project(x, y, near=near, reach=REACH)
+        station, offset = path.project(x, y, near=near, reach=NEXT_PLACE_REACH_M)
         near = station
         places.append((station, offset))
     s, d = np.array(places).T
@@ -133,7 +133,7 @@ def _events(scene: Scene, t: Floats, ego: Track, bv: Track, a: _Along, b: _Along
     inside[-1] |= scene.side is not None  # the tracks end just before the boxes touch
     found = [*_way_events(t, b, inside), *_pass_events(t, a, b), *_speed_events(t, bv)]
     turned = np.unwrap(bv.heading) - bv.heading[0]
-    for event, where in ((Event.TURNS_LEFT, turned >= TURN), (Event.TURNS_RIGHT, turned <= -TURN)):
+    for event, where in ((Event.TURNS_LEFT, turned >= TURN_ANGLE_RAD), (Event.TURNS_RIGHT, turned <= -TURN_ANGLE_RAD)):
         if (k := _first(where)) is not None:
             found.append((float(t[k]), event))
     if scene.red_at is not None:
@@ -150,16 +150,16 @@ def _way_events(t: Floats, b: _Along, inside: Bools) -> list[tuple[float, Event]
         angle = abs(float(b.turn[k]))
         if inside[k] and not inside[k - 1]:
             left = bool(b.d[k] > 0)
-            if angle >= ONCOMING or (abs(float(b.turn[0])) >= ONCOMING and left):
+            if angle >= ONCOMING_ANGLE_RAD or (abs(float(b.turn[0])) >= ONCOMING_ANGLE_RAD and left):
                 found.append((float(t[k]), Event.COMES_OVER))
                 continue
             across = True
-            if angle >= ACROSS:
+            if angle >= CROSSING_ANGLE_RAD:
                 found.append((float(t[k]), Event.CROSSES_FROM_LEFT if left else Event.CROSSES_FROM_RIGHT))
         elif inside[k - 1] and not inside[k]:
             across = False
             found.append((float(t[k]), Event.LEAVES))
-        if across and angle < ACROSS:
+        if across and angle < CROSSING_ANGLE_RAD:
             across = False
             found.append((float(t[k]), Event.ENTERS_FROM_LEFT if left else Event.ENTERS_FROM_RIGHT))
     return found
@@ -168,8 +168,8 @@ def _way_events(t: Floats, b: _Along, inside: Bools) -> list[tuple[float, Event]
 def _pass_events(t: Floats, a: _Along, b: _Along) -> list[tuple[float, Event]]:
     """The first time that it gets from behind the ego's centre to ahead of it, going the ego's way."""
     ahead = b.s - a.s
-    behind = _first((ahead <= -PASS) & (np.abs(b.turn) < ACROSS))
-    k = None if behind is None else _first((np.arange(len(t)) > behind) & (ahead >= PASS))
+    behind = _first((ahead <= -PASSED_MARGIN_M) & (np.abs(b.turn) < CROSSING_ANGLE_RAD))
+    k = None if behind is None else _first((np.arange(len(t)) > behind) & (ahead >= PASSED_MARGIN_M))
     if k is None or abs(b.d[k]) < 1.0:
         return []
     return [(float(t[k]), Event.PASSES_LEFT if b.d[k] > 0 else Event.PASSES_RIGHT)]
@@ -186,17 +186,17 @@ def _speed_events(t: Floats, bv: Track) -> list[tuple[float, Event]]:
             low, since_low = speed, time
         if speed >= high:
             high, since_high = speed, time
-        if speed <= high - CHANGE and last is not Event.BRAKES:
+        if speed <= high - MIN_SPEED_CHANGE_M_S and last is not Event.BRAKES:
             found.append((since_high, last := Event.BRAKES))
             low, since_low = speed, time
-        elif speed >= low + CHANGE and last is not Event.SPEEDS_UP:
+        elif speed >= low + MIN_SPEED_CHANGE_M_S and last is not Event.SPEEDS_UP:
             found.append((since_low, last := Event.SPEEDS_UP))
             high, since_high = speed, time
         if last is Event.BRAKES:
             high, since_high = low, since_low
         elif last is Event.SPEEDS_UP:
             low, since_low = high, since_high
-    standing = bv.speed < STANDING
+    standing = bv.speed < STANDING_SPEED_M_S
     for k in range(1, len(t)):
         if standing[k] != standing[k - 1]:
             found.append((float(t[k]), Event.STOPS if standing[k] else Event.STARTS))
@@ -204,21 +204,21 @@ def _speed_events(t: Floats, bv: Track) -> list[tuple[float, Event]]:
 
 
 def change_after(time: Floats, speed: Floats, after: float, event: Event) -> float | None:
-    """When a vehicle begins to brake or to speed up, by ``CHANGE`` or more, at ``after`` or later [s]; None if it does
-    not. What began before and goes on counts from ``after`` on."""
+    """When a vehicle begins to brake or to speed up, by ``MIN_SPEED_CHANGE_M_S`` or more, at ``after`` or later [s];
+    None if it does not. What began before and goes on counts from ``after`` on."""
     sign = -1.0 if event is Event.BRAKES else 1.0
     keep = time >= after
     if not keep.any():
         return None
     t, gained = time[keep], sign * speed[keep]
     since = np.minimum.accumulate(gained)
-    k = _first(gained >= since + CHANGE)
+    k = _first(gained >= since + MIN_SPEED_CHANGE_M_S)
     return None if k is None else float(t[int(np.flatnonzero(gained[: k + 1] == since[k])[-1])])
 
 
 def _beside(a: _Along, o: _Along) -> str | None:
-    near = (np.abs(o.s - a.s) < o.reach + a.reach) & (np.abs(o.d) > 1.5) & (np.abs(o.d) < BESIDE)
-    k = _first(near & (np.abs(o.turn) < ACROSS))
+    near = (np.abs(o.s - a.s) < o.reach + a.reach) & (np.abs(o.d) > 1.5) & (np.abs(o.d) < MAX_BESIDE_OFFSET_M)
+    k = _first(near & (np.abs(o.turn) < CROSSING_ANGLE_RAD))
     return None if k is None else ("left" if o.d[k] > 0 else "right")
 
 
@@ -226,7 +226,7 @@ def _first(where: Bools) -> int | None:
     return int(np.argmax(where)) if where.any() else None
 
 
-PHRASES = {
+EVENT_PHRASES = {
     Event.PASSES_LEFT: "A has come from behind and is now ahead of EGO, on its left",
     Event.PASSES_RIGHT: "A has come from behind and is now ahead of EGO, on its right",
     Event.ENTERS_FROM_LEFT: "A comes from the left into EGO's way, going the same way",
@@ -256,11 +256,11 @@ def _words(
         *(["A is hidden from EGO at first by something between them."] if scene.hidden else []),
         *_others(a, others),
     ]
-    marks = sorted({*np.arange(0.0, float(t[-1]) - EVERY / 4, EVERY).tolist(), float(t[-1])})
-    before = -EVERY
+    marks = sorted({*np.arange(0.0, float(t[-1]) - DESCRIPTION_STEP_S / 4, DESCRIPTION_STEP_S).tolist(), float(t[-1])})
+    before = -DESCRIPTION_STEP_S
     for mark in marks:
         k = int(np.argmin(np.abs(t - mark)))
-        lines += [f"{time:.1f} s: {PHRASES[event]}." for time, event in events if before < time <= mark + 0.05]
+        lines += [f"{time:.1f} s: {EVENT_PHRASES[event]}." for time, event in events if before < time <= mark + 0.05]
         before = mark + 0.05
         ahead, left = float(b.s[k] - a.s[k]), float(b.d[k])
         lines.append(
@@ -275,19 +275,19 @@ def _words(
 def _route(scene: Scene, ego: Track, a: _Along) -> str:
     """What the ego did, and what it would have done next if nothing had happened."""
     turned = float(wrap(ego.heading[-1] - ego.heading[0]))
-    if abs(turned) >= BEND:
+    if abs(turned) >= EGO_TURN_ANGLE_RAD:
         return "turns left" if turned > 0 else "turns right"
-    ahead = scene.path.at(a.s[-1] + np.arange(0.0, REACH, 2.0))[2]
+    ahead = scene.path.at(a.s[-1] + np.arange(0.0, NEXT_PLACE_REACH_M, 2.0))[2]
     turns = wrap(ahead - ego.heading[0])
     bend = float(turns[np.argmax(np.abs(turns))])
-    if abs(bend) < BEND:
+    if abs(bend) < EGO_TURN_ANGLE_RAD:
         return "goes straight on"
     return f"is about to turn {'left' if bend > 0 else 'right'}"
 
 
 def _others(a: _Along, others: Sequence[tuple[Track, _Along]]) -> list[str]:
     """Where the nearest other vehicles are, at first and in the end."""
-    near = sorted(others, key=lambda each: float(np.hypot(each[1].s - a.s, each[1].d).min()))[:MOST_OTHERS]
+    near = sorted(others, key=lambda each: float(np.hypot(each[1].s - a.s, each[1].d).min()))[:MAX_DESCRIBED_OTHERS]
     return [
         f"Another {road_user(track)}, {track.length:.1f} m long: at first {_placed(a, o, track, 0)}; "
         f"in the end {_placed(a, o, track, -1)}."
@@ -299,7 +299,7 @@ def _placed(a: _Along, o: _Along, track: Track, k: int) -> str:
     ahead, left = float(o.s[k] - a.s[k]), float(o.d[k])
     side = "in EGO's lane" if abs(left) < 1.0 else f"{abs(left):.1f} m to the {'left' if left > 0 else 'right'}"
     place = f"{abs(ahead):.0f} m {'ahead of' if ahead >= 0 else 'behind'} EGO, {side}"
-    if track.speed[k] < STANDING:
+    if track.speed[k] < STANDING_SPEED_M_S:
         return f"{place}, standing"
     return f"{place}, {track.speed[k]:.0f} m/s, heading {math.degrees(float(o.turn[k])):.0f} deg"
 
@@ -345,8 +345,8 @@ def misfits(asked: Asked, motion: Motion) -> tuple[str, ...]:
 
 
 def _hardest(motion: Motion) -> float:
-    """The hardest braking of the adversary, averaged over ``AVERAGED`` s [m/s2]."""
-    late = np.searchsorted(motion.time, motion.time + AVERAGED - 1e-6)
+    """The hardest braking of the adversary, averaged over ``BRAKING_WINDOW_S`` s [m/s2]."""
+    late = np.searchsorted(motion.time, motion.time + BRAKING_WINDOW_S - 1e-6)
     k = np.flatnonzero(late < len(motion.time))
     lost = motion.speed[k] - motion.speed[late[k]]
     return float((lost / (motion.time[late[k]] - motion.time[k])).max(initial=0.0))
@@ -357,9 +357,10 @@ def _missing(wanted: tuple[Event, ...], motion: Motion) -> int | None:
     after = 0.0
     for place, event in enumerate(wanted):
         if event in (Event.BRAKES, Event.SPEEDS_UP):
-            time = change_after(motion.time, motion.speed, after - SLACK, event)
+            time = change_after(motion.time, motion.speed, after - EVENT_ORDER_SLACK_S, event)
         else:
-            times = (time for time, happened in motion.events if happened is event and time >= after - SLACK)
+            earliest = after - EVENT_ORDER_SLACK_S
+            times = (time for time, happened in motion.events if happened is event and time >= earliest)
             time = min(times, default=None)
         if time is None:
             return place

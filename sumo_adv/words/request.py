@@ -13,8 +13,8 @@ from sumo_adv.llm.prompts import Prompts, fenced
 from sumo_adv.memory.similarity import TfIdf
 from sumo_adv.simulation.shipped import shipped_scenarios
 
-NAMED = 3  # scenarios at most
-FAR = 0.95  # distance from which a scenario has nothing to do with the words
+MAX_NAMED_SCENARIOS = 3
+UNRELATED_DISTANCE = 0.95  # from which a scenario has nothing to do with the words
 
 
 def checked_words(text: str) -> str:
@@ -38,8 +38,8 @@ def nearest_scenarios(words: str) -> list[str]:
     text = TfIdf()
     text.fit(entries)
     distances = text.distances("", words)
-    order = np.argsort(distances, kind="stable")[:NAMED]
-    return [shipped[k].name for k in order if distances[k] < FAR]
+    order = np.argsort(distances, kind="stable")[:MAX_NAMED_SCENARIOS]
+    return [shipped[k].name for k in order if distances[k] < UNRELATED_DISTANCE]
 
 
 def needs_model(what: str, words: str) -> UsageError:

@@ -34,19 +34,19 @@ from sumo_adv.simulation.inputs import data_folder, shipped_files
 from sumo_adv.simulation.programs import find_netconvert
 from sumo_adv.words.draft import RoadDraft
 
-OPTIONS = (
+NETCONVERT_OPTIONS = (
     "--offset.disable-normalization", "--precision", "3", "--no-turnarounds", "--junctions.corner-detail", "6",
     "--junctions.internal-link-detail", "12", "--default.junctions.radius", "6", "--no-warnings",
     "--xml-validation", "never",
 )  # fmt: skip
-TIMEOUT = 60.0  # s
-LANE = 3.2  # m, of streets
-WIDE = 3.5  # m, of motorways and ramps
-FAST = 80.0  # km/h from which lanes are wide
-ACCELERATION_LANE = 200.0  # m
-RADIUS = 18.0  # m of a roundabout
-RING_SPEED = 30.0  # km/h
-SIDEWALK, BIKE_LANE = 2.0, 1.5  # m
+NETCONVERT_TIMEOUT_S = 60.0
+STREET_LANE_WIDTH_M = 3.2
+WIDE_LANE_WIDTH_M = 3.5  # of motorways and ramps
+WIDE_LANE_SPEED_KM_H = 80.0  # from which lanes are wide
+ACCELERATION_LANE_M = 200.0
+ROUNDABOUT_RADIUS_M = 18.0
+ROUNDABOUT_SPEED_KM_H = 30.0
+SIDEWALK_WIDTH_M, BIKE_LANE_WIDTH_M = 2.0, 1.5
 
 Attributes = dict[str, object]
 Plain = tuple[list[Attributes], list[Attributes], list[Attributes]]
@@ -56,8 +56,8 @@ CONTROLS = {
     "priority": "priority", "signals": "traffic_light", "all_stop": "allway_stop",
     "right_before_left": "right_before_left",
 }  # fmt: skip
-TOGETHER = 2.0  # m: ways that come as near as this meet
-STEP = 1.0  # m between the points of a way
+MEETING_DISTANCE_M = 2.0  # ways that come as near as this meet
+DRIVE_POINT_SPACING_M = 1.0  # between the points of a way
 
 
 def make_network(road: RoadDraft, target: Path, given: Path | None) -> Path:
@@ -79,7 +79,7 @@ def make_network(road: RoadDraft, target: Path, given: Path | None) -> Path:
 
 
 def _edge(name: str, start: str, end: str, lanes: int, kmh: float, **more: object) -> Attributes:
-    width = WIDE if kmh >= FAST else LANE
+    width = WIDE_LANE_WIDTH_M if kmh >= WIDE_LANE_SPEED_KM_H else STREET_LANE_WIDTH_M
     return {
         "id": name, "from": start, "to": end, "priority": 10, "numLanes": lanes, "speed": round(kmh / 3.6, 2),
         "width": width, "spreadType": "right", **more,
@@ -93,8 +93,8 @@ def _node(name: str, x: float, y: float, **more: object) -> Attributes:
 def _beside(road: RoadDraft) -> Attributes:
     """Sidewalk and bicycle lane of a street."""
     extra: Attributes = {"disallow": "pedestrian"} if road.sidewalk or road.bike_lane else {}
-    extra |= {"sidewalkWidth": SIDEWALK} if road.sidewalk else {}
-    return extra | ({"bikeLaneWidth": BIKE_LANE} if road.bike_lane else {})
+    extra |= {"sidewalkWidth": SIDEWALK_WIDTH_M} if road.sidewalk else {}
+    return extra | ({"bikeLaneWidth": BIKE_LANE_WIDTH_M} if road.bike_lane else {})
 
 
 def _straight(road: RoadDraft) -> Plain:
@@ -108,10 +108,11 @@ def _straight(road: RoadDraft) -> Plain:
 def _ramp(road: RoadDraft) -> Plain:
     nodes = [
         _node("west", -road.length, 0), _node("start", -min(road.length, 300.0), -75.0),
-        _node("nose", 0, 0, type="priority"), _node("taper", ACCELERATION_LANE, 0, type="priority"),
-        _node("east", ACCELERATION_LANE + road.length, 0),
+        _node("nose", 0, 0, type="priority"), _node("taper", ACCELERATION_LANE_M, 0, type="priority"),
+        _node("east", ACCELERATION_LANE_M + road.length, 0),
     ]  # fmt: skip
-    lower = -(road.lanes + 0.5) * (WIDE if road.speed_limit >= FAST else LANE)
+    width = WIDE_LANE_WIDTH_M if road.speed_limit >= WIDE_LANE_SPEED_KM_H else STREET_LANE_WIDTH_M
+    lower = -(road.lanes + 0.5) * width
     shape = f"{-min(road.length, 300.0):.2f},-75.00 -120.00,{lower - 13:.2f} -60.00,{lower - 3:.2f} -5.00,{lower:.2f}"
     edges = [
         _edge("main", "west", "nose", road.lanes, road.speed_limit),
@@ -164,14 +165,15 @@ def _roundabout(road: RoadDraft) -> Plain:
     for place, arm in enumerate(order):
         x, y = ARMS[arm]
         nodes += [
-            _node(f"ring_{arm}", x * RADIUS, y * RADIUS, type="priority"),
-            _node(arm, x * (RADIUS + road.length), y * (RADIUS + road.length)),
+            _node(f"ring_{arm}", x * ROUNDABOUT_RADIUS_M, y * ROUNDABOUT_RADIUS_M, type="priority"),
+            _node(arm, x * (ROUNDABOUT_RADIUS_M + road.length), y * (ROUNDABOUT_RADIUS_M + road.length)),
         ]
         following = order[(place + 1) % 4]
         angles = [math.pi / 2 * (place + k / 9) for k in range(10)]
-        shape = " ".join(f"{RADIUS * math.cos(q):.2f},{RADIUS * math.sin(q):.2f}" for q in angles)
+        points = ((ROUNDABOUT_RADIUS_M * math.cos(q), ROUNDABOUT_RADIUS_M * math.sin(q)) for q in angles)
+        shape = " ".join(f"{x:.2f},{y:.2f}" for x, y in points)
         edges += [
-            _edge(f"ring_{arm}_{following}", f"ring_{arm}", f"ring_{following}", 1, RING_SPEED, width=4,
+            _edge(f"ring_{arm}_{following}", f"ring_{arm}", f"ring_{following}", 1, ROUNDABOUT_SPEED_KM_H, width=4,
                   spreadType="center", shape=shape),
             _edge(f"{arm}_in", arm, f"ring_{arm}", 1, road.speed_limit, priority=1),
             _edge(f"{arm}_out", f"ring_{arm}", arm, 1, road.speed_limit, priority=1),
@@ -183,7 +185,7 @@ def _build(nodes: Sequence[Attributes], edges: Sequence[Attributes], links: Sequ
     program = find_netconvert()
     with tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch:
         folder = Path(scratch)
-        arguments = [str(program), *OPTIONS, "-o", str(folder / "made.net.xml")]
+        arguments = [str(program), *NETCONVERT_OPTIONS, "-o", str(folder / "made.net.xml")]
         for option, kind, element, rows in (
             ("-n", "nodes", "node", nodes), ("-e", "edges", "edge", edges), ("-x", "connections", "connection", links)
         ):  # fmt: skip
@@ -192,7 +194,7 @@ def _build(nodes: Sequence[Attributes], edges: Sequence[Attributes], links: Sequ
                 (folder / kind).write_text(f"<{kind}>\n{''.join(lines)}</{kind}>\n", encoding="utf-8")
                 arguments += [option, str(folder / kind)]
         try:
-            done = subprocess.run(arguments, capture_output=True, text=True, check=False, timeout=TIMEOUT)
+            done = subprocess.run(arguments, capture_output=True, text=True, check=False, timeout=NETCONVERT_TIMEOUT_S)
         except (OSError, subprocess.TimeoutExpired) as error:
             raise UsageError(f"netconvert could not build the network: {error}.") from error
         if done.returncode != 0 or not (folder / "made.net.xml").is_file():
@@ -206,9 +208,9 @@ def _build(nodes: Sequence[Attributes], edges: Sequence[Attributes], links: Sequ
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """A vehicle's way: its edges, SUMO's index of the lane on the first one, its points (n, 2) every ``STEP`` m from
-    the beginning of the first edge, that lane's middle line, its limit [m/s], and the station [m] at which each edge
-    begins."""
+    """A vehicle's way: its edges, SUMO's index of the lane on the first one, its points (n, 2) every
+    ``DRIVE_POINT_SPACING_M`` m from the beginning of the first edge, that lane's middle line, its limit [m/s], and the
+    station [m] at which each edge begins."""
 
     edges: tuple[str, ...]
     lane: int
@@ -224,15 +226,15 @@ class Drive:
 
     def at(self, station: float) -> tuple[float, float, float]:
         """x, y [m] and heading [rad] at a station [m]; straight on beyond the ends."""
-        k = int(np.clip(station / STEP, 0, len(self.points) - 2))
+        k = int(np.clip(station / DRIVE_POINT_SPACING_M, 0, len(self.points) - 2))
         a, b = self.points[k], self.points[k + 1]
         along = (b - a) / max(float(np.hypot(*(b - a))), 1e-6)
-        x, y = a + along * (station - k * STEP)
+        x, y = a + along * (station - k * DRIVE_POINT_SPACING_M)
         return float(x), float(y), float(np.arctan2(along[1], along[0]))
 
     def nearest(self, x: float, y: float) -> float:
         """The station [m] of the point nearest to (x, y)."""
-        return float(np.argmin(np.hypot(*(self.points - (x, y)).T))) * STEP
+        return float(np.argmin(np.hypot(*(self.points - (x, y)).T))) * DRIVE_POINT_SPACING_M
 
 
 class Net:
@@ -264,7 +266,7 @@ class Net:
         chosen = lanes[lane]
         shapes = _driven(edges, chosen, vclass)
         points = _even(np.concatenate(shapes))
-        begins = tuple(float(np.argmin(np.hypot(*(points - shape[0]).T))) * STEP for shape in shapes)
+        begins = tuple(float(np.argmin(np.hypot(*(points - shape[0]).T))) * DRIVE_POINT_SPACING_M for shape in shapes)
         return Drive(
             tuple(str(e.getID()) for e in edges), int(chosen.getIndex()), points,
             centreline(chosen.getShape3D(), float(chosen.getLength())), float(chosen.getSpeed()), begins,
@@ -318,13 +320,13 @@ def meeting(one: Drive, other: Drive) -> tuple[float, float] | None:
     if one.edges[0] == other.edges[0]:
         return None
     apart = np.hypot(*(one.points[:, None, :] - other.points[None, :, :]).transpose(2, 0, 1))
-    close = (apart < TOGETHER).any(axis=1)
+    close = (apart < MEETING_DISTANCE_M).any(axis=1)
     shared = next((edge for edge in one.edges if edge in other.edges), None)
     beside = np.inf if shared is None else one.begins[one.edges.index(shared)]
     i = int(np.argmax(close)) if close.any() else len(close)
-    if shared is not None and beside < i * STEP:
+    if shared is not None and beside < i * DRIVE_POINT_SPACING_M:
         return beside, other.begins[other.edges.index(shared)]
-    return (i * STEP, float(np.argmin(apart[i])) * STEP) if close.any() else None
+    return (i * DRIVE_POINT_SPACING_M, float(np.argmin(apart[i])) * DRIVE_POINT_SPACING_M) if close.any() else None
 
 
 def _driven(edges: Sequence[Any], lane: Any, vclass: str) -> list[Floats]:
@@ -348,5 +350,5 @@ def _direction(edge: Any) -> Floats:
 def _even(points: Floats) -> Floats:
     x, y = points[np.concatenate([[True], np.hypot(*np.diff(points, axis=0).T) > 1e-3])].T
     station = stations(x, y)
-    s = np.arange(0.0, station[-1], STEP)
+    s = np.arange(0.0, station[-1], DRIVE_POINT_SPACING_M)
     return np.stack([np.interp(s, station, x), np.interp(s, station, y)], axis=1)

@@ -10,15 +10,15 @@ from sumo_adv.datatypes import Bools, Floats, Ints
 from sumo_adv.metrics.fault import Rss, lateral_way, longitudinal_safe_distance
 from sumo_adv.metrics.reference.view import View
 
-RAMP = 0.6  # s until full braking, UN R157
-FULL_BRAKING = 0.774 * 9.81  # m/s2, UN R157
+FULL_BRAKING_RAMP_S = 0.6  # UN R157
+FULL_BRAKING_M_S2 = 0.774 * 9.81  # UN R157
 
 
 def speed_lost(pressed: Floats) -> Floats:
     """What braking has taken [m/s] ``pressed`` [s] after it began; 0 before."""
     pressed = np.maximum(pressed, 0.0)
-    rising = np.minimum(pressed, RAMP)
-    return np.asarray(FULL_BRAKING * (rising**2 / (2.0 * RAMP) + pressed - rising))
+    rising = np.minimum(pressed, FULL_BRAKING_RAMP_S)
+    return np.asarray(FULL_BRAKING_M_S2 * (rising**2 / (2.0 * FULL_BRAKING_RAMP_S) + pressed - rising))
 
 
 class Braker(Protocol):
@@ -85,9 +85,9 @@ class Delay:
         return np.where(np.isfinite(lasted), np.round(lasted, 9), lasted)
 
 
-BRAKING = 6.0  # m/s2, UN R157
-INTRUSION = 0.3  # m beyond the line, UN R157
-SOON = 2.0  # s, time to collision
+REG157_BRAKING_M_S2 = 6.0  # UN R157
+REG157_INTRUSION_M = 0.3  # beyond the line, UN R157
+REG157_TTC_S = 2.0  # time to collision
 
 
 class Reg157:
@@ -117,21 +117,22 @@ class Reg157:
         self._danger = rearranged(self._danger, columns, False)
 
     def step(self, view: View) -> Floats:
-        intrudes = view.same_direction & view.ahead & (view.near_edge < view.lane_half_width - INTRUSION + 1e-9)
+        over_the_line = view.near_edge < view.lane_half_width - REG157_INTRUSION_M + 1e-9
+        intrudes = view.same_direction & view.ahead & over_the_line
         faster = intrudes & (view.closing > 0.0)
-        needed = view.closing / (2 * BRAKING) + self.delay + self._dt
-        begins = faster & (view.gap > 0.0) & (view.time_to_reach <= np.maximum(SOON, needed))
+        needed = view.closing / (2 * REG157_BRAKING_M_S2) + self.delay + self._dt
+        begins = faster & (view.gap > 0.0) & (view.time_to_reach <= np.maximum(REG157_TTC_S, needed))
         self._danger = (self._danger & faster) | begins
         self.alarmed |= self._danger.any(axis=1)
         lasted = self._delay.step(self._danger).max(axis=1, initial=-np.inf)
         part = np.clip((lasted + self._dt) / self._dt, 0.0, 1.0)  # of the step in which braking begins
-        return np.where(part > 1e-9, -BRAKING * part, np.nan)
+        return np.where(part > 1e-9, -REG157_BRAKING_M_S2 * part, np.nan)
 
 
-NUMBERS = Rss(
+RSS_NUMBERS = Rss(
     response=0.75, acceleration=3.0, braking=6.0, hard_braking=6.0, lateral_acceleration=1.0, lateral_braking=1.0
 )  # fmt: skip
-WOBBLE = 0.3  # m of lateral distance that is kept beyond RSS's own
+RSS_LATERAL_MARGIN_M = 0.3  # of lateral distance that is kept beyond RSS's own
 
 
 class RssDriver:
@@ -148,7 +149,7 @@ class RssDriver:
     """
 
     name: ClassVar[str] = "rss"
-    delay: ClassVar[float] = NUMBERS.response
+    delay: ClassVar[float] = RSS_NUMBERS.response
 
     def __init__(self, shape: tuple[int, int], dt: float) -> None:
         self._dt = dt
@@ -161,8 +162,8 @@ class RssDriver:
     def step(self, view: View) -> Floats:
         along = np.maximum(view.along, 0.0)
         own = np.broadcast_to(view.ego_speed, along.shape)
-        unsafe_along = view.gap < longitudinal_safe_distance(own, along, NUMBERS)
-        unsafe_across = view.side_gap < WOBBLE + lateral_way(view.towards, NUMBERS)
+        unsafe_along = view.gap < longitudinal_safe_distance(own, along, RSS_NUMBERS)
+        unsafe_across = view.side_gap < RSS_LATERAL_MARGIN_M + lateral_way(view.towards, RSS_NUMBERS)
         dangerous = view.same_direction & view.ahead & unsafe_along & unsafe_across
         self.alarmed |= dangerous.any(axis=1)
         lasted = self._delay.step(dangerous).max(axis=1, initial=-np.inf)
@@ -170,28 +171,29 @@ class RssDriver:
         return np.where(lost > 1e-9, -lost / self._dt, np.nan)
 
 
-REACTION = 0.75  # s
-COMFORTABLE, MOST = 4.0, 6.0  # m/s2 of the ego
-LEADER = 7.0  # m/s2, the most that the other brakes
-STANDING_GAP = 2.0  # m between two vehicles that stand
-LATERAL_SLACK = 0.1  # s
-JERK = 12.65  # m/s3
+FSM_REACTION_S = 0.75
+FSM_COMFORTABLE_BRAKING_M_S2, FSM_MAX_BRAKING_M_S2 = 4.0, 6.0  # of the ego
+FSM_LEADER_BRAKING_M_S2 = 7.0  # the most that the other brakes
+FSM_STANDING_GAP_M = 2.0  # between two vehicles that stand
+FSM_LATERAL_SLACK_S = 0.1
+FSM_JERK_M_S3 = 12.65
 
 
 def proactive(gap: Floats, ego: Floats, other: Floats) -> Floats:
     """PFS: 1 where even braking at most would not do if the other brakes at most, 0 where comfortable braking does."""
-    stopping = ego * REACTION - other**2 / (2 * LEADER)
-    safe = stopping + ego**2 / (2 * COMFORTABLE) + STANDING_GAP
-    return _between(gap, stopping + ego**2 / (2 * MOST), safe)
+    stopping = ego * FSM_REACTION_S - other**2 / (2 * FSM_LEADER_BRAKING_M_S2)
+    safe = stopping + ego**2 / (2 * FSM_COMFORTABLE_BRAKING_M_S2) + FSM_STANDING_GAP_M
+    return _between(gap, stopping + ego**2 / (2 * FSM_MAX_BRAKING_M_S2), safe)
 
 
 def critical(gap: Floats, ego: Floats, other: Floats, acceleration: Floats) -> Floats:
     """CFS: 1 where braking at most would not do if the other keeps its speed, 0 where comfortable braking does."""
-    held = np.maximum(acceleration, -COMFORTABLE)
-    after = np.maximum(ego + held * REACTION, 0.0)
-    nearer = ((ego + after) / 2 - other) * REACTION
+    held = np.maximum(acceleration, -FSM_COMFORTABLE_BRAKING_M_S2)
+    after = np.maximum(ego + held * FSM_REACTION_S, 0.0)
+    nearer = ((ego + after) / 2 - other) * FSM_REACTION_S
     closing = np.maximum(after - other, 0.0)
-    degree = _between(gap, nearer + closing**2 / (2 * MOST), nearer + closing**2 / (2 * COMFORTABLE))
+    most, comfortable = 2 * FSM_MAX_BRAKING_M_S2, 2 * FSM_COMFORTABLE_BRAKING_M_S2
+    degree = _between(gap, nearer + closing**2 / most, nearer + closing**2 / comfortable)
     stopping = (ego - other) ** 2 / (2 * np.maximum(np.abs(held), 1e-9))
     degree = np.where(after <= other, np.where(gap <= stopping, 1.0, 0.0), degree)
     return np.where(ego > other, degree, 0.0)
@@ -221,7 +223,7 @@ class Fsm:
     """
 
     name: ClassVar[str] = "fsm"
-    delay: ClassVar[float] = REACTION
+    delay: ClassVar[float] = FSM_REACTION_S
 
     def __init__(self, shape: tuple[int, int], dt: float) -> None:
         self._dt = dt
@@ -239,12 +241,13 @@ class Fsm:
         gap = np.where(matters, gap, 1e9)
         cfs = critical(gap, ego, leader, view.ego_acceleration + 0.0 * leader)
         pfs = proactive(gap, ego, leader)
-        braking = np.where(cfs > 0.0, cfs * (MOST - COMFORTABLE) + COMFORTABLE, pfs * COMFORTABLE)
+        comfortable, most = FSM_COMFORTABLE_BRAKING_M_S2, FSM_MAX_BRAKING_M_S2
+        braking = np.where(cfs > 0.0, cfs * (most - comfortable) + comfortable, pfs * comfortable)
         braking = np.where(matters, braking, 0.0).max(axis=1, initial=0.0)
         risk = braking > 0.0
         self.alarmed |= risk
         acts = self._delay.step(risk) > -1e-9
-        change = JERK * self._dt
+        change = FSM_JERK_M_S3 * self._dt
         target = np.where(acts, braking, 0.0)
         self._braking = np.clip(target, self._braking - change, self._braking + change)
         return np.where(self._braking > 1e-9, -self._braking, np.nan)
@@ -257,4 +260,4 @@ class Fsm:
         closing = view.closing
         lengths = view.gap + view.ego_length + view.length
         along = lengths / np.where(closing > 1e-9, closing, 1.0)
-        return (view.gap > 0.0) & sideways & (closing > 1e-9) & (across < along + LATERAL_SLACK)
+        return (view.gap > 0.0) & sideways & (closing > 1e-9) & (across < along + FSM_LATERAL_SLACK_S)

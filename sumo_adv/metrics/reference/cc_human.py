@@ -49,32 +49,32 @@ from sumo_adv.metrics.reference.brakers import needed_braking, rearranged, speed
 from sumo_adv.metrics.reference.view import View
 from sumo_adv.road_users import unprotected
 
-WANDERING = 0.375  # m, UN R157
-KEEPS_ITS_PLACE = 0.1  # m/s sideways, below it a vehicle keeps its lateral place
-PERCEPTION = 0.4  # s, UN R157
-PERCEIVED = WANDERING + 0.5  # m of drift, or the corridor: where a cut-in is perceived at the earliest
-REACTION = 0.75  # s, UN R157
-DANGER = 2.0  # s, time to collision, UN R157
-SLACK = 0.5  # s that a vehicle may come into the way later than it is passed
-HARD_BRAKING = 5.0  # m/s2 of a leader, UN R157
-FOLLOWING = 2.0  # s of headway within which a leader's braking matters, UN R157
-OWN_BRAKING = 4.5  # m/s2, what drivers brake by themselves behind a leader (SUMO's default)
-STOPPING_SHORT = 3.0  # m/s2, what a crossing driver may brake to yield
-ALARM_BRAKING = 3.0  # m/s2, the least that the ego must need
-CROSSING_SIGHT, FACING_SIGHT = 4.0, 3.0  # s, how far ahead a meeting is looked for
-CROSSING_MARGIN, FACING_MARGIN = 1.0, 0.5  # m, nearer than that is a meeting
-CLOSE_HEADWAY = 0.5  # s, a leader nearer than that is still a danger
-GENTLE = 0.5  # m/s2, needing less than that behind a leader the danger is past
-EASE = 0.5  # s without a danger until the foot leaves the brake
-LAPSE = 0.3  # s for which a danger may be out of sight before the driver brakes, and not be forgotten
-LOOK_STEP = 0.2  # s between the moments at which a meeting is looked for
+WANDERING_M = 0.375  # UN R157
+LATERAL_REST_SPEED_M_S = 0.1  # below it a vehicle keeps its lateral place
+PERCEPTION_S = 0.4  # UN R157
+PERCEIVED_DRIFT_M = WANDERING_M + 0.5  # of drift, or the corridor: where a cut-in is perceived at the earliest
+HUMAN_REACTION_S = 0.75  # UN R157
+DANGER_TTC_S = 2.0  # time to collision, UN R157
+PASSING_SLACK_S = 0.5  # by which a vehicle may come into the way later than it is passed
+LEADER_HARD_BRAKING_M_S2 = 5.0  # UN R157
+FOLLOWING_HEADWAY_S = 2.0  # within which a leader's braking matters, UN R157
+OWN_BRAKING_M_S2 = 4.5  # what drivers brake by themselves behind a leader (SUMO's default)
+YIELDING_BRAKING_M_S2 = 3.0  # what a crossing driver may brake to yield
+ALARM_BRAKING_M_S2 = 3.0  # the least that the ego must need
+CROSSING_SIGHT_S, FACING_SIGHT_S = 4.0, 3.0  # how far ahead a meeting is looked for
+CROSSING_MARGIN_M, FACING_MARGIN_M = 1.0, 0.5  # nearer than that is a meeting
+CLOSE_HEADWAY_S = 0.5  # a leader nearer than that is still a danger
+PAST_DANGER_BRAKING_M_S2 = 0.5  # needing less than that behind a leader the danger is past
+BRAKE_EASING_S = 0.5  # without a danger, until the foot leaves the brake
+MAX_DANGER_LAPSE_S = 0.3  # for which a danger may be out of sight before the driver brakes, and not be forgotten
+MEETING_STEP_S = 0.2  # between the moments at which a meeting is looked for
 
 
 class CcHuman:
     """N drivers that watch M vehicles each.  Pass one view a step, in order."""
 
     name: ClassVar[str] = "cc_human"
-    delay: ClassVar[float] = REACTION
+    delay: ClassVar[float] = HUMAN_REACTION_S
 
     def __init__(self, shape: tuple[int, int], dt: float) -> None:
         """``shape``: (N, M); ``dt`` [s]."""
@@ -103,19 +103,19 @@ class CcHuman:
         """The acceleration [m/s2] over the step to come, ``(N,)``; NaN where the driver does not brake."""
         time, dt = self._now, self._dt
         intrudes = _intrudes(view)
-        paused = intrudes & (np.abs(view.towards) < KEEPS_ITS_PLACE)
-        drift = np.where(view.towards < KEEPS_ITS_PLACE, 0.0, self._drift + view.towards * dt)
+        paused = intrudes & (np.abs(view.towards) < LATERAL_REST_SPEED_M_S)
+        drift = np.where(view.towards < LATERAL_REST_SPEED_M_S, 0.0, self._drift + view.towards * dt)
         self._drift = np.where(paused, self._drift, drift)
         perceived = self._perceived(view)
         danger = self._is_danger(view) | (self.danger & intrudes & _still_reached(view))
         self._perceived_since = np.where(perceived, np.minimum(self._perceived_since, time), np.inf)
         seen = danger & self._understood(view, time)
         self._seen_at = np.where(seen, time, self._seen_at)
-        braking = time - self._decided_at >= REACTION - 1e-9
-        lasts = self.danger & (braking | (time - self._seen_at <= LAPSE + 1e-9))
+        braking = time - self._decided_at >= HUMAN_REACTION_S - 1e-9
+        lasts = self.danger & (braking | (time - self._seen_at <= MAX_DANGER_LAPSE_S + 1e-9))
         self.danger = seen | (lasts & ~self._is_over(view)) if lasts.any() else seen
         self._last = np.where(self.danger, time, self._last)
-        at_ease = ~self.danger & ((time - self._last > EASE) | ~braking)
+        at_ease = ~self.danger & ((time - self._last > BRAKE_EASING_S) | ~braking)
         started = np.where(self.danger, np.minimum(self._decided_at, time), self._decided_at)
         self._decided_at = np.where(at_ease, np.inf, started)
         shown = self.danger.any(axis=1) & ~np.isfinite(self._first_alarm)
@@ -124,25 +124,25 @@ class CcHuman:
         if not self.danger.any():
             return np.full(len(self.danger), np.nan)
         earliest = np.where(self.danger, self._decided_at, np.inf).min(axis=1, initial=np.inf)
-        pressed = np.where(np.isfinite(earliest), time - earliest - REACTION, -np.inf)
+        pressed = np.where(np.isfinite(earliest), time - earliest - HUMAN_REACTION_S, -np.inf)
         lost = speed_lost(pressed + dt) - speed_lost(pressed)
         return np.where(lost > 1e-9, -lost / dt, np.nan)
 
     def _perceived(self, view: View) -> Bools:
-        """Whether there is something to perceive; it must last for ``PERCEPTION`` to be understood."""
-        wanders = self._drift >= WANDERING - 1e-9
+        """Whether there is something to perceive; it must last for ``PERCEPTION_S`` to be understood."""
+        wanders = self._drift >= WANDERING_M - 1e-9
         leads = view.same_direction & view.ahead & view.in_corridor
         return wanders | leads | ~view.same_direction
 
     def _understood(self, view: View, time: float) -> Bools:
         """Whether what is perceived has been so for long enough, and a vehicle that cuts in has come far enough."""
-        long_enough = time - self._perceived_since >= PERCEPTION - 1e-9
+        long_enough = time - self._perceived_since >= PERCEPTION_S - 1e-9
         cuts_in = view.same_direction & ~view.in_corridor
-        return long_enough & (~cuts_in | (self._drift >= PERCEIVED - 1e-9))
+        return long_enough & (~cuts_in | (self._drift >= PERCEIVED_DRIFT_M - 1e-9))
 
     def _is_danger(self, view: View) -> Bools:
         moving, same_direction = view.ego_speed >= 0.1, view.same_direction
-        ahead, wanders = moving & view.ahead, self._drift >= WANDERING - 1e-9
+        ahead, wanders = moving & view.ahead, self._drift >= WANDERING_M - 1e-9
         dangers = np.zeros(view.gap.shape, bool)
         if wanders.any():
             cuts_in = (same_direction | unprotected(view.length, view.width)) & self._cuts_in(view)
@@ -150,23 +150,23 @@ class CcHuman:
         if (leads := ahead & same_direction & view.in_corridor).any():
             dangers |= leads & self._leads_too_slowly(view)
         comes = ahead & ~same_direction & (view.speed >= 0.1) & (view.gap > 0.0)
-        comes &= view.gap <= CROSSING_SIGHT * (view.ego_speed + np.maximum(-view.along, 0.0))
+        comes &= view.gap <= CROSSING_SIGHT_S * (view.ego_speed + np.maximum(-view.along, 0.0))
         return self._meets(view, comes, dangers) if comes.any() else dangers
 
     def _meets(self, view: View, comes: Bools, dangers: Bools) -> Bools:
         """``dangers`` and which of the oncoming and crossing vehicles that come (``comes``) are one."""
         turned = np.abs(view.heading)
-        over_the_line = (view.near_edge < view.lane_half_width) & (self._drift >= WANDERING)
+        over_the_line = (view.near_edge < view.lane_half_width) & (self._drift >= WANDERING_M)
         facing = comes & (turned > OPPOSITE_DIRECTION) & over_the_line
         across = comes & (turned <= OPPOSITE_DIRECTION)
         still = np.zeros(view.gap.shape)
-        across &= needed_braking(view.ego_speed, view.gap, still, still) >= ALARM_BRAKING
-        outside = (view.side_gap > 0.0) & (view.crossing > KEEPS_ITS_PLACE)
-        until_there = view.side_gap / np.maximum(view.crossing, KEEPS_ITS_PLACE)
-        too_late = across & outside & (until_there < view.speed / (2.0 * STOPPING_SHORT))
+        across &= needed_braking(view.ego_speed, view.gap, still, still) >= ALARM_BRAKING_M_S2
+        outside = (view.side_gap > 0.0) & (view.crossing > LATERAL_REST_SPEED_M_S)
+        until_there = view.side_gap / np.maximum(view.crossing, LATERAL_REST_SPEED_M_S)
+        too_late = across & outside & (until_there < view.speed / (2.0 * YIELDING_BRAKING_M_S2))
         looks = (
-            (facing, FACING_SIGHT, FACING_MARGIN), (too_late, CROSSING_SIGHT, CROSSING_MARGIN),
-            (across & view.in_corridor, FACING_SIGHT, 0.0),
+            (facing, FACING_SIGHT_S, FACING_MARGIN_M), (too_late, CROSSING_SIGHT_S, CROSSING_MARGIN_M),
+            (across & view.in_corridor, FACING_SIGHT_S, 0.0),
         )  # fmt: skip
         for rows, horizon, margin in looks:
             k = np.nonzero(rows)
@@ -175,38 +175,38 @@ class CcHuman:
         return dangers
 
     def _cuts_in(self, view: View) -> Bools:
-        """Ahead, reached within ``DANGER``, and in the way before it is passed."""
-        reached = (view.gap > 0.0) & (view.time_to_reach <= DANGER)
+        """Ahead, reached within ``DANGER_TTC_S``, and in the way before it is passed."""
+        reached = (view.gap > 0.0) & (view.time_to_reach <= DANGER_TTC_S)
         passed = (view.gap + view.length + view.ego_length) / np.maximum(view.closing, 1e-9)
-        entered = np.maximum(view.side_gap, 0.0) / np.maximum(view.towards, KEEPS_ITS_PLACE)
-        return reached & (entered <= passed + SLACK)
+        entered = np.maximum(view.side_gap, 0.0) / np.maximum(view.towards, LATERAL_REST_SPEED_M_S)
+        return reached & (entered <= passed + PASSING_SLACK_S)
 
     def _comes_from_beside(self, view: View) -> Bools:
-        """Overlapping the ego lengthwise and drifting into it within ``DANGER``."""
+        """Overlapping the ego lengthwise and drifting into it within ``DANGER_TTC_S``."""
         return (
             (view.gap <= 0.0)
             & (view.side_gap > -1.0)
-            & (np.maximum(view.side_gap, 0.0) <= DANGER * np.maximum(view.towards, KEEPS_ITS_PLACE))
+            & (np.maximum(view.side_gap, 0.0) <= DANGER_TTC_S * np.maximum(view.towards, LATERAL_REST_SPEED_M_S))
         )
 
     def _leads_too_slowly(self, view: View) -> Bools:
-        """A leader that is reached within ``DANGER``, brakes hard, or takes hard braking."""
-        hard = (view.acceleration <= -HARD_BRAKING) & (view.gap <= FOLLOWING * view.ego_speed)
-        room = view.gap - np.maximum(view.closing, 0.0) * REACTION
+        """A leader that is reached within ``DANGER_TTC_S``, brakes hard, or takes hard braking."""
+        hard = (view.acceleration <= -LEADER_HARD_BRAKING_M_S2) & (view.gap <= FOLLOWING_HEADWAY_S * view.ego_speed)
+        room = view.gap - np.maximum(view.closing, 0.0) * HUMAN_REACTION_S
         needed = needed_braking(view.ego_speed, room, view.along, view.acceleration)
-        slow = (view.closing > 0.0) & ((view.time_to_reach <= DANGER) | (needed > OWN_BRAKING))
+        slow = (view.closing > 0.0) & ((view.time_to_reach <= DANGER_TTC_S) | (needed > OWN_BRAKING_M_S2))
         return hard | slow
 
     def _is_over(self, view: View) -> Bools:
         """Whether a danger is past."""
         beside = view.gap <= 0.0
-        away = (view.side_gap > 0.0) & (view.towards < KEEPS_ITS_PLACE)
-        returns = view.same_direction & (view.towards <= -KEEPS_ITS_PLACE)
+        away = (view.side_gap > 0.0) & (view.towards < LATERAL_REST_SPEED_M_S)
+        returns = view.same_direction & (view.towards <= -LATERAL_REST_SPEED_M_S)
         across = ~view.same_direction & (np.abs(view.heading) <= OPPOSITE_DIRECTION)
         leaves = away & (across | returns | (view.near_edge >= view.lane_half_width))
         waits = (view.ego_speed < 0.5) & (view.gap < 2.5) & (view.speed < 0.5)
-        near = (view.gap < CLOSE_HEADWAY * view.ego_speed) & (view.closing > -1.0)
-        needed = needed_braking(view.ego_speed, view.gap, view.along, view.acceleration) > GENTLE
+        near = (view.gap < CLOSE_HEADWAY_S * view.ego_speed) & (view.closing > -1.0)
+        needed = needed_braking(view.ego_speed, view.gap, view.along, view.acceleration) > PAST_DANGER_BRAKING_M_S2
         harmless = view.same_direction & ~beside & ~waits & ~near & ~needed
         return (~view.ahead & ~(beside & view.same_direction)) | leaves | harmless
 
@@ -214,13 +214,13 @@ class CcHuman:
 def _intrudes(view: View) -> Bools:
     """Whether a vehicle that goes the ego's way is over the line of the ego's lane, and not on its way back."""
     over_the_line = view.near_edge < view.lane_half_width
-    return view.same_direction & over_the_line & (view.towards > -KEEPS_ITS_PLACE)
+    return view.same_direction & over_the_line & (view.towards > -LATERAL_REST_SPEED_M_S)
 
 
 def _still_reached(view: View) -> Bools:
-    """Whether the ego comes up to a vehicle ahead or beside within ``DANGER``."""
+    """Whether the ego comes up to a vehicle ahead or beside within ``DANGER_TTC_S``."""
     beside = (view.gap <= 0.0) & (view.side_gap > -1.0)
-    return (view.ego_speed >= 0.1) & (beside | (view.ahead & (view.time_to_reach <= DANGER)))
+    return (view.ego_speed >= 0.1) & (beside | (view.ahead & (view.time_to_reach <= DANGER_TTC_S)))
 
 
 def meet(view: View, k: Any, horizon: float, margin: float) -> Bools:
@@ -228,7 +228,7 @@ def meet(view: View, k: Any, horizon: float, margin: float) -> Bools:
 
     The ego goes on along its path, braking on if it brakes; the other keeps its speed and yaw rate.
     """
-    t = np.arange(0.0, horizon + 1e-6, LOOK_STEP)
+    t = np.arange(0.0, horizon + 1e-6, MEETING_STEP_S)
     rows = k[0]
     speed, braking = view.ego_speed[rows, 0][:, None], np.maximum(-view.ego_acceleration[rows, 0], 0.0)[:, None]
     braking = np.where(braking > 0.5, braking, 0.0)

@@ -31,7 +31,7 @@ from sumo_adv.metrics.reference.view import EgoPaths, Views, located_on, seen
 
 MakeDriver = Callable[[tuple[int, int], float], Braker]
 """Makes drivers for a shape (N, M) and a step [s]: a class of ``BRAKERS``, or one with other numbers."""
-BEYOND = 4.0  # s after the contact to which the check goes at least
+MIN_AFTER_CONTACT_S = 4.0  # after the contact to which the check goes at least
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +69,7 @@ class Answer:
 class Counterfactual:
     """N encounters extended to the end of the check, with everything that does not depend on the driver."""
 
-    def __init__(self, given: Encounters, beyond: float = BEYOND) -> None:
+    def __init__(self, given: Encounters, beyond: float = MIN_AFTER_CONTACT_S) -> None:
         """``beyond``: s after the step ``last`` to which the check goes at least."""
         self.given = given
         dt = given.dt

@@ -17,8 +17,8 @@ from sumo_adv.metrics.boxes import corners, flat
 from sumo_adv.metrics.contact import SAME_DIRECTION
 from sumo_adv.road_users import unprotected
 
-LEAST_STEP = 1e-6  # m, below it two points of a path are one
-BLOCK = 30_000  # pairs of points and path samples that are compared at once
+MIN_POINT_DISTANCE_M = 1e-6  # below it two points of a path are one
+MAX_PAIRS_PER_BLOCK = 30_000  # pairs of points and path samples that are compared at once
 
 
 class EgoPaths:
@@ -53,7 +53,7 @@ class EgoPaths:
         """The index of the path's point that is nearest to each of the points ``(N, K)``; row by row and in parts,
         because the squares of a part stay in the processor's cache."""
         nearest = np.empty(x.shape, np.intp)
-        size = max(1, BLOCK // max(1, self._x.shape[1]))
+        size = max(1, MAX_PAIRS_PER_BLOCK // max(1, self._x.shape[1]))
         for row in range(len(x)):
             for first in range(0, x.shape[1], size):
                 part = slice(first, first + size)
@@ -69,7 +69,7 @@ class EgoPaths:
         first, last = self._onward[:, :1], self._back[:, -1:]
         ax, ay, bx, by = self._x[rows, i], self._y[rows, i], self._x[rows, i + 1], self._y[rows, i + 1]
         length = np.hypot(bx - ax, by - ay)
-        still = length < LEAST_STEP
+        still = length < MIN_POINT_DISTANCE_M
         h = self._heading[rows, i]
         c = np.where(still, np.cos(h), (bx - ax) / np.where(still, 1.0, length))
         s = np.where(still, np.sin(h), (by - ay) / np.where(still, 1.0, length))
@@ -83,7 +83,7 @@ class EgoPaths:
         poses = np.empty((3, *station.shape))
         for row, places in enumerate(station):
             stations = self.station[row]
-            kept = np.concatenate([[True], np.diff(stations) > LEAST_STEP])
+            kept = np.concatenate([[True], np.diff(stations) > MIN_POINT_DISTANCE_M])
             s = stations[kept]
             for k, values in enumerate((self._x, self._y, self._heading)):
                 poses[k, row] = np.interp(places, s, values[row][kept])
@@ -98,7 +98,7 @@ def _moving(step: Floats) -> tuple[Ints, Ints]:
     """For each segment ``(N, T - 1)`` the next one, and the one before, over which the ego moves (itself, if it does);
     at the ends the last and the first such."""
     n, count = step.shape
-    index, moves = np.broadcast_to(np.arange(count), (n, count)), step > LEAST_STEP
+    index, moves = np.broadcast_to(np.arange(count), (n, count)), step > MIN_POINT_DISTANCE_M
     before = np.maximum.accumulate(np.where(moves, index, -1), axis=1)
     after = np.minimum.accumulate(np.where(moves, index, count)[:, ::-1], axis=1)[:, ::-1]
     onward = np.where(after < count, after, before[:, -1:])
@@ -106,7 +106,7 @@ def _moving(step: Floats) -> tuple[Ints, Ints]:
     return np.clip(onward, 0, count - 1), np.clip(back, 0, count - 1)
 
 
-HISTORY = 0.5  # s over which yaw rates are measured
+YAW_RATE_SPAN_S = 0.5  # over which yaw rates are measured
 
 
 class View(NamedTuple):
@@ -190,7 +190,7 @@ class Views:
         cos, sin = np.abs(np.cos(self._heading)), np.abs(np.sin(self._heading))
         half_along = (cos * self._length[..., None] + sin * self._width[..., None]) / 2
         half_across = (sin * self._length[..., None] + cos * self._width[..., None]) / 2
-        back = max(1, round(HISTORY / dt))
+        back = max(1, round(YAW_RATE_SPAN_S / dt))
         turned = np.unwrap(np.where(np.isfinite(self._heading), others.heading, 0.0), axis=-1)
         index = np.arange(steps)
         before = np.maximum(index - back, 0)
