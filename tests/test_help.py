@@ -73,3 +73,11 @@ def helps(command: Any, name: str = "sumo-adv") -> Iterator[tuple[str, str]]:
 
 def test_the_help_says_quantities_and_names_things() -> None:
     assert {name: text for name, text in helps(get_command(app)) if VAGUE.search(text)} == {}
+
+
+def test_the_list_of_commands_is_that_of_the_whole_program(program: Program) -> None:
+    """It is made without loading them."""
+    program.variables["COLUMNS"] = "100"
+    whole = program.here("--help").out
+    assert "regress" in whole and "transformer" in whole
+    assert program("--help").out.split("\n", 2)[2] == whole.split("\n", 2)[2]  # below how it was called

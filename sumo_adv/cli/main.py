@@ -1,75 +1,58 @@
-"""The command line: one sentence on stderr for what is wrong, exit status 0 done, 1 the work failed, 2 wrong use."""
+"""The command line: one sentence on stderr for what is wrong, exit status 0 done, 1 the work failed, 2 wrong use.
+
+A command's module is loaded when that command is called, and all of them for a wrong name.
+"""
 
 from __future__ import annotations
 
+import ast
 import atexit
 import os
 import sys
-from typing import Annotated
+from collections.abc import Collection
+from importlib import import_module
+from pathlib import Path
+from typing import Annotated, Any
 
 import typer
 
-from sumo_adv.cli import (
-    batch,
-    bench,
-    convert,
-    doctor,
-    export,
-    hunt,
-    judge,
-    memory,
-    rate,
-    regress,
-    report,
-    run,
-    serve,
-    transformer,
-    write,
-)
+from sumo_adv.cli.interrupts import Interrupts
 from sumo_adv.cli.terminal import cleaned
 from sumo_adv.errors import SumoAdvError
 from sumo_adv.files import FULL, sweep_scratch
 
 INTERRUPTED = 130  # what typer makes of Ctrl-C
 
-app = typer.Typer(
-    name="sumo-adv", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
-    help="Finds the dangerous case inside SUMO, online, against your driver.",
-    epilog="Example: sumo-adv run scenarios/motorway_cut_in_left.toml --until valid",
-)  # fmt: skip
-for name, command, example in (
-    ("run", run.run, run.EXAMPLE),
-    ("write", write.write, write.EXAMPLE),
-    ("hunt", hunt.hunt, hunt.EXAMPLE),
-    ("scenarios", convert.scenarios, convert.SCENARIOS_EXAMPLE),
-    ("serve", serve.serve, serve.EXAMPLE),
-    ("convert", convert.convert, convert.EXAMPLE),
-    ("minimise", run.minimise, run.MINIMISE_EXAMPLE),
-    ("judge", judge.judge, judge.EXAMPLE),
-    ("keep", regress.keep, regress.KEEP_EXAMPLE),
-    ("regress", regress.regress, regress.EXAMPLE),
-    ("rate", rate.rate, rate.EXAMPLE),
-    ("compare", judge.compare, judge.COMPARE_EXAMPLE),
-    ("report", report.report, report.EXAMPLE),
-    ("figure", report.figure, report.FIGURE_EXAMPLE),
-    ("export", export.export, export.EXAMPLE),
-    ("import", convert.import_fcd, convert.IMPORT_EXAMPLE),
-    ("doctor", doctor.doctor, doctor.EXAMPLE),
-):
-    app.command(name, epilog=example)(command)
-app.add_typer(batch.app, name="batch")
-app.add_typer(bench.app, name="bench")
-app.add_typer(memory.app, name="memory")
-app.add_typer(transformer.app, name="transformer")
+COMMANDS = {
+    "run": ("run", "EXAMPLE"),
+    "write": ("write", "EXAMPLE"),
+    "hunt": ("hunt", "EXAMPLE"),
+    "scenarios": ("convert", "SCENARIOS_EXAMPLE"),
+    "serve": ("serve", "EXAMPLE"),
+    "convert": ("convert", "EXAMPLE"),
+    "minimise": ("run", "MINIMISE_EXAMPLE"),
+    "judge": ("judge", "EXAMPLE"),
+    "keep": ("regress", "KEEP_EXAMPLE"),
+    "regress": ("regress", "EXAMPLE"),
+    "rate": ("rate", "EXAMPLE"),
+    "compare": ("judge", "COMPARE_EXAMPLE"),
+    "report": ("report", "EXAMPLE"),
+    "figure": ("report", "FIGURE_EXAMPLE"),
+    "export": ("export", "EXAMPLE"),
+    "import": ("convert", "IMPORT_EXAMPLE"),
+    "doctor": ("doctor", "EXAMPLE"),
+}
+"""By command: the module of this package that has its function, and the name of its example there."""
+FUNCTIONS = {"import": "import_fcd"}  # those that are not called as their command
+GROUPS = ("batch", "bench", "memory", "transformer")  # of commands, each in the module of its name
 
 
 def _version(wanted: bool) -> None:
     if wanted:
-        typer.echo(doctor.version_line())
+        typer.echo(import_module("sumo_adv.cli.doctor").version_line())
         raise typer.Exit
 
 
-@app.callback()
 def options(
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print versions and the memory bank.")
@@ -78,12 +61,38 @@ def options(
     """Finds the dangerous case inside SUMO, online, against your driver."""
 
 
+def command_line(names: Collection[str]) -> typer.Typer:
+    """The program with these commands and groups of commands."""
+    app = typer.Typer(
+        name="sumo-adv", no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
+        help="Finds the dangerous case inside SUMO, online, against your driver.",
+        epilog="Example: sumo-adv run scenarios/motorway_cut_in_left.toml --until valid",
+    )  # fmt: skip
+    app.callback()(options)
+    for name, (file, example) in COMMANDS.items():
+        if name in names:
+            module = import_module(f"sumo_adv.cli.{file}")
+            app.command(name, epilog=getattr(module, example))(getattr(module, FUNCTIONS.get(name, name)))
+    for name in GROUPS:
+        if name in names:
+            app.add_typer(import_module(f"sumo_adv.cli.{name}").app, name=name)
+    return app
+
+
+def __getattr__(name: str) -> Any:
+    """``app``: the program with all commands, made when it is read."""
+    if name != "app":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    made = globals()[name] = command_line([*COMMANDS, *GROUPS])
+    return made
+
+
 def main() -> None:
     sys.stdout, sys.stderr = cleaned(sys.stdout), cleaned(sys.stderr)
     sweep_scratch()
     try:
         try:
-            app()
+            (_listing() if sys.argv[1:] in ([], ["--help"]) else command_line(_wanted(sys.argv[1:])))()
         finally:
             if sys.stdout is not None:
                 sys.stdout.flush()
@@ -106,9 +115,42 @@ def main() -> None:
         if end.code == INTERRUPTED:
             typer.echo("sumo-adv: interrupted.", err=True)
             _leave(1)
-        if run.Interrupts.happened:
+        if Interrupts.happened:
             _leave(end.code if isinstance(end.code, int) else 1)
         raise
+
+
+def _listing() -> typer.Typer:
+    """The program as its help lists it: the commands with their docstrings, of which no module is loaded."""
+    app, documents = command_line(()), dict[str, dict[str, str]]()
+    for name in [*COMMANDS, *GROUPS]:
+        file = COMMANDS.get(name, (name, ""))[0]
+        if file not in documents:
+            documents[file] = _docstrings(Path(__file__).with_name(f"{file}.py"))
+        function = FUNCTIONS.get(name, name)
+        app.command(name, help=documents[file][function if name in COMMANDS else "app"])(lambda: None)
+    return app
+
+
+def _docstrings(file: Path) -> dict[str, str]:
+    """The docstrings of a module's functions; of its group ``app`` of commands the help."""
+    found = dict[str, str]()
+    for node in ast.parse(file.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.FunctionDef):
+            found[node.name] = ast.get_docstring(node) or ""
+        elif isinstance(node, ast.Assign) and isinstance(node.value, ast.Call):
+            names = [target.id for target in node.targets if isinstance(target, ast.Name)]
+            helps = [ast.literal_eval(k.value) for k in node.value.keywords if k.arg == "help"]
+            found |= {name: text for name in names for text in helps}
+    return found
+
+
+def _wanted(arguments: list[str]) -> Collection[str]:
+    """The command that the program is called with; all of them if it is called otherwise."""
+    every = [*COMMANDS, *GROUPS]
+    if arguments[:1] == ["--version"]:
+        return ["doctor"]
+    return arguments[:1] if arguments and arguments[0] in every else every
 
 
 def _leave(status: int) -> None:

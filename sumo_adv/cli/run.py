@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import json
-import signal
 import tempfile
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from types import FrameType
-from typing import TYPE_CHECKING, Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -17,6 +14,7 @@ from sumo_adv import app
 from sumo_adv.app import new_engine, new_sandbox, open_for_run, shipped_prompts
 from sumo_adv.cli import options as opt
 from sumo_adv.cli.groups import grouped, named_settings
+from sumo_adv.cli.interrupts import Interrupts
 from sumo_adv.config import Settings, Until, load_settings
 from sumo_adv.datatypes import FAILED_ENDINGS
 from sumo_adv.errors import UsageError
@@ -29,48 +27,6 @@ if TYPE_CHECKING:
     from sumo_adv.episode.planned_encounter import PlannedEncounter
     from sumo_adv.llm.prompts import Prompt
     from sumo_adv.simulation.inputs import RunInput
-
-SIGNALS = (signal.SIGINT, signal.SIGTERM)  # Ctrl-C; what services and time limits send
-
-
-class Interrupts:
-    """Remembers a Ctrl-C or SIGTERM beside raising KeyboardInterrupt: pydantic-monty 1.4 swallows an interrupt that
-    comes while it runs a planner (measured). A context manager for the main thread."""
-
-    happened = False  # in this process, ever
-
-    def __enter__(self) -> Self:
-        self._pressed = False
-        self._before = {number: signal.signal(number, self._press) for number in SIGNALS}
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
-
-    def check(self) -> None:
-        """Raises KeyboardInterrupt if Ctrl-C was pressed and got lost."""
-        if self._pressed:
-            raise KeyboardInterrupt
-
-    def checked(self, tell: Callable[[str, Any], None]) -> Callable[[str, Any], None]:
-        """``tell``, which then raises KeyboardInterrupt if Ctrl-C was pressed and got lost."""
-
-        def report_then_check(what: str, value: Any) -> None:
-            tell(what, value)
-            self.check()
-
-        return report_then_check
-
-    def hold(self) -> None:
-        """From here on both are ignored: the rest takes a second or two."""
-        for number in SIGNALS:
-            signal.signal(number, signal.SIG_IGN)
-
-    def _press(self, number: int, frame: FrameType | None) -> None:
-        self._pressed = Interrupts.happened = True
-        raise KeyboardInterrupt
-
 
 EXAMPLE = "Example: sumo-adv run priority_crossing --seed 3 --ego idm --until valid --out runs/mine"
 OF_A_REPLAY = {"replay", "out", "force", "as_json", "ego"}  # options that count with --replay; ego confirms a class

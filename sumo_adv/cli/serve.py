@@ -226,8 +226,8 @@ def _input(source: Path) -> Any:
 
 
 def _serve(given: Any, settings: Settings, options: Options, output: OutputOptions) -> None:
+    from sumo_adv.cli.interrupts import Interrupts
     from sumo_adv.cli.progress import ServeProgress
-    from sumo_adv.cli.run import Interrupts
     from sumo_adv.report.outcome import MODEL_FILE
     from sumo_adv.serve.events import EventFile, Events, ResultWriter, Status, StatusPage
     from sumo_adv.serve.server import Server, ServerDependencies
