@@ -200,21 +200,21 @@ def judge(
     lane_width: float = 3.2,
     on_road: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.bool_]] | None = None,
 ) -> Verdict:
-    """The verdict (version 2, kinematic) on tracks of your own.
+    """The verdict on tracks of your own.
 
     ego, adversary: columns by name (arrays, a dict of lists, a pandas table): time [s], x, y of the box's centre [m],
     heading [rad], speed [m/s], optional length, width [m], lane and z, the height of the road [m]; or ids, and then
     ``others`` is one table with the column ``id`` that holds all vehicles. others: further vehicles, a table each. All
     on one regular grid; let the adversary's track go on past the contact as it planned, or the verdict is inconclusive
-    (``no_plan``).
+    (``no_plan``). Reference drivers are asked in the kinematic check only.
     trigger_time: from when on the adversary attacks [s]; the third state by default.
     on_road: tells whether points (x, y) are drivable; without it no motion counts as off the road.
 
     Raises UsageError: a column is missing or bad, an id is not in the table, or the tracks do not overlap.
     """
-    from sumo_adv.metrics.levels import with_level
+    from sumo_adv.metrics.case import Case
     from sumo_adv.metrics.own_data import split, track_of
-    from sumo_adv.metrics.validity import judge as gates
+    from sumo_adv.metrics.verdict import judge as judge_case
 
     if isinstance(ego, str) or isinstance(adversary, str):
         if not (isinstance(ego, str) and isinstance(adversary, str)) or not hasattr(others, "__getitem__"):
@@ -229,11 +229,12 @@ def judge(
         ego_columns, adversary_columns = dict(ego.items()), dict(adversary.items())
         given = {f"other {k}": dict(columns.items()) for k, columns in enumerate(others)}
     first, second = track_of("ego", ego_columns, Role.EGO), track_of("adversary", adversary_columns, Role.ADVERSARY)
-    third = [track_of(name, columns, Role.BACKGROUND) for name, columns in given.items()]
+    third = tuple(track_of(name, columns, Role.BACKGROUND) for name, columns in given.items())
     start = float(first.time[2]) if trigger_time is None else trigger_time
-    half, ground = lane_width / 2, None if on_road is None else lambda x, y, z=None: on_road(x, y)
-    verdict = gates(first, second, third, trigger_time=start, ttc_threshold=ttc, on_road=ground, lane_half_width=half)
-    return with_level(verdict, first, second, third, trigger_time=start, on_road=ground, lane_half_width=half)
+    ground = None if on_road is None else lambda x, y, z=None: on_road(x, y)
+    return judge_case(
+        Case(first, second, third, start, on_road=ground, lane_half_width=lane_width / 2), ttc_threshold=ttc
+    )
 
 
 def _table(file: Path, header: str | None = None) -> Table:

@@ -439,10 +439,10 @@ def full_outcome(episode: Episode) -> dict[str, Any]:
     """The content of ``outcome.json`` for an episode. Nothing is written."""
     from sumo_adv.report.folder import raw_figures
     from sumo_adv.report.outcome import outcome
-    from sumo_adv.report.verdicts import figures, judge_best
+    from sumo_adv.report.verdicts import findings_on, further_keys
 
-    judged = judge_best(episode)
-    return outcome(episode, raw_figures(episode), figures(judged), judged.realism if judged is not None else {})
+    found = findings_on(episode)
+    return outcome(episode, raw_figures(episode), further_keys(found), found.realism if found is not None else {})
 
 
 def keep_run(target: Path, episode: Episode, exchanges: Path | None = None) -> None:

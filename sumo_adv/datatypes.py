@@ -365,11 +365,8 @@ class Preventability:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What one attempt came to. Times s, distances m, never = ``inf``; None = the question does not arise.
-
-    ``avoidable`` is of version 1; ``valid``, ``strict`` and what follows ``level`` are of version 2 where
-    :func:`sumo_adv.metrics.levels.with_level` has judged it.
-    """
+    """What one attempt came to, as ``metrics/verdict.py`` judges it. Times s, distances m, never = ``inf``; None = the
+    question does not arise."""
 
     min_ttc: float
     min_distance: float
@@ -377,9 +374,6 @@ class Verdict:
     critical: bool
     feasible: bool
     rear_end: bool
-    valid: bool | None
-    strict: bool | None
-    avoidable: str | None  # careful_driver | any_manoeuvre | unavoidable
     failed_gates: tuple[str, ...] = ()
     log_gates: tuple[str, ...] = ()  # broken by the log of the adversary before the take-over; they do not count
     min_ttc_any: float = float("inf")
@@ -387,7 +381,6 @@ class Verdict:
     max_drac: float = 0.0
     fault: str | None = None
     contact_time: float | None = None
-    hazard_time: float | None = None
     min_ttc_time: float | None = None
     level: Level = Level.NONE
     preventability: Preventability | None = None
@@ -409,6 +402,16 @@ class Verdict:
         """Whether the attempt can reach a level: the motion is feasible, and the adversary does not run into the ego's
         back."""
         return self.feasible and not self.rear_end
+
+    @property
+    def valid(self) -> bool | None:
+        """Whether the collision is valid; None without a collision."""
+        return self.level >= Level.VALID if self.collided else None
+
+    @property
+    def strict(self) -> bool | None:
+        """Whether the collision is strict; None without a collision."""
+        return self.level >= Level.STRICT if self.collided else None
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,7 +25,7 @@ from sumo_adv.episode.right_of_way import Meetings
 from sumo_adv.episode.surroundings import Surroundings
 from sumo_adv.errors import UsageError
 from sumo_adv.geometry import Pose
-from sumo_adv.metrics.severity import SERIOUS_DELTA_V, crash, hardness, mass_of
+from sumo_adv.metrics.severity import SERIOUS_DELTA_V_M_S, crash, hardness, mass_of
 from sumo_adv.road_users import RoadUser, road_user
 from sumo_adv.simulation.inputs import load_input
 from sumo_adv.simulation.network import RoadMap, read_network
@@ -267,7 +267,7 @@ def test_a_motorcyclist_that_is_hit_is_hurt_themselves() -> None:
     """Lubbe et al. 2022: 10 % are seriously injured at 48 km/h. The car that hits them at 10 m/s hardly feels it."""
     ego = cruise("ego", 0.0, 0.0, 10.0)
     hit = crash(ego, cruise("adversary", 53.6, 0.0, 0.0, length=2.2, width=0.9), 5.0)
-    assert hit.impact_speed == pytest.approx(10.0) and hit.ego_delta_v < SERIOUS_DELTA_V
+    assert hit.impact_speed == pytest.approx(10.0) and hit.ego_delta_v < SERIOUS_DELTA_V_M_S
     assert hardness(hit, RoadUser.VEHICLE) == pytest.approx(36.0 / 48.0)
     assert (mass_of(1.8), mass_of(2.1), mass_of(2.2)) == (100.0, 160.0, 250.0)
 

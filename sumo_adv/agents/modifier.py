@@ -22,7 +22,7 @@ from sumo_adv.llm.prompts import Prompt, Prompts, danger_words, sanitize
 from sumo_adv.metrics.levels import SERIOUS_RISK
 from sumo_adv.metrics.reference.brakers import FULL_BRAKING_M_S2
 from sumo_adv.metrics.reference.cc_human import HUMAN_REACTION_S
-from sumo_adv.metrics.severity import SERIOUS_DELTA_V
+from sumo_adv.metrics.severity import SERIOUS_DELTA_V_M_S
 from sumo_adv.planners.source import make_planner
 
 # -- what attempts showed -------------------------------------------------------------------------------------------
@@ -171,8 +171,8 @@ def _to_serious(v: Verdict) -> list[str]:
     if v.impact_speed is not None and (v.injury_risk or 0.0) < SERIOUS_RISK:
         risk = f"a serious injury in {v.injury_risk:.0%} of cases, wanted {SERIOUS_RISK:.0%}"
         missing.append(f"a harder contact (impact at {v.impact_speed:.1f} m/s: {risk})")
-    elif v.impact_speed is None and v.delta_v is not None and v.delta_v < SERIOUS_DELTA_V:
-        missing.append(f"a harder contact (delta-v {v.delta_v:.1f}, wanted {SERIOUS_DELTA_V:.2f} m/s)")
+    elif v.impact_speed is None and v.delta_v is not None and v.delta_v < SERIOUS_DELTA_V_M_S:
+        missing.append(f"a harder contact (delta-v {v.delta_v:.1f}, wanted {SERIOUS_DELTA_V_M_S:.2f} m/s)")
     if v.humanlike is False:
         missing.append(f"gentler driving ({', '.join(v.beyond_human)} beyond what people do)")
     return missing

@@ -13,7 +13,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Track
 from sumo_adv.llm.prompts import sanitize
-from sumo_adv.metrics.severity import UNPROTECTED_TENTH
+from sumo_adv.metrics.severity import TENTH_RISK_SPEED_KMH
 from sumo_adv.road_users import UNPROTECTED_LIMITS, RoadUser, is_unprotected, road_user
 from sumo_adv.simulation.sumo_rules import MINOR_TIME_GAP_S, VISIBILITY_DISTANCE_M
 from sumo_adv.situation import ReferencePath, Signal, Situation, Target
@@ -238,7 +238,7 @@ def _history(track: Track, situation: Situation, times: Sequence[float]) -> str:
 def _kind_words(target: Target) -> str:
     """What a pedestrian or cyclist can do, and when a collision with it counts as serious."""
     user = road_user(target.state)
-    limits, serious = UNPROTECTED_LIMITS[user], UNPROTECTED_TENTH[user] / 3.6
+    limits, serious = UNPROTECTED_LIMITS[user], TENTH_RISK_SPEED_KMH[user] / 3.6
     turns = "on the spot" if user is RoadUser.PEDESTRIAN else f"with a radius of {1 / limits.curvature:.0f} m"
     return (
         f"It is a {user}: at most {target.fastest:.0f} m/s, braking {limits.braking:g}, acceleration"

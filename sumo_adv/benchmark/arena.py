@@ -32,7 +32,7 @@ from sumo_adv.goal import Goal
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.metrics.boxes import on_grid
 from sumo_adv.metrics.criticality import ttc
-from sumo_adv.metrics.full import PAPER_EPSILON
+from sumo_adv.metrics.further import PAPER_EPSILON_M
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.simulation.inputs import RunInput
 from sumo_adv.simulation.tracks import tracks_of
@@ -221,9 +221,9 @@ def unattacked(episode: Episode) -> dict[str, Any] | None:
         apart = float(np.nanmin(np.hypot(them.x - me.x, them.y - me.y), initial=np.inf))
     return {
         "min_ttc": _number(least), "collided": least == 0.0, "critical": least <= episode.settings.critical_ttc,
-        "feasible": True, "rear_end": False, "valid": None, "strict": None, "avoidable": None, "failed_gates": [],
+        "feasible": True, "rear_end": False, "valid": None, "strict": None, "failed_gates": [],
         "paper_centre_distance": {
-            "minimum": _number(apart), "epsilon": PAPER_EPSILON, "within": apart <= PAPER_EPSILON
+            "minimum": _number(apart), "epsilon": PAPER_EPSILON_M, "within": apart <= PAPER_EPSILON_M
         },
     }  # fmt: skip
 

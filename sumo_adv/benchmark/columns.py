@@ -14,7 +14,7 @@ from sumo_adv.benchmark import cells as c
 from sumo_adv.benchmark.cells import distance, step_share
 from sumo_adv.benchmark.nouns import Cell, counts
 from sumo_adv.datatypes import Level
-from sumo_adv.metrics.levels import AVOIDS, NOT_APPLICABLE
+from sumo_adv.metrics.preventability import AVOIDS, NOT_APPLICABLE
 from sumo_adv.metrics.statistics import Estimate, bootstrap, wilson
 
 BUDGETS = (1, 5, 10, 25)
@@ -198,8 +198,6 @@ COLUMNS: tuple[Column, ...] = (
            of=lambda cell: c.counted(cell).get("level") == "serious"),
     Column("critical", "critical", "Verdicts", "min TTC at or below --critical-ttc, a collision included",
            of=_verdict("critical"), raw=True),
-    Column("unavoidable", "unavoidable", "Why not", "a collision that nothing avoids",
-           of=lambda cell: c.counted(cell).get("avoidable") == "unavoidable"),
     Column("inconclusive", "inconclusive", "Why not", "of collisions: the counterfactual says nothing",
            of=lambda cell: _of_collisions(cell, "inconclusive"), asked_of_all=False),
     Column("stationary", "ego stood", "Why not", "of collisions: the ego stood for the last second before the contact",
@@ -291,7 +289,7 @@ BY_PART = (
 """What is shown of groups and kinds too."""
 
 COMPARED = (
-    "collision", "no_rear", "valid", "strict", "serious", "critical", "unavoidable", "mean_min_ttc", "valid_1",
+    "collision", "no_rear", "valid", "strict", "serious", "critical", "mean_min_ttc", "valid_1",
     "valid_25", "seconds",
 )  # fmt: skip
 """Differences that the Markdown shows; CSV and JSON have all."""

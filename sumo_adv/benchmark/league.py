@@ -21,9 +21,10 @@ from sumo_adv.benchmark.columns import COLUMNS
 from sumo_adv.benchmark.nouns import Case, Cell
 from sumo_adv.benchmark.table import grid, number, signed
 from sumo_adv.benchmark.write import MAIN, SCHEMA, aligned, as_csv, as_json, on_screen, plain, rate, write_files
+from sumo_adv.datatypes import Level
 from sumo_adv.metrics.statistics import Estimate, Paired, bootstrap, paired_means, paired_rates, wilson
 
-LIKELY = 0.5  # an attempt counts as predicted to be valid from this probability on
+VALID_LEVELS = tuple(str(level) for level in Level if level >= Level.VALID)
 SHOWN = ("valid", "strict", "serious", "valid_1", "kinds")
 WARNING = (
     "Attempts against known and unknown drivers do not compare: the search has the rules of the known ones, and has to "
@@ -111,7 +112,7 @@ def write_league(
 
 
 def _place(ego: str, cells: Sequence[Cell], budget: int) -> Place:
-    called = [a for cell in cells for a in c.attempts(cell) if (a.get("predicted_valid") or 0.0) >= LIKELY]
+    called = [a for cell in cells for a in c.attempts(cell) if a["predicted_level"] in VALID_LEVELS]
     figures = {column.key: column.estimate(cells) for column in COLUMNS if column.key in SHOWN}
     right = sum(bool(a.get("valid")) for a in called) / len(called) if called else None
     is_known = all(cell.get("driver_known") is not False for cell in cells)  # None: there was no encounter

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 from sumo_adv.datatypes import ENDING_SENTENCES, FAILED_ENDINGS, Ending
 from sumo_adv.errors import UsageError
 from sumo_adv.files import cell_text, plain_cell, write_whole
+from sumo_adv.outcome_schema import SCHEMA, check_schema
 from sumo_adv.parsing import read_json
 
 if TYPE_CHECKING:
@@ -103,7 +104,6 @@ class Setup:
 
 
 OUTCOME_FILE, TRACEBACK_FILE, LEARNT_FILE = "outcome.json", "traceback.txt", "learnt.json"
-RESULTS_SCHEMA = 1
 RESULT_COLUMNS = (
     "id", "network", "seed", "ego", "intent", "raw_min_ttc", "min_ttc", "collided", "valid", "critical", "ending",
     "attempts", "seconds", "failure", "traceback", "level", "strict", "preventable_by", "inconclusive",
@@ -112,13 +112,12 @@ RESULT_COLUMNS = (
     "robust", "overlap", "warning", "red_light", "right_of_way",
 )  # fmt: skip
 """Of the table; settings that vary come behind them, as ``set_NAME``. Times in s, speeds in m/s. An empty min_ttc is
-never; an empty valid, strict or serious is no collision. ``valid``, ``strict`` and what follows ``level`` are of
-verdict version 2. ``road`` and ``ego_speed`` are those of the encounter. ``supports``: the other adversaries with
-their roles, as ``id:role``; ``composition``: what all of them do together. Both are empty for a single adversary.
-``cause``: its kind (``metrics/cause.py``); empty for neither a contact nor a near miss. ``robust``:
-whether most of its neighbours succeed, too; empty where none was simulated. ``overlap``: share of the touching face;
-``warning``: s from the alarm of ``cc_human`` to the contact; ``red_light``, ``right_of_way``: who broke it
-(``episode/rules_broken.py``)."""
+never; an empty valid, strict or serious is no collision. ``road`` and ``ego_speed`` are those of the encounter.
+``supports``: the other adversaries with their roles, as ``id:role``; ``composition``: what all of them do together.
+Both are empty for a single adversary. ``cause``: its kind (``metrics/cause.py``); empty for neither a contact nor a
+near miss. ``robust``: whether most of its neighbours succeed, too; empty where none was simulated. ``overlap``: share
+of the touching face; ``warning``: s from the alarm of ``cc_human`` to the contact; ``red_light``, ``right_of_way``:
+who broke it (``episode/rules_broken.py``)."""
 
 
 INTEGER_COLUMNS = ("seed", "attempts")
@@ -145,7 +144,7 @@ def row_of(name: str, outcome: Mapping[str, Any], traceback: bool) -> Row:
         "level": best.get("level"), "strict": best.get("strict"),
         "preventable_by": None if preventable_by is None else " ".join(preventable_by),
         **{key: best.get(key) for key in ("inconclusive", "ego_stationary", "humanlike", "delta_v", "severity")},
-        "serious": best["level"] == "serious" if best.get("collided") and "level" in best else None,
+        "serious": best["level"] == "serious" if best.get("collided") else None,
         "fault": best.get("fault"), "contact_time": best.get("contact_time"), **_attack(outcome),
         **{key: best.get(key) for key in ("overlap", "warning", "red_light", "right_of_way")},
     }  # fmt: skip
@@ -197,9 +196,10 @@ def failed(row: Row) -> bool:
 
 
 def read_row(folder: Path) -> Row | None:
-    """The row of a run's folder; None if there is none, or it is damaged."""
+    """The row of a run's folder; None if there is none, or it is damaged. Raises UsageError: it has schema 1."""
     try:
         outcome = read_json(folder / OUTCOME_FILE)
+        check_schema(outcome, folder / OUTCOME_FILE)
         return checked_row(row_of(folder.name, outcome, (folder / TRACEBACK_FILE).exists()))
     except (OSError, ValueError, LookupError, TypeError, AttributeError):
         return None
@@ -208,7 +208,7 @@ def read_row(folder: Path) -> Row | None:
 def write_failure(stage: Path, job: Job, failure: str, text: str) -> Row:
     """The files of an episode that could not be run, into ``stage``: an outcome with its reason, and a traceback."""
     outcome = {
-        "schema": RESULTS_SCHEMA, "ending": str(Ending.SIMULATION_FAILED),
+        "schema": SCHEMA, "ending": str(Ending.SIMULATION_FAILED),
         "reason": f"{ENDING_SENTENCES[Ending.SIMULATION_FAILED]} {failure}", "network": job.input.name,
         "seed": job.seed, "ego": {"id": None, "controller": job.ego}, "adversaries": [], "trigger_time": None,
         "encounter": None, "agents": None, "intent": None, "intents": [], "raw": None, "attempts": [], "best": None,

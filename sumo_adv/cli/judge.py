@@ -1,4 +1,4 @@
-"""``judge``: stored runs judged again with verdict version 2, and standard cut-ins; ``compare``: two drivers or two
+"""``judge``: stored runs judged again, and standard cut-ins; ``compare``: two drivers or two
 revisions, over the encounters that both have met.
 """
 
@@ -33,7 +33,7 @@ def judge(
         ),
     ] = None,
     replay: Annotated[
-        bool, typer.Option("--replay", help="Simulate runs of version 2 again, too (those of version 1 always are).")
+        bool, typer.Option("--replay", help="Simulate the runs again, and reference drivers in the loop.")
     ] = False,
     ego: Annotated[
         str | None, typer.Option(help="Needed to replay runs that a class drives: the class again, module:Class.")
@@ -42,7 +42,10 @@ def judge(
     workers: Annotated[int | None, typer.Option(min=1, help="Runs replayed at once (default: one a core).")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
 ) -> None:
-    """Say what collisions mean: the level of each run, the drivers that avoid it, and how severe it is."""
+    """Say what collisions mean: the level of each run, the drivers that avoid it, and how severe it is.
+
+    Runs whose outcome.json has schema 1 are rewritten once as schema 2.
+    """
     if cut_ins is not None:
         if folders:
             raise UsageError("Give either folders of runs or --cut-ins FILE, not both.")
@@ -83,11 +86,11 @@ def _runs(folders: list[Path], replay: bool, ego: str | None, out: Path | None, 
 
 def _judged(folder: Path, replay: bool, ego: str | None) -> Judgement:
     from sumo_adv.report.judging import judge_files
-    from sumo_adv.report.read import read_outcome, reading
+    from sumo_adv.report.read import bring_up_to_date, reading
 
     with reading(folder):
-        version_2 = not replay and read_outcome(folder).get("verdict_version") == 2
-        return judge_files(folder) if version_2 else _replayed(folder, ego)
+        bring_up_to_date(folder)
+        return _replayed(folder, ego) if replay else judge_files(folder)
 
 
 def _replayed(folder: Path, ego: str | None) -> Judgement:

@@ -21,6 +21,7 @@ from sumo_adv.datatypes import Level
 from sumo_adv.errors import UsageError
 from sumo_adv.files import refuse_links
 from sumo_adv.metrics.statistics import Estimate, Paired, bootstrap, wilson
+from sumo_adv.outcome_schema import check_schema
 from sumo_adv.parsing import parse_json, read_json
 from sumo_adv.regression.runner import Measured, Result, measured_of
 from sumo_adv.regression.suite import RESULTS, read_results
@@ -109,9 +110,11 @@ def _campaign(folder: Path) -> Side:
 def _packed(folder: Path, run: str, text: str) -> dict[str, Any]:
     """The outcome of a run that is in a pack. Raises UsageError."""
     try:
-        return dict(parse_json(text))
+        outcome = dict(parse_json(text))
     except (ValueError, TypeError) as error:
         raise damaged(folder / "packs" / run / OUTCOME, error) from error
+    check_schema(outcome, folder / "packs" / run / OUTCOME, folder)
+    return outcome
 
 
 def _budget(plan: Path) -> int:

@@ -36,8 +36,8 @@ from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.geometry import Frame, Path, wrap
 from sumo_adv.goal import Goal
 from sumo_adv.llm.asking import MeteredModel
-from sumo_adv.metrics.levels import judged
 from sumo_adv.metrics.reference import REFERENCE_DRIVERS
+from sumo_adv.metrics.verdict import with_answers
 from sumo_adv.planners.answers import Answer
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Roads, Sessions
@@ -271,7 +271,7 @@ def _red_at(bv: str, situation: Situation, result: AttemptResult, begun: float) 
 
 # -- from a result to an attempt ------------------------------------------------------------------------------------
 
-NOTHING = Verdict(float("inf"), float("inf"), False, False, False, False, None, None, None, ("no_motion",))
+NOTHING = Verdict(float("inf"), float("inf"), False, False, False, False, failed_gates=("no_motion",))
 
 
 def rank(verdict: Verdict) -> tuple[float, float]:
@@ -288,7 +288,8 @@ def attempt_of(
     """An attempt from its result; if the planner failed it is not feasible."""
     verdict = result.verdict or NOTHING
     if result.driven.ending == "planner_failed":
-        verdict = replace(verdict, feasible=False, failed_gates=(*verdict.failed_gates, "planner_failed"))
+        failed = (*verdict.failed_gates, "planner_failed")
+        verdict = replace(verdict, feasible=False, failed_gates=failed, level=Level.NONE)
     path = found.situations[proposal.delay].baseline.path
     target = found.situations[proposal.delay].targets.get(proposal.bv)
     limits = settings.limits.limits() if target is None else settings.limits.of(target.state)
@@ -335,4 +336,4 @@ def confirmed(attempt: Attempt, result: AttemptResult, runner: Attempts, *, all_
     if verdict.level < Level.COLLISION or prevention is None or (prevention.in_loop and not all_drivers):
         return attempt
     answer = runner.references(attempt.proposal, result, all_drivers)
-    return attempt if answer is None else replace(attempt, verdict=judged(replace(verdict, preventability=answer)))
+    return attempt if answer is None else replace(attempt, verdict=with_answers(verdict, answer))

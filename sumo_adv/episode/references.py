@@ -21,10 +21,10 @@ from sumo_adv.drivers import Action, EgoController, LaneSpeed, Observation, Pose
 from sumo_adv.drivers.protocol import wishes_of
 from sumo_adv.drivers.watching import Watcher, lane_half_width_of, path_of
 from sumo_adv.geometry import same_layer
-from sumo_adv.metrics.avoidance import OnRoad, manoeuvre_poses
+from sumo_adv.metrics.avoidance import manoeuvre_poses
 from sumo_adv.metrics.boxes import on_grid, row_of
 from sumo_adv.metrics.case import Case
-from sumo_adv.metrics.levels import encounter_of
+from sumo_adv.metrics.preventability import encounter_of
 from sumo_adv.metrics.reference import BRAKERS, Braker
 from sumo_adv.metrics.reference.counterfactual import Counterfactual, Encounters
 from sumo_adv.metrics.reference.view import EgoPaths
@@ -151,27 +151,20 @@ def _state(t: Track, k: int) -> VehicleState:
     return VehicleState(t.id, x, y, heading, speed, acceleration, t.length, t.width, t.lane[k] if t.lane else "", z)
 
 
-def manoeuvre_plan(
-    case: Case, start: float, contact_time: float, lane_half_width: float, on_road: OnRoad | None,
-    unattacked: Track | None,
-) -> Boxes | None:  # fmt: skip
-    """The poses of the manoeuvre that avoids a collision in the kinematic check.
+def manoeuvre_plan(case: Case, contact_time: float) -> Boxes | None:
+    """Return the poses of the manoeuvre that avoids a collision in the kinematic check.
 
     Args:
-        case: The tracks that were judged.
-        start: When the adversary was taken over [s].
+        case: The recorded attempt.
         contact_time: Of the collision [s].
-        lane_half_width: Half the width of the ego's lane [m].
-        on_road: Tells which points are drivable.
-        unattacked: The ego's motion without the attack.
 
     Returns:
-        Poses by step from ``start`` on, arrays ``(steps,)``; None if no manoeuvre avoids the collision.
+        Poses by step from the start of the attack on, arrays ``(steps,)``; None if no manoeuvre avoids the collision.
     """
-    given = encounter_of(case.ego, case.adversary, case.others, start, contact_time, lane_half_width, unattacked)
+    given = encounter_of(case, contact_time)
     check = Counterfactual(given)
     alarm = check.roll_out(BRAKERS["cc_human"])[2]
-    _, best = check.manoeuvring(alarm, on_road)
+    _, best = check.manoeuvring(alarm, case.on_road)
     if best[0] < 0:
         return None
     first, begin = round(float(alarm[0]) / given.dt), int(given.start[0])

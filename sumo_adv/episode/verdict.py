@@ -2,57 +2,74 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
 
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Track, Verdict
 from sumo_adv.episode.attempt import Driven
 from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.task import FoundEncounter
-from sumo_adv.metrics.case import make_case
-from sumo_adv.metrics.levels import AVOIDS, COLLIDES, judged, with_level
-from sumo_adv.metrics.validity import judge
+from sumo_adv.metrics.case import Case, make_case
+from sumo_adv.metrics.verdict import judge
 from sumo_adv.simulation.tracks import tracks_of
 
 
-def gate_verdict(
+def verdict_on(
     drive: Drive, found: FoundEncounter, settings: Settings, trigger_step: int, bvs: tuple[str, ...], start: float,
     driven: Driven,
 ) -> Verdict | None:  # fmt: skip
-    """The verdict on the attempt that began at ``start`` [s]; None if ego or collider left before it moved.
+    """Return the verdict on the attempt that was just driven.
 
-    Reference drivers are asked as far as the level depends on them; where a model reads what they did, all of them.
-    ``bvs``: all adversaries, the collider first. ``trigger_step``: how many snapshots the recording had at the trigger.
+    All reference drivers are asked if a model reads what they did. Otherwise they are asked as far as the level depends
+    on them.
+
+    Args:
+        drive: The simulation, with its recording.
+        found: The encounter.
+        settings: Those of the run.
+        trigger_step: How many snapshots the recording had at the trigger.
+        bvs: The adversaries, the collider first.
+        start: When the attack began [s].
+        driven: What the attempt came to.
+
+    Returns:
+        The verdict; None if the ego or the collider left before it moved.
     """
-    assert drive.ego is not None
     first = first_judged(found, settings, trigger_step, start)
-    logged = settings.limits.limits() if drive.follows_log() else None
-    case = make_case(drive.tracks(*bvs, start=first), drive.ego, bvs, start, driven.beyond, logged)
+    case = recorded_case(
+        drive.tracks(*bvs, start=first), found, settings, bvs, start, driven.beyond, follows_log=drive.follows_log()
+    )
     if case is None:
         return None
-    half = found.half_lane(start)
-    verdict = judge(
-        case.ego, case.adversary, case.others, trigger_time=start, ttc_threshold=settings.critical_ttc,
-        limits=settings.limits.of(case.adversary), on_road=found.drivable, lane_half_width=half,
-        supports=case.supports,
+    driver = own_reference(drive)
+    return judge(
+        case, ttc_threshold=settings.critical_ttc, limits=settings.limits.of(case.adversary), driver=driver,
+        all_drivers=settings.player("modifier") is not None or driver is not None,
     )  # fmt: skip
-    verdict = replace(verdict, log_gates=case.log_gates)
-    itself = own_reference(drive)
-    verdict = with_level(
-        verdict, case.ego, case.adversary, case.others, trigger_time=start, on_road=found.drivable,
-        lane_half_width=half, unattacked=unattacked(found, settings),
-        only_level=settings.player("modifier") is None and itself is None,
-    )  # fmt: skip
-    return verdict if itself is None else shown_to_collide(verdict, itself)
 
 
-def shown_to_collide(verdict: Verdict, driver: str) -> Verdict:
-    """The verdict on a collision of an ego that this reference driver drove: it does not avoid the collision."""
-    prevention = verdict.preventability
-    if prevention is None or prevention.answers.get(driver) != AVOIDS:
-        return verdict
-    answers = {**prevention.answers, driver: COLLIDES}
-    return judged(replace(verdict, preventability=replace(prevention, answers=answers)))
+def recorded_case(
+    tracks: Sequence[Track], found: FoundEncounter, settings: Settings, bvs: Sequence[str], start: float,
+    beyond: Mapping[str, Track], *, follows_log: bool,
+) -> Case | None:  # fmt: skip
+    """Return what the verdict on an attempt is based on.
+
+    Args:
+        tracks: The recorded motions from :func:`first_judged` on.
+        found: The encounter.
+        settings: Those of the run.
+        bvs: The adversaries, the collider first.
+        start: When the attack began [s].
+        beyond: What the adversaries had planned after the last recorded step, by id.
+        follows_log: Whether a log moved the vehicles up to ``start``.
+
+    Returns:
+        The case; None if the ego or the collider left before it moved.
+    """
+    return make_case(
+        tracks, found.ego, bvs, start, beyond, logged=settings.limits.limits() if follows_log else None,
+        on_road=found.drivable, lane_half_width=found.half_lane(start), unattacked=unattacked(found, settings),
+    )  # fmt: skip
 
 
 def own_reference(drive: Drive) -> str | None:

@@ -32,13 +32,13 @@ from sumo_adv.episode.encounter_search import EncounterSearch
 from sumo_adv.episode.engine import EpisodeCalls, OpenEncounter, PlannerQuestion
 from sumo_adv.episode.references import WARM_UP_S, PlannedEgo, ReferenceEgo, avoids, manoeuvre_plan
 from sumo_adv.episode.task import AttemptResult, FoundEncounter, NoEncounter, Prefix, Task
-from sumo_adv.episode.verdict import first_judged, gate_verdict, own_reference, unattacked
+from sumo_adv.episode.verdict import first_judged, own_reference, recorded_case, verdict_on
 from sumo_adv.errors import DriverError, SimulationError, ran_out_of_memory
 from sumo_adv.files import scratch_prefix
 from sumo_adv.geometry import Pose, wrap
 from sumo_adv.metrics.boxes import overlaps
-from sumo_adv.metrics.case import Case, make_case
-from sumo_adv.metrics.levels import AVOIDS, COLLIDES, preventability
+from sumo_adv.metrics.case import Case
+from sumo_adv.metrics.preventability import AVOIDS, COLLIDES, preventability
 from sumo_adv.metrics.reference import BRAKERS, COMPETENT, MANOEUVRE, REFERENCE_DRIVERS
 from sumo_adv.planners.answers import AskOne, PlannerObservation
 from sumo_adv.planners.sessions import ask_trusted
@@ -191,15 +191,7 @@ class EpisodeWorker(EpisodeCalls):
         verdict, case = result.verdict, self._case(proposal, result)
         if case is None or verdict is None or verdict.contact_time is None or not verdict.counts:
             return None
-        half, contact = self._encounter.half_lane(result.start), verdict.contact_time
-        without, on_road = unattacked(self._encounter, self._settings), self._encounter.drivable
-        kinematic = preventability(
-            case.ego, case.adversary, case.others, trigger_time=result.start, contact_time=contact, on_road=on_road,
-            lane_half_width=half, unattacked=without,
-        )  # fmt: skip
-        itself = own_reference(self._drive)
-        if itself is not None and itself in kinematic.answers:
-            kinematic = replace(kinematic, answers={**kinematic.answers, itself: COLLIDES})
+        kinematic = preventability(case, verdict.contact_time, driver=own_reference(self._drive))
         avoiding = [name for name in REFERENCE_DRIVERS if kinematic.answers.get(name) == AVOIDS]
         first = [name for name in avoiding if name == "cc_human"]
         others = [name for name in avoiding if name in COMPETENT and name not in first]
@@ -209,9 +201,9 @@ class EpisodeWorker(EpisodeCalls):
                 continue
             plan = None
             if MANOEUVRE in names:
-                plan = manoeuvre_plan(case, result.start, contact, half, on_road, without)
+                plan = manoeuvre_plan(case, verdict.contact_time)
             asked = [name for name in names if name != MANOEUVRE or plan is not None]
-            answers = self._in_loop(proposal, asked, plan, half)
+            answers = self._in_loop(proposal, asked, plan, case.lane_half_width)
             if answers is None:
                 return None
             in_loop |= dict.fromkeys(names, COLLIDES) | answers
@@ -258,8 +250,10 @@ class EpisodeWorker(EpisodeCalls):
         snapshots = [*drive.recording.snapshots[: self._trigger_step], *result.snapshots][first:]
         sizes = {**drive.simulation.fleet.sizes, **result.sizes}
         tracks = tracks_of(snapshots, sizes, drive.roles(*proposal.bvs), settings.step_length)
-        logged = settings.limits.limits() if drive.follows_log() else None
-        return make_case(tracks, drive.ego, proposal.bvs, result.start, result.driven.beyond, logged)
+        return recorded_case(
+            tracks, self._encounter, settings, proposal.bvs, result.start, result.driven.beyond,
+            follows_log=drive.follows_log(),
+        )  # fmt: skip
 
     def _refer(
         self, proposal: Proposal, asks: Sequence[AskOne], name: str, plan: Boxes | None, lane_half_width: float
@@ -401,7 +395,7 @@ class EpisodeWorker(EpisodeCalls):
         drive, settings = self._drive, self._settings
         start = self._begin(proposal)
         driven = self._drive_attack(proposal, asks)
-        verdict = gate_verdict(drive, self._encounter, settings, self._trigger_step, proposal.bvs, start, driven)
+        verdict = verdict_on(drive, self._encounter, settings, self._trigger_step, proposal.bvs, start, driven)
         snapshots = drive.recording.snapshots[self._trigger_step :]
         sizes = dict(drive.simulation.fleet.sizes)
         return AttemptResult(driven, verdict, start, snapshots, sizes, drive.actions.total())

@@ -23,7 +23,7 @@ from sumo_adv.episode.attempt import (
     controller_of,
 )
 from sumo_adv.episode.engine import OpenEncounter
-from sumo_adv.episode.verdict import gate_verdict, unattacked
+from sumo_adv.episode.verdict import unattacked, verdict_on
 from sumo_adv.geometry import Pose, stations
 from sumo_adv.gym.actions import controlled, ego_action, endpoint
 from sumo_adv.gym.picture import draw
@@ -298,7 +298,7 @@ class Playing:
         here = self._here
         assert self._attempt is not None and self._play.bv is not None
         driven = self._attempt.state.driven or Driven("time_limit")
-        return gate_verdict(
+        return verdict_on(
             self._drive, here.found, here.settings, here.trigger_step, (self._play.bv,), self._start, driven
         )  # fmt: skip
 

@@ -15,7 +15,7 @@ from string import Template
 
 from sumo_adv.errors import UsageError
 from sumo_adv.llm.chat import estimate_tokens, one_line
-from sumo_adv.metrics.avoidance import DELAY
+from sumo_adv.metrics.avoidance import HAZARD_TO_MANOEUVRE_S
 from sumo_adv.metrics.reference import brakers, cc_human
 
 PROMPT_NAMES = (
@@ -111,6 +111,6 @@ def danger_words(prompts: Prompts) -> str:
         "facing_margin": cc_human.FACING_MARGIN_M, "alarm": cc_human.ALARM_BRAKING_M_S2,
         "short": cc_human.YIELDING_BRAKING_M_S2, "crossing": cc_human.CROSSING_SIGHT_S,
         "crossing_margin": cc_human.CROSSING_MARGIN_M, "ramp": brakers.FULL_BRAKING_RAMP_S,
-        "full": round(brakers.FULL_BRAKING_M_S2, 1), "steers": round(DELAY - cc_human.PERCEPTION_S, 2),
+        "full": round(brakers.FULL_BRAKING_M_S2, 1), "steers": round(HAZARD_TO_MANOEUVRE_S - cc_human.PERCEPTION_S, 2),
     }  # fmt: skip
     return prompts.piece("danger", **{name: f"{number:g}" for name, number in numbers.items()})

@@ -1,15 +1,9 @@
-"""Could the ego have avoided it: the batch core, shared by the judge and by the scoring of predictions.
+"""Braking and steering out of a danger, for many encounters: how the reference driver ``manoeuvre`` avoids a collision.
 
-Two tiers, both open loop against the adversary's motion as given.  *Careful*: UN R157's careful and competent driver,
-brake only (0.4 s to perceive, 0.75 s to react, up to 0.774 g within 0.6 s).  *Manoeuvre*: some combination of braking
-and a lateral shift begun a delay after the hazard shows, within a friction circle of 8 m/s2.  Positions are sampled at
-the step; boxes nearer than ``MARGIN`` count as a collision, so a corner cannot slip through between samples unseen.
-
-The reference driver ``manoeuvre`` begins 0.8 s after the hazard shows. That is when
-:class:`~sumo_adv.metrics.reference.cc_human.CcHuman` begins to perceive it, 0.4 s before that driver is alarmed.  Some
-combination of braking (up to 8 m/s2) and a lateral shift (up to 3.2 m at a peak of 4.5 m/s2, with at most 6 m/s2 of
-braking) must touch no vehicle (swept) and stay on the road.  Source of the tier: ISO 34502's "reasonably foreseeable
-and preventable"; the friction circle of 8 m/s2 is that of a dry road.
+It begins 0.8 s after the hazard shows. That is when :class:`~sumo_adv.metrics.reference.cc_human.CcHuman` begins to
+perceive it, 0.4 s before that driver is alarmed.  Some combination of braking (up to 8 m/s2) and a lateral shift (up
+to 3.2 m at a peak of 4.5 m/s2, with at most 6 m/s2 of braking) must touch no vehicle (swept) and stay on the road.
+Source: ISO 34502's "reasonably foreseeable and preventable"; the friction circle of 8 m/s2 is that of a dry road.
 """
 
 from __future__ import annotations
@@ -21,21 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_adv.datatypes import Bools, Boxes, Floats, Ints
-from sumo_adv.metrics.boxes import Half, corners, half, height_as, on_layer, pick, sat, touches
+from sumo_adv.metrics.boxes import corners, height_as, touches
 
-PERCEPTION, REACTION = 0.4, 0.75  # s, UN R157 annex 3
-CAREFUL_BRAKING = 0.774 * 9.81  # m/s2, UN R157
-CAREFUL_RAMP = 0.6  # s to full braking, UN R157
-RAMP = 0.3  # s to full braking of a manoeuvre
-LATERAL = 4.5  # m/s2, peak of a manoeuvre's shift; with 6 m/s2 of braking inside the friction circle of 8
-STEER_BRAKING = (0.0, 3.0, 6.0)  # m/s2, with a shift
-BRAKING = (8.0, 4.0)  # m/s2, without
-SHIFTS = (1.0, -1.0, 2.0, -2.0, 3.2, -3.2)  # m, left positive
-SLOPE = 0.4  # lateral over longitudinal motion at most
-MARGIN = 0.05  # m, nearer than this is not avoided
-HORIZON = 6.0  # s that a manoeuvre is followed
-ROAD_TOLERANCE = 0.15  # m a corner may be off the road
-SAME_LANE, NEARBY = 1.8, 150.0  # m, a vehicle behind in the lane is not an obstacle to braking; beyond 150 m none is
+PERCEPTION_S = 0.4  # that ``cc_human`` needs, UN R157 annex 3
+RAMP_S = 0.3  # to full braking
+PEAK_LATERAL_M_S2 = 4.5  # of a shift; with 6 m/s2 of braking inside the friction circle of 8
+BRAKING_WITH_SHIFT_M_S2 = (0.0, 3.0, 6.0)
+BRAKING_ALONE_M_S2 = (8.0, 4.0)
+SHIFTS_M = (1.0, -1.0, 2.0, -2.0, 3.2, -3.2)  # left positive
+STEEPEST_SHIFT = 0.4  # lateral over longitudinal motion
+ROAD_TOLERANCE_M = 0.15  # that a corner may be off the road
 OnRoad = Callable[..., Bools]
 """Whether points (x, y) of any common shape lie on the drivable area; (x, y, z) where roads have heights."""
 
@@ -46,50 +35,14 @@ class Manoeuvre:
 
     delay: float
     braking: float
-    ramp: float = RAMP
+    ramp: float = RAMP_S
     shift: float = 0.0
 
 
 def manoeuvres(delay: float) -> tuple[Manoeuvre, ...]:
     """The combinations tried at one delay, brake-only ones first."""
-    steer = tuple(Manoeuvre(delay, b, RAMP, d) for b in STEER_BRAKING for d in SHIFTS)
-    return tuple(Manoeuvre(delay, b) for b in BRAKING) + steer
-
-
-def avoidance(
-    ego: Boxes,
-    adversary: Boxes,
-    hazard_index: NDArray[np.integer],
-    dt: float,
-    *,
-    delays: Sequence[float] = (0.6, 0.8, 1.0),
-    careful_delay: float = PERCEPTION + REACTION,
-    on_road: OnRoad | None = None,
-    others: Boxes | None = None,
-    reacting: Manoeuvre | None = None,
-) -> dict[str, Bools]:
-    """Which of N encounters could have been avoided, and how.
-
-    ego, adversary: ``(N, T)`` states on one grid of step ``dt`` [s] (sizes scalar or ``(N, 1)``); past T both go on at
-    constant speed and heading.  hazard_index ``(N,)``: the step at which the hazard shows.  The ego does what it did
-    until a manoeuvre begins and is never further along its path than it was.  ``others``: ``(K, T)``, NaN = absent, one
-    surrounding for all N; those behind the ego at the hazard do not count.  ``reacting``: the adversary, too, brakes.
-    Returns ``careful (N,)`` and ``manoeuvre (N, len(delays))``.
-    """
-    careful_driver = Manoeuvre(careful_delay, CAREFUL_BRAKING, CAREFUL_RAMP)
-    table = (careful_driver, *(m for d in delays for m in manoeuvres(d)))
-    steps = round(HORIZON / dt)
-    own, foe = window(ego, hazard_index, steps, dt), window(adversary, hazard_index, steps, dt)
-    foe = on_layer(own, foe)
-    poses = poses_of(own, table, dt)
-    foe_poses = _straight(foe) if reacting is None else poses_of(foe, (reacting,), dt)
-    clear: Bools = np.asarray(~_hits(poses, foe_poses, _half(own), _half(foe)).any(axis=-1))
-    if others is not None and np.size(others.x):
-        clear &= _clear_of_others(poses, own, others, hazard_index, dt, clear)
-    if on_road is not None:
-        clear &= stays_on_road(poses, own, table, clear, on_road, dt)
-    groups = clear[1:].reshape(len(delays), len(manoeuvres(0.0)), clear.shape[1])
-    return {"careful": clear[0], "manoeuvre": np.asarray(groups.any(axis=1).T)}
+    steer = tuple(Manoeuvre(delay, b, RAMP_S, d) for b in BRAKING_WITH_SHIFT_M_S2 for d in SHIFTS_M)
+    return tuple(Manoeuvre(delay, b) for b in BRAKING_ALONE_M_S2) + steer
 
 
 def window(b: Boxes, index: NDArray[np.integer], steps: int, dt: float, last: Ints | None = None) -> Boxes:
@@ -114,19 +67,6 @@ class Poses:
     y: Floats
     cos: Floats
     sin: Floats
-
-
-def _half(b: Boxes) -> Half:
-    return b.length / 2 + MARGIN / 2, b.width / 2 + MARGIN / 2
-
-
-def _straight(b: Boxes) -> Poses:
-    return Poses(b.x[None], b.y[None], np.cos(b.heading)[None], np.sin(b.heading)[None])
-
-
-def _hits(a: Poses, b: Poses, half_a: Half, half_b: Half) -> Bools:
-    along_a, across_a, along_b, across_b = sat(b.x - a.x, b.y - a.y, a.cos, a.sin, b.cos, b.sin, half_a, half_b)
-    return np.asarray((along_a <= 0) & (across_a <= 0) & (along_b <= 0) & (across_b <= 0))
 
 
 def poses_of(own: Boxes, table: Sequence[Manoeuvre], dt: float) -> Poses:
@@ -179,41 +119,17 @@ def _along(own: Boxes, travelled: Floats, progress: Floats) -> Poses:
 
 
 def _shift(table: Sequence[Manoeuvre], progress: Floats, dt: float) -> tuple[Floats, Floats]:
-    """Lateral offset [m] and its slope over the path: a quintic of peak ``LATERAL``, never steeper than ``SLOPE``."""
+    """Lateral offset [m] and its slope over the path: a quintic, never steeper than ``STEEPEST_SHIFT``."""
     time = np.arange(progress.shape[-1]) * dt
     duration = np.array([[_duration(m.shift)] for m in table])
     u = np.clip((time - np.array([[m.delay] for m in table])) / duration, 0.0, 1.0)
     profile = np.array([[m.shift] for m in table]) * (u**3 * (10 + u * (6 * u - 15)))
     full_steps = np.diff(profile)[:, None, :]
     moved = np.diff(progress)
-    steps = np.sign(full_steps) * np.minimum(np.abs(full_steps), SLOPE * moved)
+    steps = np.sign(full_steps) * np.minimum(np.abs(full_steps), STEEPEST_SHIFT * moved)
     slope = steps / np.maximum(moved, 1e-6)
     zero = np.zeros((*steps.shape[:-1], 1))
     return np.concatenate([zero, np.cumsum(steps, axis=-1)], axis=-1), np.concatenate([zero, slope], axis=-1)
-
-
-def _clear_of_others(
-    poses: Poses, own: Boxes, others: Boxes, hazard_index: NDArray[np.integer], dt: float, asked: Bools
-) -> Bools:
-    """``(manoeuvres, N)``: no contact with a third vehicle, but for those that come from behind and would brake; of
-    what is ``asked``, all else counts as clear."""
-    clear = np.ones(asked.shape, dtype=bool)
-    half_own = [np.asarray(size) for size in half(own)]
-    for row in np.flatnonzero(asked.any(axis=0)):
-        near = window(others, np.full(len(others.x), int(hazard_index[row])), own.x.shape[1] - 1, dt)
-        near = on_layer(pick(own, [row]), near)
-        c, s = np.cos(own.heading[row, 0]), np.sin(own.heading[row, 0])
-        dx, dy = near.x[:, 0] - own.x[row, 0], near.y[:, 0] - own.y[row, 0]
-        behind = (dx * c + dy * s < 0) & (np.abs(dy * c - dx * s) < SAME_LANE)
-        keep = np.flatnonzero(~behind & (np.hypot(dx, dy) < NEARBY))  # an absent one is NaN and drops out here
-        if not keep.size:
-            continue
-        third = pick(near, keep)
-        tried = np.flatnonzero(asked[:, row])
-        ego_poses = Poses(*(v[tried, row : row + 1] for v in (poses.x, poses.y, poses.cos, poses.sin)))
-        touched = _hits(ego_poses, _straight(third), (half_own[0][row], half_own[1][row]), half(third))
-        clear[tried, row] = ~touched.any(axis=(1, 2))
-    return clear
 
 
 def stays_on_road(
@@ -236,7 +152,7 @@ def stays_on_road(
     steps = np.flatnonzero((time > delay[m].min()) & (time <= ends.max()))[::3]
     pick = (m[:, None], n[:, None], steps[None])
     heading = np.arctan2(poses.sin[pick], poses.cos[pick])
-    length, width = (np.asarray(v)[n] - 2 * ROAD_TOLERANCE for v in (own.length, own.width))
+    length, width = (np.asarray(v)[n] - 2 * ROAD_TOLERANCE_M for v in (own.length, own.width))
     points = corners(Boxes(poses.x[pick], poses.y[pick], heading, heading, length, width))
     inside = np.asarray(on_road(points[..., 0], points[..., 1])).all(axis=-1)
     ok[m, n] = (inside | (time[steps] > ends[:, None])).all(axis=1)
@@ -244,12 +160,12 @@ def stays_on_road(
 
 
 def _duration(shift: float) -> float:
-    """Seconds a quintic shift [m] takes at a peak of ``LATERAL``; any positive number for no shift."""
-    return float(np.sqrt(5.7735 * abs(shift) / LATERAL)) or 1.0
+    """Seconds a quintic shift [m] takes at a peak of ``PEAK_LATERAL_M_S2``; any positive number for no shift."""
+    return float(np.sqrt(5.7735 * abs(shift) / PEAK_LATERAL_M_S2)) or 1.0
 
 
-DELAY = 0.8  # s after the hazard shows
-TABLE: tuple[Manoeuvre, ...] = manoeuvres(DELAY - PERCEPTION)
+HAZARD_TO_MANOEUVRE_S = 0.8
+TABLE: tuple[Manoeuvre, ...] = manoeuvres(HAZARD_TO_MANOEUVRE_S - PERCEPTION_S)
 """The combinations tried, with their delay after the alarm."""
 
 

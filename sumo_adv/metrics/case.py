@@ -16,21 +16,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sumo_adv.datatypes import Limits, Track
+from sumo_adv.metrics.avoidance import OnRoad
 from sumo_adv.metrics.boxes import height_as
 from sumo_adv.metrics.gates import CLOCK_SLACK_S, GATES, kinematic_gates
 
-SPAN = 0.5  # s before the take-over that are smoothed: the shortest manoeuvre in a log, a brake tap, lasts longer
-FEWEST = 4  # states: a line through fewer says nothing of their noise
+SMOOTHED_S = 0.5  # before the take-over: the shortest manoeuvre in a log, a brake tap, lasts longer
+FEWEST_SMOOTHED_STATES = 4  # a line through fewer says nothing of their noise
 
 
 def smoothed(track: Track, time: float, limits: Limits) -> Track:
-    """The track with smooth speeds, headings and accelerations in the ``SPAN`` up to ``time`` [s], and with the
+    """The track with smooth speeds, headings and accelerations in the ``SMOOTHED_S`` up to ``time`` [s], and with the
     acceleration of the next step counted from the smoothed speed.
 
-    The acceleration is kept within the limits. A track of fewer than ``FEWEST`` states there stays as it is.
+    The acceleration is kept within the limits. A track of fewer states there stays as it is.
     """
-    k = np.flatnonzero((track.time >= time - SPAN - CLOCK_SLACK_S) & (track.time <= time + CLOCK_SLACK_S))
-    if len(k) < FEWEST:
+    k = np.flatnonzero((track.time >= time - SMOOTHED_S - CLOCK_SLACK_S) & (track.time <= time + CLOCK_SLACK_S))
+    if len(k) < FEWEST_SMOOTHED_STATES:
         return track
     speed, heading, acceleration = track.speed.copy(), track.heading.copy(), track.acceleration.copy()
     since = track.time[k] - track.time[k[-1]]
@@ -49,40 +50,67 @@ def smoothed(track: Track, time: float, limits: Limits) -> Track:
 def log_breaches(track: Track, time: float, limits: Limits) -> tuple[str, ...]:
     """The names of the kinematic gates that the log itself breaks up to ``time`` [s], or in the step after it because
     of its last state."""
-    if len(track.time) < FEWEST:
+    if len(track.time) < FEWEST_SMOOTHED_STATES:
         return ()
     broken = kinematic_gates(track.boxes(), track.acceleration, track.time, limits)
     until = int(np.searchsorted(track.time, time + CLOCK_SLACK_S)) + 1
     return tuple(name for name in GATES if name in broken and broken[name][2:until].any())
 
 
-NEAR = 60.0  # m between centres: vehicles that never come that near are no third party
-LEAST_STATES = 4  # a vehicle that is there for less has no motion to judge
+THIRD_PARTY_DISTANCE_M = 60.0  # between centres: vehicles that never come that near are no third party
+FEWEST_STATES = 4  # a vehicle that is there for fewer has no motion to judge
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """The arguments of both verdicts. ``adversary``: the collider; it goes on past a contact as it was planned, and so
-    do the ``supports``, which are among the ``others``, too.
+    """What a verdict is based on: recorded tracks on one grid, and the road around them.
 
-    log_gates: the gates that the log of the adversary breaks before the take-over; empty if no log moved it."""
+    Attributes:
+        ego: The ego's track.
+        adversary: The collider's track; it goes on past a contact as it was planned.
+        others: The vehicles near, the supports among them.
+        start: When the attack begins [s].
+        log_gates: The gates that the log of the adversary breaks before the attack; empty if no log moved it.
+        supports: The other adversaries; their motion is judged by the gates, too.
+        on_road: Tells which points are drivable; None = everywhere.
+        lane_half_width: Half the width of the ego's lane [m].
+        unattacked: The ego's motion without the attack, if known.
+    """
 
     ego: Track
     adversary: Track
     others: tuple[Track, ...]
+    start: float
     log_gates: tuple[str, ...] = ()
     supports: tuple[Track, ...] = ()
+    on_road: OnRoad | None = None
+    lane_half_width: float = 1.6
+    unattacked: Track | None = None
+
+    @property
+    def begin(self) -> float:
+        """When both tracks are there [s]."""
+        return max(float(self.ego.time[0]), float(self.adversary.time[0]))
 
 
 def make_case(
-    tracks: Sequence[Track], ego: str, adversaries: Sequence[str], start: float, beyond: Mapping[str, Track],
-    logged: Limits | None = None,
+    tracks: Sequence[Track], ego: str, adversaries: Sequence[str], start: float, beyond: Mapping[str, Track], *,
+    logged: Limits | None = None, on_road: OnRoad | None = None, lane_half_width: float = 1.6,
+    unattacked: Track | None = None,
 ) -> Case | None:  # fmt: skip
-    """The case of one attempt that began at ``start`` [s]; None where the ego or the collider is gone before it moved.
+    """Return the case of one attempt; None if the ego or the collider is gone before it moved.
 
-    ``tracks`` lie on one grid and begin some steps before ``start``. ``adversaries``: their ids, the collider's first;
-    ``beyond``: their planned motions from the last recorded step on. ``logged``: the vehicles' limits, if a log moved
-    them up to ``start``; the noise there is smoothed, because the gates judge what the adversaries add.
+    Args:
+        tracks: The recorded motions on one grid, which begin some steps before ``start``.
+        ego: The ego's id.
+        adversaries: Their ids, the collider's first.
+        start: When the attack begins [s].
+        beyond: The adversaries' planned motions from the last recorded step on, by id.
+        logged: The vehicles' limits, if a log moved them up to ``start``. The noise there is smoothed, because the
+            gates judge what the adversaries add.
+        on_road: Tells which points are drivable.
+        lane_half_width: Half the width of the ego's lane [m].
+        unattacked: The ego's motion without the attack, if known.
     """
     named = {t.id: t for t in tracks}
     ego_track, adversary_track = named.get(ego), named.get(adversaries[0])
@@ -93,13 +121,17 @@ def make_case(
         return None
     others = tuple(
         t for n, t in named.items()
-        if n not in (ego, *adversaries) and len(t.time) >= LEAST_STATES and closest(ego_track, t, start) < NEAR
+        if n not in (ego, *adversaries) and len(t.time) >= FEWEST_STATES
+        and closest(ego_track, t, start) < THIRD_PARTY_DISTANCE_M
     )  # fmt: skip
     breaches = () if logged is None else log_breaches(adversary_track, start, logged)
     helpers = [unbroken(named[n], start) for n in adversaries[1:] if n in named]
     driven = [t if logged is None else smoothed(t, start, logged) for t in (adversary_track, *helpers) if len(t.time)]
     adversary_track, *helpers = (joined(t, beyond[t.id]) if t.id in beyond else t for t in driven)
-    return Case(ego_track, adversary_track, (*others, *helpers), breaches, tuple(helpers))
+    return Case(
+        ego_track, adversary_track, (*others, *helpers), start, breaches, tuple(helpers), on_road, lane_half_width,
+        unattacked,
+    )  # fmt: skip
 
 
 def unbroken(track: Track, time: float) -> Track:

@@ -38,9 +38,10 @@ from enum import StrEnum
 
 import numpy as np
 
-from sumo_adv.datatypes import Floats, Track, Verdict
-from sumo_adv.metrics.avoidance import DELAY
-from sumo_adv.metrics.levels import encounter_of
+from sumo_adv.datatypes import Floats, Verdict
+from sumo_adv.metrics.avoidance import HAZARD_TO_MANOEUVRE_S
+from sumo_adv.metrics.case import Case
+from sumo_adv.metrics.preventability import encounter_of
 from sumo_adv.metrics.reaction import braking_of, missed_on_its_way, steering_of
 from sumo_adv.metrics.reference import BRAKERS, MANOEUVRE, SAME_DIRECTION_ONLY, Braker
 from sumo_adv.metrics.reference.brakers import FULL_BRAKING_M_S2
@@ -48,15 +49,17 @@ from sumo_adv.metrics.reference.cc_human import HUMAN_REACTION_S, PERCEPTION_S, 
 from sumo_adv.metrics.reference.counterfactual import Counterfactual
 from sumo_adv.metrics.reference.view import View
 
-IN_TIME = 0.2  # s after the careful driver is still in time
-CALM = 2.0  # s without a danger, after which the next one is another
-SOON = 0.05  # s before the moment, which is 0.0 s in words
-STEP, COARSE = 0.1, 5  # m/s2 between the constant brakings that are tried; every fifth one is tried first
-STANDS = 0.1  # m/s: a slower ego stands
+IN_TIME_S = 0.2  # after the careful driver is still in time
+CALM_S = 2.0  # without a danger, after which the next one is another
+ZERO_IN_WORDS_S = 0.05  # before the moment, which is 0.0 s in words
+BRAKING_STEP_M_S2 = 0.1  # between the constant brakings that are tried
+COARSE_STEPS = 5  # every fifth one is tried first
+STANDING_SPEED_M_S = 0.1  # a slower ego stands
 CAREFUL = CcHuman.name
-DELAYS = {name: braker.delay for name, braker in BRAKERS.items()} | {MANOEUVRE: DELAY - PERCEPTION_S}
+REACTION_DELAY_S = {name: braker.delay for name, braker in BRAKERS.items()}
+REACTION_DELAY_S |= {MANOEUVRE: HAZARD_TO_MANOEUVRE_S - PERCEPTION_S}
 """Seconds from a reference driver's alarm until it acts."""
-NAMES = {CAREFUL: "the careful one", MANOEUVRE: "a driver that brakes and steers"}
+DRIVER_WORDS = {CAREFUL: "the careful one", MANOEUVRE: "a driver that brakes and steers"}
 """Reference drivers in sentences."""
 
 
@@ -111,32 +114,28 @@ class Cause:
     enough: float | None = None
 
 
-def cause_of(
-    ego: Track,
-    adversary: Track,
-    others: Sequence[Track],
-    verdict: Verdict,
-    *,
-    trigger_time: float,
-    lane_half_width: float = 1.6,
-    unattacked: Track | None = None,
-) -> Cause | None:
-    """The cause of a contact or near miss; None where there is neither, or the adversary ran into the ego's back.
+def cause_of(case: Case, verdict: Verdict) -> Cause | None:
+    """Return the cause of a contact or near miss.
 
-    The tracks are those of :func:`sumo_adv.metrics.levels.with_level`: one grid, the adversary past the contact as it
-    planned.  ``unattacked``: the ego's motion without the attack, recorded or foreseen; without it, the ego is compared
-    with a straight way at constant speed.
+    Args:
+        case: The recorded attempt. Without ``case.unattacked``, the ego is compared with a straight way at constant
+            speed.
+        verdict: The verdict on it.
+
+    Returns:
+        The cause; None if there was neither a contact nor a near miss, or the adversary ran into the ego's back.
     """
+    ego, adversary = case.ego, case.adversary
     contact = verdict.contact_time
     moment = contact if contact is not None else verdict.min_ttc_time
     if moment is None or verdict.rear_end or not (verdict.collided or verdict.critical):
         return None
-    check = Counterfactual(encounter_of(ego, adversary, others, trigger_time, moment, lane_half_width, unattacked))
-    begin, dt = max(float(ego.time[0]), float(adversary.time[0])), check.given.dt
+    check = Counterfactual(encounter_of(case, moment))
+    begin, dt = case.begin, check.given.dt
     reference = _reference(check, begin, moment, verdict)
     careful = reference.acts
-    braking = braking_of(ego, unattacked, trigger_time, moment, reference.danger, careful)
-    steering = steering_of(ego, adversary, unattacked, trigger_time, moment)
+    braking = braking_of(ego, case.unattacked, case.start, moment, reference.danger, careful)
+    steering = steering_of(ego, adversary, case.unattacked, case.start, moment)
     first = 0 if careful is None else math.ceil((careful - begin) / dt - 1e-6)
     met = contact is not None and not check.unchanged().avoids[0]
     enough = _enough(check, first) if met and careful is not None else None
@@ -153,7 +152,7 @@ def cause_of(
     if steering is not None and steering.away and (found.began is None or steering.began < found.began):
         found = replace(found, began=steering.began, action=Action.STEERED)
     into = contact is not None and steering is not None and not steering.away
-    into = into and missed_on_its_way(ego, adversary, others, trigger_time, moment, lane_half_width, unattacked)
+    into = into and missed_on_its_way(case, moment)
     avoided = verdict.preventability is not None and bool(verdict.preventability.by)
     harder = enough is not None and _avoids(check, first, FULL_BRAKING_M_S2)
     found = replace(found, kind=_kind(found, contact is not None, into, avoided, harder))
@@ -173,7 +172,7 @@ def _kind(c: Cause, met: bool, into: bool, avoided: bool, harder: bool) -> Cause
         return CauseKind.UNFORESEEABLE
     if c.began is None:
         return CauseKind.NO_REACTION
-    late = c.began > c.careful + IN_TIME + 1e-9
+    late = c.began > c.careful + IN_TIME_S + 1e-9
     if met and c.let_go is not None and (c.held or c.stopped or c.enough == 0.0 or not late):
         return CauseKind.LET_GO
     if met and c.action is Action.BRAKED and c.enough == 0.0:
@@ -205,7 +204,7 @@ class _Reference:
 
 class _Watched(CcHuman):
     """The careful driver of one encounter that notes when the adversary alarmed it, and when it began to brake; after
-    ``CALM`` without a danger it begins anew."""
+    ``CALM_S`` without a danger it begins anew."""
 
     def __init__(self, shape: tuple[int, int], dt: float, start: float) -> None:
         super().__init__(shape, dt)
@@ -216,7 +215,7 @@ class _Watched(CcHuman):
         now = self._now
         answer = super().step(view)
         if self.danger[0, 0]:
-            if now - self._dangerous_at > CALM:
+            if now - self._dangerous_at > CALM_S:
                 self.first, self.brakes = math.inf, math.inf
             self._dangerous_at, self.first = now, min(self.first, now)
             acts = float(self._decided_at[0, 0]) + HUMAN_REACTION_S
@@ -236,8 +235,8 @@ def _reference(check: Counterfactual, begin: float, moment: float, verdict: Verd
     known = alarm if alarm < moment else None
     if brakes < moment and (CAREFUL in avoided or not avoided):
         return _Reference(CAREFUL, brakes - HUMAN_REACTION_S, brakes, known)
-    alarms |= {MANOEUVRE: alarm} if alarm + DELAYS[MANOEUVRE] < moment else {}
-    acts = {n: max(alarms[n] + DELAYS[n], begin + start) for n in avoided if n in alarms}
+    alarms |= {MANOEUVRE: alarm} if alarm + REACTION_DELAY_S[MANOEUVRE] < moment else {}
+    acts = {n: max(alarms[n] + REACTION_DELAY_S[n], begin + start) for n in avoided if n in alarms}
     for name in acts:
         if name in SAME_DIRECTION_ONLY:
             brakes_now = _watch(check, BRAKERS[name](check.shape, check.given.dt), moment - begin)
@@ -245,7 +244,7 @@ def _reference(check: Counterfactual, begin: float, moment: float, verdict: Verd
     acts = {n: when for n, when in acts.items() if when < moment}
     if acts:
         name = MANOEUVRE if MANOEUVRE in acts else max(acts, key=lambda n: acts[n])
-        own = acts[name] - DELAYS[name]
+        own = acts[name] - REACTION_DELAY_S[name]
         return _Reference(name, own, acts[name], own if known is None else known)
     return _Reference(CAREFUL, known, brakes if brakes < moment else None, known)
 
@@ -268,12 +267,12 @@ def _last_onset(brakes: Sequence[bool], check: Counterfactual) -> float:
 
 def _enough(check: Counterfactual, first: int) -> float | None:
     """The least constant braking from the step ``first`` on that avoids the contact; 0 = keeping the speed."""
-    coarse = range(0, int(FULL_BRAKING_M_S2 / STEP) + 1, COARSE)
-    found = next((k for k in coarse if _avoids(check, first, k * STEP)), None)
+    coarse = range(0, int(FULL_BRAKING_M_S2 / BRAKING_STEP_M_S2) + 1, COARSE_STEPS)
+    found = next((k for k in coarse if _avoids(check, first, k * BRAKING_STEP_M_S2)), None)
     if found is None:
         return None
-    finer = range(max(found - COARSE + 1, 0), found)
-    return round(next((k for k in finer if _avoids(check, first, k * STEP)), found) * STEP, 1)
+    finer = range(max(found - COARSE_STEPS + 1, 0), found)
+    return round(next((k for k in finer if _avoids(check, first, k * BRAKING_STEP_M_S2)), found) * BRAKING_STEP_M_S2, 1)
 
 
 def _avoids(check: Counterfactual, first: int, braking: float) -> bool:
@@ -296,16 +295,16 @@ def _sentence(c: Cause, met: bool) -> str:
     if c.kind is CauseKind.STEERED_IN:
         return f"Your driver steered into the adversary's path, {abs(c.shift or 0.0):.1f} m to the {_side(c)}."
     if c.kind is CauseKind.UNFORESEEABLE:
-        unknown = c.alarm is None or c.moment - c.alarm < SOON
+        unknown = c.alarm is None or c.moment - c.alarm < ZERO_IN_WORDS_S
         if unknown and c.began is not None:
             return f"No danger showed to a careful driver before {moment}{', and what yours did was not enough' * met}."
         if unknown or c.alarm is None:
             return f"No one could have known before {moment}."
         before = f"{c.moment - c.alarm:.1f} s before {moment}"
-        if c.moment - c.alarm > HUMAN_REACTION_S + IN_TIME:
+        if c.moment - c.alarm > HUMAN_REACTION_S + IN_TIME_S:
             return f"A danger showed to a careful driver {before}, but none that made it brake."
         return f"No one could have known earlier than {before}."
-    careful = NAMES.get(c.reference, f"the reference driver {c.reference}")
+    careful = DRIVER_WORDS.get(c.reference, f"the reference driver {c.reference}")
     if c.kind is CauseKind.NO_REACTION:
         behind = "" if c.careful is None else f", {c.moment - c.careful:.1f} s after {careful} began to act"
         return f"Your driver did not react before {moment}{behind}{_enough_words(c, met)}."
@@ -320,7 +319,7 @@ def _sentence(c: Cause, met: bool) -> str:
         let_go = f"{c.moment - (c.let_go or 0.0):.1f} s before {moment}"
         if c.stopped:
             return f"Your driver stopped, and drove on {let_go}."
-        when = "in time" if after <= IN_TIME + 1e-9 else later
+        when = "in time" if after <= IN_TIME_S + 1e-9 else later
         enough = "; held, it would have been enough" * c.held
         return f"Your driver braked {when}, at {c.braking or 0.0:.1f} m/s2, and let go {let_go}{enough}."
     if c.kind is CauseKind.BRAKED_IN:
@@ -342,7 +341,7 @@ def _all_the_same(c: Cause, check: Counterfactual, begin: float) -> str:
         return f"{braked}, and avoids the adversary's recorded motion."
     pace = float(np.interp(contact, check.time, speed[0]))
     later = begin + contact - (c.careful or 0.0)
-    hit = "standing" if pace < STANDS else f"at {pace:.1f} m/s"
+    hit = "standing" if pace < STANDING_SPEED_M_S else f"at {pace:.1f} m/s"
     return f"{braked}, and is hit all the same {later:.1f} s later, {hit}."
 
 

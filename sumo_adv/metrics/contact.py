@@ -1,4 +1,4 @@
-"""A contact of two boxes: the sides that meet, rear-end, nuPlan's collision classes, impact.
+"""A contact of two boxes: the sides that meet, rear-end, nuPlan's collision classes, speeds and points.
 
 Contact sides come from the separating axes at the moment of first contact. The boxes touch across the axis along which
 they were last apart.
@@ -16,12 +16,12 @@ from sumo_adv.datatypes import Bools, Boxes, Ints, Track
 from sumo_adv.geometry import wrap_below_pi
 from sumo_adv.metrics.boxes import at_time, axis_separations, corners, first_contact, on_grid, overlaps
 
-STOPPED = 0.05  # m/s, nuPlan's threshold for a stopped vehicle
+STOPPED_SPEED_M_S = 0.05  # nuPlan's threshold for a stopped vehicle
 SAME_DIRECTION = np.pi / 4  # rad, heading difference up to which two vehicles or lanes go the same way
 OPPOSITE_DIRECTION = 3 * np.pi / 4  # rad, heading difference from which they go opposite ways
-BEHIND = np.deg2rad(150.0)  # rad, nuPlan's angle from the rear axle beyond which an agent is behind
-BUMPER = 0.02  # m ahead of the front edge; its ends are drawn in by this, so that a touch of a corner alone is lateral
-REAR_AXLE = 0.3  # of the length, how far the rear axle is behind the box centre
+BEHIND_ANGLE_RAD = np.deg2rad(150.0)  # nuPlan's angle from the rear axle beyond which an agent is behind
+BUMPER_DEPTH_M = 0.02  # ahead of the front edge; its ends are drawn in by this: a touch of a corner alone is lateral
+REAR_AXLE_SHARE = 0.3  # of the length, how far the rear axle is behind the box centre
 
 
 class CollisionClass(StrEnum):
@@ -110,51 +110,54 @@ def collision_class(ego: Track, adversary: Track, contact_time: float) -> Collis
     overlap the front bumper. This function looks at the exact first contact.
     """
     a, b = at_time(ego, contact_time), at_time(adversary, contact_time)
-    if a.speed <= STOPPED:
+    if a.speed <= STOPPED_SPEED_M_S:
         return CollisionClass.STOPPED_EGO
-    if b.speed <= STOPPED:
+    if b.speed <= STOPPED_SPEED_M_S:
         return CollisionClass.STOPPED_TRACK
-    axle_x = a.x - REAR_AXLE * a.length * np.cos(a.heading)
-    axle_y = a.y - REAR_AXLE * a.length * np.sin(a.heading)
+    axle_x = a.x - REAR_AXLE_SHARE * a.length * np.cos(a.heading)
+    axle_y = a.y - REAR_AXLE_SHARE * a.length * np.sin(a.heading)
     bearing = np.arctan2(b.y - axle_y, b.x - axle_x) - a.heading
-    if abs(float(wrap_below_pi(np.asarray(bearing)))) > BEHIND:
+    if abs(float(wrap_below_pi(np.asarray(bearing)))) > BEHIND_ANGLE_RAD:
         return CollisionClass.ACTIVE_REAR
     front = a.length / 2 * np.cos(a.heading), a.length / 2 * np.sin(a.heading)
-    bumper = replace(a, x=a.x + front[0], y=a.y + front[1], length=2 * BUMPER, width=a.width - 2 * BUMPER)
+    depth = 2 * BUMPER_DEPTH_M
+    bumper = replace(a, x=a.x + front[0], y=a.y + front[1], length=depth, width=a.width - depth)
     return CollisionClass.ACTIVE_FRONT if overlaps(bumper, b) else CollisionClass.ACTIVE_LATERAL
 
 
 @dataclass(frozen=True, slots=True)
 class Impact:
-    """How hard and where two boxes meet. Speeds m/s, angle rad, points m in each box's own frame (forward, left)."""
+    """How fast and where ego and adversary meet.
 
-    time: float
-    speed: float  # relative speed at contact
+    Attributes:
+        speed: Relative speed [m/s].
+        ego_speed: [m/s]
+        adversary_speed: [m/s]
+        angle: The adversary's heading in the ego's frame [rad].
+        ego_point: The contact point in the ego's frame (forward, left) [m].
+        adversary_point: The contact point in the adversary's frame (forward, left) [m].
+        adversary_side: The side of the adversary that meets the ego.
+    """
+
+    speed: float
     ego_speed: float
     adversary_speed: float
-    delta_v: float  # of the ego
-    angle: float  # heading of the adversary in the ego's frame
+    angle: float
     ego_point: tuple[float, float]
     adversary_point: tuple[float, float]
-    ego_side: Side
     adversary_side: Side
 
 
 def impact(ego: Track, adversary: Track, contact_time: float) -> Impact:
-    """The impact of ego a and adversary b at ``contact_time`` [s], taken as plastic.
-
-    delta_v = m_b / (m_a + m_b) |v_b - v_a|, with masses proportional to length x width.
-    """
+    """Return how the two meet at ``contact_time`` [s]; how hard they do says ``metrics/severity.py``."""
     a, b = at_time(ego, contact_time), at_time(adversary, contact_time)
     vx = float(b.speed * np.cos(b.heading) - a.speed * np.cos(a.heading))
     vy = float(b.speed * np.sin(b.heading) - a.speed * np.sin(a.heading))
-    mass_a, mass_b = float(a.length * a.width), float(b.length * b.width)
-    closing = float(np.hypot(vx, vy))
     point = contact_point(a, b)
-    sides = contact_sides(a, b)
+    angle = float(wrap_below_pi(np.asarray(b.heading - a.heading)))
     return Impact(
-        contact_time, closing, float(a.speed), float(b.speed), closing * mass_b / (mass_a + mass_b),
-        float(wrap_below_pi(np.asarray(b.heading - a.heading))), in_frame(a, point), in_frame(b, point), *sides,
+        float(np.hypot(vx, vy)), float(a.speed), float(b.speed), angle, in_frame(a, point), in_frame(b, point),
+        contact_sides(a, b)[1],
     )  # fmt: skip
 
 

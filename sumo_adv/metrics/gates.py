@@ -15,7 +15,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Bools, Boxes, Floats, Ints, Limits, Track
 from sumo_adv.geometry import wrap_below_pi
-from sumo_adv.metrics.avoidance import ROAD_TOLERANCE, OnRoad
+from sumo_adv.metrics.avoidance import ROAD_TOLERANCE_M, OnRoad
 from sumo_adv.metrics.boxes import corners, first_contact, half_diagonal, on_grid, pick, row_of
 from sumo_adv.road_users import is_unprotected
 
@@ -112,7 +112,7 @@ def _discontinuous(b: Boxes, time: Floats, limits: Limits) -> Bools:
     return broken
 
 
-def off_road(b: Boxes, judged: Bools, on_road: OnRoad, inset: float = ROAD_TOLERANCE) -> Bools:
+def off_road(b: Boxes, judged: Bools, on_road: OnRoad, inset: float = ROAD_TOLERANCE_M) -> Bools:
     """The steps of ``judged`` at which a corner is off the drivable area, in the shape of the positions.
 
     inset: the corners are drawn in by this on each side [m]. ``on_road(x, y)`` says which points are drivable.

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Track
 from sumo_adv.metrics.boxes import at_time, row_of
-from sumo_adv.metrics.levels import encounter_of
+from sumo_adv.metrics.case import Case
+from sumo_adv.metrics.preventability import encounter_of
 from sumo_adv.metrics.reference.cc_human import WANDERING_M
 from sumo_adv.metrics.reference.counterfactual import Counterfactual
 from sumo_adv.metrics.reference.view import EgoPaths
@@ -144,12 +144,15 @@ def steering_of(ego: Track, adversary: Track, unattacked: Track | None, start: f
     return Steering(began, float(least[-1]), bool(ahead or np.sign(there) != side))
 
 
-def missed_on_its_way(
-    ego: Track, adversary: Track, others: Sequence[Track], start: float, moment: float, lane_half_width: float,
-    unattacked: Track | None,
-) -> bool:  # fmt: skip
-    """Whether the ego, as far along its way without the attack at each time, would not have been hit."""
-    after = ego.time > start
+def missed_on_its_way(case: Case, moment: float) -> bool:
+    """Return whether the ego, as far along its way without the attack at each time, would not have been hit.
+
+    Args:
+        case: The recorded attempt.
+        moment: When the ego was hit [s].
+    """
+    ego, unattacked = case.ego, case.unattacked
+    after = ego.time > case.start
     if unattacked is not None:
         way = EgoPaths(row_of(unattacked))
         station, left, _ = (v[0] for v in way.locate(ego.x[None], ego.y[None]))
@@ -164,5 +167,4 @@ def missed_on_its_way(
     kept = replace(
         ego, x=np.where(after, x, ego.x), y=np.where(after, y, ego.y), heading=np.where(after, heading, ego.heading)
     )  # fmt: skip
-    given = encounter_of(kept, adversary, others, start, moment, lane_half_width, unattacked)
-    return bool(Counterfactual(given).unchanged().avoids[0])
+    return bool(Counterfactual(encounter_of(replace(case, ego=kept), moment)).unchanged().avoids[0])

@@ -35,12 +35,13 @@ from sumo_adv.metrics.contact import Side, contact_point, contact_sides
 from sumo_adv.road_users import RoadUser, Sized, is_motorcycle, road_user
 
 RESTITUTION = 0.1
-RISK_SLOPE, RISK_TENTH = 0.041, 112.0  # per km/h, and the closing speed [km/h] of a risk of 10 %
-UNPROTECTED_SLOPE = 0.090  # per km/h
-UNPROTECTED_TENTH = {RoadUser.PEDESTRIAN: 29.0, RoadUser.CYCLIST: 44.0}  # km/h, of a risk of 10 %
-MOTORCYCLIST_TENTH = 48.0  # km/h
-SERIOUS_DELTA_V = 2.24  # m/s, 5 mph
-MASSES = (
+RISK_SLOPE_PER_KMH = 0.041
+CLOSING_SPEED_OF_TENTH_RISK_KMH = 112.0  # at which the risk is 10 %
+UNPROTECTED_SLOPE_PER_KMH = 0.090
+TENTH_RISK_SPEED_KMH = {RoadUser.PEDESTRIAN: 29.0, RoadUser.CYCLIST: 44.0}  # of the impact, at which the risk is 10 %
+MOTORCYCLIST_TENTH_RISK_SPEED_KMH = 48.0
+SERIOUS_DELTA_V_M_S = 2.24  # 5 mph
+MASS_KG_BY_LENGTH_M = (
     (1.0, 80.0),
     (2.05, 100.0),
     (2.15, 160.0),
@@ -81,7 +82,7 @@ class Crash:
 
 def mass_of(length: float) -> float:
     """Mass [kg] of a vehicle of a length [m]."""
-    return next(mass for longest, mass in MASSES if length < longest)
+    return next(mass for longest, mass in MASS_KG_BY_LENGTH_M if length < longest)
 
 
 def severity_of(delta_v: float) -> Severity:
@@ -95,32 +96,34 @@ def severity_of(delta_v: float) -> Severity:
 def injury_risk(delta_v: float) -> float:
     """Probability of a serious injury (MAIS3+F) of a car driver at a delta-v [m/s]."""
     closing = 2 * delta_v * 3.6
-    return 1.0 / (1.0 + math.exp(-(RISK_SLOPE * (closing - RISK_TENTH) + math.log(1 / 9))))
+    return 1.0 / (1.0 + math.exp(-(RISK_SLOPE_PER_KMH * (closing - CLOSING_SPEED_OF_TENTH_RISK_KMH) + math.log(1 / 9))))
 
 
 def unprotected_risk(user: RoadUser, impact_speed: float) -> float:
     """Probability of a serious injury (MAIS3+F) of a pedestrian or cyclist that is hit at a speed [m/s]."""
-    return _risk(UNPROTECTED_TENTH[user], impact_speed)
+    return _risk(TENTH_RISK_SPEED_KMH[user], impact_speed)
 
 
 def _risk(tenth: float, impact_speed: float) -> float:
     """The probability at an impact speed [m/s]; ``tenth``: the one of 10 % [km/h]."""
     beyond = impact_speed * 3.6 - tenth
-    return 1.0 / (1.0 + math.exp(-(UNPROTECTED_SLOPE * beyond + math.log(1 / 9))))
+    return 1.0 / (1.0 + math.exp(-(UNPROTECTED_SLOPE_PER_KMH * beyond + math.log(1 / 9))))
 
 
 def tenth_of(adversary: Sized) -> float | None:
     """The impact speed [km/h] at which 10 % of those on the adversary are seriously injured: of a pedestrian, cyclist
     or motorcyclist; None of a vehicle that protects its driver."""
-    return MOTORCYCLIST_TENTH if is_motorcycle(adversary) else UNPROTECTED_TENTH.get(road_user(adversary))
+    if is_motorcycle(adversary):
+        return MOTORCYCLIST_TENTH_RISK_SPEED_KMH
+    return TENTH_RISK_SPEED_KMH.get(road_user(adversary))
 
 
 def hardness(crash: Crash, user: RoadUser) -> float:
-    """How hard a crash with an adversary of a kind is, 1 = serious: its share of ``SERIOUS_DELTA_V``, or of the impact
+    """How hard a crash with an adversary of a kind is, 1 = serious: its share of the serious delta-v, or of the impact
     speed at which 10 % of pedestrians, cyclists or motorcyclists are seriously injured."""
     if crash.impact_speed is None:
-        return crash.ego_delta_v / SERIOUS_DELTA_V
-    return crash.impact_speed * 3.6 / UNPROTECTED_TENTH.get(user, MOTORCYCLIST_TENTH)
+        return crash.ego_delta_v / SERIOUS_DELTA_V_M_S
+    return crash.impact_speed * 3.6 / TENTH_RISK_SPEED_KMH.get(user, MOTORCYCLIST_TENTH_RISK_SPEED_KMH)
 
 
 def crash(ego: Track, adversary: Track, contact_time: float) -> Crash:

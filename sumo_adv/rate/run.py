@@ -12,8 +12,7 @@ from sumo_adv.datatypes import Boxes, Floats, Ints, Level, Limits, VehicleState
 from sumo_adv.episode.drive import Drive
 from sumo_adv.metrics.boxes import first_contact
 from sumo_adv.metrics.case import make_case
-from sumo_adv.metrics.levels import with_level
-from sumo_adv.metrics.validity import judge
+from sumo_adv.metrics.verdict import judge
 from sumo_adv.rate.proposal import (
     DANGER_LEVEL_COUNT,
     DECISION_INTERVAL_S,
@@ -177,9 +176,7 @@ class Run:
         case = make_case(drive.tracks(foe, start=first), ego, [foe], start, {})
         level = Level.NONE
         if case is not None:
-            verdict = judge(case.ego, case.adversary, case.others, trigger_time=start, limits=UNLIMITED)
-            verdict = with_level(verdict, case.ego, case.adversary, case.others, trigger_time=start)
-            level = verdict.level
+            level = judge(case, limits=UNLIMITED).level
         if level >= Level.COLLISION and recent and foe in self._begun:
             self.counts.crashes[self._begun[foe]] += 1.0
         return replace(

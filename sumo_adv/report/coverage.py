@@ -20,6 +20,7 @@ from sumo_adv.errors import UsageError
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.records import IntentRecord
 from sumo_adv.metrics.statistics import Estimate, wilson
+from sumo_adv.outcome_schema import check_schema
 from sumo_adv.parsing import parse_json, read_json
 from sumo_adv.report.document import write_document
 from sumo_adv.report.run_outcome import level_of
@@ -174,6 +175,7 @@ def _outcomes(runs: Sequence[Path], packed: Mapping[str, str]) -> Iterator[dict[
         try:
             file = run / OUTCOME
             document = read_json(file) if file.is_file() else parse_json(packed[run.name])
+            check_schema(document, file, None if file.is_file() else file.parents[2])
             _ = document["encounter"], document["attempts"], document["ego"]["controller"]
             yield document
         except (OSError, ValueError, KeyError, TypeError):

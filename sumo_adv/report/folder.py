@@ -18,7 +18,7 @@ from sumo_adv.metrics.criticality import ttc
 from sumo_adv.report.outcome import manifest, number, outcome
 from sumo_adv.report.staging import RunFolder
 from sumo_adv.report.tables import SERIES_HEADER, csv_text, write_gzip, write_plan, write_signals, write_states
-from sumo_adv.report.verdicts import figures, judge_best
+from sumo_adv.report.verdicts import findings_on, further_keys
 from sumo_adv.simulation.simulation import Snapshot
 from sumo_adv.simulation.tracks import tracks_of
 from sumo_adv.simulation.warnings_log import WARNINGS_FILE
@@ -34,10 +34,10 @@ def write_run(folder: RunFolder, episode: Episode, *, figure: bool = True) -> di
     stage = folder.stage
     inputs = _copy_inputs(episode, stage / "inputs")
     began = perf_counter()
-    judged = judge_best(episode)
+    found = findings_on(episode)
     episode.timing["verdict"] = perf_counter() - began
-    realism = judged.realism if judged is not None else {}
-    result = outcome(episode, raw_figures(episode), figures(judged), realism)
+    realism = found.realism if found is not None else {}
+    result = outcome(episode, raw_figures(episode), further_keys(found), realism)
     (stage / "manifest.json").write_text(json_text(manifest(episode, inputs), 2), encoding="utf-8")
     _write_attempts(stage / "attempts.csv.gz", episode)
     if episode.warnings:
@@ -45,8 +45,8 @@ def write_run(folder: RunFolder, episode: Episode, *, figure: bool = True) -> di
         (stage / WARNINGS_FILE).write_text(lines, encoding="utf-8", newline="\n")
     if episode.found is not None and episode.prefix is not None:
         _write_tables(stage, episode)
-        if judged is not None:
-            write_gzip(stage / "criticality.csv.gz", SERIES_HEADER + "".join(judged.rows))
+        if found is not None:
+            write_gzip(stage / "criticality.csv.gz", SERIES_HEADER + "".join(found.rows))
         if episode.best is not None and figure:
             picture = stage / "encounter.png"
             try:

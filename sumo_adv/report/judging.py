@@ -1,31 +1,31 @@
-"""Stored runs judged again with verdict version 2, from their files.
+"""Stored runs judged again, from their files.
 
-A run of version 2 stores what the adversary planned after the contact; its files are enough for the kinematic
-counterfactual.  A run of version 1 does not: ``sumo-adv judge`` replays it (``cli/judge.py``).
+A run's files hold what the adversary planned after the contact, which is enough for the kinematic check of reference
+drivers.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Level, Role, Track, Verdict
+from sumo_adv.datatypes import Level, Role, Track
 from sumo_adv.errors import UsageError
 from sumo_adv.metrics.case import Case, make_case
-from sumo_adv.metrics.levels import with_level
+from sumo_adv.metrics.verdict import judge, with_answers
 from sumo_adv.report.folder import plan_names
 from sumo_adv.report.outcome import level_figures
 from sumo_adv.report.read import OUTCOME, RunRead, columns_of, damaged, read_run
-from sumo_adv.report.run_outcome import level_of
+from sumo_adv.report.run_outcome import level_of, verdict_of
 from sumo_adv.report.tables import PLAN_HEADER
 from sumo_adv.simulation.network import read_network
 
-ROAD_MARGIN = 150.0  # m around the ego's way within which the road is read
-HISTORY = 1.1  # s before the trigger
+ROAD_MARGIN_M = 150.0  # around the ego's way within which the road is read
+HISTORY_S = 1.1  # before the trigger
 SHOWN = (
     "level", "preventable_by", "inconclusive", "ego_stationary", "ego_blocking", "humanlike", "delta_v", "severity",
     "impact_speed", "simulated",
@@ -34,7 +34,7 @@ SHOWN = (
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """One run judged again.  ``before``: what its files said, ``now``: verdict version 2."""
+    """One run judged again.  ``before``: what its files said, ``now``: what they come to now."""
 
     folder: Path
     ego: str
@@ -45,7 +45,7 @@ class Judgement:
     def row(self) -> dict[str, Any]:
         return {
             "run": str(self.folder), "ego": self.ego, "how": self.how, "collided": self.now.get("collided"),
-            "valid_before": self.before.get("valid"), "strict_before": self.before.get("strict"),
+            "level_before": self.before.get("level"),
             **{name: self.now.get(name) for name in SHOWN},
         }  # fmt: skip
 
@@ -64,38 +64,43 @@ def run_folders(given: Sequence[Path]) -> list[Path]:
 
 
 def judge_files(folder: Path) -> Judgement:
-    """A run of version 2 judged from its files, kinematically. Raises UsageError: a file is damaged or missing."""
+    """Judge a run from its files, kinematically.
+
+    The gates and the rear-end are those that the run recorded: files hold rounded states.
+
+    Raises:
+        UsageError: A file is damaged or missing.
+    """
     run = read_run(folder)
     before = run.outcome.get("outcome") or {}
     ego = str((run.outcome.get("ego") or {}).get("controller"))
-    case, start = _case(run)
-    contact = before.get("contact_time")
-    if case is None or contact is None:
+    case = _case(run) if before.get("collided") else None
+    again = None if case is None else judge(case)
+    if again is None or again.preventability is None:
         return Judgement(folder, ego, before, before, "files")
-    lane_half, drivable = _road(run, case, start)
-    gate = Verdict(
-        0.0, 0.0, True, True, bool(before.get("feasible")), bool(before.get("rear_end")), None, None,
-        before.get("avoidable"), tuple(before.get("failed_gates") or ()), contact_time=float(contact),
-    )  # fmt: skip
-    verdict = with_level(
-        gate, case.ego, case.adversary, case.others, trigger_time=start, on_road=drivable, lane_half_width=lane_half,
-        unattacked=next((t.between(start, np.inf) for t in run.raw if t.id == case.ego.id), None),
-    )  # fmt: skip
+    recorded = verdict_of(before)
+    gates = {name: getattr(recorded, name) for name in ("feasible", "rear_end", "failed_gates")}
+    verdict = with_answers(replace(again, **gates), again.preventability)
     after = {**before, **level_figures(verdict), "valid": verdict.valid, "strict": verdict.strict}
     return Judgement(folder, ego, before, after, "files")
 
 
-def _case(run: RunRead) -> tuple[Case | None, float]:
+def _case(run: RunRead) -> Case | None:
     adversaries, start = run.outcome.get("adversaries") or [], run.outcome.get("trigger_time")
     ego = (run.outcome.get("ego") or {}).get("id")
     if not adversaries or start is None or ego is None or not run.best:
-        return None, 0.0
-    tracks = [t.between(float(start) - HISTORY, np.inf) for t in run.best]
+        return None
+    tracks = [t.between(float(start) - HISTORY_S, np.inf) for t in run.best]
     kept = [t for t in tracks if len(t.time)]
     ids = [str(adversary["id"]) for adversary in adversaries]
     plans = [_read_plan(run.folder / file, bv, kept) for file, bv in zip(plan_names(), ids, strict=False)]
     beyond = {plan.id: plan for plan in plans if plan is not None}
-    return make_case(kept, str(ego), ids, float(start), beyond), float(start)
+    unattacked = next((t.between(float(start), np.inf) for t in run.raw if t.id == ego), None)
+    case = make_case(kept, str(ego), ids, float(start), beyond, unattacked=unattacked)
+    if case is None:
+        return None
+    lane_half_width, drivable = _road(run, case)
+    return replace(case, lane_half_width=lane_half_width, on_road=drivable)
 
 
 def _read_plan(file: Path, adversary: str, tracks: Sequence[Track]) -> Track | None:
@@ -113,16 +118,16 @@ def _read_plan(file: Path, adversary: str, tracks: Sequence[Track]) -> Track | N
     return Track(adversary, Role.ADVERSARY, time, x, y, heading, speed, acceleration, *size, z=z)
 
 
-def _road(run: RunRead, case: Case, start: float) -> tuple[float, Any]:
+def _road(run: RunRead, case: Case) -> tuple[float, Any]:
     """Half the width of the ego's lane at the start [m], and the drivable area around its way."""
     file = run.folder / "inputs" / Path(str(run.manifest.get("network", ""))).name
     if not file.is_file():
         raise UsageError(f"{file} is missing, so the run in {run.folder} cannot be judged again.")
     road = read_network(file)
-    k = int(np.argmin(np.abs(case.ego.time - start)))
+    k = int(np.argmin(np.abs(case.ego.time - case.start)))
     lane = road.lanes.get(case.ego.lane[k]) if case.ego.lane else None
     x, y = float(case.ego.x.mean()), float(case.ego.y.mean())
-    radius = float(np.hypot(case.ego.x - x, case.ego.y - y).max()) + ROAD_MARGIN
+    radius = float(np.hypot(case.ego.x - x, case.ego.y - y).max()) + ROAD_MARGIN_M
     return (lane.width if lane is not None else 3.2) / 2, road.drivable(x, y, radius)
 
 

@@ -17,7 +17,7 @@ from sumo_adv.errors import UsageError
 from sumo_adv.files import refuse_links
 from sumo_adv.parsing import read_json
 from sumo_adv.planners.source import make_planner
-from sumo_adv.report.outcome import SCHEMA
+from sumo_adv.report.outcome import MANIFEST_SCHEMA
 from sumo_adv.simulation.inputs import EgoRoute, RunInput, WaymoSource
 from sumo_adv.simulation.maps import Conversion
 from sumo_adv.simulation.playback_spec import PlaybackSpec, Prop, make_playback
@@ -50,9 +50,9 @@ def read_manifest(folder: Path) -> Recorded:
         raise UsageError(f"{folder} holds no manifest.json; give the folder of a run.")
     try:
         m: dict[str, Any] = read_json(file)
-        if m["schema"] != SCHEMA:
+        if m["schema"] != MANIFEST_SCHEMA:
             raise UsageError(
-                f"{file} has schema {m['schema']}, this program reads {SCHEMA}; use the version that wrote it."
+                f"{file} has schema {m['schema']}, this program reads {MANIFEST_SCHEMA}; use the version that wrote it."
             )
         if m["attempt"] is None:
             raise UsageError(f"The run in {folder} made no attempt, so there is nothing to replay.")

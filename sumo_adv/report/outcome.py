@@ -18,13 +18,13 @@ from sumo_adv.episode.assessment import motion_of
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.llm.chat import Ledger
+from sumo_adv.outcome_schema import SCHEMA
 from sumo_adv.simulation.inputs import EgoRoute
 from sumo_adv.simulation.playback_spec import PlaybackSpec
 from sumo_adv.simulation.warnings_log import kinds_of
 from sumo_adv.words.motion import misfits
 
-SCHEMA = 1
-VERDICT_VERSION = 2  # which definitions ``valid``, ``strict`` and ``level`` follow (metrics/levels.py)
+MANIFEST_SCHEMA = 1
 ATTACKS = "attacks"  # in a run's folder: one folder for each further kind of attack, by the number of its attempt
 MODEL_FILE = "model.jsonl"  # in a run's folder: every exchange with a model
 EXPERT_NOTE = "Built-in expert (kinematic prediction); no language model took part."
@@ -41,8 +41,7 @@ def outcome(
     best, settings, encounter, robust = episode.best, episode.settings, episode.found, episode.refinement.robustness
     times = {name: round(seconds, 4) for name, seconds in episode.timing.items()}
     return {
-        "schema": SCHEMA, "verdict_version": VERDICT_VERSION,
-        "ending": str(episode.ending),
+        "schema": SCHEMA, "ending": str(episode.ending),
         "reason": " ".join(filter(None, (ENDING_SENTENCES[episode.ending], episode.reason))),
         "network": episode.source.name, "seed": settings.seed,
         "ego": {"id": encounter.ego if encounter else chosen, "controller": episode.task.ego_driver},
@@ -162,14 +161,14 @@ def verdict(v: Verdict) -> dict[str, Any]:
         "min_ttc": number(v.min_ttc), "min_ttc_any": number(v.min_ttc_any), "min_pet": number(v.min_pet),
         "max_drac": number(v.max_drac), "min_distance": number(v.min_distance), "collided": v.collided,
         "critical": v.critical, "feasible": v.feasible, "rear_end": v.rear_end, "valid": v.valid, "strict": v.strict,
-        "avoidable": v.avoidable, "fault": v.fault, "failed_gates": list(v.failed_gates),
-        "log_gates": list(v.log_gates), "contact_time": number(v.contact_time), "hazard_time": number(v.hazard_time),
+        "fault": v.fault, "failed_gates": list(v.failed_gates), "log_gates": list(v.log_gates),
+        "contact_time": number(v.contact_time), "min_ttc_time": number(v.min_ttc_time),
         **level_figures(v),
     }  # fmt: skip
 
 
 def level_figures(v: Verdict) -> dict[str, Any]:
-    """What version 2 of the verdict adds to a verdict's keys."""
+    """The level, and what it follows from."""
     p = v.preventability
     return {
         "level": str(v.level), "preventable_by": None if p is None else list(p.by),
@@ -195,18 +194,16 @@ def _intent(intent: Intent | None, recall: str) -> dict[str, Any] | None:
 
 def _attempt(a: Attempt) -> dict[str, Any]:
     v, p = a.verdict, a.proposal
-    level = None if p.prediction is None else p.prediction.level
-    valid = None if level is None else float(level >= Level.VALID)
-    predicted = {"predicted_level": None if level is None else str(level), "predicted_valid": valid}
     return {
         "index": a.index, "by": p.by, "phase": a.phase, "adversaries": list(p.bvs), "intent": p.label,
         "planner": {"mode": p.planner.mode, "hash": p.planner.hash, "origin": p.planner.origin},
         "parameters": {k: number(q) for k, q in p.parameters.items()},
         "acceleration": plain_acceleration(p.acceleration),
-        "trigger_time": number(a.trigger_time), "predicted_score": number(p.score), **predicted,
+        "trigger_time": number(a.trigger_time), "predicted_score": number(p.score),
+        "predicted_level": None if p.prediction is None else str(p.prediction.level),
         "min_ttc": number(v.min_ttc),
         "min_distance": number(v.min_distance), "collided": v.collided, "critical": v.critical, "feasible": v.feasible,
-        "rear_end": v.rear_end, "valid": v.valid, "strict": v.strict, "avoidable": v.avoidable,
+        "rear_end": v.rear_end, "valid": v.valid, "strict": v.strict,
         "failed_gates": list(v.failed_gates), "log_gates": list(v.log_gates), "ending": a.ending, "message": a.message,
         "level": str(v.level), "preventable_by": None if v.preventability is None else list(v.preventability.by),
         "inconclusive": None if v.preventability is None else v.preventability.inconclusive,
@@ -249,7 +246,7 @@ def manifest(episode: Episode, inputs: Mapping[Path, str]) -> dict[str, Any]:
     used = {p.planner.hash: p.planner for a in episode.refinement.attempts for p in a.proposal.members}
     spec, made, record = task.spec, episode.source.conversion, episode.source.waymo
     return {
-        "schema": SCHEMA, "versions": versions(), "name": episode.source.name,
+        "schema": MANIFEST_SCHEMA, "versions": versions(), "name": episode.source.name,
         "settings": episode.settings.model_dump(mode="json", exclude={"memory"}),
         "network": inputs[spec.network], "routes": [inputs[p] for p in spec.routes],
         "additional": [inputs[p] for p in spec.additional], "begin": spec.begin, "end": task.end,

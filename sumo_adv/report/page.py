@@ -339,7 +339,6 @@ def _moments(outcome: Mapping[str, Any], attempts: Sequence[Shown]) -> list[dict
     reacts = REACTIONS.get(str(cause.get("action")), "reacts")
     moments = [
         ("trigger", "trigger", outcome.get("trigger_time")),
-        ("hazard", "hazard shows", verdict.get("hazard_time")),
         ("alarm", "the careful driver is alarmed", cause.get("alarm")),
         ("began", f"the ego {reacts}", cause.get("began")),
         ("contact", "contact", verdict.get("contact_time")),

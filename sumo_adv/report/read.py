@@ -15,7 +15,8 @@ import numpy as np
 
 from sumo_adv.datatypes import Role, Track
 from sumo_adv.errors import SumoAdvError, UsageError
-from sumo_adv.files import refuse_links, write_whole
+from sumo_adv.files import json_text, refuse_links, sentences, write_text, write_whole
+from sumo_adv.outcome_schema import check_schema, migrated
 from sumo_adv.parsing import MAX_UNPACKED_BYTES, read_json, read_text
 from sumo_adv.report.folder import FIRST, SIGNALS
 from sumo_adv.report.outcome import ATTACKS
@@ -57,11 +58,28 @@ def read_run(folder: Path) -> RunRead:
 
 
 def read_outcome(folder: Path) -> dict[str, Any]:
-    """``outcome.json`` of a run. Raises UsageError: no run's folder, or the file is damaged."""
+    """``outcome.json`` of a run. Raises UsageError: no run's folder, the file is damaged, or it has
+    schema 1."""
     refuse_links(folder)
     if not (folder / OUTCOME).is_file():
         raise UsageError(f"{folder} holds no {OUTCOME}; give the folder of a run.")
-    return _json(folder / OUTCOME)
+    document = _json(folder / OUTCOME)
+    check_schema(document, folder / OUTCOME)
+    return document
+
+
+def bring_up_to_date(folder: Path) -> None:
+    """Rewrite a run's ``outcome.json`` of schema 1, and those of its further attacks, as schema 2.
+
+    Raises:
+        UsageError: The file is damaged, so old that it has no levels, or cannot be written.
+    """
+    refuse_links(folder)
+    for file in (folder / OUTCOME, *sorted(folder.glob(f"{ATTACKS}/*/{OUTCOME}"))):
+        document = _json(file)
+        if document.get("schema") == 1:
+            with sentences(file):
+                write_text(file, json_text(migrated(document, file), 2))
 
 
 def _attacks(folder: Path, outcome: Mapping[str, Any]) -> list[tuple[int, list[Track]]]:

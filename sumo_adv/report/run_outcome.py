@@ -15,7 +15,6 @@ from typing import Any
 from sumo_adv.datatypes import Ending, Intent, Level, Preventability, Verdict, acceleration_of
 from sumo_adv.errors import UsageError
 from sumo_adv.metrics.cause import Action, Cause, CauseKind
-from sumo_adv.metrics.levels import NOT_APPLICABLE
 
 NEVER = ("min_ttc", "min_distance", "min_ttc_any", "min_pet")  # null in the file, inf here
 LISTS = ("failed_gates", "log_gates", "beyond_human")
@@ -94,8 +93,8 @@ class Outcome:
     """The outcome of a run.
 
     best: the index of the attempt that counts. adversary, trigger_time [s], verdict: of this attempt, None without one.
-    ego_driver: the name of the driver under test. cause: why it came to a contact or near miss, None where it did not
-    or an earlier version wrote the file. document: all of ``outcome.json``.
+    ego_driver: the name of the driver under test. cause: why it came to a contact or near miss, None where it did not.
+    document: all of ``outcome.json``.
     """
 
     ending: Ending
@@ -153,21 +152,14 @@ def outcome_of(document: Mapping[str, Any], file: Path) -> Outcome:
 def verdict_of(written: Mapping[str, Any]) -> Verdict:
     names = {f.name for f in fields(Verdict)} & written.keys()
     values = {name: written[name] for name in names}
-    values |= {name: _time(written[name]) for name in NEVER if name in names}
-    values |= {name: tuple(written[name] or ()) for name in LISTS if name in names}
-    values |= {"level": level_of(written.get("level")), "max_drac": written.get("max_drac") or 0.0}
-    if written.get("references") is not None:
+    values |= {name: _time(written[name]) for name in NEVER}
+    values |= {name: tuple(written[name]) for name in LISTS}
+    values["level"] = level_of(written["level"])
+    if written["references"] is not None:
         values["preventability"] = Preventability(
-            written["references"], written.get("alarms") or {}, written["inconclusive"], _in_loop(written)
+            written["references"], written["alarms"], written["inconclusive"], written["in_loop"]
         )
     return Verdict(**values)
-
-
-def _in_loop(written: Mapping[str, Any]) -> dict[str, str]:
-    """The answers in the loop; of an earlier version's run those in the simulation, which stood in ``references``."""
-    if "in_loop" in written or not written["simulated"]:
-        return dict(written.get("in_loop") or {})
-    return {name: answer for name, answer in written["references"].items() if answer != NOT_APPLICABLE}
 
 
 def _cause(written: Mapping[str, Any] | None) -> Cause | None:
@@ -180,7 +172,7 @@ def _cause(written: Mapping[str, Any] | None) -> Cause | None:
 
 
 def level_of(name: str | None) -> Level:
-    """The level of that name; ``Level.NONE`` where a run of an earlier version has none."""
+    """The level of that name; ``Level.NONE`` without one, as a run without an attempt has none."""
     return Level[name.upper()] if name else Level.NONE
 
 
@@ -204,8 +196,8 @@ def _intent(written: Mapping[str, Any]) -> Intent:
 def _attempt(a: Mapping[str, Any]) -> AttemptRecord:
     return AttemptRecord(
         int(a["index"]), a["intent"], a["adversaries"][0], a["planner"]["mode"], a["trigger_time"],
-        level_of(a.get("level")), a.get("kind", ""), _time(a["min_ttc"]), _time(a["min_distance"]), a["collided"],
-        a["critical"], a["feasible"], a["valid"], a["strict"], a.get("delta_v"), tuple(a["failed_gates"]),
+        level_of(a["level"]), a["kind"], _time(a["min_ttc"]), _time(a["min_distance"]), a["collided"],
+        a["critical"], a["feasible"], a["valid"], a["strict"], a["delta_v"], tuple(a["failed_gates"]),
         a["parameters"], a["ending"], a["message"], a.get("composition", ""),
         tuple(
             SupportRecord(q["id"], q["role"], q["intent"], q["mode"], q["parameters"]) for q in a.get("supports", ())

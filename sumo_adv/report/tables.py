@@ -13,9 +13,9 @@ import numpy as np
 
 from sumo_adv.datatypes import Role, Track
 from sumo_adv.files import plain_cell
-from sumo_adv.metrics.case import NEAR
+from sumo_adv.metrics.case import THIRD_PARTY_DISTANCE_M
 from sumo_adv.metrics.criticality import AVAILABLE_BRAKING_M_S2, series
-from sumo_adv.metrics.validity import MOST
+from sumo_adv.metrics.verdict import LARGEST_DRAC_M_S2
 from sumo_adv.simulation.signals import SIGNAL_COLUMNS
 from sumo_adv.simulation.simulation import Snapshot
 from sumo_adv.simulation.tracks import tracks_of
@@ -26,7 +26,9 @@ HEIGHT = "z"
 """The last column of states where roads have heights: that of the road under the vehicle [m]."""
 SERIES = ("ttc", "gap", "drac", "btn", "headway", "required_lateral", "centre_distance")
 SERIES_HEADER = f"time,id,{','.join(SERIES)}\n"
-BOUNDS = {"drac": MOST, "btn": MOST / AVAILABLE_BRAKING_M_S2, "required_lateral": MOST}  # at contact they have none
+BOUNDS = {
+    "drac": LARGEST_DRAC_M_S2, "btn": LARGEST_DRAC_M_S2 / AVAILABLE_BRAKING_M_S2, "required_lateral": LARGEST_DRAC_M_S2,
+}  # at contact they have none  # fmt: skip
 
 
 def write_states(
@@ -101,7 +103,7 @@ def series_rows(ego: Track, tracks: Sequence[Track], adversary: str) -> list[str
         return []
     measures = series(ego, others)
     values = np.stack([np.minimum(measures[n], BOUNDS.get(n, np.inf)) for n in SERIES], axis=-1)
-    radius = np.where([[t.id == adversary] for t in others], np.inf, NEAR)
+    radius = np.where([[t.id == adversary] for t in others], np.inf, THIRD_PARTY_DISTANCE_M)
     there = np.isfinite(measures["centre_distance"]) & (measures["centre_distance"] <= radius)
     times, names = measures["time"].tolist(), [quoted(t.id) for t in others]
     rows = []

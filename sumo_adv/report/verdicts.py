@@ -1,14 +1,13 @@
-"""The full verdict on the attempt that counts, made by the front from what was recorded, and its files.
+"""What the files say of the attempt that counts beside its verdict: further figures, cause, realism and time series.
 
-The engine judges every attempt by the gate verdict alone; here the same recording is judged in full, and must come to
-the same.  Nothing is simulated again.
+The front makes them from what was recorded.  Nothing is simulated again.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +17,10 @@ from sumo_adv.datatypes import Attempt, Floats, Role, Track, Verdict
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.rules_broken import RulesBroken, rules_broken
 from sumo_adv.episode.task import AttemptResult, FoundEncounter, Prefix
-from sumo_adv.episode.verdict import first_judged, unattacked
-from sumo_adv.metrics.case import make_case
+from sumo_adv.episode.verdict import first_judged, recorded_case
 from sumo_adv.metrics.cause import Cause, cause_of
-from sumo_adv.metrics.full import PAPER_EPSILON, Crossing, FullVerdict, full_judge, markings_crossed
+from sumo_adv.metrics.further import PAPER_EPSILON_M, FurtherFigures, further_figures
+from sumo_adv.metrics.markings import Crossing, markings_crossed
 from sumo_adv.metrics.realism import PAPER_BINS, WOSAC_BINS, distances, own_figures, realism, wosac_features
 from sumo_adv.metrics.reference.cc_human import CcHuman
 from sumo_adv.parsing import MAX_SUMO_FILE_BYTES, read_bytes
@@ -40,75 +39,72 @@ SHARES = (
     "abnormal_lateral_share", "reference_abnormal_lateral_share", "off_road_share", "lateral_acceleration_max",
     "jerk_max", "yaw_rate_max", "curvature_max",
 )  # fmt: skip
-FULL_KEYS = (
-    "kind", "collision_class", "impact", "rss", "sensitivity", "latest_careful", "latest_manoeuvre", "reacting", "tet",
-    "tit", "min_headway", "max_btn", "max_required_lateral", "conflict_point", "paper_centre_distance", "min_ttc_time",
-    "cause", "warning", "red_light", "right_of_way",
-)  # fmt: skip
-LEVEL_FIELDS = (
-    "level", "valid", "strict", "preventability", "ego_stationary", "ego_blocking", "humanlike", "beyond_human",
-    "contact_side", "delta_v", "adversary_delta_v", "severity", "injury_risk", "impact_speed", "overlap",
-    "log_gates",
+FURTHER_KEYS = (
+    "collision_class", "impact", "rss", "tet", "tit", "min_headway", "max_btn", "max_required_lateral",
+    "conflict_point", "paper_centre_distance", "cause", "warning", "red_light", "right_of_way",
 )  # fmt: skip
 DEFAULT_SIGMA = 0.5  # SUMO's, where a vehicle type does not say
 TYPE, SIGMA = re.compile(rb"<vType\b[^>]*>"), re.compile(rb"\bsigma\s*=\s*[\"']([^\"']*)[\"']")
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
-    """The judgement of the attempt that counts. ``full`` is None where one of the two was gone at once."""
+class Findings:
+    """What is found on the attempt that counts beside its verdict.
 
-    full: FullVerdict | None
-    cause: Cause | None
-    rules: RulesBroken | None
-    markings: Sequence[Crossing]
-    realism: Mapping[str, Any]
-    rows: Sequence[str]  # of criticality.csv.gz, without the header
+    Attributes:
+        figures: None if the ego or the adversary was gone at once, as are the cause and the rules broken then.
+        cause: Why it came to a contact or a near miss.
+        rules: Who broke a red light or the right of way.
+        warning: From the alarm of ``cc_human`` to the contact [s].
+        markings: Those that the adversary crossed.
+        realism: The block of that name.
+        rows: Of ``criticality.csv.gz``, without the header.
+    """
+
+    figures: FurtherFigures | None = None
+    cause: Cause | None = None
+    rules: RulesBroken | None = None
+    warning: float | None = None
+    markings: Sequence[Crossing] = ()
+    realism: Mapping[str, Any] = field(default_factory=dict)
+    rows: Sequence[str] = ()
 
 
-def judge_best(episode: Episode) -> Judged | None:
-    """The full verdict, markings, realism and time series of the attempt that counts; None without an attempt."""
+def findings_on(episode: Episode) -> Findings | None:
+    """Return what is found on the attempt that counts; None without an attempt."""
     best, encounter, prefix = episode.best, episode.found, episode.prefix
     if best is None or encounter is None or prefix is None:
         return None
-    result = episode.refinement.results[episode.refinement.best or 0]
+    result, settings, bv = episode.refinement.results[episode.refinement.best or 0], episode.settings, best.proposal.bv
     tracks = _tracks(episode, best, encounter, prefix, result)
     played = episode.task.playback
-    logged = episode.settings.limits.limits() if played is not None and played.follows_log else None
-    bv = best.proposal.bv
-    case = make_case(tracks, encounter.ego, best.proposal.bvs, result.start, result.driven.beyond, logged)
+    case = recorded_case(
+        tracks, encounter, settings, best.proposal.bvs, result.start, result.driven.beyond,
+        follows_log=played is not None and played.follows_log,
+    )  # fmt: skip
     if case is None:
-        return Judged(None, None, None, (), {}, ())
-    recorded = {t.id: t for t in tracks}
-    rows = series_rows(case.ego.between(result.start, np.inf), tracks, bv)
-    lane_half = encounter.half_lane(result.start)
-    full = full_judge(
-        case.ego, case.adversary, case.others, trigger_time=result.start, ttc_threshold=episode.settings.critical_ttc,
-        limits=episode.settings.limits.of(case.adversary), on_road=encounter.drivable, lane_half_width=lane_half,
-        supports=case.supports,
-    )  # fmt: skip
-    levels = {name: getattr(best.verdict, name) for name in LEVEL_FIELDS}  # the engine drove the reference drivers
-    full = replace(full, verdict=replace(full.verdict, **levels))
-    contact = full.verdict.contact_time
-    end = float(min(case.ego.time[-1], recorded[bv].time[-1])) if contact is None else contact
-    moved = recorded[bv].between(result.start + episode.settings.step_length / 2, end)
-    cause = cause_of(
-        case.ego, case.adversary, case.others, full.verdict, trigger_time=result.start,
-        lane_half_width=lane_half, unattacked=_unattacked(episode, best, encounter),
-    )  # fmt: skip
-    return Judged(
-        full, cause, rules_broken(best, result, encounter), markings_crossed(moved, episode.lanes, encounter.drivable),
+        return Findings()
+    recorded, contact = next(t for t in tracks if t.id == bv), best.verdict.contact_time
+    end = float(min(case.ego.time[-1], recorded.time[-1])) if contact is None else contact
+    moved = recorded.between(result.start + settings.step_length / 2, end)
+    if case.unattacked is None:
+        case = replace(case, unattacked=_foreseen(episode, best, encounter))
+    return Findings(
+        further_figures(case),
+        cause_of(case, best.verdict),
+        rules_broken(best, result, encounter),
+        warning_of(best.verdict),
+        markings_crossed(moved, episode.lanes, encounter.drivable),
         _realism(episode, moved, encounter, prefix),
-        rows,
-    )  # fmt: skip
+        series_rows(case.ego.between(result.start, np.inf), tracks, bv),
+    )
 
 
-def _unattacked(episode: Episode, best: Attempt, encounter: FoundEncounter) -> Track | None:
-    """The ego's motion without the attack: as it was run, or as it was foreseen."""
-    run = unattacked(encounter, episode.settings)
+def _foreseen(episode: Episode, best: Attempt, encounter: FoundEncounter) -> Track | None:
+    """The ego's motion without the attack, as it was foreseen."""
     situation = encounter.situations.get(best.proposal.delay)
-    if run is not None or situation is None or len(situation.baseline.s) < 2:
-        return run
+    if situation is None or len(situation.baseline.s) < 2:
+        return None
     b = situation.baseline
     x, y, heading = b.path.at(b.s)
     time = np.asarray(best.trigger_time + episode.settings.step_length * np.arange(len(b.s)), dtype=np.float64)
@@ -129,27 +125,21 @@ def _tracks(
 # -- the outcome's further keys -------------------------------------------------------------------------------------
 
 
-def figures(judged: Judged | None) -> dict[str, Any]:
-    """What the full verdict adds to ``outcome``; null where the question does not arise."""
-    full = judged.full if judged is not None else None
-    markings = [] if judged is None else _plain(list(judged.markings))
-    if judged is None or full is None:
-        return {**dict.fromkeys(FULL_KEYS), "markings_crossed": markings}
-    rules = judged.rules
-    impact = None if full.impact is None else {k: v for k, v in _plain(full.impact).items() if k != "time"}
+def further_keys(found: Findings | None) -> dict[str, Any]:
+    """What is found as keys of ``outcome``; null if the question does not arise."""
+    markings = [] if found is None else _plain(list(found.markings))
+    if found is None or found.figures is None:
+        return {**dict.fromkeys(FURTHER_KEYS), "markings_crossed": markings}
+    f, rules = found.figures, found.rules
     return {
-        "kind": str(full.kind), "collision_class": _plain(full.collision_class), "impact": impact,
-        "rss": _plain(full.rss), "sensitivity": None if impact is None else dict(full.sensitivity),
-        "latest_careful": number(full.latest_careful), "latest_manoeuvre": number(full.latest_manoeuvre),
-        "reacting": full.reacting, "tet": number(full.tet), "tit": number(full.tit),
-        "min_headway": number(full.min_headway), "max_btn": number(full.max_btn),
-        "max_required_lateral": number(full.max_required_lateral), "conflict_point": _plain(full.conflict_point),
+        "collision_class": _plain(f.collision_class), "impact": _plain(f.impact), "rss": _plain(f.rss),
+        "tet": number(f.tet), "tit": number(f.tit), "min_headway": number(f.min_headway), "max_btn": number(f.max_btn),
+        "max_required_lateral": number(f.max_required_lateral), "conflict_point": _plain(f.conflict_point),
         "paper_centre_distance": {
-            "minimum": number(full.min_centre_distance), "epsilon": PAPER_EPSILON,
-            "within": full.min_centre_distance <= PAPER_EPSILON,
+            "minimum": number(f.min_centre_distance), "epsilon": PAPER_EPSILON_M,
+            "within": f.min_centre_distance <= PAPER_EPSILON_M,
         },
-        "min_ttc_time": number(full.verdict.min_ttc_time), "cause": _plain(judged.cause), "markings_crossed": markings,
-        "warning": number(warning_of(full.verdict)),
+        "cause": _plain(found.cause), "warning": number(found.warning), "markings_crossed": markings,
         "red_light": None if rules is None else rules.red_light,
         "right_of_way": None if rules is None else rules.right_of_way,
     }  # fmt: skip

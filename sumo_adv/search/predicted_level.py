@@ -15,7 +15,7 @@ from sumo_adv.datatypes import Bools, Boxes, Floats, Ints, Level
 from sumo_adv.geometry import wrap_below_pi
 from sumo_adv.metrics.boxes import height_as, on_grid, pick, some_steps
 from sumo_adv.metrics.gates import largest_acceleration
-from sumo_adv.metrics.levels import STATIONARY, STATIONARY_FOR
+from sumo_adv.metrics.levels import STATIONARY_FOR_S, STATIONARY_SPEED_M_S
 from sumo_adv.metrics.realism import envelope_left
 from sumo_adv.metrics.reference.cc_human import CcHuman
 from sumo_adv.metrics.reference.counterfactual import MIN_AFTER_CONTACT_S, Counterfactual, Encounters
@@ -98,8 +98,8 @@ def danger_of(collisions: Collisions, drivable: Drivable) -> Danger:
     ])  # fmt: skip
     human = small | _human(check, adversary, last, dt)
     span = np.arange(ego.x.shape[1])
-    final = (span <= last[:, None]) & (span > last[:, None] - STATIONARY_FOR / dt)
-    stands = (np.where(final, ego.speed, 0.0) < STATIONARY).all(axis=1)
+    final = (span <= last[:, None]) & (span > last[:, None] - STATIONARY_FOR_S / dt)
+    stands = (np.where(final, ego.speed, 0.0) < STATIONARY_SPEED_M_S).all(axis=1)
     level = np.full(n, int(Level.COLLISION))
     counts = conclusive & ~stands
     level[counts & manoeuvre] = Level.VALID

@@ -20,7 +20,7 @@ from sumo_adv.episode.encounter_detector import LOOK_EVERY, EncounterDetector, R
 from sumo_adv.episode.situation_builder import build_situation, trigger_state
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.episode.traffic_forecast import apart, traffic_forecast
-from sumo_adv.episode.verdict import gate_verdict
+from sumo_adv.episode.verdict import verdict_on
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Roads, Sessions
 from sumo_adv.serve.events import Events, helpers
@@ -174,7 +174,7 @@ class LiveAttempts:
                 session.tick()
             start = session.now
             driven = self._drive(session, proposal)
-            verdict = gate_verdict(session, encounter, settings, trigger, bvs, start, driven)
+            verdict = verdict_on(session, encounter, settings, trigger, bvs, start, driven)
         except EgoLost:
             driven, self.lost = Driven("ego_lost", LOST), True
         finally:

@@ -1,0 +1,74 @@
+"""The schema of ``outcome.json``: which files this program reads, and what becomes of one of schema 1."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from sumo_adv.errors import UsageError
+
+SCHEMA = 2
+GONE = ("verdict_version",)
+GONE_FROM_ATTEMPTS = ("avoidable", "predicted_valid")
+GONE_FROM_OUTCOME = (
+    "avoidable", "hazard_time", "kind", "sensitivity", "latest_careful", "latest_manoeuvre", "reacting",
+)  # fmt: skip
+GONE_FROM_IMPACT = ("delta_v", "ego_side")
+"""Keys of schema 1 that schema 2 does not have; docs/verdicts.md says what to read instead."""
+LEVELS_VERSION = 2  # of the verdict in a file of schema 1: earlier ones have no level
+
+
+def check_schema(document: Mapping[str, Any], file: Path, packs: Path | None = None) -> None:
+    """Refuse a file of schema 1.
+
+    Args:
+        document: The content of ``outcome.json``.
+        file: Where it lies.
+        packs: The campaign's folder, if the file is in one of its packs.
+
+    Raises:
+        UsageError: The file has schema 1.
+    """
+    if document.get("schema") != 1:
+        return
+    if packs is not None:
+        unpack = f"'sumo-adv batch unpack {packs}', then 'sumo-adv judge {packs / 'unpacked'}'"
+        raise UsageError(f"{file} has schema 1, in a pack: judge it again with {unpack}.")
+    raise UsageError(f"{file} has schema 1: judge it again with 'sumo-adv judge {file.parent}'.")
+
+
+def migrated(document: Mapping[str, Any], file: Path) -> dict[str, Any]:
+    """Return a file of schema 1 as one of schema 2. Its figures are kept as they are.
+
+    Args:
+        document: The content of ``outcome.json``.
+        file: Where it lies.
+
+    Raises:
+        UsageError: The file is so old that it has no levels.
+    """
+    if document.get("verdict_version") != LEVELS_VERSION:
+        raise UsageError(f"{file} was written before verdicts had levels: run it again.")
+    verdict = document["outcome"]
+    made = _without(document, GONE) | {
+        "schema": SCHEMA, "attempts": [_without(attempt, GONE_FROM_ATTEMPTS) for attempt in document["attempts"]],
+    }  # fmt: skip
+    if verdict is not None:
+        made["outcome"] = _without(verdict, GONE_FROM_OUTCOME) | {
+            "impact": None if verdict["impact"] is None else _without(verdict["impact"], GONE_FROM_IMPACT),
+            "in_loop": verdict["in_loop"] if "in_loop" in verdict else _in_loop(verdict),
+        }
+    return made
+
+
+def _in_loop(verdict: Mapping[str, Any]) -> dict[str, str] | None:
+    """Return the answers in the loop of a file that has those in the simulation as ``references``."""
+    if verdict["references"] is None:
+        return None
+    answers = verdict["references"] if verdict["simulated"] else {}
+    return {name: answer for name, answer in answers.items() if answer != "not_applicable"}
+
+
+def _without(table: Mapping[str, Any], keys: tuple[str, ...]) -> dict[str, Any]:
+    return {key: value for key, value in table.items() if key not in keys}
