@@ -11,17 +11,18 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from shapely import box
 
 from sumo_adv.datatypes import Boxes, Floats, LaneStrip, Role, Track
-from sumo_adv.metrics.avoidance import avoidance
+from sumo_adv.metrics.case import Case
 from sumo_adv.metrics.criticality import ttc
-from sumo_adv.metrics.full import full_judge, markings_crossed
-from sumo_adv.metrics.levels import with_level
+from sumo_adv.metrics.further import further_figures
+from sumo_adv.metrics.markings import markings_crossed
 from sumo_adv.metrics.reference.counterfactual import Encounters, answers
-from sumo_adv.metrics.validity import hazard_index, judge
+from sumo_adv.metrics.verdict import judge
 from sumo_adv.report.tables import series_rows
 from sumo_adv.report.verdicts import realism_figures
 from sumo_adv.simulation.network import Drivable
@@ -72,35 +73,22 @@ def main() -> int:
     def on_road(x: Floats, y: Floats) -> np.ndarray:
         return np.abs(y) < 6.0
 
-    egos = rollouts([ego] * 60)
-    foes = rollouts([cut_in(9.0 + i / 10, 3.0 + i, 1.5 + i / 15) for i in range(60)])
-    trigger, contact = np.full(60, 10), np.full(60, 80)
     road = Drivable(box(-500.0, -20.0, 2000.0, 20.0))
     strips = [LaneStrip(np.array([[0.0, 3.2 * k], [900.0, 3.2 * k]]), 3.2, False) for k in range(-15, 15)]
-    hazards, _ = hazard_index(egos, foes, trigger, contact)
-    gates = judge(ego, adversary, others, trigger_time=1.0, on_road=on_road)
+    case = Case(ego, adversary, tuple(others), 1.0, on_road=on_road)
+    missed = replace(case, adversary=track("adversary", 50 + 15 * TIME, 0 * TIME - 3.2, 15.0))
     wide = rollouts([cut_in(9.0 + i / 25, 3.0 + i / 2, 1.5 + i / 40) for i in range(150)])
     encounters = Encounters(rollouts([ego] * 150), wide, np.full(150, 10), np.full(150, 80), DT)
     figures = (
         ("ttc, 100 vehicles x 91 steps", 10.0, lambda: ttc(vehicle, vehicles)),
-        (
-            "gate verdict, 120 steps, 10 others",
-            5.0,
-            lambda: judge(ego, adversary, others, trigger_time=1.0, on_road=on_road),
-        ),
-        (
-            "levels of a collision, 5 drivers",
-            200.0,
-            lambda: with_level(gates, ego, adversary, others, trigger_time=1.0, on_road=on_road),
-        ),
+        ("verdict without a collision, 10 others", 5.0, lambda: judge(missed)),
+        ("verdict on a collision, 5 drivers", 205.0, lambda: judge(case)),
         ("cc_human on 150 rollouts", 200.0, lambda: answers(encounters, ("cc_human",))),
         ("cc_human, manoeuvre on 150 rollouts", 500.0, lambda: answers(encounters, ("cc_human", "manoeuvre"))),
-        ("full verdict", 150.0, lambda: full_judge(ego, adversary, others, trigger_time=1.0, on_road=on_road)),
+        ("further figures", 145.0, lambda: further_figures(case)),
         ("series rows, 120 steps, 10 others", 50.0, lambda: series_rows(ego, [ego, adversary, *others], "adversary")),
         ("markings, 120 steps, 30 lanes", 50.0, lambda: markings_crossed(adversary, strips, road)),
         ("realism, 120 steps, 10 others", 50.0, lambda: realism_figures(adversary, others, road)),
-        ("hazard of 60 rollouts", 10.0, lambda: hazard_index(egos, foes, trigger, contact)),
-        ("avoidability of 60 rollouts", 30.0, lambda: avoidance(egos, foes, hazards, DT)),
     )
     over = False
     for name, bound, work in figures:

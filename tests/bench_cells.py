@@ -19,7 +19,7 @@ def attempt(intent: str = "Aggressive Cut-in", **given: Any) -> dict[str, Any]:
         "intent": intent, "adversaries": ["1"], "phase": "tuner", "min_ttc": least, "collided": collided,
         "critical": collided or (least is not None and least <= 1.0), "feasible": True, "rear_end": False,
         "valid": False if collided else None, "strict": False if collided else None, "failed_gates": [],
-        "avoidable": ("any_manoeuvre" if given.get("valid") else "unavoidable") if collided else None,
+        "predicted_level": None,
     }  # fmt: skip
     return defaults | given
 

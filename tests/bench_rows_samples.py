@@ -63,7 +63,6 @@ def attempt(proposal: Proposal, index: int = 0, **changed: Any) -> Attempt:
     """An attempt that missed by 10 m unless ``changed`` says otherwise of its verdict."""
     verdict = {
         "min_ttc": 5.0, "min_distance": 10.0, "collided": False, "critical": False, "feasible": True, "rear_end": False,
-        "valid": None, "strict": None, "avoidable": None,
     } | changed  # fmt: skip
     return Attempt(index, "row", proposal, 100.0, Verdict(**verdict), "passed")
 

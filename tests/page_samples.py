@@ -59,8 +59,8 @@ def attempt(index: int, planner: str, adversary: str = ADVERSARY, **changes: Any
         "index": index, "by": "expert", "phase": "analyzer", "adversaries": [adversary], "intent": "Cut-in",
         "planner": {"mode": "side", "hash": planner, "origin": "seed"}, "parameters": {"gap": 3.0},
         "acceleration": 0.0, "trigger_time": 2.0, "min_ttc": 0.72, "min_distance": 1.2, "collided": False,
-        "critical": True, "feasible": True, "rear_end": False, "valid": None, "strict": None, "avoidable": None,
-        "failed_gates": [], "ending": "passed", "message": "", **changes,
+        "critical": True, "feasible": True, "rear_end": False, "valid": None, "strict": None, "level": "critical",
+        "kind": "", "delta_v": None, "failed_gates": [], "ending": "passed", "message": "", **changes,
     }  # fmt: skip
 
 
@@ -73,11 +73,14 @@ def outcome(ego: str = EGO, adversary: str = ADVERSARY, **changes: Any) -> dict[
     verdict = {
         "min_ttc": 0.7213, "min_ttc_any": 0.65, "min_pet": None, "max_drac": 3.5979, "min_distance": 1.2345,
         "collided": False, "critical": True, "feasible": True, "rear_end": False, "valid": None, "strict": None,
-        "avoidable": None, "fault": None, "failed_gates": [], "contact_time": None, "hazard_time": 3.0,
-        "min_ttc_time": 4.5,
+        "fault": None, "failed_gates": [], "log_gates": [], "contact_time": None, "min_ttc_time": 4.5,
+        "level": "critical", "preventable_by": None, "references": None, "alarms": None, "inconclusive": None,
+        "simulated": None, "in_loop": None, "ego_stationary": None, "ego_blocking": None, "humanlike": None,
+        "beyond_human": [], "contact_side": None, "delta_v": None, "adversary_delta_v": None, "severity": None,
+        "injury_risk": None, "impact_speed": None, "overlap": None, "impact": None,
     }  # fmt: skip
     return {
-        "schema": 1, "ending": "critical", "reason": "An attempt met the criterion.", "network": "sample", "seed": 7,
+        "schema": 2, "ending": "critical", "reason": "An attempt met the criterion.", "network": "sample", "seed": 7,
         "ego": {"id": ego, "controller": "idm"}, "adversaries": [{"id": adversary}], "trigger_time": 2.0,
         "encounter": {"time": 2.0, "ranking": [{"id": adversary, "relation": "neighbour", "risk": 0.5}]},
         "agents": {"analyzer": "expert", "note": "Built-in expert."}, "intent": intent, "intents": [intent],

@@ -119,7 +119,8 @@ def test_never_is_infinite_and_null_in_the_file() -> None:
     verdict = verdict_of(
         {
             "min_ttc": None, "min_distance": 2.5, "collided": False, "critical": False, "feasible": True,
-            "rear_end": False, "valid": None, "strict": None, "avoidable": None, "failed_gates": [], "level": "none",
+            "rear_end": False, "failed_gates": [], "level": "none", "min_ttc_any": None, "min_pet": None,
+            "log_gates": [], "beyond_human": [], "references": None,
         }
     )  # fmt: skip
     assert (verdict.min_ttc, verdict.min_distance, verdict.level) == (math.inf, 2.5, Level.NONE)

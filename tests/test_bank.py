@@ -46,7 +46,7 @@ def test_evidence_reads_back_as_it_was_written(tmp_path: Path) -> None:
 
 
 def test_evidence_of_a_verdict_keeps_its_fields() -> None:
-    verdict = Verdict(0.4, 0.1, False, True, True, False, None, None, None)
+    verdict = Verdict(0.4, 0.1, False, True, True, False)
     scene = SceneSignature("crossing", "crossing_left", {"gap": 3.0}, "krauss")
     kept = evidence_of(
         verdict, label="X", planner_hash="h", scene=scene, attempts=2, version="0.1", network="n", seed=1, delay=0.5

@@ -5,7 +5,8 @@ from bench_cells import Cell, attempt, cell
 
 from sumo_adv.benchmark.league import WARNING, league, to_markdown
 
-MISS, VALID = attempt(min_ttc=3.0, predicted_valid=0.6), attempt(valid=True, predicted_valid=0.9)
+MISS, VALID = attempt(min_ttc=3.0, predicted_level="strict"), attempt(valid=True, predicted_level="valid")
+UNCALLED = attempt(min_ttc=3.0, predicted_level="collision")
 
 
 def cells(ego: str, driver_known: bool, *tries: int | None) -> list[Cell]:
@@ -25,6 +26,11 @@ def test_the_driver_that_takes_more_attempts_stands_first_and_a_failure_counts_a
     assert duel.attempts.difference == pytest.approx(2.0)  # 1, 3 and 2 more
     assert duel.valid.difference == pytest.approx(-2 / 3)
     assert (places[0].called, places[0].right) == (8, pytest.approx(1 / 8))  # called valid: 1 + 1, 3 and 3
+
+
+def test_an_attempt_that_was_predicted_to_be_a_collision_only_was_not_called_valid() -> None:
+    (place,), _ = league([cell("straight-0", "expert", UNCALLED, VALID, ego="soft", driver_known=True)], budget=3)
+    assert (place.called, place.right) == (1, 1.0)
 
 
 def test_known_and_unknown_drivers_are_no_pair_and_a_warning_says_why() -> None:

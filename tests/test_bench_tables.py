@@ -24,9 +24,9 @@ ABOUT = {
 
 
 def four(row: str = "expert") -> list[Cell]:
-    """A valid collision at the second attempt, an unavoidable one, a near miss at 4 s, a crash of the simulation."""
+    """A valid collision at the second attempt, one that is not, a near miss at 4 s, a crash of the simulation."""
     return [
-        cell("straight-1", row, attempt(min_ttc=0.8), attempt(strict=True, avoidable="careful_driver")),
+        cell("straight-1", row, attempt(min_ttc=0.8), attempt(strict=True)),
         cell("straight-2", row, attempt(collided=True)),
         cell("crossing-1", row, attempt(min_ttc=4.0)),
         cell("crossing-2", row, ending="simulation_failed", reason="It broke."),
@@ -42,7 +42,6 @@ def test_a_failure_stays_in_the_denominator() -> None:
     table = make_table(four(), title="Made")
     shares = {k: value(table, k) for k in ("collision", "no_rear", "valid", "strict", "critical", "failed")}
     assert shares == {"collision": 0.5, "no_rear": 0.5, "valid": 0.25, "strict": 0.25, "critical": 0.5, "failed": 0.25}
-    assert value(table, "unavoidable") == 0.25
     assert value(table, "no_attack") == 0
     entry = table.entry("idm", "all", "expert", "valid")
     assert entry is not None and entry.estimate.n == 4

@@ -15,9 +15,9 @@ import pytest
 from metrics_tracks import TIME, braking, car, cruise, drift
 
 from sumo_adv.datatypes import Track
+from sumo_adv.metrics.case import Case
 from sumo_adv.metrics.cause import Action, Cause, CauseKind, cause_of
-from sumo_adv.metrics.levels import with_level
-from sumo_adv.metrics.validity import judge
+from sumo_adv.metrics.verdict import judge, with_answers
 
 LEADER = braking("adversary", 35.0, 0.0, 20.0, 2.0, 6.0)
 STEADY = cruise("ego", 0.0, 0.0, 20.0)
@@ -27,9 +27,8 @@ def why(
     ego: Track, adversary: Track = LEADER, others: tuple[Track, ...] = (), unattacked: Track | None = STEADY,
     ttc: float = 1.0,
 ) -> Cause | None:  # fmt: skip
-    gates = judge(ego, adversary, others, trigger_time=1.0, ttc_threshold=ttc)
-    verdict = with_level(gates, ego, adversary, others, trigger_time=1.0, unattacked=unattacked)
-    return cause_of(ego, adversary, others, verdict, trigger_time=1.0, unattacked=unattacked)
+    case = Case(ego, adversary, others, 1.0, unattacked=unattacked)
+    return cause_of(case, judge(case, ttc_threshold=ttc))
 
 
 def test_an_ego_that_does_nothing_did_not_react() -> None:
@@ -155,12 +154,11 @@ def test_a_contact_that_braking_in_time_does_not_avoid_says_how_the_careful_driv
 
 def test_a_driver_that_avoids_only_the_recorded_motion_is_not_said_to_avoid_it() -> None:
     """As in the first story, but in the loop the adversary plans again and hits the careful driver, too."""
-    gates = judge(STEADY, LEADER, (), trigger_time=1.0)
-    verdict = with_level(gates, STEADY, LEADER, (), trigger_time=1.0, unattacked=STEADY)
+    case = Case(STEADY, LEADER, (), 1.0, unattacked=STEADY)
+    verdict = judge(case)
     assert verdict.preventability is not None
     hit = {name: "collides" for name, answer in verdict.preventability.answers.items() if answer == "avoids"}
-    in_loop = replace(verdict, preventability=replace(verdict.preventability, in_loop=hit))
-    cause = cause_of(STEADY, LEADER, (), in_loop, trigger_time=1.0, unattacked=STEADY)
+    cause = cause_of(case, with_answers(verdict, replace(verdict.preventability, in_loop=hit)))
     assert cause is not None
     assert cause.sentence.endswith("When the adversary plans again, no reference driver avoids it.")
 

@@ -37,7 +37,7 @@ def endpoint(bv, ego, road, parameters, acc, horizon):
 
 def verdict(level: Level, *, min_ttc: float = 0.0, delta_v: float | None = None, collided: bool = True) -> Verdict:
     """A feasible attempt that is no rear-end."""
-    seen = Verdict(min_ttc, 0.0, collided, True, True, False, None, None, None)
+    seen = Verdict(min_ttc, 0.0, collided, True, True, False)
     return replace(seen, level=level, delta_v=delta_v)
 
 

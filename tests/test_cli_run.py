@@ -27,7 +27,7 @@ ATTEMPT = {
 }  # fmt: skip
 BEST = {
     "min_ttc", "min_ttc_any", "min_pet", "max_drac", "min_distance", "collided", "critical", "feasible", "rear_end",
-    "valid", "strict", "avoidable", "fault", "failed_gates",
+    "valid", "strict", "fault", "failed_gates",
 }  # fmt: skip
 MODEL = {"model", "calls", "prompt_tokens", "completion_tokens", "seconds"}
 MANIFEST = {"schema", "versions", "network", "routes", "settings", "seed", "bank_hash", "planners", "model_answers"}

@@ -13,7 +13,7 @@ from sumo_adv.datatypes import Level, Proposal, Verdict
 from sumo_adv.goal import Goal
 from sumo_adv.gym.curriculum import FIRST, KEPT, REPEATED, ROUND, Curriculum
 
-MISS = Verdict(9.0, 20.0, False, False, True, False, None, None, None)
+MISS = Verdict(9.0, 20.0, False, False, True, False)
 NEAR = replace(MISS, min_ttc=2.0, min_distance=1.0)
 HIT = replace(MISS, min_ttc=0.0, min_distance=0.0, collided=True, level=Level.SERIOUS, delta_v=4.0)
 

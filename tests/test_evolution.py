@@ -24,7 +24,7 @@ def endpoint(bv, ego, road, parameters, acc, horizon):
 """
 SHIFT = make_planner("Shift", "side", TEXT, "seed")
 ENTRY = LibraryEntry("Shift", "moves over", ("neighbour",), (SHIFT,))
-MISS = Verdict(10.0, 30.0, False, False, True, False, None, None, None)
+MISS = Verdict(10.0, 30.0, False, False, True, False)
 
 
 def collision(level: Level, delta_v: float = 1.0, warning: float = 1.0, human: bool = False) -> Verdict:

@@ -28,7 +28,7 @@ EGO = track("ego", Role.EGO, 14 * T, 0 * T)
 RAW = track("bv", Role.ADVERSARY, 8 + 11 * T, 0 * T + 3.2)
 CUT = track("bv", Role.ADVERSARY, 8 + 13 * T, 3.2 / (1 + np.exp(3 * (T - 3))))
 OTHER = track("2", Role.BACKGROUND, 30 + 13 * T, 0 * T + 6.4)
-VERDICT = Verdict(0.7, 0.4, False, True, True, False, None, None, None)
+VERDICT = Verdict(0.7, 0.4, False, True, True, False)
 
 
 def draw(target: Path, title: str = "cut-in", verdict: Verdict = VERDICT) -> bytes:
@@ -67,7 +67,7 @@ def test_vehicles_that_never_meet_in_time_are_drawn_too(tmp_path: Path) -> None:
     gone = CUT.between(10.0, 10.5)
     draw_encounter(
         tmp_path / "a.png", lanes=[], ego=late, adversary=gone, others=[], raw_ego=None, raw_adversary=None,
-        trigger_time=11.0, verdict=Verdict(float("inf"), float("inf"), False, False, True, False, None, None, None),
+        trigger_time=11.0, verdict=Verdict(float("inf"), float("inf"), False, False, True, False),
         title="",
     )  # fmt: skip
     assert (tmp_path / "a.png").stat().st_size > 1000

@@ -13,7 +13,7 @@ from sumo_adv.search.sampling import templates_of
 from sumo_adv.situation import Target
 
 BRAKING = LibraryEntry("Emergency Braking", "It brakes.", ("leader",), ())
-MISS = Verdict(1.0, 2.0, False, False, True, False, None, None, None, ())
+MISS = Verdict(1.0, 2.0, False, False, True, False, ())
 
 
 def free(bv: str) -> Proposal:

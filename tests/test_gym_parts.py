@@ -183,7 +183,7 @@ def test_the_ego_pays_for_harm_and_for_blocking() -> None:
 
 
 def test_the_adversary_is_rewarded_for_the_level_it_reaches() -> None:
-    strict = Verdict(0.0, 0.0, True, True, True, False, True, True, None, level=Level.STRICT)
+    strict = Verdict(0.0, 0.0, True, True, True, False, level=Level.STRICT)
     assert adversary_reward(moved()) == pytest.approx(0.04)  # two metres nearer
     assert adversary_reward(moved(ending="contact", verdict=strict)) == pytest.approx(8.0)
     assert adversary_reward(moved(ending="passed")) == 0.0

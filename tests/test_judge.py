@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import copy
 import csv
 import json
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,11 +16,10 @@ from metrics_tracks import TIME, car, cruise, drift
 from run_samples import run_folder
 
 import sumo_adv
-from sumo_adv.datatypes import Level, Preventability, Track, Verdict
-from sumo_adv.episode.verdict import shown_to_collide
+from sumo_adv.datatypes import Level, Track
 from sumo_adv.errors import UsageError
 from sumo_adv.metrics.fault import fault, nuplan_fault
-from sumo_adv.metrics.levels import judged
+from sumo_adv.outcome_schema import GONE_FROM_ATTEMPTS, GONE_FROM_IMPACT, GONE_FROM_OUTCOME, SCHEMA
 from sumo_adv.report.judging import judge_files
 
 HEAD = "ego_kmh,other_kmh,gap_m,lateral_ms\n"
@@ -38,14 +39,14 @@ def columns(track: Track) -> dict[str, object]:
 def test_a_run_says_its_level_and_stores_the_plan(runs: Runs) -> None:
     outcome = runs["first"].outcome
     best = outcome["outcome"]
-    assert outcome["verdict_version"] == 2
+    assert outcome["schema"] == SCHEMA
     assert best["level"] in ("collision", "valid", "strict", "serious") and best["simulated"] is True
     assert best["valid"] is (Level[best["level"].upper()] >= Level.VALID)
     assert set(best["references"]) == {"cc_human", "manoeuvre", "reg157", "rss", "fsm"}
     assert (runs["first"].folder / "plan.csv.gz").is_file()
 
 
-def test_a_run_of_version_2_is_judged_from_its_files_alone() -> None:
+def test_a_run_is_judged_from_its_files_alone() -> None:
     folder = run_folder("crossing")
     recorded = json.loads((folder / "outcome.json").read_text(encoding="utf-8"))["outcome"]
     verdict = judge_files(folder).now
@@ -65,18 +66,53 @@ def test_the_command_prints_a_line_a_run_and_counts(program: Program, runs: Runs
     assert count.startswith("idm: runs 1, valid before ")
 
 
-def test_a_run_of_version_1_is_replayed(program: Program, runs: Runs, tmp_path: Path) -> None:
-    """The files of a run as the last version wrote them: no plan, no level."""
-    old = tmp_path / "old"
-    shutil.copytree(runs["first"].folder, old)
-    outcome = json.loads((old / "outcome.json").read_text(encoding="utf-8"))
-    del outcome["verdict_version"]
-    (old / "outcome.json").write_text(json.dumps(outcome), encoding="utf-8")
-    (old / "plan.csv.gz").unlink()
-    done = program.here("judge", old, "--json")
+def test_a_run_is_simulated_again_on_request(program: Program, runs: Runs) -> None:
+    done = program.here("judge", runs["first"].folder, "--replay", "--json")
     assert done.status == 0, done.err
     (row,) = json.loads(done.out)["runs"]
     assert (row["how"], row["level"], row["simulated"]) == ("replay", runs["first"].outcome["outcome"]["level"], True)
+
+
+def as_schema_1(folder: Path, runs: Runs, **changes: object) -> dict[str, Any]:
+    """A run's folder as it was with schema 1; gives back what it held of schema 2."""
+    shutil.copytree(runs["first"].folder, folder)
+    new = json.loads((folder / "outcome.json").read_text(encoding="utf-8"))
+    old = copy.deepcopy(new) | {"schema": 1, "verdict_version": 2} | changes
+    verdict = old["outcome"]
+    verdict |= dict.fromkeys(GONE_FROM_OUTCOME, 1.5)
+    verdict["impact"] |= dict.fromkeys(GONE_FROM_IMPACT, 3.0)
+    for attempt in old["attempts"]:
+        attempt |= dict.fromkeys(GONE_FROM_ATTEMPTS, 1.0)
+    (folder / "outcome.json").write_text(json.dumps(old), encoding="utf-8")
+    return dict(new)
+
+
+def test_a_run_of_schema_1_is_rewritten_once(program: Program, runs: Runs, tmp_path: Path) -> None:
+    new = as_schema_1(tmp_path / "old", runs)
+    done = program.here("judge", tmp_path / "old")
+    assert done.status == 0 and done.err == ""
+    assert json.loads((tmp_path / "old" / "outcome.json").read_text(encoding="utf-8")) == new
+
+
+def test_other_commands_say_how_to_bring_a_run_of_schema_1_up_to_date(
+    program: Program, runs: Runs, tmp_path: Path
+) -> None:
+    folder = tmp_path / "old"
+    as_schema_1(folder, runs)
+    for command in ("report", "figure", "export", "compare"):
+        more = {"compare": (folder,), "figure": ("--out", "a.png"), "export": ("--out", "a")}.get(command, ())
+        done = program.here(command, folder, *more)
+        assert done.status == 2
+        assert (
+            done.err
+            == f"sumo-adv: {folder / 'outcome.json'} has schema 1: judge it again with 'sumo-adv judge {folder}'.\n"
+        )
+
+
+def test_a_run_without_levels_is_too_old(program: Program, runs: Runs, tmp_path: Path) -> None:
+    as_schema_1(tmp_path / "old", runs, verdict_version=1)
+    done = program.here("judge", tmp_path / "old")
+    assert done.status == 1 and "was written before verdicts had levels: run it again." in done.err
 
 
 @pytest.mark.parametrize(
@@ -158,14 +194,6 @@ def test_an_id_that_is_not_in_the_table_is_named() -> None:
 def test_strict_is_refused_against_the_driver_that_it_is_judged_by(program: Program) -> None:
     done = program.here("run", "motorway_cut_in_left", "--ego", "careful", "--until", "strict")
     assert done.status == 2 and "--until strict cannot be reached against the ego 'careful'" in done.err
-
-
-def test_a_collision_of_the_careful_driver_itself_is_not_strict() -> None:
-    """Its path and lane are not those of the counterfactual, in which it avoids the collision."""
-    avoided = Preventability({"cc_human": "avoids", "manoeuvre": "avoids"}, {})
-    hit = Verdict(0.0, 0.0, True, True, True, False, None, None, None, (), contact_time=5.0, preventability=avoided)
-    assert judged(hit).level >= Level.STRICT
-    assert shown_to_collide(hit, "cc_human").level is Level.VALID
 
 
 def test_head_on_the_vehicle_that_left_its_side_is_at_fault() -> None:

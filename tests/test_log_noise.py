@@ -45,7 +45,7 @@ def test_the_case_names_what_the_log_breaks() -> None:
     """From 11 to 9 m/s within a step is -20 m/s2."""
     tracks = [noisy(), track("ego", 10.0, y=20.0)]
     broken = ("longitudinal", "friction_circle", "jerk", "continuity")
-    case = make_case(tracks, "ego", ["bv"], 1.0, {}, Limits())
+    case = make_case(tracks, "ego", ["bv"], 1.0, {}, logged=Limits())
     assert case is not None and case.log_gates == broken == log_breaches(noisy(), 1.0, Limits())
     assert gates(case.adversary) == ()
     as_it_is = make_case(tracks, "ego", ["bv"], 1.0, {})

@@ -7,7 +7,7 @@ import pytest
 from metrics_tracks import TIME, car
 
 from sumo_adv.datatypes import Bools, Floats, LaneStrip, Track
-from sumo_adv.metrics.full import Marking, markings_crossed
+from sumo_adv.metrics.markings import Marking, markings_crossed
 
 
 def lane(y: float, *, start: float = 0.0, end: float = 200.0, west: bool = False, internal: bool = False) -> LaneStrip:

@@ -331,7 +331,7 @@ def report(verdict: Verdict, ending: str = "passed") -> str:
 
 
 def test_the_feedback_describes_an_attempt() -> None:
-    verdict = Verdict(1.44, 2.31, False, False, False, False, None, None, None, ("lateral",), min_ttc_time=103.4)
+    verdict = Verdict(1.44, 2.31, False, False, False, False, ("lateral",), min_ttc_time=103.4)
     words = report(verdict)
     assert "lasted 6.5 s; it ended because the two had passed each other" in words
     assert "Level none: no contact; least time to collision 1.44 s, least distance of the boxes 2.3 m." in words
@@ -358,7 +358,7 @@ def test_the_feedback_says_what_the_next_level_needs() -> None:
 
 
 def test_other_attempts_are_a_line_each_with_what_they_lacked() -> None:
-    missed = Verdict(1.44, 2.31, False, False, False, False, None, None, None, ())
+    missed = Verdict(1.44, 2.31, False, False, False, False, ())
     missed, off_road = replace(missed, feasible=True), replace(missed, failed_gates=("off_road",))
     tries = [Attempt(k, "tuner", proposal(0.5), 100.0, v, "passed", "") for k, v in enumerate((missed, off_road))]
     first, second = earlier_words(tries, {"bv": "BV1"}).splitlines()

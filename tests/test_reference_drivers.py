@@ -13,13 +13,14 @@ from hypothesis import strategies as st
 from metrics_tracks import DT, TIME, car, cruise, drift
 
 from sumo_adv.datatypes import Boxes, Level, Track, Verdict
-from sumo_adv.metrics.levels import level_of, preventability, with_level
+from sumo_adv.metrics.case import Case
 from sumo_adv.metrics.own_data import CASE_COLUMNS, judge_cut_ins
+from sumo_adv.metrics.preventability import preventability
 from sumo_adv.metrics.reference import BRAKERS, REFERENCE_DRIVERS, SAME_DIRECTION_ONLY
 from sumo_adv.metrics.reference.brakers import FULL_BRAKING_M_S2, critical, proactive, speed_lost
 from sumo_adv.metrics.reference.counterfactual import Counterfactual, Encounters
 from sumo_adv.metrics.reference.view import EgoPaths
-from sumo_adv.metrics.validity import judge
+from sumo_adv.metrics.verdict import judge, with_answers
 
 METRICS = Path(__file__).resolve().parent.parent / "sumo_adv" / "metrics"
 EGO = cruise("ego", 0, 0, 15)
@@ -31,8 +32,7 @@ def row(track: Track) -> Boxes:
 
 
 def judged(ego: Track, adversary: Track, *others: Track, trigger: float = 1.0) -> Verdict:
-    gates = judge(ego, adversary, others, trigger_time=trigger)
-    return with_level(gates, ego, adversary, others, trigger_time=trigger)
+    return judge(Case(ego, adversary, others, trigger))
 
 
 # ---- the rules
@@ -93,7 +93,7 @@ def test_a_collision_that_only_rss_avoids_is_not_valid() -> None:
 
     def with_avoiding(*names: str) -> Level:
         answers = {n: "avoids" if n in names else "collides" for n in REFERENCE_DRIVERS}
-        return level_of(replace(hit, preventability=replace(hit.preventability, answers=answers)))
+        return with_answers(hit, replace(hit.preventability, answers=answers)).level
 
     assert with_avoiding("rss", "fsm") is Level.COLLISION
     assert with_avoiding("rss", "reg157") is Level.VALID
@@ -106,10 +106,10 @@ def test_a_driver_must_avoid_it_in_the_loop_too() -> None:
     assert hit.preventability is not None and hit.level is Level.SERIOUS
 
     def in_loop(**answers: str) -> Verdict:
-        return replace(hit, preventability=replace(hit.preventability, in_loop=answers))
+        return with_answers(hit, replace(hit.preventability, in_loop=answers))
 
-    assert level_of(in_loop(cc_human="collides", manoeuvre="avoids")) is Level.VALID
-    assert level_of(in_loop(cc_human="collides", manoeuvre="collides", reg157="collides")) is Level.COLLISION
+    assert in_loop(cc_human="collides", manoeuvre="avoids").level is Level.VALID
+    assert in_loop(cc_human="collides", manoeuvre="collides", reg157="collides").level is Level.COLLISION
     prevention = in_loop(cc_human="avoids").preventability
     assert prevention is not None and prevention.by == ("cc_human",)
 
@@ -187,13 +187,11 @@ def test_an_ego_that_drives_into_a_standing_car_takes_part() -> None:
     assert v.collided and v.ego_stationary is False and v.level >= Level.STRICT
 
 
-def test_a_hazard_8_47_s_before_the_contact_is_no_reason_to_have_braked() -> None:
-    """Version 1 took the hazard from the last spell before the contact: a car that crept over 8 s at 0.09 m/s showed
-    its hazard 4 s before. 0.09 m/s is lane keeping, so ``cc_human`` is not alarmed before the touch."""
+def test_a_car_that_creeps_over_at_0_09_m_s_is_no_reason_to_have_braked() -> None:
+    """0.09 m/s is lane keeping, so ``cc_human`` is not alarmed before the touch."""
     creeping = car("adversary", 2.0 + 15.0 * TIME, 2.9 - 0.09 * TIME, 15.0)
     v = judged(EGO, creeping)
-    assert v.contact_time == pytest.approx(10.0, abs=0.1) and v.hazard_time is not None
-    assert v.contact_time - v.hazard_time > 4.0
+    assert v.contact_time == pytest.approx(10.0, abs=0.1)
     assert v.preventability is not None and not v.strict
     assert "cc_human" not in v.preventability.alarms and v.preventability.answers["cc_human"] == "collides"
 
@@ -205,14 +203,14 @@ def test_a_contact_between_two_samples_is_a_contact(apart: float) -> None:
     foe = cruise("adversary", 22.5 - apart, -28.5 - apart, 10.0, np.pi / 2)
     check = Counterfactual(Encounters(row(ego), row(foe), np.array([10]), np.array([len(TIME) - 1]), DT))
     assert check.unchanged().contact[0] == pytest.approx(2.5 + apart / 10, abs=1e-3)
-    assert judge(ego, foe, [], trigger_time=1.0).contact_time == pytest.approx(2.5 + apart / 10, abs=1e-3)
+    assert judged(ego, foe).contact_time == pytest.approx(2.5 + apart / 10, abs=1e-3)
 
 
 def test_without_a_plan_it_is_inconclusive() -> None:
-    contact = judge(EGO, SLOW_DRIFT, [], trigger_time=1.0).contact_time
+    contact = judged(EGO, SLOW_DRIFT).contact_time
     assert contact is not None
     cut = SLOW_DRIFT.between(0.0, contact + 0.1)
-    judged_cut = preventability(EGO, cut, [], trigger_time=1.0, contact_time=contact)
+    judged_cut = preventability(Case(EGO, cut, (), 1.0), contact)
     assert judged_cut.inconclusive == "no_plan"
 
 

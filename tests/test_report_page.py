@@ -123,7 +123,7 @@ def test_closest_approach_of_two_that_meet(tmp_path: Path) -> None:
     times = {m["key"]: m["time"] for m in data["moments"]}
     # front to front they close at 20 m/s; the boxes lie beside one another from (100 - 4.8) / 20 = 4.76 s on
     assert times["closest"] == times["raw_closest"] == pytest.approx(4.8)
-    assert times["trigger"] == 2.0 and times["hazard"] == 3.0 and times["min_ttc"] == 4.5 and "contact" not in times
+    assert times["trigger"] == 2.0 and times["min_ttc"] == 4.5 and "contact" not in times
     assert [m["time"] for m in data["moments"]] == sorted(times.values())
 
 

@@ -22,11 +22,12 @@ from sumo_adv.episode.unprotected import crossing_risk, unprotected_ways
 from sumo_adv.geometry import Pose
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.build import build, read_sources
+from sumo_adv.metrics.case import Case
 from sumo_adv.metrics.gates import failed_gates, kinematic_gates
-from sumo_adv.metrics.levels import level_of, preventability, with_level
+from sumo_adv.metrics.preventability import preventability
 from sumo_adv.metrics.reference.view import hidden
 from sumo_adv.metrics.severity import crash, hardness, unprotected_risk
-from sumo_adv.metrics.validity import judge
+from sumo_adv.metrics.verdict import judge
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import is_trusted
 from sumo_adv.planners.source import parse_parameters
@@ -157,10 +158,7 @@ def test_a_careful_driver_notices_a_pedestrian_once_it_moves_towards_the_path_an
     it is perceived, too late."""
     ego, walks = cruise("ego", 0.0, 0.0, 10.0), crossing(1.9, **PERSON)
     contact = 7.8
-    open_, behind = (
-        preventability(ego, walks, others, trigger_time=2.0, contact_time=contact)
-        for others in ((), (parked(76.0, -3.5),))
-    )
+    open_, behind = (preventability(Case(ego, walks, others, 2.0), contact) for others in ((), (parked(76.0, -3.5),)))
     assert open_.alarms["cc_human"] == pytest.approx(5.8) and open_.answers["cc_human"] == "avoids"
     assert behind.alarms["cc_human"] == pytest.approx(6.9, abs=0.15) and behind.answers["cc_human"] == "collides"
 
@@ -168,10 +166,7 @@ def test_a_careful_driver_notices_a_pedestrian_once_it_moves_towards_the_path_an
 def test_vehicles_are_noticed_whatever_is_in_the_way() -> None:
     """The reference drivers' sources know no occlusion: for a car the van changes nothing."""
     ego, crosses = cruise("ego", 0.0, 0.0, 10.0), crossing(1.9, length=4.5, width=1.8)
-    alarms = [
-        preventability(ego, crosses, others, trigger_time=2.0, contact_time=7.6).alarms
-        for others in ((), (parked(68.0, -4.5),))
-    ]
+    alarms = [preventability(Case(ego, crosses, others, 2.0), 7.6).alarms for others in ((), (parked(68.0, -4.5),))]
     assert alarms[0] == alarms[1]
 
 
@@ -199,11 +194,10 @@ def test_serious_depends_on_the_impact_speed() -> None:
     """The front of the ego meets the pedestrian at 10 m/s, which is more than 8.06; at 7 m/s it is strict."""
     for speed, expected in ((10.0, Level.SERIOUS), (7.0, Level.STRICT)):
         ego, walks = cruise("ego", 80.0 - 10.0 * speed, 0.0, speed), crossing(3.2, **PERSON)
-        verdict = judge(ego, walks, (), trigger_time=2.0, limits=UNPROTECTED_LIMITS[RoadUser.PEDESTRIAN])
+        verdict = judge(Case(ego, walks, (), 2.0), limits=UNPROTECTED_LIMITS[RoadUser.PEDESTRIAN])
         assert verdict.collided and verdict.feasible
-        verdict = with_level(verdict, ego, walks, (), trigger_time=2.0)
         assert verdict.impact_speed == pytest.approx(speed, abs=0.01) and verdict.humanlike
-        assert (verdict.level, level_of(verdict)) == (expected, expected)
+        assert verdict.level is expected
 
 
 # ---- ways

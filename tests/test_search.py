@@ -46,7 +46,7 @@ NEW = "Ramp Merge Rush"
 
 def verdict(level: Level, *gates: str) -> Verdict:
     """What an attempt came to: its level, and the gates it failed."""
-    return Verdict(0.0, 0.0, True, True, not gates, False, None, None, None, gates, level=level)
+    return Verdict(0.0, 0.0, True, True, not gates, False, gates, level=level)
 
 
 def proposal(planner: Planner = SHIFT, gap: float = 2.0, drift: float = 3.0) -> Proposal:

@@ -175,7 +175,7 @@ def candidate(score: float, **predicted) -> Proposal:
 
 def verdict(level: Level, *gates: str) -> Verdict:
     """What an attempt came to: its level, and the gates it failed."""
-    return Verdict(0.0, 0.0, True, True, not gates, False, None, None, None, gates, level=level)
+    return Verdict(0.0, 0.0, True, True, not gates, False, gates, level=level)
 
 
 def promised(search, count):

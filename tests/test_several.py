@@ -33,8 +33,8 @@ from sumo_adv.episode.task import make_task
 from sumo_adv.errors import BankError
 from sumo_adv.memory.bank import MemoryBank, compositions, retrieve_composition
 from sumo_adv.memory.records import MAX_FAILURES_IN_A_ROW, Composition, Part
-from sumo_adv.metrics.case import make_case
-from sumo_adv.metrics.validity import judge
+from sumo_adv.metrics.case import Case, make_case
+from sumo_adv.metrics.verdict import judge
 from sumo_adv.planners.answers import Answer, PlannerObservation
 from sumo_adv.planners.source import make_planner
 from sumo_adv.report.folder import write_run
@@ -49,7 +49,7 @@ from sumo_adv.simulation.sumo_rules import Scenes
 from sumo_adv.situation import Target
 
 PLANNER = Planner("Shift", "side", "", (), "seed")
-MISS = Verdict(10.0, 30.0, False, False, True, False, None, None, None)
+MISS = Verdict(10.0, 30.0, False, False, True, False)
 
 
 def beside(name: str, x: float, y: float, speed: float = 10.0, relation: str = "neighbour") -> Target:
@@ -117,23 +117,23 @@ BESIDE = cruise("support", 5, 3.2, 15)
 
 
 def test_a_support_that_keeps_clear_fails_nothing_and_one_that_touches_the_ego_first_fails() -> None:
-    assert judge(EGO, COLLIDER, [BESIDE], trigger_time=1.0, supports=[BESIDE]).failed_gates == ()
+    assert judge(Case(EGO, COLLIDER, (BESIDE,), 1.0, supports=(BESIDE,))).failed_gates == ()
     drifting = replace(BESIDE, y=np.maximum(3.2 - np.maximum(EGO.time - 1.5, 0.0), 0.5), x=EGO.x - 2.0)
-    verdict = judge(EGO, COLLIDER, [drifting], trigger_time=1.0, supports=[drifting])
+    verdict = judge(Case(EGO, COLLIDER, (drifting,), 1.0, supports=(drifting,)))
     assert "third_party" in verdict.failed_gates
     assert not verdict.feasible
-    assert "third_party" not in judge(EGO, COLLIDER, [drifting], trigger_time=1.0).failed_gates
+    assert "third_party" not in judge(Case(EGO, COLLIDER, (drifting,), 1.0)).failed_gates
 
 
 def test_adversaries_that_touch_each_other_fail() -> None:
     into = cruise("support", 25, 0, 12)  # 10 m behind the collider, 7 m/s faster: they touch after 1.5 s
-    verdict = judge(EGO, COLLIDER, [into], trigger_time=1.0, supports=[into])
+    verdict = judge(Case(EGO, COLLIDER, (into,), 1.0, supports=(into,)))
     assert verdict.failed_gates == ("third_party",)
 
 
 def test_a_support_that_brakes_harder_than_a_car_can_fails_the_attempt() -> None:
     braking = replace(BESIDE, acceleration=np.where(BESIDE.time > 2.0, -12.0, 0.0))
-    failed = judge(EGO, COLLIDER, [braking], trigger_time=1.0, supports=[braking]).failed_gates
+    failed = judge(Case(EGO, COLLIDER, (braking,), 1.0, supports=(braking,))).failed_gates
     assert "longitudinal" in failed
 
 

@@ -52,7 +52,7 @@ class Charts {
 
   /** Names over the dotted lines, to the right or to the left; where there is room for few, the important ones. */
   nameMoments(c) {
-    const taken = [], order = ["contact", "closest", "trigger", "hazard", "min_ttc"];
+    const taken = [], order = ["contact", "closest", "trigger", "alarm", "min_ttc"];
     c.font = "11px system-ui, sans-serif";
     c.fillStyle = this.colours.soft;
     c.textAlign = "left";

@@ -258,7 +258,7 @@ function connectKeys(player) {
   const acts = {
     ArrowLeft: (e) => player.step(e.shiftKey ? -second : -1), ArrowRight: (e) => player.step(e.shiftKey ? second : 1),
     Home: () => { player.pause(); player.seek(player.from); }, End: () => { player.pause(); player.seek(player.to); },
-    t: () => moment("trigger"), h: () => moment("hazard"), c: () => moment("contact", "closest", "min_ttc"),
+    t: () => moment("trigger"), h: () => moment("alarm"), c: () => moment("contact", "closest", "min_ttc"),
     f: () => player.setFollow(!player.map.follow), v: () => setBeside(player, !player.map.beside), r: () => player.setWhole(!player.whole),
     0: () => { player.setFollow(false); player.fit(); }, "+": () => { player.map.zoom(1.3); redraw(); }, "=": () => { player.map.zoom(1.3); redraw(); },
     "-": () => { player.map.zoom(1 / 1.3); redraw(); }, "<": () => faster(-1), ",": () => faster(-1), ">": () => faster(1), ".": () => faster(1),

@@ -2,9 +2,6 @@ const GATE_WORDS = {
   longitudinal: "braking and acceleration", lateral: "lateral acceleration", friction_circle: "friction circle",
   curvature: "curvature", jerk: "jerk", continuity: "no jumps", off_road: "on the road", third_party: "no third party hit",
 };
-const TIERS = {
-  careful_driver: "avoidable for a careful driver", any_manoeuvre: "avoidable by some manoeuvre", unavoidable: "unavoidable",
-};
 
 const panel = (title, ...children) => el("section", { class: "panel", "aria-label": title }, el("h2", null, title), ...children);
 
@@ -34,18 +31,15 @@ function headline(outcome) {
   const v = outcome.outcome, badges = [];
   if (v && v.cause) byId("lead").append(el("span", { class: "why" }, " Why: ", quoted(v.cause.sentence)));
   if (v) {
-    if (v.level) badges.push([`level: ${answer(v.level)}`, ["valid", "strict", "serious"].includes(v.level) ? "level good" : "level"]);
+    badges.push([`level: ${answer(v.level)}`, ["valid", "strict", "serious"].includes(v.level) ? "level good" : "level"]);
     const hard = v.impact_speed == null ? `delta-v ${number(v.delta_v, 1, "m/s")}` : `hit at ${number(v.impact_speed, 1, "m/s")}`;
     if (v.severity) badges.push([`severity: ${answer(v.severity)}, ${hard}`, "level"]);
     if (v.preventable_by) badges.push([v.preventable_by.length ? `preventable by ${v.preventable_by.join(", ")}` : "no reference driver avoids it", "level"]);
     badges.push([v.collided ? "collision" : "no contact", v.collided ? "bad" : ""]);
     badges.push([`min TTC ${number(v.min_ttc, 2, "s")}`, ""]);
-    if (!v.level) badges.push([v.critical ? "critical" : "not critical", ""]);
-    if (!v.level && v.valid !== null) badges.push([v.valid ? "✓ valid" : "✗ not valid", v.valid ? "good" : "bad"]);
     badges.push([v.feasible ? "✓ feasible" : "✗ not feasible", v.feasible ? "good" : "bad"]);
     if (v.inconclusive) badges.push([`inconclusive: ${answer(v.inconclusive)}`, "bad"]);
     if (v.ego_stationary) badges.push(["the ego stood", "bad"]);
-    if (v.avoidable && !v.level) badges.push([TIERS[v.avoidable] || answer(v.avoidable), ""]);
     if (v.rear_end) badges.push(["rear-end", "bad"]);
   } else badges.push([data.failed ? "failed" : answer(outcome.ending), "bad"]);
   byId("badges").replaceChildren(...badges.map(([words, kind]) => el("li", { class: kind || null }, words)));
@@ -63,14 +57,14 @@ function verdictPanel(outcome) {
   ]);
   const failed = new Set(v.failed_gates), gates = data.gates.map((g) => ({ cells: [
     el("span", { class: failed.has(g) ? "bad" : "good" }, failed.has(g) ? "✗ fails" : "✓ holds"), GATE_WORDS[g] || answer(g)] }));
-  const impact = v.impact, times = [["trigger", outcome.trigger_time], ["hazard", v.hazard_time], ["contact", v.contact_time], ["least TTC", v.min_ttc_time]];
+  const impact = v.impact, times = [["trigger", outcome.trigger_time], ["contact", v.contact_time], ["least TTC", v.min_ttc_time]];
   return panel("Verdict", numbers, el("h3", null, "Gates of feasibility"), table([], gates), list([
-    ["valid", answer(v.valid)], ["strict", answer(v.strict)], ["level", v.level ? answer(v.level) : null],
-    ["human", v.level ? answer(v.humanlike) : null], ["avoidable", v.avoidable && !v.level ? answer(v.avoidable) : null],
-    ["rear-end", answer(v.rear_end)], ["at fault", v.fault ? `${answer(v.fault)} (${v.kind === "oncoming" ? "it left its side of the road" : "by nuPlan's rule"})` : null], ["kind", v.kind ? answer(v.kind) : null],
+    ["valid", answer(v.valid)], ["strict", answer(v.strict)], ["level", answer(v.level)],
+    ["human", answer(v.humanlike)],
+    ["rear-end", answer(v.rear_end)], ["at fault", v.fault ? `${answer(v.fault)} (${Math.abs(impact.angle) > 0.75 * Math.PI ? "it left its side of the road" : "by nuPlan's rule"})` : null],
     ["class", v.collision_class ? answer(v.collision_class) : null],
-    ["impact", impact ? `${number(impact.speed, 2, "m/s")} (ego ${number(impact.ego_speed, 2, "m/s")}, adversary ${number(impact.adversary_speed, 2, "m/s")}), ${answer(impact.ego_side)} of the ego` : null],
-    ["delta-v", impact && v.level ? `ego ${number(v.delta_v, 2, "m/s")}, adversary ${number(v.adversary_delta_v, 2, "m/s")}` : null],
+    ["impact", impact ? `${number(impact.speed, 2, "m/s")} (ego ${number(impact.ego_speed, 2, "m/s")}, adversary ${number(impact.adversary_speed, 2, "m/s")}), ${answer(v.contact_side)} of the ego` : null],
+    ["delta-v", impact ? `ego ${number(v.delta_v, 2, "m/s")}, adversary ${number(v.adversary_delta_v, 2, "m/s")}` : null],
     ...times.map(([name, time]) => [name, data.scene ? at(time) : null]), ...causeRows(v.cause),
   ]), (outcome.notes || []).map((note) => el("p", { class: "soft" }, quoted(note))));
 }
