@@ -42,7 +42,6 @@ CHOICE = (
     "trigger_time",
     "predicted_score",
     "predicted_level",
-    "predicted_valid",
 )
 """What an attempt was; the other keys of an attempt in ``outcome.json`` say what came of it."""
 

@@ -51,7 +51,7 @@ def test_a_run_leaves_all_files_and_says_one_json_object(runs: Runs) -> None:
     assert lacking(done.folder) == set()
     assert done.folder.stat().st_mode & 0o777 == 0o755
     assert set(outcome) >= OUTCOME
-    assert (outcome["schema"], outcome["network"], outcome["seed"]) == (1, "leader_two_lanes", 0)
+    assert (outcome["schema"], outcome["network"], outcome["seed"]) == (2, "leader_two_lanes", 0)
     assert outcome["ego"] == {"id": "ego", "controller": "idm"}
     assert outcome["ending"] in set(Ending)
     assert outcome["reason"].endswith(".")

@@ -99,9 +99,9 @@ def test_other_commands_say_how_to_bring_a_run_of_schema_1_up_to_date(
 ) -> None:
     folder = tmp_path / "old"
     as_schema_1(folder, runs)
-    for command in ("report", "figure", "export", "compare"):
-        more = {"compare": (folder,), "figure": ("--out", "a.png"), "export": ("--out", "a")}.get(command, ())
-        done = program.here(command, folder, *more)
+    for command in (("report",), ("figure", "--out", "a.png"), ("export", "--format", "womd", "--out", "a"),
+                    ("compare", folder)):  # fmt: skip
+        done = program.here(*command, folder)
         assert done.status == 2
         assert (
             done.err

@@ -22,6 +22,7 @@ LEVELS = (
         "files",
         "geometry",
         "goal",
+        "outcome_schema",
         "parsing",
         "road_users",
         "situation",
@@ -39,7 +40,7 @@ LEVELS = (
 )
 """From the bottom up: a part may import what stands below it, not its neighbours and not what is above."""
 SIDEWAYS = {("asked", "datatypes"), ("asked", "road_users"), ("consistency", "datatypes"), ("consistency", "geometry"),
-            ("config", "config_odd"), ("files", "errors"), ("parsing", "errors"),
+            ("config", "config_odd"), ("files", "errors"), ("outcome_schema", "errors"), ("parsing", "errors"),
             ("geometry", "datatypes"), ("goal", "datatypes"), ("road_users", "datatypes"), ("situation", "datatypes"),
             ("situation", "geometry"), ("situation", "road_users"),
             ("benchmark", "campaigns"), ("report", "womd"), ("cli", "api"), ("cli", "api_batch"), ("api_batch", "api"),

@@ -190,7 +190,7 @@ COLUMNS: tuple[Column, ...] = (
     Column("no_rear", "noRear", "Verdicts", "a feasible collision, not into the ego's back",
            of=lambda cell: c.no_rear(c.counted(cell))),
     Column("valid", "valid", "Verdicts",
-           "verdict version 2: noRear, conclusive, the ego took part, and a reference driver avoids it",
+           "noRear, conclusive, the ego took part, and a reference driver avoids it",
            of=_verdict("valid")),
     Column("strict", "strict", "Verdicts", "valid, and UN R157's careful human driver (cc_human) avoids it",
            of=_verdict("strict")),
