@@ -14,7 +14,7 @@ from sumo_adv.metrics.avoidance import OnRoad
 from sumo_adv.metrics.boxes import at_time
 from sumo_adv.metrics.case import Case
 from sumo_adv.metrics.contact import CollisionClass, Side, collision_class, rear_end
-from sumo_adv.metrics.criticality import COLUMNS, series
+from sumo_adv.metrics.criticality import CRITICALITY_COLUMNS, series
 from sumo_adv.metrics.fault import longitudinal_safe_distance, rss_opinion
 from sumo_adv.metrics.further import further_figures
 from sumo_adv.metrics.verdict import judge, with_answers
@@ -219,10 +219,10 @@ def test_rss_blames_the_follower_who_does_not_brake_and_frees_the_one_who_does()
 def test_series_has_every_measure_for_every_pair_and_step() -> None:
     late = cruise("late", 40, 0, 5).between(2.0, 6.0)
     measures = series(EGO, [ONCOMING, late])
-    assert all(measures[name].shape == (2, len(TIME)) for name in COLUMNS)
+    assert all(measures[name].shape == (2, len(TIME)) for name in CRITICALITY_COLUMNS)
     assert measures["ttc"][0, 0] == pytest.approx(95 / 25) and measures["ttc"][1, 0] == np.inf
     assert measures["gap"][1, 20] == pytest.approx(40 + 10 - 30 - 5)
-    assert not np.isnan(np.concatenate([measures[n].ravel() for n in COLUMNS])).any()
+    assert not np.isnan(np.concatenate([measures[n].ravel() for n in CRITICALITY_COLUMNS])).any()
 
 
 def test_a_hard_braking_adversary_is_braking_and_its_contact_is_exact() -> None:
