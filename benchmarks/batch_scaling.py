@@ -32,9 +32,9 @@ from typing import Any
 
 from sumo_adv.app import batch_parts, open_agents
 from sumo_adv.campaigns.campaign import Orders, run_batch
-from sumo_adv.campaigns.local import Pace
-from sumo_adv.campaigns.plan import Plan, make_plan
-from sumo_adv.campaigns.results import Job, Learn, Row, Setup
+from sumo_adv.campaigns.local import WorkerPace
+from sumo_adv.campaigns.plan import CampaignPlan, make_plan
+from sumo_adv.campaigns.results import EpisodeJob, Learn, Row, WorkerSetup
 from sumo_adv.campaigns.worker import Runner
 from sumo_adv.config import load_settings
 from sumo_adv.episode.engine import episode_worker
@@ -94,7 +94,7 @@ class Clock:
     def begin(self, total: int, before: Sequence[Row]) -> None:
         """Nothing."""
 
-    def finished(self, job: Job, row: Row | None = None) -> None:
+    def finished(self, job: EpisodeJob, row: Row | None = None) -> None:
         """Now."""
         self.finishes[job.id] = time.perf_counter() - self.began
         self.busy.append(busy())
@@ -131,7 +131,7 @@ def main() -> int:
     settings = {"attempts": 1, "proposals": args.proposals}
     table = {"inputs": list(args.scenarios), "seeds": -(-args.episodes // len(args.scenarios)), "settings": settings}
     plan = make_plan(table, Path(), "The plan", batch_parts())
-    all_ways: list[Callable[[Plan, Path], Took]] = [plain, warm, one, two, apart]
+    all_ways: list[Callable[[CampaignPlan, Path], Took]] = [plain, warm, one, two, apart]
     ways = [way for way in all_ways if way.__name__ in args.ways.split(",")]
     results: dict[str, list[Took]] = {way.__name__: [] for way in ways}
     for k in range(args.pairs):
@@ -181,7 +181,7 @@ def speed(one: Took, other: Took) -> float:
     return sum(costs.get(job, usual) for job in other.counted) / (other.end - other.begin)
 
 
-def plain(plan: Plan, folder: Path) -> Took:
+def plain(plan: CampaignPlan, folder: Path) -> Took:
     """A script's loop."""
     clock = Clock()
     with Sandbox() as sandbox, MemoryBank.open(BANK, read_only=True) as bank:
@@ -200,7 +200,7 @@ def plain(plan: Plan, folder: Path) -> Took:
     return clock.took(1)
 
 
-def warm(plan: Plan, folder: Path) -> Took:
+def warm(plan: CampaignPlan, folder: Path) -> Took:
     """One sandbox, one engine process."""
     clock = Clock()
     (folder / "runs").mkdir()
@@ -211,7 +211,7 @@ def warm(plan: Plan, folder: Path) -> Took:
     return clock.took(1)
 
 
-def apart(plan: Plan, folder: Path) -> Took:
+def apart(plan: CampaignPlan, folder: Path) -> Took:
     """The warm loop in two processes."""
     context = multiprocessing.get_context("spawn")
     clock, waiting, finishes = Clock(), context.Queue(), context.Queue()
@@ -228,30 +228,30 @@ def apart(plan: Plan, folder: Path) -> Took:
     return clock.took(len(loops))
 
 
-def _loop(setup: Setup, waiting: Any, finishes: Any) -> None:
+def _loop(setup: WorkerSetup, waiting: Any, finishes: Any) -> None:
     with Runner(setup) as runner:
         while (job := waiting.get()) is not None:
             runner.run(job, last=True)
             finishes.put(job)
 
 
-def _setup(plan: Plan, folder: Path) -> Setup:
-    return Setup(folder / "runs", BANK, Learn.OFF, plan.variants, False, batch_parts())
+def _setup(plan: CampaignPlan, folder: Path) -> WorkerSetup:
+    return WorkerSetup(folder / "runs", BANK, Learn.OFF, plan.variants, False, batch_parts())
 
 
-def one(plan: Plan, folder: Path) -> Took:
+def one(plan: CampaignPlan, folder: Path) -> Took:
     """``batch --workers 1``."""
     return _batch(plan, folder, 1)
 
 
-def two(plan: Plan, folder: Path) -> Took:
+def two(plan: CampaignPlan, folder: Path) -> Took:
     """``batch --workers 2``."""
     return _batch(plan, folder, 2)
 
 
-def _batch(plan: Plan, folder: Path, workers: int) -> Took:
+def _batch(plan: CampaignPlan, folder: Path, workers: int) -> Took:
     clock = Clock()
-    orders = Orders(folder / "out", BANK, {}, Pace(workers, 600.0, 1000))
+    orders = Orders(folder / "out", BANK, {}, WorkerPace(workers, 600.0, 1000))
     summary = run_batch(plan, orders, batch_parts(), clock)
     assert len(summary.rows) == len(plan.jobs)
     return clock.took(workers)

@@ -21,7 +21,7 @@ from sumo_adv.metrics.boxes import on_grid
 from sumo_adv.metrics.criticality import ttc
 from sumo_adv.metrics.reference import BRAKERS
 from sumo_adv.metrics.reference.view import EgoPaths, Views, located_on
-from sumo_adv.simulation.demand import generate
+from sumo_adv.simulation.demand import generate_demand
 from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.simulation.simulation import Simulation, SimulationSpec
 from sumo_adv.simulation.tracks import Recording, tracks_of
@@ -35,7 +35,9 @@ DENSITY = 40.0  # departures a minute
 def traffic(network: Path, seed: int, seconds: float) -> list[Track]:
     """The tracks of one run."""
     with tempfile.TemporaryDirectory() as folder:
-        routes = generate(network, Path(folder) / "demand.rou.xml", seed=seed, density=DENSITY, begin=0.0, end=seconds)
+        routes = generate_demand(
+            network, Path(folder) / "demand.rou.xml", seed=seed, density=DENSITY, begin=0.0, end=seconds
+        )
         simulation = Simulation(SimulationSpec(network, (routes,), (), 0.0, seed))
         recording = Recording(DT)
         try:

@@ -30,9 +30,9 @@ from sumo_adv.memory.store import default_bank_path
 
 if TYPE_CHECKING:
     from sumo_adv.campaigns.campaign import Orders, Summary
-    from sumo_adv.campaigns.plan import Plan
+    from sumo_adv.campaigns.plan import CampaignPlan
     from sumo_adv.hunting.hunt import Found, HuntProgress
-    from sumo_adv.rate.estimate import Estimate
+    from sumo_adv.rate.estimate import RateEstimate
     from sumo_adv.report.coverage import Coverage
 
 RESULTS, RUNS, PLAN = "results.csv", "runs", "plan.json"
@@ -128,7 +128,7 @@ def batch(
 def planned(
     inputs: str | Path | Sequence[str | Path], given: Mapping[str, Any], settings: Mapping[str, Any],
     odd: str | Path | Mapping[str, Any] | Odd | None = None, settings_file: str | Path | None = None,
-) -> Plan:  # fmt: skip
+) -> CampaignPlan:  # fmt: skip
     """The plan in a file, or of ``inputs``; what is ``given`` (None = not given) and ``settings`` replace what it says.
 
     Raises UsageError.
@@ -159,14 +159,14 @@ def _domain(odd: str | Path | Mapping[str, Any] | Odd | None) -> dict[str, Any]:
 
 
 def orders_of(
-    plan: Plan, out: str | Path, workers: int | None, deadline: float, recycle: int = RECYCLE, **how: Any
+    plan: CampaignPlan, out: str | Path, workers: int | None, deadline: float, recycle: int = RECYCLE, **how: Any
 ) -> Orders:
     """How a plan is run; ``how``: the further fields of ``Orders``."""
     from sumo_adv.campaigns.campaign import Orders
-    from sumo_adv.campaigns.local import Pace
+    from sumo_adv.campaigns.local import WorkerPace
     from sumo_adv.report.outcome import versions
 
-    pace = Pace(workers or os.cpu_count() or 1, deadline, recycle)
+    pace = WorkerPace(workers or os.cpu_count() or 1, deadline, recycle)
     return Orders(Path(out), plan.memory or default_bank_path(), versions(), pace, **how)
 
 
@@ -257,7 +257,7 @@ def hunt(
     from sumo_adv.hunting.failures import table
     from sumo_adv.hunting.hunt import Hunt
 
-    def campaign(plan: Plan, orders: Orders) -> Summary:
+    def campaign(plan: CampaignPlan, orders: Orders) -> Summary:
         return run_campaign(plan, orders, Teller(None, stopping))
 
     asked = settings.get("until")
@@ -319,7 +319,7 @@ def crash_rate(
     ray: str | None = None,
     ego_parameters: Mapping[str, Any] | None = None,
     tell: Progress | None = None,
-) -> Estimate | None:
+) -> RateEstimate | None:
     """Estimate how often the ego crashes in normal traffic, as ``sumo-adv rate``; None if Ctrl-C stopped it.
 
     source: a net.xml, a .sumocfg, a scenario or a shipped name; not a recording. ego: the name of a driver

@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 
     from sumo_adv.agents.agents import Agents
     from sumo_adv.benchmark.jobs import Parts as BenchParts
-    from sumo_adv.campaigns.campaign import Orders, Summary, Watcher
-    from sumo_adv.campaigns.plan import Plan
-    from sumo_adv.campaigns.results import Parts as BatchParts
+    from sumo_adv.campaigns.campaign import CampaignWatcher, Orders, Summary
+    from sumo_adv.campaigns.plan import CampaignPlan
+    from sumo_adv.campaigns.results import CampaignParts as BatchParts
     from sumo_adv.config import Settings
     from sumo_adv.datatypes import LibraryEntry
     from sumo_adv.driver_check import Checked, DriverCheck
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from sumo_adv.memory.bank import MemoryBank
     from sumo_adv.planners.sandbox import Sandbox
     from sumo_adv.rate.blocks import RatePlan
-    from sumo_adv.rate.estimate import Estimate
+    from sumo_adv.rate.estimate import RateEstimate
     from sumo_adv.report.manifest import Recorded
     from sumo_adv.simulation.inputs import RunInput
 
@@ -344,15 +344,15 @@ def _without_main() -> Iterator[None]:
 
 def batch_parts() -> BatchParts:
     """The functions that a batch's workers need."""
-    from sumo_adv.campaigns.results import Parts
+    from sumo_adv.campaigns.results import CampaignParts
     from sumo_adv.report.folder import write_run
     from sumo_adv.report.outcome import MODEL_FILE
     from sumo_adv.report.staging import staged
 
-    return Parts(load, record_contents, open_agents, staged, write_run, MODEL_FILE)
+    return CampaignParts(load, record_contents, open_agents, staged, write_run, MODEL_FILE)
 
 
-def run_campaign(plan: Plan, orders: Orders, watcher: Watcher, *, states: bool = False) -> Summary:
+def run_campaign(plan: CampaignPlan, orders: Orders, watcher: CampaignWatcher, *, states: bool = False) -> Summary:
     """Run what is missing of a batch's plan, and write its table; with ``states`` also ``states.parquet``.
 
     The workers do not run the user's script again. Raises UsageError, BankError or SumoAdvError.
@@ -394,17 +394,17 @@ def _write_states(folder: Path, names: Sequence[str]) -> None:
 
 def unpacked(folder: Path, names: Iterable[str]) -> Iterator[Path]:
     """Packed runs of a batch, each in a folder that is there until the next one. Raises UsageError or SumoAdvError."""
-    from sumo_adv.campaigns.store import unpack
+    from sumo_adv.campaigns.store import unpack_runs
     from sumo_adv.report.staging import staged
 
     for name in names:
         with tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch:
-            yield unpack(folder, [name], Path(scratch), staged)[0]
+            yield unpack_runs(folder, [name], Path(scratch), staged)[0]
 
 
 def estimate_rate(
-    plan: RatePlan, out: Path, runs: int, workers: int | None, watcher: Watcher, ray: str | None
-) -> Estimate | None:
+    plan: RatePlan, out: Path, runs: int, workers: int | None, watcher: CampaignWatcher, ray: str | None
+) -> RateEstimate | None:
     """Estimate a crash rate in the folder ``out``; None if it was stopped. The workers do not run the user's script
     again. workers: None = one a core; ray: address of a Ray cluster. Raises UsageError or SimulationError."""
     from sumo_adv.rate.estimate import Estimation

@@ -92,7 +92,7 @@ class Asked(_Table):
         return {"ttc": NEAR_MISS_TTC_S, "until": "critical"} if self.level == "near_miss" else {"until": self.level}
 
 
-class Written(_Table):
+class RequestOrigin(_Table):
     """Where a scenario comes from: the words, the model that made a scenario of them, and the date (YYYY-MM-DD)."""
 
     words: Annotated[str, Field(min_length=1, max_length=MAX_REQUEST_CHARACTERS)]

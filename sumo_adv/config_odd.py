@@ -16,7 +16,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, NonNegativeFloat, NonNegativeInt, ValidationError
 
-from sumo_adv.datatypes import Place, Relation, RoadClass
+from sumo_adv.datatypes import Relation, RoadClass, RoadPlace
 from sumo_adv.errors import UsageError
 from sumo_adv.parsing import read_toml
 
@@ -41,7 +41,7 @@ class Odd(BaseModel):
     speed: Speeds | None = None
     vehicles_near: Counts | None = None
 
-    def contains(self, place: Place) -> bool:
+    def contains(self, place: RoadPlace) -> bool:
         """Whether an attack may begin at a place. Off the network only an ODD without ``roads`` contains it."""
         on_road = not self.roads or place.road in self.roads
         low, high = self.speed or (0.0, math.inf)

@@ -76,7 +76,7 @@ CONVENTIONS = (
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class GivenMotion:
     """The states of one object as a file gives them, arrays ``(n,)`` in order of time. x, y [m]; speed [m/s], negative
     while it reverses; ``heading``: as ``angles`` says; length, width [m]."""
 
@@ -97,7 +97,7 @@ class Fault:
     """What cannot be right of the state ``index`` of ``motion``; ``what`` goes on a sentence whose subject is that
     state. cause: what the file looks like; empty if nothing explains it."""
 
-    motion: Motion
+    motion: GivenMotion
     index: int
     what: str
     cause: str
@@ -112,7 +112,7 @@ class Fault:
         return float(self.motion.time[self.index])
 
 
-def find_fault(motions: Sequence[Motion], *, noisy: bool) -> Fault | None:
+def find_fault(motions: Sequence[GivenMotion], *, noisy: bool) -> Fault | None:
     """The first thing of ``motions`` that cannot be right.
 
     noisy: they were measured, and one object may be wrong by itself. So what no unit explains counts only if it holds
@@ -193,7 +193,7 @@ def unordered(times: Floats) -> tuple[int, str] | None:
 # -- each state -----------------------------------------------------------------------------------------------------
 
 
-def _not_finite(m: Motion) -> Fault | None:
+def _not_finite(m: GivenMotion) -> Fault | None:
     for column in ("time", "x", "y", "heading", "speed", "length", "width"):
         values = np.atleast_1d(np.asarray(getattr(m, column), float))
         bad = ~(np.abs(values) < MAX_COORDINATE_M) if column in ("x", "y") else ~np.isfinite(values)
@@ -204,7 +204,7 @@ def _not_finite(m: Motion) -> Fault | None:
     return None
 
 
-def _wrong_size(m: Motion, kind: str) -> Fault | None:
+def _wrong_size(m: GivenMotion, kind: str) -> Fault | None:
     """What is wrong of its size for an object of a ``kind``."""
     if _within((m.length, m.width), SIZE_RANGES_M[kind]) and not (kind == "vehicle" and m.width > max(m.length, 3.0)):
         return None
@@ -223,7 +223,7 @@ def _within(size: tuple[float, float], ranges: tuple[Range, Range]) -> bool:
     return all(low <= value <= high for value, (low, high) in zip(size, ranges, strict=True))
 
 
-def _beyond_turns(m: Motion) -> Fault | None:
+def _beyond_turns(m: GivenMotion) -> Fault | None:
     beyond = np.abs(m.heading) > m.angles.most
     if not beyond.any():
         return None
@@ -263,7 +263,7 @@ class _Stretches:
         return max(self.extent, self.claimed) >= MIN_TRAVEL_M
 
 
-def _stretches(m: Motion) -> _Stretches:
+def _stretches(m: GivenMotion) -> _Stretches:
     dt, dx, dy = np.diff(m.time), np.diff(m.x), np.diff(m.y)
     seen = dt < 1.5 * float(np.median(dt))  # not over gaps
     moved = np.where(seen, np.hypot(dx, dy), 0.0)
@@ -284,7 +284,7 @@ def _stretches(m: Motion) -> _Stretches:
     )  # fmt: skip
 
 
-def _against_speed(m: Motion, s: _Stretches) -> Fault | None:
+def _against_speed(m: GivenMotion, s: _Stretches) -> Fault | None:
     if not s.counts:
         return None
     if s.extent >= MIN_TRAVEL_M and len(s.chord):
@@ -313,7 +313,7 @@ def _unit_of(factor: float, time: Floats) -> str:
     return ""
 
 
-def _against_heading(m: Motion, s: _Stretches) -> Fault | None:
+def _against_heading(m: GivenMotion, s: _Stretches) -> Fault | None:
     if s.extent < MIN_TRAVEL_M or not len(s.chord):
         return None
     off = _off(m.angles, m, s)
@@ -338,7 +338,7 @@ def _against_heading(m: Motion, s: _Stretches) -> Fault | None:
     return Fault(m, int(s.first[k]), what, cause)
 
 
-def _off(angles: Angles, m: Motion, s: _Stretches) -> Floats:
+def _off(angles: Angles, m: GivenMotion, s: _Stretches) -> Floats:
     """Absolute angle [rad] between motion and heading of each stretch, the mean heading of its two ends."""
     ends = [angles.to_rad(m.heading[at]) for at in (s.first, s.last)]
     mean = np.arctan2(sum(map(np.sin, ends)), sum(map(np.cos, ends)))

@@ -217,7 +217,7 @@ class RoadClass(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class RoadPlace:
     """What surrounds the ego when an attack may begin. road: None off the network. limit: the speed limit [m/s], None
     off the network. speed: the ego's [m/s]. vehicles_near: how many vehicles are within 70 m of it."""
 
@@ -245,7 +245,7 @@ class VehicleState:
 
 
 @dataclass(frozen=True, slots=True)
-class Way:
+class ModeChoice:
     """One way to carry an intent out, as an analyzer chose it: the planner's mode, some or all of its numbers, and the
     start, ``delay`` [s] after the trigger."""
 
@@ -266,7 +266,7 @@ class Intent:
     acceleration: Acceleration
     reason: str = ""
     source: str = "memory"  # memory | generated
-    ways: tuple[Way, ...] = ()
+    ways: tuple[ModeChoice, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ from sumo_adv.errors import UsageError
 
 MAX_INTEGER = 2**63 - 1  # of TOML and SQLite; within any float
 MAX_NESTING = 100  # tables and lists within one another
-MAX_TEXT_BYTES = 64 * 2**20  # of a TOML or JSON file
+MAX_DOCUMENT_BYTES = 64 * 2**20  # of a TOML or JSON file
 MAX_UNPACKED_BYTES = 512 * 2**20  # of a packed table
 MAX_SUMO_FILE_BYTES = 4 * 2**30  # of a network or demand, unpacked: those of large cities have 1 GB
 _UNPACKED_PART_BYTES = 2**20  # that are unpacked at a time
@@ -66,7 +66,7 @@ def read_object(path: Path, what: str) -> dict[str, Any]:
     return value
 
 
-def read_text(path: Path, most: int = MAX_TEXT_BYTES) -> str:
+def read_text(path: Path, most: int = MAX_DOCUMENT_BYTES) -> str:
     """The text of a file, packed by gzip or not. Raises OSError; ValueError: it is no UTF-8, is damaged, or has
     more than ``most`` bytes."""
     return read_bytes(path, most).decode()
@@ -91,8 +91,8 @@ def read_bytes(path: Path, most: int = MAX_UNPACKED_BYTES) -> bytes:
 
 
 def _checked(parse: Callable[[str], Any], text: str) -> Any:
-    if len(text) > MAX_TEXT_BYTES:
-        raise ValueError(f"it holds more than {MAX_TEXT_BYTES // 2**20} MiB")
+    if len(text) > MAX_DOCUMENT_BYTES:
+        raise ValueError(f"it holds more than {MAX_DOCUMENT_BYTES // 2**20} MiB")
     try:
         value = parse(text)
     except RecursionError as error:

@@ -25,7 +25,7 @@ Signal = tuple[str, float, str]
 
 
 @dataclass(frozen=True, slots=True)
-class Conflict:
+class PathConflict:
     """Where a way of the BV meets the path of the ego: stations of both [m], the BV's pose there, the angle [rad]."""
 
     kind: str  # crossing | merging
@@ -55,7 +55,7 @@ class ReferencePath:
     ego_s: Floats
     ego_d: Floats
     ego_h: Floats
-    conflict: Conflict | None
+    conflict: PathConflict | None
     before_ego: bool = True
     bay: float = math.inf
 
@@ -260,7 +260,7 @@ def _nearest(x: Floats, y: Floats, ego_path: Path) -> NDArray[np.intp]:
     return indices
 
 
-def _conflict(path: Path, movement: str, s: Floats, d: Floats, h: Floats, ego: Path) -> Conflict | None:
+def _conflict(path: Path, movement: str, s: Floats, d: Floats, h: Floats, ego: Path) -> PathConflict | None:
     inside = (s > 1.0) & (s < ego.length - 1.0)
     if np.ndim(path.z) or np.ndim(ego.z):
         inside &= same_layer(path.z, ego.height(s))
@@ -275,4 +275,4 @@ def _conflict(path: Path, movement: str, s: Floats, d: Floats, h: Floats, ego: P
         return None
     kind = "crossing" if i == i_cross else "merging"
     here = (float(values[i]) for values in (s, path.x, path.y, path.heading, h))
-    return Conflict(kind, movement, i * PATH_STEP_M, *here)
+    return PathConflict(kind, movement, i * PATH_STEP_M, *here)

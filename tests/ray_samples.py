@@ -8,7 +8,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.campaigns.ray_driver import LOG, Loaded, Lost, Node, Nodes, Put, Raised, Refused, Result
+from sumo_adv.campaigns.ray_driver import LOG, JobRefused, JobResult, Loaded, Lost, Node, Nodes, Put, Raised
 from sumo_adv.errors import SumoAdvError, UsageError
 
 GOOD, BAD = Node("1", "good", 2), Node("2", "bad", 4)
@@ -22,7 +22,7 @@ def mute(connection: Connection, address: str, folder: Path) -> None:
 
 def not_installed(connection: Connection, address: str, folder: Path) -> None:
     """There is no Ray."""
-    connection.send(Refused("Ray is not installed: pip install 'sumo-adv[ray]'"))
+    connection.send(JobRefused("Ray is not installed: pip install 'sumo-adv[ray]'"))
 
 
 def _cluster(nodes: tuple[Node, ...], answer: Callable[[Any, int], Any]) -> Callable[[Connection, str, Path], None]:
@@ -48,34 +48,36 @@ def _cluster(nodes: tuple[Node, ...], answer: Callable[[Any, int], Any]) -> Call
 def _where(command: Any, tasks: int) -> Any:
     """The check of the bad node says what is missing; a job's result is the node that it ran on."""
     if command.arguments:
-        return Result(command.number, command.node)
-    return Result(command.number, "There is no file a.net.xml on this node" if command.node == BAD.id else "")
+        return JobResult(command.number, command.node)
+    return JobResult(command.number, "There is no file a.net.xml on this node" if command.node == BAD.id else "")
 
 
 def _later(command: Any, tasks: int) -> Any:
     """Both nodes pass their check, and the bad one refuses its jobs."""
     if not command.arguments:
-        return Result(command.number, "")
+        return JobResult(command.number, "")
     if command.node == BAD.id:
         return Raised(command.number, UsageError("The file is gone."))
-    return Result(command.number, command.node)
+    return JobResult(command.number, command.node)
 
 
 def _dies(command: Any, tasks: int) -> Any:
     """One job is done, then Ray ends its process."""
-    return Result(command.number, command.node if command.arguments else "") if tasks < 2 else None
+    return JobResult(command.number, command.node if command.arguments else "") if tasks < 2 else None
 
 
 def _loses(command: Any, tasks: int) -> Any:
     """The worker of every job is lost three times."""
     if not command.arguments or tasks > 3:
-        return Result(command.number, command.node if command.arguments else "")
+        return JobResult(command.number, command.node if command.arguments else "")
     return Lost(command.number, "killed")
 
 
 def _raises(command: Any, tasks: int) -> Any:
     return (
-        Raised(command.number, SumoAdvError("The disk is full.")) if command.arguments else Result(command.number, "")
+        Raised(command.number, SumoAdvError("The disk is full."))
+        if command.arguments
+        else JobResult(command.number, "")
     )
 
 

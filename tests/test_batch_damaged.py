@@ -13,7 +13,7 @@ from batch_samples import QUICK, clean, summary, table
 from cli_samples import Program
 
 from sumo_adv.campaigns.results import read_row
-from sumo_adv.campaigns.store import open_store, packed_rows, packed_texts, unpack
+from sumo_adv.campaigns.store import open_store, packed_rows, packed_texts, unpack_runs
 from sumo_adv.campaigns.worker import lessons_of
 from sumo_adv.errors import UsageError
 from sumo_adv.report.staging import staged
@@ -114,7 +114,7 @@ def test_a_pack_writes_nothing_outside_of_its_run(tmp_path: Path) -> None:
         out.writestr("a/outcome.json", "{}")
         out.writestr("a/../../outside", "mine")
     with pytest.raises(UsageError, match="no file in a run's folder"):
-        unpack(tmp_path, ["a"], tmp_path / "into", staged)
+        unpack_runs(tmp_path, ["a"], tmp_path / "into", staged)
     assert not (tmp_path / "outside").exists() and not (tmp_path / "into").exists()
     (packs / "0000.zip").write_bytes((packs / "0000.zip").read_bytes()[:-30])
     with pytest.raises(UsageError, match="missing or damaged"):

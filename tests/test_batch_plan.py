@@ -13,9 +13,9 @@ import pytest
 from cli_samples import ROOT, TRAIL, files_of
 
 from sumo_adv.app import batch_parts
-from sumo_adv.campaigns.plan import Plan, differences, is_plan, make_plan, read_plan
-from sumo_adv.campaigns.results import RESULT_COLUMNS, Job, row_of, table_of, write_csv, write_failure
-from sumo_adv.campaigns.store import open_store, pack, packed_rows, packed_texts, unpack
+from sumo_adv.campaigns.plan import CampaignPlan, is_plan, make_plan, plan_differences, read_plan
+from sumo_adv.campaigns.results import RESULT_COLUMNS, EpisodeJob, result_row, results_table, write_csv, write_failure
+from sumo_adv.campaigns.store import open_store, pack_runs, packed_rows, packed_texts, unpack_runs
 from sumo_adv.campaigns.worker import (
     Collector,
     CompositionLesson,
@@ -36,7 +36,7 @@ from sumo_adv.womd.reader import choice_of, find_record
 SCENARIOS = ROOT / "scenarios"
 
 
-def plan_of(folder: Path = ROOT, **table: Any) -> Plan:
+def plan_of(folder: Path = ROOT, **table: Any) -> CampaignPlan:
     return make_plan(table, folder, "The plan", batch_parts())
 
 
@@ -167,14 +167,14 @@ def test_a_record_is_found_past_one_that_cannot_be_read(tmp_path: Path) -> None:
 def test_two_plans_differ_in_words(tmp_path: Path) -> None:
     before = plan_of(inputs=["motorway", "two_way"], seeds=3)
     after = plan_of(inputs=["motorway", "curved_road"], seeds=[0, 1], egos=["idm"], settings={"attempts": 3})
-    changes, common = differences(before.as_dict(), after.as_dict())
+    changes, common = plan_differences(before.as_dict(), after.as_dict())
     assert changes == [
         "inputs no longer there: two_way", "inputs new: curved_road", "egos were as the input says, are idm",
         "seeds were 0, 1, 2, are 0, 1", "settings changed: attempts",
     ]  # fmt: skip
     assert common == []
     versions = {"versions": {"sumo_adv": "0"}}, {"versions": {"sumo_adv": "1"}}
-    _, common = differences(before.as_dict() | versions[0], before.as_dict() | versions[1])
+    _, common = plan_differences(before.as_dict() | versions[0], before.as_dict() | versions[1])
     assert common == ["versions: sumo_adv 0 then, sumo_adv 1 now"]
 
 
@@ -183,16 +183,16 @@ def test_an_input_that_was_mended_is_no_other_plan(tmp_path: Path) -> None:
     before = plan_of(tmp_path, inputs=["late.net.xml", "motorway"]).as_dict()
     shutil.copy(ROOT / "networks" / "two_way.net.xml", tmp_path / "late.net.xml")
     after = plan_of(tmp_path, inputs=["late.net.xml", "motorway"]).as_dict()
-    assert differences(before, after) == ([], [])
-    assert differences(after, before)[0] == ["inputs changed: late"]
+    assert plan_differences(before, after) == ([], [])
+    assert plan_differences(after, before)[0] == ["inputs changed: late"]
 
 
 # -- rows and folders
 
 
-def job(name: str) -> Job:
+def job(name: str) -> EpisodeJob:
     given = plan_of(inputs=["motorway"]).inputs[0]
-    return Job(name, given, "idm", 0, 0)
+    return EpisodeJob(name, given, "idm", 0, 0)
 
 
 def test_a_failure_has_a_row_and_its_traceback(tmp_path: Path) -> None:
@@ -200,14 +200,14 @@ def test_a_failure_has_a_row_and_its_traceback(tmp_path: Path) -> None:
     assert (row["ending"], row["failure"], row["critical"]) == ("simulation_failed", "It hung.", None)
     assert row["traceback"] == "runs/ab/traceback.txt"
     outcome = json.loads((tmp_path / "outcome.json").read_text(encoding="utf-8"))
-    assert row_of("ab", outcome, True) == row
+    assert result_row("ab", outcome, True) == row
     assert (tmp_path / "traceback.txt").read_text() == "Traceback ..."
 
 
 def test_the_table_is_in_the_plans_order_and_never_is_empty(tmp_path: Path) -> None:
     jobs = [job("b"), job("a"), job("c")]
     rows = {name: write_failure(tmp_path, job(name), "x", "") for name in ("a", "b")}
-    write_csv(tmp_path / "results.csv", table_of(jobs, rows, [{"attempts": 3}]), ["attempts"])
+    write_csv(tmp_path / "results.csv", results_table(jobs, rows, [{"attempts": 3}]), ["attempts"])
     with (tmp_path / "results.csv").open(newline="") as file:
         written = list(csv.DictReader(file))
     assert [r["id"] for r in written] == ["b", "a"]
@@ -219,7 +219,7 @@ def test_the_table_is_in_the_plans_order_and_never_is_empty(tmp_path: Path) -> N
 def test_parquet_says_what_it_needs_or_holds_the_same(tmp_path: Path) -> None:
     from sumo_adv.campaigns.results import write_parquet
 
-    table = table_of([job("a")], {"a": write_failure(tmp_path, job("a"), "x", "")}, [{"attempts": 3}])
+    table = results_table([job("a")], {"a": write_failure(tmp_path, job("a"), "x", "")}, [{"attempts": 3}])
     try:
         from pyarrow import parquet
     except ImportError:
@@ -257,7 +257,7 @@ def runs_in(folder: Path, names: str) -> dict[str, dict[str, bytes]]:
 
 def test_packs_give_back_what_they_got(tmp_path: Path) -> None:
     before = runs_in(tmp_path, "abcde")
-    done = pack(tmp_path, most=2)
+    done = pack_runs(tmp_path, most=2)
     assert (done.runs, done.files) == (5, (20, 6))
     assert sorted(p.name for p in (tmp_path / "packs").iterdir()) == [
         "0000.json", "0000.zip", "0001.json", "0001.zip", "0002.json", "0002.zip",
@@ -265,33 +265,33 @@ def test_packs_give_back_what_they_got(tmp_path: Path) -> None:
     assert list((tmp_path / "runs").iterdir()) == [] and list((tmp_path / "inputs").iterdir()) == []
     assert set(packed_rows(tmp_path)) == set("abcde") and packed_rows(tmp_path)["c"]["failure"] == "c failed"
     assert packed_texts(tmp_path, "learnt.json")["b"] == '["b"]'
-    assert [p.name for p in unpack(tmp_path, ["d"], tmp_path / "one", staged)] == ["d"]
-    unpack(tmp_path, [], tmp_path / "all", staged)
+    assert [p.name for p in unpack_runs(tmp_path, ["d"], tmp_path / "one", staged)] == ["d"]
+    unpack_runs(tmp_path, [], tmp_path / "all", staged)
     assert {name: files_of(tmp_path / "all" / name) for name in "abcde"} == before
-    assert unpack(tmp_path, [], tmp_path / "all", staged) == []  # they are there already
-    assert pack(tmp_path, most=2).runs == 0
+    assert unpack_runs(tmp_path, [], tmp_path / "all", staged) == []  # they are there already
+    assert pack_runs(tmp_path, most=2).runs == 0
 
 
 def test_a_pack_that_was_broken_off_is_packed_again(tmp_path: Path) -> None:
     runs_in(tmp_path, "ab")
     kept = tmp_path / "kept"
     shutil.copytree(tmp_path / "runs" / "a", kept)
-    pack(tmp_path)
+    pack_runs(tmp_path)
     shutil.copytree(kept, tmp_path / "runs" / "a")  # killed before it was removed
     (tmp_path / "packs" / "0001.zip").write_bytes(b"half")  # killed before its index was there
-    assert pack(tmp_path).runs == 0 and list((tmp_path / "runs").iterdir()) == []
+    assert pack_runs(tmp_path).runs == 0 and list((tmp_path / "runs").iterdir()) == []
     shutil.copytree(kept, tmp_path / "runs" / "z")
-    assert pack(tmp_path).runs == 1 and set(packed_rows(tmp_path)) == {"a", "b", "z"}
+    assert pack_runs(tmp_path).runs == 1 and set(packed_rows(tmp_path)) == {"a", "b", "z"}
 
 
 def test_damaged_packs_are_a_sentence(tmp_path: Path) -> None:
     runs_in(tmp_path, "ab")
-    pack(tmp_path)
+    pack_runs(tmp_path)
     with pytest.raises(UsageError, match=r"No pack .* holds the run x"):
-        unpack(tmp_path, ["x"], tmp_path / "all", staged)
+        unpack_runs(tmp_path, ["x"], tmp_path / "all", staged)
     (tmp_path / "packs" / "0000.zip").write_bytes(b"not a zip")
     with pytest.raises(UsageError, match="missing or damaged"):
-        unpack(tmp_path, ["a"], tmp_path / "all", staged)
+        unpack_runs(tmp_path, ["a"], tmp_path / "all", staged)
     (tmp_path / "packs" / "0000.json").write_text("{")
     with pytest.raises(UsageError, match=r"index .* damaged"):
         packed_rows(tmp_path)

@@ -27,13 +27,13 @@ from sumo_adv.campaigns.cluster import (  # noqa: E402
     unfit,
     wrong_content,
 )
-from sumo_adv.campaigns.local import Pace  # noqa: E402
+from sumo_adv.campaigns.local import WorkerPace  # noqa: E402
 from sumo_adv.errors import UsageError  # noqa: E402
 from sumo_adv.memory.bank import MemoryBank  # noqa: E402
 from sumo_adv.rate.blocks import (  # noqa: E402
     Block,
+    RateNodeContent,
     RatePlan,
-    Sent,
     block,
 )
 
@@ -134,10 +134,10 @@ def test_a_crash_rate_is_the_same_on_a_cluster(program: Program, cluster: Any) -
 def test_a_crash_rate_of_another_content_on_a_node_is_refused(tmp_path: Path) -> None:
     plan = RatePlan(ROOT / "benchmarks" / "rate" / "side_by_side.toml", "idm")
     with pytest.raises(UsageError, match=r"On a node .*another content"):
-        block(Sent(plan, Pace(1, 60.0, 1), "0" * 64), Block("plain", 0, None))
+        block(RateNodeContent(plan, WorkerPace(1, 60.0, 1), "0" * 64), Block("plain", 0, None))
     gone = RatePlan(tmp_path / "gone.toml", "idm")
     with pytest.raises(UsageError, match=r"On a node: There is no file .*gone\.toml"):
-        block(Sent(gone, Pace(1, 60.0, 1), "0" * 64), Block("plain", 0, None))
+        block(RateNodeContent(gone, WorkerPace(1, 60.0, 1), "0" * 64), Block("plain", 0, None))
 
 
 def test_a_node_that_lacks_something_says_what(tmp_path: Path) -> None:

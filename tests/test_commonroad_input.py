@@ -13,7 +13,7 @@ from run_samples import GEOMETRIES, run_folder
 
 import sumo_adv
 from sumo_adv.campaigns.cluster import wrong_content
-from sumo_adv.campaigns.plan import hash_of
+from sumo_adv.campaigns.plan import files_hash
 from sumo_adv.errors import UsageError
 from sumo_adv.report.export.commonroad import SCENARIO, write_commonroad
 from sumo_adv.report.export.piece import map_lanes, read_piece
@@ -146,7 +146,7 @@ def test_batch_runs_it(program: Program) -> None:
     assert batch.status == 0, batch.err
     (row,) = table(batch.folder)
     assert (row["network"], row["ego"], row["failure"]) == ("ZAM_Hand-1_1_T-1", "idm", "")
-    assert wrong_content(file, hash_of([file]), None) == ""
+    assert wrong_content(file, files_hash([file]), None) == ""
 
 
 def test_serve_refuses_it_and_says_why(program: Program) -> None:

@@ -12,7 +12,7 @@ import pytest
 from cli_samples import Program
 from regression_samples import attacked
 
-from sumo_adv.campaigns.results import row_of, write_csv
+from sumo_adv.campaigns.results import result_row, write_csv
 from sumo_adv.comparison.compare import Comparison, compare, read_side
 from sumo_adv.comparison.page import html, to_markdown
 from sumo_adv.errors import UsageError
@@ -52,7 +52,7 @@ def campaign(folder: Path, episodes: Sequence[tuple[str, str, Sequence[str]]], a
         run = folder / "runs" / f"{k:016x}"
         run.mkdir(parents=True)
         (run / "outcome.json").write_text(json.dumps(outcome))
-        rows.append(row_of(run.name, outcome, False))
+        rows.append(result_row(run.name, outcome, False))
     write_csv(folder / "results.csv", rows, [])
     (folder / "plan.json").write_text(json.dumps({"settings": [{"attempts": attempts}]}))
     return folder

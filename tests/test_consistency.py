@@ -12,7 +12,7 @@ import pytest
 from womd_samples import four_way, straight, write
 
 import sumo_adv
-from sumo_adv.consistency import SUMO_DEGREES, UNWRAPPED, Motion, even_grid, find_fault, off_grid
+from sumo_adv.consistency import SUMO_DEGREES, UNWRAPPED, GivenMotion, even_grid, find_fault, off_grid
 from sumo_adv.datatypes import Floats
 from sumo_adv.errors import UsageError
 from sumo_adv.womd.commonroad import read_commonroad
@@ -21,28 +21,28 @@ from sumo_adv.womd.reader import read_records
 TIME = np.round(np.arange(60) * 0.1, 3)
 
 
-def bend(speed: float = 9.0, *, kind: str = "vehicle", turned: float = 0.0) -> Motion:
+def bend(speed: float = 9.0, *, kind: str = "vehicle", turned: float = 0.0) -> GivenMotion:
     """A left bend of radius 80 m, from heading ``turned`` on: 9 m/s for 5.9 s are 53.1 m and 0.66 rad."""
     angle = abs(speed) / 80.0 * TIME
     x, y = 80.0 * np.sin(angle), 80.0 * (1.0 - np.cos(angle))
     c, s = np.cos(turned), np.sin(turned)
-    return Motion("a", kind, TIME, x * c - y * s, x * s + y * c, angle + turned, np.full(60, speed), 4.5, 1.8)
+    return GivenMotion("a", kind, TIME, x * c - y * s, x * s + y * c, angle + turned, np.full(60, speed), 4.5, 1.8)
 
 
-def fault(*motions: Motion, noisy: bool = False) -> str:
+def fault(*motions: GivenMotion, noisy: bool = False) -> str:
     found = find_fault(motions, noisy=noisy)
     return "" if found is None else found.says
 
 
-def times(name: str, factor: float) -> Callable[[Motion], Motion]:
+def times(name: str, factor: float) -> Callable[[GivenMotion], GivenMotion]:
     return lambda m: replace(m, **{name: np.asarray(getattr(m, name)) * factor})
 
 
-def headings(change: Callable[[Floats], Floats]) -> Callable[[Motion], Motion]:
+def headings(change: Callable[[Floats], Floats]) -> Callable[[GivenMotion], GivenMotion]:
     return lambda m: replace(m, heading=change(m.heading))
 
 
-def scaled(factor: float) -> Callable[[Motion], Motion]:
+def scaled(factor: float) -> Callable[[GivenMotion], GivenMotion]:
     """All lengths in another unit."""
     return lambda m: replace(
         m, x=m.x * factor, y=m.y * factor, speed=m.speed * factor, length=m.length * factor, width=m.width * factor
@@ -72,7 +72,7 @@ def scaled(factor: float) -> Callable[[Motion], Motion]:
         (lambda m: replace(m, speed=np.where(TIME == 0.7, np.nan, m.speed)), "has nan for speed"),
     ],
 )  # fmt: skip
-def test_a_wrong_unit_is_named(change: Callable[[Motion], Motion], says: str) -> None:
+def test_a_wrong_unit_is_named(change: Callable[[GivenMotion], GivenMotion], says: str) -> None:
     assert fault(bend()) == ""
     assert says in fault(change(bend()))
 
@@ -126,7 +126,7 @@ def test_angles_of_sumo_are_degrees_from_north() -> None:
         replace(bend(), heading=bend().heading + 2 * np.pi, angles=UNWRAPPED),  # as in Waymo's records
     ],
 )
-def test_what_vehicles_do_raises_no_alarm(motion: Motion) -> None:
+def test_what_vehicles_do_raises_no_alarm(motion: GivenMotion) -> None:
     assert fault(motion) == ""
 
 
@@ -156,7 +156,7 @@ def test_rounded_times_give_the_step_that_was_meant(rate: float) -> None:
 # ---- through judge
 
 
-def columns(m: Motion) -> dict[str, object]:
+def columns(m: GivenMotion) -> dict[str, object]:
     return {
         "time": m.time, "x": m.x, "y": m.y, "heading": m.heading, "speed": m.speed, "length": np.full(60, m.length),
         "width": np.full(60, m.width),

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from sumo_adv.errors import UsageError
-from sumo_adv.simulation.demand import default_density, generate, generate_flows, journeys
+from sumo_adv.simulation.demand import default_density, generate_demand, generate_flows, journeys
 from sumo_adv.simulation.inputs import data_folder, load_input
 from sumo_adv.simulation.scan import scan_demand, scan_network
 
@@ -41,16 +41,18 @@ def departs(path: Path) -> list[float]:
 
 def test_the_same_arguments_give_the_same_bytes_and_another_seed_others(tmp_path: Path) -> None:
     network = shipped("priority_crossing")
-    first = generate(network, tmp_path / "1.rou.xml", seed=7, density=20.0, begin=0.0, end=60.0).read_bytes()
-    again = generate(network, tmp_path / "2.rou.xml", seed=7, density=20.0, begin=0.0, end=60.0).read_bytes()
-    other_seed = generate(network, tmp_path / "3.rou.xml", seed=8, density=20.0, begin=0.0, end=60.0).read_bytes()
+    first = generate_demand(network, tmp_path / "1.rou.xml", seed=7, density=20.0, begin=0.0, end=60.0).read_bytes()
+    again = generate_demand(network, tmp_path / "2.rou.xml", seed=7, density=20.0, begin=0.0, end=60.0).read_bytes()
+    other_seed = generate_demand(
+        network, tmp_path / "3.rou.xml", seed=8, density=20.0, begin=0.0, end=60.0
+    ).read_bytes()
     assert first == again
     assert first != other_seed
     assert sorted(path.name for path in tmp_path.iterdir()) == ["1.rou.xml", "2.rou.xml", "3.rou.xml"]
 
 
 def test_twelve_a_minute_over_100_s_are_twenty_in_order_within_the_times(tmp_path: Path) -> None:
-    path = generate(shipped("two_way"), tmp_path / "d.rou.xml", seed=1, density=12.0, begin=50.0, end=150.0)
+    path = generate_demand(shipped("two_way"), tmp_path / "d.rou.xml", seed=1, density=12.0, begin=50.0, end=150.0)
     times = departs(path)
     assert len(times) == 20
     assert times == sorted(times)
@@ -63,7 +65,8 @@ def test_a_later_end_changes_nothing_before(tmp_path: Path) -> None:
     """Traffic is drawn in parts of 120 s."""
     network = shipped("priority_crossing")
     short, long = (
-        generate(network, tmp_path / f"{end}.rou.xml", seed=7, begin=0.0, end=end).read_text() for end in (120.0, 300.0)
+        generate_demand(network, tmp_path / f"{end}.rou.xml", seed=7, begin=0.0, end=end).read_text()
+        for end in (120.0, 300.0)
     )
     assert long.startswith(short.removesuffix("</routes>\n"))
     assert max(departs(tmp_path / "300.0.rou.xml")) > 240.0
@@ -71,7 +74,7 @@ def test_a_later_end_changes_nothing_before(tmp_path: Path) -> None:
 
 def test_routes_lead_from_fringe_to_fringe_over_edges_of_the_network(tmp_path: Path) -> None:
     network = shipped("t_junction")
-    scan = scan_demand(generate(network, tmp_path / "d.rou.xml", seed=1, begin=0.0, end=120.0))
+    scan = scan_demand(generate_demand(network, tmp_path / "d.rou.xml", seed=1, begin=0.0, end=120.0))
     assert set(scan.edges) <= scan_network(network).drivable
     routes = {journey.edges for journey in journeys(network, random.Random(0))}
     arms = ("west", "east", "south")
@@ -86,7 +89,7 @@ def test_the_default_density_follows_lanes_and_yielding() -> None:
 
 
 def test_generated_traffic_is_accepted_as_the_networks_own(tmp_path: Path) -> None:
-    generate(shipped("roundabout"), tmp_path / "d.rou.xml", seed=3, begin=0.0, end=60.0)
+    generate_demand(shipped("roundabout"), tmp_path / "d.rou.xml", seed=3, begin=0.0, end=60.0)
     text = f'<configuration><n value="{shipped("roundabout")}"/><r value="d.rou.xml"/></configuration>'
     (tmp_path / "case.sumocfg").write_text(text, encoding="utf-8")
     assert len(load_input(tmp_path / "case.sumocfg").routes) == 1
@@ -103,7 +106,7 @@ def test_a_network_without_fringe_gets_routes_between_inner_edges(tmp_path: Path
 def test_a_network_without_any_route_of_use_is_refused(tmp_path: Path) -> None:
     """Edges of 20 m: the longest route is 60 m, short of the 150 m asked for."""
     with pytest.raises(UsageError, match="No route leads through"):
-        generate(ring(tmp_path / "ring.net.xml", 20.0), tmp_path / "d.rou.xml", seed=1, begin=0.0, end=60.0)
+        generate_demand(ring(tmp_path / "ring.net.xml", 20.0), tmp_path / "d.rou.xml", seed=1, begin=0.0, end=60.0)
     assert not (tmp_path / "d.rou.xml").exists()
 
 
@@ -112,7 +115,7 @@ def test_a_network_that_is_not_whole_is_refused(tmp_path: Path) -> None:
     network = ring(tmp_path / "ring.net.xml", 100.0)
     network.write_text(network.read_text(encoding="utf-8").replace(' projParameter="!"', ""), encoding="utf-8")
     with pytest.raises(UsageError, match="projParameter"):
-        generate(network, tmp_path / "d.rou.xml", seed=1, begin=0.0, end=60.0)
+        generate_demand(network, tmp_path / "d.rou.xml", seed=1, begin=0.0, end=60.0)
 
 
 @pytest.mark.parametrize(
@@ -121,7 +124,7 @@ def test_a_network_that_is_not_whole_is_refused(tmp_path: Path) -> None:
 )
 def test_senseless_figures_are_refused(tmp_path: Path, density: float, begin: float, end: float, part: str) -> None:
     with pytest.raises(UsageError, match=part):
-        generate(shipped("two_way"), tmp_path / "d.rou.xml", seed=1, density=density, begin=begin, end=end)
+        generate_demand(shipped("two_way"), tmp_path / "d.rou.xml", seed=1, density=density, begin=begin, end=end)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -16,10 +16,10 @@ from pydantic import BaseModel, SecretStr
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from sumo_adv.asked import Asked, Written
+from sumo_adv.asked import Asked, RequestOrigin
 from sumo_adv.config import LimitSettings, ModelSettings, Settings
 from sumo_adv.config_odd import Odd
-from sumo_adv.simulation.scenario import Adversary, Box, Demand, Ego, Label, Scenario, Signals, Window
+from sumo_adv.simulation.scenario import Adversary, AttackWindow, Demand, Ego, Label, ObstacleBox, Scenario, Signals
 
 PAGE = ROOT / "docs" / "settings.md"
 MODELS: Mapping[str, type[BaseModel]] = {
@@ -27,8 +27,8 @@ MODELS: Mapping[str, type[BaseModel]] = {
     "Operational design domain": Odd, "Servers of language models": ModelSettings,
 }  # fmt: skip
 PARTS: Mapping[str, type[BaseModel]] = {  # of a scenario file, all in one table
-    "": Scenario, "[demand] ": Demand, "[ego] ": Ego, "[window] ": Window, "[adversary] ": Adversary,
-    "[signals] ": Signals, "[label] ": Label, "[written] ": Written, "[asked] ": Asked, "[[...]] ": Box,
+    "": Scenario, "[demand] ": Demand, "[ego] ": Ego, "[window] ": AttackWindow, "[adversary] ": Adversary,
+    "[signals] ": Signals, "[label] ": Label, "[written] ": RequestOrigin, "[asked] ": Asked, "[[...]] ": ObstacleBox,
 }  # fmt: skip
 WORDS = {float: "number", int: "whole number", str: "text", bool: "true, false", Path: "path", SecretStr: "text"}
 SIGNS = {"gt": "> {}", "ge": ">= {}", "lt": "< {}", "le": "<= {}", "min_length": "{} or more characters"}

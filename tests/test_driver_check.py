@@ -15,9 +15,9 @@ from cli_samples import ROOT, Program
 from sumo_adv import app
 from sumo_adv.config import load_settings
 from sumo_adv.datatypes import Role, Track, VehicleState
-from sumo_adv.driver_check import Checked, Kind, by_name, named, twelve
+from sumo_adv.driver_check import Checked, FindingKind, by_name, shipped_drive, twelve
 from sumo_adv.driver_check.drive import PassedLine, UnattackedDrive
-from sumo_adv.driver_check.findings import apart, judge, longest
+from sumo_adv.driver_check.findings import find_faults, first_separation, longest
 from sumo_adv.drivers import Pose
 from sumo_adv.errors import UsageError
 
@@ -43,61 +43,65 @@ IDM = driven(track("ego", 10.0))
 
 
 def test_a_driver_that_keeps_its_lane_and_its_distance_is_good() -> None:
-    assert judge(driven(track("ego", 10.0), track("leader", 10.0, x=20.0)), IDM) == []
+    assert find_faults(driven(track("ego", 10.0), track("leader", 10.0, x=20.0)), IDM) == []
 
 
 def test_a_collision_names_the_other_the_sides_and_the_speeds() -> None:
-    (finding,) = judge(driven(track("ego", 10.0), track("leader", 4.0, x=35.0)), IDM)
-    assert (finding.kind, finding.time) == (Kind.COLLIDES, pytest.approx(5.0, abs=1e-6))  # 30 m at 6 m/s
+    (finding,) = find_faults(driven(track("ego", 10.0), track("leader", 4.0, x=35.0)), IDM)
+    assert (finding.kind, finding.time) == (FindingKind.COLLIDES, pytest.approx(5.0, abs=1e-6))  # 30 m at 6 m/s
     assert finding.words == "its front meets the rear of 'leader' (ego 10.0 m/s, other 4.0 m/s)"
 
 
 def test_half_a_second_off_the_road_is_allowed_and_more_is_not() -> None:
-    for steps, kinds in ((5, []), (6, [Kind.LEAVES_ROAD])):
+    for steps, kinds in ((5, []), (6, [FindingKind.LEAVES_ROAD])):
         off = np.zeros((STEPS, 4))
         off[100 : 100 + steps, 2] = 0.4
-        assert [f.kind for f in judge(replace(IDM, off_road=off), IDM)] == kinds
+        assert [f.kind for f in find_faults(replace(IDM, off_road=off), IDM)] == kinds
     off_lane = np.zeros(STEPS)
     off_lane[100:] = 1.5
-    (finding,) = judge(replace(IDM, off_lane=off_lane), IDM)
-    assert (finding.kind, finding.time, finding.words) == (Kind.LEAVES_LANE, 10.0, "its centre is up to 1.5 m outside")
+    (finding,) = find_faults(replace(IDM, off_lane=off_lane), IDM)
+    assert (finding.kind, finding.time, finding.words) == (
+        FindingKind.LEAVES_LANE,
+        10.0,
+        "its centre is up to 1.5 m outside",
+    )
 
 
 def test_standing_counts_from_ten_seconds_more_than_sumos_driver_on() -> None:
-    assert judge(driven(track("ego", 10.0, stop=20.1)), IDM) == []  # 100 steps
-    (finding,) = judge(driven(track("ego", 10.0, stop=10.0)), IDM)
-    assert (finding.kind, finding.time) == (Kind.STANDS, 10.0)
-    assert judge(driven(track("ego", 10.0, stop=10.0)), driven(track("ego", 10.0, stop=18.0))) == []
+    assert find_faults(driven(track("ego", 10.0, stop=20.1)), IDM) == []  # 100 steps
+    (finding,) = find_faults(driven(track("ego", 10.0, stop=10.0)), IDM)
+    assert (finding.kind, finding.time) == (FindingKind.STANDS, 10.0)
+    assert find_faults(driven(track("ego", 10.0, stop=10.0)), driven(track("ego", 10.0, stop=18.0))) == []
 
 
 def test_less_than_half_the_way_is_slow() -> None:
-    assert judge(driven(track("ego", 5.1)), IDM) == []
-    (finding,) = judge(driven(track("ego", 4.9)), IDM)
-    assert (finding.kind, finding.words) == (Kind.SLOW, "it has come 147 m, SUMO's idm 300 m")
+    assert find_faults(driven(track("ego", 5.1)), IDM) == []
+    (finding,) = find_faults(driven(track("ego", 4.9)), IDM)
+    assert (finding.kind, finding.words) == (FindingKind.SLOW, "it has come 147 m, SUMO's idm 300 m")
 
 
 def test_a_pose_that_no_car_reaches_is_a_jump() -> None:
     before = VehicleState("ego", 0.0, 0.0, 0.0, 10.0, 0.0, 5.0, 2.0, "")
-    assert judge(replace(IDM, poses=((before, Pose(1.0, 0.0, 0.0, 10.0)),)), IDM) == []
-    (ahead,) = judge(replace(IDM, poses=((before, Pose(3.5, 0.0, 0.0, 10.0)),)), IDM)  # 2.5 m too far
-    assert ahead.kind is Kind.JUMPS
+    assert find_faults(replace(IDM, poses=((before, Pose(1.0, 0.0, 0.0, 10.0)),)), IDM) == []
+    (ahead,) = find_faults(replace(IDM, poses=((before, Pose(3.5, 0.0, 0.0, 10.0)),)), IDM)  # 2.5 m too far
+    assert ahead.kind is FindingKind.JUMPS
     assert ahead.words.endswith("at 10.0 m/s, half its length too far: is that its front bumper?")
     for pose in (Pose(1.0, 0.5, 0.0, 10.0), Pose(1.08, 0.0, 0.0, 11.5)):  # sideways; 15 m/s2
-        (finding,) = judge(replace(IDM, poses=((before, pose),)), IDM)
-        assert (finding.kind, "bumper" in finding.words) == (Kind.JUMPS, False)
+        (finding,) = find_faults(replace(IDM, poses=((before, pose),)), IDM)
+        assert (finding.kind, "bumper" in finding.words) == (FindingKind.JUMPS, False)
 
 
 def test_a_line_that_it_had_to_wait_at() -> None:
-    (finding,) = judge(replace(IDM, lines=(PassedLine(4.0, "red"),)), IDM)
-    assert (finding.kind, finding.words) == (Kind.LINE, "it passes a line of a light that is red")
+    (finding,) = find_faults(replace(IDM, lines=(PassedLine(4.0, "red"),)), IDM)
+    assert (finding.kind, finding.words) == (FindingKind.LINE, "it passes a line of a light that is red")
 
 
 def test_motions_are_apart_from_where_they_part() -> None:
     same = track("ego", 10.0)
-    assert apart(same, same, 1e-6) == (math.inf, 0.0)
-    when, far = apart(same, track("ego", 10.5), 1.0)
+    assert first_separation(same, same, 1e-6) == (math.inf, 0.0)
+    when, far = first_separation(same, track("ego", 10.5), 1.0)
     assert (when, far) == (2.1, pytest.approx(15.0))  # 0.5 m/s: 1.05 m after 2.1 s, 15 m after 30 s
-    assert apart(same, same.between(0.0, 20.0), 1.0) == (20.1, math.inf)
+    assert first_separation(same, same.between(0.0, 20.0), 1.0) == (20.1, math.inf)
 
 
 def test_the_longest_run() -> None:
@@ -122,7 +126,7 @@ def examples_on_path() -> Iterator[None]:
 
 
 def checked(ego: str, *scenarios: tuple[str, str], seconds: float) -> tuple[Checked, ...]:
-    inputs = [named(*scenario) for scenario in scenarios]
+    inputs = [shipped_drive(*scenario) for scenario in scenarios]
     return app.check_driver(inputs, load_settings(None, ego=ego), lambda checked: None, seconds).scenarios
 
 
@@ -137,28 +141,30 @@ def test_a_right_adapter_is_good() -> None:
 @pytest.mark.parametrize(
     ("driver", "scenario", "seconds", "kinds"),
     [
-        ("AbsoluteTime", STOP_AND_GO, 6.0, {Kind.TIME_BASE, Kind.JUMPS}),
-        ("PlanByClock", STOP_AND_GO, 6.0, {Kind.TIME_BASE}),
-        ("Degrees", TURNS_LEFT, 3.0, {Kind.JUMPS}),
-        ("FrontBumper", STOP_AND_GO, 3.0, {Kind.JUMPS}),
-        ("NoLines", RED_LIGHT, 20.0, {Kind.LINE}),
-        ("NoLines", STOP_AND_GO, 12.0, {Kind.COLLIDES}),
-        ("OtherSide", STOP_AND_GO, 8.0, {Kind.LEAVES_LANE}),
-        ("Stands", STOP_AND_GO, 20.0, {Kind.STANDS}),
-        ("Slow", RED_LIGHT, 10.0, {Kind.SLOW}),
-        ("Remembers", STOP_AND_GO, 4.0, {Kind.RESET}),
-        ("Dices", STOP_AND_GO, 4.0, {Kind.RANDOM}),
-        ("Fails", STOP_AND_GO, 4.0, {Kind.FAILS}),
+        ("AbsoluteTime", STOP_AND_GO, 6.0, {FindingKind.TIME_BASE, FindingKind.JUMPS}),
+        ("PlanByClock", STOP_AND_GO, 6.0, {FindingKind.TIME_BASE}),
+        ("Degrees", TURNS_LEFT, 3.0, {FindingKind.JUMPS}),
+        ("FrontBumper", STOP_AND_GO, 3.0, {FindingKind.JUMPS}),
+        ("NoLines", RED_LIGHT, 20.0, {FindingKind.LINE}),
+        ("NoLines", STOP_AND_GO, 12.0, {FindingKind.COLLIDES}),
+        ("OtherSide", STOP_AND_GO, 8.0, {FindingKind.LEAVES_LANE}),
+        ("Stands", STOP_AND_GO, 20.0, {FindingKind.STANDS}),
+        ("Slow", RED_LIGHT, 10.0, {FindingKind.SLOW}),
+        ("Remembers", STOP_AND_GO, 4.0, {FindingKind.RESET}),
+        ("Dices", STOP_AND_GO, 4.0, {FindingKind.RANDOM}),
+        ("Fails", STOP_AND_GO, 4.0, {FindingKind.FAILS}),
     ],
 )
-def test_a_wrong_driver_is_caught(driver: str, scenario: tuple[str, str], seconds: float, kinds: set[Kind]) -> None:
+def test_a_wrong_driver_is_caught(
+    driver: str, scenario: tuple[str, str], seconds: float, kinds: set[FindingKind]
+) -> None:
     (done,) = checked(f"wrong_drivers:{driver}", scenario, seconds=seconds)
     assert kinds <= {finding.kind for finding in done.findings}
 
 
 def test_a_front_bumper_for_the_centre_is_named() -> None:
     (done,) = checked("wrong_drivers:FrontBumper", STOP_AND_GO, seconds=2.0)
-    assert "is that its front bumper?" in next(f.words for f in done.findings if f.kind is Kind.JUMPS)
+    assert "is that its front bumper?" in next(f.words for f in done.findings if f.kind is FindingKind.JUMPS)
 
 
 def test_a_scenario_of_the_table_is_found_by_its_name() -> None:

@@ -15,7 +15,7 @@ from situation_samples import KRAUSS, changed, leader, situation
 
 from sumo_adv.datatypes import DriverModel, Floats
 from sumo_adv.drivers.prediction import PredictedEgos
-from sumo_adv.simulation.sumo_rules import AtJunction, CarFollowing, Scenes, seconds
+from sumo_adv.simulation.sumo_rules import AtJunction, CarFollowing, SituationBatch, travel_time
 from sumo_adv.situation import Situation
 
 KINDS = pytest.mark.parametrize("kind", ["krauss", "idm"])
@@ -52,7 +52,7 @@ def drive(
 
 
 def egos_of(sit: Situation) -> PredictedEgos:
-    return PredictedEgos(Scenes([sit]), np.array([5.0]), np.array([2.0]))
+    return PredictedEgos(SituationBatch([sit]), np.array([5.0]), np.array([2.0]))
 
 
 def crossing_at(speed: float, before: float, behind: float) -> Callable[[float], AtJunction]:
@@ -80,7 +80,7 @@ def crossing_at(speed: float, before: float, behind: float) -> Callable[[float],
 def test_the_seconds_for_a_distance_with_acceleration_up_to_13_9_metres_a_second(
     distance: float, speed: float, takes: float
 ) -> None:
-    times: Floats = seconds(np.array([distance]), np.array([speed]), 2.6)
+    times: Floats = travel_time(np.array([distance]), np.array([speed]), 2.6)
     assert times[0] == pytest.approx(takes, abs=0.005)  # a standing one counts as going at 1 cm/s
 
 
@@ -152,7 +152,8 @@ def test_it_does_not_brake_for_a_vehicle_that_will_be_gone_in_time() -> None:
     at 12 m/s no reason to brake."""
     for speed, brakes in ((12.0, False), (0.0, True)):
         egos = egos_of(crossroads(12.0))
-        drive(egos, 0.1, lambda _, v=speed: at_junction(True, front_to_zone=-6.2, speed=v, meets_at=18.1), speed)  # type: ignore[misc]
+        # type: ignore[misc]
+        drive(egos, 0.1, lambda _, v=speed: at_junction(True, front_to_zone=-6.2, speed=v, meets_at=18.1), speed)
         assert bool(egos.disturbed[0]) is brakes
 
 

@@ -10,7 +10,7 @@ from test_cli_bad_input import refused
 
 import sumo_adv
 from sumo_adv.config_odd import Odd, read_odd
-from sumo_adv.datatypes import Place, RoadClass
+from sumo_adv.datatypes import RoadClass, RoadPlace
 from sumo_adv.episode.encounter_detector import road_class
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.network import read_network
@@ -48,7 +48,7 @@ def test_within_a_junction_it_is_a_junction() -> None:
     assert road_class(road, inside, 1.0, ahead=80.0) is RoadClass.JUNCTION
 
 
-HERE = Place(RoadClass.URBAN, 13.9, 8.0, 3)
+HERE = RoadPlace(RoadClass.URBAN, 13.9, 8.0, 3)
 
 
 @pytest.mark.parametrize(
@@ -68,7 +68,7 @@ def test_what_an_odd_contains(odd: Odd, inside: bool) -> None:
 
 
 def test_off_the_network_only_an_odd_without_roads_contains_the_ego() -> None:
-    nowhere = Place(None, None, 8.0, 3)
+    nowhere = RoadPlace(None, None, 8.0, 3)
     assert Odd(speed=(0.0, 14.0)).contains(nowhere) and not Odd(roads=(RoadClass.URBAN,)).contains(nowhere)
 
 

@@ -12,7 +12,7 @@ from cli_samples import ROOT, Program
 from sumo_adv import app
 from sumo_adv.config import load_settings
 from sumo_adv.datatypes import DriverModel, VehicleState
-from sumo_adv.driver_check import named
+from sumo_adv.driver_check import shipped_drive
 from sumo_adv.drivers import Observation, Road, Steer, StopLine, make_ego, model_of
 from sumo_adv.errors import UsageError
 
@@ -64,7 +64,7 @@ def test_it_is_an_unknown_driver() -> None:
 
 @needs_it
 def test_unattacked_it_drives_well() -> None:
-    inputs = [named("check/stop_and_go", "ego"), named("t_junction_left_from_stem", "from_south")]
+    inputs = [shipped_drive("check/stop_and_go", "ego"), shipped_drive("t_junction_left_from_stem", "from_south")]
     done = app.check_driver(inputs, load_settings(None, ego="fiss_plus"), lambda checked: None, 20.0)
     assert [each.findings for each in done.scenarios] == [(), ()]
 

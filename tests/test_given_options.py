@@ -19,7 +19,7 @@ from sumo_adv.simulation.inputs import data_folder, load_input
 from sumo_adv.simulation.programs import find_sumo
 from sumo_adv.simulation.scan import scan_demand, silent_copies
 from sumo_adv.simulation.simulation import Simulation, SimulationSpec
-from sumo_adv.simulation.sumo_options import FORCED, OTHERS, only_shows, parse, refuse
+from sumo_adv.simulation.sumo_options import FORCED, OTHERS, only_shows, parse_options, refuse
 
 SUMOS_TYPES = {"switch": "BOOL", "number": "FLOAT", "whole number": "INT", "time": "TIME", "text": "STR"}
 NETWORK = data_folder("networks") / "signalised_crossing.net.xml"
@@ -79,8 +79,8 @@ def test_no_option_writes_or_has_another_option_as_its_value(name: str, value: s
 
 def test_values_of_their_type_are_passed_on() -> None:
     given = ["time-to-teleport=-1", "scale=2.5e-1", "step-method.ballistic=1", "time-to-impatience=0:03:00"]
-    check(parse([*given, "pedestrian.model=striping", "max-num-vehicles=-1"]))
-    spec = SimulationSpec(NETWORK, (), (), 0.0, 1, options=parse(given))
+    check(parse_options([*given, "pedestrian.model=striping", "max-num-vehicles=-1"]))
+    spec = SimulationSpec(NETWORK, (), (), 0.0, 1, options=parse_options(given))
     assert "--time-to-teleport=-1" in spec.arguments()
     simulation = Simulation(spec)
     try:

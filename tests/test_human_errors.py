@@ -9,14 +9,14 @@ from pathlib import Path
 import pytest
 
 from sumo_adv.simulation.human_errors import ErrorKind, HumanErrors, speed_in_error
-from sumo_adv.simulation.inputs import resolve
+from sumo_adv.simulation.inputs import find_input
 from sumo_adv.simulation.simulation import Simulation, SimulationSpec, Snapshot
 
 
 @contextmanager
 def traffic(network: str, routes: dict[str, tuple[tuple[str, ...], float, int, float]]) -> Iterator[Simulation]:
     """Vehicles by name, each with its edges, position [m], lane and speed [m/s], after the first step."""
-    simulation = Simulation(SimulationSpec(resolve(Path(network)), (), (), 0.0, 1))
+    simulation = Simulation(SimulationSpec(find_input(Path(network)), (), (), 0.0, 1))
     try:
         for name, (edges, position, lane, speed) in routes.items():
             depart = {"departPos": str(position), "departLane": str(lane), "departSpeed": str(speed), "depart": "0"}

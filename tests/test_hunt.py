@@ -14,8 +14,8 @@ from cli_samples import Program
 
 import sumo_adv
 from sumo_adv.campaigns.campaign import Orders, Summary
-from sumo_adv.campaigns.local import Pace
-from sumo_adv.campaigns.plan import Plan
+from sumo_adv.campaigns.local import WorkerPace
+from sumo_adv.campaigns.plan import CampaignPlan
 from sumo_adv.campaigns.results import Input, Learn
 from sumo_adv.datatypes import Level
 from sumo_adv.errors import SumoAdvError, UsageError
@@ -106,7 +106,7 @@ class Campaigns:
         self.rounds: list[tuple[tuple[str, ...], tuple[int, ...]]] = []
         self.bounds: list[tuple[float, int]] = []  # s of an encounter, and kinds of attacks
 
-    def __call__(self, plan: Plan, orders: Orders) -> Summary:
+    def __call__(self, plan: CampaignPlan, orders: Orders) -> Summary:
         self.rounds.append((tuple(i.name for i in plan.inputs), tuple(plan.seeds)))
         self.bounds.append((plan.variants[0]["seconds"], plan.variants[0]["diverse"]))
         rows = []
@@ -120,13 +120,13 @@ class Campaigns:
         return Summary(orders.out, len(rows), rows, len(rows))
 
 
-def plan_of(*names: str) -> Plan:
+def plan_of(*names: str) -> CampaignPlan:
     inputs = [Input(name, Path(name), None, f"content of {name}") for name in names]
-    return Plan(inputs, ("idm",), (0,), [{"until": "serious"}], [{}], Learn.OFF, None, False)
+    return CampaignPlan(inputs, ("idm",), (0,), [{"until": "serious"}], [{}], Learn.OFF, None, False)
 
 
-def hunted(folder: Path, campaign: RunCampaign, most: int | None = 4, plan: Plan | None = None) -> Found:
-    orders = Orders(folder / "out", folder / "bank.sqlite", {}, Pace(1, 60.0, 200))
+def hunted(folder: Path, campaign: RunCampaign, most: int | None = 4, plan: CampaignPlan | None = None) -> Found:
+    orders = Orders(folder / "out", folder / "bank.sqlite", {}, WorkerPace(1, 60.0, 200))
     told: list[HuntProgress] = []
     return Hunt(plan or plan_of("good", "dull"), orders, campaign, 10.0, most).run(told.append)
 
@@ -139,7 +139,7 @@ def test_an_encounter_gets_three_times_the_median_first_success_and_more_kinds_w
     hunted(tmp_path, good, most=6, plan=plan_of("good"))
     assert good.bounds == [(20.0, 1), (6.0, 1)]
 
-    def four(plan: Plan, orders: Orders) -> Summary:
+    def four(plan: CampaignPlan, orders: Orders) -> Summary:
         return replace(dull(plan, orders), interrupted=len(dull.rounds) == 4)
 
     hunted(tmp_path / "dull", four, most=None, plan=plan_of("dull"))
@@ -162,10 +162,10 @@ def test_a_hunt_ends_with_enough_distinct_failures_and_ranks_them(tmp_path: Path
 def test_failures_are_those_that_reach_the_level_asked_for(tmp_path: Path) -> None:
     """All that the input comes to is serious, so with that level all count, and with 5 m/s of delta-v none."""
     for folder, goal, many in (("a", Goal(Level.SERIOUS), 3), ("b", Goal(Level.VALID, min_delta_v=5.0), 0)):
-        orders = Orders(tmp_path / folder / "out", tmp_path / "bank.sqlite", {}, Pace(1, 60.0, 200))
+        orders = Orders(tmp_path / folder / "out", tmp_path / "bank.sqlite", {}, WorkerPace(1, 60.0, 200))
         campaign = Campaigns()
 
-        def once(plan: Plan, orders: Orders, campaign: Campaigns = campaign) -> Summary:
+        def once(plan: CampaignPlan, orders: Orders, campaign: Campaigns = campaign) -> Summary:
             return replace(campaign(plan, orders), interrupted=True)
 
         found = Hunt(plan_of("good"), orders, once, 10.0, None, goal).run(lambda _: None)
@@ -194,7 +194,7 @@ def test_ctrl_c_in_the_last_episode_of_a_round_ends_the_hunt_too(tmp_path: Path)
     """Nothing of the round is missing then, and no other round begins."""
     campaign = Campaigns()
 
-    def pressed(plan: Plan, orders: Orders) -> Summary:
+    def pressed(plan: CampaignPlan, orders: Orders) -> Summary:
         return replace(campaign(plan, orders), interrupted=True)
 
     found = hunted(tmp_path, pressed)
@@ -206,11 +206,11 @@ def test_a_round_that_would_take_longer_than_the_time_that_is_left_is_smaller(tm
     """Ten inputs, one worker, a hunt of 3 s: a round of three episodes takes 2.4 s, so that the second one has one."""
     campaign = Campaigns()
 
-    def slow(plan: Plan, orders: Orders) -> Summary:
+    def slow(plan: CampaignPlan, orders: Orders) -> Summary:
         time.sleep(0.8 * len(plan.jobs))
         return campaign(plan, orders)
 
-    orders = Orders(tmp_path / "out", tmp_path / "bank.sqlite", {}, Pace(1, 60.0, 200))
+    orders = Orders(tmp_path / "out", tmp_path / "bank.sqlite", {}, WorkerPace(1, 60.0, 200))
     names = [f"dull {k}" for k in range(10)]
     Hunt(plan_of(*names), orders, slow, 3.0 / 60.0, None).run(lambda _: None)
     assert [len(inputs) for inputs, _ in campaign.rounds] == [3, 1]
@@ -230,7 +230,7 @@ def test_the_failures_over_time_are_drawn(tmp_path: Path, program: Program) -> N
 
 
 def test_where_all_episodes_fail_the_hunt_says_why_at_once(tmp_path: Path) -> None:
-    def broken(plan: Plan, orders: Orders) -> Summary:
+    def broken(plan: CampaignPlan, orders: Orders) -> Summary:
         rows = [row(id=job.id, ending="simulation_failed", failure="No licence.", level=None) for job in plan.jobs]
         return Summary(orders.out, len(rows), rows, len(rows))
 

@@ -21,7 +21,7 @@ from simulation_samples import (
 
 from sumo_adv.config import load_settings
 from sumo_adv.input_check import InputCheck, WatchWorker, check_input
-from sumo_adv.input_check.motions import compare
+from sumo_adv.input_check.motions import compare_motions
 from sumo_adv.simulation.engine import Engine
 from sumo_adv.simulation.inputs import load_input, own_simulation
 
@@ -217,7 +217,7 @@ def test_missing_and_moved_vehicles_are_named() -> None:
     still = {100: (0.0, 0.0, 1.0), 200: (0.0, 0.0, 1.0)}
     here = {"a": still | {200: (3.0, 0.0, 1.5)}, "new": still, "gap": {100: (0.0, 0.0, 1.0)}, "fine": still}
     sumo = {"a": still, "lost": still, "gap": still, "fine": still}
-    found = compare(here, sumo, 0.0, (0.0, 0.2), 0.1)
+    found = compare_motions(here, sumo, 0.0, (0.0, 0.2), 0.1)
     assert (found.vehicles, found.same_vehicles, found.position, found.speed) == (4, 1, 3.0, 0.5)
     assert (found.missing, found.additional, found.absent, found.worst) == (("lost",), ("new",), ("gap",), ("a", 0.2))
     assert not found.same and "never here: lost; here alone: new; not in the same steps: gap" in found.sentence

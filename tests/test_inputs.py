@@ -11,7 +11,7 @@ import pytest
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.inputs import EgoRoute, data_folder, input_name, load_input, own_simulation, shipped_names
 from sumo_adv.simulation.scan import scan_demand
-from sumo_adv.simulation.sumo_options import parse, refuse
+from sumo_adv.simulation.sumo_options import parse_options, refuse
 
 NET = """<net version="1.20">
     <edge id=":n_0" function="internal"><lane id=":n_0_0" index="0" speed="10" length="5" shape="0,0 5,0"/></edge>
@@ -310,9 +310,9 @@ def test_a_network_alone_brings_no_options_of_its_own(tmp_path: Path) -> None:
 
 
 def test_options_of_sumo_are_name_and_value_and_have_one_place() -> None:
-    assert parse(["time-to-teleport=300", "--scale=2"]) == {"time-to-teleport": "300", "scale": "2"}
+    assert parse_options(["time-to-teleport=300", "--scale=2"]) == {"time-to-teleport": "300", "scale": "2"}
     with pytest.raises(UsageError, match="takes NAME=VALUE, as in time-to-teleport=300, and not 'scale'"):
-        parse(["scale"])
+        parse_options(["scale"])
     with pytest.raises(UsageError, match="'seed' cannot be passed through: use --seed"):
         refuse({"seed": "3"})
     with pytest.raises(UsageError, match=r"'collision.action' is set by this program: leave it out"):

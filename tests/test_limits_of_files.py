@@ -16,7 +16,7 @@ from sumo_adv.config import load_settings
 from sumo_adv.errors import UsageError
 from sumo_adv.parsing import MAX_NESTING, MAX_UNPACKED_BYTES, parse_json, parse_toml, read_bytes, read_object
 from sumo_adv.report.read import columns_of
-from sumo_adv.simulation.scan import read_text
+from sumo_adv.simulation.scan import read_sumo_text
 
 DEEP, LONG = "[" * 100_000, "1" * 5_000
 
@@ -107,7 +107,7 @@ def test_a_table_that_unpacks_to_gigabytes_is_a_sentence(bomb: Path) -> None:
     with pytest.raises(UsageError, match=r"states.csv.gz is damaged \(it holds more than 512 MiB\)"):
         columns_of(bomb)
     with pytest.raises(UsageError, match=r"The tracks .* cannot be used \(it holds more than 512 MiB\)"):
-        read_text(bomb, "The tracks")
+        read_sumo_text(bomb, "The tracks")
 
 
 def test_a_report_of_such_a_run_is_a_sentence(program: Program, bomb: Path) -> None:

@@ -11,7 +11,7 @@ from cli_samples import Program
 
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.inputs import load_input
-from sumo_adv.simulation.maps import Conversion, convert_map
+from sumo_adv.simulation.maps import MapConversion, convert_map
 
 LENGTH = 300.0  # m of every road here
 
@@ -43,17 +43,17 @@ def write(folder: Path, *parts: str, head: str = "<OpenDRIVE>", version: str = "
     return file
 
 
-def converted(folder: Path, *parts: str, head: str = "<OpenDRIVE>") -> Conversion:
+def converted(folder: Path, *parts: str, head: str = "<OpenDRIVE>") -> MapConversion:
     return convert_map(write(folder, *parts, head=head), cache=folder / "cache")
 
 
-def lanes(made: Conversion) -> dict[str, dict[str, str]]:
+def lanes(made: MapConversion) -> dict[str, dict[str, str]]:
     """The lanes of edges by their id, whose sign netconvert gives by the side of the road."""
     edges = (e for e in ElementTree.parse(made.network).getroot().iter("edge") if e.get("function") is None)
     return {each.attrib["id"]: each.attrib for edge in edges for each in edge.iter("lane")}
 
 
-def speeds(made: Conversion) -> list[float]:
+def speeds(made: MapConversion) -> list[float]:
     return [float(each["speed"]) for each in lanes(made).values()]
 
 

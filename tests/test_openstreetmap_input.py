@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 import pytest
 
 from sumo_adv.errors import UsageError
-from sumo_adv.simulation.maps import Conversion, convert_map
+from sumo_adv.simulation.maps import MapConversion, convert_map
 
 NODES = {1: (48.0, 11.0), 2: (48.0, 11.004), 3: (48.0, 11.008), 4: (48.003, 11.004), 5: (47.997, 11.004)}
 Tags = dict[str, str]
@@ -37,11 +37,11 @@ def write(folder: Path, *parts: str) -> Path:
     return folder / "town.osm"
 
 
-def converted(folder: Path, *parts: str) -> Conversion:
+def converted(folder: Path, *parts: str) -> MapConversion:
     return convert_map(write(folder, *parts), cache=folder / "cache")
 
 
-def classes(made: Conversion, edge: str) -> list[set[str]]:
+def classes(made: MapConversion, edge: str) -> list[set[str]]:
     """Which of these classes may use each lane, from the kerb to the middle."""
     known = {"passenger", "bus", "bicycle", "pedestrian"}
     found = next(e for e in ElementTree.parse(made.network).getroot().iter("edge") if e.get("id") == edge)
@@ -52,7 +52,7 @@ def classes(made: Conversion, edge: str) -> list[set[str]]:
     return allowed
 
 
-def with_tags(folder: Path, tags: Tags) -> Conversion:
+def with_tags(folder: Path, tags: Tags) -> MapConversion:
     """Way 10 leads to a crossing with a road of two lanes one way and one of a lane each way."""
     return converted(
         folder, nodes(), way(10, (1, 2), tags), way(11, (2, 3), {**ONE_WAY, "lanes": "2"}), way(12, (4, 2, 5), CROSSING)

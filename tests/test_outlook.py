@@ -106,11 +106,11 @@ def test_how_far_a_vehicle_strayed(tmp_path: Path) -> None:
 @pytest.mark.parametrize("network", ["straight_3lane", "two_way", "priority_crossing", "signalised_crossing"])
 def test_most_are_where_they_were_foreseen(tmp_path: Path, network: str) -> None:
     """Median distance after 3 s in generated traffic; measured 0.2 to 0.5 m on these networks."""
-    from sumo_adv.simulation.demand import generate
+    from sumo_adv.simulation.demand import generate_demand
     from sumo_adv.simulation.inputs import data_folder
 
     net = data_folder("networks") / f"{network}.net.xml"
-    spec = SimulationSpec(net, (generate(net, tmp_path / "d.rou.xml", seed=1, end=60.0),), (), 0.0, 1)
+    spec = SimulationSpec(net, (generate_demand(net, tmp_path / "d.rou.xml", seed=1, end=60.0),), (), 0.0, 1)
     road, drive, missed = read_network(net), Drive(spec, ExternalEgo(), 1), []
     try:
         for _ in range(8):

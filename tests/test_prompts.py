@@ -23,6 +23,7 @@ from sumo_adv.datatypes import (
     Level,
     LibraryEntry,
     Limits,
+    ModeChoice,
     Parameter,
     Planner,
     Prediction,
@@ -31,7 +32,6 @@ from sumo_adv.datatypes import (
     Role,
     Track,
     Verdict,
-    Way,
 )
 from sumo_adv.episode.assessment import diagnose
 from sumo_adv.episode.repairs import way_taken
@@ -285,7 +285,11 @@ def test_chosen_ways_begin_at_one_of_the_starts(prompts: Prompts) -> None:
     ]  # fmt: skip
     model = Answers(Analysis(intents=[choice("Straight Lane Shift", ways=ways)]))
     (intent,) = analyzer(prompts, model).analyze(scenes, [SHIFT])
-    assert intent.ways == (Way("tuned", {"gap": 3.0}, 1.5), Way("side", {}, 1.5), Way("side", {}, 0.0))
+    assert intent.ways == (
+        ModeChoice("tuned", {"gap": 3.0}, 1.5),
+        ModeChoice("side", {}, 1.5),
+        ModeChoice("side", {}, 0.0),
+    )
 
 
 def test_a_model_may_see_nothing_dangerous(prompts: Prompts) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sumo_adv.datatypes import Boxes
-from sumo_adv.rate.proposal import ERROR_KINDS, danger
+from sumo_adv.rate.proposal import ERROR_KINDS, danger_levels
 from sumo_adv.simulation.human_errors import ErrorKind
 
 EGO = Boxes(*(np.array(v) for v in (0.0, 0.0, 0.0, 15.0)), 4.8, 1.8)
@@ -13,7 +13,7 @@ EGO = Boxes(*(np.array(v) for v in (0.0, 0.0, 0.0, 15.0)), 4.8, 1.8)
 
 def levels(x: float, y: float, speed: float, heading: float = 0.0) -> dict[ErrorKind, int]:
     neighbour = Boxes(*(np.array([v]) for v in (x, y, heading, speed)), np.array([4.8]), np.array([1.8]))
-    return {kind: int(level) for kind, level in zip(ERROR_KINDS, danger(EGO, neighbour)[0], strict=True)}
+    return {kind: int(level) for kind, level in zip(ERROR_KINDS, danger_levels(EGO, neighbour)[0], strict=True)}
 
 
 def test_a_vehicle_beside_the_ego() -> None:

@@ -12,17 +12,17 @@ from sumo_adv.rate.proposal import (
     MAX_WEIGHT,
     Counts,
     Decisions,
-    Proposal,
+    ErrorProposal,
     learnt,
     pilot_proposal,
 )  # fmt: skip
 
-RAISED = Proposal(np.array([[0.0, 0.0, 0.0, 0.2]]))  # one kind of error, raised to 0.2 at level 3
+RAISED = ErrorProposal(np.array([[0.0, 0.0, 0.0, 0.2]]))  # one kind of error, raised to 0.2 at level 3
 MODEL, HIGH, LOW = np.array([[0.01]]), np.array([[3]]), np.array([[0]])
 
 
 def test_a_raised_probability_is_never_below_the_models_nor_above_zero_where_that_is_zero() -> None:
-    proposal = Proposal(np.array([[0.0, 0.0, 0.0, 0.2], [0.1, 0.1, 0.1, 0.6]]))
+    proposal = ErrorProposal(np.array([[0.0, 0.0, 0.0, 0.2], [0.1, 0.1, 0.1, 0.6]]))
     model = np.array([[0.01, 0.0], [0.01, 0.02]])
     raised = proposal.raised(model, np.array([[3, 3], [0, 0]]))
     assert raised.tolist() == [[0.2, 0.0], [0.01, 0.1]]

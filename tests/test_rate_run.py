@@ -15,7 +15,7 @@ from sumo_adv.errors import UsageError
 from sumo_adv.rate.blocks import Block, BlockRunner, RatePlan, seed_of
 from sumo_adv.rate.estimate import estimated
 from sumo_adv.rate.proposal import ERROR_KINDS
-from sumo_adv.rate.run import Record
+from sumo_adv.rate.run import RateRecord
 from sumo_adv.simulation.human_errors import ErrorKind
 
 BESIDE = Path(__file__).resolve().parent.parent / "benchmarks" / "rate" / "side_by_side.toml"
@@ -50,11 +50,11 @@ def test_generated_traffic_brings_an_ego_after_the_warm_up() -> None:
 
 def test_rates_of_levels_from_records() -> None:
     """Two of four runs crash with weight 0.5, one of them valid; each run is 0.25 h and 10 km, of weight 1."""
-    calm = Record(1, 0.25, 10.0, 0.25, 10.0, 1.0)
+    calm = RateRecord(1, 0.25, 10.0, 0.25, 10.0, 1.0)
     records = [
         calm, calm,
-        Record(2, 0.25, 10.0, 0.25, 10.0, 0.5, True, "valid", "drift_left"),
-        Record(3, 0.25, 10.0, 0.25, 10.0, 0.5, True, "none", "inattention"),
+        RateRecord(2, 0.25, 10.0, 0.25, 10.0, 0.5, True, "valid", "drift_left"),
+        RateRecord(3, 0.25, 10.0, 0.25, 10.0, 0.5, True, "none", "inattention"),
     ]  # fmt: skip
     estimate = estimated(RatePlan(Path("x")), records, [calm])
     assert {name: rate.value for name, rate in estimate.per_hour.items()} == {

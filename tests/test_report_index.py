@@ -15,7 +15,7 @@ from test_coverage import CUT_IN_BESIDE
 from test_report_page import HOSTILE, data_of
 
 from sumo_adv.campaigns.results import read_row, write_csv
-from sumo_adv.campaigns.store import pack
+from sumo_adv.campaigns.store import pack_runs
 from sumo_adv.errors import UsageError
 from sumo_adv.metrics.severity import Severity
 from sumo_adv.report.coverage import make_coverage
@@ -165,7 +165,7 @@ def test_names_that_are_paths_open_nothing(batch: Path, tmp_path: Path) -> None:
 
 
 def test_packed_runs_have_pages(batch: Path, program: Program) -> None:
-    pack(batch)
+    pack_runs(batch)
     assert not (batch / "runs" / "aaaa").exists()
     summary = json.loads(program.here("report", batch, "--json").out)
     assert (summary["pages"], summary["made"]) == (3, 3) and not (batch / "runs" / "aaaa").exists()

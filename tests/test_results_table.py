@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from page_samples import attempt, outcome
 
-from sumo_adv.campaigns.results import row_of, write_csv, write_parquet
+from sumo_adv.campaigns.results import result_row, write_csv, write_parquet
 
 HIT: dict[str, Any] = {
     "collided": True, "valid": True, "strict": True, "level": "serious", "preventable_by": ["cc_human", "fsm"],
@@ -27,7 +27,7 @@ def hit(**other: Any) -> dict[str, Any]:
 
 
 def test_a_row_says_who_attacked_and_where() -> None:
-    row = row_of("a", hit(), False)
+    row = result_row("a", hit(), False)
     assert (row["level"], row["strict"], row["serious"]) == ("serious", True, True)
     assert (row["fault"], row["delta_v"], row["contact_time"]) == ("adversary", 4.1, 9.7)
     assert row["preventable_by"] == "cc_human fsm"
@@ -41,18 +41,18 @@ def test_a_row_names_the_supports_and_their_composition() -> None:
     run = hit()
     run["adversaries"] += [{"id": "left", "role": "block_left"}, {"id": "front", "role": "slow"}]
     run["attempts"][1]["composition"] = "Box-in"
-    row = row_of("a", run, False)
+    row = result_row("a", run, False)
     assert (row["adversary"], row["supports"], row["composition"]) == (
         "adversary",
         "left:block_left front:slow",
         "Box-in",
     )
-    alone = row_of("a", hit(), False)
+    alone = result_row("a", hit(), False)
     assert (alone["supports"], alone["composition"]) == (None, None)
 
 
 def test_without_a_collision_the_questions_about_one_do_not_arise() -> None:
-    row = row_of("a", outcome(), False)
+    row = result_row("a", outcome(), False)
     columns = ("level", "strict", "serious", "preventable_by", "fault", "contact_time", "kind", "road", "cause")
     assert {row[name] for name in columns} == {None}
     assert (row["adversary"], row["relation"]) == ("adversary", "neighbour")
@@ -60,7 +60,7 @@ def test_without_a_collision_the_questions_about_one_do_not_arise() -> None:
 
 def test_pandas_reads_the_table_with_its_types(tmp_path: Path) -> None:
     pandas = pytest.importorskip("pandas", reason="pandas is not installed (extra dev)")
-    rows = [row_of("a", hit(), False), row_of("b", outcome(), False)]
+    rows = [result_row("a", hit(), False), result_row("b", outcome(), False)]
     write_csv(tmp_path / "results.csv", rows, ())
     frame = pandas.read_csv(tmp_path / "results.csv", index_col="id")
     assert frame.delta_v.max() == 4.1 and frame.min_ttc.dtype == float
@@ -71,7 +71,7 @@ def test_pandas_reads_the_table_with_its_types(tmp_path: Path) -> None:
 
 def test_parquet_has_the_same_types(tmp_path: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed (extra batch)")
-    rows = [row_of("a", hit(), False), row_of("b", outcome(), False)]
+    rows = [result_row("a", hit(), False), result_row("b", outcome(), False)]
     write_parquet(tmp_path / "results.parquet", rows, ())
     first, second = parquet.read_table(tmp_path / "results.parquet").to_pylist()
     assert (first["serious"], first["contact_time"], first["ego_speed"]) == (True, 9.7, 27.6)

@@ -16,7 +16,7 @@ from sumo_adv.datatypes import Limits, Planner, Proposal
 from sumo_adv.geometry import Frame
 from sumo_adv.planners.answers import Answer, PlannerObservation, world_endpoint
 from sumo_adv.search.rollouts import Rollouts, predict
-from sumo_adv.simulation.sumo_rules import Scenes, profile_at
+from sumo_adv.simulation.sumo_rules import SituationBatch, profile_at
 from sumo_adv.situation import Situation
 
 IDM = replace(KRAUSS, kind="idm")
@@ -34,7 +34,7 @@ END = {"x": 45.0, "y": 0.0, "heading": 0.0, "speed": 6.0, "time": 4.0}
 
 @given(st.floats(-1.0, 9.0))
 def test_the_profiles_at_one_time_are_those_at_many(time: float) -> None:
-    scenes = Scenes([EARLY, LATE, EARLY])
+    scenes = SituationBatch([EARLY, LATE, EARLY])
     s, v = scenes.profile_now(time)
     alone = [profile_at(situation, np.array([time])) for situation in (EARLY, LATE, EARLY)]
     assert s.tolist() == [float(a[0][0]) for a in alone] and v.tolist() == [float(a[1][0]) for a in alone]
@@ -45,7 +45,7 @@ def test_the_profiles_at_one_time_are_those_at_many(time: float) -> None:
 @given(st.lists(st.floats(-20.0, 400.0), min_size=3, max_size=3), st.floats(-5.0, 5.0))
 def test_places_on_the_egos_paths_and_in_their_frames_are_those_of_each(stations: list[float], offset: float) -> None:
     rows, s, d = (LATE, EARLY, LATE), np.array(stations), np.full(3, offset)
-    scenes = Scenes(rows)
+    scenes = SituationBatch(rows)
     world = scenes.ego_at(s, d)
     local = scenes.to_local(*world)
     for k, scene in enumerate(rows):

@@ -46,7 +46,7 @@ from sumo_adv.transformer.scene import (
     to_world,
 )
 from sumo_adv.transformer.train import evaluate
-from sumo_adv.womd.reader import record_of
+from sumo_adv.womd.reader import parse_record
 from sumo_adv.womd.training_scenes import scene_of_record
 
 LANE = 3.2  # m, of straight_3lane; its lanes lie at y = -3.2, 0 and 3.2
@@ -223,13 +223,13 @@ def test_a_folder_without_scenes_is_told(tmp_path: Path) -> None:
 
 def test_a_record_gives_the_vehicles_near_its_ego() -> None:
     """Of ``straight``: the ego at 32 m with 12 m/s, its leader, the parked car; not the car that is seen later."""
-    scene = scene_of_record(record_of(straight(), "a record"))
+    scene = scene_of_record(parse_record(straight(), "a record"))
     assert scene is not None
     f, future, recorded, followed = scene
     assert f.there.sum() == 3.0 and followed is None
     assert f.state[0, 0] == pytest.approx(1.2) and f.state[0, 3:].tolist() == [0.0] * 5  # its light is unknown
     assert recorded[0].all() and future[0, -1] == pytest.approx([96.0, 0.0], abs=0.01)
-    inner = scene_of_record(record_of(four_way(), "a record"))
+    inner = scene_of_record(parse_record(four_way(), "a record"))
     assert inner is not None and (inner[0].lanes[0, :, 4] > 0.0).any()  # lanes on the junction
 
 

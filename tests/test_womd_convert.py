@@ -18,7 +18,7 @@ from sumo_adv.errors import UsageError
 from sumo_adv.simulation.inputs import load_input
 from sumo_adv.womd.convert import _teleports, cache_folder, conversion, random_traffic
 from sumo_adv.womd.fidelity import FIDELITY_COLUMNS, row
-from sumo_adv.womd.reader import Choice, choice_of, read_records
+from sumo_adv.womd.reader import RecordChoice, choice_of, read_records
 from sumo_adv.womd.record import Record
 
 SHARED = Path(__file__).parents[2] / "shared" / "womd"
@@ -204,10 +204,11 @@ def test_teleports_are_read_from_the_warnings() -> None:
 
 @pytest.mark.parametrize(
     ("name", "choice"),
-    [(None, Choice(index=0)), ("7", Choice(index=7)), ("0f1e2d3c4b5a6978", Choice(id="0f1e2d3c4b5a6978")),
-     ("1081039300000000", Choice(id="1081039300000000"))],
+    [(None, RecordChoice(index=0)), ("7", RecordChoice(index=7)),
+     ("0f1e2d3c4b5a6978", RecordChoice(id="0f1e2d3c4b5a6978")),
+     ("1081039300000000", RecordChoice(id="1081039300000000"))],
 )  # fmt: skip
-def test_what_record_means(name: str | None, choice: Choice) -> None:
+def test_what_record_means(name: str | None, choice: RecordChoice) -> None:
     assert choice_of(name) == choice
 
 

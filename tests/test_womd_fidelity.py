@@ -20,19 +20,19 @@ from sumo_adv.womd.fidelity import (
     inside_lanes,
     lane_deviations,
 )
-from sumo_adv.womd.lines import Segments, resample
+from sumo_adv.womd.lines import LineSegments, resample
 from sumo_adv.womd.matching import match, net_graph, record_graph
-from sumo_adv.womd.reader import record_of
+from sumo_adv.womd.reader import parse_record
 from sumo_adv.womd.record import Record
 
 
 def record(message: Any) -> Record:
-    return record_of(message, "a record")
+    return parse_record(message, "a record")
 
 
 def test_segments_near_a_point() -> None:
     """A line along x to 10 m, then up: the point (4, 1) is 1 m from it at station 4, (10.5, 3) half a metre at 13."""
-    hits = Segments({"a": np.array([(0, 0), (10, 0), (10, 5)], float), "none": np.zeros((1, 2))}).near(
+    hits = LineSegments({"a": np.array([(0, 0), (10, 0), (10, 5)], float), "none": np.zeros((1, 2))}).near(
         np.array([(4.0, 1.0), (10.5, 3.0), (50.0, 0.0)]), 2.0, np.array([0.0, 0.0, 0.0])
     )
     assert hits.point.tolist() == [0, 1]
@@ -49,7 +49,7 @@ def test_segments_near_a_point() -> None:
 def test_the_least_distance_is_that_of_a_fine_search(corners: list[tuple[float, float]], point: Any) -> None:
     fine = np.concatenate([np.linspace(a, b, 400) for a, b in pairwise(corners)])
     expected = np.hypot(*(fine - point).T).min()
-    hits = Segments({0: np.array(corners)}).near(np.array([point]), 200.0)
+    hits = LineSegments({0: np.array(corners)}).near(np.array([point]), 200.0)
     assert hits.least(1, 200.0)[0] == pytest.approx(expected, abs=0.5)
     assert hits.least(1, 200.0)[0] <= expected + 1e-6
 

@@ -15,7 +15,7 @@ from sumo_adv.simulation.drivable import area_of, area_text
 from sumo_adv.simulation.network import Drivable, read_network
 from sumo_adv.womd.network import convert_network
 from sumo_adv.womd.network.ground import left_of_edges
-from sumo_adv.womd.reader import record_of
+from sumo_adv.womd.reader import parse_record
 
 EAST, WEST = ((0.0, 1.0), (1.0, 0.0))  # shares of the road's 200 m at which a line begins and ends
 
@@ -47,7 +47,7 @@ def two_carriageways() -> Any:
 
 def converted(folder: Path, message: Any) -> Drivable:
     """The area that every part of the program takes from the converted network."""
-    return read_network(convert_network(record_of(message, "a test"), folder).path).drivable(100.0, 0.0, 50.0)
+    return read_network(convert_network(parse_record(message, "a test"), folder).path).drivable(100.0, 0.0, 50.0)
 
 
 def inside(area: Drivable, *places: tuple[float, float]) -> list[bool]:
@@ -84,7 +84,7 @@ def test_the_lane_counts_where_the_edges_have_a_gap(tmp_path: Path) -> None:
 
 
 def test_a_record_without_edges_has_its_lanes_as_before(tmp_path: Path) -> None:
-    road = read_network(convert_network(record_of(samples.overpass(), "a test"), tmp_path).path)
+    road = read_network(convert_network(parse_record(samples.overpass(), "a test"), tmp_path).path)
     assert road.ground is None
     area = road.drivable(0.0, 0.0, 200.0)
     assert inside(area, (50.0, 0.0), (50.0, 1.6), (50.0, 2.0)) == [True, True, False]
@@ -112,7 +112,7 @@ def test_an_area_is_read_as_it_was_written() -> None:
 
 
 def test_a_damaged_area_is_one_sentence(tmp_path: Path) -> None:
-    path = convert_network(record_of(two_carriageways(), "a test"), tmp_path).path
+    path = convert_network(parse_record(two_carriageways(), "a test"), tmp_path).path
     path.write_text(path.read_text().replace('key="drivable" value="', 'key="drivable" value="x,y '))
     with pytest.raises(UsageError, match=r"drivable area in .* is damaged"):
         read_network(path)

@@ -23,7 +23,7 @@ from sumo_adv.womd.matching import read_net
 from sumo_adv.womd.network import convert_network
 from sumo_adv.womd.network.finish import run_netconvert
 from sumo_adv.womd.network.right_of_way import bend_together, find_foes
-from sumo_adv.womd.network.roads import Link
+from sumo_adv.womd.network.roads import JunctionLink
 from sumo_adv.womd.reader import read_records
 from sumo_adv.womd.record import Record
 
@@ -46,10 +46,10 @@ def lanes_in_sumo(network: Path) -> int:
     return int(done.stdout.split()[-1])
 
 
-def link(points: list[tuple[float, float]], source: str, target: str, height: float = 0.0) -> Link:
+def link(points: list[tuple[float, float]], source: str, target: str, height: float = 0.0) -> JunctionLink:
     shape = np.array(points, dtype=float)
     heights = np.full(len(shape), height)
-    return Link("n0", source, 0, target, 0, shape, heights, 3.5, 10.0, 0.0, (), (), False)
+    return JunctionLink("n0", source, 0, target, 0, shape, heights, 3.5, 10.0, 0.0, (), (), False)
 
 
 def test_links_that_cross_or_merge_are_foes_and_those_from_one_lane_are_not() -> None:
@@ -83,7 +83,7 @@ def test_lines_that_end_beside_each_other_cross_before() -> None:
     assert np.array_equal(bent[1].shape[[0, -1]], joining.shape[[0, -1]])
 
 
-def heights_over(low: Link, high: Link) -> np.ndarray:
+def heights_over(low: JunctionLink, high: JunctionLink) -> np.ndarray:
     """How far the second line lies over the first, every 0.1 m of 20 m along x."""
     x = np.arange(0.0, 20.0, 0.1)
     return np.interp(x, *high.shape.T) - np.interp(x, *low.shape.T)

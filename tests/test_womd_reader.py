@@ -27,7 +27,7 @@ from womd_samples import (
 from sumo_adv.errors import UsageError
 from sumo_adv.womd import scenario_pb2
 from sumo_adv.womd.framing import crc32c, masked_crc, read_frames
-from sumo_adv.womd.reader import ALL_RECORDS, Choice, read_records
+from sumo_adv.womd.reader import ALL_RECORDS, RecordChoice, read_records
 from sumo_adv.womd.record import Record
 
 SHARED = Path(__file__).parents[2] / "shared" / "womd"
@@ -101,7 +101,7 @@ def test_signals_signs_and_areas(tmp_path: Path) -> None:
 def test_choosing_by_id_index_and_number(tmp_path: Path) -> None:
     path = write(tmp_path / "a.tfrecord", straight(), four_way(), overpass(), merge())
     ids = [[r.scenario_id for r in read_records(path, choice)] for choice in (
-        ALL_RECORDS, Choice(id="overpass"), Choice(index=3), Choice(first=2),
+        ALL_RECORDS, RecordChoice(id="overpass"), RecordChoice(index=3), RecordChoice(first=2),
     )]  # fmt: skip
     assert ids == [
         ["straight", "four_way", "overpass", "merge"], ["overpass"], ["merge"], ["straight", "four_way"],
@@ -120,9 +120,12 @@ def test_records_are_read_as_they_are_asked_for(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("choice", "sentence"),
-    [(Choice(id="nowhere"), "has no record 'nowhere' among its 1"), (Choice(index=4), "has no record 4: it has 1")],
+    [
+        (RecordChoice(id="nowhere"), "has no record 'nowhere' among its 1"),
+        (RecordChoice(index=4), "has no record 4: it has 1"),
+    ],
 )
-def test_a_record_that_is_not_there(tmp_path: Path, choice: Choice, sentence: str) -> None:
+def test_a_record_that_is_not_there(tmp_path: Path, choice: RecordChoice, sentence: str) -> None:
     path = write(tmp_path / "a.tfrecord", straight())
     with pytest.raises(UsageError, match=sentence):
         list(read_records(path, choice))

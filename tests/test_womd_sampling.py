@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import womd_samples as samples
 
-from sumo_adv.womd.reader import record_of
+from sumo_adv.womd.reader import parse_record
 from sumo_adv.womd.record import Record, evenly_sampled
 
 
@@ -18,7 +18,7 @@ def straight_at(times: Any) -> Record:
     message = samples.straight()
     for i, time in enumerate(times):
         message.timestamps_seconds[i] = time
-    return record_of(message, "a test")
+    return parse_record(message, "a test")
 
 
 def test_an_even_record_is_taken_as_it_is() -> None:
@@ -65,5 +65,5 @@ def test_headings_go_the_shorter_way() -> None:
     for i, state in enumerate(message.tracks[0].states):
         message.timestamps_seconds[i] = 0.2 * i
         state.heading = 3.1 if i % 2 == 0 else -3.1
-    even, _ = evenly_sampled(record_of(message, "a test"))
+    even, _ = evenly_sampled(parse_record(message, "a test"))
     assert abs(even.tracks[0].heading[1]) == pytest.approx(math.pi)

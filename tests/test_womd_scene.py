@@ -14,18 +14,18 @@ from sumo_adv.simulation.playback_spec import scenario_playback, with_background
 from sumo_adv.simulation.scan import scan_demand
 from sumo_adv.simulation.scenario import load_scenario
 from sumo_adv.simulation.tracks import read_tracks
-from sumo_adv.womd.matching import Stretch, SumoNet, match, net_graph
-from sumo_adv.womd.reader import record_of
+from sumo_adv.womd.matching import MatchedStretch, SumoNet, match, net_graph
+from sumo_adv.womd.reader import parse_record
 from sumo_adv.womd.record import Record
 from sumo_adv.womd.scene import Router, parked_vehicles, write_scene
 
 
 def record(message: Any) -> Record:
-    return record_of(message, "a record")
+    return parse_record(message, "a record")
 
 
-def stretch(*lanes: str, steps: tuple[int, ...] = (0, 90)) -> Stretch:
-    return Stretch(steps, (lanes[0], lanes[-1]), lanes)
+def stretch(*lanes: str, steps: tuple[int, ...] = (0, 90)) -> MatchedStretch:
+    return MatchedStretch(steps, (lanes[0], lanes[-1]), lanes)
 
 
 def test_a_route_runs_on_to_an_end(tmp_path: Path) -> None:

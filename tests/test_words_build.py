@@ -10,14 +10,14 @@ from typing import Any
 import pytest
 from sumo_samples import make_net
 
-from sumo_adv.asked import Written
+from sumo_adv.asked import RequestOrigin
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.inputs import data_folder, load_input
 from sumo_adv.words.build import build
 from sumo_adv.words.draft import SceneDraft
 from sumo_adv.words.roads import Net
 
-WRITTEN = Written(words='He said "stop" \\ and \u00fcber.', model="a model", date="2026-11-27")
+WRITTEN = RequestOrigin(words='He said "stop" \\ and \u00fcber.', model="a model", date="2026-11-27")
 
 
 def scene(road: dict[str, Any], ego: dict[str, Any], *vehicles: dict[str, Any], **more: Any) -> SceneDraft:

@@ -24,8 +24,8 @@ from scipy.stats import norm
 from sumo_adv.datatypes import Floats
 from sumo_adv.files import json_text, write_text
 from sumo_adv.rate.blocks import RUNS_PER_BLOCK, Block, BlockRunner, RatePlan, seed_of
-from sumo_adv.rate.estimate import Estimate, Estimation, Rate, counts_of, estimated, rate, records_of
-from sumo_adv.rate.proposal import DECISION_INTERVAL_S, ERROR_KINDS, Proposal, chances, learnt, pilot_proposal
+from sumo_adv.rate.estimate import Estimation, Rate, RateEstimate, counts_of, estimated, measure_rate, records_of
+from sumo_adv.rate.proposal import DECISION_INTERVAL_S, ERROR_KINDS, ErrorProposal, chances, learnt, pilot_proposal
 
 CHUNK = 800_000  # plain runs in a file
 
@@ -59,7 +59,7 @@ def main() -> None:
     crashes = sum(thinned(replace(plan, plain=True), first, CHUNK, args.others, args.out) for first in parts)
     driven = len(parts) * CHUNK
     hours = driven * plain.hours / plain.runs
-    thinned_rate = rate(np.ones(crashes), np.full(crashes, hours / crashes))
+    thinned_rate = measure_rate(np.ones(crashes), np.full(crashes, hours / crashes))
     same = thinned(replace(plan, plain=True), 0, plain.runs, args.others, args.out)
     print(f"thinned    {driven} plain runs, {crashes} collisions ({same} in the first {plain.runs}):")
     print("\n".join(covered(estimates, thinned_rate)))
@@ -92,7 +92,7 @@ def repetition(plan: RatePlan, runs: int, out: Path) -> dict[str, Any]:
         return dict(json.loads(file.read_text(encoding="utf-8")))
     with BlockRunner(plan) as runner:
 
-        def blocks(phase: str, number: int, proposal: Proposal) -> list[dict[str, Any]]:
+        def blocks(phase: str, number: int, proposal: ErrorProposal) -> list[dict[str, Any]]:
             jobs = [Block(phase, first, proposal.starts.tolist()) for first in range(0, number, RUNS_PER_BLOCK)]
             return [dict(runner.run(job, last=True).row or {}) for job in jobs]
 
@@ -103,7 +103,7 @@ def repetition(plan: RatePlan, runs: int, out: Path) -> dict[str, Any]:
     return document
 
 
-def table(estimates: Sequence[Mapping[str, Any]], plain: Estimate) -> list[str]:
+def table(estimates: Sequence[Mapping[str, Any]], plain: RateEstimate) -> list[str]:
     """The estimates against plain runs, and how far the ego drove for each. Rates are of collisions in 1000 h."""
     truth = plain.per_hour["collision"]
     value, half = _column(estimates, "rate"), _column(estimates, "half_width")
@@ -142,7 +142,7 @@ def _column(estimates: Sequence[Mapping[str, Any]], name: str) -> Floats:
 def crashes_for(half_width: float) -> float:
     """How many crashes plain runs need to see for a half width."""
     counts = np.arange(1, 2000)
-    halves = [rate(np.ones(count), np.ones(count)).half_width or np.inf for count in counts]
+    halves = [measure_rate(np.ones(count), np.ones(count)).half_width or np.inf for count in counts]
     return float(np.interp(-half_width, -np.array(halves), counts))
 
 

@@ -11,7 +11,7 @@ from typing import Literal
 from pydantic import BaseModel, Field
 
 from sumo_adv.agents.scene_text import Aliases
-from sumo_adv.datatypes import Level, LibraryEntry, Planner, Prediction, Proposal, Way
+from sumo_adv.datatypes import Level, LibraryEntry, ModeChoice, Planner, Prediction, Proposal
 from sumo_adv.llm.prompts import sanitize
 from sumo_adv.planners.source import uses_acceleration
 from sumo_adv.search.settings import SearchSettings
@@ -83,9 +83,9 @@ def way_fault(how: HowTo, entry: LibraryEntry) -> str | None:
     return None
 
 
-def way_of(how: HowTo, situations: Mapping[float, Situation], bv: str) -> Way:
+def way_of(how: HowTo, situations: Mapping[float, Situation], bv: str) -> ModeChoice:
     """A chosen way with its start as one of the delays for which there is a situation."""
-    return Way(how.mode, dict(how.parameters), begin_of(how.begin, situations, bv))
+    return ModeChoice(how.mode, dict(how.parameters), begin_of(how.begin, situations, bv))
 
 
 def begin_of(begin: float | Moment, situations: Mapping[float, Situation], bv: str) -> float:

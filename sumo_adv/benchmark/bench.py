@@ -17,7 +17,7 @@ from sumo_adv.benchmark.jobs import Job, Parts, Setup, cell_path, examples_of, k
 from sumo_adv.benchmark.nouns import Cell, Suite
 from sumo_adv.benchmark.rows import make_row
 from sumo_adv.benchmark.worker import Bencher, failure, keep_cell, missing_rows, note_of, waited
-from sumo_adv.campaigns.local import LocalWorkers, Pace, Stop
+from sumo_adv.campaigns.local import LocalWorkers, Stop, WorkerPace
 from sumo_adv.campaigns.results import Done
 from sumo_adv.config import load_settings
 from sumo_adv.drivers import make_ego
@@ -42,7 +42,7 @@ class Bench:
 
     def __init__(self, setup: Setup, workers: int, watcher: Watcher, deadline: float) -> None:
         self._setup, self._watcher = setup, watcher
-        self._pace = Pace(workers, deadline, recycle=sys.maxsize)
+        self._pace = WorkerPace(workers, deadline, recycle=sys.maxsize)
         self._waiting: deque[Job] = deque()
         self._chains: dict[tuple[str, str], deque[Job]] = {}
         self._since: dict[str, tuple[int, float]] = {}  # of a job: rows without a cell, and when the last one came [s]

@@ -14,7 +14,7 @@ from random import Random
 from sumo_adv.geometry import Path as Line
 from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.simulation.network import RoadMap, read_network
-from sumo_adv.situation import Conflict, relate
+from sumo_adv.situation import PathConflict, relate
 
 EGO = "ego"
 HORIZON = 10.0  # s
@@ -279,7 +279,7 @@ class Meeting:
 
     ego: Approach
     bv: Approach
-    conflict: Conflict
+    conflict: PathConflict
 
 
 @cache

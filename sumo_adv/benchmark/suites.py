@@ -31,7 +31,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 from sumo_adv.benchmark.nouns import GROUPS, Case, Suite
 from sumo_adv.errors import UsageError
 from sumo_adv.parsing import read_json, read_toml
-from sumo_adv.simulation.inputs import data_folder, input_name, load_input, resolve
+from sumo_adv.simulation.inputs import data_folder, find_input, input_name, load_input
 from sumo_adv.simulation.network import read_network
 
 SUITE_FILE = "suite.toml"
@@ -135,7 +135,7 @@ def _sources(name: str) -> list[Path]:
             raise UsageError(f"The folder {given} holds neither a {SUITE_FILE} nor a scenario.")
         return files
     try:
-        return [resolve(given)]
+        return [find_input(given)]
     except UsageError as error:
         names = ", ".join(shipped_suites())
         raise UsageError(f"There is no suite, folder or scenario '{name}'; shipped suites are {names}.") from error

@@ -13,18 +13,18 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, Protocol
 
-from sumo_adv.campaigns.local import LocalWorkers, Pace, Stop
-from sumo_adv.campaigns.plan import Plan
+from sumo_adv.campaigns.local import LocalWorkers, Stop, WorkerPace
+from sumo_adv.campaigns.plan import CampaignPlan
 from sumo_adv.campaigns.results import (
     LEARNT_FILE,
+    CampaignParts,
     Done,
-    Job,
+    EpisodeJob,
     Learn,
-    Parts,
     Row,
-    Setup,
-    failed,
-    table_of,
+    WorkerSetup,
+    is_failed,
+    results_table,
     write_csv,
     write_parquet,
 )
@@ -44,10 +44,10 @@ class Workers(Protocol):
     def close(self) -> None: ...
 
 
-class Watcher(Protocol):
+class CampaignWatcher(Protocol):
     def begin(self, total: int, before: Sequence[Row]) -> None: ...
 
-    def finished(self, job: Job, row: Row) -> None: ...
+    def finished(self, job: EpisodeJob, row: Row) -> None: ...
 
     def stopping(self, now: bool) -> None:
         """Ctrl-C was pressed, for the first time or again."""
@@ -61,7 +61,7 @@ class Orders:
     out: Path
     bank: Path
     versions: Mapping[str, str]
-    pace: Pace
+    pace: WorkerPace
     force: bool = False
     retry_failed: bool = False
     parquet: bool = False
@@ -86,7 +86,7 @@ class Summary:
     bank_hash: str = ""
 
     def as_dict(self) -> dict[str, Any]:
-        counts = {"critical": sum(bool(r["critical"]) for r in self.rows), "failed": sum(map(failed, self.rows))}
+        counts = {"critical": sum(bool(r["critical"]) for r in self.rows), "failed": sum(map(is_failed, self.rows))}
         return {
             "folder": str(self.folder), "episodes": self.total, "finished": len(self.rows), "ran": self.ran, **counts,
             "collided": sum(bool(r["collided"]) for r in self.rows), "valid": sum(bool(r["valid"]) for r in self.rows),
@@ -97,7 +97,7 @@ class Summary:
         }  # fmt: skip
 
 
-def run_batch(plan: Plan, orders: Orders, parts: Parts, watcher: Watcher) -> Summary:
+def run_batch(plan: CampaignPlan, orders: Orders, parts: CampaignParts, watcher: CampaignWatcher) -> Summary:
     """Run what is missing of a plan, and write the table.
 
     Raises:
@@ -114,10 +114,10 @@ def run_batch(plan: Plan, orders: Orders, parts: Parts, watcher: Watcher) -> Sum
         jobs = {job.id: job for job in plan.jobs}
         rows = store.rows(jobs)
         if orders.retry_failed:
-            rows = {name: row for name, row in rows.items() if not failed(row)}
+            rows = {name: row for name, row in rows.items() if not is_failed(row)}
         watcher.begin(len(jobs), list(rows.values()))
 
-        def finish(job: Job, done: Done) -> None:
+        def finish(job: EpisodeJob, done: Done) -> None:
             assert done.row is not None
             rows[job.id] = done.row
             summary.ran += 1
@@ -136,7 +136,7 @@ def run_batch(plan: Plan, orders: Orders, parts: Parts, watcher: Watcher) -> Sum
                     workers.run([job for job in missing if not job.input.error], finish)
                 summary.stopped, summary.interrupted = len(rows) < len(jobs), stop.drain
         finally:
-            summary.rows = table_of(plan.jobs, rows, plan.varied)
+            summary.rows = results_table(plan.jobs, rows, plan.varied)
             with sentences(orders.out):
                 varied = list(plan.varied[0])
                 write_csv(store.folder / "results.csv", summary.rows, varied)
@@ -150,8 +150,13 @@ def run_batch(plan: Plan, orders: Orders, parts: Parts, watcher: Watcher) -> Sum
 
 
 def _prepare(
-    store: Store, plan: Plan, document: Mapping[str, Any], orders: Orders, parts: Parts, summary: Summary
-) -> Setup:
+    store: Store,
+    plan: CampaignPlan,
+    document: Mapping[str, Any],
+    orders: Orders,
+    parts: CampaignParts,
+    summary: Summary,
+) -> WorkerSetup:
     """Snapshot and plan into the folder; what the workers need to know. Raises OSError, BankError."""
     try:
         store.snapshot(orders.bank)
@@ -162,10 +167,10 @@ def _prepare(
     document = {**document, "bank_hash": summary.bank_hash}
     write_text(store.folder / PLAN_FILE, json.dumps(document, indent=1, ensure_ascii=False) + "\n")
     place = orders.bank if plan.learn is Learn.DURING else store.bank
-    return Setup(store.runs.absolute(), place.absolute(), plan.learn, plan.variants, plan.figures, parts)
+    return WorkerSetup(store.runs.absolute(), place.absolute(), plan.learn, plan.variants, plan.figures, parts)
 
 
-def _workers(setup: Setup, orders: Orders, scratch: Path, store: Store, stop: Stop) -> Workers:
+def _workers(setup: WorkerSetup, orders: Orders, scratch: Path, store: Store, stop: Stop) -> Workers:
     if orders.ray is None:
         return LocalWorkers(setup, orders.pace, scratch, store.fail, stop)
     from sumo_adv.campaigns.cluster import ClusterWorkers
@@ -173,7 +178,7 @@ def _workers(setup: Setup, orders: Orders, scratch: Path, store: Store, stop: St
     return ClusterWorkers(setup, orders.pace, orders.ray, orders.versions, store, stop)
 
 
-def _teach(store: Store, plan: Plan, orders: Orders, rows: Mapping[str, Row]) -> int:
+def _teach(store: Store, plan: CampaignPlan, orders: Orders, rows: Mapping[str, Row]) -> int:
     """Write what was learnt into the bank, in the plan's order, once. Raises BankError, UsageError."""
     marker = store.folder / TAUGHT_FILE
     if marker.exists():
@@ -198,7 +203,7 @@ def _teach(store: Store, plan: Plan, orders: Orders, rows: Mapping[str, Row]) ->
 
 
 @contextmanager
-def stopping(watcher: Watcher) -> Iterator[Stop]:
+def stopping(watcher: CampaignWatcher) -> Iterator[Stop]:
     """Within it the first Ctrl-C asks to drain, the second to end at once."""
     stop = Stop()
 

@@ -21,10 +21,10 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
-from sumo_adv.campaigns.local import LocalWorkers, Pace, Stop
-from sumo_adv.campaigns.plan import hash_of
+from sumo_adv.campaigns.local import LocalWorkers, Stop, WorkerPace
+from sumo_adv.campaigns.plan import files_hash
 from sumo_adv.campaigns.ray_pool import RayPool
-from sumo_adv.campaigns.results import LEARNT_FILE, Done, Job, Learn, Setup, read_row
+from sumo_adv.campaigns.results import LEARNT_FILE, Done, EpisodeJob, Learn, WorkerSetup, read_row
 from sumo_adv.campaigns.store import Store
 from sumo_adv.campaigns.worker import lessons_of, share, teach
 from sumo_adv.drivers.registry import check_name, find_class
@@ -49,7 +49,7 @@ class Needs:
     egos: tuple[str, ...]
 
     @classmethod
-    def of(cls, jobs: Iterable[Job], versions: Mapping[str, str]) -> Needs:
+    def of(cls, jobs: Iterable[EpisodeJob], versions: Mapping[str, str]) -> Needs:
         """Those of jobs. Inputs that cannot be read here either are no node's fault: their episodes say so."""
         jobs = list(jobs)
         inputs = dict.fromkeys((job.input.source, job.input.content, job.input.record) for job in jobs)
@@ -112,11 +112,11 @@ def desk_folder() -> Path:
 
 
 @dataclass(frozen=True, slots=True)
-class Sent:
+class NodeContent:
     """What a node needs for all episodes; ``edition`` of the bank's snapshot."""
 
-    setup: Setup
-    pace: Pace
+    setup: WorkerSetup
+    pace: WorkerPace
     bank: bytes
     edition: int
 
@@ -125,7 +125,7 @@ class ClusterWorkers:
     """Runs jobs as Ray tasks. Raises UsageError as ``RayPool`` does."""
 
     def __init__(
-        self, setup: Setup, pace: Pace, address: str, versions: Mapping[str, str], store: Store, stop: Stop
+        self, setup: WorkerSetup, pace: WorkerPace, address: str, versions: Mapping[str, str], store: Store, stop: Stop
     ) -> None:
         self._setup, self._pace, self._store, self._versions = setup, pace, store, versions
         self._pool = RayPool(episode, unfit, pace.recycle, address, stop)
@@ -136,14 +136,14 @@ class ClusterWorkers:
             self.close()
             raise
 
-    def run(self, jobs: Sequence[Job], told: Callable[[Job, Done], None]) -> None:
+    def run(self, jobs: Sequence[EpisodeJob], told: Callable[[EpisodeJob, Done], None]) -> None:
         needs = self._pool.put(Needs.of(jobs, self._versions))
         self._pool.run(jobs, needs, lambda: self._sent, self._keep, self._store.fail, told)
 
     def close(self) -> None:
         self._pool.close()
 
-    def _keep(self, job: Job, result: tuple[bytes, int]) -> Done:
+    def _keep(self, job: EpisodeJob, result: tuple[bytes, int]) -> Done:
         """Put a run's folder in its place, and with ``Learn.DURING`` what was learnt into the bank."""
         data, size = result
         with self._setup.parts.staged(self._setup.runs / job.id, force=True, inside=True) as folder:
@@ -168,7 +168,7 @@ class ClusterWorkers:
             place.snapshot(self._setup.bank)
             data = place.bank.read_bytes()
         learn = Learn.OFF if self._setup.learn is Learn.OFF else Learn.AFTER  # nodes collect, and never write
-        return self._pool.put(Sent(replace(self._setup, learn=learn), self._pace, data, self._edition))
+        return self._pool.put(NodeContent(replace(self._setup, learn=learn), self._pace, data, self._edition))
 
 
 # -- on a node --------------------------------------------------------------------------------------------------------
@@ -186,7 +186,7 @@ class _Desk:
 _desks: list[_Desk] = []
 
 
-def episode(sent: Sent, job: Job) -> tuple[bytes, int]:
+def episode(sent: NodeContent, job: EpisodeJob) -> tuple[bytes, int]:
     """One episode on this node: its folder as a zip file, and its bytes without inputs."""
     desk = _desk(sent)
     results: list[Done] = []
@@ -200,7 +200,7 @@ def episode(sent: Sent, job: Job) -> tuple[bytes, int]:
     return data.getvalue(), results[0].bytes
 
 
-def _desk(sent: Sent) -> _Desk:
+def _desk(sent: NodeContent) -> _Desk:
     """The desk of this process, with the bank as it was sent."""
     if not _desks:
         store = Store(desk_folder(), sent.setup.parts.staged)
@@ -225,7 +225,7 @@ def wrong_content(source: Path, content: str, record: str | None) -> str:
         return "" if source.is_file() else f"There is no file {source} on this node."
     try:
         files = (source,) if is_commonroad(source) else load_input(source).files
-        same = hash_of(files) == content
+        same = files_hash(files) == content
     except (SumoAdvError, OSError) as error:
         return f"On this node: {error}"
     return "" if same else f"On this node {source} has another content than in the plan."

@@ -15,7 +15,7 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.campaigns.results import Done, Job
+from sumo_adv.campaigns.results import Done, EpisodeJob
 from sumo_adv.errors import SumoAdvError
 from sumo_adv.simulation.processes import SINGLE_THREAD_VARIABLES, deferred_interrupts, environment, exit_in_words
 
@@ -35,7 +35,7 @@ class Stop:
 
 
 @dataclass(frozen=True, slots=True)
-class Pace:
+class WorkerPace:
     """How work is done. ``deadline`` [s] of an episode; ``recycle``: episodes after which a worker is replaced."""
 
     workers: int
@@ -52,7 +52,7 @@ class _Slot:
     folder: Path
     until: float
     ready: bool = False
-    job: Job | None = None
+    job: EpisodeJob | None = None
     seen: Any = None
     ran: int = 0
 
@@ -79,13 +79,12 @@ class LocalWorkers:
     """Runs jobs on worker processes. ``fail`` writes down an episode that could not be run: (job, why, text).
 
     setup: what ``make`` makes each worker's runner from; both go to the worker. make: None = episodes of a batch, with
-    jobs of the type ``Job``. The jobs of another runner are anything with an ``id``. seen: how far a job is, and the
-    seconds [s] of it that do not count. The job's deadline begins anew when it gets further. hangs: tries of a
-    job that is not done in time.
-    """
+    jobs of the type ``EpisodeJob``. The jobs of another runner are anything with an ``id``. seen: how far a job is, and
+    the seconds [s] of it that do not count. The job's deadline begins anew when it gets further. hangs: tries of a job
+    that is not done in time."""
 
     setup: Any
-    pace: Pace
+    pace: WorkerPace
     scratch: Path
     fail: Callable[[Any, str, str], Done]
     stop: Stop
@@ -94,7 +93,7 @@ class LocalWorkers:
     hangs: int = MAX_EPISODE_TRIES
     _slots: list[_Slot] = field(default_factory=list)
     _tried: dict[str, int] = field(default_factory=dict)
-    _again: deque[Job] = field(default_factory=deque)
+    _again: deque[EpisodeJob] = field(default_factory=deque)
     _died: int = 0
     _made: int = 0
 
@@ -137,7 +136,7 @@ class LocalWorkers:
         worker_end.close()
         return _Slot(process, own_end, folder, time.monotonic() + WORKER_START_TIMEOUT_S)
 
-    def _assign(self, waiting: deque[Job]) -> None:
+    def _assign(self, waiting: deque[EpisodeJob]) -> None:
         for slot in self._slots:
             if self.stop.drain or not (waiting or self._again):
                 return
@@ -147,7 +146,7 @@ class LocalWorkers:
                 with suppress(OSError):  # it may have died: found by ``_listen``
                     slot.connection.send((slot.job, self._tried.get(slot.job.id, 0) + 1 == MAX_EPISODE_TRIES))
 
-    def _listen(self, told: Callable[[Job, Done], None]) -> None:
+    def _listen(self, told: Callable[[EpisodeJob, Done], None]) -> None:
         by_handle = {s.connection: s for s in self._slots}
         for ready in wait(list(by_handle), timeout=POLL_INTERVAL_S):
             slot = by_handle[ready]  # type: ignore[index]
@@ -157,7 +156,7 @@ class LocalWorkers:
                 slot.process.join(1.0)
                 self._lose(slot, f"its worker process ended ({exit_in_words(slot.process.exitcode)})", told)
 
-    def _hear(self, slot: _Slot, message: Any, told: Callable[[Job, Done], None]) -> None:
+    def _hear(self, slot: _Slot, message: Any, told: Callable[[EpisodeJob, Done], None]) -> None:
         if isinstance(message, SumoAdvError):
             raise message
         if message == "ready":
@@ -174,7 +173,7 @@ class LocalWorkers:
         if slot.ran >= self.pace.recycle:
             self._dismiss(slot)
 
-    def _watch(self, told: Callable[[Job, Done], None]) -> None:
+    def _watch(self, told: Callable[[EpisodeJob, Done], None]) -> None:
         checked_at = time.monotonic()
         for slot in list(self._slots):
             seen, uncounted = (None, 0.0) if slot.job is None else self.seen(slot.job)
@@ -183,7 +182,9 @@ class LocalWorkers:
             if checked_at > slot.until + uncounted and (slot.job is not None or not slot.ready):
                 self._lose(slot, f"it was not done after {self.pace.deadline:g} s", told, self.hangs)
 
-    def _lose(self, slot: _Slot, why: str, told: Callable[[Job, Done], None], tries: int = MAX_EPISODE_TRIES) -> None:
+    def _lose(
+        self, slot: _Slot, why: str, told: Callable[[EpisodeJob, Done], None], tries: int = MAX_EPISODE_TRIES
+    ) -> None:
         """A worker died, or has to."""
         text, job = slot.words, slot.job
         self._dismiss(slot)
@@ -196,7 +197,12 @@ class LocalWorkers:
                 raise SumoAdvError(f"The worker processes do not start ({last.strip()[:300]}).")
 
     def _retry(
-        self, job: Job, why: str, text: str, told: Callable[[Job, Done], None], tries: int = MAX_EPISODE_TRIES
+        self,
+        job: EpisodeJob,
+        why: str,
+        text: str,
+        told: Callable[[EpisodeJob, Done], None],
+        tries: int = MAX_EPISODE_TRIES,
     ) -> None:
         self._tried[job.id] = self._tried.get(job.id, 0) + 1
         if self._tried[job.id] < tries:

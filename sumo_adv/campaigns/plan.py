@@ -30,20 +30,20 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from sumo_adv.campaigns.results import Input, Job, Learn, Parts
+from sumo_adv.campaigns.results import CampaignParts, EpisodeJob, Input, Learn
 from sumo_adv.config import Settings, load_settings, refuse_address
 from sumo_adv.drivers.registry import check_name
 from sumo_adv.episode.task import refuse_density
 from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.parsing import parse_toml, read_toml
-from sumo_adv.simulation.inputs import data_folder, input_name, resolve
+from sumo_adv.simulation.inputs import data_folder, find_input, input_name
 
 MAGIC = re.compile(r"[*?\[]")
 SHIPPED_FOLDERS = ("scenarios", "networks")
 
 
 def find_inputs(
-    named: Sequence[str], folder: Path, records: Sequence[str], parts: Parts, density: float | None = None
+    named: Sequence[str], folder: Path, records: Sequence[str], parts: CampaignParts, density: float | None = None
 ) -> list[Input]:
     """The inputs that ``named`` means, relative paths counted from ``folder``. The shipped folders ``scenarios`` and
     ``networks`` are found from everywhere.
@@ -89,11 +89,11 @@ def _sources(name: str, folder: Path) -> list[Path]:
         return matches
     if given.exists():
         return [given]
-    resolve(Path(name))  # raises UsageError for what is no shipped name either
+    find_input(Path(name))  # raises UsageError for what is no shipped name either
     return [Path(name)]
 
 
-def _file(source: Path, density: float | None, parts: Parts) -> Input:
+def _file(source: Path, density: float | None, parts: CampaignParts) -> Input:
     """A network, configuration or scenario, also one of CommonRoad, with all its files."""
     try:
         given = parts.load(source, None)
@@ -101,14 +101,14 @@ def _file(source: Path, density: float | None, parts: Parts) -> Input:
         return broken(source, None, str(error))
     refuse_density(given, density)
     try:
-        content = hash_of(given.files)
+        content = files_hash(given.files)
         place = source.absolute() if source.is_file() else source  # a shipped one is found by its name anywhere
         return Input(given.name, place, None, content, notes=given.notes)
     except (SumoAdvError, OSError) as error:
         return broken(source, None, str(error))
 
 
-def _records(source: Path, chosen: Sequence[str], left: set[str], parts: Parts) -> Iterator[Input]:
+def _records(source: Path, chosen: Sequence[str], left: set[str], parts: CampaignParts) -> Iterator[Input]:
     """The records of a file; a broken one is an input that fails. Those that are there are removed from ``left``."""
     try:
         for k, record in enumerate(parts.records(source)):
@@ -133,7 +133,7 @@ def broken(source: Path, record: str | None, error: str) -> Input:
     return Input(name, source, record, content, error)
 
 
-def hash_of(files: Sequence[Path]) -> str:
+def files_hash(files: Sequence[Path]) -> str:
     digest = hashlib.sha256()
     for file in files:
         digest.update(hashlib.sha256(file.read_bytes()).digest())
@@ -165,7 +165,7 @@ class PlanFile(BaseModel):
 
 
 @dataclass(frozen=True)
-class Plan:
+class CampaignPlan:
     """Lists that are multiplied into episodes. ``variants``: settings as data; ``varied``: what tells them apart."""
 
     inputs: Sequence[Input]
@@ -178,7 +178,7 @@ class Plan:
     figures: bool
 
     @cached_property
-    def jobs(self) -> list[Job]:
+    def jobs(self) -> list[EpisodeJob]:
         """The episodes in order; of equal ones (the same content twice) only the first."""
         return list({job.id: job for job in reversed(list(self._product()))}.values())[::-1]
 
@@ -186,11 +186,11 @@ class Plan:
     def size(self) -> int:
         return len(self.inputs) * len(self.egos) * len(self.variants) * len(self.seeds)
 
-    def _product(self) -> Iterator[Job]:
+    def _product(self) -> Iterator[EpisodeJob]:
         shaped = [json.dumps(v, sort_keys=True) for v in self.variants]
         for given, ego, k, seed in itertools.product(self.inputs, self.egos, range(len(shaped)), self.seeds):
             content = json.dumps([given.content, ego, seed, shaped[k]])
-            yield Job(hashlib.sha256(content.encode()).hexdigest()[:ID_DIGITS], given, ego, seed, k)
+            yield EpisodeJob(hashlib.sha256(content.encode()).hexdigest()[:ID_DIGITS], given, ego, seed, k)
 
     def as_dict(self) -> dict[str, Any]:
         """What a folder of results remembers of its plan, and what two plans are compared by."""
@@ -224,8 +224,8 @@ def is_plan(path: Path) -> bool:
 
 
 def make_plan(
-    table: Mapping[str, Any], folder: Path, said: str, parts: Parts, settings_file: Path | None = None
-) -> Plan:
+    table: Mapping[str, Any], folder: Path, said: str, parts: CampaignParts, settings_file: Path | None = None
+) -> CampaignPlan:
     """A plan from its table; ``folder``: where relative inputs are looked for; ``said``: what to call it in errors.
 
     Raises UsageError: unknown keys, bad values, inputs, egos or settings that do not exist, nothing to run.
@@ -251,7 +251,7 @@ def make_plan(
         check_name(ego)
     density = next((s.density for s in loaded if s.density is not None), None)
     inputs = find_inputs(file.inputs, folder, [str(r) for r in file.records], parts, density)
-    return Plan(
+    return CampaignPlan(
         inputs, tuple(egos), tuple(range(seeds)) if isinstance(seeds, int) else tuple(seeds),
         [_as_data(s) for s in loaded], varied, file.learn, memory, file.figures,
     )  # fmt: skip
@@ -293,7 +293,7 @@ def checked_plan(value: Any) -> dict[str, Any]:
     return value
 
 
-def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[list[str], list[str]]:
+def plan_differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[list[str], list[str]]:
     """What tells two plans apart, in words: which episodes there are, and what all depend on; empty for the same plan.
     An input that was broken and is not any more makes no difference."""
     changes = _inputs_differ(before["inputs"], now["inputs"])

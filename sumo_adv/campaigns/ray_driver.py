@@ -57,7 +57,7 @@ class Loaded:
 
 
 @dataclass(frozen=True, slots=True)
-class Refused:
+class JobRefused:
     """There is no connection, and why."""
 
     why: str
@@ -80,7 +80,7 @@ class Nodes:
 
 
 @dataclass(frozen=True, slots=True)
-class Result:
+class JobResult:
     """What a task returned."""
 
     number: int
@@ -103,7 +103,7 @@ class Lost:
     text: str
 
 
-def serve(connection: Connection, address: str, folder: Path) -> None:
+def serve_jobs(connection: Connection, address: str, folder: Path) -> None:
     """Connect to the cluster and do what the program asks for, until it sends None."""
     alone(folder)
     words = os.open(folder / LOG, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
@@ -112,7 +112,7 @@ def serve(connection: Connection, address: str, folder: Path) -> None:
     try:
         import ray
     except ImportError:
-        connection.send(Refused("Ray is not installed: pip install 'sumo-adv[ray]'"))
+        connection.send(JobRefused("Ray is not installed: pip install 'sumo-adv[ray]'"))
         return
     connection.send(Loaded())
     try:
@@ -120,7 +120,7 @@ def serve(connection: Connection, address: str, folder: Path) -> None:
         ray.init(address=address, log_to_driver=False, configure_logging=True, logging_level=logging.ERROR)
     except Exception as error:
         reason = str(error).strip().splitlines()[0].rstrip(".") if str(error).strip() else type(error).__name__
-        connection.send(Refused(reason))
+        connection.send(JobRefused(reason))
         return
     with suppress(EOFError):
         _Driver(ray, connection).run()
@@ -174,9 +174,9 @@ class _Driver:
         values = [self._kept[key] for key in command.keys]
         self._running[task.options(scheduling_strategy=there).remote(*values, *command.arguments)] = command.number
 
-    def _end(self, number: int, ready: Any) -> Result | Raised | Lost:
+    def _end(self, number: int, ready: Any) -> JobResult | Raised | Lost:
         try:
-            return Result(number, self._ray.get(ready))
+            return JobResult(number, self._ray.get(ready))
         except self._ray.exceptions.RayTaskError as error:
             cause = error.cause
             if isinstance(cause, SumoAdvError):

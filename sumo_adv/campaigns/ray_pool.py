@@ -24,7 +24,7 @@ from typing import Any
 
 from sumo_adv.campaigns import ray_driver
 from sumo_adv.campaigns.local import POLL_INTERVAL_S, Stop
-from sumo_adv.campaigns.ray_driver import LOG, Lost, Node, Nodes, Put, Raised, Refused, Result, Start
+from sumo_adv.campaigns.ray_driver import LOG, JobRefused, JobResult, Lost, Node, Nodes, Put, Raised, Start
 from sumo_adv.campaigns.results import Done
 from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.simulation.processes import SINGLE_THREAD_VARIABLES, deferred_interrupts, environment
@@ -55,7 +55,7 @@ class RayPool:
 
     def __init__(
         self, task: Callable[..., Any], unfit: Callable[[Any], str], recycle: int, address: str, stop: Stop, *,
-        driver: Callable[[Connection, str, Path], None] = ray_driver.serve,
+        driver: Callable[[Connection, str, Path], None] = ray_driver.serve_jobs,
         tell: Callable[[str], None] = lambda sentence: print(f"sumo-adv: {sentence}", file=sys.stderr, flush=True),
     ) -> None:  # fmt: skip
         """Connect, which takes some seconds.
@@ -160,7 +160,7 @@ class RayPool:
                 message = self._connection.recv()
             except (EOFError, OSError):
                 raise self._no_cluster(self._last_words()) from None
-            if isinstance(message, Refused):
+            if isinstance(message, JobRefused):
                 raise self._no_cluster(message.why)
             if isinstance(message, Nodes):
                 self._look(message)
@@ -250,7 +250,7 @@ class RayPool:
             place.busy -= 1
         if job is CHECK:
             self._checked(place, message)
-        elif isinstance(message, Result):
+        elif isinstance(message, JobResult):
             told(job, keep(job, message.value))
         elif isinstance(message, Raised):
             if not isinstance(message.error, UsageError):
@@ -264,10 +264,10 @@ class RayPool:
             else:
                 told(job, lost(job, f"Its worker or node was lost {MAX_LOSSES_PER_JOB + 1} times.", message.text))
 
-    def _checked(self, place: _Place | None, message: Result | Raised | Lost) -> None:
+    def _checked(self, place: _Place | None, message: JobResult | Raised | Lost) -> None:
         if place is None or isinstance(message, Lost):  # looked at again, if it is still there
             return
-        why = str(message.value if isinstance(message, Result) else message.error)
+        why = str(message.value if isinstance(message, JobResult) else message.error)
         place.fit = True
         if why:
             self._leave_out(place, why)

@@ -49,7 +49,7 @@ class Input:
 
 
 @dataclass(frozen=True, slots=True)
-class Job:
+class EpisodeJob:
     """One episode to run. ``id``: 16 hexadecimal digits of its content; ``variant``: place of its settings in the plan;
     ``ego`` None = as the input says."""
 
@@ -77,7 +77,7 @@ class Done:
 
 
 @dataclass(frozen=True, slots=True)
-class Parts:
+class CampaignParts:
     """What the command line composes, all importable by name, because they go to other processes."""
 
     load: Callable[[Path, str | None], RunInput]
@@ -89,7 +89,7 @@ class Parts:
 
 
 @dataclass(frozen=True, slots=True)
-class Setup:
+class WorkerSetup:
     """What every worker of a batch needs to know.
 
     runs: the folder of runs; bank: the snapshot, or with ``Learn.DURING`` the bank itself; variants: settings as data.
@@ -100,7 +100,7 @@ class Setup:
     learn: Learn
     variants: Sequence[Mapping[str, Any]]
     figures: bool
-    parts: Parts
+    parts: CampaignParts
 
 
 OUTCOME_FILE, TRACEBACK_FILE, LEARNT_FILE = "outcome.json", "traceback.txt", "learnt.json"
@@ -128,7 +128,7 @@ BOOLEAN_COLUMNS = ("collided", "valid", "critical", "strict", "serious", "ego_st
 """Columns that hold whole numbers, numbers, yes or no; the others hold text. Any may be empty."""
 
 
-def row_of(name: str, outcome: Mapping[str, Any], traceback: bool) -> Row:
+def result_row(name: str, outcome: Mapping[str, Any], traceback: bool) -> Row:
     """The row of the episode in the folder ``name``, from its ``outcome.json``."""
     best, raw, intent = (outcome[key] or {} for key in ("outcome", "raw", "intent"))
     failure, preventable_by = outcome.get("failure") or "", best.get("preventable_by")
@@ -190,7 +190,7 @@ def checked_row(row: Any) -> Row:
     return dict(row)
 
 
-def failed(row: Row) -> bool:
+def is_failed(row: Row) -> bool:
     """Whether the episode failed: it stays in the table, and in every denominator."""
     return row["ending"] in FAILED_ENDINGS
 
@@ -200,12 +200,12 @@ def read_row(folder: Path) -> Row | None:
     try:
         outcome = read_json(folder / OUTCOME_FILE)
         check_schema(outcome, folder / OUTCOME_FILE)
-        return checked_row(row_of(folder.name, outcome, (folder / TRACEBACK_FILE).exists()))
+        return checked_row(result_row(folder.name, outcome, (folder / TRACEBACK_FILE).exists()))
     except (OSError, ValueError, LookupError, TypeError, AttributeError):
         return None
 
 
-def write_failure(stage: Path, job: Job, failure: str, text: str) -> Row:
+def write_failure(stage: Path, job: EpisodeJob, failure: str, text: str) -> Row:
     """The files of an episode that could not be run, into ``stage``: an outcome with its reason, and a traceback."""
     outcome = {
         "schema": SCHEMA, "ending": str(Ending.SIMULATION_FAILED),
@@ -216,11 +216,11 @@ def write_failure(stage: Path, job: Job, failure: str, text: str) -> Row:
     }  # fmt: skip
     (stage / TRACEBACK_FILE).write_text(text or f"{failure}\n", encoding="utf-8")
     (stage / OUTCOME_FILE).write_text(json.dumps(outcome, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
-    return row_of(job.id, outcome, True)
+    return result_row(job.id, outcome, True)
 
 
 def keep_failure(
-    staged: Callable[..., AbstractContextManager[Any]], runs: Path, job: Job, failure: str, text: str
+    staged: Callable[..., AbstractContextManager[Any]], runs: Path, job: EpisodeJob, failure: str, text: str
 ) -> Done:
     """Those files as the run's folder, in its place in ``runs``."""
     with staged(runs / job.id, force=True, inside=True) as folder:
@@ -229,7 +229,9 @@ def keep_failure(
     return Done(job.id, row)
 
 
-def table_of(jobs: Sequence[Job], rows: Mapping[str, Row], varied: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+def results_table(
+    jobs: Sequence[EpisodeJob], rows: Mapping[str, Row], varied: Sequence[Mapping[str, Any]]
+) -> list[dict[str, Any]]:
     """The rows there are, in the plan's order, with the settings that vary."""
     shown = [{f"set_{name}": value for name, value in each.items()} for each in varied]
     return [{**rows[job.id], **shown[job.variant]} for job in jobs if job.id in rows]

@@ -25,8 +25,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.campaigns.plan import checked_plan, differences
-from sumo_adv.campaigns.results import OUTCOME_FILE, Done, Job, Row, checked_row, keep_failure, read_row
+from sumo_adv.campaigns.plan import checked_plan, plan_differences
+from sumo_adv.campaigns.results import OUTCOME_FILE, Done, EpisodeJob, Row, checked_row, keep_failure, read_row
 from sumo_adv.errors import UsageError
 from sumo_adv.files import is_plain_name, refuse_links, scratch_prefix, sentences, write_text, write_whole
 from sumo_adv.memory.store import connect
@@ -68,7 +68,7 @@ def packed_texts(folder: Path, name: str) -> dict[str, str]:
     return texts
 
 
-def pack(folder: Path, most: int = MAX_PACKED_RUNS) -> Packed:
+def pack_runs(folder: Path, most: int = MAX_PACKED_RUNS) -> Packed:
     """Move the finished runs of a batch into zip files of ``most`` runs. Raises UsageError, SumoAdvError."""
     done = packed_rows(folder)
     runs = [r for r in sorted((folder / "runs").iterdir()) if not r.name.startswith(".")]
@@ -129,7 +129,7 @@ def _add(out: zipfile.ZipFile, name: str, file: Path) -> None:
     out.writestr(entry, file.read_bytes())
 
 
-def unpack(
+def unpack_runs(
     folder: Path, names: Sequence[str], into: Path, staged: Callable[..., AbstractContextManager[Any]]
 ) -> list[Path]:
     """Put packed runs (all if none is named) into folders below ``into``, as they were; packs stay as they are.
@@ -231,7 +231,7 @@ class Store:
         previous = self.known_plan()
         if previous is None:
             return
-        grown, common = differences(previous, plan)
+        grown, common = plan_differences(previous, plan)
         if common:
             changes = "; ".join((*common, *grown))
             raise UsageError(f"One cannot go on with the results in {self.folder}: {changes}. Give another --out.")
@@ -253,7 +253,7 @@ class Store:
             target.execute("PRAGMA journal_mode = DELETE").fetchone()
         part.replace(self.bank)
 
-    def rows(self, jobs: Mapping[str, Job]) -> dict[str, Row]:
+    def rows(self, jobs: Mapping[str, EpisodeJob]) -> dict[str, Row]:
         """The rows of those jobs that are finished, packed ones too. Damaged rows count as missing."""
         packed = packed_rows(self.folder)
         rows = {name: row for name, row in packed.items() if name in jobs}
@@ -262,7 +262,7 @@ class Store:
                 rows[entry.name] = row
         return rows
 
-    def fail(self, job: Job, why: str, text: str) -> Done:
+    def fail(self, job: EpisodeJob, why: str, text: str) -> Done:
         self.sweep(job.id)
         return keep_failure(self._staged, self.runs, job, why, text)
 

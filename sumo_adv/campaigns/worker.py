@@ -13,7 +13,17 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.campaigns.results import LEARNT_FILE, TRACEBACK_FILE, Done, Job, Learn, Row, Setup, keep_failure, row_of
+from sumo_adv.campaigns.results import (
+    LEARNT_FILE,
+    TRACEBACK_FILE,
+    Done,
+    EpisodeJob,
+    Learn,
+    Row,
+    WorkerSetup,
+    keep_failure,
+    result_row,
+)
 from sumo_adv.config import Settings, forget_environment, load_settings
 from sumo_adv.datatypes import Ending, Parameter, Planner
 from sumo_adv.drivers.registry import trusted_driver
@@ -151,7 +161,7 @@ def _key(evidence: Evidence) -> str:
 class Runner(WarmProcesses):
     """Holds what stays warm; a context manager. Raises BankError if the bank cannot be opened."""
 
-    def __init__(self, setup: Setup) -> None:
+    def __init__(self, setup: WorkerSetup) -> None:
         self._setup, self._parts = setup, setup.parts
         super().__init__()
         self._opened: MemoryBank | None = None
@@ -165,7 +175,7 @@ class Runner(WarmProcesses):
             if self._opened is not None:
                 self._opened.close()
 
-    def run(self, job: Job, *, last: bool) -> Done:
+    def run(self, job: EpisodeJob, *, last: bool) -> Done:
         """One episode, and its folder in its place. Unless this is the ``last`` try, a failed simulation is not
         kept.
 
@@ -182,7 +192,7 @@ class Runner(WarmProcesses):
             reason = str(error) if isinstance(error, SumoAdvError) else fault_sentence(error)
             return keep_failure(self._parts.staged, self._setup.runs, job, reason, traceback.format_exc())
 
-    def _run(self, job: Job, *, last: bool) -> Done:
+    def _run(self, job: EpisodeJob, *, last: bool) -> Done:
         given = self._parts.load(job.input.source, job.input.record)
         settings = self.settings(job, given)
         with (
@@ -207,7 +217,7 @@ class Runner(WarmProcesses):
             folder.keep(force=True)
         return Done(job.id, row, size)
 
-    def settings(self, job: Job, given: RunInput) -> Settings:
+    def settings(self, job: EpisodeJob, given: RunInput) -> Settings:
         """The settings of an episode: the plan's, and where it says nothing the input's."""
         ego = trusted_driver(job.ego, given.ego_controller, given.source)
         return load_settings(None, **{
@@ -234,7 +244,7 @@ class Runner(WarmProcesses):
         return self._opened
 
     def _finished(
-        self, job: Job, stage: Path, episode: Episode, result: Mapping[str, Any], bank: MemoryBank, log: str
+        self, job: EpisodeJob, stage: Path, episode: Episode, result: Mapping[str, Any], bank: MemoryBank, log: str
     ) -> tuple[Row, int]:
         """What a batch adds to a run's folder; the row and the bytes of the folder but for its inputs, which are
         shared."""
@@ -245,7 +255,7 @@ class Runner(WarmProcesses):
             (stage / TRACEBACK_FILE).write_text(text, encoding="utf-8")
         size = sum(p.stat().st_size for p in stage.iterdir() if p.is_file())
         share(stage / "inputs", self._setup.runs.parent / "inputs")
-        return row_of(job.id, result, bool(text)), size
+        return result_row(job.id, result, bool(text)), size
 
 
 def share(folder: Path, shared: Path) -> None:

@@ -23,7 +23,7 @@ from sumo_adv.simulation.warnings_log import kinds_below, said_of
 
 if TYPE_CHECKING:
     from sumo_adv.campaigns.campaign import Orders, Summary
-    from sumo_adv.campaigns.plan import Plan
+    from sumo_adv.campaigns.plan import CampaignPlan
 
 EXAMPLE = "Example: sumo-adv batch scenarios --egos idm,careful --seeds 10 --out campaigns/first"
 
@@ -163,7 +163,9 @@ def batch(
     _run(plan, orders, states=output.states, as_json=output.as_json)
 
 
-def _plan(given: list[str], what: InputOptions, attack: AttackOptions, bank: BankOptions, figures: bool | None) -> Plan:
+def _plan(
+    given: list[str], what: InputOptions, attack: AttackOptions, bank: BankOptions, figures: bool | None
+) -> CampaignPlan:
     from sumo_adv.api_batch import planned
 
     overrides = {
@@ -183,7 +185,7 @@ def _seeds(text: str) -> int | list[int]:
     return int(text) if len(numbers) == 1 else [int(each) for each in numbers]
 
 
-def _show(plan: Plan, out: Path, *, as_json: bool) -> None:
+def _show(plan: CampaignPlan, out: Path, *, as_json: bool) -> None:
     rows = [
         {
             "id": job.id, "input": job.input.name, "ego": job.ego, "seed": job.seed, **plan.varied[job.variant],
@@ -203,7 +205,7 @@ def _show(plan: Plan, out: Path, *, as_json: bool) -> None:
     typer.echo(f"{len(rows)} episodes{twice}, into {out}.")
 
 
-def _run(plan: Plan, orders: Orders, *, states: bool, as_json: bool) -> None:
+def _run(plan: CampaignPlan, orders: Orders, *, states: bool, as_json: bool) -> None:
     from sumo_adv.cli.progress import BatchProgress
 
     for note in () if as_json else (note for given in plan.inputs for note in given.notes):
@@ -243,8 +245,7 @@ def pack(
 ) -> None:
     """Move finished runs into few zip files; the table, and going on with the batch, work as before."""
     from sumo_adv.api_batch import Campaign
-    from sumo_adv.campaigns.store import open_store
-    from sumo_adv.campaigns.store import pack as pack_runs
+    from sumo_adv.campaigns.store import open_store, pack_runs
 
     with open_store(Campaign(folder).folder, staged):
         done = pack_runs(folder, most)
@@ -263,7 +264,7 @@ def unpack(
 ) -> None:
     """Put packed runs into folders again, below OUT/unpacked; the packs stay."""
     from sumo_adv.api_batch import Campaign
-    from sumo_adv.campaigns.store import unpack as unpack_runs
+    from sumo_adv.campaigns.store import unpack_runs
 
     target = Campaign(folder).folder / "unpacked"  # which is no link: a campaign's folder holds none
     with sentences(target):

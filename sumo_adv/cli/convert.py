@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from sumo_adv.simulation.shipped import ShippedScenario
-    from sumo_adv.womd.reader import Choice, Told
+    from sumo_adv.womd.reader import RecordChoice, Told
     from sumo_adv.womd.record import Record
 
 TABLE_WIDTH = 125  # characters
@@ -41,7 +41,7 @@ def convert(
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")] = False,
 ) -> None:
     """Convert Waymo records to SUMO scenarios: network, tracks, routes, and a report on fidelity."""
-    from sumo_adv.womd.reader import Choice
+    from sumo_adv.womd.reader import RecordChoice
 
     if record_id is not None and first is not None:
         raise UsageError("Give either --id or --first, not both.")
@@ -52,7 +52,7 @@ def convert(
         typer.echo(f"sumo-adv: {error}", err=True)
 
     reports = []
-    choice = Choice(record_id, first=first)
+    choice = RecordChoice(record_id, first=first)
     for record in _records(source, choice, tell if keep_going else None):
         try:
             reports.append(_one(record, out, traffic=traffic, force=force))
@@ -79,7 +79,7 @@ def convert(
         raise typer.Exit(1)
 
 
-def _records(source: Path, choice: Choice, told: Told | None) -> Iterable[Record]:
+def _records(source: Path, choice: RecordChoice, told: Told | None) -> Iterable[Record]:
     """The chosen records of a TFRecord file, or the record made of a CommonRoad scenario. Raises UsageError."""
     from sumo_adv.simulation.inputs import is_commonroad
     from sumo_adv.womd.commonroad import read_commonroad

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import typer
 
-from sumo_adv.campaigns.results import Job, Row, failed
+from sumo_adv.campaigns.results import EpisodeJob, Row, is_failed
 from sumo_adv.cli.terminal import clean
 from sumo_adv.datatypes import ENDING_SENTENCES, Attempt, Ending, Level
 from sumo_adv.episode.assessment import rank
@@ -148,16 +148,16 @@ class BatchProgress(_Barred):
 
     def begin(self, total: int, before: Sequence[Row]) -> None:
         self._critical = sum(bool(r["critical"]) for r in before)
-        self._failed = sum(map(failed, before))
+        self._failed = sum(map(is_failed, before))
         if self._display is not None:
             self._task = self._display.add_task("Episodes", total=total, completed=len(before), note="")
             self._show(0)
 
-    def finished(self, job: Job, row: Row) -> None:
+    def finished(self, job: EpisodeJob, row: Row) -> None:
         self._critical += bool(row["critical"])
-        self._failed += failed(row)
+        self._failed += is_failed(row)
         self._ran += 1
-        if failed(row):
+        if is_failed(row):
             self._say(f"{job.words} failed: {row['failure']}", "sumo-adv: ")
         if self._display is not None:
             self._show(1)

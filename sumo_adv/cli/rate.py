@@ -14,7 +14,7 @@ from sumo_adv.cli.groups import grouped
 from sumo_adv.cli.options import EGO, INPUT, OUTPUT, SEARCH, AsJson, RayCluster, Workers, option
 
 if TYPE_CHECKING:
-    from sumo_adv.rate.estimate import Estimate
+    from sumo_adv.rate.estimate import RateEstimate
 
 EXAMPLE = "Example: sumo-adv rate straight_2lane --ego idm --runs 1000"
 
@@ -89,7 +89,7 @@ def rate(
     typer.echo(json.dumps({**estimate.document(), "folder": str(target)}) if as_json else "\n".join(lines(estimate)))
 
 
-def lines(found: Estimate) -> list[str]:
+def lines(found: RateEstimate) -> list[str]:
     words = ("per 1000 h", "per million km", "half width", "crashes", "plain runs")
     shown = ["{:<10} {:>26} {:>26} {:>10} {:>7} {:>10}".format("level", *words)]
     for level, hourly in found.per_hour.items():

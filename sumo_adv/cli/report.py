@@ -68,7 +68,7 @@ def _run(folder: Path, out: Path | None) -> dict[str, Any]:
 def _batch(
     folder: Path, out: Path | None, pages: int | None, workers: int, *, force: bool, quiet: bool
 ) -> dict[str, Any]:
-    from sumo_adv.campaigns.store import packed_texts, unpack
+    from sumo_adv.campaigns.store import packed_texts, unpack_runs
     from sumo_adv.cli.progress import Counter
     from sumo_adv.report.coverage import campaign_coverage, write_coverage
     from sumo_adv.report.index import Packs, read_rows, table_of, write_report
@@ -80,7 +80,7 @@ def _batch(
         table, runs = read_rows(folder / RESULTS), folder / "runs"
     else:
         table, runs = table_of(row for run in _loose(folder) if (row := read_row(run)) is not None), folder
-    packs = Packs(packed_texts(folder, OUTCOME), lambda names, into: unpack(folder, names, into, staged))
+    packs = Packs(packed_texts(folder, OUTCOME), lambda names, into: unpack_runs(folder, names, into, staged))
     counter = Counter("pages", quiet=quiet)
     of = [runs / str(row["id"]) for row in table.rows]
     coverage = campaign_coverage(folder, of, packs.outcomes, shipped_bank())

@@ -43,7 +43,7 @@ def run(
         _replay(where.replay, driver.ego, output)
         return
     from sumo_adv.simulation.inputs import own_simulation
-    from sumo_adv.simulation.sumo_options import parse
+    from sumo_adv.simulation.sumo_options import parse_options
 
     given, ego = _input(source, where.record, driver.ego)
     named = named_settings(attack, where, driver, search, models)
@@ -52,7 +52,7 @@ def run(
         **{
             **own_simulation(given), **given.settings(named), **named, "ego": ego,
             "fork": False if search.no_fork else None,
-            "sumo_options": parse(where.sumo_option) if where.sumo_option else None,
+            "sumo_options": parse_options(where.sumo_option) if where.sumo_option else None,
         },
     )  # fmt: skip
     if models.show_prompts:

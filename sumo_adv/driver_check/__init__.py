@@ -3,17 +3,17 @@
 ``check_driver`` drives it through scenarios and returns what it found; ``sumo-adv doctor --ego NAME`` prints that.
 """
 
-from sumo_adv.driver_check.check import Checked, DriverCheck, by_name, check_driver, named, twelve
-from sumo_adv.driver_check.findings import FINDING_MEANINGS, Finding, Kind
+from sumo_adv.driver_check.check import Checked, DriverCheck, by_name, check_driver, shipped_drive, twelve
+from sumo_adv.driver_check.findings import FINDING_MEANINGS, DriverFinding, FindingKind
 
 __all__ = [
     "FINDING_MEANINGS",
     "Checked",
     "DriverCheck",
-    "Finding",
-    "Kind",
+    "DriverFinding",
+    "FindingKind",
     "by_name",
     "check_driver",
-    "named",
+    "shipped_drive",
     "twelve",
 ]

@@ -13,7 +13,14 @@ from pathlib import Path
 
 from sumo_adv.config import Settings
 from sumo_adv.driver_check.drive import CheckWorker, UnattackedDrive
-from sumo_adv.driver_check.findings import Finding, Kind, apart, judge, milliseconds, travelled
+from sumo_adv.driver_check.findings import (
+    DriverFinding,
+    FindingKind,
+    find_faults,
+    first_separation,
+    milliseconds,
+    travelled,
+)
 from sumo_adv.episode.task import Task, make_task
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.engine import Engine
@@ -45,10 +52,10 @@ SHIFTED_DRIVE_TOLERANCE_M = 1.0
 
 def twelve() -> tuple[RunInput, ...]:
     """The inputs; each is named ``scenario:vehicle``. Raises UsageError: shipped files are missing."""
-    return tuple(named(scenario, vehicle) for scenario, vehicle in CHECK_SCENARIOS)
+    return tuple(shipped_drive(scenario, vehicle) for scenario, vehicle in CHECK_SCENARIOS)
 
 
-def named(scenario: str, vehicle: str) -> RunInput:
+def shipped_drive(scenario: str, vehicle: str) -> RunInput:
     given = load_input(data_folder("scenarios") / f"{scenario}.toml")
     return replace(given, name=f"{given.name}:{vehicle}", ego=vehicle)
 
@@ -56,7 +63,9 @@ def named(scenario: str, vehicle: str) -> RunInput:
 def by_name(name: str) -> RunInput | None:
     """One of the twelve by its name in the table, ``scenario:vehicle``; None if there is none."""
     found = (
-        named(scenario, vehicle) for scenario, vehicle in CHECK_SCENARIOS if name == f"{Path(scenario).name}:{vehicle}"
+        shipped_drive(scenario, vehicle)
+        for scenario, vehicle in CHECK_SCENARIOS
+        if name == f"{Path(scenario).name}:{vehicle}"
     )
     return next(found, None)
 
@@ -69,7 +78,7 @@ class Checked:
     seconds: float
     metres: float
     idm_metres: float
-    findings: tuple[Finding, ...]
+    findings: tuple[DriverFinding, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,9 +90,9 @@ class DriverCheck:
     act_ms: tuple[float, float] | None = field(compare=False)
 
     @property
-    def kinds(self) -> tuple[Kind, ...]:
+    def kinds(self) -> tuple[FindingKind, ...]:
         present = {finding.kind for checked in self.scenarios for finding in checked.findings}
-        return tuple(kind for kind in Kind if kind in present)
+        return tuple(kind for kind in FindingKind if kind in present)
 
 
 def check_driver(
@@ -127,32 +136,32 @@ def _task(given: RunInput, settings: Settings, folder: Path, seconds: float) -> 
 def _check(engine: Engine[CheckWorker], task: Task, name: str) -> tuple[UnattackedDrive, Checked]:
     idm = engine.call(CheckWorker.drive, replace(task, ego_driver="idm", ego_parameters={}))
     first = engine.call(CheckWorker.drive, task)
-    findings = judge(first, idm)
+    findings = find_faults(first, idm)
     if not first.failure:
         findings += _repeated(engine, task, first)
     seconds = float(first.ego.time[-1] - first.ego.time[0])
     return first, Checked(name, seconds, travelled(first.ego), travelled(idm.ego), tuple(findings))
 
 
-def _repeated(engine: Engine[CheckWorker], task: Task, first: UnattackedDrive) -> list[Finding]:
+def _repeated(engine: Engine[CheckWorker], task: Task, first: UnattackedDrive) -> list[DriverFinding]:
     """Drive once more with the same object and another clock. Only if that differs, further drives say why."""
     later = engine.call(CheckWorker.drive, task, fresh=False, later=CLOCK_SHIFT_S)
     if later.failure:
         words = f"only if its clock is {CLOCK_SHIFT_S:g} s ahead: {later.failure}"
-        return [Finding(Kind.TIME_BASE, float(later.ego.time[-1]), words)]
-    when, far = apart(first.ego, later.ego, REPEATED_DRIVE_TOLERANCE_M)
+        return [DriverFinding(FindingKind.TIME_BASE, float(later.ego.time[-1]), words)]
+    when, far = first_separation(first.ego, later.ego, REPEATED_DRIVE_TOLERANCE_M)
     if math.isinf(when):
         return []
     new = engine.call(CheckWorker.drive, task)
     again = engine.call(CheckWorker.drive, task, fresh=False)
-    subjects = (Kind.RANDOM, new, "two drives"), (Kind.RESET, again, "the drives before and after it")
+    subjects = (FindingKind.RANDOM, new, "two drives"), (FindingKind.RESET, again, "the drives before and after it")
     for kind, drive, subject in subjects:
-        since, most = apart(first.ego, drive.ego, REPEATED_DRIVE_TOLERANCE_M)
+        since, most = first_separation(first.ego, drive.ego, REPEATED_DRIVE_TOLERANCE_M)
         if math.isfinite(since):
-            return [Finding(kind, since, f"{subject} are {_far(most)} apart")]
-    when, far = apart(first.ego, later.ego, SHIFTED_DRIVE_TOLERANCE_M)
+            return [DriverFinding(kind, since, f"{subject} are {_far(most)} apart")]
+    when, far = first_separation(first.ego, later.ego, SHIFTED_DRIVE_TOLERANCE_M)
     words = f"with a clock {CLOCK_SHIFT_S:g} s ahead, {_far(far)} off"
-    return [] if math.isinf(when) else [Finding(Kind.TIME_BASE, when, words)]
+    return [] if math.isinf(when) else [DriverFinding(FindingKind.TIME_BASE, when, words)]
 
 
 def _far(metres: float) -> str:

@@ -186,12 +186,12 @@ def _recorded(drive: Drive, road: RoadMap, task: Task, driver: ObservedDriver, f
     if ego is None:
         raise SimulationError(failure or f"The ego '{name}' was not inserted before {drive.now:.0f} s.")
     return UnattackedDrive(
-        ego, tuple(tracks.values()), off_road(road, ego), off_lane(road, ego), tuple(driver.poses),
+        ego, tuple(tracks.values()), distance_off_road(road, ego), off_lane(road, ego), tuple(driver.poses),
         np.array(driver.seconds), tuple(driver.lines), failure,
     )  # fmt: skip
 
 
-def off_road(road: RoadMap, track: Track) -> Floats:
+def distance_off_road(road: RoadMap, track: Track) -> Floats:
     """How far the corners of a vehicle are from the carriageway [m], ``(n, 4)``; 0 on it."""
     from shapely import distance, points
 

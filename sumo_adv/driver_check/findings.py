@@ -29,7 +29,7 @@ POSSIBLE_LIMITS = Limits(braking=8.0, acceleration=6.0)
 FRONT_SHARE = (0.35, 0.65)  # of the ego's length: a jump ahead by about half of it
 
 
-class Kind(StrEnum):
+class FindingKind(StrEnum):
     """What can be wrong with a driver."""
 
     FAILS = "fails"
@@ -45,49 +45,49 @@ class Kind(StrEnum):
     RANDOM = "not repeatable"
 
 
-FINDING_MEANINGS: Mapping[Kind, str] = {
-    Kind.FAILS: "The driver, or SUMO because of it, ended the drive with an error; correct that first.",
-    Kind.COLLIDES: "Nothing attacked it, so each of these collisions would be counted as found by the attack; check "
-    "sizes (x, y is the centre of the box), which vehicles it is given, and its braking.",
-    Kind.LEAVES_ROAD: "It does not follow its path; check the frame (headings in rad, counter-clockwise from +x), the "
-    "reference point (the centre of the box), and the steering (rad, left positive). In a turn alone: it is too fast, "
-    "or looks too far ahead and cuts the corner.",
-    Kind.LEAVES_LANE: "Its centre is on no lane that leads its way, so it drives against the traffic or across it; "
-    "check the sign of its lateral offsets (left positive) and which lanes it is told.",
-    Kind.LINE: "It passes a line at which a light or a right of way has it wait; stop there while "
-    "observation.road.must_wait is true (road.stop_lines says how far the line is), or answer LaneSpeed, which SUMO "
-    "limits.",
-    Kind.STANDS: "It stands where SUMO's driver goes on; check what it takes for an obstacle or for a stop line, and "
-    "whether its speeds are in m/s.",
-    Kind.SLOW: "It covers less than half of the way of SUMO's driver, and a slow ego meets other attacks; check its "
-    "desired speed (m/s) and the speed limit that it is given.",
-    Kind.JUMPS: "A Pose is where the ego's centre is after the step of dt seconds; return a pose that a car can reach "
-    "from observation.ego in that time.",
-    Kind.TIME_BASE: "It drives otherwise if only the clock is ahead, so it takes observation.time for the time since "
-    "the start or since its plan began; subtract the time of that moment from it.",
-    Kind.RESET: "After reset the same object drives otherwise than a new one; forget plan, controller and last "
-    "observation in reset, because each attempt is a run of its own.",
-    Kind.RANDOM: "Two new drivers drive the same scenario differently, so no attack on it can be repeated; seed its "
-    "random numbers in reset(seed), and let no wall clock or thread decide.",
+FINDING_MEANINGS: Mapping[FindingKind, str] = {
+    FindingKind.FAILS: "The driver, or SUMO because of it, ended the drive with an error; correct that first.",
+    FindingKind.COLLIDES: "Nothing attacked it, so each of these collisions would be counted as found by the "
+    "attack; check sizes (x, y is the centre of the box), which vehicles it is given, and its braking.",
+    FindingKind.LEAVES_ROAD: "It does not follow its path; check the frame (headings in rad, counter-clockwise "
+    "from +x), the reference point (the centre of the box), and the steering (rad, left positive). In a turn "
+    "alone: it is too fast, or looks too far ahead and cuts the corner.",
+    FindingKind.LEAVES_LANE: "Its centre is on no lane that leads its way, so it drives against the traffic or "
+    "across it; check the sign of its lateral offsets (left positive) and which lanes it is told.",
+    FindingKind.LINE: "It passes a line at which a light or a right of way has it wait; stop there while "
+    "observation.road.must_wait is true (road.stop_lines says how far the line is), or answer LaneSpeed, which "
+    "SUMO limits.",
+    FindingKind.STANDS: "It stands where SUMO's driver goes on; check what it takes for an obstacle or for a "
+    "stop line, and whether its speeds are in m/s.",
+    FindingKind.SLOW: "It covers less than half of the way of SUMO's driver, and a slow ego meets other attacks; "
+    "check its desired speed (m/s) and the speed limit that it is given.",
+    FindingKind.JUMPS: "A Pose is where the ego's centre is after the step of dt seconds; return a pose that a "
+    "car can reach from observation.ego in that time.",
+    FindingKind.TIME_BASE: "It drives otherwise if only the clock is ahead, so it takes observation.time for the "
+    "time since the start or since its plan began; subtract the time of that moment from it.",
+    FindingKind.RESET: "After reset the same object drives otherwise than a new one; forget plan, controller and "
+    "last observation in reset, because each attempt is a run of its own.",
+    FindingKind.RANDOM: "Two new drivers drive the same scenario differently, so no attack on it can be "
+    "repeated; seed its random numbers in reset(seed), and let no wall clock or thread decide.",
 }
 """What a kind of finding means, and what to look at."""
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class DriverFinding:
     """One finding in one scenario; ``time``: when it is first seen [s]; ``words``: what happened."""
 
-    kind: Kind
+    kind: FindingKind
     time: float
     words: str
 
 
-def judge(drive: UnattackedDrive, idm: UnattackedDrive) -> list[Finding]:
+def find_faults(drive: UnattackedDrive, idm: UnattackedDrive) -> list[DriverFinding]:
     """What is wrong in one drive. Nothing after a collision is judged, because it follows from that.
 
     idm: the drive of SUMO's IDM in the same scenario.
     """
-    findings = [Finding(Kind.FAILS, float(drive.ego.time[-1]), drive.failure)] if drive.failure else []
+    findings = [DriverFinding(FindingKind.FAILS, float(drive.ego.time[-1]), drive.failure)] if drive.failure else []
     contact, jump = _contact(drive), _jump(drive)
     end = float(drive.ego.time[-1]) if contact is None else contact.time
     findings += [finding for finding in (contact, jump) if finding is not None]
@@ -98,7 +98,7 @@ def judge(drive: UnattackedDrive, idm: UnattackedDrive) -> list[Finding]:
     return findings
 
 
-def _contact(drive: UnattackedDrive) -> Finding | None:
+def _contact(drive: UnattackedDrive) -> DriverFinding | None:
     ego = drive.ego
     if not drive.others or len(ego.time) < 2:
         return None
@@ -109,50 +109,50 @@ def _contact(drive: UnattackedDrive) -> Finding | None:
     time, foe = float(when[first]), drive.others[first]
     me, it = at_time(ego, time), at_time(foe, time)
     ego_side, foe_side = contact_sides(me, it)
-    return Finding(
-        Kind.COLLIDES, time,
+    return DriverFinding(
+        FindingKind.COLLIDES, time,
         f"its {ego_side} meets the {foe_side} of '{foe.id}' "
         f"(ego {float(me.speed):.1f} m/s, other {float(it.speed):.1f} m/s)",
     )  # fmt: skip
 
 
-def _passed(line: PassedLine) -> Finding:
+def _passed(line: PassedLine) -> DriverFinding:
     at = "where it gives way" if line.signal in (None, "green") else f"of a light that is {line.signal}"
-    return Finding(Kind.LINE, line.time, f"it passes a line {at}")
+    return DriverFinding(FindingKind.LINE, line.time, f"it passes a line {at}")
 
 
-def _outside(drive: UnattackedDrive, steps: int) -> list[Finding]:
+def _outside(drive: UnattackedDrive, steps: int) -> list[DriverFinding]:
     """Off the road, else off its lane, within the first ``steps`` states."""
     time = drive.ego.time[:steps]
     if len(time) < 2:
         return []
     needed = round(MAX_OUTSIDE_DURATION_S / float(time[1] - time[0]))
-    for kind, far in ((Kind.LEAVES_ROAD, drive.off_road.max(axis=1)), (Kind.LEAVES_LANE, drive.off_lane)):
+    for kind, far in ((FindingKind.LEAVES_ROAD, drive.off_road.max(axis=1)), (FindingKind.LEAVES_LANE, drive.off_lane)):
         first, length = longest(far[:steps] > MAX_OUTSIDE_DISTANCE_M)
         if length > needed:
             then = far[first : min(first + length, steps)]
             most = float(then[np.isfinite(then)].max(initial=MAX_OUTSIDE_DISTANCE_M))
-            subject = "a corner is" if kind is Kind.LEAVES_ROAD else "its centre is"
-            return [Finding(kind, float(time[first]), f"{subject} up to {most:.1f} m outside")]
+            subject = "a corner is" if kind is FindingKind.LEAVES_ROAD else "its centre is"
+            return [DriverFinding(kind, float(time[first]), f"{subject} up to {most:.1f} m outside")]
     return []
 
 
-def _lags(ego: Track, idm: Track) -> list[Finding]:
+def _lags(ego: Track, idm: Track) -> list[DriverFinding]:
     """Stands, else is slow."""
     dt = float(ego.time[1] - ego.time[0]) if len(ego.time) > 1 else 1.0
     first, steps = longest(ego.speed < MAX_STANDSTILL_SPEED_M_S)
     stood, would = steps * dt, longest(idm.speed < MAX_STANDSTILL_SPEED_M_S)[1] * dt
     if stood > would + MAX_EXTRA_STANDSTILL_S:
         words = f"it stands for {stood:.0f} s, SUMO's idm for {would:.0f} s"
-        return [Finding(Kind.STANDS, float(ego.time[first]), words)]
+        return [DriverFinding(FindingKind.STANDS, float(ego.time[first]), words)]
     until = min(float(ego.time[-1]), float(idm.time[-1]))
     way, usual = (travelled(t.between(float(t.time[0]), until)) for t in (ego, idm))
     if way < MIN_PROGRESS_SHARE * usual:
-        return [Finding(Kind.SLOW, until, f"it has come {way:.0f} m, SUMO's idm {usual:.0f} m")]
+        return [DriverFinding(FindingKind.SLOW, until, f"it has come {way:.0f} m, SUMO's idm {usual:.0f} m")]
     return []
 
 
-def _jump(drive: UnattackedDrive) -> Finding | None:
+def _jump(drive: UnattackedDrive) -> DriverFinding | None:
     """The first pose that a car cannot reach in its step."""
     if not drive.poses:
         return None
@@ -174,10 +174,10 @@ def _jump(drive: UnattackedDrive) -> Finding | None:
     if FRONT_SHARE[0] < beyond < FRONT_SHARE[1]:
         words += ", half its length too far: is that its front bumper?"
     when = drive.ego.time[int(np.argmin(np.hypot(drive.ego.x - x[k, 0], drive.ego.y - y[k, 0])))]
-    return Finding(Kind.JUMPS, float(when), words)
+    return DriverFinding(FindingKind.JUMPS, float(when), words)
 
 
-def apart(a: Track, b: Track, beyond: float) -> tuple[float, float]:
+def first_separation(a: Track, b: Track, beyond: float) -> tuple[float, float]:
     """When two motions are first more than ``beyond`` [m] apart [s] (inf: never), and how far they are at most [m].
 
     A motion that ends earlier counts as infinitely far from there on, where the other goes on.

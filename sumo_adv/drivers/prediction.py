@@ -13,7 +13,7 @@ import numpy as np
 from sumo_adv.datatypes import Bools, Floats
 from sumo_adv.drivers.careful import CarefulDrivers
 from sumo_adv.road_users import unprotected
-from sumo_adv.simulation.sumo_rules import AtJunction, CarFollowing, Junctions, Scenes
+from sumo_adv.simulation.sumo_rules import AtJunction, CarFollowing, Junctions, SituationBatch
 
 DISTURBED_SPEED_LOSS_M_S = 0.005  # after a step: with more, an ego no longer moves as unattacked
 ACROSS_ANGLES_RAD = (0.9, 2.2)  # a vehicle at such an angle is no leader
@@ -29,11 +29,11 @@ class PredictedEgos:
     second ones. Arrays of adversaries are ``(N,)``, and the cost grows with N.
     """
 
-    def __init__(self, scenes: Scenes, length: Floats, width: Floats, each: int = 1) -> None:
+    def __init__(self, scenes: SituationBatch, length: Floats, width: Floats, each: int = 1) -> None:
         """``scenes``, ``length``, ``width`` [m]: of the adversaries, ``(N,)``."""
         self._pairs, self._each, self._length, self._width = scenes, each, length, width
         n = len(length) // each
-        self.scenes = scenes = scenes if each == 1 else Scenes(scenes.of[:n])
+        self.scenes = scenes = scenes if each == 1 else SituationBatch(scenes.of[:n])
         self.model = scenes.driver
         self.s = scenes.each(lambda s: float(s.baseline.s[0]))
         self.v = scenes.each(lambda s: float(s.baseline.v[0]))

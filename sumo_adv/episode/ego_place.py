@@ -15,7 +15,7 @@ from sumo_adv.datatypes import VehicleState
 from sumo_adv.drivers import Steer
 from sumo_adv.drivers.protocol import WHEELBASE_M
 from sumo_adv.geometry import wrap
-from sumo_adv.simulation.network import Lane, RoadMap
+from sumo_adv.simulation.network import NetworkLane, RoadMap
 from sumo_adv.simulation.simulation import Simulation
 
 LEFT_ROUTE_M = 20.0  # from all lanes of the route: the ego has left it
@@ -30,7 +30,7 @@ class LanePlace:
     """lane: the ego's; front: metres along its centreline to the front bumper; route: the edges from the present one
     on, which on a junction is the one before it."""
 
-    lane: Lane
+    lane: NetworkLane
     front: float
     route: tuple[str, ...]
 
@@ -86,7 +86,9 @@ class EgoPlace:
     def _adopt(self, route: tuple[str, ...], at: int) -> None:
         self._route, self._at, self._seen, self.astray = route, at, route[at:], False
 
-    def _follow(self, ego: VehicleState, lane: Lane, present: tuple[str, ...], at: int, *, restores: bool) -> None:
+    def _follow(
+        self, ego: VehicleState, lane: NetworkLane, present: tuple[str, ...], at: int, *, restores: bool
+    ) -> None:
         """Take over what SUMO says of the route, except what ``moveToXY`` has made of it."""
         ahead, edge = present[at:], _edge_of(self.road, lane)
         here = self._advanced(ego, lane, present[at] if ahead else edge)
@@ -104,7 +106,7 @@ class EgoPlace:
             self.astray = True
         self._seen = ahead
 
-    def _advanced(self, ego: VehicleState, lane: Lane, edge: str) -> int | None:
+    def _advanced(self, ego: VehicleState, lane: NetworkLane, edge: str) -> int | None:
         """The index of an edge of the route that the ego can have reached since its last place."""
         for index in range(self._at, len(self._route)):
             if self._route[index] == edge and self._gone(index, 0.0 if lane.internal else _front(lane, ego)):
@@ -120,7 +122,7 @@ class EgoPlace:
         left = 0.0 if last.lane.internal else last.lane.length - last.front
         return left + between + front < LONGEST_STEP_M
 
-    def _nearest(self, ego: VehicleState, lane: Lane) -> LanePlace | None:
+    def _nearest(self, ego: VehicleState, lane: NetworkLane) -> LanePlace | None:
         """The place on the route; None if it is farther than ``LEFT_ROUTE_M``."""
         route = self._route[self._at :]
         if not route:
@@ -138,7 +140,7 @@ class EgoPlace:
         self._at = k
         return LanePlace(nearest, front_on(nearest, ego, self._simulation), self._route[k:])
 
-    def _candidates(self) -> Iterator[tuple[int, Lane]]:
+    def _candidates(self) -> Iterator[tuple[int, NetworkLane]]:
         """The lanes of the route from the present edge on, also those over junctions, with the index of their edge;
         those over a junction count with the edge before it."""
         beyond, lanes = 0.0, self.road.lanes
@@ -174,7 +176,7 @@ def back_to_lane(place: LanePlace, ego: VehicleState, speed: float | None, dt: f
     return Steer((wanted - ego.speed) / dt, math.atan(2 * WHEELBASE_M * math.sin(angle) / away))
 
 
-def front_on(lane: Lane, vehicle: VehicleState, simulation: Simulation) -> float:
+def front_on(lane: NetworkLane, vehicle: VehicleState, simulation: Simulation) -> float:
     """Metres along a lane to a vehicle's front bumper: SUMO's where it has the vehicle there, else half a length beyond
     the place that is nearest to its centre. So it is for a vehicle that stands across, too."""
     if lane.id == vehicle.lane and _turned(lane, vehicle) < ACROSS_RAD:
@@ -182,17 +184,17 @@ def front_on(lane: Lane, vehicle: VehicleState, simulation: Simulation) -> float
     return _front(lane, vehicle)
 
 
-def _front(lane: Lane, vehicle: VehicleState) -> float:
+def _front(lane: NetworkLane, vehicle: VehicleState) -> float:
     """Half a vehicle's length beyond the place on a lane that is nearest to its centre [m]."""
     return lane.station_at(vehicle.x, vehicle.y) + vehicle.length / 2
 
 
-def _turned(lane: Lane, vehicle: VehicleState) -> float:
+def _turned(lane: NetworkLane, vehicle: VehicleState) -> float:
     """The angle between a vehicle and a lane's direction [rad]."""
     return abs(wrap(lane.direction_at(lane.station_at(vehicle.x, vehicle.y)) - vehicle.heading))
 
 
-def _edge_of(road: RoadMap, lane: Lane) -> str:
+def _edge_of(road: RoadMap, lane: NetworkLane) -> str:
     """A lane's edge; of one over a junction the edge that it leads to."""
     seen = set[str]()
     while lane.internal and lane.connections and lane.id not in seen:
@@ -204,12 +206,12 @@ def _edge_of(road: RoadMap, lane: Lane) -> str:
 # -- without knowing how far along its route a vehicle is -----------------------------------------------------------
 
 
-def against(lane: Lane, vehicle: VehicleState) -> bool:
+def against(lane: NetworkLane, vehicle: VehicleState) -> bool:
     """Whether a vehicle heads against a lane's direction."""
     return _turned(lane, vehicle) > math.pi / 2
 
 
-def lane_on_route(road: RoadMap, vehicle: VehicleState, route: Sequence[str], vclass: str) -> Lane | None:
+def lane_on_route(road: RoadMap, vehicle: VehicleState, route: Sequence[str], vclass: str) -> NetworkLane | None:
     """The lane that a vehicle drives on along its route; None off all lanes.
 
     That is SUMO's lane, unless it is not on the route, leads the other way or is above or below the vehicle, and a lane
@@ -230,7 +232,7 @@ def lane_on_route(road: RoadMap, vehicle: VehicleState, route: Sequence[str], vc
     return road.lanes[min(near)[1]] if near else lane
 
 
-def _beside(road: RoadMap, vehicle: VehicleState, lane: Lane, vclass: str) -> Lane:
+def _beside(road: RoadMap, vehicle: VehicleState, lane: NetworkLane, vclass: str) -> NetworkLane:
     """The nearest lane that leads the vehicle's way on its layer, where its own does not."""
     if _leading(road, vehicle, [lane]):
         return lane
@@ -239,6 +241,6 @@ def _beside(road: RoadMap, vehicle: VehicleState, lane: Lane, vclass: str) -> La
     return min(near, key=lambda other: other.away(vehicle.x, vehicle.y), default=lane)
 
 
-def _leading(road: RoadMap, vehicle: VehicleState, lanes: Sequence[Lane]) -> list[Lane]:
+def _leading(road: RoadMap, vehicle: VehicleState, lanes: Sequence[NetworkLane]) -> list[NetworkLane]:
     """Those of some lanes that lead a vehicle's way on its layer."""
     return [lane for lane in road.level(lanes, vehicle.x, vehicle.y, vehicle.z) if not against(lane, vehicle)]

@@ -22,13 +22,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from sumo_adv.config_odd import Odd
-from sumo_adv.datatypes import Floats, Place, Relation, RoadClass, VehicleState
+from sumo_adv.datatypes import Floats, Relation, RoadClass, RoadPlace, VehicleState
 from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.ego_place import front_on, lane_on_route
 from sumo_adv.episode.unprotected import crossing_risk, may_attack, unprotected_ways
 from sumo_adv.geometry import Path, make_path, same_layer, wrap
 from sumo_adv.road_users import is_motorcycle, is_unprotected
-from sumo_adv.simulation.network import Lane, RoadMap, Way
+from sumo_adv.simulation.network import NetworkLane, PathAhead, RoadMap
 from sumo_adv.simulation.permissions import CAR, MOTOR
 from sumo_adv.situation import MEET_AHEAD, ReferencePath, relate
 
@@ -41,7 +41,7 @@ SHORTEST = 10.0  # m: a way that is looked at is no shorter
 COUNTED = 70.0  # m: the radius in which vehicles are counted
 
 
-def place_of(road: RoadMap, drive: Drive) -> Place:
+def place_of(road: RoadMap, drive: Drive) -> RoadPlace:
     """The surroundings of the ego now."""
     assert drive.ego is not None
     ego = drive.state(drive.ego)
@@ -49,16 +49,16 @@ def place_of(road: RoadMap, drive: Drive) -> Place:
     count = sum(name not in obstacles for name in drive.near(ego, COUNTED))
     at = _lane(road, drive, ego)
     if at is None:
-        return Place(None, None, ego.speed, count)
+        return RoadPlace(None, None, ego.speed, count)
     lane, station = at
     place = None if drive.replayed() else drive.place(road)
     route = drive.simulation.ahead(drive.ego) if place is None else place.route
     kind = road_class(road, lane, station, SOON * ego.speed, route, drive.kind(drive.ego))
-    return Place(kind, drive.simulation.lane_limit(lane.id), ego.speed, count)
+    return RoadPlace(kind, drive.simulation.lane_limit(lane.id), ego.speed, count)
 
 
 def road_class(
-    road: RoadMap, lane: Lane, station: float, ahead: float, route: tuple[str, ...] = (), vclass: str = CAR
+    road: RoadMap, lane: NetworkLane, station: float, ahead: float, route: tuple[str, ...] = (), vclass: str = CAR
 ) -> RoadClass:
     """The class of the road ``station`` metres along a lane. ahead: how far a junction counts [m]. route: the edges
     from there on, where they are known; vclass: SUMO's class of the vehicle that goes there."""
@@ -69,7 +69,7 @@ def road_class(
     return RoadClass.RURAL if lane.speed > URBAN_LIMIT else RoadClass.URBAN
 
 
-def _lane(road: RoadMap, drive: Drive, ego: VehicleState) -> tuple[Lane, float] | None:
+def _lane(road: RoadMap, drive: Drive, ego: VehicleState) -> tuple[NetworkLane, float] | None:
     """The ego's lane and its centre's station on it [m]; None off the network. A log names no lane."""
     place = None if drive.replayed() else drive.place(road)
     if place is not None:
@@ -78,7 +78,7 @@ def _lane(road: RoadMap, drive: Drive, ego: VehicleState) -> tuple[Lane, float] 
     return None if lane_at is None else (road.lanes[lane_at[0]], lane_at[1])
 
 
-def _two_way(road: RoadMap, lane: Lane) -> bool:
+def _two_way(road: RoadMap, lane: NetworkLane) -> bool:
     """Whether a lane of the other direction touches the carriageway."""
     middle = len(lane.shape) // 2
     (x, y), (dx, dy) = lane.shape[middle - 1], lane.shape[middle] - lane.shape[middle - 1]
@@ -87,7 +87,7 @@ def _two_way(road: RoadMap, lane: Lane) -> bool:
 
 
 def _near_junction(
-    road: RoadMap, lane: Lane, station: float, ahead: float, route: tuple[str, ...], vclass: str
+    road: RoadMap, lane: NetworkLane, station: float, ahead: float, route: tuple[str, ...], vclass: str
 ) -> bool:
     if lane.internal:
         return lane.id[1:].rsplit("_", 2)[0] in road.meeting_junctions
@@ -326,7 +326,7 @@ def ego_path(road: RoadMap, drive: Drive) -> Path | None:
     return ways[0].path if ways else None
 
 
-def _ways(road: RoadMap, drive: Drive, vehicle: VehicleState) -> list[Way]:
+def _ways(road: RoadMap, drive: Drive, vehicle: VehicleState) -> list[PathAhead]:
     """All ways on of a vehicle along its lane; of one that overtakes on the other side along its own."""
     vclass = drive.kind(vehicle.id)
     lane = lane_on_route(road, vehicle, (), vclass)
@@ -349,7 +349,7 @@ def logged_path(road: RoadMap, drive: Drive) -> Path | None:
     return continued(points, road.ways(*last, REACH, drive.route(), vclass=vclass) if last is not None else ())
 
 
-def continued(points: Floats, ways: Sequence[Way]) -> Path:
+def continued(points: Floats, ways: Sequence[PathAhead]) -> Path:
     """The path through ``points`` ``(n, 2)``, or ``(n, 3)`` with heights, and on along the first of the ways, if any,
     for ``REACH`` metres."""
     if ways:

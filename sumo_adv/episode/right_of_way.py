@@ -22,7 +22,7 @@ from sumo_adv.simulation.sumo_rules import (
     HALTING_SPEED_M_S,
     MEETING_CLEARANCE_M,
     MINOR_TIME_GAP_S,
-    seconds,
+    travel_time,
 )
 
 # -- where ways meet ------------------------------------------------------------------------------------------------
@@ -240,4 +240,4 @@ class RightOfWay:
 
 
 def _seconds(distance: float, speed: float, fastest: float = FOE_SPEED_M_S) -> float:
-    return float(seconds(np.array([distance]), np.array([speed]), FOE_ACCELERATION_M_S2, fastest)[0])
+    return float(travel_time(np.array([distance]), np.array([speed]), FOE_ACCELERATION_M_S2, fastest)[0])

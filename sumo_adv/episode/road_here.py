@@ -15,7 +15,7 @@ from sumo_adv.episode.road_near import RoadNear
 from sumo_adv.errors import SimulationError
 from sumo_adv.geometry import along
 from sumo_adv.simulation.network import Connection, RoadMap
-from sumo_adv.simulation.network import Lane as NetLane
+from sumo_adv.simulation.network import NetworkLane as NetLane
 
 if TYPE_CHECKING:
     from sumo_adv.episode.drive import Drive

@@ -11,7 +11,7 @@ import numpy as np
 from sumo_adv.datatypes import Floats
 from sumo_adv.drivers.protocol import Lane
 from sumo_adv.geometry import read_only, wrap
-from sumo_adv.simulation.network import Lane as NetLane
+from sumo_adv.simulation.network import NetworkLane as NetLane
 from sumo_adv.simulation.network import RoadMap
 
 REACH = 120.0  # m from the ego

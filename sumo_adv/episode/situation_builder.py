@@ -19,7 +19,7 @@ from sumo_adv.episode.unprotected import STANDS, unprotected_ways
 from sumo_adv.geometry import PATH_STEP_M, Frame, Path, wrap
 from sumo_adv.metrics.case import closest, smoothed
 from sumo_adv.road_users import is_unprotected
-from sumo_adv.simulation.network import Connection, RoadMap, Way
+from sumo_adv.simulation.network import Connection, PathAhead, RoadMap
 from sumo_adv.simulation.permissions import CAR
 from sumo_adv.situation import (
     MEET_AHEAD,
@@ -261,7 +261,7 @@ def state_at(track: Track, time: float) -> VehicleState | None:
     )  # fmt: skip
 
 
-def _ways_on(road: RoadMap, vehicle: VehicleState, route: tuple[str, ...], vclass: str) -> list[Way]:
+def _ways_on(road: RoadMap, vehicle: VehicleState, route: tuple[str, ...], vclass: str) -> list[PathAhead]:
     """The ways on of a vehicle of a class along its route; see ``RoadMap.ways``. None off all lanes."""
     lane = lane_on_route(road, vehicle, route, vclass)
     if lane is None:
@@ -293,7 +293,7 @@ def _ahead(
     return tuple(ahead)
 
 
-def way_ahead(road: RoadMap, ego: VehicleState, route: tuple[str, ...], vclass: str = CAR) -> Way | None:
+def way_ahead(road: RoadMap, ego: VehicleState, route: tuple[str, ...], vclass: str = CAR) -> PathAhead | None:
     """The way on of an ego of a vehicle class; None if it is on no lane."""
     ways = _ways_on(road, ego, route, vclass)
     return ways[0] if ways else None
@@ -343,7 +343,7 @@ def _is_hidden(bv: VehicleState, ego: VehicleState, tracks: Mapping[str, Track],
     return not Sight().visible((ego.x, ego.y), [bv, *(state for state in there if state is not None)], ego.z)[0]
 
 
-def _along(ways: Sequence[Way], road: RoadMap, lane: str, route: tuple[str, ...]) -> int | None:
+def _along(ways: Sequence[PathAhead], road: RoadMap, lane: str, route: tuple[str, ...]) -> int | None:
     """The index of the way that the route follows; None if it is unknown."""
     edge = road.lanes[lane].edge
     onward = route[route.index(edge) + 1 :][:1] if edge in route else route

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv.config import Settings, reachable
-from sumo_adv.datatypes import Ending, Place, Role, Track, Verdict
+from sumo_adv.datatypes import Ending, RoadPlace, Role, Track, Verdict
 from sumo_adv.drivers.registry import GivenEgo
 from sumo_adv.episode.attempt import Driven
 from sumo_adv.episode.drive import EgoActions
 from sumo_adv.errors import UsageError
-from sumo_adv.simulation.demand import generate
+from sumo_adv.simulation.demand import generate_demand
 from sumo_adv.simulation.inputs import EgoRoute, RunInput
 from sumo_adv.simulation.network import Drivable
 from sumo_adv.simulation.playback_spec import PlaybackSpec, with_background
@@ -82,7 +82,7 @@ class FoundEncounter:
     sizes: Mapping[str, tuple[float, float]]
     area: tuple[float, float, float]  # x, y, radius [m] of the circle in which ``drivable`` is known
     last: bool = False  # no other encounter comes
-    place: Place | None = None  # what surrounds the ego
+    place: RoadPlace | None = None  # what surrounds the ego
     driven_from: float | None = None  # when the ego's driver took over [s]; None where a program of its own drives
     driven_before: Sequence[tuple[str, float, float]] = ()  # what it drove before: id, from and until [s]
     beside: tuple[str, ...] = ()  # recorded vehicles that SUMO crashes on: boxes beside it
@@ -174,7 +174,9 @@ def make_task(source: RunInput, settings: Settings, folder: Path) -> Task:
         seed = settings.seed if source.demand_seed is None else source.demand_seed
         density = settings.density if settings.density is not None else source.density
         routes = (
-            generate(source.network, folder / "demand.rou.xml", seed=seed, density=density, begin=begin, end=end),
+            generate_demand(
+                source.network, folder / "demand.rou.xml", seed=seed, density=density, begin=begin, end=end
+            ),
         )
     refuse(settings.sumo_options)
     given = (source.network, *routes, *source.additional)

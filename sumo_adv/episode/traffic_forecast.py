@@ -20,7 +20,7 @@ from sumo_adv.episode.encounter_detector import REACH
 from sumo_adv.episode.situation_builder import HISTORY
 from sumo_adv.geometry import PATH_STEP_M, Path, make_path, same_layer, wrap
 from sumo_adv.metrics.boxes import height_as
-from sumo_adv.simulation.network import Lane, RoadMap
+from sumo_adv.simulation.network import NetworkLane, RoadMap
 
 SEEN = 250.0  # m around the ego within which vehicles are foreseen
 FADING, GAINING = 1.0, 5.0  # s, time constants of the present acceleration, and of one above ``GAINS``
@@ -80,7 +80,7 @@ def course(road: RoadMap, drive: Drive, state: VehicleState, duration: float) ->
     return ForecastPath(state, way.path, station, offset, cap, way.lanes, ends)
 
 
-def _place(road: RoadMap, drive: Drive, state: VehicleState, vclass: str) -> tuple[Lane, float, tuple[str, ...]]:
+def _place(road: RoadMap, drive: Drive, state: VehicleState, vclass: str) -> tuple[NetworkLane, float, tuple[str, ...]]:
     """The lane of a vehicle on its route, the metres along it to its front bumper, and its edges from there on."""
     place = drive.place(road) if state.id == drive.ego else None
     if place is not None:

@@ -17,7 +17,7 @@ from sumo_adv.datatypes import VehicleState
 from sumo_adv.episode.drive import Drive
 from sumo_adv.geometry import PATH_STEP_M, Path, make_path, wrap
 from sumo_adv.road_users import UNPROTECTED_LIMITS, UNPROTECTED_SPEEDS_M_S, RoadUser, is_unprotected, road_user
-from sumo_adv.simulation.network import Way
+from sumo_adv.simulation.network import PathAhead
 from sumo_adv.simulation.permissions import CYCLES, ON_FOOT
 from sumo_adv.situation import ReferencePath, relate
 
@@ -47,7 +47,7 @@ def may_attack(drive: Drive, name: str, only: Sequence[str]) -> bool:
     return is_unprotected(drive.state(name)) and (not is_object or name in only or drive.placed(name))
 
 
-def unprotected_ways(state: VehicleState, ego_path: Path, lanes: Sequence[Way] = ()) -> tuple[ReferencePath, ...]:
+def unprotected_ways(state: VehicleState, ego_path: Path, lanes: Sequence[PathAhead] = ()) -> tuple[ReferencePath, ...]:
     """The ways of a pedestrian or cyclist. All of them begin at its place. lanes: the ways on of a cyclist along its
     lane; none for one beside the road."""
     user, speed = road_user(state), state.speed

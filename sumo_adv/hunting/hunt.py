@@ -21,8 +21,8 @@ from statistics import median
 from typing import Any
 
 from sumo_adv.campaigns.campaign import Orders, Summary
-from sumo_adv.campaigns.plan import Plan
-from sumo_adv.campaigns.results import OUTCOME_FILE, failed, read_row
+from sumo_adv.campaigns.plan import CampaignPlan
+from sumo_adv.campaigns.results import OUTCOME_FILE, is_failed, read_row
 from sumo_adv.datatypes import Level
 from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.files import refuse_links, sentences, write_text
@@ -44,7 +44,7 @@ SHARE = 0.1  # of the time that is left: the most that an encounter may take
 LEVELS = (Level.VALID, Level.STRICT, Level.SERIOUS)
 FAILURE = Goal(Level.VALID)
 """What a failure comes to at least, if no level is asked for."""
-RunCampaign = Callable[[Plan, Orders], Summary]
+RunCampaign = Callable[[CampaignPlan, Orders], Summary]
 """Runs what is missing of a plan. Raises SumoAdvError."""
 
 
@@ -92,7 +92,8 @@ class Hunt:
     """
 
     def __init__(
-        self, plan: Plan, orders: Orders, campaign: RunCampaign, minutes: float, most: int | None, goal: Goal = FAILURE
+        self, plan: CampaignPlan, orders: Orders, campaign: RunCampaign, minutes: float, most: int | None,
+        goal: Goal = FAILURE,
     ) -> None:  # fmt: skip
         """minutes: of the whole hunt, also over several calls. most: distinct failures that end it sooner. goal: what a
         failure comes to at least."""
@@ -161,7 +162,7 @@ class Hunt:
         self._lost[k:] = [_lost(summary.rows, outcomes)]
         self._firsts[k:] = [[s for o in outcomes if (s := (o["timing"] or {}).get("first_success")) is not None]]
         every = [row for each in self._rows for row in each]
-        if every and not summary.stopped and all(map(failed, every)):
+        if every and not summary.stopped and all(map(is_failed, every)):
             raise SumoAdvError(f"All {len(every)} episodes of the hunt failed, the first one so: {every[0]['failure']}")
         return summary
 
@@ -230,7 +231,7 @@ class Hunt:
         return max(self._limit - self._seconds(), 0.0)
 
     def _progress(self, found: Sequence[Failure], newest: Failure | None) -> HuntProgress:
-        rows = [row for each in self._rows for row in each if not failed(row)]
+        rows = [row for each in self._rows for row in each if not is_failed(row)]
         attempts = sum(int(row["attempts"] or 0) for row in rows)
         pace = attempts / max(self._seconds(), 1e-3)
         return HuntProgress(self._left(), len(rows), attempts, pace, found, newest, sum(map(len, self._lost)))
@@ -303,7 +304,7 @@ def _outcomes(runs: Path, rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str
 def _lost(rows: Sequence[Mapping[str, Any]], outcomes: Sequence[Mapping[str, Any]]) -> list[str]:
     """Why episodes failed, and why attempts of the others broke."""
     broke = [each for o in outcomes for each in o["attempts"] if each["ending"] == "crashed"]
-    return [str(row["failure"]) for row in rows if failed(row)] + [str(each["message"]) for each in broke]
+    return [str(row["failure"]) for row in rows if is_failed(row)] + [str(each["message"]) for each in broke]
 
 
 def _copy(source: Path, target: Path) -> None:

@@ -1,7 +1,7 @@
 """Whether an input is run as SUMO runs it, and what was read of it."""
 
 from sumo_adv.input_check.check import InputCheck, check_input
-from sumo_adv.input_check.motions import Comparison
+from sumo_adv.input_check.motions import MotionComparison
 from sumo_adv.input_check.worker import WatchWorker
 
-__all__ = ["Comparison", "InputCheck", "WatchWorker", "check_input"]
+__all__ = ["InputCheck", "MotionComparison", "WatchWorker", "check_input"]

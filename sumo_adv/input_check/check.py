@@ -9,7 +9,7 @@ from pathlib import Path
 from sumo_adv.config import Settings
 from sumo_adv.episode.task import make_task
 from sumo_adv.input_check.contents import contents_of, departures
-from sumo_adv.input_check.motions import Comparison, compare
+from sumo_adv.input_check.motions import MotionComparison, compare_motions
 from sumo_adv.input_check.sumo_alone import run_alone
 from sumo_adv.input_check.worker import WatchWorker
 from sumo_adv.simulation.engine import Engine
@@ -36,8 +36,8 @@ class InputCheck:
     source: Path
     contents: Mapping[str, int]
     notes: tuple[str, ...]
-    comparison: Comparison | None = None
-    own_step: Comparison | None = None
+    comparison: MotionComparison | None = None
+    own_step: MotionComparison | None = None
     classes: Mapping[str, int] | None = None
     warnings: tuple[WarningKind, ...] = ()
     not_inserted: tuple[str, ...] = ()
@@ -72,12 +72,12 @@ def check_input(
     beside = None
     if own is not None and own != spec.step_length:
         slow = run_alone(spec, given.source, own, until, folder)
-        beside = compare(watched.motions, slow.motions, spec.begin, (first, until), own)
+        beside = compare_motions(watched.motions, slow.motions, spec.begin, (first, until), own)
     due = departures(given, spec.begin, until)
     here = task.own_names(engine.log.warnings())
     besides = [text for text in task.own_names(alone.warnings) if text not in here]
     return replace(
-        read, comparison=compare(watched.motions, alone.motions, spec.begin, (first, until), spec.step_length),
+        read, comparison=compare_motions(watched.motions, alone.motions, spec.begin, (first, until), spec.step_length),
         own_step=beside, classes=watched.classes, warnings=kinds_of([*here, *besides]),
         not_inserted=tuple(sorted(due - watched.motions.keys() - alone.motions.keys())),
     )  # fmt: skip

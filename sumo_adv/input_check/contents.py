@@ -9,7 +9,7 @@ from pathlib import Path
 
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.inputs import RunInput
-from sumo_adv.simulation.scan import allows_passenger, parse, scan_demand, seconds
+from sumo_adv.simulation.scan import allows_passenger, parse_seconds, parse_xml, scan_demand
 from sumo_adv.simulation.simulation import PERSON
 
 LANE_KINDS = (
@@ -40,12 +40,12 @@ def departures(given: RunInput, first: float, last: float) -> frozenset[str]:
     def start(tag: str, attributes: dict[str, str]) -> None:
         if tag in ("vehicle", "trip", "person"):
             with contextlib.suppress(UsageError):  # "triggered" and the like are no times
-                time = seconds(given.source, "departure", attributes.get("depart"))
+                time = parse_seconds(given.source, "departure", attributes.get("depart"))
                 if time is not None and first <= time < last:
                     due.add((PERSON if tag == "person" else "") + attributes.get("id", ""))
 
     for file in (*given.routes, *given.additional):
-        parse(file, start)
+        parse_xml(file, start)
     return frozenset(due)
 
 
@@ -69,7 +69,7 @@ def _network(network: Path) -> Counter[str]:
         elif tag == "roundabout":
             counts["roundabouts"] += 1
 
-    parse(network, start)
+    parse_xml(network, start)
     return counts
 
 

@@ -15,7 +15,7 @@ MAX_NAMED_IDS = 5  # in a sentence
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class MotionComparison:
     """How a simulation here differs from that of the program ``sumo``, over all vehicles and persons.
 
     Attributes:
@@ -87,7 +87,9 @@ def _without_ends(
     return ours, theirs
 
 
-def compare(here: Motions, sumo: Motions, begin: float, times: tuple[float, float], step: float) -> Comparison:
+def compare_motions(
+    here: Motions, sumo: Motions, begin: float, times: tuple[float, float], step: float
+) -> MotionComparison:
     """Compare the states after the first and up to the last of ``times`` [s].
 
     Args:
@@ -124,7 +126,7 @@ def compare(here: Motions, sumo: Motions, begin: float, times: tuple[float, floa
         elif ours and theirs and apart <= SAME_MOTION_TOLERANCE:
             same.add(name)
     persons = {name for name in of_sumo if name.startswith(PERSON)}
-    return Comparison(
+    return MotionComparison(
         times[1] - times[0], step, len(of_sumo - persons), len(same - persons), len(persons), len(same & persons),
         position, speed, worst, tuple(sorted(of_sumo - seen)), tuple(sorted(seen - of_sumo)), tuple(sorted(absent)),
     )  # fmt: skip

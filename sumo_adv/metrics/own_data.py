@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.consistency import Motion, find_fault, off_grid, unordered
+from sumo_adv.consistency import GivenMotion, find_fault, off_grid, unordered
 from sumo_adv.datatypes import Boxes, Floats, Ints, Role, Track
 from sumo_adv.errors import UsageError
 from sumo_adv.geometry import wrap_below_pi
@@ -54,7 +54,7 @@ def track_of(name: str, columns: Mapping[str, Any], role: Role) -> Track:
     width = _size(name, "width", columns, DEFAULT_WIDTH_M)
     kind = "other" if unprotected(length, width) else "vehicle"
     x, y, heading, speed = (values[key] for key in NEEDED_COLUMNS[1:])
-    motion = Motion(name, kind, time, x, y, heading, speed, length, width)
+    motion = GivenMotion(name, kind, time, x, y, heading, speed, length, width)
     if fault := find_fault([motion], noisy=False):
         at = f"state {fault.index} at {fault.time:g} s"
         raise UsageError(f"The track of {name!r} cannot be right: {at} {fault.says}.")

@@ -21,7 +21,7 @@ from sumo_adv.planners.answers import PATH_TIMES_S, PlannerObservation, arrivals
 from sumo_adv.planners.follower import Follower, Line, aligned
 from sumo_adv.planners.trajectory import Batch, Goal, Motion, PathRow, PathRows, pose, start
 from sumo_adv.road_users import is_unprotected
-from sumo_adv.simulation.sumo_rules import AtJunction, Scenes
+from sumo_adv.simulation.sumo_rules import AtJunction, SituationBatch
 from sumo_adv.situation import ReferencePath, Situation, Target
 
 TURN_COST_M_RAD = 4.0  # cost of a heading difference when an endpoint's way is chosen
@@ -41,7 +41,7 @@ class AdversaryBatch:
     holds all ways; ``rows.row`` is the way of each vehicle."""
 
     def __init__(self, situations: Sequence[Situation], names: Sequence[str]) -> None:
-        self.scenes = Scenes(situations)
+        self.scenes = SituationBatch(situations)
         self.targets: list[Target] = [s.targets[n] for s, n in zip(situations, names, strict=True)]
         unique = list({id(t): t for t in self.targets}.values())
         first = dict(zip(map(id, unique), accumulate((len(t.ways) for t in unique[:-1]), initial=0), strict=True))

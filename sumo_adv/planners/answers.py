@@ -14,7 +14,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Endpoint, Floats, Proposal, acceleration_at
 from sumo_adv.planners.session import Call
-from sumo_adv.simulation.sumo_rules import Scenes
+from sumo_adv.simulation.sumo_rules import SituationBatch
 from sumo_adv.situation import NO_ARRIVAL_S, Situation, mirrored
 
 PlannerObservation = tuple[dict[str, Any], dict[str, Any]]
@@ -106,7 +106,9 @@ PATH_TIMES_S = np.arange(0.0, 9.0)  # times of the predicted path in a planner's
 ARRIVAL_TIMES_S = np.arange(0.0, 16.1, 0.5)
 
 
-def stations(scenes: Scenes, now: float, s: Floats, v: Floats, a: Floats, look: Floats) -> tuple[Floats, Floats]:
+def stations(
+    scenes: SituationBatch, now: float, s: Floats, v: Floats, a: Floats, look: Floats
+) -> tuple[Floats, Floats]:
     """Stations and speeds (n, k), ``look`` (k,) seconds from ``now``, of egos at ``s`` with ``v``, ``a`` (n,)."""
     (ps, pv), (fs, fv) = scenes.profile_now(now), scenes.profile(now + look)
     held = np.minimum(look, HELD_ACCELERATION_S)
@@ -116,7 +118,7 @@ def stations(scenes: Scenes, now: float, s: Floats, v: Floats, a: Floats, look: 
     return np.where(on, fs + (s - ps)[:, None], free), np.where(on, fv, speed)
 
 
-def arrivals(scenes: Scenes, now: float, s: Floats, v: Floats, a: Floats, conflict_s: Floats) -> Floats:
+def arrivals(scenes: SituationBatch, now: float, s: Floats, v: Floats, a: Floats, conflict_s: Floats) -> Floats:
     """Seconds until egos (n,) are at stations ``conflict_s`` (n, k). Negative once past, ``NO_ARRIVAL_S`` if the ego
     does not get there within the forecast."""
     times = np.full(conflict_s.shape, NO_ARRIVAL_S)

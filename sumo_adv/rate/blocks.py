@@ -19,8 +19,8 @@ from typing import Any, Self
 import numpy as np
 
 from sumo_adv.campaigns.cluster import Needs, desk_folder, unfit
-from sumo_adv.campaigns.local import LocalWorkers, Pace, Stop
-from sumo_adv.campaigns.plan import hash_of
+from sumo_adv.campaigns.local import LocalWorkers, Stop, WorkerPace
+from sumo_adv.campaigns.plan import files_hash
 from sumo_adv.campaigns.ray_pool import RayPool
 from sumo_adv.campaigns.results import Done
 from sumo_adv.config import forget_environment, load_settings
@@ -31,8 +31,8 @@ from sumo_adv.episode.encounter_search import INSERTED_EGO, EncounterSearch
 from sumo_adv.episode.task import Task, make_task, refuse_density
 from sumo_adv.errors import SimulationError, UsageError
 from sumo_adv.files import scratch_prefix
-from sumo_adv.rate.proposal import ERRORS_PER_HOUR, Proposal, chances
-from sumo_adv.rate.run import Record, Run
+from sumo_adv.rate.proposal import ERRORS_PER_HOUR, ErrorProposal, chances
+from sumo_adv.rate.run import RateRecord, RateRun
 from sumo_adv.simulation.demand import generate_flows
 from sumo_adv.simulation.inputs import EgoRoute, load_input
 from sumo_adv.simulation.network import read_network
@@ -115,7 +115,7 @@ class Block:
         return f"{self.phase} {self.first} to {self.first + RUNS_PER_BLOCK - 1}"
 
 
-def failed(job: Block, why: str, text: str) -> Done:
+def refuse_block(job: Block, why: str, text: str) -> Done:
     """What becomes of a block that cannot be run. Raises SimulationError."""
     raise SimulationError(f"The block of runs '{job.words}' cannot be run. {why}")
 
@@ -155,41 +155,43 @@ class BlockRunner:
         counted = [[array.tolist() for array in (c.chances, c.starts, c.crashes)] for c in counts]
         return Done(job.id, {"records": [asdict(record) for _, record in runs], "counts": counted})
 
-    def one(self, job: Block, number: int) -> tuple[Run, Record]:
+    def one(self, job: Block, number: int) -> tuple[RateRun, RateRecord]:
         """One run of a block."""
         plan, task = self._plan, self._task
         seed = seed_of(plan.seed, job.phase, number)
         self._drive.restart(seed)
-        proposal = None if job.starts is None else Proposal(np.array(job.starts))
-        run = Run(self._drive, chances(plan.factor), proposal, seed, pilot=job.phase == "pilot")
+        proposal = None if job.starts is None else ErrorProposal(np.array(job.starts))
+        run = RateRun(self._drive, chances(plan.factor), proposal, seed, pilot=job.phase == "pilot")
         ego = INSERTED_EGO if isinstance(task.ego, EgoRoute) else task.ego
         start = task.spec.recorded_from + (plan.warm_up if ego is None else 0.0)
         return run, run.until(ego, start, start + MAX_EGO_WAIT_S + plan.duration, plan.duration)
 
 
 @dataclass(frozen=True, slots=True)
-class Sent:
+class RateNodeContent:
     """What a node needs for all blocks."""
 
     plan: RatePlan
-    pace: Pace
+    pace: WorkerPace
     content: str
 
 
 class ClusterBlocks:
     """Runs blocks as Ray tasks. Raises UsageError as ``RayPool`` does."""
 
-    def __init__(self, plan: RatePlan, pace: Pace, address: str, versions: Mapping[str, str], stop: Stop) -> None:
+    def __init__(self, plan: RatePlan, pace: WorkerPace, address: str, versions: Mapping[str, str], stop: Stop) -> None:
         source = plan.source.absolute() if plan.source.is_file() else plan.source  # nodes work in other folders
-        inputs = ((source, hash_of(load_input(plan.source).files), None),)
+        inputs = ((source, files_hash(load_input(plan.source).files), None),)
         needs = Needs(versions, inputs, () if plan.ego is None else (plan.ego,))
         self._pool = RayPool(block, unfit, pace.recycle, address, stop)
         self._needs = self._pool.put(needs)
-        self._sent = self._pool.put(Sent(replace(plan, source=source), replace(pace, workers=1), plan.content()))
+        self._sent = self._pool.put(
+            RateNodeContent(replace(plan, source=source), replace(pace, workers=1), plan.content())
+        )
 
     def run(self, jobs: Iterable[Any], told: Callable[[Any, Done], None]) -> None:
         """Each block, ``told`` of each that is finished. Raises SumoAdvError."""
-        self._pool.run(jobs, self._needs, lambda: self._sent, lambda _, done: done, failed, told)
+        self._pool.run(jobs, self._needs, lambda: self._sent, lambda _, done: done, refuse_block, told)
 
     def close(self) -> None:
         """Leave the cluster; what still runs there is ended by Ray."""
@@ -199,7 +201,7 @@ class ClusterBlocks:
 # -- on a node ---------------------------------------------------------------------------------------------------------
 
 
-def block(sent: Sent, job: Block) -> Done:
+def block(sent: RateNodeContent, job: Block) -> Done:
     """One block on this node. Raises UsageError: the input is another one here; SimulationError: it failed twice."""
     if not _workers:
         try:
@@ -209,7 +211,7 @@ def block(sent: Sent, job: Block) -> Done:
         if not same:
             fault = f"On a node {sent.plan.source} has another content than here"
             raise UsageError(f"{fault}; give all nodes the same files.")
-        workers = LocalWorkers(sent.plan, sent.pace, desk_folder(), failed, Stop(), BlockRunner)
+        workers = LocalWorkers(sent.plan, sent.pace, desk_folder(), refuse_block, Stop(), BlockRunner)
         atexit.register(workers.close)
         _workers.append(workers)
     results: list[Done] = []

@@ -25,17 +25,25 @@ from typing import Any
 import numpy as np
 from scipy.special import gammaincinv
 
-from sumo_adv.campaigns.campaign import Watcher, Workers, stopping
-from sumo_adv.campaigns.local import LocalWorkers, Pace, Stop
+from sumo_adv.campaigns.campaign import CampaignWatcher, Workers, stopping
+from sumo_adv.campaigns.local import LocalWorkers, Stop, WorkerPace
 from sumo_adv.campaigns.results import Done
 from sumo_adv.datatypes import Floats, Level
 from sumo_adv.errors import UsageError
 from sumo_adv.files import held, json_text, refuse_links, scratch_prefix, sentences, write_text
 from sumo_adv.metrics.statistics import CONFIDENCE_LEVEL
 from sumo_adv.parsing import read_json, read_object
-from sumo_adv.rate.blocks import MAX_EGO_WAIT_S, RUNS_PER_BLOCK, Block, BlockRunner, ClusterBlocks, RatePlan, failed
-from sumo_adv.rate.proposal import ERROR_KINDS, MAX_WEIGHT, Counts, Proposal, chances, learnt, pilot_proposal
-from sumo_adv.rate.run import Record
+from sumo_adv.rate.blocks import (
+    MAX_EGO_WAIT_S,
+    RUNS_PER_BLOCK,
+    Block,
+    BlockRunner,
+    ClusterBlocks,
+    RatePlan,
+    refuse_block,
+)
+from sumo_adv.rate.proposal import ERROR_KINDS, MAX_WEIGHT, Counts, ErrorProposal, chances, learnt, pilot_proposal
+from sumo_adv.rate.run import RateRecord
 from sumo_adv.report.outcome import versions
 
 ENOUGH_CRASHES = 10  # crashes: the weights of fewer do not tell how large those are that were not seen
@@ -69,7 +77,7 @@ class Rate:
         return (self.high - self.low) / (2 * self.value) if self.value > 0 else None
 
 
-def rate(weights: Floats, exposure: Floats, most_weight: float = 1.0) -> Rate:
+def measure_rate(weights: Floats, exposure: Floats, most_weight: float = 1.0) -> Rate:
     """The rate of crashes.
 
     weights ``(runs,)``: the weight of each run that crashed, at the crash; 0 for others. exposure ``(runs,)``:
@@ -103,7 +111,7 @@ def effective_runs(weights: Floats) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Estimate:
+class RateEstimate:
     """The rates of an estimate.
 
     per_hour, per_km: by level. by_error: by the error of the other driver, its share of the estimate of collisions.
@@ -141,7 +149,7 @@ class Estimate:
         }  # fmt: skip
 
 
-def estimated(plan: RatePlan, records: Sequence[Record], pilot: Sequence[Record] = ()) -> Estimate:
+def estimated(plan: RatePlan, records: Sequence[RateRecord], pilot: Sequence[RateRecord] = ()) -> RateEstimate:
     """The rates from the records of all runs."""
     weight, hours, km = (_column(records, name) for name in ("weight", "weighted_hours", "weighted_km"))
     most = 1.0 if plan.plain else MAX_WEIGHT
@@ -149,21 +157,21 @@ def estimated(plan: RatePlan, records: Sequence[Record], pilot: Sequence[Record]
     for name in RATED_LEVELS[1:]:
         least = Level[name.upper()]
         reached[name] = [r.contact and Level[r.level.upper()] >= least for r in records]
-    per_hour = {name: rate(weight * np.array(flags), hours, most) for name, flags in reached.items()}
-    per_km = {name: rate(weight * np.array(flags), km, most) for name, flags in reached.items()}
+    per_hour = {name: measure_rate(weight * np.array(flags), hours, most) for name, flags in reached.items()}
+    per_km = {name: measure_rate(weight * np.array(flags), km, most) for name, flags in reached.items()}
     collided = weight * np.array(reached["collision"])
     errors = np.array([r.error or "none" for r in records])
     total, seen = float(collided.sum()), np.unique(errors[collided > 0])
     by_error = {str(name): float(collided[errors == name].sum()) / total for name in seen}
     plain_runs = per_hour["collision"].plain_runs
     driven = [*records, *pilot]
-    return Estimate(
+    return RateEstimate(
         plan, len(records), per_hour, per_km, by_error, effective_runs(weight), float(_column(driven, "hours").sum()),
         float(_column(driven, "km").sum()), None if plain_runs is None else plain_runs * float(km.mean()),
     )  # fmt: skip
 
 
-def _column(records: Sequence[Record], name: str) -> Floats:
+def _column(records: Sequence[RateRecord], name: str) -> Floats:
     return np.array([getattr(r, name) for r in records], float)
 
 
@@ -174,10 +182,10 @@ class Estimation:
     plan: RatePlan
     out: Path
     workers: int
-    watcher: Watcher
+    watcher: CampaignWatcher
     ray: str | None = None
 
-    def run(self, runs: int) -> Estimate | None:
+    def run(self, runs: int) -> RateEstimate | None:
         """The estimate from at least ``runs`` runs, in whole blocks; None if it was stopped before.
 
         Raises:
@@ -207,7 +215,7 @@ class Estimation:
                 )
         write_text(file, json_text(document, 1))
 
-    def _run(self, runs: int, scratch: Path) -> Estimate | None:
+    def _run(self, runs: int, scratch: Path) -> RateEstimate | None:
         plan = self.plan
         with stopping(self.watcher) as stop, closing(self._pool(scratch, stop)) as pool:
             starts, pilot = None, list[dict[str, Any]]()
@@ -225,12 +233,14 @@ class Estimation:
         return result
 
     def _pool(self, scratch: Path, stop: Stop) -> Workers:
-        pace = Pace(self.workers, BLOCK_DEADLINE_S, MAX_BLOCKS_PER_WORKER)
+        pace = WorkerPace(self.workers, BLOCK_DEADLINE_S, MAX_BLOCKS_PER_WORKER)
         if self.ray is None:
-            return LocalWorkers(self.plan, pace, scratch, failed, stop, BlockRunner)
+            return LocalWorkers(self.plan, pace, scratch, refuse_block, stop, BlockRunner)
         return ClusterBlocks(self.plan, pace, self.ray, versions(), stop)
 
-    def _blocks(self, phase: str, runs: int, proposal: Proposal | None, pool: Workers) -> list[dict[str, Any]] | None:
+    def _blocks(
+        self, phase: str, runs: int, proposal: ErrorProposal | None, pool: Workers
+    ) -> list[dict[str, Any]] | None:
         """The blocks of a phase, those that are missing run now; None if the user stopped it."""
         starts = None if proposal is None else proposal.starts.tolist()
         jobs = [Block(phase, first, starts) for first in range(0, runs, RUNS_PER_BLOCK)]
@@ -267,9 +277,9 @@ def read_block(file: Path) -> dict[str, Any] | None:
         return None
 
 
-def records_of(blocks: Sequence[Mapping[str, Any]]) -> list[Record]:
+def records_of(blocks: Sequence[Mapping[str, Any]]) -> list[RateRecord]:
     """The runs of blocks."""
-    return [Record(**row) for block in blocks for row in block["records"]]
+    return [RateRecord(**row) for block in blocks for row in block["records"]]
 
 
 def counts_of(blocks: Sequence[Mapping[str, Any]]) -> list[Counts]:

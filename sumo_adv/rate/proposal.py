@@ -72,7 +72,7 @@ def chances(factor: float) -> Floats:
     return np.array([ERRORS_PER_HOUR[kind] for kind in ERROR_KINDS]) * factor * DECISION_INTERVAL_S / 3600.0
 
 
-def danger(ego: Boxes, others: Boxes) -> Ints:
+def danger_levels(ego: Boxes, others: Boxes) -> Ints:
     """The level of danger of each kind of error ``(vehicles, kinds)``, from 0 to 3.
 
     0: nothing comes near; 1: less than 1.5 m apart; 2: contact if the ego does not brake; 3: also if it brakes.
@@ -127,7 +127,7 @@ def _motions(speed: Floats) -> tuple[Floats, Floats]:
 
 
 @dataclass(frozen=True)
-class Proposal:
+class ErrorProposal:
     """``starts`` ``(kinds, levels)``: the probability with which an error of a level of danger is begun."""
 
     starts: Floats
@@ -147,9 +147,9 @@ class Proposal:
         )
 
 
-def pilot_proposal(kinds: int) -> Proposal:
+def pilot_proposal(kinds: int) -> ErrorProposal:
     """The proposal of the pilot runs: by the level of danger alone."""
-    return Proposal(np.tile(PILOT_PROBABILITIES, (kinds, 1)))
+    return ErrorProposal(np.tile(PILOT_PROBABILITIES, (kinds, 1)))
 
 
 @dataclass(frozen=True)
@@ -165,7 +165,7 @@ class Counts:
     crashes: Floats
 
 
-def learnt(counts: Sequence[Counts], model: Floats) -> Proposal:
+def learnt(counts: Sequence[Counts], model: Floats) -> ErrorProposal:
     """The proposal from pilot runs, for the model's probabilities ``(kinds,)``.
 
     A sum of rare events with probabilities p c (p: of the error, c: that it ends in a collision) is estimated with the
@@ -178,7 +178,7 @@ def learnt(counts: Sequence[Counts], model: Floats) -> Proposal:
     collides = (ended + PRIOR_ERROR_COUNT * PRIOR_COLLISION_SHARES) / (begun + PRIOR_ERROR_COUNT)
     worth = model[:, None] * np.sqrt(collides)
     in_a_run = float((tried * worth).sum()) / len(counts)
-    return Proposal(
+    return ErrorProposal(
         np.minimum(worth * EXPECTED_ERRORS_PER_RUN / in_a_run, MAX_ERROR_PROBABILITY) if in_a_run > 0.0 else worth
     )
 
@@ -186,7 +186,7 @@ def learnt(counts: Sequence[Counts], model: Floats) -> Proposal:
 class Decisions:
     """Draws the errors of one run, and keeps its likelihood ratio."""
 
-    def __init__(self, draw: np.random.Generator, proposal: Proposal | None, *, pilot: bool = False) -> None:
+    def __init__(self, draw: np.random.Generator, proposal: ErrorProposal | None, *, pilot: bool = False) -> None:
         """``proposal`` None: all is drawn from the model, with weight 1. pilot: the run only has to try many errors: it
         is never drawn from the model, and raises them to its end."""
         self._draw, self._proposal, self._pilot = draw, proposal, pilot

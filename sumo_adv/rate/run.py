@@ -20,8 +20,8 @@ from sumo_adv.rate.proposal import (
     ERROR_KINDS,
     Counts,
     Decisions,
-    Proposal,
-    danger,
+    ErrorProposal,
+    danger_levels,
 )
 from sumo_adv.simulation.human_errors import HumanErrors
 from sumo_adv.simulation.remote import RawState
@@ -37,7 +37,7 @@ CLEAR_DISTANCE_M = 0.2  # that two boxes are apart for certain, beside what they
 
 
 @dataclass(frozen=True, slots=True)
-class Record:
+class RateRecord:
     """One run. hours, km: how long and how far the ego drove; weighted_hours, weighted_km: each step by the run's
     weight at that time; weight: at the contact or the end; contact: whether the ego touched a vehicle; level: of the
     contact, as ``metrics/levels.py`` names it; error: what the other vehicle's driver did wrong before."""
@@ -54,12 +54,12 @@ class Record:
 
 
 @dataclass
-class Run:
+class RateRun:
     """One run on a drive that was just loaded. ``pilot``: it counts what errors come to."""
 
     drive: Drive
     chances: Floats  # (kinds,): of the model, in a slot
-    proposal: Proposal | None
+    proposal: ErrorProposal | None
     seed: int
     pilot: bool = False
 
@@ -70,7 +70,7 @@ class Run:
         self._begun: dict[str, tuple[int, int]] = {}  # kind and level of danger of each driver's latest error
         self._hours = self._km = self._weighted_hours = self._weighted_km = 0.0
 
-    def until(self, ego: str | None, start: float, end: float, duration: float) -> Record:
+    def until(self, ego: str | None, start: float, end: float, duration: float) -> RateRecord:
         """Drive until the ego has driven for ``duration`` s, has left or touches a vehicle.
 
         end [s]: at the latest. ego: None = the first vehicle that is inserted after ``start`` [s].
@@ -104,9 +104,9 @@ class Run:
                 return self._judged(*touched)
         return self._record()
 
-    def _record(self) -> Record:
+    def _record(self) -> RateRecord:
         weighted = self._weighted_hours, self._weighted_km
-        return Record(self.seed, self._hours, self._km, *weighted, self.decisions.weight)
+        return RateRecord(self.seed, self._hours, self._km, *weighted, self.decisions.weight)
 
     # -- errors -------------------------------------------------------------------------------------------------
 
@@ -128,7 +128,7 @@ class Run:
         if self.decisions.raising:
             x, y, heading, speed = (np.array(getattr(ego, key)) for key in BOX_FIELDS[:4])
             box = Boxes(x, y, heading, speed, ego.length, ego.width, ego.z)
-            levels = danger(box, boxes_of([drive.state(name) for name in names]))
+            levels = danger_levels(box, boxes_of([drive.state(name) for name in names]))
         kinds = self.decisions.next(model, levels)
         for row, (name, kind) in enumerate(zip(names, kinds, strict=True)):
             if kind >= 0:
@@ -161,7 +161,7 @@ class Run:
                 contacts.append((when, name))
         return (min(contacts)[1], min(contacts)[0]) if contacts else None
 
-    def _judged(self, foe: str, when: float) -> Record:
+    def _judged(self, foe: str, when: float) -> RateRecord:
         record, drive = self._record(), self.drive
         error = self.errors.last.get(foe)
         recent = error is not None and when - error.since < MAX_ERROR_AGE_S

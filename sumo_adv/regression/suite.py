@@ -19,7 +19,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from sumo_adv.campaigns.local import LocalWorkers, Pace, Stop
+from sumo_adv.campaigns.local import LocalWorkers, Stop, WorkerPace
 from sumo_adv.campaigns.results import Done, Row, read_row, write_csv
 from sumo_adv.drivers import make_ego
 from sumo_adv.errors import UsageError
@@ -144,7 +144,7 @@ def measure_cases(
     runs.mkdir()
     scratch.mkdir()
     jobs = [CaseJob(case.name, case.folder.absolute()) for case in cases]
-    setup, pace = Setup(runs.absolute(), ego, attempts), Pace(workers, DEADLINE * max(1, attempts // 4), RECYCLE)
+    setup, pace = Setup(runs.absolute(), ego, attempts), WorkerPace(workers, DEADLINE * max(1, attempts // 4), RECYCLE)
     with closing(LocalWorkers(setup, pace, scratch.absolute(), failed, Stop(), CaseRunner)) as pool:
         pool.run(jobs, finished)
     shutil.rmtree(scratch, ignore_errors=True)

@@ -19,7 +19,7 @@ from sumo_adv.parsing import read_json
 from sumo_adv.planners.source import make_planner
 from sumo_adv.report.outcome import MANIFEST_SCHEMA
 from sumo_adv.simulation.inputs import EgoRoute, RunInput, WaymoSource
-from sumo_adv.simulation.maps import Conversion
+from sumo_adv.simulation.maps import MapConversion
 from sumo_adv.simulation.playback_spec import PlaybackSpec, Prop, make_playback
 from sumo_adv.simulation.simulation import SimulationSpec
 from sumo_adv.simulation.sumo_options import DEFAULTS, FORCED
@@ -80,7 +80,7 @@ def _recorded(folder: Path, m: dict[str, Any]) -> Recorded:
     )  # fmt: skip
     proposal = _proposal(folder, m["attempt"], m["planners"])
     asked, made = m.get("asked"), m.get("conversion")
-    conversion = None if made is None else Conversion(
+    conversion = None if made is None else MapConversion(
         Path(made["map"]), spec.network, tuple(made["options"]), dict(made["lost"]), tuple(made["said"])
     )  # fmt: skip
     source = RunInput(

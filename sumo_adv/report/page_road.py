@@ -22,8 +22,8 @@ import numpy as np
 from sumo_adv.datatypes import Floats, Track
 from sumo_adv.geometry import stations
 from sumo_adv.simulation.layers import covers
-from sumo_adv.simulation.network import Lane, RoadMap, read_network
-from sumo_adv.simulation.scan import parse
+from sumo_adv.simulation.network import NetworkLane, RoadMap, read_network
+from sumo_adv.simulation.scan import parse_xml
 
 SOLID, DASHED = 0, 1
 STOP, GIVE_WAY, LIGHT = 0, 1, 2
@@ -69,7 +69,7 @@ def lane_changes(path: Path) -> Changes:
         if tag == "lane" and ("changeLeft" in attributes or "changeRight" in attributes):
             changes[attributes["id"]] = _allowed(attributes.get("changeLeft")), _allowed(attributes.get("changeRight"))
 
-    parse(path, start)
+    parse_xml(path, start)
     return changes
 
 
@@ -119,7 +119,7 @@ def _markings(road: RoadMap, changes: Changes) -> Iterator[tuple[str, Marking]]:
         yield edge, Marking(_beside(driven[-1], driven[-1].width / 2 - INSET), SOLID)
 
 
-def _beside(lane: Lane, offset: float) -> Floats:
+def _beside(lane: NetworkLane, offset: float) -> Floats:
     """A line beside the middle of a lane; ``offset`` [m] is positive to the left."""
     from shapely import LineString
 
@@ -143,7 +143,7 @@ def stop_lines(road: RoadMap) -> Iterator[StopLine]:
             yield StopLine(_across(lane), GIVE_WAY)
 
 
-def _across(lane: Lane) -> Floats:
+def _across(lane: NetworkLane) -> Floats:
     end, before = lane.shape[-1], lane.shape[-2]
     forward = (end - before) / max(float(np.hypot(*(end - before))), 1e-9)
     left = np.array([-forward[1], forward[0]]) * (lane.width / 2 - 0.1)

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 
-class Arrival(NamedTuple):
+class ArrivalPlace(NamedTuple):
     """The edge on which a vehicle leaves, and SUMO's lane position there [m]; inf: at the edge's end."""
 
     edge: str
@@ -28,7 +28,7 @@ def arrival_attributes(api: Any, vehicle: str) -> Mapping[str, str]:
     return {}
 
 
-def arrival(attributes: Mapping[str, str], route: Sequence[str], api: Any) -> Arrival:
+def arrival(attributes: Mapping[str, str], route: Sequence[str], api: Any) -> ArrivalPlace:
     """Where a vehicle with these attributes leaves its route, all of whose edges are given."""
     index = attributes.get("arrivalEdge", "")
     edge = route[int(index)] if index.isdigit() and int(index) < len(route) else route[-1]
@@ -36,5 +36,5 @@ def arrival(attributes: Mapping[str, str], route: Sequence[str], api: Any) -> Ar
     try:
         position = float(text)
     except ValueError:  # SUMO's words for the end of the edge
-        return Arrival(edge, math.inf)
-    return Arrival(edge, position if position >= 0 else position + float(api.lane.getLength(f"{edge}_0")))
+        return ArrivalPlace(edge, math.inf)
+    return ArrivalPlace(edge, position if position >= 0 else position + float(api.lane.getLength(f"{edge}_0")))

@@ -46,7 +46,7 @@ class Journey:
     fringe: bool
 
 
-def generate(
+def generate_demand(
     network: Path, target: Path, *, seed: int, density: float | None = None, begin: float = 0.0, end: float
 ) -> Path:
     """Writes random traffic for ``network`` to ``target`` and returns that path.

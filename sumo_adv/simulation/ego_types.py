@@ -13,11 +13,11 @@ from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 from sumo_adv.simulation.permissions import CAR
-from sumo_adv.simulation.scan import parse
+from sumo_adv.simulation.scan import parse_xml
 
 EGO_TYPE = "sumo_adv_ego"
 """The type of an ego whose own type no file defines; before a ``:`` and the own type's name, the type of any other."""
-BUILT_IN = {
+BUILT_IN_TYPES = {
     "DEFAULT_VEHTYPE": CAR, "DEFAULT_TAXITYPE": "taxi", "DEFAULT_BIKETYPE": "bicycle", "DEFAULT_RAILTYPE": "rail",
 }  # fmt: skip
 """Types of SUMO that no file defines, and their classes."""
@@ -36,7 +36,7 @@ def vehicle_types(files: Iterable[Path]) -> dict[str, VehicleType]:
 
     Raises UsageError: a file is damaged.
     """
-    types = {name: VehicleType({"vClass": vclass}) for name, vclass in BUILT_IN.items()}
+    types = {name: VehicleType({"vClass": vclass}) for name, vclass in BUILT_IN_TYPES.items()}
     for file in files:
         _read(file, types)
     return types
@@ -58,7 +58,7 @@ def _read(file: Path, types: dict[str, VehicleType]) -> None:
         if tag == "vType":
             within.pop()
 
-    parse(file, start, end)
+    parse_xml(file, start, end)
 
 
 def ego_types_xml(driver: Mapping[str, str], defaults: frozenset[str], types: Mapping[str, VehicleType]) -> str:

@@ -16,13 +16,13 @@ from pathlib import Path
 
 import numpy as np
 
-from sumo_adv.consistency import SUMO_DEGREES, Motion, find_fault, unordered
+from sumo_adv.consistency import SUMO_DEGREES, GivenMotion, find_fault, unordered
 from sumo_adv.datatypes import Floats
 from sumo_adv.errors import SimulationError, UsageError
 from sumo_adv.files import scratch_prefix
 from sumo_adv.simulation.network import RoadMap
 from sumo_adv.simulation.programs import load_libsumo
-from sumo_adv.simulation.scan import parse, seconds, silent_copies
+from sumo_adv.simulation.scan import parse_seconds, parse_xml, silent_copies
 from sumo_adv.simulation.simulation import PERSON
 
 MAX_RECORDING_TIME_S = 1e7  # about four months: of times in a recording
@@ -93,7 +93,7 @@ def read_recording(path: Path) -> FcdRecording:
 
     if path.name.lower().endswith((".csv", ".parquet", ".csv.gz")):
         raise UsageError(f"{path} is no XML: let SUMO write the FCD into a file whose name ends in .xml or .xml.gz.")
-    parse(path, start)
+    parse_xml(path, start)
     if not vehicles:
         raise UsageError(f"{path} has no vehicle in a timestep; write it with sumo --fcd-output.")
     objects = {name: _object(path, name, states, person=False) for name, states in vehicles.items()}
@@ -116,7 +116,7 @@ def _no_fcd(path: Path, why: str) -> UsageError:
 def _time(path: Path, attributes: Mapping[str, str]) -> float:
     if "time" not in attributes:
         raise _no_fcd(path, "a timestep has no time")
-    time = seconds(path, "timestep", attributes["time"])
+    time = parse_seconds(path, "timestep", attributes["time"])
     if time is None or not time < MAX_RECORDING_TIME_S:
         raise _no_fcd(path, f"a timestep at {attributes['time'][:40]}")
     return time
@@ -140,7 +140,7 @@ def _object(path: Path, name: str, states: States, *, person: bool) -> RecordedO
 def check_recording(path: Path, recording: FcdRecording, sizes: Mapping[str, tuple[float, float]]) -> None:
     """Raises UsageError: motion that cannot be right (``consistency.py``). ``sizes``: length and width [m] by name."""
     motions = (
-        Motion(o.name, "pedestrian" if o.person else "vehicle", o.time, o.x, o.y, o.angle, o.speed, *sizes[o.name],
+        GivenMotion(o.name, "pedestrian" if o.person else "vehicle", o.time, o.x, o.y, o.angle, o.speed, *sizes[o.name],
                SUMO_DEGREES)
         for o in recording.objects.values()
     )  # fmt: skip
@@ -230,7 +230,7 @@ def _location(network: Path) -> tuple[Floats, str]:
             x, y = attributes.get("netOffset", "0,0").split(",")
             found.append((np.array([float(x), float(y)]), attributes.get("projParameter", "!")))
 
-    parse(network, start)
+    parse_xml(network, start)
     return found[0] if found else (np.zeros(2), "!")
 
 

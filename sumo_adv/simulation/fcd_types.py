@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from sumo_adv.errors import UsageError
-from sumo_adv.simulation.scan import parse
+from sumo_adv.simulation.scan import parse_xml
 
 Size = tuple[float, float]
 CAR_SIZE: Size = (5.0, 1.8)
@@ -42,7 +42,7 @@ def read_sizes(files: Sequence[Path]) -> dict[str, Size]:
 
     for file in files:
         try:
-            parse(file, start)
+            parse_xml(file, start)
         except (KeyError, ValueError) as error:
             raise UsageError(f"{file} has a vType that cannot be used ({error}).") from error
     return sizes

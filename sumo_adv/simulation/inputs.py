@@ -13,14 +13,14 @@ from typing import Any, Literal
 
 from sumo_adv.asked import Asked
 from sumo_adv.errors import UsageError, nearest
-from sumo_adv.simulation.maps import MAPS, Conversion, convert_map, is_map
+from sumo_adv.simulation.maps import MAPS, MapConversion, convert_map, is_map
 from sumo_adv.simulation.playback_spec import PlaybackSpec, scenario_playback
 from sumo_adv.simulation.scan import DemandScan, NetworkScan, scan_demand, scan_network
 from sumo_adv.simulation.scenario import DEFAULT_WARM_UP_S, SCENARIO_FILE, Ego, Label, Scenario, load_scenario
 from sumo_adv.simulation.sumocfg import is_sumocfg, read_sumocfg
 
 _NETWORK_SUFFIXES = (".net.xml", ".net.xml.gz", ".xml", ".xml.gz")
-_SUFFIXES = (
+_INPUT_SUFFIXES = (
     *sorted(MAPS, key=len, reverse=True),
     ".net.xml.gz", ".net.xml", ".xml.gz", ".xml", ".sumocfg", ".sumo.cfg", ".toml",
 )  # fmt: skip
@@ -89,7 +89,7 @@ class RunInput:
     notes: tuple[str, ...] = ()
     asked: Asked | None = None
     words: str = ""
-    conversion: Conversion | None = None
+    conversion: MapConversion | None = None
     waymo: WaymoSource | None = None
 
     def settings(self, named: Collection[str] = ()) -> dict[str, Any]:
@@ -105,7 +105,7 @@ class RunInput:
 def load_input(path: Path) -> RunInput:
     """The input at ``path``, or the shipped scenario or network of that name, checked. Raises UsageError for anything
     missing, damaged, undrivable or mismatched."""
-    file = resolve(path)
+    file = find_input(path)
     lower = file.name.lower()
     if ".tfrecord" in lower:
         raise UsageError(f"{file} is a file of Waymo records: convert it to scenarios first (sumo-adv convert).")
@@ -150,7 +150,7 @@ def input_name(path: Path) -> str:
     just a ``scenario.toml``."""
     if path.name == SCENARIO_FILE and path.resolve().parent.name:
         return path.resolve().parent.name
-    for suffix in _SUFFIXES:
+    for suffix in _INPUT_SUFFIXES:
         if path.name.lower().endswith(suffix) and len(path.name) > len(suffix):
             return path.name[: -len(suffix)]
     return path.stem
@@ -175,7 +175,7 @@ def shipped_names() -> tuple[str, ...]:
     return (*shipped_files("scenarios", ".toml"), *shipped_files("networks", ".net.xml"))
 
 
-def resolve(path: Path) -> Path:
+def find_input(path: Path) -> Path:
     """``path`` itself if it is a file, else the shipped scenario or network it names."""
     if path.is_file():
         return path

@@ -39,7 +39,7 @@ MAX_VEHICLE_STEP_M = 60.0  # of a vehicle: one that moves further in a step was 
 
 
 @dataclass(frozen=True, slots=True)
-class Strip:
+class ElevatedLane:
     """A lane as this module needs it.
 
     edge: its edge; shape: ``(n, 2)`` [m]; z: ``(n,)`` [m]; start, end: its junctions, the same for a lane within one;
@@ -68,7 +68,7 @@ class Strip:
 class Network:
     """The way along a network from one place to another, in either direction of its lanes."""
 
-    def __init__(self, strips: Iterable[Strip]) -> None:
+    def __init__(self, strips: Iterable[ElevatedLane]) -> None:
         self.strips = {strip.id: strip for strip in strips if len(strip.shape) > 1}
         self._length = {name: strip.length for name, strip in self.strips.items()}
         self._onward: dict[str, list[tuple[str, float]]] = defaultdict(list)
@@ -199,7 +199,7 @@ def covers(line: Floats, width: float, x: Floats | float, y: Floats | float, z: 
     return np.asarray((np.hypot(near_x - x, near_y - y) < width / 2) & (height - z > LAYER_HEIGHT_M))
 
 
-def heights_of(strips: Iterable[Strip], *, infer: bool = True) -> Heights | None:
+def lane_heights(strips: Iterable[ElevatedLane], *, infer: bool = True) -> Heights | None:
     """The heights of a network's lanes; None where all is flat and no lane crosses another without a junction. infer:
     such a lane is a bridge."""
     network = Network(strips)
@@ -226,7 +226,7 @@ def pass_over(lines: Sequence[Floats]) -> bool:
     return False
 
 
-def _line(network: Network, strip: Strip, humps: Sequence[Hump]) -> Floats:
+def _line(network: Network, strip: ElevatedLane, humps: Sequence[Hump]) -> Floats:
     """The centreline with heights ``(n, 3)``; it gets more points only where a bridge raises it."""
     own = stations(*strip.shape.T)
     station = np.union1d(own, np.arange(0.0, float(own[-1]), HEIGHT_SAMPLE_STEP_M))

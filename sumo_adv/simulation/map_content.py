@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sumo_adv.errors import UsageError
-from sumo_adv.simulation.scan import parse
+from sumo_adv.simulation.scan import parse_xml
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +30,7 @@ class MapContent:
 
 
 def parse_map(path: Path, start: Callable[[str, dict[str, str]], None], root: str) -> None:
-    """Parse a file that must begin with the element ``root``. Raises UsageError like ``scan.parse``."""
+    """Parse a file that must begin with the element ``root``. Raises UsageError like ``scan.parse_xml``."""
     seen = False
 
     def checked(tag: str, attributes: dict[str, str]) -> None:
@@ -40,4 +40,4 @@ def parse_map(path: Path, start: Callable[[str, dict[str, str]], None], root: st
         seen = True
         start(tag, attributes)
 
-    parse(path, checked)
+    parse_xml(path, checked)

@@ -1,9 +1,8 @@
 """Maps of other formats as SUMO networks: OpenDRIVE and OpenStreetMap, converted by SUMO's ``netconvert``.
 
 A conversion is kept in the user's cache under the map's content, so that nothing is converted twice; a run's folder
-holds a copy of the network like that of any other input. ``Conversion`` counts what the network has, and names what it
-lacks.
-"""
+holds a copy of the network like that of any other input. ``MapConversion`` counts what the network has, and names what
+it lacks."""
 
 from __future__ import annotations
 
@@ -31,7 +30,7 @@ from sumo_adv.simulation.map_content import MapContent
 from sumo_adv.simulation.opendrive import TYPE_MAP, read_opendrive
 from sumo_adv.simulation.openstreetmap import read_openstreetmap
 from sumo_adv.simulation.programs import find_netconvert, find_type_maps
-from sumo_adv.simulation.scan import allows_passenger, parse
+from sumo_adv.simulation.scan import allows_passenger, parse_xml
 from sumo_adv.simulation.warnings_log import WarningKind, kinds_of, said_of, warnings_in, with_names
 
 OPENDRIVE = (".xodr", ".xodr.gz")
@@ -60,7 +59,7 @@ OF_OPENSTREETMAP = (
 """Also the recommendation of SUMO's page on importing OpenStreetMap."""
 CONNECTED = ("--remove-edges.isolated",)
 """Without the pieces of roads at the rim of a part of OpenStreetMap, where anything else is left then."""
-TYPES = {
+TYPE_MAPS = {
     "osm": ("osmNetconvert.typ.xml", "osmNetconvertPedestrians.typ.xml"),
     "opendrive": (
         "opendriveNetconvert.typ.xml", "opendriveNetconvertPedestrians.typ.xml", "opendriveNetconvertBicycle.typ.xml",
@@ -70,7 +69,7 @@ READERS = {"osm": read_openstreetmap, "opendrive": read_opendrive}
 
 
 @dataclass(frozen=True, slots=True)
-class Conversion:
+class MapConversion:
     """A converted map. network: the SUMO network. options: netconvert's. lost: what the network lacks, by kind. said:
     sentences on what was converted and lost, and on what netconvert warns of. warnings: all kinds of that."""
 
@@ -87,7 +86,7 @@ def is_map(path: Path) -> bool:
     return path.name.lower().endswith((*MAPS, *PACKED))
 
 
-def convert_map(path: Path, *, cache: Path | None = None) -> Conversion:
+def convert_map(path: Path, *, cache: Path | None = None) -> MapConversion:
     """The map at ``path`` as a network, from the cache (default: the user's) or made now. Raises UsageError: the file
     is damaged, of another format, or has no road for cars; netconvert is missing or fails."""
     name = path.name.lower()
@@ -148,7 +147,7 @@ def _key(path: Path) -> str:
     return content.hexdigest()[:32]
 
 
-def _kept(path: Path, stem: str, place: Path) -> Conversion | None:
+def _kept(path: Path, stem: str, place: Path) -> MapConversion | None:
     """The whole conversion at ``place``, or None."""
     try:
         report = read_json(place / CONVERSION_FILE)
@@ -157,7 +156,7 @@ def _kept(path: Path, stem: str, place: Path) -> Conversion | None:
         return None
     warnings = tuple(WarningKind(each["first"], each["count"]) for each in report["warnings"])
     network = place / f"{stem}.net.xml"
-    return Conversion(path, network, tuple(report["options"]), dict(report["lost"]), tuple(report["said"]), warnings)
+    return MapConversion(path, network, tuple(report["options"]), dict(report["lost"]), tuple(report["said"]), warnings)
 
 
 def _trim(cache: Path) -> None:
@@ -173,7 +172,7 @@ def _netconvert(form: str, path: Path, folder: Path, options: Sequence[str]) -> 
     netconvert's warnings; None: nothing is left of the map. All names are relative: netconvert takes a comma or colon
     in a path for something else."""
     program = find_netconvert()
-    types = ",".join((*(str(find_type_maps(program) / name) for name in TYPES[form]), OWN_TYPES_FILE))
+    types = ",".join((*(str(find_type_maps(program) / name) for name in TYPE_MAPS[form]), OWN_TYPES_FILE))
     command = [str(program), f"--{form}-files", MAP_FILE, "--type-files", types, *options, "-o", MADE_NETWORK_FILE]
     target = folder / MADE_NETWORK_FILE
     try:
@@ -220,7 +219,7 @@ def _report(
         elif tag == "param" and attributes.get("key") == "origId":
             kept.update(attributes.get("value", "").split())
 
-    parse(network, start)
+    parse_xml(network, start)
     if not counts["lanes"]:
         return None
     missing = Counter(kind for name, kind in content.kinds.items() if name not in kept)

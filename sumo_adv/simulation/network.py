@@ -17,7 +17,7 @@ from sumo_adv.geometry import Path, along, make_path, read_only, same_layer, sta
 from sumo_adv.simulation.centreline import Centreline, centreline
 from sumo_adv.simulation.drivable import DRIVABLE_KEY, Drivable, Surface, area_of
 from sumo_adv.simulation.layers import HEIGHTS_KEY as HEIGHTS
-from sumo_adv.simulation.layers import Heights, Strip, heights_of
+from sumo_adv.simulation.layers import ElevatedLane, Heights, lane_heights
 from sumo_adv.simulation.permissions import ALL_CLASSES, CAR, EVERYWHERE, ON_FOOT, allowed, is_carriageway, is_paved
 
 MOVEMENT_OF_LETTER = {"s": "straight", "l": "left", "L": "left", "r": "right", "R": "right", "t": "u-turn"}
@@ -47,7 +47,7 @@ class Connection:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Lane(Centreline):
+class NetworkLane(Centreline):
     """One lane. width [m]; speed [m/s]. index: from the right, also in left-hand traffic, where SUMO counts from the
     left. classes: SUMO's vehicle classes that may use it."""
 
@@ -76,7 +76,7 @@ class Lane(Centreline):
 
 
 @dataclass(frozen=True, slots=True)
-class Way:
+class PathAhead:
     """A path a vehicle could take from where it is: the lanes, the first movement at a junction, the path."""
 
     lanes: tuple[str, ...]
@@ -111,7 +111,7 @@ class RoadMap:
     heights: of the lanes; None where the network is flat and has no bridges. rims: the junctions with heights."""
 
     name: str
-    lanes: dict[str, Lane]
+    lanes: dict[str, NetworkLane]
     edges: dict[str, tuple[str, ...]]  # edge -> its lane ids, rightmost first
     junctions: tuple[Floats, ...] = field(repr=False, default=())  # polygons (n, 2)
     ground: Any = field(repr=False, default=None)
@@ -119,16 +119,16 @@ class RoadMap:
     heights: Heights | None = field(repr=False, default=None)
     rims: tuple[Floats, ...] = field(repr=False, default=())
 
-    def line(self, lane: Lane) -> Floats:
+    def line(self, lane: NetworkLane) -> Floats:
         """The centreline of a lane ``(n, 2)`` [m], or ``(n, 3)`` with heights where the network has some."""
         line = None if self.heights is None else self.heights.lines.get(lane.id)
         return lane.shape if line is None else line
 
     @cached_property
-    def _tree(self) -> tuple[Any, list[Lane]]:
+    def _tree(self) -> tuple[Any, list[NetworkLane]]:
         return _tree_of(lane for lane in self.lanes.values() if not lane.internal)
 
-    def lanes_near(self, x: float, y: float, radius: float) -> list[Lane]:
+    def lanes_near(self, x: float, y: float, radius: float) -> list[NetworkLane]:
         """Lanes outside junctions that come within ``radius`` metres of a point."""
         from shapely import Point
 
@@ -146,10 +146,10 @@ class RoadMap:
         return frozenset(name for name, approaching in edges.items() if len(approaching) > 1)
 
     @cached_property
-    def _paved_tree(self) -> tuple[Any, list[Lane]]:
+    def _paved_tree(self) -> tuple[Any, list[NetworkLane]]:
         return _tree_of(lane for lane in self.lanes.values() if lane.paved)
 
-    def paved_lanes_within(self, x: float, y: float, radius: float) -> list[Lane]:
+    def paved_lanes_within(self, x: float, y: float, radius: float) -> list[NetworkLane]:
         """Paved lanes, also within junctions, of which a part of the centreline is within ``radius`` [m]."""
         from shapely import Point
 
@@ -171,7 +171,7 @@ class RoadMap:
                 best = away, lane.id, station
         return None if best is None else best[1:]
 
-    def level(self, lanes: Sequence[Lane], x: float, y: float, z: float | None) -> list[Lane]:
+    def level(self, lanes: Sequence[NetworkLane], x: float, y: float, z: float | None) -> list[NetworkLane]:
         """The lanes that are at a point on the layer of the height ``z`` [m]; all where that is None."""
         if self.heights is None or z is None:
             return list(lanes)
@@ -214,7 +214,7 @@ class RoadMap:
             offsets.append((opposite, "opposite"))
         return offsets
 
-    def beside(self, lane: Lane, vclass: str) -> Iterator[tuple[Lane, float]]:
+    def beside(self, lane: NetworkLane, vclass: str) -> Iterator[tuple[NetworkLane, float]]:
         """The lanes of its edge for a class, up to two to each side, and their offsets [m, left positive]."""
         row = [self.lanes[n] for n in self.edges[lane.edge]]
         for i, neighbour in enumerate(row):
@@ -226,21 +226,21 @@ class RoadMap:
     def ways(
         self, lane_id: str, station: float, reach: float, route: tuple[str, ...] = (), farthest: float = 0.0,
         vclass: str = CAR, closed: Closed = open_to_all,
-    ) -> list[Way]:  # fmt: skip
+    ) -> list[PathAhead]:  # fmt: skip
         """Ways on of a vehicle of a class from ``station`` metres along a lane for ``reach`` metres, on to
         ``farthest`` [m] where the last lane goes as far.
 
         With ``route`` (edge ids from the present one) only that way; else one way for each movement at the first
         junction, then the straightest. ``closed``: says which lanes are avoided.
         """
-        ways: list[Way] = []
+        ways: list[PathAhead] = []
         for chain, first, junction, bay in self._chains(lane_id, station, reach, route, vclass, closed):
             points = np.vstack([self.line(self.lanes[n]) for n in chain])
             path = make_path(_cut(points, station, max(reach, farthest)), tightest=MAX_PATH_CURVATURE_1_M)
             if path.length < reach:
                 path = path.extended(reach - path.length)
             movement, rule = ("none", "") if first is None else (first.movement, first.state)
-            ways.append(Way(tuple(chain), movement, path, junction, rule, first, bay))
+            ways.append(PathAhead(tuple(chain), movement, path, junction, rule, first, bay))
             if len(ways) == MAX_PATHS:
                 break
         return ways
@@ -283,7 +283,7 @@ class RoadMap:
             inside = 0.0 if lane.internal else start
             yield chain, first, inside, self._bay(lane, start, first)
 
-    def _bay(self, lane: Lane, start: float, on: Connection) -> float:
+    def _bay(self, lane: NetworkLane, start: float, on: Connection) -> float:
         """Metres to where the first internal lane of a connection ends and another follows; ``start``: to this lane's
         end."""
         if lane.internal:
@@ -291,7 +291,7 @@ class RoadMap:
         return start + self.lanes[on.via[0]].length if len(on.via) > 1 else math.inf
 
     def onward(
-        self, lane: Lane, route: tuple[str, ...], vclass: str = CAR, closed: Closed = open_to_all
+        self, lane: NetworkLane, route: tuple[str, ...], vclass: str = CAR, closed: Closed = open_to_all
     ) -> list[Connection]:
         """Connections from a lane for a class, straight ones first; only along ``route`` where that says something.
         Those to closed lanes only where there are no others.
@@ -324,7 +324,7 @@ class RoadMap:
         ]  # fmt: skip
         return [LaneStrip(self.line(lane), lane.width, lane.internal) for lane in sorted(near, key=self.top)]
 
-    def top(self, lane: Lane) -> float:
+    def top(self, lane: NetworkLane) -> float:
         """The greatest height of a lane [m]: what is drawn later hides what is below it."""
         line = self.line(lane)
         return float(line[:, 2].max()) if line.shape[1] > 2 else 0.0
@@ -371,7 +371,7 @@ class RoadMap:
         return Drivable(union_all(shapes).buffer(HALF_LANE_GAP_M).buffer(-HALF_LANE_GAP_M), tuple(surfaces))
 
 
-def _tree_of(lanes: Iterable[Lane]) -> tuple[Any, list[Lane]]:
+def _tree_of(lanes: Iterable[NetworkLane]) -> tuple[Any, list[NetworkLane]]:
     """Lanes, and a tree to look them up by place."""
     from shapely import LineString, STRtree
 
@@ -406,8 +406,8 @@ def read_network(path: FilePath) -> RoadMap:
         strips = [_strip(lane) for edge in net.getEdges(withInternal=True) for lane in edge.getLanes()]
     except ValueError as error:
         raise UsageError(f"The heights in {path} are damaged ({error}); convert the record again.") from error
-    heights = heights_of(strips, infer=ground is None)
-    lanes: dict[str, Lane] = {}
+    heights = lane_heights(strips, infer=ground is None)
+    lanes: dict[str, NetworkLane] = {}
     edges: dict[str, tuple[str, ...]] = {}
     for edge in net.getEdges(withInternal=True):
         row = tuple(lane.getID() for lane in edge.getLanes())
@@ -415,7 +415,7 @@ def read_network(path: FilePath) -> RoadMap:
         internal = edge.getFunction() == "internal"
         for lane in edge.getLanes():
             line = centreline(lane.getShape3D(), float(lane.getLength()))
-            lanes[lane.getID()] = Lane(
+            lanes[lane.getID()] = NetworkLane(
                 line.shape, line.stations, line.positions,
                 lane.getID(), edge.getID(), edges[edge.getID()].index(lane.getID()),
                 float(lane.getWidth()), float(lane.getSpeed()), internal,
@@ -427,7 +427,7 @@ def read_network(path: FilePath) -> RoadMap:
     return RoadMap(path.name.split(".net.xml")[0], lanes, edges, junctions, ground, hand, heights, rims)
 
 
-def _strip(lane: Any) -> Strip:
+def _strip(lane: Any) -> ElevatedLane:
     """A lane of sumolib for its height. A faster, wider road bridges another rather than the other way round."""
     edge = lane.getEdge()
     shape = np.asarray(lane.getShape3D(), float)
@@ -439,7 +439,7 @@ def _strip(lane: Any) -> Strip:
     if len(z) != len(shape):
         raise ValueError(f"lane {lane.getID()} has {len(shape)} points and {len(z)} heights")
     rank = (not edge.getFunction(), *size, *sorted((start, end)), edge.getID())
-    return Strip(lane.getID(), edge.getID(), shape[:, :2], z, start, end, rank)
+    return ElevatedLane(lane.getID(), edge.getID(), shape[:, :2], z, start, end, rank)
 
 
 def _rim(node: Any, heights: Heights) -> Floats:

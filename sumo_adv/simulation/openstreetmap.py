@@ -26,7 +26,7 @@ from sumo_adv.simulation.map_content import MapContent, parse_map
 MAX_LANES_OF_WAY = 30  # of a way: the widest roads there are have some 25, and netconvert makes as many as it is told
 LANE_COUNTS = ("lanes", "lanes:forward", "lanes:backward", "lanes:both_ways")
 PUBLIC = ("bus", "psv")
-ALLOWED = ("yes", "designated", "official")
+ALLOWING = ("yes", "designated", "official")
 CLOSING = ("access", "vehicle", "motor_vehicle")
 OF_CARS = ("motorcar", "motor_vehicle", "vehicle", "access")  # OpenStreetMap's order: the first that is given holds
 CLOSED_TO_CARS = frozenset(("no", "agricultural", "forestry", "emergency", "military", "bus", "psv", "taxi"))
@@ -272,7 +272,7 @@ def _closed_lanes(tags: Tags) -> int:
         open_to = [tags.get(f"{kind}:lanes{direction}", "").split("|") for kind in (*PUBLIC, "bicycle")]
         for k in range(max(map(len, shut), default=0)):
             closed = any(words[k] == "no" for words in shut if k < len(words))
-            number += closed and not any(words[k] in ALLOWED for words in open_to if k < len(words))
+            number += closed and not any(words[k] in ALLOWING for words in open_to if k < len(words))
     return number
 
 
@@ -281,7 +281,7 @@ def _designated(text: str, closed: str) -> str:
     words, shut = text.split("|"), closed.split("|")
     if len(words) != len(shut):
         return text
-    return "|".join("designated" if w in ALLOWED and c == "no" else w for w, c in zip(words, shut, strict=True))
+    return "|".join("designated" if w in ALLOWING and c == "no" else w for w, c in zip(words, shut, strict=True))
 
 
 def _lanes(tags: Tags, direction: str) -> int | None:

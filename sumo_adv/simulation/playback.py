@@ -20,7 +20,7 @@ import numpy as np
 from sumo_adv.datatypes import Floats, Track
 from sumo_adv.geometry import Pose
 from sumo_adv.simulation.network import RoadMap
-from sumo_adv.simulation.playback_spec import PlaybackSpec, Prop, Recorded
+from sumo_adv.simulation.playback_spec import PlaybackSpec, PlayedObject, Prop
 from sumo_adv.simulation.signals import SignalLog, read_signals
 from sumo_adv.simulation.simulation import RawState, Simulation, heading_of, raw_of
 from sumo_adv.simulation.stage import Stage
@@ -42,9 +42,9 @@ class Playback:
         logged = log is not None and ego is not None and ego in log.tracks
         self.hand_over = (log.first(ego) if logged and log and ego else begin) + (warm_up if log is not None else 0.0)
         tracks = {} if self.log is None else self.log.tracks
-        recorded = {name: Recorded(track, begin, step) for name, track in tracks.items()}
+        recorded = {name: PlayedObject(track, begin, step) for name, track in tracks.items()}
         self._vehicles = {name: r for name, r in recorded.items() if r.track.kind == "vehicle"}
-        props: dict[str, Prop | Recorded] = {p.id: p for p in spec.props}
+        props: dict[str, Prop | PlayedObject] = {p.id: p for p in spec.props}
         under = {p.id: road.lane_at(p.x, p.y, p.heading) for p in spec.props if p.speed == 0.0}
         self._standing = {p.id: (p, road.lanes[at[0]].edge) for p in spec.props if (at := under.get(p.id))}
         others = {name: r for name, r in recorded.items() if name not in self._vehicles}
@@ -89,7 +89,7 @@ class Playback:
         recorded = {**self._vehicles, **{name: self._boxes[name] for name in self._beside}}
         boxes = {name: box for name, box in self._boxes.items() if name not in self._beside}
         self._beside = frozenset(vehicles)
-        self._vehicles = {n: r for n, r in recorded.items() if n not in self._beside and isinstance(r, Recorded)}
+        self._vehicles = {n: r for n, r in recorded.items() if n not in self._beside and isinstance(r, PlayedObject)}
         self._boxes = {**boxes, **{name: recorded[name] for name in vehicles}}
 
     def kind(self, obstacle: str) -> str:
@@ -169,7 +169,7 @@ class Playback:
         if self._signals is not None:
             self._show(self._signals, then)
 
-    def _keep_apart(self, name: str, vehicle: Recorded, pose: Pose, lane: str) -> None:
+    def _keep_apart(self, name: str, vehicle: PlayedObject, pose: Pose, lane: str) -> None:
         """Insert a vehicle anew once it has left all lanes. Measured with SUMO 1.28: moving it on can crash SUMO, after
         its route was rewritten to the edge that it left."""
         if lane:
@@ -210,10 +210,10 @@ class Playback:
                 self._spawn(prop, (edge,), pose)
             driven[name] = self._moved[name] = pose
 
-    def _spawn(self, vehicle: Prop | Recorded, edges: tuple[str, ...], pose: Pose) -> None:
+    def _spawn(self, vehicle: Prop | PlayedObject, edges: tuple[str, ...], pose: Pose) -> None:
         self._stage.spawn(vehicle.id, edges, pose, (vehicle.length, vehicle.width))
 
-    def _room(self, vehicle: Recorded, pose: Pose, raw: Mapping[str, RawState]) -> bool:
+    def _room(self, vehicle: PlayedObject, pose: Pose, raw: Mapping[str, RawState]) -> bool:
         """Whether the place at which a vehicle will be inserted is free, also just before and behind it."""
         c, s = math.cos(pose.heading), math.sin(pose.heading)
         for name, (x, y, angle_deg, speed, _) in raw.items():

@@ -41,7 +41,7 @@ class Prop:
 
 
 @dataclass(frozen=True, slots=True)
-class Recorded:
+class PlayedObject:
     """An object of a log; its grid begins at ``begin`` [s] with steps of ``step`` [s]."""
 
     track: LoggedTrack

@@ -14,10 +14,19 @@ from typing import Any
 from sumo_adv.errors import SimulationError
 
 SIMSTEP, VEHICLE_GET, SIMULATION_GET, PERSON_GET = 0x02, 0xA4, 0xAB, 0xAE
-POSITION, ANGLE, SPEED, LANE_POSITION, LANE, RIDE = 0x42, 0x43, 0x40, 0x56, 0x51, 0xC3
-ID_LIST, TIME = 0x00, 0x66
-VEHICLE_STATE = (POSITION, ANGLE, SPEED, LANE_POSITION, LANE)  # the lane is the last: its name may have any length
-PERSON_STATE = (POSITION, ANGLE, SPEED, LANE_POSITION, RIDE)  # of the same form
+POSITION_VARIABLE, ANGLE_VARIABLE, SPEED_VARIABLE, LANE_POSITION_VARIABLE, LANE_VARIABLE, RIDE_VARIABLE = (
+    0x42,
+    0x43,
+    0x40,
+    0x56,
+    0x51,
+    0xC3,
+)
+ID_LIST, TIME_VARIABLE = 0x00, 0x66
+# the lane is the last: its name may have any length
+VEHICLE_STATE = (POSITION_VARIABLE, ANGLE_VARIABLE, SPEED_VARIABLE, LANE_POSITION_VARIABLE, LANE_VARIABLE)
+# of the same form
+PERSON_STATE = (POSITION_VARIABLE, ANGLE_VARIABLE, SPEED_VARIABLE, LANE_POSITION_VARIABLE, RIDE_VARIABLE)
 BARE_STATUS_BYTES = 7  # of a status without words
 LENGTH_FORMAT = struct.Struct("!i")
 STEP_COMMAND = struct.pack("!BBd", 10, SIMSTEP, 0.0)
@@ -48,7 +57,7 @@ class Remote:
         self._questions: dict[tuple[int, str], bytes] = {}
         self._places: dict[int, struct.Struct] = {}
         self._overview = b"".join(
-            (getter(SIMULATION_GET, TIME), getter(VEHICLE_GET, ID_LIST), getter(PERSON_GET, ID_LIST))
+            (getter(SIMULATION_GET, TIME_VARIABLE), getter(VEHICLE_GET, ID_LIST), getter(PERSON_GET, ID_LIST))
         )
         self._names()
 

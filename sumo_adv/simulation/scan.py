@@ -87,7 +87,7 @@ def scan_network(path: Path, shown: Path | None = None, *, cars: bool = True) ->
             crossings += not attributes.get("from", ":").startswith(":")
             across += "via" in attributes
 
-    parse(path, start)
+    parse_xml(path, start)
     if crossings and not across:
         raise UsageError(f"The network {named} has no lanes on its junctions: {NO_JUNCTIONS}.")
     if not (drivable if cars else any(paved)):
@@ -142,7 +142,7 @@ def scan_demand(path: Path) -> DemandScan:
         elif tag in ("person", "personFlow"):
             persons.add(PERSON + attributes.get("id", ""))
 
-    files = parse(path, start)
+    files = parse_xml(path, start)
     return DemandScan(tuple(edges), frozenset(vehicles), frozenset(flows), frozenset(persons), files)
 
 
@@ -155,7 +155,7 @@ def scan_routes(files: Sequence[Path]) -> dict[str, tuple[str, ...]]:
             routes[attributes["id"]] = tuple(attributes.get("edges", "").split())
 
     for file in files:
-        parse(file, start)
+        parse_xml(file, start)
     return routes
 
 
@@ -172,16 +172,16 @@ def first_departure(files: Sequence[Path]) -> float:
         if tag in _DEPARTING:
             text = attributes.get("depart", attributes.get("begin", "0"))
             try:
-                times.append(seconds(files[0], "departure", text) or 0.0)
+                times.append(parse_seconds(files[0], "departure", text) or 0.0)
             except UsageError:  # no time, but a word
                 times.extend([] if text in _LATER else [0.0])
 
     for file in files:
-        parse(file, see)
+        parse_xml(file, see)
     return min(times, default=0.0)
 
 
-def seconds(path: Path, key: str, value: str | None) -> float | None:
+def parse_seconds(path: Path, key: str, value: str | None) -> float | None:
     """A time of SUMO's files in s: a number, ``h:m:s`` or ``d:h:m:s``; negative means not given."""
     if value is None:
         return None
@@ -194,7 +194,7 @@ def seconds(path: Path, key: str, value: str | None) -> float | None:
     return total if total >= 0.0 else None
 
 
-def parse(path: Path, start: _Handler, end: Callable[[str], None] | None = None) -> tuple[Path, ...]:
+def parse_xml(path: Path, start: _Handler, end: Callable[[str], None] | None = None) -> tuple[Path, ...]:
     """Feeds the start and the end of every element to ``start`` and ``end``, and returns the other files that it read.
 
     Those are the files that SUMO reads because this one names them (``READ``). The elements below their roots come
@@ -268,7 +268,7 @@ def _read(path: Path, start: _Handler, end: Callable[[str], None] | None) -> Non
         raise UsageError(f"{path} cannot be read: {error.strerror or error}.") from error
 
 
-def read_text(path: Path, what: str) -> str:
+def read_sumo_text(path: Path, what: str) -> str:
     """The text of a file in UTF-8, packed by gzip or not, without its byte order mark. Raises UsageError; ``what``: the
     file in words."""
     try:
@@ -304,7 +304,7 @@ def _open(path: Path) -> BinaryIO:
 
 # -- copies from which SUMO writes nothing --------------------------------------------------------------------------
 
-NOWHERE = "NUL"
+NO_FILE = "NUL"
 WRITTEN = ("file", "output", "dest")
 """Attributes that name a file to write, where they do not name one to read (``scan.READ``)."""
 WRITTEN_PARAMETER = re.compile(r"(.*[^a-z])?(files?|outputs?|log|logfile|dump|swarmlog)", re.IGNORECASE | re.DOTALL)
@@ -330,7 +330,7 @@ def _names_files(file: Path) -> bool:
         nonlocal changed
         changed = changed or _silent(tag, attributes) != attributes
 
-    return bool(parse(file, start)) or changed
+    return bool(parse_xml(file, start)) or changed
 
 
 def _copy(file: Path, folder: Path) -> Path:
@@ -346,7 +346,7 @@ def _copy(file: Path, folder: Path) -> Path:
             out.write(f"</{tag}>\n")
 
         out.write('<?xml version="1.0" encoding="UTF-8"?>\n')
-        parse(file, start, end)
+        parse_xml(file, start, end)
     return target
 
 
@@ -354,7 +354,7 @@ def _silent(tag: str, attributes: dict[str, str]) -> dict[str, str]:
     """The attributes of an element that writes and reads no file."""
     if tag == "param":
         written = WRITTEN_PARAMETER.fullmatch(attributes.get("key", "")) is not None
-        return {**attributes, "value": NOWHERE} if written else attributes
+        return {**attributes, "value": NO_FILE} if written else attributes
     read = READ.get(tag)
     kept = {key: value for key, value in attributes.items() if key not in (read, FROM_HERE)}
-    return {key: NOWHERE if key in WRITTEN else value for key, value in kept.items()}
+    return {key: NO_FILE if key in WRITTEN else value for key, value in kept.items()}

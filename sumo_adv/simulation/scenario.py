@@ -15,7 +15,7 @@ from typing import Annotated, Literal, Self, TypeAlias
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, model_validator
 from pydantic_core import ErrorDetails
 
-from sumo_adv.asked import Asked, Written
+from sumo_adv.asked import Asked, RequestOrigin
 from sumo_adv.datatypes import MAX_ADVERSARIES, Relation
 from sumo_adv.errors import UsageError
 from sumo_adv.parsing import read_toml
@@ -91,7 +91,7 @@ class Ego(_Table):
         return self
 
 
-class Window(_Table):
+class AttackWindow(_Table):
     """When to attack: ``trigger`` [s] or "auto" (looked for online, ``warm_up`` s after the ego's insertion at the
     earliest), and for how long (``horizon`` [s])."""
 
@@ -113,7 +113,7 @@ Background: TypeAlias = Literal["log", "sumo"]
 """Who drives recorded vehicles."""
 
 
-class Box(_Table):
+class ObstacleBox(_Table):
     """A parked obstacle, pedestrian or cyclist: centre [m], heading [rad, counter-clockwise from +x], size [m]."""
 
     x: float
@@ -156,14 +156,14 @@ class Scenario(_Table):
     additional: tuple[Located, ...] = ()
     demand: Demand = Demand()
     ego: Ego = Ego()
-    window: Window = Window()
+    window: AttackWindow = AttackWindow()
     adversary: Adversary = Adversary()
     signals: Signals = Signals()
     label: Label | None = None
-    parked: tuple[Box, ...] = ()
-    pedestrians: tuple[Box, ...] = ()
-    cyclists: tuple[Box, ...] = ()
-    written: Written | None = None
+    parked: tuple[ObstacleBox, ...] = ()
+    pedestrians: tuple[ObstacleBox, ...] = ()
+    cyclists: tuple[ObstacleBox, ...] = ()
+    written: RequestOrigin | None = None
     asked: Asked | None = None
 
 
@@ -195,8 +195,9 @@ def _sentence(path: Path, detail: ErrorDetails) -> str:
 def _known_keys(location: tuple[int | str, ...]) -> str:
     """Which keys there are beside the unknown one at ``location``."""
     tables: dict[str, type[BaseModel]] = {
-        "demand": Demand, "ego": Ego, "window": Window, "adversary": Adversary, "signals": Signals, "label": Label,
-        "parked": Box, "pedestrians": Box, "cyclists": Box, "written": Written, "asked": Asked,
+        "demand": Demand, "ego": Ego, "window": AttackWindow, "adversary": Adversary, "signals": Signals,
+        "label": Label, "parked": ObstacleBox, "pedestrians": ObstacleBox, "cyclists": ObstacleBox,
+        "written": RequestOrigin, "asked": Asked,
     }  # fmt: skip
     table = tables.get(str(location[0]), Scenario) if len(location) > 1 else Scenario
     names = [info.alias or name for name, info in table.model_fields.items()]

@@ -19,7 +19,7 @@ import numpy as np
 
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.network import RoadMap
-from sumo_adv.simulation.scan import read_text
+from sumo_adv.simulation.scan import read_sumo_text
 from sumo_adv.simulation.simulation import Simulation
 
 SIGNAL_COLUMNS = ("time", "tls", "state")
@@ -44,7 +44,7 @@ class SignalLog:
 
 def read_signals(path: Path) -> SignalLog:
     """The recorded lights in ``path``. Raises UsageError: one sentence with file and line for whatever is wrong."""
-    reader = csv.reader(io.StringIO(read_text(path, "The signals")))
+    reader = csv.reader(io.StringIO(read_sumo_text(path, "The signals")))
     if tuple(next(reader, [])) != SIGNAL_COLUMNS:
         raise UsageError(f"The signals {path} begin with another header: line 1 must be '{','.join(SIGNAL_COLUMNS)}'.")
     lights: dict[str, list[tuple[float, str]]] = {}

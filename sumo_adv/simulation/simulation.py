@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 from sumo_adv.datatypes import DriverModel, VehicleState
 from sumo_adv.errors import SimulationError, UsageError
 from sumo_adv.geometry import Pose, wrap
-from sumo_adv.simulation.arrivals import Arrival, arrival, arrival_attributes
+from sumo_adv.simulation.arrivals import ArrivalPlace, arrival, arrival_attributes
 from sumo_adv.simulation.given_options import HOME, VARIABLE, check
 from sumo_adv.simulation.permissions import CYCLES, EVERYWHERE, MOTOR, ON_FOOT, is_carriageway
 from sumo_adv.simulation.programs import load_libsumo
@@ -366,7 +366,7 @@ class Simulation:
             self._closed[lane] = self.api.lane.getDisallowed(lane)
         return kind in self._closed[lane]
 
-    def arrival(self, vehicle: str, route: Sequence[str]) -> Arrival | None:
+    def arrival(self, vehicle: str, route: Sequence[str]) -> ArrivalPlace | None:
         """Where SUMO takes a vehicle out that drives this whole route; None where it is unknown (empty)."""
         if not route:
             return None

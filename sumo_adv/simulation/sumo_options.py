@@ -163,7 +163,7 @@ def differing(options: Mapping[str, str]) -> dict[str, str]:
     }  # fmt: skip
 
 
-def parse(given: Sequence[str]) -> dict[str, str]:
+def parse_options(given: Sequence[str]) -> dict[str, str]:
     """``NAME=VALUE`` texts as options. Raises UsageError for another form."""
     parsed: dict[str, str] = {}
     for text in given:

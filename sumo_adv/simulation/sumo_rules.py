@@ -1,7 +1,7 @@
 """SUMO's drivers as they are predicted: the situations of many adversaries as arrays, car following, and junctions.
 
 Attacks that begin at different moments of one encounter are predicted together. Each moment has its own frame, path,
-lane and unattacked ego (``Scenes``).
+lane and unattacked ego (``SituationBatch``).
 
 Krauss follows ``MSCFModel_Krauss`` (Krauß 1998); all other drivers follow ``MSCFModel_IDM`` (Treiber, Hennecke and
 Helbing 2000). Speeds are in m/s and gaps in m; arrays are ``(n,)`` or any shape that broadcasts.
@@ -24,7 +24,7 @@ from sumo_adv.geometry import Paths, wrap
 from sumo_adv.situation import Situation
 
 
-class Scenes:
+class SituationBatch:
     """A situation for each of ``n`` adversaries. All are of one encounter: ego, driver and step are the same."""
 
     def __init__(self, situations: Sequence[Situation]) -> None:
@@ -218,7 +218,7 @@ class AtJunction(NamedTuple):
 class Junctions:
     """The junctions ahead of ``n`` egos. State: which of the two was on the junction first."""
 
-    def __init__(self, scenes: Scenes, driver: CarFollowing) -> None:
+    def __init__(self, scenes: SituationBatch, driver: CarFollowing) -> None:
         self._driver, self._half, self._dt = driver, scenes.ego.length / 2, scenes.dt
         self._enters, self._bay = scenes.each(lambda s: s.road.junction), scenes.each(lambda s: s.road.bay)
         has_bay = np.isfinite(self._bay)
@@ -305,10 +305,10 @@ class Junctions:
         stops &= np.isfinite(adversary.meets_at) & (begins == self._begins) & (adversary.rear_to_exit > 0.0)
         if not stops.any():
             return np.full(len(v), np.inf)
-        arrival = seconds(adversary.front_to_zone + adversary.half_zone, adversary.speed, FOE_ACCELERATION_M_S2)
-        gone = seconds(adversary.rear_to_exit, adversary.speed, FOE_ACCELERATION_M_S2)
-        at_line = seconds(room, v, self._driver.acceleration)
-        across = seconds(left + 2 * self._half + MEETING_CLEARANCE_M, v, self._driver.acceleration)
+        arrival = travel_time(adversary.front_to_zone + adversary.half_zone, adversary.speed, FOE_ACCELERATION_M_S2)
+        gone = travel_time(adversary.rear_to_exit, adversary.speed, FOE_ACCELERATION_M_S2)
+        at_line = travel_time(room, v, self._driver.acceleration)
+        across = travel_time(left + 2 * self._half + MEETING_CLEARANCE_M, v, self._driver.acceleration)
         waits = stops & (across + MINOR_TIME_GAP_S > arrival) & (gone > at_line)
         return np.where(waits, self._driver.stopping(v, np.maximum(room - POSITION_EPS_M, 0.0)), np.inf)
 
@@ -319,7 +319,7 @@ def _has_priority(situation: Situation) -> float:
     return float(lights[0][2] == "G" if lights else situation.road.rule == "M")
 
 
-def seconds(distance: Floats, speed: Floats, acceleration: float, fastest: float = FOE_SPEED_M_S) -> Floats:
+def travel_time(distance: Floats, speed: Floats, acceleration: float, fastest: float = FOE_SPEED_M_S) -> Floats:
     """The time [s] for a distance [m] with even acceleration up to ``fastest`` [m/s]; 0 for a negative distance."""
     distance, initial = np.maximum(distance, 0.0), np.maximum(speed, 0.01)
     final = np.maximum(np.minimum(np.sqrt(initial * initial + 2 * acceleration * distance), fastest), initial)

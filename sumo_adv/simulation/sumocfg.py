@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sumo_adv.errors import UsageError
-from sumo_adv.simulation.scan import parse, seconds
+from sumo_adv.simulation.scan import parse_seconds, parse_xml
 from sumo_adv.simulation.sumo_options import (
     MAX_STEP_LENGTH_S,
     MIN_STEP_LENGTH_S,
@@ -41,11 +41,11 @@ SYNONYMS: Mapping[str, str] = {
 }  # fmt: skip
 """Other names of SUMO's options (``sumo --save-template``), and the name that it uses itself."""
 _KNOWN_ATTRIBUTES = frozenset(("value", "v", "type", "help", "synonymes"))
-_VARIABLE = re.compile(r"\$\{(.+?)\}")
+_ENVIRONMENT_VARIABLE = re.compile(r"\$\{(.+?)\}")
 _SECRET = re.compile(r"KEY|TOKEN|SECRET|PASSW|CREDENTIAL|SUMO_ADV_", re.IGNORECASE)  # in names of variables
 _OF_SUMO = ("LOCALTIME", "UTC", "PID")  # variables that SUMO itself sets, for names of outputs
 _FILES = ("net-file", "route-files", "additional-files")
-_OURS = (*_FILES, "begin", "end", "seed", "step-length")
+_OWN_OPTIONS = (*_FILES, "begin", "end", "seed", "step-length")
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,17 +89,17 @@ def read_sumocfg(path: Path, environ: Mapping[str, str] = os.environ) -> Configu
         UsageError: It is damaged, names an option twice, has a bad time, or cannot be run.
     """
     given, notes = _options(path, environ)
-    begin, end = (seconds(path, key, given.get(key)) for key in ("begin", "end"))
+    begin, end = (parse_seconds(path, key, given.get(key)) for key in ("begin", "end"))
     if begin is None and "begin" in given:
         raise UsageError(f"{path} begins at {given['begin']} s: SUMO takes no negative begin, so correct it.")
     begin = begin or 0.0
     if end is not None and end <= begin:
         raise UsageError(f"{path} ends at {end:g} s, which is not after its begin: correct one of the two.")
-    sumo_step = seconds(path, "step-length", given.get("step-length", str(SUMO_STEP_LENGTH_S)))
+    sumo_step = parse_seconds(path, "step-length", given.get("step-length", str(SUMO_STEP_LENGTH_S)))
     if not sumo_step:
         raise UsageError(f"{path} has steps of {given['step-length'][:40]} s: give a step-length above 0.")
     step, said = _step(path, sumo_step, named="step-length" in given)
-    options, left = kept(path, {name: value for name, value in given.items() if name not in _OURS})
+    options, left = kept(path, {name: value for name, value in given.items() if name not in _OWN_OPTIONS})
     if end is not None:
         options["end"] = given["end"]  # flows without an end of their own have this one
     networks, routes, additional = (_files(path, given.get(name, "")) for name in _FILES)
@@ -136,7 +136,9 @@ def _options(path: Path, environ: Mapping[str, str]) -> tuple[dict[str, str], tu
         if unknown:
             notes.append(f"SUMO passes over the attribute '{unknown[0]}' of the option '{tag}' in {path.name}.")
         value, unset = _expanded(values[0].strip(), environ)
-        secret = next((each for each in _VARIABLE.findall(f"{values[0]} {value}") if _SECRET.search(each)), None)
+        secret = next(
+            (each for each in _ENVIRONMENT_VARIABLE.findall(f"{values[0]} {value}") if _SECRET.search(each)), None
+        )
         if secret is not None:  # values of options stand in messages and in a run's files
             raise UsageError(
                 f"{path} names the variable {secret!r}, which may hold a secret: take it out or rename it."
@@ -147,15 +149,15 @@ def _options(path: Path, environ: Mapping[str, str]) -> tuple[dict[str, str], tu
         if value:
             options[name] = value
 
-    parse(path, start)
+    parse_xml(path, start)
     return options, tuple(notes)
 
 
 def _expanded(text: str, environ: Mapping[str, str]) -> tuple[str, list[str]]:
     """A value with its variables, and the names of those that are not set."""
-    names = [name for name in _VARIABLE.findall(text) if name not in _OF_SUMO]
+    names = [name for name in _ENVIRONMENT_VARIABLE.findall(text) if name not in _OF_SUMO]
     unset = [name for name in names if name not in environ]
-    whole = _VARIABLE.sub(lambda m: m[0] if m[1] in _OF_SUMO else environ.get(m[1], ""), text)
+    whole = _ENVIRONMENT_VARIABLE.sub(lambda m: m[0] if m[1] in _OF_SUMO else environ.get(m[1], ""), text)
     home = environ.get("HOME", "")
     if whole.startswith("~"):
         whole = f"{home}{whole[1:]}"

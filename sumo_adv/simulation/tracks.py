@@ -18,12 +18,12 @@ from pathlib import Path
 
 import numpy as np
 
-from sumo_adv.consistency import Motion, even_grid, find_fault, off_grid, steps_over
+from sumo_adv.consistency import GivenMotion, even_grid, find_fault, off_grid, steps_over
 from sumo_adv.datatypes import Bools, Floats, Role, Track
 from sumo_adv.errors import UsageError
 from sumo_adv.geometry import wrap, wrap_below_pi
 from sumo_adv.simulation.remote import RawState
-from sumo_adv.simulation.scan import read_text
+from sumo_adv.simulation.scan import read_sumo_text
 from sumo_adv.simulation.simulation import Snapshot
 from sumo_adv.times import seconds_text
 
@@ -50,10 +50,10 @@ class LoggedTrack:
     length: float
     width: float
 
-    def motion(self, time: Floats) -> Motion:
+    def motion(self, time: Floats) -> GivenMotion:
         """Its valid states on the grid ``time`` ``(n,)`` [s], to be checked."""
         v = self.valid
-        return Motion(
+        return GivenMotion(
             self.id, self.kind, time[v], self.x[v], self.y[v], self.heading[v], self.speed[v], self.length, self.width
         )
 
@@ -148,7 +148,7 @@ def read_tracks(path: Path) -> TrackLog:
 
 def _lines(path: Path) -> Iterable[tuple[int, list[str]]]:
     """Line numbers and fields of the rows under the header."""
-    reader = csv.reader(io.StringIO(read_text(path, "The tracks")))
+    reader = csv.reader(io.StringIO(read_sumo_text(path, "The tracks")))
     try:
         header = next(reader, [])
         if tuple(header) != TRACK_COLUMNS:

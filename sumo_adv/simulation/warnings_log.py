@@ -14,8 +14,8 @@ from pathlib import Path
 WARNINGS_FILE = "warnings.txt"  # of a run's folder
 MAX_SHOWN_WARNINGS = 6  # kinds that a sentence each is given
 MAX_WARNING_CHARACTERS = 300  # of a warning in a sentence
-_BEGIN = "Warning: "
-_VARIABLE = re.compile(r"'[^']*'|\"[^\"]*\"|(?<![A-Za-z])[-+]?\d[\d.:,]*(?:[eE][-+]?\d+)?")
+_WARNING_PREFIX = "Warning: "
+_VARYING_PART = re.compile(r"'[^']*'|\"[^\"]*\"|(?<![A-Za-z])[-+]?\d[\d.:,]*(?:[eE][-+]?\d+)?")
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,8 +31,8 @@ def warnings_in(printed: str) -> tuple[str, ...]:
     found: list[str] = []
     within = False
     for line in printed.splitlines():
-        if line.startswith(_BEGIN):
-            found.append(line.removeprefix(_BEGIN).strip())
+        if line.startswith(_WARNING_PREFIX):
+            found.append(line.removeprefix(_WARNING_PREFIX).strip())
             within = True
         elif within and line.startswith(" ") and line.strip():
             found[-1] += f" {line.strip()}"
@@ -53,7 +53,7 @@ def kinds_of(warnings: Iterable[str]) -> tuple[WarningKind, ...]:
     first: dict[str, str] = {}
     count: dict[str, int] = {}
     for text in warnings:
-        kind = _VARIABLE.sub("*", text)
+        kind = _VARYING_PART.sub("*", text)
         first.setdefault(kind, text)
         count[kind] = count.get(kind, 0) + 1
     return tuple(WarningKind(first[kind], count[kind]) for kind in first)

@@ -24,12 +24,12 @@ from sumo_adv.womd.commonroad_obstacles import (
     BOUNDARY,
     child,
     make_track,
+    obstacle_tracks,
     obstacle_type,
     obstacles,
     plain_box,
     read_pose,
     read_poses,
-    read_tracks,
     time_step,
 )
 from sumo_adv.womd.commonroad_roads import (
@@ -41,11 +41,11 @@ from sumo_adv.womd.commonroad_roads import (
     read_crosswalks,
     read_edges,
     read_lanes,
-    read_signals,
+    read_lights,
 )
 from sumo_adv.womd.record import MAX_RECORD_DURATION_S, VEHICLE, Record, check_record
 
-VERSIONS = ("2018b", "2020a")
+COMMONROAD_VERSIONS = ("2018b", "2020a")
 PLANNING_EGO_SIZE_M = 4.508, 1.610  # CommonRoad's vehicle 2, BMW 320i; a planning problem names no size
 LEFT_HAND = frozenset(
     {"AUS", "JPN", "HKG", "IND", "JEY", "IMN", "IRL", "JAM", "KEN", "MLT", "MYS", "NPL", "NZL", "ZAF", "SGP", "THA",
@@ -72,9 +72,9 @@ def read_commonroad(path: Path) -> Record:
 
 def _record(root: Element, path: Path, content: str) -> Record:
     version = root.get("commonRoadVersion", "")
-    if version not in VERSIONS:
+    if version not in COMMONROAD_VERSIONS:
         named = f"is a CommonRoad scenario of the format {version[:40]}" if version else "names no CommonRoad format"
-        raise UsageError(f"{path} {named}: give one of the formats {' and '.join(VERSIONS)}.")
+        raise UsageError(f"{path} {named}: give one of the formats {' and '.join(COMMONROAD_VERSIONS)}.")
     lanelets = [each for each in root.findall("lanelet") if not is_walkway(each)]
     problem = root.find("planningProblem")
     if not lanelets or problem is None:
@@ -101,13 +101,13 @@ def _record(root: Element, path: Path, content: str) -> Record:
     )
     for (obstacle, still), of in zip(taken, poses, strict=True):
         places = dict.fromkeys(range(count), of[min(of)]) if still else of
-        tracks += read_tracks(obstacle, places, numbers, count)
+        tracks += obstacle_tracks(obstacle, places, numbers, count)
     lanes = read_lanes(root, lanelets, version)
     return Record(
         scenario_id=re.sub(r"[^A-Za-z0-9_.-]", "_", root.attrib["benchmarkID"])[:100] or "scenario",
         time=step * np.arange(count, dtype=np.float64), current=first, sdc=0, tracks=tracks,
         objects_of_interest=(), to_predict=(), lanes=lanes, lines=read_edges(lanelets, max(lanes)), stop_signs=(),
-        areas=read_crosswalks(root.findall("lanelet")), signals=read_signals(root, lanelets, lanes, count),
+        areas=read_crosswalks(root.findall("lanelet")), signals=read_lights(root, lanelets, lanes, count),
         content=content, notes=_notes(root, path),
     )  # fmt: skip
 

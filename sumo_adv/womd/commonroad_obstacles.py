@@ -25,11 +25,11 @@ TRACK_KIND_OF_TYPE = {
 }
 """By CommonRoad's types; all others are vehicles."""
 BOUNDARY = "roadBoundary"  # a type that is no object: the lanelets say where the road ends
-ROLES = {"dynamicObstacle": "dynamic", "staticObstacle": "static"}
+OBSTACLE_ROLES = {"dynamicObstacle": "dynamic", "staticObstacle": "static"}
 
 
 @dataclass(frozen=True, slots=True)
-class Box:
+class ShapeBox:
     """The box of a shape. length, width [m]; turn: of its length against the obstacle's heading [rad], at most a
     quarter of pi; offset (2,) [m]: of its centre along the map's axes; lever (2,) [m]: what turns with the heading."""
 
@@ -43,10 +43,10 @@ class Box:
 def obstacles(root: Element) -> Iterator[tuple[Element, bool]]:
     """Each obstacle and whether it stands still; ``<obstacle>`` with a role is of format 2018b."""
     for element in root:
-        role = ROLES.get(element.tag, "")
+        role = OBSTACLE_ROLES.get(element.tag, "")
         if element.tag == "obstacle":
             role = element.findtext("role", "").strip()
-            if role not in ROLES.values():
+            if role not in OBSTACLE_ROLES.values():
                 raise ValueError(f"obstacle {element.get('id', '')} has the role '{role}'")
         if role:
             yield element, role == "static"
@@ -57,7 +57,7 @@ def obstacle_type(obstacle: Element) -> str:
     return obstacle.findtext("type", "").strip()
 
 
-def read_tracks(
+def obstacle_tracks(
     obstacle: Element, poses: Mapping[int, Pose], numbers: Iterator[int], count: int
 ) -> Iterator[ObjectTrack]:
     """A track for each of its shapes, over ``count`` steps; the first has the obstacle's id, others one of
@@ -70,7 +70,7 @@ def read_tracks(
         yield make_track(next(numbers) if k else int(obstacle.attrib["id"]), kind, _box(shape), poses, count)
 
 
-def make_track(number: int, kind: int, box: Box, poses: Mapping[int, Pose], count: int) -> ObjectTrack:
+def make_track(number: int, kind: int, box: ShapeBox, poses: Mapping[int, Pose], count: int) -> ObjectTrack:
     """The track of a box over ``count`` steps, valid where there is a pose."""
     values, valid = np.zeros((count, 5)), np.zeros(count, bool)
     for step, pose in poses.items():
@@ -83,12 +83,12 @@ def make_track(number: int, kind: int, box: Box, poses: Mapping[int, Pose], coun
     return ObjectTrack(number, kind, valid, x, y, length, width, heading, vx, vy)
 
 
-def plain_box(length: float, width: float) -> Box:
+def plain_box(length: float, width: float) -> ShapeBox:
     """A box about its own centre, along its heading."""
-    return Box(length, width, 0.0, np.zeros(2), np.zeros(2))
+    return ShapeBox(length, width, 0.0, np.zeros(2), np.zeros(2))
 
 
-def _box(shape: Element) -> Box:
+def _box(shape: Element) -> ShapeBox:
     centre = shape.find("center")
     offset = np.zeros(2) if centre is None else point(centre)
     if shape.tag == "rectangle":
@@ -96,13 +96,13 @@ def _box(shape: Element) -> Box:
         return _turned(length, width, float(shape.findtext("orientation", "0")), offset, np.zeros(2))
     if shape.tag == "circle":
         across = 2 * float(child(shape, "radius").text or "nan")
-        return Box(across, across, 0.0, offset, np.zeros(2))
+        return ShapeBox(across, across, 0.0, offset, np.zeros(2))
     if shape.tag == "polygon":
         return _box_of_polygon(points(shape))
     raise ValueError(f"an obstacle has the shape {shape.tag}")
 
 
-def _box_of_polygon(corners: Floats) -> Box:
+def _box_of_polygon(corners: Floats) -> ShapeBox:
     """The smallest rectangle around a polygon, which turns about its centroid."""
     from shapely import Polygon
 
@@ -117,11 +117,11 @@ def _box_of_polygon(corners: Floats) -> Box:
     return _turned(length, width, turn, centroid, corner.mean(axis=0) - centroid)
 
 
-def _turned(length: float, width: float, turn: float, offset: Floats, lever: Floats) -> Box:
+def _turned(length: float, width: float, turn: float, offset: Floats, lever: Floats) -> ShapeBox:
     """The box with its length along the heading, as far as quarter turns go."""
     quarters = round(turn / (math.pi / 2))
     sides = (width, length) if quarters % 2 else (length, width)
-    return Box(*sides, turn - quarters * math.pi / 2, offset, lever)
+    return ShapeBox(*sides, turn - quarters * math.pi / 2, offset, lever)
 
 
 # -- states
@@ -142,7 +142,7 @@ def read_poses(obstacle: Element, step: float) -> dict[int, Pose]:
 
 def time_step(state: Element) -> int:
     """The number of a state's step."""
-    step = round(number(state, "time", 0.0))
+    step = round(exact_number(state, "time", 0.0))
     if step < 0:
         raise ValueError(f"a state has the time step {step}")
     return step
@@ -160,7 +160,7 @@ def read_pose(state: Element) -> Pose:
         x, y = point(centre)
     else:
         raise ValueError("a state has no exact position")
-    return Pose(float(x), float(y), number(state, "orientation"), number(state, "velocity", math.nan))
+    return Pose(float(x), float(y), exact_number(state, "orientation"), exact_number(state, "velocity", math.nan))
 
 
 # -- elements
@@ -174,7 +174,7 @@ def child(parent: Element, name: str) -> Element:
     return found
 
 
-def number(state: Element, name: str, default: float | None = None) -> float:
+def exact_number(state: Element, name: str, default: float | None = None) -> float:
     """An exact value, or the middle of an interval."""
     holder = state.find(name)
     if holder is None and default is not None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Floats, Ints
 from sumo_adv.womd.commonroad_obstacles import child, points
-from sumo_adv.womd.lines import at, road_outline, stations
+from sumo_adv.womd.lines import at, line_stations, road_outline
 from sumo_adv.womd.record import (
     BIKE,
     LANE_TYPES,
@@ -81,7 +81,7 @@ def _centre(lanelet: Element) -> Floats:
     bounds = [points(child(lanelet, name)) for name in ("leftBound", "rightBound")]
     length = max(float(np.hypot(*np.diff(bound, axis=0).T).sum()) for bound in bounds)
     count = max(2, math.ceil(length / CENTRE_LINE_SPACING_M) + 1)
-    along = [stations(bound) for bound in bounds]
+    along = [line_stations(bound) for bound in bounds]
     middle = sum(at(b, s, np.linspace(0.0, s[-1], count)) for b, s in zip(bounds, along, strict=True)) / 2
     return np.column_stack([middle, np.zeros(count)])
 
@@ -148,7 +148,7 @@ def _turns(root: Element) -> dict[int, str]:
     return {int(ref): turn for turn, name in SUCCESSOR_TAGS.items() for each in incoming for ref in _refs(each, name)}
 
 
-def read_signals(
+def read_lights(
     root: Element, lanelets: Sequence[Element], lanes: Mapping[int, LaneFeature], count: int
 ) -> list[tuple[SignalState, ...]]:
     """The state of each lane behind a traffic light at ``count`` steps.

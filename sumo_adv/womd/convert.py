@@ -27,7 +27,7 @@ from sumo_adv import __version__
 from sumo_adv.errors import SimulationError, UsageError
 from sumo_adv.files import scratch_prefix, user_folder, write_text
 from sumo_adv.parsing import read_json
-from sumo_adv.simulation.demand import generate
+from sumo_adv.simulation.demand import generate_demand
 from sumo_adv.simulation.programs import find_netconvert
 from sumo_adv.simulation.scenario import NETWORK_FILE, SCENARIO_FILE
 from sumo_adv.womd.record import Record, evenly_sampled
@@ -42,7 +42,7 @@ _TELEPORT = re.compile(r"Teleporting vehicle '[^']*'; ([^,]*), lane='([^']*)', t
 
 
 @dataclass(frozen=True, slots=True)
-class Conversion:
+class RecordConversion:
     """Where a record's files are, its fidelity report, and whether it had been converted before."""
 
     folder: Path
@@ -60,7 +60,7 @@ def convert_record(record: Record, folder: Path, *, traffic: bool) -> dict[str, 
 
     traffic: also try random traffic. Raises SumoAdvError if the record cannot be converted.
     """
-    from sumo_adv.womd.fidelity import draw_fidelity, measure
+    from sumo_adv.womd.fidelity import draw_fidelity, measure_fidelity
     from sumo_adv.womd.matching import read_net
     from sumo_adv.womd.network import convert_network
 
@@ -69,7 +69,7 @@ def convert_record(record: Record, folder: Path, *, traffic: bool) -> dict[str, 
     converted = convert_network(record, folder)
     seconds = {"network": converted.seconds, "network_cpu": round(sum(os.times()[:4]) - cpu, 3)}
     net = read_net(converted.path)
-    fidelity = measure(record, net, converted)
+    fidelity = measure_fidelity(record, net, converted)
     write_scene(record, net, fidelity.matched, folder)
     draw_fidelity(folder / FIDELITY_PICTURE, record, net, fidelity)
     seconds["all"] = perf_counter() - began
@@ -92,7 +92,7 @@ def _written(folder: Path, report: dict[str, Any], *, traffic: bool) -> dict[str
 
 
 @contextlib.contextmanager
-def conversion(record: Record, *, traffic: bool, cache: Path | None = None) -> Iterator[Conversion]:
+def conversion(record: Record, *, traffic: bool, cache: Path | None = None) -> Iterator[RecordConversion]:
     """The conversion of a record, from the cache (default: the user's) or made now.
 
     Where the cache cannot be written, its folder lives as long as the context. Raises SumoAdvError like
@@ -106,7 +106,7 @@ def conversion(record: Record, *, traffic: bool, cache: Path | None = None) -> I
             report = _written(place, report, traffic=True)
         with contextlib.suppress(OSError):
             os.utime(place.parent)
-        yield Conversion(place, report, cached=True)
+        yield RecordConversion(place, report, cached=True)
         return
     with contextlib.ExitStack() as stack:
         try:
@@ -122,7 +122,7 @@ def conversion(record: Record, *, traffic: bool, cache: Path | None = None) -> I
                 made.rename(place)
             made = place
             _trim(place.parent.parent)
-        yield Conversion(made, report, cached=False)
+        yield RecordConversion(made, report, cached=False)
 
 
 def _known(place: Path) -> dict[str, Any] | None:
@@ -165,7 +165,7 @@ def random_traffic(network: Path, *, seed: int = 0, duration: float = TRAFFIC_TR
     with tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch:
         folder = Path(scratch)
         try:
-            demand = generate(network, folder / "demand.rou.xml", seed=seed, end=duration)
+            demand = generate_demand(network, folder / "demand.rou.xml", seed=seed, end=duration)
         except UsageError as error:
             return {"vehicles": 0, "collisions": 0, "teleports": 0, "events": [], "note": str(error)}
         warnings = _sumo(network, demand, folder, seed, duration)

@@ -15,13 +15,13 @@ import numpy as np
 
 from sumo_adv.datatypes import Floats
 from sumo_adv.files import write_whole
-from sumo_adv.womd.lines import MAX_CONNECTION_GAP_M, Segments, resample, stations
-from sumo_adv.womd.matching import LaneGraph, Stretch, SumoNet, match, net_graph, record_graph
+from sumo_adv.womd.lines import MAX_CONNECTION_GAP_M, LineSegments, line_stations, resample
+from sumo_adv.womd.matching import LaneGraph, MatchedStretch, SumoNet, match, net_graph, record_graph
 from sumo_adv.womd.record import BIKE, VEHICLE, ObjectTrack, Record
 from sumo_adv.womd.scene import Router
 
 if TYPE_CHECKING:
-    from sumo_adv.womd.network import ConvertedNetwork, Piece
+    from sumo_adv.womd.network import ConvertedNetwork, LanePiece
 
 LANE_SAMPLE_STEP_M = 0.5  # between samples of a lane
 FIRST_LANE_SEARCH_DISTANCE_M = 1.0  # within which the nearest SUMO lane is looked for first
@@ -61,10 +61,10 @@ class Fidelity:
 
     report: Mapping[str, Any]
     deviations: Deviations
-    matched: Mapping[int, tuple[Stretch, ...]]
+    matched: Mapping[int, tuple[MatchedStretch, ...]]
 
 
-def measure(record: Record, net: SumoNet, converted: ConvertedNetwork) -> Fidelity:
+def measure_fidelity(record: Record, net: SumoNet, converted: ConvertedNetwork) -> Fidelity:
     """Every figure of the report but random traffic and the time it took."""
     deviations = lane_deviations(record, net)
     graph = net_graph(net)
@@ -84,7 +84,9 @@ def measure(record: Record, net: SumoNet, converted: ConvertedNetwork) -> Fideli
 def kept_lanes(record: Record) -> dict[int, Floats]:
     """The centre lines ``(n, 3)`` of all lanes that have a length."""
     return {
-        i: lane.points for i, lane in record.lanes.items() if len(lane.points) > 1 and stations(lane.points)[-1] > 0
+        i: lane.points
+        for i, lane in record.lanes.items()
+        if len(lane.points) > 1 and line_stations(lane.points)[-1] > 0
     }
 
 
@@ -97,7 +99,7 @@ def lane_deviations(record: Record, net: SumoNet) -> Deviations:
             samples = [resample(line, LANE_SAMPLE_STEP_M) for line in lines]
             xy, headings = (np.concatenate([s[k] for s in samples]) for k in (1, 2))
             usable = {n: lane.shape for n, lane in net.lanes.items() if (lane.bicycles if bikes else lane.cars)}
-            segments, distance = Segments(usable), np.full(len(xy), MAX_LANE_DEVIATION_M)
+            segments, distance = LineSegments(usable), np.full(len(xy), MAX_LANE_DEVIATION_M)
             for radius in (FIRST_LANE_SEARCH_DISTANCE_M, MAX_LANE_DEVIATION_M):
                 left = np.flatnonzero(distance == MAX_LANE_DEVIATION_M)
                 hits = segments.near(xy[left], radius, headings[left])
@@ -116,11 +118,11 @@ def _percentiles(deviations: Deviations) -> dict[str, float]:
     }  # fmt: skip
 
 
-def _lengths(record: Record, pieces: Mapping[int, Sequence[Piece]]) -> dict[str, float]:
+def _lengths(record: Record, pieces: Mapping[int, Sequence[LanePiece]]) -> dict[str, float]:
     """Lane length, the share of it that pieces represent, and the share inside junctions."""
     whole = covered = inside = 0.0
     for i, points in kept_lanes(record).items():
-        length = float(stations(points)[-1])
+        length = float(line_stations(points)[-1])
         own = pieces.get(i, ())
         whole += length
         covered += _union([(p.start, p.end) for p in own], length)
@@ -141,7 +143,7 @@ def _union(ranges: Sequence[tuple[float, float]], length: float) -> float:
     return total
 
 
-def connectivity(record: Record, net: SumoNet, pieces: Mapping[int, Sequence[Piece]]) -> dict[str, Any]:
+def connectivity(record: Record, net: SumoNet, pieces: Mapping[int, Sequence[LanePiece]]) -> dict[str, Any]:
     """How many of the record's connections (a lane and its exit, less than ``MAX_CONNECTION_GAP_M`` apart) can be
     driven in SUMO, from a lane's last piece to the next one's first."""
     lines = kept_lanes(record)
@@ -156,7 +158,7 @@ def connectivity(record: Record, net: SumoNet, pieces: Mapping[int, Sequence[Pie
     return {"wanted": total, "kept": kept, "share": kept / total if total else 1.0, "lost": lost}
 
 
-def _joined(net: SumoNet, before: Sequence[Piece], after: Sequence[Piece]) -> bool:
+def _joined(net: SumoNet, before: Sequence[LanePiece], after: Sequence[LanePiece]) -> bool:
     if not before or not after:
         return False
     end, start = max(p.end for p in before), min(p.start for p in after)
@@ -181,7 +183,7 @@ def _onward(net: SumoNet, lane: str) -> set[str]:
     return reached
 
 
-def _signals(record: Record, net: SumoNet, pieces: Mapping[int, Sequence[Piece]]) -> dict[str, int]:
+def _signals(record: Record, net: SumoNet, pieces: Mapping[int, Sequence[LanePiece]]) -> dict[str, int]:
     """Signal lanes of the record, those ever seen in a known state, and those that a SUMO signal rules."""
     lanes = {s.lane for step in record.signals for s in step}
     seen = {s.lane for step in record.signals for s in step if s.state}
@@ -199,9 +201,9 @@ def inside_lanes(record: Record, net: SumoNet) -> dict[str, float]:
     cars = {n: lane for n, lane in net.lanes.items() if lane.cars}
     half = np.array([lane.width / 2 for lane in cars.values()])
     lines = {i: p for i, p in kept_lanes(record).items() if record.lanes[i].kind != BIKE}
-    near = Segments(lines).near(xy, HALF_LANE_WIDTH_M).least(len(xy), MAX_LANE_DEVIATION_M) <= HALF_LANE_WIDTH_M
+    near = LineSegments(lines).near(xy, HALF_LANE_WIDTH_M).least(len(xy), MAX_LANE_DEVIATION_M) <= HALF_LANE_WIDTH_M
     inside = np.zeros(len(xy), bool)
-    hits = Segments({n: lane.shape for n, lane in cars.items()}).near(xy, float(half.max(initial=0.0)))
+    hits = LineSegments({n: lane.shape for n, lane in cars.items()}).near(xy, float(half.max(initial=0.0)))
     inside[hits.point[hits.distance <= half[hits.line]]] = True
     return {"states": len(xy), "inside": float(inside.mean()), "near_centre": float(near.mean())}
 
@@ -217,7 +219,7 @@ def _moving(record: Record) -> Floats:
 
 
 def _routes(
-    record: Record, router: Router, tracks: Sequence[ObjectTrack], matched: Mapping[int, tuple[Stretch, ...]]
+    record: Record, router: Router, tracks: Sequence[ObjectTrack], matched: Mapping[int, tuple[MatchedStretch, ...]]
 ) -> dict[str, Any]:
     """Driven tracks, those with edges that break in SUMO, and those that break on the record's own graph."""
     own: LaneGraph = record_graph(record)

@@ -27,7 +27,7 @@ _ALL_ONES = 0xFFFFFFFF
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
+class RecordFrame:
     """One record's bytes; ``number`` counts from 0; ``data`` is None where they were skipped."""
 
     number: int
@@ -35,7 +35,7 @@ class Frame:
     intact: bool
 
 
-def read_frames(file: BinaryIO, name: str, skip: int = 0) -> Iterator[Frame]:
+def read_frames(file: BinaryIO, name: str, skip: int = 0) -> Iterator[RecordFrame]:
     """The records of ``file`` one at a time; the first ``skip`` ones without their bytes.
 
     A frame with data that do not match their checksum is given with ``intact`` False.
@@ -60,10 +60,10 @@ def read_frames(file: BinaryIO, name: str, skip: int = 0) -> Iterator[Frame]:
         if len(data) < length + 4:
             raise UsageError(f"Record {number} of {name} is cut short: the file ends inside it; fetch the file again.")
         if number < skip:
-            yield Frame(number, None, intact=True)
+            yield RecordFrame(number, None, intact=True)
         else:
             body = data[:length]
-            yield Frame(number, body, masked_crc(body) == int.from_bytes(data[length:], "little"))
+            yield RecordFrame(number, body, masked_crc(body) == int.from_bytes(data[length:], "little"))
         number += 1
 
 

@@ -18,12 +18,12 @@ MAX_CONNECTION_GAP_M = 1.0  # between the end of a lane and the start of its exi
 AREA_SEAM_M = 0.2  # gaps between areas that are no gaps of the road
 
 
-def stations(points: Floats) -> Floats:
+def line_stations(points: Floats) -> Floats:
     """Distance of each point from the first along the ground ``(n,)`` [m]."""
     return geometry.stations(*points[:, :2].T)
 
 
-def distinct(points: Floats) -> Floats:
+def distinct_points(points: Floats) -> Floats:
     """The points without those that repeat the one before."""
     step = np.hypot(*np.diff(points[:, :2], axis=0).T)
     return points[np.concatenate([[True], step > SAME_POINT_DISTANCE_M])]
@@ -55,9 +55,9 @@ def turned(points: Floats) -> float:
     return float(np.sum(wrap(np.diff(heading))))
 
 
-def joined(parts: Sequence[Floats]) -> Floats:
+def joined_line(parts: Sequence[Floats]) -> Floats:
     """One line through all parts, doubled points left out."""
-    return distinct(np.vstack(parts))
+    return distinct_points(np.vstack(parts))
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +93,7 @@ class Hits:
         return self.where(order[first])
 
 
-class Segments:
+class LineSegments:
     """The segments of named polylines ``(n, 2+)`` m; lines of fewer than two points have none."""
 
     def __init__(self, lines: Mapping[Any, Floats]) -> None:
@@ -129,7 +129,7 @@ class Segments:
 
 def resample(points: Floats, step: float) -> tuple[Floats, Floats, Floats]:
     """Stations, points ``(n, 2)`` and headings of a polyline about every ``step`` m, both ends included."""
-    at = stations(points)
+    at = line_stations(points)
     count = max(2, round(at[-1] / step) + 1)
     grid = np.linspace(0.0, at[-1], count)
     xy = np.stack([np.interp(grid, at, points[:, k]) for k in (0, 1)], axis=1)

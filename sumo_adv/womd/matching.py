@@ -19,7 +19,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from sumo_adv.datatypes import Floats, Ints
-from sumo_adv.womd.lines import Segments, stations
+from sumo_adv.womd.lines import LineSegments, line_stations
 from sumo_adv.womd.record import BIKE, LaneFeature, ObjectTrack, Record
 
 SUMO_LANE_WIDTH_M = 3.2  # SUMO's for lanes without one
@@ -50,7 +50,7 @@ class NetLane:
 
 
 @dataclass(frozen=True, slots=True)
-class Link:
+class LaneLink:
     """One connection between lanes, the internal ones in between aside. direction: SUMO's letter; signal: whether a
     traffic light rules it."""
 
@@ -69,9 +69,9 @@ class SumoNet:
     lanes: Mapping[str, NetLane]
     edges: Mapping[str, tuple[str, ...]]
     following: Mapping[str, tuple[str, ...]]
-    links: tuple[Link, ...]
+    links: tuple[LaneLink, ...]
 
-    def inner(self, link: Link) -> tuple[str, ...]:
+    def inner(self, link: LaneLink) -> tuple[str, ...]:
         """The internal lanes of a link, in order."""
         chain: list[str] = []
         lane = link.via
@@ -103,7 +103,7 @@ def read_net(path: Path) -> SumoNet:
         via = c.get("via", "")
         following.setdefault(start, {})[via or end] = None
         if not lanes[start].internal:
-            links.append(Link(start, end, via, c.get("dir", "s"), "tl" in c.attrib))
+            links.append(LaneLink(start, end, via, c.get("dir", "s"), "tl" in c.attrib))
     return SumoNet(lanes, edges, {lane: tuple(onward) for lane, onward in following.items()}, tuple(links))
 
 
@@ -130,12 +130,13 @@ class LaneGraph:
     lengths: Mapping[Lane, float]
     following: Mapping[Lane, Sequence[Lane]]
     beside: Mapping[Lane, Sequence[tuple[Lane, float]]]
-    segments: Segments = field(repr=False)
-    ways: dict[tuple[Lane, int], dict[Lane, Way]] = field(repr=False, default_factory=dict)  # kept between searches
+    segments: LineSegments = field(repr=False)
+    # kept between searches
+    ways: dict[tuple[Lane, int], dict[Lane, LaneRoute]] = field(repr=False, default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
-class Way:
+class LaneRoute:
     """From station 0 of one lane to station 0 of another: m along the lanes, lane changes, lanes passed (the first
     left out)."""
 
@@ -145,7 +146,7 @@ class Way:
 
 
 @dataclass(frozen=True, slots=True)
-class Stretch:
+class MatchedStretch:
     """A part of a track without a break: the ``steps`` that were matched, the lane at each, and all lanes driven."""
 
     steps: tuple[int, ...]
@@ -156,10 +157,11 @@ class Stretch:
 def record_graph(record: Record) -> LaneGraph:
     """The dataset's own graph, bike lanes aside: exits, and neighbours over any part."""
     kept = {i: lane for i, lane in record.lanes.items() if lane.kind != BIKE and len(lane.points) > 1}
-    at = {i: stations(lane.points) for i, lane in kept.items()}
+    at = {i: line_stations(lane.points) for i, lane in kept.items()}
     return LaneGraph(
         {i: float(at[i][-1]) for i in kept}, {i: tuple(e for e in lane.exits if e in kept) for i, lane in kept.items()},
-        {i: _neighbours(lane, at) for i, lane in kept.items()}, Segments({i: lane.points for i, lane in kept.items()}),
+        {i: _neighbours(lane, at) for i, lane in kept.items()},
+        LineSegments({i: lane.points for i, lane in kept.items()}),
     )  # fmt: skip
 
 
@@ -175,7 +177,7 @@ def net_graph(net: SumoNet) -> LaneGraph:
     """SUMO's graph for cars: connections, the lanes of one edge, and of a junction the internal lanes that share the
     edge they come from (same height at their beginnings) or lead to (at their ends): such a change keeps the route."""
     kept = {name: lane for name, lane in net.lanes.items() if lane.cars}
-    lengths = {name: float(stations(lane.shape)[-1]) for name, lane in kept.items()}
+    lengths = {name: float(line_stations(lane.shape)[-1]) for name, lane in kept.items()}
     beside: dict[Lane, dict[Lane, float]] = {
         n: {o: 0.0 for o in net.edges[lane.edge] if o != n and o in kept} for n, lane in kept.items()
     }
@@ -193,11 +195,11 @@ def net_graph(net: SumoNet) -> LaneGraph:
     return LaneGraph(
         lengths, {name: tuple(o for o in net.following.get(name, ()) if o in kept) for name in kept},
         {name: tuple(others.items()) for name, others in beside.items()},
-        Segments({name: lane.shape for name, lane in kept.items()}),
+        LineSegments({name: lane.shape for name, lane in kept.items()}),
     )  # fmt: skip
 
 
-def match(graph: LaneGraph, track: ObjectTrack) -> tuple[Stretch, ...]:
+def match(graph: LaneGraph, track: ObjectTrack) -> tuple[MatchedStretch, ...]:
     """The stretches of a track on the graph's lanes; more than one: it breaks in between; none: it is on no lane.
 
     Positions with no lane near are passed over.
@@ -209,7 +211,7 @@ def match(graph: LaneGraph, track: ObjectTrack) -> tuple[Stretch, ...]:
     hits = graph.segments.near(xy, MAX_MATCH_DISTANCE_M, track.heading[steps])
     hits = hits.where(hits.turned < MAX_MATCH_ANGLE_RAD).nearest_of_each_line()
     cost = (hits.distance / LATERAL_SIGMA_M) ** 2 + (hits.turned / HEADING_SIGMA_RAD) ** 2
-    stretches: list[Stretch] = []
+    stretches: list[MatchedStretch] = []
     rows: list[_Row] = []
     for i in np.unique(hits.point):
         own = np.flatnonzero(hits.point == i)
@@ -227,7 +229,7 @@ def _positions(track: ObjectTrack) -> tuple[Ints, Floats]:
     valid = np.flatnonzero(track.valid)
     if not len(valid):
         return valid, np.empty(0)
-    way = stations(np.column_stack([track.x, track.y])[valid])
+    way = line_stations(np.column_stack([track.x, track.y])[valid])
     _, first = np.unique((way / MATCHED_STEP_M).astype(int), return_index=True)
     chosen = np.unique([*first, len(valid) - 1])
     return valid[chosen], way[chosen]
@@ -238,13 +240,13 @@ class _Row:
 
     def __init__(self, step: int, way: float, lanes: list[Lane], at: Floats, cost: Floats) -> None:
         self.step, self.way, self.lanes, self.at, self.cost = step, way, lanes, at, cost
-        self.origin: list[tuple[int, Way] | None] = [None] * len(lanes)
+        self.origin: list[tuple[int, LaneRoute] | None] = [None] * len(lanes)
 
     def link(self, graph: LaneGraph, before: _Row) -> bool:
         """Join to the row ``before``; False (and unchanged) if nothing here can be reached from there."""
         driven = self.way - before.way
         best = np.full(len(self.lanes), np.inf)
-        origin: list[tuple[int, Way] | None] = [None] * len(self.lanes)
+        origin: list[tuple[int, LaneRoute] | None] = [None] * len(self.lanes)
         for k in np.flatnonzero(np.isfinite(before.cost)):
             ways = _ways(graph, before.lanes[k], driven + MAX_DETOUR_M)
             for j in range(len(self.lanes)):
@@ -261,14 +263,14 @@ class _Row:
         return True
 
 
-def _ways(graph: LaneGraph, lane: Lane, reach: float) -> dict[Lane, Way]:
+def _ways(graph: LaneGraph, lane: Lane, reach: float) -> dict[Lane, LaneRoute]:
     """Ways to all lanes that begin less than ``reach`` m (rounded up) after the end of ``lane``: of fewest changes,
     then shortest."""
     rounds = math.ceil(reach / SEARCH_STEP_M)
     cached = graph.ways.get((lane, rounds))
     if cached is not None:
         return cached
-    ways: dict[Lane, Way] = {}
+    ways: dict[Lane, LaneRoute] = {}
     farthest = graph.lengths[lane] + rounds * SEARCH_STEP_M
     queue: list[tuple[int, float, int, Lane, tuple[Lane, ...]]] = [(0, 0.0, 0, lane, ())]
     count = 0
@@ -276,7 +278,7 @@ def _ways(graph: LaneGraph, lane: Lane, reach: float) -> dict[Lane, Way]:
         changes, length, _, here, passed = heapq.heappop(queue)
         if here in ways:
             continue
-        ways[here] = Way(length, changes, passed)
+        ways[here] = LaneRoute(length, changes, passed)
         end = length + graph.lengths[here]
         onward = [(changes, end, next_lane) for next_lane in graph.following[here] if end < farthest]
         if changes < MAX_LANE_CHANGES:
@@ -288,7 +290,7 @@ def _ways(graph: LaneGraph, lane: Lane, reach: float) -> dict[Lane, Way]:
     return ways
 
 
-def _traced(rows: list[_Row]) -> Stretch:
+def _traced(rows: list[_Row]) -> MatchedStretch:
     """The cheapest chain through the rows."""
     k = int(np.argmin(rows[-1].cost))
     lanes, parts = [rows[-1].lanes[k]], []
@@ -300,4 +302,4 @@ def _traced(rows: list[_Row]) -> Stretch:
         parts.append(origin[1].passed)
     lanes.reverse()
     driven = [lanes[0]] + [lane for part in reversed(parts) for lane in part]
-    return Stretch(tuple(row.step for row in rows), tuple(lanes), tuple(driven))
+    return MatchedStretch(tuple(row.step for row in rows), tuple(lanes), tuple(driven))

@@ -18,7 +18,7 @@ import numpy as np
 
 from sumo_adv.datatypes import MPH_M_S, Floats
 from sumo_adv.errors import UsageError
-from sumo_adv.womd.framing import Frame, read_frames
+from sumo_adv.womd.framing import RecordFrame, read_frames
 from sumo_adv.womd.record import (
     AreaFeature,
     LaneFeature,
@@ -36,7 +36,7 @@ MAX_OBJECT_SIZE_M = 100.0  # length or width: a state with a larger one is taken
 MAX_INDEX_DIGITS = 9  # a longer number is an id
 _SAFE_ID = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}")  # it becomes a folder's name
 _AREAS = ("crosswalk", "speed_bump", "driveway")
-_FIELDS = (
+_TRACK_FIELDS = (
     "center_x", "center_y", "length", "width", "heading", "velocity_x", "velocity_y", "center_z", "height",
 )  # fmt: skip
 """In the order of ``ObjectTrack``; the last two are only checked."""
@@ -45,7 +45,7 @@ Told = Callable[[UsageError], None]
 
 
 @dataclass(frozen=True, slots=True)
-class Choice:
+class RecordChoice:
     """Which records of a file: the one of this ``id``, the one at ``index`` (from 0), the ``first`` ones; or all."""
 
     id: str | None = None
@@ -53,10 +53,10 @@ class Choice:
     first: int | None = None
 
 
-ALL_RECORDS = Choice()
+ALL_RECORDS = RecordChoice()
 
 
-def read_records(path: Path, choice: Choice = ALL_RECORDS, told: Told | None = None) -> Iterator[Record]:
+def read_records(path: Path, choice: RecordChoice = ALL_RECORDS, told: Told | None = None) -> Iterator[Record]:
     """The chosen records of the file at ``path``, read as they are asked for.
 
     told: takes the fault of a record, which is then passed over; None = it is raised.
@@ -74,7 +74,7 @@ def read_records(path: Path, choice: Choice = ALL_RECORDS, told: Told | None = N
         raise UsageError(f"The file {path} cannot be read: {error.strerror or error}.") from error
 
 
-def find_record(source: Path, choice: Choice) -> Record:
+def find_record(source: Path, choice: RecordChoice) -> Record:
     """The chosen record. The search for an id passes over records that cannot be read. Raises UsageError."""
     wrong: list[UsageError] = []
     try:
@@ -101,13 +101,13 @@ def record_message(path: Path, content: str) -> Any:
     return None
 
 
-def choice_of(record: str | None) -> Choice:
+def choice_of(record: str | None) -> RecordChoice:
     """The choice that ``--record`` means; the first record if it was not given."""
     if record is None:
-        return Choice(index=0)
+        return RecordChoice(index=0)
     if record.isascii() and record.isdigit() and len(record) <= MAX_INDEX_DIGITS:
-        return Choice(index=int(record))
-    return Choice(id=record)
+        return RecordChoice(index=int(record))
+    return RecordChoice(id=record)
 
 
 def _parser() -> Callable[[bytes], Any]:
@@ -121,7 +121,7 @@ def _parser() -> Callable[[bytes], Any]:
     return Scenario.FromString
 
 
-def _patient(frames: Iterator[Frame], told: Told | None) -> Iterator[Frame]:
+def _patient(frames: Iterator[RecordFrame], told: Told | None) -> Iterator[RecordFrame]:
     """``frames``, ending where their file is damaged; that is told, or raised."""
     try:
         yield from frames
@@ -132,7 +132,7 @@ def _patient(frames: Iterator[Frame], told: Told | None) -> Iterator[Frame]:
 
 
 def _chosen(
-    frames: Iterator[Frame], path: Path, choice: Choice, parse: Callable[[bytes], Any], told: Told | None
+    frames: Iterator[RecordFrame], path: Path, choice: RecordChoice, parse: Callable[[bytes], Any], told: Told | None
 ) -> Iterator[Record]:
     count = matches = 0
     for frame in islice(frames, choice.first):
@@ -159,7 +159,7 @@ def _chosen(
         raise UsageError(f"{path} holds no record: it is empty.")
 
 
-def _read(frame: Frame, path: Path, chosen_id: str | None, parse: Callable[[bytes], Any]) -> Record | None:
+def _read(frame: RecordFrame, path: Path, chosen_id: str | None, parse: Callable[[bytes], Any]) -> Record | None:
     """The record of ``frame``; None if it has another id than ``chosen_id``."""
     label = f"Record {frame.number} of {path}"
     if not frame.intact or frame.data is None:
@@ -170,10 +170,10 @@ def _read(frame: Frame, path: Path, chosen_id: str | None, parse: Callable[[byte
         raise UsageError(f"{label} is no Scenario message of the Waymo Open Motion Dataset.") from error
     if chosen_id is not None and message.scenario_id != chosen_id:
         return None
-    return replace(record_of(message, label), content=hashlib.sha256(frame.data).hexdigest())
+    return replace(parse_record(message, label), content=hashlib.sha256(frame.data).hexdigest())
 
 
-def record_of(message: Any, where: str) -> Record:
+def parse_record(message: Any, where: str) -> Record:
     """A Scenario message as a record. ``where`` names it in errors.
 
     Raises UsageError if it has no id, steps, current step, ego or map, contradicts itself, or spans too much.
@@ -279,7 +279,7 @@ def _signals(message: Any, steps: int, label: str) -> list[tuple[SignalState, ..
 def _track(track: Any, steps: int, label: str) -> ObjectTrack:
     if len(track.states) != steps:
         raise UsageError(f"{label} has {len(track.states)} states for its track {track.id}, not one a step ({steps}).")
-    columns = np.array([[getattr(state, field) for state in track.states] for field in _FIELDS], dtype=np.float64)
+    columns = np.array([[getattr(state, field) for state in track.states] for field in _TRACK_FIELDS], dtype=np.float64)
     size = columns[2:4]
     sound = np.isfinite(columns).all(axis=0) & (size > 0.0).all(axis=0) & (size < MAX_OBJECT_SIZE_M).all(axis=0)
     valid = np.array([state.valid for state in track.states], dtype=bool) & sound

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.consistency import UNWRAPPED, Motion, find_fault
+from sumo_adv.consistency import UNWRAPPED, GivenMotion, find_fault
 from sumo_adv.datatypes import Bools, Floats, Ints
 from sumo_adv.errors import UsageError
 from sumo_adv.geometry import wrap, wrap_below_pi
@@ -146,12 +146,12 @@ def check_record(record: Record, where: str) -> None:
         raise UsageError(f"{where} cannot be right: {at} {fault.says}.")
 
 
-def _motion(t: ObjectTrack, time: Floats) -> Motion:
+def _motion(t: ObjectTrack, time: Floats) -> GivenMotion:
     v = t.valid
     kind = TRACK_KINDS[t.kind] if 1 <= t.kind < len(TRACK_KINDS) else "other"
     length, width = (float(np.median(values[v])) for values in (t.length, t.width))
     speed = np.hypot(t.vx[v], t.vy[v])
-    return Motion(str(t.id), kind, time[v], t.x[v], t.y[v], t.heading[v], speed, length, width, UNWRAPPED)
+    return GivenMotion(str(t.id), kind, time[v], t.x[v], t.y[v], t.heading[v], speed, length, width, UNWRAPPED)
 
 
 def _check_bounds(record: Record, where: str) -> None:

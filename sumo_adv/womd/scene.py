@@ -16,8 +16,8 @@ from sumo_adv.errors import UsageError
 from sumo_adv.geometry import wrap
 from sumo_adv.simulation.scenario import NETWORK_FILE, ROUTES_FILE, SCENARIO_FILE, TRACKS_FILE
 from sumo_adv.simulation.tracks import OBJECT_KINDS, LoggedTrack, TrackLog, write_tracks
-from sumo_adv.womd.lines import Segments
-from sumo_adv.womd.matching import Link, Stretch, SumoNet
+from sumo_adv.womd.lines import LineSegments
+from sumo_adv.womd.matching import LaneLink, MatchedStretch, SumoNet
 from sumo_adv.womd.record import RECORD_STEP_S, TRACK_KINDS, VEHICLE, ObjectTrack, Record
 
 WOMD_ROUTE_EXTENSION_M = 300.0  # that a route leads on beyond the log, if no edge ends before
@@ -33,15 +33,15 @@ class Router:
 
     def __init__(self, net: SumoNet) -> None:
         self._net = net
-        self._from: dict[str, list[Link]] = {}  # edge -> links of cars that leave it
-        self._through: dict[str, Link] = {}  # internal lane -> the link it is a part of
+        self._from: dict[str, list[LaneLink]] = {}  # edge -> links of cars that leave it
+        self._through: dict[str, LaneLink] = {}  # internal lane -> the link it is a part of
         for link in net.links:
             if net.lanes[link.start].cars and net.lanes[link.end].cars:
                 self._from.setdefault(net.lanes[link.start].edge, []).append(link)
                 for lane in net.inner(link):
                     self._through[lane] = link
 
-    def route(self, stretches: Sequence[Stretch], step: int) -> tuple[str, ...]:
+    def route(self, stretches: Sequence[MatchedStretch], step: int) -> tuple[str, ...]:
         """Edges of the stretch that a vehicle is on at a step or next, led on; empty where it is on none.
 
         Begins with the edge of the stretch's first lane (if that is inside a junction, with the edge before it) and
@@ -61,7 +61,7 @@ class Router:
                 return tuple(part + self._on(part, ""))
         return tuple(last + self._on(last, chosen.driven[-1]))
 
-    def unbroken(self, stretches: Sequence[Stretch]) -> bool:
+    def unbroken(self, stretches: Sequence[MatchedStretch]) -> bool:
         """Whether a track is one stretch (or none) with edges that follow one another."""
         return len(stretches) <= 1 and all(len(self._parts(self.edges(s))) == 1 for s in stretches)
 
@@ -75,10 +75,10 @@ class Router:
                 parts.append([after])
         return parts
 
-    def edges(self, stretch: Stretch) -> list[str]:
+    def edges(self, stretch: MatchedStretch) -> list[str]:
         """Normal edges of a stretch, with those at its ends that internal lanes lead from and to."""
         edges: list[str] = []
-        pending: Link | None = None
+        pending: LaneLink | None = None
         for lane in stretch.driven:
             link = self._through.get(lane)
             if link is not None and not edges:
@@ -106,7 +106,7 @@ class Router:
         return added
 
 
-def write_scene(record: Record, net: SumoNet, matched: Mapping[int, Sequence[Stretch]], folder: Path) -> None:
+def write_scene(record: Record, net: SumoNet, matched: Mapping[int, Sequence[MatchedStretch]], folder: Path) -> None:
     """Scenario, tracks, routes and crosswalks into ``folder``, beside the network there.
 
     The record's steps are 0.1 s apart (``evenly_sampled``). Raises UsageError if its ego is never seen.
@@ -138,7 +138,7 @@ def parked_vehicles(record: Record, net: SumoNet) -> list[ObjectTrack]:
     if not standing:
         return []
     poses = np.array([_pose(t)[:3] for t in standing])
-    lanes = Segments({name: lane.shape for name, lane in net.lanes.items() if lane.cars})
+    lanes = LineSegments({name: lane.shape for name, lane in net.lanes.items() if lane.cars})
     hits = lanes.near(poses[:, :2], MAX_QUEUE_OFFSET_M, poses[:, 2])
     queued = set(hits.point[hits.turned < MAX_QUEUE_ANGLE_RAD].tolist())
     return [t for i, t in enumerate(standing) if i not in queued]
@@ -168,7 +168,7 @@ def _logged(track: ObjectTrack) -> LoggedTrack:
 
 
 def _routes(
-    record: Record, router: Router, tracks: Sequence[ObjectTrack], matched: Mapping[int, Sequence[Stretch]]
+    record: Record, router: Router, tracks: Sequence[ObjectTrack], matched: Mapping[int, Sequence[MatchedStretch]]
 ) -> Iterator[str]:
     """The routes of vehicles that are on the network when they are handed over or later, under their track ids."""
     for track in tracks:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.asked import MEANINGS, Written
+from sumo_adv.asked import MEANINGS, RequestOrigin
 from sumo_adv.datatypes import Level, LibraryEntry
 from sumo_adv.errors import ModelError, SumoAdvError, UsageError
 from sumo_adv.llm.asking import MeteredModel, ask
@@ -167,7 +167,7 @@ class Author:
         unknown = next((label for label in scene.attack.intents if canonical(label) not in known), None)
         if unknown is not None:
             raise UsageError(f"There is no intent '{sanitize(unknown)}'; leave intents empty, or take one of the list.")
-        written = Written(words=self._words, model=self._metered.model.name, date=self._date)
+        written = RequestOrigin(words=self._words, model=self._metered.model.name, date=self._date)
         file = build(scene, folder / f"{self._name}.toml", written, self._network)
         load_input(file)
         played = Played(draft, file, folder / "run", self._run(file, folder / "run", goal_of(scene)))

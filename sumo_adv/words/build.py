@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import quoteattr
 
-from sumo_adv.asked import Written
+from sumo_adv.asked import RequestOrigin
 from sumo_adv.errors import UsageError
 from sumo_adv.files import toml_lines, toml_text, toml_value
 from sumo_adv.words.draft import EgoDraft, SceneDraft, VehicleDraft
@@ -49,7 +49,7 @@ class Placed:
     meets: float | None
 
 
-def build(scene: SceneDraft, target: Path, written: Written, given: Path | None = None) -> Path:
+def build(scene: SceneDraft, target: Path, written: RequestOrigin, given: Path | None = None) -> Path:
     """Write the scenario ``target`` (.toml) and the files beside it. given: the user's network.
 
     Raises UsageError: one sentence with what is wrong with the draft, for people and for the model.
@@ -221,7 +221,7 @@ def _signals(states: dict[str, str]) -> str:
 
 
 def _scenario(
-    scene: SceneDraft, stem: str, network: Path, written: Written, ego: Drive, start: float, placed: list[Placed],
+    scene: SceneDraft, stem: str, network: Path, written: RequestOrigin, ego: Drive, start: float, placed: list[Placed],
     *, lights: bool,
 ) -> str:  # fmt: skip
     attack, speed = scene.attack, scene.ego.speed / 3.6

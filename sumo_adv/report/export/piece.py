@@ -20,7 +20,7 @@ from sumo_adv.report.page_road import network
 from sumo_adv.report.read import MANIFEST, read_run, reading
 from sumo_adv.road_users import RoadUser, road_user
 from sumo_adv.simulation.inputs import WaymoSource
-from sumo_adv.simulation.network import Lane, RoadMap
+from sumo_adv.simulation.network import NetworkLane, RoadMap
 from sumo_adv.simulation.signals import SignalLog
 
 HEIGHT = {"car": 1.5, "truck": 3.2, "bicycle": 1.7, "pedestrian": 1.75, "obstacle": 1.5}  # m: SUMO has none
@@ -149,7 +149,7 @@ class MapLane:
     """A lane under a number. Lines are ``(n, 2)`` [m], in the direction of travel; links are numbers of lanes."""
 
     number: int
-    lane: Lane
+    lane: NetworkLane
     left: Floats
     right: Floats
     entries: tuple[int, ...]
@@ -192,7 +192,9 @@ def _exits(road: RoadMap, numbers: Mapping[str, int]) -> dict[int, list[int]]:
     return exits
 
 
-def _map_lane(lane: Lane, road: RoadMap, numbers: Mapping[str, int], exits: Mapping[int, Sequence[int]]) -> MapLane:
+def _map_lane(
+    lane: NetworkLane, road: RoadMap, numbers: Mapping[str, int], exits: Mapping[int, Sequence[int]]
+) -> MapLane:
     number, row = numbers[lane.id], road.edges[lane.edge]
     at = row.index(lane.id)
     beside: dict[bool, int | None] = {True: None, False: None}  # by whether it is on the left

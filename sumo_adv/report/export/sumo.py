@@ -26,7 +26,7 @@ from sumo_adv.datatypes import Role, Track
 from sumo_adv.report.export.piece import Piece, height_of
 from sumo_adv.report.tables import quoted
 from sumo_adv.road_users import RoadUser, road_user
-from sumo_adv.simulation.network import Lane, RoadMap, read_network
+from sumo_adv.simulation.network import NetworkLane, RoadMap, read_network
 from sumo_adv.simulation.simulation import angle_deg_of
 from sumo_adv.times import seconds_text
 
@@ -75,7 +75,7 @@ def fcd(piece: Piece) -> str:
     return _fcd_text(rows, piece)
 
 
-def _track_rows(track: Track, lanes: Iterable[Lane | None]) -> Iterator[Row]:
+def _track_rows(track: Track, lanes: Iterable[NetworkLane | None]) -> Iterator[Row]:
     """A row a state; ``lanes``: those on which SUMO has it."""
     kind = _type_name(track)
     for k, lane in zip(range(len(track.time)), lanes, strict=False):
@@ -137,14 +137,14 @@ def _rows(track: Track, road: RoadMap, piece: Piece) -> Iterator[Row]:
     yield from others
 
 
-def _home(track: Track, road: RoadMap) -> Lane:
+def _home(track: Track, road: RoadMap) -> NetworkLane:
     """The first lane outside junctions that it is on, else the nearest to where it begins."""
     for name in track.lane:
         lane = road.lanes.get(name)
         if lane is not None and not lane.internal:
             return lane
     x, y = float(track.x[0]), float(track.y[0])
-    near: list[Lane] = next((lanes for radius in SEARCHED if (lanes := road.lanes_near(x, y, radius))), [])
+    near: list[NetworkLane] = next((lanes for radius in SEARCHED if (lanes := road.lanes_near(x, y, radius))), [])
     return min(near, key=lambda lane: float(np.min(np.hypot(lane.shape[:, 0] - x, lane.shape[:, 1] - y))))
 
 

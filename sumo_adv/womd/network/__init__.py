@@ -15,20 +15,20 @@ from sumo_adv.errors import UsageError
 from sumo_adv.files import write_whole
 from sumo_adv.simulation.programs import find_netconvert
 from sumo_adv.simulation.scenario import NETWORK_FILE
-from sumo_adv.womd.network.finish import finish, run_netconvert, write_plain
+from sumo_adv.womd.network.finish import finish_network, run_netconvert, write_plain
 from sumo_adv.womd.network.ground import drivable_ground
-from sumo_adv.womd.network.layout import Layout, Leg, Stretch, make_layout
-from sumo_adv.womd.network.right_of_way import RightOfWay, bend_together, find_foes, settle
-from sumo_adv.womd.network.roads import Roads, find_widths, make_roads
+from sumo_adv.womd.network.layout import Layout, Leg, StrandStretch, make_layout
+from sumo_adv.womd.network.right_of_way import LinkPriorities, bend_together, find_foes, settle
+from sumo_adv.womd.network.roads import RoadNetwork, find_widths, make_roads
 from sumo_adv.womd.network.signals import SignalPlan, plan_signals, ruling_lanes
-from sumo_adv.womd.network.strands import Kept, KeptLane, Run, keep
+from sumo_adv.womd.network.strands import Kept, KeptLane, LaneRun, keep_lanes
 from sumo_adv.womd.record import Record
 
 MIN_REPORTED_PART_M = 0.01  # shorter parts are not told
 
 
 @dataclass(frozen=True, slots=True)
-class Piece:
+class LanePiece:
     """The part of a WOMD lane from station ``start`` to ``end`` [m] lies on ``sumo_lane``; internal: in a junction."""
 
     sumo_lane: str
@@ -43,7 +43,7 @@ class ConvertedNetwork:
     report: what was kept, dropped and assumed; seconds: how long it took."""
 
     path: Path
-    pieces: Mapping[int, tuple[Piece, ...]]
+    pieces: Mapping[int, tuple[LanePiece, ...]]
     report: dict[str, Any]
     seconds: float
 
@@ -56,7 +56,7 @@ def convert_network(record: Record, folder: Path) -> ConvertedNetwork:
     """
     began = time.perf_counter()
     program = find_netconvert()
-    kept = keep(record)
+    kept = keep_lanes(record)
     if not kept.lanes:
         raise UsageError(f"Record {record.scenario_id} has no lane of two points or more: no network can be made.")
     signalled = {state.lane for step in record.signals for state in step}
@@ -74,7 +74,7 @@ def convert_network(record: Record, folder: Path) -> ConvertedNetwork:
         work = Path(name)
         write_plain(roads, work)
         run_netconvert(program, work, work / "raw.net.xml")
-        via = finish(
+        via = finish_network(
             work / "raw.net.xml", work / NETWORK_FILE, roads, order, signals.programs, drivable_ground(record, roads)
         )
         write_whole(folder / NETWORK_FILE, lambda part: shutil.copyfile(work / NETWORK_FILE, part))
@@ -84,7 +84,9 @@ def convert_network(record: Record, folder: Path) -> ConvertedNetwork:
     return ConvertedNetwork(folder / NETWORK_FILE, pieces, report, time.perf_counter() - began)
 
 
-def _report(kept: Kept, layout: Layout, roads: Roads, order: RightOfWay, signals: SignalPlan) -> dict[str, Any]:
+def _report(
+    kept: Kept, layout: Layout, roads: RoadNetwork, order: LinkPriorities, signals: SignalPlan
+) -> dict[str, Any]:
     """What was kept, dropped and assumed, as JSON. Lengths in m."""
     total = sum(lane.length for lane in kept.lanes.values())
     inside = sum(b - a for strand_spans in layout.spans.of for a, b in strand_spans)
@@ -104,8 +106,8 @@ def _report(kept: Kept, layout: Layout, roads: Roads, order: RightOfWay, signals
 
 
 def _find_pieces(
-    lanes: dict[int, KeptLane], layout: Layout, roads: Roads, via: list[str]
-) -> dict[int, tuple[Piece, ...]]:
+    lanes: dict[int, KeptLane], layout: Layout, roads: RoadNetwork, via: list[str]
+) -> dict[int, tuple[LanePiece, ...]]:
     """The pieces of every kept lane. Where several links of a junction run over a lane there is a piece for each, the
     straightest first."""
     inner: dict[Leg, list[tuple[float, str]]] = {}
@@ -118,7 +120,7 @@ def _find_pieces(
         for k, (a, b) in enumerate(layout.spans.of[strand]):
             made += [(a, b, turn, name, True) for turn, name in inner.get((strand, k), [])]
         for a, b in layout.spans.stretches(strand):
-            edge, index = roads.place[Stretch(strand, a, b)]
+            edge, index = roads.place[StrandStretch(strand, a, b)]
             made.append((a, b, 0.0, f"{edge}_{index}", False))
         return sorted(made)
 
@@ -129,11 +131,11 @@ def _find_pieces(
     }
 
 
-def _on(run: Run, parts: list[tuple[float, float, float, str, bool]]) -> Iterator[Piece]:
+def _on(run: LaneRun, parts: list[tuple[float, float, float, str, bool]]) -> Iterator[LanePiece]:
     """The pieces of one run of a lane; parts: (start, end, turn, SUMO lane, internal) of its strand in order."""
     scale = (run.lane_end - run.lane_start) / max(run.end - run.start, 1e-9)
     for a, b, _, name, internal in parts:
         start, end = max(a, run.start), min(b, run.end)
         if end - start > MIN_REPORTED_PART_M:
             low, high = (run.lane_start + scale * (v - run.start) for v in (start, end))
-            yield Piece(name, low, high, internal)
+            yield LanePiece(name, low, high, internal)

@@ -17,8 +17,8 @@ from sumo_adv.errors import UsageError
 from sumo_adv.simulation.drivable import DRIVABLE_KEY, area_text
 from sumo_adv.simulation.layers import HEIGHTS_KEY as HEIGHTS
 from sumo_adv.simulation.layers import pass_over
-from sumo_adv.womd.network.right_of_way import RightOfWay
-from sumo_adv.womd.network.roads import Link, RoadLane, Roads
+from sumo_adv.womd.network.right_of_way import LinkPriorities
+from sumo_adv.womd.network.roads import JunctionLink, RoadLane, RoadNetwork
 from sumo_adv.womd.network.signals import Program
 
 BIKE_LANE_ATTRIBUTE = 'allow="bicycle"'
@@ -34,11 +34,11 @@ NETCONVERT_TIMEOUT_S = 120.0
 MIN_LANE_LENGTH_M = 0.1  # SUMO's shortest lane
 
 
-def write_plain(roads: Roads, folder: Path) -> None:
+def write_plain(roads: RoadNetwork, folder: Path) -> None:
     """Write ``plain.nod.xml``, ``plain.edg.xml`` and ``plain.con.xml``.
 
     A junction gets an octagon of 0.2 m: with a shape of its own netconvert leaves the ends of the lanes alone. Shapes
-    are thinned out, which saves netconvert time: the exact ones are written into what it makes (``finish``).
+    are thinned out, which saves netconvert time: the exact ones are written into what it makes (``finish_network``).
     """
     nodes = ["<nodes>"]
     for name, (x, y) in roads.junctions.items():
@@ -95,8 +95,8 @@ def run_netconvert(program: Path, folder: Path, target: Path) -> None:
         raise UsageError(f"netconvert could not build the network: {last}.")
 
 
-def finish(
-    source: Path, target: Path, roads: Roads, order: RightOfWay, programs: Mapping[str, Program], ground: Any
+def finish_network(
+    source: Path, target: Path, roads: RoadNetwork, order: LinkPriorities, programs: Mapping[str, Program], ground: Any
 ) -> list[str]:
     """Write ``target`` from ``source``; returns the internal lane of each link. Raises UsageError if netconvert left
     something out.
@@ -105,7 +105,7 @@ def finish(
     tree = ET.parse(source)
     net = tree.getroot()
     lanes = {lane.get("id", ""): lane for edge in net.iter("edge") for lane in edge}
-    ways: list[RoadLane | Link] = [lane for edge in roads.edges.values() for lane in edge.lanes]
+    ways: list[RoadLane | JunctionLink] = [lane for edge in roads.edges.values() for lane in edge.lanes]
     ways += roads.links
     high = pass_over([np.column_stack([way.shape, way.heights]) for way in ways])
     for edge in roads.edges.values():
@@ -127,7 +127,7 @@ def finish(
     return via
 
 
-def _shape(lane: ET.Element, way: RoadLane | Link, *, high: bool) -> None:
+def _shape(lane: ET.Element, way: RoadLane | JunctionLink, *, high: bool) -> None:
     """Write the shape of a lane; ``high``: with its heights."""
     length = float(np.sum(np.hypot(*np.diff(way.shape, axis=0).T)))
     lane.set("shape", coordinates(way.shape))
@@ -139,8 +139,8 @@ def _shape(lane: ET.Element, way: RoadLane | Link, *, high: bool) -> None:
 
 
 def _connections(
-    net: ET.Element, lanes: dict[str, ET.Element], roads: Roads, order: RightOfWay, programs: Mapping[str, Program],
-    *, high: bool,
+    net: ET.Element, lanes: dict[str, ET.Element], roads: RoadNetwork, order: LinkPriorities,
+    programs: Mapping[str, Program], *, high: bool,
 ) -> list[str]:  # fmt: skip
     """Set every connection's letters and its internal lane's shape; the internal lane of each link."""
     number = {(k.source, k.from_lane, k.target, k.to_lane): n for n, k in enumerate(roads.links)}
@@ -177,7 +177,7 @@ def _connections(
 
 
 def _junctions(
-    net: ET.Element, roads: Roads, order: RightOfWay, programs: Mapping[str, Program], via: list[str]
+    net: ET.Element, roads: RoadNetwork, order: LinkPriorities, programs: Mapping[str, Program], via: list[str]
 ) -> None:
     of_lane = {lane: n for n, lane in enumerate(via)}
     polygons = junction_polygons(roads)
@@ -208,11 +208,11 @@ def _bits(inside: list[int], chosen: frozenset[int]) -> str:
     return "".join("1" if n in chosen else "0" for n in reversed(inside))
 
 
-def junction_polygons(roads: Roads) -> dict[str, Floats]:
+def junction_polygons(roads: RoadNetwork) -> dict[str, Floats]:
     """The ground that the links of each junction cover: outline ``(n, 2)`` [m]."""
     from shapely import LineString, MultiPolygon, union_all
 
-    of_junction: dict[str, list[Link]] = {}
+    of_junction: dict[str, list[JunctionLink]] = {}
     for link in roads.links:
         of_junction.setdefault(link.junction, []).append(link)
     polygons = {}

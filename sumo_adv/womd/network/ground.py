@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats
-from sumo_adv.womd.network.roads import Roads
+from sumo_adv.womd.network.roads import RoadNetwork
 from sumo_adv.womd.record import Record
 
 # from the middle of a lane: a lane, a bay of parked cars and a shoulder; beyond it nothing is claimed
@@ -32,7 +32,7 @@ OUTLINE_TOLERANCE_M = 0.02  # that the outline may be off for the sake of fewer 
 MIN_CENTRE_LINE_PART_M = 0.01  # of a centre line that a part of its lane must hold
 
 
-def drivable_ground(record: Record, roads: Roads) -> Any:
+def drivable_ground(record: Record, roads: RoadNetwork) -> Any:
     """The drivable area [shapely polygons, m]; None if the record has no road edge or no lane for cars."""
     from shapely import LineString, MultiPolygon, Polygon, make_valid, union_all
 

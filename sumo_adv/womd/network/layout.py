@@ -37,7 +37,7 @@ Leg = tuple[int, int]  # strand, index of its span
 
 
 @dataclass(frozen=True, slots=True)
-class Stretch:
+class StrandStretch:
     """A part of a strand that becomes one lane of an edge, from ``start`` to ``end`` [m]."""
 
     strand: int
@@ -45,13 +45,13 @@ class Stretch:
     end: float
 
 
-Row = tuple[Stretch, ...]  # an edge's lanes from right to left
+Row = tuple[StrandStretch, ...]  # an edge's lanes from right to left
 
 
 def _make_rows(spans: Spans, besides: list[Beside]) -> list[Row]:
     """Group all stretches into rows."""
-    stretches = [Stretch(s.number, a, b) for s in spans.strands for a, b in spans.stretches(s.number)]
-    of_strand: dict[int, list[Stretch]] = {}
+    stretches = [StrandStretch(s.number, a, b) for s in spans.strands for a, b in spans.stretches(s.number)]
+    of_strand: dict[int, list[StrandStretch]] = {}
     for stretch in stretches:
         of_strand.setdefault(stretch.strand, []).append(stretch)
     offers = []
@@ -61,8 +61,8 @@ def _make_rows(spans: Spans, besides: list[Beside]) -> list[Row]:
                 share = _share(spans, beside, right, left)
                 if share >= MIN_BESIDE_SHARE:
                     offers.append((-share, right, left))
-    left_of: dict[Stretch, Stretch] = {}
-    right_of: dict[Stretch, Stretch] = {}
+    left_of: dict[StrandStretch, StrandStretch] = {}
+    right_of: dict[StrandStretch, StrandStretch] = {}
     for _, right, left in sorted(offers, key=lambda o: (o[0], o[1].strand, o[1].start, o[2].strand)):
         if right not in left_of and left not in right_of and not _reaches(left_of, left, right):
             left_of[right], right_of[left] = left, right
@@ -76,7 +76,7 @@ def _make_rows(spans: Spans, besides: list[Beside]) -> list[Row]:
     return rows
 
 
-def _reaches(left_of: dict[Stretch, Stretch], start: Stretch, goal: Stretch) -> bool:
+def _reaches(left_of: dict[StrandStretch, StrandStretch], start: StrandStretch, goal: StrandStretch) -> bool:
     """Whether going left from ``start`` comes to ``goal``."""
     while start in left_of:
         start = left_of[start]
@@ -85,7 +85,7 @@ def _reaches(left_of: dict[Stretch, Stretch], start: Stretch, goal: Stretch) -> 
     return False
 
 
-def _share(spans: Spans, beside: Beside, right: Stretch, left: Stretch) -> float:
+def _share(spans: Spans, beside: Beside, right: StrandStretch, left: StrandStretch) -> float:
     """How much of both is beside the other, 0 where their ends do not match."""
     start, end = max(right.start, beside.right_at[0]), min(right.end, beside.right_at[-1])
     if end <= start:
@@ -113,13 +113,13 @@ def _join_up(spans: Spans, rows: list[Row], conflicts: Conflicts) -> list[int]:
     keys = [(s, k) for s, strand_spans in enumerate(spans.of) for k in range(len(strand_spans))]
     span_id = {key: 2 * len(rows) + n for n, key in enumerate(keys)}
     pairs: list[tuple[int, int]] = []
-    row_of: dict[Stretch, int] = {stretch: n for n, row in enumerate(rows) for stretch in row}
+    row_of: dict[StrandStretch, int] = {stretch: n for n, row in enumerate(rows) for stretch in row}
     first, last = {}, {}
     for strand in spans.strands:
         parts = [(a, span_id[strand.number, k], span_id[strand.number, k])
                  for k, (a, _) in enumerate(spans.of[strand.number])]  # fmt: skip
         for a, b in spans.stretches(strand.number):
-            row = row_of[Stretch(strand.number, a, b)]
+            row = row_of[StrandStretch(strand.number, a, b)]
             parts.append((a, 2 * row, 2 * row + 1))
         parts.sort()
         pairs += [(before, after) for (_, _, before), (_, after, _) in pairwise(parts)]
@@ -148,19 +148,19 @@ def _spans_at(spans: Spans, span_id: dict[tuple[int, int], int], owner: Ints, st
 
 
 @dataclass(frozen=True, slots=True)
-class Way:
+class ConnectionPath:
     """A connection: the stretches it joins and the spans between, with its length [m]."""
 
-    source: Stretch
-    target: Stretch
+    source: StrandStretch
+    target: StrandStretch
     legs: tuple[Leg, ...]
     length: float
 
 
-def _find_ways(spans: Spans) -> list[Way]:
+def _find_ways(spans: Spans) -> list[ConnectionPath]:
     """The shortest way for each pair of stretches."""
-    starts = {(s.number, a): Stretch(s.number, a, b) for s in spans.strands for a, b in spans.stretches(s.number)}
-    kept: dict[tuple[Stretch, Stretch], Way] = {}
+    starts = {(s.number, a): StrandStretch(s.number, a, b) for s in spans.strands for a, b in spans.stretches(s.number)}
+    kept: dict[tuple[StrandStretch, StrandStretch], ConnectionPath] = {}
     for stretch in starts.values():
         for way in _from(spans, stretch, starts):
             pair = way.source, way.target
@@ -169,7 +169,9 @@ def _find_ways(spans: Spans) -> list[Way]:
     return list(kept.values())
 
 
-def _from(spans: Spans, source: Stretch, starts: dict[tuple[int, float], Stretch]) -> Iterator[Way]:
+def _from(
+    spans: Spans, source: StrandStretch, starts: dict[tuple[int, float], StrandStretch]
+) -> Iterator[ConnectionPath]:
     """All ways from the end of ``source``, depth first."""
     stack: list[tuple[int, float, tuple[Leg, ...], float]] = [(source.strand, source.end, (), 0.0)]
     count = 0
@@ -182,7 +184,7 @@ def _from(spans: Spans, source: Stretch, starts: dict[tuple[int, float], Stretch
             if k is None:
                 if (number, start) in starts:
                     count += 1
-                    yield Way(source, starts[number, start], legs, length)
+                    yield ConnectionPath(source, starts[number, start], legs, length)
             elif (number, k) not in legs and len(legs) < MAX_SPANS_PER_WAY:
                 a, b = spans.of[number][k]
                 stack.append((number, b, (*legs, (number, k)), length + b - a))
@@ -197,7 +199,7 @@ class Layout:
     spans: Spans
     rows: list[Row]
     junctions: list[int]
-    ways: list[Way]
+    ways: list[ConnectionPath]
 
 
 def make_layout(lanes: dict[int, KeptLane], held: Collection[int]) -> Layout:

@@ -20,8 +20,8 @@ import numpy as np
 
 from sumo_adv.datatypes import Floats
 from sumo_adv.geometry import LAYER_HEIGHT_M
-from sumo_adv.womd.lines import SAME_POINT_DISTANCE_M, at, stations
-from sumo_adv.womd.network.roads import Link, RoadEdge
+from sumo_adv.womd.lines import SAME_POINT_DISTANCE_M, at, line_stations
+from sumo_adv.womd.network.roads import JunctionLink, RoadEdge
 
 if TYPE_CHECKING:
     from shapely import LineString
@@ -37,7 +37,7 @@ MOVEMENT_PRIORITY = {"s": 3, "r": 2, "l": 1, "t": 0}
 Rank = tuple[float, ...]
 
 
-def find_foes(links: Sequence[Link]) -> set[tuple[int, int]]:
+def find_foes(links: Sequence[JunctionLink]) -> set[tuple[int, int]]:
     """Pairs (i, j), i < j, of links of one junction that merge, cross or come too close; never two from one lane."""
     from shapely import STRtree, linestrings
 
@@ -55,7 +55,7 @@ def find_foes(links: Sequence[Link]) -> set[tuple[int, int]]:
     return foes
 
 
-def _apart(a: Link, b: Link) -> bool:
+def _apart(a: JunctionLink, b: JunctionLink) -> bool:
     """Whether one passes over the other."""
     if abs(float(np.mean(a.heights)) - float(np.mean(b.heights))) < LAYER_HEIGHT_M / 2:
         return False
@@ -64,7 +64,7 @@ def _apart(a: Link, b: Link) -> bool:
     return abs(float(a.heights[i] - b.heights[j])) >= LAYER_HEIGHT_M
 
 
-def bend_together(links: Sequence[Link], foes: set[tuple[int, int]]) -> tuple[Link, ...]:
+def bend_together(links: Sequence[JunctionLink], foes: set[tuple[int, int]]) -> tuple[JunctionLink, ...]:
     """The links, with those bent that pass a foe closely without crossing it on the way."""
     from shapely import LineString
     from shapely.ops import substring
@@ -107,9 +107,9 @@ def _nearest(lines: Sequence[LineString], parts: Sequence[LineString]) -> tuple[
     return nearest_at, gap * (1.0 + CROSSING_OVERLAP_M / max(float(np.hypot(*gap)), 1e-6))
 
 
-def _bend(link: Link, station: float, way: Floats) -> Link:
+def _bend(link: JunctionLink, station: float, way: Floats) -> JunctionLink:
     """The link moved by ``way`` [m] at ``station``, less and less to both sides, its ends kept."""
-    along = stations(link.shape)
+    along = line_stations(link.shape)
     reach = min(BEND_LENGTH_M, station, float(along[-1]) - station)
     extra = station + reach * np.linspace(-1.0, 1.0, 17)
     every = np.unique(np.concatenate([along, extra]))
@@ -119,7 +119,7 @@ def _bend(link: Link, station: float, way: Floats) -> Link:
 
 
 @dataclass(frozen=True, slots=True)
-class RightOfWay:
+class LinkPriorities:
     """For each link: SUMO's letter (M, m, s, w), and the links it yields to; foes both ways; the kind of junction."""
 
     kind: dict[str, str]
@@ -129,9 +129,9 @@ class RightOfWay:
 
 
 def settle(
-    links: Sequence[Link], edges: dict[str, RoadEdge], foes: set[tuple[int, int]], stops: Collection[int],
+    links: Sequence[JunctionLink], edges: dict[str, RoadEdge], foes: set[tuple[int, int]], stops: Collection[int],
     ruled: Collection[int],
-) -> RightOfWay:  # fmt: skip
+) -> LinkPriorities:  # fmt: skip
     """Rank the links of every junction; ``stops``: WOMD lanes that begin at a stop sign; ``ruled``: links that a
     signal rules (they go before all others of their junction)."""
     of_junction: dict[str, list[int]] = {}
@@ -153,7 +153,7 @@ def settle(
         for k in members:
             yields[k] = set(against[k]) if allway else {j for j in against[k] if ranks[j] > ranks[k]}
             state[k] = "w" if allway else "s" if stopped[k] else "m" if yields[k] else "M"
-    return RightOfWay(kind, tuple(state), tuple(map(frozenset, yields)), tuple(map(frozenset, against)))
+    return LinkPriorities(kind, tuple(state), tuple(map(frozenset, yields)), tuple(map(frozenset, against)))
 
 
 def _all_stop(edges: dict[str, RoadEdge], approaches: set[str], halting: set[str]) -> bool:
@@ -165,7 +165,11 @@ def _all_stop(edges: dict[str, RoadEdge], approaches: set[str], halting: set[str
 
 
 def _ranks(
-    links: Sequence[Link], edges: dict[str, RoadEdge], members: list[int], stopped: list[bool], ruled: Collection[int]
+    links: Sequence[JunctionLink],
+    edges: dict[str, RoadEdge],
+    members: list[int],
+    stopped: list[bool],
+    ruled: Collection[int],
 ) -> dict[int, Rank]:
     """A rank for every link of a junction, all different; the greater goes first."""
     sources = sorted({links[k].source for k in members})

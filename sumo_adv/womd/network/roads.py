@@ -14,8 +14,8 @@ import numpy as np
 
 from sumo_adv.datatypes import Floats
 from sumo_adv.geometry import LAYER_HEIGHT_M
-from sumo_adv.womd.lines import at, headings, joined, part, turned
-from sumo_adv.womd.network.layout import Layout, Leg, Row, Stretch, Way
+from sumo_adv.womd.lines import at, headings, joined_line, part, turned
+from sumo_adv.womd.network.layout import ConnectionPath, Layout, Leg, Row, StrandStretch
 from sumo_adv.womd.network.strands import Strand
 from sumo_adv.womd.record import LineFeature
 
@@ -31,14 +31,16 @@ BEND_LATERAL_ACCELERATION_M_S2 = 5.5  # that limits speed in a bend, as netconve
 MIN_BEND_SPEED_M_S = 3.0  # no bend is slower
 
 
-def find_widths(strands: tuple[Strand, ...], rows: Sequence[Row], lines: Iterable[LineFeature]) -> dict[Stretch, float]:
+def find_widths(
+    strands: tuple[Strand, ...], rows: Sequence[Row], lines: Iterable[LineFeature]
+) -> dict[StrandStretch, float]:
     """The width [m] of every stretch of every row."""
     stretches = [stretch for row in rows for stretch in row]
     centre, side = _probes(strands, stretches)
     sides = _distances(np.vstack([centre, centre]), np.vstack([side, -side]), lines)
     left, right = (part.reshape(-1, WIDTH_PROBE_COUNT) for part in np.split(sides, 2))
     spacing = _spacings(strands, rows)
-    width: dict[Stretch, float] = {}
+    width: dict[StrandStretch, float] = {}
     for k, stretch in enumerate(stretches):
         bike = strands[stretch.strand].bike
         value = _choose(
@@ -62,7 +64,7 @@ def _choose(left: Floats, right: Floats, spacing: float | None, default: float) 
     return 2 * float(np.median(finite)) if len(finite) else default
 
 
-def _probes(strands: tuple[Strand, ...], stretches: list[Stretch]) -> tuple[Floats, Floats]:
+def _probes(strands: tuple[Strand, ...], stretches: list[StrandStretch]) -> tuple[Floats, Floats]:
     """Points ``(n, 3)`` on the centres and unit vectors ``(n, 2)`` to the left of each."""
     centres, sides = [], []
     for stretch in stretches:
@@ -105,9 +107,9 @@ def _distances(centre: Floats, side: Floats, lines: Iterable[LineFeature]) -> Fl
     return distances
 
 
-def _spacings(strands: tuple[Strand, ...], rows: Iterable[Row]) -> dict[Stretch, float]:
+def _spacings(strands: tuple[Strand, ...], rows: Iterable[Row]) -> dict[StrandStretch, float]:
     """Mean distance between the middles of neighbours in a row."""
-    spacings: dict[Stretch, list[float]] = {}
+    spacings: dict[StrandStretch, list[float]] = {}
     for row in rows:
         middles = [at(strands[s.strand].points, strands[s.strand].along, (s.start + s.end) / 2) for s in row]
         for right, left, p, q in zip(row, row[1:], middles, middles[1:], strict=False):
@@ -144,7 +146,7 @@ class RoadEdge:
 
 
 @dataclass(frozen=True, slots=True)
-class Link:
+class JunctionLink:
     """A way through ``junction`` from lane ``from_lane`` of edge ``source`` to ``to_lane`` of ``target``.
 
     shape ``(n, 2)`` [m]; heights ``(n,)`` [m]; width m; speed m/s; turn rad, left positive; legs: the spans it uses;
@@ -176,16 +178,16 @@ class Link:
 
 
 @dataclass(frozen=True, slots=True)
-class Roads:
+class RoadNetwork:
     """The whole network. junctions: name -> centre (x, y) [m]."""
 
     edges: dict[str, RoadEdge]
-    links: tuple[Link, ...]
+    links: tuple[JunctionLink, ...]
     junctions: dict[str, tuple[float, float]]
-    place: dict[Stretch, tuple[str, int]]
+    place: dict[StrandStretch, tuple[str, int]]
 
 
-def make_roads(layout: Layout, widths: dict[Stretch, float]) -> Roads:
+def make_roads(layout: Layout, widths: dict[StrandStretch, float]) -> RoadNetwork:
     """Name and shape everything."""
     edges, place = _edges(layout, widths)
     links = tuple(_link(layout, way, edges, place) for way in layout.ways)
@@ -196,12 +198,14 @@ def make_roads(layout: Layout, widths: dict[Stretch, float]) -> Roads:
             ends.setdefault(edge.end, []).append(lane.shape[-1])
     centres = {name: np.mean(points, axis=0) for name, points in ends.items()}
     junctions = {name: (float(c[0]), float(c[1])) for name, c in centres.items()}
-    return Roads(edges, links, junctions, place)
+    return RoadNetwork(edges, links, junctions, place)
 
 
-def _edges(layout: Layout, widths: dict[Stretch, float]) -> tuple[dict[str, RoadEdge], dict[Stretch, tuple[str, int]]]:
+def _edges(
+    layout: Layout, widths: dict[StrandStretch, float]
+) -> tuple[dict[str, RoadEdge], dict[StrandStretch, tuple[str, int]]]:
     edges: dict[str, RoadEdge] = {}
-    place: dict[Stretch, tuple[str, int]] = {}
+    place: dict[StrandStretch, tuple[str, int]] = {}
     strands = layout.strands.all
     repeated: Counter[int] = Counter()
     for row, start, end in zip(layout.rows, layout.junctions[::2], layout.junctions[1::2], strict=False):
@@ -218,7 +222,9 @@ def _edges(layout: Layout, widths: dict[Stretch, float]) -> tuple[dict[str, Road
     return edges, place
 
 
-def _link(layout: Layout, way: Way, edges: dict[str, RoadEdge], place: dict[Stretch, tuple[str, int]]) -> Link:
+def _link(
+    layout: Layout, way: ConnectionPath, edges: dict[str, RoadEdge], place: dict[StrandStretch, tuple[str, int]]
+) -> JunctionLink:
     source, from_lane = place[way.source]
     target, to_lane = place[way.target]
     parts, lanes = [], []
@@ -227,13 +233,13 @@ def _link(layout: Layout, way: Way, edges: dict[str, RoadEdge], place: dict[Stre
         a, b = layout.spans.of[number][k]
         parts.append(part(strand.points, strand.along, a, b))
         lanes += [run.lane for run in strand.runs if run.lane_start == 0.0 and a - 1e-6 <= run.start < b]
-    line = joined(parts)
+    line = joined_line(parts)
     shape = line[:, :2]
     before, after = edges[source].lanes[from_lane], edges[target].lanes[to_lane]
     strands = [layout.strands.all[number] for number, _ in way.legs]
     speed = min(min(strand.speed for strand in strands), _bend_speed(shape))
-    with_ends = joined([before.shape[-3:], shape, after.shape[:3]])  # so that short ones have a direction
-    return Link(
+    with_ends = joined_line([before.shape[-3:], shape, after.shape[:3]])  # so that short ones have a direction
+    return JunctionLink(
         edges[source].end, source, from_lane, target, to_lane, shape, line[:, 2], min(before.width, after.width), speed,
         turned(with_ends), way.legs, tuple(lanes),
         any(strand.turning for strand in strands),

@@ -20,8 +20,8 @@ import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats
 from sumo_adv.geometry import wrap
-from sumo_adv.womd.network.right_of_way import RightOfWay
-from sumo_adv.womd.network.roads import Link
+from sumo_adv.womd.network.right_of_way import LinkPriorities
+from sumo_adv.womd.network.roads import JunctionLink
 from sumo_adv.womd.record import VEHICLE, Record
 
 # s of green before and after a vehicle that did not stand drives over the line
@@ -43,7 +43,7 @@ Stream = tuple[str, str]  # edge and direction
 
 
 @dataclass(frozen=True, slots=True)
-class Traffic:
+class RecordTraffic:
     """All vehicles of a record: fronts, centres ``(k, n, 2)`` m; heading rad, speed m/s, valid ``(k, n)``; step s."""
 
     fronts: Floats
@@ -54,7 +54,7 @@ class Traffic:
     step: float
 
 
-def logged_traffic(record: Record) -> Traffic:
+def logged_traffic(record: Record) -> RecordTraffic:
     """The record's vehicles."""
     tracks = [t for t in record.tracks if t.kind == VEHICLE]
     shape = (len(tracks), len(record.time))
@@ -66,10 +66,10 @@ def logged_traffic(record: Record) -> Traffic:
     fronts = centres + 0.5 * length[..., None] * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
     step = float(record.time[1] - record.time[0]) if len(record.time) > 1 else 0.1
     valid = np.array([t.valid for t in tracks], bool).reshape(shape)
-    return Traffic(fronts, centres, heading, np.hypot(vx, vy), valid, step)
+    return RecordTraffic(fronts, centres, heading, np.hypot(vx, vy), valid, step)
 
 
-def witnessed_letters(traffic: Traffic, links: Sequence[Link]) -> list[str]:
+def witnessed_letters(traffic: RecordTraffic, links: Sequence[JunctionLink]) -> list[str]:
     """A letter a step (g, y or r) for links that have one signal; empty if no vehicle drove off on any of them."""
     green = np.zeros(traffic.valid.shape[1], bool)
     for link in links:
@@ -92,7 +92,7 @@ def witnessed_letters(traffic: Traffic, links: Sequence[Link]) -> list[str]:
     return [str(letter) for letter in letters]
 
 
-def _drives(traffic: Traffic, link: Link) -> Iterator[tuple[int, int]]:
+def _drives(traffic: RecordTraffic, link: JunctionLink) -> Iterator[tuple[int, int]]:
     """Vehicles that take a link, each with the step at which its front is over the line."""
     from shapely import LineString, distance, line_locate_point, points
 
@@ -140,7 +140,7 @@ class SignalPlan:
 
 
 def ruling_lanes(
-    record: Record, links: Sequence[Link], foes: Collection[tuple[int, int]], stops: Collection[int]
+    record: Record, links: Sequence[JunctionLink], foes: Collection[tuple[int, int]], stops: Collection[int]
 ) -> dict[int, int | None]:
     """Link number -> the signal lane that rules it; None for links of an approach without a recorded signal or a stop
     sign that goes straight on across a ruled one."""
@@ -157,7 +157,7 @@ def ruling_lanes(
     return ruling
 
 
-def plan_signals(record: Record, links: Sequence[Link], rulers: Rulers, order: RightOfWay) -> SignalPlan:
+def plan_signals(record: Record, links: Sequence[JunctionLink], rulers: Rulers, order: LinkPriorities) -> SignalPlan:
     """Programs for all junctions with a ruled link."""
     letters = _letters(record)
     place: dict[int | None, int] = {lane: n for n, lane in enumerate(letters)}
@@ -194,7 +194,7 @@ def _letters(record: Record) -> dict[int, list[str]]:
 
 
 def _known(
-    record: Record, links: Sequence[Link], members: list[int], rulers: Rulers, letters: dict[int, list[str]]
+    record: Record, links: Sequence[JunctionLink], members: list[int], rulers: Rulers, letters: dict[int, list[str]]
 ) -> tuple[dict[int, list[str]], int]:
     """Each link's letters; where its own are never known those of a like link, else what logged vehicles tell, else
     red; and of how many streams vehicles told."""
@@ -203,7 +203,7 @@ def _known(
     for n in members:
         if any(own[n]):
             of_stream.setdefault(_stream(links[n]), own[n])
-    unseen: dict[Stream, list[Link]] = {}
+    unseen: dict[Stream, list[JunctionLink]] = {}
     for n in members:
         if _stream(links[n]) not in of_stream:
             unseen.setdefault(_stream(links[n]), []).append(links[n])
@@ -216,7 +216,7 @@ def _known(
     return of_link, len(witnessed)
 
 
-def _stream(link: Link) -> Stream:
+def _stream(link: JunctionLink) -> Stream:
     return link.source, link.direction
 
 
@@ -230,7 +230,7 @@ def _run_lengths(rows: list[str], step: float) -> list[tuple[float, str]]:
     return [(round(duration, 2), state) for duration, state in phases]
 
 
-def _needy(links: Sequence[Link], members: list[int], phases: list[tuple[float, str]]) -> list[Stream]:
+def _needy(links: Sequence[JunctionLink], members: list[int], phases: list[tuple[float, str]]) -> list[Stream]:
     """Streams with too little green in the record, in order."""
     green: dict[Stream, float] = {}
     for k, n in enumerate(members):
@@ -241,7 +241,7 @@ def _needy(links: Sequence[Link], members: list[int], phases: list[tuple[float, 
 
 
 def _default(
-    links: Sequence[Link], members: list[int], needy: list[Stream], order: RightOfWay
+    links: Sequence[JunctionLink], members: list[int], needy: list[Stream], order: LinkPriorities
 ) -> list[tuple[float, str]]:
     """Few green phases that serve every needy stream, each with all others that are in no other's way."""
     of_stream: dict[Stream, list[int]] = {}
@@ -252,7 +252,7 @@ def _default(
     return [(DEFAULT_GREEN_S, "".join("g" if n in green else "r" for n in members)) for green in greens]
 
 
-def _serve(waiting: list[Stream], of_stream: Mapping[Stream, list[int]], order: RightOfWay) -> list[set[int]]:
+def _serve(waiting: list[Stream], of_stream: Mapping[Stream, list[int]], order: LinkPriorities) -> list[set[int]]:
     """The links that are green together, a set a phase: the first stream that waits with all that fit."""
     phases = []
     while waiting:
@@ -288,7 +288,7 @@ def _change(before: str, after: str) -> list[tuple[float, str]]:
     return [(DEFAULT_YELLOW_S, yellow), (DEFAULT_CLEARANCE_S, clear)]
 
 
-def _major(state: str, members: list[int], order: RightOfWay) -> str:
+def _major(state: str, members: list[int], order: LinkPriorities) -> str:
     """Capital G for greens that yield to no other green of the phase."""
     green = {n for n, letter in zip(members, state, strict=True) if letter in "gyo"}
     return "".join(

@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 
 from sumo_adv.datatypes import Floats
-from sumo_adv.womd.lines import MAX_CONNECTION_GAP_M, at, distinct, part, stations, turned
+from sumo_adv.womd.lines import MAX_CONNECTION_GAP_M, at, distinct_points, line_stations, part, turned
 from sumo_adv.womd.record import BIKE, LaneFeature, Record
 
 MIN_LONE_LANE_LENGTH_M = 1.0  # shorter lanes that nothing leads to or from are dropped
@@ -62,12 +62,12 @@ class Kept:
     assumed_speeds: int
 
 
-def keep(record: Record) -> Kept:
+def keep_lanes(record: Record) -> Kept:
     """Sort the record's lanes into kept and dropped."""
     dropped: dict[int, str] = {}
     usable: dict[int, Floats] = {}
     for lane in record.lanes.values():
-        points = distinct(lane.points) if len(lane.points) else lane.points
+        points = distinct_points(lane.points) if len(lane.points) else lane.points
         if len(points) < 2:
             dropped[lane.id] = "one point" if len(points) else "no points"
         elif not np.isfinite(points).all():
@@ -77,13 +77,13 @@ def keep(record: Record) -> Kept:
     links, gaps = _links(record, usable)
     linked = {lane for pair in links for lane in pair}
     for number, points in list(usable.items()):
-        if number not in linked and stations(points)[-1] < MIN_LONE_LANE_LENGTH_M:
+        if number not in linked and line_stations(points)[-1] < MIN_LONE_LANE_LENGTH_M:
             dropped[number] = f"unconnected and under {MIN_LONE_LANE_LENGTH_M:g} m"
             del usable[number]
     speeds, assumed = _speeds(record, usable, links)
     lanes = {
         number: KeptLane(
-            record.lanes[number], points, stations(points), stations(record.lanes[number].points),
+            record.lanes[number], points, line_stations(points), line_stations(record.lanes[number].points),
             speeds[number], tuple(sorted(a for a, b in links if b == number)),
             tuple(sorted(b for a, b in links if a == number)),
         )
@@ -223,7 +223,7 @@ def _common(group: Sequence[KeptLane], *, at_end: bool) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Run:
+class LaneRun:
     """Lane ``lane`` from its station lane_start to lane_end lies on a strand from start to end [m]."""
 
     lane: int
@@ -241,7 +241,7 @@ class Strand:
     number: int
     points: Floats
     along: Floats
-    runs: tuple[Run, ...]
+    runs: tuple[LaneRun, ...]
     speed: float
     bike: bool
     turning: bool
@@ -263,7 +263,7 @@ class Strands:
     """All strands; for each lane its runs in order, each with its strand."""
 
     all: tuple[Strand, ...]
-    of_lane: dict[int, tuple[tuple[int, Run], ...]]
+    of_lane: dict[int, tuple[tuple[int, LaneRun], ...]]
 
 
 def make_strands(lanes: dict[int, KeptLane], held: Collection[int]) -> Strands:
@@ -273,18 +273,19 @@ def make_strands(lanes: dict[int, KeptLane], held: Collection[int]) -> Strands:
     first = {chain[0]: k for k, chain in enumerate(chains)}
     last = {chain[-1]: k for k, chain in enumerate(chains)}
     made: list[Strand] = []
-    runs_of: dict[int, list[tuple[int, Run]]] = {}
+    runs_of: dict[int, list[tuple[int, LaneRun]]] = {}
     for k, chain in enumerate(chains):
         line, placed = _string([sections[key].points for key in chain])
         runs = []
         for key, (start, end) in zip(chain, placed, strict=True):
             for use in sections[key].uses:
-                runs.append(Run(use.lane, use.start, use.end, start, end))
+                runs.append(LaneRun(use.lane, use.start, use.end, start, end))
                 runs_of.setdefault(use.lane, []).append((k, runs[-1]))
         head, tail = sections[chain[0]], sections[chain[-1]]
         made.append(
             Strand(
-                k, line, stations(line), tuple(runs), head.speed, head.bike, all(sections[n].turning for n in chain),
+                k, line, line_stations(line), tuple(runs), head.speed, head.bike,
+                all(sections[n].turning for n in chain),
                 tuple(last[n] for n in head.entries), tuple(first[n] for n in tail.exits),
             )
         )  # fmt: skip
@@ -306,10 +307,10 @@ def _follows(sections: dict[int, Section]) -> dict[int, int]:
 
 def _string(parts: list[Floats]) -> tuple[Floats, list[tuple[float, float]]]:
     """One line through parts that follow one another, and the stations where each begins and ends."""
-    placed = [(0.0, float(stations(parts[0])[-1]))]
+    placed = [(0.0, float(line_stations(parts[0])[-1]))]
     for before, after in pairwise(parts):
         start = placed[-1][1] + float(np.hypot(*(after[0] - before[-1])[:2]))
-        placed.append((start, start + float(stations(after)[-1])))
+        placed.append((start, start + float(line_stations(after)[-1])))
     line = np.vstack(parts)
     step = np.hypot(*np.diff(line[:, :2], axis=0).T)
     return line[np.concatenate([[True], step > 1e-9])], placed
