@@ -152,8 +152,7 @@ def test_it_does_not_brake_for_a_vehicle_that_will_be_gone_in_time() -> None:
     at 12 m/s no reason to brake."""
     for speed, brakes in ((12.0, False), (0.0, True)):
         egos = egos_of(crossroads(12.0))
-        # type: ignore[misc]
-        drive(egos, 0.1, lambda _, v=speed: at_junction(True, front_to_zone=-6.2, speed=v, meets_at=18.1), speed)
+        drive(egos, 0.1, lambda _, v=speed: at_junction(True, front_to_zone=-6.2, speed=v, meets_at=18.1), speed)  # type: ignore[misc]
         assert bool(egos.disturbed[0]) is brakes
 
 

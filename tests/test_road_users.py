@@ -183,8 +183,7 @@ def test_the_careful_ego_does_not_see_through_a_van() -> None:
     for name in ("seen", "hidden"):
         ego = CarefulEgo()
         for k in range(20):
-            # type: ignore[arg-type]
-            walker = Vehicle(name, 22.0, -4.0 + 0.15 * k, NORTH, 1.5, 0.0, 0.5, 0.5, "", senses=Hides())
+            walker = Vehicle(name, 22.0, -4.0 + 0.15 * k, NORTH, 1.5, 0.0, 0.5, 0.5, "", senses=Hides())  # type: ignore[arg-type]
             me = VehicleState("ego", 0.0, 0.0, 0.0, 10.0, 0.0, 5.0, 2.0, "")
             speeds[name] = ego.act(Observation(0.1 * k, 0.1, me, (walker,), 0.0, 0.0, None, None))
     assert speeds["seen"] is not None and speeds["hidden"] is None
