@@ -45,7 +45,7 @@ from sumo_adv.search.search import AttackSearch
 from sumo_adv.search.settings import EvolutionSettings, SearchSettings
 from sumo_adv.search.support_intents import SUPPORT_INTENTS, fits
 from sumo_adv.search.supports import Supports, against, named, observed_escape
-from sumo_adv.simulation.sumo_rules import Scenes
+from sumo_adv.simulation.sumo_rules import SituationBatch
 from sumo_adv.situation import Target
 
 PLANNER = Planner("Shift", "side", "", (), "seed")
@@ -75,7 +75,7 @@ def egos_after(seconds: float, *adversaries: Sequence[Target]) -> PredictedEgos:
     """Egos at 10 m/s after some time; ``adversaries``: the first ones of all egos, then the second ones."""
     pairs = [t for those in adversaries for t in those]
     sizes = np.full(len(pairs), 5.0), np.full(len(pairs), 2.0)
-    egos = PredictedEgos(Scenes([SCENE] * len(pairs)), *sizes, each=len(adversaries))
+    egos = PredictedEgos(SituationBatch([SCENE] * len(pairs)), *sizes, each=len(adversaries))
     states = np.array([(t.state.x, t.state.y, t.state.speed) for t in pairs])
     for k in range(round(seconds / 0.1)):
         place = (states[:, 0] + states[:, 2] * 0.1 * k, states[:, 1], 0.0 * states[:, 0])
