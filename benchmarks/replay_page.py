@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
 from page_samples import Visit, chromium, make_run, outcome
 
-from sumo_adv.report.index import Made, Table, make_index, road_of
+from sumo_adv.report.index import MadePages, ResultsTable, make_index, road_of
 from sumo_adv.report.page import make_page
 
 SECONDS = 8.0  # of playing
@@ -81,8 +81,8 @@ def index(browser: Any, folder: Path) -> None:
     """The index's figures."""
     name = "straight_3lane.net.xml"
     road = road_of(Path(__file__).resolve().parent.parent / "networks" / name)
-    table = Table(rows(ROWS))
-    made = {r["id"]: Made(0, (k % 400 - 200.0, -4.8 + k % 3 * 3.2), name) for k, r in enumerate(table.rows)}
+    table = ResultsTable(rows(ROWS))
+    made = {r["id"]: MadePages(0, (k % 400 - 200.0, -4.8 + k % 3 * 3.2), name) for k, r in enumerate(table.rows)}
     file = folder / "index.html"
     began = perf_counter()
     file.write_text(make_index("made up", table, made, {name: road}), encoding="utf-8")

@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 
-from sumo_adv.benchmark.columns import COLUMNS
+from sumo_adv.benchmark.columns import TABLE_COLUMNS
 from sumo_adv.benchmark.table import DIVERGENCES, TABLE_I
 
 ROOT = Path(__file__).parents[1]
@@ -35,7 +35,7 @@ CODE = (  # what figures depend on
 )  # fmt: skip
 FRESH, RECORDS = "fresh:", "records"
 SECONDS, ATTEMPTS = 30.0, 400  # the budget of an encounter
-COLUMN = {column.key: column for column in COLUMNS}
+COLUMN = {column.key: column for column in TABLE_COLUMNS}
 PAIRED = ("valid", "strict", "serious")  # columns with paired differences
 OF_PAPER = {"mean_min_ttc": "mean_min_ttc", "collision": "collision"}  # column -> field of paper.Reported
 

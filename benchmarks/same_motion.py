@@ -28,13 +28,13 @@ from sumo_adv.episode.loop import replay_episode
 from sumo_adv.errors import SumoAdvError
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.report.judging import run_folders
-from sumo_adv.report.manifest import Recorded, read_manifest
+from sumo_adv.report.manifest import RecordedRun, read_manifest
 from sumo_adv.simulation.tracks import tracks_of
 
 EGOS = "krauss,idm,eidm,careful,lattice,replay"
 
 
-def played(recorded: Recorded) -> Episode:
+def played(recorded: RecordedRun) -> Episode:
     """The attempt of a manifest, simulated again."""
     with Sandbox() as sandbox, new_engine() as engine:
         return replay_episode(

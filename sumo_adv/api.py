@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from sumo_adv.report.export import Format, Variant
     from sumo_adv.report.run_outcome import Outcome
 
-HEIGHT = 720  # pixels of a page inside a notebook
-WORDS = ("id", "role", "lane")  # columns of tables that are text; all others are numbers
+NOTEBOOK_PAGE_HEIGHT_PX = 720  # pixels of a page inside a notebook
+TEXT_COLUMNS = ("id", "role", "lane")  # columns of tables that are text; all others are numbers
 Table = dict[str, NDArray[Any]]
 """Columns by name, all of one length: what ``pandas.DataFrame`` takes."""
 
@@ -46,10 +46,10 @@ class Result:
 
         Raises UsageError: ``outcome.json`` is missing or damaged.
         """
-        from sumo_adv.report.read import OUTCOME, read_run
+        from sumo_adv.report.read import OUTCOME_FILE, read_run
         from sumo_adv.report.run_outcome import outcome_of
 
-        return outcome_of(read_run(self.folder).outcome, self.folder / OUTCOME)
+        return outcome_of(read_run(self.folder).outcome, self.folder / OUTCOME_FILE)
 
     @cached_property
     def states(self) -> Table:
@@ -84,7 +84,7 @@ class Result:
 
         return draw_paper(read_story(self.folder))
 
-    def show(self, height: int = HEIGHT) -> Shown:
+    def show(self, height: int = NOTEBOOK_PAGE_HEIGHT_PX) -> Shown:
         """The replay page, inline where a notebook shows the last value of a cell. Raises UsageError."""
         from sumo_adv.report.page import make_page
 
@@ -243,6 +243,6 @@ def _table(file: Path, header: str | None = None) -> Table:
 
     columns = columns_of(file) if header is None else columns_of(file, header)
     return {
-        name: np.array(values, object) if name in WORDS else np.array([v or "nan" for v in values], np.float64)
+        name: np.array(values, object) if name in TEXT_COLUMNS else np.array([v or "nan" for v in values], np.float64)
         for name, values in columns.items()
     }

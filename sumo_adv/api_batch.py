@@ -19,7 +19,7 @@ import numpy as np
 
 from sumo_adv.api import Result, Table
 from sumo_adv.app import batch_parts, cluster_processors, estimate_rate, run_campaign, shipped_bank
-from sumo_adv.campaigns.results import INTEGER_COLUMNS, NUMBER_COLUMNS, read_csv, read_row
+from sumo_adv.campaigns.results import INTEGER_COLUMNS, NUMBER_COLUMNS, OUTCOME_FILE, read_csv, read_row
 from sumo_adv.config import Until
 from sumo_adv.config_odd import Odd, read_odd
 from sumo_adv.datatypes import Level
@@ -27,6 +27,7 @@ from sumo_adv.errors import UsageError
 from sumo_adv.files import refuse_links, scratch_prefix
 from sumo_adv.goal import Goal
 from sumo_adv.memory.store import default_bank_path
+from sumo_adv.report.staging import PLAN_FILE, RESULTS_FILE
 
 if TYPE_CHECKING:
     from sumo_adv.campaigns.campaign import Orders, Summary
@@ -35,8 +36,8 @@ if TYPE_CHECKING:
     from sumo_adv.rate.estimate import RateEstimate
     from sumo_adv.report.coverage import Coverage
 
-RESULTS, RUNS, PLAN = "results.csv", "runs", "plan.json"
-RECYCLE = 200  # episodes after which a worker is replaced, as on the command line
+RUNS_FOLDER = "runs"
+EPISODES_PER_WORKER = 200  # episodes after which a worker is replaced, as on the command line
 Finished = Callable[[Mapping[str, Any]], None]
 
 
@@ -45,8 +46,8 @@ class Campaign:
 
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
-        if not (self.folder / PLAN).is_file():
-            raise UsageError(f"{folder} is not the folder of a batch: it has no {PLAN}.")
+        if not (self.folder / PLAN_FILE).is_file():
+            raise UsageError(f"{folder} is not the folder of a batch: it has no {PLAN_FILE}.")
         refuse_links(self.folder)
 
     @cached_property
@@ -57,20 +58,20 @@ class Campaign:
         values are arrays of objects (None where nothing is said).
         """
         kinds = {**dict.fromkeys(NUMBER_COLUMNS, np.float64), **dict.fromkeys(INTEGER_COLUMNS, np.int64)}
-        columns = read_csv(self.folder / RESULTS)
+        columns = read_csv(self.folder / RESULTS_FILE)
         return {name: np.array(values, dtype=kinds.get(name, np.object_)) for name, values in columns.items()}
 
     def run(self, name: str) -> Result:
         """The result of the episode of that id. Its attributes raise UsageError if the episode is packed."""
-        return Result(self.folder / RUNS / name)
+        return Result(self.folder / RUNS_FOLDER / name)
 
     def coverage(self) -> Coverage:
         """Encounters and failures by intent, relation, road class and speed. Raises UsageError or BankError."""
         from sumo_adv.campaigns.store import packed_texts
-        from sumo_adv.report.coverage import OUTCOME, campaign_coverage
+        from sumo_adv.report.coverage import campaign_coverage
 
-        runs = [self.folder / RUNS / str(name) for name in self.table["id"]]
-        return campaign_coverage(self.folder, runs, packed_texts(self.folder, OUTCOME), shipped_bank())
+        runs = [self.folder / RUNS_FOLDER / str(name) for name in self.table["id"]]
+        return campaign_coverage(self.folder, runs, packed_texts(self.folder, OUTCOME_FILE), shipped_bank())
 
     def __repr__(self) -> str:
         return f"<sumo_adv.Campaign of {len(self.table['id'])} episodes: {self.folder}>"
@@ -159,7 +160,12 @@ def _domain(odd: str | Path | Mapping[str, Any] | Odd | None) -> dict[str, Any]:
 
 
 def orders_of(
-    plan: CampaignPlan, out: str | Path, workers: int | None, deadline: float, recycle: int = RECYCLE, **how: Any
+    plan: CampaignPlan,
+    out: str | Path,
+    workers: int | None,
+    deadline: float,
+    recycle: int = EPISODES_PER_WORKER,
+    **how: Any,
 ) -> Orders:
     """How a plan is run; ``how``: the further fields of ``Orders``."""
     from sumo_adv.campaigns.campaign import Orders
@@ -197,7 +203,7 @@ class Teller:
 # -- hunts
 
 
-PAGES = 60  # replay pages that are made at once
+MAX_PAGES_AT_ONCE = 60  # replay pages that are made at once
 
 
 @dataclass(frozen=True)
@@ -216,9 +222,9 @@ class HuntResult:
     @property
     def table(self) -> Table:
         """Columns by name, a row for each distinct failure: ``pandas.DataFrame(result.table)``."""
-        from sumo_adv.hunting.failures import COLUMNS
+        from sumo_adv.hunting.failures import FAILURE_COLUMNS
 
-        return {name: np.array([row[name] for row in self.rows]) for name in COLUMNS}
+        return {name: np.array([row[name] for row in self.rows]) for name in FAILURE_COLUMNS}
 
 
 def hunt(
@@ -289,7 +295,7 @@ def _index(found: Found, workers: int) -> Path:
     coverage = campaign_coverage(found.folder, runs, {}, shipped_bank())
     made = write_report(
         found.folder / "failures", target, found.folder.resolve().name,
-        table_of(row for run in runs if (row := read_row(run)) is not None), Packs(), coverage, most=PAGES,
+        table_of(row for run in runs if (row := read_row(run)) is not None), Packs(), coverage, most=MAX_PAGES_AT_ONCE,
         workers=workers, again=True,
     )  # fmt: skip
     write_coverage(target, coverage)

@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from multiprocessing.util import Finalize
 
     from sumo_adv.agents.agents import Agents
-    from sumo_adv.benchmark.jobs import Parts as BenchParts
+    from sumo_adv.benchmark.jobs import BenchParts
     from sumo_adv.campaigns.campaign import CampaignWatcher, Orders, Summary
     from sumo_adv.campaigns.plan import CampaignPlan
-    from sumo_adv.campaigns.results import CampaignParts as BatchParts
+    from sumo_adv.campaigns.results import CampaignParts
     from sumo_adv.config import Settings
     from sumo_adv.datatypes import LibraryEntry
     from sumo_adv.driver_check import Checked, DriverCheck
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from sumo_adv.planners.sandbox import Sandbox
     from sumo_adv.rate.blocks import RatePlan
     from sumo_adv.rate.estimate import RateEstimate
-    from sumo_adv.report.manifest import Recorded
+    from sumo_adv.report.manifest import RecordedRun
     from sumo_adv.simulation.inputs import RunInput
 
 # -- the input and the memory bank --------------------------------------------------------------------------------
@@ -229,7 +229,7 @@ def _with_request(settings: Settings) -> Settings:
     return settings.model_copy(update={"ask": words})
 
 
-def replay(recorded: Recorded) -> Episode:
+def replay(recorded: RecordedRun) -> Episode:
     """Repeat the attempt that a manifest records."""
     from sumo_adv.episode.loop import replay_episode
 
@@ -241,7 +241,7 @@ def replay(recorded: Recorded) -> Episode:
     return episode
 
 
-def minimise(recorded: Recorded, settings: Settings, tell: Callable[[str, Any], None]) -> Episode:
+def minimise(recorded: RecordedRun, settings: Settings, tell: Callable[[str, Any], None]) -> Episode:
     """Make the attack that a manifest records as mild as the level ``settings.until`` allows. Raises UsageError."""
     from sumo_adv.episode.minimise import minimise_episode
 
@@ -342,7 +342,7 @@ def _without_main() -> Iterator[None]:
 # -- what the workers of a batch and of a benchmark call ----------------------------------------------------------
 
 
-def batch_parts() -> BatchParts:
+def batch_parts() -> CampaignParts:
     """The functions that a batch's workers need."""
     from sumo_adv.campaigns.results import CampaignParts
     from sumo_adv.report.folder import write_run
@@ -430,9 +430,9 @@ def record_contents(path: Path) -> Iterator[tuple[str, str] | str]:
 
 def bench_parts() -> BenchParts:
     """The functions that a benchmark's workers need."""
-    from sumo_adv.benchmark.jobs import Parts
+    from sumo_adv.benchmark.jobs import BenchParts
 
-    return Parts(load, open_agents, full_outcome, keep_run, draw_example)
+    return BenchParts(load, open_agents, full_outcome, keep_run, draw_example)
 
 
 def full_outcome(episode: Episode) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from typing import Any
 
 from sumo_adv.errors import UsageError
 
-SCHEMA = 2
+OUTCOME_SCHEMA = 2
 GONE = ("verdict_version",)
 GONE_FROM_ATTEMPTS = ("avoidable", "predicted_valid")
 GONE_FROM_OUTCOME = (
@@ -52,7 +52,8 @@ def migrated(document: Mapping[str, Any], file: Path) -> dict[str, Any]:
         raise UsageError(f"{file} was written before verdicts had levels: run it again.")
     verdict = document["outcome"]
     made = _without(document, GONE) | {
-        "schema": SCHEMA, "attempts": [_without(attempt, GONE_FROM_ATTEMPTS) for attempt in document["attempts"]],
+        "schema": OUTCOME_SCHEMA,
+        "attempts": [_without(attempt, GONE_FROM_ATTEMPTS) for attempt in document["attempts"]],
     }  # fmt: skip
     if verdict is not None:
         made["outcome"] = _without(verdict, GONE_FROM_OUTCOME) | {

@@ -14,7 +14,7 @@ import sumo_adv
 from sumo_adv.datatypes import Level, Track
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.warm import WarmEngine, WarmSandboxes
-from sumo_adv.regression.case import Case, Expectation, read_case
+from sumo_adv.regression.case import Expectation, KeptCase, read_case
 from sumo_adv.regression.keep import keep_run
 from sumo_adv.regression.runner import run_case, settings_for, task_for
 from sumo_adv.simulation.inputs import data_folder
@@ -87,7 +87,7 @@ def _network_of(name: str) -> str:
     return found[1]
 
 
-def _attack(case: Case, folder: Path) -> Attacked:
+def _attack(case: KeptCase, folder: Path) -> Attacked:
     settings = settings_for(case, case.source.ego_controller)
     task = task_for(case, settings, folder)
     sandboxes, warm = WarmSandboxes(), WarmEngine()

@@ -15,7 +15,7 @@ from sumo_adv.config import load_settings
 from sumo_adv.datatypes import Duty, Proposal
 from sumo_adv.episode.task import make_task
 from sumo_adv.report.folder import write_run
-from sumo_adv.report.manifest import Recorded
+from sumo_adv.report.manifest import RecordedRun
 from sumo_adv.report.staging import staged
 from sumo_adv.search.support_intents import SUPPORT_INTENTS
 
@@ -40,7 +40,7 @@ def pinched() -> Path:
     atexit.register(shutil.rmtree, home, ignore_errors=True)
     source = app.load(Path(INPUT), None)
     settings = load_settings(None, duration=12.0, delays=(0.0,), adversaries=2)
-    recorded = Recorded(source, settings, make_task(source, settings, home), pinch(COLLIDER, SUPPORT), 0)
+    recorded = RecordedRun(source, settings, make_task(source, settings, home), pinch(COLLIDER, SUPPORT), 0)
     episode = app.replay(recorded)
     with staged(home / "run", force=False) as folder:
         write_run(folder, episode, figure=False)

@@ -12,7 +12,7 @@ from cli_samples import Done, Program
 from model_server import ModelServer
 from scripted_models import Author
 
-from sumo_adv.benchmark.jobs import SAMPLES
+from sumo_adv.benchmark.jobs import ANALYZER_SAMPLES
 
 CASE = "motorway_cut_in_left"
 SMALL = (
@@ -92,7 +92,7 @@ def test_any_row_can_be_what_others_are_compared_with(folder: Program) -> None:
 
 
 def test_a_model_in_a_row_is_asked_so_many_times_and_what_it_costs_is_told(program: Program) -> None:
-    row = f"llm-a:scripted+samples={SAMPLES[1]}+learn=off"
+    row = f"llm-a:scripted+samples={ANALYZER_SAMPLES[1]}+learn=off"
     with ModelServer(Author("Aggressive Cut-in")) as server:
         program.variables = server.environment()
         run(program, "table", "--row", row, "--keep-runs")
@@ -102,5 +102,5 @@ def test_a_model_in_a_row_is_asked_so_many_times_and_what_it_costs_is_told(progr
     cost = {
         r["column"]: float(r["value"]) for r in lines(program, "table.csv") if (r["part"], r["row"]) == ("all", row)
     }
-    assert cost["calls"] == questions >= SAMPLES[1] and cost["tokens"] == 110 * questions
+    assert cost["calls"] == questions >= ANALYZER_SAMPLES[1] and cost["tokens"] == 110 * questions
     assert 0 < cost["seconds"] < cost["seconds_model"] and cost["memory_hit"] == 1

@@ -15,10 +15,10 @@ from sumo_adv.benchmark.jobs import (
     ABLATIONS,
     FIXED_LIBRARY,
     REFERENCE,
-    Job,
+    BenchJob,
+    BenchParts,
+    BenchSetup,
     Method,
-    Parts,
-    Setup,
     bank_of,
     cell_path,
     example_path,
@@ -28,11 +28,11 @@ from sumo_adv.benchmark.jobs import (
     method_of,
     slug,
 )
-from sumo_adv.benchmark.nouns import Case
+from sumo_adv.benchmark.nouns import SuiteCase
 from sumo_adv.errors import UsageError
 from sumo_adv.memory.bank import MemoryBank
 
-CASES = [Case(name, Path(f"{name}.toml"), None, "leader", "straight") for name in ("one", "two", "three")]
+CASES = [SuiteCase(name, Path(f"{name}.toml"), None, "leader", "straight") for name in ("one", "two", "three")]
 SHIPPED = ROOT / "memory_bank.sqlite"
 
 
@@ -45,7 +45,7 @@ def unused(path: Path, episode: Any) -> None:
     return None
 
 
-PARTS = Parts(lambda path, record: None, no_agents, lambda episode: {}, unused, unused)  # type: ignore[arg-type, return-value]
+PARTS = BenchParts(lambda path, record: None, no_agents, lambda episode: {}, unused, unused)  # type: ignore[arg-type, return-value]
 
 
 def test_rows_that_change_nothing_of_the_simulation_share_it_and_those_that_learn_are_chains() -> None:
@@ -64,7 +64,7 @@ def test_examples_are_the_first_of_two_kinds_of_each_group() -> None:
         "a": ("leader", "straight"), "b": ("leader", "straight"), "c": ("oncoming", "straight"),
         "d": ("follower", "straight"), "e": ("lights", "intersection"),
     }  # fmt: skip
-    cases = [Case(name, Path(f"{name}.toml"), None, kind, group) for name, (kind, group) in kinds.items()]
+    cases = [SuiteCase(name, Path(f"{name}.toml"), None, kind, group) for name, (kind, group) in kinds.items()]
     assert examples_of(cases) == {"a", "c", "e"}
     assert example_path(Path("out"), "my:Ego", "a", "expert").name == f"example-{slug('my:Ego')}-expert-a.png"
 
@@ -99,12 +99,12 @@ def test_names_of_files_are_safe_and_stay_apart() -> None:
     assert cell_path(Path("b"), "idm", "one", "raw") == Path("b/cells/idm/one/raw.json")
 
 
-def _setup(folder: Path) -> Setup:
-    return Setup(folder, "own", SHIPPED, {}, PARTS)
+def _setup(folder: Path) -> BenchSetup:
+    return BenchSetup(folder, "own", SHIPPED, {}, PARTS)
 
 
 def test_llm_f_has_two_intents_and_the_library_keeps_its_seven(tmp_path: Path) -> None:
-    job = Job(CASES[0], "idm", 0, ("llm-f",))
+    job = BenchJob(CASES[0], "idm", 0, ("llm-f",))
     with (
         MemoryBank.open(SHIPPED, read_only=True) as library,
         bank_of(Method("llm-f", fixed=True), job, _setup(tmp_path), library, tmp_path) as bank,
@@ -116,7 +116,7 @@ def test_llm_f_has_two_intents_and_the_library_keeps_its_seven(tmp_path: Path) -
 def test_an_encounter_that_was_cut_off_begins_from_the_same_bank_again(tmp_path: Path) -> None:
     """Encounter 1 is broken off after it changed its bank: its second try finds what encounter 0 had left."""
     setup, method = _setup(tmp_path), Method("expert", learns=True)
-    jobs = [Job(CASES[k], "idm", 0, ("expert",), place=k) for k in range(3)]
+    jobs = [BenchJob(CASES[k], "idm", 0, ("expert",), place=k) for k in range(3)]
     folder = tmp_path / "banks" / "idm" / "expert"
     with MemoryBank.open(SHIPPED, read_only=True) as library:
         with bank_of(method, jobs[0], setup, library, tmp_path) as bank:
@@ -139,7 +139,7 @@ def test_an_encounter_that_was_cut_off_begins_from_the_same_bank_again(tmp_path:
 
 def _learnt(tmp_path: Path, place: int, label: str) -> str:
     """The bank that the encounter at ``place`` begins with, by its hash; it retires ``label``."""
-    job = Job(CASES[place % 3], "idm", 0, ("expert",), place=place)
+    job = BenchJob(CASES[place % 3], "idm", 0, ("expert",), place=place)
     with (
         MemoryBank.open(SHIPPED, read_only=True) as library,
         bank_of(Method("expert", learns=True), job, _setup(tmp_path), library, tmp_path) as bank,
@@ -156,7 +156,7 @@ def test_an_encounter_that_broke_or_was_none_hands_on_the_bank_it_had(tmp_path: 
     folder = tmp_path / "banks" / "idm" / "expert"
     left = folder / "3.part-wal"
     left.write_bytes(b"of a process that was killed")
-    assert known_place(Job(CASES[2], "idm", 0, ("expert",), place=2), _setup(tmp_path)) == 1
+    assert known_place(BenchJob(CASES[2], "idm", 0, ("expert",), place=2), _setup(tmp_path)) == 1
     with MemoryBank.open(folder / "1.sqlite", read_only=True) as bank:
         after_the_first = bank.content_hash()
     assert _learnt(tmp_path, 2, "Aggressive Cut-in") == after_the_first
@@ -169,6 +169,6 @@ def test_a_row_that_learns_begins_at_the_first_encounter_where_the_banks_are_of_
     _learnt(tmp_path, 2, "Straight Lane Shift")
     folder = tmp_path / "banks" / "idm" / "expert"
     assert sorted(p.name for p in folder.iterdir()) == ["2.sqlite", "3.sqlite"]
-    assert known_place(Job(CASES[1], "idm", 0, ("expert",), place=1), _setup(tmp_path)) == 0
+    assert known_place(BenchJob(CASES[1], "idm", 0, ("expert",), place=1), _setup(tmp_path)) == 0
     assert _learnt(tmp_path, 0, "Emergency Braking") == first
     assert sorted(p.name for p in folder.iterdir()) == ["0.sqlite", "1.sqlite"]  # nothing of the first time

@@ -11,18 +11,18 @@ from random import Random
 import pytest
 
 from sumo_adv.benchmark.drafts import (
-    JUNCTIONS,
-    NETWORKS,
-    STRAIGHT,
+    JUNCTION_KINDS,
+    JUNCTION_NETWORKS,
+    STRAIGHT_KINDS,
     Car,
-    Draft,
+    EncounterDraft,
     apart,
     draw_junction,
     draw_straight,
     meetings,
     write_draft,
 )
-from sumo_adv.benchmark.making import SHARES, TrialWorker, candidate, make_suite, places_of, trial
+from sumo_adv.benchmark.making import ENCOUNTERS_PER_KIND, TrialWorker, candidate, make_suite, places_of, trial
 from sumo_adv.benchmark.suites import load_suite, shipped_suites
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.engine import Engine
@@ -36,7 +36,7 @@ needs_forks = pytest.mark.skipif(not can_fork(), reason="suites are made where p
 def test_suite81_is_fifty_straight_and_31_at_junctions_and_speaks_of_no_kind() -> None:
     suite = load_suite("suite81")
     assert Counter(case.group for case in suite.cases) == {"straight": 50, "intersection": 31}
-    assert Counter(case.kind for case in suite.cases) == SHARES
+    assert Counter(case.kind for case in suite.cases) == ENCOUNTERS_PER_KIND
     for case in suite.cases:
         given = load_input(case.path)
         assert given.name == case.name
@@ -99,14 +99,14 @@ def test_the_same_seed_makes_the_same_files(fresh: Path, tmp_path: Path) -> None
 
 
 def test_what_is_drawn_depends_on_seed_and_place_alone() -> None:
-    place = places_of(SHARES)[0]
+    place = places_of(ENCOUNTERS_PER_KIND)[0]
     assert candidate(place, 1, 0) == candidate(place, 1, 0)
     assert len({candidate(place, seed, k).ego for seed in (1, 2) for k in (0, 1)}) == 4
 
 
 def write_pair(folder: Path, ego: Car, bv: Car, kind: str) -> tuple[Path, str]:
     """A scenario of two cars on the road with three lanes, and what the other one is called."""
-    draft = Draft(kind, "straight_3lane", ego, bv, (), 4.0, "two cars.")
+    draft = EncounterDraft(kind, "straight_3lane", ego, bv, (), 4.0, "two cars.")
     (folder / "networks").mkdir(parents=True, exist_ok=True)
     shutil.copyfile(data_folder("networks") / "straight_3lane.net.xml", folder / "networks" / "straight_3lane.net.xml")
     return write_draft(draft, "pair", folder), draft.bv_id()
@@ -134,16 +134,16 @@ def test_what_is_wrong_with_an_encounter_is_found_in_sumo(tmp_path: Path) -> Non
 
 
 def test_ways_at_every_junction_meet_behind_both_stop_lines() -> None:
-    for network in sorted({name for names in NETWORKS.values() for name in names}):
+    for network in sorted({name for names in JUNCTION_NETWORKS.values() for name in names}):
         pairs = meetings(network)
         assert pairs, network
         assert all(m.conflict.ego_s > m.ego.ends - 1.0 and m.conflict.bv_s > m.bv.ends - 1.0 for m in pairs)
         assert all(m.ego.edges[0] != m.bv.edges[0] for m in pairs)
 
 
-@pytest.mark.parametrize("kind", [*STRAIGHT, *JUNCTIONS])
+@pytest.mark.parametrize("kind", [*STRAIGHT_KINDS, *JUNCTION_KINDS])
 def test_drawn_vehicles_fit_the_road_and_one_another(kind: str) -> None:
-    draw = draw_straight if kind in STRAIGHT else draw_junction
+    draw = draw_straight if kind in STRAIGHT_KINDS else draw_junction
     for number in range(4):
         draft = draw(kind, number, Random(f"{kind}{number}"))
         cars = [draft.ego, *draft.others]

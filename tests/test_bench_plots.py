@@ -12,7 +12,7 @@ from bench_cells import Cell, attempt, cell, unattacked
 
 from sumo_adv.benchmark.analysis import analyze
 from sumo_adv.benchmark.league import growth, write_growth
-from sumo_adv.benchmark.nouns import Case
+from sumo_adv.benchmark.nouns import SuiteCase
 from sumo_adv.benchmark.plots import draw_all, draw_confusions, draw_growth, file_name
 from sumo_adv.errors import UsageError
 
@@ -24,7 +24,7 @@ MOTION = {
     "adversary": {"speed": [9.0, 10.0, 11.0], "acceleration": [0.5, -9.0, 1.0]},
     "raw": {"speed": [12.0, 12.5], "acceleration": [0.0, 0.1]},
 }
-CASES = [Case(f"straight-{k}", Path("x"), None, "leader", "straight") for k in range(6)]
+CASES = [SuiteCase(f"straight-{k}", Path("x"), None, "leader", "straight") for k in range(6)]
 
 
 def size(picture: Path) -> tuple[int, int]:
@@ -58,7 +58,7 @@ def test_equal_cells_give_equal_pictures(tmp_path: Path) -> None:
 
 def test_a_confusion_for_every_analyzer(tmp_path: Path) -> None:
     label = {"idm": {"valid": ("Aggressive Cut-in",)}}
-    cases = [Case("straight-1", Path("x"), None, "leader", "straight", label)]
+    cases = [SuiteCase("straight-1", Path("x"), None, "leader", "straight", label)]
     pictures = draw_confusions(analyze(some("expert"), cases, title="Made"), tmp_path)
     assert [p.name for p in pictures] == [file_name("confusion", "idm", "valid", "expert")]
 

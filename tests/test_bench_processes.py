@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 
 from sumo_adv.benchmark.bench import Bench, read_cells
-from sumo_adv.benchmark.jobs import Job, Parts, Setup, cell_path
-from sumo_adv.benchmark.nouns import Case
+from sumo_adv.benchmark.jobs import BenchJob, BenchParts, BenchSetup, cell_path
+from sumo_adv.benchmark.nouns import SuiteCase
 from sumo_adv.benchmark.worker import note_of, noted
 from sumo_adv.errors import UsageError
 from sumo_adv.llm.chat import Ledger
@@ -65,16 +65,18 @@ class Watcher:
     def begin(self, total: int, before: int) -> None:
         self.total, self.before = total, before
 
-    def finished(self, job: Job) -> None:
+    def finished(self, job: BenchJob) -> None:
         self.cells += [(job.case.name, row) for row in job.rows]
 
 
-def job(folder: Path, name: str, *rows: str, place: int | None = None) -> Job:
-    return Job(Case(name, folder / f"{name}.toml", None, "leader", "straight"), "idm", 0, rows, place=place)
+def job(folder: Path, name: str, *rows: str, place: int | None = None) -> BenchJob:
+    return BenchJob(SuiteCase(name, folder / f"{name}.toml", None, "leader", "straight"), "idm", 0, rows, place=place)
 
 
 def bench(folder: Path, watcher: Watcher, deadline: float = 600.0) -> Bench:
-    setup = Setup(folder, "own", data_folder("memory_bank.sqlite"), {}, Parts(load, no_agents, outcome, keep, keep))
+    setup = BenchSetup(
+        folder, "own", data_folder("memory_bank.sqlite"), {}, BenchParts(load, no_agents, outcome, keep, keep)
+    )
     return Bench(setup, 2, watcher, deadline)
 
 

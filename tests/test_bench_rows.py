@@ -9,7 +9,15 @@ from bench_rows_samples import LIBRARY, encounter, first_proposals
 from situation_samples import leader, neighbour
 
 from sumo_adv.app import shipped_bank
-from sumo_adv.benchmark.rows import LABELS, MOST, Oracle, RandomIntent, make_row, oracle_labels, split_half
+from sumo_adv.benchmark.rows import (
+    BEHAVIOUR_LABELS,
+    MAX_ORACLE_SIMULATIONS,
+    Oracle,
+    RandomIntent,
+    make_row,
+    oracle_labels,
+    split_half,
+)
 from sumo_adv.errors import UsageError
 from sumo_adv.memory.bank import MemoryBank
 
@@ -50,7 +58,7 @@ def test_where_nothing_applies_nothing_is_proposed() -> None:
 
 def test_the_labels_are_those_of_the_shipped_library() -> None:
     with MemoryBank.open(shipped_bank(), read_only=True) as bank:
-        assert sorted(r.label for r in bank.intents() if r.status == "active") == sorted(LABELS)
+        assert sorted(r.label for r in bank.intents() if r.status == "active") == sorted(BEHAVIOUR_LABELS)
 
 
 # -- oracle
@@ -60,7 +68,7 @@ def test_the_oracle_drives_every_family_first_and_then_evens_the_labels_out() ->
     row = Oracle()
     row.begin(encounter([leader()], delays=(0.0, 1.5, 3.0)))
     plans = first_proposals(row, 1000)
-    assert (len(plans), row.exhaustive) == (MOST, True)
+    assert (len(plans), row.exhaustive) == (MAX_ORACLE_SIMULATIONS, True)
     # Lane shift has 2 modes x 3 delays, braking 1 x 3.
     first = Counter((p.label, p.planner.mode, p.delay) for p in plans[:9])
     assert len(first) == 9

@@ -110,13 +110,13 @@ def test_a_motion_into_a_third_vehicle_is_unlikely() -> None:
 
 def test_predicted_motions_are_feasible_and_the_most_dangerous_comes_first() -> None:
     """A car 20 m ahead in the lane to the left: six modes and three draws of each, at one delay."""
-    from sumo_adv.benchmark.transformer import DRAWN, Transformer
+    from sumo_adv.benchmark.transformer import DRAWS_PER_MODE, Transformer
     from sumo_adv.transformer.model import MODE_COUNT
 
     bv, row = neighbour(), Transformer()
     row.begin(encounter([bv]))
     proposals = first_proposals(row, 100)
-    assert len(proposals) == MODE_COUNT * (1 + DRAWN)
+    assert len(proposals) == MODE_COUNT * (1 + DRAWS_PER_MODE)
     assert all(p.bv == "bv" and p.by == "transformer" for p in proposals)
     assert [gates(bv, course_of(p)) for p in proposals[:8]] == [()] * 8
     again = Transformer()

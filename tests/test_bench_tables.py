@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 from bench_cells import Cell, attempt, cell, unattacked
 
-from sumo_adv.benchmark.nouns import Case
-from sumo_adv.benchmark.table import Table, counterpart, make_table, to_markdown
+from sumo_adv.benchmark.nouns import SuiteCase
+from sumo_adv.benchmark.table import BenchTable, counterpart, make_table, to_markdown
 from sumo_adv.benchmark.write import write_table
 from sumo_adv.errors import UsageError
 
@@ -33,7 +33,7 @@ def four(row: str = "expert") -> list[Cell]:
     ]
 
 
-def value(table: Table, column: str, row: str = "expert", part: str = "all", ego: str = "idm") -> Any:
+def value(table: BenchTable, column: str, row: str = "expert", part: str = "all", ego: str = "idm") -> Any:
     entry = table.entry(ego, part, row, column)
     return None if entry is None else entry.estimate.value
 
@@ -183,7 +183,7 @@ def test_the_unattacked_row_has_what_it_can_have() -> None:
 
 
 def test_missing_cells_are_told() -> None:
-    cases = [Case(f"straight-{k}", Path("x"), None, "leader", "straight") for k in range(9)]
+    cases = [SuiteCase(f"straight-{k}", Path("x"), None, "leader", "straight") for k in range(9)]
     cells = [cell("straight-0", "expert", attempt(valid=True))]
     table = make_table(cells, title="Made", cases=cases, rows=["expert", "random"], egos=["idm", "eidm"])
     assert len(table.notes) == 5  # each ego and row; what no row made valid

@@ -10,18 +10,18 @@ import pytest
 from bench_cells import Cell, attempt, cell
 
 from sumo_adv.benchmark.analysis import (
-    ANSWERS,
+    ANALYZER_ANSWERS,
     CEILING,
     CHANCE,
-    Analysis,
-    Part,
-    Score,
+    AccuracyPart,
+    AnalyzerAnalysis,
+    AnalyzerScore,
     analyze,
     to_markdown,
     write_analysis,
 )
-from sumo_adv.benchmark.nouns import Case
-from sumo_adv.benchmark.suites import LABELS as LABEL_FILE
+from sumo_adv.benchmark.nouns import SuiteCase
+from sumo_adv.benchmark.suites import LABELS_ADAPTER
 
 CUT, BRAKE, SHIFT, TURN = (
     "Aggressive Cut-in", "Emergency Braking", "Straight Lane Shift", "Intersection Rush-through Turn Left",
@@ -33,8 +33,12 @@ ABOUT = {
 LABELS = {"a": (CUT,), "b": (CUT, SHIFT), "c": (SHIFT,), "d": (TURN,)}
 
 
-def cases(labels: dict[str, tuple[str, ...]] = LABELS, criterion: str = "collision", ego: str = "idm") -> list[Case]:
-    return [Case(n, Path("x"), None, "leader", "straight", {ego: {criterion: label}}) for n, label in labels.items()]
+def cases(
+    labels: dict[str, tuple[str, ...]] = LABELS, criterion: str = "collision", ego: str = "idm"
+) -> list[SuiteCase]:
+    return [
+        SuiteCase(n, Path("x"), None, "leader", "straight", {ego: {criterion: label}}) for n, label in labels.items()
+    ]
 
 
 def answered(case: str, row: str, *labels: str, risk: str = "high", won: bool = True) -> Cell:
@@ -59,11 +63,11 @@ def oracle() -> list[Cell]:
     return [*(cell(name, "oracle", *two) for name in "abc"), cell("d", "oracle", attempt(TURN, valid=True))]
 
 
-def part(analysis: Analysis, criterion: str = "collision") -> Part:
+def part(analysis: AnalyzerAnalysis, criterion: str = "collision") -> AccuracyPart:
     return next(p for p in analysis.parts if p.criterion == criterion)
 
 
-def score(analysis: Analysis, who: str, criterion: str = "collision") -> Score:
+def score(analysis: AnalyzerAnalysis, who: str, criterion: str = "collision") -> AnalyzerScore:
     return next(s for s in part(analysis, criterion).scores if s.who.startswith(who))
 
 
@@ -118,7 +122,7 @@ def test_annotations_of_people() -> None:
 
 
 def test_a_suite_may_hold_annotations() -> None:
-    given = LABEL_FILE.validate_python({"a": {"people": {"annotated": [CUT]}}})
+    given = LABELS_ADAPTER.validate_python({"a": {"people": {"annotated": [CUT]}}})
     assert given == {"a": {"people": {"annotated": (CUT,)}}}
 
 
@@ -172,7 +176,7 @@ def test_files(tmp_path: Path) -> None:
     assert "| DeepSeek-R1 | 0.815 |" in text and text == to_markdown(analysis)
     with (tmp_path / "analyzer-confusion.csv").open() as file:
         rows = [r for r in csv.DictReader(file) if r["criterion"] == "collision"]
-    assert len(rows) == len(ANSWERS) - 1 and sum(float(r[a]) for r in rows for a in ANSWERS) == 4
+    assert len(rows) == len(ANALYZER_ANSWERS) - 1 and sum(float(r[a]) for r in rows for a in ANALYZER_ANSWERS) == 4
     document = json.loads((tmp_path / "analyzer.json").read_text())
     assert document["unlabelled"][0] == {"ego": "idm", "criterion": "collision", "encounters": 0}
     assert json.loads((tmp_path / "analyzer.manifest.json").read_text())["cells"] == 8

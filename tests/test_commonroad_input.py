@@ -15,7 +15,7 @@ import sumo_adv
 from sumo_adv.campaigns.cluster import wrong_content
 from sumo_adv.campaigns.plan import files_hash
 from sumo_adv.errors import UsageError
-from sumo_adv.report.export.commonroad import SCENARIO, write_commonroad
+from sumo_adv.report.export.commonroad import COMMONROAD_SCENARIO_FILE, write_commonroad
 from sumo_adv.report.export.piece import map_lanes, read_piece
 from sumo_adv.simulation.inputs import is_commonroad, load_input
 from sumo_adv.womd.commonroad import read_commonroad
@@ -96,7 +96,7 @@ def test_a_scenario_by_hand_runs(tmp_path: Path) -> None:
 def test_our_export_comes_back(geometry: str, tmp_path: Path) -> None:
     piece = read_piece(run_folder(geometry))
     write_commonroad(tmp_path, piece)
-    record = read_commonroad(tmp_path / SCENARIO)
+    record = read_commonroad(tmp_path / COMMONROAD_SCENARIO_FILE)
     others = [t for t in piece.tracks if t.id != piece.ego]
     ego, *read = record.tracks
     assert ego.x[0] == pytest.approx(piece.track(piece.ego).x[0], abs=1e-3)
@@ -118,12 +118,12 @@ def test_an_ego_that_comes_later_begins_at_its_own_step(tmp_path: Path) -> None:
     ego = piece.track(piece.ego)
     late = ego.between(float(ego.time[8]), float(ego.time[-1]))
     write_commonroad(tmp_path, replace(piece, tracks=tuple(late if t is ego else t for t in piece.tracks)))
-    record = read_commonroad(tmp_path / SCENARIO)
+    record = read_commonroad(tmp_path / COMMONROAD_SCENARIO_FILE)
     own = record.tracks[record.sdc]
     assert (record.current, own.valid.nonzero()[0].tolist()) == (8, [8, 9])
     assert own.x[8] == pytest.approx(ego.x[8], abs=1e-3)
     said = f"ego, {ego.length:.4f} m long, {ego.width:.4f} m wide"
-    assert said in (tmp_path / SCENARIO).read_text(encoding="utf-8")
+    assert said in (tmp_path / COMMONROAD_SCENARIO_FILE).read_text(encoding="utf-8")
 
 
 # -- the other commands

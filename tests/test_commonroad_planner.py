@@ -16,22 +16,22 @@ from shapely import LineString, Point
 
 import sumo_adv
 from sumo_adv.datatypes import Level, Track, Verdict
-from sumo_adv.report.export.commonroad import SCENARIO, SOLUTION, write_commonroad
-from sumo_adv.report.export.piece import Piece, read_piece
+from sumo_adv.report.export.commonroad import COMMONROAD_SCENARIO_FILE, COMMONROAD_SOLUTION_FILE, write_commonroad
+from sumo_adv.report.export.piece import ExportedRun, read_piece
 
 reader = pytest.importorskip("commonroad.common.file_reader", reason="needs commonroad-io")
 
 
 @pytest.fixture(scope="module")
-def piece() -> Piece:
+def piece() -> ExportedRun:
     """A cut-in on a motorway that hits the ego."""
     return read_piece(run_folder("straight"))
 
 
-def opened(piece: Piece, folder: Path) -> tuple[Any, Any]:
+def opened(piece: ExportedRun, folder: Path) -> tuple[Any, Any]:
     """The exported scenario and its planning problem."""
     write_commonroad(folder, piece)
-    scenario, problems = reader.CommonRoadFileReader(str(folder / SCENARIO)).open()
+    scenario, problems = reader.CommonRoadFileReader(str(folder / COMMONROAD_SCENARIO_FILE)).open()
     (problem,) = problems.planning_problem_dict.values()
     return scenario, problem
 
@@ -41,7 +41,7 @@ def columns(track: Track) -> dict[str, Any]:
     return {"time": track.time, "x": track.x, "y": track.y, "heading": track.heading, "speed": track.speed, **size}
 
 
-def judged(piece: Piece, driven: Sequence[Any]) -> Verdict:
+def judged(piece: ExportedRun, driven: Sequence[Any]) -> Verdict:
     """The verdict on states that a planner drove (their positions are box centres) and the recorded adversary."""
     ego = piece.track(piece.ego)
     table = {
@@ -53,10 +53,10 @@ def judged(piece: Piece, driven: Sequence[Any]) -> Verdict:
     return sumo_adv.judge(table, columns(piece.track(piece.adversary)), trigger_time=piece.takeover)
 
 
-def test_the_recorded_solution_is_hit_again(piece: Piece, tmp_path: Path) -> None:
+def test_the_recorded_solution_is_hit_again(piece: ExportedRun, tmp_path: Path) -> None:
     solutions = pytest.importorskip("commonroad.common.solution")
     opened(piece, tmp_path)
-    solution = solutions.CommonRoadSolutionReader.open(str(tmp_path / SOLUTION))
+    solution = solutions.CommonRoadSolutionReader.open(str(tmp_path / COMMONROAD_SOLUTION_FILE))
     verdict = judged(piece, solution.planning_problem_solutions[0].trajectory.state_list)
     assert verdict.collided and verdict.contact_time == pytest.approx(piece.contact(), abs=0.01)
 
@@ -77,7 +77,7 @@ def brake(scenario: Any, problem: Any, count: int) -> list[Any]:
     ]  # fmt: skip
 
 
-def test_an_ego_that_brakes_is_not_hit(piece: Piece, tmp_path: Path) -> None:
+def test_an_ego_that_brakes_is_not_hit(piece: ExportedRun, tmp_path: Path) -> None:
     """It brakes with 2 m/s2 from 27.6 m/s on, as long as the run lasted: the adversary cuts in far ahead of it."""
     scenario, problem = opened(piece, tmp_path)
     driven = brake(scenario, problem, len(piece.track(piece.ego).time))
@@ -88,7 +88,7 @@ def test_an_ego_that_brakes_is_not_hit(piece: Piece, tmp_path: Path) -> None:
     assert not verdict.collided and verdict.level < Level.COLLISION
 
 
-def test_commonroads_reactive_planner_drives_the_ego(piece: Piece, tmp_path: Path) -> None:
+def test_commonroads_reactive_planner_drives_the_ego(piece: ExportedRun, tmp_path: Path) -> None:
     """It knows the obstacles' trajectories, as CommonRoad gives them, and is not hit."""
     pytest.importorskip("commonroad_rp", reason="needs commonroad-reactive-planner")
     scenario, problem = opened(piece, tmp_path)

@@ -11,7 +11,13 @@ from several_samples import pinch
 
 from sumo_adv.datatypes import Level, Proposal, Verdict
 from sumo_adv.goal import Goal
-from sumo_adv.gym.curriculum import FIRST, KEPT, REPEATED, ROUND, Curriculum
+from sumo_adv.gym.curriculum import (
+    ATTEMPTS_PER_ROUND,
+    KNOWN_ATTACK_SHARE,
+    KNOWN_ATTACKS_PER_ROUND,
+    MAX_ATTACKS_PER_LEVEL,
+    Curriculum,
+)
 
 MISS = Verdict(9.0, 20.0, False, False, True, False)
 NEAR = replace(MISS, min_ttc=2.0, min_distance=1.0)
@@ -62,8 +68,8 @@ def test_each_level_is_repeated_as_often_however_many_attacks_reach_it() -> None
         curriculum.observe(attack, HIT if k == 0 else NEAR)
     drawn = Counter(id(curriculum.next(draws)) for _ in range(400))
     serious, near = drawn[id(attacks[0])], sum(drawn[id(a)] for a in attacks[1:])
-    assert abs(serious - 400 * REPEATED / 2) < 40
-    assert abs(near - 400 * REPEATED / 2) < 40
+    assert abs(serious - 400 * KNOWN_ATTACK_SHARE / 2) < 40
+    assert abs(near - 400 * KNOWN_ATTACK_SHARE / 2) < 40
 
 
 def test_an_attack_that_the_ego_has_learnt_to_avoid_falls_to_a_lower_level_or_out() -> None:
@@ -79,11 +85,11 @@ def test_an_attack_that_the_ego_has_learnt_to_avoid_falls_to_a_lower_level_or_ou
 def test_the_search_begins_anew_with_the_most_serious_ones() -> None:
     curriculum, search = made()
     draws = np.random.default_rng(0)
-    attacks = [search.propose(1)[0] for _ in range(KEPT + 4)]
+    attacks = [search.propose(1)[0] for _ in range(MAX_ATTACKS_PER_LEVEL + 4)]
     for k, attack in enumerate(attacks):
         curriculum.observe(attack, HIT if k in (5, 6) else NEAR)
     while not search.begun:
         curriculum.next(draws)
-    assert len(search.proposed) - len(attacks) == ROUND + 1
-    assert len(search.begun[0]) == FIRST
+    assert len(search.proposed) - len(attacks) == ATTEMPTS_PER_ROUND + 1
+    assert len(search.begun[0]) == KNOWN_ATTACKS_PER_ROUND
     assert search.begun[0][:2] == [attacks[5], attacks[6]]

@@ -10,13 +10,13 @@ from cli_samples import ROOT, Program
 
 from sumo_adv import __version__
 from sumo_adv.cli import doctor_checks as checks
-from sumo_adv.cli.doctor_checks import Level
+from sumo_adv.cli.doctor_checks import FindingLevel
 from sumo_adv.config import Settings
 
 SHIPPED = ROOT / "memory_bank.sqlite"
 
 
-def named(checked: Iterator[checks.Finding]) -> dict[str, checks.Finding]:
+def named(checked: Iterator[checks.DoctorFinding]) -> dict[str, checks.DoctorFinding]:
     return {f.name: f for f in checked}
 
 
@@ -56,7 +56,7 @@ def test_a_bad_setting_is_one_line(program: Program) -> None:
 def test_a_variable_that_is_no_setting_is_named() -> None:
     given = {"SUMO_ADV_ATTEMPT": "5", "SUMO_ADV_LIMITS__JERK": "9", "sumo_adv_seed": "1", "PATH": "x"}
     (finding,) = checks.variables(Settings.model_fields, given)
-    assert (finding.level, finding.found.split(":")[0]) == (Level.WARN, "SUMO_ADV_ATTEMPT")
+    assert (finding.level, finding.found.split(":")[0]) == (FindingLevel.WARN, "SUMO_ADV_ATTEMPT")
     assert list(checks.variables(Settings.model_fields, {"SUMO_ADV_SEED": "1"})) == []
 
 
@@ -80,7 +80,7 @@ def test_the_version_stands_in_one_place() -> None:
 
 def test_a_library_that_is_not_there_is_named() -> None:
     (finding,) = checks.libraries(("numpy", "no_such_library"))
-    assert finding.level is Level.FAIL
+    assert finding.level is FindingLevel.FAIL
     assert "no_such_library (ModuleNotFoundError" in finding.found
     assert "numpy" not in finding.found
 
@@ -89,21 +89,21 @@ def test_extras_are_told_apart() -> None:
     findings = named(checks.extras(lambda module: module != "google.protobuf"))
     assert list(findings) == ["extra womd"]
     assert findings["extra womd"].mend == "pip install 'sumo-adv[womd]'"
-    assert named(checks.extras(lambda module: True))["extras"].level is Level.OK
+    assert named(checks.extras(lambda module: True))["extras"].level is FindingLevel.OK
 
 
 def test_programs_that_only_some_commands_start() -> None:
     findings = named(checks.programs(lambda name: None, developing=True))
-    assert findings["ffmpeg"].level is findings["chromium"].level is Level.WARN
+    assert findings["ffmpeg"].level is findings["chromium"].level is FindingLevel.WARN
     assert findings["ffmpeg"].mend == "on Debian: apt-get install ffmpeg"
     assert "chromium" not in named(checks.programs(lambda name: None))
-    assert findings["sumo"] == checks.Finding("sumo", Level.OK, "1.28.0")
+    assert findings["sumo"] == checks.DoctorFinding("sumo", FindingLevel.OK, "1.28.0")
 
 
 def test_without_bubblewrap_a_container_is_the_second_wall() -> None:
     (outside,) = checks.sandbox(False, contained=False)
     (inside,) = checks.sandbox(False, contained=True)
-    assert (outside.level, inside.level) == (Level.WARN, Level.OK)
+    assert (outside.level, inside.level) == (FindingLevel.WARN, FindingLevel.OK)
     assert "could do what you can do" in outside.found
     assert outside.mend == "leave SUMO_ADV_BUBBLEWRAP unset"
     assert "the second wall" in inside.found
@@ -119,7 +119,7 @@ def test_a_container_is_known_by_its_marks(tmp_path: Path) -> None:
 
 def test_where_results_go_must_be_there(tmp_path: Path) -> None:
     (finding,) = checks.output(tmp_path)
-    assert (finding.level, finding.name) == (Level.OK, "output")
+    assert (finding.level, finding.name) == (FindingLevel.OK, "output")
     (lost,) = checks.output(tmp_path / "nowhere")
-    assert lost.level is Level.FAIL
+    assert lost.level is FindingLevel.FAIL
     assert "no such file or directory" in lost.found

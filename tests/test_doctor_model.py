@@ -10,7 +10,7 @@ import pytest
 from cli_samples import Program
 from model_server import KEY, Answer, Asked, Drop, ModelServer, Raw, Say, status
 
-from sumo_adv.cli.doctor_checks import Finding, Level
+from sumo_adv.cli.doctor_checks import DoctorFinding, FindingLevel
 from sumo_adv.cli.doctor_model import model
 from sumo_adv.config import Settings, load_settings
 from sumo_adv.llm.server_check import PROBE_ANSWER_TOKENS, PROBE_QUESTION_TOKENS
@@ -29,7 +29,7 @@ def models(**entry: Any) -> Raw:
     return Raw(200, json.dumps({"object": "list", "data": [{"id": "mine", "object": "model", **entry}]}).encode())
 
 
-def found(server: ModelServer, **given: object) -> Finding:
+def found(server: ModelServer, **given: object) -> DoctorFinding:
     (finding,) = model(settings(llm="mine", llm_base_url=server.base_url, llm_api_key=KEY, **given), {})
     assert KEY not in finding.found + finding.mend
     return finding
@@ -38,7 +38,7 @@ def found(server: ModelServer, **given: object) -> Finding:
 def test_a_good_server_is_asked_for_its_models_and_one_question_of_two_tokens() -> None:
     with ModelServer([BEGUN], models(max_model_len=32_768)) as server:
         finding = found(server)
-    assert finding.level is Level.OK
+    assert finding.level is FindingLevel.OK
     assert (
         "with a key; it takes a schema as json_schema, with a context of 32,768 tokens; it lists mine" in finding.found
     )
@@ -49,7 +49,7 @@ def test_a_good_server_is_asked_for_its_models_and_one_question_of_two_tokens() 
 def test_a_server_without_a_list_gets_a_question_as_long_as_real_ones() -> None:
     with ModelServer([BEGUN]) as server:
         finding = found(server)
-    assert finding.level is Level.OK and "lists" not in finding.found
+    assert finding.level is FindingLevel.OK and "lists" not in finding.found
     assert len(server.asked[0].last.split()) == PROBE_QUESTION_TOKENS
 
 
@@ -80,7 +80,7 @@ def test_a_server_that_cannot_be_used_is_found(case: str) -> None:
     script, listing, says = UNUSABLE[case]
     with ModelServer(script, listing) as server:
         finding = found(server, llm_retries=0)
-    assert finding.level is Level.FAIL and says in finding.found, finding
+    assert finding.level is FindingLevel.FAIL and says in finding.found, finding
     assert finding.mend
 
 
@@ -90,7 +90,7 @@ def test_a_place_that_takes_connections_alone_is_no_server() -> None:
         listening.listen()
         address = f"http://127.0.0.1:{listening.getsockname()[1]}/v1"
         finding = next(model(settings(llm="mine", llm_base_url=address, llm_read_timeout=0.2), {}))
-    assert finding.level is Level.FAIL and "did not answer GET models" in finding.found
+    assert finding.level is FindingLevel.FAIL and "did not answer GET models" in finding.found
 
 
 def test_a_weaker_server_is_used_in_the_way_it_knows() -> None:
@@ -105,9 +105,9 @@ def test_a_weaker_server_is_used_in_the_way_it_knows() -> None:
 
 def test_a_model_without_a_key_or_a_recording() -> None:
     (hosted,) = model(settings(llm="deepseek-chat"), {})
-    assert hosted.level is Level.FAIL and "DEEPSEEK_API_KEY" in hosted.found
+    assert hosted.level is FindingLevel.FAIL and "DEEPSEEK_API_KEY" in hosted.found
     (lost,) = model(settings(analyzer="replay:nowhere.jsonl", fallback="builtin"), {})
-    assert lost.level is Level.WARN
+    assert lost.level is FindingLevel.WARN
     (none,) = model(settings(), {})
     assert "built-in expert" in none.found
 

@@ -17,8 +17,8 @@ from xosc_reader import entity, events, motion, number, properties, replayed
 
 from sumo_adv.datatypes import Role
 from sumo_adv.report.export import Variant
-from sumo_adv.report.export.openscenario import ROAD, SCENARIO, write_openscenario
-from sumo_adv.report.export.piece import Piece, read_piece
+from sumo_adv.report.export.openscenario import OPENDRIVE_FILE, OPENSCENARIO_FILE, write_openscenario
+from sumo_adv.report.export.piece import ExportedRun, read_piece
 from sumo_adv.report.export.sumo import CONFIGURATION, fcd, front, write_replay
 from sumo_adv.simulation.network import read_network
 from sumo_adv.simulation.programs import find_netconvert
@@ -29,16 +29,16 @@ CENTIMETRE, MILLISECOND = 0.01, 0.001
 
 
 @pytest.fixture(scope="module", params=CASES, ids=IDS)
-def piece(request: pytest.FixtureRequest) -> Piece:
+def piece(request: pytest.FixtureRequest) -> ExportedRun:
     geometry, unattacked = request.param
     return read_piece(run_folder(geometry), unattacked=unattacked)
 
 
 @pytest.fixture(scope="module")
-def scenario(piece: Piece, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def scenario(piece: ExportedRun, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("openscenario")
     write_openscenario(folder, piece, find_netconvert())
-    return folder / SCENARIO
+    return folder / OPENSCENARIO_FILE
 
 
 def found_by_asam(file: Path) -> list[str]:
@@ -66,12 +66,12 @@ def test_asams_checker_finds_nothing(scenario: Path) -> None:
 
 def test_asams_checker_finds_what_is_wrong(tmp_path: Path) -> None:
     write_openscenario(tmp_path, read_piece(run_folder("straight")), find_netconvert())
-    text = (tmp_path / SCENARIO).read_text(encoding="utf-8")
+    text = (tmp_path / OPENSCENARIO_FILE).read_text(encoding="utf-8")
     (tmp_path / "bad.xosc").write_text(text.replace("<CatalogLocations />", ""), encoding="utf-8")
     assert found_by_asam(tmp_path / "bad.xosc") != []
 
 
-def test_trajectories_read_back_are_the_states(piece: Piece, scenario: Path) -> None:
+def test_trajectories_read_back_are_the_states(piece: ExportedRun, scenario: Path) -> None:
     replayed_tracks = replayed(scenario)
     assert set(replayed_tracks) == {track.id for track in piece.tracks}
     for track in piece.tracks:
@@ -83,7 +83,7 @@ def test_trajectories_read_back_are_the_states(piece: Piece, scenario: Path) -> 
         assert (back.length, back.width) == (track.length, track.width)
 
 
-def test_vehicles_stand_on_their_rear_axles(piece: Piece, scenario: Path) -> None:
+def test_vehicles_stand_on_their_rear_axles(piece: ExportedRun, scenario: Path) -> None:
     root = ElementTree.parse(scenario).getroot()
     ego = entity(root, piece.ego)
     track = piece.track(piece.ego)
@@ -96,8 +96,8 @@ def test_vehicles_stand_on_their_rear_axles(piece: Piece, scenario: Path) -> Non
     assert number(centre, "z") == pytest.approx(number(ego.find("BoundingBox/Dimensions"), "height") / 2)
 
 
-def test_the_road_is_where_the_network_is(piece: Piece, scenario: Path) -> None:
-    road = scenario.with_name(ROAD)
+def test_the_road_is_where_the_network_is(piece: ExportedRun, scenario: Path) -> None:
+    road = scenario.with_name(OPENDRIVE_FILE)
     centres = MultiLineString([line for line in lane_centres(road) if len(line) > 1])
     worst = {False: 0.0, True: 0.0}
     for lane in read_network(piece.network).lanes.values():
@@ -123,13 +123,13 @@ def sumo_says(folder: Path) -> dict[tuple[int, str], Any]:
 
 
 @pytest.fixture(scope="module")
-def played(piece: Piece, tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[int, str], Any]:
+def played(piece: ExportedRun, tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[int, str], Any]:
     folder = tmp_path_factory.mktemp("sumo")
     write_replay(folder, piece)
     return sumo_says(folder)
 
 
-def test_plain_sumo_reproduces_the_positions(piece: Piece, played: dict[tuple[int, str], Any]) -> None:
+def test_plain_sumo_reproduces_the_positions(piece: ExportedRun, played: dict[tuple[int, str], Any]) -> None:
     expected = 0
     for track in piece.tracks:
         for k, time in enumerate(track.time):
@@ -146,7 +146,7 @@ def test_plain_sumo_reproduces_the_positions(piece: Piece, played: dict[tuple[in
     assert 0 <= early_or_late <= 2 * len(piece.tracks)  # let in a step earlier, or taken out a step later
 
 
-def test_fcd_is_what_sumo_would_write(piece: Piece, played: dict[tuple[int, str], Any]) -> None:
+def test_fcd_is_what_sumo_would_write(piece: ExportedRun, played: dict[tuple[int, str], Any]) -> None:
     root = ElementTree.fromstring(fcd(piece))
     rows = {(round(number(step, "time") * 10), v.attrib["id"]): v for step in root for v in step}
     assert len(rows) == sum(len(track.time) for track in piece.tracks)
@@ -166,8 +166,8 @@ def test_a_free_ego_is_left_alone_and_the_adversary_waits_for_its_moment(geometr
     piece = read_piece(run_folder(geometry))
     assert piece.takeover is not None and piece.adversary is not None
     write_openscenario(tmp_path, piece, find_netconvert(), Variant.FREE_EGO)
-    assert found_by_asam(tmp_path / SCENARIO) == []
-    root = ElementTree.parse(tmp_path / SCENARIO).getroot()
+    assert found_by_asam(tmp_path / OPENSCENARIO_FILE) == []
+    root = ElementTree.parse(tmp_path / OPENSCENARIO_FILE).getroot()
     assert events(root, piece.ego) == []
     assert root.find(f"Storyboard/Init/Actions/Private[@entityRef='{piece.ego}']//TeleportAction") is not None
     approach, attack = events(root, piece.adversary)

@@ -13,9 +13,9 @@ from xodr_reader import lane_centres
 import sumo_adv
 from sumo_adv.datatypes import Floats
 from sumo_adv.report.export import Format, Variant
-from sumo_adv.report.export.commonroad import SCENARIO
+from sumo_adv.report.export.commonroad import COMMONROAD_SCENARIO_FILE
 from sumo_adv.report.export.formats import write_export
-from sumo_adv.report.export.piece import Piece, read_piece
+from sumo_adv.report.export.piece import ExportedRun, read_piece
 from sumo_adv.simulation.maps import convert_map
 from sumo_adv.simulation.network import read_network
 from sumo_adv.womd.commonroad import read_commonroad
@@ -23,7 +23,7 @@ from sumo_adv.womd.reader import read_records
 
 
 @pytest.fixture(scope="module")
-def piece(tmp_path_factory: pytest.TempPathFactory) -> Piece:
+def piece(tmp_path_factory: pytest.TempPathFactory) -> ExportedRun:
     """An ego that turns right, across the oncoming traffic."""
     home = tmp_path_factory.mktemp("left_hand")
     result = sumo_adv.run(
@@ -32,7 +32,7 @@ def piece(tmp_path_factory: pytest.TempPathFactory) -> Piece:
     return read_piece(result.folder)
 
 
-def exported(piece: Piece, format: Format, folder: Path) -> Path:
+def exported(piece: ExportedRun, format: Format, folder: Path) -> Path:
     write_export(folder / "made", piece, format, Variant.REPLAY, force=False)
     return folder / "made"
 
@@ -43,7 +43,7 @@ def is_left(line: Floats, other: Floats) -> bool:
     return bool(ax * by - ay * bx > 0.0)
 
 
-def test_opendrive_has_the_lanes_where_the_network_has_them(piece: Piece, tmp_path: Path) -> None:
+def test_opendrive_has_the_lanes_where_the_network_has_them(piece: ExportedRun, tmp_path: Path) -> None:
     """To the left of their reference lines, also within the junction."""
     folder = exported(piece, Format.OPENSCENARIO, tmp_path)
     centres = MultiLineString([line for line in lane_centres(folder / "road.xodr") if len(line) > 1])
@@ -54,7 +54,7 @@ def test_opendrive_has_the_lanes_where_the_network_has_them(piece: Piece, tmp_pa
             assert max(p.distance(centres) for p in points) < (0.25 if lane.internal else 0.1)
 
 
-def test_opendrive_says_the_side_and_is_read_back_as_left_hand(piece: Piece, tmp_path: Path) -> None:
+def test_opendrive_says_the_side_and_is_read_back_as_left_hand(piece: ExportedRun, tmp_path: Path) -> None:
     """ASAM OpenDRIVE 1.5 and later: ``rule``. The eight edges come back with their two lanes, where they were."""
     road = exported(piece, Format.OPENSCENARIO, tmp_path) / "road.xodr"
     roads = ElementTree.parse(road).getroot().findall("road")
@@ -80,18 +80,22 @@ def moved(network: Path) -> Floats:
     return np.tile([float(v) for v in location.attrib["netOffset"].split(",")], 2)
 
 
-def test_the_sumo_replay_keeps_the_mark(piece: Piece, tmp_path: Path) -> None:
+def test_the_sumo_replay_keeps_the_mark(piece: ExportedRun, tmp_path: Path) -> None:
     folder = exported(piece, Format.SUMO, tmp_path)
     assert 'lefthand="true"' in (folder / "net.net.xml").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("format", [Format.COMMONROAD, Format.WOMD])
 def test_records_have_the_ego_in_a_lane_and_neighbours_on_their_sides(
-    piece: Piece, tmp_path: Path, format: Format
+    piece: ExportedRun, tmp_path: Path, format: Format
 ) -> None:
     """The lane under the ego leads where the ego drives."""
     made = exported(piece, format, tmp_path)
-    record = read_commonroad(made / SCENARIO) if format is Format.COMMONROAD else next(iter(read_records(made)))
+    record = (
+        read_commonroad(made / COMMONROAD_SCENARIO_FILE)
+        if format is Format.COMMONROAD
+        else next(iter(read_records(made)))
+    )
     ego = record.tracks[record.sdc]
     k = int(ego.valid.argmax())
     here = Point(ego.x[k], ego.y[k])

@@ -27,7 +27,7 @@ from sumo_adv.datatypes import Role, Track
 from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.report.export import Variant
 from sumo_adv.report.export.openscenario import check_openscenario, entity_names, openscenario, reference_points
-from sumo_adv.report.export.piece import Piece, read_piece
+from sumo_adv.report.export.piece import ExportedRun, read_piece
 from sumo_adv.report.export.sumo import fcd, front, table
 
 NETWORK = ROOT / "networks" / "two_way.net.xml"
@@ -44,10 +44,10 @@ def straight(id: str, role: Role, first: float, last: float, heading: float = 0.
     )  # fmt: skip
 
 
-def piece_of(*tracks: Track, takeover: float | None = 1.0) -> Piece:
+def piece_of(*tracks: Track, takeover: float | None = 1.0) -> ExportedRun:
     adversary = next((t.id for t in tracks if t.role is Role.ADVERSARY), None)
     written = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
-    return Piece("made up", NETWORK, tracks, 0.0, 3.0, 0.1, "ego", adversary, takeover, written)
+    return ExportedRun("made up", NETWORK, tracks, 0.0, 3.0, 0.1, "ego", adversary, takeover, written)
 
 
 EGO, BV = straight("ego", Role.EGO, 0.0, 3.0), straight(HOSTILE, Role.ADVERSARY, 0.0, 3.0, math.pi / 2)

@@ -17,8 +17,8 @@ from typer.testing import CliRunner
 from sumo_adv.cli.main import app
 from sumo_adv.errors import UsageError
 from sumo_adv.report.export import Format, Variant
-from sumo_adv.report.export.formats import FORMATS, Entry, write_export
-from sumo_adv.report.export.piece import Piece, map_lanes, read_piece
+from sumo_adv.report.export.formats import FORMATS, ExportFormat, write_export
+from sumo_adv.report.export.piece import ExportedRun, map_lanes, read_piece
 from sumo_adv.report.export.womd import first_step
 from sumo_adv.womd.convert import convert_record
 from sumo_adv.womd.reader import read_records
@@ -28,11 +28,11 @@ Motion = dict[float, Box]  # by simulation time, s
 
 
 @pytest.fixture(scope="module", params=GEOMETRIES)
-def piece(request: pytest.FixtureRequest) -> Piece:
+def piece(request: pytest.FixtureRequest) -> ExportedRun:
     return read_piece(run_folder(request.param))
 
 
-def exported(piece: Piece, format: Format, folder: Path) -> Path:
+def exported(piece: ExportedRun, format: Format, folder: Path) -> Path:
     target = folder / f"run{FORMATS[format].ending}"
     write_export(target, piece, format, Variant.REPLAY, force=False)
     return target
@@ -54,13 +54,13 @@ def first_overlap(ego: Motion, other: Motion) -> tuple[float, float, float] | No
     return None
 
 
-def motion_of(piece: Piece, name: str) -> Motion:
+def motion_of(piece: ExportedRun, name: str) -> Motion:
     t = piece.track(name)
     rows = zip(t.time.tolist(), t.x.tolist(), t.y.tolist(), t.heading.tolist(), strict=True)
     return {round(time, 3): (x, y, heading, t.length, t.width) for time, x, y, heading in rows}
 
 
-def check_contact(piece: Piece, ego: Motion, adversary: Motion) -> None:
+def check_contact(piece: ExportedRun, ego: Motion, adversary: Motion) -> None:
     """Every step is where it was, and the contact is when and where it was."""
     assert piece.adversary is not None and piece.contact() is not None
     for name, read in ((piece.ego, ego), (piece.adversary, adversary)):
@@ -75,7 +75,7 @@ def check_contact(piece: Piece, ego: Motion, adversary: Motion) -> None:
     assert contact[0] == pytest.approx(wanted_contact[0]) and math.dist(contact[1:], wanted_contact[1:]) < 0.2
 
 
-def test_a_waymo_record_reads_back(piece: Piece, tmp_path: Path) -> None:
+def test_a_waymo_record_reads_back(piece: ExportedRun, tmp_path: Path) -> None:
     assert piece.takeover is not None and piece.contact() is not None
     (record,) = read_records(exported(piece, Format.WOMD, tmp_path))
     assert len(record.time) == 91 and record.current == 10
@@ -95,7 +95,7 @@ def test_a_waymo_record_reads_back(piece: Piece, tmp_path: Path) -> None:
     check_contact(piece, motion(record.tracks[record.sdc]), motion(attackers[0]))
 
 
-def test_our_converter_takes_the_waymo_record(piece: Piece, tmp_path: Path) -> None:
+def test_our_converter_takes_the_waymo_record(piece: ExportedRun, tmp_path: Path) -> None:
     (record,) = read_records(exported(piece, Format.WOMD, tmp_path))
     (tmp_path / "scene").mkdir()
     convert_record(record, tmp_path / "scene", traffic=False)
@@ -103,7 +103,7 @@ def test_our_converter_takes_the_waymo_record(piece: Piece, tmp_path: Path) -> N
     assert f'id = "{record.tracks[record.sdc].id}"' in scenario and "warm_up = 1.0" in scenario
 
 
-def test_commonroads_reader_finds_the_contact(piece: Piece, tmp_path: Path) -> None:
+def test_commonroads_reader_finds_the_contact(piece: ExportedRun, tmp_path: Path) -> None:
     reader = pytest.importorskip("commonroad.common.file_reader", reason="needs commonroad-io")
     solutions = pytest.importorskip("commonroad.common.solution")
     folder = exported(piece, Format.COMMONROAD, tmp_path)
@@ -134,7 +134,7 @@ def test_commonroads_reader_finds_the_contact(piece: Piece, tmp_path: Path) -> N
     assert any(lanelet.polygon.shapely_object.contains(start) for lanelet in scenario.lanelet_network.lanelets)
 
 
-def test_mcaps_reader_finds_every_step_and_the_contact(piece: Piece, tmp_path: Path) -> None:
+def test_mcaps_reader_finds_every_step_and_the_contact(piece: ExportedRun, tmp_path: Path) -> None:
     pytest.importorskip("foxglove", reason="needs foxglove-sdk")
     from mcap.reader import make_reader
     from mcap_protobuf.decoder import DecoderFactory
@@ -167,7 +167,7 @@ def test_mcaps_reader_finds_every_step_and_the_contact(piece: Piece, tmp_path: P
     assert [entity.id for entity in road.entities] == [each.lane.id for each in map_lanes(piece)]
 
 
-def test_osis_reader_finds_the_contact(piece: Piece, tmp_path: Path) -> None:
+def test_osis_reader_finds_the_contact(piece: ExportedRun, tmp_path: Path) -> None:
     utilities = pytest.importorskip("osi_utilities", reason="needs asam-osi-utilities")
     reader = utilities.SingleTraceReader()
     assert reader.open(exported(piece, Format.OSI, tmp_path))
@@ -188,7 +188,7 @@ def test_osis_reader_finds_the_contact(piece: Piece, tmp_path: Path) -> None:
     check_contact(piece, boxes[piece.ego], boxes[piece.adversary])
 
 
-def test_metadrives_own_check_takes_the_scenario(piece: Piece, tmp_path: Path) -> None:
+def test_metadrives_own_check_takes_the_scenario(piece: ExportedRun, tmp_path: Path) -> None:
     metadrive = pytest.importorskip("metadrive.scenario", reason="metadrive-simulator is not installed")
     from metadrive.scenario.utils import read_dataset_summary, read_scenario_data
 
@@ -210,7 +210,7 @@ def test_metadrives_own_check_takes_the_scenario(piece: Piece, tmp_path: Path) -
     check_contact(piece, motion(piece.ego), motion(attacker))
 
 
-def test_metadrive_replays_into_the_hit(piece: Piece, tmp_path: Path) -> None:
+def test_metadrive_replays_into_the_hit(piece: ExportedRun, tmp_path: Path) -> None:
     pytest.importorskip("metadrive.scenario", reason="metadrive-simulator is not installed")
     from metadrive.engine.asset_loader import AssetLoader
     from metadrive.envs.scenario_env import ScenarioEnv
@@ -274,7 +274,7 @@ def test_a_folder_without_runs_is_one_sentence(tmp_path: Path) -> None:
 
 def test_a_missing_package_is_named_with_its_extra() -> None:
     write: Callable[..., None] = FORMATS[Format.CSV].write
-    entry = Entry(".x", write, "extra_of_it", ("sumo_adv_has_no_such_module",))
+    entry = ExportFormat(".x", write, "extra_of_it", ("sumo_adv_has_no_such_module",))
     assert entry.missing == "sumo_adv_has_no_such_module"
     with pytest.raises(UsageError, match=r"pip install 'sumo-adv\[extra_of_it\]'"):
         entry.need(Format.CSV)

@@ -13,11 +13,11 @@ from typer.testing import CliRunner
 import sumo_adv
 from sumo_adv.cli.main import app
 from sumo_adv.datatypes import Role, Track
-from sumo_adv.report.export.piece import Piece, read_piece
+from sumo_adv.report.export.piece import ExportedRun, read_piece
 from sumo_adv.report.export.womd import first_step, write_womd
 from sumo_adv.report.judging import judge_files
 from sumo_adv.report.manifest import read_manifest
-from sumo_adv.report.tables import HEADER, write_gzip
+from sumo_adv.report.tables import STATES_HEADER, write_gzip
 from sumo_adv.simulation.tracks import read_tracks
 from sumo_adv.womd.convert import convert_record
 from sumo_adv.womd.reader import read_records
@@ -58,7 +58,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return result.folder
 
 
-def written(piece: Piece, target: Path) -> Any:
+def written(piece: ExportedRun, target: Path) -> Any:
     """The record that is exported, and the message in it."""
     from sumo_adv.womd.framing import read_frames
     from sumo_adv.womd.scenario_pb2 import Scenario
@@ -107,7 +107,7 @@ def table(tracks: list[Track], log: Any, start: float) -> str:
                 f"{start + time:.2f},{track.id},{track.role},{again.x[k]:.4f},{again.y[k]:.4f},{again.heading[k]:.6f},"
                 f"{again.speed[k]:.4f},{acceleration:.4f},{again.length:.2f},{again.width:.2f},\n"
             )
-    return HEADER + "".join(rows)
+    return STATES_HEADER + "".join(rows)
 
 
 def test_read_back_it_has_the_same_motion_and_the_same_verdict(run: Path, tmp_path: Path) -> None:

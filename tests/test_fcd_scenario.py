@@ -15,7 +15,7 @@ import sumo_adv
 from sumo_adv.cli.main import app
 from sumo_adv.errors import UsageError
 from sumo_adv.report.export.piece import read_piece
-from sumo_adv.report.export.sumo import TYPES, fcd, write_replay
+from sumo_adv.report.export.sumo import TYPES_FILE, fcd, write_replay
 from sumo_adv.simulation.fcd_scenario import write_scenario
 from sumo_adv.simulation.inputs import load_input
 from sumo_adv.simulation.scenario import ROUTES_FILE, SCENARIO_FILE, TRACKS_FILE
@@ -33,7 +33,7 @@ def imported(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "sumo").mkdir()
     write_replay(folder / "sumo", piece)
     (folder / "made").mkdir()
-    write_scenario(folder / "made", folder / "fcd.xml.gz", piece.network, "ego", [folder / "sumo" / TYPES])
+    write_scenario(folder / "made", folder / "fcd.xml.gz", piece.network, "ego", [folder / "sumo" / TYPES_FILE])
     return folder / "made"
 
 

@@ -18,10 +18,10 @@ from typer.testing import CliRunner
 
 from sumo_adv.cli.main import app
 from sumo_adv.errors import SumoAdvError, UsageError
-from sumo_adv.report.figures import Scene, Story, draw_paper, read_story, save, write_film
+from sumo_adv.report.figures import FigureScene, Story, draw_paper, read_story, save, write_film
 
 OUTCOME: Mapping[str, Any] = {"collided": False, "min_ttc": 0.7}
-WITH, WITHOUT = Scene(EGO, CUT, [OTHER]), Scene(EGO, RAW, [OTHER])
+WITH, WITHOUT = FigureScene(EGO, CUT, [OTHER]), FigureScene(EGO, RAW, [OTHER])
 STORY = Story("made up", "Aggressive $Cut-in$", LANES, WITH, WITHOUT, 11.0, 12.0, 12.5, OUTCOME)
 
 

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sumo_adv.serve import framing, shapes
-from sumo_adv.serve.framing import FramingError, Gone, Line, make_command, make_message, make_status, split
+from sumo_adv.serve.framing import FramingError, Gone, MessageLine, make_command, make_message, make_status, split
 from sumo_adv.serve.policy import Policy, Rules
 from sumo_adv.serve.seat import errors
 
@@ -29,13 +29,13 @@ def quiet() -> None:
     raise Quiet
 
 
-def line() -> tuple[Line, socket.socket]:
+def line() -> tuple[MessageLine, socket.socket]:
     """Ours and the other end."""
     listener = socket.create_server(("127.0.0.1", 0))
     far_end = socket.create_connection(listener.getsockname())
     accepted, _ = listener.accept()
     listener.close()
-    return Line(accepted, framing.LONGEST), far_end
+    return MessageLine(accepted, framing.MAX_MESSAGE_BYTES), far_end
 
 
 @given(commands)
@@ -114,7 +114,7 @@ def test_half_a_message_is_kept_until_the_rest_comes() -> None:
     ours.close()
 
 
-@pytest.mark.parametrize("length", [-(2**31), -1, 0, 5, framing.LONGEST + 1, 2**31 - 1])
+@pytest.mark.parametrize("length", [-(2**31), -1, 0, 5, framing.MAX_MESSAGE_BYTES + 1, 2**31 - 1])
 def test_lengths_are_bounded(length: int) -> None:
     ours, far_end = line()
     far_end.sendall(struct.pack("!i", length))

@@ -24,7 +24,7 @@ import sumo_adv.gym
 from sumo_adv.datatypes import Verdict
 from sumo_adv.drivers import Action, Observation
 from sumo_adv.errors import UsageError
-from sumo_adv.gym.rewards import CONTACT, HARM, Transition
+from sumo_adv.gym.rewards import CONTACT_LOSS_S, LOSS_S_PER_DELTA_V, Transition
 
 QUICK = {"proposals": 4, "delays": (0.0,), "duration": 6.0}  # little to predict
 STILL, COAST = np.zeros(2, np.float32), np.zeros(1, np.float32)  # of two numbers, and of pedals
@@ -100,7 +100,7 @@ def test_the_expert_hits_an_ego_that_goes_straight_on() -> None:
     env.close()
     assert info["ending"] == "contact"
     assert (terminated, truncated) == (True, False)
-    assert reward < -(CONTACT + HARM * info["verdict"].delta_v) + 0.1
+    assert reward < -(CONTACT_LOSS_S + LOSS_S_PER_DELTA_V * info["verdict"].delta_v) + 0.1
     assert info["touched"]
     assert isinstance(info["verdict"], Verdict)
     assert info["verdict"].collided

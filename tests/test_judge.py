@@ -19,7 +19,7 @@ import sumo_adv
 from sumo_adv.datatypes import Level, Track
 from sumo_adv.errors import UsageError
 from sumo_adv.metrics.fault import fault, nuplan_fault
-from sumo_adv.outcome_schema import GONE_FROM_ATTEMPTS, GONE_FROM_IMPACT, GONE_FROM_OUTCOME, SCHEMA
+from sumo_adv.outcome_schema import GONE_FROM_ATTEMPTS, GONE_FROM_IMPACT, GONE_FROM_OUTCOME, OUTCOME_SCHEMA
 from sumo_adv.report.judging import judge_files
 
 HEAD = "ego_kmh,other_kmh,gap_m,lateral_ms\n"
@@ -39,7 +39,7 @@ def columns(track: Track) -> dict[str, object]:
 def test_a_run_says_its_level_and_stores_the_plan(runs: Runs) -> None:
     outcome = runs["first"].outcome
     best = outcome["outcome"]
-    assert outcome["schema"] == SCHEMA
+    assert outcome["schema"] == OUTCOME_SCHEMA
     assert best["level"] in ("collision", "valid", "strict", "serious") and best["simulated"] is True
     assert best["valid"] is (Level[best["level"].upper()] >= Level.VALID)
     assert set(best["references"]) == {"cc_human", "manoeuvre", "reg157", "rss", "fsm"}

@@ -11,7 +11,7 @@ from cli_samples import ROOT, Program
 from sumo_adv.app import batch_parts
 from sumo_adv.benchmark.jobs import method_of
 from sumo_adv.campaigns.plan import make_plan
-from sumo_adv.cli.bench import ROWS
+from sumo_adv.cli.bench import DEFAULT_ROWS
 from sumo_adv.config import load_settings
 from sumo_adv.episode.planned_encounter import BankView
 from sumo_adv.errors import UsageError, nearest
@@ -146,7 +146,7 @@ def test_the_nearest_name_is_found_in_any_case() -> None:
 
 
 def test_a_table_compares_with_banks_that_stay_as_they_are() -> None:
-    methods = [method_of(row) for row in ROWS]
+    methods = [method_of(row) for row in DEFAULT_ROWS]
     assert not any(method.learns for method in methods if method is not None)
 
 

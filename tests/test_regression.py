@@ -21,14 +21,14 @@ from regression_samples import FOUND, LOOPS, answers_of, attacked, results, suit
 from sumo_adv.errors import UsageError
 from sumo_adv.files import toml_lines
 from sumo_adv.metrics.contact import first_other_contact
-from sumo_adv.regression.case import Case, Expectation, read_case, read_suite
+from sumo_adv.regression.case import Expectation, KeptCase, read_case, read_suite
 from sumo_adv.regression.keep import keep_run
-from sumo_adv.regression.runner import Judged, Measured, Result, judged
+from sumo_adv.regression.runner import CaseMeasurements, CaseResult, JudgedCase, judged
 from sumo_adv.regression.suite import SuiteRun, junit, lines
 from sumo_adv.simulation.inputs import load_input
 
-CALM = Measured("one", "mine", min_ttc=2.0)
-HIT = Measured("one", "mine", level="strict", collided=True, min_ttc=0.0, delta_v=3.0)
+CALM = CaseMeasurements("one", "mine", min_ttc=2.0)
+HIT = CaseMeasurements("one", "mine", level="strict", collided=True, min_ttc=0.0, delta_v=3.0)
 
 
 @pytest.fixture(scope="module")
@@ -37,9 +37,9 @@ def suite(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return suite_in(tmp_path_factory.mktemp("kept"))
 
 
-def case_of(suite: Path, **expect: Any) -> Case:
+def case_of(suite: Path, **expect: Any) -> KeptCase:
     (case,) = read_suite(suite)
-    return Case(case.name, case.folder, case.source, case.proposal, case.relations, Expectation(**expect))
+    return KeptCase(case.name, case.folder, case.source, case.proposal, case.relations, Expectation(**expect))
 
 
 def regress(program: Program, suite: Path, *options: str | Path) -> Done:
@@ -52,52 +52,58 @@ def regress(program: Program, suite: Path, *options: str | Path) -> Done:
 @pytest.mark.parametrize(
     ("expect", "measured", "result"),
     [
-        ({"avoid": "collision"}, HIT, Result.FAIL),
-        ({"avoid": "serious"}, HIT, Result.PASS),  # strict is below serious
-        ({"avoid": "collision"}, CALM, Result.PASS),
-        ({"min_ttc": 1.5}, CALM, Result.PASS),
-        ({"min_ttc": 2.0}, CALM, Result.FAIL),  # it must stay above
-        ({"avoid": "collision", "min_ttc": 3.0}, CALM, Result.FAIL),  # both must hold
-        ({"min_ttc": 1.5}, Measured("one", "mine"), Result.PASS),  # never
+        ({"avoid": "collision"}, HIT, CaseResult.FAIL),
+        ({"avoid": "serious"}, HIT, CaseResult.PASS),  # strict is below serious
+        ({"avoid": "collision"}, CALM, CaseResult.PASS),
+        ({"min_ttc": 1.5}, CALM, CaseResult.PASS),
+        ({"min_ttc": 2.0}, CALM, CaseResult.FAIL),  # it must stay above
+        ({"avoid": "collision", "min_ttc": 3.0}, CALM, CaseResult.FAIL),  # both must hold
+        ({"min_ttc": 1.5}, CaseMeasurements("one", "mine"), CaseResult.PASS),  # never
     ],
 )  # fmt: skip
-def test_an_expectation_is_met_or_not(suite: Path, expect: Any, measured: Measured, result: Result) -> None:
+def test_an_expectation_is_met_or_not(suite: Path, expect: Any, measured: CaseMeasurements, result: CaseResult) -> None:
     assert judged(case_of(suite, **expect), measured, None).result is result
 
 
 def test_what_says_nothing_about_the_ego_has_a_result_of_its_own(suite: Path) -> None:
     case = case_of(suite, avoid="collision")
-    behind = Measured("one", "mine", collided=True, rear_end=True, min_ttc=0.0)
-    assert judged(case, behind, None).result is Result.PASS
+    behind = CaseMeasurements("one", "mine", collided=True, rear_end=True, min_ttc=0.0)
+    assert judged(case, behind, None).result is CaseResult.PASS
     assert "ego's back" in judged(case, behind, None).why
-    flown = Measured("one", "mine", collided=True, failed_gates=("off_road",), min_ttc=0.0)
-    assert judged(case, flown, None).result is Result.INVALID
-    assert judged(case, Measured("one", "mine", planner="It loops."), None).result is Result.INVALID
-    assert judged(case, Measured("one", "mine", broken="Gone.", missed=True), None).result is Result.NO_ENCOUNTER
-    assert judged(case, Measured("one", "mine", broken="It raised."), None).result is Result.ERROR
-    swerved = Measured("one", "mine", touched="parked0")
-    assert judged(case, swerved, None) == Judged(swerved, Result.FAIL, "The ego ran into parked0.")
+    flown = CaseMeasurements("one", "mine", collided=True, failed_gates=("off_road",), min_ttc=0.0)
+    assert judged(case, flown, None).result is CaseResult.INVALID
+    assert judged(case, CaseMeasurements("one", "mine", planner="It loops."), None).result is CaseResult.INVALID
+    assert (
+        judged(case, CaseMeasurements("one", "mine", broken="Gone.", missed=True), None).result
+        is CaseResult.NO_ENCOUNTER
+    )
+    assert judged(case, CaseMeasurements("one", "mine", broken="It raised."), None).result is CaseResult.ERROR
+    swerved = CaseMeasurements("one", "mine", touched="parked0")
+    assert judged(case, swerved, None) == JudgedCase(swerved, CaseResult.FAIL, "The ego ran into parked0.")
 
 
 def test_no_worse_than_a_baseline_allows_for_a_step_of_ttc_and_a_mile_an_hour(suite: Path) -> None:
     case = case_of(suite, no_worse=True)
 
-    def hit(delta_v: float) -> Measured:
-        return Measured("one", "mine", level="strict", collided=True, min_ttc=0.0, delta_v=delta_v)
+    def hit(delta_v: float) -> CaseMeasurements:
+        return CaseMeasurements("one", "mine", level="strict", collided=True, min_ttc=0.0, delta_v=delta_v)
 
-    def near(min_ttc: float | None) -> Measured:
-        return Measured("one", "mine", min_ttc=min_ttc)
+    def near(min_ttc: float | None) -> CaseMeasurements:
+        return CaseMeasurements("one", "mine", min_ttc=min_ttc)
 
-    def result(now: Measured, before: Measured) -> Result:
+    def result(now: CaseMeasurements, before: CaseMeasurements) -> CaseResult:
         return judged(case, now, before).result
 
-    assert result(HIT, CALM) is Result.FAIL  # hit now, not before
-    assert result(CALM, HIT) is Result.PASS
-    assert (result(hit(3.4), HIT), result(hit(3.5), HIT)) == (Result.PASS, Result.FAIL)  # 0.4 and 0.5 m/s harder
-    assert (result(near(1.95), CALM), result(near(1.85), CALM)) == (Result.PASS, Result.FAIL)
-    assert result(near(4.5), near(None)) is Result.PASS  # above 4 s nothing is compared
-    missed = Measured("one", "mine", broken="Gone.", missed=True)
-    assert (result(HIT, missed), result(CALM, missed)) == (Result.FAIL, Result.PASS)
+    assert result(HIT, CALM) is CaseResult.FAIL  # hit now, not before
+    assert result(CALM, HIT) is CaseResult.PASS
+    assert (result(hit(3.4), HIT), result(hit(3.5), HIT)) == (
+        CaseResult.PASS,
+        CaseResult.FAIL,
+    )  # 0.4 and 0.5 m/s harder
+    assert (result(near(1.95), CALM), result(near(1.85), CALM)) == (CaseResult.PASS, CaseResult.FAIL)
+    assert result(near(4.5), near(None)) is CaseResult.PASS  # above 4 s nothing is compared
+    missed = CaseMeasurements("one", "mine", broken="Gone.", missed=True)
+    assert (result(HIT, missed), result(CALM, missed)) == (CaseResult.FAIL, CaseResult.PASS)
 
 
 def test_the_ego_touches_a_third_vehicle_unless_that_runs_into_its_back() -> None:
@@ -297,7 +303,9 @@ def test_bad_input_is_refused_before_anything_runs(program: Program, suite: Path
 
 def test_junit_holds_any_text(suite: Path) -> None:
     hostile = "a \x00 b <&> \"'"
-    run = SuiteRun("s", "mine", [Judged(Measured("c<1>", "mine", broken=hostile), Result.ERROR, hostile)])
+    run = SuiteRun(
+        "s", "mine", [JudgedCase(CaseMeasurements("c<1>", "mine", broken=hostile), CaseResult.ERROR, hostile)]
+    )
     (test,) = ElementTree.fromstring(junit(run, allow_untested=False)).iter("testcase")
     error = test.find("error")
     assert test.get("name") == "c<1>" and error is not None
@@ -306,10 +314,10 @@ def test_junit_holds_any_text(suite: Path) -> None:
 
 def test_a_failing_case_says_why_in_the_table_and_in_junit() -> None:
     """A case that passes has nothing to explain, and an ego that ran into another vehicle another fault."""
-    late = Measured("one", "mine", level="strict", cause="late", cause_sentence="Your driver was late.")
+    late = CaseMeasurements("one", "mine", level="strict", cause="late", cause_sentence="Your driver was late.")
     cases = [
-        Judged(late, Result.FAIL, "It is hit."), Judged(late, Result.PASS, ""),
-        Judged(replace(late, touched="wall"), Result.FAIL, "The ego ran into wall."),
+        JudgedCase(late, CaseResult.FAIL, "It is hit."), JudgedCase(late, CaseResult.PASS, ""),
+        JudgedCase(replace(late, touched="wall"), CaseResult.FAIL, "The ego ran into wall."),
     ]  # fmt: skip
     assert [case.sentence for case in cases] == ["It is hit. Your driver was late.", "", "The ego ran into wall."]
     run = SuiteRun("s", "mine", cases[:1])

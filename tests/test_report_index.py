@@ -19,7 +19,16 @@ from sumo_adv.campaigns.store import pack_runs
 from sumo_adv.errors import UsageError
 from sumo_adv.metrics.severity import Severity
 from sumo_adv.report.coverage import make_coverage
-from sumo_adv.report.index import Made, Packs, Table, make_index, read_rows, road_of, summarise, write_report
+from sumo_adv.report.index import (
+    MadePages,
+    Packs,
+    ResultsTable,
+    make_index,
+    read_rows,
+    road_of,
+    summarise,
+    write_report,
+)
 
 MANY = 5000
 HITS = ((0, "serious", 4.0), (1, "valid", 2.0), (2, "collision", 1.0))
@@ -158,7 +167,7 @@ def test_a_damaged_run_is_told_and_the_others_are_shown(batch: Path, tmp_path: P
 
 def test_names_that_are_paths_open_nothing(batch: Path, tmp_path: Path) -> None:
     make_run(batch / "secret", vehicles=2, frames=30)
-    table = Table([row(0, id="../secret"), row(1, id=".."), row(2, id="aaaa")])
+    table = ResultsTable([row(0, id="../secret"), row(1, id=".."), row(2, id="aaaa")])
     made = write_report(batch / "runs", tmp_path / "out", "b", table, Packs())
     assert made.pages == 1 and list(changes(tmp_path / "out" / "pages")) == ["aaaa.html"]
     assert sorted(p.name for p in tmp_path.iterdir()) == ["campaign", "out"]
@@ -189,8 +198,8 @@ def browser() -> Iterator[Any]:
 @pytest.fixture(scope="module")
 def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An index of 5,000 rows."""
-    table = Table([row(k) for k in range(MANY)])
-    made = {f"{k:016x}": Made(0, (k % 400 - 200.0, -1.6), NETWORK) for k in range(MANY)}
+    table = ResultsTable([row(k) for k in range(MANY)])
+    made = {f"{k:016x}": MadePages(0, (k % 400 - 200.0, -1.6), NETWORK) for k in range(MANY)}
     file = tmp_path_factory.mktemp("large") / "index.html"
     file.write_text(make_index("many", table, made, {NETWORK: road_of(ROOT / "networks" / NETWORK)}), encoding="utf-8")
     return file
@@ -250,7 +259,7 @@ def test_coverage_and_egos_are_shown(browser: Any, tmp_path: Path) -> None:
     covered = make_coverage([document, {**document, "ego": {"controller": HOSTILE}}], [CUT_IN_BESIDE])
     failed = row(1, ego=HOSTILE, failure="It broke.", level="", severity="")
     file = tmp_path / "index.html"
-    file.write_text(make_index("c", Table([row(0), failed]), {}, {}, covered), encoding="utf-8")
+    file.write_text(make_index("c", ResultsTable([row(0), failed]), {}, {}, covered), encoding="utf-8")
     with Visit(browser, file) as visit:
         page = visit.page
         assert page.inner_text("#covered").startswith("1 of 16 cells have an encounter, 15 are empty; in 1 the ego")
@@ -284,7 +293,7 @@ def test_a_row_opens_its_replay_and_leads_back(browser: Any, batch: Path, tmp_pa
 
 
 def test_hostile_rows_do_nothing_on_a_phone(browser: Any, tmp_path: Path) -> None:
-    table = Table([row(k, network=HOSTILE, ego=HOSTILE, intent=HOSTILE, failure=HOSTILE) for k in range(3)])
+    table = ResultsTable([row(k, network=HOSTILE, ego=HOSTILE, intent=HOSTILE, failure=HOSTILE) for k in range(3)])
     html = make_index(HOSTILE, table, {}, {})
     assert "<img" not in html and html.count("</script>") == 2
     file = tmp_path / "index.html"

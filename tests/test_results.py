@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from cli_samples import ROOT, Program
 
-from sumo_adv.benchmark.columns import COLUMNS
+from sumo_adv.benchmark.columns import TABLE_COLUMNS
 
 SCRIPT = ROOT / "benchmarks" / "results.py"
 PAGE = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
@@ -49,7 +49,7 @@ def test_a_trial_writes_a_copy_of_the_page_and_goes_on_where_it_stopped(program:
 def test_every_table_has_its_place_and_known_columns(table: dict[str, object]) -> None:
     for mark in ("results", "end"):
         assert PAGE.count(f"<!-- {mark}: {table['name']} -->") == 1
-    assert set(table["columns"]) <= {column.key for column in COLUMNS}
+    assert set(table["columns"]) <= {column.key for column in TABLE_COLUMNS}
 
 
 def test_recorded_rows_have_the_answers_of_each_encounter() -> None:

@@ -17,13 +17,13 @@ import sumo_adv
 from sumo_adv.report.page import make_page
 from sumo_adv.report.page_road import (
     DASHED,
-    GIVE_WAY,
-    LIGHT,
+    LINE_GIVE_WAY,
+    LINE_LIGHT,
+    LINE_STOP,
     SOLID,
-    STOP,
     Changes,
-    Marking,
-    StopLine,
+    DrawnMarking,
+    DrawnStopLine,
     lane_changes,
     lights_of,
     markings_of,
@@ -35,15 +35,15 @@ from sumo_adv.simulation.signals import read_signals
 NETWORKS = ROOT / "networks"
 
 
-def painted(network: str, changes: Changes | None = None) -> list[Marking]:
+def painted(network: str, changes: Changes | None = None) -> list[DrawnMarking]:
     return list(markings_of(read_network(NETWORKS / f"{network}.net.xml"), changes or {}))
 
 
-def stops(network: str) -> list[StopLine]:
+def stops(network: str) -> list[DrawnStopLine]:
     return list(stop_lines(read_network(NETWORKS / f"{network}.net.xml")))
 
 
-def offsets(markings: list[Marking]) -> list[tuple[float, int]]:
+def offsets(markings: list[DrawnMarking]) -> list[tuple[float, int]]:
     """The lateral place of lines along a road that goes east [m], from right to left, and their kinds."""
     return sorted((round(float(m.line[0, 1]), 2), m.kind) for m in markings)
 
@@ -75,9 +75,9 @@ def test_permissions_are_read_from_the_network(tmp_path: Path) -> None:
     ("network", "kinds"),
     [
         ("straight_3lane", set()),
-        ("allway_stop", {STOP}),
-        ("rural_crossing", {GIVE_WAY}),  # the minor road alone
-        ("signalised_crossing", {LIGHT}),
+        ("allway_stop", {LINE_STOP}),
+        ("rural_crossing", {LINE_GIVE_WAY}),  # the minor road alone
+        ("signalised_crossing", {LINE_LIGHT}),
     ],
 )
 def test_lines_across_lanes(network: str, kinds: set[int]) -> None:
@@ -115,7 +115,7 @@ def test_what_the_lights_showed_is_recorded_and_drawn(tmp_path: Path) -> None:
     ((frames, shown),) = scene["lights"]
     assert shown == list(states)
     assert frames[0] * scene["step"] + scene["start"] == pytest.approx(times[0], abs=0.051)
-    assert {kind for kind, light, _ in scene["stops"] if light == 0} == {LIGHT}
+    assert {kind for kind, light, _ in scene["stops"] if light == 0} == {LINE_LIGHT}
 
 
 def test_a_run_without_lights_has_no_record_of_them(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ import pytest
 from gate_samples import Script, connected, needs_sumo, scene
 
 from sumo_adv.serve.events import StatusPage
-from sumo_adv.serve.gate import MOST_STRANGERS, EventKind, Gate, GateEvent
+from sumo_adv.serve.gate import MAX_STRANGERS, EventKind, Gate, GateEvent
 from sumo_adv.serve.policy import Rules
 
 SETS = """
@@ -103,7 +103,7 @@ def test_a_program_of_the_same_user_is_let_in(host: str) -> None:
 @needs_sumo
 def test_connections_that_say_nothing_shut_no_client_out(tmp_path: Path) -> None:
     with scene(tmp_path) as simulation:
-        idle = [socket.create_connection(("127.0.0.1", simulation.gate.port)) for _ in range(3 * MOST_STRANGERS)]
+        idle = [socket.create_connection(("127.0.0.1", simulation.gate.port)) for _ in range(3 * MAX_STRANGERS)]
         script = Script(simulation.gate.port, connected("print(client.getVersion()[0])\nclient.close()"))
         assert simulation.gate.wait_connected(10.0)
         simulation.step(2)

@@ -26,7 +26,7 @@ from sumo_adv.search.search import AttackSearch
 from sumo_adv.serve import Options
 from sumo_adv.serve.events import Events, ResultWriter
 from sumo_adv.serve.gate import Gate
-from sumo_adv.serve.server import MOST_AGE, Server, ServerDependencies
+from sumo_adv.serve.server import MAX_DECISION_AGE_S, EgoServer, ServerDependencies
 from sumo_adv.simulation.inputs import data_folder, load_input
 from sumo_adv.simulation.network import read_network
 from sumo_adv.situation import Situation
@@ -103,7 +103,7 @@ def served(folder: Path, seconds: float, *, kill: bool = False) -> Told:
                 given, Options(real_time=True, encounters=1), lambda _: task, read_network(task.spec.network), agents,
                 bank, gate, events, writer, lambda: None,
             )  # fmt: skip
-            assert Server(parts).run() is None
+            assert EgoServer(parts).run() is None
         finally:
             writer.close()
             clients[0].kill()
@@ -112,10 +112,10 @@ def served(folder: Path, seconds: float, *, kill: bool = False) -> Told:
 
 
 def test_an_answer_that_comes_too_late_is_dropped(tmp_path: Path) -> None:
-    log = served(tmp_path, MOST_AGE + 0.5)
+    log = served(tmp_path, MAX_DECISION_AGE_S + 0.5)
     (decided,) = log.of("decided")
     (dropped,) = log.of("dropped")
-    assert decided["age"] > MOST_AGE and decided["seconds"] > MOST_AGE
+    assert decided["age"] > MAX_DECISION_AGE_S and decided["seconds"] > MAX_DECISION_AGE_S
     assert dropped["reason"] == f"the decision is {decided['age']:.1f} s old"
     assert log.of("attack") == [] and log.episodes == []
 
@@ -123,7 +123,7 @@ def test_an_answer_that_comes_too_late_is_dropped(tmp_path: Path) -> None:
 def test_an_answer_that_comes_in_time_is_used(tmp_path: Path) -> None:
     log = served(tmp_path, 0.3)
     (decided,) = log.of("decided")
-    assert 0.3 <= decided["age"] <= MOST_AGE  # the world went on meanwhile
+    assert 0.3 <= decided["age"] <= MAX_DECISION_AGE_S  # the world went on meanwhile
     assert log.of("dropped") == []
     (attack,) = log.of("attack")
     assert attack["time"] >= TRIGGER + decided["age"] - 0.11

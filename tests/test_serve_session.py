@@ -24,7 +24,7 @@ from sumo_adv.serve import OnLoss, Options
 from sumo_adv.serve.encounter import EncounterMonitor
 from sumo_adv.serve.events import Events
 from sumo_adv.serve.gate import Gate
-from sumo_adv.serve.session import KEPT, EgoLost, EgoPlan, Pace, Session
+from sumo_adv.serve.session import KEPT_STATES_S, EgoLost, EgoPlan, Session, SessionPace
 from sumo_adv.simulation.inputs import EgoRoute
 from sumo_adv.simulation.network import read_network
 
@@ -151,7 +151,7 @@ def test_old_states_are_dropped(tmp_path: Path) -> None:
         for _ in range(70):
             case.steps(10)
             most = max(most, len(case.session.recording.snapshots))
-        assert most <= 2 * KEPT / 0.1 and len(case.session.recording.snapshots) >= KEPT / 0.1
+        assert most <= 2 * KEPT_STATES_S / 0.1 and len(case.session.recording.snapshots) >= KEPT_STATES_S / 0.1
         there = {n for s in case.session.recording.snapshots for n in s.raw}
         assert set(case.session.simulation.fleet.sizes) == there
 
@@ -194,7 +194,7 @@ def test_it_goes_on_where_it_was_put(tmp_path: Path) -> None:
 
 
 def test_real_time_is_the_clocks() -> None:
-    pace = Pace(0.02)
+    pace = SessionPace(0.02)
     began = time.monotonic()
     for _ in range(11):
         pace.wait()

@@ -16,7 +16,7 @@ from sumo_adv.config import load_settings
 from sumo_adv.geometry import Pose
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.serve import Options
-from sumo_adv.serve.encounter import EncounterMonitor, LiveAttempts, Scene, collided, describe
+from sumo_adv.serve.encounter import AttackScene, EncounterMonitor, LiveAttempts, collided, describe
 from sumo_adv.serve.events import Events
 from sumo_adv.serve.gate import Gate
 from sumo_adv.serve.session import EgoPlan, Session
@@ -41,7 +41,7 @@ def test_a_collider_and_its_support_are_driven_together_and_given_back(tmp_path:
             assert gate.wait_connected(20.0)
             watch = EncounterMonitor(session, road, settings, (), 0.0)
             scene = describe(session, road, settings, watch.until_encounter(20.0, trigger=3.0), ())
-            assert isinstance(scene, Scene), scene
+            assert isinstance(scene, AttackScene), scene
             both = pinch("left", "right", "side")
             live = LiveAttempts(session, scene, road, settings, sandbox, events)
             (result,) = live.attempt([both])

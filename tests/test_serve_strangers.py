@@ -14,7 +14,7 @@ from gate_samples import Script, connected, needs_sumo, spec
 from sumo_adv.errors import SimulationError
 from sumo_adv.serve.events import Event, Events
 from sumo_adv.serve.gate import Gate
-from sumo_adv.serve.session import TRIES, shared_sumo
+from sumo_adv.serve.session import MAX_SUMO_STARTS, shared_sumo
 from sumo_adv.serve.sumo_process import SumoProcess, strangers
 
 pytestmark = [
@@ -97,11 +97,11 @@ def test_a_stranger_that_is_faster_costs_a_start_of_sumo(tmp_path: Path, hunter:
     try:
         assert driven(tmp_path, sent, private=False) == 1.0
     except SimulationError as error:
-        if len(sent) == TRIES and f"{TRIES} times in a row" in str(error):
+        if len(sent) == MAX_SUMO_STARTS and f"{MAX_SUMO_STARTS} times in a row" in str(error):
             pytest.skip("another program on this machine connects to each port that opens")
         raise
     assert [(e["event"], e["tries"]) for e in sent] == [("stranger", n + 1) for n in range(len(sent))]
-    assert len(sent) < TRIES
+    assert len(sent) < MAX_SUMO_STARTS
 
 
 def test_a_stranger_at_a_port_is_seen() -> None:
@@ -123,7 +123,7 @@ def test_after_some_tries_the_run_ends_with_a_sentence(tmp_path: Path, hunter: s
         try:
             sumo, ours = shared_sumo(spec(tmp_path).arguments(), gate, own=(), kept=(), events=events, private=False)
         except SimulationError as error:
-            assert f"{TRIES} times in a row" in str(error) and len(sent) == TRIES
+            assert f"{MAX_SUMO_STARTS} times in a row" in str(error) and len(sent) == MAX_SUMO_STARTS
         else:
             gate.detach()
             ours.close()

@@ -38,7 +38,7 @@ from sumo_adv.metrics.verdict import judge
 from sumo_adv.planners.answers import Answer, PlannerObservation
 from sumo_adv.planners.source import make_planner
 from sumo_adv.report.folder import write_run
-from sumo_adv.report.manifest import Recorded, read_manifest
+from sumo_adv.report.manifest import RecordedRun, read_manifest
 from sumo_adv.report.staging import staged
 from sumo_adv.search.rollouts import predict
 from sumo_adv.search.search import AttackSearch
@@ -299,7 +299,7 @@ def test_all_adversaries_are_driven_stored_and_replayed(tmp_path: Path) -> None:
     both = pinch("left_ahead", "right_behind", "side")
     source = app.load(Path("neighbour_ahead_left"), None)
     settings = load_settings(None, duration=6.0, delays=(0.0,), adversaries=2)
-    recorded = Recorded(source, settings, make_task(source, settings, tmp_path), both, 0)
+    recorded = RecordedRun(source, settings, make_task(source, settings, tmp_path), both, 0)
     episode = app.replay(recorded)
     (attempt,) = episode.refinement.attempts
     assert attempt.ending in ("contact", "time_limit"), attempt.message

@@ -13,17 +13,17 @@ from page_samples import Visit, chromium
 from several_samples import COLLIDER, SUPPORT, pinch, pinched
 
 import sumo_adv
-from sumo_adv.report.encounter_figure import SUPPORT as SUPPORT_COLOUR
+from sumo_adv.report.encounter_figure import SUPPORT_COLOUR
 from sumo_adv.report.export import Variant
 from sumo_adv.report.export.openscenario import openscenario
-from sumo_adv.report.export.piece import Piece, read_piece
+from sumo_adv.report.export.piece import ExportedRun, read_piece
 from sumo_adv.report.export.sumo import table
 from sumo_adv.report.figures import draw_paper, read_story
 from sumo_adv.report.page import make_page
 
 
 @pytest.fixture(scope="module")
-def piece() -> Piece:
+def piece() -> ExportedRun:
     return read_piece(pinched())
 
 
@@ -50,7 +50,7 @@ def test_a_figure_draws_the_support_with_and_without_the_attack() -> None:
     assert f"Pinch by {COLLIDER} + {SUPPORT}: collision" in figure.axes[1].get_title(loc="left")
 
 
-def test_openscenario_names_the_support_and_starts_all_attacks_together(piece: Piece) -> None:
+def test_openscenario_names_the_support_and_starts_all_attacks_together(piece: ExportedRun) -> None:
     root = ElementTree.fromstring(openscenario(piece, Variant.FREE_EGO))
     properties = {p.get("name"): p.get("value") for p in root.iter("Property")}
     assert (properties["sumo_adv_adversary"], properties["sumo_adv_support_1"]) == (COLLIDER, SUPPORT)
@@ -63,7 +63,7 @@ def test_openscenario_names_the_support_and_starts_all_attacks_together(piece: P
     assert set(triggers) == {COLLIDER, SUPPORT} and triggers[COLLIDER] == triggers[SUPPORT]
 
 
-def test_the_table_says_of_both_that_the_attack_drives_them(piece: Piece) -> None:
+def test_the_table_says_of_both_that_the_attack_drives_them(piece: ExportedRun) -> None:
     rows = list(csv.DictReader(io.StringIO(table(piece))))
     assert {row["vehicle"] for row in rows if row["driven_by_attack"] == "1"} == {COLLIDER, SUPPORT}
 

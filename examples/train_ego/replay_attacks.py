@@ -26,8 +26,8 @@ from experiment import BASE, NAMES, NEEDLESS, TRAINED, VALID, mixed
 from trained_ego import ENVIRONMENT, OWN, Network
 
 import sumo_adv.gym  # registers the environment
-from sumo_adv.gym.actions import HARD
-from sumo_adv.gym.views import DANGER, FAST
+from sumo_adv.gym.actions import EGO_BRAKING_M_S2
+from sumo_adv.gym.views import DANGER_MAXIMA, MAX_VIEWED_SPEED_M_S
 from sumo_adv.metrics.statistics import bootstrap
 
 FILE = "attacks.csv"
@@ -43,8 +43,8 @@ def policy(row: str, out: Path) -> Callable[[Any], Any]:
         return lambda seen: np.ones(1, np.float32)
 
     def careful(seen: Any) -> Any:
-        braking = seen[OWN + 1] * DANGER[1]
-        return np.array([-braking / HARD if braking > 0 else 1.0], np.float32)
+        braking = seen[OWN + 1] * DANGER_MAXIMA[1]
+        return np.array([-braking / EGO_BRAKING_M_S2 if braking > 0 else 1.0], np.float32)
 
     return careful
 
@@ -54,9 +54,9 @@ def episode(env: gymnasium.Env[Any, Any], drive: Callable[[Any], Any], seed: int
     seen, info = env.reset(seed=seed)
     driven, braking, over, interval = 0.0, 0.0, False, ENVIRONMENT["interval"]
     while not over:
-        speed = float(seen[0]) * FAST
+        speed = float(seen[0]) * MAX_VIEWED_SPEED_M_S
         seen, _, terminated, truncated, info = env.step(drive(seen))
-        after, over = float(seen[0]) * FAST, terminated or truncated
+        after, over = float(seen[0]) * MAX_VIEWED_SPEED_M_S, terminated or truncated
         driven += (speed + after) / 2 * interval
         braking += interval * ((speed - after) / interval > NEEDLESS)
     verdict = info.get("verdict")

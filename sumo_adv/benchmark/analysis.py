@@ -17,26 +17,26 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.benchmark.cells import ORACLE, Key, interval, key, names, resamples
-from sumo_adv.benchmark.nouns import Case, Cell, Suite
-from sumo_adv.benchmark.rows import CRITERIA, LABELS, oracle_labels, split_half, succeeds
+from sumo_adv.benchmark.cells import ORACLE, CellKey, interval, key, names, resamples
+from sumo_adv.benchmark.nouns import Cell, Suite, SuiteCase
+from sumo_adv.benchmark.rows import BEHAVIOUR_LABELS, CRITERIA, oracle_labels, split_half, succeeds
 from sumo_adv.benchmark.table import ACCURACY, ANALYZER_NOTE, grid, number, paired, signed
-from sumo_adv.benchmark.write import SCHEMA, aligned, as_csv, as_json, on_screen, rate, write_files
+from sumo_adv.benchmark.write import TABLE_SCHEMA, aligned, as_csv, as_json, on_screen, rate, write_files
 from sumo_adv.datatypes import Floats
 from sumo_adv.metrics.statistics import Estimate, Paired, bootstrap, wilson
 
 NOVEL, NO_ANSWER = "novel", "no answer"
 ANNOTATED, PEOPLE = "annotated", "people"
-ANSWERS = (*LABELS, NOVEL, NO_ANSWER)
-RISKS = ("low", "medium", "high")
-RESAMPLES = 2000
+ANALYZER_ANSWERS = (*BEHAVIOUR_LABELS, NOVEL, NO_ANSWER)
+RISK_WORDS = ("low", "medium", "high")
+ACCURACY_RESAMPLES = 2000
 CHANCE, CEILING = "chance among applicable intents", "ceiling: one half of the oracle for the other"
 
-Truth = Mapping[Key, frozenset[str]]
+Truth = Mapping[CellKey, frozenset[str]]
 
 
 @dataclass(frozen=True, slots=True)
-class Score:
+class AnalyzerScore:
     """How one way of answering does. ``several``: accuracy where more than one intent applies."""
 
     who: str
@@ -48,14 +48,14 @@ class Score:
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class AccuracyPart:
     """One ego and criterion. ``confusion``: analyzer -> (label, answer) -> encounters, a tie's miss spread over it;
     ``calibration``: analyzer -> risk -> the oracle's share of success by the vehicle and intent ranked first;
     ``by_time``: encounters where no simulation of the oracle succeeded, so that min TTC alone made the label."""
 
     ego: str
     criterion: str
-    scores: tuple[Score, ...]
+    scores: tuple[AnalyzerScore, ...]
     confusion: Mapping[str, Mapping[tuple[str, str], float]]
     calibration: Mapping[str, Mapping[str, Estimate]]
     unlabelled: int
@@ -63,21 +63,21 @@ class Part:
 
 
 @dataclass(frozen=True, slots=True)
-class Analysis:
+class AnalyzerAnalysis:
     title: str
     reference: str | None
-    parts: tuple[Part, ...]
+    parts: tuple[AccuracyPart, ...]
     notes: tuple[str, ...]
 
 
 def analyze(
     cells: Sequence[Cell],
-    cases: Sequence[Case],
+    cases: Sequence[SuiteCase],
     *,
     title: str,
     analyzers: Sequence[str] | None = None,
     reference: str | None = None,
-) -> Analysis:
+) -> AnalyzerAnalysis:
     """The answers of the rows ``analyzers`` (left out: all that rank intents) against the cases' labels.
 
     Labels are read off the cells of the row ``oracle``, which also tell what applies and how often what an analyzer
@@ -99,13 +99,13 @@ def analyze(
                 parts.append(_part(own_cells, rows, ego, criterion, truth, oracle, reference))
         if ego not in {part.ego for part in parts}:
             notes.append(f"Nothing is labelled for {ego}: add the row oracle.")
-    return Analysis(title, reference, tuple(parts), tuple(note for note in notes if note))
+    return AnalyzerAnalysis(title, reference, tuple(parts), tuple(note for note in notes if note))
 
 
 def _truth(
-    cells: Sequence[Cell], cases: Sequence[Case], ego: str, criterion: str, oracle: Mapping[Key, Cell]
-) -> dict[Key, frozenset[str]]:
-    truth: dict[Key, frozenset[str]] = {}
+    cells: Sequence[Cell], cases: Sequence[SuiteCase], ego: str, criterion: str, oracle: Mapping[CellKey, Cell]
+) -> dict[CellKey, frozenset[str]]:
+    truth: dict[CellKey, frozenset[str]] = {}
     given = _given(cases, ego, criterion)
     for name in dict.fromkeys(key(c) for c in cells):
         simulated = name in oracle and criterion in CRITERIA
@@ -115,14 +115,14 @@ def _truth(
     return truth
 
 
-def _given(cases: Sequence[Case], ego: str, criterion: str) -> dict[str, tuple[str, ...]]:
+def _given(cases: Sequence[SuiteCase], ego: str, criterion: str) -> dict[str, tuple[str, ...]]:
     """The cases' own labels; people's for what was annotated."""
     who = PEOPLE if criterion == ANNOTATED else ego
     return {c.name: tuple(c.labels.get(who, {}).get(criterion, ())) for c in cases}
 
 
 def _agreement(
-    truth: Truth, oracle: Mapping[Key, Cell], given: Mapping[str, Sequence[str]], ego: str, criterion: str
+    truth: Truth, oracle: Mapping[CellKey, Cell], given: Mapping[str, Sequence[str]], ego: str, criterion: str
 ) -> str:
     """How many of the suite's own labels have something in common with those that count, in a sentence."""
     both = [(truth[name], given[name[0]]) for name in truth if name in oracle and given.get(name[0])]
@@ -136,9 +136,9 @@ def _agreement(
 
 
 def _part(
-    cells: Sequence[Cell], rows: Sequence[str], ego: str, criterion: str, truth: Truth, oracle: Mapping[Key, Cell],
+    cells: Sequence[Cell], rows: Sequence[str], ego: str, criterion: str, truth: Truth, oracle: Mapping[CellKey, Cell],
     reference: str | None,
-) -> Part:  # fmt: skip
+) -> AccuracyPart:  # fmt: skip
     simulated = oracle if criterion in CRITERIA else {}
     applies = {name: sorted({a["intent"] for a in cell["attempts"]}) for name, cell in oracle.items() if name in truth}
     every = {key(c) for c in cells}
@@ -148,7 +148,7 @@ def _part(
     scores.append(_constant(truth, applies))
     if applies:
         scores += _references(criterion, truth, applies, oracle)
-    return Part(
+    return AccuracyPart(
         ego, criterion, tuple(scores), {row: _confusion(own, truth) for row, own in by_row.items() if own},
         {row: _calibration(own, simulated, criterion) for row, own in by_row.items() if simulated and own},
         len(every - truth.keys()),
@@ -165,18 +165,22 @@ def _right(cell: Cell, truth: Truth, within: int = 1) -> bool:
     return bool(truth[key(cell)].intersection(answers(cell)[:within]))
 
 
-def _score(who: str, cells: Mapping[Key, Cell], truth: Truth, applies: Mapping[Key, Sequence[str]]) -> Score:
+def _score(
+    who: str, cells: Mapping[CellKey, Cell], truth: Truth, applies: Mapping[CellKey, Sequence[str]]
+) -> AnalyzerScore:
     right = {name: _right(cell, truth) for name, cell in cells.items()}
     several = [right[name] for name in right if len(applies.get(name, ())) > 1]
     twice = [_right(cell, truth, 2) for cell in cells.values()]
-    return Score(
+    return AnalyzerScore(
         who, wilson(sum(right.values()), len(right)), wilson(sum(several), len(several)) if several else None,
         _kappa([next(iter(answers(c)), NO_ANSWER) for c in cells.values()], [truth[name] for name in cells]),
         wilson(sum(twice), len(twice)),
     )  # fmt: skip
 
 
-def _compared(score: Score, by_row: Mapping[str, Mapping[Key, Cell]], truth: Truth, reference: str | None) -> Score:
+def _compared(
+    score: AnalyzerScore, by_row: Mapping[str, Mapping[CellKey, Cell]], truth: Truth, reference: str | None
+) -> AnalyzerScore:
     own, baseline = by_row[score.who], by_row.get(reference or "", {})
     common = [name for name in own if name in baseline]
     if score.who == reference or not common:
@@ -195,7 +199,7 @@ def _kappa(given: Sequence[str], truth: Sequence[frozenset[str]]) -> Estimate | 
     allowed = np.array([[label in labels for label in every] for labels in truth], dtype=float)
     right = (answer * allowed).sum(axis=1)
     n = len(given)
-    weights = np.vstack([np.full((1, n), 1 / n), resamples(n, RESAMPLES) / n])
+    weights = np.vstack([np.full((1, n), 1 / n), resamples(n, ACCURACY_RESAMPLES) / n])
     kappas = _kappas(weights, right, answer, allowed)
     finite = kappas[1:][np.isfinite(kappas[1:])]
     if not np.isfinite(kappas[0]) or not finite.size:
@@ -209,33 +213,33 @@ def _kappas(weights: Floats, right: Floats, answer: Floats, allowed: Floats) -> 
         return np.where(chance < 1 - 1e-9, (weights @ right - chance) / (1 - chance), np.nan)
 
 
-def _constant(truth: Truth, applies: Mapping[Key, Sequence[str]]) -> Score:
+def _constant(truth: Truth, applies: Mapping[CellKey, Sequence[str]]) -> AnalyzerScore:
     """The one label that is right most often, chosen in hindsight."""
-    best = max(LABELS, key=lambda label: sum(label in labels for labels in truth.values()))
+    best = max(BEHAVIOUR_LABELS, key=lambda label: sum(label in labels for labels in truth.values()))
     right = {name: best in labels for name, labels in truth.items()}
     several = [right[name] for name in right if len(applies.get(name, ())) > 1]
-    return Score(
+    return AnalyzerScore(
         f"always {best} (best constant, in hindsight)", wilson(sum(right.values()), len(right)),
         wilson(sum(several), len(several)) if several else None,
     )  # fmt: skip
 
 
 def _references(
-    criterion: str, truth: Truth, applies: Mapping[Key, Sequence[str]], oracle: Mapping[Key, Cell]
-) -> list[Score]:
+    criterion: str, truth: Truth, applies: Mapping[CellKey, Sequence[str]], oracle: Mapping[CellKey, Cell]
+) -> list[AnalyzerScore]:
     """Chance among what applies, and how well one half of the oracle's simulations answers for the other."""
     chance = {name: len(truth[name].intersection(applicable)) / len(applicable) for name, applicable in applies.items()}
     several = [value for name, value in chance.items() if len(applies[name]) > 1]
-    scores = [Score(CHANCE, bootstrap(list(chance.values())), bootstrap(several) if several else None)]
+    scores = [AnalyzerScore(CHANCE, bootstrap(list(chance.values())), bootstrap(several) if several else None)]
     if criterion in CRITERIA:
         halves = {name: split_half(oracle[name])[criterion] for name in applies}
         agreed = [value for value in halves.values() if value is not None]
         whole = [1.0 if value is None else value for value in halves.values()]  # one label: it agrees with itself
-        scores.append(Score(CEILING, bootstrap(whole), bootstrap(agreed) if agreed else None))
+        scores.append(AnalyzerScore(CEILING, bootstrap(whole), bootstrap(agreed) if agreed else None))
     return scores
 
 
-def _confusion(cells: Mapping[Key, Cell], truth: Truth) -> dict[tuple[str, str], float]:
+def _confusion(cells: Mapping[CellKey, Cell], truth: Truth) -> dict[tuple[str, str], float]:
     counts: dict[tuple[str, str], float] = defaultdict(float)
     for name, cell in cells.items():
         first = next(iter(answers(cell)), NO_ANSWER)
@@ -248,10 +252,10 @@ def _confusion(cells: Mapping[Key, Cell], truth: Truth) -> dict[tuple[str, str],
 
 
 def _known(label: str) -> str:
-    return label if label in ANSWERS else NOVEL
+    return label if label in ANALYZER_ANSWERS else NOVEL
 
 
-def _calibration(cells: Mapping[Key, Cell], oracle: Mapping[Key, Cell], criterion: str) -> dict[str, Estimate]:
+def _calibration(cells: Mapping[CellKey, Cell], oracle: Mapping[CellKey, Cell], criterion: str) -> dict[str, Estimate]:
     """By the risk that the analyzer gave what it ranked first: the share of the oracle's simulations with that vehicle
     and intent that succeed, over encounters that have any."""
     rates: dict[str, list[float]] = defaultdict(list)
@@ -261,7 +265,7 @@ def _calibration(cells: Mapping[Key, Cell], oracle: Mapping[Key, Cell], criterio
         same = [a for a in tried if first and a["intent"] == first["label"] and first["bv"] in a["adversaries"]]
         if first and same:
             rates[str(first["risk"])].append(sum(succeeds(a, criterion) for a in same) / len(same))
-    return {risk: bootstrap(rates[risk]) for risk in dict.fromkeys((*RISKS, *rates)) if risk in rates}
+    return {risk: bootstrap(rates[risk]) for risk in dict.fromkeys((*RISK_WORDS, *rates)) if risk in rates}
 
 
 # -- files
@@ -269,8 +273,8 @@ def _calibration(cells: Mapping[Key, Cell], oracle: Mapping[Key, Cell], criterio
 
 FIGURES = ("accuracy", "several", "kappa", "top2")
 SCORES = ("ego", "criterion", "who", "figure", "value", "low", "high", "n", "difference", "p")
-CONFUSION = ("ego", "criterion", "who", "label", *ANSWERS)
-HOW = (
+CONFUSION = ("ego", "criterion", "who", "label", *ANALYZER_ANSWERS)
+ANALYSIS_NOTE = (
     "Label: the intent that is most dangerous against this ego in simulation, by the share of its candidates that "
     "collide (criterion collision: feasible, not rear-end; valid: valid ones), then by mean capped min TTC; a tie is a "
     "set, and any answer in it is right. Answer: the first intent that the analyzer ranks. No answer is wrong. Kappa: "
@@ -278,7 +282,9 @@ HOW = (
 )
 
 
-def write_analysis(analysis: Analysis, cells: Sequence[Cell], folder: Path, about: Mapping[str, Any]) -> list[Path]:
+def write_analysis(
+    analysis: AnalyzerAnalysis, cells: Sequence[Cell], folder: Path, about: Mapping[str, Any]
+) -> list[Path]:
     """``analyzer.md``, ``.csv``, ``.json``, ``-confusion.csv`` and ``.manifest.json``. Raises UsageError."""
     texts = {
         ".md": to_markdown(analysis), ".csv": as_csv(SCORES, [*_score_rows(analysis), *_calibration_rows(analysis)]),
@@ -293,8 +299,8 @@ def labels_hash(suite: Suite) -> str:
     return hashlib.sha256(json.dumps(given, sort_keys=True).encode()).hexdigest()
 
 
-def to_markdown(analysis: Analysis) -> str:
-    lines = [f"# {analysis.title}", "", HOW, ""]
+def to_markdown(analysis: AnalyzerAnalysis) -> str:
+    lines = [f"# {analysis.title}", "", ANALYSIS_NOTE, ""]
     lines += [*(f"- {note}" for note in analysis.notes), ""] if analysis.notes else []
     for part in analysis.parts:
         lines += _part_lines(part, analysis.reference)
@@ -303,7 +309,7 @@ def to_markdown(analysis: Analysis) -> str:
     return "\n".join([*lines, ANALYZER_NOTE]) + "\n"
 
 
-def _part_lines(part: Part, reference: str | None) -> list[str]:
+def _part_lines(part: AccuracyPart, reference: str | None) -> list[str]:
     lines = [f"## Ego {part.ego}, by {part.criterion}", ""]
     if part.unlabelled:
         lines += [f"{part.unlabelled} encounters have no label and are left out.", ""]
@@ -320,7 +326,7 @@ def _part_lines(part: Part, reference: str | None) -> list[str]:
         lines += ["Success in the oracle's simulations of what the analyzer ranked first, by the risk it gave:", ""]
         lines += grid(["who", *risks], rows)
     for who, matrix in part.confusion.items():
-        shown = [a for a in ANSWERS if any(a in pair for pair in matrix)]
+        shown = [a for a in ANALYZER_ANSWERS if any(a in pair for pair in matrix)]
         rows = [[label, *(f"{matrix.get((label, a), 0):g}" for a in shown)] for label in shown if label != NO_ANSWER]
         lines += [f"Confusion of {who} (rows: label, columns: answer; a tie's miss is spread over it):", ""]
         lines += grid(["label", *shown], rows)
@@ -331,7 +337,7 @@ def _shown(estimate: Estimate | None) -> str:
     return number(estimate) + (f", n {estimate.n}" if estimate is not None else "")
 
 
-def _score_rows(analysis: Analysis) -> Iterator[dict[str, Any]]:
+def _score_rows(analysis: AnalyzerAnalysis) -> Iterator[dict[str, Any]]:
     for part in analysis.parts:
         for score in part.scores:
             for figure in FIGURES:
@@ -340,31 +346,31 @@ def _score_rows(analysis: Analysis) -> Iterator[dict[str, Any]]:
                     yield _figure_row(part, score.who, figure, e, score.difference if figure == "accuracy" else None)
 
 
-def _calibration_rows(analysis: Analysis) -> Iterator[dict[str, Any]]:
+def _calibration_rows(analysis: AnalyzerAnalysis) -> Iterator[dict[str, Any]]:
     for part in analysis.parts:
         for who, estimates in part.calibration.items():
             for risk, e in estimates.items():
                 yield _figure_row(part, who, f"success at risk {risk}", e, None)
 
 
-def _figure_row(part: Part, who: str, figure: str, e: Estimate, d: Paired | None) -> dict[str, Any]:
+def _figure_row(part: AccuracyPart, who: str, figure: str, e: Estimate, d: Paired | None) -> dict[str, Any]:
     return {
         "ego": part.ego, "criterion": part.criterion, "who": who, "figure": figure, "value": e.value,
         "low": e.low, "high": e.high, "n": e.n, "difference": d.difference if d else None, "p": d.p if d else None,
     }  # fmt: skip
 
 
-def _confusion_rows(analysis: Analysis) -> Iterator[dict[str, Any]]:
+def _confusion_rows(analysis: AnalyzerAnalysis) -> Iterator[dict[str, Any]]:
     for part in analysis.parts:
         for who, matrix in part.confusion.items():
-            for label in ANSWERS[:-1]:
-                counts = {answer: matrix.get((label, answer), 0.0) for answer in ANSWERS}
+            for label in ANALYZER_ANSWERS[:-1]:
+                counts = {answer: matrix.get((label, answer), 0.0) for answer in ANALYZER_ANSWERS}
                 yield {"ego": part.ego, "criterion": part.criterion, "who": who, "label": label, **counts}
 
 
-def _document(analysis: Analysis) -> dict[str, Any]:
+def _document(analysis: AnalyzerAnalysis) -> dict[str, Any]:
     return {
-        "schema": SCHEMA, "title": analysis.title, "reference": analysis.reference, "notes": analysis.notes,
+        "schema": TABLE_SCHEMA, "title": analysis.title, "reference": analysis.reference, "notes": analysis.notes,
         "scores": list(_score_rows(analysis)), "confusion": list(_confusion_rows(analysis)),
         "calibration": list(_calibration_rows(analysis)),
         "unlabelled": [{"ego": p.ego, "criterion": p.criterion, "encounters": p.unlabelled} for p in analysis.parts],
@@ -372,7 +378,7 @@ def _document(analysis: Analysis) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def analysis_text(analysis: Analysis, file: Path) -> str:
+def analysis_text(analysis: AnalyzerAnalysis, file: Path) -> str:
     """For the terminal: how often each analyzer names the most dangerous intent."""
     sections = []
     for part in analysis.parts:

@@ -201,8 +201,8 @@ def robustness(episode: Episode, engine: EpisodeEngine, sandbox: Sandbox) -> dic
 # -- what a cell keeps of motion
 
 
-NEAR = 60.0  # m from the ego's middle: traffic for comparison
-MOST_SAMPLES = 2000  # numbers of a kind that a cell keeps
+TRAFFIC_RADIUS_M = 60.0  # m from the ego's middle: traffic for comparison
+MAX_MOTION_SAMPLES = 2000  # numbers of a kind that a cell keeps
 
 
 def unattacked(episode: Episode) -> dict[str, Any] | None:
@@ -260,14 +260,14 @@ def _near(episode: Episode, encounter: FoundEncounter, start: float, end: float)
         return []
     x, y = float(ego.x.mean()), float(ego.y.mean())
     window = [t.between(start, end) for t in tracks.values() if t.role is Role.BACKGROUND]
-    return [t for t in window if len(t.time) and float(np.hypot(t.x - x, t.y - y).min()) < NEAR]
+    return [t for t in window if len(t.time) and float(np.hypot(t.x - x, t.y - y).min()) < TRAFFIC_RADIUS_M]
 
 
 def _samples(tracks: Sequence[Track]) -> dict[str, list[float]]:
     samples: dict[str, list[float]] = {}
     for name in ("speed", "acceleration"):
         values = np.concatenate([getattr(t, name) for t in tracks]) if tracks else np.empty(0)
-        stride = max(1, -(-len(values) // MOST_SAMPLES))
+        stride = max(1, -(-len(values) // MAX_MOTION_SAMPLES))
         samples[name] = [round(float(v), 2) for v in values[::stride]]
     return samples
 

@@ -13,7 +13,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
-from sumo_adv.benchmark.jobs import Job, Parts, Setup, cell_path, examples_of, known_place, make_jobs, method_of
+from sumo_adv.benchmark.jobs import (
+    BenchJob,
+    BenchParts,
+    BenchSetup,
+    cell_path,
+    examples_of,
+    known_place,
+    make_jobs,
+    method_of,
+)
 from sumo_adv.benchmark.nouns import Cell, Suite
 from sumo_adv.benchmark.rows import make_row
 from sumo_adv.benchmark.worker import Bencher, failure, keep_cell, missing_rows, note_of, waited
@@ -29,26 +38,26 @@ from sumo_adv.parsing import read_json, read_object
 CELL_KEYS = {"case", "kind", "group", "ego", "row", "seed", "ending"}
 
 
-class Watcher(Protocol):
+class BenchWatcher(Protocol):
     """Shows the progress."""
 
     def begin(self, total: int, before: int) -> None: ...
 
-    def finished(self, job: Job) -> None: ...
+    def finished(self, job: BenchJob) -> None: ...
 
 
 class Bench:
     """Runs jobs. ``deadline`` [s]: after which a row is held to be stuck, its wait for a language model left out."""
 
-    def __init__(self, setup: Setup, workers: int, watcher: Watcher, deadline: float) -> None:
+    def __init__(self, setup: BenchSetup, workers: int, watcher: BenchWatcher, deadline: float) -> None:
         self._setup, self._watcher = setup, watcher
         self._pace = WorkerPace(workers, deadline, recycle=sys.maxsize)
-        self._waiting: deque[Job] = deque()
-        self._chains: dict[tuple[str, str], deque[Job]] = {}
+        self._waiting: deque[BenchJob] = deque()
+        self._chains: dict[tuple[str, str], deque[BenchJob]] = {}
         self._since: dict[str, tuple[int, float]] = {}  # of a job: rows without a cell, and when the last one came [s]
         self._scratch = Path()
 
-    def run(self, free: Sequence[Job], chains: Sequence[Sequence[Job]]) -> None:
+    def run(self, free: Sequence[BenchJob], chains: Sequence[Sequence[BenchJob]]) -> None:
         """Whatever has no cell yet. Raises SumoAdvError, OSError; KeyboardInterrupt leaves whole cells."""
         every = [*free, *(job for chain in chains for job in chain)]
         total = sum(len(j.rows) for j in every)
@@ -68,24 +77,24 @@ class Bench:
             with closing(workers):
                 workers.run(self._waiting, self._finished)
 
-    def _missing(self, job: Job) -> Job | None:
+    def _missing(self, job: BenchJob) -> BenchJob | None:
         """The job with those of its rows that have no cell."""
         rows = missing_rows(self._setup, job)
         return replace(job, rows=rows) if rows else None
 
-    def _rest(self, chain: Sequence[Job]) -> list[Job]:
+    def _rest(self, chain: Sequence[BenchJob]) -> list[BenchJob]:
         """A chain from the first encounter on that has no cell, since those after it hang on it; or from before that,
         where the bank it begins with is gone."""
         first = next((job for job in chain if self._missing(job) is not None), None)
         return [] if first is None else list(chain[known_place(first, self._setup) :])
 
-    def _go_on(self, chain: deque[Job]) -> None:
+    def _go_on(self, chain: deque[BenchJob]) -> None:
         """The next of a chain, before other jobs, since those after it wait for it. Its cell, if any, is void."""
         job = chain.popleft()
         cell_path(self._setup.folder, job.ego, job.case.name, job.rows[0]).unlink(missing_ok=True)
         self._waiting.appendleft(job)
 
-    def _finished(self, job: Job, done: Done) -> None:
+    def _finished(self, job: BenchJob, done: Done) -> None:
         left = self._missing(job)
         rows = tuple(row for row in job.rows if left is None or row not in left.rows)
         self._watcher.finished(replace(job, rows=rows))
@@ -94,7 +103,7 @@ class Bench:
         elif job.place is not None and (chain := self._chains[job.ego, job.rows[0]]):
             self._go_on(chain)
 
-    def _seen(self, job: Job) -> tuple[int, float]:
+    def _seen(self, job: BenchJob) -> tuple[int, float]:
         """How many rows have no cell, and how long the first of them has waited for a language model [s]."""
         rows = missing_rows(self._setup, job)
         before, _ = self._since.get(job.id, (-1, 0.0))
@@ -102,7 +111,7 @@ class Bench:
             self._since[job.id] = len(rows), time.monotonic()
         return len(rows), waited(note_of(self._scratch, job, rows[0])) if rows else 0.0
 
-    def _fail(self, job: Job, why: str, text: str) -> Done:
+    def _fail(self, job: BenchJob, why: str, text: str) -> Done:
         """The row that a job was at has failed."""
         if rows := missing_rows(self._setup, job):
             _, since = self._since.get(job.id, (0, time.monotonic()))
@@ -126,8 +135,8 @@ def read_cells(folder: Path) -> list[Cell]:
     return cells
 
 
-SCHEMA = 1
-PLAN, LOCK = "bench.json", "bench.lock"
+BENCH_SCHEMA = 1
+BENCH_FILE, BENCH_LOCK = "bench.json", "bench.lock"
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,16 +161,16 @@ class TableRequest:
 
 
 @dataclass(frozen=True, slots=True)
-class Means:
+class BenchResources:
     folder: Path
     workers: int
-    parts: Parts
+    parts: BenchParts
     versions: Mapping[str, str]
     keep_runs: bool = False
     cell_seconds: float = 900.0
 
 
-def run_table(request: TableRequest, means: Means, watcher: Watcher) -> list[Cell]:
+def run_table(request: TableRequest, means: BenchResources, watcher: BenchWatcher) -> list[Cell]:
     """The cells of a table, those that are missing run now; also those that other commands left in the folder.
 
     Raises:
@@ -174,24 +183,24 @@ def run_table(request: TableRequest, means: Means, watcher: Watcher) -> list[Cel
         means.folder.mkdir(parents=True, exist_ok=True)
         refuse_links(means.folder)
         _keep_plan(plan, means.folder)
-        setup = Setup(
+        setup = BenchSetup(
             means.folder.absolute(), request.suite.name, request.bank.absolute(), request.settings, means.parts,
             means.keep_runs, examples_of(request.suite.cases),
         )  # fmt: skip
         free, chains = make_jobs(request.suite.cases, request.egos, request.rows, request.seed)
-        with held(means.folder / LOCK) as alone:
+        with held(means.folder / BENCH_LOCK) as alone:
             if not alone:
                 raise UsageError(f"Another bench writes into {means.folder}; wait for it, or give another --out.")
             Bench(setup, means.workers, watcher, means.cell_seconds).run(free, chains)
     return read_cells(means.folder)
 
 
-def manifest(request: TableRequest, means: Means) -> dict[str, Any]:
+def manifest(request: TableRequest, means: BenchResources) -> dict[str, Any]:
     with MemoryBank.open(request.bank, read_only=True) as bank:
         content = bank.content_hash()
     suite = request.suite
     return {
-        "schema": SCHEMA, "suite": suite.name, "version": suite.version, "content": suite.content,
+        "schema": BENCH_SCHEMA, "suite": suite.name, "version": suite.version, "content": suite.content,
         "cases": len(suite.cases), "seed": request.seed, "settings": dict(request.settings), "bank_hash": content,
         "versions": dict(means.versions),
     }  # fmt: skip
@@ -199,7 +208,7 @@ def manifest(request: TableRequest, means: Means) -> dict[str, Any]:
 
 def _keep_plan(plan: Mapping[str, Any], folder: Path) -> None:
     """Remember what the folder is of. Raises UsageError where it holds something else."""
-    file = folder / PLAN
+    file = folder / BENCH_FILE
     if file.exists():
         before = read_object(file, "The plan of the bench")
         changed = [k for k in plan if before.get(k) != plan[k]]

@@ -13,25 +13,24 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.benchmark.nouns import GROUPS, Cell, counts
+from sumo_adv.benchmark.nouns import GROUPS, MIN_TTC_CAP_S, RAW, Cell, counts
 from sumo_adv.datatypes import Ending, Floats
 from sumo_adv.metrics.realism import PAPER_BINS, Bins, jensen_shannon, kl, smoothed, wasserstein
 from sumo_adv.metrics.statistics import Estimate
 
-RAW, ORACLE = "raw", "oracle"
-CAP = 10.0  # s: a min TTC of never, and the most any counts
-FAILED = frozenset(
+ORACLE = "oracle"
+CELL_FAILURES = frozenset(
     {
         Ending.SIMULATION_FAILED, Ending.PLANNER_FAILED, Ending.MODEL_FAILED, Ending.BUDGET_EXHAUSTED, Ending.EGO_LOST,
         Ending.INTERRUPTED,
     }
 )  # fmt: skip
 
-Key = tuple[str, int]
+CellKey = tuple[str, int]
 """Case and seed: what two rows are paired by."""
 
 
-def key(cell: Cell) -> Key:
+def key(cell: Cell) -> CellKey:
     return str(cell["case"]), int(cell["seed"])
 
 
@@ -41,7 +40,7 @@ def is_raw(cell: Cell) -> bool:
 
 def failed(cell: Cell) -> bool:
     """Whether the work failed (a crash, a model, a budget); what it came to until then does not count."""
-    return cell["ending"] in FAILED
+    return cell["ending"] in CELL_FAILURES
 
 
 def without_attack(cell: Cell) -> bool:
@@ -68,7 +67,7 @@ def capped_ttc(verdict: Mapping[str, Any]) -> float:
     if verdict.get("collided"):
         return 0.0
     given = verdict.get("min_ttc")
-    return CAP if given is None or math.isinf(given) else min(float(given), CAP)
+    return MIN_TTC_CAP_S if given is None or math.isinf(given) else min(float(given), MIN_TTC_CAP_S)
 
 
 def first_valid(cell: Cell) -> int | None:
@@ -104,8 +103,8 @@ def names(cells: Iterable[Cell], what: str) -> list[str]:
 # -- realism
 
 
-RESAMPLES = 1000
-FINE = 2000  # bins of W1 in resamples
+DISTANCE_RESAMPLES = 1000
+RESAMPLED_W1_BINS = 2000  # bins of W1 in resamples
 
 Pooled = Callable[[Sequence[Cell]], Estimate | None]
 
@@ -133,7 +132,7 @@ def distance(feature: str, measure: str) -> Pooled:
         exact = measure == "wasserstein"
         bins = _over(np.concatenate([a, b])) if exact else PAPER_BINS[feature]
         own, reference = (np.array([bins.counts(v) for v in side]) for side in (attacked, raw))
-        weights = resamples(len(attacked), RESAMPLES)
+        weights = resamples(len(attacked), DISTANCE_RESAMPLES)
         resampled = [_of_counts(measure, p, q, bins) for p, q in zip(weights @ own, weights @ reference, strict=True)]
         value = wasserstein(a, b) if exact else _of_counts(measure, bins.counts(a), bins.counts(b), bins)
         return interval(value, np.array(resampled), len(attacked))
@@ -142,9 +141,9 @@ def distance(feature: str, measure: str) -> Pooled:
 
 
 def _over(values: Floats) -> Bins:
-    """Bins over all there is, ``FINE`` of them: W1 must not stop where a histogram of usual values ends."""
+    """``RESAMPLED_W1_BINS`` bins over all values: W1 must not stop where a histogram of usual values ends."""
     finite = values[np.isfinite(values)]
-    return Bins(float(finite.min()), float(finite.max()) + 1e-6, FINE)
+    return Bins(float(finite.min()), float(finite.max()) + 1e-6, RESAMPLED_W1_BINS)
 
 
 def _of_counts(measure: str, p: Floats, q: Floats, bins: Bins) -> float:
@@ -163,7 +162,7 @@ def step_share(name: str) -> Pooled:
         if not counted:
             return None
         share, steps = np.array(counted, dtype=float).T
-        weights = resamples(len(counted), RESAMPLES)
+        weights = resamples(len(counted), DISTANCE_RESAMPLES)
         return interval(float(share @ steps / steps.sum()), weights @ (share * steps) / (weights @ steps), len(counted))
 
     return of

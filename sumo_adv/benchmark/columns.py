@@ -12,16 +12,15 @@ import numpy as np
 
 from sumo_adv.benchmark import cells as c
 from sumo_adv.benchmark.cells import distance, step_share
-from sumo_adv.benchmark.nouns import Cell, counts
+from sumo_adv.benchmark.nouns import CRITICAL_TTC_S, Cell, counts
 from sumo_adv.datatypes import Level
 from sumo_adv.metrics.preventability import AVOIDS, NOT_APPLICABLE
 from sumo_adv.metrics.statistics import Estimate, bootstrap, wilson
 
 BUDGETS = (1, 5, 10, 25)
-SECONDS = (10, 60)
-EPSILONS = (2.5, 5.0)  # m between centres: the paper does not give its own
-UNSEEN = ("reg157", "rss", "fsm")  # reference drivers that the search never asks
-CRITICAL_TTC = 1.0  # s, the unattacked run is critical below it; the program's default of --critical-ttc
+SUCCESS_WITHIN_S = (10, 60)
+SUCCESS_DISTANCES_M = (2.5, 5.0)  # m between centres: the paper does not give its own
+UNSEEN_REFERENCE_DRIVERS = ("reg157", "rss", "fsm")  # reference drivers that the search never asks
 RATE, MEAN, MEDIAN = "rate", "mean", "median"
 SECTIONS = ("Verdicts", "Why not", "Min TTC", "Attempts", "Modification", "Realism", "Cost", "Margin")
 
@@ -52,7 +51,7 @@ class Column:
     def paired(self) -> bool:
         return self.asked_of_all and self.pooled is None and self.summary != MEDIAN
 
-    def values(self, cells: Sequence[Cell]) -> dict[c.Key, float]:
+    def values(self, cells: Sequence[Cell]) -> dict[c.CellKey, float]:
         by_key = {c.key(cell): self.of(cell) for cell in cells if self.raw or not c.is_raw(cell)}
         return {name: float(value) for name, value in by_key.items() if value is not None}
 
@@ -92,7 +91,7 @@ def _paper_collision(epsilon: float) -> Callable[[Cell], Value]:
 
 def _paper_ttc(cell: Cell) -> Value:
     """Min TTC [s] with the paper's kind of collision, of the centres, as 0."""
-    near = _paper_collision(EPSILONS[-1])(cell)
+    near = _paper_collision(SUCCESS_DISTANCES_M[-1])(cell)
     return None if near is None else (0.0 if near else c.capped_ttc(c.counted(cell)))
 
 
@@ -134,7 +133,11 @@ def _largest_kind(cells: Sequence[Cell]) -> Estimate | None:
 def _unseen(cell: Cell) -> Value:
     """Of valid ones: whether a driver avoids it that the search does not know; None if none of them applies."""
     verdict = c.counted(cell)
-    answers = [a for name, a in (verdict.get("references") or {}).items() if name in UNSEEN and a != NOT_APPLICABLE]
+    answers = [
+        a
+        for name, a in (verdict.get("references") or {}).items()
+        if name in UNSEEN_REFERENCE_DRIVERS and a != NOT_APPLICABLE
+    ]
     return any(a == AVOIDS for a in answers) if verdict.get("valid") and answers else None
 
 
@@ -146,7 +149,7 @@ def _raw_critical(cell: Cell) -> Value:
     raw = cell.get("raw")
     if raw is None:
         return None
-    return bool(raw["collided"]) or (raw["min_ttc"] is not None and raw["min_ttc"] <= CRITICAL_TTC)
+    return bool(raw["collided"]) or (raw["min_ttc"] is not None and raw["min_ttc"] <= CRITICAL_TTC_S)
 
 
 def _unmodified_critical(cell: Cell) -> Value:
@@ -185,7 +188,7 @@ def _pace(cell: Cell) -> Value:
     return count / seconds if seconds and count else None
 
 
-COLUMNS: tuple[Column, ...] = (
+TABLE_COLUMNS: tuple[Column, ...] = (
     Column("collision", "collision", "Verdicts", "the adversary touched the ego", of=_verdict("collided"), raw=True),
     Column("no_rear", "noRear", "Verdicts", "a feasible collision, not into the ego's back",
            of=lambda cell: c.no_rear(c.counted(cell))),
@@ -223,9 +226,9 @@ COLUMNS: tuple[Column, ...] = (
     Column("mean_min_ttc_paper", "mean (paper) [s]", "Min TTC", "0 also where the centres came within 5 m", MEAN,
            _paper_ttc, raw=True),
     Column("paper_collision_2_5", "collision rate (paper, 2.5 m)", "Min TTC", "a touch, or centres within 2.5 m",
-           of=_paper_collision(EPSILONS[0]), raw=True),
+           of=_paper_collision(SUCCESS_DISTANCES_M[0]), raw=True),
     Column("paper_collision", "collision rate (paper)", "Min TTC", "a touch, or centres within 5 m",
-           of=_paper_collision(EPSILONS[1]), raw=True),
+           of=_paper_collision(SUCCESS_DISTANCES_M[1]), raw=True),
     Column("attempts", "attempts until valid", "Attempts", "median, of encounters where some attempt was valid", MEDIAN,
            lambda cell: None if (k := c.first_valid(cell)) is None else float(k), asked_of_all=False, digits=1),
     *(Column(f"valid_{k}", f"valid after {k}", "Attempts", f"one of the first {k} attempts was valid",
@@ -269,7 +272,8 @@ COLUMNS: tuple[Column, ...] = (
     *(Column(f"seconds_{level}", f"s to the first {level}", "Cost", "median, from the row's first look on", MEDIAN,
              _to_first(level), asked_of_all=False) for level in ("valid", "strict", "serious")),
     *(Column(f"{level}_within_{most}_s", f"{level} within {most} s", "Cost", "from the row's first look on",
-             of=_within_seconds(level, float(most))) for most in SECONDS for level in ("valid", "strict", "serious")),
+             of=_within_seconds(level, float(most)))
+      for most in SUCCESS_WITHIN_S for level in ("valid", "strict", "serious")),
     Column("attempts_per_second", "attempts a second", "Cost", "with all that the row did in between", MEAN,
            _pace, asked_of_all=False, digits=1),
     Column("calls", "model calls", "Cost", "an encounter", MEAN,
@@ -288,7 +292,7 @@ BY_PART = (
 )  # fmt: skip
 """What is shown of groups and kinds too."""
 
-COMPARED = (
+COMPARED_COLUMNS = (
     "collision", "no_rear", "valid", "strict", "serious", "critical", "mean_min_ttc", "valid_1",
     "valid_25", "seconds",
 )  # fmt: skip

@@ -24,7 +24,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sumo_adv.benchmark.nouns import GROUPS, Case
+from sumo_adv.benchmark.nouns import GROUPS, RAW, SuiteCase
 from sumo_adv.config import Settings, load_settings
 from sumo_adv.errors import UsageError
 from sumo_adv.memory.bank import MemoryBank
@@ -33,9 +33,8 @@ if TYPE_CHECKING:
     from sumo_adv.episode.episode import Episode
     from sumo_adv.simulation.inputs import RunInput
 
-RAW = "raw"
 FIXED_LIBRARY = ("Close Car-following", "Emergency Braking")
-OWN = ("expert", "llm-a", "llm-f")
+OWN_METHODS = ("expert", "llm-a", "llm-f")
 GIVEN_ELSEWHERE = (
     "ego", "ego_id", "ego_parameters", "seed", "until", "attempts", "memory", "trigger", "ttc", "critical_ttc",
     "min_delta_v", "limits", "duration",
@@ -54,13 +53,13 @@ ABLATIONS: Mapping[str, str] = {
 }
 """Row -> what is left out; each compared with ``REFERENCE``."""
 REFERENCE = "expert+learn=off"
-SAMPLES = (1, 3, 5)
+ANALYZER_SAMPLES = (1, 3, 5)
 GROWING = ("", "+learn=off", "+recall=scene")  # learning, its reference, and recall by scene
 
 
 def sampled(model: str) -> dict[str, str]:
     """Row -> what: a model as it is and asked several times, which differ in that alone."""
-    return {f"llm-a:{model}+samples={k}+learn=off": f"{model}, the analyzer asked {k} times" for k in SAMPLES}
+    return {f"llm-a:{model}+samples={k}+learn=off": f"{model}, the analyzer asked {k} times" for k in ANALYZER_SAMPLES}
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +86,7 @@ def method_of(row: str) -> Method | None:
     """
     base, *changes = row.split("+")
     kind, _, model = base.partition(":")
-    if kind not in (*OWN, RAW) or (model and kind not in ("llm-a", "llm-f")):
+    if kind not in (*OWN_METHODS, RAW) or (model and kind not in ("llm-a", "llm-f")):
         return None
     if kind == RAW:
         if changes:
@@ -144,7 +143,7 @@ KINDS_SHOWN = 2  # of each group, as examples
 
 
 @dataclass(frozen=True, slots=True)
-class Parts:
+class BenchParts:
     """What the command line composes, all importable by name, because they go to other processes."""
 
     load: Callable[[Path, str | None], RunInput]
@@ -155,7 +154,7 @@ class Parts:
 
 
 @dataclass(frozen=True, slots=True)
-class Setup:
+class BenchSetup:
     """What every process of a bench needs. ``bank``: the library, only read; ``settings``: of all rows, as data;
     ``examples``: cases of which each row's attack is drawn."""
 
@@ -163,17 +162,17 @@ class Setup:
     suite: str
     bank: Path
     settings: Mapping[str, Any]
-    parts: Parts
+    parts: BenchParts
     keep_runs: bool = False
     examples: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, slots=True)
-class Job:
+class BenchJob:
     """Rows of one encounter. ``place``: of the case in the suite, for a row that learns: its bank is what the
     encounter before left."""
 
-    case: Case
+    case: SuiteCase
     ego: str
     seed: int
     rows: tuple[str, ...]
@@ -195,7 +194,7 @@ def example_path(folder: Path, ego: str, case: str, row: str) -> Path:
     return folder / "figures" / f"example-{slug(ego)}-{slug(row)}-{slug(case)}.png"
 
 
-def examples_of(cases: Sequence[Case]) -> frozenset[str]:
+def examples_of(cases: Sequence[SuiteCase]) -> frozenset[str]:
     """The cases that are drawn: of each group the first of each of its first ``KINDS_SHOWN`` kinds."""
     names: list[str] = []
     for group in GROUPS:
@@ -214,11 +213,11 @@ def slug(text: str) -> str:
 
 
 def make_jobs(
-    cases: Sequence[Case], egos: Sequence[str], rows: Sequence[str], seed: int
-) -> tuple[list[Job], list[list[Job]]]:
+    cases: Sequence[SuiteCase], egos: Sequence[str], rows: Sequence[str], seed: int
+) -> tuple[list[BenchJob], list[list[BenchJob]]]:
     """Jobs that depend on nothing, and chains of jobs to be done one after another."""
-    free: list[Job] = []
-    chains: list[list[Job]] = []
+    free: list[BenchJob] = []
+    chains: list[list[BenchJob]] = []
     methods = {row: method_of(row) or Method(row) for row in rows}
     shared: dict[str, list[str]] = {}
     for row, method in methods.items():
@@ -227,11 +226,11 @@ def make_jobs(
     for ego in egos:
         for together in shared.values():
             first = methods[together[0]]
-            free += [Job(c, ego, seed, tuple(together), first.settings, first.shift) for c in cases]
+            free += [BenchJob(c, ego, seed, tuple(together), first.settings, first.shift) for c in cases]
         for row, method in methods.items():
             if method.learns:
                 chains.append(
-                    [Job(c, ego, seed, (row,), method.settings, method.shift, k) for k, c in enumerate(cases)]
+                    [BenchJob(c, ego, seed, (row,), method.settings, method.shift, k) for k, c in enumerate(cases)]
                 )
     return free, chains
 
@@ -240,7 +239,7 @@ def make_jobs(
 
 
 def bank_of(
-    method: Method, job: Job, setup: Setup, library: MemoryBank, scratch: Path
+    method: Method, job: BenchJob, setup: BenchSetup, library: MemoryBank, scratch: Path
 ) -> AbstractContextManager[MemoryBank]:
     """The bank for a row's attack on one encounter. Raises BankError, UsageError."""
     if method.learns:
@@ -266,7 +265,7 @@ def _fixed(library: Path, scratch: Path) -> Iterator[MemoryBank]:
 
 
 @contextmanager
-def _growing(job: Job, setup: Setup) -> Iterator[MemoryBank]:
+def _growing(job: BenchJob, setup: BenchSetup) -> Iterator[MemoryBank]:
     """The bank as the encounters before left it; what this one learns is kept for the next.
 
     ``K.sqlite`` is the bank before encounter K.  It stays until encounter K has its cell, so that an
@@ -289,11 +288,11 @@ def _growing(job: Job, setup: Setup) -> Iterator[MemoryBank]:
     part.replace(after)
 
 
-def known_place(job: Job, setup: Setup) -> int:
+def known_place(job: BenchJob, setup: BenchSetup) -> int:
     """The place, at most the job's, from which a row that learns can go on: the newest with a bank, else the first."""
     places = (int(file.stem) for file in _folder(job, setup).glob("*.sqlite"))
     return max((k for k in places if k <= (job.place or 0)), default=0)
 
 
-def _folder(job: Job, setup: Setup) -> Path:
+def _folder(job: BenchJob, setup: BenchSetup) -> Path:
     return setup.folder / "banks" / slug(job.ego) / slug(job.rows[0])

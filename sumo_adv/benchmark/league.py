@@ -17,15 +17,15 @@ import numpy as np
 
 from sumo_adv.benchmark import cells as c
 from sumo_adv.benchmark.cells import counted, first_valid, remembered
-from sumo_adv.benchmark.columns import COLUMNS
-from sumo_adv.benchmark.nouns import Case, Cell
+from sumo_adv.benchmark.columns import TABLE_COLUMNS
+from sumo_adv.benchmark.nouns import Cell, SuiteCase
 from sumo_adv.benchmark.table import grid, number, signed
-from sumo_adv.benchmark.write import MAIN, SCHEMA, aligned, as_csv, as_json, on_screen, plain, rate, write_files
+from sumo_adv.benchmark.write import MAIN, TABLE_SCHEMA, aligned, as_csv, as_json, on_screen, plain, rate, write_files
 from sumo_adv.datatypes import Level
 from sumo_adv.metrics.statistics import Estimate, Paired, bootstrap, paired_means, paired_rates, wilson
 
 VALID_LEVELS = tuple(str(level) for level in Level if level >= Level.VALID)
-SHOWN = ("valid", "strict", "serious", "valid_1", "kinds")
+LEAGUE_COLUMNS = ("valid", "strict", "serious", "valid_1", "kinds")
 WARNING = (
     "Attempts against known and unknown drivers do not compare: the search has the rules of the known ones, and has to "
     "find out how the unknown ones drive."
@@ -33,7 +33,7 @@ WARNING = (
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class LeaguePlace:
     """One driver. attempts: mean until the first valid one, where an encounter without one counts as one more than its
     budget. called: attempts that were predicted to be valid; right: the share of them that were."""
 
@@ -56,7 +56,7 @@ class Duel:
     valid: Paired
 
 
-def league(cells: Sequence[Cell], budget: int) -> tuple[list[Place], list[Duel]]:
+def league(cells: Sequence[Cell], budget: int) -> tuple[list[LeaguePlace], list[Duel]]:
     """The drivers, hardest to hit first, the known ones before the others; and each pair of them."""
     by_ego = {ego: [cell for cell in cells if cell["ego"] == ego] for ego in c.names(cells, "ego")}
     places = [_place(ego, group, budget) for ego, group in by_ego.items()]
@@ -69,13 +69,20 @@ def league(cells: Sequence[Cell], budget: int) -> tuple[list[Place], list[Duel]]
     return places, [duel for duel in duels if duel is not None]
 
 
-def to_markdown(places: Sequence[Place], duels: Sequence[Duel], title: str) -> str:
-    titles = {column.key: column for column in COLUMNS}
-    head = ["driver", "", "attempts until valid", *(titles[k].title for k in SHOWN), "called valid", "of these valid"]
+def to_markdown(places: Sequence[LeaguePlace], duels: Sequence[Duel], title: str) -> str:
+    titles = {column.key: column for column in TABLE_COLUMNS}
+    head = [
+        "driver",
+        "",
+        "attempts until valid",
+        *(titles[k].title for k in LEAGUE_COLUMNS),
+        "called valid",
+        "of these valid",
+    ]
     rows = [
         [
             p.ego, "known" if p.known else "unknown", number(p.attempts, 1),
-            *(number(p.figures[k], titles[k].digits) for k in SHOWN), str(p.called),
+            *(number(p.figures[k], titles[k].digits) for k in LEAGUE_COLUMNS), str(p.called),
             "–" if p.right is None else f"{p.right:.2f}",
         ]
         for p in places
@@ -90,7 +97,7 @@ def to_markdown(places: Sequence[Place], duels: Sequence[Duel], title: str) -> s
     return "\n".join(lines) + "\n"
 
 
-def league_text(places: Sequence[Place], title: str, file: Path) -> str:
+def league_text(places: Sequence[LeaguePlace], title: str, file: Path) -> str:
     """For the terminal: the drivers, hardest to hit first."""
     levels = MAIN[1:]
     rows = [
@@ -102,7 +109,7 @@ def league_text(places: Sequence[Place], title: str, file: Path) -> str:
 
 
 def write_league(
-    places: Sequence[Place], duels: Sequence[Duel], title: str, cells: Sequence[Cell], folder: Path,
+    places: Sequence[LeaguePlace], duels: Sequence[Duel], title: str, cells: Sequence[Cell], folder: Path,
     about: Mapping[str, Any],
 ) -> list[Path]:  # fmt: skip
     """``league.md``, ``.json`` and ``league.manifest.json``. Raises UsageError."""
@@ -111,12 +118,12 @@ def write_league(
     return write_files(folder, "league", texts, cells, about)
 
 
-def _place(ego: str, cells: Sequence[Cell], budget: int) -> Place:
+def _place(ego: str, cells: Sequence[Cell], budget: int) -> LeaguePlace:
     called = [a for cell in cells for a in c.attempts(cell) if a["predicted_level"] in VALID_LEVELS]
-    figures = {column.key: column.estimate(cells) for column in COLUMNS if column.key in SHOWN}
+    figures = {column.key: column.estimate(cells) for column in TABLE_COLUMNS if column.key in LEAGUE_COLUMNS}
     right = sum(bool(a.get("valid")) for a in called) / len(called) if called else None
     is_known = all(cell.get("driver_known") is not False for cell in cells)  # None: there was no encounter
-    return Place(
+    return LeaguePlace(
         ego, is_known, len(cells), figures, bootstrap([_attempts(cell, budget) for cell in cells]), len(called), right
     )
 
@@ -143,7 +150,7 @@ def _attempts(cell: Cell, budget: int) -> float:
 # -- growth of the bank
 
 
-WINDOW = 10  # encounters of a moving figure
+MOVING_MEAN_ENCOUNTERS = 10  # encounters of a moving figure
 THIRDS = ("first third", "second third", "last third")
 
 
@@ -168,7 +175,7 @@ class Step:
     valid: bool
 
 
-def growth(cells: Sequence[Cell], cases: Sequence[Case]) -> list[Step]:
+def growth(cells: Sequence[Cell], cases: Sequence[SuiteCase]) -> list[Step]:
     """The steps of every row, ego and seed, each in the suite's order. Cells that are missing leave a gap in place."""
     place = {case.name: k for k, case in enumerate(cases, 1)}
     lines: dict[tuple[str, str, int], list[Cell]] = {}
@@ -192,7 +199,8 @@ def _step(cell: Cell, place: int, hits: list[bool], seconds: list[float]) -> Ste
     seconds += [] if took is None else [float(took)]
     return Step(
         cell["row"], cell["ego"], cell["seed"], place, cell["case"], hit,
-        float(np.mean(hits)) if hits else None, took, float(np.mean(seconds[-WINDOW:])) if seconds else None,
+        float(np.mean(hits)) if hits else None, took,
+        float(np.mean(seconds[-MOVING_MEAN_ENCOUNTERS:])) if seconds else None,
         int((cell.get("llm") or {}).get("calls") or 0), first_valid(cell), counted(cell).get("valid") is True,
     )  # fmt: skip
 
@@ -202,7 +210,7 @@ def write_growth(steps: Sequence[Step], cells: Sequence[Cell], folder: Path, abo
     rows = [asdict(step) for step in steps]
     texts = {
         ".md": _to_markdown(steps, about["suite"]), ".csv": as_csv(list(Step.__dataclass_fields__), rows),
-        ".json": as_json({"schema": SCHEMA, "steps": rows, "thirds": _plain(thirds(steps))}),
+        ".json": as_json({"schema": TABLE_SCHEMA, "steps": rows, "thirds": _plain(thirds(steps))}),
     }  # fmt: skip
     return write_files(folder, "growth", texts, cells, about)
 

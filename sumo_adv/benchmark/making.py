@@ -20,8 +20,9 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from random import Random
 
-from sumo_adv.benchmark.drafts import STRAIGHT, Draft, draw_junction, draw_straight, write_draft
-from sumo_adv.benchmark.suites import NAME, SUITE_FILE, hash_of_file
+from sumo_adv.benchmark.drafts import STRAIGHT_KINDS, EncounterDraft, draw_junction, draw_straight, write_draft
+from sumo_adv.benchmark.nouns import CRITICAL_TTC_S
+from sumo_adv.benchmark.suites import NAME_PATTERN, SUITE_FILE, hash_of_file
 from sumo_adv.config import load_settings
 from sumo_adv.episode.encounter_detector import FASTEST_START, LATEST
 from sumo_adv.episode.task import FoundEncounter, NoEncounter, Task, make_task
@@ -36,14 +37,13 @@ from sumo_adv.situation import Target
 EGOS = ("idm", "krauss", "eidm", "careful")
 """The drivers that an encounter must be calm with; a replayed ego plays back what ``idm`` drives."""
 
-TTC = 1.0  # s: at or below this an encounter is critical by itself
-STAYS = 15.0  # s after the trigger that the ego must still be there: an attack begun 3 s late lasts 12 s
-BV_STAYS = 8.0  # s
-RELATIONS = {
+EGO_STAYS_AFTER_TRIGGER_S = 15.0  # an attack begun 3 s late lasts 12 s
+BV_STAYS_AFTER_TRIGGER_S = 8.0
+RELATION_OF_KIND = {
     "leader": "leader", "neighbour_ahead": "neighbour", "neighbour_behind": "neighbour", "oncoming": "oncoming",
     "follower": "follower",
 }  # fmt: skip
-MEETING = ("crossing", "merging", "oncoming")
+CONFLICT_RELATIONS = ("crossing", "merging", "oncoming")
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,9 +60,9 @@ class Trial:
 def trial(scenario: Path, ego: str, bv: str, kind: str) -> Trial:
     """The trial of a scenario file with the driver ``ego`` and SUMO's seed 0."""
     source = load_input(scenario)
-    settings = load_settings(None, ego=ego, seed=0, critical_ttc=TTC, horizon=source.horizon)
+    settings = load_settings(None, ego=ego, seed=0, critical_ttc=CRITICAL_TTC_S, horizon=source.horizon)
     task = make_task(source, settings, Path(tempfile.gettempdir()))
-    return Trial(task, bv, kind, kind in RELATIONS and ego == EGOS[0])
+    return Trial(task, bv, kind, kind in RELATION_OF_KIND and ego == EGOS[0])
 
 
 def tried(candidate: Trial) -> str:
@@ -84,9 +84,9 @@ def _fault(candidate: Trial, encounter: FoundEncounter) -> str:
         name: sum(name in snapshot.raw for snapshot in encounter.baseline) for name in (encounter.ego, candidate.bv)
     }
     dt = candidate.task.settings.step_length
-    if present[encounter.ego] * dt < STAYS:
+    if present[encounter.ego] * dt < EGO_STAYS_AFTER_TRIGGER_S:
         return "the ego stays too short"
-    if present[candidate.bv] * dt < BV_STAYS:
+    if present[candidate.bv] * dt < BV_STAYS_AFTER_TRIGGER_S:
         return "the vehicle meant stays too short"
     relations = {name: relation for name, relation, _ in encounter.ranking}
     target = encounter.first.targets.get(candidate.bv)
@@ -94,12 +94,12 @@ def _fault(candidate: Trial, encounter: FoundEncounter) -> str:
         return "the vehicle meant is no candidate"
     if candidate.first and encounter.ranking[0][0] != candidate.bv:
         return "another vehicle is more dangerous than the one meant"
-    if candidate.kind not in RELATIONS:
-        ok = relations[candidate.bv] in MEETING and in_time(target, encounter.first.ego.speed)
+    if candidate.kind not in RELATION_OF_KIND:
+        ok = relations[candidate.bv] in CONFLICT_RELATIONS and in_time(target, encounter.first.ego.speed)
         return "" if ok else "the vehicle meant cannot be at the conflict in time"
     ahead = encounter.first.frame.to_local(target.state.x, target.state.y, target.state.heading)[0] > 0
     sided = {"neighbour_ahead": ahead, "neighbour_behind": not ahead}.get(candidate.kind, True)
-    as_meant = relations[candidate.bv] == RELATIONS[candidate.kind] and sided
+    as_meant = relations[candidate.bv] == RELATION_OF_KIND[candidate.kind] and sided
     return "" if as_meant else "the vehicle meant stands otherwise by then"
 
 
@@ -131,21 +131,21 @@ class TrialWorker:
 # -- the suite
 
 
-VERSION = "1"
-SHIPPED, SHIPPED_SEED = "suite81", 1
-SHARES: Mapping[str, int] = {
+SUITE_VERSION = "1"
+SHIPPED_SUITE, SHIPPED_SUITE_SEED = "suite81", 1
+ENCOUNTERS_PER_KIND: Mapping[str, int] = {
     "leader": 11, "neighbour_ahead": 13, "neighbour_behind": 8, "oncoming": 11, "follower": 7,
     "crossing_priority": 9, "crossing_allway": 5, "crossing_signals": 7, "crossing_t": 6, "crossing_roundabout": 2,
     "crossing_merge": 2,
 }  # fmt: skip
 """How many encounters of each kind: 50 on straight roads, 31 at junctions."""
 
-MOST_TRIES = 60  # candidates for one place in the list
-Report = Callable[[str, str], None]  # name of the case, why a candidate is refused (empty: it is taken)
+MAX_TRIES_PER_ENCOUNTER = 60  # candidates for one place in the list
+ReportCandidate = Callable[[str, str], None]  # name of the case, why a candidate is refused (empty: it is taken)
 
 
 @dataclass(frozen=True, slots=True)
-class Made:
+class MadeSuite:
     """What a suite took to make: candidates drawn, why others than those taken were rejected, seconds."""
 
     file: Path
@@ -155,7 +155,7 @@ class Made:
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class EncounterPlace:
     """One place in the list: its case's name, kind, group and number among its kind."""
 
     name: str
@@ -165,22 +165,27 @@ class Place:
 
 
 def make_suite(
-    seed: int, folder: Path, *, name: str = "", shares: Mapping[str, int] = SHARES, report: Report | None = None
-) -> Made:
+    seed: int,
+    folder: Path,
+    *,
+    name: str = "",
+    shares: Mapping[str, int] = ENCOUNTERS_PER_KIND,
+    report: ReportCandidate | None = None,
+) -> MadeSuite:
     """Makes the suite of a seed in ``folder``, which must not exist or be empty; nothing is left if it fails.
 
     name: of the suite, else ``suite81`` and for other seeds than the shipped one's ``suite81-<seed>``.
 
     Raises:
         UsageError: the folder is taken, the name is of no use, or this system cannot fork.
-        SumoAdvError: an encounter could not be found in ``MOST_TRIES`` candidates.
+        SumoAdvError: an encounter could not be found in ``MAX_TRIES_PER_ENCOUNTER`` candidates.
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise UsageError(f"{folder} is there already and not empty: give a new folder for the suite.")
     if not can_fork():
         raise UsageError("Suites are made where processes can be forked (Linux): make it there and copy the folder.")
-    name = name or (SHIPPED if seed == SHIPPED_SEED else f"{SHIPPED}-{seed}")
-    if not re.fullmatch(NAME, name):
+    name = name or (SHIPPED_SUITE if seed == SHIPPED_SUITE_SEED else f"{SHIPPED_SUITE}-{seed}")
+    if not re.fullmatch(NAME_PATTERN, name):
         raise UsageError(f"'{name}' is no name for a suite: use letters, digits, dots, dashes and underscores.")
     began = time.perf_counter()
     folder.parent.mkdir(parents=True, exist_ok=True)
@@ -200,31 +205,36 @@ def make_suite(
         if folder.exists():
             folder.rmdir()
         work.replace(folder)
-    return Made(folder / SUITE_FILE, drawn, dict(faults), time.perf_counter() - began)
+    return MadeSuite(folder / SUITE_FILE, drawn, dict(faults), time.perf_counter() - began)
 
 
-def places_of(shares: Mapping[str, int]) -> list[Place]:
+def places_of(shares: Mapping[str, int]) -> list[EncounterPlace]:
     """The list's places, kind after kind, named by their group."""
-    places: list[Place] = []
+    places: list[EncounterPlace] = []
     numbers = Counter[str]()
     for kind, many in shares.items():
-        group = "straight" if kind in STRAIGHT else "intersection"
+        group = "straight" if kind in STRAIGHT_KINDS else "intersection"
         for number in range(many):
             numbers[group] += 1
-            places.append(Place(f"{group}-{numbers[group]:02d}", kind, group, number))
+            places.append(EncounterPlace(f"{group}-{numbers[group]:02d}", kind, group, number))
     return places
 
 
-def candidate(place: Place, seed: int, attempt: int) -> Draft:
+def candidate(place: EncounterPlace, seed: int, attempt: int) -> EncounterDraft:
     draw = Random(f"{seed}/{place.name}/{attempt}")
-    return (draw_straight if place.kind in STRAIGHT else draw_junction)(place.kind, place.number, draw)
+    return (draw_straight if place.kind in STRAIGHT_KINDS else draw_junction)(place.kind, place.number, draw)
 
 
 def _fill(
-    place: Place, seed: int, work: Path, engine: Engine[TrialWorker], faults: Counter[str], report: Report | None
+    place: EncounterPlace,
+    seed: int,
+    work: Path,
+    engine: Engine[TrialWorker],
+    faults: Counter[str],
+    report: ReportCandidate | None,
 ) -> None:
     """Candidates for one place until one is good; their ``faults`` are counted."""
-    for attempt in range(MOST_TRIES):
+    for attempt in range(MAX_TRIES_PER_ENCOUNTER):
         draft = candidate(place, seed, attempt)
         network = work / "networks" / f"{draft.network}.net.xml"
         network.parent.mkdir(exist_ok=True)
@@ -236,10 +246,12 @@ def _fill(
             report(place.name, fault)
         if not fault:
             return
-    raise SumoAdvError(f"No calm encounter was found for {place.name} in {MOST_TRIES} candidates; try another seed.")
+    raise SumoAdvError(
+        f"No calm encounter was found for {place.name} in {MAX_TRIES_PER_ENCOUNTER} candidates; try another seed."
+    )
 
 
-def _refused(draft: Draft, scenario: Path, engine: Engine[TrialWorker]) -> str:
+def _refused(draft: EncounterDraft, scenario: Path, engine: Engine[TrialWorker]) -> str:
     """Why a candidate is refused, and by which driver; the first driver alone, then all others."""
     for egos in (EGOS[:1], EGOS[1:]):
         trials = [trial(scenario, ego, draft.bv_id(), draft.kind) for ego in egos]
@@ -249,11 +261,13 @@ def _refused(draft: Draft, scenario: Path, engine: Engine[TrialWorker]) -> str:
     return ""
 
 
-def _write_list(work: Path, name: str, seed: int, places: list[Place], drawn: int, rejected: Mapping[str, int]) -> None:
+def _write_list(
+    work: Path, name: str, seed: int, places: list[EncounterPlace], drawn: int, rejected: Mapping[str, int]
+) -> None:
     """The suite's own file: its cases, what was drawn for them, and the hash of every file."""
     lines = [
         f"# {len(places)} encounters, made by `sumo-adv bench make --seed {seed}`; frozen: the hashes are checked.",
-        "schema = 1", f'name = "{name}"', f'version = "{VERSION}"', f"seed = {seed}", "", "[making]",
+        "schema = 1", f'name = "{name}"', f'version = "{SUITE_VERSION}"', f"seed = {seed}", "", "[making]",
         f"drawn = {drawn}", "", "[making.rejected]",
         *(f'"{why}" = {many}' for why, many in sorted(rejected.items())),
     ]  # fmt: skip

@@ -13,13 +13,19 @@ from sumo_adv.simulation.network import Drivable
 from sumo_adv.situation import Situation
 
 GROUPS = ("straight", "intersection")
+RAW = "raw"
+"""The row of unattacked runs."""
+CRITICAL_TTC_S = 1.0
+"""An unattacked run with a min TTC of at most this is critical by itself; the default of ``--critical-ttc``."""
+MIN_TTC_CAP_S = 10.0
+"""What a larger min TTC counts as, and that of a motion that does not count."""
 
 Cell = Mapping[str, Any]
 """The outcome of a case x ego x row x seed; ``docs/benchmark.md`` lists its keys."""
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
+class SuiteCase:
     """One encounter of a suite. ``record``: the id of a Waymo record in ``path``; ``labels``: what an oracle or people
     hold to be the most dangerous intents, by ego and criterion: ``{"idm": {"collision": (..), "valid": (..)}}``."""
 
@@ -37,7 +43,7 @@ class Suite:
 
     name: str
     version: str
-    cases: tuple[Case, ...]
+    cases: tuple[SuiteCase, ...]
     content: str
 
 

@@ -12,19 +12,19 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.benchmark.analysis import ANSWERS, NO_ANSWER, Analysis
-from sumo_adv.benchmark.cells import CAP, RAW, capped_ttc, counted, names, samples
-from sumo_adv.benchmark.league import WINDOW, Step
-from sumo_adv.benchmark.nouns import Cell
+from sumo_adv.benchmark.analysis import ANALYZER_ANSWERS, NO_ANSWER, AnalyzerAnalysis
+from sumo_adv.benchmark.cells import capped_ttc, counted, names, samples
+from sumo_adv.benchmark.league import MOVING_MEAN_ENCOUNTERS, Step
+from sumo_adv.benchmark.nouns import MIN_TTC_CAP_S, RAW, Cell
 from sumo_adv.datatypes import Floats
 from sumo_adv.files import sentences, write_whole
 from sumo_adv.metrics.realism import PAPER_BINS
 
-RAW_COLOUR, OURS, UNATTACKED = "#0072B2", "#D55E00", "#8C8C8C"
-COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-STYLES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (6, 1, 1, 1, 1, 1)), (0, (1, 3)))
-UNITS = {"speed": "speed [m/s]", "acceleration": "acceleration [m/s²]"}
-DPI = 150
+RAW_COLOUR, OUR_COLOUR, UNATTACKED = "#0072B2", "#D55E00", "#8C8C8C"
+LINE_COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+LINE_STYLES: tuple[Any, ...] = ("-", "--", "-.", ":", (0, (6, 1, 1, 1, 1, 1)), (0, (1, 3)))
+FEATURE_LABELS = {"speed": "speed [m/s]", "acceleration": "acceleration [m/s²]"}
+PLOT_DPI = 150
 
 
 def draw_all(cells: Sequence[Cell], folder: Path, rows: Sequence[str] | None = None) -> list[Path]:
@@ -57,17 +57,17 @@ def file_name(*words: str) -> str:
 def draw_distributions(target: Path, cells: Sequence[Cell], title: str) -> Path:
     """Speed and acceleration of unattacked (blue) and attacking vehicles (orange), like the paper's Fig. 5."""
     figure, axes = _figure(11.0, 4.2, 1, 2)
-    for panel, feature in zip(axes[0], UNITS, strict=True):
+    for panel, feature in zip(axes[0], FEATURE_LABELS, strict=True):
         bins = PAPER_BINS[feature]
         generated, raw = (np.concatenate(side) for side in samples(cells, feature))
         edges = np.linspace(bins.low, bins.high, bins.count + 1)
-        for values, colour, label in ((raw, RAW_COLOUR, "raw"), (generated, OURS, "generated")):
+        for values, colour, label in ((raw, RAW_COLOUR, "raw"), (generated, OUR_COLOUR, "generated")):
             share = bins.counts(values) / max(len(values), 1)
             panel.stairs(share, edges, color=colour, alpha=0.35, fill=True)
             panel.stairs(share, edges, color=colour, lw=1.8, label=f"{label} ({len(values)} steps)")
         panel.set_xlim(*_range(np.concatenate([generated, raw]), bins.low, bins.high))
         panel.set_ylim(top=1.25 * panel.get_ylim()[1])
-        panel.set_xlabel(UNITS[feature])
+        panel.set_xlabel(FEATURE_LABELS[feature])
         panel.set_ylabel("share of steps")
         panel.legend(fontsize=9, ncols=2, loc="upper center", frameon=False)
     return _save(figure, target, title)
@@ -86,14 +86,14 @@ def draw_ttc(target: Path, by_row: Mapping[str, Sequence[Cell]], title: str) -> 
     panel = axes[0][0]
     for k, (row, cells) in enumerate(by_row.items()):
         values = np.sort([capped_ttc(counted(c)) for c in cells])
-        x, y = np.append(values, CAP), np.append(np.arange(1, len(values) + 1) / len(values), 1.0)
+        x, y = np.append(values, MIN_TTC_CAP_S), np.append(np.arange(1, len(values) + 1) / len(values), 1.0)
         x, y = np.concatenate([[0.0], x]), np.concatenate([[0.0], y])
         look = _look(k) | ({"color": UNATTACKED, "ls": "-"} if row == RAW else {})
         look["lw"] = 5.0 - 3.5 * k / max(len(by_row) - 1, 1)  # lines that coincide all show
         panel.step(x, y, where="post", label=f"{row} (n {len(cells)})", **look)
     panel.axvline(1.0, color="#8C8C8C", lw=1, ls=":", zorder=0)
     panel.annotate("1 s: critical", (1.0, 0.0), xytext=(4, 6), textcoords="offset points", fontsize=9, color="#555555")
-    panel.set_xlim(-0.15, CAP)
+    panel.set_xlim(-0.15, MIN_TTC_CAP_S)
     panel.set_ylim(0, 1.02)
     panel.set_xlabel("min TTC [s]; a collision is 0, never and failures are 10")
     panel.set_ylabel("share of encounters")
@@ -110,7 +110,7 @@ def draw_seconds(target: Path, by_row: Mapping[str, Sequence[Cell]], title: str)
         y = np.full(values.size, k) + 0.5 * (np.linspace(0, 1, values.size) - 0.5)
         panel.plot(values, y, ls="", marker="o", ms=3, alpha=0.5, color=RAW_COLOUR, mew=0)
         low, middle, high = np.quantile(values, [0.25, 0.5, 0.75])
-        panel.plot([low, high], [k, k], color=OURS, lw=3.5, solid_capstyle="butt")
+        panel.plot([low, high], [k, k], color=OUR_COLOUR, lw=3.5, solid_capstyle="butt")
         panel.plot([middle], [k], marker="|", ms=15, mew=2.5, color="black")
         panel.annotate(
             f"{middle:.1f} s", (1.0, k), xycoords=("axes fraction", "data"), xytext=(6, 0),
@@ -130,7 +130,7 @@ def _seconds(cell: Cell) -> float | None:
     return None if total is None else float(total)
 
 
-def draw_confusions(analysis: Analysis, folder: Path) -> list[Path]:
+def draw_confusions(analysis: AnalyzerAnalysis, folder: Path) -> list[Path]:
     paths = []
     for part in analysis.parts:
         accuracy = {s.who: s.accuracy for s in part.scores}
@@ -145,7 +145,7 @@ def draw_confusion(target: Path, matrix: Mapping[tuple[str, str], float], title:
     """Labels down, answers across; the colour is the share of a label's encounters, the figure their number."""
     figure, axes = _figure(11.0, 8.6, 1, 1)
     panel = axes[0][0]
-    columns = [a for a in ANSWERS if a != NO_ANSWER or any(a in pair for pair in matrix)]
+    columns = [a for a in ANALYZER_ANSWERS if a != NO_ANSWER or any(a in pair for pair in matrix)]
     labels = [a for a in columns if a != NO_ANSWER]
     counts = np.array([[matrix.get((label, a), 0.0) for a in columns] for label in labels])
     share = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1e-9)
@@ -184,7 +184,7 @@ def draw_growth(target: Path, steps: Sequence[Step], title: str) -> Path:
         axes[1][0].plot(place, each, ls="", marker="o", ms=3, alpha=0.35, mew=0, color=_look(k)["color"])
     axes[0][0].set_ylim(-0.02, 1.02)
     axes[0][0].set_ylabel("memory hits so far")
-    axes[1][0].set_ylabel(f"seconds an encounter\n(line: mean of the last {WINDOW})")
+    axes[1][0].set_ylabel(f"seconds an encounter\n(line: mean of the last {MOVING_MEAN_ENCOUNTERS})")
     axes[1][0].set_ylim(bottom=0)
     axes[1][0].set_xlabel("encounter")
     _legend_beside(axes[0][0])
@@ -192,7 +192,11 @@ def draw_growth(target: Path, steps: Sequence[Step], title: str) -> Path:
 
 
 def _look(k: int) -> dict[str, Any]:
-    return {"color": COLOURS[k % len(COLOURS)], "ls": STYLES[(k // len(COLOURS)) % len(STYLES)], "lw": 1.9}
+    return {
+        "color": LINE_COLOURS[k % len(LINE_COLOURS)],
+        "ls": LINE_STYLES[(k // len(LINE_COLOURS)) % len(LINE_STYLES)],
+        "lw": 1.9,
+    }
 
 
 def _legend_beside(panel: Any) -> None:
@@ -203,7 +207,7 @@ def _figure(width: float, height: float, rows: int, columns: int) -> tuple[Any, 
     """A figure (inches) with panels ``[row][column]``."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width, height), dpi=DPI, facecolor="white", layout="constrained")
+    figure = Figure(figsize=(width, height), dpi=PLOT_DPI, facecolor="white", layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False)
     for panel in axes.flat:
         panel.spines[["top", "right"]].set_visible(False)

@@ -1,13 +1,13 @@
 """Resampling: kinematic motions weighed by how likely they are and how likely they meet the ego's predicted rollouts.
 
-Idea: for every vehicle of the shortlist ``DRAWN`` motions along its ways are drawn: two target speeds, one after
-the other, and two moves to another offset (its lane, a lane beside it, or a little off) that begin and last as drawn;
-all within the limits an adversary has. The ego has ``FUTURES`` predicted rollouts: its driver's model answering to that
-very motion, unattacked, at constant speed, braking gently and firmly. A motion's score is its prior (small
+Idea: for every vehicle of the shortlist ``MOTIONS_PER_DELAY`` motions along its ways are drawn: two target speeds, one
+after the other, and two moves to another offset (its lane, a lane beside it, or a little off) that begin and last as
+drawn; all within the limits an adversary has. The ego has ``FUTURES`` predicted rollouts: its driver's model answering
+to that very motion, unattacked, at constant speed, braking gently and firmly. A motion's score is its prior (small
 accelerations and staying in lane are likelier; off the road or into others is not) times the chance that it collides,
-over the futures, discounted by ``DOUBT`` a second. The best is tried, then the next best of what was not tried yet.
-After each attempt, futures that had foretold otherwise lose weight: the closed loop of CAT, where the ego's real
-rollouts replace its predictions.
+over the futures, discounted by ``CONFIDENCE_PER_SECOND`` a second. The best is tried, then the next best of what was
+not tried yet. After each attempt, futures that had foretold otherwise lose weight: the closed loop of CAT, where the
+ego's real rollouts replace its predictions.
 Limits: the proposals come from a kinematic family and a hand-made prior, where CAT has a learnt predictor (DenseTNT on
 Waymo data); the motion is fixed at the takeover and never answers to the ego; only collisions that are not rear-end
 weigh, which CAT does not ask, but not whether they are avoidable.
@@ -36,18 +36,21 @@ from sumo_adv.situation import Situation, Target
 
 Places = NDArray[np.intp]
 
-DRAWN = 256  # motions a vehicle and delay
+MOTIONS_PER_DELAY = 256  # motions a vehicle and delay
 FUTURES = {"model": 0.4, "unattacked": 0.3, "constant": 0.1, "gentle": 0.1, "firm": 0.1}
-BRAKES = {"gentle": 2.0, "firm": 5.0}  # m/s2
-BRAKES_AFTER = 1.5  # s
-DOUBT = 0.96  # factor per second: later collisions come less often as predicted
-RIGHT, WRONG = 0.8, 0.3  # likelihood of what an attempt came to under a future that foretold it, or did not
-USUAL = 1.5  # m/s2: standard deviation of accelerations that drivers are used to
-ACCELERATIONS = (-4.0, 2.0)  # m/s2: mean ones are drawn from here
-STRAYS = 1.3  # m: half the moves end so far off the middle of a lane at most
-MOVE, STRAY = 0.3, 0.5  # prior odds of a move to another lane, and of a move that ends off the middle
-SLACK = 0.2  # m
-UNLIKELY = 1e-3  # prior factor of a motion that leaves the road or hits a third vehicle
+RESPONSE_BRAKING_M_S2 = {"gentle": 2.0, "firm": 5.0}
+RESPONSE_DELAY_S = 1.5
+CONFIDENCE_PER_SECOND = 0.96  # factor per second: later collisions come less often as predicted
+FORETOLD_LIKELIHOOD, NOT_FORETOLD_LIKELIHOOD = (
+    0.8,
+    0.3,
+)  # likelihood of what an attempt came to under a future that foretold it, or did not
+USUAL_ACCELERATION_M_S2 = 1.5  # standard deviation of accelerations that drivers are used to
+MEAN_ACCELERATIONS_M_S2 = (-4.0, 2.0)  # mean ones are drawn from here
+MAX_STRAY_M = 1.3  # half the moves end so far off the middle of a lane at most
+LANE_MOVE_ODDS, STRAY_ODDS = 0.3, 0.5  # prior odds of a move to another lane, and of a move that ends off the middle
+ROAD_SLACK_M = 0.2
+UNLIKELY_FACTOR = 1e-3  # prior factor of a motion that leaves the road or hits a third vehicle
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +99,7 @@ class Resampling:
         for attempt, (i, k) in zip(tried, self._places, strict=False):
             predicted = self._drawn[i].hits[:, k] > 0.0
             counts = attempt.verdict.collided and not attempt.verdict.rear_end
-            weights = weights * np.where(predicted == counts, RIGHT, WRONG)
+            weights = weights * np.where(predicted == counts, FORETOLD_LIKELIHOOD, NOT_FORETOLD_LIKELIHOOD)
         return np.asarray(weights / weights.sum())
 
 
@@ -104,10 +107,10 @@ class Resampling:
 
 
 def draw(encounter: Encounter, delay: float, rng: np.random.Generator) -> Drawn:
-    """``DRAWN`` motions of each target at a delay, with their priors and what they hit."""
+    """``MOTIONS_PER_DELAY`` motions of each target at a delay, with their priors and what they hit."""
     situation, settings = encounter.situations[delay], encounter.settings
     targets = situation.target_list()
-    names = [t.state.id for t in targets for _ in range(DRAWN)]
+    names = [t.state.id for t in targets for _ in range(MOTIONS_PER_DELAY)]
     plan = _plans(targets, rng)
     ground = AdversaryBatch([situation] * len(names), names)
     ground.rows.row = ground.rows.row + plan.way
@@ -124,7 +127,7 @@ def draw(encounter: Encounter, delay: float, rng: np.random.Generator) -> Drawn:
     adversary = Boxes(x, y, heading, speed, ground.length[:, None], width[:, None])
     last, hits = _hits(situation, adversary, _futures(situation, model))
     odd = _off_road(encounter, adversary, last) | _third_party(situation, names, adversary, last)
-    return Drawn(delay, names, poses, plan.prior * np.where(odd, UNLIKELY, 1.0), hits)
+    return Drawn(delay, names, poses, plan.prior * np.where(odd, UNLIKELY_FACTOR, 1.0), hits)
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,21 +145,21 @@ class _Plan:
 
 
 def _plans(targets: Sequence[Target], rng: np.random.Generator) -> _Plan:
-    way = np.concatenate([rng.integers(len(t.ways), size=DRAWN) for t in targets])
-    v = np.repeat([t.state.speed for t in targets], DRAWN)
+    way = np.concatenate([rng.integers(len(t.ways), size=MOTIONS_PER_DELAY) for t in targets])
+    v = np.repeat([t.state.speed for t in targets], MOTIONS_PER_DELAY)
     n = len(v)
     lanes = [np.array([0.0, *(offset for offset, _ in t.sides)]) for t in targets]
-    lane = np.concatenate([rng.choice(some, (2, DRAWN)) for some in lanes], axis=1)
-    stray = rng.uniform(-STRAYS, STRAYS, (2, n)) * (rng.random((2, n)) < 0.5)
+    lane = np.concatenate([rng.choice(some, (2, MOTIONS_PER_DELAY)) for some in lanes], axis=1)
+    stray = rng.uniform(-MAX_STRAY_M, MAX_STRAY_M, (2, n)) * (rng.random((2, n)) < 0.5)
     first = rng.uniform(0.0, 5.0, n)
     begins = np.array([first, first + rng.uniform(2.0, 6.0, n)])
     spans = rng.uniform(1.5, 6.0, (2, n))
-    means = rng.uniform(*ACCELERATIONS, (2, n))
+    means = rng.uniform(*MEAN_ACCELERATIONS_M_S2, (2, n))
     slower = np.maximum(v + means[0] * spans[0], 0.0)
     speeds = np.array([slower, np.maximum(slower + means[1] * spans[1], 0.0)])
     moved = np.diff(lane, axis=0, prepend=0.0) != 0.0
-    odds = np.where(moved, MOVE, 1.0) * np.where(stray != 0.0, STRAY, 1.0)
-    prior = np.exp(-0.5 * np.square(means / USUAL).sum(axis=0)) * odds.prod(axis=0)
+    odds = np.where(moved, LANE_MOVE_ODDS, 1.0) * np.where(stray != 0.0, STRAY_ODDS, 1.0)
+    prior = np.exp(-0.5 * np.square(means / USUAL_ACCELERATION_M_S2).sum(axis=0)) * odds.prod(axis=0)
     return _Plan(way, lane + stray, begins, rng.uniform(2.5, 6.5, (2, n)), speeds, spans, prior)
 
 
@@ -184,9 +187,9 @@ def _futures(situation: Situation, model: Floats) -> list[Floats]:
     over = np.maximum(np.arange(len(time)) - last, 0) * situation.dt
     unattacked = situation.baseline.s[k] + over * situation.baseline.v[-1]
     lines = [(unattacked, situation.baseline.v[k]), (s0 + v0 * time, v0 + 0.0 * time)]
-    for brake in BRAKES.values():
-        since = np.clip(time - BRAKES_AFTER, 0.0, v0 / brake)
-        lines.append((s0 + v0 * np.minimum(time, BRAKES_AFTER + since) - brake * since**2 / 2, v0 - brake * since))
+    for brake in RESPONSE_BRAKING_M_S2.values():
+        since = np.clip(time - RESPONSE_DELAY_S, 0.0, v0 / brake)
+        lines.append((s0 + v0 * np.minimum(time, RESPONSE_DELAY_S + since) - brake * since**2 / 2, v0 - brake * since))
     return [model, *(np.stack([*situation.baseline.path.at(s), v])[:, None, :] for s, v in lines)]
 
 
@@ -200,7 +203,7 @@ def _hits(situation: Situation, adversary: Boxes, futures: Sequence[Floats]) -> 
         touches = touching(ego, adversary)
         hit, first = touches.any(axis=1), touches.argmax(axis=1)
         counts = hit & (first > 2) & (first <= situation.left) & ~_from_behind(ego, adversary, first)
-        chance[f] = np.where(counts, DOUBT ** (first * situation.dt), 0.0)
+        chance[f] = np.where(counts, CONFIDENCE_PER_SECOND ** (first * situation.dt), 0.0)
         last = np.where(hit, np.minimum(last, first), last)
     return last, chance
 
@@ -216,7 +219,7 @@ def _from_behind(ego: Boxes, adversary: Boxes, at: Places) -> Bools:
     a, b = pick(ego, k), pick(adversary, k)
     ahead = np.cos(a.heading) * (b.x - a.x) + np.sin(a.heading) * (b.y - a.y)
     alike = np.abs(wrap(b.heading - a.heading)) < SAME_DIRECTION
-    return np.asarray(alike & (ahead < SLACK - (np.asarray(a.length) + b.length) / 2))
+    return np.asarray(alike & (ahead < ROAD_SLACK_M - (np.asarray(a.length) + b.length) / 2))
 
 
 def _off_road(encounter: Encounter, adversary: Boxes, last: Places) -> Bools:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from sumo_adv.benchmark.nouns import Cell, Encounter, Opponent, counts
+from sumo_adv.benchmark.nouns import MIN_TTC_CAP_S, Cell, Encounter, Opponent, counts
 from sumo_adv.benchmark.resampling import Resampling
 from sumo_adv.benchmark.transformer import Transformer
 from sumo_adv.datatypes import Attempt, Planner, PrescribedMotion, Proposal, acceleration_of
@@ -51,7 +51,7 @@ class RandomIntent:
         return replace(self._draw.choice(self._families).proposal(self._draw), by=self.name)
 
 
-LABELS = (
+BEHAVIOUR_LABELS = (
     "Aggressive Cut-in",
     "Close Car-following",
     "Emergency Braking",
@@ -62,12 +62,11 @@ LABELS = (
 )
 """The paper's seven behaviours, as the shipped library labels them."""
 
-MOST = 60  # simulations an encounter
-BRAKING = (-8.0, -6.5, -5.0)  # m/s2
+MAX_ORACLE_SIMULATIONS = 60  # simulations an encounter
+ORACLE_BRAKING_M_S2 = (-8.0, -6.5, -5.0)
 CRITERIA = ("collision", "valid")
-CAP = 10.0  # s: a min TTC above, or of a motion that does not count, is this
-SAME_SHARE, SAME_TTC = 0.05, 0.2  # shares and mean min TTC [s] that differ by no more are a tie
-SPLITS = 20
+TIE_SHARE, TIE_TTC_S = 0.05, 0.2  # shares and mean min TTC [s] that differ by no more are a tie
+HALVINGS = 20
 
 Labels = Mapping[str, tuple[str, ...]]
 Groups = Mapping[str, Sequence[Mapping[str, Any]]]
@@ -77,8 +76,9 @@ class Oracle:
     """All intents, modes and moments simulated, to know afterwards which was the most dangerous.
 
     Idea: every family (vehicle, intent, mode, delay) is driven against the real ego with its author's numbers; what
-    is left of ``MOST`` simulations goes, with drawn numbers, to the intents that had fewest, so that shares are of like
-    precision. Emergency braking is driven at -5, -6.5 and -8 m/s2 in turn. It does not stop at a success.
+    is left of ``MAX_ORACLE_SIMULATIONS`` simulations goes, with drawn numbers, to the intents that had fewest, so that
+    shares are of like precision. Emergency braking is driven at -5, -6.5 and -8 m/s2 in turn. It does not stop at a
+    success.
     ``oracle_labels`` reads from that the label an analyzer should have answered; ``split_half`` is how well one half of
     the simulations answers for the other: how certain a label of half as many is.
     Limits: it has more simulations than the other rows have attempts, so it is a bound, not a competitor; with tens of
@@ -100,14 +100,14 @@ class Oracle:
 
 
 def _plans(ways: Sequence[AttackTemplate], draw: random.Random) -> list[Proposal]:
-    """At most ``MOST`` proposals: all templates once, in turn by label; then the label with the fewest so far."""
+    """``MAX_ORACLE_SIMULATIONS`` proposals: all templates once, in turn by label; then the label with the fewest."""
     by_label: dict[str, list[AttackTemplate]] = defaultdict(list)
     for way in ways:
         by_label[way.entry.label].append(way)
     endless = {label: _endless(label, templates, draw) for label, templates in by_label.items()}
     count: Counter[str] = Counter()
     plans: list[Proposal] = []
-    while by_label and len(plans) < MOST:
+    while by_label and len(plans) < MAX_ORACLE_SIMULATIONS:
         first = [label for label, templates in by_label.items() if count[label] < len(templates)]
         label = min(first or by_label, key=lambda name: count[name])
         plans.append(next(endless[label]))
@@ -122,7 +122,7 @@ def _endless(label: str, ways: Sequence[AttackTemplate], draw: random.Random) ->
         for k, way in enumerate(ways):
             proposal = way.proposal(None if turn == 0 else draw)
             if label == EMERGENCY_BRAKING_LABEL:
-                proposal = replace(proposal, acceleration=BRAKING[(turn + k) % len(BRAKING)])
+                proposal = replace(proposal, acceleration=ORACLE_BRAKING_M_S2[(turn + k) % len(ORACLE_BRAKING_M_S2)])
             yield proposal
         turn += 1
 
@@ -134,7 +134,7 @@ def oracle_labels(cell: Cell) -> dict[str, tuple[str, ...]]:
     """The most dangerous labels of an oracle's cell, by collisions and by valid collisions; more than one is a tie.
 
     ``collision``: share of candidates with a feasible collision that is not rear-end; ``valid``: with a valid one. Then
-    the mean of min TTC, where an infeasible or rear-end motion counts as ``CAP``. Empty without simulations.
+    the mean of min TTC, where an infeasible or rear-end motion counts as ``MIN_TTC_CAP_S``. Empty without simulations.
     """
     return {criterion: _most_dangerous(_groups(cell), criterion) for criterion in CRITERIA}
 
@@ -142,13 +142,13 @@ def oracle_labels(cell: Cell) -> dict[str, tuple[str, ...]]:
 def split_half(cell: Cell) -> dict[str, float | None]:
     """Agreement in [0, 1] of random halves of each label's candidates, by criterion; None without two labels.
 
-    It is the chance that a label drawn from one half's tie set is in the other's, over ``SPLITS`` splits both ways.
+    It is the chance that a label drawn from one half's tie set is in the other's, over ``HALVINGS`` splits both ways.
     """
     groups, draw = _groups(cell), random.Random(0)
     if len(groups) < 2:
         return dict.fromkeys(CRITERIA)
     total = dict.fromkeys(CRITERIA, 0.0)
-    for _ in range(SPLITS):
+    for _ in range(HALVINGS):
         halves: tuple[dict[str, Any], dict[str, Any]] = {}, {}
         for label, members in groups.items():
             mixed = draw.sample(members, len(members))
@@ -158,7 +158,7 @@ def split_half(cell: Cell) -> dict[str, float | None]:
             first, second = (set(_most_dangerous(half, criterion)) for half in halves)
             both = len(first & second)
             total[criterion] += (both / len(first) + both / len(second)) / 2 if first and second else 0.0
-    return {criterion: total[criterion] / SPLITS for criterion in CRITERIA}
+    return {criterion: total[criterion] / HALVINGS for criterion in CRITERIA}
 
 
 def _groups(cell: Cell) -> dict[str, list[Mapping[str, Any]]]:
@@ -173,9 +173,9 @@ def _most_dangerous(groups: Groups, criterion: str) -> tuple[str, ...]:
     if not attempted:
         return ()
     share = {n: sum(succeeds(a, criterion) for a in members) / len(members) for n, members in attempted.items()}
-    near = [n for n in attempted if share[n] >= max(share.values()) - SAME_SHARE]
+    near = [n for n in attempted if share[n] >= max(share.values()) - TIE_SHARE]
     mean = {n: sum(_time(a) for a in attempted[n]) / len(attempted[n]) for n in near}
-    return tuple(n for n in near if mean[n] <= min(mean.values()) + SAME_TTC)
+    return tuple(n for n in near if mean[n] <= min(mean.values()) + TIE_TTC_S)
 
 
 def succeeds(attempt: Mapping[str, Any], criterion: str) -> bool:
@@ -185,7 +185,7 @@ def succeeds(attempt: Mapping[str, Any], criterion: str) -> bool:
 
 def _time(attempt: Mapping[str, Any]) -> float:
     least = attempt["min_ttc"]
-    return min(float(least), CAP) if least is not None and counts(attempt) else CAP
+    return min(float(least), MIN_TTC_CAP_S) if least is not None and counts(attempt) else MIN_TTC_CAP_S
 
 
 ARRAYS = ("x", "y", "heading", "speed")

@@ -28,7 +28,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
-from sumo_adv.benchmark.nouns import GROUPS, Case, Suite
+from sumo_adv.benchmark.nouns import GROUPS, Suite, SuiteCase
 from sumo_adv.errors import UsageError
 from sumo_adv.parsing import read_json, read_toml
 from sumo_adv.simulation.inputs import data_folder, find_input, input_name, load_input
@@ -36,14 +36,14 @@ from sumo_adv.simulation.network import read_network
 
 SUITE_FILE = "suite.toml"
 LABEL_FILE = "labels.json"
-WOMD = "womd:"
+WOMD_PREFIX = "womd:"
 OWN_KIND = "own"
-NAME = r"[A-Za-z0-9_.-]+"
-Name = Annotated[str, Field(pattern=f"^{NAME}$")]
+NAME_PATTERN = r"[A-Za-z0-9_.-]+"
+SuiteName = Annotated[str, Field(pattern=f"^{NAME_PATTERN}$")]
 
-Labels = Mapping[str, Mapping[str, Mapping[str, tuple[str, ...]]]]
+LabelsFile = Mapping[str, Mapping[str, Mapping[str, tuple[str, ...]]]]
 Criterion = Literal["collision", "valid", "annotated"]
-LABELS: TypeAdapter[Any] = TypeAdapter(dict[str, dict[str, dict[Criterion, tuple[str, ...]]]])
+LABELS_ADAPTER: TypeAdapter[Any] = TypeAdapter(dict[str, dict[str, dict[Criterion, tuple[str, ...]]]])
 
 
 class _Table(BaseModel):
@@ -51,15 +51,15 @@ class _Table(BaseModel):
 
 
 class _Entry(_Table):
-    name: Name
-    kind: Name
+    name: SuiteName
+    kind: SuiteName
     group: Literal["straight", "intersection"]
     file: str
 
 
 class _List(_Table):
     schema_version: Literal[1] = Field(alias="schema")
-    name: Name
+    name: SuiteName
     version: str
     seed: int | None = None
     making: dict[str, Any] = Field(default_factory=dict)
@@ -69,10 +69,10 @@ class _List(_Table):
 
 class _Choice(_Table):
     schema_version: Literal[1] = Field(alias="schema")
-    name: Name
+    name: SuiteName
     version: str
     suite: str
-    cases: Annotated[tuple[Name, ...], Field(min_length=1)]
+    cases: Annotated[tuple[SuiteName, ...], Field(min_length=1)]
 
 
 def load_suite(*named: str) -> Suite:
@@ -81,7 +81,9 @@ def load_suite(*named: str) -> Suite:
     Raises UsageError for a file that is missing, damaged, or changed since it was frozen.
     """
     if not named:
-        raise UsageError(f"Name a suite: {', '.join(shipped_suites())}, a folder, scenario files or {WOMD}FOLDER.")
+        raise UsageError(
+            f"Name a suite: {', '.join(shipped_suites())}, a folder, scenario files or {WOMD_PREFIX}FOLDER."
+        )
     try:
         return _named(named)
     except (OSError, UnicodeDecodeError, csv.Error) as error:
@@ -91,12 +93,12 @@ def load_suite(*named: str) -> Suite:
 
 def _named(named: Sequence[str]) -> Suite:
     if len(named) == 1:
-        if named[0].startswith(WOMD):
-            return _womd(Path(named[0].removeprefix(WOMD)))
+        if named[0].startswith(WOMD_PREFIX):
+            return _womd(Path(named[0].removeprefix(WOMD_PREFIX)))
         listing = _list_file(named[0])
         if listing is not None:
             return _listed(listing)
-    whole = next((name for name in named if name.startswith(WOMD) or _list_file(name) is not None), None)
+    whole = next((name for name in named if name.startswith(WOMD_PREFIX) or _list_file(name) is not None), None)
     if whole is not None:
         raise UsageError(f"The suite {whole} stands alone in a table; several --suite are scenario files, or folders.")
     return _scenarios([source for name in named for source in _sources(name)])
@@ -177,7 +179,7 @@ def _whole(path: Path, given: _List) -> Suite:
             raise UsageError(f"The suite {path} lists {entry.file}, which is missing.")
         if not given.files:
             hashes |= {f"{entry.name}/{k}": hash_of_file(f) for k, f in enumerate(load_input(scenario).files)}
-        cases.append(Case(entry.name, scenario, None, entry.kind, entry.group, labels.get(entry.name, {})))
+        cases.append(SuiteCase(entry.name, scenario, None, entry.kind, entry.group, labels.get(entry.name, {})))
     return Suite(given.name, given.version, tuple(cases), _content(hashes))
 
 
@@ -195,12 +197,12 @@ def _chosen(path: Path, given: _Choice) -> Suite:
     return Suite(given.name, given.version, tuple(by_name[name] for name in given.cases), content)
 
 
-def _labels(path: Path, names: Collection[str], listed: Path) -> Labels:
+def _labels(path: Path, names: Collection[str], listed: Path) -> LabelsFile:
     """The labels in a file, if it is there, of the cases ``names`` of the list ``listed``."""
     if not path.is_file():
         return {}
     try:
-        labels: Labels = LABELS.validate_python(read_json(path))
+        labels: LabelsFile = LABELS_ADAPTER.validate_python(read_json(path))
     except (ValidationError, ValueError) as error:
         raise UsageError(
             f"{path} does not hold labels by case, ego and criterion (collision, valid, annotated)."
@@ -213,7 +215,7 @@ def _labels(path: Path, names: Collection[str], listed: Path) -> Labels:
 
 def _scenarios(sources: Sequence[Path]) -> Suite:
     """A suite of scenario files that no list speaks of: their group is read off their network."""
-    cases: list[Case] = []
+    cases: list[SuiteCase] = []
     hashes: dict[str, str] = {}
     for source in sources:
         given = load_input(source)
@@ -221,7 +223,7 @@ def _scenarios(sources: Sequence[Path]) -> Suite:
         hashes |= {f"{name}/{k}": hash_of_file(file) for k, file in enumerate(given.files)}
         annotated = given.label if given.label is not None and given.label.source == "annotated" else None
         labels = {} if annotated is None else {"people": {"annotated": annotated.intents}}
-        cases.append(Case(name, source, None, OWN_KIND, _group(given.network), labels))
+        cases.append(SuiteCase(name, source, None, OWN_KIND, _group(given.network), labels))
     content = _content(hashes)
     return Suite(input_name(sources[0]) if len(sources) == 1 else OWN_KIND, content[:8], tuple(cases), content)
 
@@ -256,7 +258,7 @@ def _womd(folder: Path) -> Suite:
         hashes[record.name] = hash_of_file(record)
         kind = (row.get("future") or "log").replace(" ", "_")
         name = row["id"]
-        cases.append(Case(name, record, name.split(".")[0], kind, row["suite"], labels.get(name, {})))
+        cases.append(SuiteCase(name, record, name.split(".")[0], kind, row["suite"], labels.get(name, {})))
     if not cases:
         raise UsageError(f"{manifest} lists no record that is straight or intersection.")
     content = _content(hashes)

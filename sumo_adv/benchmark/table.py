@@ -10,16 +10,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from sumo_adv.benchmark.cells import RAW, Key, first_valid, is_raw, key, names, parts
-from sumo_adv.benchmark.columns import BY_PART, COLUMNS, COMPARED, MEAN, MEDIAN, RATE, SECTIONS, Column
-from sumo_adv.benchmark.nouns import Case, Cell
+from sumo_adv.benchmark.cells import CellKey, first_valid, is_raw, key, names, parts
+from sumo_adv.benchmark.columns import BY_PART, COMPARED_COLUMNS, MEAN, MEDIAN, RATE, SECTIONS, TABLE_COLUMNS, Column
+from sumo_adv.benchmark.nouns import RAW, Cell, SuiteCase
 from sumo_adv.metrics.statistics import Estimate, Paired, paired_means, paired_rates, wilson
 
-SHOWN = 6  # names of missing encounters in a sentence
+MAX_NAMES_SHOWN = 6  # names of missing encounters in a sentence
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class TableEntry:
     """One figure. ``part``: all, a group or a kind. ``difference``: to the reference row, over the same encounters."""
 
     ego: str
@@ -31,7 +31,7 @@ class Entry:
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class BenchTable:
     """A table of rows for every ego, never pooled.
 
     ``entries``: by ego, part, row and column; ``sizes``: cells by ego, part and row; ``words``: what rows are.
@@ -40,7 +40,7 @@ class Table:
     title: str
     egos: tuple[str, ...]
     rows: tuple[str, ...]
-    entries: Mapping[tuple[str, str, str, str], Entry]
+    entries: Mapping[tuple[str, str, str, str], TableEntry]
     sizes: Mapping[tuple[str, str, str], int]
     reference: str | None
     notes: tuple[str, ...] = ()
@@ -49,7 +49,7 @@ class Table:
     def parts(self, ego: str) -> list[str]:
         return list(dict.fromkeys(part for e, part, _ in self.sizes if e == ego))
 
-    def entry(self, ego: str, part: str, row: str, column: str) -> Entry | None:
+    def entry(self, ego: str, part: str, row: str, column: str) -> TableEntry | None:
         return self.entries.get((ego, part, row, column))
 
 
@@ -57,13 +57,13 @@ def make_table(
     cells: Sequence[Cell],
     *,
     title: str,
-    cases: Sequence[Case] | None = None,
+    cases: Sequence[SuiteCase] | None = None,
     egos: Sequence[str] | None = None,
     rows: Sequence[str] | None = None,
     reference: str | None = None,
     words: Mapping[str, str] | None = None,
     notes: Sequence[str] = (),
-) -> Table:
+) -> BenchTable:
     """The table of cells of any egos, rows and seeds.
 
     ``cases``: the suite's, so that missing cells are told; ``egos`` and ``rows``: those wanted, in order (left out:
@@ -73,18 +73,18 @@ def make_table(
     listed = tuple(rows or names(cells, "row"))
     cells = [cell for cell in cells if cell["row"] in listed]
     reference = reference or next((row for row in listed if row != RAW), None)
-    entries: list[Entry] = []
+    entries: list[TableEntry] = []
     sizes: dict[tuple[str, str, str], int] = {}
     drivers = list(egos or names(cells, "ego"))
     for ego in drivers:
         for part, part_cells in parts(c for c in cells if c["ego"] == ego).items():
-            part_columns = [q for q in COLUMNS if part == "all" or q.key in BY_PART]
+            part_columns = [q for q in TABLE_COLUMNS if part == "all" or q.key in BY_PART]
             by_row = {row: [c for c in part_cells if c["row"] == row] for row in listed}
             sizes |= {(ego, part, row): len(row_cells) for row, row_cells in by_row.items() if row_cells}
             entries += [e for row in listed for e in _entries(ego, part, row, by_row, part_columns, reference)]
     notes = (*notes, *_missing(cells, drivers, listed, cases), *_never_valid(cells, drivers))
     indexed = {(e.ego, e.part, e.row, e.column): e for e in entries}
-    return Table(title, tuple(drivers), listed, indexed, sizes, reference, notes, words or {})
+    return BenchTable(title, tuple(drivers), listed, indexed, sizes, reference, notes, words or {})
 
 
 def _never_valid(cells: Sequence[Cell], egos: Sequence[str]) -> list[str]:
@@ -103,7 +103,7 @@ def _never_valid(cells: Sequence[Cell], egos: Sequence[str]) -> list[str]:
 def _entries(
     ego: str, part: str, row: str, by_row: Mapping[str, Sequence[Cell]], columns: Sequence[Column],
     reference: str | None,
-) -> list[Entry]:  # fmt: skip
+) -> list[TableEntry]:  # fmt: skip
     entries = []
     for column in columns:
         estimate = column.estimate(by_row[row])
@@ -111,7 +111,7 @@ def _entries(
             continue
         compared = column.paired and reference is not None and row not in (reference, RAW)
         difference = compare(column, by_row[row], by_row.get(reference or "", ())) if compared else None
-        entries.append(Entry(ego, part, row, column.key, estimate, difference))
+        entries.append(TableEntry(ego, part, row, column.key, estimate, difference))
     return entries
 
 
@@ -135,7 +135,7 @@ def paired(left: Sequence[float], right: Sequence[float], *, rate: bool) -> Pair
 
 
 def _missing(
-    cells: Sequence[Cell], egos: Sequence[str], rows: Sequence[str], cases: Sequence[Case] | None
+    cells: Sequence[Cell], egos: Sequence[str], rows: Sequence[str], cases: Sequence[SuiteCase] | None
 ) -> list[str]:
     """A sentence for each ego and row of which cells are not there."""
     notes = []
@@ -143,12 +143,14 @@ def _missing(
     for ego in egos:
         own_cells = [c for c in cells if c["ego"] == ego]
         seeds = sorted({int(c["seed"]) for c in own_cells}) or [0]
-        keys: list[Key] = [(case, seed) for case in expected for seed in seeds]
+        keys: list[CellKey] = [(case, seed) for case in expected for seed in seeds]
         for row in rows:
             there = {key(c) for c in own_cells if c["row"] == row}
             gone = [f"{k[0]} (seed {k[1]})" if len(seeds) > 1 else k[0] for k in keys if k not in there]
             if gone:
-                listed = ", ".join(gone[:SHOWN]) + (f" and {len(gone) - SHOWN} more" if len(gone) > SHOWN else "")
+                listed = ", ".join(gone[:MAX_NAMES_SHOWN]) + (
+                    f" and {len(gone) - MAX_NAMES_SHOWN} more" if len(gone) > MAX_NAMES_SHOWN else ""
+                )
                 notes.append(
                     f"{row} against {ego}: {len(gone)} of {len(keys)} cells are missing ({listed}); its figures rest "
                     "on the others. The same command again runs what is missing."
@@ -177,7 +179,7 @@ TABLE_I = (
 )
 ACCURACY = {"DeepSeek-R1": 0.815, "DeepSeek-V3": 0.741}  # Fig. 3 and section IV-B, against people's labels
 DIVERGENCES = {"speed_kl": 0.141, "acceleration_kl": 0.138}  # section IV-C, Fig. 5
-ABNORMAL_LATERAL = 0.0017  # share with a lateral acceleration above 4 m/s2, section IV-C
+HUMAN_ABNORMAL_LATERAL_SHARE = 0.0017  # share with a lateral acceleration above 4 m/s2, section IV-C
 
 COLLISION_NOTE = (
     "The paper calls it a collision when the centres come within an epsilon that it does not give; ours is a touch of "
@@ -223,17 +225,17 @@ def counterpart(row: str) -> str | None:
 # -- Markdown
 
 
-NONE = "–"
-HOW = {
+NO_VALUE = "–"
+STATISTICS_NOTES = {
     RATE: "Rates: Wilson's 95 % interval.",
     MEAN: "Means and medians: bootstrap over encounters, 95 %.",
 }
 
 
-def to_markdown(table: Table) -> str:
+def to_markdown(table: BenchTable) -> str:
     lines = [f"# {table.title}", ""]
     lines += [*(f"- {note}" for note in table.notes), ""] if table.notes else []
-    lines += [" ".join(HOW.values()) + " Egos are never pooled.", ""]
+    lines += [" ".join(STATISTICS_NOTES.values()) + " Egos are never pooled.", ""]
     named = [[f"`{row}`", table.words[row]] for row in table.rows if row in table.words]
     lines += grid(["row", "what it is"], named, words=True) if named else []
     for ego in table.egos:
@@ -253,7 +255,7 @@ def grid(head: Sequence[str], rows: Iterable[Sequence[str]], *, words: bool = Fa
 def number(estimate: Estimate | None, digits: int = 2) -> str:
     """``0.75 (0.70–0.80)``; a dash where there is none."""
     if estimate is None:
-        return NONE
+        return NO_VALUE
     between = "–" if estimate.low >= 0 else " to "
     return f"{estimate.value:.{digits}f} ({estimate.low:.{digits}f}{between}{estimate.high:.{digits}f})"
 
@@ -261,21 +263,21 @@ def number(estimate: Estimate | None, digits: int = 2) -> str:
 def signed(difference: Paired | None, digits: int = 2) -> str:
     """``+0.10 (+0.02 to +0.18), p 0.03``."""
     if difference is None:
-        return NONE
+        return NO_VALUE
     p = "p < 0.001" if difference.p < 0.001 else f"p {difference.p:.3f}"
     return f"{difference.difference:+.{digits}f} ({difference.low:+.{digits}f} to {difference.high:+.{digits}f}), {p}"
 
 
-def _figure(entry: Entry | None, column: Column, size: int) -> str:
+def _figure(entry: TableEntry | None, column: Column, size: int) -> str:
     """The figure; with how many encounters it rests on where that is not all of them."""
     if entry is None:
-        return NONE
+        return NO_VALUE
     rests = f", n {entry.estimate.n}" if entry.estimate.n != size else ""
     return number(entry.estimate, column.digits) + rests
 
 
-def _section(table: Table, ego: str, section: str) -> list[str]:
-    columns = [c for c in COLUMNS if c.section == section]
+def _section(table: BenchTable, ego: str, section: str) -> list[str]:
+    columns = [c for c in TABLE_COLUMNS if c.section == section]
     rows = []
     for row in table.rows:
         size = table.sizes.get((ego, "all", row), 0)
@@ -288,8 +290,8 @@ def _section(table: Table, ego: str, section: str) -> list[str]:
     return [f"### {section}", "", *grid(["row", "n", *(c.title for c in columns)], rows)]
 
 
-def _by_part(table: Table, ego: str) -> list[str]:
-    columns = [c for c in COLUMNS if c.key in BY_PART]
+def _by_part(table: BenchTable, ego: str) -> list[str]:
+    columns = [c for c in TABLE_COLUMNS if c.key in BY_PART]
     rows = []
     for part in table.parts(ego)[1:]:
         for row in table.rows:
@@ -301,8 +303,8 @@ def _by_part(table: Table, ego: str) -> list[str]:
     return ["### By group and kind", "", *grid(head, rows)] if rows else []
 
 
-def _differences(table: Table, ego: str) -> list[str]:
-    columns = [c for c in COLUMNS if c.key in COMPARED and c.paired]
+def _differences(table: BenchTable, ego: str) -> list[str]:
+    columns = [c for c in TABLE_COLUMNS if c.key in COMPARED_COLUMNS and c.paired]
     rows = []
     for row in table.rows:
         entries = [table.entry(ego, "all", row, c.key) for c in columns]
@@ -320,16 +322,16 @@ def _differences(table: Table, ego: str) -> list[str]:
     ]  # fmt: skip
 
 
-def _beside_the_paper(table: Table, ego: str) -> list[str]:
+def _beside_the_paper(table: BenchTable, ego: str) -> list[str]:
     """The paper's Table I and, where a row of ours stands for one of its rows, ours beside it."""
     keys = ("mean_min_ttc", "collision", "paper_collision")
     rows = []
     for reported in TABLE_I:
         ours = [row for row in table.rows if counterpart(row) == reported.row]
-        for row in ours or [NONE]:
+        for row in ours or [NO_VALUE]:
             entries = [table.entry(ego, "all", row, k) for k in keys]
             shown = [number(e.estimate if e else None) for e in entries]
-            name = row if row == NONE else f"`{row}`"
+            name = row if row == NO_VALUE else f"`{row}`"
             rows.append([reported.row, f"{reported.mean_min_ttc:.2f}", f"{reported.collision:.2f}", name, *shown])
     head = ["the paper's row (Table I)", "mean min TTC [s]", "collision rate", "our row"]
     head += ["mean min TTC [s]", "collision rate", "collision rate (paper)"]
@@ -337,9 +339,9 @@ def _beside_the_paper(table: Table, ego: str) -> list[str]:
             TTC_NOTE, "", REALISM_NOTE, ""]  # fmt: skip
 
 
-def _realism_beside(table: Table, ego: str) -> list[str]:
-    reference = {**DIVERGENCES, "abnormal_lateral": ABNORMAL_LATERAL}
-    columns = [c for c in COLUMNS if c.key in reference]
+def _realism_beside(table: BenchTable, ego: str) -> list[str]:
+    reference = {**DIVERGENCES, "abnormal_lateral": HUMAN_ABNORMAL_LATERAL_SHARE}
+    columns = [c for c in TABLE_COLUMNS if c.key in reference]
     rows = [["the paper (section IV-C)", *(f"{reference[c.key]:.{c.digits}f}" for c in columns)]]
     for row in table.rows:
         entries = [table.entry(ego, "all", row, c.key) for c in columns]
@@ -351,5 +353,5 @@ def _realism_beside(table: Table, ego: str) -> list[str]:
 
 def _meanings() -> list[str]:
     of = {RATE: "share", MEAN: "mean", MEDIAN: "median"}
-    rows = [[c.section, c.title, "pooled" if c.pooled else of[c.summary], c.meaning] for c in COLUMNS]
+    rows = [[c.section, c.title, "pooled" if c.pooled else of[c.summary], c.meaning] for c in TABLE_COLUMNS]
     return ["## The columns", "", *grid(["section", "column", "figure", "meaning"], rows, words=True)]

@@ -1,12 +1,12 @@
 """Transformer: the futures that a trained motion predictor gives the background vehicle, the most dangerous first.
 
 A network in the manner of HiVT (``sumo_adv/transformer``) predicts six futures (modes) of every vehicle of
-the shortlist at every delay. Each mode is a candidate, and so are ``DRAWN`` draws of its Laplace distribution, which
-are off it by the same share of the scale at all steps. The project's f_traj makes each feasible: the vehicle follows
-the prediction along its way, within the limits of any adversary. The ego is predicted by its driver's model, answering
-to that very motion. Candidates that collide and are not ruled out (rear-end, off the road, third parties) come first,
-the likelier the earlier; then those with the least TTC and distance. Of each mode the most dangerous candidate is
-tried before a second one.
+the shortlist at every delay. Each mode is a candidate, and so are ``DRAWS_PER_MODE`` draws of its Laplace
+distribution, which are off it by the same share of the scale at all steps. The project's f_traj makes each feasible:
+the vehicle follows the prediction along its way, within the limits of any adversary. The ego is predicted by its
+driver's model, answering to that very motion. Candidates that collide and are not ruled out (rear-end, off the road,
+third parties) come first, the likelier the earlier; then those with the least TTC and distance. Of each mode the most
+dangerous candidate is tried before a second one.
 Limits: it predicts how vehicles do drive, and a likely future is seldom dangerous; the network has seen SUMO's drivers
 alone; the motion is fixed at the takeover and never answers to the ego.
 Citation: Zhou, Ye, Wang, Wu and Lu 2022, "HiVT: Hierarchical Vector Transformer for Multi-Agent Motion Prediction",
@@ -34,9 +34,9 @@ from sumo_adv.situation import Situation
 from sumo_adv.transformer.model import SHIPPED_WEIGHTS, Predicted, Predictor
 from sumo_adv.transformer.scene import FUTURE_COUNT, POSITION_STEP_S, agents_of, segments_of
 
-DRAWN = 3  # draws of each mode
-WIDEST_DRAW = 2.0  # of the scale
-STILL = 0.05  # m between two steps: a slower vehicle keeps its heading
+DRAWS_PER_MODE = 3  # draws of each mode
+MAX_DRAW_SCALE = 2.0  # of the scale
+STANDING_STEP_M = 0.05  # m between two steps: a slower vehicle keeps its heading
 
 
 class Transformer:
@@ -85,8 +85,8 @@ def _draws(
     c, s = np.cos(state.heading), np.sin(state.heading)
     to_world = np.array([[c, s], [-s, c]])
     for mode, (place, scale) in enumerate(zip(predicted.place[k], predicted.scale[k], strict=True)):
-        for draw in range(1 + DRAWN):
-            off = np.clip(rng.laplace(size=2), -WIDEST_DRAW, WIDEST_DRAW) if draw else np.zeros(2)
+        for draw in range(1 + DRAWS_PER_MODE):
+            off = np.clip(rng.laplace(size=2), -MAX_DRAW_SCALE, MAX_DRAW_SCALE) if draw else np.zeros(2)
             states = _states(place + (off * scale) @ to_world, situation, bv)
             yield _Drawn(delay, bv, mode, float(predicted.probability[k, mode] * np.exp(-np.abs(off).sum())), states)
 
@@ -101,7 +101,7 @@ def _states(place: Floats, situation: Situation, bv: str) -> Floats:
     moved = np.hypot(dx, dy)
     heading, last = np.empty(len(x)), state.heading
     for k in range(len(x)):
-        last = heading[k] = np.arctan2(dy[k], dx[k]) if moved[k] > STILL else last
+        last = heading[k] = np.arctan2(dy[k], dx[k]) if moved[k] > STANDING_STEP_M else last
     return np.column_stack([x, y, heading, moved / situation.dt])
 
 

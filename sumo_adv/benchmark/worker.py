@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv.benchmark.arena import Arena, motion_of, robustness, unattacked
-from sumo_adv.benchmark.jobs import RAW, Job, Setup, bank_of, cell_path, example_path, method_of, slug
-from sumo_adv.benchmark.nouns import Cell
+from sumo_adv.benchmark.jobs import BenchJob, BenchSetup, bank_of, cell_path, example_path, method_of, slug
+from sumo_adv.benchmark.nouns import RAW, Cell
 from sumo_adv.benchmark.rows import make_row
 from sumo_adv.campaigns.results import Done
 from sumo_adv.config import Settings, forget_environment, load_settings, reachable
@@ -27,10 +27,10 @@ from sumo_adv.llm.chat import Ledger
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.simulation.inputs import RunInput
 
-EVERY = 0.5  # s between two notes
+NOTE_PERIOD_S = 0.5  # s between two notes
 
 
-def note_of(folder: Path, job: Job, row: str) -> Path:
+def note_of(folder: Path, job: BenchJob, row: str) -> Path:
     """The file in which the process of a row notes its wait."""
     return folder / f"{slug(f'{job.ego} {job.case.name} {row}')}.waited"
 
@@ -41,7 +41,7 @@ def noted(ledger: Ledger, note: Path) -> Iterator[None]:
     over = threading.Event()
 
     def write() -> None:
-        while not over.wait(EVERY):
+        while not over.wait(NOTE_PERIOD_S):
             if waited := ledger.waited_so_far():
                 with suppress(OSError):  # a full disk shows where results are written
                     write_text(note, repr(waited))
@@ -63,24 +63,24 @@ def waited(note: Path) -> float:
         return 0.0
 
 
-SCHEMA = 1
+CELL_SCHEMA = 1
 
 
-def missing_rows(setup: Setup, job: Job) -> tuple[str, ...]:
+def missing_rows(setup: BenchSetup, job: BenchJob) -> tuple[str, ...]:
     return tuple(r for r in job.rows if not cell_path(setup.folder, job.ego, job.case.name, r).exists())
 
 
 class Bencher(WarmProcesses):
     """Holds what stays warm; a context manager. ``given``: the setup, and the folder for temporary files."""
 
-    def __init__(self, given: tuple[Setup, Path]) -> None:
+    def __init__(self, given: tuple[BenchSetup, Path]) -> None:
         self._setup, self.scratch = given
         super().__init__()
         self._began = time.perf_counter()  # the row that is under way
         tempfile.tempdir = str(self.scratch)
         forget_environment()
 
-    def run(self, job: Job, *, last: bool) -> Done:
+    def run(self, job: BenchJob, *, last: bool) -> Done:
         """The cells of a job. A row that breaks becomes a failed cell, and those after it begin afresh.
 
         Raises SumoAdvError: the library cannot be read, or the results cannot be written.
@@ -104,7 +104,7 @@ class Bencher(WarmProcesses):
                     keep_cell(self._setup.folder, failure(self._setup, job, left.pop(0), sentence, seconds))
         return Done(job.id, None)
 
-    def _run(self, job: Job, left: list[str]) -> None:
+    def _run(self, job: BenchJob, left: list[str]) -> None:
         """The cells of the job's rows that are ``left`` into their places; they leave the list one by one."""
         source = self._setup.parts.load(job.case.path, job.case.record)
         settings, common = (self._settings(job, source.horizon, own) for own in (job.settings, {}))
@@ -125,7 +125,7 @@ class Bencher(WarmProcesses):
             if arena.episode.ending is Ending.SIMULATION_FAILED and arena.found is None:
                 self._engine.close()
 
-    def _settings(self, job: Job, horizon: float | None, own: Mapping[str, Any]) -> Settings:
+    def _settings(self, job: BenchJob, horizon: float | None, own: Mapping[str, Any]) -> Settings:
         """The table's settings with a row's ``own``."""
         table = {**({} if horizon is None else {"horizon": horizon}), **self._setup.settings, **own}
         learn = "off" if job.place is None else "on"
@@ -145,7 +145,7 @@ class Bencher(WarmProcesses):
             encounter = Arena(source, common, task, engine, self._sandboxes.of(common), bank, common).found
         return None if encounter is None else max(task.spec.begin, encounter.time + shift)
 
-    def _cell(self, job: Job, row: str, arena: Arena, bank: MemoryBank, scratch: Path) -> Cell:
+    def _cell(self, job: BenchJob, row: str, arena: Arena, bank: MemoryBank, scratch: Path) -> Cell:
         method = method_of(row)
         if method is None:
             return self._filled(job, row, arena.by_opponent(make_row(row), bank), arena)
@@ -162,7 +162,7 @@ class Bencher(WarmProcesses):
         ):
             return self._filled(job, row, arena.by_program(own, agents), arena, exchanges)
 
-    def _filled(self, job: Job, row: str, episode: Episode, arena: Arena, exchanges: Path | None = None) -> Cell:
+    def _filled(self, job: BenchJob, row: str, episode: Episode, arena: Arena, exchanges: Path | None = None) -> Cell:
         """The cell of a row that attacked, or could not. ``exchanges``: with a model, as recorded until now."""
         outcome = self._setup.parts.full_outcome(episode)
         kept = ("ending", "reason", "raw", "attempts", "best", "outcome", "realism", "intent", "intents", "timing")
@@ -184,7 +184,7 @@ class Bencher(WarmProcesses):
             "driver_known": None if episode.found is None else episode.found.first.baseline.model.known,
         }  # fmt: skip
 
-    def _unattacked(self, job: Job, row: str, arena: Arena) -> Cell:
+    def _unattacked(self, job: BenchJob, row: str, arena: Arena) -> Cell:
         episode, raw = arena.episode, unattacked(arena.episode)
         cell = _empty(self._setup, job, row, str(episode.ending), episode.reason, episode.timing)
         if raw is None:
@@ -192,15 +192,17 @@ class Bencher(WarmProcesses):
         return cell | {"ending": "attempts_exhausted", "reason": "Nobody attacks.", "outcome": raw}
 
 
-def head(setup: Setup, job: Job, row: str) -> dict[str, Any]:
+def head(setup: BenchSetup, job: BenchJob, row: str) -> dict[str, Any]:
     case = job.case
     return {
-        "schema": SCHEMA, "suite": setup.suite, "case": case.name, "kind": case.kind, "group": case.group,
+        "schema": CELL_SCHEMA, "suite": setup.suite, "case": case.name, "kind": case.kind, "group": case.group,
         "ego": job.ego, "row": row, "seed": job.seed,
     }  # fmt: skip
 
 
-def _empty(setup: Setup, job: Job, row: str, ending: str, why: str, timing: Mapping[str, float]) -> dict[str, Any]:
+def _empty(
+    setup: BenchSetup, job: BenchJob, row: str, ending: str, why: str, timing: Mapping[str, float]
+) -> dict[str, Any]:
     """The cell of a row that made no attempt."""
     return head(setup, job, row) | {
         "ending": ending, "reason": why, "raw": None, "attempts": [], "best": None, "outcome": None, "realism": {},
@@ -208,7 +210,7 @@ def _empty(setup: Setup, job: Job, row: str, ending: str, why: str, timing: Mapp
     }  # fmt: skip
 
 
-def failure(setup: Setup, job: Job, row: str, why: str, seconds: float) -> Cell:
+def failure(setup: BenchSetup, job: BenchJob, row: str, why: str, seconds: float) -> Cell:
     """The cell of a row that broke ``seconds`` after the one before it was done."""
     return _empty(setup, job, row, str(Ending.SIMULATION_FAILED), why, {"total": seconds, "row": seconds})
 

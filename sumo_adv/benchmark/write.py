@@ -13,25 +13,25 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv.benchmark.cells import names
-from sumo_adv.benchmark.columns import COLUMNS
+from sumo_adv.benchmark.columns import TABLE_COLUMNS
 from sumo_adv.benchmark.nouns import Cell
-from sumo_adv.benchmark.table import Entry, Table, to_markdown
+from sumo_adv.benchmark.table import BenchTable, TableEntry, to_markdown
 from sumo_adv.files import sentences, write_text
 from sumo_adv.metrics.statistics import Estimate
 
-SCHEMA = 1
+TABLE_SCHEMA = 1
 DIGESTED = ("case", "ego", "row", "seed", "ending", "raw", "attempts", "best", "outcome", "intents")
-FIELDS = (
+CSV_FIELDS = (
     "ego", "part", "row", "column", "figure", "value", "low", "high", "n", "difference", "difference_low",
     "difference_high", "p", "pairs",
 )  # fmt: skip
 
 
 def write_table(
-    table: Table, cells: Sequence[Cell], folder: Path, about: Mapping[str, Any], name: str = "table"
+    table: BenchTable, cells: Sequence[Cell], folder: Path, about: Mapping[str, Any], name: str = "table"
 ) -> list[Path]:
     """``NAME.md``, ``.csv``, ``.json`` and ``NAME.manifest.json``, as ``write_files`` does."""
-    texts = {".md": to_markdown(table), ".csv": as_csv(FIELDS, _records(table)), ".json": as_json(_document(table))}
+    texts = {".md": to_markdown(table), ".csv": as_csv(CSV_FIELDS, _records(table)), ".json": as_json(_document(table))}
     return write_files(folder, name, texts, cells, about)
 
 
@@ -86,7 +86,7 @@ def _finite(value: Any) -> Any:
     return value
 
 
-def _record(entry: Entry, figures: Mapping[str, str]) -> dict[str, Any]:
+def _record(entry: TableEntry, figures: Mapping[str, str]) -> dict[str, Any]:
     e, d = entry.estimate, entry.difference
     return {
         "ego": entry.ego, "part": entry.part, "row": entry.row, "column": entry.column,
@@ -96,29 +96,29 @@ def _record(entry: Entry, figures: Mapping[str, str]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _records(table: Table) -> list[dict[str, Any]]:
-    figures = {c.key: "pooled" if c.pooled else c.summary for c in COLUMNS}
+def _records(table: BenchTable) -> list[dict[str, Any]]:
+    figures = {c.key: "pooled" if c.pooled else c.summary for c in TABLE_COLUMNS}
     return [_record(entry, figures) for entry in table.entries.values()]
 
 
-def _document(table: Table) -> dict[str, Any]:
-    columns = [{"key": c.key, "title": c.title, "section": c.section, "meaning": c.meaning} for c in COLUMNS]
+def _document(table: BenchTable) -> dict[str, Any]:
+    columns = [{"key": c.key, "title": c.title, "section": c.section, "meaning": c.meaning} for c in TABLE_COLUMNS]
     sizes = [{"ego": e, "part": p, "row": r, "cells": n} for (e, p, r), n in table.sizes.items()]
     return {
-        "schema": SCHEMA, "title": table.title, "reference": table.reference, "rows": table.rows,
+        "schema": TABLE_SCHEMA, "title": table.title, "reference": table.reference, "rows": table.rows,
         "words": dict(table.words), "notes": table.notes, "columns": columns,
         "sizes": sizes, "entries": _records(table),
     }  # fmt: skip
 
 
-WIDTH = 100  # characters
-NAME = 26  # characters of a name in front of its figures; a longer one has a line of its own
-NONE = "-"
+SCREEN_CHARACTERS = 100
+NAME_CHARACTERS = 26  # characters of a name in front of its figures; a longer one has a line of its own
+NO_VALUE_ON_SCREEN = "-"
 MAIN = ("collision", "valid", "strict", "serious")
-INTERVALS = "Rates with Wilson's 95 % intervals."
+INTERVALS_NOTE = "Rates with Wilson's 95 % intervals."
 
 
-def table_text(table: Table, file: Path) -> str:
+def table_text(table: BenchTable, file: Path) -> str:
     """The rates of the levels of each row, the median number of attempts until the first valid one, and the notes."""
     sections = []
     for ego in table.egos:
@@ -139,15 +139,15 @@ def on_screen(title: str, sections: Sequence[tuple[str, Sequence[str]]], notes: 
     for heading, rows in sections:
         lines += ["", *([heading] if heading else []), *rows]
     lines.append("")
-    for note in (f"{INTERVALS} {notes[0]}", *notes[1:]):
-        lines += textwrap.wrap(note, WIDTH, break_long_words=False)
+    for note in (f"{INTERVALS_NOTE} {notes[0]}", *notes[1:]):
+        lines += textwrap.wrap(note, SCREEN_CHARACTERS, break_long_words=False)
     return "\n".join([*lines, f"All columns, groups and differences: {file}"])
 
 
 def aligned(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     """Rows in columns, numbers to the right. A long name stands on a line of its own, above its figures."""
     widths = [max(len(line[k]) for line in (head, *rows)) for k in range(1, len(head))]
-    first = min(max(len(line[0]) for line in (head, *rows)), NAME)
+    first = min(max(len(line[0]) for line in (head, *rows)), NAME_CHARACTERS)
     lines = []
     for name, *figures in (head, *rows):
         if len(name) > first:
@@ -160,7 +160,7 @@ def aligned(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
 def rate(estimate: Estimate | None) -> str:
     """``.75 [.70,.80]``; a dash where there is none."""
     if estimate is None:
-        return NONE
+        return NO_VALUE_ON_SCREEN
     value, low, high = (_short(v) for v in (estimate.value, estimate.low, estimate.high))
     return f"{value} [{low},{high}]"
 
@@ -171,4 +171,4 @@ def _short(value: float) -> str:
 
 def plain(estimate: Estimate | None) -> str:
     """One decimal; a dash where there is none."""
-    return NONE if estimate is None else f"{estimate.value:.1f}"
+    return NO_VALUE_ON_SCREEN if estimate is None else f"{estimate.value:.1f}"

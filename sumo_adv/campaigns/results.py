@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from sumo_adv.datatypes import ENDING_SENTENCES, FAILED_ENDINGS, Ending
 from sumo_adv.errors import UsageError
 from sumo_adv.files import cell_text, plain_cell, write_whole
-from sumo_adv.outcome_schema import SCHEMA, check_schema
+from sumo_adv.outcome_schema import OUTCOME_SCHEMA, check_schema
 from sumo_adv.parsing import read_json
 
 if TYPE_CHECKING:
@@ -208,7 +208,7 @@ def read_row(folder: Path) -> Row | None:
 def write_failure(stage: Path, job: EpisodeJob, failure: str, text: str) -> Row:
     """The files of an episode that could not be run, into ``stage``: an outcome with its reason, and a traceback."""
     outcome = {
-        "schema": SCHEMA, "ending": str(Ending.SIMULATION_FAILED),
+        "schema": OUTCOME_SCHEMA, "ending": str(Ending.SIMULATION_FAILED),
         "reason": f"{ENDING_SENTENCES[Ending.SIMULATION_FAILED]} {failure}", "network": job.input.name,
         "seed": job.seed, "ego": {"id": None, "controller": job.ego}, "adversaries": [], "trigger_time": None,
         "encounter": None, "agents": None, "intent": None, "intents": [], "raw": None, "attempts": [], "best": None,

@@ -14,7 +14,7 @@ from sumo_adv.app import check_intents, run_campaign
 from sumo_adv.campaigns.results import Learn
 from sumo_adv.cli import options as opt
 from sumo_adv.cli.groups import grouped, named_settings
-from sumo_adv.cli.options import INPUT, OUTPUT, RUNNING, SEARCH, option, set_values, words
+from sumo_adv.cli.options import INPUT_PANEL, OUTPUT_PANEL, RUNNING_PANEL, SEARCH_PANEL, option, set_values, words
 from sumo_adv.errors import UsageError
 from sumo_adv.files import sentences
 from sumo_adv.memory.store import default_bank_path
@@ -47,29 +47,32 @@ Given = Annotated[
     list[str],
     typer.Argument(metavar="PLAN | INPUT...", help="A plan .toml; or networks, maps, scenarios, records, folders."),
 ]
-Seeds = Annotated[str | None, option(INPUT, "How many, from 0; or a list: 3,7,11.", default="1")]
-Egos = Annotated[str | None, option(INPUT, "krauss,idm,module:Class ...", default="the input's")]
-Records = Annotated[str | None, option(INPUT, "Of .tfrecord files: ids or places.", default="all")]
+Seeds = Annotated[str | None, option(INPUT_PANEL, "How many, from 0; or a list: 3,7,11.", default="1")]
+Egos = Annotated[str | None, option(INPUT_PANEL, "krauss,idm,module:Class ...", default="the input's")]
+Records = Annotated[str | None, option(INPUT_PANEL, "Of .tfrecord files: ids or places.", default="all")]
 Setting = Annotated[
-    list[str] | None, option(INPUT, "A setting of every episode; repeatable.", "--set", metavar="NAME=VALUE")
+    list[str] | None, option(INPUT_PANEL, "A setting of every episode; repeatable.", "--set", metavar="NAME=VALUE")
 ]
 OddFile = Annotated[
-    Path | None, option(INPUT, "TOML file of an operational design domain: attack only within it.", default="none")
+    Path | None,
+    option(INPUT_PANEL, "TOML file of an operational design domain: attack only within it.", default="none"),
 ]
 Learning = Annotated[
     Learn | None,
-    option(SEARCH, "Into the bank: off, after (all, in order), during (rows depend on order).", default="off"),
+    option(SEARCH_PANEL, "Into the bank: off, after (all, in order), during (rows depend on order).", default="off"),
 ]
-Memory = Annotated[Path | None, option(SEARCH, "Memory bank; episodes read a snapshot of it.", default="your own")]
-Figures = Annotated[bool | None, option(OUTPUT, "Draw encounter.png for each run.", default="no")]
-Out = Annotated[Path | None, option(OUTPUT, "Folder of results.", default="runs/<plan>")]
-Parquet = Annotated[bool, option(OUTPUT, "Write results.parquet as well.", "--parquet")]
-States = Annotated[bool, option(OUTPUT, "Write states.parquet as well: all vehicles of every run.", "--states")]
-Deadline = Annotated[float, option(RUNNING, "Seconds after which an episode is stuck.", default="600", min=1)]
-Recycle = Annotated[int, option(RUNNING, "Episodes after which a worker is replaced.", default="200", min=1)]
-Retry = Annotated[bool, option(RUNNING, "Run failed episodes again.", "--retry-failed")]
-DryRun = Annotated[bool, option(RUNNING, "Print the episodes and run none.", "--dry-run")]
-Force = Annotated[bool, option(RUNNING, "Go on in a folder of another plan.", "--force")]
+Memory = Annotated[
+    Path | None, option(SEARCH_PANEL, "Memory bank; episodes read a snapshot of it.", default="your own")
+]
+Figures = Annotated[bool | None, option(OUTPUT_PANEL, "Draw encounter.png for each run.", default="no")]
+Out = Annotated[Path | None, option(OUTPUT_PANEL, "Folder of results.", default="runs/<plan>")]
+Parquet = Annotated[bool, option(OUTPUT_PANEL, "Write results.parquet as well.", "--parquet")]
+States = Annotated[bool, option(OUTPUT_PANEL, "Write states.parquet as well: all vehicles of every run.", "--states")]
+Deadline = Annotated[float, option(RUNNING_PANEL, "Seconds after which an episode is stuck.", default="600", min=1)]
+Recycle = Annotated[int, option(RUNNING_PANEL, "Episodes after which a worker is replaced.", default="200", min=1)]
+Retry = Annotated[bool, option(RUNNING_PANEL, "Run failed episodes again.", "--retry-failed")]
+DryRun = Annotated[bool, option(RUNNING_PANEL, "Print the episodes and run none.", "--dry-run")]
+Force = Annotated[bool, option(RUNNING_PANEL, "Go on in a folder of another plan.", "--force")]
 
 
 @dataclass(frozen=True)

@@ -20,11 +20,11 @@ from sumo_adv.errors import UsageError
 from sumo_adv.files import sentences
 
 if TYPE_CHECKING:
-    from sumo_adv.benchmark.bench import Means, TableRequest
+    from sumo_adv.benchmark.bench import BenchResources, TableRequest
     from sumo_adv.benchmark.nouns import Cell
 
 EXAMPLE = "Example: sumo-adv bench table --suite smoke --ego idm --row expert+learn=off --row random --out runs/bench"
-ROWS = ("raw", "llm-f", "expert+learn=off", "random")  # no bank changes from one encounter to the next
+DEFAULT_ROWS = ("raw", "llm-f", "expert+learn=off", "random")  # no bank changes from one encounter to the next
 SAID_ELSEWHERE = {
     "ego": "--ego", "seed": "--seed", "until": "--until", "attempts": "--attempts", "memory": "--memory",
     "learn": "a row, expert+learn=off", "trigger": "a row, expert+shift=-1.5", "llm": "a row, llm-a:MODEL",
@@ -41,8 +41,8 @@ SuiteOption = Annotated[
 ]
 Egos = Annotated[str, typer.Option("--ego", help="One or several: krauss,idm,careful,lattice,module:Class.")]
 Seed = Annotated[int, typer.Option(min=0, help="Of the simulations and of every draw.")]
-FEW = 25  # attempts of a row in an encounter, unless told otherwise
-SECONDS: float = Settings.model_fields["seconds"].default
+BENCH_ATTEMPTS = 25  # attempts of a row in an encounter, unless told otherwise
+DEFAULT_SECONDS: float = Settings.model_fields["seconds"].default
 Attempts = Annotated[int, typer.Option(min=1, help="Budget of every row, per encounter.")]
 Until = Annotated[str, typer.Option(help="Level of success: critical (ttc), collision, valid, strict or serious.")]
 Workers = Annotated[int | None, typer.Option(min=1, help="Processes (default: one a core).")]
@@ -59,7 +59,7 @@ class EncounterOptions:
     suite: SuiteOption
     ego: Egos = "idm"
     seed: Seed = 0
-    attempts: Attempts = FEW
+    attempts: Attempts = BENCH_ATTEMPTS
     until: Until = "valid"
 
 
@@ -83,7 +83,7 @@ def table(
         typer.Option(
             help="raw, expert, llm-f, llm-a:MODEL, expert+NAME=VALUE, random, oracle, "
             "resampling, transformer, transformer:FILE, module:Class; "
-            f"repeatable (default: {', '.join(ROWS)})."
+            f"repeatable (default: {', '.join(DEFAULT_ROWS)})."
         ),
     ] = None,
     seed: Seed = 0,
@@ -105,10 +105,10 @@ def table(
     as_json: Json = False,
 ) -> None:
     """Run every row on every encounter of a suite, and write table.md, .csv, .json and figures."""
-    rows = _unique(row or ROWS)
+    rows = _unique(row or DEFAULT_ROWS)
     if reference is not None and reference not in rows:
         raise UsageError(f"--reference '{reference}' is none of the table's rows: {', '.join(rows)}.")
-    most = attempts or (FEW if seconds is None else Settings.model_fields["attempts"].default)
+    most = attempts or (BENCH_ATTEMPTS if seconds is None else Settings.model_fields["attempts"].default)
     encounters = EncounterOptions(suite, ego, seed, most, until)
     running = RunningOptions(setting, memory, workers, out, as_json)
     ran = _run(encounters, rows, running, keep_runs=keep_runs, seconds=seconds)
@@ -199,7 +199,7 @@ def label(encounters: EncounterOptions, running: RunningOptions) -> None:
 @app.command("league", epilog="Example: sumo-adv bench league --suite suite81 --ego idm,careful,my_driver:Mine")
 @grouped
 def league(
-    suite: SuiteOption, ego: Egos, seed: Seed = 0, attempts: Attempts = FEW, until: Until = "serious",
+    suite: SuiteOption, ego: Egos, seed: Seed = 0, attempts: Attempts = BENCH_ATTEMPTS, until: Until = "serious",
     *, running: RunningOptions,
 ) -> None:  # fmt: skip
     """Which of several drivers is hardest to hit: the expert against each of them, in the same encounters."""
@@ -243,7 +243,7 @@ class _Ran:
     """The cells of a table that was run; what is made of them."""
 
     request: TableRequest
-    means: Means
+    means: BenchResources
     cells: list[Cell]
     as_json: bool
 
@@ -302,7 +302,7 @@ def _run(
     encounters: EncounterOptions, rows: Sequence[str], running: RunningOptions, *, keep_runs: bool = False,
     seconds: float | None = None,
 ) -> _Ran:  # fmt: skip
-    from sumo_adv.benchmark.bench import Means, TableRequest, of_rows, run_table
+    from sumo_adv.benchmark.bench import BenchResources, TableRequest, of_rows, run_table
     from sumo_adv.benchmark.suites import load_suite
     from sumo_adv.cli.progress import BenchProgress
     from sumo_adv.report.outcome import versions
@@ -313,7 +313,7 @@ def _run(
         raise UsageError("--ego names no driver; say for instance --ego idm,careful.")
     loaded = load_suite(*encounters.suite)
     budget = {"attempts": encounters.attempts, "until": encounters.until}
-    settings = {"seconds": SECONDS, **_settings(running.setting or ()), **budget}
+    settings = {"seconds": DEFAULT_SECONDS, **_settings(running.setting or ()), **budget}
     if seconds is not None:
         settings["seconds"] = seconds
     limit = load_settings(None, **settings).cell_seconds
@@ -322,7 +322,7 @@ def _run(
     request = TableRequest(loaded, egos, tuple(rows), encounters.seed, settings, memory)
     _check_models(request)
     folder = running.out or Path("runs") / f"bench-{loaded.name}"
-    means = Means(folder, running.workers or os.cpu_count() or 1, bench_parts(), versions(), keep_runs, limit)
+    means = BenchResources(folder, running.workers or os.cpu_count() or 1, bench_parts(), versions(), keep_runs, limit)
     try:
         with BenchProgress(quiet=running.as_json) as watcher:
             cells = run_table(request, means, watcher)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from sumo_adv.womd.reader import RecordChoice, Told
     from sumo_adv.womd.record import Record
 
-TABLE_WIDTH = 125  # characters
+TABLE_CHARACTERS = 125
 EXAMPLE = "Example: sumo-adv convert records.tfrecord --first 3 --out waymo"
 
 
@@ -126,7 +126,7 @@ def show(reports: list[dict[str, Any]]) -> None:
         table.add_column(name, no_wrap=True, justify="left" if name == "record" else "right")
     for report in reports:
         table.add_row(*row(report))
-    console = Console(width=max(Console().width, TABLE_WIDTH))  # a narrow terminal wraps lines, but loses no cell
+    console = Console(width=max(Console().width, TABLE_CHARACTERS))  # a narrow terminal wraps lines, but loses no cell
     console.print(table)
     console.print(LEGEND, highlight=False)
 

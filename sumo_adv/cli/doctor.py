@@ -19,12 +19,12 @@ from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.memory.store import default_bank_path
 
 if TYPE_CHECKING:
-    from sumo_adv.cli.doctor_checks import Finding
+    from sumo_adv.cli.doctor_checks import DoctorFinding
     from sumo_adv.driver_check import Checked, DriverCheck
     from sumo_adv.input_check import InputCheck
 
 EXAMPLE = "Example: sumo-adv doctor my.sumocfg"
-CHECKED = 100.0  # s of an input
+CHECKED_SIMULATION_S = 100.0  # s of an input
 
 
 def doctor(
@@ -58,7 +58,7 @@ def doctor(
     if source is not None:
         if ego is not None or llm is not None or memory is not None or scenario:
             raise UsageError("doctor checks an INPUT alone: leave out --ego, --scenario, --llm and --memory.")
-        tell_input(source, seconds or CHECKED, settings_file, as_json=as_json)
+        tell_input(source, seconds or CHECKED_SIMULATION_S, settings_file, as_json=as_json)
         return
     if seconds is not None:
         raise UsageError("--seconds says how long an INPUT is compared with SUMO: name the INPUT as well.")
@@ -82,7 +82,7 @@ def doctor(
         raise typer.Exit(1)
 
 
-def _findings(llm: str | None, memory: Path | None, settings_file: Path | None) -> Iterator[Finding]:
+def _findings(llm: str | None, memory: Path | None, settings_file: Path | None) -> Iterator[DoctorFinding]:
     from sumo_adv.cli import doctor_checks as checks
     from sumo_adv.cli.doctor_model import model
     from sumo_adv.simulation.inputs import data_folder
@@ -93,13 +93,13 @@ def _findings(llm: str | None, memory: Path | None, settings_file: Path | None) 
         yield from checks.simulator(data_folder("networks") / "straight_2lane.net.xml")
         data_folder("scenarios"), data_folder("prompts"), data_folder("memory_bank.sqlite")
     except SumoAdvError as error:
-        yield checks.Finding("shipped files", checks.Level.FAIL, str(error), "install the package again")
+        yield checks.DoctorFinding("shipped files", checks.FindingLevel.FAIL, str(error), "install the package again")
     yield from checks.programs(developing=find_spec("pytest") is not None)
     yield from checks.extras()
     try:
         settings = load_settings(settings_file, llm=llm, memory=memory)
     except SumoAdvError as error:
-        yield checks.Finding("settings", checks.Level.FAIL, str(error), "correct the variable or the file")
+        yield checks.DoctorFinding("settings", checks.FindingLevel.FAIL, str(error), "correct the variable or the file")
         settings = None
     yield from checks.variables(Settings.model_fields)
     yield from checks.sandbox(settings is None or settings.bubblewrap)
@@ -119,7 +119,7 @@ def tell_input(source: Path, seconds: float, settings_file: Path | None, *, as_j
     done = app.check_input(given, settings, seconds)
     typer.echo(json.dumps(_of_input(source, done)) if as_json else "\n".join(_words_of_input(source, done)))
     if not done.same:
-        raise typer.Exit(FOUND)
+        raise typer.Exit(EXIT_FINDINGS)
 
 
 def _of_input(source: Path, done: InputCheck) -> dict[str, Any]:
@@ -172,8 +172,8 @@ def version_line() -> str:
     return f"sumo-adv {__version__} (SUMO {sumo}; memory bank: {description})"
 
 
-FOUND = 3  # exit status of a check that fails
-WIDTH = 40  # columns for a scenario's name
+EXIT_FINDINGS = 3  # exit status of a check that fails
+SCENARIO_NAME_CHARACTERS = 40  # columns for a scenario's name
 
 
 def check_ego(ego: str, scenarios: Sequence[Path], settings_file: Path | None, *, as_json: bool) -> None:
@@ -184,20 +184,20 @@ def check_ego(ego: str, scenarios: Sequence[Path], settings_file: Path | None, *
     settings = load_settings(settings_file, ego=ego)
     inputs = [by_name(str(source)) or app.load(source, None) for source in scenarios] or None
     if not as_json:
-        typer.echo(f"{'scenario':<{WIDTH}} {'time':>6} {'ego':>7} {'idm':>7}  findings")
+        typer.echo(f"{'scenario':<{SCENARIO_NAME_CHARACTERS}} {'time':>6} {'ego':>7} {'idm':>7}  findings")
     done = app.check_driver(inputs, settings, (lambda checked: None) if as_json else _tell)
     if as_json:
         typer.echo(json.dumps(_plain(done)))
     else:
         typer.echo("\n".join(summary(done)))
     if done.kinds:
-        raise typer.Exit(FOUND)
+        raise typer.Exit(EXIT_FINDINGS)
 
 
 def _tell(checked: Checked) -> None:
     findings = "; ".join(f"{f.kind} at {f.time:.1f} s: {f.words}" for f in checked.findings) or "good"
     drove = f"{checked.seconds:4.0f} s {checked.metres:5.0f} m {checked.idm_metres:5.0f} m"
-    typer.echo(f"{checked.scenario:<{WIDTH}} {drove}  {findings}")
+    typer.echo(f"{checked.scenario:<{SCENARIO_NAME_CHARACTERS}} {drove}  {findings}")
 
 
 def summary(done: DriverCheck) -> list[str]:

@@ -33,7 +33,7 @@ EXTRAS = (
     ("fiss_planner", "planners", "the ego fiss_plus"), ("gymnasium", "gym", "the environments"),
     ("optax", "train", "training the row transformer"),
 )  # fmt: skip
-PROMPT = 30.0  # s for a program to answer
+PROGRAM_TIMEOUT_S = 30.0  # s for a program to answer
 CONTAINERS = ("/.dockerenv", "/run/.containerenv")
 ONE_STEP = """\
 import sys
@@ -55,7 +55,7 @@ def endpoint(bv, ego, road, parameters, acc, horizon):
 """
 
 
-class Level(StrEnum):
+class FindingLevel(StrEnum):
     """``FAIL``: a run cannot work. ``WARN``: something else cannot, or a wall is missing."""
 
     OK = "ok"
@@ -64,11 +64,11 @@ class Level(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class DoctorFinding:
     """One line: the thing that was checked, its level, the finding, and how to fix it."""
 
     name: str
-    level: Level
+    level: FindingLevel
     found: str
     mend: str = ""
 
@@ -78,18 +78,19 @@ def reason(error: Exception) -> str:
     return text if isinstance(error, SumoAdvError) else f"{type(error).__name__}: {text}"
 
 
-def interpreter() -> Iterator[Finding]:
+def interpreter() -> Iterator[DoctorFinding]:
     here = f"sumo_adv {__version__}, Python {platform.python_version()}, {platform.system()} {platform.machine()}"
     if hasattr(os, "fork") and sys.platform != "darwin":
-        yield Finding("program", Level.OK, here)
+        yield DoctorFinding("program", FindingLevel.OK, here)
     else:
-        yield Finding(
-            "program", Level.WARN, f"{here}; attempts are not forked here but loaded and repeated, which is slower",
+        yield DoctorFinding(
+            "program", FindingLevel.WARN,
+            f"{here}; attempts are not forked here but loaded and repeated, which is slower",
             "run on Linux (a container will do)",
         )  # fmt: skip
 
 
-def libraries(names: tuple[str, ...] = LIBRARIES) -> Iterator[Finding]:
+def libraries(names: tuple[str, ...] = LIBRARIES) -> Iterator[DoctorFinding]:
     present, missing = [], []
     for name in names:
         try:
@@ -99,9 +100,9 @@ def libraries(names: tuple[str, ...] = LIBRARIES) -> Iterator[Finding]:
             missing.append(f"{name} ({reason(error)})")
     if missing:
         mend = "install the package again: pip install --force-reinstall sumo-adv"
-        yield Finding("libraries", Level.FAIL, f"cannot be imported: {', '.join(missing)}", mend)
+        yield DoctorFinding("libraries", FindingLevel.FAIL, f"cannot be imported: {', '.join(missing)}", mend)
     else:
-        yield Finding("libraries", Level.OK, ", ".join(present))
+        yield DoctorFinding("libraries", FindingLevel.OK, ", ".join(present))
 
 
 def _installed(module: str) -> bool:
@@ -111,35 +112,42 @@ def _installed(module: str) -> bool:
         return False
 
 
-def extras(there: Callable[[str], bool] = _installed) -> Iterator[Finding]:
+def extras(there: Callable[[str], bool] = _installed) -> Iterator[DoctorFinding]:
     missing = [(extra, use) for module, extra, use in EXTRAS if not there(module)]
     names = ", ".join(extra for _, extra, _ in EXTRAS if extra not in {e for e, _ in missing})
     if not missing:
-        yield Finding("extras", Level.OK, names)
+        yield DoctorFinding("extras", FindingLevel.OK, names)
     for extra, use in missing:
-        yield Finding(
-            f"extra {extra}", Level.WARN, f"not installed; it is for {use} alone", f"pip install 'sumo-adv[{extra}]'"
+        yield DoctorFinding(
+            f"extra {extra}",
+            FindingLevel.WARN,
+            f"not installed; it is for {use} alone",
+            f"pip install 'sumo-adv[{extra}]'",
         )
 
 
-def simulator(network: Path) -> Iterator[Finding]:
+def simulator(network: Path) -> Iterator[DoctorFinding]:
     """One step of SUMO, in a process that may die of it."""
     try:
         done = _said(sys.executable, "-c", ONE_STEP, str(network))
     except (OSError, subprocess.TimeoutExpired) as error:
-        yield Finding("simulator", Level.FAIL, f"SUMO did not run ({reason(error)})", "try again on an idle machine")
+        yield DoctorFinding(
+            "simulator", FindingLevel.FAIL, f"SUMO did not run ({reason(error)})", "try again on an idle machine"
+        )
         return
     if done.returncode == 0:
-        yield Finding("simulator", Level.OK, f"SUMO {done.stdout.strip()}, as the library libsumo; one step was run")
+        yield DoctorFinding(
+            "simulator", FindingLevel.OK, f"SUMO {done.stdout.strip()}, as the library libsumo; one step was run"
+        )
         return
     last = (done.stderr.strip().splitlines() or [f"exit status {done.returncode}"])[-1]
     mend = (
         f"on Debian: apt-get install {SYSTEM_LIBRARIES}" if ".so" in last else "pip install --force-reinstall libsumo"
     )
-    yield Finding("simulator", Level.FAIL, f"libsumo does not run ({last})", mend)
+    yield DoctorFinding("simulator", FindingLevel.FAIL, f"libsumo does not run ({last})", mend)
 
 
-def programs(which: Callable[[str], str | None] = shutil.which, *, developing: bool = False) -> Iterator[Finding]:
+def programs(which: Callable[[str], str | None] = shutil.which, *, developing: bool = False) -> Iterator[DoctorFinding]:
     """Programs that some commands start; ``developing``: also what only the tests want."""
     from sumo_adv.simulation.programs import find_netconvert, find_sumo
 
@@ -147,39 +155,45 @@ def programs(which: Callable[[str], str | None] = shutil.which, *, developing: b
         try:
             yield _program(name, find(), use)
         except SumoAdvError:
-            yield Finding(name, Level.WARN, f"not found; it is for {use} alone", "pip install 'sumo-adv[sumo]'")
+            yield DoctorFinding(
+                name, FindingLevel.WARN, f"not found; it is for {use} alone", "pip install 'sumo-adv[sumo]'"
+            )
     optional: list[tuple[str, tuple[str, ...], str]]
     optional = [("ffmpeg", ("ffmpeg",), "figure --out FILE.mp4 (a .gif needs nothing)")]
     if developing:
         optional.append(("chromium", ("chromium", "chromium-browser", "google-chrome"), "some of the tests"))
     for name, spellings, use in optional:
         if any(which(spelling) for spelling in spellings):
-            yield Finding(name, Level.OK, "found")
+            yield DoctorFinding(name, FindingLevel.OK, "found")
         else:
-            yield Finding(name, Level.WARN, f"not found; it is for {use} alone", f"on Debian: apt-get install {name}")
+            yield DoctorFinding(
+                name, FindingLevel.WARN, f"not found; it is for {use} alone", f"on Debian: apt-get install {name}"
+            )
 
 
-def _program(name: str, path: Path, use: str) -> Finding:
+def _program(name: str, path: Path, use: str) -> DoctorFinding:
     """A program of SUMO's: it runs, and is of the library's version."""
     try:
         match = re.search(r"SUMO \w+ v?(\d[.\d]*)", _said(str(path), "--version").stdout)
     except (OSError, subprocess.TimeoutExpired) as error:
-        return Finding(name, Level.WARN, f"does not run ({reason(error)}); it is for {use} alone", "install it again")
+        return DoctorFinding(
+            name, FindingLevel.WARN, f"does not run ({reason(error)}); it is for {use} alone", "install it again"
+        )
     library = _version("libsumo")
     if match is None:
         mend = f"on Debian: apt-get install {SYSTEM_LIBRARIES}"
-        return Finding(name, Level.WARN, f"does not say its version; it is for {use} alone", mend)
+        return DoctorFinding(name, FindingLevel.WARN, f"does not say its version; it is for {use} alone", mend)
     if match[1] != library:
-        return Finding(
-            name, Level.WARN, f"{match[1]}, but the library is {library}: both may drive differently",
+        return DoctorFinding(
+            name, FindingLevel.WARN, f"{match[1]}, but the library is {library}: both may drive differently",
             "pip install 'sumo-adv[sumo]', and unset SUMO_HOME",
         )  # fmt: skip
-    return Finding(name, Level.OK, match[1])
+    return DoctorFinding(name, FindingLevel.OK, match[1])
 
 
 def _said(*command: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        command, capture_output=True, text=True, timeout=PROMPT, check=False, stdin=subprocess.DEVNULL
+        command, capture_output=True, text=True, timeout=PROGRAM_TIMEOUT_S, check=False, stdin=subprocess.DEVNULL
     )
 
 
@@ -190,7 +204,7 @@ def _version(name: str) -> str:
         return "missing"
 
 
-def sandbox(bubblewrap: bool, contained: bool | None = None) -> Iterator[Finding]:
+def sandbox(bubblewrap: bool, contained: bool | None = None) -> Iterator[DoctorFinding]:
     """A planner is tried where planners run; and how many walls there are. ``contained``: in a container."""
     from sumo_adv.planners.sandbox import Sandbox
     from sumo_adv.planners.trial import trial
@@ -200,20 +214,20 @@ def sandbox(bubblewrap: bool, contained: bool | None = None) -> Iterator[Finding
             wrong = trial(box, make_planner("Trial", "trial", TRIED, "person"), ("neighbour",))
             isolation, note = box.isolation, box.note
     except SumoAdvError as error:
-        yield Finding("sandbox", Level.FAIL, reason(error), "pip install --force-reinstall pydantic-monty")
+        yield DoctorFinding("sandbox", FindingLevel.FAIL, reason(error), "pip install --force-reinstall pydantic-monty")
         return
     if wrong is not None:
-        yield Finding("sandbox", Level.FAIL, wrong, "pip install --force-reinstall pydantic-monty")
+        yield DoctorFinding("sandbox", FindingLevel.FAIL, wrong, "pip install --force-reinstall pydantic-monty")
     elif isolation == "bubblewrap":
-        yield Finding("sandbox", Level.OK, note)
+        yield DoctorFinding("sandbox", FindingLevel.OK, note)
     elif in_container() if contained is None else contained:
-        yield Finding(
-            "sandbox", Level.OK, "Planners run in a separate interpreter; bubblewrap is not available in this "
+        yield DoctorFinding(
+            "sandbox", FindingLevel.OK, "Planners run in a separate interpreter; bubblewrap is not available in this "
             "container, which is the second wall: give it no network and no files that matter",
         )  # fmt: skip
     else:
-        yield Finding(
-            "sandbox", Level.WARN, f"{note.rstrip('.')}. The interpreter's own wall stands; if a planner broke "
+        yield DoctorFinding(
+            "sandbox", FindingLevel.WARN, f"{note.rstrip('.')}. The interpreter's own wall stands; if a planner broke "
             "through it, it could do what you can do", _more_walls(note),
         )  # fmt: skip
 
@@ -231,19 +245,19 @@ def in_container(files: tuple[str, ...] = CONTAINERS, environment: Mapping[str, 
     return bool(environment.get("container")) or any(Path(file).exists() for file in files)
 
 
-LITTLE_SPACE = 500e6  # bytes
+LOW_DISK_SPACE_BYTES = 500e6
 
 
-def variables(known: Collection[str], environment: Mapping[str, str] = os.environ) -> Iterator[Finding]:
+def variables(known: Collection[str], environment: Mapping[str, str] = os.environ) -> Iterator[DoctorFinding]:
     """Variables that look like settings and are none; ``known``: the names of settings. Values are never shown."""
     given = [name for name in environment if name.upper().startswith(SETTING_PREFIX)]
     unknown = sorted(n for n in given if n.upper().removeprefix(SETTING_PREFIX).split("__")[0].lower() not in known)
     if unknown:
         state = f"{', '.join(unknown)}: no setting has that name, so it does nothing"
-        yield Finding("variables", Level.WARN, state, "see docs/settings.md for the names")
+        yield DoctorFinding("variables", FindingLevel.WARN, state, "see docs/settings.md for the names")
 
 
-def bank(path: Path | None) -> Iterator[Finding]:
+def bank(path: Path | None) -> Iterator[DoctorFinding]:
     """The bank that a run would use; none is made."""
     from sumo_adv.memory.bank import MemoryBank
     from sumo_adv.memory.migrations import MIGRATIONS
@@ -255,41 +269,49 @@ def bank(path: Path | None) -> Iterator[Finding]:
             says = f"{len(bank.intents())} intents, schema {len(MIGRATIONS)}, content {bank.content_hash()[:12]}"
             writable = bank.writable
     except SumoAdvError as error:
-        yield Finding("memory bank", Level.FAIL, reason(error), "give another --memory, or move the file away")
+        yield DoctorFinding(
+            "memory bank", FindingLevel.FAIL, reason(error), "give another --memory, or move the file away"
+        )
         return
     if not there:
         yield _made_later(used, says)
     elif writable:
-        yield Finding("memory bank", Level.OK, f"{used}: {says}")
+        yield DoctorFinding("memory bank", FindingLevel.OK, f"{used}: {says}")
     else:
         says = f"{used}: {says}; read-only, so nothing is learnt"
-        yield Finding("memory bank", Level.WARN, says, "make the file and its folder writable")
+        yield DoctorFinding("memory bank", FindingLevel.WARN, says, "make the file and its folder writable")
 
 
-def _made_later(path: Path, says: str) -> Finding:
+def _made_later(path: Path, says: str) -> DoctorFinding:
     """The nearest folder above that is there must be writable."""
     above = next(folder for folder in path.absolute().parents if folder.is_dir())
     wrong = not_writable(above)
     if wrong is None:
-        return Finding("memory bank", Level.OK, f"none yet; the first run copies the shipped one ({says}) to {path}")
+        return DoctorFinding(
+            "memory bank", FindingLevel.OK, f"none yet; the first run copies the shipped one ({says}) to {path}"
+        )
     mend = "set --memory, SUMO_ADV_MEMORY or XDG_DATA_HOME to where you may write"
-    return Finding("memory bank", Level.FAIL, f"none yet, and {above} cannot be written ({wrong})", mend)
+    return DoctorFinding("memory bank", FindingLevel.FAIL, f"none yet, and {above} cannot be written ({wrong})", mend)
 
 
-def output(folder: Path) -> Iterator[Finding]:
+def output(folder: Path) -> Iterator[DoctorFinding]:
     """Whether ``runs/`` in ``folder`` can be written, and how much room there is."""
     runs = folder / "runs"
     place = runs if runs.is_dir() else folder
     wrong = not_writable(place)
     if wrong is not None:
-        yield Finding("output", Level.FAIL, f"{place} cannot be written ({wrong})", "run elsewhere, or give --out")
+        yield DoctorFinding(
+            "output", FindingLevel.FAIL, f"{place} cannot be written ({wrong})", "run elsewhere, or give --out"
+        )
         return
     free = shutil.disk_usage(place).free
-    if free < LITTLE_SPACE:
+    if free < LOW_DISK_SPACE_BYTES:
         shortage = f"{place} can be written, but only {free / 1e6:.0f} MB are free"
-        yield Finding("output", Level.WARN, shortage, "free some space: a run takes 0.1 MB, a campaign gigabytes")
+        yield DoctorFinding(
+            "output", FindingLevel.WARN, shortage, "free some space: a run takes 0.1 MB, a campaign gigabytes"
+        )
     else:
-        yield Finding("output", Level.OK, f"{place} can be written; {free / 1e9:.0f} GB are free")
+        yield DoctorFinding("output", FindingLevel.OK, f"{place} can be written; {free / 1e9:.0f} GB are free")
 
 
 def not_writable(folder: Path) -> str | None:

@@ -10,42 +10,46 @@ from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 from urllib.request import getproxies
 
-from sumo_adv.cli.doctor_checks import Finding, Level, reason
+from sumo_adv.cli.doctor_checks import DoctorFinding, FindingLevel, reason
 from sumo_adv.config import Settings
 from sumo_adv.errors import ModelError, SumoAdvError
 
 if TYPE_CHECKING:
     from sumo_adv.llm.client import Server
 
-REACHED_SECONDS = 3.0  # for a server to take a connection
-MOST_LISTED = 5  # names of models in a finding
+CONNECT_TIMEOUT_S = 3.0  # for a server to take a connection
+MAX_MODELS_LISTED = 5  # names of models in a finding
 
 
-def model(settings: Settings, environment: Mapping[str, str] = os.environ) -> Iterator[Finding]:
+def model(settings: Settings, environment: Mapping[str, str] = os.environ) -> Iterator[DoctorFinding]:
     """The servers of the models that the settings name. Each is asked for its models, and one question with an answer
     of two tokens. No key is shown."""
     from sumo_adv.agents.agents import AGENT_ROLES
     from sumo_adv.llm.client import REPLAY, find_server
 
     names = sorted({name for role in AGENT_ROLES if (name := settings.player(role)) is not None})
-    level = Level.WARN if settings.fallback == "builtin" else Level.FAIL
+    level = FindingLevel.WARN if settings.fallback == "builtin" else FindingLevel.FAIL
     if not names:
-        yield Finding("model", Level.OK, "none is set: the built-in expert plays all parts (--llm NAME names one)")
+        yield DoctorFinding(
+            "model", FindingLevel.OK, "none is set: the built-in expert plays all parts (--llm NAME names one)"
+        )
     for name in names:
         if name.startswith(REPLAY):
             there = Path(name.removeprefix(REPLAY)).is_file()
             state = "a recording, asked instead of a model" if there else "a recording that is not there"
-            yield Finding(f"model {name}", Level.OK if there else level, state, "" if there else "give its path")
+            yield DoctorFinding(
+                f"model {name}", FindingLevel.OK if there else level, state, "" if there else "give its path"
+            )
             continue
         try:
             server = find_server(name, settings, environment)
         except SumoAdvError as error:
-            yield Finding(f"model {name}", level, reason(error), "see docs/models.md")
+            yield DoctorFinding(f"model {name}", level, reason(error), "see docs/models.md")
             continue
         yield _out_of_reach(name, server, level) or _asked(name, server, settings, level)
 
 
-def _out_of_reach(name: str, server: Server, level: Level) -> Finding | None:
+def _out_of_reach(name: str, server: Server, level: FindingLevel) -> DoctorFinding | None:
     """The finding where a server, or the proxy on the way to it, takes no connection."""
     parts = urlsplit(server.base_url)
     host, port = parts.hostname or "", parts.port or (443 if parts.scheme == "https" else 80)
@@ -53,15 +57,17 @@ def _out_of_reach(name: str, server: Server, level: Level) -> Finding | None:
     way = urlsplit(proxy) if proxy else None
     place = (way.hostname or "", way.port or 80) if way else (host, port)
     try:
-        with socket.create_connection(place, timeout=REACHED_SECONDS):
+        with socket.create_connection(place, timeout=CONNECT_TIMEOUT_S):
             return None
     except OSError as error:
         mend = "start the server, or correct SUMO_ADV_LLM_BASE_URL"
         through = "the proxy on the way to " if way else ""
-        return Finding(f"model {name}", level, f"{through}{host}:{port} cannot be reached ({reason(error)})", mend)
+        return DoctorFinding(
+            f"model {name}", level, f"{through}{host}:{port} cannot be reached ({reason(error)})", mend
+        )
 
 
-def _asked(name: str, server: Server, settings: Settings, level: Level) -> Finding:
+def _asked(name: str, server: Server, settings: Settings, level: FindingLevel) -> DoctorFinding:
     """What a server's answers show."""
     from sumo_adv.agents.analyzer import Analysis
     from sumo_adv.llm.server_check import check_server
@@ -70,13 +76,13 @@ def _asked(name: str, server: Server, settings: Settings, level: Level) -> Findi
         done = check_server(name, server, settings, Analysis.model_json_schema())
     except ModelError as error:
         found, _, mend = reason(error).rpartition("; ")
-        return Finding(f"model {name}", level, found or mend, mend if found else "see docs/models.md")
+        return DoctorFinding(f"model {name}", level, found or mend, mend if found else "see docs/models.md")
     key = "with a key" if server.key is not None else "without a key"
     context = f", with a context of {done.context:,} tokens" if done.context is not None else ""
-    models = f"; it lists {', '.join(done.listed[:MOST_LISTED])}" if done.listed else ""
-    more = " and others" if len(done.listed) > MOST_LISTED else ""
+    models = f"; it lists {', '.join(done.listed[:MAX_MODELS_LISTED])}" if done.listed else ""
+    more = " and others" if len(done.listed) > MAX_MODELS_LISTED else ""
     host = urlsplit(server.base_url).netloc
-    return Finding(
-        f"model {name}", Level.OK, f"{host} answers questions {key}; it takes a schema as {done.mode}{context}"
+    return DoctorFinding(
+        f"model {name}", FindingLevel.OK, f"{host} answers questions {key}; it takes a schema as {done.mode}{context}"
         f"{models}{more}",
     )  # fmt: skip

@@ -16,7 +16,7 @@ from sumo_adv.errors import UsageError
 from sumo_adv.report.export import Format, Variant
 
 if TYPE_CHECKING:
-    from sumo_adv.report.export.piece import Piece
+    from sumo_adv.report.export.piece import ExportedRun
 
 EXAMPLE = "Example: sumo-adv export runs/priority_crossing-3 --format openscenario --variant free-ego --out scenario"
 
@@ -82,7 +82,9 @@ def export(
         raise UsageError(f"None of the {len(runs) + len(packed)} runs in {folder} could be exported.")
 
 
-def _pieces(runs: Iterable[Path], cut: Callable[[Path], Piece], *, single: bool) -> Iterator[tuple[Path, Piece]]:
+def _pieces(
+    runs: Iterable[Path], cut: Callable[[Path], ExportedRun], *, single: bool
+) -> Iterator[tuple[Path, ExportedRun]]:
     """The runs that can be exported, each with what is exported of it. Raises UsageError if a ``single`` one cannot."""
     from sumo_adv.report.read import reading
 
@@ -98,7 +100,7 @@ def _pieces(runs: Iterable[Path], cut: Callable[[Path], Piece], *, single: bool)
         yield run, piece
 
 
-def _say(target: Path, piece: Piece, format: Format, *, as_json: bool) -> None:
+def _say(target: Path, piece: ExportedRun, format: Format, *, as_json: bool) -> None:
     made: dict[str, Any] = {
         "format": str(format), "out": str(target), "vehicles": len(piece.tracks), "begin": round(piece.begin, 3),
         "end": round(piece.end, 3), "ego": piece.ego, "adversary": piece.adversary, "takeover": piece.takeover,

@@ -12,7 +12,7 @@ import typer
 
 from sumo_adv.cli import options as opt
 from sumo_adv.cli.groups import grouped, named_settings
-from sumo_adv.cli.options import ATTACK, INPUT, OUTPUT, RUNNING, SEARCH, option
+from sumo_adv.cli.options import ATTACK_PANEL, INPUT_PANEL, OUTPUT_PANEL, RUNNING_PANEL, SEARCH_PANEL, option
 from sumo_adv.datatypes import Level
 from sumo_adv.simulation.warnings_log import kinds_below, said_of
 
@@ -20,34 +20,34 @@ if TYPE_CHECKING:
     from sumo_adv.hunting.hunt import Found, HuntProgress
 
 EXAMPLE = "Example: sumo-adv hunt motorway priority_crossing --ego my_package.driver:MyDriver --minutes 30"
-SHOWN = 20  # failures in the table on the screen
-COLUMNS: dict[str, Literal["left", "right"]] = {
+MAX_FAILURES_SHOWN = 20  # failures in the table on the screen
+SCREEN_COLUMNS: dict[str, Literal["left", "right"]] = {
     "rank": "right", "level": "left", "delta-v": "right", "hit on": "left", "times": "right", "attack and cause": "left"
 }  # fmt: skip
-BROKEN = ("adversary", "ego", "both")
-DIFFERING = ("speed_band", "cause", "seed", "adversary")
+RULE_BREAKERS = ("adversary", "ego", "both")
+DIFFERING_COLUMNS = ("speed_band", "cause", "seed", "adversary")
 """Columns of which rows that read alike say those that differ."""
 
 Given = Annotated[
     list[str],
     typer.Argument(metavar="INPUT...", help="Networks, maps, .sumocfg files, scenarios, records, folders, names."),
 ]
-Ego = Annotated[str | None, option(INPUT, "Driver under test: idm, module:Class ...", default="the inputs'")]
-Minutes = Annotated[float, option(ATTACK, "Of the whole hunt, several calls together.", default="30", min=0.1)]
-Distinct = Annotated[int | None, option(ATTACK, "End sooner, with this many distinct failures.", min=1)]
-Seed = Annotated[int, option(SEARCH, "The first seed of traffic and search.", default="0", min=0)]
-Memory = Annotated[Path | None, option(SEARCH, "Memory bank; it is only read.", default="your own")]
-Out = Annotated[Path | None, option(OUTPUT, "Folder; the same one goes on.", default="runs/hunt")]
+Ego = Annotated[str | None, option(INPUT_PANEL, "Driver under test: idm, module:Class ...", default="the inputs'")]
+Minutes = Annotated[float, option(ATTACK_PANEL, "Of the whole hunt, several calls together.", default="30", min=0.1)]
+Distinct = Annotated[int | None, option(ATTACK_PANEL, "End sooner, with this many distinct failures.", min=1)]
+Seed = Annotated[int, option(SEARCH_PANEL, "The first seed of traffic and search.", default="0", min=0)]
+Memory = Annotated[Path | None, option(SEARCH_PANEL, "Memory bank; it is only read.", default="your own")]
+Out = Annotated[Path | None, option(OUTPUT_PANEL, "Folder; the same one goes on.", default="runs/hunt")]
 UntilLevel = Annotated[
     opt.Until | None,
     option(
-        ATTACK, "Level at which an encounter ends, and that a failure reaches: valid, strict or serious.",
+        ATTACK_PANEL, "Level at which an encounter ends, and that a failure reaches: valid, strict or serious.",
         metavar="LEVEL",
         default="serious; valid for the ego careful",
     ),
 ]  # fmt: skip
-Deadline = Annotated[float, option(RUNNING, "Seconds after which an episode is stuck.", default="600", min=1)]
-NoPages = Annotated[bool, option(OUTPUT, "Make no index page and no replays.", "--no-pages")]
+Deadline = Annotated[float, option(RUNNING_PANEL, "Seconds after which an episode is stuck.", default="600", min=1)]
+NoPages = Annotated[bool, option(OUTPUT_PANEL, "Make no index page and no replays.", "--no-pages")]
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,7 @@ def _show(found: Found, rows: list[dict[str, Any]], index: Path | None) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from sumo_adv.hunting.failures import TOUCH_M_S
+    from sumo_adv.hunting.failures import NEAR_TOUCH_DELTA_V_M_S
 
     ends = {
         "time": "The time is used up", "distinct": "Enough distinct failures were found", "stopped": "Stopped by Ctrl-C"
@@ -156,17 +156,17 @@ def _show(found: Found, rows: list[dict[str, Any]], index: Path | None) -> None:
         if not some:
             continue
         if some is touches:
-            typer.echo(f"Near-touches, with a delta-v below {TOUCH_M_S:g} m/s:")
+            typer.echo(f"Near-touches, with a delta-v below {NEAR_TOUCH_DELTA_V_M_S:g} m/s:")
         shown = Table(box=None, pad_edge=False)
-        for name, justify in COLUMNS.items():
+        for name, justify in SCREEN_COLUMNS.items():
             shown.add_column(name, justify=justify, vertical="top", overflow="fold")
-        for row in some[:SHOWN]:
+        for row in some[:MAX_FAILURES_SHOWN]:
             words = "\n".join(filter(None, (_what(row), _facts(row), row["cause_sentence"], _differing(row, rows))))
             shown.add_row(
                 str(row["rank"]), row["level"], f"{row['delta_v']:.1f} m/s", row["side"], str(row["count"]), words
             )  # fmt: skip
         Console(highlight=False, markup=False).print(shown)
-    more = f" The table shows the first {SHOWN}." if len(failures) > SHOWN else ""
+    more = f" The table shows the first {MAX_FAILURES_SHOWN}." if len(failures) > MAX_FAILURES_SHOWN else ""
     near = f" and {len(touches)} near-touch{'es' * (len(touches) > 1)}" if touches else ""
     typer.echo(
         f"{ends[found.ended]}: {len(failures)} distinct failures{near} in {found.encounters} encounters, "
@@ -196,7 +196,9 @@ def _facts(row: Mapping[str, Any]) -> str:
         word if row[key] else f"not {word}" for key, word in (("robust", "robust"), ("humanlike", "humanlike"))
         if row[key] is not None
     ]  # fmt: skip
-    broken = [f"{key.replace('_', ' ')}: {row[key]}" for key in ("red_light", "right_of_way") if row[key] in BROKEN]
+    broken = [
+        f"{key.replace('_', ' ')}: {row[key]}" for key in ("red_light", "right_of_way") if row[key] in RULE_BREAKERS
+    ]
     fault = [] if row["fault"] is None else [f"fault: {row['fault']}"]
     warning = [] if row["warning"] is None else [f"warning {row['warning']:.1f} s"]
     overlap = [] if row["overlap"] is None else [f"overlap {100 * row['overlap']:.0f} %"]
@@ -210,5 +212,5 @@ def _differing(row: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) -> str
         return _what(each), each["cause_sentence"], each["level"], each["side"]
 
     alike = [each for each in rows if read(each) == read(row)]
-    names = [name for name in DIFFERING if len({each[name] for each in alike}) > 1]
+    names = [name for name in DIFFERING_COLUMNS if len({each[name] for each in alike}) > 1]
     return ", ".join(f"{name.replace('_', ' ')} {row[name] if row[name] is not None else '-'}" for name in names)

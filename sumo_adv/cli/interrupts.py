@@ -7,7 +7,7 @@ from collections.abc import Callable
 from types import FrameType
 from typing import Any, Self
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)  # Ctrl-C; what services and time limits send
+INTERRUPT_SIGNALS = (signal.SIGINT, signal.SIGTERM)  # Ctrl-C; what services and time limits send
 
 
 class Interrupts:
@@ -18,7 +18,7 @@ class Interrupts:
 
     def __enter__(self) -> Self:
         self._pressed = False
-        self._before = {number: signal.signal(number, self._press) for number in SIGNALS}
+        self._before = {number: signal.signal(number, self._press) for number in INTERRUPT_SIGNALS}
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -41,7 +41,7 @@ class Interrupts:
 
     def hold(self) -> None:
         """From here on both are ignored: the rest takes a second or two."""
-        for number in SIGNALS:
+        for number in INTERRUPT_SIGNALS:
             signal.signal(number, signal.SIG_IGN)
 
     def _press(self, number: int, frame: FrameType | None) -> None:

@@ -21,7 +21,7 @@ from sumo_adv.cli.terminal import cleaned
 from sumo_adv.errors import SumoAdvError
 from sumo_adv.files import FULL, sweep_scratch
 
-INTERRUPTED = 130  # what typer makes of Ctrl-C
+EXIT_INTERRUPTED = 130  # what typer makes of Ctrl-C
 
 COMMANDS = {
     "run": ("run", "EXAMPLE"),
@@ -112,7 +112,7 @@ def main() -> None:
         typer.echo("sumo-adv: the output cannot be written, since its disk is full; free some space.", err=True)
         sys.exit(1)
     except SystemExit as end:
-        if end.code == INTERRUPTED:
+        if end.code == EXIT_INTERRUPTED:
             typer.echo("sumo-adv: interrupted.", err=True)
             _leave(1)
         if Interrupts.happened:

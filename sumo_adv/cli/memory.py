@@ -132,5 +132,5 @@ def stats(memory: Bank = None, as_json: Json = False) -> None:
     ])  # fmt: skip
 
 
-for _name, _command, _example in (*memory_edit.COMMANDS, *memory_check.COMMANDS):
+for _name, _command, _example in (*memory_edit.EDIT_COMMANDS, *memory_check.CHECK_COMMANDS):
     app.command(_name, epilog=f"Example: sumo-adv memory {_example}")(_command)

@@ -223,7 +223,7 @@ def _as_known(bank: MemoryBank, half: list[Paraphrase]) -> list[Paraphrase]:
     return [p if p.intent is None or there(p.intent) else replace(p, intent=None) for p in half]
 
 
-COMMANDS = (
+CHECK_COMMANDS = (
     ("verify", verify, "verify --label 'Aggressive Cut-in'"),
     ("calibrate", calibrate, "calibrate tests/data/intents_independent.toml --store"),
 )

@@ -301,7 +301,7 @@ def build(
     typer.echo(f"Built {target}.")
 
 
-COMMANDS = (
+EDIT_COMMANDS = (
     ("add", add, "add push_hard.py --label 'Close Car-following' --mode hard"),
     ("merge", merge, "merge 'Hard Stop' into 'Emergency Braking'"),
     ("retire", retire, "retire 'Straight Lane Shift' --mode side"),

@@ -13,8 +13,15 @@ from sumo_adv.config import Settings, Until
 from sumo_adv.errors import UsageError
 from sumo_adv.parsing import parse_toml
 
-INPUT, EGO, ATTACK, SEARCH, MODEL, OUTPUT = "Input", "Ego", "Attack", "Search", "Language model", "Output"
-RUNNING = "Running"
+INPUT_PANEL, EGO_PANEL, ATTACK_PANEL, SEARCH_PANEL, MODEL_PANEL, OUTPUT_PANEL = (
+    "Input",
+    "Ego",
+    "Attack",
+    "Search",
+    "Language model",
+    "Output",
+)
+RUNNING_PANEL = "Running"
 """Panels of the help."""
 
 
@@ -32,54 +39,56 @@ def option(panel: str, help: str, *flags: str, setting: str = "", default: str =
 UntilLevel = Annotated[
     Until | None,
     option(
-        ATTACK, "What an attempt must reach: critical (alias ttc), collision, valid, strict or serious.",
+        ATTACK_PANEL, "What an attempt must reach: critical (alias ttc), collision, valid, strict or serious.",
         metavar="LEVEL", default="critical",
     ),
 ]  # fmt: skip
 Ttc = Annotated[
     tuple[float, float] | None,
     option(
-        ATTACK, "Look for a near miss instead: no collision, and a min TTC between LOW and HIGH, s.",
+        ATTACK_PANEL, "Look for a near miss instead: no collision, and a min TTC between LOW and HIGH, s.",
         metavar="LOW HIGH", default="none",
     ),
 ]  # fmt: skip
 CriticalTtc = Annotated[
-    float | None, option(ATTACK, "A min TTC of at most this is critical, s.", setting="critical_ttc")
+    float | None, option(ATTACK_PANEL, "A min TTC of at most this is critical, s.", setting="critical_ttc")
 ]
 MinDeltaV = Annotated[
-    float | None, option(ATTACK, "Least delta-v of the ego in a collision that succeeds, m/s.", setting="min_delta_v")
+    float | None,
+    option(ATTACK_PANEL, "Least delta-v of the ego in a collision that succeeds, m/s.", setting="min_delta_v"),
 ]
 Diverse = Annotated[
-    int | None, option(ATTACK, "Go on until attacks of this many different kinds succeeded.", setting="diverse")
+    int | None, option(ATTACK_PANEL, "Go on until attacks of this many different kinds succeeded.", setting="diverse")
 ]
 Intents = Annotated[
-    str | None, option(ATTACK, "Intents that may be tried, with commas between.", metavar="A,B", default="all")
+    str | None, option(ATTACK_PANEL, "Intents that may be tried, with commas between.", metavar="A,B", default="all")
 ]
-Exclude = Annotated[str | None, option(ATTACK, "Intents that may not be tried.", metavar="A,B", default="none")]
+Exclude = Annotated[str | None, option(ATTACK_PANEL, "Intents that may not be tried.", metavar="A,B", default="none")]
 Kind = Annotated[
     str | None,
     option(
-        ATTACK, "Relation of the adversary to the ego: leader, follower, neighbour, oncoming, crossing, merging; "
+        ATTACK_PANEL, "Relation of the adversary to the ego: leader, follower, neighbour, oncoming, crossing, merging; "
         "several with commas between.", metavar="RELATION", default="all",
     ),
 ]  # fmt: skip
 Adversaries = Annotated[
-    int | None, option(ATTACK, "Most adversaries of an attack, 1 to 3: a collider and supports.", setting="adversaries")
+    int | None,
+    option(ATTACK_PANEL, "Most adversaries of an attack, 1 to 3: a collider and supports.", setting="adversaries"),
 ]
-Attempts = Annotated[int | None, option(ATTACK, "Maximum number of attempts per encounter.", setting="attempts")]
-Seconds = Annotated[float | None, option(ATTACK, "Seconds of attempts per encounter at most.", setting="seconds")]
+Attempts = Annotated[int | None, option(ATTACK_PANEL, "Maximum number of attempts per encounter.", setting="attempts")]
+Seconds = Annotated[float | None, option(ATTACK_PANEL, "Seconds of attempts per encounter at most.", setting="seconds")]
 
 # -- where it is looked for
 
-SettingsFile = Annotated[Path | None, option(INPUT, "TOML file of settings.", "--settings", default="none")]
-AsJson = Annotated[bool, option(OUTPUT, "One JSON object on stdout, nothing else.", "--json")]
+SettingsFile = Annotated[Path | None, option(INPUT_PANEL, "TOML file of settings.", "--settings", default="none")]
+AsJson = Annotated[bool, option(OUTPUT_PANEL, "One JSON object on stdout, nothing else.", "--json")]
 
 # -- how it is run
 
-Workers = Annotated[int | None, option(RUNNING, "Processes.", default="one a core", min=1)]
+Workers = Annotated[int | None, option(RUNNING_PANEL, "Processes.", default="one a core", min=1)]
 RayCluster = Annotated[
     str | None,
-    option(RUNNING, "Run on this Ray cluster: auto, HOST:PORT.", metavar="ADDRESS", default="none"),
+    option(RUNNING_PANEL, "Run on this Ray cluster: auto, HOST:PORT.", metavar="ADDRESS", default="none"),
 ]
 
 
@@ -90,86 +99,106 @@ Source = Annotated[
         help="net.xml(.gz), .sumocfg, scenario .toml, .osm(.gz), .xodr, .tfrecord, CommonRoad .xml, or a shipped name.",
     ),
 ]
-Record = Annotated[str | None, option(INPUT, "Record of a .tfrecord: its id, or its place from 0.", default="0")]
-Begin = Annotated[float | None, option(INPUT, "Simulation begin, s.", default="a .sumocfg's, or the first departure")]
+Record = Annotated[str | None, option(INPUT_PANEL, "Record of a .tfrecord: its id, or its place from 0.", default="0")]
+Begin = Annotated[
+    float | None, option(INPUT_PANEL, "Simulation begin, s.", default="a .sumocfg's, or the first departure")
+]
 End = Annotated[
-    float | None, option(INPUT, "Look for an encounter until this time, s.", default="600 s after the first vehicle")
+    float | None,
+    option(INPUT_PANEL, "Look for an encounter until this time, s.", default="600 s after the first vehicle"),
 ]
 SumoOption = Annotated[
     list[str] | None,
-    option(INPUT, "An option of SUMO; may be repeated.", "--option", metavar="NAME=VALUE", default="the input's"),
+    option(INPUT_PANEL, "An option of SUMO; may be repeated.", "--option", metavar="NAME=VALUE", default="the input's"),
 ]
 Density = Annotated[
-    float | None, option(INPUT, "Generated demand, for an input without any: departures a minute.", default="by lanes")
+    float | None,
+    option(INPUT_PANEL, "Generated demand, for an input without any: departures a minute.", default="by lanes"),
 ]
 Background = Annotated[
     str | None,
     option(
-        INPUT, "What drives recorded vehicles: log or sumo.",
+        INPUT_PANEL, "What drives recorded vehicles: log or sumo.",
         default="as the input says, else log for a replayed ego",
     ),
 ]  # fmt: skip
 Ego = Annotated[
     str | None,
     option(
-        EGO, "Driver under test: krauss, idm, eidm, careful, lattice, blind, fiss_plus, replay, module:Class.",
+        EGO_PANEL, "Driver under test: krauss, idm, eidm, careful, lattice, blind, fiss_plus, replay, module:Class.",
         default="as the input says, else idm",
     ),
 ]  # fmt: skip
 EgoDeadline = Annotated[
     float | None,
     option(
-        EGO, "Seconds in which its driver must answer in a step; 0: any time, for a debugger.", setting="ego_deadline"
+        EGO_PANEL,
+        "Seconds in which its driver must answer in a step; 0: any time, for a debugger.",
+        setting="ego_deadline",
     ),
 ]
-EgoId = Annotated[str | None, option(EGO, "The vehicle under test.", default="chosen")]
+EgoId = Annotated[str | None, option(EGO_PANEL, "The vehicle under test.", default="chosen")]
 Ask = Annotated[
-    str | None, option(ATTACK, "The attack that is wanted, in words; needs --llm.", metavar="WORDS", default="none")
+    str | None,
+    option(ATTACK_PANEL, "The attack that is wanted, in words; needs --llm.", metavar="WORDS", default="none"),
 ]
-Adversary = Annotated[str | None, option(ATTACK, "The only vehicle that may attack.", default="any")]
-Trigger = Annotated[float | None, option(ATTACK, "Attack from this time on, s.", default="found")]
+Adversary = Annotated[str | None, option(ATTACK_PANEL, "The only vehicle that may attack.", default="any")]
+Trigger = Annotated[float | None, option(ATTACK_PANEL, "Attack from this time on, s.", default="found")]
 TotalSeconds = Annotated[
     float | None,
     option(
-        ATTACK, "Seconds after which no further encounter is begun; 0: the first one alone.", setting="total_seconds"
+        ATTACK_PANEL,
+        "Seconds after which no further encounter is begun; 0: the first one alone.",
+        setting="total_seconds",
     ),
 ]
-Tuner = Annotated[str | None, option(SEARCH, "builtin, or off: try only what the analyzer proposes.", setting="tuner")]
-Learn = Annotated[str | None, option(SEARCH, "on or off: keep what was critical in the bank.", setting="learn")]
+Tuner = Annotated[
+    str | None, option(SEARCH_PANEL, "builtin, or off: try only what the analyzer proposes.", setting="tuner")
+]
+Learn = Annotated[str | None, option(SEARCH_PANEL, "on or off: keep what was critical in the bank.", setting="learn")]
 Recall = Annotated[
     str | None,
-    option(SEARCH, "intent, or scene: try first what worked in a similar scene, without analysis.", setting="recall"),
+    option(
+        SEARCH_PANEL, "intent, or scene: try first what worked in a similar scene, without analysis.", setting="recall"
+    ),
 ]
 Memory = Annotated[
-    Path | None, option(SEARCH, "Memory bank; made from the shipped one if it does not exist.", default="your own")
+    Path | None,
+    option(SEARCH_PANEL, "Memory bank; made from the shipped one if it does not exist.", default="your own"),
 ]
-Seed = Annotated[int | None, option(SEARCH, "Of SUMO, demand, search and planners.", setting="seed")]
-NoFork = Annotated[bool, option(SEARCH, "Load and repeat instead of forking (slower).", "--no-fork")]
+Seed = Annotated[int | None, option(SEARCH_PANEL, "Of SUMO, demand, search and planners.", setting="seed")]
+NoFork = Annotated[bool, option(SEARCH_PANEL, "Load and repeat instead of forking (slower).", "--no-fork")]
 Llm = Annotated[
     str | None,
     option(
-        MODEL, "For analyzer, generator and modifier: deepseek-chat, ollama:NAME, replay:FILE ..",
+        MODEL_PANEL, "For analyzer, generator and modifier: deepseek-chat, ollama:NAME, replay:FILE ..",
         default="none: the built-in expert",
     ),
 ]  # fmt: skip
-Analyzer = Annotated[str | None, option(MODEL, "builtin or a model, for this part alone.", default="as --llm")]
-Generator = Annotated[str | None, option(MODEL, "builtin or a model, for planners of new intents.", default="as --llm")]
-Modifier = Annotated[str | None, option(MODEL, "builtin or a model, for changes of a planner.", default="as --llm")]
-Fallback = Annotated[
-    str | None, option(MODEL, "builtin: the expert goes on where a model fails; or off.", setting="fallback")
+Analyzer = Annotated[str | None, option(MODEL_PANEL, "builtin or a model, for this part alone.", default="as --llm")]
+Generator = Annotated[
+    str | None, option(MODEL_PANEL, "builtin or a model, for planners of new intents.", default="as --llm")
 ]
-Samples = Annotated[int | None, option(MODEL, "How often the analyzer's model is asked.", setting="samples")]
-Evidence = Annotated[str | None, option(MODEL, "on or off: show a model the predictor's figures.", setting="evidence")]
+Modifier = Annotated[
+    str | None, option(MODEL_PANEL, "builtin or a model, for changes of a planner.", default="as --llm")
+]
+Fallback = Annotated[
+    str | None, option(MODEL_PANEL, "builtin: the expert goes on where a model fails; or off.", setting="fallback")
+]
+Samples = Annotated[int | None, option(MODEL_PANEL, "How often the analyzer's model is asked.", setting="samples")]
+Evidence = Annotated[
+    str | None, option(MODEL_PANEL, "on or off: show a model the predictor's figures.", setting="evidence")
+]
 Instruction = Annotated[
-    str | None, option(MODEL, "In words, how generated planners shall shape their trajectories.", default="none")
+    str | None, option(MODEL_PANEL, "In words, how generated planners shall shape their trajectories.", default="none")
 ]
 ShowPrompts = Annotated[
-    bool, option(MODEL, "Print what a model would be asked here, and ask nothing.", "--show-prompts")
+    bool, option(MODEL_PANEL, "Print what a model would be asked here, and ask nothing.", "--show-prompts")
 ]
-Out = Annotated[Path | None, option(OUTPUT, "Folder to write.", default="runs/<input>-<seed>")]
-Force = Annotated[bool, option(OUTPUT, "Replace another run's folder.", "--force")]
+Out = Annotated[Path | None, option(OUTPUT_PANEL, "Folder to write.", default="runs/<input>-<seed>")]
+Force = Annotated[bool, option(OUTPUT_PANEL, "Replace another run's folder.", "--force")]
 Replay = Annotated[
-    Path | None, option(INPUT, "Run the attempt of that folder again, from its manifest.", default="none")
+    Path | None, option(INPUT_PANEL, "Run the attempt of that folder again, from its manifest.", default="none")
 ]
 
 

@@ -21,10 +21,10 @@ from sumo_adv.simulation.warnings_log import WarningKind, said_of
 if TYPE_CHECKING:
     from sumo_adv.benchmark import jobs as bench
 
-EVERY = 30.0  # s between lines of a bench where there is no terminal
+PROGRESS_PERIOD_S = 30.0  # between lines of progress where there is no terminal
 
 
-class Shown:
+class LiveDisplay:
     """A context in which ``_display``, something of rich's, is shown, where there is one."""
 
     _display: Any = None
@@ -39,7 +39,7 @@ class Shown:
             self._display.stop()
 
 
-class Speaker(Shown):
+class Speaker(LiveDisplay):
     """Lines, in a terminal above a spinner that says what goes on; nothing if ``quiet``."""
 
     def __init__(self, first: str, *, quiet: bool) -> None:
@@ -123,7 +123,7 @@ class ServeProgress(Speaker):
         self.now(f"{self._doing} ({done} encounters, {critical} critical, {collided} collisions)")
 
 
-class _Barred(Shown):
+class _Barred(LiveDisplay):
     """A bar on stderr, with time left; ``note`` stands behind it."""
 
     _task: Any = None
@@ -193,11 +193,11 @@ class BenchProgress(_Barred):
         elif not self._quiet:
             typer.echo(f"{total} cells, {before} of them there.", err=True)
 
-    def finished(self, job: bench.Job) -> None:
+    def finished(self, job: bench.BenchJob) -> None:
         self._done += len(job.rows)
         if self._display is not None:
             self._display.update(self._task, advance=len(job.rows), description=clean(job.case.name))
-        elif not self._quiet and time.monotonic() - self._told > EVERY:
+        elif not self._quiet and time.monotonic() - self._told > PROGRESS_PERIOD_S:
             self._told = time.monotonic()
             typer.echo(f"{self._done} of {self._total} cells.", err=True)
 

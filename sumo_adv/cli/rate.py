@@ -11,7 +11,7 @@ import typer
 
 from sumo_adv.app import estimate_rate
 from sumo_adv.cli.groups import grouped
-from sumo_adv.cli.options import EGO, INPUT, OUTPUT, SEARCH, AsJson, RayCluster, Workers, option
+from sumo_adv.cli.options import EGO_PANEL, INPUT_PANEL, OUTPUT_PANEL, SEARCH_PANEL, AsJson, RayCluster, Workers, option
 
 if TYPE_CHECKING:
     from sumo_adv.rate.estimate import RateEstimate
@@ -21,21 +21,22 @@ EXAMPLE = "Example: sumo-adv rate straight_2lane --ego idm --runs 1000"
 
 Source = Annotated[Path, typer.Argument(metavar="INPUT", help="net.xml(.gz), .sumocfg, scenario .toml, or a name.")]
 Ego = Annotated[
-    str | None, option(EGO, "Driver under test: idm, careful, module:Class ...", default="as the input says, else idm")
+    str | None,
+    option(EGO_PANEL, "Driver under test: idm, careful, module:Class ...", default="as the input says, else idm"),
 ]
-Runs = Annotated[int, option(SEARCH, "Runs that are estimated from, in blocks of 20.", default="1000", min=1)]
-Pilot = Annotated[int, option(SEARCH, "Runs before, from which the proposal learns.", default="200", min=1)]
-Plain = Annotated[bool, option(SEARCH, "Draw all runs from the model: plain Monte Carlo.", "--plain")]
-Seed = Annotated[int, option(SEARCH, "Of traffic and errors.", default="0", min=0)]
-Duration = Annotated[float, option(INPUT, "How long the ego drives at most in a run, s.", default="60", min=1)]
+Runs = Annotated[int, option(SEARCH_PANEL, "Runs that are estimated from, in blocks of 20.", default="1000", min=1)]
+Pilot = Annotated[int, option(SEARCH_PANEL, "Runs before, from which the proposal learns.", default="200", min=1)]
+Plain = Annotated[bool, option(SEARCH_PANEL, "Draw all runs from the model: plain Monte Carlo.", "--plain")]
+Seed = Annotated[int, option(SEARCH_PANEL, "Of traffic and errors.", default="0", min=0)]
+Duration = Annotated[float, option(INPUT_PANEL, "How long the ego drives at most in a run, s.", default="60", min=1)]
 WarmUp = Annotated[
-    float, option(INPUT, "How long generated traffic runs before the ego comes, s.", default="20", min=0)
+    float, option(INPUT_PANEL, "How long generated traffic runs before the ego comes, s.", default="20", min=0)
 ]
-Density = Annotated[float | None, option(INPUT, "Of generated traffic: departures a minute.", default="by lanes")]
-Errors = Annotated[float, option(INPUT, "Factor on the rates of all human errors.", default="1", min=0)]
+Density = Annotated[float | None, option(INPUT_PANEL, "Of generated traffic: departures a minute.", default="by lanes")]
+Errors = Annotated[float, option(INPUT_PANEL, "Factor on the rates of all human errors.", default="1", min=0)]
 Out = Annotated[
     Path | None,
-    option(OUTPUT, "Folder of runs; the same command again goes on there.", default="runs/rate-<input>-<ego>"),
+    option(OUTPUT_PANEL, "Folder of runs; the same command again goes on there.", default="runs/rate-<input>-<ego>"),
 ]
 
 

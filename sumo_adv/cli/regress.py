@@ -133,7 +133,7 @@ def _say(done: _Keeping, suite: Path, level: Until, *, as_json: bool) -> None:
 
 
 EXAMPLE = "Example: sumo-adv regress regression --ego my_package.driver:MyDriver --junit regression.xml"
-NOT_PASSED = 3  # exit status
+EXIT_NOT_PASSED = 3  # exit status
 
 
 def regress(
@@ -189,7 +189,7 @@ def regress(
         typer.echo("\n".join(lines(run)))
         typer.echo(f"Files: {target}")
     if not run.passed(allow_untested=allow_untested):
-        raise typer.Exit(NOT_PASSED)
+        raise typer.Exit(EXIT_NOT_PASSED)
 
 
 def _waivers(suite: Path, given: Path | None, cases: list[str]) -> Waivers:

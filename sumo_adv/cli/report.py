@@ -10,16 +10,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sumo_adv.app import shipped_bank
-from sumo_adv.campaigns.results import read_row
+from sumo_adv.campaigns.results import OUTCOME_FILE, read_row
 from sumo_adv.errors import UsageError
 from sumo_adv.files import refuse_links, sentences
-from sumo_adv.report.staging import staged
+from sumo_adv.report.staging import RESULTS_FILE, staged
 
 if TYPE_CHECKING:
     from sumo_adv.report.index import Report
 
 EXAMPLE = "Example: sumo-adv report runs/priority_crossing-3"
-OUTCOME, RESULTS = "outcome.json", "results.csv"
 
 
 def report(
@@ -38,12 +37,14 @@ def report(
     network.
     """
     refuse_links(folder)
-    if (folder / OUTCOME).is_file():
+    if (folder / OUTCOME_FILE).is_file():
         result = _run(folder, out)
-    elif (folder / RESULTS).is_file() or _loose(folder):
+    elif (folder / RESULTS_FILE).is_file() or _loose(folder):
         result = _batch(folder, out, pages, workers or os.cpu_count() or 1, force=force, quiet=as_json)
     else:
-        raise UsageError(f"{folder} is not the folder of a run or of a batch (no {OUTCOME}, no {RESULTS} in it).")
+        raise UsageError(
+            f"{folder} is not the folder of a run or of a batch (no {OUTCOME_FILE}, no {RESULTS_FILE} in it)."
+        )
     if as_json:
         typer.echo(json.dumps(result))
         return
@@ -76,11 +77,11 @@ def _batch(
     target = out or folder / "report"
     if target.is_file():
         raise UsageError(f"{target} is a file; give a folder as --out.")
-    if (folder / RESULTS).is_file():
-        table, runs = read_rows(folder / RESULTS), folder / "runs"
+    if (folder / RESULTS_FILE).is_file():
+        table, runs = read_rows(folder / RESULTS_FILE), folder / "runs"
     else:
         table, runs = table_of(row for run in _loose(folder) if (row := read_row(run)) is not None), folder
-    packs = Packs(packed_texts(folder, OUTCOME), lambda names, into: unpack_runs(folder, names, into, staged))
+    packs = Packs(packed_texts(folder, OUTCOME_FILE), lambda names, into: unpack_runs(folder, names, into, staged))
     counter = Counter("pages", quiet=quiet)
     of = [runs / str(row["id"]) for row in table.rows]
     coverage = campaign_coverage(folder, of, packs.outcomes, shipped_bank())
@@ -106,7 +107,7 @@ def _words(made: Report) -> str:
 
 def _loose(folder: Path) -> list[Path]:
     """Runs side by side in a folder, as ``serve`` leaves them."""
-    return sorted(f.parent for f in folder.glob(f"*/{OUTCOME}")) if folder.is_dir() else []
+    return sorted(f.parent for f in folder.glob(f"*/{OUTCOME_FILE}")) if folder.is_dir() else []
 
 
 FIGURE_EXAMPLE = "Example: sumo-adv figure runs/priority_crossing-3 --out encounter.pdf"

@@ -24,7 +24,7 @@ from sumo_adv.files import json_text, refuse_links, write_text
 from sumo_adv.parsing import read_object
 from sumo_adv.report.staging import scratch_folder, staged
 from sumo_adv.serve import Mode, OnLoss, Options
-from sumo_adv.serve.link import NEWEST
+from sumo_adv.serve.link import NEWEST_TRACI
 
 if TYPE_CHECKING:
     from sumo_adv.episode.task import Task
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from sumo_adv.serve.seat import GateEvent
 
 SERVE_FILE = "serve.json"
+SERVE_SCHEMA = 1
 SERVES = re.compile(r"serve\.json|\.?encounter-\d+.*|inputs|report|.*\.jsonl")
 """What a server and ``report`` write into its folder."""
 
@@ -65,11 +66,11 @@ def _check_replaceable(target: Path) -> None:
 
 def note(target: Path, given: Any, settings: Settings, options: Options, summary: Mapping[str, Any] | None) -> None:
     """``serve.json``: the job of this server, and at the end its outcome."""
-    from sumo_adv.report.outcome import SCHEMA, versions
+    from sumo_adv.report.outcome import versions
 
     secret = {"memory", "llm_api_key", "llm_base_url"}
     value = {
-        "schema": SCHEMA, "input": given.name, "versions": versions(), "options": asdict(options),
+        "schema": SERVE_SCHEMA, "input": given.name, "versions": versions(), "options": asdict(options),
         "settings": settings.model_dump(mode="json", exclude=secret), "summary": summary,
     }  # fmt: skip
     write_text(target / SERVE_FILE, json_text(value, indent=2))
@@ -93,7 +94,7 @@ def folder_writer(target: Path) -> Callable[[Any, int], dict[str, Any]]:
 EXAMPLE = (
     "Example: sumo-adv serve motorway --encounters 1, and in another terminal python examples/external_ego/idm_ego.py"
 )
-LONG = 3600.0  # s of simulation in continuous mode, where nothing else says how long
+CONTINUOUS_SIMULATION_S = 3600.0  # s of simulation in continuous mode, where nothing else says how long
 
 
 @dataclass(frozen=True)
@@ -196,7 +197,7 @@ def serve(
             "--real-time or --adversaries."
         )
     if client.mode is Mode.CONTINUOUS and "search" not in settings.model_fields_set:
-        settings = settings.model_copy(update={"search": LONG})
+        settings = settings.model_copy(update={"search": CONTINUOUS_SIMULATION_S})
     _serve(given, settings, _options(client), output)
 
 
@@ -210,7 +211,7 @@ def _options(client: ClientOptions) -> Options:
     return Options(
         client.host, client.port, tuple(opt.words(client.allow)), client.mode, client.on_loss, client.real_time,
         client.encounters, client.ego_type, tuple(opt.words(client.may_set)), client.patience, client.deadline,
-        client.traci_version < NEWEST,
+        client.traci_version < NEWEST_TRACI,
     )  # fmt: skip
 
 
@@ -230,7 +231,7 @@ def _serve(given: Any, settings: Settings, options: Options, output: OutputOptio
     from sumo_adv.cli.progress import ServeProgress
     from sumo_adv.report.outcome import MODEL_FILE
     from sumo_adv.serve.events import EventFile, Events, ResultWriter, Status, StatusPage
-    from sumo_adv.serve.server import Server, ServerDependencies
+    from sumo_adv.serve.server import EgoServer, ServerDependencies
     from sumo_adv.simulation.network import read_network
 
     target = output.out or Path("runs") / f"serve-{given.name}-{settings.seed}"
@@ -254,7 +255,7 @@ def _serve(given: Any, settings: Settings, options: Options, output: OutputOptio
         writer = ResultWriter(folder_writer(target), events)
         stack.enter_context(terminal)
         parts = ServerDependencies(given, options, task_for, road, agents, bank, gate, events, writer, interrupts.check)
-        server = Server(parts)
+        server = EgoServer(parts)
         if output.status_port is not None:
             page = stack.enter_context(StatusPage(output.status_port, lambda: {**status.report(), "time": server.time}))
             events.tell("status_page", port=page.port)

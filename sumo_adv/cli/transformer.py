@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from sumo_adv.cli.progress import PROGRESS_PERIOD_S
 from sumo_adv.errors import UsageError
 from sumo_adv.files import sentences
 
@@ -22,9 +23,8 @@ app = typer.Typer(
     no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False,
     help="The motion predictor of the row 'transformer': make scenes, train, evaluate.",
 )  # fmt: skip
-WOMD = "womd:"
-EVERY = 30.0  # s between lines of progress
-COLUMNS = ("predictor", "minADE [m]", "minFDE [m]", "miss rate", "ADE [m]", "FDE [m]", "vehicles")
+WOMD_PREFIX = "womd:"
+PREDICTOR_COLUMNS = ("predictor", "minADE [m]", "minFDE [m]", "miss rate", "ADE [m]", "FDE [m]", "vehicles")
 
 Scenes = Annotated[Path, typer.Argument(metavar="SCENES", help="The folder that transformer data wrote.")]
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout, nothing else.")]
@@ -44,10 +44,10 @@ def data(
     with sentences(out), _going_on():
         out.mkdir(parents=True, exist_ok=True)
         progress = _progress("runs")
-        if source.startswith(WOMD):
+        if source.startswith(WOMD_PREFIX):
             from sumo_adv.womd.training_scenes import make_from_records
 
-            made = make_from_records(Path(source.removeprefix(WOMD)), out, progress)
+            made = make_from_records(Path(source.removeprefix(WOMD_PREFIX)), out, progress)
         elif source == "sumo":
             made = make(out, seed=seed, runs=runs, progress=progress)
         else:
@@ -91,7 +91,7 @@ def evaluate(
 
 
 def table(scores: list[Score]) -> str:
-    lines = [f"| {' | '.join(COLUMNS)} |", f"|{'---|' * len(COLUMNS)}"]
+    lines = [f"| {' | '.join(PREDICTOR_COLUMNS)} |", f"|{'---|' * len(PREDICTOR_COLUMNS)}"]
     for s in scores:
         figures = (f"{v:.2f}" for v in (s.min_ade, s.min_fde, s.miss_rate, s.ade, s.fde))
         lines.append(f"| {s.predictor} | {' | '.join(figures)} | {s.vehicles} |")
@@ -104,7 +104,7 @@ def _progress(what: str) -> Callable[..., None]:
 
     def tell(done: int, total: int, loss: float | None = None) -> None:
         nonlocal last
-        if time.monotonic() - last > EVERY or done == total:
+        if time.monotonic() - last > PROGRESS_PERIOD_S or done == total:
             last = time.monotonic()
             typer.echo(f"{done} of {total} {what}{'' if loss is None else f', loss {loss:.3f}'}.", err=True)
 

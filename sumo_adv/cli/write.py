@@ -15,7 +15,7 @@ import typer
 from sumo_adv import app
 from sumo_adv.cli import options as opt
 from sumo_adv.cli.groups import grouped, named_settings
-from sumo_adv.cli.options import INPUT, OUTPUT, option
+from sumo_adv.cli.options import INPUT_PANEL, OUTPUT_PANEL, option
 from sumo_adv.config import Settings, Until, load_settings
 from sumo_adv.errors import UsageError
 from sumo_adv.files import sentences
@@ -25,18 +25,20 @@ if TYPE_CHECKING:
     from sumo_adv.words.author import Played
 
 EXAMPLE = 'Example: sumo-adv write "A car squeezes in right before me and brakes." --out my.toml --llm deepseek-chat'
-MOST_BYTES = 100_000  # of a report
-BESIDE = (".rou.xml", ".net.xml", ".add.xml")  # files that a scenario may have beside it
+MAX_REPORT_BYTES = 100_000  # of a report
+COMPANION_ENDINGS = (".rou.xml", ".net.xml", ".add.xml")  # files that a scenario may have beside it
 
 
 @dataclass(frozen=True)
 class OutputOptions:
     """What is written."""
 
-    out: Annotated[Path, option(OUTPUT, "Scenario to write.", metavar="FILE.toml", default="written.toml")] = Path(
-        "written.toml"
+    out: Annotated[Path, option(OUTPUT_PANEL, "Scenario to write.", metavar="FILE.toml", default="written.toml")] = (
+        Path("written.toml")
     )
-    run_out: Annotated[Path | None, option(OUTPUT, "Folder of its run.", "--run-out", default="runs/<scenario>")] = None
+    run_out: Annotated[
+        Path | None, option(OUTPUT_PANEL, "Folder of its run.", "--run-out", default="runs/<scenario>")
+    ] = None
 
     @property
     def folder(self) -> Path:
@@ -60,16 +62,16 @@ class RunOptions:
 def write(
     words: Annotated[str | None, typer.Argument(help="What is to happen, in any language.")] = None,
     report: Annotated[
-        Path | None, option(INPUT, "File with the words, such as a crash report.", default="none")
+        Path | None, option(INPUT_PANEL, "File with the words, such as a crash report.", default="none")
     ] = None,
     network: Annotated[
-        Path | None, option(INPUT, "Your own network, on which it is to happen.", default="chosen by the model")
+        Path | None, option(INPUT_PANEL, "Your own network, on which it is to happen.", default="chosen by the model")
     ] = None,
     *,
     output: OutputOptions,
     run: RunOptions,
     settings_file: opt.SettingsFile = None,
-    force: Annotated[bool, option(OUTPUT, "Replace the scenario and the folder of its run.", "--force")] = False,
+    force: Annotated[bool, option(OUTPUT_PANEL, "Replace the scenario and the folder of its run.", "--force")] = False,
     as_json: opt.AsJson = False,
 ) -> None:
     """Make a scenario of words with a language model, run it, and say whether what happened is what was asked for."""
@@ -94,9 +96,11 @@ def _request(words: str | None, report: Path | None) -> str:
     if report is None:
         return words or ""
     try:
-        data = report.read_bytes()[: MOST_BYTES + 1]
-        if len(data) > MOST_BYTES:
-            raise UsageError(f"The report {report} has more than {MOST_BYTES} bytes; give the part that tells it.")
+        data = report.read_bytes()[: MAX_REPORT_BYTES + 1]
+        if len(data) > MAX_REPORT_BYTES:
+            raise UsageError(
+                f"The report {report} has more than {MAX_REPORT_BYTES} bytes; give the part that tells it."
+            )
         return data.decode("utf-8")
     except OSError as error:
         raise UsageError(f"The report {report} cannot be read: {error.strerror or error}.") from error
@@ -111,7 +115,7 @@ def _refuse_what_is_there(out: Path, folder: Path, *, force: bool) -> None:
 
 
 def _beside(scenario: Path) -> list[Path]:
-    return [scenario.with_name(f"{scenario.stem}{ending}") for ending in BESIDE]
+    return [scenario.with_name(f"{scenario.stem}{ending}") for ending in COMPANION_ENDINGS]
 
 
 def _write(

@@ -10,9 +10,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from sumo_adv.benchmark.bench import PLAN as BENCH_PLAN
-from sumo_adv.benchmark.bench import read_cells
-from sumo_adv.benchmark.cells import FAILED, capped_ttc
+from sumo_adv.benchmark.bench import BENCH_FILE, read_cells
+from sumo_adv.benchmark.cells import CELL_FAILURES, capped_ttc
 from sumo_adv.benchmark.jobs import slug
 from sumo_adv.benchmark.table import paired
 from sumo_adv.campaigns.store import packed_texts
@@ -23,17 +22,16 @@ from sumo_adv.files import refuse_links
 from sumo_adv.metrics.statistics import Estimate, Paired, bootstrap, wilson
 from sumo_adv.outcome_schema import check_schema
 from sumo_adv.parsing import parse_json, read_json
-from sumo_adv.regression.runner import Measured, Result, measured_of
-from sumo_adv.regression.suite import RESULTS, read_results
-from sumo_adv.report.index import RESULTS as TABLE
+from sumo_adv.regression.runner import CaseMeasurements, CaseResult, measured_of
+from sumo_adv.regression.suite import REGRESSION_FILE, read_results
 from sumo_adv.report.index import read_rows
-from sumo_adv.report.read import MANIFEST, OUTCOME, damaged, read_outcome
+from sumo_adv.report.read import MANIFEST_FILE, OUTCOME_FILE, damaged, read_outcome
 from sumo_adv.report.run_outcome import level_of
+from sumo_adv.report.staging import PLAN_FILE, RESULTS_FILE
 
-BATCH_PLAN = "plan.json"
-ATTEMPTS = int(Settings.model_fields["attempts"].default)
-SCHEMA = 1
-LEAST = 6  # pairs: with fewer no paired test can reach p 0.05 (2 / 2**5 = 0.06), and a bootstrap means nothing
+DEFAULT_ATTEMPTS = int(Settings.model_fields["attempts"].default)
+COMPARISON_SCHEMA = 1
+MIN_PAIRS = 6  # pairs: with fewer no paired test can reach p 0.05 (2 / 2**5 = 0.06), and a bootstrap means nothing
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +57,7 @@ class Compared:
 
 
 @dataclass(frozen=True, slots=True)
-class Side:
+class ComparedSide:
     """What a path holds. ``budget``: attempts that an episode may make."""
 
     path: Path
@@ -72,30 +70,30 @@ class Side:
         return tuple(dict.fromkeys(e.ego for e in self.episodes))
 
 
-def read_side(path: Path) -> Side:
+def read_side(path: Path) -> ComparedSide:
     """The episodes at a path. Raises UsageError: it holds none, or a file is damaged."""
     refuse_links(path)
-    if path.name == RESULTS or (path / RESULTS).is_file():
+    if path.name == REGRESSION_FILE or (path / REGRESSION_FILE).is_file():
         return _regression(path)
-    if (path / BENCH_PLAN).is_file():
+    if (path / BENCH_FILE).is_file():
         return _bench(path)
-    if (path / TABLE).is_file():
+    if (path / RESULTS_FILE).is_file():
         return _campaign(path)
-    runs = [path] if (path / OUTCOME).is_file() else sorted(p.parent for p in path.glob(f"*/{OUTCOME}"))
+    runs = [path] if (path / OUTCOME_FILE).is_file() else sorted(p.parent for p in path.glob(f"*/{OUTCOME_FILE}"))
     if not runs:
         raise UsageError(f"{path} holds no run, campaign, bench or regression.")
     read = [(read_outcome(run), run) for run in runs]
     keyed = _numbered((f"{o.get('network')} seed {o.get('seed')}", o, run) for o, run in read)
-    return Side(
+    return ComparedSide(
         path,
-        max(_budget(run / MANIFEST) if (run / MANIFEST).is_file() else ATTEMPTS for run in runs),
+        max(_budget(run / MANIFEST_FILE) if (run / MANIFEST_FILE).is_file() else DEFAULT_ATTEMPTS for run in runs),
         [_of_outcome(*each) for each in keyed],
     )
 
 
-def _campaign(folder: Path) -> Side:
-    table = read_rows(folder / TABLE)
-    packed = packed_texts(folder, OUTCOME)
+def _campaign(folder: Path) -> ComparedSide:
+    table = read_rows(folder / RESULTS_FILE)
+    packed = packed_texts(folder, OUTCOME_FILE)
     read = []
     for row in table.rows:
         name = str(row["id"])
@@ -104,7 +102,7 @@ def _campaign(folder: Path) -> Side:
         varied = " ".join(f"{key.removeprefix('set_')}={row[key]}" for key in table.varied)
         key = f"{row['network']} seed {row['seed']:g} {varied}".strip()
         read.append((key, outcome, None if name in packed else run))
-    return Side(folder, _budget(folder / BATCH_PLAN), [_of_outcome(*each) for each in _numbered(read)])
+    return ComparedSide(folder, _budget(folder / PLAN_FILE), [_of_outcome(*each) for each in _numbered(read)])
 
 
 def _packed(folder: Path, run: str, text: str) -> dict[str, Any]:
@@ -112,8 +110,8 @@ def _packed(folder: Path, run: str, text: str) -> dict[str, Any]:
     try:
         outcome = dict(parse_json(text))
     except (ValueError, TypeError) as error:
-        raise damaged(folder / "packs" / run / OUTCOME, error) from error
-    check_schema(outcome, folder / "packs" / run / OUTCOME, folder)
+        raise damaged(folder / "packs" / run / OUTCOME_FILE, error) from error
+    check_schema(outcome, folder / "packs" / run / OUTCOME_FILE, folder)
     return outcome
 
 
@@ -122,12 +120,12 @@ def _budget(plan: Path) -> int:
     try:
         settings = read_json(plan)["settings"]
         variants = settings if isinstance(settings, list) else [settings]
-        return max(int(each.get("attempts", ATTEMPTS)) for each in variants)
+        return max(int(each.get("attempts", DEFAULT_ATTEMPTS)) for each in variants)
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise damaged(plan, error) from error
 
 
-def _bench(folder: Path) -> Side:
+def _bench(folder: Path) -> ComparedSide:
     cells = read_cells(folder)
     methods = {str(cell["row"]) for cell in cells}
     read = []
@@ -136,7 +134,7 @@ def _bench(folder: Path) -> Side:
         method = f" {cell['row']}" if len(methods) > 1 else ""
         outcome = {**cell, "ego": {"controller": cell["ego"]}}
         read.append((f"{cell['case']} seed {cell['seed']}{method}", outcome, run if run.is_dir() else None))
-    return Side(folder, _budget(folder / BENCH_PLAN), [_of_outcome(*each) for each in _numbered(read)])
+    return ComparedSide(folder, _budget(folder / BENCH_FILE), [_of_outcome(*each) for each in _numbered(read)])
 
 
 def _numbered(
@@ -157,7 +155,7 @@ def _ego(outcome: Mapping[str, Any]) -> str:
 
 
 def _of_outcome(key: str, outcome: Mapping[str, Any], run: Path | None) -> Compared:
-    failed = outcome.get("ending") in FAILED
+    failed = outcome.get("ending") in CELL_FAILURES
     verdict = {} if failed else outcome.get("outcome") or {}
     attempts = () if failed else outcome.get("attempts") or ()
     level = level_of(verdict.get("level"))
@@ -169,26 +167,26 @@ def _of_outcome(key: str, outcome: Mapping[str, Any], run: Path | None) -> Compa
     )  # fmt: skip
 
 
-def _regression(path: Path) -> Side:
+def _regression(path: Path) -> ComparedSide:
     document = read_results(path)
     folder = path if path.is_dir() else path.parent
     episodes = [_of_case(measured_of(row), str(row.get("result")), folder) for row in document["cases"]]
-    return Side(path, 1, episodes)
+    return ComparedSide(path, 1, episodes)
 
 
-def _of_case(m: Measured, result: str, folder: Path) -> Compared:
+def _of_case(m: CaseMeasurements, result: str, folder: Path) -> Compared:
     level, run = level_of(m.level), folder / "runs" / m.case
     verdict = {"collided": m.collided, "min_ttc": m.min_ttc}
     delta_v = m.delta_v or 0.0 if level >= Level.COLLISION else 0.0
     return Compared(
         m.case, m.ego, level, capped_ttc(verdict), delta_v, m.severity, 1 if level >= Level.VALID else None,
-        result == Result.ERROR, not m.broken, result, run if run.is_dir() else None,
+        result == CaseResult.ERROR, not m.broken, result, run if run.is_dir() else None,
     )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
-class Figure:
-    """One figure of both sides; ``difference``: second - first, paired, None with fewer than ``LEAST`` pairs."""
+class ComparedFigure:
+    """One figure of both sides; ``difference``: second - first, paired, None with fewer than ``MIN_PAIRS`` pairs."""
 
     name: str
     unit: str
@@ -202,7 +200,7 @@ class Figure:
 
 
 @dataclass(frozen=True, slots=True)
-class Change:
+class ChangedCase:
     """An encounter that came to another level or result."""
 
     key: str
@@ -219,10 +217,10 @@ class Comparison:
     """Both sides, paired. ``names``: what they are called; ``alone``: encounters that only one of them has."""
 
     names: tuple[str, str]
-    sides: tuple[Side, Side]
+    sides: tuple[ComparedSide, ComparedSide]
     pairs: Sequence[tuple[Compared, Compared]]
-    figures: Sequence[Figure]
-    changes: Sequence[Change]
+    figures: Sequence[ComparedFigure]
+    changes: Sequence[ChangedCase]
     alone: tuple[int, int]
 
     def counts(self, what: Callable[[Compared], bool]) -> tuple[int, int]:
@@ -234,7 +232,7 @@ class Comparison:
             for name, side, alone in zip(self.names, self.sides, self.alone, strict=True)
         ]
         return {
-            "schema": SCHEMA, "sides": sides, "encounters": len(self.pairs),
+            "schema": COMPARISON_SCHEMA, "sides": sides, "encounters": len(self.pairs),
             "figures": [asdict(figure) for figure in self.figures],
             "changes": [
                 {"case": c.key, "worse": c.worse, "first": _as_data(c.first), "second": _as_data(c.second)}
@@ -243,7 +241,7 @@ class Comparison:
         }  # fmt: skip
 
 
-def compare(first: Side, second: Side, egos: tuple[str, str] | None = None) -> Comparison:
+def compare(first: ComparedSide, second: ComparedSide, egos: tuple[str, str] | None = None) -> Comparison:
     """Pair two sides. ``egos``: the driver to take of each; by default all, paired by name if there are several.
 
     Raises UsageError: no such driver, drivers that cannot be paired, or no encounter in common.
@@ -264,7 +262,9 @@ def compare(first: Side, second: Side, egos: tuple[str, str] | None = None) -> C
         raise UsageError(f"{first.path} and {second.path} have no encounter in common, so nothing can be compared.")
     pairs = [(first_by_key[key], second_by_key[key]) for key in both]
     changes = [
-        Change(key, a, b) for key, (a, b) in zip(both, pairs, strict=True) if (a.level, a.result) != (b.level, b.result)
+        ChangedCase(key, a, b)
+        for key, (a, b) in zip(both, pairs, strict=True)
+        if (a.level, a.result) != (b.level, b.result)
     ]
     changes.sort(key=lambda c: (not c.worse, -abs(_badness(c.second) - _badness(c.first)), c.key))
     budget = max(first.budget, second.budget)
@@ -272,14 +272,14 @@ def compare(first: Side, second: Side, egos: tuple[str, str] | None = None) -> C
     return Comparison(_names(first, second), (first, second), pairs, _figures(pairs, budget), changes, alone)
 
 
-def _of_ego(side: Side, ego: str) -> Side:
+def _of_ego(side: ComparedSide, ego: str) -> ComparedSide:
     episodes = [e for e in side.episodes if e.ego == ego]
     if not episodes:
         raise UsageError(f"{side.path} has no ego '{ego}'; it has {', '.join(side.egos)}.")
-    return Side(side.path, side.budget, episodes)
+    return ComparedSide(side.path, side.budget, episodes)
 
 
-def _names(first: Side, second: Side) -> tuple[str, str]:
+def _names(first: ComparedSide, second: ComparedSide) -> tuple[str, str]:
     """The drivers where they differ, else the folders, else A and B."""
     egos = (*first.egos, "")[0], (*second.egos, "")[0]
     folders = first.path.resolve().name, second.path.resolve().name
@@ -288,24 +288,24 @@ def _names(first: Side, second: Side) -> tuple[str, str]:
 
 def _badness(e: Compared) -> float:
     """For the order of changes: by level, then by how hard the ego is hit, then whether a case fails."""
-    return 100.0 * e.level + e.delta_v + (1000.0 if e.result == Result.FAIL else 0.0)
+    return 100.0 * e.level + e.delta_v + (1000.0 if e.result == CaseResult.FAIL else 0.0)
 
 
-def _figures(pairs: Sequence[tuple[Compared, Compared]], budget: int) -> list[Figure]:
+def _figures(pairs: Sequence[tuple[Compared, Compared]], budget: int) -> list[ComparedFigure]:
     """Rates are of all pairs: an encounter without an attack counts as not hit. It has no min TTC and no delta-v of an
     attack, so means are of the pairs in which both or neither were attacked."""
     alike = [(a, b) for a, b in pairs if a.attacked == b.attacked and not (a.failed or b.failed)]
 
-    def figure(name: str, unit: str, of: Callable[[Compared], float]) -> Figure:
+    def figure(name: str, unit: str, of: Callable[[Compared], float]) -> ComparedFigure:
         rate = unit == "rate"
         first, second = ([float(of(e)) for e in side] for side in zip(*(pairs if rate else alike), strict=True))
-        difference = paired(second, first, rate=rate) if len(first) >= LEAST else None
+        difference = paired(second, first, rate=rate) if len(first) >= MIN_PAIRS else None
         of_first, of_second = (wilson(int(sum(v)), len(v)) if rate else bootstrap(v) for v in (first, second))
-        return Figure(name, unit, of_first, of_second, difference)
+        return ComparedFigure(name, unit, of_first, of_second, difference)
 
     figures = []
     if all(a.result and b.result for a, b in pairs):
-        figures.append(figure("case fails", "rate", lambda e: e.result == Result.FAIL))
+        figures.append(figure("case fails", "rate", lambda e: e.result == CaseResult.FAIL))
     for level in (Level.COLLISION, Level.VALID, Level.STRICT, Level.SERIOUS):
         figures.append(figure(str(level), "rate", lambda e, least=level: e.level >= least))  # type: ignore[misc]
     if not alike:

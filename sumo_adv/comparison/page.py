@@ -13,7 +13,7 @@ from html import escape
 from pathlib import Path
 
 from sumo_adv.benchmark.table import grid, number, signed
-from sumo_adv.comparison.compare import LEAST, Compared, Comparison, Figure
+from sumo_adv.comparison.compare import MIN_PAIRS, Compared, ComparedFigure, Comparison
 from sumo_adv.errors import UsageError
 from sumo_adv.files import json_text, sentences, write_text
 from sumo_adv.metrics.statistics import Estimate
@@ -21,16 +21,16 @@ from sumo_adv.report.document import write_document
 from sumo_adv.report.page import page_of
 from sumo_adv.report.staging import staged
 
-HOW = (
+COMPARISON_NOTE = (
     "Rates: Wilson's 95 % interval. Means and differences: bootstrap, paired, 95 %; p: McNemar's exact test of rates, "
     "the sign-flip test of means (exact up to 13 encounters); "
-    f"without an interval where there are fewer than {LEAST} encounters."
+    f"without an interval where there are fewer than {MIN_PAIRS} encounters."
 )
-MOST = 30  # changes shown
-Link = Callable[[Compared], str | None]
+MAX_CHANGES_SHOWN = 30  # changes shown
+ReplayLink = Callable[[Compared], str | None]
 """Where the replay of an episode is, None if there is none."""
-PAGE = "compare.html"
-HEAD = """<!DOCTYPE html>
+COMPARISON_PAGE = "compare.html"
+PAGE_HEAD = """<!DOCTYPE html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
@@ -51,7 +51,7 @@ h1 {{ overflow-wrap: anywhere }}
 """
 
 
-def to_markdown(done: Comparison, link: Link) -> str:
+def to_markdown(done: Comparison, link: ReplayLink) -> str:
     """Figures of both sides, and the cases that changed with links to their runs."""
     first, second = done.names
     lines = [f"# {first} and {second}", "", *notes(done), ""]
@@ -59,16 +59,16 @@ def to_markdown(done: Comparison, link: Link) -> str:
     lines += grid(head, figures)
     worse = sum(change.worse for change in done.changes)
     shown = []
-    for c in done.changes[:MOST]:
+    for c in done.changes[:MAX_CHANGES_SHOWN]:
         places = zip(done.names, map(link, (c.first, c.second)), strict=True)
         links = ["-" if place is None else f"[{name}]({place})" for name, place in places]
         shown.append([c.key, words(c.first), words(c.second), *links])
     lines += [f"## Changed: {len(done.changes)} of {len(done.pairs)} ({worse} worse)", ""]
     if shown:
         lines += grid(["case", first, second, "run", "run"], shown, words=True)
-    if len(done.changes) > MOST:
-        lines += [f"{len(done.changes) - MOST} more are in the output of --json.", ""]
-    return "\n".join([*lines, HOW])
+    if len(done.changes) > MAX_CHANGES_SHOWN:
+        lines += [f"{len(done.changes) - MAX_CHANGES_SHOWN} more are in the output of --json.", ""]
+    return "\n".join([*lines, COMPARISON_NOTE])
 
 
 def rows(done: Comparison) -> list[list[str]]:
@@ -97,7 +97,7 @@ def words(e: Compared) -> str:
     return f"{e.result + ': ' if e.result else ''}{e.level}{hit}"
 
 
-def _row(figure: Figure) -> list[str]:
+def _row(figure: ComparedFigure) -> list[str]:
     unit = f" [{figure.unit}]" if figure.unit not in ("", "rate") else ""
     change = signed(figure.difference) if figure.difference is not None else f"{figure.change:+.2f}"
     return [f"{figure.name}{unit}", *(_value(each, figure.unit) for each in (figure.first, figure.second)), change]
@@ -105,7 +105,7 @@ def _row(figure: Figure) -> list[str]:
 
 def _value(estimate: Estimate, unit: str) -> str:
     """With an interval if it rests on enough encounters. Wilson's interval of a rate holds for any number."""
-    return number(estimate) if unit == "rate" or estimate.n >= LEAST else f"{estimate.value:.2f}"
+    return number(estimate) if unit == "rate" or estimate.n >= MIN_PAIRS else f"{estimate.value:.2f}"
 
 
 def write_comparison(out: Path, done: Comparison, *, force: bool) -> Path:
@@ -123,32 +123,33 @@ def write_comparison(out: Path, done: Comparison, *, force: bool) -> Path:
 
         write_text(folder.stage / "compare.md", to_markdown(done, link) + "\n")
         write_text(folder.stage / "compare.json", json_text(done.document(), 2))
-        write_document(folder.stage / PAGE, html(done, link))
+        write_document(folder.stage / COMPARISON_PAGE, html(done, link))
         folder.keep(force=force)
-    return out / PAGE
+    return out / COMPARISON_PAGE
 
 
 def _replay(run: Path, target: Path) -> bool:
     """Write the replay of a run; False if the run cannot be shown."""
     try:
-        write_document(target, page_of(run, back=f"../{PAGE}").html)
+        write_document(target, page_of(run, back=f"../{COMPARISON_PAGE}").html)
     except UsageError:
         return False
     return True
 
 
-def html(done: Comparison, link: Link) -> str:
+def html(done: Comparison, link: ReplayLink) -> str:
     """The page, with links to the replays."""
     first, second = done.names
     head, *figures = rows(done)
     worse = sum(change.worse for change in done.changes)
     changes = [[escape(c.key), *(_shown(e, link(e)) for e in (c.first, c.second))] for c in done.changes]
     return "\n".join([
-        HEAD.format(title=escape(f"{first} and {second}")), f"<h1>{escape(f'{first} and {second}')}</h1>",
+        PAGE_HEAD.format(title=escape(f"{first} and {second}")), f"<h1>{escape(f'{first} and {second}')}</h1>",
         f"<p>{escape(' '.join(notes(done)))}</p>",
         *_table([escape(cell) for cell in head], [[escape(cell) for cell in row] for row in figures]),
         f"<h2>Changed: {len(done.changes)} of {len(done.pairs)} ({worse} worse)</h2>",
-        *_table(["case", escape(first), escape(second)], changes), f"<p>{escape(HOW)}</p>", "</body>", "</html>", "",
+        *_table(["case", escape(first), escape(second)], changes),
+        f"<p>{escape(COMPARISON_NOTE)}</p>", "</body>", "</html>", "",
     ])  # fmt: skip
 
 

@@ -26,14 +26,14 @@ EGO_ACTIONS: Mapping[str, int] = {"pedals": 1, "controls": 2, "lane": 2}
 ADVERSARY_ACTIONS: Mapping[str, int] = {"endpoint": 4, "controls": 2}
 """Kind -> how many numbers an action has."""
 
-LATERAL = 6.0  # m/s2: full steering of the ego; about what a car on a dry road can do
-FASTER = 1.3  # of the speed limit: the highest target speed
-GENTLE, HARD = 3.0, 8.0  # m/s2: most acceleration and braking with ``pedals`` and ``lane``
-CHANGES = 1 / 3  # beyond it the second number of ``lane`` asks for the lane beside
-REACH = (5.0, 65.0)  # m ahead: where an endpoint may be
-ASIDE = 8.0  # m to either side of the way
-TIME = (0.5, 5.0)  # s until it is there
-WITHIN = 0.95  # of a limit: what controls use, so that rounding does not break a gate
+MAX_LATERAL_ACCELERATION_M_S2 = 6.0  # full steering of the ego; about what a car on a dry road can do
+MAX_SPEED_LIMIT_FACTOR = 1.3  # of the speed limit: the highest target speed
+EGO_ACCELERATION_M_S2, EGO_BRAKING_M_S2 = 3.0, 8.0  # most acceleration and braking with ``pedals`` and ``lane``
+LANE_CHANGE_THRESHOLD = 1 / 3  # beyond it the second number of ``lane`` asks for the lane beside
+ENDPOINT_AHEAD_M = (5.0, 65.0)  # m ahead: where an endpoint may be
+ENDPOINT_ASIDE_M = 8.0  # m to either side of the way
+ENDPOINT_TIME_S = (0.5, 5.0)  # s until it is there
+CONTROL_LIMIT_SHARE = 0.95  # of a limit: what controls use, so that rounding does not break a gate
 
 
 def action_space(kinds: Mapping[str, int], kind: str) -> Any:
@@ -68,22 +68,24 @@ def ego_action(kind: str, numbers: Numbers, me: VehicleState, limit: float, dt: 
     """The ego's action for the next step; ``limit``: of its speed [m/s]."""
     first, *others = (float(v) for v in np.clip(numbers, -1.0, 1.0))
     if kind == "pedals":
-        speed = me.speed + first * (GENTLE if first > 0 else HARD) * dt
-        return LaneSpeed(None, max(min(speed, max(limit, me.speed - GENTLE * dt)), 0.0))
+        speed = me.speed + first * (EGO_ACCELERATION_M_S2 if first > 0 else EGO_BRAKING_M_S2) * dt
+        return LaneSpeed(None, max(min(speed, max(limit, me.speed - EGO_ACCELERATION_M_S2 * dt)), 0.0))
     second = others[0]
     if kind == "controls":
         acceleration = first * (MAX_ACCELERATION_M_S2 if first > 0 else MAX_BRAKING_M_S2)
-        sharpest = min(MAX_STEERING_RAD, math.atan(LATERAL * WHEELBASE_M / max(me.speed, 1.0) ** 2))
+        sharpest = min(
+            MAX_STEERING_RAD, math.atan(MAX_LATERAL_ACCELERATION_M_S2 * WHEELBASE_M / max(me.speed, 1.0) ** 2)
+        )
         return Steer(acceleration, second * sharpest)
-    wished = (first + 1.0) / 2.0 * FASTER * limit
-    speed = min(max(wished, me.speed - HARD * dt), me.speed + GENTLE * dt)
+    wished = (first + 1.0) / 2.0 * MAX_SPEED_LIMIT_FACTOR * limit
+    speed = min(max(wished, me.speed - EGO_BRAKING_M_S2 * dt), me.speed + EGO_ACCELERATION_M_S2 * dt)
     return LaneSpeed(_lane(me, second), max(speed, 0.0))
 
 
 def _lane(me: VehicleState, wish: float) -> int | None:
     """The index of the lane beside that is wished for; None: stay, also on a junction."""
     edge, _, index = me.lane.rpartition("_")
-    if abs(wish) < CHANGES or edge.startswith(":") or not index.isdecimal():
+    if abs(wish) < LANE_CHANGE_THRESHOLD or edge.startswith(":") or not index.isdecimal():
         return None
     return max(0, int(index) + (1 if wish > 0 else -1))
 
@@ -91,8 +93,8 @@ def _lane(me: VehicleState, wish: float) -> int | None:
 def endpoint(numbers: Numbers, way: Path, station: float, fastest: float) -> Endpoint:
     """The endpoint of an adversary that is at a ``station`` [m] of its way; ``fastest``: its highest speed [m/s]."""
     ahead, left, speed, time = (float(v) for v in np.clip(numbers, -1.0, 1.0))
-    far, seconds = _between(ahead, *REACH), _between(time, *TIME)
-    x, y, heading = (float(v) for v in way.at(np.asarray(station + far), left * ASIDE))
+    far, seconds = _between(ahead, *ENDPOINT_AHEAD_M), _between(time, *ENDPOINT_TIME_S)
+    x, y, heading = (float(v) for v in way.at(np.asarray(station + far), left * ENDPOINT_ASIDE_M))
     return Endpoint(x, y, wrap(heading), _between(speed, 0.0, fastest), seconds)
 
 
@@ -106,11 +108,11 @@ def controlled(numbers: Numbers, me: VehicleState, limits: Limits, fastest: floa
     It moves on an arc of constant curvature, with even acceleration that changes no faster than the jerk allows.
     """
     first, second = (float(v) for v in np.clip(numbers, -1.0, 1.0))
-    wished = WITHIN * first * (limits.acceleration if first > 0 else limits.braking)
-    change = WITHIN * limits.jerk * dt
+    wished = CONTROL_LIMIT_SHARE * first * (limits.acceleration if first > 0 else limits.braking)
+    change = CONTROL_LIMIT_SHARE * limits.jerk * dt
     acceleration = min(max(wished, me.acceleration - change), me.acceleration + change)
     speed = min(max(0.0, me.speed + acceleration * dt), max(fastest, me.speed))
-    curvature = WITHIN * second * min(limits.curvature, limits.lateral / max(speed, me.speed, 1.0) ** 2)
+    curvature = CONTROL_LIMIT_SHARE * second * min(limits.curvature, limits.lateral / max(speed, me.speed, 1.0) ** 2)
     travelled = (me.speed + speed) / 2.0 * dt
     turned = curvature * travelled
     direction = me.heading + turned / 2.0

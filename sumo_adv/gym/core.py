@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from sumo_adv.errors import SimulationError, UsageError
 from sumo_adv.gym.actions import ADVERSARY_ACTIONS, EGO_ACTIONS, checked
-from sumo_adv.gym.encounters import Attacker, Attacks, Encounter, Played
-from sumo_adv.gym.picture import EMPTY
-from sumo_adv.gym.play import DRAW, TERMINATED, Moment, Play
+from sumo_adv.gym.encounters import Attacker, Attacks, PlayedAttack, TrainingEncounter
+from sumo_adv.gym.picture import EMPTY_PICTURE
+from sumo_adv.gym.play import DRAW_REQUEST, TERMINATED, AgentStep, Play
 from sumo_adv.gym.views import Viewing
 
 CRASHED, PLANNER_FAILED = "crashed", "planner_failed"
@@ -54,15 +54,15 @@ class Core:
             )
             if kind is not None
         }  # fmt: skip
-        self._opened: dict[int, Encounter] = {}
+        self._opened: dict[int, TrainingEncounter] = {}
         self._plans: dict[int, Attacks] = {}
-        self._played: Played | None = None
-        self._last: Moment | None = None
+        self._played: PlayedAttack | None = None
+        self._last: AgentStep | None = None
         self._at = 0
         # at the end of a process, multiprocessing waits for the engines' processes, which wait for this
         Finalize(self, _close, args=(self._opened,), exitpriority=1)
 
-    def begin(self, draws: np.random.Generator, *, anew: bool) -> tuple[Moment, dict[str, Any]]:
+    def begin(self, draws: np.random.Generator, *, anew: bool) -> tuple[AgentStep, dict[str, Any]]:
         """The first moment of the next episode; ``anew``: what attackers have learnt of the agent is forgotten.
 
         Raises:
@@ -77,15 +77,15 @@ class Core:
         self._last = self._played.first
         return self._last, self._told(self._last)
 
-    def _encounter(self, at: int) -> Encounter:
+    def _encounter(self, at: int) -> TrainingEncounter:
         if at in self._opened and not self._opened[at].alive:
             self._opened.pop(at).close()
             self._plans.pop(at, None)
         if at not in self._opened:
-            self._opened[at] = Encounter(self._scenarios[at], self._settings, self._ego, self._attacker)
+            self._opened[at] = TrainingEncounter(self._scenarios[at], self._settings, self._ego, self._attacker)
         return self._opened[at]
 
-    def _play(self, encounter: Encounter, draws: np.random.Generator) -> Play:
+    def _play(self, encounter: TrainingEncounter, draws: np.random.Generator) -> Play:
         ego, adversary = self._kinds
         every = max(1, encounter.settings.steps(self._interval))
         situations = encounter.found.situations
@@ -102,7 +102,7 @@ class Core:
             return Play(self._viewing, every, ego)
         return Play(self._viewing, every, ego, None, attack, attack.bv, attack.delay)
 
-    def step(self, actions: Mapping[str, NDArray[Any]]) -> tuple[Moment, bool, bool, dict[str, Any]]:
+    def step(self, actions: Mapping[str, NDArray[Any]]) -> tuple[AgentStep, bool, bool, dict[str, Any]]:
         """A moment, whether the episode is terminated, whether it is truncated, and what is told of it.
 
         An episode in which SUMO dies is truncated; the next one begins in a new simulation.
@@ -120,13 +120,13 @@ class Core:
             over = replace(t, seconds=0.0, before=t.ego or t.before, apart_before=t.apart, ending=CRASHED, verdict=None)
             self._last = replace(self._last, transition=over)
             return self._last, False, True, {**self._told(self._last), "why": str(error)}
-        moment: Moment = self._last
+        moment: AgentStep = self._last
         ending, verdict, proposal = moment.transition.ending, moment.transition.verdict, self._played.play.proposal
         if proposal is not None and verdict is not None and ending != PLANNER_FAILED:
             self._plans[self._at].observe(proposal, verdict)
         return moment, ending in TERMINATED, bool(ending) and ending not in TERMINATED, self._told(moment)
 
-    def _told(self, moment: Moment) -> dict[str, Any]:
+    def _told(self, moment: AgentStep) -> dict[str, Any]:
         assert self._played is not None
         t, play = moment.transition, self._played.play
         info: dict[str, Any] = {
@@ -145,8 +145,8 @@ class Core:
         if self._played is None or self._last is None:
             raise UsageError("There is nothing to show before the first reset.")
         if self._last.transition.ending == CRASHED:
-            return EMPTY.copy()
-        image: NDArray[np.uint8] = self._played.ask(DRAW)
+            return EMPTY_PICTURE.copy()
+        image: NDArray[np.uint8] = self._played.ask(DRAW_REQUEST)
         return image
 
     def _end(self) -> None:
@@ -161,6 +161,6 @@ class Core:
         _close(self._opened)
 
 
-def _close(opened: dict[int, Encounter]) -> None:
+def _close(opened: dict[int, TrainingEncounter]) -> None:
     while opened:
         opened.popitem()[1].close()

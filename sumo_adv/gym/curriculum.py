@@ -3,9 +3,9 @@
 The search begins with attacks that were predicted to collide. From then on it asks the ego as it drives now: what an
 episode came to is what it learns from.
 Attacks that came near are kept by the level that they last came to. As the ego learns to avoid some, they fall to a
-lower level, and the search, which begins anew with the best ones every ``ROUND`` attempts, looks for others. Repeating
-and varying what is hard for the learner follows ACCEL (Parker-Holder et al. 2022, "Evolving curricula with regret-based
-environment design").
+lower level, and the search, which begins anew with the best ones every ``ATTEMPTS_PER_ROUND`` attempts, looks for
+others. Repeating and varying what is hard for the learner follows ACCEL (Parker-Holder et al. 2022, "Evolving curricula
+with regret-based environment design").
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from sumo_adv.goal import Goal
 from sumo_adv.search.evolution import badness
 from sumo_adv.search.search import AttackSearch
 
-REPEATED = 0.5  # share of episodes with an attack that is known
-KEPT = 16  # attacks of each level, the newest
-ROUND = 60  # attempts of the search on one state of the ego: it has learnt since
-FIRST = 6  # known attacks with which a round begins
-NEAR = 3.0  # m: what comes no nearer, and is not critical, is not kept
+KNOWN_ATTACK_SHARE = 0.5  # share of episodes with an attack that is known
+MAX_ATTACKS_PER_LEVEL = 16  # attacks of each level, the newest
+ATTEMPTS_PER_ROUND = 60  # attempts of the search on one state of the ego: it has learnt since
+KNOWN_ATTACKS_PER_ROUND = 6  # known attacks with which a round begins
+KEPT_DISTANCE_M = 3.0  # what comes no nearer, and is not critical, is not kept
 
 
 class Curriculum:
@@ -39,12 +39,12 @@ class Curriculum:
     def next(self, draws: np.random.Generator) -> Proposal | None:
         """A known attack, whose level is drawn first, each as often; or an attempt of the search."""
         levels = [level for level, known in self._known.items() if known]
-        if levels and draws.random() < REPEATED:
+        if levels and draws.random() < KNOWN_ATTACK_SHARE:
             known = self._known[levels[int(draws.integers(len(levels)))]]
             return known[int(draws.integers(len(known)))][0]
-        if self._tried and self._tried % ROUND == 0:
+        if self._tried and self._tried % ATTEMPTS_PER_ROUND == 0:
             best = sorted((attack for known in self._known.values() for attack in known), key=lambda attack: attack[1])
-            self._search.begin_anew([p for p, _ in best[:FIRST]])
+            self._search.begin_anew([p for p, _ in best[:KNOWN_ATTACKS_PER_ROUND]])
         self._tried += 1
         proposed = self._search.propose(1)
         return proposed[0] if proposed else None
@@ -54,8 +54,8 @@ class Curriculum:
         for known in self._known.values():
             known[:] = [(p, worth) for p, worth in known if p is not attack]
         self._search.observe(attack, None, verdict)
-        near = verdict.counts and (verdict.level > Level.NONE or verdict.min_distance < NEAR)
+        near = verdict.counts and (verdict.level > Level.NONE or verdict.min_distance < KEPT_DISTANCE_M)
         if near:
             known = self._known.setdefault(verdict.level, [])
             known.append((attack, badness(verdict, self._goal)))
-            del known[:-KEPT]
+            del known[:-MAX_ATTACKS_PER_LEVEL]

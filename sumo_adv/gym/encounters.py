@@ -50,8 +50,8 @@ class Attacks(Protocol):
 Attacker = Literal["expert"] | str | None
 """What attacks the ego: the built-in expert, a language model by its name, or nothing."""
 
-EXPERT = "expert"
-PLANNED = 25  # attacks in an encounter, unless they keep up with the ego
+EXPERT_ATTACKER = "expert"
+PLANNED_ATTACKS = 25  # attacks in an encounter, unless they keep up with the ego
 
 
 class AgentEgo:
@@ -85,16 +85,16 @@ def settings_of(given: Mapping[str, Any], ego: str | None, attacker: Attacker, h
     for name in ("ego", "llm", "learn"):
         if name in given:
             raise UsageError(f"The setting {name!r} of an environment follows from its other arguments: leave it out.")
-    model = None if attacker in (None, EXPERT) else attacker
+    model = None if attacker in (None, EXPERT_ATTACKER) else attacker
     defaults: dict[str, Any] = {"horizon": horizon}
     if ego is None:
-        defaults |= {"until": "serious", "attempts": PLANNED}  # what attacks on an agent are planned for
+        defaults |= {"until": "serious", "attempts": PLANNED_ATTACKS}  # what attacks on an agent are planned for
     if model is not None:
         defaults["tuner"] = "off"  # its attacks, and none of the search
     return load_settings(None, **{**defaults, **given, "ego": ego or AGENT, "llm": model, "learn": "off"})
 
 
-class Encounter:
+class TrainingEncounter:
     """The encounter of one scenario, in an engine of its own, and the attacks that were planned in it."""
 
     def __init__(self, scenario: str | Path, given: Mapping[str, Any], ego: Any, attacker: Attacker) -> None:
@@ -140,11 +140,11 @@ class Encounter:
         """
         search = self._search(forecast=True)
         if isinstance(search, FixedOrder):
-            return Plan(search.propose(self.settings.attempts))
+            return AttackPlan(search.propose(self.settings.attempts))
         colliding = [p for p in search.pool if p.prediction is not None and p.prediction.hit]
         best = sorted(colliding, key=search.price)[: self.settings.attempts]
         asked = self._search(forecast=False) if adapts else None
-        return Curriculum(asked, self.settings.goal, best) if isinstance(asked, AttackSearch) else Plan(best)
+        return Curriculum(asked, self.settings.goal, best) if isinstance(asked, AttackSearch) else AttackPlan(best)
 
     def _search(self, *, forecast: bool) -> AttackSearch | FixedOrder:
         """The search for attacks; ``forecast``: one that predicts, though how the agent drives is unknown."""
@@ -158,9 +158,9 @@ class Encounter:
         refiner = Refiner(runner, self.found, planned.search, self._agents, entries, settings, _silent)
         return refiner.optimizer(episode.intents)
 
-    def play(self, play: Play) -> Played:
+    def play(self, play: Play) -> PlayedAttack:
         """Begin an episode; the one before must have ended."""
-        return Played(self, play, self._sandbox)
+        return PlayedAttack(self, play, self._sandbox)
 
     @property
     def alive(self) -> bool:
@@ -172,7 +172,7 @@ class Encounter:
         self._stack.close()
 
 
-class Plan:
+class AttackPlan:
     """Attacks in one encounter that were planned before: the best that are predicted to collide, or those that the
     analyzer chose. Each episode draws one."""
 
@@ -187,10 +187,10 @@ class Plan:
         """Nothing."""
 
 
-class Played:
+class PlayedAttack:
     """An episode that goes on in an encounter's engine."""
 
-    def __init__(self, encounter: Encounter, play: Play, sandbox: Any) -> None:
+    def __init__(self, encounter: TrainingEncounter, play: Play, sandbox: Any) -> None:
         self.encounter, self.play, self._sandbox = encounter, play, sandbox
         self._stack = ExitStack()
         self._sessions: Sessions | None = None

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from sumo_adv.errors import UsageError
 from sumo_adv.gym.actions import ADVERSARY_ACTIONS, EGO_ACTIONS, action_space
 from sumo_adv.gym.core import Core, Scenarios
-from sumo_adv.gym.encounters import EXPERT, Attacker
-from sumo_adv.gym.play import Moment
+from sumo_adv.gym.encounters import EXPERT_ATTACKER, Attacker
+from sumo_adv.gym.play import AgentStep
 from sumo_adv.gym.rewards import Reward, adversary_reward, ego_reward
 from sumo_adv.gym.views import Viewing
 from sumo_adv.gym.window import RENDER_MODES, Shown
@@ -56,7 +56,7 @@ class OneAgentEnv(Shown, gymnasium.Env[Any, NDArray[np.float32]]):
         self._show()
         return self._observation(moment), float(self._reward(moment.transition)), terminated, truncated, info
 
-    def _observation(self, moment: Moment) -> Any:
+    def _observation(self, moment: AgentStep) -> Any:
         return self._viewing.given(moment.views[self._agent])
 
 
@@ -67,7 +67,7 @@ class EgoEnv(OneAgentEnv):
         self,
         scenario: Scenarios = "motorway_cut_in_left",
         *,
-        attacker: Attacker = EXPERT,
+        attacker: Attacker = EXPERT_ATTACKER,
         adapts: bool = False,
         unattacked: float = 0.3,
         actions: str = "pedals",

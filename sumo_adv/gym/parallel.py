@@ -14,11 +14,11 @@ from pettingzoo import ParallelEnv
 from sumo_adv.gym.actions import ADVERSARY_ACTIONS, EGO_ACTIONS, action_space
 from sumo_adv.gym.core import Core, Scenarios
 from sumo_adv.gym.environments import METADATA, Observations, viewing_of
-from sumo_adv.gym.play import Moment
+from sumo_adv.gym.play import AgentStep
 from sumo_adv.gym.rewards import Reward, adversary_reward, ego_reward
 from sumo_adv.gym.window import Shown
 
-EGO, ADVERSARY = "ego", "adversary"
+EGO_AGENT, ADVERSARY_AGENT = "ego", "adversary"
 PARALLEL_METADATA = {**METADATA, "name": "sumo_adv_v0"}
 Box = NDArray[np.float32]
 
@@ -44,14 +44,15 @@ class BothEnv(Shown, ParallelEnv[str, Any, Box]):
     ) -> None:
         """``docs/gym.md`` describes the arguments. Raises UsageError."""
         self._viewing = viewing_of(observations, vehicles, danger)
-        self._rewards: dict[str, Reward] = {EGO: ego_reward, ADVERSARY: adversary_reward, **(rewards or {})}
-        self.possible_agents = [EGO, ADVERSARY]
+        self._rewards: dict[str, Reward] = {EGO_AGENT: ego_reward, ADVERSARY_AGENT: adversary_reward, **(rewards or {})}
+        self.possible_agents = [EGO_AGENT, ADVERSARY_AGENT]
         self.agents: list[str] = []
         self.observation_spaces = {
-            name: self._viewing.space(adversary=name == ADVERSARY) for name in self.possible_agents
+            name: self._viewing.space(adversary=name == ADVERSARY_AGENT) for name in self.possible_agents
         }
         self.action_spaces = {
-            EGO: action_space(EGO_ACTIONS, ego_actions), ADVERSARY: action_space(ADVERSARY_ACTIONS, adversary_actions)
+            EGO_AGENT: action_space(EGO_ACTIONS, ego_actions),
+            ADVERSARY_AGENT: action_space(ADVERSARY_ACTIONS, adversary_actions)
         }  # fmt: skip
         core = Core(
             scenario, self._viewing, interval, settings, ego_actions=ego_actions, adversary_actions=adversary_actions
@@ -91,7 +92,7 @@ class BothEnv(Shown, ParallelEnv[str, Any, Box]):
             {name: dict(info) for name in agents},
         )  # fmt: skip
 
-    def _observations(self, moment: Moment) -> dict[str, Any]:
+    def _observations(self, moment: AgentStep) -> dict[str, Any]:
         return {name: self._viewing.given(moment.views[name]) for name in self.possible_agents}
 
 

@@ -28,26 +28,26 @@ from sumo_adv.geometry import Pose, stations
 from sumo_adv.gym.actions import controlled, ego_action, endpoint
 from sumo_adv.gym.picture import draw
 from sumo_adv.gym.rewards import Transition
-from sumo_adv.gym.views import FAR, View, Viewing, ViewOfAdversary, Watch, view_of_ego
+from sumo_adv.gym.views import SIGHT_M, AgentView, Viewing, ViewOfAdversary, Watch, view_of_ego
 from sumo_adv.planners.answers import Answer, AskOne, PlannerObservation
 from sumo_adv.planners.sessions import ask_trusted
 from sumo_adv.situation import Target
 
 Numbers = NDArray[Any]
-DRAW = "draw"  # what the front sends for a picture
-CONTACT, THIRD_PARTY, OFF_ROAD = "contact", "third_party", "off_road"
-REACH = 25.0  # m between centres: vehicles further apart do not touch, long ones included
+DRAW_REQUEST = "draw"  # what the front sends for a picture
+ENDED_BY_CONTACT, ENDED_BY_THIRD_PARTY, ENDED_OFF_ROAD = "contact", "third_party", "off_road"
+CONTACT_SEARCH_RADIUS_M = 25.0  # m between centres: vehicles further apart do not touch, long ones included
 STEERED = "controls"  # actions of an ego that may leave its lane
-CLOSE = 30.0  # m: a vehicle that follows
-TERMINATED = frozenset({CONTACT, THIRD_PARTY, OFF_ROAD})
+FOLLOWER_GAP_M = 30.0  # a vehicle that follows
+TERMINATED = frozenset({ENDED_BY_CONTACT, ENDED_BY_THIRD_PARTY, ENDED_OFF_ROAD})
 
 
 @dataclass(frozen=True, slots=True)
-class Moment:
+class AgentStep:
     """Where an episode stands after a step. views: by agent."""
 
     time: float
-    views: Mapping[str, View]
+    views: Mapping[str, AgentView]
     transition: Transition
 
 
@@ -79,7 +79,7 @@ class Play:
         playing = Playing(self, here, ask)
         here.dialogue.send(playing.moment())
         while (message := here.dialogue.recv()) is not None:
-            here.dialogue.send(playing.picture() if message == DRAW else playing.step(message))
+            here.dialogue.send(playing.picture() if message == DRAW_REQUEST else playing.step(message))
 
 
 class Playing:
@@ -96,7 +96,7 @@ class Playing:
         self._attempt: OngoingAttempt | None = None
         self._start = here.drive.now
         self._me = here.drive.state(self._ego)  # where it is, or was last
-        self._pace, self._driven, self._behind = Pace(here), 0.0, 0.0
+        self._pace, self._driven, self._behind = RealTimePace(here), 0.0, 0.0
         self._watch = Watch() if play.viewing.danger and play.ego is not None else None
         self._every_step = play.ego == STEERED or self._watch is not None
         self._seen = self._look() if self._every_step else None
@@ -105,7 +105,7 @@ class Playing:
         self._touched: str | None = None
         self._off_road: str | None = None
         self._view = None if play.adversary is None else ViewOfAdversary(self._target(), play.viewing.vehicles)
-        self._views: dict[str, View] = {}
+        self._views: dict[str, AgentView] = {}
         self._apart = self._distance()
         self._transition = Transition(
             0.0, self._me, self._me, self._there(play.bv), self._limit(), self._apart, self._apart, None, None
@@ -123,7 +123,7 @@ class Playing:
 
     # -- what the front asks for --------------------------------------------------------------------------------
 
-    def step(self, actions: Mapping[str, Numbers]) -> Moment:
+    def step(self, actions: Mapping[str, Numbers]) -> AgentStep:
         """One step of the environment: ``every`` steps of the simulation, fewer if the episode ends in them."""
         self._actions, before, apart, began = actions, self._me, self._apart, self._drive.now
         behind = self._behind
@@ -142,17 +142,17 @@ class Playing:
         )  # fmt: skip
         return self.moment()
 
-    def moment(self) -> Moment:
+    def moment(self) -> AgentStep:
         """Where the episode stands. A vehicle that is gone has its last view."""
         ego, bv = self._there(self._ego), self._there(self._play.bv)
         if self._play.ego is not None and ego is not None:
             seen = self._drive.observation() if self._seen is None else self._seen
             self._views["ego"] = view_of_ego(seen, self._play.viewing.vehicles, self._watch)
         if self._view is not None and bv is not None and ego is not None:
-            near = self._drive.near(bv, FAR)
+            near = self._drive.near(bv, SIGHT_M)
             others = [self._drive.state(name) for name in near if name != self._ego]
             self._views["adversary"] = self._view(bv, ego, others)
-        return Moment(self._drive.now, dict(self._views), self._transition)
+        return AgentStep(self._drive.now, dict(self._views), self._transition)
 
     def picture(self) -> NDArray[np.uint8]:
         """The road and the vehicles around the ego, from above."""
@@ -230,11 +230,11 @@ class Playing:
         agents = [v for kind, v in led if kind is not None and v is not None]
         off = [v for v in agents if self._is_off_road(v)]
         if self._touched is not None:
-            self._ending = CONTACT
+            self._ending = ENDED_BY_CONTACT
         elif self._play.adversary is not None and bv is not None and self._touching(bv) is not None:
-            self._ending = THIRD_PARTY
+            self._ending = ENDED_BY_THIRD_PARTY
         elif off:
-            self._ending, self._off_road = OFF_ROAD, off[0].id
+            self._ending, self._off_road = ENDED_OFF_ROAD, off[0].id
         elif driven is not None:
             self._ending = driven.ending
         elif ego is None:
@@ -252,7 +252,7 @@ class Playing:
 
     def _touching(self, me: VehicleState | None) -> str | None:
         """A vehicle that ``me`` touches."""
-        near = () if me is None else self._drive.near(me, REACH)
+        near = () if me is None else self._drive.near(me, CONTACT_SEARCH_RADIUS_M)
         return next((name for name in near if me is not None and apart_of(self._drive, me.id, name) == 0.0), None)
 
     # -- facts --------------------------------------------------------------------------------------------------
@@ -276,7 +276,7 @@ class Playing:
         me = self._there(self._ego)
         if me is None or not me.lane:
             return False
-        near = (self._drive.state(name) for name in self._drive.near(me, CLOSE))
+        near = (self._drive.state(name) for name in self._drive.near(me, FOLLOWER_GAP_M))
         ahead = math.cos(me.heading), math.sin(me.heading)
         return any(v.lane == me.lane and (v.x - me.x) * ahead[0] + (v.y - me.y) * ahead[1] < 0 for v in near)
 
@@ -303,7 +303,7 @@ class Playing:
         )  # fmt: skip
 
 
-class Pace:
+class RealTimePace:
     """How far and how fast the ego drives in an encounter unattacked. Beyond what was recorded it keeps its speed."""
 
     def __init__(self, here: OpenEncounter) -> None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from sumo_adv.drivers import Action, Observation
 from sumo_adv.gym.actions import EGO_ACTIONS, action_space, checked, ego_action
 from sumo_adv.gym.environments import Observations, viewing_of
-from sumo_adv.gym.views import FAST, Watch, view_of_ego
+from sumo_adv.gym.views import MAX_VIEWED_SPEED_M_S, Watch, view_of_ego
 
 Policy = Callable[[Any], NDArray[Any]]
 """From an observation of ``sumo_adv/Ego-v0`` to an action."""
@@ -53,5 +53,5 @@ class PolicyDriver:
             view = view_of_ego(observation, self._viewing.vehicles, self._watch)
             self._numbers = checked(self.name, self._policy(self._viewing.given(view)), EGO_ACTIONS[self._actions])
             self._due = observation.time + self._interval
-        limit = FAST if observation.road is None else observation.road.limit
+        limit = MAX_VIEWED_SPEED_M_S if observation.road is None else observation.road.limit
         return ego_action(self._actions, self._numbers, observation.ego, limit, observation.dt)

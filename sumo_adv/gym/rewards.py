@@ -46,16 +46,17 @@ class Transition:
 Reward = Callable[[Transition], float]
 
 # of the ego, in seconds of driving at the speed limit
-CONTACT = 2.0  # loss by any contact,
-HARM = 4.0  # and for each m/s of its delta-v: a serious one (2.24 m/s) costs 11, as much as standing for an episode
-OFF_ROAD = 20.0
-BLOCKING = 0.5  # a second, at less than half of the speed that it has unattacked, with a vehicle close behind
-COMFORT = 2.0  # m/s2: softer braking costs nothing,
-NEEDLESS = 0.1  # a second, for each m/s2 of harder braking where nothing attacks
-SLOWEST = 10.0  # m/s: a lower speed limit counts as this
+CONTACT_LOSS_S = 2.0  # loss by any contact,
+LOSS_S_PER_DELTA_V = 4.0
+"""And for each m/s of its delta-v: a serious one (2.24 m/s) costs 11, as much as standing for an episode."""
+OFF_ROAD_LOSS_S = 20.0
+BLOCKING_LOSS = 0.5  # a second, at less than half of the speed that it has unattacked, with a vehicle close behind
+COMFORTABLE_BRAKING_M_S2 = 2.0  # softer braking costs nothing,
+NEEDLESS_BRAKING_LOSS = 0.1  # a second, for each m/s2 of harder braking where nothing attacks
+MIN_SPEED_LIMIT_M_S = 10.0  # a lower speed limit counts as this
 
-BEST = 10.0  # the adversary's gain by a serious collision
-NEARER = 0.02  # its gain for each metre nearer, at most: far below that of a collision
+SERIOUS_COLLISION_GAIN = 10.0  # the adversary's gain by a serious collision
+APPROACH_GAIN_PER_M = 0.02  # its gain for each metre nearer, at most: far below that of a collision
 
 
 def ego_reward(t: Transition) -> float:
@@ -65,22 +66,22 @@ def ego_reward(t: Transition) -> float:
     """
     if t.ego is None:
         return 0.0
-    worth = (t.behind_before - t.behind) / max(t.limit, SLOWEST)
+    worth = (t.behind_before - t.behind) / max(t.limit, MIN_SPEED_LIMIT_M_S)
     braking = (t.before.speed - t.ego.speed) / t.seconds if t.seconds else 0.0
     if not t.attacked:
-        worth -= NEEDLESS * max(braking - COMFORT, 0.0) * t.seconds
+        worth -= NEEDLESS_BRAKING_LOSS * max(braking - COMFORTABLE_BRAKING_M_S2, 0.0) * t.seconds
     if t.followed and t.ego.speed < t.unattacked / 2:
-        worth -= BLOCKING * t.seconds
+        worth -= BLOCKING_LOSS * t.seconds
     if t.touched is not None:
-        worth -= CONTACT + HARM * t.delta_v
-    return worth - (OFF_ROAD if t.off_road == t.ego.id else 0.0)
+        worth -= CONTACT_LOSS_S + LOSS_S_PER_DELTA_V * t.delta_v
+    return worth - (OFF_ROAD_LOSS_S if t.off_road == t.ego.id else 0.0)
 
 
 def adversary_reward(t: Transition) -> float:
     """Two for each level that the attack reaches (ten: serious), and a little for coming nearer before."""
     if t.ending:
         level = Level.NONE if t.verdict is None else t.verdict.level
-        return BEST * level / Level.SERIOUS
+        return SERIOUS_COLLISION_GAIN * level / Level.SERIOUS
     if t.adversary is None or t.ego is None:
         return 0.0
-    return NEARER * (t.apart_before - t.apart)
+    return APPROACH_GAIN_PER_M * (t.apart_before - t.apart)

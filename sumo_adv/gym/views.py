@@ -22,24 +22,38 @@ from sumo_adv.geometry import Path, stations
 from sumo_adv.situation import Target
 
 Numbers = NDArray[np.float32]
-View = dict[str, Numbers]
+AgentView = dict[str, Numbers]
 """``own`` (9,), ``path`` (10, 2), ``vehicles`` (n, 13); an ego's may have ``danger`` (2,), an adversary's has ``ego``
 (13,)."""
 
-FAR = 120.0  # m: how far a driver sees
-FAST = 60.0  # m/s
-OWN = (FAST, 15.0, 10.0, 1.0, 1.0, FAST, 1.0, 1.0, FAR)
+SIGHT_M = 120.0  # how far a driver sees
+MAX_VIEWED_SPEED_M_S = 60.0
+OWN_MAXIMA = (MAX_VIEWED_SPEED_M_S, 15.0, 10.0, 1.0, 1.0, MAX_VIEWED_SPEED_M_S, 1.0, 1.0, SIGHT_M)
 """Largest values of speed, acceleration, offset from the way, sine and cosine of the heading against it, speed limit,
-lane to the left, lane to the right, metres to the next line at which it must wait (``FAR``: none)."""
-OTHER = (1.0, FAR, FAR, 1.0, 1.0, FAST, 30.0, 5.0, FAST, FAST, FAR, 30.0, 2.0)
+lane to the left, lane to the right, metres to the next line at which it must wait (``SIGHT_M``: none)."""
+OTHER_MAXIMA = (
+    1.0,
+    SIGHT_M,
+    SIGHT_M,
+    1.0,
+    1.0,
+    MAX_VIEWED_SPEED_M_S,
+    30.0,
+    5.0,
+    MAX_VIEWED_SPEED_M_S,
+    MAX_VIEWED_SPEED_M_S,
+    SIGHT_M,
+    30.0,
+    2.0,
+)
 """Largest values of there or not, metres ahead, metres to the left, cosine and sine of the heading, speed, length,
 width, velocity relative to the agent's ahead and to the left, metres ahead along its way, metres to the left of its
 way, how fast it approaches [1/s]: by which share of the distance a second."""
-DANGER = (1.0, 10.0)
+DANGER_MAXIMA = (1.0, 10.0)
 """Largest values of whether a careful driver sees a danger, and how hard it brakes now [m/s2]."""
 SIGNED_OWN, SIGNED_OTHER = (1, 2, 3, 4), (1, 2, 3, 4, 8, 9, 10, 11, 12)  # columns that may be negative
-AHEAD = tuple(5.0 * k for k in range(1, 11))  # m: the points of the way
-SAME = 1e-3  # m: nearer points of a way are one, as where it ends
+PATH_POINTS_M = tuple(5.0 * k for k in range(1, 11))  # the points of the way
+SAME_POINT_M = 1e-3  # nearer points of a way are one, as where it ends
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +69,7 @@ class Viewing:
         """The space of an agent's observations."""
         absent = {"danger"} if adversary else {"ego"} if self.danger else {"ego", "danger"}
         names = [name for name in _LARGEST if name not in absent]
-        rows = {"path": len(AHEAD), "vehicles": self.vehicles}
+        rows = {"path": len(PATH_POINTS_M), "vehicles": self.vehicles}
         lows, highs = (
             {name: np.tile(table[name], (rows[name], 1)) if name in rows else table[name] for name in names}
             for table in (_SMALLEST, _LARGEST)
@@ -65,7 +79,7 @@ class Viewing:
         low = np.concatenate([(lows[name] / highs[name]).ravel() for name in names])
         return spaces.Box(low, np.ones_like(low), dtype=np.float32)
 
-    def given(self, view: View) -> View | Numbers:
+    def given(self, view: AgentView) -> AgentView | Numbers:
         """A view as the agent gets it."""
         if not self.vector:
             return {name: values.copy() for name, values in view.items()}
@@ -73,8 +87,9 @@ class Viewing:
 
 
 _COLUMNS: Mapping[str, tuple[Sequence[float], Sequence[int]]] = {  # largest values, and those that may be negative
-    "own": (OWN, SIGNED_OWN), "danger": (DANGER, ()), "path": ((FAR, FAR), (0, 1)), "ego": (OTHER, SIGNED_OTHER),
-    "vehicles": (OTHER, SIGNED_OTHER),
+    "own": (OWN_MAXIMA, SIGNED_OWN), "danger": (DANGER_MAXIMA, ()), "path": ((SIGHT_M, SIGHT_M), (0, 1)),
+    "ego": (OTHER_MAXIMA, SIGNED_OTHER),
+    "vehicles": (OTHER_MAXIMA, SIGNED_OTHER),
 }  # fmt: skip
 _LARGEST: Mapping[str, Numbers] = {name: np.array(largest, np.float32) for name, (largest, _) in _COLUMNS.items()}
 _SMALLEST: Mapping[str, Numbers] = {
@@ -97,20 +112,20 @@ class Watch:
 
     @property
     def danger(self) -> tuple[float, float]:
-        """The numbers of ``DANGER``."""
+        """The numbers of ``DANGER_MAXIMA``."""
         return float(bool(self._driver.dangers)), self._braking
 
 
-def view_of_ego(seen: Observation, vehicles: int, watch: Watch | None = None) -> View:
+def view_of_ego(seen: Observation, vehicles: int, watch: Watch | None = None) -> AgentView:
     """What the ego observes, from what its driver sees. watch: has looked at this step and those before."""
     me, road = seen.ego, seen.road
     turned = 0.0 if seen.lane_heading is None else me.heading - seen.lane_heading
     offset = 0.0 if seen.lane_offset is None else seen.lane_offset
-    limit, left, right, stop = FAST, False, False, FAR
+    limit, left, right, stop = MAX_VIEWED_SPEED_M_S, False, False, SIGHT_M
     if road is not None:
         limit = road.limit
         left, right = any(side > 0 for side in road.sides), any(side < 0 for side in road.sides)
-        stop = next((line.ahead for line in road.stop_lines if line.must_wait), FAR)
+        stop = next((line.ahead for line in road.stop_lines if line.must_wait), SIGHT_M)
     own = (me.speed, me.acceleration, offset, math.sin(turned), math.cos(turned), limit, left, right, stop)
     points = None if seen.path is None else np.asarray(seen.path)
     path = _in_frame(me, _onward(me, points))
@@ -126,15 +141,15 @@ class ViewOfAdversary:
         self.way: Path = target.ways[target.unattacked or 0].path
         self.station, self.offset = target.station, target.offset
 
-    def __call__(self, me: VehicleState, ego: VehicleState, others: Sequence[VehicleState]) -> View:
+    def __call__(self, me: VehicleState, ego: VehicleState, others: Sequence[VehicleState]) -> AgentView:
         self.station, self.offset = self.way.project(me.x, me.y, near=self.station)
-        x, y, heading = self.way.at(self.station + np.array([0.0, *AHEAD]))
+        x, y, heading = self.way.at(self.station + np.array([0.0, *PATH_POINTS_M]))
         turned = me.heading - float(heading[0])
         sides = [side for side, way in self._target.sides if way == "same"]
         left, right = any(side > 0 for side in sides), any(side < 0 for side in sides)
         own = (
             me.speed, me.acceleration, self.offset, math.sin(turned), math.cos(turned), self._target.fastest, left,
-            right, FAR,
+            right, SIGHT_M,
         )  # fmt: skip
         path = _in_frame(me, np.column_stack([x, y])[1:])
         return _bounded({
@@ -143,7 +158,7 @@ class ViewOfAdversary:
         })  # fmt: skip
 
 
-def _bounded(view: dict[str, Any]) -> View:
+def _bounded(view: dict[str, Any]) -> AgentView:
     """Numbers beyond the bounds of their space are cut."""
     return {
         name: np.clip(np.asarray(values, np.float32), _SMALLEST[name], _LARGEST[name]) for name, values in view.items()
@@ -151,8 +166,8 @@ def _bounded(view: dict[str, Any]) -> View:
 
 
 def _onward(me: VehicleState, points: NDArray[Any] | None) -> NDArray[Any]:
-    """The points of the ego's path ``AHEAD`` of it; straight on where there is no path."""
-    ahead = np.array(AHEAD)
+    """The points of the ego's path ``PATH_POINTS_M`` of it; straight on where there is no path."""
+    ahead = np.array(PATH_POINTS_M)
     straight = np.column_stack([me.x + ahead * math.cos(me.heading), me.y + ahead * math.sin(me.heading)])
     if points is None or len(points) < 2:
         return straight
@@ -171,14 +186,14 @@ def _in_frame(me: VehicleState, points: NDArray[Any]) -> NDArray[Any]:
 def _nearest(me: VehicleState, path: NDArray[Any], others: Sequence[VehicleState], count: int) -> NDArray[Any]:
     """The rows of the nearest vehicles; rows of zeros where there are fewer."""
     near = sorted(others, key=lambda v: (v.x - me.x) ** 2 + (v.y - me.y) ** 2)[:count]
-    rows = np.zeros((count, len(OTHER)))
+    rows = np.zeros((count, len(OTHER_MAXIMA)))
     if near:
         rows[: len(near)] = _rows(me, path, near)
     return rows
 
 
 def _rows(me: VehicleState, path: NDArray[Any], others: Sequence[VehicleState]) -> NDArray[Any]:
-    """A row of ``OTHER`` for each vehicle; ``path``: the agent's way in its frame."""
+    """A row of ``OTHER_MAXIMA`` for each vehicle; ``path``: the agent's way in its frame."""
     states = np.array([(v.x, v.y, v.heading, v.speed, v.length, v.width) for v in others])
     x, y = _in_frame(me, states[:, :2]).T
     turn, speed = states[:, 2] - me.heading, states[:, 3]
@@ -192,12 +207,12 @@ def _rows(me: VehicleState, path: NDArray[Any], others: Sequence[VehicleState]) 
 
 def _beside(path: NDArray[Any], x: NDArray[Any], y: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
     """Where places are along a way and to the left of it [m]. The way goes straight on at both ends."""
-    path = path[np.concatenate([[True], np.hypot(*np.diff(path, axis=0).T) > SAME])]
+    path = path[np.concatenate([[True], np.hypot(*np.diff(path, axis=0).T) > SAME_POINT_M])]
     if len(path) < 2:
         return x, y - path[0, 1]
     starts, steps = path[:-1], np.diff(path, axis=0)
     lengths = np.hypot(*steps.T)
-    stations = AHEAD[0] + np.concatenate([[0.0], np.cumsum(lengths[:-1])])
+    stations = PATH_POINTS_M[0] + np.concatenate([[0.0], np.cumsum(lengths[:-1])])
     c, s = (steps / lengths[:, None]).T
     dx, dy = x[:, None] - starts[:, 0], y[:, None] - starts[:, 1]
     along, aside = c * dx + s * dy, c * dy - s * dx

@@ -11,10 +11,10 @@ from sumo_adv.errors import UsageError
 from sumo_adv.gym.core import Core
 
 RENDER_MODES = ("rgb_array", "human")
-PAUSE = 0.001  # s: for the window to draw itself
+DRAW_PAUSE_S = 0.001  # for the window to draw itself
 
 
-class Window:
+class PictureWindow:
     """Opens with the first picture. Without a display matplotlib draws into nothing."""
 
     def __init__(self) -> None:
@@ -32,7 +32,7 @@ class Window:
             self._image = axes.imshow(picture)
         self._image.set_data(picture)
         self._figure.canvas.draw_idle()
-        self._figure.canvas.start_event_loop(PAUSE)
+        self._figure.canvas.start_event_loop(DRAW_PAUSE_S)
 
     def close(self) -> None:
         if self._figure is not None:
@@ -49,7 +49,7 @@ class Shown:
         """Raises UsageError."""
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise UsageError(f"There is no render_mode {render_mode!r}; choose {' or '.join(RENDER_MODES)}.")
-        self._core, self.render_mode, self._window = core, render_mode, Window()
+        self._core, self.render_mode, self._window = core, render_mode, PictureWindow()
 
     def render(self) -> Any:
         """The scene from above as an array; with ``human`` it is in the window already."""

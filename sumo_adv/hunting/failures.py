@@ -9,15 +9,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from sumo_adv.datatypes import Level
-from sumo_adv.report.coverage import BANDS, band_of
+from sumo_adv.report.coverage import SPEED_BANDS_M_S, band_of
 from sumo_adv.report.run_outcome import level_of
 
-COLUMNS = (
+FAILURE_COLUMNS = (
     "rank", "level", "intent", "relation", "road", "speed_band", "side", "delta_v", "count", "network", "seed",
     "adversary", "preventable_by", "run", "cause", "cause_sentence", "robust", "humanlike", "fault", "red_light",
     "right_of_way", "overlap", "warning", "near_touch",
 )  # fmt: skip
-TOUCH_M_S = 0.447
+NEAR_TOUCH_DELTA_V_M_S = 0.447
 """Delta-v [m/s] (1 mph) below which a collision is a near-touch: it is listed apart, behind all others."""
 
 
@@ -59,7 +59,7 @@ class Failure:
     @property
     def near_touch(self) -> bool:
         """Whether the contact was negligible."""
-        return self.delta_v < TOUCH_M_S
+        return self.delta_v < NEAR_TOUCH_DELTA_V_M_S
 
     @property
     def worth(self) -> tuple[bool, int, bool, bool, float]:
@@ -81,7 +81,7 @@ def failure_of(row: Mapping[str, Any], runs: Path) -> Failure | None:
         return None
     band = "unknown"
     if row["ego_speed"] is not None:
-        low, high = BANDS[band_of(float(row["ego_speed"]))]
+        low, high = SPEED_BANDS_M_S[band_of(float(row["ego_speed"]))]
         band = f"from {low:g} m/s" if math.isinf(high) else f"{low:g}-{high:g} m/s"
     side = str(row["kind"] or "").rsplit(" / ", 1)[-1] or "unknown"
     words = (row["composition"] or row["intent"], row["relation"], row["road"], row.get("cause"))
@@ -110,13 +110,13 @@ def distinct(failures: Iterable[Failure]) -> list[Failure]:
 
 
 def table(found: Sequence[Failure], folder: Path) -> list[dict[str, Any]]:
-    """A row for each distinct failure, with the columns ``COLUMNS``; ``folder``: of the hunt, paths count from it."""
+    """A row for each distinct failure, with ``FAILURE_COLUMNS``; ``folder``: of the hunt, paths count from it."""
     return [
         {
             "rank": k + 1, "level": str(f.level), **f.cell._asdict(), "delta_v": round(f.delta_v, 3), "count": f.count,
             "network": f.network, "seed": f.seed, "adversary": f.adversary, "preventable_by": f.preventable_by,
             "run": f.run.relative_to(folder).as_posix(), "cause_sentence": f.why,
-            **{key: getattr(f, key) for key in COLUMNS[COLUMNS.index("robust") :]},
+            **{key: getattr(f, key) for key in FAILURE_COLUMNS[FAILURE_COLUMNS.index("robust") :]},
         }
         for k, f in enumerate(found)
     ]  # fmt: skip

@@ -27,22 +27,25 @@ from sumo_adv.datatypes import Level
 from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.files import refuse_links, sentences, write_text
 from sumo_adv.goal import Goal
-from sumo_adv.hunting.failures import COLUMNS, Failure, distinct, failure_of, table
+from sumo_adv.hunting.failures import FAILURE_COLUMNS, Failure, distinct, failure_of, table
 from sumo_adv.parsing import read_json, read_object
-from sumo_adv.report.index import HUNT, RESULTS
+from sumo_adv.report.index import HUNT
 from sumo_adv.report.outcome import ATTACKS
+from sumo_adv.report.staging import RESULTS_FILE
 from sumo_adv.report.tables import csv_text, plain_row
 
-SCHEMA = 1
-FAILURES, ROUNDS = "failures", "rounds"
-EACH = 3  # episodes of a round for each worker at most; fewer where the time that is left is not enough for them
-LONGEST = 20.0  # s of attempts in an encounter at most: a second simulation tells more than a longer search
-SHORTEST = 3.0  # s
-PATIENCE = 3.0  # an encounter may take this many times the median time to the first success
-KINDS = 3  # kinds of attacks that are looked for in an encounter once fresh encounters brought nothing new
-SHARE = 0.1  # of the time that is left: the most that an encounter may take
-LEVELS = (Level.VALID, Level.STRICT, Level.SERIOUS)
-FAILURE = Goal(Level.VALID)
+HUNT_SCHEMA = 1
+FAILURES_FOLDER, ROUNDS_FOLDER = "failures", "rounds"
+MAX_EPISODES_PER_WORKER = 3
+"""Episodes of a round for each worker at most; fewer where the time that is left is not enough for them."""
+MAX_ENCOUNTER_S = 20.0  # s of attempts in an encounter at most: a second simulation tells more than a longer search
+MIN_ENCOUNTER_S = 3.0
+MAX_MEDIAN_TIMES = 3.0  # an encounter may take this many times the median time to the first success
+KINDS_PER_ENCOUNTER = 3
+"""Kinds of attacks that are looked for in an encounter once fresh encounters brought nothing new."""
+MAX_TIME_SHARE = 0.1  # of the time that is left: the most that an encounter may take
+FAILURE_LEVELS = (Level.VALID, Level.STRICT, Level.SERIOUS)
+FAILURE_GOAL = Goal(Level.VALID)
 """What a failure comes to at least, if no level is asked for."""
 RunCampaign = Callable[[CampaignPlan, Orders], Summary]
 """Runs what is missing of a plan. Raises SumoAdvError."""
@@ -93,7 +96,7 @@ class Hunt:
 
     def __init__(
         self, plan: CampaignPlan, orders: Orders, campaign: RunCampaign, minutes: float, most: int | None,
-        goal: Goal = FAILURE,
+        goal: Goal = FAILURE_GOAL,
     ) -> None:  # fmt: skip
         """minutes: of the whole hunt, also over several calls. most: distinct failures that end it sooner. goal: what a
         failure comes to at least."""
@@ -145,7 +148,7 @@ class Hunt:
     def _round(self, k: int) -> Summary:
         order = self._state["rounds"][k]
         inputs = [self._inputs[content] for content in order["inputs"] if content in self._inputs]
-        seconds, kinds = order["seconds"], order.get("kinds", KINDS)
+        seconds, kinds = order["seconds"], order.get("kinds", KINDS_PER_ENCOUNTER)
         bounds = {"seconds": seconds, "total_seconds": 2 * seconds, "diverse": kinds}
         plan = replace(
             self._plan, inputs=inputs, seeds=tuple(order["seeds"]),
@@ -171,7 +174,7 @@ class Hunt:
         found = self.found()
         if self._rows:
             self._state["rounds"][len(self._rows) - 1]["found"] = {
-                str(level): counted(found, level) for level in LEVELS
+                str(level): counted(found, level) for level in FAILURE_LEVELS
             }
         self._write(found)
         return found
@@ -182,7 +185,9 @@ class Hunt:
         random = Random(f"{seed}-{len(rounds)}")
         workers, rows = self._orders.pace.workers, sum(map(len, self._rows))
         lasts = self._seconds() * workers / rows if rows else 0.0  # s, an episode
-        size = workers * (max(1, min(EACH, round(self._left() / lasts))) if lasts else EACH)
+        size = workers * (
+            max(1, min(MAX_EPISODES_PER_WORKER, round(self._left() / lasts))) if lasts else MAX_EPISODES_PER_WORKER
+        )
         tries, wins = self._tally()
         drawn = {c: random.betavariate(1 + wins[c], 1 + tries[c] - wins[c]) for c in self._inputs}
         chosen = sorted(drawn, key=lambda c: -drawn[c])[:size]
@@ -193,8 +198,8 @@ class Hunt:
     def _each(self) -> float:
         """How long an encounter may be attacked [s]."""
         firsts = [s for each in self._firsts for s in each]
-        longest = min(LONGEST, PATIENCE * median(firsts)) if firsts else LONGEST
-        return round(max(SHORTEST, min(longest, SHARE * self._left())), 1)
+        longest = min(MAX_ENCOUNTER_S, MAX_MEDIAN_TIMES * median(firsts)) if firsts else MAX_ENCOUNTER_S
+        return round(max(MIN_ENCOUNTER_S, min(longest, MAX_TIME_SHARE * self._left())), 1)
 
     def _kinds(self) -> int:
         """How many kinds of attacks an encounter is searched for.
@@ -202,7 +207,7 @@ class Hunt:
         As long as the rounds bring new failures, a fresh encounter is the quicker way to the next one.
         """
         known = [r.get("found") for r in self._state["rounds"]]
-        return KINDS if known and known[-1] == (known[-2] if len(known) > 1 else None) else 1
+        return KINDS_PER_ENCOUNTER if known and known[-1] == (known[-2] if len(known) > 1 else None) else 1
 
     def _tally(self) -> tuple[Counter[str], Counter[str]]:
         """By input the episodes, and those that were the first of a cell."""
@@ -239,7 +244,7 @@ class Hunt:
     # -- files --------------------------------------------------------------------------------------------------
 
     def _folder_of(self, k: int) -> Path:
-        return self.folder / ROUNDS / f"{k + 1:04d}"
+        return self.folder / ROUNDS_FOLDER / f"{k + 1:04d}"
 
     def _runs_of(self, k: int) -> Path:
         return self._folder_of(k) / "runs"
@@ -252,9 +257,9 @@ class Hunt:
             parts = f".{Path(HUNT).stem}."  # of a state that was being written when the program was killed
             if self.folder.is_dir() and any(not p.name.startswith(parts) for p in self.folder.iterdir()):
                 raise UsageError(f"{self.folder} is not empty and holds no hunt: give another --out.")
-            return {"schema": SCHEMA, "plan": told, "rounds": []}
+            return {"schema": HUNT_SCHEMA, "plan": told, "rounds": []}
         state = read_object(file, "The state of the hunt")
-        if state.get("schema") != SCHEMA or state.get("plan") != json.loads(json.dumps(told)):
+        if state.get("schema") != HUNT_SCHEMA or state.get("plan") != json.loads(json.dumps(told)):
             raise UsageError(
                 f"{self.folder} holds a hunt with other inputs, egos or settings: say the same, or give another --out."
             )
@@ -266,11 +271,13 @@ class Hunt:
             self.folder.mkdir(parents=True, exist_ok=True)
             write_text(self.folder / HUNT, json.dumps(self._state, indent=1) + "\n")
             if found is not None:
-                write_text(self.folder / RESULTS, csv_text(COLUMNS, map(plain_row, table(found, self.folder))))
+                write_text(
+                    self.folder / RESULTS_FILE, csv_text(FAILURE_COLUMNS, map(plain_row, table(found, self.folder)))
+                )
 
     def _collected(self) -> list[Failure]:
         """Copies of the representatives' folders in ``failures/``, best first, and the table that names them."""
-        target = self.folder / FAILURES
+        target = self.folder / FAILURES_FOLDER
         found = []
         with sentences(self.folder):
             if target.is_dir():
@@ -337,7 +344,7 @@ def over_time(folder: Path) -> list[tuple[float, Mapping[str, int]]]:
         for each in read_json(file)["rounds"]:
             seconds += float(each.get("took", 0.0))
             if "found" in each:
-                after.append((seconds / 60.0, {str(level): int(each["found"][str(level)]) for level in LEVELS}))
+                after.append((seconds / 60.0, {str(level): int(each["found"][str(level)]) for level in FAILURE_LEVELS}))
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise UsageError(f"{file} is damaged ({error}).") from error
     if not after:

@@ -16,9 +16,9 @@ from sumo_adv.datatypes import Boxes, Proposal, VehicleState
 from sumo_adv.geometry import Frame
 from sumo_adv.metrics.boxes import gap
 
-OTHER_SPEED, OTHER_GAP = 0.15, 0.30  # shares of the kept values from which on the ego arrives otherwise
-LEAST_SPEED_M_S, LEAST_GAP_M = 0.5, 2.0  # smaller differences are none, however small the kept values
-MOST_SCALED = 3.0  # factor by which lengths and speeds are scaled at most
+OTHER_SPEED_SHARE, OTHER_GAP_SHARE = 0.15, 0.30  # shares of the kept values from which on the ego arrives otherwise
+MIN_SPEED_DIFFERENCE_M_S, MIN_GAP_DIFFERENCE_M = 0.5, 2.0  # smaller differences are none, however small the kept values
+MAX_SCALE = 3.0  # factor by which lengths and speeds are scaled at most
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,17 +55,17 @@ class AtTrigger:
     def difference(self, arrived: AtTrigger) -> str:
         """How an ego ``arrived`` otherwise than in this situation, in words; empty if it did not."""
         said = []
-        if _differs(self.ego_speed, arrived.ego_speed, OTHER_SPEED, LEAST_SPEED_M_S):
+        if _differs(self.ego_speed, arrived.ego_speed, OTHER_SPEED_SHARE, MIN_SPEED_DIFFERENCE_M_S):
             said.append(f"at {arrived.ego_speed:.1f} m/s instead of {self.ego_speed:.1f} m/s")
-        if _differs(self.gap, arrived.gap, OTHER_GAP, LEAST_GAP_M):
+        if _differs(self.gap, arrived.gap, OTHER_GAP_SHARE, MIN_GAP_DIFFERENCE_M):
             said.append(f"{arrived.gap:.1f} m instead of {self.gap:.1f} m from the adversary")
         return " and ".join(said)
 
     def moved(self, proposal: Proposal, arrived: AtTrigger) -> Proposal:
         """A candidate of this situation with the numbers that do the same where an ego ``arrived`` otherwise, within
         their bounds; so are those of its supports."""
-        length = _ratio(arrived.gap, self.gap, LEAST_GAP_M)
-        speed = _ratio(arrived.ego_speed, self.ego_speed, LEAST_SPEED_M_S)
+        length = _ratio(arrived.gap, self.gap, MIN_GAP_DIFFERENCE_M)
+        speed = _ratio(arrived.ego_speed, self.ego_speed, MIN_SPEED_DIFFERENCE_M_S)
         factors = {"m": length, "m/s": speed, "s": length / speed, "m/s2": speed**2 / length, "1/s": speed / length}
         return _scaled(proposal, factors)
 
@@ -80,7 +80,7 @@ def _differs(kept: float, now: float, share: float, least: float) -> bool:
 
 
 def _ratio(now: float, kept: float, least: float) -> float:
-    return float(np.clip(max(now, least) / max(kept, least), 1.0 / MOST_SCALED, MOST_SCALED))
+    return float(np.clip(max(now, least) / max(kept, least), 1.0 / MAX_SCALE, MAX_SCALE))
 
 
 def _scaled(p: Proposal, factors: Mapping[str, float]) -> Proposal:

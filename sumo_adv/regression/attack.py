@@ -18,12 +18,12 @@ from sumo_adv.episode.refinement import settle_best
 from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.regression.at_trigger import AtTrigger
-from sumo_adv.regression.case import Case, Expectation
+from sumo_adv.regression.case import Expectation, KeptCase
 from sumo_adv.search.evolution import Evolution
 from sumo_adv.search.sampling import Sampler
 from sumo_adv.search.settings import SearchSettings
 
-NEIGHBOURS = 8  # attempts against an ego that arrives otherwise
+NEARBY_ATTEMPTS = 8  # attempts against an ego that arrives otherwise
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +34,7 @@ class Arrived:
     otherwise: str
 
 
-def arrived(case: Case, encounter: FoundEncounter) -> Arrived:
+def arrived(case: KeptCase, encounter: FoundEncounter) -> Arrived:
     """How the ego came to the start of the case's attack."""
     p = case.proposal
     here = encounter.situations[p.delay]
@@ -43,13 +43,13 @@ def arrived(case: Case, encounter: FoundEncounter) -> Arrived:
 
 
 def attack(
-    case: Case, episode: Episode, engine: EpisodeEngine, sandbox: Sandbox, encounter: FoundEncounter, attempts: int
+    case: KeptCase, episode: Episode, engine: EpisodeEngine, sandbox: Sandbox, encounter: FoundEncounter, attempts: int
 ) -> Arrived:
-    """Attack the ego until an attempt breaks what the case expects, ``attempts`` times at most, and ``NEIGHBOURS``
+    """Attack the ego until an attempt breaks what the case expects, ``attempts`` times at most, and ``NEARBY_ATTEMPTS``
     times at least if the ego arrives otherwise. The attempt that came nearest to that counts."""
     came, settings, done = arrived(case, encounter), episode.settings, episode.refinement
     attack_once(episode, engine, sandbox, encounter, case.proposal)
-    most = max(attempts, NEIGHBOURS if came.otherwise else 1)
+    most = max(attempts, NEARBY_ATTEMPTS if came.otherwise else 1)
     if most == 1:
         return came
     search = SearchSettings()

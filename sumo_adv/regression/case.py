@@ -28,8 +28,8 @@ from sumo_adv.simulation.inputs import RunInput, load_input
 from sumo_adv.simulation.scenario import SCENARIO_FILE
 from sumo_adv.simulation.sumo_options import refuse
 
-SCHEMA = 1
-CASE_FILE, PLANNER_FILE, NETWORKS = "case.toml", "planner.py", "networks"
+CASE_SCHEMA = 1
+CASE_FILE, PLANNER_FILE, NETWORKS_FOLDER = "case.toml", "planner.py", "networks"
 HASH_DIGITS = 12
 SHAPING = (
     "seed", "step_length", "history", "duration", "replan", "delays", "forecast", "ttc", "limits", "sumo_options",
@@ -118,7 +118,7 @@ class _File(_Table):
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
+class KeptCase:
     """A kept attack. ``settings``: those that shape the run, as data; ``level``: that it reached when it was kept.
 
     relations: of the adversaries to the ego at the trigger, by id. ego_driven_from: the earliest time at which the
@@ -141,7 +141,7 @@ class Case:
     notes: tuple[str, ...] = ()
 
 
-def read_suite(folder: Path) -> list[Case]:
+def read_suite(folder: Path) -> list[KeptCase]:
     """The cases of a suite, by name. Raises UsageError: there are none, one of them is damaged, or one lies in
     another."""
     refuse_links(folder)
@@ -155,7 +155,7 @@ def read_suite(folder: Path) -> list[Case]:
     return [read_case(file.parent) for file in files]
 
 
-def read_case(folder: Path) -> Case:
+def read_case(folder: Path) -> KeptCase:
     """The case in a folder, checked. Raises UsageError: a file is missing, damaged, or does not fit the others."""
     file = folder / CASE_FILE
     name = folder.name if folder.name not in ("", "..") else folder.resolve().name  # its place in the suite
@@ -181,7 +181,7 @@ def read_case(folder: Path) -> Case:
     relations = {m.adversary: m.relation for m in members}
     changed = hash_of(source.network) != attack.network
     note = f"{name}: the network {source.network.name} is not the one that the case was kept with."
-    return Case(
+    return KeptCase(
         name, folder, source, proposal, relations, given.expect, attack.ego_driven_from,
         attack.ego_before, given.settings, Level[given.found.level.upper()], given.found.situation,
         (note,) if changed else (),

@@ -16,15 +16,15 @@ from sumo_adv.files import refuse_links, sentences, toml_lines, toml_value
 from sumo_adv.regression.at_trigger import AtTrigger
 from sumo_adv.regression.case import (
     CASE_FILE,
-    NETWORKS,
-    SCHEMA,
+    CASE_SCHEMA,
+    NETWORKS_FOLDER,
     SHAPING,
     Expectation,
     hash_of,
     planner_file,
     read_case,
 )
-from sumo_adv.report.manifest import Recorded, read_manifest
+from sumo_adv.report.manifest import RecordedRun, read_manifest
 from sumo_adv.report.read import read_outcome, read_run
 from sumo_adv.report.run_outcome import level_of
 from sumo_adv.report.staging import staged
@@ -34,7 +34,7 @@ from sumo_adv.simulation.scenario import SCENARIO_FILE
 from sumo_adv.simulation.sumo_options import differing
 
 FOUND = ("level", "contact_time", "min_ttc", "delta_v", "severity", "preventable_by")
-HASH_AND_DASH = 13  # characters in front of an input's own name in a run's folder
+HASH_AND_DASH_CHARACTERS = 13  # characters in front of an input's own name in a run's folder
 PROPS = {"parked": "parked", "pedestrian": "pedestrians", "cyclist": "cyclists"}
 
 
@@ -77,7 +77,7 @@ def held_in(run: Path, suite: Path, name: str | None = None) -> Path | None:
 
 def _texts(
     run: Path, suite: Path, expect: Expectation, passed_by: Sequence[str] | None
-) -> tuple[Recorded, dict[str, str]]:
+) -> tuple[RecordedRun, dict[str, str]]:
     """What the manifest of a run records, and the texts of its case by file."""
     recorded, outcome = read_manifest(run), read_outcome(run)
     if level_of((outcome.get("outcome") or {}).get("level")) is Level.NONE:
@@ -94,7 +94,7 @@ def _texts(
     }
 
 
-def _situation(run: Path, recorded: Recorded, outcome: Mapping[str, Any]) -> AtTrigger | None:
+def _situation(run: Path, recorded: RecordedRun, outcome: Mapping[str, Any]) -> AtTrigger | None:
     """How the ego and the adversary stood to each other when the attack began; None where the states do not say."""
     when, tracks = float(outcome["trigger_time"]), {t.id: t for t in read_run(run).best}
     ego, adversary = (tracks.get(name) for name in (str(outcome["ego"]["id"]), recorded.proposal.bv))
@@ -104,7 +104,7 @@ def _situation(run: Path, recorded: Recorded, outcome: Mapping[str, Any]) -> AtT
     return None if here is None or there is None else AtTrigger.of(here, there)
 
 
-def _named(recorded: Recorded) -> str:
+def _named(recorded: RecordedRun) -> str:
     return _slug(f"{recorded.source.name}-{recorded.settings.seed}")
 
 
@@ -136,13 +136,13 @@ def _slug(name: str) -> str:
     return "".join(c if c.isascii() and (c.isalnum() or c in "._-") else "-" for c in name).strip(".-") or "case"
 
 
-def _traffic(recorded: Recorded) -> dict[Path, str]:
+def _traffic(recorded: RecordedRun) -> dict[Path, str]:
     """The run's copies of demand, additional files and recordings, and their names in the case."""
     spec, played = recorded.task.spec, recorded.task.playback
     files = (*spec.routes, *spec.additional, *(played.files if played is not None else ()))
     names: dict[Path, str] = {}
     for file in files:
-        own = file.name[HASH_AND_DASH:]
+        own = file.name[HASH_AND_DASH_CHARACTERS:]
         taken = own in (*names.values(), SCENARIO_FILE, CASE_FILE, *map(planner_file, range(MAX_ADVERSARIES)))
         names.setdefault(file, f"{len(names)}-{own}" if taken else own)
     return names
@@ -153,11 +153,11 @@ def _traffic(recorded: Recorded) -> dict[Path, str]:
 
 def _network(network: Path, suite: Path) -> str:
     """What the scenario calls a network: the name of a shipped one, or the path of its copy in the suite."""
-    own = network.name[HASH_AND_DASH:]
+    own = network.name[HASH_AND_DASH_CHARACTERS:]
     shipped = data_folder("networks") / own
     if shipped.is_file() and hash_of(shipped) == hash_of(network):
         return own.removesuffix(".net.xml")
-    return f"../{NETWORKS}/{_copy_of(network, suite).name}"
+    return f"../{NETWORKS_FOLDER}/{_copy_of(network, suite).name}"
 
 
 def _copy_network(network: Path, suite: Path) -> None:
@@ -169,14 +169,14 @@ def _copy_network(network: Path, suite: Path) -> None:
 
 def _copy_of(network: Path, suite: Path) -> Path:
     """Where the suite has its copy of a network; with its hash in the name if another network has that name."""
-    copy = suite / NETWORKS / network.name[HASH_AND_DASH:]
+    copy = suite / NETWORKS_FOLDER / network.name[HASH_AND_DASH_CHARACTERS:]
     return copy.with_name(network.name) if copy.exists() and hash_of(copy) != hash_of(network) else copy
 
 
 # -- the texts --------------------------------------------------------------------------------------------------------
 
 
-def _scenario(recorded: Recorded, outcome: Mapping[str, Any], suite: Path) -> str:
+def _scenario(recorded: RecordedRun, outcome: Mapping[str, Any], suite: Path) -> str:
     task, settings = recorded.task, recorded.settings
     spec, played, files = task.spec, task.playback, _traffic(recorded)
     encounter, helpers = outcome["encounter"], list(recorded.proposal.bvs[1:])
@@ -217,7 +217,7 @@ def _box(prop: Prop) -> dict[str, Any]:
 
 
 def _case(
-    recorded: Recorded, outcome: Mapping[str, Any], relations: Mapping[str, str], expect: Expectation,
+    recorded: RecordedRun, outcome: Mapping[str, Any], relations: Mapping[str, str], expect: Expectation,
     passed_by: Sequence[str] | None, situation: AtTrigger | None,
 ) -> str:  # fmt: skip
     p, task = recorded.proposal, recorded.task
@@ -235,7 +235,7 @@ def _case(
     observed["passed_by"] = None if passed_by is None else list(passed_by)
     at_trigger = [] if situation is None else ["", "[found.situation]", *toml_lines(situation.as_data())]
     lines = [
-        f"schema = {SCHEMA}", "", "[expect]", *toml_lines(expected), "", "[attack]", *toml_lines(attack), "",
+        f"schema = {CASE_SCHEMA}", "", "[expect]", *toml_lines(expected), "", "[attack]", *toml_lines(attack), "",
         "[attack.parameters]", *toml_lines(dict(p.parameters)), "", *_supports(p, relations),
         "[settings]", *_settings(recorded), "",
         "[found]", *toml_lines(observed), *at_trigger,
@@ -255,7 +255,7 @@ def _supports(p: Proposal, relations: Mapping[str, str]) -> Sequence[str]:
     return lines
 
 
-def _settings(recorded: Recorded) -> Sequence[str]:
+def _settings(recorded: RecordedRun) -> Sequence[str]:
     shaping = recorded.settings.model_dump(mode="json", include=set(SHAPING))
     del shaping["sumo_options"]
     lines = toml_lines({k: shaping[k] for k in SHAPING if k in shaping})

@@ -16,7 +16,7 @@ from sumo_adv.files import scratch_prefix
 from sumo_adv.metrics.reference import COMPETENT
 from sumo_adv.regression.case import Expectation, read_case
 from sumo_adv.regression.keep import keep_run
-from sumo_adv.regression.runner import Measured, Result, judged
+from sumo_adv.regression.runner import CaseMeasurements, CaseResult, judged
 from sumo_adv.regression.suite import measure_cases
 from sumo_adv.report.read import read_outcome
 from sumo_adv.report.run_outcome import level_of
@@ -55,7 +55,7 @@ def references(
         SumoAdvError: No worker process starts.
     """
     with TemporaryDirectory(prefix=scratch_prefix()) as scratch:
-        suite, by_case = Path(scratch) / "suite", dict[str, Measured]()
+        suite, by_case = Path(scratch) / "suite", dict[str, CaseMeasurements]()
         cases = []
         for k, run in enumerate(runs):
             folder, _ = keep_run(run, suite, _below(_least(run)), f"{k:06d}")
@@ -63,7 +63,7 @@ def references(
             tested = expect is not None and not expect.no_worse
             cases.append(replace(case, expect=expect) if tested and expect is not None else case)
 
-        def done(measured: Measured) -> None:
+        def done(measured: CaseMeasurements) -> None:
             by_case[measured.case] = measured
             tell()
 
@@ -72,7 +72,7 @@ def references(
         for case, run in zip(cases, runs, strict=True):
             measured = by_case[case.name]
             result = judged(case, measured, None)
-            passes = result.result is Result.PASS
+            passes = result.result is CaseResult.PASS
             of_contacts = case.expect.min_ttc is None  # of what the verdict says something
             passed_by = (DRIVER,) if passes else _by_the_verdict(run) if of_contacts else ()
             chosen = expect or _below(_expected(case.level, measured, bool(passed_by)))
@@ -89,7 +89,7 @@ def _least(run: Path) -> Level:
     return min(level_of((read_outcome(run).get("outcome") or {}).get("level")), Level.COLLISION)
 
 
-def _expected(found: Level, measured: Measured, passed: bool) -> Level:
+def _expected(found: Level, measured: CaseMeasurements, passed: bool) -> Level:
     """The level that an ego must stay below: the lowest one that a reference driver stays below, at most that which was
     found."""
     least = min(found, Level.COLLISION)

@@ -32,19 +32,22 @@ from sumo_adv.metrics.contact import first_other_contact
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.regression.at_trigger import AtTrigger
 from sumo_adv.regression.attack import Arrived, attack
-from sumo_adv.regression.case import Case, Expectation, read_case
+from sumo_adv.regression.case import Expectation, KeptCase, read_case
 from sumo_adv.report.folder import all_sizes, write_run
 from sumo_adv.report.staging import staged
 from sumo_adv.simulation.tracks import tracks_of
 
-NO_CONCERN = 4.0  # s: a larger TTC is no danger to a driver (Minderhoud and Bovy 2001), so it is not compared
-LOWER_TTC = 0.1  # s, a step of the simulation: a smaller loss of TTC is not worse
-HARDER = 0.447  # m/s (1 mph, the bound of negligible severity): a smaller gain of delta-v is not worse
-NEAR_M, NEAR_TTC_S = 5.0, 3.0  # an attack that came to neither was no danger, so it says nothing of the driver
+NO_CONCERN_TTC_S = 4.0  # a larger TTC is no danger to a driver (Minderhoud and Bovy 2001), so it is not compared
+TTC_TOLERANCE_S = 0.1  # a step of the simulation: a smaller loss of TTC is not worse
+DELTA_V_TOLERANCE_M_S = 0.447  # m/s (1 mph, the bound of negligible severity): a smaller gain of delta-v is not worse
+DANGER_DISTANCE_M, DANGER_TTC_S = (
+    5.0,
+    3.0,
+)  # an attack that came to neither was no danger, so it says nothing of the driver
 INPUTS = "inputs"  # beside the runs: networks and demand, each content once
 
 
-class Result(StrEnum):
+class CaseResult(StrEnum):
     """How a case ended. Only ``PASS`` passes; those of ``UNTESTED`` say nothing about the ego."""
 
     PASS = "pass"
@@ -56,11 +59,11 @@ class Result(StrEnum):
 
 
 LevelName = Literal["none", "critical", "collision", "valid", "strict", "serious"]
-UNTESTED = (Result.NO_ENCOUNTER, Result.NOT_REACHED, Result.INVALID)
+UNTESTED = (CaseResult.NO_ENCOUNTER, CaseResult.NOT_REACHED, CaseResult.INVALID)
 
 
 @dataclass(frozen=True, slots=True)
-class Measured:
+class CaseMeasurements:
     """The outcome of a case. Times in s, speeds in m/s, never = None.
 
     broken: why nothing was measured, with ``missed``: because there was no encounter. level, collided, rear_end,
@@ -104,49 +107,49 @@ class Measured:
     @property
     def compared_ttc(self) -> float:
         """The least TTC as far as it matters [s]."""
-        return NO_CONCERN if self.min_ttc is None else min(self.min_ttc, NO_CONCERN)
+        return NO_CONCERN_TTC_S if self.min_ttc is None else min(self.min_ttc, NO_CONCERN_TTC_S)
 
 
 @dataclass(frozen=True, slots=True)
-class Judged:
+class JudgedCase:
     """A case with its result and the reason, in a sentence. ``before``: the same case in the baseline."""
 
-    measured: Measured
-    result: Result
+    measured: CaseMeasurements
+    result: CaseResult
     why: str
-    before: Measured | None = None
+    before: CaseMeasurements | None = None
 
     @property
     def sentence(self) -> str:
-        cause = self.measured.cause_sentence if self.result is Result.FAIL and self.measured.touched is None else ""
+        cause = self.measured.cause_sentence if self.result is CaseResult.FAIL and self.measured.touched is None else ""
         return " ".join(filter(None, (self.why, cause)))
 
     def row(self) -> dict[str, Any]:
         return {"result": str(self.result), "why": self.why, **asdict(self.measured)}
 
 
-def judged(case: Case, measured: Measured, before: Measured | None) -> Judged:
+def judged(case: KeptCase, measured: CaseMeasurements, before: CaseMeasurements | None) -> JudgedCase:
     """Whether a case came to what is expected of the ego. ``before``: what the baseline measured, None without one."""
     m = measured
     if m.missed:
-        return Judged(m, Result.NO_ENCOUNTER, m.broken, before)
+        return JudgedCase(m, CaseResult.NO_ENCOUNTER, m.broken, before)
     if m.broken:
-        return Judged(m, Result.ERROR, m.broken, before)
+        return JudgedCase(m, CaseResult.ERROR, m.broken, before)
     if m.planner:
-        return Judged(m, Result.INVALID, f"The adversary's planner failed: {m.planner}", before)
+        return JudgedCase(m, CaseResult.INVALID, f"The adversary's planner failed: {m.planner}", before)
     if m.touched is not None:
-        return Judged(m, Result.FAIL, f"The ego ran into {m.touched}.", before)
+        return JudgedCase(m, CaseResult.FAIL, f"The ego ran into {m.touched}.", before)
     if m.collided and m.failed_gates:
         gates = ", ".join(m.failed_gates)
-        return Judged(m, Result.INVALID, f"The adversary collides, but no car can drive so ({gates}).", before)
+        return JudgedCase(m, CaseResult.INVALID, f"The adversary collides, but no car can drive so ({gates}).", before)
     remark = "The adversary runs into the ego's back, which is not held against the ego." if m.rear_end else ""
     why = _broken_expectation(case.expect, m, before)
     if not why and not m.near and case.level >= Level.COLLISION:
-        return Judged(m, Result.NOT_REACHED, _far(m), before)
-    return Judged(m, Result.FAIL if why else Result.PASS, why or remark, before)
+        return JudgedCase(m, CaseResult.NOT_REACHED, _far(m), before)
+    return JudgedCase(m, CaseResult.FAIL if why else CaseResult.PASS, why or remark, before)
 
 
-def _far(m: Measured) -> str:
+def _far(m: CaseMeasurements) -> str:
     """Why nothing can be said of an ego that the attack does not come near."""
     arrives = f"The ego arrives {m.otherwise}" if m.otherwise else "The ego arrives as in the kept case"
     tries = f"{m.attempts} attempts" if m.attempts > 1 else "the attack"
@@ -154,7 +157,7 @@ def _far(m: Measured) -> str:
     return f"{arrives}, and {tries} did not come near it{stays}."
 
 
-def _broken_expectation(expect: Expectation, m: Measured, before: Measured | None) -> str:
+def _broken_expectation(expect: Expectation, m: CaseMeasurements, before: CaseMeasurements | None) -> str:
     """What does not hold, or empty."""
     if expect.level is not None and Level[m.level.upper()] >= expect.level:
         return f"The attack reaches {m.level}; it must stay below {expect.avoid}."
@@ -164,25 +167,25 @@ def _broken_expectation(expect: Expectation, m: Measured, before: Measured | Non
     return _worse(m, before) if expect.no_worse else ""
 
 
-def _worse(measured: Measured, before: Measured | None) -> str:
+def _worse(measured: CaseMeasurements, before: CaseMeasurements | None) -> str:
     """Why a case is worse than in the baseline, or empty. A baseline that broke or missed the encounter had no hit."""
-    before = before or Measured(measured.case, "")
+    before = before or CaseMeasurements(measured.case, "")
     hit, hit_before = (m.collided and not m.rear_end for m in (measured, before))
     if hit and not hit_before:
         return "The ego is hit, and was not in the baseline."
     if hit:
         harder = (measured.delta_v or 0.0) - (before.delta_v or 0.0)
-        return f"The ego is hit {harder:.1f} m/s harder than in the baseline." if harder > HARDER else ""
+        return f"The ego is hit {harder:.1f} m/s harder than in the baseline." if harder > DELTA_V_TOLERANCE_M_S else ""
     if before.broken or hit_before or measured.rear_end or measured.failed_gates:
         return ""
     lost = before.compared_ttc - measured.compared_ttc
-    return f"The least TTC is {lost:.2f} s lower than in the baseline." if lost > LOWER_TTC else ""
+    return f"The least TTC is {lost:.2f} s lower than in the baseline." if lost > TTC_TOLERANCE_S else ""
 
 
-MEASURED = TypeAdapter(Measured)
+MEASURED = TypeAdapter(CaseMeasurements)
 
 
-def measured_of(row: Mapping[str, Any]) -> Measured:
+def measured_of(row: Mapping[str, Any]) -> CaseMeasurements:
     """A measurement from a row of the JSON file, without what else stands there. Raises ValidationError."""
     return MEASURED.validate_python(row)
 
@@ -196,7 +199,7 @@ class CaseJob:
 
 
 @dataclass(frozen=True, slots=True)
-class Setup:
+class SuiteSetup:
     """What each worker needs. runs: where the folders of the runs go; ego: the driver under test; attempts: that a case
     may take."""
 
@@ -208,7 +211,7 @@ class Setup:
 class CaseRunner(WarmProcesses):
     """Holds what stays warm; a context manager."""
 
-    def __init__(self, setup: Setup) -> None:
+    def __init__(self, setup: SuiteSetup) -> None:
         self._setup = setup
         super().__init__()
         forget_environment()
@@ -226,11 +229,11 @@ class CaseRunner(WarmProcesses):
             if is_storage_error(error):
                 raise
             reason = str(error) if isinstance(error, SumoAdvError) else f"{type(error).__name__}: {error}"
-            measured = Measured(job.id, self._setup.ego, broken=reason)
+            measured = CaseMeasurements(job.id, self._setup.ego, broken=reason)
             text = traceback.format_exc()
         return Done(job.id, asdict(replace(measured, seconds=time.perf_counter() - began)), text=text)
 
-    def _run(self, case: Case) -> Measured:
+    def _run(self, case: KeptCase) -> CaseMeasurements:
         settings = settings_for(case, self._setup.ego)
         with tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch:
             task = task_for(case, settings, Path(scratch))
@@ -238,7 +241,7 @@ class CaseRunner(WarmProcesses):
             with self._engine.episode() as engine:
                 came = run_case(case, settings, task, engine, sandbox, self._setup.attempts)
             if isinstance(came, str):
-                return Measured(case.name, settings.ego, broken=came, missed=True)
+                return CaseMeasurements(case.name, settings.ego, broken=came, missed=True)
             episode, arrived = came
             with staged(self._setup.runs / case.name, force=True, inside=True) as folder:
                 outcome = write_run(folder, episode, figure=False)
@@ -247,7 +250,7 @@ class CaseRunner(WarmProcesses):
         return measure(case, episode, arrived, outcome)
 
 
-def settings_for(case: Case, ego: str) -> Settings:
+def settings_for(case: KeptCase, ego: str) -> Settings:
     """The settings of a case with another driver. The case's parameters of the ego are those of the driver it was kept
     with. Raises UsageError."""
     source = case.source
@@ -257,7 +260,7 @@ def settings_for(case: Case, ego: str) -> Settings:
     return load_settings(None, **options, until=Until.COLLISION, attempts=1, adversaries=members, learn="off")
 
 
-def task_for(case: Case, settings: Settings, scratch: Path) -> Task:
+def task_for(case: KeptCase, settings: Settings, scratch: Path) -> Task:
     """What the engine is opened with. Raises UsageError."""
     source = replace(case.source, ego_parameters={})
     task = make_task(source, settings, scratch)
@@ -265,7 +268,7 @@ def task_for(case: Case, settings: Settings, scratch: Path) -> Task:
 
 
 def run_case(
-    case: Case, settings: Settings, task: Task, engine: EpisodeEngine, sandbox: Sandbox, attempts: int
+    case: KeptCase, settings: Settings, task: Task, engine: EpisodeEngine, sandbox: Sandbox, attempts: int
 ) -> tuple[Episode, Arrived] | str:
     """Drive to the trigger and attack as the case says; or why there was no encounter.
 
@@ -284,7 +287,7 @@ def run_case(
     return episode, arrived
 
 
-def _elsewhere(case: Case, encounter: FoundEncounter) -> str:
+def _elsewhere(case: KeptCase, encounter: FoundEncounter) -> str:
     """Why the encounter is another than the case's, or empty."""
     p, when = case.proposal, f"At the trigger, {encounter.time:g} s,"
     relations = {name: relation for name, relation, _ in encounter.ranking}
@@ -298,7 +301,7 @@ def _elsewhere(case: Case, encounter: FoundEncounter) -> str:
     return ""
 
 
-def measure(case: Case, episode: Episode, arrived: Arrived, outcome: Mapping[str, Any]) -> Measured:
+def measure(case: KeptCase, episode: Episode, arrived: Arrived, outcome: Mapping[str, Any]) -> CaseMeasurements:
     """What came of a case, by the attempt that counts."""
     best, verdict, encounter = episode.best, outcome["outcome"], episode.found
     assert best is not None and encounter is not None
@@ -307,7 +310,7 @@ def measure(case: Case, episode: Episode, arrived: Arrived, outcome: Mapping[str
     tracks = _tracks(episode, best)
     ego = tracks.get(encounter.ego)
     drive = _Drive() if ego is None else _drive(ego, best)
-    return Measured(
+    return CaseMeasurements(
         case.name, episode.settings.ego, level=verdict["level"], collided=verdict["collided"],
         rear_end=verdict["rear_end"], failed_gates=tuple(verdict["failed_gates"]), min_ttc=verdict["min_ttc"],
         delta_v=verdict["delta_v"], severity=verdict["severity"], contact_time=verdict["contact_time"],
@@ -323,7 +326,7 @@ def measure(case: Case, episode: Episode, arrived: Arrived, outcome: Mapping[str
 def _near(attempt: Attempt) -> bool:
     """Whether an attempt was a danger to the ego."""
     v = attempt.verdict
-    return v.collided or v.min_distance <= NEAR_M or v.min_ttc <= NEAR_TTC_S
+    return v.collided or v.min_distance <= DANGER_DISTANCE_M or v.min_ttc <= DANGER_TTC_S
 
 
 def _tracks(episode: Episode, best: Attempt) -> dict[str, Track]:

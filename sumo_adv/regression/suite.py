@@ -25,15 +25,15 @@ from sumo_adv.drivers import make_ego
 from sumo_adv.errors import UsageError
 from sumo_adv.files import is_plain_name, json_text, sentences, write_text
 from sumo_adv.parsing import read_json
-from sumo_adv.regression.case import Case
+from sumo_adv.regression.case import KeptCase
 from sumo_adv.regression.runner import (
     UNTESTED,
     CaseJob,
+    CaseMeasurements,
+    CaseResult,
     CaseRunner,
-    Judged,
-    Measured,
-    Result,
-    Setup,
+    JudgedCase,
+    SuiteSetup,
     judged,
     measured_of,
 )
@@ -41,13 +41,13 @@ from sumo_adv.regression.waivers import Waiver
 from sumo_adv.report.outcome import versions
 from sumo_adv.report.staging import staged
 
-SCHEMA = 1
-RESULTS = "regress.json"
-DEADLINE = 300.0  # s after which a case is held to be stuck; one takes a few seconds
-RECYCLE = 200  # cases after which a worker process is replaced
-FORBIDDEN = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")  # XML 1.0, section 2.2
-HEAD = ("case", "result", "level", "min TTC", "delta-v", "progress", "jerk", "time", "baseline", "")
-BASELINE = HEAD.index("baseline")
+REGRESSION_SCHEMA = 1
+REGRESSION_FILE = "regress.json"
+CASE_DEADLINE_S = 300.0  # s after which a case is held to be stuck; one takes a few seconds
+CASES_PER_WORKER = 200  # cases after which a worker process is replaced
+FORBIDDEN_IN_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")  # XML 1.0, section 2.2
+LINE_COLUMNS = ("case", "result", "level", "min TTC", "delta-v", "progress", "jerk", "time", "baseline", "")
+BASELINE = LINE_COLUMNS.index("baseline")
 PROPERTIES = (
     "level", "min_ttc", "min_distance", "delta_v", "progress", "jerk", "time_to_end", "attempts", "otherwise",
 )  # fmt: skip
@@ -60,36 +60,36 @@ class SuiteRun:
 
     suite: str
     ego: str
-    cases: Sequence[Judged]
+    cases: Sequence[JudgedCase]
     waived: Mapping[str, Waiver] = field(default_factory=dict)
 
     @property
-    def counts(self) -> Mapping[Result, int]:
+    def counts(self) -> Mapping[CaseResult, int]:
         counts = Counter(case.result for case in self.cases)
-        return {result: counts[result] for result in Result}
+        return {result: counts[result] for result in CaseResult}
 
     def passed(self, *, allow_untested: bool) -> bool:
         """Whether all cases pass but those that are waived, leaving out those that say nothing about the ego if they
         are allowed."""
-        fine = {Result.PASS, *(UNTESTED if allow_untested else ())}
+        fine = {CaseResult.PASS, *(UNTESTED if allow_untested else ())}
         return all(case.result in fine or case.measured.case in self.waived for case in self.cases)
 
     def document(self) -> dict[str, Any]:
         return {
-            "schema": SCHEMA, "suite": self.suite, "ego": self.ego, "versions": versions(),
+            "schema": REGRESSION_SCHEMA, "suite": self.suite, "ego": self.ego, "versions": versions(),
             "counts": {str(result): many for result, many in self.counts.items()},
             "cases": [{**case.row(), "waived": self._waived(case)} for case in self.cases],
         }  # fmt: skip
 
-    def _waived(self, case: Judged) -> str | None:
+    def _waived(self, case: JudgedCase) -> str | None:
         waiver = self.waived.get(case.measured.case)
         return None if waiver is None else waiver.words
 
 
 def run_suite(
-    cases: Sequence[Case], suite: str, ego: str, out: Path, *, workers: int, force: bool, attempts: int = 1,
-    baseline: Mapping[str, Measured] | None = None, waived: Mapping[str, Waiver] | None = None,
-    tell: Callable[[Judged], None] = lambda case: None,
+    cases: Sequence[KeptCase], suite: str, ego: str, out: Path, *, workers: int, force: bool, attempts: int = 1,
+    baseline: Mapping[str, CaseMeasurements] | None = None, waived: Mapping[str, Waiver] | None = None,
+    tell: Callable[[JudgedCase], None] = lambda case: None,
 ) -> SuiteRun:  # fmt: skip
     """Run each case against ``ego``, and write ``out``.
 
@@ -109,10 +109,10 @@ def run_suite(
     twice = [name for name, times in Counter(case.name for case in cases).items() if times > 1]
     if twice:
         raise UsageError(f"Two cases have the name {twice[0]}: rename the folder of one.")
-    results: dict[str, Judged] = {}
+    results: dict[str, JudgedCase] = {}
     by_name = {case.name: case for case in cases}
 
-    def finished(measured: Measured) -> None:
+    def finished(measured: CaseMeasurements) -> None:
         name = measured.case
         results[name] = judged(by_name[name], measured, known.get(name))
         tell(results[name])
@@ -121,7 +121,7 @@ def run_suite(
         runs = folder.stage / "runs"
         measure_cases(cases, ego, runs, workers, attempts, finished)
         whole = SuiteRun(suite, ego, [results[case.name] for case in cases], waived or {})
-        write_text(folder.stage / RESULTS, json_text(whole.document(), 2))
+        write_text(folder.stage / REGRESSION_FILE, json_text(whole.document(), 2))
         rows: list[Row] = [row for run in sorted(runs.iterdir()) if (row := read_row(run)) is not None]
         write_csv(folder.stage / "results.csv", rows, [])
         folder.keep(force=force)
@@ -129,7 +129,12 @@ def run_suite(
 
 
 def measure_cases(
-    cases: Sequence[Case], ego: str, runs: Path, workers: int, attempts: int, tell: Callable[[Measured], None]
+    cases: Sequence[KeptCase],
+    ego: str,
+    runs: Path,
+    workers: int,
+    attempts: int,
+    tell: Callable[[CaseMeasurements], None],
 ) -> None:
     """Run each case on worker processes. runs: a folder that is made for the folders of the runs; tell: called with
     what each case came to. Raises SumoAdvError: no worker process starts."""
@@ -138,13 +143,16 @@ def measure_cases(
         tell(measured_of(done.row or {}))
 
     def failed(job: Any, why: str, text: str) -> Done:
-        return Done(job.id, asdict(Measured(job.id, ego, broken=why)), text=text)
+        return Done(job.id, asdict(CaseMeasurements(job.id, ego, broken=why)), text=text)
 
     scratch = runs.parent / ".workers"
     runs.mkdir()
     scratch.mkdir()
     jobs = [CaseJob(case.name, case.folder.absolute()) for case in cases]
-    setup, pace = Setup(runs.absolute(), ego, attempts), WorkerPace(workers, DEADLINE * max(1, attempts // 4), RECYCLE)
+    setup, pace = (
+        SuiteSetup(runs.absolute(), ego, attempts),
+        WorkerPace(workers, CASE_DEADLINE_S * max(1, attempts // 4), CASES_PER_WORKER),
+    )
     with closing(LocalWorkers(setup, pace, scratch.absolute(), failed, Stop(), CaseRunner)) as pool:
         pool.run(jobs, finished)
     shutil.rmtree(scratch, ignore_errors=True)
@@ -152,11 +160,11 @@ def measure_cases(
 
 def read_results(path: Path) -> dict[str, Any]:
     """The JSON file of a suite's run, or that in its folder. Raises UsageError."""
-    file = path / RESULTS if path.is_dir() else path
+    file = path / REGRESSION_FILE if path.is_dir() else path
     try:
         document = read_json(file)
-        if document["schema"] != SCHEMA:
-            raise UsageError(f"{file} has schema {document['schema']}; this program reads {SCHEMA}.")
+        if document["schema"] != REGRESSION_SCHEMA:
+            raise UsageError(f"{file} has schema {document['schema']}; this program reads {REGRESSION_SCHEMA}.")
         rows = list(document["cases"])
         if wrong := [name for name in (measured_of(row).case for row in rows) if not is_plain_name(name)]:
             raise UsageError(f"{file} names the case {wrong[0]!r}, which is no folder's name; run the suite again.")
@@ -166,10 +174,12 @@ def read_results(path: Path) -> dict[str, Any]:
         key = ".".join(str(part) for part in first["loc"])
         raise UsageError(f"{file} has a bad '{key}' ({first['msg']}); run the suite again.") from error
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise UsageError(f"{file} is not what sumo-adv regress writes ({error}); give its {RESULTS}.") from error
+        raise UsageError(
+            f"{file} is not what sumo-adv regress writes ({error}); give its {REGRESSION_FILE}."
+        ) from error
 
 
-def read_baseline(path: Path) -> dict[str, Measured]:
+def read_baseline(path: Path) -> dict[str, CaseMeasurements]:
     """The measurements of another run of the suite, by case. Raises UsageError."""
     return {measured.case: measured for measured in map(measured_of, read_results(path)["cases"])}
 
@@ -212,43 +222,43 @@ def junit(run: SuiteRun, *, allow_untested: bool) -> str:
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(whole, encoding="unicode") + "\n"
 
 
-def _kind(case: Judged, allow_untested: bool, waived: bool) -> str:
+def _kind(case: JudgedCase, allow_untested: bool, waived: bool) -> str:
     """The element inside the test case; empty if it passes."""
-    if case.result is Result.PASS:
+    if case.result is CaseResult.PASS:
         return ""
     if waived:
         return "skipped"
-    if case.result is Result.ERROR:
+    if case.result is CaseResult.ERROR:
         return "error"
-    return "skipped" if allow_untested and case.result is not Result.FAIL else "failure"
+    return "skipped" if allow_untested and case.result is not CaseResult.FAIL else "failure"
 
 
 def _clean(text: str) -> str:
-    return FORBIDDEN.sub("\ufffd", text)
+    return FORBIDDEN_IN_XML.sub("\ufffd", text)
 
 
 def lines(run: SuiteRun) -> list[str]:
     """A line a case, and a sum; the baseline's column only if there is a baseline."""
     rows = [_row(case, run.waived.get(case.measured.case)) for case in run.cases]
-    shown = [k for k in range(len(HEAD)) if k != BASELINE or any(case.before for case in run.cases)]
-    widths = [max(len(row[k]) for row in (HEAD, *rows)) for k in range(len(HEAD))]
-    table = ["  ".join(row[k].ljust(widths[k]) for k in shown).rstrip() for row in (HEAD, *rows)]
-    counts = [f"{many} {result}" for result, many in run.counts.items() if many or result is Result.PASS]
+    shown = [k for k in range(len(LINE_COLUMNS)) if k != BASELINE or any(case.before for case in run.cases)]
+    widths = [max(len(row[k]) for row in (LINE_COLUMNS, *rows)) for k in range(len(LINE_COLUMNS))]
+    table = ["  ".join(row[k].ljust(widths[k]) for k in shown).rstrip() for row in (LINE_COLUMNS, *rows)]
+    counts = [f"{many} {result}" for result, many in run.counts.items() if many or result is CaseResult.PASS]
     cases = f"{len(run.cases)} case{'s' * (len(run.cases) != 1)}"
-    waived = [case for case in run.cases if case.measured.case in run.waived and case.result is not Result.PASS]
+    waived = [case for case in run.cases if case.measured.case in run.waived and case.result is not CaseResult.PASS]
     excused = f" {len(waived)} of them {'is' if len(waived) == 1 else 'are'} waived." if waived else ""
     return [*table, "", f"{cases} of {run.suite} against {run.ego}: {', '.join(counts)}.{excused}"]
 
 
-def _row(case: Judged, waiver: Waiver | None) -> Sequence[str]:
+def _row(case: JudgedCase, waiver: Waiver | None) -> Sequence[str]:
     m = case.measured
     figures: Sequence[str] = ("-",) * 6
-    if case.result not in (Result.NO_ENCOUNTER, Result.ERROR):
+    if case.result not in (CaseResult.NO_ENCOUNTER, CaseResult.ERROR):
         figures = (
             m.level, _number(m.min_ttc, "s"), _number(m.delta_v, "m/s"), _number(m.progress, "m", 0),
             _number(m.jerk, "m/s3", 0), _number(m.time_to_end, "s", 1),
         )  # fmt: skip
-    excuse = waiver.words if waiver is not None and case.result is not Result.PASS else ""
+    excuse = waiver.words if waiver is not None and case.result is not CaseResult.PASS else ""
     words = " ".join(filter(None, (excuse, case.sentence.split("\n")[0])))
     return (m.case, str(case.result), *figures, _before(case.before), words)
 
@@ -257,7 +267,7 @@ def _number(value: float | None, unit: str, digits: int = 2) -> str:
     return "-" if value is None else f"{value:.{digits}f} {unit}"
 
 
-def _before(m: Measured | None) -> str:
+def _before(m: CaseMeasurements | None) -> str:
     if m is None or m.broken:
         return "-"
     return f"{m.level}, {_number(m.min_ttc, 's')}" if not m.collided else f"{m.level}, {_number(m.delta_v, 'm/s')}"

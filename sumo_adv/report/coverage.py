@@ -23,21 +23,23 @@ from sumo_adv.metrics.statistics import Estimate, wilson
 from sumo_adv.outcome_schema import check_schema
 from sumo_adv.parsing import parse_json, read_json
 from sumo_adv.report.document import write_document
+from sumo_adv.report.read import OUTCOME_FILE
 from sumo_adv.report.run_outcome import level_of
+from sumo_adv.report.staging import PLAN_FILE
 from sumo_adv.report.tables import csv_text, plain_row
 
-BANDS = ((0.0, 8.0), (8.0, 14.0), (14.0, 22.0), (22.0, math.inf))  # m/s; the bounds are about 30, 50 and 80 km/h
-HEADER = (
+SPEED_BANDS_M_S = ((0.0, 8.0), (8.0, 14.0), (14.0, 22.0), (22.0, math.inf))  # bounds of about 30, 50 and 80 km/h
+COVERAGE_COLUMNS = (
     "ego", "intent", "relation", "road", "speed_from", "speed_to", "encounters", "failures", "rate", "low", "high",
 )  # fmt: skip
-ALL = "all"  # egos together
-NOWHERE = "oncoming", str(RoadClass.MOTORWAY)
-OUTCOME, PLAN, BANK, TABLE = "outcome.json", "plan.json", "bank.sqlite", "coverage.csv"
+ALL_EGOS = "all"  # egos together
+IMPOSSIBLE = "oncoming", str(RoadClass.MOTORWAY)
+BANK_FILE, COVERAGE_FILE = "bank.sqlite", "coverage.csv"
 
 
 @dataclass(frozen=True, slots=True, order=True)
-class Cell:
-    """One combination; ``band`` is an index into ``BANDS``."""
+class CoverageCell:
+    """One combination; ``band`` is an index into ``SPEED_BANDS_M_S``."""
 
     intent: str
     relation: str
@@ -46,10 +48,10 @@ class Cell:
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class CoverageRow:
     """A cell with its encounters and those of them in which the ego failed."""
 
-    cell: Cell
+    cell: CoverageCell
     encounters: int
     failures: int
 
@@ -60,36 +62,36 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class Coverage:
-    """All cells of a campaign by ego, ``ALL`` first; cells without an encounter first, then those with the fewest.
+    """All cells of a campaign by ego, ``ALL_EGOS`` first; cells without an encounter first, then those with the fewest.
 
     unplaced: episodes that are in no cell, because no attempt was made or the run does not tell its place.
     """
 
-    rows: Mapping[str, Sequence[Row]]
+    rows: Mapping[str, Sequence[CoverageRow]]
     unplaced: int
 
-    def covered(self, ego: str = ALL) -> tuple[int, int]:
+    def covered(self, ego: str = ALL_EGOS) -> tuple[int, int]:
         """How many cells have an encounter, and how many cells there are."""
         return sum(row.encounters > 0 for row in self.rows[ego]), len(self.rows[ego])
 
 
 def band_of(speed: float) -> int:
     """The index of the speed band [m/s]; a lower bound belongs to its band."""
-    return next(k for k, (_, high) in enumerate(BANDS) if speed < high)
+    return next(k for k, (_, high) in enumerate(SPEED_BANDS_M_S) if speed < high)
 
 
-def cells_of(document: Mapping[str, Any]) -> dict[Cell, bool]:
+def cells_of(document: Mapping[str, Any]) -> dict[CoverageCell, bool]:
     """The cells that an episode counts in, and whether the ego failed there; from its ``outcome.json``."""
     encounter = document["encounter"] or {}
     road, speed = encounter.get("road"), encounter.get("ego_speed")
     if road is None or speed is None:
         return {}
     relations = {each["id"]: each["relation"] for each in encounter["ranking"]}
-    cells: dict[Cell, bool] = {}
+    cells: dict[CoverageCell, bool] = {}
     for attempt in document["attempts"]:
         relation = relations.get(attempt["adversaries"][0])
         if relation is not None:
-            cell = Cell(attempt["intent"], relation, road, band_of(speed))
+            cell = CoverageCell(attempt["intent"], relation, road, band_of(speed))
             cells[cell] = cells.get(cell, False) or level_of(attempt.get("level")) >= Level.VALID
     return cells
 
@@ -108,34 +110,34 @@ def make_coverage(
     library: the bank's intents; what they apply to makes the cells. odds: the campaign's ODDs; a cell outside all of
     them is left out unless it was met. Cells of an oncoming adversary on a motorway, which do not exist, are left out.
     """
-    counts: dict[str, dict[Cell, list[int]]] = {ALL: {}}
+    counts: dict[str, dict[CoverageCell, list[int]]] = {ALL_EGOS: {}}
     unplaced = 0
     for document in documents:
         cells = cells_of(document)
         unplaced += not cells
-        for ego in (ALL, str(document["ego"]["controller"])):
+        for ego in (ALL_EGOS, str(document["ego"]["controller"])):
             tally = counts.setdefault(ego, {})
             for cell, failed in cells.items():
                 count = tally.setdefault(cell, [0, 0])
                 count[0] += 1
                 count[1] += failed
-    pairs = pairs_of(library) | {(cell.intent, cell.relation) for cell in counts[ALL]}
-    roads, bands = tuple(str(road) for road in RoadClass), range(len(BANDS))
-    every = {Cell(*pair, road, band) for pair, road, band in product(pairs, roads, bands)}
-    exist = {cell for cell in every if (cell.relation, cell.road) != NOWHERE}
+    pairs = pairs_of(library) | {(cell.intent, cell.relation) for cell in counts[ALL_EGOS]}
+    roads, bands = tuple(str(road) for road in RoadClass), range(len(SPEED_BANDS_M_S))
+    every = {CoverageCell(*pair, road, band) for pair, road, band in product(pairs, roads, bands)}
+    exist = {cell for cell in every if (cell.relation, cell.road) != IMPOSSIBLE}
     possible = {cell for cell in exist if not odds or any(_within(cell, odd) for odd in odds)}
-    return Coverage({ego: _rows(possible | counts[ALL].keys(), tally) for ego, tally in counts.items()}, unplaced)
+    return Coverage({ego: _rows(possible | counts[ALL_EGOS].keys(), tally) for ego, tally in counts.items()}, unplaced)
 
 
-def _within(cell: Cell, odd: Odd) -> bool:
-    low, high = BANDS[cell.band]
+def _within(cell: CoverageCell, odd: Odd) -> bool:
+    low, high = SPEED_BANDS_M_S[cell.band]
     slowest, fastest = odd.speed or (0.0, math.inf)
     on_road = not odd.roads or cell.road in odd.roads
     return on_road and odd.has_relation(cell.relation) and low <= fastest and slowest < high
 
 
-def _rows(cells: Iterable[Cell], tally: Mapping[Cell, Sequence[int]]) -> list[Row]:
-    rows = [Row(cell, *tally.get(cell, (0, 0))) for cell in cells]
+def _rows(cells: Iterable[CoverageCell], tally: Mapping[CoverageCell, Sequence[int]]) -> list[CoverageRow]:
+    rows = [CoverageRow(cell, *tally.get(cell, (0, 0))) for cell in cells]
     return sorted(rows, key=lambda row: (row.encounters, -row.failures, row.cell))
 
 
@@ -144,11 +146,11 @@ def coverage_csv(coverage: Coverage) -> str:
     lines: list[tuple[Any, ...]] = []
     for ego, rows in coverage.rows.items():
         for row in rows:
-            (low, high), rate, cell = BANDS[row.cell.band], row.rate, row.cell
+            (low, high), rate, cell = SPEED_BANDS_M_S[row.cell.band], row.rate, row.cell
             shown = (f"{rate.value:.4f}" if row.encounters else "", f"{rate.low:.4f}", f"{rate.high:.4f}")
             speeds = (f"{low:g}", "" if math.isinf(high) else f"{high:g}")
             lines.append((ego, cell.intent, cell.relation, cell.road, *speeds, row.encounters, row.failures, *shown))
-    return csv_text(HEADER, (plain_row(dict(zip(HEADER, line, strict=True))) for line in lines))
+    return csv_text(COVERAGE_COLUMNS, (plain_row(dict(zip(COVERAGE_COLUMNS, line, strict=True))) for line in lines))
 
 
 def campaign_coverage(folder: Path, runs: Sequence[Path], packed: Mapping[str, str], bank: Path) -> Coverage:
@@ -157,23 +159,23 @@ def campaign_coverage(folder: Path, runs: Sequence[Path], packed: Mapping[str, s
     packed: the outcomes of packed runs as text, by id. bank: its intents make the cells if the folder has no bank.
     Raises UsageError or BankError.
     """
-    own = folder / BANK
+    own = folder / BANK_FILE
     with MemoryBank.open(own if own.is_file() else bank, read_only=True) as opened:
         library = opened.intents()
-    return make_coverage(_outcomes(runs, packed), library, _odds(folder / PLAN))
+    return make_coverage(_outcomes(runs, packed), library, _odds(folder / PLAN_FILE))
 
 
 def write_coverage(target: Path, coverage: Coverage) -> Path:
     """Write ``coverage.csv`` into the folder of the pages. Raises UsageError: it cannot be written."""
-    write_document(target / TABLE, coverage_csv(coverage))
-    return target / TABLE
+    write_document(target / COVERAGE_FILE, coverage_csv(coverage))
+    return target / COVERAGE_FILE
 
 
 def _outcomes(runs: Sequence[Path], packed: Mapping[str, str]) -> Iterator[dict[str, Any]]:
     """The outcomes that can be read. Damaged ones are told where their pages are made."""
     for run in runs:
         try:
-            file = run / OUTCOME
+            file = run / OUTCOME_FILE
             document = read_json(file) if file.is_file() else parse_json(packed[run.name])
             check_schema(document, file, None if file.is_file() else file.parents[2])
             _ = document["encounter"], document["attempts"], document["ego"]["controller"]

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from sumo_adv.errors import UsageError
 from sumo_adv.files import write_text
 
-HEAD = """<!DOCTYPE html>
+DOCUMENT_HEAD = """<!DOCTYPE html>
 <html lang="en">
 <head>
 <meta charset="utf-8">
@@ -43,7 +43,7 @@ style-src {style_hash}; img-src data:; base-uri 'none'; form-action 'none'">
 </body>
 </html>
 """
-Ints = NDArray[np.int64]
+WholeNumbers = NDArray[np.int64]
 ABSENT = -1_000_000
 """In a series: not there, or never. No value is that far out: series are capped below it."""
 
@@ -60,7 +60,7 @@ def document(title: str, body: str, styles: Sequence[str], scripts: Sequence[str
     script_hash, style_hash = (
         f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'" for text in (script, style)
     )
-    return HEAD.format(
+    return DOCUMENT_HEAD.format(
         title=title, body=body, style=style, script=script, data=embedded(data), script_hash=script_hash,
         style_hash=style_hash,
     )  # fmt: skip
@@ -81,21 +81,21 @@ def write_document(target: Path, html: str) -> None:
         raise UsageError(f"{target} cannot be written ({error.strerror or error}); give another --out.") from error
 
 
-def packed(columns: Sequence[tuple[int, Ints]]) -> str:
+def packed(columns: Sequence[tuple[int, WholeNumbers]]) -> str:
     """Columns of whole numbers as text. Each comes with its order: how often differences are taken (1 or 2)."""
     parts = [varints(differences(values, order)) for order, values in columns]
     data = np.concatenate(parts).tobytes() if parts else b""
     return base64.b64encode(zlib.compress(data, 9)).decode()
 
 
-def differences(values: Ints, order: int) -> Ints:
+def differences(values: WholeNumbers, order: int) -> WholeNumbers:
     """The first value, then differences; of those again for order 2. Reading adds up as often."""
     for _ in range(order):
         values = np.diff(values, prepend=0)
     return values
 
 
-def varints(values: Ints) -> NDArray[np.uint8]:
+def varints(values: WholeNumbers) -> NDArray[np.uint8]:
     """Zigzag (0, -1, 1, -2 ..: 0, 1, 2, 3 ..), then seven bits a byte, low ones first, top bit = more follow."""
     left = np.where(values < 0, -2 * values - 1, 2 * values).astype(np.uint64)
     lengths = np.ones(len(left), dtype=np.int64)
@@ -110,7 +110,7 @@ def varints(values: Ints) -> NDArray[np.uint8]:
     return out
 
 
-def whole(values: NDArray[np.float64], unit: float) -> Ints:
+def whole(values: NDArray[np.float64], unit: float) -> WholeNumbers:
     """Values in whole units, rounded; what is not finite becomes ``ABSENT``."""
     there = np.isfinite(values)
     scaled = np.where(there, values, 0.0) / unit

@@ -20,19 +20,19 @@ from sumo_adv.files import write_whole
 from sumo_adv.road_users import RoadUser, road_user
 from sumo_adv.simulation.layers import covers
 
-EGO, ADVERSARY, SUPPORT, OTHER = "#0072B2", "#D55E00", "#E69F00", "#8C8C8C"
-ASPHALT, JUNCTION, EDGE, GROUND = "#E3E3E3", "#D8D8D8", "#FFFFFF", "#F7F7F4"
-LEAST_EXTENT = 40.0  # m of the shown area
-BARS = (500, 200, 100, 50, 20, 10, 5)  # m
+EGO_COLOUR, ADVERSARY_COLOUR, SUPPORT_COLOUR, OTHER_COLOUR = "#0072B2", "#D55E00", "#E69F00", "#8C8C8C"
+ASPHALT_COLOUR, JUNCTION_COLOUR, EDGE_COLOUR, GROUND_COLOUR = "#E3E3E3", "#D8D8D8", "#FFFFFF", "#F7F7F4"
+MIN_EXTENT_M = 40.0  # m of the shown area
+SCALE_BARS_M = (500, 200, 100, 50, 20, 10, 5)
 
 """Centreline ``(n, 2)``, or ``(n, 3)`` with heights [m], width [m], inside a junction or not; upper ones last."""
-View = tuple[float, float, float, float]
+MapView = tuple[float, float, float, float]
 """Left, bottom, width, height [m] of the shown area."""
-WIDTH, LEAST_HEIGHT, MOST_HEIGHT = 16.0, 6.0, 14.0  # inches; 100 dots an inch
-HEAD, INSIDE = 1.5, 0.935  # inches above and below the map; its share of the width
-LONGEST = 130  # characters of a title that fit
-MARGIN = 12.0  # m around the action
-BEFORE = 1.0  # s, shown before the trigger
+ENCOUNTER_WIDTH_IN, MIN_ENCOUNTER_HEIGHT_IN, MAX_ENCOUNTER_HEIGHT_IN = 16.0, 6.0, 14.0  # inches; 100 dots an inch
+ENCOUNTER_HEAD_IN, MAP_WIDTH_SHARE = 1.5, 0.935  # inches above and below the map; its share of the width
+MAX_TITLE_CHARACTERS = 130  # characters of a title that fit
+ACTION_MARGIN_M = 12.0  # m around the action
+SHOWN_BEFORE_TRIGGER_S = 1.0  # shown before the trigger
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +89,7 @@ def draw_lanes(axes: Any, lanes: Sequence[LaneStrip], style: Style = LARGE) -> N
 
     for inside in (True, False):
         shapes = [lane_polygon(s.shape, s.width) for s in lanes if s.internal is inside and len(s.shape) > 1]
-        colour, edge = (JUNCTION, JUNCTION) if inside else (ASPHALT, EDGE)
+        colour, edge = (JUNCTION_COLOUR, JUNCTION_COLOUR) if inside else (ASPHALT_COLOUR, EDGE_COLOUR)
         axes.add_collection(
             PolyCollection(
                 shapes, facecolors=colour, edgecolors=edge, linewidths=style.lane, zorder=1 if inside else 2
@@ -147,7 +147,7 @@ def draw_box(
 
 def draw_marks(axes: Any, parts: Sequence[Track], trigger_time: float, style: Style = LARGE) -> None:
     """A dot each second since the trigger; the number on the side away from the other vehicle."""
-    colours = (EGO, ADVERSARY)
+    colours = (EGO_COLOUR, ADVERSARY_COLOUR)
     for track, counterpart, colour in zip(parts, reversed(parts), colours, strict=True):
         last = (math.inf, math.inf)
         for second in range(int(track.time[-1] - trigger_time + 0.02) + 1 if track.time.size else 0):
@@ -172,10 +172,10 @@ def draw_marks(axes: Any, parts: Sequence[Track], trigger_time: float, style: St
             )  # fmt: skip
 
 
-def draw_scale_bar(axes: Any, view: View, height: float, style: Style = LARGE) -> None:
+def draw_scale_bar(axes: Any, view: MapView, height: float, style: Style = LARGE) -> None:
     """A bar of round length in the lower left corner of a map that is ``height`` inches high."""
     left, bottom, width, tall = view
-    bar = next(b for b in BARS if b <= width / 5 or b == BARS[-1])
+    bar = next(b for b in SCALE_BARS_M if b <= width / 5 or b == SCALE_BARS_M[-1])
     x, y = left + 0.02 * width, bottom + 0.35 / height * tall
     halo = {"boxstyle": "round,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.85}
     axes.plot([x, x + bar], [y, y], color="black", lw=style.bar, solid_capstyle="butt", zorder=12)
@@ -217,25 +217,29 @@ def draw_encounter(
     from matplotlib.figure import Figure
 
     shown = decisive_time(ego, adversary, trigger_time, verdict)
-    ego_part, adversary_part = (track.between(trigger_time - BEFORE, math.inf) for track in (ego, adversary))
+    ego_part, adversary_part = (
+        track.between(trigger_time - SHOWN_BEFORE_TRIGGER_S, math.inf) for track in (ego, adversary)
+    )
     supports = [track for track in others if track.role is Role.ADVERSARY]
-    support_parts = [support.between(trigger_time - BEFORE, math.inf) for support in supports]
+    support_parts = [support.between(trigger_time - SHOWN_BEFORE_TRIGGER_S, math.inf) for support in supports]
     view = _view((ego_part, adversary_part, *support_parts), (ego, adversary, *supports), shown)
-    height = HEAD + WIDTH * INSIDE * view[3] / view[2]
-    figure = Figure(figsize=(WIDTH, height), dpi=100, facecolor="white")
+    height = ENCOUNTER_HEAD_IN + ENCOUNTER_WIDTH_IN * MAP_WIDTH_SHARE * view[3] / view[2]
+    figure = Figure(figsize=(ENCOUNTER_WIDTH_IN, height), dpi=100, facecolor="white")
     FigureCanvasAgg(figure)
-    axes = figure.add_axes((0.055, 0.65 / height, INSIDE, 1.0 - HEAD / height), facecolor=GROUND)
+    axes = figure.add_axes(
+        (0.055, 0.65 / height, MAP_WIDTH_SHARE, 1.0 - ENCOUNTER_HEAD_IN / height), facecolor=GROUND_COLOUR
+    )
     draw_lanes(axes, lanes)
-    for raw, colour in ((raw_ego, EGO), (raw_adversary, ADVERSARY)):
+    for raw, colour in ((raw_ego, EGO_COLOUR), (raw_adversary, ADVERSARY_COLOUR)):
         if raw is not None:
             part = raw.between(trigger_time, ego.time[-1])
             axes.plot(part.x, part.y, color=colour, alpha=0.45, lw=1.6, ls=(0, (4, 3)), zorder=4)
     for track in seen_from_above(lanes, others, shown):
-        draw_box(axes, track, shown, OTHER if track.role is not Role.ADVERSARY else SUPPORT, zorder=5)
+        draw_box(axes, track, shown, OTHER_COLOUR if track.role is not Role.ADVERSARY else SUPPORT_COLOUR, zorder=5)
     for support, part in zip(supports, support_parts, strict=True):
-        axes.plot(part.x, part.y, color=SUPPORT, lw=1.8, zorder=5, solid_capstyle="round")
-        draw_box(axes, support, trigger_time, SUPPORT, zorder=5, filled=False)
-    for track, part, colour in ((ego, ego_part, EGO), (adversary, adversary_part, ADVERSARY)):
+        axes.plot(part.x, part.y, color=SUPPORT_COLOUR, lw=1.8, zorder=5, solid_capstyle="round")
+        draw_box(axes, support, trigger_time, SUPPORT_COLOUR, zorder=5, filled=False)
+    for track, part, colour in ((ego, ego_part, EGO_COLOUR), (adversary, adversary_part, ADVERSARY_COLOUR)):
         axes.plot(part.x, part.y, color=colour, lw=2.2, zorder=6, solid_capstyle="round")
         draw_box(axes, track, trigger_time, colour, zorder=5, filled=False)
         draw_box(axes, track, shown, colour, zorder=8)
@@ -245,7 +249,7 @@ def draw_encounter(
     unattacked = raw_ego is not None or raw_adversary is not None
     groups = unattacked, bool(supports), len(others) > len(supports)
     _legend(axes, groups, verdict, shown - trigger_time, corner)
-    line = shortened(title, LONGEST)
+    line = shortened(title, MAX_TITLE_CHARACTERS)
     figure.text(0.055, 1.0 - 0.15 / height, line, ha="left", va="top", fontsize=15, parse_math=False)
     _draw_summary(figure, verdict, height)
     write_whole(target, lambda part: figure.savefig(part, format="png", metadata={"Software": None}))
@@ -258,22 +262,22 @@ def decisive_time(ego: Track, adversary: Track, trigger_time: float, verdict: Ve
     return closest_time(ego, adversary, trigger_time)
 
 
-def _view(parts: Sequence[Track], tracks: Sequence[Track], shown: float) -> View:
+def _view(parts: Sequence[Track], tracks: Sequence[Track], shown: float) -> MapView:
     """The shown area: the paths until 1.5 s after the decisive moment."""
     paths = [(part.x[keep], part.y[keep]) for part in parts if (keep := part.time <= shown + 1.5).any()]
     boxes = [pose for track in tracks if (pose := pose_at(track, shown)) is not None]
     x, y = (np.concatenate([*(path[k] for path in paths), [box[k] for box in boxes]]) for k in (0, 1))
     if x.size == 0:
-        return -LEAST_EXTENT / 2, -LEAST_EXTENT / 4, LEAST_EXTENT, LEAST_EXTENT / 2
-    width = max(float(np.ptp(x)) + 2 * MARGIN, LEAST_EXTENT)
-    height = max(float(np.ptp(y)) + 2 * MARGIN, LEAST_EXTENT * 0.4)
-    inside_width, tallest = WIDTH * INSIDE, MOST_HEIGHT - HEAD
+        return -MIN_EXTENT_M / 2, -MIN_EXTENT_M / 4, MIN_EXTENT_M, MIN_EXTENT_M / 2
+    width = max(float(np.ptp(x)) + 2 * ACTION_MARGIN_M, MIN_EXTENT_M)
+    height = max(float(np.ptp(y)) + 2 * ACTION_MARGIN_M, MIN_EXTENT_M * 0.4)
+    inside_width, tallest = ENCOUNTER_WIDTH_IN * MAP_WIDTH_SHARE, MAX_ENCOUNTER_HEIGHT_IN - ENCOUNTER_HEAD_IN
     width = max(width, height * inside_width / tallest)
-    height = max(height, width * (LEAST_HEIGHT - HEAD) / inside_width)
+    height = max(height, width * (MIN_ENCOUNTER_HEIGHT_IN - ENCOUNTER_HEAD_IN) / inside_width)
     return float(x.max() + x.min() - width) / 2, float(y.max() + y.min() - height) / 2, width, height
 
 
-def _frame(axes: Any, view: View, height: float) -> None:
+def _frame(axes: Any, view: MapView, height: float) -> None:
     left, bottom, width, tall = view
     axes.set_aspect("equal", adjustable="box")
     axes.set(xlim=(left, left + width), ylim=(bottom, bottom + tall))
@@ -281,7 +285,7 @@ def _frame(axes: Any, view: View, height: float) -> None:
     axes.set_ylabel("y [m]", fontsize=12)
     axes.tick_params(labelsize=11)
     axes.ticklabel_format(useOffset=False, style="plain")
-    draw_scale_bar(axes, view, height - HEAD)
+    draw_scale_bar(axes, view, height - ENCOUNTER_HEAD_IN)
 
 
 def _legend(axes: Any, groups: tuple[bool, bool, bool], verdict: Verdict, after: float, corner: str) -> None:
@@ -291,22 +295,22 @@ def _legend(axes: Any, groups: tuple[bool, bool, bool], verdict: Verdict, after:
 
     moment = "contact" if verdict.contact_time is not None else "closest approach"
     entries: list[Any] = [
-        Patch(facecolor=EGO, edgecolor="black", label=f"ego at {moment} ({after:.1f} s)"),
-        Patch(facecolor=ADVERSARY, edgecolor="black", label=f"adversary at {moment}"),
+        Patch(facecolor=EGO_COLOUR, edgecolor="black", label=f"ego at {moment} ({after:.1f} s)"),
+        Patch(facecolor=ADVERSARY_COLOUR, edgecolor="black", label=f"adversary at {moment}"),
         Patch(facecolor="none", edgecolor="black", label="at the trigger"),
         Line2D([], [], color="black", marker="o", mfc="white", lw=2.2, label="attacked, s since the trigger"),
     ]
     raw, supports, others = groups
     if supports:
-        entries.append(Patch(facecolor=SUPPORT, edgecolor="black", label="support"))
+        entries.append(Patch(facecolor=SUPPORT_COLOUR, edgecolor="black", label="support"))
     if raw:
         entries.append(Line2D([], [], color="black", alpha=0.5, lw=1.6, ls=(0, (4, 3)), label="unattacked"))
     if others:
-        entries.append(Patch(facecolor=OTHER, edgecolor="black", label="other vehicles"))
+        entries.append(Patch(facecolor=OTHER_COLOUR, edgecolor="black", label="other vehicles"))
     axes.legend(handles=entries, loc=corner, fontsize=11, framealpha=0.93).set_zorder(20)
 
 
-def _free_corner(parts: Sequence[Track], view: View) -> str:
+def _free_corner(parts: Sequence[Track], view: MapView) -> str:
     """The upper corner of the map with less of the paths in it."""
     left, bottom, width, tall = view
     x = (np.concatenate([part.x for part in parts]) - left) / width

@@ -26,14 +26,16 @@ from sumo_adv.datatypes import LaneStrip, Track
 from sumo_adv.errors import UsageError
 from sumo_adv.files import write_whole
 from sumo_adv.report.encounter_figure import (
-    ADVERSARY,
-    EGO,
-    GROUND,
-    LEAST_EXTENT,
-    OTHER,
-    SUPPORT,
+    ACTION_MARGIN_M,
+    ADVERSARY_COLOUR,
+    EGO_COLOUR,
+    GROUND_COLOUR,
+    MIN_EXTENT_M,
+    OTHER_COLOUR,
+    SHOWN_BEFORE_TRIGGER_S,
+    SUPPORT_COLOUR,
+    MapView,
     Style,
-    View,
     closest_time,
     draw_box,
     draw_lanes,
@@ -46,27 +48,26 @@ from sumo_adv.report.encounter_figure import (
 from sumo_adv.report.read import read_run, reading
 from sumo_adv.simulation.network import read_network
 
-BEFORE, AFTER = 1.0, 1.5  # s shown before the trigger and after the decisive moment
-MARGIN = 12.0  # m around the action
-WIDTH = 7.16  # inches: two columns of an IEEE page
-WIDE = 2.2  # width over height of a map from which on the two stand one over the other
-TITLE, KEY, GAP, SIDE = 0.24, 0.30, 0.10, 0.02  # inches
-DPI = 300
-CHARACTERS = 19  # of a title, an inch
-SMALL = Style(text=6.5, lane=0.8, box=0.6, hollow=0.8, mark=3.4, mark_line=0.9, away=7.0, bar=2.0, apart=2.5)
-FILM_WIDTH, FILM_DPI = 8.0, 100  # inches, dots an inch: 800 pixels
-HEAD = 0.35  # inches above the map
-RATE = 10  # frames a second, which is SUMO's step too
-MOST = 70  # characters of the title
-HOLD = 10  # frames for which the end stands
-LOOK = Style(text=9, lane=1.2, box=0.8, hollow=0.9, bar=2.5)
-SIZE = (3.5, 2.4)  # inches: a column of an IEEE page
-TEXT = 7.5  # points
-COLOURS = {"valid": EGO, "strict": SUPPORT, "serious": ADVERSARY}
+SHOWN_AFTER_MOMENT_S = 1.5  # shown after the decisive moment
+PAGE_WIDTH_IN = 7.16  # two columns of an IEEE page
+STACKED_ASPECT = 2.2  # width over height of a map from which on the two stand one over the other
+TITLE_HEIGHT_IN, KEY_HEIGHT_IN, GAP_IN, SIDE_IN = 0.24, 0.30, 0.10, 0.02
+PRINT_DPI = 300
+TITLE_CHARACTERS_PER_INCH = 19  # of a title, an inch
+PAPER_STYLE = Style(text=6.5, lane=0.8, box=0.6, hollow=0.8, mark=3.4, mark_line=0.9, away=7.0, bar=2.0, apart=2.5)
+FILM_WIDTH_IN, FILM_DPI = 8.0, 100  # inches, dots an inch: 800 pixels
+FILM_HEAD_IN = 0.35  # inches above the map
+FILM_FRAMES_PER_S = 10  # frames a second, which is SUMO's step too
+MAX_FILM_TITLE_CHARACTERS = 70  # characters of the title
+FILM_END_FRAMES = 10  # frames for which the end stands
+FILM_STYLE = Style(text=9, lane=1.2, box=0.8, hollow=0.9, bar=2.5)
+CURVE_SIZE_IN = (3.5, 2.4)  # a column of an IEEE page
+CURVE_TEXT_PT = 7.5
+LEVEL_COLOURS = {"valid": EGO_COLOUR, "strict": SUPPORT_COLOUR, "serious": ADVERSARY_COLOUR}
 
 
 @dataclass(frozen=True, slots=True)
-class Scene:
+class FigureScene:
     """Vehicles over the shown time. ``adversary``: the collider; it and the supports also where they do not attack."""
 
     ego: Track
@@ -79,7 +80,7 @@ class Scene:
 
     def coloured(self) -> tuple[tuple[Track, str], ...]:
         """Ego, collider and supports, each with its colour."""
-        return (self.ego, EGO), (self.adversary, ADVERSARY), *((t, SUPPORT) for t in self.supports)
+        return (self.ego, EGO_COLOUR), (self.adversary, ADVERSARY_COLOUR), *((t, SUPPORT_COLOUR) for t in self.supports)
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,8 +94,8 @@ class Story:
     name: str
     intent: str
     lanes: Sequence[LaneStrip]
-    attacked: Scene
-    raw: Scene | None
+    attacked: FigureScene
+    raw: FigureScene | None
     trigger: float
     decisive: float
     end: float
@@ -104,21 +105,21 @@ class Story:
     def collided(self) -> bool:
         return bool(self.outcome["collided"])
 
-    def view(self, widest: float) -> View:
+    def view(self, widest: float) -> MapView:
         """The area around the paths of ego and adversaries, at least as wide as high, at most ``widest`` times."""
         scenes = [self.attacked] if self.raw is None else [self.attacked, self.raw]
         shown = [t.between(self.start, self.end) for scene in scenes for t, _ in scene.coloured()]
         tracks = [part for part in shown if part.time.size]
         x, y = (np.concatenate([getattr(t, axis) for t in tracks]) for axis in ("x", "y"))
-        width = max(float(np.ptp(x)) + 2 * MARGIN, LEAST_EXTENT)
-        height = max(float(np.ptp(y)) + 2 * MARGIN, LEAST_EXTENT * 0.4)
+        width = max(float(np.ptp(x)) + 2 * ACTION_MARGIN_M, MIN_EXTENT_M)
+        height = max(float(np.ptp(y)) + 2 * ACTION_MARGIN_M, MIN_EXTENT_M * 0.4)
         width, height = max(width, height), max(height, width / widest)
         return float(x.max() + x.min() - width) / 2, float(y.max() + y.min() - height) / 2, width, height
 
     @property
     def start(self) -> float:
         """When what is shown begins [s]."""
-        return self.trigger - BEFORE
+        return self.trigger - SHOWN_BEFORE_TRIGGER_S
 
 
 def read_story(folder: Path) -> Story:
@@ -134,7 +135,7 @@ def read_story(folder: Path) -> Story:
             raise UsageError(f"Ego or adversary is not in the states of the run in {run.folder}; run it again.")
         contact = verdict["contact_time"]
         decisive = closest_time(*attacked.pair(), trigger) if contact is None else float(contact)
-        end = min(decisive + AFTER, float(max(t.time[-1] for t in attacked.pair())))
+        end = min(decisive + SHOWN_AFTER_MOMENT_S, float(max(t.time[-1] for t in attacked.pair())))
         network = run.folder / "inputs" / Path(run.manifest["network"]).name
         lanes: Sequence[LaneStrip] = ()
         if network.is_file():
@@ -148,13 +149,13 @@ def read_story(folder: Path) -> Story:
         )  # fmt: skip
 
 
-def _scene(tracks: Sequence[Track], ego: str, adversaries: Sequence[str]) -> Scene | None:
+def _scene(tracks: Sequence[Track], ego: str, adversaries: Sequence[str]) -> FigureScene | None:
     by_id = {t.id: t for t in tracks}
     collider, *supports = adversaries
     if ego not in by_id or collider not in by_id:
         return None
     others = [t for t in tracks if t.id not in (ego, *adversaries)]
-    return Scene(by_id[ego], by_id[collider], others, [by_id[name] for name in supports if name in by_id])
+    return FigureScene(by_id[ego], by_id[collider], others, [by_id[name] for name in supports if name in by_id])
 
 
 class Picture(Figure):
@@ -170,44 +171,49 @@ def draw_paper(story: Story) -> Picture:
     """The figure: (a) unattacked, (b) attacked; only (b) where the unattacked run is not known."""
     scenes = [s for s in (story.raw, story.attacked) if s is not None]
     view = story.view(widest=4.0)
-    stacked = view[2] / view[3] > WIDE
+    stacked = view[2] / view[3] > STACKED_ASPECT
     columns, rows = (1, len(scenes)) if stacked else (len(scenes), 1)
-    width = (WIDTH - 2 * SIDE - (columns - 1) * GAP) / columns
+    width = (PAGE_WIDTH_IN - 2 * SIDE_IN - (columns - 1) * GAP_IN) / columns
     height = width * view[3] / view[2]
-    total = rows * (height + TITLE) + KEY
-    figure = Picture(figsize=(WIDTH, total), dpi=DPI, facecolor="white")
+    total = rows * (height + TITLE_HEIGHT_IN) + KEY_HEIGHT_IN
+    figure = Picture(figsize=(PAGE_WIDTH_IN, total), dpi=PRINT_DPI, facecolor="white")
     FigureCanvasAgg(figure)
     for k, scene in enumerate(scenes):
         column, row = (0, k) if stacked else (k, 0)
-        left, bottom = SIDE + column * (width + GAP), KEY + (rows - 1 - row) * (height + TITLE)
-        axes = figure.add_axes((left / WIDTH, bottom / total, width / WIDTH, height / total), facecolor=GROUND)
+        left, bottom = (
+            SIDE_IN + column * (width + GAP_IN),
+            KEY_HEIGHT_IN + (rows - 1 - row) * (height + TITLE_HEIGHT_IN),
+        )
+        axes = figure.add_axes(
+            (left / PAGE_WIDTH_IN, bottom / total, width / PAGE_WIDTH_IN, height / total), facecolor=GROUND_COLOUR
+        )
         _draw_map(axes, story, scene, view, height)
         letter = "" if len(scenes) == 1 else f"({'ab'[k]}) "
-        words = shortened(f"{letter}{_words(story, scene)}", int(width * CHARACTERS))
+        words = shortened(f"{letter}{_words(story, scene)}", int(width * TITLE_CHARACTERS_PER_INCH))
         axes.set_title(words, fontsize=6.5, loc="left", pad=3, parse_math=False)
     _draw_key(figure, story, total)
     return figure
 
 
-def _draw_map(axes: Any, story: Story, scene: Scene, view: View, height: float) -> None:
+def _draw_map(axes: Any, story: Story, scene: FigureScene, view: MapView, height: float) -> None:
     left, bottom, width, tall = view
-    draw_lanes(axes, story.lanes, SMALL)
+    draw_lanes(axes, story.lanes, PAPER_STYLE)
     for track in seen_from_above(story.lanes, scene.others, story.decisive):
-        draw_box(axes, track, story.decisive, OTHER, 7, style=SMALL)
+        draw_box(axes, track, story.decisive, OTHER_COLOUR, 7, style=PAPER_STYLE)
     for track, colour in scene.coloured():
         part = track.between(story.trigger, story.end)
         axes.plot(part.x, part.y, color=colour, lw=1.2, zorder=6, solid_capstyle="round")
-        draw_box(axes, track, story.trigger, colour, 5, filled=False, style=SMALL)
-        draw_box(axes, track, story.decisive, colour, 8, style=SMALL)
-    draw_marks(axes, [track.between(story.trigger, story.end) for track in scene.pair()], story.trigger, SMALL)
+        draw_box(axes, track, story.trigger, colour, 5, filled=False, style=PAPER_STYLE)
+        draw_box(axes, track, story.decisive, colour, 8, style=PAPER_STYLE)
+    draw_marks(axes, [track.between(story.trigger, story.end) for track in scene.pair()], story.trigger, PAPER_STYLE)
     axes.set_aspect("equal", adjustable="box")
     axes.set(xlim=(left, left + width), ylim=(bottom, bottom + tall), xticks=[], yticks=[])
     for spine in axes.spines.values():
         spine.set_linewidth(0.6)
-    draw_scale_bar(axes, view, height, SMALL)
+    draw_scale_bar(axes, view, height, PAPER_STYLE)
 
 
-def _words(story: Story, scene: Scene) -> str:
+def _words(story: Story, scene: FigureScene) -> str:
     if scene is story.raw:
         return "Unattacked"
     least = story.outcome["min_ttc"]
@@ -220,10 +226,14 @@ def _draw_key(figure: Figure, story: Story, total: float) -> None:
     moment = "contact" if story.collided else "closest approach"
     after = f"{story.decisive - story.trigger:.1f} s"
     entries: list[Any] = [
-        Patch(facecolor=EGO, edgecolor="black", lw=0.6, label="ego"),
-        Patch(facecolor=ADVERSARY, edgecolor="black", lw=0.6, label="adversary"),
-        *([Patch(facecolor=SUPPORT, edgecolor="black", lw=0.6, label="support")] if story.attacked.supports else []),
-        Patch(facecolor=OTHER, edgecolor="black", lw=0.6, label=f"others, all at the {moment} ({after})"),
+        Patch(facecolor=EGO_COLOUR, edgecolor="black", lw=0.6, label="ego"),
+        Patch(facecolor=ADVERSARY_COLOUR, edgecolor="black", lw=0.6, label="adversary"),
+        *(
+            [Patch(facecolor=SUPPORT_COLOUR, edgecolor="black", lw=0.6, label="support")]
+            if story.attacked.supports
+            else []
+        ),
+        Patch(facecolor=OTHER_COLOUR, edgecolor="black", lw=0.6, label=f"others, all at the {moment} ({after})"),
         Patch(facecolor="none", edgecolor="black", lw=0.8, label="at the trigger"),
         Line2D([], [], color="black", marker="o", mfc="white", ms=3.4, mew=0.9, lw=1.2, label="s since the trigger"),
     ]
@@ -239,7 +249,7 @@ def save(figure: Figure, target: Path, kind: str) -> None:
         "png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None, "Producer": None},
     }[kind]  # fmt: skip
     with matplotlib.rc_context({"svg.hashsalt": "sumo_adv", "pdf.fonttype": 42}):
-        write_whole(target, lambda part: figure.savefig(part, format=kind, metadata=metadata, dpi=DPI))
+        write_whole(target, lambda part: figure.savefig(part, format=kind, metadata=metadata, dpi=PRINT_DPI))
 
 
 def write_film(story: Story, target: Path, kind: str) -> None:
@@ -254,25 +264,25 @@ def write_film(story: Story, target: Path, kind: str) -> None:
 
 def _film(story: Story, target: Path, kind: str) -> None:
     view = story.view(widest=3.0)
-    pixels = (HEAD + FILM_WIDTH * view[3] / view[2]) * FILM_DPI
+    pixels = (FILM_HEAD_IN + FILM_WIDTH_IN * view[3] / view[2]) * FILM_DPI
     height = round(pixels / 2) * 2 / FILM_DPI  # even, for the codec
-    figure = Figure(figsize=(FILM_WIDTH, height), dpi=FILM_DPI, facecolor="white")
+    figure = Figure(figsize=(FILM_WIDTH_IN, height), dpi=FILM_DPI, facecolor="white")
     FigureCanvasAgg(figure)
-    share = 1.0 - HEAD / height
-    axes = figure.add_axes((0.0, 0.0, 1.0, share), facecolor=GROUND)
+    share = 1.0 - FILM_HEAD_IN / height
+    axes = figure.add_axes((0.0, 0.0, 1.0, share), facecolor=GROUND_COLOUR)
     axes.set_aspect("equal", adjustable="datalim")
     axes.set(xlim=(view[0], view[0] + view[2]), ylim=(view[1], view[1] + view[3]), xticks=[], yticks=[])
-    draw_lanes(axes, story.lanes, LOOK)
-    draw_scale_bar(axes, view, height - HEAD, LOOK)
-    title = figure.text(0.01, 1.0 - 0.5 * HEAD / height, "", va="center", fontsize=11, parse_math=False)
-    times = story.start + np.arange(round((story.end - story.start) * RATE) + 1) / RATE
+    draw_lanes(axes, story.lanes, FILM_STYLE)
+    draw_scale_bar(axes, view, height - FILM_HEAD_IN, FILM_STYLE)
+    title = figure.text(0.01, 1.0 - 0.5 * FILM_HEAD_IN / height, "", va="center", fontsize=11, parse_math=False)
+    times = story.start + np.arange(round((story.end - story.start) * FILM_FRAMES_PER_S) + 1) / FILM_FRAMES_PER_S
     still = len(axes.patches)
-    writer: Any = PillowWriter(fps=RATE)
+    writer: Any = PillowWriter(fps=FILM_FRAMES_PER_S)
     if kind == "mp4":
         options = ["-pix_fmt", "yuv420p", "-bitexact", "-f", "mp4"]
-        writer = FFMpegWriter(fps=RATE, codec="libx264", extra_args=options)
+        writer = FFMpegWriter(fps=FILM_FRAMES_PER_S, codec="libx264", extra_args=options)
     with writer.saving(figure, str(target), FILM_DPI):
-        for time in [*times.tolist(), *[float(times[-1])] * HOLD]:
+        for time in [*times.tolist(), *[float(times[-1])] * FILM_END_FRAMES]:
             _draw_moment(axes, story, time)
             title.set_text(_caption(story, time))
             writer.grab_frame()
@@ -282,36 +292,36 @@ def _film(story: Story, target: Path, kind: str) -> None:
 
 def _draw_moment(axes: Any, story: Story, time: float) -> None:
     for track in seen_from_above(story.lanes, story.attacked.others, time):
-        draw_box(axes, track, time, OTHER, 5, style=LOOK)
+        draw_box(axes, track, time, OTHER_COLOUR, 5, style=FILM_STYLE)
     if story.raw is not None and time > story.trigger:
         for track, colour in story.raw.coloured():
-            draw_box(axes, track, time, colour, 6, filled=False, style=LOOK)
+            draw_box(axes, track, time, colour, 6, filled=False, style=FILM_STYLE)
     for track, colour in story.attacked.coloured():
-        draw_box(axes, track, time, colour, 8, style=LOOK)
+        draw_box(axes, track, time, colour, 8, style=FILM_STYLE)
 
 
 def _caption(story: Story, time: float) -> str:
     since = time - story.trigger
     contact = "   contact" if story.collided and time >= story.decisive - 1e-6 else ""
-    return f"{since:+.1f} s   {shortened(f'{story.name}: {story.intent}', MOST)}{contact}"
+    return f"{since:+.1f} s   {shortened(f'{story.name}: {story.intent}', MAX_FILM_TITLE_CHARACTERS)}{contact}"
 
 
 def draw_over_time(after: Sequence[tuple[float, Mapping[str, int]]]) -> Picture:
     """Steps that rise at the end of each round. after: minutes, and the failures by level, that or worse."""
-    figure = Picture(figsize=SIZE, facecolor="white", layout="constrained")
+    figure = Picture(figsize=CURVE_SIZE_IN, facecolor="white", layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     minutes = [0.0, *(time for time, _ in after)]
-    for level, colour in COLOURS.items():
+    for level, colour in LEVEL_COLOURS.items():
         counts = [0, *(found[level] for _, found in after)]
         label = level if level == "serious" else f"{level} or worse"
         axes.step(minutes, counts, where="post", color=colour, lw=1.4, marker="o", ms=2.5, label=label)
     axes.set_xlim(0.0, max(minutes[-1], 1e-3))
     axes.set_ylim(0.0, max(1.0, 1.1 * max(found["valid"] for _, found in after)))
-    axes.set_xlabel("time of the hunt [min]", fontsize=TEXT)
-    axes.set_ylabel("distinct failures", fontsize=TEXT)
+    axes.set_xlabel("time of the hunt [min]", fontsize=CURVE_TEXT_PT)
+    axes.set_ylabel("distinct failures", fontsize=CURVE_TEXT_PT)
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.tick_params(labelsize=TEXT)
+    axes.tick_params(labelsize=CURVE_TEXT_PT)
     axes.grid(alpha=0.3)
-    axes.legend(fontsize=TEXT, loc="upper left")
+    axes.legend(fontsize=CURVE_TEXT_PT, loc="upper left")
     return figure

@@ -19,7 +19,7 @@ from sumo_adv.metrics.case import Case, make_case
 from sumo_adv.metrics.verdict import judge, with_answers
 from sumo_adv.report.folder import plan_names
 from sumo_adv.report.outcome import level_figures
-from sumo_adv.report.read import OUTCOME, RunRead, columns_of, damaged, read_run
+from sumo_adv.report.read import OUTCOME_FILE, RunRead, columns_of, damaged, read_run
 from sumo_adv.report.run_outcome import level_of, verdict_of
 from sumo_adv.report.tables import PLAN_HEADER
 from sumo_adv.simulation.network import read_network
@@ -56,9 +56,9 @@ def run_folders(given: Sequence[Path]) -> list[Path]:
     for folder in given:
         if not folder.is_dir():
             raise UsageError(f"{folder} is no folder: give the folder of a run, or a folder that holds runs.")
-        inside = [folder] if (folder / OUTCOME).is_file() else sorted(p.parent for p in folder.rglob(OUTCOME))
+        inside = [folder] if (folder / OUTCOME_FILE).is_file() else sorted(p.parent for p in folder.rglob(OUTCOME_FILE))
         if not inside:
-            raise UsageError(f"{folder} holds no run: there is no {OUTCOME} in it or below.")
+            raise UsageError(f"{folder} holds no run: there is no {OUTCOME_FILE} in it or below.")
         folders += inside
     return folders
 

@@ -29,7 +29,7 @@ USERS = ("llm_base_url", "bubblewrap")  # settings that no run folder brings: a 
 
 
 @dataclass(frozen=True, slots=True)
-class Recorded:
+class RecordedRun:
     """A run as its manifest tells it."""
 
     source: RunInput
@@ -39,7 +39,7 @@ class Recorded:
     skips: int  # encounters passed over for being out of reach
 
 
-def read_manifest(folder: Path) -> Recorded:
+def read_manifest(folder: Path) -> RecordedRun:
     """The manifest of a run's folder.
 
     Raises UsageError: no manifest, another schema, no attempt in it, or an input's copy that is missing or changed.
@@ -61,7 +61,7 @@ def read_manifest(folder: Path) -> Recorded:
         raise UsageError(f"{file} is not a manifest of this program ({type(error).__name__}: {error}).") from error
 
 
-def _recorded(folder: Path, m: dict[str, Any]) -> Recorded:
+def _recorded(folder: Path, m: dict[str, Any]) -> RecordedRun:
     settings = load_settings(None, **_settings(m["settings"]))
     spec = SimulationSpec(
         _copy(folder, m["network"]), tuple(_copy(folder, n) for n in m["routes"]),
@@ -89,7 +89,7 @@ def _recorded(folder: Path, m: dict[str, Any]) -> Recorded:
         conversion=conversion, notes=tuple(m.get("notes", ())),
         waymo=waymo_source(m),
     )  # fmt: skip
-    return Recorded(source, settings, task, proposal, m["skips"])
+    return RecordedRun(source, settings, task, proposal, m["skips"])
 
 
 def _proposal(folder: Path, a: dict[str, Any], planners: dict[str, Any]) -> Proposal:

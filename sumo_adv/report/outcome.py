@@ -18,7 +18,7 @@ from sumo_adv.episode.assessment import motion_of
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.llm.chat import Ledger
-from sumo_adv.outcome_schema import SCHEMA
+from sumo_adv.outcome_schema import OUTCOME_SCHEMA
 from sumo_adv.simulation.inputs import EgoRoute
 from sumo_adv.simulation.playback_spec import PlaybackSpec
 from sumo_adv.simulation.warnings_log import kinds_of
@@ -41,7 +41,7 @@ def outcome(
     best, settings, encounter, robust = episode.best, episode.settings, episode.found, episode.refinement.robustness
     times = {name: round(seconds, 4) for name, seconds in episode.timing.items()}
     return {
-        "schema": SCHEMA, "ending": str(episode.ending),
+        "schema": OUTCOME_SCHEMA, "ending": str(episode.ending),
         "reason": " ".join(filter(None, (ENDING_SENTENCES[episode.ending], episode.reason))),
         "network": episode.source.name, "seed": settings.seed,
         "ego": {"id": encounter.ego if encounter else chosen, "controller": episode.task.ego_driver},

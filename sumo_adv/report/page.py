@@ -17,23 +17,23 @@ import numpy as np
 from sumo_adv.datatypes import FAILED_ENDINGS, Floats, Role, Track
 from sumo_adv.metrics.criticality import series
 from sumo_adv.metrics.gates import GATES
-from sumo_adv.report.document import Ints, asset, document, packed, whole
-from sumo_adv.report.page_road import RoadNear, lane_changes, lights_of, network, road_near
+from sumo_adv.report.document import WholeNumbers, asset, document, packed, whole
+from sumo_adv.report.page_road import DrawnRoad, lane_changes, lights_of, network, road_near
 from sumo_adv.report.read import RunRead, read_run, reading
 from sumo_adv.simulation.layers import covers
 from sumo_adv.simulation.network import RoadMap
 from sumo_adv.simulation.signals import SignalLog
 
-BEFORE = 60.0  # s, shown before the trigger at most
-AFTER = 2.0  # s of the unattacked run after the attempts' end
-NEAR = 200.0  # m around the ego: other vehicles are shown
-CENTIMETRE, MILLIRADIAN, HUNDREDTH = 0.01, 0.001, 0.01
-MOST = 9_000.0  # a series' cap, in its unit
-NAMES = {"best": "attacked", "first": "first attempt", "raw": "unattacked"}
-MOST_LINES = 2000  # of a planner that is compared with another
-SCHEMA = 1
-SCRIPTS = ("common.js", "decode.js", "model.js", "map.js", "charts.js", "words.js", "replay.js")
-STYLES = ("common.css", "replay.css")
+MAX_HISTORY_S = 60.0  # shown before the trigger at most
+AFTER_ATTEMPTS_S = 2.0  # s of the unattacked run after the attempts' end
+NEARBY_RADIUS_M = 200.0  # m around the ego: other vehicles are shown
+CENTIMETRE_M, MILLIRADIAN_RAD, HUNDREDTH = 0.01, 0.001, 0.01
+SERIES_CAP = 9_000.0  # a series' cap, in its unit
+SCENE_NAMES = {"best": "attacked", "first": "first attempt", "raw": "unattacked"}
+MAX_COMPARED_LINES = 2000  # of a planner that is compared with another
+PAGE_SCHEMA = 1
+PAGE_SCRIPTS = ("common.js", "decode.js", "model.js", "map.js", "charts.js", "words.js", "replay.js")
+PAGE_STYLES = ("common.css", "replay.css")
 REACTIONS = {"braked": "begins to brake", "steered": "begins to steer away"}  # actions of the cause, in words
 
 
@@ -42,13 +42,13 @@ class Segment:
     """A vehicle's frames without a gap. ``x``, ``y``: centimetres from the origin; ``heading``: milliradians."""
 
     first: int
-    x: Ints
-    y: Ints
-    heading: Ints
+    x: WholeNumbers
+    y: WholeNumbers
+    heading: WholeNumbers
 
 
 @dataclass(frozen=True, slots=True)
-class Shown:
+class ShownAttempt:
     """One attempt. ``frm``, ``to``: its frames; before them the attempt that counts is shown.
 
     ``curves``: TTC, distance, then speed and acceleration of ego and adversary, from frame ``curves_from`` on, in
@@ -63,7 +63,7 @@ class Shown:
     to: int
     vehicles: Sequence[tuple[Track, Sequence[Segment]]]
     curves_from: int = 0
-    curves: Sequence[Ints] = field(default=())
+    curves: Sequence[WholeNumbers] = field(default=())
     closest: tuple[float, float] | None = None  # time and distance of the closest approach after the trigger
 
 
@@ -80,7 +80,7 @@ class Grid:
         return round((time - self.start) / self.step)
 
 
-def make_scene(road: RoadNear, grid: Grid, attempts: Sequence[Shown], lights: SignalLog) -> dict[str, Any]:
+def make_scene(road: DrawnRoad, grid: Grid, attempts: Sequence[ShownAttempt], lights: SignalLog) -> dict[str, Any]:
     """The scene as JSON: figures as they are, positions, series and the road packed in ``blob``."""
     names = lights_of(road.stops)
     shown = [lights.lights.get(name, ((), ())) for name in names]
@@ -95,18 +95,18 @@ def make_scene(road: RoadNear, grid: Grid, attempts: Sequence[Shown], lights: Si
     }  # fmt: skip
 
 
-def _described(a: Shown) -> dict[str, Any]:
+def _described(a: ShownAttempt) -> dict[str, Any]:
     vehicles = [
         [t.id, str(t.role), t.length, t.width, [[s.first, len(s.x)] for s in segments]] for t, segments in a.vehicles
     ]
     return {
-        "key": a.key, "name": NAMES.get(a.key, a.key), "ego": a.ego, "adversary": a.adversary, "trigger": a.trigger,
-        "from": a.frm, "to": a.to, "vehicles": vehicles,
+        "key": a.key, "name": SCENE_NAMES.get(a.key, a.key), "ego": a.ego, "adversary": a.adversary,
+        "trigger": a.trigger, "from": a.frm, "to": a.to, "vehicles": vehicles,
         "curves": [a.curves_from, len(a.curves[0])] if a.curves else None,
     }  # fmt: skip
 
 
-def _columns(attempts: Sequence[Shown], road: RoadNear, grid: Grid) -> Iterator[tuple[int, Ints]]:
+def _columns(attempts: Sequence[ShownAttempt], road: DrawnRoad, grid: Grid) -> Iterator[tuple[int, WholeNumbers]]:
     """In the order in which the script reads them; alike beside alike packs best."""
     for name in ("x", "y", "heading"):
         for attempt in attempts:
@@ -119,10 +119,10 @@ def _columns(attempts: Sequence[Shown], road: RoadNear, grid: Grid) -> Iterator[
     for lines in (road.strips, road.markings, road.stops):
         for axis in (0, 1):
             for each in lines:
-                yield 1, whole(each.line[:, axis] - grid.origin[axis], CENTIMETRE)
+                yield 1, whole(each.line[:, axis] - grid.origin[axis], CENTIMETRE_M)
 
 
-def make_attempts(run: RunRead, road: RoadMap | None = None) -> tuple[Grid, list[Shown]] | None:
+def make_attempts(run: RunRead, road: RoadMap | None = None) -> tuple[Grid, list[ShownAttempt]] | None:
     """The grid, and the attempts to show: first the attempt that counts. None where nothing was recorded.
 
     road: of the run; where a lane passes over another vehicle than ego and adversary, that is not shown.
@@ -138,8 +138,8 @@ def make_attempts(run: RunRead, road: RoadMap | None = None) -> tuple[Grid, list
     pivot = last if pivot is None else pivot
     end = max([last, *(t.time[-1] for t in run.first), *(t.time[-1] for _, tracks in run.attacks for t in tracks)])
     if run.raw:
-        end = max(end, min(max(t.time[-1] for t in run.raw), end + AFTER))
-    start = max(first, pivot - BEFORE)
+        end = max(end, min(max(t.time[-1] for t in run.raw), end + AFTER_ATTEMPTS_S))
+    start = max(first, pivot - MAX_HISTORY_S)
     part = lead.between(start, pivot + step)
     centre = part if len(part.time) else lead
     grid = Grid(start, step, round((end - start) / step) + 1, (round(float(centre.x[-1])), round(float(centre.y[-1]))))
@@ -173,7 +173,7 @@ def _step(run: RunRead, tracks: Sequence[Track]) -> float:
     return min((round(float(np.diff(t.time).min()), 3) for t in tracks if len(t.time) > 1), default=0.1)
 
 
-def _attempts(run: RunRead, grid: Grid, lead: Track) -> list[Shown]:
+def _attempts(run: RunRead, grid: Grid, lead: Track) -> list[ShownAttempt]:
     outcome, pivot = run.outcome, _pivot(run.outcome)
     listed, begun = outcome.get("attempts") or [], outcome.get("trigger_time")
     names = [str(a["id"]) for a in outcome.get("adversaries") or []]
@@ -194,7 +194,7 @@ def _attempts(run: RunRead, grid: Grid, lead: Track) -> list[Shown]:
 def _shown(
     key: str, tracks: Sequence[Track], grid: Grid, ego: str, adversary: str, trigger: float | None,
     common: float | None,
-) -> Shown:  # fmt: skip
+) -> ShownAttempt:  # fmt: skip
     """An attempt from ``common`` [s] on (None: from the grid's start on)."""
     start = grid.start if common is None else common + grid.step / 2
     end = grid.start + (grid.frames - 1) * grid.step
@@ -206,7 +206,7 @@ def _shown(
     to = max((grid.frame(float(t.time[-1])) for t in cut), default=frm)
     foe = next((t for t in cut if t.id == adversary), None)
     if lead is None:
-        return Shown(key, ego, adversary, trigger, frm, to, vehicles)
+        return ShownAttempt(key, ego, adversary, trigger, frm, to, vehicles)
     measures = {} if foe is None else series(lead, [foe])
     curves = _curves(lead, foe, measures, grid)
     closest = None
@@ -215,7 +215,9 @@ def _shown(
         gap = np.where(after, measures["gap"][0], math.inf)
         k = int(np.argmin(gap))
         closest = (float(measures["time"][k]), float(gap[k])) if math.isfinite(gap[k]) else None
-    return Shown(key, ego, adversary, trigger, frm, to, vehicles, grid.frame(float(lead.time[0])), curves, closest)
+    return ShownAttempt(
+        key, ego, adversary, trigger, frm, to, vehicles, grid.frame(float(lead.time[0])), curves, closest
+    )
 
 
 def _segments(track: Track, grid: Grid, lead: Track | None) -> list[Segment]:
@@ -224,20 +226,20 @@ def _segments(track: Track, grid: Grid, lead: Track | None) -> list[Segment]:
     keep = np.ones(len(frames), dtype=bool)
     if lead is not None:
         x, y = (np.interp(track.time, lead.time, v) for v in (lead.x, lead.y))
-        keep = np.hypot(track.x - x, track.y - y) <= NEAR
+        keep = np.hypot(track.x - x, track.y - y) <= NEARBY_RADIUS_M
     heading = np.unwrap(track.heading)
     places = np.flatnonzero(keep)
     pieces = np.split(places, np.flatnonzero(np.diff(frames[places]) != 1) + 1) if len(places) else []
     return [
         Segment(
-            int(frames[piece[0]]), whole(track.x[piece] - grid.origin[0], CENTIMETRE),
-            whole(track.y[piece] - grid.origin[1], CENTIMETRE), whole(heading[piece], MILLIRADIAN),
+            int(frames[piece[0]]), whole(track.x[piece] - grid.origin[0], CENTIMETRE_M),
+            whole(track.y[piece] - grid.origin[1], CENTIMETRE_M), whole(heading[piece], MILLIRADIAN_RAD),
         )
         for piece in pieces
     ]  # fmt: skip
 
 
-def _curves(ego: Track, foe: Track | None, measures: Mapping[str, Floats], grid: Grid) -> list[Ints]:
+def _curves(ego: Track, foe: Track | None, measures: Mapping[str, Floats], grid: Grid) -> list[WholeNumbers]:
     """The six series on every frame from the ego's first to its last."""
     frames = np.rint((ego.time - grid.start) / grid.step).astype(np.int64)
     empty = np.full(len(ego.time), np.nan)
@@ -250,7 +252,7 @@ def _curves(ego: Track, foe: Track | None, measures: Mapping[str, Floats], grid:
     curves = []
     for row in rows:
         full = np.full(int(frames[-1] - frames[0]) + 1, np.nan)
-        full[frames - frames[0]] = np.where(np.isfinite(row), np.clip(row, -MOST, MOST), np.nan)
+        full[frames - frames[0]] = np.where(np.isfinite(row), np.clip(row, -SERIES_CAP, SERIES_CAP), np.nan)
         curves.append(whole(full, HUNDREDTH))
     return curves
 
@@ -278,7 +280,7 @@ def _diff(planners: Mapping[str, Any], name: str) -> list[str] | None:
     if parent not in planners:
         return None
     before, after = (planners[n]["source"].splitlines() for n in (parent, name))
-    if max(len(before), len(after)) > MOST_LINES:
+    if max(len(before), len(after)) > MAX_COMPARED_LINES:
         return None
     return list(difflib.unified_diff(before, after, lineterm=""))[2:]
 
@@ -312,18 +314,18 @@ def page_of(folder: Path, back: str | None = None) -> Page:
             moments = _moments(run.outcome, attempts)
             place = _place(run, attempts)
         data = {
-            "schema": SCHEMA, "outcome": run.outcome, "scene": scene, "moments": moments, "gates": list(GATES),
+            "schema": PAGE_SCHEMA, "outcome": run.outcome, "scene": scene, "moments": moments, "gates": list(GATES),
             "planners": planner_versions(run.outcome, run.manifest),
             "about": {k: run.manifest.get(k) for k in ("name", "versions", "seed", "settings")}, "back": back,
             "failed": run.outcome["ending"] in FAILED_ENDINGS,
         }  # fmt: skip
-        page = document("Replay", asset("replay.html"), STYLES, SCRIPTS, data)
+        page = document("Replay", asset("replay.html"), PAGE_STYLES, PAGE_SCRIPTS, data)
         return Page(page, place, network_name(run.manifest))
 
 
-def _road(road: RoadMap | None, file: Path, attempts: Sequence[Shown]) -> RoadNear:
+def _road(road: RoadMap | None, file: Path, attempts: Sequence[ShownAttempt]) -> DrawnRoad:
     paths = [t for a in attempts for t, _ in a.vehicles if t.id in (a.ego, a.adversary)]
-    return road_near(road, lane_changes(file), paths) if paths and road is not None else RoadNear()
+    return road_near(road, lane_changes(file), paths) if paths and road is not None else DrawnRoad()
 
 
 def network_name(manifest: Mapping[str, Any]) -> str:
@@ -331,7 +333,7 @@ def network_name(manifest: Mapping[str, Any]) -> str:
     return Path(str(manifest.get("network") or "")).name
 
 
-def _moments(outcome: Mapping[str, Any], attempts: Sequence[Shown]) -> list[dict[str, Any]]:
+def _moments(outcome: Mapping[str, Any], attempts: Sequence[ShownAttempt]) -> list[dict[str, Any]]:
     """Links into the time line, by time: a key for the address, words, and the time [s]."""
     verdict = outcome.get("outcome") or {}
     shown = {a.key: a for a in attempts}
@@ -354,7 +356,7 @@ def _moments(outcome: Mapping[str, Any], attempts: Sequence[Shown]) -> list[dict
     return sorted(rows, key=lambda m: m["time"])
 
 
-def _place(run: RunRead, attempts: Sequence[Shown]) -> tuple[float, float] | None:
+def _place(run: RunRead, attempts: Sequence[ShownAttempt]) -> tuple[float, float] | None:
     """The ego's centre at contact, else at the closest approach, else at the end."""
     verdict, shown = run.outcome.get("outcome") or {}, attempts[0]
     ego = next((t for t, _ in shown.vehicles if t.id == shown.ego), None)

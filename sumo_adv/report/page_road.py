@@ -26,20 +26,20 @@ from sumo_adv.simulation.network import NetworkLane, RoadMap, read_network
 from sumo_adv.simulation.scan import parse_xml
 
 SOLID, DASHED = 0, 1
-STOP, GIVE_WAY, LIGHT = 0, 1, 2
-INSET = 0.15  # m from the edge of a carriageway to the line beside it
-BACK = 0.4  # m from the end of a lane to the middle of its line
+LINE_STOP, LINE_GIVE_WAY, LINE_LIGHT = 0, 1, 2
+LINE_INSET_M = 0.15  # m from the edge of a carriageway to the line beside it
+STOP_LINE_SETBACK_M = 0.4  # m from the end of a lane to the middle of its line
 MUST_STOP, MUST_YIELD = "sw", "m"  # SUMO's letters of right of way
 
 Changes = Mapping[str, tuple[bool, bool]]
 """By lane, whether passenger cars may leave it to the left and to the right."""
-REACH = 220.0  # m around the ego's path
-THINNED = 0.02  # m a lane's line may be off when points are left out
-ROAD, INSIDE, OTHER, AREA = 0, 1, 2, 3
+ROAD_RADIUS_M = 220.0  # around the vehicles' paths
+LINE_TOLERANCE_M = 0.02  # m a lane's line may be off when points are left out
+AREA_ROAD, AREA_JUNCTION, AREA_OTHER, AREA_GROUND = 0, 1, 2, 3
 
 
 @dataclass(frozen=True, slots=True)
-class Marking:
+class DrawnMarking:
     """A line along the road: ``(n, 2)`` [m], and whether it is ``SOLID`` or ``DASHED``."""
 
     line: Floats
@@ -47,11 +47,11 @@ class Marking:
 
 
 @dataclass(frozen=True, slots=True)
-class StopLine:
+class DrawnStopLine:
     """A line across a lane from its right to its left side, ``(2, 2)`` [m].
 
-    kind: ``STOP``, ``GIVE_WAY`` or ``LIGHT``. light: the traffic light's id, '' without one; links: the places of the
-    lane's connections in the light's state, rightmost first.
+    kind: ``LINE_STOP``, ``LINE_GIVE_WAY`` or ``LINE_LIGHT``. light: the traffic light's id, '' without one; links: the
+    places of the lane's connections in the light's state, rightmost first.
     """
 
     line: Floats
@@ -78,7 +78,7 @@ def _allowed(classes: str | None) -> bool:
     return classes is None or bool({"passenger", "all"} & set(classes.split()))
 
 
-def markings_of(road: RoadMap, changes: Changes) -> Iterator[Marking]:
+def markings_of(road: RoadMap, changes: Changes) -> Iterator[DrawnMarking]:
     """The lines along all edges outside junctions, where no road passes over them."""
     for edge, marking in _markings(road, changes):
         if road.heights is None:
@@ -105,18 +105,18 @@ def _uncovered(road: RoadMap, edge: str, line: Floats) -> Iterator[Floats]:
             yield points[piece]
 
 
-def _markings(road: RoadMap, changes: Changes) -> Iterator[tuple[str, Marking]]:
+def _markings(road: RoadMap, changes: Changes) -> Iterator[tuple[str, DrawnMarking]]:
     """The lines along all edges outside junctions, by edge."""
     for edge, names in road.edges.items():
         lanes = [road.lanes[name] for name in names if len(road.lanes[name].shape) > 1]
         driven = [lane for lane in lanes if lane.carriageway and not lane.internal]
         if not driven:
             continue
-        yield edge, Marking(_beside(driven[0], INSET - driven[0].width / 2), SOLID)
+        yield edge, DrawnMarking(_beside(driven[0], LINE_INSET_M - driven[0].width / 2), SOLID)
         for right, left in pairwise(driven):
             both = changes.get(right.id, (True, True))[0] and changes.get(left.id, (True, True))[1]
-            yield edge, Marking(_beside(right, right.width / 2), DASHED if both else SOLID)
-        yield edge, Marking(_beside(driven[-1], driven[-1].width / 2 - INSET), SOLID)
+            yield edge, DrawnMarking(_beside(right, right.width / 2), DASHED if both else SOLID)
+        yield edge, DrawnMarking(_beside(driven[-1], driven[-1].width / 2 - LINE_INSET_M), SOLID)
 
 
 def _beside(lane: NetworkLane, offset: float) -> Floats:
@@ -128,7 +128,7 @@ def _beside(lane: NetworkLane, offset: float) -> Floats:
     return points if len(points) > 1 else lane.shape  # an offset that degenerates: a lane shorter than it is wide
 
 
-def stop_lines(road: RoadMap) -> Iterator[StopLine]:
+def stop_lines(road: RoadMap) -> Iterator[DrawnStopLine]:
     """The lines across lanes at junctions."""
     for lane in road.lanes.values():
         onward = [c for c in lane.connections if c.movement != "u-turn"]
@@ -136,34 +136,34 @@ def stop_lines(road: RoadMap) -> Iterator[StopLine]:
             continue
         lit = [c.light for c in onward if c.light[0]]
         if lit:
-            yield StopLine(_across(lane), LIGHT, lit[0][0], tuple(k for _, k in lit))
+            yield DrawnStopLine(_across(lane), LINE_LIGHT, lit[0][0], tuple(k for _, k in lit))
         elif all(c.state in MUST_STOP for c in onward):
-            yield StopLine(_across(lane), STOP)
+            yield DrawnStopLine(_across(lane), LINE_STOP)
         elif all(c.state in MUST_STOP + MUST_YIELD for c in onward):
-            yield StopLine(_across(lane), GIVE_WAY)
+            yield DrawnStopLine(_across(lane), LINE_GIVE_WAY)
 
 
 def _across(lane: NetworkLane) -> Floats:
     end, before = lane.shape[-1], lane.shape[-2]
     forward = (end - before) / max(float(np.hypot(*(end - before))), 1e-9)
     left = np.array([-forward[1], forward[0]]) * (lane.width / 2 - 0.1)
-    middle = end - BACK * forward
+    middle = end - STOP_LINE_SETBACK_M * forward
     return np.stack([middle - left, middle + left])
 
 
-def lights_of(stops: Sequence[StopLine]) -> list[str]:
+def lights_of(stops: Sequence[DrawnStopLine]) -> list[str]:
     return sorted({stop.light for stop in stops if stop.light})
 
 
-Along = TypeVar("Along", "Strip", Marking)
-Line = TypeVar("Line", "Strip", Marking, StopLine)
+Along = TypeVar("Along", "DrawnStrip", DrawnMarking)
+Line = TypeVar("Line", "DrawnStrip", DrawnMarking, DrawnStopLine)
 
 
 @dataclass(frozen=True, slots=True)
-class Strip:
+class DrawnStrip:
     """A lane: centreline (n, 2) [m], width [m], kind: on a road, inside a junction, or not for cars.
 
-    Or the outline of a junction, of kind ``AREA``.
+    Or the outline of a junction, of kind ``AREA_GROUND``.
     """
 
     line: Floats
@@ -172,12 +172,12 @@ class Strip:
 
 
 @dataclass(frozen=True, slots=True)
-class RoadNear:
+class DrawnRoad:
     """The road that a page draws: its surface, the lines along it and the lines across it."""
 
-    strips: Sequence[Strip] = ()
-    markings: Sequence[Marking] = ()
-    stops: Sequence[StopLine] = ()
+    strips: Sequence[DrawnStrip] = ()
+    markings: Sequence[DrawnMarking] = ()
+    stops: Sequence[DrawnStopLine] = ()
 
 
 @lru_cache(maxsize=4)
@@ -186,34 +186,38 @@ def network(path: Path) -> RoadMap:
     return read_network(path)
 
 
-def road_near(road: RoadMap, changes: Changes, tracks: Sequence[Track]) -> RoadNear:
-    """Lanes, junctions and lines within ``REACH`` of the tracks' paths."""
+def road_near(road: RoadMap, changes: Changes, tracks: Sequence[Track]) -> DrawnRoad:
+    """Lanes, junctions and lines within ``ROAD_RADIUS_M`` of the tracks' paths."""
     from shapely import LineString, MultiPoint
 
     points = np.concatenate([np.column_stack([t.x, t.y])[:: max(1, len(t.x) // 100)] for t in tracks])
     path = LineString(points) if len(points) > 1 else MultiPoint(points)
     lanes = sorted((lane for lane in road.lanes.values() if len(lane.shape) > 1), key=road.top)
     strips = [
-        Strip(lane.shape, lane.width, OTHER if not lane.carriageway else INSIDE if lane.internal else ROAD)
+        DrawnStrip(
+            lane.shape,
+            lane.width,
+            AREA_OTHER if not lane.carriageway else AREA_JUNCTION if lane.internal else AREA_ROAD,
+        )
         for lane in lanes
     ]
-    strips += [Strip(area, 0.0, AREA) for area in road.junctions]
-    return RoadNear(
+    strips += [DrawnStrip(area, 0.0, AREA_GROUND) for area in road.junctions]
+    return DrawnRoad(
         [_thinned(s) for s in _near(strips, path)], [_thinned(m) for m in _near(markings_of(road, changes), path)],
         _near(stop_lines(road), path),
     )  # fmt: skip
 
 
 def _near(lines: Iterable[Line], path: Any) -> list[Line]:
-    """Those within ``REACH`` of a path (a shapely geometry)."""
+    """Those within ``ROAD_RADIUS_M`` of a path (a shapely geometry)."""
     from shapely import dwithin, linestrings
 
     every = list(lines)
-    near = dwithin([linestrings(each.line) for each in every], path, REACH)
+    near = dwithin([linestrings(each.line) for each in every], path, ROAD_RADIUS_M)
     return [each for each, is_near in zip(every, near, strict=True) if is_near]
 
 
 def _thinned(line: Along) -> Along:
     from shapely import linestrings, simplify
 
-    return replace(line, line=np.asarray(simplify(linestrings(line.line), THINNED).coords, float))
+    return replace(line, line=np.asarray(simplify(linestrings(line.line), LINE_TOLERANCE_M).coords, float))

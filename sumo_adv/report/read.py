@@ -20,12 +20,12 @@ from sumo_adv.outcome_schema import check_schema, migrated
 from sumo_adv.parsing import MAX_UNPACKED_BYTES, read_json, read_text
 from sumo_adv.report.folder import FIRST, SIGNALS
 from sumo_adv.report.outcome import ATTACKS
-from sumo_adv.report.tables import HEADER, HEIGHT
+from sumo_adv.report.tables import HEIGHT, STATES_HEADER
 from sumo_adv.simulation.signals import SignalLog, read_signals
 
-OUTCOME, MANIFEST = "outcome.json", "manifest.json"
-MOST_ROWS = 4_000_000  # of a table: 1,000 vehicles over 400 s
-NUMBERS = ("time", "x", "y", "heading", "speed", "acceleration", "length", "width")
+OUTCOME_FILE, MANIFEST_FILE = "outcome.json", "manifest.json"
+MAX_TABLE_ROWS = 4_000_000  # of a table: 1,000 vehicles over 400 s
+NUMBER_COLUMNS = ("time", "x", "y", "heading", "speed", "acceleration", "length", "width")
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ class RunRead:
 def read_run(folder: Path) -> RunRead:
     """All that a page shows. Raises UsageError: no run's folder, or a file in it is damaged."""
     outcome = read_outcome(folder)
-    manifest = _json(folder / MANIFEST) if (folder / MANIFEST).is_file() else {}
+    manifest = _json(folder / MANIFEST_FILE) if (folder / MANIFEST_FILE).is_file() else {}
     best, raw, first = (_tracks(folder / name) for name in ("states.csv.gz", "raw.csv.gz", FIRST))
     lights = read_signals(folder / SIGNALS) if (folder / SIGNALS).is_file() else SignalLog({})
     return RunRead(folder, outcome, manifest, best, raw, first, _attacks(folder, outcome), lights)
@@ -61,10 +61,10 @@ def read_outcome(folder: Path) -> dict[str, Any]:
     """``outcome.json`` of a run. Raises UsageError: no run's folder, the file is damaged, or it has
     schema 1."""
     refuse_links(folder)
-    if not (folder / OUTCOME).is_file():
-        raise UsageError(f"{folder} holds no {OUTCOME}; give the folder of a run.")
-    document = _json(folder / OUTCOME)
-    check_schema(document, folder / OUTCOME)
+    if not (folder / OUTCOME_FILE).is_file():
+        raise UsageError(f"{folder} holds no {OUTCOME_FILE}; give the folder of a run.")
+    document = _json(folder / OUTCOME_FILE)
+    check_schema(document, folder / OUTCOME_FILE)
     return document
 
 
@@ -75,7 +75,7 @@ def bring_up_to_date(folder: Path) -> None:
         UsageError: The file is damaged, so old that it has no levels, or cannot be written.
     """
     refuse_links(folder)
-    for file in (folder / OUTCOME, *sorted(folder.glob(f"{ATTACKS}/*/{OUTCOME}"))):
+    for file in (folder / OUTCOME_FILE, *sorted(folder.glob(f"{ATTACKS}/*/{OUTCOME_FILE}"))):
         document = _json(file)
         if document.get("schema") == 1:
             with sentences(file):
@@ -86,7 +86,7 @@ def _attacks(folder: Path, outcome: Mapping[str, Any]) -> list[tuple[int, list[T
     try:
         others = [int(s["attempt"]) for s in outcome.get("successes") or () if s["folder"] is not None]
     except (KeyError, TypeError, ValueError) as error:
-        raise damaged(folder / OUTCOME, error) from error
+        raise damaged(folder / OUTCOME_FILE, error) from error
     return [(k, _tracks(folder / ATTACKS / str(k + 1) / "states.csv.gz")) for k in others]
 
 
@@ -120,7 +120,7 @@ def reading(folder: Path) -> Iterator[None]:
         raise UsageError(f"The run in {folder} is not as this program writes it ({message}); run it again.") from error
 
 
-def columns_of(file: Path, expected: str = HEADER) -> dict[str, tuple[str, ...]]:
+def columns_of(file: Path, expected: str = STATES_HEADER) -> dict[str, tuple[str, ...]]:
     """The columns of a table as text (of states, unless another header is ``expected``), with heights if it has them.
 
     They are empty where there is no such file. Raises UsageError: the file is damaged.
@@ -130,9 +130,9 @@ def columns_of(file: Path, expected: str = HEADER) -> dict[str, tuple[str, ...]]
         return dict.fromkeys(names, ())
     try:
         table = csv.reader(io.StringIO(read_text(file, MAX_UNPACKED_BYTES), newline=""))
-        header, *rows = islice(table, MOST_ROWS)
+        header, *rows = islice(table, MAX_TABLE_ROWS)
         if next(table, None) is not None:
-            raise ValueError(f"it has more than {MOST_ROWS:,} rows")
+            raise ValueError(f"it has more than {MAX_TABLE_ROWS:,} rows")
         if header not in (names, [*names, HEIGHT]):
             raise ValueError("its columns are others")
         return dict(zip(header, zip(*rows, strict=True), strict=True)) if rows else dict.fromkeys(header, ())
@@ -148,13 +148,13 @@ def _tracks(file: Path) -> list[Track]:
         places.setdefault(name, []).append(place)
     try:
         high = [HEIGHT] if HEIGHT in columns else []
-        values = {name: np.array(columns[name], dtype=np.float64) for name in (*NUMBERS, *high)}
+        values = {name: np.array(columns[name], dtype=np.float64) for name in (*NUMBER_COLUMNS, *high)}
         if not all(np.isfinite(v).all() for v in values.values()):
             raise ValueError("a number is not finite")
         tracks = []
         for name, of in places.items():
-            time, x, y, heading, speed, acceleration = (values[n][of] for n in NUMBERS[:6])
-            length, width = (float(values[n][of[0]]) for n in NUMBERS[6:])
+            time, x, y, heading, speed, acceleration = (values[n][of] for n in NUMBER_COLUMNS[:6])
+            length, width = (float(values[n][of[0]]) for n in NUMBER_COLUMNS[6:])
             role, lane = Role(columns["role"][of[0]]), tuple(columns["lane"][i] for i in of)
             z = values[HEIGHT][of] if high else 0.0
             tracks.append(Track(name, role, time, x, y, heading, speed, acceleration, length, width, lane, z))
@@ -172,7 +172,7 @@ def write_states_parquet(target: Path, runs: Iterable[tuple[str, Path]]) -> None
     import pyarrow as pa
     from pyarrow import parquet
 
-    names, numbers = [*HEADER.strip().split(","), HEIGHT], (*NUMBERS, HEIGHT)
+    names, numbers = [*STATES_HEADER.strip().split(","), HEIGHT], (*NUMBER_COLUMNS, HEIGHT)
     kinds = {name: pa.float64() if name in numbers else pa.string() for name in names}
     schema = pa.schema({"run": pa.string(), **kinds})
 

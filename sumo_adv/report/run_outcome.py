@@ -16,7 +16,7 @@ from sumo_adv.datatypes import Ending, Intent, Level, Preventability, Verdict, a
 from sumo_adv.errors import UsageError
 from sumo_adv.metrics.cause import Action, Cause, CauseKind
 
-NEVER = ("min_ttc", "min_distance", "min_ttc_any", "min_pet")  # null in the file, inf here
+MAY_BE_NEVER = ("min_ttc", "min_distance", "min_ttc_any", "min_pet")  # null in the file, inf here
 LISTS = ("failed_gates", "log_gates", "beyond_human")
 
 
@@ -152,7 +152,7 @@ def outcome_of(document: Mapping[str, Any], file: Path) -> Outcome:
 def verdict_of(written: Mapping[str, Any]) -> Verdict:
     names = {f.name for f in fields(Verdict)} & written.keys()
     values = {name: written[name] for name in names}
-    values |= {name: _time(written[name]) for name in NEVER}
+    values |= {name: _time(written[name]) for name in MAY_BE_NEVER}
     values |= {name: tuple(written[name]) for name in LISTS}
     values["level"] = level_of(written["level"])
     if written["references"] is not None:

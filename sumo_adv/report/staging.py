@@ -15,9 +15,11 @@ from sumo_adv.files import json_text, refuse_links, scratch_prefix
 from sumo_adv.parsing import read_json
 
 PROGRAM = "sumo_adv"
+RESULTS_FILE, PLAN_FILE = "results.csv", "plan.json"
+"""In the folder of a batch: the table of its episodes, and what it runs."""
 LISTING = "files.json"
 """In each folder that this program wrote: its name, and the entries that it wrote, all that --force may delete."""
-LATER = ("report.html", "figure.png", "report")  # what commands add to a folder that was written
+LATER_FILES = ("report.html", "figure.png", "report")  # what commands add to a folder that was written
 
 
 class RunFolder:
@@ -55,7 +57,7 @@ def check_replaceable(target: Path) -> None:
     refuse_links(target)
     for path in sorted(target.rglob("*")):
         inside = path.relative_to(target)
-        if inside.as_posix() not in known and inside.parts[0] not in LATER:
+        if inside.as_posix() not in known and inside.parts[0] not in LATER_FILES:
             raise UsageError(f"{target} holds {path.name}, which this program did not write, {advice}.")
 
 

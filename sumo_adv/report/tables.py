@@ -21,12 +21,12 @@ from sumo_adv.simulation.simulation import Snapshot
 from sumo_adv.simulation.tracks import tracks_of
 from sumo_adv.times import seconds_text
 
-HEADER = "time,id,role,x,y,heading,speed,acceleration,length,width,lane\n"
+STATES_HEADER = "time,id,role,x,y,heading,speed,acceleration,length,width,lane\n"
 HEIGHT = "z"
 """The last column of states where roads have heights: that of the road under the vehicle [m]."""
 SERIES = ("ttc", "gap", "drac", "btn", "headway", "required_lateral", "centre_distance")
 SERIES_HEADER = f"time,id,{','.join(SERIES)}\n"
-BOUNDS = {
+SERIES_CAPS = {
     "drac": LARGEST_DRAC_M_S2, "btn": LARGEST_DRAC_M_S2 / AVAILABLE_BRAKING_M_S2, "required_lateral": LARGEST_DRAC_M_S2,
 }  # at contact they have none  # fmt: skip
 
@@ -62,7 +62,7 @@ def write_states(
             )
             rows.append((time, order, text))
     rows.sort(key=lambda r: (r[0], r[1]))
-    header = f"{HEADER.strip()},{HEIGHT}\n" if high else HEADER
+    header = f"{STATES_HEADER.strip()},{HEIGHT}\n" if high else STATES_HEADER
     write_gzip(target, header + "".join(r[2] for r in rows))
 
 
@@ -102,7 +102,7 @@ def series_rows(ego: Track, tracks: Sequence[Track], adversary: str) -> list[str
     if not others or not len(ego.time):
         return []
     measures = series(ego, others)
-    values = np.stack([np.minimum(measures[n], BOUNDS.get(n, np.inf)) for n in SERIES], axis=-1)
+    values = np.stack([np.minimum(measures[n], SERIES_CAPS.get(n, np.inf)) for n in SERIES], axis=-1)
     radius = np.where([[t.id == adversary] for t in others], np.inf, THIRD_PARTY_DISTANCE_M)
     there = np.isfinite(measures["centre_distance"]) & (measures["centre_distance"] <= radius)
     times, names = measures["time"].tolist(), [quoted(t.id) for t in others]

@@ -29,8 +29,8 @@ from sumo_adv.report.tables import series_rows
 from sumo_adv.simulation.network import Drivable
 from sumo_adv.simulation.tracks import tracks_of
 
-LEAST_OWN, LEAST_REFERENCE = 10, 100  # steps below which a distance of distributions says nothing
-MOST_MAPPED = 40  # reference vehicles that are measured against the road's edge
+MIN_OWN_STEPS, MIN_REFERENCE_STEPS = 10, 100  # steps below which a distance of distributions says nothing
+MAX_MAPPED_VEHICLES = 40  # reference vehicles that are measured against the road's edge
 WOSAC_FEATURES = (
     "linear_speed", "linear_acceleration", "angular_speed", "angular_acceleration", "distance_to_road_edge",
 )  # fmt: skip
@@ -196,9 +196,9 @@ def realism_figures(moved: Track, traffic: Sequence[Track], drivable: Drivable) 
     """
     block: dict[str, Any] = dict.fromkeys([*(f"{n}_{d}" for n in PAPER_BINS for d in DISTANCES), *SHARES])
     block["wosac_js"] = dict.fromkeys(WOSAC_FEATURES)
-    if len(moved.time) < LEAST_OWN:
+    if len(moved.time) < MIN_OWN_STEPS:
         return block
-    if sum(len(t.time) for t in traffic) < LEAST_REFERENCE:
+    if sum(len(t.time) for t in traffic) < MIN_REFERENCE_STEPS:
         return block | own_figures([moved], on_road=drivable)
     block |= realism([moved], traffic, on_road=drivable)
     block["wosac_js"] |= _wosac(moved, traffic, drivable)
@@ -208,7 +208,7 @@ def realism_figures(moved: Track, traffic: Sequence[Track], drivable: Drivable) 
 def _wosac(moved: Track, traffic: Sequence[Track], drivable: Drivable) -> dict[str, float]:
     """Jensen-Shannon divergences over WOSAC's bins; the map feature against traffic on the known part of the road."""
     distance = edge_distance(drivable)
-    on_map = [t for t in traffic if bool(np.asarray(drivable(t.x, t.y)).all())][:MOST_MAPPED]
+    on_map = [t for t in traffic if bool(np.asarray(drivable(t.x, t.y)).all())][:MAX_MAPPED_VEHICLES]
     reference: dict[str, list[Floats]] = {}
     for track in traffic:
         road_distance = distance if any(track is t for t in on_map) else None

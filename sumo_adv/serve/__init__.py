@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-LOCK_STEP_DEADLINE, REAL_TIME_DEADLINE = 10.0, 2.0  # s a client may take for one step
+LOCK_STEP_DEADLINE_S, REAL_TIME_DEADLINE_S = 10.0, 2.0  # s a client may take for one step
 
 
 class Mode(StrEnum):
@@ -43,4 +43,4 @@ class Options:
     @property
     def turn(self) -> float:
         """Seconds of its own time that the client may take for one step."""
-        return self.deadline or (REAL_TIME_DEADLINE if self.real_time else LOCK_STEP_DEADLINE)
+        return self.deadline or (REAL_TIME_DEADLINE_S if self.real_time else LOCK_STEP_DEADLINE_S)

@@ -31,8 +31,8 @@ from sumo_adv.simulation.stage import Stage
 from sumo_adv.situation import Situation
 
 STRAYED = 4.0, 2.5  # m, m/s from where ego or BV was foreseen to be: the scene is another one
-EGO_PAUSE = 2.0  # s the ego is on the road before anything may happen to it
-FORESEEN = 2.0  # s within which an encounter must not be dangerous by itself
+EGO_PAUSE_S = 2.0  # s the ego is on the road before anything may happen to it
+CALM_TIME_S = 2.0  # s within which an encounter must not be dangerous by itself
 LOST = "The ego's client was lost or late."
 
 
@@ -41,7 +41,7 @@ class EncounterMonitor:
 
     def __init__(self, session: Session, road: RoadMap, settings: Settings, only: tuple[str, ...], warm_up: float):
         self._session, self._road, self._settings, self._only = session, road, settings, only
-        self._since, session.heights = max(settings.history, EGO_PAUSE, warm_up), road.heights
+        self._since, session.heights = max(settings.history, EGO_PAUSE_S, warm_up), road.heights
         self._encounter = self._fresh()
 
     def until_encounter(self, end: float, *, trigger: float | None = None, quiet: float = 0.0) -> list[RankedVehicle]:
@@ -104,7 +104,7 @@ class EncounterMonitor:
 
 
 @dataclass(frozen=True, slots=True)
-class Scene:
+class AttackScene:
     """An encounter as it was foreseen at its trigger. ``tracks``: of the vehicles near, over the last second
     and as predicted."""
 
@@ -119,14 +119,14 @@ class Scene:
 
 def describe(
     session: Session, road: RoadMap, settings: Settings, ranking: Sequence[RankedVehicle], passed: Sequence[str]
-) -> Scene | str:
+) -> AttackScene | str:
     """The encounter that begins now, or why it is passed over."""
 
     def foresee(seconds: float) -> UnattackedMotion:
         return UnattackedMotion(traffic_forecast(road, session, seconds), (), dict(session.simulation.fleet.sizes))
 
-    built = build_encounter(session, road, settings, ranking, foresee, checked=FORESEEN, passed_over=passed)
-    return built if isinstance(built, str) else Scene(built[0], tuple(ranking), built[1].tracks)
+    built = build_encounter(session, road, settings, ranking, foresee, checked=CALM_TIME_S, passed_over=passed)
+    return built if isinstance(built, str) else AttackScene(built[0], tuple(ranking), built[1].tracks)
 
 
 class LiveAttempts:
@@ -135,7 +135,7 @@ class LiveAttempts:
     displaces, repeats = False, False  # each attempt is driven by the client
 
     def __init__(
-        self, session: Session, scene: Scene, road: RoadMap, settings: Settings, sandbox: Sandbox, events: Events,
+        self, session: Session, scene: AttackScene, road: RoadMap, settings: Settings, sandbox: Sandbox, events: Events,
         again: Callable[[], Session | None] | None = None,
     ) -> None:  # fmt: skip
         self.session: Session | None = session

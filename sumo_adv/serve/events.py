@@ -23,11 +23,11 @@ from sumo_adv.files import json_text
 
 Event = Mapping[str, Any]
 Listener = Callable[[Event], None]
-KEPT = 200  # outcomes that the status page lists
+MAX_LISTED_OUTCOMES = 200  # outcomes that the status page lists
 LOOPBACK = "127.0.0.1"
 HOSTS = (LOOPBACK, "localhost")
-WAITING = 2  # encounters that may wait to be written; then the simulation waits
-Write = Callable[[Episode, int], Mapping[str, Any]]
+MAX_WAITING_ENCOUNTERS = 2  # encounters that may wait to be written; then the simulation waits
+WriteEncounter = Callable[[Episode, int], Mapping[str, Any]]
 
 
 def helpers(p: Proposal) -> dict[str, Any]:
@@ -87,7 +87,7 @@ class Status:
             "simulations": 0, "dropped": 0, "passed_over": 0, "refused": 0, "encounters": 0, "critical": 0,
             "collisions": 0,
         }  # fmt: skip
-        self._outcomes: deque[Event] = deque(maxlen=KEPT)
+        self._outcomes: deque[Event] = deque(maxlen=MAX_LISTED_OUTCOMES)
 
     def __call__(self, event: Event) -> None:
         with self._lock:
@@ -195,11 +195,11 @@ def _handler(report: Callable[[], dict[str, Any]]) -> type[BaseHTTPRequestHandle
 class ResultWriter:
     """``write`` gets an episode and its number and gives back what ``outcome.json`` holds, with its ``folder``."""
 
-    def __init__(self, write: Write, events: Events) -> None:
+    def __init__(self, write: WriteEncounter, events: Events) -> None:
         self._write, self._events = write, events
         self.critical = self.collided = self.written = 0
         self.failure: SumoAdvError | None = None
-        self._tray: queue.Queue[tuple[Episode, int] | None] = queue.Queue(WAITING)
+        self._tray: queue.Queue[tuple[Episode, int] | None] = queue.Queue(MAX_WAITING_ENCOUNTERS)
         self._thread = threading.Thread(target=self._work, name="result writer", daemon=True)
         self._thread.start()
 

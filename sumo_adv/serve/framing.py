@@ -22,12 +22,13 @@ from sumo_adv.errors import SumoAdvError
 
 GETVERSION, LOAD, SIMSTEP, SETORDER, EXECUTEMOVE, FILTER, CLOSE = 0x00, 0x01, 0x02, 0x03, 0x7D, 0x7E, 0x7F
 OK, ERROR = 0x00, 0xFF
-LONGEST = 16 * 2**20  # bytes of a client's message
-MOST_COMMANDS = 50_000  # of a message: ten getters of each of 5,000 vehicles; 16 MB could hold 2.8 million
-SLICE = 0.05  # s between two looks at the clock while nothing comes
-LONGEST_TEXT = 247  # bytes of a status answer's text: its length is one byte
-EAGER = 1e-4  # s for which a line looks again and again before it sleeps: to wake up takes longer than most answers do
-_CHUNK = 65536
+MAX_MESSAGE_BYTES = 16 * 2**20  # bytes of a client's message
+MAX_COMMANDS = 50_000  # of a message: ten getters of each of 5,000 vehicles; 16 MB could hold 2.8 million
+POLL_PERIOD_S = 0.05  # s between two looks at the clock while nothing comes
+MAX_STATUS_TEXT_BYTES = 247  # bytes of a status answer's text: its length is one byte
+SPIN_TIME_S = 1e-4
+"""S for which a line looks again and again before it sleeps: to wake up takes longer than most answers do."""
+_CHUNK_BYTES = 65536
 _INT = struct.Struct("!i")
 
 
@@ -39,7 +40,7 @@ class Gone(SumoAdvError):
     """The other end closed the connection, or it broke."""
 
 
-class Command(NamedTuple):
+class TraciCommand(NamedTuple):
     """One command: its number, its payload, and all its bytes."""
 
     number: int
@@ -61,7 +62,7 @@ def make_message(*commands: bytes) -> bytes:
 
 def make_status(number: int, result: int = OK, text: str = "") -> bytes:
     """SUMO's answer to a command: whether it worked, and why not (cut to what the format holds)."""
-    words = text.encode()[:LONGEST_TEXT].decode(errors="ignore").encode()
+    words = text.encode()[:MAX_STATUS_TEXT_BYTES].decode(errors="ignore").encode()
     return make_command(number, bytes((result,)) + _INT.pack(len(words)) + words)
 
 
@@ -80,13 +81,13 @@ def complaint(answer: bytes) -> str:
     return answer[start + 6 : start + 6 + size].decode(errors="replace")
 
 
-def split(message: bytes) -> list[Command]:
+def split(message: bytes) -> list[TraciCommand]:
     """The commands of a message.
 
-    Raises FramingError: the lengths do not add up, or there are more than ``MOST_COMMANDS``.
+    Raises FramingError: the lengths do not add up, or there are more than ``MAX_COMMANDS``.
     """
     at, end = 4, len(message)
-    commands: list[Command] = []
+    commands: list[TraciCommand] = []
     while at < end:
         head, length = 1, message[at]
         if length == 0:
@@ -95,10 +96,10 @@ def split(message: bytes) -> list[Command]:
             head, length = 5, _INT.unpack_from(message, at + 1)[0]
         if length <= head or at + length > end:
             raise FramingError(f"A command announces {length} bytes where {end - at} are left.")
-        if len(commands) == MOST_COMMANDS:
-            raise FramingError(f"it sent a message of more than {MOST_COMMANDS} commands")
+        if len(commands) == MAX_COMMANDS:
+            raise FramingError(f"it sent a message of more than {MAX_COMMANDS} commands")
         raw = message[at : at + length]
-        commands.append(Command(raw[head], raw[head + 1 :], raw))
+        commands.append(TraciCommand(raw[head], raw[head + 1 :], raw))
         at += length
     return commands
 
@@ -114,19 +115,19 @@ def _wait_at_most(connection: socket.socket, seconds: float) -> None:
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, span)
 
 
-class Line:
+class MessageLine:
     """A socket that carries whole messages. ``longest``: bytes of a message that comes."""
 
     def __init__(self, connection: socket.socket, longest: int) -> None:
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        _wait_at_most(connection, SLICE)
+        _wait_at_most(connection, POLL_PERIOD_S)
         self._connection = connection
         self._longest = longest
         self._rest = b""
 
     def send(self, message: bytes, idle: Callable[[], None]) -> None:
-        """Send a whole message, calling ``idle`` (which may raise) every ``SLICE`` seconds until it is taken, also
-        while the other end takes it in drops.
+        """Send a whole message, calling ``idle`` (which may raise) every ``POLL_PERIOD_S`` seconds until it is taken,
+        also while the other end takes it in drops.
 
         Raises Gone: the connection is closed or broken.
         """
@@ -138,13 +139,13 @@ class Line:
                 looked = -math.inf
             except OSError as error:
                 raise Gone("the connection broke") from error
-            if message and time.monotonic() - looked > SLICE:
+            if message and time.monotonic() - looked > POLL_PERIOD_S:
                 idle()
                 looked = time.monotonic()
 
     def receive(self, idle: Callable[[], None]) -> bytes:
-        """The next whole message, calling ``idle`` (which may raise, or receive itself) every ``SLICE`` seconds until
-        it is there, also while it comes in drops.
+        """The next whole message, calling ``idle`` (which may raise, or receive itself) every ``POLL_PERIOD_S`` seconds
+        until it is there, also while it comes in drops.
 
         Raises:
             FramingError: a length that no message has; nothing of it is read further.
@@ -161,7 +162,7 @@ class Line:
                 if size >= length:
                     self._rest = bytes(data[length:])
                     return bytes(data[:length])
-            if time.monotonic() - looked > SLICE:
+            if time.monotonic() - looked > POLL_PERIOD_S:
                 self._rest = bytes(data)
                 idle()
                 data, self._rest = bytearray(self._rest), b""
@@ -181,16 +182,16 @@ class Line:
             data += chunk
 
     def _received(self) -> bytes:
-        """What has come, after a wait of ``SLICE`` at most. Raises OSError, also where nothing has come."""
+        """What has come, after a wait of ``POLL_PERIOD_S`` at most. Raises OSError, also where nothing has come."""
         if hasattr(os, "sched_yield"):
-            until = time.perf_counter() + EAGER
+            until = time.perf_counter() + SPIN_TIME_S
             while time.perf_counter() < until:
                 with contextlib.suppress(BlockingIOError):
-                    return self._connection.recv(_CHUNK, socket.MSG_DONTWAIT)
+                    return self._connection.recv(_CHUNK_BYTES, socket.MSG_DONTWAIT)
                 os.sched_yield()
-        return self._connection.recv(_CHUNK)
+        return self._connection.recv(_CHUNK_BYTES)
 
-    def ready(self, other: Line | None, seconds: float) -> tuple[bool, bool]:
+    def ready(self, other: MessageLine | None, seconds: float) -> tuple[bool, bool]:
         """Wait until something can be received here or from ``other``; which of them."""
         held = other is not None and bool(other._rest)
         watched = [line._connection for line in (self, other) if line is not None]

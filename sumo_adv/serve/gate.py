@@ -16,17 +16,17 @@ from contextlib import suppress
 
 from sumo_adv.errors import SimulationError, UsageError
 from sumo_adv.serve import link, peers
-from sumo_adv.serve.framing import LONGEST, FramingError, Gone, Line
-from sumo_adv.serve.link import Link
+from sumo_adv.serve.framing import MAX_MESSAGE_BYTES, FramingError, Gone, MessageLine
+from sumo_adv.serve.link import SumoLink
 from sumo_adv.serve.policy import Policy, Rules
 from sumo_adv.serve.seat import Client, ClientSlot, EventKind, GateEvent, Interrupted, Late, Stepper
 from sumo_adv.serve.sumo_process import SumoProcess
 from sumo_adv.serve.turns import Turns
 
-DEADLINE = 10.0  # s of a turn, from when SUMO comes to the client; what the server took before is not counted
-PATIENCE = 30.0  # s for SUMO to listen, and for the last simulation to end
-MOST_STRANGERS = 16  # connections at once that have not said anything yet
-_GLANCE = 0.2  # s between two looks whether the gate is to stop
+TURN_DEADLINE_S = 10.0  # s of a turn, from when SUMO comes to the client; what the server took before is not counted
+SUMO_TIMEOUT_S = 30.0  # s for SUMO to listen, and for the last simulation to end
+MAX_STRANGERS = 16  # connections at once that have not said anything yet
+STOP_POLL_PERIOD_S = 0.2  # between two looks whether the server is to stop
 _TAKEN = "Another client drives the ego: one at a time."
 _NO_RULES = Rules()
 
@@ -40,7 +40,7 @@ class Gate:
         port: int = 0,
         *,
         allow: Sequence[str] = (),
-        deadline: float = DEADLINE,
+        deadline: float = TURN_DEADLINE_S,
         rules: Rules = _NO_RULES,
         older: bool = False,
         on_event: Callable[[GateEvent], None] | None = None,
@@ -72,7 +72,7 @@ class Gate:
             self._listener = socket.create_server((self._host, self._wanted_port), family=family)
         except (OSError, OverflowError) as error:
             raise UsageError(f"Cannot listen at {self._host}:{self._wanted_port} ({error}).") from error
-        self._listener.settimeout(_GLANCE)
+        self._listener.settimeout(STOP_POLL_PERIOD_S)
         for name, body in (("gate-door", self._door), ("gate-pump", self._pump)):
             self._threads.append(threading.Thread(target=body, name=name, daemon=True))
             self._threads[-1].start()
@@ -80,7 +80,7 @@ class Gate:
     def stop(self) -> None:
         """Close everything; a simulation that is still attached loses its second client."""
         self.detach()
-        self.wait_detached(_GLANCE)
+        self.wait_detached(STOP_POLL_PERIOD_S)
         with self._changed:
             self._stopping = True
             self._changed.notify_all()
@@ -145,13 +145,13 @@ class Gate:
             StrangerError: another program connected to SUMO first.
             SimulationError: SUMO does not listen, or another simulation is still attached.
         """
-        if not self.wait_detached(PATIENCE):
+        if not self.wait_detached(SUMO_TIMEOUT_S):
             raise SimulationError("The gate is still attached to another simulation: detach it and end that SUMO.")
-        line = Line(sumo.dial(PATIENCE), link.LONGEST)
+        line = MessageLine(sumo.dial(SUMO_TIMEOUT_S), link.MAX_SUMO_ANSWER_BYTES)
         policy = Policy(self._rules, own, tuple(kept))
         turns = Turns(
-            lambda idle: Link(line, idle), policy, self._seat, self._deadline, lambda: self._stopping, sumo.why_ended,
-            self._older,
+            lambda idle: SumoLink(line, idle), policy, self._seat, self._deadline, lambda: self._stopping,
+            sumo.why_ended, self._older,
         )  # fmt: skip
         with self._changed:
             self._turns, self._running = turns, True
@@ -193,7 +193,7 @@ class Gate:
             except TimeoutError:
                 continue
             except OSError:
-                time.sleep(_GLANCE)
+                time.sleep(STOP_POLL_PERIOD_S)
                 continue
             peer = f"{address[0]}:{address[1]}"
             if why := self._unwelcome(connection, address[0]):
@@ -222,7 +222,7 @@ class Gate:
         so connections that say nothing shut nobody out."""
         with self._strangers_lock:
             self._strangers.append(connection)
-            if len(self._strangers) > MOST_STRANGERS:
+            if len(self._strangers) > MAX_STRANGERS:
                 with suppress(OSError):
                     self._strangers.pop(0).shutdown(socket.SHUT_RDWR)
 
@@ -232,7 +232,7 @@ class Gate:
     def _greet(self, connection: socket.socket, peer: str) -> None:
         """Give the seat to the first that sends a whole message."""
         try:
-            client = Client(Line(connection, LONGEST), peer)
+            client = Client(MessageLine(connection, MAX_MESSAGE_BYTES), peer)
             message = client.receive(self._deadline, lambda: self._stopping)
         except (Gone, FramingError) as reason:
             connection.close()

@@ -19,11 +19,11 @@ import sys
 import time
 
 OPEN, PRIVATE = b"open", b"private"
-CLIENTS = 2
+TRACI_CLIENTS = 2
 _NEW_USER, _NEW_NETWORK = 0x10000000, 0x40000000  # CLONE_NEWUSER, CLONE_NEWNET
 _DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG; stays over exec, and ends with a change of credentials
 _SET_FLAGS, _UP = 0x8914, 0x41  # SIOCSIFFLAGS; IFF_UP and IFF_RUNNING
-_RETRY = 0.005  # s
+RETRY_PERIOD_S = 0.005
 
 
 def have_own_network() -> bool:
@@ -42,7 +42,7 @@ def have_own_network() -> bool:
 def send_connections(talk: socket.socket, port: int) -> None:
     """Connect to the port as soon as a program listens, and send the connections, unless the other end goes first."""
     made: list[socket.socket] = []
-    while len(made) < CLIENTS:
+    while len(made) < TRACI_CLIENTS:
         connection = socket.socket()
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         try:
@@ -52,9 +52,9 @@ def send_connections(talk: socket.socket, port: int) -> None:
             connection.connect(("127.0.0.1", port))
         except OSError:
             connection.close()
-            if select.select([talk], [], [], _RETRY)[0]:
+            if select.select([talk], [], [], RETRY_PERIOD_S)[0]:
                 return
-            time.sleep(_RETRY)
+            time.sleep(RETRY_PERIOD_S)
         else:
             made.append(connection)
     socket.send_fds(talk, [PRIVATE], [connection.fileno() for connection in made])

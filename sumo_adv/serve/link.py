@@ -15,19 +15,19 @@ from collections.abc import Callable
 
 from sumo_adv.errors import SumoAdvError
 from sumo_adv.serve import framing, shapes
-from sumo_adv.serve.framing import SIMSTEP, Command, FramingError, Gone, Line, make_command, make_message
+from sumo_adv.serve.framing import SIMSTEP, FramingError, Gone, MessageLine, TraciCommand, make_command, make_message
 from sumo_adv.serve.policy import CONTEXTS, GETTER_TO_SUBSCRIPTION, SETTERS
 
-ORDER = 2
-LONGEST = 2**31 - 1  # bytes of an answer of SUMO
+CLIENT_ORDER = 2
+MAX_SUMO_ANSWER_BYTES = 2**31 - 1  # bytes of an answer of SUMO
 _TIME = make_message(make_command(0xAB, b"\x66" + bytes(4)))
 _STEP_LENGTH = make_message(make_command(0xAB, b"\x7b" + bytes(4)))
 _STEP = make_message(make_command(framing.SIMSTEP, bytes(8)))
 _INVALID = struct.pack("!d", -1073741824.0)
-LONGEST_COMPLAINT = 200  # bytes of an error that SUMO survives in any case
+MAX_COMPLAINT_BYTES = 200  # bytes of an error that SUMO survives in any case
 _SUBSCRIPTION = {name: number + 0x10 for number, name in SETTERS.items()}
 _CONTEXT = {name: number - 0x40 for number, name in SETTERS.items()}
-NEWEST, OLDER = 22, 21  # versions of TraCI
+NEWEST_TRACI, OLDER_TRACI = 22, 21  # versions of TraCI
 _OF_VEHICLE, _RESULT = 0xD4, 0xE4  # of a vehicle
 _NEXT_STOPS, _STOPS = 0x73, 0x74
 _NO_LIMIT = b"\x09" + bytes(4)
@@ -40,17 +40,17 @@ class SumoGone(SumoAdvError):
     """SUMO is no more."""
 
 
-class Link:
+class SumoLink:
     """Speaks with SUMO as its client 2; asks one thing at a time. Every call may raise SumoGone."""
 
-    def __init__(self, line: Line, idle: Callable[[], None]) -> None:
+    def __init__(self, line: MessageLine, idle: Callable[[], None]) -> None:
         """Ask for version and order, without waiting: SUMO answers when client 1 has asked too."""
         self._line = line
         self._idle = idle
         self.version = b""
         self._step_length = 0.0
         self._send(make_message(make_command(framing.GETVERSION)))
-        self._send(make_message(make_command(framing.SETORDER, struct.pack("!i", ORDER))))
+        self._send(make_message(make_command(framing.SETORDER, struct.pack("!i", CLIENT_ORDER))))
 
     def greet(self) -> None:
         """Wait for the answers to what was asked at first."""
@@ -87,11 +87,11 @@ class Link:
             self._step_length = float(struct.unpack("!d", self.ask(_STEP_LENGTH)[-8:])[0])
         return self._step_length
 
-    def await_turn(self, listen: Callable[[], Line | None], talk: Callable[[], None]) -> None:
+    def await_turn(self, listen: Callable[[], MessageLine | None], talk: Callable[[], None]) -> None:
         """Wait until SUMO has come to us, calling ``talk`` whenever the line that ``listen`` names can be received."""
         self._send(_TIME)
         while True:
-            sumo_ready, client_ready = self._line.ready(listen(), framing.SLICE)
+            sumo_ready, client_ready = self._line.ready(listen(), framing.POLL_PERIOD_S)
             if sumo_ready:
                 self._receive()
                 return
@@ -99,7 +99,7 @@ class Link:
                 talk()
             self._idle()
 
-    def unsubscribe(self, command: Command) -> None:
+    def unsubscribe(self, command: TraciCommand) -> None:
         end = 20 + int.from_bytes(command.payload[16:20], "big")
         rest = command.payload[end : end + 9] if command.number in CONTEXTS else b""
         self.ask(make_message(make_command(command.number, _INVALID * 2 + command.payload[16:end] + rest + b"\0")))
@@ -118,11 +118,13 @@ class Link:
 class Subscriptions:
     """Of one simulation. Every method that speaks with SUMO may raise SumoGone."""
 
-    def __init__(self, link: Link) -> None:
+    def __init__(self, link: SumoLink) -> None:
         self._link = link
-        self._kept: dict[tuple[int, bytes, bytes], Command] = {}  # by number, domain of a context, name of the object
+        self._kept: dict[
+            tuple[int, bytes, bytes], TraciCommand
+        ] = {}  # by number, domain of a context, name of the object
 
-    def note(self, command: Command) -> None:
+    def note(self, command: TraciCommand) -> None:
         """SUMO accepted a subscription, or the end of one."""
         end = shapes.name_end(command.payload, 16)
         context = command.number in CONTEXTS
@@ -144,7 +146,7 @@ class Subscriptions:
         for key in [key for key in self._kept if key[0] in numbers and key[2] == name]:
             self._link.unsubscribe(self._kept.pop(key))
 
-    def deadly(self, command: Command) -> str:
+    def deadly(self, command: TraciCommand) -> str:
         """What SUMO would complain of, if it would be too long for it: it puts a sentence a variable into one error."""
         end = shapes.name_end(command.payload, 16)
         getter = command.number - GETTER_TO_SUBSCRIPTION
@@ -155,7 +157,7 @@ class Subscriptions:
         questions = (make_command(getter, variable[:1] + name + variable[1:]) for variable in variables)
         complaints = [framing.complaint(self._link.ask(make_message(question))) for question in questions]
         whole = f"Could not add subscription. {' '.join(complaints).strip()}"
-        return whole if len(whole.encode()) > LONGEST_COMPLAINT else ""
+        return whole if len(whole.encode()) > MAX_COMPLAINT_BYTES else ""
 
 
 class OlderClients:
@@ -167,9 +169,9 @@ class OlderClients:
     def version(self, answer: bytes) -> bytes:
         """SUMO's answer about its version, with the older number: it stands behind status, length and command."""
         at = 4 + answer[4] + 2
-        return answer[:at] + _INT.pack(OLDER) + answer[at + 4 :]
+        return answer[:at] + _INT.pack(OLDER_TRACI) + answer[at + 4 :]
 
-    def asked(self, command: Command) -> Command:
+    def asked(self, command: TraciCommand) -> TraciCommand:
         """A subscription as SUMO takes it: stops come last. Other commands stay as they are."""
         if command.number != _OF_VEHICLE:
             return command
@@ -187,7 +189,7 @@ class OlderClients:
         self._names.add(name)
         kept.append(bytes((_STOPS,)) + _NO_LIMIT)
         payload = command.payload[:end] + bytes((len(kept),)) + b"".join(kept)
-        return Command(command.number, payload, make_command(command.number, payload))
+        return TraciCommand(command.number, payload, make_command(command.number, payload))
 
     def answered(self, number: int, answer: bytes) -> bytes:
         """The answer to a subscription or a step, with stops in the old form."""

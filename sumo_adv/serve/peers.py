@@ -16,8 +16,8 @@ from pathlib import Path
 
 TABLES = (Path("/proc/net/tcp"), Path("/proc/net/tcp6"))
 ROOT = 0  # the user who may do anything in any case
-_ESTABLISHED = "01"  # others belong to nobody: the system writes user 0 for them
-_WORD = 4  # bytes that the table writes as one number of the machine's own byte order
+ESTABLISHED = "01"  # others belong to nobody: the system writes user 0 for them
+_ADDRESS_WORD_BYTES = 4  # bytes that the table writes as one number of the machine's own byte order
 
 
 def is_ours(connection: socket.socket) -> bool:
@@ -34,7 +34,7 @@ def _user(local: tuple[str, int], remote: tuple[str, int]) -> int | None:
     for table in TABLES:
         rows = table.read_text().splitlines()[1:] if table.is_file() else []
         for _, at, to, state, _, _, _, user, *_ in map(str.split, rows):
-            if state == _ESTABLISHED and (at, to) in wanted:
+            if state == ESTABLISHED and (at, to) in wanted:
                 return int(user)
     return None
 
@@ -48,5 +48,5 @@ def _written(host: str, port: int) -> tuple[str, ...]:
 
 
 def _hexadecimal(packed: bytes) -> str:
-    words = [packed[k : k + _WORD] for k in range(0, len(packed), _WORD)]
+    words = [packed[k : k + _ADDRESS_WORD_BYTES] for k in range(0, len(packed), _ADDRESS_WORD_BYTES)]
     return "".join(f"{int.from_bytes(word, sys.byteorder):08X}" for word in words)

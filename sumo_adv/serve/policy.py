@@ -13,11 +13,11 @@ from dataclasses import dataclass
 
 from sumo_adv.errors import UsageError
 from sumo_adv.serve import framing, shapes
-from sumo_adv.serve.framing import Command
+from sumo_adv.serve.framing import TraciCommand
 from sumo_adv.serve.shapes import Misfit
 from sumo_adv.simulation.scan import WRITTEN_PARAMETER
 
-LONGEST_STEP = 3600.0  # s that one simulationStep may cover
+MAX_STEP_S = 3600.0  # s that one simulationStep may cover
 _DOMAINS = (
     (0xA0, "inductionloop multientryexit trafficlight lane vehicle vehicletype route poi polygon junction edge "
            "simulation gui lanearea person busstop"),
@@ -31,13 +31,13 @@ SUBSCRIPTIONS = {number + GETTER_TO_SUBSCRIPTION: name for number, name in GETTE
 CONTEXTS = {number - 0x20: name for number, name in GETTERS.items()}
 ADDED = frozenset({"vehicle", "vehicletype", "route", "person", "poi", "polygon"})
 """Domains in which a client may add objects, and set those it added."""
-NEVER = frozenset({"simulation", "gui"})
+NEVER_SET = frozenset({"simulation", "gui"})
 _ADD, _REMOVE, _ADD_FULL, _COPY = 0x80, 0x81, 0x85, 0x88
 _GUI = 0xAC
 _CALIBRATOR = 0x07  # SUMO dies of a context around one
 _ACTING = {(0xA2, 0x32): "trafficlight", (0xAE, 0xC7): "person"}  # getters that change something
 _TOO_LONG = "A name as long as this is not passed on: SUMO could end on it."
-_OURS = "This object is sumo_adv's own."
+_NOT_A_CLIENTS = "This object is sumo_adv's own."
 _KEPT = "The ego departs and leaves by sumo_adv: its client neither adds nor removes it."
 _WRITES = "This parameter is not a client's: SUMO could write a file by it."
 _ODD_NAME = "An object that is added needs a name of printable characters in UTF-8."
@@ -50,7 +50,7 @@ SET_PARAMETERS = re.compile(
 )
 """Keys that ``setParameter`` may set, where they name no file: an object's own, and those of models and of devices
 that write none."""
-OURS = "sumo_adv."
+OUR_PREFIX = "sumo_adv."
 """What the names of objects begin with that the server adds; a client can set none of them."""
 
 
@@ -62,8 +62,8 @@ class Rules:
 
     def __post_init__(self) -> None:
         """Refuse what is no domain, or never allowed. Raises UsageError: with what may be given."""
-        if wrong := sorted(self.also - (frozenset(GETTERS.values()) - NEVER)):
-            allowed = ", ".join(sorted(frozenset(GETTERS.values()) - NEVER))
+        if wrong := sorted(self.also - (frozenset(GETTERS.values()) - NEVER_SET)):
+            allowed = ", ".join(sorted(frozenset(GETTERS.values()) - NEVER_SET))
             raise UsageError(f"The ego's client cannot be allowed to set {wrong[0]}; what can be allowed: {allowed}.")
 
 
@@ -81,7 +81,7 @@ class Policy:
     def own(self) -> frozenset[str]:
         return frozenset(name.decode(errors="replace") for name in list(self._own["vehicle"]))
 
-    def refusal(self, command: Command) -> str | None:
+    def refusal(self, command: TraciCommand) -> str | None:
         """Why SUMO must not see a command, or None. Step, order, version and close are not asked about here."""
         number, payload = command.number, command.payload
         try:
@@ -105,7 +105,7 @@ class Policy:
         if number == _GUI:
             return None
         end = shapes.name_end(payload, 1)
-        if end - 5 > (shapes.LONGEST_OBJECT if end == len(payload) else shapes.LONGEST_NAME):
+        if end - 5 > (shapes.MAX_OBJECT_NAME_BYTES if end == len(payload) else shapes.MAX_NAME_BYTES):
             return _TOO_LONG
         if not shapes.fits(payload, end, shapes.get_shapes(number, payload[0])):
             return _misfit(number)
@@ -119,12 +119,12 @@ class Policy:
         end = shapes.name_end(payload, 1)
         variable, name = payload[0], payload[5:end]
         expected = shapes.set_shapes(number, variable)
-        if len(name) > shapes.LONGEST_NAME:
+        if len(name) > shapes.MAX_NAME_BYTES:
             return _TOO_LONG
-        if domain in NEVER:
+        if domain in NEVER_SET:
             return f"Setting the {domain} is not for a client of sumo_adv."
-        if name.startswith(OURS.encode()):
-            return _OURS
+        if name.startswith(OUR_PREFIX.encode()):
+            return _NOT_A_CLIENTS
         if domain == "vehicle" and name in self._kept and variable in (_ADD, _ADD_FULL, _REMOVE):
             return _KEPT
         if variable in (_ADD, _ADD_FULL) and domain in ADDED and not _is_printable(name):
@@ -138,7 +138,9 @@ class Policy:
             return _WRITES
         if variable == _COPY and domain == "vehicletype":
             name = payload[end + 5 :]
-            return _OURS if name.startswith(OURS.encode()) else None if _is_printable(name) else _ODD_NAME
+            return (
+                _NOT_A_CLIENTS if name.startswith(OUR_PREFIX.encode()) else None if _is_printable(name) else _ODD_NAME
+            )
         return None
 
     def _may(self, domain: str, variable: int, name: bytes) -> bool:
@@ -152,20 +154,20 @@ class Policy:
     def _subscription(self, number: int, payload: bytes) -> str | None:
         end = shapes.name_end(payload, 16)
         name = payload[20:end]
-        if len(name) > shapes.LONGEST_OBJECT:
+        if len(name) > shapes.MAX_OBJECT_NAME_BYTES:
             return _TOO_LONG
         if not all(map(math.isfinite, struct.unpack_from("!2d", payload))):
             raise Misfit
         if number not in CONTEXTS:
             shapes.subscribed(payload, end, number - GETTER_TO_SUBSCRIPTION)
             return None
-        if len(payload) < end + 10 or not abs(struct.unpack_from("!d", payload, end + 1)[0]) <= shapes.LARGEST:
+        if len(payload) < end + 10 or not abs(struct.unpack_from("!d", payload, end + 1)[0]) <= shapes.MAX_NUMBER:
             raise Misfit
         if number == _CALIBRATOR or not shapes.context_fits(payload, end + 9, payload[end]):
             return "A context cannot be of this domain, or not of these variables."
         return None
 
-    def took(self, command: Command) -> None:
+    def took(self, command: TraciCommand) -> None:
         """SUMO accepted a setter: remember what it added or removed."""
         domain = SETTERS[command.number]
         if domain not in ADDED:
@@ -180,7 +182,7 @@ class Policy:
             self._own[domain].discard(name)
 
 
-def removed(command: Command) -> tuple[str, bytes] | None:
+def removed(command: TraciCommand) -> tuple[str, bytes] | None:
     """Domain and name of the object that a command removes, or None."""
     domain = SETTERS.get(command.number)
     if domain is None or not command.payload or command.payload[0] != _REMOVE:

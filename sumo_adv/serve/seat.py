@@ -12,7 +12,7 @@ from enum import StrEnum
 
 from sumo_adv.errors import SumoAdvError
 from sumo_adv.serve import framing
-from sumo_adv.serve.framing import FramingError, Gone, Line
+from sumo_adv.serve.framing import FramingError, Gone, MessageLine
 
 
 class EventKind(StrEnum):
@@ -42,7 +42,7 @@ class GateEvent:
     sentence: str
 
 
-FAREWELL = 60.0  # s in which a client that was sent away may still hear why
+FAREWELL_S = 60.0  # s in which a client that was sent away may still hear why
 
 
 class Late(SumoAdvError):
@@ -69,7 +69,7 @@ def _patience(deadline: float, interrupted: Callable[[], bool]) -> Callable[[], 
 class Client:
     """A connected program: its line, its address, and which of its calls were refused already."""
 
-    def __init__(self, line: Line, peer: str) -> None:
+    def __init__(self, line: MessageLine, peer: str) -> None:
         self.line = line
         self.peer = peer
         self.refused: set[tuple[int, bytes]] = set()
@@ -88,7 +88,7 @@ class Client:
         """Send it an answer. Raises Late: it did not take it within ``deadline`` seconds; Gone: see Line."""
         self.line.send(message, _patience(deadline, lambda: False))
 
-    def send_away(self, reason: str, patience: float = FAREWELL) -> None:
+    def send_away(self, reason: str, patience: float = FAREWELL_S) -> None:
         """Answer its next message with an error and end the connection, within ``patience`` [s]."""
         with suppress(Late, Gone, FramingError):
             self.send(errors(self.receive(patience), reason), patience)

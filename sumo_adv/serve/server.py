@@ -13,6 +13,7 @@ from typing import Any
 
 from sumo_adv.agents.agents import Agents
 from sumo_adv.datatypes import Attempt, Ending, LibraryEntry, Proposal
+from sumo_adv.episode.encounter_search import INSERTED_EGO
 from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.loop import decide, model_ending, pursue
 from sumo_adv.episode.planned_encounter import PlannedEncounter, with_predictions
@@ -21,7 +22,7 @@ from sumo_adv.errors import ModelError, SumoAdvError, UsageError, fault_sentence
 from sumo_adv.llm.chat import run_in_thread
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.serve import Mode, OnLoss, Options
-from sumo_adv.serve.encounter import EncounterMonitor, LiveAttempts, Scene, describe
+from sumo_adv.serve.encounter import AttackScene, EncounterMonitor, LiveAttempts, describe
 from sumo_adv.serve.events import Events, ResultWriter, helpers
 from sumo_adv.serve.gate import Gate
 from sumo_adv.serve.session import ClientGone, EgoLost, EgoPlan, Session
@@ -30,11 +31,11 @@ from sumo_adv.simulation.inputs import EgoRoute, RunInput
 from sumo_adv.simulation.network import RoadMap
 from sumo_adv.simulation.scan import scan_demand
 
-INSERTED_EGO, DEFAULT_TYPE = "ego", "DEFAULT_VEHTYPE"
-WARM_UP = 20.0  # s of traffic before an ego on drawn routes departs
-COOL_DOWN, PASSED_OVER = 5.0, 2.0  # s without an encounter: after an attack, after an encounter passed over
-MOST_AGE = 4.0  # s a decision may be old, where the world does not wait for it
-FRUITLESS = 3  # simulations in a row without an encounter, after which it is of no use to go on
+DEFAULT_TYPE = "DEFAULT_VEHTYPE"
+TRAFFIC_WARM_UP_S = 20.0  # s of traffic before an ego on drawn routes departs
+COOL_DOWN_S, PASSED_OVER_S = 5.0, 2.0  # s without an encounter: after an attack, after an encounter passed over
+MAX_DECISION_AGE_S = 4.0  # s a decision may be old, where the world does not wait for it
+MAX_FRUITLESS_SIMULATIONS = 3  # simulations in a row without an encounter, after which it is of no use to go on
 """Where the simulation ends (its demand, or ``--end``) the next one begins with the next seed."""
 
 
@@ -54,7 +55,7 @@ class ServerDependencies:
     check: Callable[[], None]  # called every step; raises KeyboardInterrupt
 
 
-class Server:
+class EgoServer:
     """Runs until ``encounters`` are done, the input has no more, the client is gone for good, or Ctrl-C."""
 
     def __init__(self, parts: ServerDependencies) -> None:
@@ -111,8 +112,8 @@ class Server:
 
     def _wanted(self) -> bool:
         most = self._parts.options.encounters
-        if self._fruitless >= FRUITLESS and not self.reason:
-            self.reason = f"The last {FRUITLESS} simulations had no encounter."
+        if self._fruitless >= MAX_FRUITLESS_SIMULATIONS and not self.reason:
+            self.reason = f"The last {MAX_FRUITLESS_SIMULATIONS} simulations had no encounter."
         return not self.reason and (most is None or self._number < most)
 
     # -- a simulation -------------------------------------------------------------------------------------------
@@ -127,12 +128,12 @@ class Server:
             ranking = watch.until_encounter(self._task.end, trigger=self._task.trigger, quiet=quiet)
             if not ranking and (session.now >= self._task.end - 1e-6 or session.deserted()):
                 break
-            quiet = PASSED_OVER
+            quiet = PASSED_OVER_S
             scene = describe(session, self._parts.road, self._settings, ranking, passed)
             if isinstance(scene, str):
                 self._pass_over(session, scene, passed)
             elif self._encounter(session, watch, scene, passed):
-                passed, quiet = [], COOL_DOWN
+                passed, quiet = [], COOL_DOWN_S
                 if self._parts.options.mode is Mode.EPISODES:
                     break
                 assert self._session is session
@@ -167,7 +168,9 @@ class Server:
         draw = random.Random(task.spec.seed)
         drawn = journeys(task.spec.network, draw)
         weights = [j.lanes for j in drawn]
-        return EgoPlan(INSERTED_EGO, kind, lambda: EgoRoute(draw.choices(drawn, weights)[0].edges, 0.0), WARM_UP)
+        return EgoPlan(
+            INSERTED_EGO, kind, lambda: EgoRoute(draw.choices(drawn, weights)[0].edges, 0.0), TRAFFIC_WARM_UP_S
+        )
 
     def _in_demand(self, task: Task, vehicle: str) -> bool:
         return any(scan_demand(file).has(vehicle) for file in (*task.spec.routes, *task.spec.additional))
@@ -189,7 +192,7 @@ class Server:
 
     # -- an encounter -------------------------------------------------------------------------------------------
 
-    def _encounter(self, session: Session, watch: EncounterMonitor, scene: Scene, passed: list[str]) -> bool:
+    def _encounter(self, session: Session, watch: EncounterMonitor, scene: AttackScene, passed: list[str]) -> bool:
         """Decide and attack; False if it was passed over or dropped."""
         parts, encounter = self._parts, scene.found
         parts.events.tell(
@@ -218,7 +221,7 @@ class Server:
         self._pursue(session, scene, episode, decision)
         return True
 
-    def _pursue(self, session: Session, scene: Scene, episode: Episode, decision: Decision) -> None:
+    def _pursue(self, session: Session, scene: AttackScene, episode: Episode, decision: Decision) -> None:
         parts, settings = self._parts, self._settings
         episodes = parts.options.mode is Mode.EPISODES
         episode.settings = settings if episodes else settings.model_copy(update={"attempts": 1})
@@ -269,7 +272,7 @@ class Server:
 
     # -- the decision -------------------------------------------------------------------------------------------
 
-    def _decided(self, session: Session, episode: Episode, scene: Scene) -> Decision:
+    def _decided(self, session: Session, episode: Episode, scene: AttackScene) -> Decision:
         """The predictions and the library for an encounter. The world waits for it; with ``real_time`` it goes on
         meanwhile.
 
@@ -300,14 +303,14 @@ class Server:
         )  # fmt: skip
         return decision
 
-    def _stale(self, session: Session, watch: EncounterMonitor, scene: Scene, wanted: Collection[str]) -> str:
+    def _stale(self, session: Session, watch: EncounterMonitor, scene: AttackScene, wanted: Collection[str]) -> str:
         """Why a decision for ``wanted`` vehicles no longer fits the world; empty if it does."""
         age = session.now - scene.found.time
         if age == 0.0:
             return ""
         if not session.ready(0.0):
             return "the ego or its client is gone"
-        if age > MOST_AGE:
+        if age > MAX_DECISION_AGE_S:
             return f"the decision is {age:.1f} s old"
         return next(filter(None, (watch.changed(scene.tracks, bv, scene.relation(bv)) for bv in sorted(wanted))), "")
 

@@ -21,8 +21,8 @@ from sumo_adv.errors import SimulationError
 from sumo_adv.geometry import Pose
 from sumo_adv.serve import OnLoss, Options
 from sumo_adv.serve.events import Events
-from sumo_adv.serve.gate import PATIENCE, Gate
-from sumo_adv.serve.policy import OURS
+from sumo_adv.serve.gate import STOP_POLL_PERIOD_S, SUMO_TIMEOUT_S, Gate
+from sumo_adv.serve.policy import OUR_PREFIX
 from sumo_adv.serve.seat import Stepper
 from sumo_adv.serve.sumo_process import StrangerError, SumoProcess
 from sumo_adv.simulation.inputs import EgoRoute
@@ -34,12 +34,14 @@ if TYPE_CHECKING:
 
 
 OUR_ORDER = 1
-TRIES = 5  # starts of SUMO, where another program connects to its port before we do
-KEPT = 15.0  # s of states that are kept while nothing happens
-STAND_IN_BRAKING = 4.5  # m/s2
-ALONE = 10.0  # s the simulation goes on without its client before it waits (never with ``real_time``)
-DOUBTED, FASTEST = 1.0, 80.0  # m/s: another speed than SUMO says is believed from, and up to (else it was a jump)
-SLICE = 0.2  # s between two looks whether we are to stop
+MAX_SUMO_STARTS = 5  # starts of SUMO, where another program connects to its port before we do
+KEPT_STATES_S = 15.0  # s of states that are kept while nothing happens
+STAND_IN_BRAKING_M_S2 = 4.5
+CLIENT_GRACE_S = 10.0  # s the simulation goes on without its client before it waits (never with ``real_time``)
+MIN_SPEED_CORRECTION_M_S, MAX_CREDIBLE_SPEED_M_S = (
+    1.0,
+    80.0,
+)  # m/s: another speed than SUMO says is believed from, and up to (else it was a jump)
 
 
 def shared_sumo(
@@ -50,7 +52,7 @@ def shared_sumo(
 
     Raises SimulationError, UsageError: SUMO does not start, or is not installed, or others are always faster.
     """
-    for tries in range(1, TRIES + 1):
+    for tries in range(1, MAX_SUMO_STARTS + 1):
         sumo = SumoProcess(arguments, private=private)
         try:
             gate.attach(sumo, own=own, kept=kept)
@@ -64,7 +66,8 @@ def shared_sumo(
             sumo.close()
             raise
     raise SimulationError(
-        f"Another program connected to SUMO's port first, {TRIES} times in a row: end it, or run this in a container."
+        f"Another program connected to SUMO's port first, {MAX_SUMO_STARTS} times in a row: end it, or run this in a "
+        "container."
     )
 
 
@@ -76,7 +79,7 @@ def connect(sumo: SumoProcess) -> Connection:
         with socket.create_server(("127.0.0.1", 0)) as nobody:  # traci connects by itself and takes no socket
             connection = traci.connect(nobody.getsockname()[1], numRetries=0, host="127.0.0.1")
         connection._socket.close()
-        connection._socket = sumo.dial(PATIENCE)
+        connection._socket = sumo.dial(SUMO_TIMEOUT_S)
         connection._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         connection.setOrder(OUR_ORDER)
     except (traci.TraCIException, traci.FatalTraCIError, OSError) as error:
@@ -108,7 +111,7 @@ class EgoPlan:
 
 
 @dataclass(slots=True)
-class Pace:
+class SessionPace:
     """Holds simulated time to the clock's; ``slips``: how often it was more than a second late."""
 
     step: float
@@ -154,7 +157,7 @@ class Session(Drive):
         self.away_since = spec.begin
         self.steps = 0
         self.present_since: float | None = None  # s; None while the ego is not on the road
-        self.pace = Pace(spec.step_length) if options.real_time else None
+        self.pace = SessionPace(spec.step_length) if options.real_time else None
         self._again: tuple[EgoRoute, str] | None = None  # how an ego of the demand departed
         self._departures, self._pending = 0, ego.next_route is None
         self._first = spec.begin + ego.warm_up
@@ -189,16 +192,18 @@ class Session(Drive):
 
         Raises ClientGone: it does not come within ``patience``.
         """
-        if self._gate.connected or (self.steps and (self.pace is not None or self.now - self.away_since < ALONE)):
+        if self._gate.connected or (
+            self.steps and (self.pace is not None or self.now - self.away_since < CLIENT_GRACE_S)
+        ):
             return
         patience = self._options.patience
         until = None if patience is None else time.monotonic() + patience
-        while not self._gate.wait_connected(SLICE):
+        while not self._gate.wait_connected(STOP_POLL_PERIOD_S):
             self._check()
             if until is not None and time.monotonic() > until:
                 raise ClientGone
         if self.pace is not None:
-            self.pace = Pace(self.spec.step_length)
+            self.pace = SessionPace(self.spec.step_length)
 
     def ready(self, since: float) -> bool:
         """Whether an encounter may begin: the ego has been on the road for ``since`` s, and its client drives it."""
@@ -242,7 +247,7 @@ class Session(Drive):
             "depart": repr(max(route.depart, self.now)), "departLane": str(route.lane),
             "departPos": str(route.position), "departSpeed": str(route.speed),
         }  # fmt: skip
-        name = f"{OURS}{self._plan.id}.route.{self._departures}"
+        name = f"{OUR_PREFIX}{self._plan.id}.route.{self._departures}"
         self.simulation.add(self._plan.id, route.edges, kind, depart, route=name)
         self._departures, self._pending = self._departures + 1, True
 
@@ -255,7 +260,7 @@ class Session(Drive):
         raw, length = snapshot.raw[name], self.simulation.fleet.sizes[name][0]
         (x, y, _), (x_before, y_before, _) = pose_of(raw, length), pose_of(snapshots[-2].raw[name], length)
         went = math.hypot(x - x_before, y - y_before) / self.spec.step_length
-        if abs(went - raw[3]) < DOUBTED or went > FASTEST:
+        if abs(went - raw[3]) < MIN_SPEED_CORRECTION_M_S or went > MAX_CREDIBLE_SPEED_M_S:
             return snapshot
         snapshots[-1] = replace(snapshot, raw={**snapshot.raw, name: (*raw[:3], went, raw[4])})
         return snapshots[-1]
@@ -301,14 +306,14 @@ class Session(Drive):
 
     def _stand_in(self) -> None:
         if self.steps and self._options.on_loss is OnLoss.BRAKE and self.present_since is not None:
-            speed = self.snapshot.raw[self._plan.id][3] - STAND_IN_BRAKING * self.spec.step_length
+            speed = self.snapshot.raw[self._plan.id][3] - STAND_IN_BRAKING_M_S2 * self.spec.step_length
             self.simulation.set_speed(self._plan.id, speed)
 
     # -- memory -------------------------------------------------------------------------------------------------
 
     def _forget(self) -> None:
         """Keep only the last seconds, and the sizes of the vehicles in them."""
-        kept = round(KEPT / self.spec.step_length)
+        kept = round(KEPT_STATES_S / self.spec.step_length)
         if len(self.recording.snapshots) >= 2 * kept:
             self.recording.forget(kept)
             self.simulation.fleet.forget({name for s in self.recording.snapshots for name in s.raw})

@@ -27,9 +27,9 @@ _SIZED = {"s": 0x0C, "n": 0x0C, "l": 0x0E, "v": 0x0E, "f": 0x10, "p": 0x06, "r":
 _COMPOUND = 0x0F
 _PARAMETER, _PROGRAM = 0x7E, 0x2C
 _PAIR = bytes((_SIZED["l"],)) + _INT.pack(2)  # what a list of two strings begins with
-LONGEST_OBJECT = 170  # bytes of a name that comes alone: SUMO puts it into an error, which has at most 255
-LARGEST = 1e10  # of a number; SUMO dies of a position of 1e308
-LONGEST_NAME = 80  # bytes of a name where an error may hold two
+MAX_OBJECT_NAME_BYTES = 170  # bytes of a name that comes alone: SUMO puts it into an error, which has at most 255
+MAX_NUMBER = 1e10  # of a number; SUMO dies of a position of 1e308
+MAX_NAME_BYTES = 80  # bytes of a name where an error may hold two
 _CLASSES = frozenset(
     b"private emergency authority army vip pedestrian passenger hov taxi bus coach delivery truck trailer motorcycle "
     b"moped bicycle evehicle tram rail_urban rail rail_electric rail_fast ship container cable_car subway aircraft "
@@ -38,7 +38,7 @@ _CLASSES = frozenset(
 _ICONS = frozenset((b"", b"pin", b"hotel", b"fuel", b"tree", b"charging_station"))
 
 Shapes = tuple[str, ...]
-NONE: Shapes = ("",)
+NO_ARGUMENTS: Shapes = ("",)
 
 ANY_GET: Mapping[int, Shapes] = {0x7E: ("s",), 0x3E: ("s",)}
 """Variable -> shapes, the same for all getters."""
@@ -85,7 +85,7 @@ CONTEXTUAL: Mapping[int, frozenset[int]] = {
 """Getter -> variables that every object within a context has."""
 
 _STAGE = "(isssldddsddds)"
-_TYPE: Mapping[int, Shapes] = {
+_SHAPES_OF_TYPE: Mapping[int, Shapes] = {
     0x26: ("d",), 0x2F: ("d",), 0x41: ("d",), 0x44: ("d",), 0x46: ("d",), 0x47: ("d",), 0x48: ("d",), 0x4C: ("d",),
     0x4D: ("d",), 0x5D: ("d",), 0x5E: ("d",), 0x5F: ("d",), 0x7B: ("d",), 0x7C: ("d",), 0x7D: ("d",), 0x8E: ("d",),
     0xBA: ("d",), 0xBB: ("d",), 0xBC: ("d",), 0xC8: ("d",),
@@ -106,7 +106,7 @@ SET: Mapping[int, Mapping[int, Shapes]] = {
     },
     0xC3: {0x34: ("v",), 0x35: ("v",), 0x3C: ("(vb)",), 0x3D: ("d",), 0x41: ("d",), 0x44: ("d",)},
     0xC4: {
-        **_TYPE,
+        **_SHAPES_OF_TYPE,
         0x12: ("(sdbd[bdd])",), 0x13: ("(bd[b])",), 0x14: ("(dd)",), 0x15: ("d",), 0x16: ("(dddd[ds])",),
         0x17: ("(sdbdiddib)",), 0x18: ("(sdbdiddib)",), 0x19: ("()",), 0x21: ("l",), 0x31: ("s",),
         0x3C: ("(d[d])", "d"), 0x40: ("d",), 0x4F: ("s",), 0x53: ("s",), 0x55: ("(issb)",), 0x57: ("l",),
@@ -114,7 +114,7 @@ SET: Mapping[int, Mapping[int, Shapes]] = {
         0x72: ("(dd)",), 0x81: ("b",), 0x85: ("(ssssssssssssii)",), 0x89: ("i",), 0x90: ("()",), 0x91: ("()",),
         0xB3: ("i",), 0xB4: ("(siddd[bd])",), 0xB6: ("i",), 0xB8: ("d",), 0xBD: ("s",), 0xBE: ("l",), 0xC2: ("(s)",),
     },
-    0xC5: {**_TYPE, 0x88: ("s",)},
+    0xC5: {**_SHAPES_OF_TYPE, 0x88: ("s",)},
     0xC6: {0x80: ("l",), 0x81: ("",)},
     0xC7: {
         0x42: ("o",), 0x43: ("d",), 0x45: ("c",), 0x4D: ("d",), 0x4F: ("s",), 0x6C: ("(c[dBdB])",),
@@ -127,7 +127,7 @@ SET: Mapping[int, Mapping[int, Shapes]] = {
     0xCA: {0x34: ("v",), 0x35: ("v",), 0x3D: ("d",), 0x41: ("d",), 0x58: _SPAN, 0x59: _SPAN},
     0xCD: {0x22: ("i",)},
     0xCE: {
-        **_TYPE,
+        **_SHAPES_OF_TYPE,
         0x40: ("d",), 0x4F: ("s",), 0x5C: ("(sd[d])",), 0x80: ("(ssdd)",), 0x81: ("b",), 0x90: ("()",),
         0xB4: ("(sddd[bd])",), 0xC4: ("(idss)", "(ildd[ds])", "(iss[s])", _STAGE), 0xC5: ("i",),
         0xCD: (f"(i{_STAGE})",),
@@ -164,7 +164,7 @@ def context_fits(payload: bytes, at: int, domain: int) -> bool:
 
 def get_shapes(number: int, variable: int) -> Shapes:
     """What must follow the object's name in a getter."""
-    return GET.get(number, {}).get(variable) or ANY_GET.get(variable, NONE)
+    return GET.get(number, {}).get(variable) or ANY_GET.get(variable, NO_ARGUMENTS)
 
 
 def set_shapes(number: int, variable: int) -> Shapes | None:
@@ -275,7 +275,7 @@ def _compound(payload: bytes, at: int, item: _Compound) -> int:
 def _doubles(payload: bytes, at: int, count: int) -> int:
     if at + 8 * count > len(payload):
         raise Misfit
-    if not all(-LARGEST <= number <= LARGEST for number in struct.unpack_from(f"!{count}d", payload, at)):
+    if not all(-MAX_NUMBER <= number <= MAX_NUMBER for number in struct.unpack_from(f"!{count}d", payload, at)):
         raise Misfit
     return at + 8 * count
 
@@ -310,6 +310,6 @@ def _sized(payload: bytes, at: int, letter: str) -> int:
 
 def _short_name(payload: bytes, at: int) -> int:
     end = name_end(payload, at)
-    if end - at - 4 > LONGEST_NAME:
+    if end - at - 4 > MAX_NAME_BYTES:
         raise Misfit
     return end

@@ -14,11 +14,11 @@ from pathlib import Path
 
 from sumo_adv.errors import SimulationError
 from sumo_adv.serve import leash
-from sumo_adv.serve.leash import CLIENTS
+from sumo_adv.serve.leash import TRACI_CLIENTS
 from sumo_adv.simulation.programs import find_sumo
 
-KEPT_LINES = 50  # of what SUMO said last
-_RETRY = 0.01  # s
+MAX_KEPT_LINES = 50  # of what SUMO said last
+PORT_RETRY_PERIOD_S = 0.01
 _REFUSALS = ("Answered with error to command", "Requested command not implemented")
 _ESTABLISHED = "01"  # in /proc/net/tcp
 
@@ -57,7 +57,7 @@ class SumoProcess:
         self._made: list[socket.socket] = []
         self._talk: socket.socket | None = None
         program = str(find_sumo())
-        command = [program, *arguments, "--remote-port", str(self.port), "--num-clients", str(CLIENTS)]
+        command = [program, *arguments, "--remote-port", str(self.port), "--num-clients", str(TRACI_CLIENTS)]
         child_end: socket.socket | None = None
         if sys.platform.startswith("linux"):
             if private:
@@ -74,7 +74,7 @@ class SumoProcess:
         finally:
             if child_end is not None:
                 child_end.close()
-        self._said: deque[str] = deque(maxlen=KEPT_LINES)
+        self._said: deque[str] = deque(maxlen=MAX_KEPT_LINES)
         self._ear = threading.Thread(target=self._listen, name="sumo-words", daemon=True)
         self._ear.start()
 
@@ -85,7 +85,7 @@ class SumoProcess:
                 self._said.append(line.decode(errors="replace").strip())
 
     def dial(self, timeout: float) -> socket.socket:
-        """One of its ``CLIENTS`` connections, as soon as it listens.
+        """One of its ``TRACI_CLIENTS`` connections, as soon as it listens.
 
         Raises:
             StrangerError: a stranger took one (noticed on Linux).
@@ -100,7 +100,7 @@ class SumoProcess:
                 raise SimulationError(f"SUMO did not start ({self.why_ended() or 'it says nothing'}).")
             if time.monotonic() > until:
                 raise SimulationError(f"SUMO did not listen within {timeout:g} s.")
-            time.sleep(_RETRY)
+            time.sleep(PORT_RETRY_PERIOD_S)
 
     @property
     def is_private(self) -> bool:
@@ -111,9 +111,9 @@ class SumoProcess:
         """A connection that was made in SUMO's own network; None if there is none yet, or no such network."""
         assert self._talk is not None
         if not self._made:
-            self._talk.settimeout(_RETRY)
+            self._talk.settimeout(PORT_RETRY_PERIOD_S)
             try:
-                message, files, _, _ = socket.recv_fds(self._talk, len(leash.PRIVATE), CLIENTS)
+                message, files, _, _ = socket.recv_fds(self._talk, len(leash.PRIVATE), TRACI_CLIENTS)
             except TimeoutError:
                 return None
             self._made = [socket.socket(fileno=file) for file in files]
@@ -139,7 +139,7 @@ class SumoProcess:
             dialling.settimeout(None)
             self._dialled.append(dialling.getsockname()[1])
         is_open = dialling.fileno() >= 0
-        if (len(self._dialled) == CLIENTS or not is_open) and strangers(self.port, self._dialled):
+        if (len(self._dialled) == TRACI_CLIENTS or not is_open) and strangers(self.port, self._dialled):
             dialling.close()
             raise StrangerError("Another program connected to SUMO's port before sumo_adv did.")
         return dialling if is_open else None

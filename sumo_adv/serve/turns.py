@@ -8,13 +8,21 @@ import time
 from collections.abc import Callable
 
 from sumo_adv.serve import framing
-from sumo_adv.serve.framing import Command, FramingError, Gone, Line, make_command, make_message, make_status
-from sumo_adv.serve.link import Link, OlderClients, Subscriptions, SumoGone
-from sumo_adv.serve.policy import CONTEXTS, GETTERS, LONGEST_STEP, SETTERS, SUBSCRIPTIONS, Policy, removed, step_until
+from sumo_adv.serve.framing import (
+    FramingError,
+    Gone,
+    MessageLine,
+    TraciCommand,
+    make_command,
+    make_message,
+    make_status,
+)
+from sumo_adv.serve.link import OlderClients, Subscriptions, SumoGone, SumoLink
+from sumo_adv.serve.policy import CONTEXTS, GETTERS, MAX_STEP_S, SETTERS, SUBSCRIPTIONS, Policy, removed, step_until
 from sumo_adv.serve.seat import Client, ClientSlot, EventKind, GateEvent, Interrupted, Late, Stepper, errors
 from sumo_adv.serve.shapes import Misfit
 
-MOST_UNHEARD = 1000  # answers without SUMO outside a client's turn, before it waits for its turn
+MAX_UNHEARD_ANSWERS = 1000  # answers without SUMO outside a client's turn, before it waits for its turn
 _EMPTY_STEP = make_message(make_status(framing.SIMSTEP), bytes(4))
 _WITHOUT_SUMO = {framing.GETVERSION, framing.SETORDER, framing.CLOSE}
 _RESTARTED = "The simulation was restarted: ask again."
@@ -24,7 +32,7 @@ class Turns:
     """One simulation, from attach to its end. ``run`` in one thread; everything else from any."""
 
     def __init__(
-        self, connect: Callable[[Callable[[], None]], Link], policy: Policy, seat: ClientSlot, deadline: float,
+        self, connect: Callable[[Callable[[], None]], SumoLink], policy: Policy, seat: ClientSlot, deadline: float,
         stopping: Callable[[], bool], why_ended: Callable[[], str], older: bool = False,
     ) -> None:  # fmt: skip
         """``connect`` makes the link to SUMO, given what to call while waiting for it; ``older``: see OlderClients."""
@@ -115,7 +123,7 @@ class Turns:
             return
         waiting: Client | None = None  # has asked what must wait for SUMO
 
-        def listen() -> Line | None:
+        def listen() -> MessageLine | None:
             client = self._seat.client
             return client.line if client is not None and client is not waiting else None
 
@@ -140,7 +148,7 @@ class Turns:
         def talk(client: Client) -> None:
             nonlocal done
             try:
-                message = client.receive(framing.SLICE, self._interrupted)
+                message = client.receive(framing.POLL_PERIOD_S, self._interrupted)
             except Late:
                 return  # half a message: the clock of its turn will tell
             done = all(command.number in _WITHOUT_SUMO for command in framing.split(message))
@@ -173,7 +181,7 @@ class Turns:
         """What is left of the client's turn [s]; all of it before the turn begins."""
         return self._deadline - (time.monotonic() - self._turn_began if self._our_turn else 0.0)
 
-    def _answer_all(self, client: Client, commands: list[Command]) -> bytes:
+    def _answer_all(self, client: Client, commands: list[TraciCommand]) -> bytes:
         answers: list[bytes] = []
         try:
             for command in commands:
@@ -190,7 +198,7 @@ class Turns:
             raise
         return answers[0] if len(answers) == 1 else _joined(answers)
 
-    def _translated(self, client: Client, command: Command) -> bytes:
+    def _translated(self, client: Client, command: TraciCommand) -> bytes:
         """The answer to a command in the version of TraCI that clients are told."""
         if self._translates is None:
             return self._answer(client, command)
@@ -199,7 +207,7 @@ class Turns:
             return self._translates.version(answer)
         return self._translates.answered(command.number, answer)
 
-    def _answer(self, client: Client, command: Command) -> bytes:
+    def _answer(self, client: Client, command: TraciCommand) -> bytes:
         number = command.number
         self._count()
         if number == framing.SIMSTEP:
@@ -225,7 +233,7 @@ class Turns:
                 self._subscriptions.note(command)
         return answer
 
-    def _asked(self, command: Command) -> bytes:
+    def _asked(self, command: TraciCommand) -> bytes:
         """SUMO's answer to a command; from then on it is the client's turn."""
         answer = self._link.ask(make_message(command.raw))
         self._begin_turn()
@@ -235,11 +243,11 @@ class Turns:
         """A client that only asks what needs no SUMO, or is refused, would never use up its time: after some questions
         it waits for its turn, and its clock runs."""
         self._unheard = 0 if self._our_turn else self._unheard + 1
-        if self._unheard > MOST_UNHEARD:
+        if self._unheard > MAX_UNHEARD_ANSWERS:
             self._link.now()
             self._begin_turn()
 
-    def _refuse(self, client: Client, command: Command, reason: str) -> bytes:
+    def _refuse(self, client: Client, command: TraciCommand, reason: str) -> bytes:
         key = (command.number, command.payload[:64])
         if key not in client.refused and len(client.refused) < 1000:
             client.refused.add(key)
@@ -247,7 +255,7 @@ class Turns:
             self._seat.tell(GateEvent(EventKind.REFUSED, sentence))
         return make_message(make_status(command.number, framing.ERROR, reason))
 
-    def _step(self, client: Client, command: Command) -> bytes:
+    def _step(self, client: Client, command: TraciCommand) -> bytes:
         """Pass a step on; a time that is past becomes the present, or SUMO would want every step since then again."""
         try:
             until = step_until(command.payload)
@@ -257,8 +265,8 @@ class Turns:
         if until:
             present = self._link.now()
             self._begin_turn()
-            if until > present + LONGEST_STEP:
-                return self._refuse(client, command, f"A step cannot be longer than {LONGEST_STEP:g} s.")
+            if until > present + MAX_STEP_S:
+                return self._refuse(client, command, f"A step cannot be longer than {MAX_STEP_S:g} s.")
             if until <= present:
                 return self._link.ask(make_message(make_command(framing.SIMSTEP, struct.pack("!d", present))))
             count = max(1, math.ceil((until - present) / self._link.step_length() - 1e-6))
@@ -306,7 +314,7 @@ def _joined(answers: list[bytes]) -> bytes:
     return make_message(*(answer[4:] for answer in answers))
 
 
-def _stand_in_answer(command: Command) -> bytes:
+def _stand_in_answer(command: TraciCommand) -> bytes:
     """What a client hears that stays while SUMO goes in the middle of its question."""
     if command.number == framing.SIMSTEP:
         return _EMPTY_STEP

@@ -24,46 +24,55 @@ import numpy as np
 from sumo_adv import __version__
 from sumo_adv.datatypes import Floats, Role, Track
 from sumo_adv.report.export.piece import (
-    HEIGHT,
-    LARGEST_STEER,
-    WHEELBASE,
+    HEIGHT_M,
+    MAX_STEERING_RAD,
+    WHEELBASE_SHARE,
+    ExportedRun,
     MapLane,
-    Piece,
     kind,
     map_lanes,
     metres,
     printable,
 )
 
-SCENARIO, SOLUTION = "scenario.xml", "solution.xml"
-GOAL = 10.0, 4.0  # m, length and width of the goal around the ego's last place
-VEHICLES = {"KS1": (4.298, 1.674), "KS2": (4.508, 1.610), "KS3": (4.569, 1.844)}
+COMMONROAD_SCENARIO_FILE, COMMONROAD_SOLUTION_FILE = "scenario.xml", "solution.xml"
+GOAL_SIZE_M = 10.0, 4.0  # length and width of the goal around the ego's last place
+VEHICLE_MODELS = {"KS1": (4.298, 1.674), "KS2": (4.508, 1.610), "KS3": (4.569, 1.844)}
 """Kinematic single-track models of CommonRoad with length and width [m]: Ford Escort, BMW 320i, VW Vanagon."""
-SLOWEST = 1.0  # m/s, below which no steering angle follows from the motion
-SPEED_LIMIT = "274"  # the sign's number in Germany and in CommonRoad's Zamunda
+MIN_STEERED_SPEED_M_S = 1.0  # below which no steering angle follows from the motion
+SPEED_LIMIT_SIGN = "274"  # the sign's number in Germany and in CommonRoad's Zamunda
 SUMMARY, MAPPING = "dataset_summary.pkl", "dataset_mapping.pkl"
-TYPES = {"car": "VEHICLE", "truck": "VEHICLE", "obstacle": "VEHICLE", "bicycle": "CYCLIST", "pedestrian": "PEDESTRIAN"}
-DATASET, VERSION = "sumo_adv", "1"
-PROTOCOL = 4  # of pickle: Python 3.4 and later
+SCENARIONET_TYPES = {
+    "car": "VEHICLE",
+    "truck": "VEHICLE",
+    "obstacle": "VEHICLE",
+    "bicycle": "CYCLIST",
+    "pedestrian": "PEDESTRIAN",
+}
+DATASET_NAME, DATASET_VERSION = "sumo_adv", "1"
+PICKLE_PROTOCOL = 4  # of pickle: Python 3.4 and later
 
 
-def write_commonroad(folder: Path, piece: Piece) -> None:
+def write_commonroad(folder: Path, piece: ExportedRun) -> None:
     """Write ``scenario.xml`` and ``solution.xml`` into ``folder``. Raises UsageError: the network is unreadable."""
     lanes = map_lanes(piece)
     problem = len(lanes) + len(piece.tracks) + 1
-    for name, root in ((SCENARIO, _scenario(piece, lanes, problem)), (SOLUTION, _solution(piece, problem))):
+    for name, root in (
+        (COMMONROAD_SCENARIO_FILE, _scenario(piece, lanes, problem)),
+        (COMMONROAD_SOLUTION_FILE, _solution(piece, problem)),
+    ):
         indent(root)
         text = tostring(root, encoding="unicode")
         (folder / name).write_text(f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n', encoding="utf-8")
 
 
-def _benchmark_id(piece: Piece) -> str:
+def _benchmark_id(piece: ExportedRun) -> str:
     """The scenario's name as CommonRoad spells names: ``ZAM_PriorityCrossing-1_1_T-1``."""
     words = re.findall(r"[A-Za-z0-9]+", piece.name)
     return f"ZAM_{''.join(w[:1].upper() + w[1:] for w in words) or 'Run'}-1_1_T-1"
 
 
-def _scenario(piece: Piece, lanes: Sequence[MapLane], problem: int) -> Element:
+def _scenario(piece: ExportedRun, lanes: Sequence[MapLane], problem: int) -> Element:
     root = Element(
         "commonRoad", commonRoadVersion="2020a", benchmarkID=_benchmark_id(piece), author=f"sumo_adv {__version__}",
         date=piece.written.strftime("%Y-%m-%d"), affiliation="", source="sumo_adv", timeStepSize=f"{piece.step:g}",
@@ -102,11 +111,11 @@ def _add_lanelet(root: Element, lane: MapLane, limit: int) -> None:
 
 def _add_limit(root: Element, number: int, limit: str) -> None:
     sign = SubElement(root, "trafficSign", id=str(number))
-    _add_texts(SubElement(sign, "trafficSignElement"), trafficSignID=SPEED_LIMIT, additionalValue=limit)
+    _add_texts(SubElement(sign, "trafficSignElement"), trafficSignID=SPEED_LIMIT_SIGN, additionalValue=limit)
     _add_texts(sign, virtual="true")
 
 
-def _add_obstacle(root: Element, number: int, track: Track, piece: Piece) -> None:
+def _add_obstacle(root: Element, number: int, track: Track, piece: ExportedRun) -> None:
     static = track.role is Role.OBSTACLE
     root.append(Comment(f" {number}: {_safe(track)}, {track.role} "))
     obstacle = SubElement(root, "staticObstacle" if static else "dynamicObstacle", id=str(number))
@@ -127,7 +136,7 @@ def _safe(track: Track) -> str:
     return printable(track.id).replace("-", "_")
 
 
-def _steps(track: Track, piece: Piece) -> list[int]:
+def _steps(track: Track, piece: ExportedRun) -> list[int]:
     return [round((time - piece.begin) / piece.step) for time in track.time.tolist()]
 
 
@@ -151,7 +160,7 @@ def _add_texts(parent: Element, **texts: str) -> None:
         SubElement(parent, name).text = text
 
 
-def _add_problem(root: Element, piece: Piece, number: int) -> None:
+def _add_problem(root: Element, piece: ExportedRun, number: int) -> None:
     ego = piece.track(piece.ego)
     root.append(Comment(f" {number}: {_safe(ego)}, ego, {metres(ego.length)} m long, {metres(ego.width)} m wide "))
     problem = SubElement(root, "planningProblem", id=str(number))
@@ -162,7 +171,7 @@ def _add_problem(root: Element, piece: Piece, number: int) -> None:
     last, time = _steps(ego, piece)[-1], SubElement(goal, "time")
     _add_texts(time, intervalStart=str(max(0, last - 1)), intervalEnd=str(last))
     rectangle = SubElement(SubElement(goal, "position"), "rectangle")
-    _add_texts(rectangle, length=str(GOAL[0]), width=str(GOAL[1]), orientation=f"{ego.heading[-1]:.6f}")
+    _add_texts(rectangle, length=str(GOAL_SIZE_M[0]), width=str(GOAL_SIZE_M[1]), orientation=f"{ego.heading[-1]:.6f}")
     _add_texts(SubElement(rectangle, "center"), x=metres(float(ego.x[-1])), y=metres(float(ego.y[-1])))
 
 
@@ -171,13 +180,13 @@ def _steering(track: Track) -> Floats:
     if len(track.time) < 2:
         return np.zeros(len(track.time))
     turn = np.gradient(np.unwrap(track.heading), track.time)
-    curvature = np.divide(turn, track.speed, out=np.zeros_like(turn), where=track.speed > SLOWEST)
-    return np.clip(np.arctan(WHEELBASE * track.length * curvature), -LARGEST_STEER, LARGEST_STEER)
+    curvature = np.divide(turn, track.speed, out=np.zeros_like(turn), where=track.speed > MIN_STEERED_SPEED_M_S)
+    return np.clip(np.arctan(WHEELBASE_SHARE * track.length * curvature), -MAX_STEERING_RAD, MAX_STEERING_RAD)
 
 
-def _solution(piece: Piece, problem: int) -> Element:
+def _solution(piece: ExportedRun, problem: int) -> Element:
     ego = piece.track(piece.ego)
-    vehicle = min(VEHICLES, key=lambda name: math.dist(VEHICLES[name], (ego.length, ego.width)))
+    vehicle = min(VEHICLE_MODELS, key=lambda name: math.dist(VEHICLE_MODELS[name], (ego.length, ego.width)))
     root = Element("CommonRoadSolution", benchmark_id=f"{vehicle}:JB1:{_benchmark_id(piece)}:2020a")
     root.set("date", piece.written.strftime("%Y-%m-%dT%H:%M:%S"))
     trajectory = SubElement(root, "ksTrajectory", planningProblem=str(problem))
@@ -190,31 +199,31 @@ def _solution(piece: Piece, problem: int) -> Element:
     return root
 
 
-def write_scenarionet(folder: Path, piece: Piece) -> None:
+def write_scenarionet(folder: Path, piece: ExportedRun) -> None:
     """Write the database into ``folder``. Raises UsageError: the network is unreadable."""
     scenario = _description(piece)
-    file = f"sd_{DATASET}_{VERSION}_{scenario['id']}.pkl"
+    file = f"sd_{DATASET_NAME}_{DATASET_VERSION}_{scenario['id']}.pkl"
     for name, value in ((file, scenario), (SUMMARY, {file: scenario["metadata"]}), (MAPPING, {file: ""})):
-        (folder / name).write_bytes(pickle.dumps(value, protocol=PROTOCOL))
+        (folder / name).write_bytes(pickle.dumps(value, protocol=PICKLE_PROTOCOL))
 
 
-def _description(piece: Piece) -> dict[str, Any]:
+def _description(piece: ExportedRun) -> dict[str, Any]:
     length = round((piece.end - piece.begin) / piece.step) + 1
     name = re.sub(r"[^A-Za-z0-9_.-]", "_", piece.name)
     tracks = {track.id: _track(track, piece, length) for track in piece.tracks}
     return {
         "id": name,
-        "version": VERSION,
+        "version": DATASET_VERSION,
         "length": length,
         "tracks": tracks,
         "dynamic_map_states": {},
         "map_features": {str(key): value for lane in map_lanes(piece) for key, value in _features(lane)},
         "metadata": {
-            "id": name, "scenario_id": name, "dataset": DATASET, "coordinate": "right-handed",
+            "id": name, "scenario_id": name, "dataset": DATASET_NAME, "coordinate": "right-handed",
             "metadrive_processed": False, "sdc_id": piece.ego, "ts": piece.step * np.arange(length, dtype=np.float64),
             "sample_rate": piece.step, "current_time_index": 0, "source_file": piece.name,
             "tracks_to_predict": {
-                t.id: {"track_id": t.id, "object_type": TYPES[kind(t)]} for t in piece.tracks
+                t.id: {"track_id": t.id, "object_type": SCENARIONET_TYPES[kind(t)]} for t in piece.tracks
                 if t.role is Role.ADVERSARY
             },
             "object_summary": {
@@ -224,7 +233,7 @@ def _description(piece: Piece) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _track(track: Track, piece: Piece, length: int) -> dict[str, Any]:
+def _track(track: Track, piece: ExportedRun, length: int) -> dict[str, Any]:
     """States over all steps, zero where the vehicle is not there."""
     first, category = round((float(track.time[0]) - piece.begin) / piece.step), kind(track)
     at = slice(first, first + len(track.time))
@@ -237,15 +246,15 @@ def _track(track: Track, piece: Piece, length: int) -> dict[str, Any]:
     valid = np.zeros(length, bool)
     valid[at] = True
     return {
-        "type": TYPES[category],
+        "type": SCENARIONET_TYPES[category],
         "state": {
-            "position": filled(track.x, track.y, HEIGHT[category] / 2), "heading": filled(track.heading),
+            "position": filled(track.x, track.y, HEIGHT_M[category] / 2), "heading": filled(track.heading),
             "velocity": filled(track.speed * np.cos(track.heading), track.speed * np.sin(track.heading)),
-            "length": filled(track.length), "width": filled(track.width), "height": filled(HEIGHT[category]),
+            "length": filled(track.length), "width": filled(track.width), "height": filled(HEIGHT_M[category]),
             "valid": valid,
         },
         "metadata": {
-            "type": TYPES[category], "object_id": track.id, "dataset": DATASET, "track_length": length,
+            "type": SCENARIONET_TYPES[category], "object_id": track.id, "dataset": DATASET_NAME, "track_length": length,
             "role": str(track.role),
         },
     }  # fmt: skip

@@ -10,23 +10,22 @@ from pathlib import Path
 from sumo_adv.errors import UsageError
 from sumo_adv.files import sentences, write_whole
 from sumo_adv.report.export import Format, Variant
-from sumo_adv.report.export.commonroad import SCENARIO as COMMONROAD_SCENARIO
-from sumo_adv.report.export.commonroad import SUMMARY, write_commonroad, write_scenarionet
+from sumo_adv.report.export.commonroad import COMMONROAD_SCENARIO_FILE, SUMMARY, write_commonroad, write_scenarionet
 from sumo_adv.report.export.messages import write_mcap, write_osi
-from sumo_adv.report.export.openscenario import SCENARIO, write_openscenario
-from sumo_adv.report.export.piece import Piece
+from sumo_adv.report.export.openscenario import OPENSCENARIO_FILE, write_openscenario
+from sumo_adv.report.export.piece import ExportedRun
 from sumo_adv.report.export.sumo import CONFIGURATION, fcd, table, write_replay
 from sumo_adv.report.export.womd import write_womd
-from sumo_adv.report.read import OUTCOME
+from sumo_adv.report.read import OUTCOME_FILE
 from sumo_adv.report.staging import staged
 from sumo_adv.report.tables import write_gzip
 from sumo_adv.simulation.programs import find_netconvert
 
-Write = Callable[[Path, Piece, Variant], str | None]
+WriteFormat = Callable[[Path, ExportedRun, Variant], str | None]
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class ExportFormat:
     """A format. ``write`` fills a file, or a folder that is there and empty, and may give a sentence on what is lost.
 
     ending: of the default name. extra, packages: what to install, and what must then import; both empty = nothing.
@@ -34,7 +33,7 @@ class Entry:
     """
 
     ending: str
-    write: Write
+    write: WriteFormat
     extra: str = ""
     packages: tuple[str, ...] = ()
     marker: str = ""
@@ -58,10 +57,10 @@ class Entry:
             )
 
 
-def _text(of: Callable[[Piece], str]) -> Write:
+def _text(of: Callable[[ExportedRun], str]) -> WriteFormat:
     """A writer of text, packed where the name ends in ``.gz``."""
 
-    def write(target: Path, piece: Piece, variant: Variant) -> None:
+    def write(target: Path, piece: ExportedRun, variant: Variant) -> None:
         if target.suffix == ".gz":
             write_gzip(target, of(piece))
         else:
@@ -70,24 +69,24 @@ def _text(of: Callable[[Piece], str]) -> Write:
     return write
 
 
-def _replayed(of: Callable[[Path, Piece], str | None]) -> Write:
+def _replayed(of: Callable[[Path, ExportedRun], str | None]) -> WriteFormat:
     """A writer that knows no variants."""
     return lambda target, piece, variant: of(target, piece)
 
 
-FORMATS: dict[Format, Entry] = {
-    Format.OPENSCENARIO: Entry(
+FORMATS: dict[Format, ExportFormat] = {
+    Format.OPENSCENARIO: ExportFormat(
         "-openscenario", lambda target, piece, variant: write_openscenario(target, piece, find_netconvert(), variant),
-        "export", ("lxml.etree", "qc_openscenario"), SCENARIO,
+        "export", ("lxml.etree", "qc_openscenario"), OPENSCENARIO_FILE,
     ),
-    Format.SUMO: Entry("-sumo", _replayed(write_replay), marker=CONFIGURATION),
-    Format.FCD: Entry(".fcd.xml", _text(fcd)),
-    Format.CSV: Entry(".csv", _text(table)),
-    Format.WOMD: Entry(".tfrecord", _replayed(write_womd), "womd", ("google.protobuf",)),
-    Format.COMMONROAD: Entry("-commonroad", _replayed(write_commonroad), marker=COMMONROAD_SCENARIO),
-    Format.MCAP: Entry(".mcap", _replayed(write_mcap), "mcap", ("foxglove",)),
-    Format.OSI: Entry("_gt.osi", _replayed(write_osi), "osi", ("osi3.osi_groundtruth_pb2",)),
-    Format.SCENARIONET: Entry("-scenarionet", _replayed(write_scenarionet), marker=SUMMARY),
+    Format.SUMO: ExportFormat("-sumo", _replayed(write_replay), marker=CONFIGURATION),
+    Format.FCD: ExportFormat(".fcd.xml", _text(fcd)),
+    Format.CSV: ExportFormat(".csv", _text(table)),
+    Format.WOMD: ExportFormat(".tfrecord", _replayed(write_womd), "womd", ("google.protobuf",)),
+    Format.COMMONROAD: ExportFormat("-commonroad", _replayed(write_commonroad), marker=COMMONROAD_SCENARIO_FILE),
+    Format.MCAP: ExportFormat(".mcap", _replayed(write_mcap), "mcap", ("foxglove",)),
+    Format.OSI: ExportFormat("_gt.osi", _replayed(write_osi), "osi", ("osi3.osi_groundtruth_pb2",)),
+    Format.SCENARIONET: ExportFormat("-scenarionet", _replayed(write_scenarionet), marker=SUMMARY),
 }  # fmt: skip
 HOLDERS = (".", "failures", "runs")  # where hunts, regression suites and campaigns keep their runs
 
@@ -111,13 +110,13 @@ def left_out() -> Iterator[str]:
 
 def runs_in(folder: Path) -> list[Path]:
     """``folder`` itself if it is a run's, or none at all; else the runs of a hunt, a regression suite or a campaign."""
-    if (folder / OUTCOME).is_file() or not folder.is_dir():
+    if (folder / OUTCOME_FILE).is_file() or not folder.is_dir():
         return [folder]
     places = [folder / holder for holder in HOLDERS if (folder / holder).is_dir()]
-    return [run for place in places for run in sorted(place.iterdir()) if (run / OUTCOME).is_file()]
+    return [run for place in places for run in sorted(place.iterdir()) if (run / OUTCOME_FILE).is_file()]
 
 
-def write_export(target: Path, piece: Piece, format: Format, variant: Variant, *, force: bool) -> str | None:
+def write_export(target: Path, piece: ExportedRun, format: Format, variant: Variant, *, force: bool) -> str | None:
     """Write a run in one format: the whole file or folder, or nothing. Gives a sentence if something is lost.
 
     Raises UsageError: ``target`` exists, a package of the format is missing, or an error of the format.

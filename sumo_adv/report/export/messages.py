@@ -16,20 +16,20 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.datatypes import Role, Track
-from sumo_adv.report.export.piece import HEIGHT, Piece, height_of, kind, map_lanes
+from sumo_adv.report.export.piece import HEIGHT_M, ExportedRun, height_of, kind, map_lanes
 
 FRAME = "world"
-COLOURS = {
+ROLE_RGB = {
     Role.EGO: (0.1, 0.4, 0.9), Role.ADVERSARY: (0.95, 0.5, 0.1), Role.BACKGROUND: (0.6, 0.6, 0.6),
     Role.OBSTACLE: (0.4, 0.35, 0.3),
 }  # fmt: skip
-LINE = 0.15  # m, how thick lines of the road are drawn
-NANO = 1_000_000_000
-LANES = 100_000  # ids of OSI's lanes begin behind it
-KINDS = {"car": "TYPE_CAR", "truck": "TYPE_HEAVY_TRUCK", "bicycle": "TYPE_BICYCLE"}
+LINE_WIDTH_M = 0.15  # how thick lines of the road are drawn
+NANOSECONDS_PER_S = 1_000_000_000
+FIRST_LANE_ID = 100_000  # ids of OSI's lanes begin behind it
+OSI_TYPES = {"car": "TYPE_CAR", "truck": "TYPE_HEAVY_TRUCK", "bicycle": "TYPE_BICYCLE"}
 
 
-def write_mcap(target: Path, piece: Piece) -> None:
+def write_mcap(target: Path, piece: ExportedRun) -> None:
     """Write one message a topic and step. Needs foxglove-sdk. Raises UsageError: the network is unreadable."""
     import foxglove
     from foxglove import channels
@@ -68,7 +68,7 @@ def nanoseconds(time: float) -> int:
 def _stamp(time: float) -> Any:
     from foxglove.messages import Timestamp
 
-    sec, nsec = divmod(nanoseconds(time), NANO)
+    sec, nsec = divmod(nanoseconds(time), NANOSECONDS_PER_S)
     return Timestamp(sec=sec, nsec=nsec)
 
 
@@ -94,8 +94,8 @@ def _scene(there: list[tuple[Track, int]], time: float, step: float) -> Any:
 
     entities = []
     for track, k in there:
-        height = HEIGHT[kind(track)]
-        red, green, blue = COLOURS[track.role]
+        height = HEIGHT_M[kind(track)]
+        red, green, blue = ROLE_RGB[track.role]
         cube = m.CubePrimitive(
             pose=_pose(track, k, height / 2), size=m.Vector3(x=track.length, y=track.width, z=height),
             color=m.Color(r=red, g=green, b=blue, a=0.9),
@@ -103,14 +103,14 @@ def _scene(there: list[tuple[Track, int]], time: float, step: float) -> Any:
         known = {"role": str(track.role), "speed_m_s": f"{track.speed[k]:.4f}", "lane": track.lane[k]}
         entity = m.SceneEntity(
             timestamp=_stamp(time), frame_id=FRAME, id=track.id, cubes=[cube],
-            lifetime=m.Duration(sec=0, nsec=round(step * NANO)),
+            lifetime=m.Duration(sec=0, nsec=round(step * NANOSECONDS_PER_S)),
             metadata=[m.KeyValuePair(key=key, value=value) for key, value in known.items()],
         )  # fmt: skip
         entities.append(entity)
     return m.SceneUpdate(entities=entities)
 
 
-def _road(piece: Piece) -> Any:
+def _road(piece: ExportedRun) -> Any:
     """Both sides of each lane, once."""
     from foxglove import messages as m
 
@@ -120,12 +120,12 @@ def _road(piece: Piece) -> Any:
             [m.Point3(x=x, y=y, z=float(each.height(x, y))) for x, y in line.tolist()]
             for line in (each.left, each.right)
         ]  # fmt: skip
-        lines = [m.LinePrimitive(type=strip, thickness=LINE, color=grey, points=some) for some in points]
+        lines = [m.LinePrimitive(type=strip, thickness=LINE_WIDTH_M, color=grey, points=some) for some in points]
         entities.append(m.SceneEntity(timestamp=_stamp(piece.begin), frame_id=FRAME, id=each.lane.id, lines=lines))
     return m.SceneUpdate(entities=entities)
 
 
-def _said(piece: Piece) -> list[tuple[float, str, bool]]:
+def _said(piece: ExportedRun) -> list[tuple[float, str, bool]]:
     """Time [s], words, and whether it is bad news."""
     said = [(piece.begin, f"{piece.name}: ego {piece.ego}", False)]
     if piece.adversary is not None and piece.takeover is not None:
@@ -136,7 +136,7 @@ def _said(piece: Piece) -> list[tuple[float, str, bool]]:
     return said
 
 
-def write_osi(target: Path, piece: Piece) -> None:
+def write_osi(target: Path, piece: ExportedRun) -> None:
     """Write the trace. Needs osi-python. Raises UsageError: the network is unreadable."""
     with target.open("wb") as file:
         for step in range(round((piece.end - piece.begin) / piece.step) + 1):
@@ -144,14 +144,14 @@ def write_osi(target: Path, piece: Piece) -> None:
             file.write(struct.pack("<I", len(data)) + data)
 
 
-def _ground_truth(piece: Piece, step: int) -> Any:
+def _ground_truth(piece: ExportedRun, step: int) -> Any:
     """The GroundTruth message of a step, counted from the first exported one."""
     from osi3.osi_groundtruth_pb2 import GroundTruth
     from osi3.osi_version_pb2 import DESCRIPTOR, current_interface_version
 
     truth, time = GroundTruth(), piece.begin + step * piece.step
     truth.version.CopyFrom(DESCRIPTOR.GetOptions().Extensions[current_interface_version])
-    truth.timestamp.seconds, truth.timestamp.nanos = divmod(nanoseconds(time), NANO)
+    truth.timestamp.seconds, truth.timestamp.nanos = divmod(nanoseconds(time), NANOSECONDS_PER_S)
     for number, track in enumerate(piece.tracks, 1):
         if track.id == piece.ego:
             truth.host_vehicle_id.value = number
@@ -170,9 +170,9 @@ def _add_object(truth: Any, number: int, track: Track, k: int) -> None:
     reference.identifier.extend([track.id, str(track.role)])
     category, heading, speed = kind(track), float(track.heading[k]), float(track.speed[k])
     base = made.base
-    base.dimension.length, base.dimension.width, base.dimension.height = track.length, track.width, HEIGHT[category]
+    base.dimension.length, base.dimension.width, base.dimension.height = track.length, track.width, HEIGHT_M[category]
     base.position.x, base.position.y = float(track.x[k]), float(track.y[k])
-    base.position.z = height_of(track, k) + HEIGHT[category] / 2
+    base.position.z = height_of(track, k) + HEIGHT_M[category] / 2
     base.orientation.roll = base.orientation.pitch = 0.0
     base.orientation.yaw = heading
     if still:
@@ -184,13 +184,13 @@ def _add_object(truth: Any, number: int, track: Track, k: int) -> None:
         made.type = made.TYPE_PEDESTRIAN
     else:
         made.type = made.TYPE_VEHICLE
-        made.vehicle_classification.type = getattr(made.vehicle_classification, KINDS[category])
+        made.vehicle_classification.type = getattr(made.vehicle_classification, OSI_TYPES[category])
 
 
-def _add_lanes(truth: Any, piece: Piece) -> None:
+def _add_lanes(truth: Any, piece: ExportedRun) -> None:
     for each in map_lanes(piece):
         lane = truth.lane.add()
-        lane.id.value = LANES + each.number
+        lane.id.value = FIRST_LANE_ID + each.number
         what = lane.classification
         what.type = what.TYPE_INTERSECTION if each.lane.internal else what.TYPE_DRIVING
         what.centerline_is_driving_direction = True
@@ -199,11 +199,11 @@ def _add_lanes(truth: Any, piece: Piece) -> None:
         sides = (each.beside_left, what.left_adjacent_lane_id), (each.beside_right, what.right_adjacent_lane_id)
         for beside, ids in sides:
             if beside is not None:
-                ids.add(value=LANES + beside)
+                ids.add(value=FIRST_LANE_ID + beside)
         for before in each.entries or (None,):
             for after in each.exits or (None,):
                 pairing = what.lane_pairing.add()
                 if before is not None:
-                    pairing.antecessor_lane_id.value = LANES + before
+                    pairing.antecessor_lane_id.value = FIRST_LANE_ID + before
                 if after is not None:
-                    pairing.successor_lane_id.value = LANES + after
+                    pairing.successor_lane_id.value = FIRST_LANE_ID + after

@@ -31,10 +31,10 @@ from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.files import scratch_prefix
 from sumo_adv.report.export import Variant
 from sumo_adv.report.export.piece import (
-    HEIGHT,
-    LARGEST_STEER,
-    WHEELBASE,
-    Piece,
+    HEIGHT_M,
+    MAX_STEERING_RAD,
+    WHEELBASE_SHARE,
+    ExportedRun,
     height_of,
     kind,
     metres,
@@ -43,19 +43,23 @@ from sumo_adv.report.export.piece import (
 from sumo_adv.report.page_road import network
 from sumo_adv.simulation.network import is_left_hand
 
-SCENARIO, ROAD = "scenario.xosc", "road.xodr"
-VERSION = "1.2.0"  # of the schema
-CENTRE = 0.3  # of the length, from the rear axle to the box's centre
-TRACK_WIDTH = 0.85  # of the width
-WHEEL = 0.65  # m
-MASS = {"car": 1500, "truck": 12000, "bicycle": 90, "pedestrian": 75, "obstacle": 500}  # kg
-FASTEST, ACCELERATION, BRAKING = 70.0, 4.0, 9.0  # m/s, m/s2: wide enough for every trajectory
-SLACK = 0.5  # s: how much before its time a free ego's nearness may start the attack
-PATIENCE = 600.0  # s for netconvert: a town takes seconds
+OPENSCENARIO_FILE, OPENDRIVE_FILE = "scenario.xosc", "road.xodr"
+OPENSCENARIO_VERSION = "1.2.0"  # of the schema
+CENTRE_SHARE = 0.3  # of the length, from the rear axle to the box's centre
+TRACK_WIDTH_SHARE = 0.85  # of the width
+WHEEL_DIAMETER_M = 0.65
+MASS_KG = {"car": 1500, "truck": 12000, "bicycle": 90, "pedestrian": 75, "obstacle": 500}
+PERFORMANCE_SPEED_M_S, PERFORMANCE_ACCELERATION_M_S2, PERFORMANCE_DECELERATION_M_S2 = (
+    70.0,
+    4.0,
+    9.0,
+)  # m/s, m/s2: wide enough for every trajectory
+START_SLACK_S = 0.5  # how much before its time a free ego's nearness may start the attack
+NETCONVERT_TIMEOUT_S = 600.0  # s for netconvert: a town takes seconds
 Names = Mapping[str, str]
 
 
-def write_openscenario(folder: Path, piece: Piece, netconvert: Path, variant: Variant = Variant.REPLAY) -> None:
+def write_openscenario(folder: Path, piece: ExportedRun, netconvert: Path, variant: Variant = Variant.REPLAY) -> None:
     """Write ``scenario.xosc``, checked against ASAM's schema, and ``road.xodr`` into ``folder``.
 
     Raises:
@@ -64,15 +68,16 @@ def write_openscenario(folder: Path, piece: Piece, netconvert: Path, variant: Va
     """
     text = openscenario(piece, variant)
     check_openscenario(text)
-    write_opendrive(netconvert, piece.network, folder / ROAD, piece.written)
-    (folder / SCENARIO).write_text(text, encoding="utf-8")
+    write_opendrive(netconvert, piece.network, folder / OPENDRIVE_FILE, piece.written)
+    (folder / OPENSCENARIO_FILE).write_text(text, encoding="utf-8")
 
 
-def openscenario(piece: Piece, variant: Variant = Variant.REPLAY) -> str:
+def openscenario(piece: ExportedRun, variant: Variant = Variant.REPLAY) -> str:
     """The document: all vehicles as recorded, or all but the ego, which then starts so and is the player's.
 
     Adversaries follow their recording to the takeover. From the takeover's time on they attack, or with a free ego up
-    to ``SLACK`` earlier if it is as near to the collider by then as at the recorded takeover: all begin together.
+    to ``START_SLACK_S`` earlier if it is as near to the collider by then as at the recorded takeover: all begin
+    together.
 
     Raises UsageError: a free ego needs an adversary.
     """
@@ -96,7 +101,7 @@ def openscenario(piece: Piece, variant: Variant = Variant.REPLAY) -> str:
     for name, value in known.items():  # what a reader needs to find its way back to the run
         SubElement(properties, "Property", name=f"sumo_adv_{name}", value=value)
     SubElement(root, "CatalogLocations")
-    SubElement(SubElement(root, "RoadNetwork"), "LogicFile", filepath=ROAD)
+    SubElement(SubElement(root, "RoadNetwork"), "LogicFile", filepath=OPENDRIVE_FILE)
     _add_entities(root, piece.tracks, names)
     _add_storyboard(root, piece, variant, names)
     indent(root)
@@ -119,7 +124,7 @@ def entity_names(tracks: Sequence[Track]) -> dict[str, str]:
 
 def _centre_ahead(track: Track) -> float:
     """How far the box's centre is ahead of the reference point [m]."""
-    return 0.0 if kind(track) in ("pedestrian", "obstacle") else CENTRE * track.length
+    return 0.0 if kind(track) in ("pedestrian", "obstacle") else CENTRE_SHARE * track.length
 
 
 def reference_points(track: Track) -> tuple[Floats, Floats, Floats]:
@@ -141,8 +146,8 @@ def _add_entities(parent: Element, tracks: Sequence[Track], names: Names) -> Non
         else:
             thing = SubElement(scenario_object, "Vehicle", vehicleCategory=category)
         thing.set("name", f"{category}_{track.length:.2f}x{track.width:.2f}")
-        thing.set("mass", str(MASS[category]))
-        box, height = SubElement(thing, "BoundingBox"), HEIGHT[category]
+        thing.set("mass", str(MASS_KG[category]))
+        box, height = SubElement(thing, "BoundingBox"), HEIGHT_M[category]
         SubElement(box, "Center", x=metres(_centre_ahead(track)), y="0.0", z=metres(height / 2))
         size = {"length": metres(track.length), "width": metres(track.width), "height": metres(height)}
         SubElement(box, "Dimensions", size)
@@ -155,20 +160,25 @@ def _add_entities(parent: Element, tracks: Sequence[Track], names: Names) -> Non
 
 def _add_vehicle_parts(thing: Element, track: Track) -> None:
     SubElement(
-        thing, "Performance", maxSpeed=f"{FASTEST}", maxAcceleration=f"{ACCELERATION}", maxDeceleration=f"{BRAKING}"
+        thing,
+        "Performance",
+        maxSpeed=f"{PERFORMANCE_SPEED_M_S}",
+        maxAcceleration=f"{PERFORMANCE_ACCELERATION_M_S2}",
+        maxDeceleration=f"{PERFORMANCE_DECELERATION_M_S2}",
     )
     axles = SubElement(thing, "Axles")
-    for name, at, steer in (("FrontAxle", WHEELBASE * track.length, LARGEST_STEER), ("RearAxle", 0.0, 0.0)):
+    for name, at, steer in (("FrontAxle", WHEELBASE_SHARE * track.length, MAX_STEERING_RAD), ("RearAxle", 0.0, 0.0)):
         SubElement(
-            axles, name, maxSteering=f"{steer}", wheelDiameter=f"{WHEEL}", trackWidth=metres(TRACK_WIDTH * track.width),
-            positionX=metres(at), positionZ=metres(WHEEL / 2),
+            axles, name, maxSteering=f"{steer}", wheelDiameter=f"{WHEEL_DIAMETER_M}",
+            trackWidth=metres(TRACK_WIDTH_SHARE * track.width),
+            positionX=metres(at), positionZ=metres(WHEEL_DIAMETER_M / 2),
         )  # fmt: skip
 
 
 # -- what happens -----------------------------------------------------------------------------------------------------
 
 
-def _add_storyboard(parent: Element, piece: Piece, variant: Variant, names: Names) -> None:
+def _add_storyboard(parent: Element, piece: ExportedRun, variant: Variant, names: Names) -> None:
     """The positions at the start, and the timed trajectories from then on."""
     storyboard = SubElement(parent, "Storyboard")
     actions = SubElement(SubElement(storyboard, "Init"), "Actions")
@@ -191,7 +201,7 @@ def _add_storyboard(parent: Element, piece: Piece, variant: Variant, names: Name
     _add_time_trigger(storyboard, "StopTrigger", piece.end - piece.begin, "end")
 
 
-def _add_recorded(act: Element, piece: Piece, track: Track, name: str) -> None:
+def _add_recorded(act: Element, piece: ExportedRun, track: Track, name: str) -> None:
     """Come, follow the recording, go."""
     begin, end = float(track.time[0]) - piece.begin, float(track.time[-1]) - piece.begin
     maneuver = _add_maneuver(act, name)
@@ -211,7 +221,7 @@ def _add_recorded(act: Element, piece: Piece, track: Track, name: str) -> None:
         _add_time_trigger(event, "StartTrigger", end + piece.step, f"{name} goes")
 
 
-def _add_attacker(act: Element, piece: Piece, track: Track, names: Names) -> None:
+def _add_attacker(act: Element, piece: ExportedRun, track: Track, names: Names) -> None:
     """The recording up to the takeover, then the attack on a clock of its own."""
     assert piece.takeover is not None and piece.adversary is not None
     name, takeover = names[track.id], piece.takeover - piece.begin
@@ -226,7 +236,7 @@ def _add_attacker(act: Element, piece: Piece, track: Track, names: Names) -> Non
     trigger = SubElement(event, "StartTrigger")
     _add_time(SubElement(trigger, "ConditionGroup"), takeover, "time of the takeover")
     group = SubElement(trigger, "ConditionGroup")
-    _add_time(group, max(0.0, takeover - SLACK), "shortly before the takeover")
+    _add_time(group, max(0.0, takeover - START_SLACK_S), "shortly before the takeover")
     (x, y), (ego_x, ego_y) = (
         [float(np.interp(piece.takeover, each.time, values)) for values in reference_points(each)[:2]]
         for each in (piece.track(piece.adversary), piece.track(piece.ego))
@@ -234,7 +244,7 @@ def _add_attacker(act: Element, piece: Piece, track: Track, names: Names) -> Non
     _add_nearness(group, names[piece.adversary], names[piece.ego], math.hypot(x - ego_x, y - ego_y))
 
 
-def _is_late(track: Track, piece: Piece) -> bool:
+def _is_late(track: Track, piece: ExportedRun) -> bool:
     return bool(track.time[0] > piece.begin + piece.step / 2)
 
 
@@ -326,7 +336,9 @@ def write_opendrive(netconvert: Path, network: Path, target: Path, written: date
         command = [str(netconvert), "-s", str(network.resolve()), "--opendrive-output", str(made)]
         command += ["--precision", "4", "--xml-validation", "never"]
         command += ["--opendrive-output.lefthand-left"] if left_hand else []
-        done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, check=False, cwd=scratch)
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=NETCONVERT_TIMEOUT_S, check=False, cwd=scratch
+        )
         if done.returncode or not made.is_file():
             reason = (done.stderr.strip().splitlines() or ["no reason given"])[0].removeprefix("Error: ")
             raise SumoAdvError(
@@ -379,5 +391,5 @@ def _schema() -> Any:
 
     from lxml import etree
 
-    file = files("qc_openscenario") / "schema" / VERSION / "OpenSCENARIO.xsd"
+    file = files("qc_openscenario") / "schema" / OPENSCENARIO_VERSION / "OpenSCENARIO.xsd"
     return etree.XMLSchema(etree.fromstring(file.read_bytes()))

@@ -16,22 +16,21 @@ from sumo_adv.datatypes import Floats, Role, Track
 from sumo_adv.errors import UsageError
 from sumo_adv.metrics.boxes import first_contact, row_of
 from sumo_adv.report.manifest import waymo_source
-from sumo_adv.report.page_road import network
-from sumo_adv.report.read import MANIFEST, read_run, reading
+from sumo_adv.report.page_road import ROAD_RADIUS_M, network
+from sumo_adv.report.read import MANIFEST_FILE, read_run, reading
 from sumo_adv.road_users import RoadUser, road_user
 from sumo_adv.simulation.inputs import WaymoSource
 from sumo_adv.simulation.network import NetworkLane, RoadMap
 from sumo_adv.simulation.signals import SignalLog
 
-HEIGHT = {"car": 1.5, "truck": 3.2, "bicycle": 1.7, "pedestrian": 1.75, "obstacle": 1.5}  # m: SUMO has none
-WHEELBASE, LARGEST_STEER = 0.6, 0.6  # of the length; rad
-SHORTEST_TRUCK, NARROWEST_CAR = 6.5, 1.0  # m
-REACH = 220.0  # m around the vehicles' paths
-SPACING = 0.5  # m between points of a spaced line
+HEIGHT_M = {"car": 1.5, "truck": 3.2, "bicycle": 1.7, "pedestrian": 1.75, "obstacle": 1.5}  # SUMO has none
+WHEELBASE_SHARE, MAX_STEERING_RAD = 0.6, 0.6  # of the length; rad
+MIN_TRUCK_LENGTH_M, MIN_CAR_WIDTH_M = 6.5, 1.0
+POINT_SPACING_M = 0.5  # m between points of a spaced line
 
 
 @dataclass(frozen=True, slots=True)
-class Piece:
+class ExportedRun:
     """Tracks between ``begin`` and ``end`` [s, simulation time], in order of first appearance.
 
     network: the net.xml they drive on. step [s]. adversary: the collider; supports: the other adversaries. takeover:
@@ -72,7 +71,9 @@ class Piece:
         return time if math.isfinite(time) else None
 
 
-def read_piece(folder: Path, *, unattacked: bool = False, before: float | None = None, whole: bool = False) -> Piece:
+def read_piece(
+    folder: Path, *, unattacked: bool = False, before: float | None = None, whole: bool = False
+) -> ExportedRun:
     """The stretch of a run to export, from ``before`` seconds before the takeover on (None = the run's own history).
 
     ``unattacked``: of the run without an attack. ``whole``: from the start of the simulation on.
@@ -104,10 +105,10 @@ def read_piece(folder: Path, *, unattacked: bool = False, before: float | None =
             raise UsageError(f"The ego is not in the exported part of the run in {run.folder}; give --whole.")
         best = None if attacked is None else run.outcome.get("best")
         level = "" if best is None else str(run.outcome["attempts"][best]["level"] or "")
-        return Piece(
+        return ExportedRun(
             str(run.manifest["name"]), file, tuple(shown), float(min(t.time[0] for t in shown)), float(end),
             float(settings["step_length"]), ego, attacked, float(takeover) if attacked is not None else None,
-            datetime.fromtimestamp((run.folder / MANIFEST).stat().st_mtime, UTC).replace(microsecond=0),
+            datetime.fromtimestamp((run.folder / MANIFEST_FILE).stat().st_mtime, UTC).replace(microsecond=0),
             tuple(supports), level, SignalLog({}) if unattacked else run.lights, waymo_source(run.manifest),
         )  # fmt: skip
 
@@ -121,9 +122,9 @@ def kind(track: Track) -> str:
         return "pedestrian"
     if track.role is Role.OBSTACLE:
         return "obstacle"
-    if track.width < NARROWEST_CAR:
+    if track.width < MIN_CAR_WIDTH_M:
         return "bicycle"
-    return "truck" if track.length >= SHORTEST_TRUCK else "car"
+    return "truck" if track.length >= MIN_TRUCK_LENGTH_M else "car"
 
 
 def height_of(track: Track, k: int) -> float:
@@ -163,8 +164,8 @@ class MapLane:
         return 0.0 * x if self.road.heights is None else self.road.heights.at(self.lane.id, x, y)
 
 
-def map_lanes(piece: Piece) -> list[MapLane]:
-    """The lanes for motor vehicles within ``REACH`` of the vehicles' paths, also those within junctions,
+def map_lanes(piece: ExportedRun) -> list[MapLane]:
+    """The lanes for motor vehicles within ``ROAD_RADIUS_M`` of the vehicles' paths, also those within junctions,
     numbered from 1.
 
     Raises UsageError: the network is unreadable.
@@ -174,7 +175,7 @@ def map_lanes(piece: Piece) -> list[MapLane]:
     road = network(piece.network)
     lanes = [lane for lane in road.lanes.values() if lane.carriageway and len(lane.shape) > 1]
     points = np.concatenate([np.column_stack([t.x, t.y])[::10] for t in piece.tracks])
-    near = dwithin([linestrings(lane.shape) for lane in lanes], MultiPoint(points), REACH)
+    near = dwithin([linestrings(lane.shape) for lane in lanes], MultiPoint(points), ROAD_RADIUS_M)
     kept = [lane for lane, is_near in zip(lanes, near, strict=True) if is_near]
     numbers = {lane.id: k for k, lane in enumerate(kept, 1)}
     exits = _exits(road, numbers)
@@ -219,7 +220,7 @@ def _shifted(line: Floats, offset: float) -> Floats:
 
 
 def spaced(line: Floats) -> Floats:
-    """A line ``(n, 2)`` with a point every ``SPACING`` m and at its ends."""
+    """A line ``(n, 2)`` with a point every ``POINT_SPACING_M`` m and at its ends."""
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
-    stations = np.linspace(0.0, along[-1], max(2, round(along[-1] / SPACING) + 1))
+    stations = np.linspace(0.0, along[-1], max(2, round(along[-1] / POINT_SPACING_M) + 1))
     return np.column_stack([np.interp(stations, along, line[:, k]) for k in (0, 1)])

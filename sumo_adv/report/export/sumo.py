@@ -23,28 +23,33 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from sumo_adv.datatypes import Role, Track
-from sumo_adv.report.export.piece import Piece, height_of
+from sumo_adv.report.export.piece import ExportedRun, height_of
 from sumo_adv.report.tables import quoted
 from sumo_adv.road_users import RoadUser, road_user
 from sumo_adv.simulation.network import NetworkLane, RoadMap, read_network
 from sumo_adv.simulation.simulation import angle_deg_of
 from sumo_adv.times import seconds_text
 
-HEAD = '<?xml version="1.0" encoding="UTF-8"?>\n<fcd-export>\n'
-CONFIGURATION, TYPES, TRAJECTORIES, VIEW = "replay.sumocfg", "types.add.xml", "replay.fcd.xml", "view.xml"
-COLOURS = {Role.EGO: "0,114,178", Role.ADVERSARY: "213,94,0", Role.BACKGROUND: "140,140,140", Role.OBSTACLE: "90,90,90"}
-OFF_CENTRE = 0.005  # m from the middle of a lane at which a vehicle is let in earlier
-SEARCHED = (10.0, 100.0, 1000.0, 100_000.0)  # m
-DELAY = 100  # ms a step that sumo-gui waits
-SHOWN = 120.0  # m of road in sumo-gui's window
-HEADER = (
+FCD_HEAD = '<?xml version="1.0" encoding="UTF-8"?>\n<fcd-export>\n'
+CONFIGURATION, TYPES_FILE, TRAJECTORIES, VIEW = "replay.sumocfg", "types.add.xml", "replay.fcd.xml", "view.xml"
+ROLE_GUI_COLOURS = {
+    Role.EGO: "0,114,178",
+    Role.ADVERSARY: "213,94,0",
+    Role.BACKGROUND: "140,140,140",
+    Role.OBSTACLE: "90,90,90",
+}
+OFF_CENTRE_M = 0.005  # m from the middle of a lane at which a vehicle is let in earlier
+SEARCH_RADII_M = (10.0, 100.0, 1000.0, 100_000.0)
+GUI_DELAY_MS = 100  # ms a step that sumo-gui waits
+GUI_WIDTH_M = 120.0  # m of road in sumo-gui's window
+TRAJECTORY_HEADER = (
     "time_s,vehicle,role,x_m,y_m,heading_rad,speed_m_s,acceleration_m_s2,length_m,width_m,lane,driven_by_attack,"
     "distance_to_ego_m\n"
 )
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class TrajectoryRow:
     """A vehicle at a time [s]: front bumper x, y [m], SUMO's angle [deg], speed [m/s], lane and place on it [m]."""
 
     time: float
@@ -68,32 +73,32 @@ class Row:
         )
 
 
-def fcd(piece: Piece) -> str:
+def fcd(piece: ExportedRun) -> str:
     """The piece as FCD. ``lane`` is empty and ``pos`` 0 off the road. Raises UsageError: the network is unreadable."""
     road = read_network(piece.network)
     rows = (row for track in piece.tracks for row in _track_rows(track, [road.lanes.get(name) for name in track.lane]))
     return _fcd_text(rows, piece)
 
 
-def _track_rows(track: Track, lanes: Iterable[NetworkLane | None]) -> Iterator[Row]:
+def _track_rows(track: Track, lanes: Iterable[NetworkLane | None]) -> Iterator[TrajectoryRow]:
     """A row a state; ``lanes``: those on which SUMO has it."""
     kind = _type_name(track)
     for k, lane in zip(range(len(track.time)), lanes, strict=False):
         x, y = front(track, k)
         position = lane.position_of(lane.station_at(x, y)) if lane else 0.0
-        yield Row(
+        yield TrajectoryRow(
             float(track.time[k]), track.id, kind, x, y, angle_deg_of(float(track.heading[k])), float(track.speed[k]),
             float(track.acceleration[k]), lane.id if lane else "", position,
             height_of(track, k) if np.ndim(track.z) else None,
         )  # fmt: skip
 
 
-def _fcd_text(rows: Iterable[Row], piece: Piece) -> str:
+def _fcd_text(rows: Iterable[TrajectoryRow], piece: ExportedRun) -> str:
     """Rows by time; a step without vehicles has none."""
-    steps: dict[int, list[Row]] = defaultdict(list)
+    steps: dict[int, list[TrajectoryRow]] = defaultdict(list)
     for row in rows:
         steps[round(row.time / piece.step)].append(row)
-    parts = [HEAD]
+    parts = [FCD_HEAD]
     for step in sorted(steps):
         parts.append(f'    <timestep time="{seconds_text(steps[step][0].time)}">\n')
         parts += [row.text() for row in steps[step]]
@@ -112,7 +117,7 @@ def _type_name(track: Track) -> str:
     return f"{track.role}_{track.length:.2f}x{track.width:.2f}"
 
 
-def write_replay(folder: Path, piece: Piece) -> None:
+def write_replay(folder: Path, piece: ExportedRun) -> None:
     """Write the folder. Raises UsageError: the network cannot be read."""
     road = read_network(piece.network)
     network = "net.net.xml.gz" if piece.network.suffix == ".gz" else "net.net.xml"
@@ -120,17 +125,17 @@ def write_replay(folder: Path, piece: Piece) -> None:
     begin = min(row.time for row in rows)
     shutil.copyfile(piece.network, folder / network)
     (folder / TRAJECTORIES).write_text(_fcd_text(rows, piece), encoding="utf-8")
-    (folder / TYPES).write_text(_types(piece), encoding="utf-8")
+    (folder / TYPES_FILE).write_text(_types(piece), encoding="utf-8")
     (folder / VIEW).write_text(_view(piece, road), encoding="utf-8")
     (folder / CONFIGURATION).write_text(_configuration(piece, network, begin), encoding="utf-8")
 
 
-def _rows(track: Track, road: RoadMap, piece: Piece) -> Iterator[Row]:
+def _rows(track: Track, road: RoadMap, piece: ExportedRun) -> Iterator[TrajectoryRow]:
     home = _home(track, road)
     first, *others = _track_rows(track, repeat(home))
     heading = float(track.heading[0])
     point = home.point_at(home.station_of(first.position))
-    if math.dist(point[:2], (first.x, first.y)) > OFF_CENTRE or math.cos(point[2] - heading) < math.cos(1e-3):
+    if math.dist(point[:2], (first.x, first.y)) > OFF_CENTRE_M or math.cos(point[2] - heading) < math.cos(1e-3):
         before = first.time - piece.step
         yield replace(first, time=before) if before >= 0 else first
     yield first
@@ -144,16 +149,16 @@ def _home(track: Track, road: RoadMap) -> NetworkLane:
         if lane is not None and not lane.internal:
             return lane
     x, y = float(track.x[0]), float(track.y[0])
-    near: list[NetworkLane] = next((lanes for radius in SEARCHED if (lanes := road.lanes_near(x, y, radius))), [])
+    near: list[NetworkLane] = next((lanes for radius in SEARCH_RADII_M if (lanes := road.lanes_near(x, y, radius))), [])
     return min(near, key=lambda lane: float(np.min(np.hypot(lane.shape[:, 0] - x, lane.shape[:, 1] - y))))
 
 
-def _types(piece: Piece) -> str:
+def _types(piece: ExportedRun) -> str:
     """A vType a role and size; its class may be anywhere, its size is the recorded one."""
     by_name = {_type_name(track): track for track in piece.tracks}
     lines = [
         f'    <vType id={quoteattr(name)} vClass="ignoring" length="{track.length:.2f}" width="{track.width:.2f}" '
-        f'minGap="0" maxSpeed="100" guiShape="{_shape(track)}" color="{COLOURS[track.role]}"/>\n'
+        f'minGap="0" maxSpeed="100" guiShape="{_shape(track)}" color="{ROLE_GUI_COLOURS[track.role]}"/>\n'
         for name, track in sorted(by_name.items())
     ]
     return "<additional>\n" + "".join(lines) + "</additional>\n"
@@ -168,7 +173,7 @@ def _shape(track: Track) -> str:
     return "passenger" if track.length < 6.5 else "truck"
 
 
-def _view(piece: Piece, road: RoadMap) -> str:
+def _view(piece: ExportedRun, road: RoadMap) -> str:
     """The view follows no vehicle: it stands over where ego and adversary come closest, or over the ego's middle."""
     ego = piece.track(piece.ego)
     x, y = float(ego.x[len(ego.x) // 2]), float(ego.y[len(ego.y) // 2])
@@ -181,19 +186,19 @@ def _view(piece: Piece, road: RoadMap) -> str:
         k = int(np.argmin(gap))
         x, y = float(ego.x[k]), float(ego.y[k])
     extent = np.ptp(np.vstack([lane.shape for lane in road.lanes.values()]), axis=0)
-    zoom = 100.0 * max(1.0, float(max(extent) / SHOWN))  # sumo-gui's, in percent of the whole network's extent
+    zoom = 100.0 * max(1.0, float(max(extent) / GUI_WIDTH_M))  # sumo-gui's, in percent of the whole network's extent
     return (
         '<viewsettings>\n    <scheme name="real world"/>\n'
         f'    <viewport x="{x:.2f}" y="{y:.2f}" zoom="{zoom:.0f}"/>\n'
-        f'    <delay value="{DELAY}"/>\n</viewsettings>\n'
+        f'    <delay value="{GUI_DELAY_MS}"/>\n</viewsettings>\n'
     )
 
 
-def _configuration(piece: Piece, network: str, begin: float) -> str:
+def _configuration(piece: ExportedRun, network: str, begin: float) -> str:
     return f"""<configuration>
     <input>
         <net-file value="{network}"/>
-        <additional-files value="{TYPES}"/>
+        <additional-files value="{TYPES_FILE}"/>
     </input>
     <time>
         <begin value="{seconds_text(begin)}"/>
@@ -221,7 +226,7 @@ def _configuration(piece: Piece, network: str, begin: float) -> str:
 """
 
 
-def table(piece: Piece) -> str:
+def table(piece: ExportedRun) -> str:
     """x, y are box centres; the distance is between centres, empty while the ego is not there.
 
     ``driven_by_attack``: 1 for an adversary after the takeover, else 0. Rows by time, then by first appearance.
@@ -242,4 +247,4 @@ def table(piece: Piece) -> str:
             )
             rows.append((time, order, text))
     rows.sort(key=lambda row: row[:2])
-    return HEADER + "".join(row[2] for row in rows)
+    return TRAJECTORY_HEADER + "".join(row[2] for row in rows)

@@ -17,26 +17,28 @@ import numpy as np
 
 from sumo_adv.datatypes import MPH_M_S, Floats, Role, Track
 from sumo_adv.errors import UsageError
-from sumo_adv.report.export.piece import HEIGHT, MapLane, Piece, kind, map_lanes, spaced
+from sumo_adv.report.export.piece import HEIGHT_M, ExportedRun, MapLane, kind, map_lanes, spaced
 from sumo_adv.report.page_road import network
 from sumo_adv.womd.lines import road_outline
 
-STEPS, CURRENT, STEP = 91, 10, 0.1
-AFTER = 0.5  # s that a record goes on after the contact
-TYPES = {"car": 1, "truck": 1, "obstacle": 1, "pedestrian": 2, "bicycle": 3}  # Track.ObjectType
+RECORD_STEPS, CURRENT_STEP, RECORD_STEP_S = 91, 10, 0.1
+AFTER_CONTACT_S = 0.5  # s that a record goes on after the contact
+OBJECT_TYPES = {"car": 1, "truck": 1, "obstacle": 1, "pedestrian": 2, "bicycle": 3}  # Track.ObjectType
 FREEWAY, SURFACE = 1, 2  # LaneCenter.LaneType
-FREEWAY_SPEED = 22.5  # m/s, from which a lane is a freeway's
+FREEWAY_SPEED_M_S = 22.5  # from which a lane is a freeway's
 EDGE_BOUNDARY, BROKEN_WHITE = 1, 1  # RoadEdgeType, RoadLineType
-STOP, CAUTION, GO, FLASHING_STOP, FLASHING_CAUTION = 4, 5, 6, 7, 8  # TrafficSignalLaneState.State
-SIGNALS = {
-    "r": STOP, "u": STOP, "y": CAUTION, "Y": CAUTION, "g": GO, "G": GO, "s": FLASHING_STOP, "o": FLASHING_CAUTION,
+SIGNAL_STOP, SIGNAL_CAUTION, SIGNAL_GO = 4, 5, 6  # TrafficSignalLaneState.State
+SIGNAL_FLASHING_STOP, SIGNAL_FLASHING_CAUTION = 7, 8
+SIGNAL_STATE_NUMBERS = {
+    "r": SIGNAL_STOP, "u": SIGNAL_STOP, "y": SIGNAL_CAUTION, "Y": SIGNAL_CAUTION, "g": SIGNAL_GO, "G": SIGNAL_GO,
+    "s": SIGNAL_FLASHING_STOP, "o": SIGNAL_FLASHING_CAUTION,
 }  # fmt: skip
 """By SUMO's letter; a light that is off (O) is unknown."""
-CLOCK = 1e-3  # s
+CLOCK_STEP_S = 1e-3
 Heights = Callable[[Floats, Floats], Floats]
 
 
-def write_womd(target: Path, piece: Piece) -> str | None:
+def write_womd(target: Path, piece: ExportedRun) -> str | None:
     """Write one framed Scenario message; gives a sentence if the map of the run's record is lost. Needs protobuf."""
     from sumo_adv.womd.framing import frame
 
@@ -45,22 +47,22 @@ def write_womd(target: Path, piece: Piece) -> str | None:
     return lost
 
 
-def _scenario(piece: Piece, record: Any | None) -> Any:
+def _scenario(piece: ExportedRun, record: Any | None) -> Any:
     """The Scenario message. Raises UsageError: the network is unreadable."""
     from sumo_adv.womd.scenario_pb2 import Scenario
 
-    time: Floats = first_step(piece) + STEP * np.arange(STEPS, dtype=np.float64)
+    time: Floats = first_step(piece) + RECORD_STEP_S * np.arange(RECORD_STEPS, dtype=np.float64)
     message = Scenario(
-        scenario_id=re.sub(r"[^A-Za-z0-9_.-]", "_", piece.name)[:100] or "run", current_time_index=CURRENT
+        scenario_id=re.sub(r"[^A-Za-z0-9_.-]", "_", piece.name)[:100] or "run", current_time_index=CURRENT_STEP
     )
-    message.timestamps_seconds.extend((STEP * np.arange(STEPS)).tolist())
+    message.timestamps_seconds.extend((RECORD_STEP_S * np.arange(RECORD_STEPS)).tolist())
     known = {} if record is None else {track.id: track.object_type for track in record.tracks}
     numbers = track_numbers(piece, known)
     heights = None if record is None else heights_of(record)
     shown = [t for t in piece.tracks if _valid(t, time).any()]
     for index, track in enumerate(shown):
         number = numbers[track.id]
-        _add_track(message, track, number, known.get(number, TYPES[kind(track)]), time, heights)
+        _add_track(message, track, number, known.get(number, OBJECT_TYPES[kind(track)]), time, heights)
         if track.id == piece.ego:
             message.sdc_track_index = index
         elif track.role is Role.ADVERSARY:
@@ -73,16 +75,20 @@ def _scenario(piece: Piece, record: Any | None) -> Any:
     return message
 
 
-def first_step(piece: Piece) -> float:
+def first_step(piece: ExportedRun) -> float:
     """When the record begins [s]: with the takeover at its current step, later if the contact needs it."""
     if piece.takeover is None:
         return piece.begin
-    start, contact = piece.takeover - CURRENT * STEP, piece.contact()
-    late = 0 if contact is None else math.ceil((min(contact + AFTER, piece.end) - start) / STEP - 1e-6) - (STEPS - 1)
-    return start + STEP * max(0, late)
+    start, contact = piece.takeover - CURRENT_STEP * RECORD_STEP_S, piece.contact()
+    late = (
+        0
+        if contact is None
+        else math.ceil((min(contact + AFTER_CONTACT_S, piece.end) - start) / RECORD_STEP_S - 1e-6) - (RECORD_STEPS - 1)
+    )
+    return start + RECORD_STEP_S * max(0, late)
 
 
-def track_numbers(piece: Piece, taken: Collection[int]) -> dict[str, int]:
+def track_numbers(piece: ExportedRun, taken: Collection[int]) -> dict[str, int]:
     """A number for each vehicle: its id where that is one (a converted record), else the next that is not taken."""
     ids = [t.id for t in piece.tracks]
     numbers = {i: int(i) for i in ids if i.isascii() and i.isdigit() and len(i) < 10 and str(int(i)) == i}
@@ -98,7 +104,7 @@ def _add_track(
     message: Any, track: Track, number: int, object_type: int, time: Floats, heights: Heights | None
 ) -> None:
     """Its states at the record's times, linear between those of the run; not valid before and after."""
-    height = HEIGHT[kind(track)]
+    height = HEIGHT_M[kind(track)]
     made = message.tracks.add(id=number, object_type=object_type)
     x, y, speed = (np.interp(time, track.time, v) for v in (track.x, track.y, track.speed))
     heading = np.interp(time, track.time, np.unwrap(track.heading))
@@ -115,7 +121,7 @@ def _add_track(
         )  # fmt: skip
 
 
-def record_of(piece: Piece) -> tuple[Any | None, str | None]:
+def record_of(piece: ExportedRun) -> tuple[Any | None, str | None]:
     """The Scenario message that the run was made of; else None, and a sentence if that record is gone."""
     if piece.waymo is None:
         return None, None
@@ -133,9 +139,9 @@ def add_record_map(message: Any, record: Any, time: Floats) -> None:
     """The record's own features, and its signals at ``time`` [s from the record's first step]; none after its end."""
     message.map_features.extend(record.map_features)
     clock = np.array(record.timestamps_seconds) - record.timestamps_seconds[0]
-    for t, k in zip(time.tolist(), np.searchsorted(clock, time + CLOCK, side="right") - 1, strict=True):
+    for t, k in zip(time.tolist(), np.searchsorted(clock, time + CLOCK_STEP_S, side="right") - 1, strict=True):
         made = message.dynamic_map_states.add()
-        if t <= clock[-1] + CLOCK and 0 <= k < len(record.dynamic_map_states):
+        if t <= clock[-1] + CLOCK_STEP_S and 0 <= k < len(record.dynamic_map_states):
             made.CopyFrom(record.dynamic_map_states[k])
 
 
@@ -149,7 +155,7 @@ def heights_of(record: Any) -> Heights:
     return lambda x, y: np.asarray(ground[tree.nearest(points(x, y)), 2])
 
 
-def add_net_map(message: Any, piece: Piece, time: Floats) -> None:
+def add_net_map(message: Any, piece: ExportedRun, time: Floats) -> None:
     """Lanes, lines and edges of the network around the run, and the signals that it recorded at ``time`` [s]."""
     lanes = map_lanes(piece)
     lines = {each.number: spaced(each.lane.shape) for each in lanes}
@@ -159,7 +165,7 @@ def add_net_map(message: Any, piece: Piece, time: Floats) -> None:
     _add_signals(message, piece, lanes, time)
 
 
-def _add_signals(message: Any, piece: Piece, lanes: Sequence[MapLane], time: Floats) -> None:
+def _add_signals(message: Any, piece: ExportedRun, lanes: Sequence[MapLane], time: Floats) -> None:
     """For each link with a light a state of the lane that it leads to, which begins at the stop line."""
     numbers = {each.lane.id: each.number for each in lanes}
     links = sorted(
@@ -171,10 +177,10 @@ def _add_signals(message: Any, piece: Piece, lanes: Sequence[MapLane], time: Flo
     )  # fmt: skip
     for t in time.tolist():
         states = message.dynamic_map_states.add()
-        shown = piece.lights.states(t) if t <= piece.end + CLOCK else {}
+        shown = piece.lights.states(t) if t <= piece.end + CLOCK_STEP_S else {}
         for (light, index), number, (x, y, z) in links:
             if light in shown:
-                made = states.lane_states.add(lane=number, state=SIGNALS.get(shown[light][index], 0))
+                made = states.lane_states.add(lane=number, state=SIGNAL_STATE_NUMBERS.get(shown[light][index], 0))
                 made.stop_point.x, made.stop_point.y, made.stop_point.z = x, y, z
 
 
@@ -182,7 +188,7 @@ def _add_lane(message: Any, each: MapLane, lines: Mapping[int, Floats]) -> None:
     """The lane's centre line, and a line at each side that has a neighbour of the same direction."""
     lane = message.map_features.add(id=each.number).lane
     lane.speed_limit_mph = each.lane.speed / MPH_M_S
-    lane.type = FREEWAY if each.lane.speed >= FREEWAY_SPEED else SURFACE
+    lane.type = FREEWAY if each.lane.speed >= FREEWAY_SPEED_M_S else SURFACE
     lane.interpolating = each.lane.internal
     lane.entry_lanes.extend(each.entries)
     lane.exit_lanes.extend(each.exits)
