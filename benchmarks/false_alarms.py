@@ -23,7 +23,8 @@ from sumo_adv.metrics.reference import BRAKERS
 from sumo_adv.metrics.reference.view import EgoPaths, Views, located_on
 from sumo_adv.simulation.demand import generate_demand
 from sumo_adv.simulation.inputs import data_folder
-from sumo_adv.simulation.simulation import Simulation, SimulationSpec
+from sumo_adv.simulation.simulation import Simulation
+from sumo_adv.simulation.simulation_spec import SimulationSpec
 from sumo_adv.simulation.tracks import Recording, tracks_of
 
 DT = 0.1  # s

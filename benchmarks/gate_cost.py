@@ -25,7 +25,7 @@ import traci
 from sumo_adv.serve.gate import Gate
 from sumo_adv.serve.sumo_process import SumoProcess
 from sumo_adv.simulation.inputs import data_folder
-from sumo_adv.simulation.simulation import SimulationSpec
+from sumo_adv.simulation.simulation_spec import SimulationSpec
 
 BOUNDS = {"step": 1.5, "getter": 3.5}  # gate over native, at most
 SPEED, SPACING, START = 25.0, 45.0, 40.0  # m/s; m between vehicles of a lane; m from the road's begin to the last

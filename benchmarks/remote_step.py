@@ -25,7 +25,8 @@ from traci import constants
 from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.simulation.programs import find_sumo
 from sumo_adv.simulation.remote import VEHICLE_STATE, Remote
-from sumo_adv.simulation.simulation import Simulation, SimulationSpec
+from sumo_adv.simulation.simulation import Simulation
+from sumo_adv.simulation.simulation_spec import SimulationSpec
 
 BOUND = 0.6
 WINDOW, WARM_UP = 10, 300  # steps

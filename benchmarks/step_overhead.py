@@ -32,7 +32,7 @@ from sumo_adv.planners.sessions import Roads, Sessions
 from sumo_adv.planners.source import HELPERS_CODE, make_planner
 from sumo_adv.simulation.engine import Engine
 from sumo_adv.simulation.inputs import data_folder
-from sumo_adv.simulation.simulation import SimulationSpec
+from sumo_adv.simulation.simulation_spec import SimulationSpec
 
 BOUNDS = {20: 8.0, 100: 2.2}  # vehicles -> whole loop with the verdict of its collision over bare stepping, at most
 TRIGGER = 3.0  # s

@@ -34,7 +34,7 @@ from sumo_adv.simulation.inputs import load_input
 from sumo_adv.simulation.network import read_network
 from sumo_adv.simulation.playback import Playback
 from sumo_adv.simulation.playback_spec import with_background
-from sumo_adv.simulation.simulation import SimulationSpec
+from sumo_adv.simulation.simulation_spec import SimulationSpec
 from sumo_adv.womd.reader import read_records
 from sumo_adv.womd.record import Record
 

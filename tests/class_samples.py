@@ -16,7 +16,7 @@ from pathlib import Path
 from sumo_samples import make_spec
 
 from sumo_adv.simulation.programs import find_netconvert
-from sumo_adv.simulation.simulation import SimulationSpec
+from sumo_adv.simulation.simulation_spec import SimulationSpec
 
 NODES = "<nodes>{}</nodes>".format(
     "".join(

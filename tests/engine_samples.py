@@ -15,7 +15,9 @@ from sumo_samples import over_the_line
 
 from sumo_adv.errors import SimulationError, UsageError
 from sumo_adv.simulation.forks import in_forks
-from sumo_adv.simulation.simulation import Simulation, SimulationSpec, Snapshot
+from sumo_adv.simulation.simulation import Simulation
+from sumo_adv.simulation.simulation_spec import SimulationSpec
+from sumo_adv.simulation.sumo_states import Snapshot
 
 
 class Errands:

@@ -21,7 +21,7 @@ from sumo_adv.serve.policy import Rules
 from sumo_adv.serve.sumo_process import SumoProcess
 from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.simulation.programs import find_sumo
-from sumo_adv.simulation.simulation import SimulationSpec
+from sumo_adv.simulation.simulation_spec import SimulationSpec
 
 try:
     find_sumo()

@@ -14,7 +14,7 @@ from pathlib import Path
 from sumo_samples import make_spec
 
 from sumo_adv.simulation.programs import find_netconvert
-from sumo_adv.simulation.simulation import SimulationSpec
+from sumo_adv.simulation.simulation_spec import SimulationSpec
 
 UNDER, OVER = {"w": (-300, 0), "e": (300, 0)}, {"s": (0, -300), "n": (0, 300)}
 CROSSING = "under from=w to=e;over from=s to=n"

@@ -14,7 +14,7 @@ from pathlib import Path
 from sumo_samples import make_spec
 
 from sumo_adv.simulation.programs import find_netconvert
-from sumo_adv.simulation.simulation import SimulationSpec
+from sumo_adv.simulation.simulation_spec import SimulationSpec
 from sumo_adv.simulation.sumo_options import DEFAULTS
 
 NODES = '<nodes><node id="a" x="0" y="0"/><node id="b" x="100" y="0"/><node id="c" x="200" y="0"/></nodes>'

@@ -10,7 +10,7 @@ from pathlib import Path
 from sumo_adv.geometry import Pose
 from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.simulation.programs import find_netconvert
-from sumo_adv.simulation.simulation import SimulationSpec
+from sumo_adv.simulation.simulation_spec import SimulationSpec
 
 TYPES = """
   <vType id="calm" vClass="passenger" carFollowModel="Krauss" sigma="0" tau="1" length="5" width="2" maxSpeed="40"

@@ -16,7 +16,8 @@ from sumo_samples import make_spec, vehicle
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.inputs import data_folder, load_input
 from sumo_adv.simulation.scan import silent_copies
-from sumo_adv.simulation.simulation import Simulation, SimulationSpec
+from sumo_adv.simulation.simulation import Simulation
+from sumo_adv.simulation.simulation_spec import SimulationSpec
 
 INCLUDED = """<additional>
   <e1Detector id="included" lane="west_in_0" pos="60" period="10" file="included.xml"/>

@@ -17,7 +17,8 @@ from sumo_adv.drivers import Pose as EgoPose
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.geometry import Pose
 from sumo_adv.simulation.ego_types import EGO_TYPE
-from sumo_adv.simulation.simulation import SimulationSpec, Snapshot
+from sumo_adv.simulation.simulation_spec import SimulationSpec
+from sumo_adv.simulation.sumo_states import Snapshot
 
 
 class Scripted:

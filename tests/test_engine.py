@@ -15,7 +15,7 @@ from sumo_samples import make_spec, vehicle
 from sumo_adv.errors import SimulationError, UsageError
 from sumo_adv.simulation.engine import Engine
 from sumo_adv.simulation.forks import can_fork
-from sumo_adv.simulation.simulation import SimulationSpec
+from sumo_adv.simulation.simulation_spec import SimulationSpec
 
 needs_fork = pytest.mark.skipif(not can_fork(), reason="this system cannot fork a simulation")
 

@@ -18,7 +18,8 @@ from sumo_adv.simulation.given_options import OPTION_TYPES, check
 from sumo_adv.simulation.inputs import data_folder, load_input
 from sumo_adv.simulation.programs import find_sumo
 from sumo_adv.simulation.scan import scan_demand, silent_copies
-from sumo_adv.simulation.simulation import Simulation, SimulationSpec
+from sumo_adv.simulation.simulation import Simulation
+from sumo_adv.simulation.simulation_spec import SimulationSpec
 from sumo_adv.simulation.sumo_options import FORCED, OTHERS, only_shows, parse_options, refuse
 
 SUMOS_TYPES = {"switch": "BOOL", "number": "FLOAT", "whole number": "INT", "time": "TIME", "text": "STR"}

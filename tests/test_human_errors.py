@@ -10,7 +10,9 @@ import pytest
 
 from sumo_adv.simulation.human_errors import ErrorKind, HumanErrors, speed_in_error
 from sumo_adv.simulation.inputs import find_input
-from sumo_adv.simulation.simulation import Simulation, SimulationSpec, Snapshot
+from sumo_adv.simulation.simulation import Simulation
+from sumo_adv.simulation.simulation_spec import SimulationSpec
+from sumo_adv.simulation.sumo_states import Snapshot
 
 
 @contextmanager

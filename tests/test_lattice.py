@@ -26,7 +26,7 @@ from sumo_adv.metrics.boxes import first_contact, on_grid, overlaps
 from sumo_adv.simulation.forks import in_forks
 from sumo_adv.simulation.network import read_network
 from sumo_adv.simulation.scenario import load_scenario
-from sumo_adv.simulation.simulation import SimulationSpec
+from sumo_adv.simulation.simulation_spec import SimulationSpec
 
 ROOT = Path(__file__).resolve().parent.parent
 STRAIGHT = [(float(x), 0.0) for x in range(400)]

@@ -12,7 +12,8 @@ from sumo_adv.geometry import Frame
 from sumo_adv.simulation.human_errors import ErrorKind, HumanErrors
 from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.simulation.network import read_network
-from sumo_adv.simulation.simulation import Simulation, SimulationSpec
+from sumo_adv.simulation.simulation import Simulation
+from sumo_adv.simulation.simulation_spec import SimulationSpec
 
 LEFT, RIGHT = (data_folder("networks") / f"{name}.net.xml" for name in ("left_hand_crossing", "priority_crossing"))
 

@@ -19,7 +19,9 @@ from sumo_samples import make_spec, vehicle
 from sumo_adv.datatypes import Floats
 from sumo_adv.geometry import Pose
 from sumo_adv.metrics.boxes import first_contact, gap
-from sumo_adv.simulation.simulation import Simulation, SimulationSpec, Snapshot
+from sumo_adv.simulation.simulation import Simulation
+from sumo_adv.simulation.simulation_spec import SimulationSpec
+from sumo_adv.simulation.sumo_states import Snapshot
 from sumo_adv.simulation.tracks import tracks_of
 
 CROSSING_ROADS = """<net version="1.20">

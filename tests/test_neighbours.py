@@ -15,7 +15,7 @@ from sumo_adv.episode.neighbours import Robustness, holds, neighbours, retimed
 from sumo_adv.episode.task import AttemptResult
 from sumo_adv.goal import Goal
 from sumo_adv.planners.source import make_planner
-from sumo_adv.simulation.simulation import Snapshot
+from sumo_adv.simulation.sumo_states import Snapshot
 
 TEXT = """
 PARAMETERS = {"gap": (0.5, -3.0, 4.0, "m", "where"), "drift": (3.0, 2.0, 6.0, "m/s", "how fast")}

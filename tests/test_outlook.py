@@ -16,7 +16,7 @@ from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.traffic_forecast import MIN_GAP, apart, traffic_forecast
 from sumo_adv.geometry import Pose
 from sumo_adv.simulation.network import RoadMap, read_network
-from sumo_adv.simulation.simulation import SimulationSpec
+from sumo_adv.simulation.simulation_spec import SimulationSpec
 
 
 @contextmanager

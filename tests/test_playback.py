@@ -26,7 +26,8 @@ from sumo_adv.simulation.engine import Engine
 from sumo_adv.simulation.inputs import load_input
 from sumo_adv.simulation.network import read_network
 from sumo_adv.simulation.playback import Playback
-from sumo_adv.simulation.simulation import SimulationSpec, Snapshot
+from sumo_adv.simulation.simulation_spec import SimulationSpec
+from sumo_adv.simulation.sumo_states import Snapshot
 from sumo_adv.simulation.tracks import LoggedTrack
 
 EGO = moving("e", 60.0, RIGHT + 0.3, 14.0)

@@ -42,7 +42,7 @@ from sumo_adv.llm.asking import MeteredModel
 from sumo_adv.llm.chat import Ledger
 from sumo_adv.llm.prompts import MAX_PROMPT_TEXT_CHARACTERS, PROMPT_NAMES, Prompts, danger_words, sanitize
 from sumo_adv.simulation.inputs import data_folder
-from sumo_adv.simulation.simulation import Snapshot
+from sumo_adv.simulation.sumo_states import Snapshot
 
 LIMITS = Limits()
 TUNED = Planner(

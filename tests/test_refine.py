@@ -12,7 +12,7 @@ from situation_samples import leader, situation
 from sumo_adv.config import Settings
 from sumo_adv.episode.assessment import observed_motion
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
-from sumo_adv.simulation.simulation import Snapshot
+from sumo_adv.simulation.sumo_states import Snapshot
 
 SIZES = {"ego": (5.0, 2.0), "bv": (5.0, 2.0)}
 SETTINGS = Settings(duration=2.0)

@@ -20,7 +20,8 @@ from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.unprotected import may_attack
 from sumo_adv.errors import SimulationError
 from sumo_adv.simulation.remote import Remote
-from sumo_adv.simulation.simulation import Simulation, SimulationSpec
+from sumo_adv.simulation.simulation import Simulation
+from sumo_adv.simulation.simulation_spec import SimulationSpec
 
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("sumo") is None, reason="the SUMO program is not installed: pip install sumo-adv[sumo]"

@@ -8,7 +8,7 @@ import pytest
 
 import sumo_adv
 from sumo_adv.episode.rules_broken import red_light_at
-from sumo_adv.simulation.simulation import Snapshot
+from sumo_adv.simulation.sumo_states import Snapshot
 
 
 @pytest.mark.parametrize(

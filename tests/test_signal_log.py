@@ -12,7 +12,8 @@ from sumo_adv.simulation.inputs import data_folder, load_input
 from sumo_adv.simulation.network import read_network
 from sumo_adv.simulation.playback import Playback
 from sumo_adv.simulation.signals import read_signals
-from sumo_adv.simulation.simulation import Simulation, SimulationSpec
+from sumo_adv.simulation.simulation import Simulation
+from sumo_adv.simulation.simulation_spec import SimulationSpec
 
 RED, GREEN = "r" * 16, "G" * 16
 TRACKS = "time,id,kind,valid,x,y,heading,speed,length,width\n" + "".join(

@@ -15,14 +15,9 @@ from sumo_samples import make_spec, over_the_line, vehicle
 from sumo_adv.datatypes import Role
 from sumo_adv.errors import SimulationError
 from sumo_adv.geometry import Pose
-from sumo_adv.simulation.simulation import (
-    Simulation,
-    SimulationSpec,
-    Snapshot,
-    angle_deg_of,
-    correct_speeds,
-    heading_of,
-)
+from sumo_adv.simulation.simulation import Simulation
+from sumo_adv.simulation.simulation_spec import SimulationSpec
+from sumo_adv.simulation.sumo_states import Snapshot, angle_deg_of, correct_speeds, heading_of
 from sumo_adv.simulation.tracks import Recording, tracks_of
 
 

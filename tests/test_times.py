@@ -11,7 +11,8 @@ from sumo_samples import TYPES, vehicle
 
 from sumo_adv.config import Settings
 from sumo_adv.simulation.inputs import data_folder
-from sumo_adv.simulation.simulation import Simulation, SimulationSpec
+from sumo_adv.simulation.simulation import Simulation
+from sumo_adv.simulation.simulation_spec import SimulationSpec
 from sumo_adv.times import seconds_text, whole_milliseconds
 
 ROAD = data_folder("networks") / "straight_3lane.net.xml"

@@ -29,7 +29,8 @@ from sumo_adv.metrics.severity import SERIOUS_DELTA_V_M_S, crash, hardness, mass
 from sumo_adv.road_users import RoadUser, road_user
 from sumo_adv.simulation.inputs import load_input
 from sumo_adv.simulation.network import RoadMap, read_network
-from sumo_adv.simulation.simulation import Simulation, SimulationSpec
+from sumo_adv.simulation.simulation import Simulation
+from sumo_adv.simulation.simulation_spec import SimulationSpec
 
 
 @contextmanager

@@ -33,8 +33,10 @@ from sumo_adv.simulation.network import RoadMap
 from sumo_adv.simulation.playback import Playback
 from sumo_adv.simulation.remote import Remote
 from sumo_adv.simulation.signals import LightsNear
-from sumo_adv.simulation.simulation import Simulation, SimulationSpec, Snapshot, pose_of
+from sumo_adv.simulation.simulation import Simulation
+from sumo_adv.simulation.simulation_spec import SimulationSpec
 from sumo_adv.simulation.stage import LOGGED_TYPE_XML, Stage
+from sumo_adv.simulation.sumo_states import Snapshot, pose_of
 from sumo_adv.simulation.tracks import Recording, tracks_of
 from sumo_adv.simulation.watch import Call, OutOfTimeError, watched
 

@@ -27,7 +27,7 @@ from sumo_adv.metrics.case import closest
 from sumo_adv.metrics.criticality import ttc
 from sumo_adv.simulation.network import RoadMap
 from sumo_adv.simulation.permissions import OFF_ROAD_CLASSES
-from sumo_adv.simulation.simulation import Snapshot, heading_of
+from sumo_adv.simulation.sumo_states import Snapshot, heading_of
 from sumo_adv.situation import fastest_of
 
 # -- dangerous without an attack ------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from sumo_adv.datatypes import Attempt
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.metrics.fault import ADVERSARY_PARTY, EGO_PARTY
-from sumo_adv.simulation.simulation import Snapshot
+from sumo_adv.simulation.sumo_states import Snapshot
 from sumo_adv.situation import ReferencePath, Signal, Situation
 
 BOTH, NONE = "both", "none"

@@ -23,7 +23,7 @@ from sumo_adv.episode.road_here import RoadHere
 from sumo_adv.errors import SimulationError
 from sumo_adv.geometry import PATH_STEP_M, crosses_box, same_layer, wrap
 from sumo_adv.simulation.network import RoadMap
-from sumo_adv.simulation.simulation import heading_of
+from sumo_adv.simulation.sumo_states import heading_of
 from sumo_adv.simulation.tracks import acceleration
 
 if TYPE_CHECKING:

@@ -19,8 +19,9 @@ from sumo_adv.simulation.inputs import EgoRoute, RunInput
 from sumo_adv.simulation.network import Drivable
 from sumo_adv.simulation.playback_spec import PlaybackSpec, with_background
 from sumo_adv.simulation.scan import first_departure, scan_demand, silent_copies
-from sumo_adv.simulation.simulation import SimulationSpec, Snapshot
+from sumo_adv.simulation.simulation_spec import SimulationSpec
 from sumo_adv.simulation.sumo_options import DEFAULTS, refuse
+from sumo_adv.simulation.sumo_states import Snapshot
 from sumo_adv.simulation.tracks import tracks_of
 from sumo_adv.simulation.warnings_log import with_names
 from sumo_adv.situation import Situation

@@ -48,7 +48,7 @@ from sumo_adv.simulation.network import RoadMap, read_network
 from sumo_adv.simulation.playback import Playback
 from sumo_adv.simulation.scan import silent_copies
 from sumo_adv.simulation.signals import LightsNear
-from sumo_adv.simulation.simulation import Snapshot
+from sumo_adv.simulation.sumo_states import Snapshot
 from sumo_adv.simulation.tracks import tracks_of
 from sumo_adv.situation import Situation
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.inputs import RunInput
 from sumo_adv.simulation.scan import allows_passenger, parse_seconds, parse_xml, scan_demand
-from sumo_adv.simulation.simulation import PERSON
+from sumo_adv.simulation.sumo_states import PERSON
 
 LANE_KINDS = (
     ("bus", "bus"), ("tram", "tram"), ("rail", "railway"), ("bicycle", "cycle"), ("pedestrian", "foot")

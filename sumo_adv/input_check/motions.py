@@ -6,7 +6,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from sumo_adv.simulation.simulation import FASTEST_PERSON, PERSON, PERSON_JUMPS
+from sumo_adv.simulation.simulation import FASTEST_PERSON_M_S, PERSON_JUMP_M
+from sumo_adv.simulation.sumo_states import PERSON
 
 State = tuple[float, float, float]  # x, y of the front [m], speed [m/s]
 Motions = Mapping[str, Mapping[int, State]]  # by id, persons as ``person:ID``, and time [ms]
@@ -101,7 +102,7 @@ def compare_motions(
     """
     first, last = (round(1000 * time) for time in times)
     every, zero = round(1000 * step), round(1000 * begin)
-    reach = PERSON_JUMPS + FASTEST_PERSON * step
+    reach = PERSON_JUMP_M + FASTEST_PERSON_M_S * step
     position, speed, worst = 0.0, 0.0, None
     same, absent, of_sumo = set[str](), set[str](), set[str]()
     seen = set[str]()

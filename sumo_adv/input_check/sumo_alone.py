@@ -14,8 +14,9 @@ from sumo_adv.errors import SimulationError, UsageError
 from sumo_adv.input_check.motions import Motions, State
 from sumo_adv.simulation.programs import find_sumo
 from sumo_adv.simulation.scan import silent_copies
-from sumo_adv.simulation.simulation import PERSON, SimulationSpec
+from sumo_adv.simulation.simulation_spec import SimulationSpec
 from sumo_adv.simulation.sumo_options import FORCED
+from sumo_adv.simulation.sumo_states import PERSON
 from sumo_adv.simulation.sumocfg import as_sumo_reads_it, is_sumocfg
 from sumo_adv.simulation.warnings_log import warnings_in
 

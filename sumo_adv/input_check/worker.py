@@ -12,7 +12,8 @@ from pathlib import Path
 from sumo_adv.drivers import make_ego
 from sumo_adv.episode.drive import ego_type_file
 from sumo_adv.input_check.motions import Motions, State
-from sumo_adv.simulation.simulation import Simulation, SimulationSpec
+from sumo_adv.simulation.simulation import Simulation
+from sumo_adv.simulation.simulation_spec import SimulationSpec
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,7 +24,7 @@ from sumo_adv.rate.proposal import (
     danger_levels,
 )
 from sumo_adv.simulation.human_errors import HumanErrors
-from sumo_adv.simulation.remote import RawState
+from sumo_adv.simulation.sumo_states import RawState, heading_of
 
 SECONDS_PER_HOUR = 3600.0
 AFTER_CONTACT_S = 4.0  # after a contact, which show what the other vehicle would have done
@@ -200,7 +200,7 @@ def _clear(a: RawState, b: RawState, size_a: tuple[float, float], size_b: tuple[
 
     SUMO's states: positions are those of the front bumpers, angles are in degrees clockwise from north.
     """
-    heading, turn = math.radians(90.0 - a[2]), math.radians(a[2] - b[2])
+    heading, turn = heading_of(a[2]), math.radians(a[2] - b[2])
     c, s, ct, st = math.cos(heading), math.sin(heading), math.cos(turn), math.sin(turn)
     dx, dy = b[0] - a[0], b[1] - a[1]
     along = abs(c * dx + s * dy + (size_a[0] - size_b[0] * ct) / 2)

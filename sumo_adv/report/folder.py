@@ -19,7 +19,7 @@ from sumo_adv.report.outcome import manifest, number, outcome
 from sumo_adv.report.staging import RunFolder
 from sumo_adv.report.tables import SERIES_HEADER, csv_text, write_gzip, write_plan, write_signals, write_states
 from sumo_adv.report.verdicts import findings_on, further_keys
-from sumo_adv.simulation.simulation import Snapshot
+from sumo_adv.simulation.sumo_states import Snapshot
 from sumo_adv.simulation.tracks import tracks_of
 from sumo_adv.simulation.warnings_log import WARNINGS_FILE
 

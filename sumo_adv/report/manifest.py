@@ -21,7 +21,7 @@ from sumo_adv.report.outcome import MANIFEST_SCHEMA
 from sumo_adv.simulation.inputs import EgoRoute, RunInput, WaymoSource
 from sumo_adv.simulation.maps import MapConversion
 from sumo_adv.simulation.playback_spec import PlaybackSpec, Prop, make_playback
-from sumo_adv.simulation.simulation import SimulationSpec
+from sumo_adv.simulation.simulation_spec import SimulationSpec
 from sumo_adv.simulation.sumo_options import DEFAULTS, FORCED
 
 RETIRED = ("experience",)  # settings of earlier versions; a replay drives the recorded attempt and needs none of them

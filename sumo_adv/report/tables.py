@@ -17,7 +17,7 @@ from sumo_adv.metrics.case import THIRD_PARTY_DISTANCE_M
 from sumo_adv.metrics.criticality import AVAILABLE_BRAKING_M_S2, series
 from sumo_adv.metrics.verdict import LARGEST_DRAC_M_S2
 from sumo_adv.simulation.signals import SIGNAL_COLUMNS
-from sumo_adv.simulation.simulation import Snapshot
+from sumo_adv.simulation.sumo_states import Snapshot
 from sumo_adv.simulation.tracks import tracks_of
 from sumo_adv.times import seconds_text
 

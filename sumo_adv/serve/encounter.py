@@ -26,8 +26,8 @@ from sumo_adv.planners.sessions import Roads, Sessions
 from sumo_adv.serve.events import Events, helpers
 from sumo_adv.serve.session import EgoLost, Session
 from sumo_adv.simulation.network import RoadMap
-from sumo_adv.simulation.simulation import Snapshot
 from sumo_adv.simulation.stage import Stage
+from sumo_adv.simulation.sumo_states import Snapshot
 from sumo_adv.situation import Situation
 
 STRAYED = 4.0, 2.5  # m, m/s from where ego or BV was foreseen to be: the scene is another one
@@ -242,7 +242,7 @@ def release(session: Session, vehicle: str, edges: Sequence[str], events: Events
         session.remove(vehicle)
         how = f"removed: it has hit {hit}" if hit else "removed: it was off the road"
     else:
-        session.simulation.released(vehicle)
+        session.simulation.moved.release(vehicle)
         session.simulation.set_speed(vehicle, None)
         Stage(session.simulation).direct(vehicle, tuple(edges))
         how = "driven on by SUMO"

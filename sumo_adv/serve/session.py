@@ -27,7 +27,8 @@ from sumo_adv.serve.seat import Stepper
 from sumo_adv.serve.sumo_process import StrangerError, SumoProcess
 from sumo_adv.simulation.inputs import EgoRoute
 from sumo_adv.simulation.remote import Remote
-from sumo_adv.simulation.simulation import SimulationSpec, Snapshot, pose_of
+from sumo_adv.simulation.simulation_spec import SimulationSpec
+from sumo_adv.simulation.sumo_states import Snapshot, pose_of
 
 if TYPE_CHECKING:
     from traci.connection import Connection

@@ -23,7 +23,7 @@ from sumo_adv.files import scratch_prefix
 from sumo_adv.simulation.network import RoadMap
 from sumo_adv.simulation.programs import load_libsumo
 from sumo_adv.simulation.scan import parse_seconds, parse_xml, silent_copies
-from sumo_adv.simulation.simulation import PERSON
+from sumo_adv.simulation.sumo_states import PERSON
 
 MAX_RECORDING_TIME_S = 1e7  # about four months: of times in a recording
 NEEDED_ATTRIBUTES = ("x", "y", "angle", "speed")

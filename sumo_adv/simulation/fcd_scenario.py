@@ -26,7 +26,7 @@ from sumo_adv.simulation.fcd_types import CAR_SIZE, CLASS_SIZES, Size, read_size
 from sumo_adv.simulation.network import RoadMap, read_network
 from sumo_adv.simulation.permissions import CAR
 from sumo_adv.simulation.scenario import DEFAULT_WARM_UP_S, NETWORK_FILE, ROUTES_FILE, SCENARIO_FILE, TRACKS_FILE
-from sumo_adv.simulation.simulation import heading_of
+from sumo_adv.simulation.sumo_states import headings_of
 from sumo_adv.simulation.tracks import LoggedTrack, TrackLog, write_tracks
 
 MAX_RECORDED_STATES = 20_000_000  # of all objects at all times: about 700 MB
@@ -126,7 +126,7 @@ def _track(o: RecordedObject, size: Size, grid: Floats) -> LoggedTrack:
     valid = np.zeros(len(grid), dtype=bool)
     valid[at] = True
     columns = np.zeros((4, len(grid)))
-    heading = np.array([heading_of(angle) for angle in o.angle.tolist()])
+    heading = headings_of(o.angle)
     back = 0.0 if o.person else size[0] / 2
     columns[:, at] = o.x - back * np.cos(heading), o.y - back * np.sin(heading), heading, o.speed
     x, y, heading, speed = columns

@@ -21,9 +21,10 @@ from enum import StrEnum
 from typing import Any
 
 from sumo_adv.simulation.centreline import Centreline, centreline
+from sumo_adv.simulation.moved_vehicles import FREE_SPEED_MODE, SUMO_SPEED_MODE
 from sumo_adv.simulation.network import is_left_hand
-from sumo_adv.simulation.remote import RawState
-from sumo_adv.simulation.simulation import FREE_SPEED_MODE, SUMO_SPEED_MODE, Simulation
+from sumo_adv.simulation.simulation import Simulation
+from sumo_adv.simulation.sumo_states import RawState
 
 # speed modes: bit 3 is right of way before, 5 on the junction, 4 lights
 PRIORITY_IGNORING_SPEED_MODE = 55

@@ -22,8 +22,9 @@ from sumo_adv.geometry import Pose
 from sumo_adv.simulation.network import RoadMap
 from sumo_adv.simulation.playback_spec import PlaybackSpec, PlayedObject, Prop
 from sumo_adv.simulation.signals import SignalLog, read_signals
-from sumo_adv.simulation.simulation import RawState, Simulation, heading_of, raw_of
+from sumo_adv.simulation.simulation import Simulation
 from sumo_adv.simulation.stage import Stage
+from sumo_adv.simulation.sumo_states import RawState, heading_of, raw_of
 from sumo_adv.simulation.tracks import TrackLog, read_tracks
 
 OBJECTS = {"pedestrian": "pedestrian", "cyclist": "bicycle"}  # kinds of a log -> SUMO's vClasses

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from sumo_adv.errors import SimulationError
+from sumo_adv.simulation.sumo_states import RawState
 
 SIMSTEP, VEHICLE_GET, SIMULATION_GET, PERSON_GET = 0x02, 0xA4, 0xAB, 0xAE
 POSITION_VARIABLE, ANGLE_VARIABLE, SPEED_VARIABLE, LANE_POSITION_VARIABLE, LANE_VARIABLE, RIDE_VARIABLE = (
@@ -30,8 +31,6 @@ PERSON_STATE = (POSITION_VARIABLE, ANGLE_VARIABLE, SPEED_VARIABLE, LANE_POSITION
 BARE_STATUS_BYTES = 7  # of a status without words
 LENGTH_FORMAT = struct.Struct("!i")
 STEP_COMMAND = struct.pack("!BBd", 10, SIMSTEP, 0.0)
-
-RawState = tuple[float, float, float, float, str]  # bumper x, y [m], angle [deg], speed [m/s], lane id
 
 
 def getter(command: int, variable: int, name: str = "") -> bytes:

@@ -16,8 +16,9 @@ from sumo_adv import parsing
 from sumo_adv.consistency import MAX_COORDINATE_M
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.permissions import CAR, classes_of, is_paved
-from sumo_adv.simulation.simulation import PERSON, check_nameable
+from sumo_adv.simulation.simulation_spec import check_nameable
 from sumo_adv.simulation.sumo_options import NO_JUNCTIONS
+from sumo_adv.simulation.sumo_states import PERSON
 
 MAX_LANE_NUMBER = 1e6  # m of length, and m/s of speed: beyond any
 _Handler = Callable[[str, dict[str, str]], None]

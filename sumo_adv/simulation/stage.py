@@ -11,7 +11,9 @@ from contextlib import suppress
 
 from sumo_adv.errors import SimulationError, UsageError
 from sumo_adv.geometry import Pose
-from sumo_adv.simulation.simulation import PERSON, SUMO_SPEED_MODE, Simulation
+from sumo_adv.simulation.moved_vehicles import SUMO_SPEED_MODE
+from sumo_adv.simulation.simulation import Simulation
+from sumo_adv.simulation.sumo_states import PERSON
 
 LOGGED_TYPE = "sumo_adv_logged"
 LOGGED_TYPE_XML = f'<vType id="{LOGGED_TYPE}" vClass="passenger" speedFactor="10" speedDev="0"/>'

@@ -21,10 +21,9 @@ import numpy as np
 from sumo_adv.consistency import GivenMotion, even_grid, find_fault, off_grid, steps_over
 from sumo_adv.datatypes import Bools, Floats, Role, Track
 from sumo_adv.errors import UsageError
-from sumo_adv.geometry import wrap, wrap_below_pi
-from sumo_adv.simulation.remote import RawState
+from sumo_adv.geometry import wrap_below_pi
 from sumo_adv.simulation.scan import read_sumo_text
-from sumo_adv.simulation.simulation import Snapshot
+from sumo_adv.simulation.sumo_states import RawState, Snapshot, headings_of
 from sumo_adv.times import seconds_text
 
 TRACK_COLUMNS = ("time", "id", "kind", "valid", "x", "y", "heading", "speed", "length", "width")
@@ -300,7 +299,7 @@ def _track(
     times, states = zip(*rows, strict=True)
     *columns, lane = zip(*states, strict=True)
     time, x, y, angle_deg, speed = (np.array(c) for c in (times, *columns))
-    heading = wrap(np.radians(90.0 - angle_deg))
+    heading = headings_of(angle_deg)
     back = size[0] / 2
     acceleration = np.zeros(len(time))
     acceleration[1:] = np.where(np.diff(time) < 1.5 * step_length, np.diff(speed) / step_length, 0.0)

@@ -27,7 +27,9 @@ from sumo_adv.simulation.demand import Journey, default_density, journeys
 from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.simulation.network import RoadMap, read_network
 from sumo_adv.simulation.programs import find_netconvert
-from sumo_adv.simulation.simulation import RawState, Simulation, SimulationSpec, pose_of
+from sumo_adv.simulation.simulation import Simulation
+from sumo_adv.simulation.simulation_spec import SimulationSpec
+from sumo_adv.simulation.sumo_states import RawState, pose_of
 from sumo_adv.situation import Signal
 from sumo_adv.transformer.scene import (
     FUTURE_COUNT,

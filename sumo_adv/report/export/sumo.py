@@ -27,7 +27,7 @@ from sumo_adv.report.export.piece import ExportedRun, height_of
 from sumo_adv.report.tables import quoted
 from sumo_adv.road_users import RoadUser, road_user
 from sumo_adv.simulation.network import NetworkLane, RoadMap, read_network
-from sumo_adv.simulation.simulation import angle_deg_of
+from sumo_adv.simulation.sumo_states import angle_deg_of, front_of
 from sumo_adv.times import seconds_text
 
 FCD_HEAD = '<?xml version="1.0" encoding="UTF-8"?>\n<fcd-export>\n'
@@ -109,8 +109,7 @@ def _fcd_text(rows: Iterable[TrajectoryRow], piece: ExportedRun) -> str:
 
 def front(track: Track, k: int) -> tuple[float, float]:
     """The middle of the front bumper [m]: SUMO's reference point."""
-    ahead, heading = track.length / 2, float(track.heading[k])
-    return float(track.x[k]) + ahead * math.cos(heading), float(track.y[k]) + ahead * math.sin(heading)
+    return front_of(float(track.x[k]), float(track.y[k]), float(track.heading[k]), track.length)
 
 
 def _type_name(track: Track) -> str:
