@@ -10,7 +10,7 @@ import re
 import shutil
 import sqlite3
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any, Literal
@@ -145,6 +145,13 @@ def is_storage_error(error: BaseException) -> bool:
     """Whether it comes from a disk that is full or may not be written, directly or as its cause."""
     cause = error if isinstance(error, OSError) else error.__cause__
     return isinstance(cause, OSError) and cause.errno in (*FULL, *WRITE_REFUSED)
+
+
+def keep_newest(folders: Iterable[Path], count: int) -> None:
+    """Remove all but the ``count`` newest of a cache's folders, as far as the file system allows."""
+    with suppress(OSError):
+        for old in sorted(folders, key=lambda folder: folder.stat().st_mtime)[:-count]:
+            shutil.rmtree(old, ignore_errors=True)
 
 
 @contextmanager

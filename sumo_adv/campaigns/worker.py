@@ -104,7 +104,12 @@ def _lesson(entry: dict[str, Any]) -> Lessons:
         if not all(isinstance(succeeded, bool) for succeeded in attempts):
             raise ValueError("the attempts with a composition must be true or false")
         return CompositionLesson(composition_of(entry["composition"]), attempts)
-    return Lesson(_evidence(entry["evidence"]), _intent(entry["intent"]), _planner(entry["planner"]))
+    intent, planner = entry["intent"], entry["planner"]
+    if planner is not None:
+        planner = Planner(**{**planner, "parameters": tuple(Parameter(**each) for each in planner["parameters"])})
+    if intent is not None:
+        intent = IntentRecord(**{**intent, "applies": tuple(intent["applies"])})
+    return Lesson(_evidence(entry["evidence"]), intent, planner)
 
 
 def _evidence(e: dict[str, Any]) -> Evidence:
@@ -115,14 +120,6 @@ def _evidence(e: dict[str, Any]) -> Evidence:
         **e, "scene": SceneSignature(**e["scene"]), "acceleration": knots,
         "min_ttc": float("inf") if never else e["min_ttc"],
     })  # fmt: skip
-
-
-def _intent(i: dict[str, Any] | None) -> IntentRecord | None:
-    return None if i is None else IntentRecord(**{**i, "applies": tuple(i["applies"])})
-
-
-def _planner(p: dict[str, Any] | None) -> Planner | None:
-    return None if p is None else Planner(**{**p, "parameters": tuple(Parameter(**q) for q in p["parameters"])})
 
 
 def teach(bank: MemoryBank, lessons: Iterable[Lessons]) -> int:

@@ -12,7 +12,7 @@ from enum import StrEnum
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Boxes, Limits, Track
-from sumo_adv.driver_check.drive import PassedLine, UnattackedDrive
+from sumo_adv.driver_check.drive import UnattackedDrive
 from sumo_adv.metrics.boxes import at_time, first_contact, on_grid, row_of
 from sumo_adv.metrics.contact import contact_sides
 from sumo_adv.metrics.gates import kinematic_gates
@@ -92,7 +92,10 @@ def find_faults(drive: UnattackedDrive, idm: UnattackedDrive) -> list[DriverFind
     end = float(drive.ego.time[-1]) if contact is None else contact.time
     findings += [finding for finding in (contact, jump) if finding is not None]
     findings += _outside(drive, len(drive.ego.between(float(drive.ego.time[0]), end).time))
-    findings += [_passed(line) for line in drive.lines[:1] if line.time <= end]
+    for line in drive.lines[:1]:
+        if line.time <= end:
+            at = "where it gives way" if line.signal in (None, "green") else f"of a light that is {line.signal}"
+            findings.append(DriverFinding(FindingKind.LINE, line.time, f"it passes a line {at}"))
     if contact is None and not drive.failure:
         findings += _lags(drive.ego, idm.ego)
     return findings
@@ -114,11 +117,6 @@ def _contact(drive: UnattackedDrive) -> DriverFinding | None:
         f"its {ego_side} meets the {foe_side} of '{foe.id}' "
         f"(ego {float(me.speed):.1f} m/s, other {float(it.speed):.1f} m/s)",
     )  # fmt: skip
-
-
-def _passed(line: PassedLine) -> DriverFinding:
-    at = "where it gives way" if line.signal in (None, "green") else f"of a light that is {line.signal}"
-    return DriverFinding(FindingKind.LINE, line.time, f"it passes a line {at}")
 
 
 def _outside(drive: UnattackedDrive, steps: int) -> list[DriverFinding]:

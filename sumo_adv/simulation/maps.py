@@ -23,7 +23,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from sumo_adv.errors import UsageError
-from sumo_adv.files import scratch_prefix, user_folder
+from sumo_adv.files import keep_newest, scratch_prefix, user_folder
 from sumo_adv.parsing import read_json
 from sumo_adv.simulation import map_content, opendrive, openstreetmap
 from sumo_adv.simulation.map_content import MapContent
@@ -118,7 +118,7 @@ def convert_map(path: Path, *, cache: Path | None = None) -> MapConversion:
         (folder / "made" / CONVERSION_FILE).write_text(json.dumps(report, indent=2), encoding="utf-8")
         with contextlib.suppress(OSError):  # another process was faster: its files are the same
             (folder / "made").rename(place)
-    _trim(place.parent)
+    keep_newest((p for p in place.parent.iterdir() if (p / CONVERSION_FILE).is_file()), MAX_CACHED_MAPS)
     whole = _kept(path, stem, place)
     if whole is None:
         raise UsageError(f"The conversion of {path} cannot be kept in {place}: make room there, or set XDG_CACHE_HOME.")
@@ -157,14 +157,6 @@ def _kept(path: Path, stem: str, place: Path) -> MapConversion | None:
     warnings = tuple(WarningKind(each["first"], each["count"]) for each in report["warnings"])
     network = place / f"{stem}.net.xml"
     return MapConversion(path, network, tuple(report["options"]), dict(report["lost"]), tuple(report["said"]), warnings)
-
-
-def _trim(cache: Path) -> None:
-    """Remove the oldest conversions beyond ``MAX_CACHED_MAPS``."""
-    with contextlib.suppress(OSError):
-        kept = sorted((p for p in cache.iterdir() if (p / CONVERSION_FILE).is_file()), key=lambda p: p.stat().st_mtime)
-        for old in kept[:-MAX_CACHED_MAPS]:
-            shutil.rmtree(old, ignore_errors=True)
 
 
 def _netconvert(form: str, path: Path, folder: Path, options: Sequence[str]) -> tuple[str, ...] | None:

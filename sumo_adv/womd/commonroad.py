@@ -79,7 +79,9 @@ def _record(root: Element, path: Path, content: str) -> Record:
     problem = root.find("planningProblem")
     if not lanelets or problem is None:
         raise UsageError(f"{path} has no {'planning problem' if lanelets else 'lanelets'}, so there is nothing to run.")
-    step = _step(root)
+    step = float(root.attrib["timeStepSize"])
+    if not 0.0 < step < 10.0:
+        raise ValueError(f"its time step is {step:g} s")
     taken = [(each, still) for each, still in obstacles(root) if obstacle_type(each) != BOUNDARY]
     poses = [read_poses(each, step) for each, _ in taken]
     initial = child(problem, "initialState")
@@ -110,13 +112,6 @@ def _record(root: Element, path: Path, content: str) -> Record:
         areas=read_crosswalks(root.findall("lanelet")), signals=read_lights(root, lanelets, lanes, count),
         content=content, notes=_notes(root, path),
     )  # fmt: skip
-
-
-def _step(root: Element) -> float:
-    step = float(root.attrib["timeStepSize"])
-    if not 0.0 < step < 10.0:
-        raise ValueError(f"its time step is {step:g} s")
-    return step
 
 
 def _notes(root: Element, path: Path) -> Sequence[str]:

@@ -11,7 +11,6 @@ import hashlib
 import json
 import os
 import re
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -25,7 +24,7 @@ from xml.etree import ElementTree
 
 from sumo_adv import __version__
 from sumo_adv.errors import SimulationError, UsageError
-from sumo_adv.files import scratch_prefix, user_folder, write_text
+from sumo_adv.files import keep_newest, scratch_prefix, user_folder, write_text
 from sumo_adv.parsing import read_json
 from sumo_adv.simulation.demand import generate_demand
 from sumo_adv.simulation.programs import find_netconvert
@@ -121,7 +120,7 @@ def conversion(record: Record, *, traffic: bool, cache: Path | None = None) -> I
             with contextlib.suppress(OSError):  # another process was faster: its file is the same
                 made.rename(place)
             made = place
-            _trim(place.parent.parent)
+            keep_newest((p for p in place.parent.parent.iterdir() if p.is_dir()), MAX_CACHED_RECORDS)
         yield RecordConversion(made, report, cached=False)
 
 
@@ -131,14 +130,6 @@ def _known(place: Path) -> dict[str, Any] | None:
         return dict(read_json(place / FIDELITY_FILE))
     except (OSError, ValueError, TypeError):
         return None
-
-
-def _trim(cache: Path) -> None:
-    """Remove the oldest conversions beyond ``MAX_CACHED_RECORDS``."""
-    with contextlib.suppress(OSError):
-        kept = sorted((p for p in cache.iterdir() if p.is_dir()), key=lambda p: p.stat().st_mtime)
-        for old in kept[:-MAX_CACHED_RECORDS]:
-            shutil.rmtree(old, ignore_errors=True)
 
 
 @lru_cache(maxsize=1)
