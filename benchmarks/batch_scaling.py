@@ -193,8 +193,8 @@ def plain(plan: CampaignPlan, folder: Path) -> Took:
                 open_agents(settings, sandbox) as cast, Engine(episode_worker) as engine,
             ):  # fmt: skip
                 task = make_task(given, settings, Path(scratch))
-                episode = run_episode(given, settings, task, engine, cast, bank, lambda *_: None)
-                write_run(place, episode, figure=False)
+                run = run_episode(given, settings, task, engine, cast, bank, lambda *_: None)
+                write_run(place, run, figure=False)
                 place.keep(force=False)
             clock.finished(job)
     return clock.took(1)

@@ -23,8 +23,8 @@ import numpy as np
 
 from sumo_adv.app import new_engine
 from sumo_adv.datatypes import PrescribedMotion
-from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.loop import replay_episode
+from sumo_adv.episode.run import EncounterRecord
 from sumo_adv.errors import SumoAdvError
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.report.judging import run_folders
@@ -34,19 +34,18 @@ from sumo_adv.simulation.tracks import tracks_of
 EGOS = "krauss,idm,eidm,careful,lattice,replay"
 
 
-def played(recorded: RecordedRun) -> Episode:
-    """The attempt of a manifest, simulated again."""
+def played(recorded: RecordedRun) -> EncounterRecord | None:
+    """The attempt of a manifest, simulated again; None if its encounter does not come."""
     with Sandbox() as sandbox, new_engine() as engine:
         return replay_episode(
             recorded.source, recorded.settings, recorded.task, engine, sandbox, recorded.proposal, recorded.skips
-        )
+        ).best
 
 
-def course_of(episode: Episode) -> PrescribedMotion:
+def course_of(record: EncounterRecord, step: float) -> PrescribedMotion:
     """The adversary's motion from the takeover on, as recorded and planned."""
-    assert episode.found is not None and episode.best is not None
-    result, bv = episode.refinement.results[0], episode.best.proposal.bv
-    track = tracks_of(result.snapshots, result.sizes, {}, episode.settings.step_length, (bv,))[0]
+    result, bv = record.results[0], record.attempts[0].proposal.bv
+    track = tracks_of(result.snapshots, result.sizes, {}, step, (bv,))[0]
     track = track.between(result.start + 1e-3, np.inf)
     more = result.driven.beyond.get(bv)
     parts = [track] if more is None else [track, more]
@@ -58,25 +57,25 @@ def row_of(folder: Path, egos: Iterable[str]) -> dict[str, Any] | None:
     """One run: answers in both forms, and by ego whether it avoids the adversary (None: another encounter)."""
     recorded = read_manifest(folder)
     try:
-        episode = played(recorded)
+        record = played(recorded)
     except SumoAdvError:
         return None
-    if episode.best is None or episode.found is None or not episode.best.verdict.collided:
+    if record is None or record.best is None or not record.best.verdict.collided:
         return None
-    kinematic = episode.refinement.results[0].verdict
-    simulated = episode.best.verdict.preventability
+    kinematic = record.results[0].verdict
+    simulated = record.best.verdict.preventability
     row: dict[str, Any] = {
-        "run": str(folder), "level": str(episode.best.verdict.level),
+        "run": str(folder), "level": str(record.best.verdict.level),
         "kinematic": dict(kinematic.preventability.answers) if kinematic and kinematic.preventability else None,
         "simulated": None if simulated is None else dict(simulated.answers),
         "kinematic_level": None if kinematic is None else str(kinematic.level), "egos": {},
     }  # fmt: skip
-    proposal = replace(recorded.proposal, course=course_of(episode))
+    proposal = replace(recorded.proposal, course=course_of(record, recorded.settings.step_length))
     for ego in egos:
         settings = recorded.settings.model_copy(update={"ego": ego, "ego_parameters": {}})
         task = replace(
-            recorded.task, settings=settings, ego=episode.found.ego, ego_driver=ego, ego_parameters={},
-            trigger=episode.found.time,
+            recorded.task, settings=settings, ego=record.found.ego, ego_driver=ego, ego_parameters={},
+            trigger=record.found.time,
         )  # fmt: skip
         try:
             repeated = played(replace(recorded, settings=settings, task=task, proposal=proposal, skips=0))

@@ -171,10 +171,10 @@ def run(
     target = Path(out) if out is not None else Path(keep.name if keep else "") / f"{given.name}-{chosen.seed}"
     try:
         with staged(target, force=force) as folder, scratch_folder() as scratch:
-            episode = play(given, chosen, folder.stage, scratch, tell or (lambda *_: None), ego=packed)
+            played = play(given, chosen, folder.stage, scratch, tell or (lambda *_: None), ego=packed)
             from sumo_adv.report.folder import write_run  # here, since loading it would keep the engine waiting
 
-            write_run(folder, episode)
+            write_run(folder, played)
             folder.keep(force=force)
     except BaseException:
         if keep is not None:

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from sumo_adv.driver_check import Checked, DriverCheck
     from sumo_adv.drivers.registry import GivenEgo
     from sumo_adv.episode.engine import EpisodeEngine
-    from sumo_adv.episode.episode import Episode
+    from sumo_adv.episode.run import Run
     from sumo_adv.episode.warm import WarmEngine
     from sumo_adv.input_check import InputCheck
     from sumo_adv.llm.chat import ChatModel
@@ -188,7 +188,7 @@ def play(
     tell: Callable[[str, Any], None],
     played: Callable[[], None] = lambda: None,
     ego: GivenEgo | None = None,
-) -> Episode:
+) -> Run:
     """Run one episode.
 
     stage: the folder in which the models' answers are recorded; scratch: the folder for generated demand, which the
@@ -212,9 +212,9 @@ def play(
             new_sandbox(settings) as sandbox,
             open_agents(settings, sandbox, stage / MODEL_FILE) as agents,
         ):
-            episode = run_episode(given, settings, task, engine, agents, bank, tell)
+            run = run_episode(given, settings, task, engine, agents, bank, tell)
             played()
-    return episode
+    return run
 
 
 def _with_request(settings: Settings) -> Settings:
@@ -229,19 +229,17 @@ def _with_request(settings: Settings) -> Settings:
     return settings.model_copy(update={"ask": words})
 
 
-def replay(recorded: RecordedRun) -> Episode:
+def replay(recorded: RecordedRun) -> Run:
     """Repeat the attempt that a manifest records."""
     from sumo_adv.episode.loop import replay_episode
 
     with new_sandbox(recorded.settings) as sandbox, new_engine() as engine:
-        episode = replay_episode(
+        return replay_episode(
             recorded.source, recorded.settings, recorded.task, engine, sandbox, recorded.proposal, recorded.skips
         )
-        episode.isolation = sandbox.isolation
-    return episode
 
 
-def minimise(recorded: RecordedRun, settings: Settings, tell: Callable[[str, Any], None]) -> Episode:
+def minimise(recorded: RecordedRun, settings: Settings, tell: Callable[[str, Any], None]) -> Run:
     """Make the attack that a manifest records as mild as the level ``settings.until`` allows. Raises UsageError."""
     from sumo_adv.episode.minimise import minimise_episode
 
@@ -435,30 +433,29 @@ def bench_parts() -> BenchParts:
     return BenchParts(load, open_agents, full_outcome, keep_run, draw_example)
 
 
-def full_outcome(episode: Episode) -> dict[str, Any]:
-    """The content of ``outcome.json`` for an episode. Nothing is written."""
-    from sumo_adv.report.folder import raw_figures
-    from sumo_adv.report.outcome import outcome
-    from sumo_adv.report.verdicts import findings_on, further_keys
+def full_outcome(run: Run) -> dict[str, Any]:
+    """Return the content of ``outcome.json`` for a run. Nothing is written."""
+    from sumo_adv.report.folder import full_outcome
+    from sumo_adv.report.verdicts import findings_on
 
-    found = findings_on(episode)
-    return outcome(episode, raw_figures(episode), further_keys(found), found.realism if found is not None else {})
+    best = run.best
+    return full_outcome(run, best, None if best is None else findings_on(run, best))
 
 
-def keep_run(target: Path, episode: Episode, exchanges: Path | None = None) -> None:
+def keep_run(target: Path, run: Run, exchanges: Path | None = None) -> None:
     """Write the whole folder of a run, with the file of a model's ``exchanges``. Raises UsageError."""
     from sumo_adv.report.folder import write_run
     from sumo_adv.report.outcome import MODEL_FILE
     from sumo_adv.report.staging import staged
 
     with staged(target, force=True, inside=True) as folder:
-        write_run(folder, episode)
+        write_run(folder, run)
         if exchanges is not None and exchanges.exists():
             shutil.copyfile(exchanges, folder.stage / MODEL_FILE)
         folder.keep(force=True)
 
 
-def draw_example(target: Path, episode: Episode) -> None:
+def draw_example(target: Path, run: Run) -> None:
     """Draw the encounter without and with the attack, as ``figure`` does. Raises UsageError."""
     from sumo_adv.files import sentences
     from sumo_adv.report.figures import draw_paper, read_story, save
@@ -467,7 +464,7 @@ def draw_example(target: Path, episode: Episode) -> None:
 
     with tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch, sentences(target):
         with staged(Path(scratch) / "run", force=False) as folder:
-            write_run(folder, episode, figure=False)
+            write_run(folder, run, figure=False)
             folder.keep(force=False)
         target.parent.mkdir(parents=True, exist_ok=True)
         save(draw_paper(read_story(folder.target)), target, "png")

@@ -12,7 +12,7 @@ import numpy as np
 
 import sumo_adv
 from sumo_adv.datatypes import Level, Track
-from sumo_adv.episode.episode import Episode
+from sumo_adv.episode.run import Run
 from sumo_adv.episode.warm import WarmEngine, WarmSandboxes
 from sumo_adv.regression.case import Expectation, KeptCase, read_case
 from sumo_adv.regression.keep import keep_run
@@ -101,11 +101,11 @@ def _attack(case: KeptCase, folder: Path) -> Attacked:
     return _outcome(came[0])
 
 
-def _outcome(episode: Episode) -> Attacked:
-    best, found = episode.best, episode.found
-    assert best is not None and found is not None
-    result = episode.refinement.results[best.index]
-    tracks = tracks_of(result.snapshots, result.sizes, {}, episode.settings.step_length, (found.ego, best.proposal.bv))
+def _outcome(run: Run) -> Attacked:
+    record = run.best
+    assert record is not None and record.best is not None and record.best_result is not None
+    best, found, result = record.best, record.found, record.best_result
+    tracks = tracks_of(result.snapshots, result.sizes, {}, run.settings.step_length, (found.ego, best.proposal.bv))
     return Attacked(
         [(bv, relation) for bv, relation, _ in found.ranking], best.verdict.level, best.verdict.fault,
         {t.id: t for t in tracks},

@@ -41,8 +41,8 @@ def pinched() -> Path:
     source = app.load(Path(INPUT), None)
     settings = load_settings(None, duration=12.0, delays=(0.0,), adversaries=2)
     recorded = RecordedRun(source, settings, make_task(source, settings, home), pinch(COLLIDER, SUPPORT), 0)
-    episode = app.replay(recorded)
+    run = app.replay(recorded)
     with staged(home / "run", force=False) as folder:
-        write_run(folder, episode, figure=False)
+        write_run(folder, run, figure=False)
         folder.keep(force=False)
     return home / "run"

@@ -189,8 +189,9 @@ def test_the_example_collides_within_two_attempts(
     arena: tuple[Arena, MemoryBank], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.syspath_prepend(EXAMPLE)
-    episode = arena[0].by_opponent(make_row("straight_at_it:StraightAtIt"), arena[1])
-    best = episode.best
+    run = arena[0].by_opponent(make_row("straight_at_it:StraightAtIt"), arena[1])
+    assert run.best is not None
+    best = run.best.best
     assert best is not None and best.verdict.level >= Level.COLLISION
     assert best.proposal.by == "straight_at_it:StraightAtIt"
     assert best.proposal.course is not None
@@ -198,8 +199,9 @@ def test_the_example_collides_within_two_attempts(
 
 def test_other_rows_run_there_too(arena: tuple[Arena, MemoryBank]) -> None:
     for name in ("random", "resampling"):
-        episode = arena[0].by_opponent(make_row(name), arena[1])
-        attempts = episode.refinement.attempts
+        run = arena[0].by_opponent(make_row(name), arena[1])
+        assert run.best is not None
+        attempts = run.best.attempts
         assert 1 <= len(attempts) <= 2 and {a.proposal.by for a in attempts} == {name}
         assert {a.ending for a in attempts} <= {"contact", "passed", "time_limit"}
 
@@ -219,7 +221,9 @@ class AsksForNobody:
 
 
 def test_an_attempt_that_is_lost_is_one_that_failed(arena: tuple[Arena, MemoryBank]) -> None:
-    lost, driven = arena[0].by_opponent(AsksForNobody(), arena[1]).refinement.attempts
+    record = arena[0].by_opponent(AsksForNobody(), arena[1]).best
+    assert record is not None
+    lost, driven = record.attempts
     assert (lost.ending, lost.verdict.feasible, lost.verdict.collided) == ("planner_failed", False, False)
     assert "nobody" in lost.message
     assert driven.ending in {"contact", "passed", "time_limit"}
@@ -227,6 +231,6 @@ def test_an_attempt_that_is_lost_is_one_that_failed(arena: tuple[Arena, MemoryBa
 
 def test_a_generator_that_fails_ends_its_row_with_a_sentence(arena: tuple[Arena, MemoryBank]) -> None:
     Says.answer = staticmethod(lambda: "cut in!")
-    episode = arena[0].by_opponent(make_row(f"{HERE}:Says"), arena[1])
-    assert episode.ending is Ending.PLANNER_FAILED
-    assert "returned str" in episode.reason
+    run = arena[0].by_opponent(make_row(f"{HERE}:Says"), arena[1])
+    assert run.ending is Ending.PLANNER_FAILED
+    assert "returned str" in run.reason

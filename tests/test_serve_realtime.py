@@ -17,7 +17,7 @@ from sumo_adv.agents.agents import Agents
 from sumo_adv.agents.teams import Teamwork
 from sumo_adv.config import load_settings
 from sumo_adv.datatypes import Intent, LibraryEntry
-from sumo_adv.episode.episode import Episode
+from sumo_adv.episode.run import Run
 from sumo_adv.episode.task import make_task
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.planners.sandbox import Sandbox
@@ -60,10 +60,10 @@ class Slow(Agents):
 
 @dataclass
 class Told:
-    """What a server told, and the episodes it kept."""
+    """What a server told, and the runs it kept."""
 
     events: list[dict[str, Any]]
-    episodes: list[Episode]
+    runs: list[Run]
 
     def of(self, kind: str) -> list[dict[str, Any]]:
         return [e for e in self.events if e["event"] == kind]
@@ -83,8 +83,8 @@ def served(folder: Path, seconds: float, *, kill: bool = False) -> Told:
 
     events = Events(tell)
 
-    def write(episode: Episode, number: int) -> Mapping[str, Any]:
-        log.episodes.append(episode)
+    def write(run: Run, number: int) -> Mapping[str, Any]:
+        log.runs.append(run)
         return {"outcome": None, "ending": "", "reason": "", "adversaries": [], "intent": None, "attempts": [],
                 "folder": number}  # fmt: skip
 
@@ -117,7 +117,7 @@ def test_an_answer_that_comes_too_late_is_dropped(tmp_path: Path) -> None:
     (dropped,) = log.of("dropped")
     assert decided["age"] > MAX_DECISION_AGE_S and decided["seconds"] > MAX_DECISION_AGE_S
     assert dropped["reason"] == f"the decision is {decided['age']:.1f} s old"
-    assert log.of("attack") == [] and log.episodes == []
+    assert log.of("attack") == [] and log.runs == []
 
 
 def test_an_answer_that_comes_in_time_is_used(tmp_path: Path) -> None:
@@ -127,9 +127,10 @@ def test_an_answer_that_comes_in_time_is_used(tmp_path: Path) -> None:
     assert log.of("dropped") == []
     (attack,) = log.of("attack")
     assert attack["time"] >= TRIGGER + decided["age"] - 0.11
-    (episode,) = log.episodes
-    assert episode.prefix is not None and episode.prefix.snapshots[-1].time == TRIGGER
-    result = episode.refinement.results[0]
+    (run,) = log.runs
+    record = run.best
+    assert record is not None and record.prefix is not None and record.prefix.snapshots[-1].time == TRIGGER
+    result = record.results[0]
     assert result.snapshots[0].time == 3.3 and result.start >= TRIGGER + decided["age"] - 0.01
     clock = [e["clock"] for e in log.events if e["event"] in ("attack", "released")]
     times = [e["time"] for e in log.events if e["event"] in ("attack", "released")]
@@ -140,4 +141,4 @@ def test_an_answer_that_comes_in_time_is_used(tmp_path: Path) -> None:
 def test_a_client_that_goes_while_we_think_costs_no_attempt(tmp_path: Path) -> None:
     log = served(tmp_path, 0.5, kill=True)
     assert [e["reason"] for e in log.of("dropped")] == ["the ego or its client is gone"]
-    assert log.of("attack") == [] and log.episodes == []
+    assert log.of("attack") == [] and log.runs == []

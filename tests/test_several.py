@@ -300,11 +300,12 @@ def test_all_adversaries_are_driven_stored_and_replayed(tmp_path: Path) -> None:
     source = app.load(Path("neighbour_ahead_left"), None)
     settings = load_settings(None, duration=6.0, delays=(0.0,), adversaries=2)
     recorded = RecordedRun(source, settings, make_task(source, settings, tmp_path), both, 0)
-    episode = app.replay(recorded)
-    (attempt,) = episode.refinement.attempts
+    run = app.replay(recorded)
+    assert run.best is not None
+    (attempt,) = run.best.attempts
     assert attempt.ending in ("contact", "time_limit"), attempt.message
     with staged(tmp_path / "run", force=False) as folder:
-        document = write_run(folder, episode, figure=False)
+        document = write_run(folder, run, figure=False)
         folder.keep(force=False)
     assert [(a["id"], a["role"]) for a in document["adversaries"]] == [
         ("left_ahead", "collider"), ("right_behind", "block_right"),
@@ -312,7 +313,7 @@ def test_all_adversaries_are_driven_stored_and_replayed(tmp_path: Path) -> None:
     assert document["attempts"][0]["composition"] == "Pinch"
     again = read_manifest(tmp_path / "run")
     assert again.proposal.members == both.members
-    repeated = app.replay(again)
-    assert repeated.refinement.attempts[0].verdict == attempt.verdict
-    last, first_ = (e.refinement.results[0].snapshots[-1].raw for e in (repeated, episode))
+    repeated = app.replay(again).best
+    assert repeated is not None and repeated.attempts[0].verdict == attempt.verdict
+    last, first_ = (r.results[0].snapshots[-1].raw for r in (repeated, run.best))
     assert last == first_

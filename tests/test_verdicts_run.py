@@ -21,7 +21,8 @@ from sumo_adv.agents.agents import Agents
 from sumo_adv.config import load_settings
 from sumo_adv.datatypes import Track
 from sumo_adv.episode.engine import episode_worker
-from sumo_adv.episode.loop import Episode, replay_episode, run_episode
+from sumo_adv.episode.loop import replay_episode, run_episode
+from sumo_adv.episode.run import EncounterRecord, Run
 from sumo_adv.episode.task import make_task
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.planners.sandbox import Sandbox
@@ -42,11 +43,16 @@ IMPACT = {"speed", "ego_speed", "adversary_speed", "angle", "ego_point", "advers
 
 
 @dataclass(frozen=True)
-class Run:
-    """An episode and its folder."""
+class Written:
+    """A run and its folder."""
 
-    episode: Episode
+    run: Run
     folder: Path
+
+    @property
+    def record(self) -> EncounterRecord:
+        assert self.run.best is not None
+        return self.run.best
 
     @property
     def outcome(self) -> dict[str, Any]:
@@ -57,15 +63,15 @@ class Run:
             return list(csv.DictReader(text))
 
 
-def write(episode: Episode, target: Path) -> Run:
+def write(run: Run, target: Path) -> Written:
     with staged(target, force=False) as folder:
-        write_run(folder, episode)
+        write_run(folder, run)
         folder.keep(force=False)
-    return Run(episode, target)
+    return Written(run, target)
 
 
 @pytest.fixture(scope="module")
-def crossing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
+def crossing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Written]:
     """A vehicle from the right rushes through a crossing into the ego."""
     folder = tmp_path_factory.mktemp("verdicts")
     given = load_input(Path("priority_straight_from_right"))
@@ -76,14 +82,14 @@ def crossing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
         Sandbox() as sandbox,
         Engine(episode_worker) as engine,
     ):
-        episode = run_episode(given, settings, task, engine, Agents(settings, sandbox), bank, lambda *_: None)
-    yield write(episode, folder / "run")
+        run = run_episode(given, settings, task, engine, Agents(settings, sandbox), bank, lambda *_: None)
+    yield write(run, folder / "run")
 
 
 # -- the verdict of the attempt that counts
 
 
-def test_the_outcome_holds_further_figures(crossing: Run) -> None:
+def test_the_outcome_holds_further_figures(crossing: Written) -> None:
     outcome = crossing.outcome["outcome"]
     assert set(outcome) >= FURTHER
     assert (outcome["collided"], outcome["rss"]) == (True, None)
@@ -95,7 +101,7 @@ def test_the_outcome_holds_further_figures(crossing: Run) -> None:
     assert crossing.outcome["timing"]["verdict"] > 0
 
 
-def test_the_paper_s_distance_is_between_the_centres_where_they_met(crossing: Run) -> None:
+def test_the_paper_s_distance_is_between_the_centres_where_they_met(crossing: Written) -> None:
     """From the contact points: the ego's seen from its centre and the adversary's, turned by the angle."""
     outcome = crossing.outcome["outcome"]
     (ax, ay), (bx, by), angle = (outcome["impact"][k] for k in ("ego_point", "adversary_point", "angle"))
@@ -109,7 +115,7 @@ def test_the_paper_s_distance_is_between_the_centres_where_they_met(crossing: Ru
 # -- criticality.csv.gz
 
 
-def test_the_series_agree_with_the_states_and_the_extremes(crossing: Run) -> None:
+def test_the_series_agree_with_the_states_and_the_extremes(crossing: Written) -> None:
     outcome = crossing.outcome
     rows, adversary = crossing.table("criticality.csv.gz"), outcome["adversaries"][0]["id"]
     states = {(r["time"], r["id"]): r for r in crossing.table("states.csv.gz")}
@@ -142,7 +148,7 @@ def test_rows_are_the_adversary_s_and_those_of_whoever_is_within_60_m() -> None:
 # -- realism
 
 
-def test_realism_says_against_what(crossing: Run) -> None:
+def test_realism_says_against_what(crossing: Written) -> None:
     realism = crossing.outcome["realism"]
     reference, outcome = realism["reference"], crossing.outcome["outcome"]
     assert reference["vehicles"] >= 3 and reference["steps"] >= 100
@@ -193,27 +199,26 @@ def test_sigmas_are_read_from_the_demand(tmp_path: Path) -> None:
 # -- without an attempt, and again
 
 
-def test_without_an_attempt_there_is_nothing_to_say(crossing: Run) -> None:
-    empty = Episode(crossing.episode.source, crossing.episode.settings, crossing.episode.task)
-    assert findings_on(empty) is None
+def test_without_an_attempt_there_is_nothing_to_say(crossing: Written) -> None:
+    assert findings_on(crossing.run, EncounterRecord(crossing.record.found)) is None
     columns = further_keys(None)
     assert columns.pop("markings_crossed") == []
     assert set(columns) <= set(crossing.outcome["outcome"]) and set(columns.values()) == {None}
 
 
-def test_a_replay_comes_to_the_same_bytes(crossing: Run, tmp_path: Path) -> None:
+def test_a_replay_comes_to_the_same_bytes(crossing: Written, tmp_path: Path) -> None:
     recorded = read_manifest(crossing.folder)
     with Sandbox() as sandbox, Engine(episode_worker) as engine:
-        episode = replay_episode(
+        run = replay_episode(
             recorded.source, recorded.settings, recorded.task, engine, sandbox, recorded.proposal, recorded.skips
         )
-    again = write(episode, tmp_path / "again")
+    again = write(run, tmp_path / "again")
     for name in ("states.csv.gz", "criticality.csv.gz", "raw.csv.gz"):
         assert (again.folder / name).read_bytes() == (crossing.folder / name).read_bytes()
     assert [again.outcome[k] for k in ("outcome", "realism")] == [crossing.outcome[k] for k in ("outcome", "realism")]
 
 
-def test_a_stored_run_with_a_setting_that_is_gone_can_still_be_read(crossing: Run, tmp_path: Path) -> None:
+def test_a_stored_run_with_a_setting_that_is_gone_can_still_be_read(crossing: Written, tmp_path: Path) -> None:
     """Version 0.1 wrote ``experience``; a replay drives the recorded attempt and does not need it."""
     folder = tmp_path / "stored"
     shutil.copytree(crossing.folder, folder)

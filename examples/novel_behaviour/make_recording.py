@@ -78,10 +78,11 @@ def main() -> None:
     ):
         model = recorder.wrap(BudgetedModel(Author(), ledger))
         agents = Agents(settings, sandbox, dict.fromkeys(AGENT_ROLES, model), ledger, shipped_prompts())
-        episode = run_episode(
+        run = run_episode(
             given, settings, make_task(given, settings, Path(scratch)), engine, agents, bank, lambda *_: None
         )
-    print(f"{episode.ending}: {[(a.proposal.by, round(a.verdict.min_ttc, 2)) for a in episode.refinement.attempts]}")
+    attempts = () if run.best is None else run.best.attempts
+    print(f"{run.ending}: {[(a.proposal.by, round(a.verdict.min_ttc, 2)) for a in attempts]}")
 
 
 if __name__ == "__main__":

@@ -7,7 +7,8 @@ attempt that counts.  Where a scenario leaves the trigger open, the shipped libr
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from random import Random
 from typing import Any
 
@@ -20,12 +21,12 @@ from sumo_adv.datatypes import Attempt, Ending, Level, Proposal, Role, Track
 from sumo_adv.episode.assessment import AttemptRunner, attempt_of, checked, runner_of
 from sumo_adv.episode.attempt import Driven
 from sumo_adv.episode.engine import EpisodeCalls, EpisodeEngine
-from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.loop import decide, model_ending, pursue
 from sumo_adv.episode.memory_access import read_library, signature
 from sumo_adv.episode.neighbours import Robustness, holds, neighbours
-from sumo_adv.episode.planned_encounter import find_attackable, seek, with_predictions
-from sumo_adv.episode.refinement import settle_best
+from sumo_adv.episode.planned_encounter import EncounterFinder, with_predictions
+from sumo_adv.episode.refinement import Refinement, settle_best
+from sumo_adv.episode.run import EncounterRecord, Run, Stop, seconds_by_part
 from sumo_adv.episode.task import AttemptResult, FoundEncounter, Task
 from sumo_adv.errors import ModelError, SandboxError, SimulationError, SumoAdvError
 from sumo_adv.goal import Goal
@@ -39,82 +40,81 @@ from sumo_adv.simulation.tracks import tracks_of
 
 
 class Arena:
-    """An open encounter. ``episode``: as far as it goes without an attack; its ``found`` is None if there is none.
+    """An open encounter, attacked by row after row.
 
-    ``common``: the settings of all rows, by which an encounter is chosen where the trigger is open; ``settings``: those
-    of its own rows that attack.
+    Attributes:
+        settings: The settings of its own rows that attack.
+        unattacked: The run without an attack, as far as it goes; its ``best`` is None if there is no encounter.
     """
 
     def __init__(
-        self, source: RunInput, settings: Settings, task: Task, engine: EpisodeEngine, sandbox: Sandbox,
+        self, run_input: RunInput, settings: Settings, task: Task, engine: EpisodeEngine, sandbox: Sandbox,
         bank: MemoryBank, common: Settings,
     ) -> None:  # fmt: skip
-        self.engine, self.sandbox = engine, sandbox
-        self.episode = Episode(source, common, task, bank_hash=bank.content_hash())
-        began = time.perf_counter()
+        """Open the encounter. ``common``: the settings of all rows, by which it is chosen if the trigger is open."""
+        self.engine, self.sandbox, self.settings = engine, sandbox, settings
+        finder, began = EncounterFinder(run_input, common, task, engine, lambda *_: None), time.perf_counter()
         try:
             if task.trigger is not None:
-                seek(self.episode, engine, lambda *_: None)
+                finder.seek()
             else:
-                planned = find_attackable(self.episode, engine, sandbox, bank, lambda *_: None)
-                self.episode.found = None if planned is None else planned.found
+                finder.find_attackable(sandbox, bank)
         except SumoAdvError as error:
             if error.exit_status == 2:
                 raise
-            self.episode.ending, self.episode.reason = Ending.SIMULATION_FAILED, str(error)
-            self.episode.found = None
-        self.episode.settings = settings
-        self.episode.timing["opened"] = time.perf_counter() - began
+            finder.break_off(Stop(Ending.SIMULATION_FAILED, str(error), failed=True))
+        opened = time.perf_counter() - began
+        self._started = {**finder.timing, "opened": opened}
+        records = [record for record in finder.records if record.passed_over or finder.stop is None]
+        spent = seconds_by_part(self._started, *(record.timing for record in records))
+        self.unattacked = Run(
+            run_input, settings, task, tuple(replace(record, goal=settings.goal) for record in records), finder.stop,
+            finder.forked, bank_hash=bank.content_hash(), timing={**spent, "total": opened},
+        )  # fmt: skip
 
     @property
     def found(self) -> FoundEncounter | None:
-        return self.episode.found
+        best = self.unattacked.best
+        return None if best is None else best.found
 
-    def fresh(self, agents: Agents | None = None) -> Episode:
-        e = self.episode
-        return Episode(
-            e.source, e.settings, e.task, e.ending, e.reason, e.found, prefix=e.prefix, lanes=e.lanes,
-            forked=e.forked, skips=e.skips, bank_hash=e.bank_hash, agents=agents,
-            timing={**e.timing, "total": e.timing["opened"]},
-        )  # fmt: skip
-
-    def by_program(self, bank: MemoryBank, agents: Agents) -> Episode:
-        episode = self.fresh(agents)
-        episode.bank_hash = bank.content_hash()
-        if episode.found is None:
-            return episode
-        clock = _Clock()
+    def by_program(self, bank: MemoryBank, agents: Agents) -> Run:
+        """Return the run of a row that the program itself attacks in."""
+        opened, settings = self.unattacked, self.settings
+        run = replace(opened, agents=agents, bank_hash=bank.content_hash())
+        if opened.best is None:
+            return run
+        clock, kept = _Clock(), [opened.best]
         try:
-            planned = with_predictions(episode, episode.found, self.sandbox, bank)
-            entries = decide(episode, planned, agents, bank)
-            if entries is not None:
-                runner = runner_of(self.engine, self.sandbox, planned.found, episode.settings)
-                pursue(episode, planned, entries, runner, agents, bank, clock.tell)
+            planned = with_predictions(
+                opened.best.found, opened.run_input, settings, opened.task, self.sandbox, bank, agents
+            )
+            decision = decide(opened.best, planned, settings, agents, bank, kept.append)
+            if decision.library is not None:
+                runner = runner_of(self.engine, self.sandbox, planned.found, settings)
+                pursue(decision, runner, settings, agents, bank, clock.tell, kept.append)
         except ModelError as error:
-            episode.ending, episode.reason = model_ending(error), str(error)
-        clock.stop(episode)
-        episode.timing["waited"] = agents.ledger.waited
-        return episode
+            kept.append(replace(kept[-1], ending=model_ending(error), reason=str(error)))
+        isolation = self.sandbox.isolation if kept[-1].attacked else ""
+        return self._attacked(replace(run, isolation=isolation), kept[-1], clock, {"waited": agents.ledger.waited})
 
-    def by_opponent(self, opponent: Opponent, bank: MemoryBank) -> Episode:
-        """An opponent's attacks, until success or until its budget is used up.
+    def by_opponent(self, opponent: Opponent, bank: MemoryBank) -> Run:
+        """Return the run of an opponent's attacks, until success or until its budget is used up.
 
         Raises:
             SimulationError: the simulation was lost, and with it what other rows need.
         """
-        episode = self.fresh()
-        encounter, settings, done = episode.found, episode.settings, episode.refinement
-        if encounter is None:
-            return episode
+        record, settings = self.unattacked.best, self.settings
+        if record is None:
+            return self.unattacked
+        encounter, done = record.found, Refinement(goal=settings.goal)
         clock, runner = _Clock(), runner_of(self.engine, self.sandbox, encounter, settings)
         exhaustive = bool(getattr(opponent, "exhaustive", False))
-        episode.ending, episode.reason = Ending.ATTEMPTS_EXHAUSTED, ""
         try:
             opponent.begin(self.encounter(encounter, bank))
             while exhaustive or (len(done.attempts) < settings.attempts and clock.seconds < settings.seconds):
                 proposal = opponent.propose(tuple(done.attempts))
                 if proposal is None:
-                    episode.reason = "Nothing was left to try."
+                    done.reason = "Nothing was left to try."
                     break
                 result = self._result(proposal, encounter, runner)
                 attempt = attempt_of(len(done.attempts), "opponent", proposal, result, encounter, settings)
@@ -122,14 +122,19 @@ class Arena:
                 done.results.append(result)
                 clock.tell("attempt", done.attempts[-1])
                 if done.goal.met(done.attempts[-1].verdict):
-                    episode.ending = Ending.CRITICAL
+                    done.ending = Ending.CRITICAL
                     if not exhaustive:
                         break
             settle_best(done, runner)
         except SandboxError as error:
-            episode.ending, episode.reason = Ending.PLANNER_FAILED, str(error)
-        clock.stop(episode)
-        return episode
+            done.ending, done.reason = Ending.PLANNER_FAILED, str(error)
+        return self._attacked(self.unattacked, done.recorded(record), clock, {})
+
+    def _attacked(self, run: Run, record: EncounterRecord, clock: _Clock, waited: Mapping[str, float]) -> Run:
+        """A run with the record of the attacks in its last encounter, and the times of a row."""
+        records = (*run.records[:-1], record)
+        spent = seconds_by_part(self._started, *(each.timing for each in records))
+        return replace(run, records=records, timing={**spent, **clock.timing(self._started["opened"]), **waited})
 
     def _result(self, proposal: Proposal, encounter: FoundEncounter, runner: AttemptRunner) -> AttemptResult:
         """What an attempt came to. A fork that SUMO's own crash took (a vehicle far off its lanes) is an attempt that
@@ -137,7 +142,7 @@ class Arena:
         try:
             return next(runner.attempt([proposal]))
         except SimulationError as error:
-            if not self.episode.forked or self._lost():
+            if not self.unattacked.forked or self._lost():
                 raise
             failed = Driven("planner_failed", str(error))
             return AttemptResult(failed, None, encounter.situations[proposal.delay].time)
@@ -150,11 +155,10 @@ class Arena:
             return True
 
     def encounter(self, found: FoundEncounter, bank: MemoryBank) -> Encounter:
-        settings, first = self.episode.settings, found.first
-        scene = signature(first, first.target_list()[0].state.id, self.episode.task.ego_driver)
+        settings, first, task = self.settings, found.first, self.unattacked.task
+        scene = signature(first, first.target_list()[0].state.id, task.ego_driver)
         library, _ = read_library(bank, scene, settings.seed, found.situations)
-        network = self.episode.task.spec.network
-        return Encounter(found.situations, library, found.drivable, settings, settings.seed, network)
+        return Encounter(found.situations, library, found.drivable, settings, settings.seed, task.spec.network)
 
 
 class _Clock:
@@ -172,25 +176,25 @@ class _Clock:
     def seconds(self) -> float:
         return time.perf_counter() - self._began
 
-    def stop(self, episode: Episode) -> None:
-        """Into the episode's timing: ``row``, ``first_valid`` and so on (from the encounter on), ``total``."""
+    def timing(self, opened: float) -> dict[str, float]:
+        """``row``, ``first_valid`` and so on from the encounter on, and ``total`` with the opening [s]."""
         row = self.seconds
-        episode.timing["row"] = row
-        episode.timing |= {f"first_{level}": seconds for level, seconds in self._first.items()}
-        episode.timing["total"] = episode.timing.get("opened", 0.0) + row
+        return {"row": row, **{f"first_{level}": first for level, first in self._first.items()}, "total": opened + row}
 
 
 # -- whether the attempt that counts is robust
 
 
-def robustness(episode: Episode, engine: EpisodeEngine, sandbox: Sandbox) -> dict[str, Any] | None:
-    """In how many neighbours the attempt that counts holds (``episode/neighbours.py``); None if it is not valid."""
-    best, done, found = episode.best, episode.refinement, episode.found
-    if best is None or found is None or best.verdict.level < Level.VALID:
+def robustness(run: Run, engine: EpisodeEngine, sandbox: Sandbox) -> dict[str, Any] | None:
+    """Return in how many neighbours the attempt that counts holds (``episode/neighbours.py``); None if it is not
+    valid."""
+    record, settings = run.best, run.settings
+    best = None if record is None else record.best
+    if record is None or best is None or best.verdict.level < Level.VALID:
         return None
-    seen = done.robustness
+    seen, found = record.robustness, record.found
     if seen is None:
-        settings, result = episode.settings, done.results[best.index]
+        result = record.results[best.index]
         runner = runner_of(engine, sandbox, found, settings)
         near = neighbours(best, result, Random(settings.seed), settings.step_length, displaces=runner.displaces)
         again = [attempt_of(0, "again", p, r, found, settings) for p, r in zip(near, runner.attempt(near), strict=True)]
@@ -205,13 +209,13 @@ TRAFFIC_RADIUS_M = 60.0  # m from the ego's middle: traffic for comparison
 MAX_MOTION_SAMPLES = 2000  # numbers of a kind that a cell keeps
 
 
-def unattacked(episode: Episode) -> dict[str, Any] | None:
-    """The raw run as an outcome: the ego and the vehicle of the shortlist that comes nearest, from the trigger on."""
-    encounter = episode.found
-    if encounter is None:
+def unattacked(run: Run) -> dict[str, Any] | None:
+    """Return the raw run as an outcome: the ego and the vehicle of the shortlist that comes nearest, from the trigger
+    on."""
+    if run.best is None:
         return None
-    tracks = _raw(episode, encounter)
-    ego = tracks[encounter.ego].between(encounter.time, encounter.time + episode.settings.duration)
+    encounter, tracks = run.best.found, _raw(run, run.best)
+    ego = tracks[encounter.ego].between(encounter.time, encounter.time + run.settings.duration)
     others = [tracks[n].between(encounter.time, float(ego.time[-1])) for n, _, _ in encounter.ranking if n in tracks]
     others = [t for t in others if len(t.time) > 1]
     least, apart = np.inf, np.inf
@@ -220,7 +224,7 @@ def unattacked(episode: Episode) -> dict[str, Any] | None:
         least = float(np.nanmin(ttc(me, them), initial=np.inf))
         apart = float(np.nanmin(np.hypot(them.x - me.x, them.y - me.y), initial=np.inf))
     return {
-        "min_ttc": _number(least), "collided": least == 0.0, "critical": least <= episode.settings.critical_ttc,
+        "min_ttc": _number(least), "collided": least == 0.0, "critical": least <= run.settings.critical_ttc,
         "feasible": True, "rear_end": False, "valid": None, "strict": None, "failed_gates": [],
         "paper_centre_distance": {
             "minimum": _number(apart), "epsilon": PAPER_EPSILON_M, "within": apart <= PAPER_EPSILON_M
@@ -228,34 +232,33 @@ def unattacked(episode: Episode) -> dict[str, Any] | None:
     }  # fmt: skip
 
 
-def motion_of(episode: Episode) -> dict[str, Any]:
-    """Speeds [m/s] and accelerations [m/s2], step by step: of the adversary of the attempt that counts up to the
+def motion_of(run: Run) -> dict[str, Any]:
+    """Return speeds [m/s] and accelerations [m/s2], step by step: of the adversary of the attempt that counts up to the
     contact, and of the unattacked traffic near the ego in the same window. Empty without an attempt."""
-    encounter, best, k, prefix = episode.found, episode.best, episode.refinement.best, episode.prefix
-    if encounter is None or best is None or k is None or prefix is None:
+    record, step = run.best, run.settings.step_length
+    best = None if record is None else record.best
+    if record is None or best is None or record.prefix is None:
         return {}
-    result, step = episode.refinement.results[k], episode.settings.step_length
+    result, prefix = record.results[best.index], record.prefix
     sizes = {**prefix.sizes, **result.sizes}
     own = tracks_of([*prefix.snapshots[-2:], *result.snapshots], sizes, {}, step, [best.proposal.bv])
     contact = best.verdict.contact_time
     start = result.start + step / 2
     moved = [t.between(start, np.inf if contact is None else contact) for t in own]
     end = max((float(t.time[-1]) for t in moved if len(t.time)), default=start)
-    return {"adversary": _samples(moved), "raw": _samples(_near(episode, encounter, start, end))}
+    return {"adversary": _samples(moved), "raw": _samples(_near(run, record, start, end))}
 
 
-def _raw(episode: Episode, encounter: FoundEncounter) -> dict[str, Track]:
-    before = episode.prefix.snapshots[-2:] if episode.prefix is not None else []
-    sizes = {**(episode.prefix.sizes if episode.prefix is not None else {}), **encounter.sizes}
-    tracks = tracks_of(
-        [*before, *encounter.baseline], sizes, episode.task.roles(encounter.ego), episode.settings.step_length
-    )
-    return {t.id: t for t in tracks}
+def _raw(run: Run, record: EncounterRecord) -> dict[str, Track]:
+    before = record.prefix.snapshots[-2:] if record.prefix is not None else []
+    sizes = {**(record.prefix.sizes if record.prefix is not None else {}), **record.found.sizes}
+    roles, step = run.task.roles(record.found.ego), run.settings.step_length
+    return {t.id: t for t in tracks_of([*before, *record.found.baseline], sizes, roles, step)}
 
 
-def _near(episode: Episode, encounter: FoundEncounter, start: float, end: float) -> list[Track]:
-    tracks = _raw(episode, encounter)
-    ego = tracks[encounter.ego].between(start, end)
+def _near(run: Run, record: EncounterRecord, start: float, end: float) -> list[Track]:
+    tracks = _raw(run, record)
+    ego = tracks[record.found.ego].between(start, end)
     if not len(ego.time):
         return []
     x, y = float(ego.x.mean()), float(ego.y.mean())

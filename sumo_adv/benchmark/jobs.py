@@ -30,7 +30,7 @@ from sumo_adv.errors import UsageError
 from sumo_adv.memory.bank import MemoryBank
 
 if TYPE_CHECKING:
-    from sumo_adv.episode.episode import Episode
+    from sumo_adv.episode.run import Run
     from sumo_adv.simulation.inputs import RunInput
 
 FIXED_LIBRARY = ("Close Car-following", "Emergency Braking")
@@ -148,9 +148,9 @@ class BenchParts:
 
     load: Callable[[Path, str | None], RunInput]
     open_agents: Callable[..., AbstractContextManager[Any]]
-    full_outcome: Callable[[Episode], dict[str, Any]]  # what outcome.json holds
-    keep_run: Callable[[Path, Episode, Path | None], None]  # the folder of a run, with the model's exchanges
-    draw_example: Callable[[Path, Episode], None]  # a picture of the encounter without and with the attack
+    full_outcome: Callable[[Run], dict[str, Any]]  # what outcome.json holds
+    keep_run: Callable[[Path, Run, Path | None], None]  # the folder of a run, with the model's exchanges
+    draw_example: Callable[[Path, Run], None]  # a picture of the encounter without and with the attack
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from sumo_adv.benchmark.rows import make_row
 from sumo_adv.campaigns.results import Done
 from sumo_adv.config import Settings, forget_environment, load_settings, reachable
 from sumo_adv.datatypes import Ending
-from sumo_adv.episode.episode import Episode
+from sumo_adv.episode.run import Run
 from sumo_adv.episode.task import make_task
 from sumo_adv.episode.warm import WarmEngine, WarmProcesses, WarmSandboxes
 from sumo_adv.errors import BankError, SumoAdvError, UsageError, fault_sentence
@@ -122,7 +122,7 @@ class Bencher(WarmProcesses):
                     keep_cell(self._setup.folder, self._cell(job, left[0], arena, bank, Path(scratch)))
                     left.pop(0)
                     self._began = time.perf_counter()
-            if arena.episode.ending is Ending.SIMULATION_FAILED and arena.found is None:
+            if arena.found is None and arena.unattacked.ending is Ending.SIMULATION_FAILED:
                 self._engine.close()
 
     def _settings(self, job: BenchJob, horizon: float | None, own: Mapping[str, Any]) -> Settings:
@@ -152,8 +152,8 @@ class Bencher(WarmProcesses):
         if method.name == RAW:
             return self._unattacked(job, row, arena)
         if arena.found is None:
-            return self._filled(job, row, arena.fresh(), arena)
-        settings = arena.episode.settings
+            return self._filled(job, row, arena.unattacked, arena)
+        settings = arena.settings
         exchanges = scratch / f"{slug(row)}.jsonl"
         with (
             bank_of(method, job, self._setup, bank, scratch) as own,
@@ -162,31 +162,31 @@ class Bencher(WarmProcesses):
         ):
             return self._filled(job, row, arena.by_program(own, agents), arena, exchanges)
 
-    def _filled(self, job: BenchJob, row: str, episode: Episode, arena: Arena, exchanges: Path | None = None) -> Cell:
+    def _filled(self, job: BenchJob, row: str, run: Run, arena: Arena, exchanges: Path | None = None) -> Cell:
         """The cell of a row that attacked, or could not. ``exchanges``: with a model, as recorded until now."""
-        outcome = self._setup.parts.full_outcome(episode)
+        outcome = self._setup.parts.full_outcome(run)
         kept = ("ending", "reason", "raw", "attempts", "best", "outcome", "realism", "intent", "intents", "timing")
-        timing = {k: round(v, 4) for k, v in episode.timing.items()}
+        timing = {k: round(v, 4) for k, v in run.timing.items()}
         intent, recall = outcome["intent"], None
         if intent is not None:
             recall = "generated" if intent.get("source") == "generated" else "hit"  # hit: the bank had the intent
         cell = head(self._setup, job, row) | {k: outcome[k] for k in (*kept, "llm", "agents", "trigger_time")}
-        if self._setup.keep_runs and episode.found is not None:
+        if self._setup.keep_runs and run.best is not None:
             folder = self._setup.folder / "runs" / slug(job.ego) / slug(job.case.name) / slug(row)
-            self._setup.parts.keep_run(folder, episode, exchanges)
-        if job.case.name in self._setup.examples and episode.best is not None:
+            self._setup.parts.keep_run(folder, run, exchanges)
+        if job.case.name in self._setup.examples and run.best is not None and run.best.attempts:
             with suppress(UsageError):  # what cannot be drawn is no failure of the row
-                self._setup.parts.draw_example(example_path(self._setup.folder, job.ego, job.case.name, row), episode)
+                self._setup.parts.draw_example(example_path(self._setup.folder, job.ego, job.case.name, row), run)
         return cell | {
-            "timing": timing, "robust": robustness(episode, arena.engine, arena.sandbox),
-            "recall": recall, "motion": motion_of(episode), "bank_hash": episode.bank_hash,
+            "timing": timing, "robust": robustness(run, arena.engine, arena.sandbox),
+            "recall": recall, "motion": motion_of(run), "bank_hash": run.bank_hash,
             "encounter": outcome["encounter"],
-            "driver_known": None if episode.found is None else episode.found.first.baseline.model.known,
+            "driver_known": None if run.best is None else run.best.found.first.baseline.model.known,
         }  # fmt: skip
 
     def _unattacked(self, job: BenchJob, row: str, arena: Arena) -> Cell:
-        episode, raw = arena.episode, unattacked(arena.episode)
-        cell = _empty(self._setup, job, row, str(episode.ending), episode.reason, episode.timing)
+        run, raw = arena.unattacked, unattacked(arena.unattacked)
+        cell = _empty(self._setup, job, row, str(run.ending), run.reason, run.timing)
         if raw is None:
             return cell
         return cell | {"ending": "attempts_exhausted", "reason": "Nobody attacks.", "outcome": raw}

@@ -27,8 +27,8 @@ from sumo_adv.campaigns.results import (
 from sumo_adv.config import Settings, forget_environment, load_settings
 from sumo_adv.datatypes import Ending, Parameter, Planner
 from sumo_adv.drivers.registry import trusted_driver
-from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.loop import run_episode
+from sumo_adv.episode.run import Run
 from sumo_adv.episode.task import make_task
 from sumo_adv.episode.warm import WarmProcesses
 from sumo_adv.errors import BankError, SumoAdvError, UsageError, fault_sentence
@@ -203,14 +203,14 @@ class Runner(WarmProcesses):
                 self._parts.open_agents(settings, self._sandboxes.of(settings), recorded) as agents,
                 self._engine.episode() as engine,
             ):
-                episode = run_episode(given, settings, task, engine, agents, bank, lambda *_: None)
-                log = engine.log.said() if episode.ending is Ending.SIMULATION_FAILED else ""
-            if episode.ending is Ending.SIMULATION_FAILED:
+                run = run_episode(given, settings, task, engine, agents, bank, lambda *_: None)
+                log = engine.log.said() if run.ending is Ending.SIMULATION_FAILED else ""
+            if run.ending is Ending.SIMULATION_FAILED:
                 self._engine.close()
                 if not last:
-                    return Done(job.id, None, again=episode.reason, text=episode.traceback or log)
-            result = self._parts.write_run(folder, episode, figure=self._setup.figures)
-            row, size = self._finished(job, folder.stage, episode, result, bank, log)
+                    return Done(job.id, None, again=run.reason, text=run.traceback or log)
+            result = self._parts.write_run(folder, run, figure=self._setup.figures)
+            row, size = self._finished(job, folder.stage, run, result, bank, log)
             folder.keep(force=True)
         return Done(job.id, row, size)
 
@@ -241,13 +241,13 @@ class Runner(WarmProcesses):
         return self._opened
 
     def _finished(
-        self, job: EpisodeJob, stage: Path, episode: Episode, result: Mapping[str, Any], bank: MemoryBank, log: str
+        self, job: EpisodeJob, stage: Path, run: Run, result: Mapping[str, Any], bank: MemoryBank, log: str
     ) -> tuple[Row, int]:
         """What a batch adds to a run's folder; the row and the bytes of the folder but for its inputs, which are
         shared."""
         if isinstance(bank, Collector) and bank.lessons:
             (stage / LEARNT_FILE).write_text(as_text(bank.lessons), encoding="utf-8")
-        text = episode.traceback or log
+        text = run.traceback or log
         if text:
             (stage / TRACEBACK_FILE).write_text(text, encoding="utf-8")
         size = sum(p.stat().st_size for p in stage.iterdir() if p.is_file())

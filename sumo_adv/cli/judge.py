@@ -107,10 +107,11 @@ def _replayed(folder: Path, ego: str | None) -> Judgement:
     driver = recorded.task.ego_driver
     if trusted_driver(ego, driver, folder) != driver and is_foreign(driver):
         raise UsageError(f"The run in {folder} was driven by {driver!r}, not by {ego!r}.")
-    episode = replay(recorded)
-    if episode.best is None:
-        raise SumoAdvError(f"The encounter did not come back ({episode.reason})")
-    return Judgement(folder, driver, before, verdict(episode.best.verdict), "replay")
+    run = replay(recorded)
+    best = None if run.best is None else run.best.best
+    if best is None:
+        raise SumoAdvError(f"The encounter did not come back ({run.reason})")
+    return Judgement(folder, driver, before, verdict(best.verdict), "replay")
 
 
 def _line(row: dict[str, Any]) -> str:

@@ -68,8 +68,9 @@ def rerun(
         task = make_task(given, settings, Path(folder))
         with MemoryBank.open(Path(folder) / "one.sqlite") as bank, Engine(episode_worker) as engine:
             bank.add(source.intent, [planner])
-            episode = run_episode(given, settings, task, engine, Agents(settings, sandbox), bank, lambda *_: None)
-    own = [a.verdict for a in episode.refinement.attempts if a.proposal.planner.hash == planner.hash]
+            run = run_episode(given, settings, task, engine, Agents(settings, sandbox), bank, lambda *_: None)
+    made = () if run.best is None else run.best.attempts
+    own = [a.verdict for a in made if a.proposal.planner.hash == planner.hash]
     good = any(v.critical and v.counts for v in own)
     nearest = min((v.min_ttc for v in own), default=math.inf)
     return Rerun(good, len(own), nearest if math.isfinite(nearest) else None)

@@ -23,8 +23,8 @@ from sumo_adv.report.staging import RunFolder, scratch_folder, staged
 
 if TYPE_CHECKING:
     from sumo_adv.episode.engine import EpisodeEngine
-    from sumo_adv.episode.episode import Episode
     from sumo_adv.episode.planned_encounter import PlannedEncounter
+    from sumo_adv.episode.run import Run
     from sumo_adv.llm.prompts import Prompt
     from sumo_adv.simulation.inputs import RunInput
 
@@ -79,24 +79,24 @@ def _run(source: RunInput, settings: Settings, output: opt.OutputOptions) -> Non
     with Interrupts() as interrupts, staged(target, force=output.force) as folder, scratch_folder() as scratch:
         tell = interrupts.checked(reporter.tell)
         with reporter:
-            episode = app.play(source, settings, folder.stage, scratch, tell, interrupts.hold)
+            played = app.play(source, settings, folder.stage, scratch, tell, interrupts.hold)
         for note in () if output.as_json else source.notes:
             typer.echo(note)
-        finish(folder, episode, force=output.force, as_json=output.as_json)
+        finish(folder, played, force=output.force, as_json=output.as_json)
 
 
-def finish(folder: RunFolder, episode: Episode, *, force: bool, as_json: bool) -> None:
-    """Write the folder of an episode and say what it came to. Raises typer.Exit if it failed."""
+def finish(folder: RunFolder, run: Run, *, force: bool, as_json: bool) -> None:
+    """Write the folder of a run and say what it came to. Raises typer.Exit if it failed."""
     from sumo_adv.cli.progress import summary
     from sumo_adv.report.folder import write_run
 
-    result = write_run(folder, episode)
+    result = write_run(folder, run)
     folder.keep(force=force)
     if as_json:
         typer.echo(json.dumps({**result, "folder": str(folder.target)}))
     else:
         typer.echo(summary(result, folder.target))
-    if episode.ending in FAILED_ENDINGS or (episode.declined and episode.best is None):
+    if run.ending in FAILED_ENDINGS or run.declined:
         typer.echo(f"sumo-adv: {result['reason']}", err=True)
         raise typer.Exit(1)
 
@@ -127,8 +127,7 @@ def _replay(source: Path, ego: str | None, output: opt.OutputOptions) -> None:
         )
     target = output.out or source.with_name(f"{source.resolve().name}-replay")
     with staged(target, force=output.force) as folder:
-        episode = app.replay(recorded)
-        finish(folder, episode, force=output.force, as_json=output.as_json)
+        finish(folder, app.replay(recorded), force=output.force, as_json=output.as_json)
 
 
 def show_prompts_of(given: RunInput, settings: Settings, *, as_json: bool) -> None:
@@ -146,32 +145,31 @@ def show_prompts_of(given: RunInput, settings: Settings, *, as_json: bool) -> No
 
 def _prompts(given: RunInput, settings: Settings) -> list[Prompt]:
     from sumo_adv.agents.agents import Agents
-    from sumo_adv.episode.episode import Episode
-    from sumo_adv.episode.planned_encounter import find_attackable
+    from sumo_adv.episode.planned_encounter import EncounterFinder
     from sumo_adv.episode.task import make_task
 
     with tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch:
-        episode = Episode(given, settings, make_task(given, settings, Path(scratch)))
+        task = make_task(given, settings, Path(scratch))
         with open_for_run(settings) as bank, new_sandbox(settings) as sandbox, new_engine() as engine:
-            planned = find_attackable(episode, engine, sandbox, bank, lambda *_: None)
+            finder = EncounterFinder(given, settings, task, engine, lambda *_: None)
+            planned = finder.find_attackable(sandbox, bank)
             if planned is None or not planned.search.pool:
-                raise UsageError(f"There is nothing to ask about here. {episode.reason}".rstrip())
-            return [_analyzer(episode, planned, bank), *_writers(planned, settings, Agents(settings, sandbox), engine)]
+                why = "" if finder.stop is None else finder.stop.reason
+                raise UsageError(f"There is nothing to ask about here. {why}".rstrip())
+            return [_analyzer(planned, settings, bank), *_writers(planned, settings, Agents(settings, sandbox), engine)]
 
 
-def _analyzer(episode: Any, planned: PlannedEncounter, bank: Any) -> Prompt:
+def _analyzer(planned: PlannedEncounter, settings: Settings, bank: Any) -> Prompt:
     from sumo_adv.agents.analyzer import analyzer_prompt
     from sumo_adv.agents.ways import evidence_words
-    from sumo_adv.episode.memory_access import remembered, selection_of
-    from sumo_adv.episode.planned_encounter import teamwork
+    from sumo_adv.episode.memory_access import remembered
 
-    settings = episode.settings
     recalled = remembered(bank, planned.library, planned.scene)
     evidence = partial(evidence_words, planned.search.pool, library=planned.library, remembered=recalled)
-    library = selection_of(episode, bank).of(planned.library)
+    library = planned.selection.of(planned.library)
     return analyzer_prompt(
         shipped_prompts(), planned.found.situations, library, settings.limits.limits(),
-        evidence if settings.evidence == "on" else None, teamwork(episode, bank), settings.ask or "",
+        evidence if settings.evidence == "on" else None, planned.teamwork, settings.ask or "",
     )  # fmt: skip
 
 
@@ -241,5 +239,5 @@ def minimise(
     reporter = RunProgress(quiet=as_json)
     with staged(target, force=force) as folder:
         with reporter:
-            episode = app.minimise(recorded, settings, reporter.tell)
-        finish(folder, episode, force=force, as_json=as_json)
+            mildest = app.minimise(recorded, settings, reporter.tell)
+        finish(folder, mildest, force=force, as_json=as_json)

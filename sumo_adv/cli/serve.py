@@ -81,9 +81,9 @@ def folder_writer(target: Path) -> Callable[[Any, int], dict[str, Any]]:
     from sumo_adv.campaigns.worker import share
     from sumo_adv.report.folder import write_run
 
-    def write(episode: Any, number: int) -> dict[str, Any]:
+    def write(run: Any, number: int) -> dict[str, Any]:
         with staged(target / f"encounter-{number:04d}", force=False, inside=True) as folder:
-            result = write_run(folder, episode)
+            result = write_run(folder, run)
             share(folder.stage / "inputs", target / "inputs")
             folder.keep(force=False)
         return {**result, "folder": folder.target}

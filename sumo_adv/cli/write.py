@@ -170,8 +170,8 @@ def _run(scenario: Path, folder: Path, goal: Mapping[str, Any], settings: Settin
     brought = {key: value for key, value in given.settings(["until"]).items() if value is not None}
     wanted = settings.model_copy(update={**brought, **goal})
     with staged(folder, force=False) as target, scratch_folder() as scratch:
-        episode = app.play(given, wanted, target.stage, scratch, lambda *_: None)
-        result = write_run(target, episode)
+        run = app.play(given, wanted, target.stage, scratch, lambda *_: None)
+        result = write_run(target, run)
         target.keep(force=False)
     return result
 

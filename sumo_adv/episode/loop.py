@@ -1,24 +1,34 @@
-"""One episode from its input to its outcome: the paper's full online loop.
+"""One run from its input to its records: the paper's full online loop.
 
-encounter -> intent (analyzer) -> planner (memory bank, else generator) -> attempts (engine) -> outcome -> memory
+encounter -> intent (analyzer) -> planner (memory bank, else generator) -> attempts (engine) -> record -> memory
 """
 
 from __future__ import annotations
 
-import math
 import time
 import traceback
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 from sumo_adv.agents.agents import Agents
+from sumo_adv.asked import Asked
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Proposal
-from sumo_adv.episode.assessment import NOTHING, Attempts, Fitting, rank, reader_of, runner_of
+from sumo_adv.episode.assessment import NOTHING, Attempts, Fitting, reader_of, runner_of
 from sumo_adv.episode.engine import EpisodeEngine
-from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.memory_access import learn
-from sumo_adv.episode.planned_encounter import BankView, PlannedEncounter, Tell, analyze, find_attackable, seek
-from sumo_adv.episode.refinement import Refiner, settle_best
+from sumo_adv.episode.planned_encounter import (
+    OUT_OF_REACH,
+    BankView,
+    EncounterFinder,
+    Keep,
+    PlannedEncounter,
+    Tell,
+    analyze,
+    forget,
+)
+from sumo_adv.episode.refinement import Refinement, Refiner, settle_best
+from sumo_adv.episode.run import EncounterRecord, Run, Stop, seconds_by_part
 from sumo_adv.episode.task import FoundEncounter, Task
 from sumo_adv.errors import BudgetError, MissingVehicleError, ModelError, SumoAdvError, UsageError, fault_sentence
 from sumo_adv.memory.bank import MemoryBank
@@ -30,29 +40,38 @@ MOST_ASKED = 4  # encounters that a model is asked about, where those before can
 
 
 def run_episode(
-    source: RunInput, settings: Settings, task: Task, engine: EpisodeEngine, agents: Agents, bank: MemoryBank,
+    run_input: RunInput, settings: Settings, task: Task, engine: EpisodeEngine, agents: Agents, bank: MemoryBank,
     tell: Tell,
-) -> Episode:  # fmt: skip
-    """Find an encounter, attack it, and learn from it. Only wrong use is raised; everything else is an ending. Raises
-    UsageError, BankError: wrong use that shows only in the simulation (an unknown ego, a broken driver class)."""
-    episode = Episode(source, settings, task, bank_hash=bank.content_hash(), agents=agents)
-    began = time.perf_counter()
+) -> Run:  # fmt: skip
+    """Find encounters, attack in them until an attempt succeeds, and learn from them.
+
+    Only wrong use is raised; everything else is an ending.
+
+    Raises:
+        UsageError: Wrong use that shows only in the simulation (an unknown ego, a broken driver class).
+        BankError: The bank cannot be read.
+    """
+    began, bank_hash = time.perf_counter(), bank.content_hash()
+    finder = EncounterFinder(run_input, settings, task, engine, tell)
     try:
-        _run(episode, engine, agents, bank, tell)
+        _attack_encounters(finder, settings, task, engine, agents, bank, tell)
     except KeyboardInterrupt:
-        episode.ending, episode.reason = Ending.INTERRUPTED, "Ctrl-C."
+        finder.break_off(Stop(Ending.INTERRUPTED, "Ctrl-C.", failed=True))
     except ModelError as error:
-        episode.ending, episode.reason = model_ending(error), str(error)
+        finder.break_off(Stop(model_ending(error), str(error), failed=True))
     except SumoAdvError as error:
         if error.exit_status == 2:
             raise _explained(error, task.own_names(engine.log.warnings())) from error
-        episode.ending, episode.reason = Ending.SIMULATION_FAILED, with_names(str(error), task.copies)
+        finder.break_off(Stop(Ending.SIMULATION_FAILED, with_names(str(error), task.copies), failed=True))
     except Exception as error:  # a fault of ours: earlier results are kept
-        episode.ending, episode.reason = Ending.SIMULATION_FAILED, fault_sentence(error)
-        episode.traceback = traceback.format_exc()
-    episode.warnings = task.own_names(engine.log.warnings())
-    episode.timing["total"] = time.perf_counter() - began
-    return episode
+        trace = traceback.format_exc()
+        finder.break_off(Stop(Ending.SIMULATION_FAILED, fault_sentence(error), failed=True, traceback=trace))
+    isolation = agents.sandbox.isolation if any(record.attacked for record in finder.records) else ""
+    spent = seconds_by_part(finder.timing, *(record.timing for record in finder.records))
+    return Run(
+        run_input, settings, task, tuple(finder.records), finder.stop, finder.forked, agents, isolation, bank_hash,
+        task.own_names(engine.log.warnings()), {**spent, "total": time.perf_counter() - began},
+    )  # fmt: skip
 
 
 def _explained(error: SumoAdvError, warnings: Sequence[str]) -> SumoAdvError:
@@ -65,145 +84,194 @@ def model_ending(error: ModelError) -> Ending:
     return Ending.BUDGET_EXHAUSTED if isinstance(error, BudgetError) else Ending.MODEL_FAILED
 
 
-def _run(episode: Episode, engine: EpisodeEngine, agents: Agents, bank: MemoryBank, tell: Tell) -> None:
-    began, best = time.perf_counter(), None
-    try:
-        while True:
-            ask = episode.settings.tuner == "builtin" and episode.settings.total_seconds > 0
-            planned = find_attackable(episode, engine, agents.sandbox, bank, tell, ask=ask)
-            entries = None if planned is None else decide(episode, planned, agents, bank)
-            if entries is None and episode.declined and may_go_on(episode) and agents.calls["analyzer"] < MOST_ASKED:
-                episode.skips += 1
-                continue
-            if planned is None or entries is None:
+def _attack_encounters(
+    finder: EncounterFinder, settings: Settings, task: Task, engine: EpisodeEngine, agents: Agents, bank: MemoryBank,
+    tell: Tell,
+) -> None:  # fmt: skip
+    """Attack in one encounter after another until one gives a success, or until the run may not go on."""
+    began, ask = time.perf_counter(), settings.tuner == "builtin" and settings.total_seconds > 0
+    while (planned := finder.find_attackable(agents.sandbox, bank, agents, ask=ask)) is not None:
+        another = may_go_on(planned.found, task, settings)
+        decision = decide(finder.records[-1], planned, settings, agents, bank, finder.keep)
+        if decision.library is None:
+            declined = decision.record.request.declined
+            if not declined or not another or agents.calls["analyzer"] >= MOST_ASKED:
                 return
-            tell("intents", episode.intents)
-            runner = runner_of(engine, agents.sandbox, planned.found, episode.settings)
-            another = may_go_on(episode)
-            pursue(episode, planned, entries, runner, agents, bank, tell, another=another)
-            if episode.ending is not Ending.ATTEMPTS_EXHAUSTED or not another:
-                return
-            left = episode.leave()
-            best = left if best is None or _worth(left) < _worth(best) else best
-            if time.perf_counter() - began >= episode.settings.total_seconds:
-                return
-    finally:  # also after an interruption: no attempt of an earlier encounter is lost
-        if best is not None and episode.ending is not Ending.CRITICAL and _worth(best) <= _worth(episode):
-            episode.back_to(best)
+            finder.leave(f"it cannot play the request: {declined}")
+            continue
+        tell("intents", decision.record.intents)
+        runner = runner_of(engine, agents.sandbox, planned.found, settings)
+        record = pursue(decision, runner, settings, agents, bank, tell, finder.keep, another=another)
+        if record.ending is not Ending.ATTEMPTS_EXHAUSTED or not another:
+            return
+        finder.leave(f"{len(record.attempts)} attempts without success")
+        if time.perf_counter() - began >= settings.total_seconds:
+            return
 
 
-def may_go_on(episode: Episode) -> bool:
-    """Whether the run goes on with the next encounter where this one gives nothing."""
-    found, task = episode.found, episode.task
-    last = found is None or found.last or task.trigger is not None or task.playback is not None
-    return not last and episode.settings.tuner == "builtin" and episode.settings.total_seconds > 0
+def may_go_on(found: FoundEncounter, task: Task, settings: Settings) -> bool:
+    """Return whether a run goes on with the next encounter if this one gives no success."""
+    last = found.last or task.trigger is not None or task.playback is not None
+    return not last and settings.tuner == "builtin" and settings.total_seconds > 0
 
 
-def _worth(episode: Episode) -> tuple[float, float]:
-    """A key that sorts encounters without success, the best attempt first."""
-    return (math.inf, 0.0) if episode.best is None else rank(episode.best.verdict)
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """What to attack with in an encounter.
+
+    Attributes:
+        record: The record of the encounter, with its intents.
+        planned: The encounter with its predictions.
+        library: The intents with their planners to try; None if there is no candidate (the record says why).
+    """
+
+    record: EncounterRecord
+    planned: PlannedEncounter
+    library: Sequence[LibraryEntry] | None
 
 
 def decide(
-    episode: Episode, planned: PlannedEncounter, agents: Agents, bank: MemoryBank
-) -> Sequence[LibraryEntry] | None:
-    """Fill in the intents of an encounter; the library for it, or None if there is no candidate (the episode says so).
-    Raises ModelError: a language model plays a part and failed."""
-    entries = planned.library
+    record: EncounterRecord, planned: PlannedEncounter, settings: Settings, agents: Agents, bank: MemoryBank,
+    keep: Keep = forget,
+) -> Decision:  # fmt: skip
+    """Decide which intents to attack with.
+
+    Raises:
+        ModelError: A language model plays a part and failed.
+    """
+    record = replace(record, bandit=planned.bandit, timing={**record.timing, **planned.timing})
     if planned.known is not None:  # recalled from a similar scene, so no agent is asked
-        episode.intents = [planned.known]
+        record, library = replace(record, intents=[planned.known]), planned.library
     else:
-        entries = analyze(episode, planned, agents, bank)
-    if episode.declined:
-        episode.ending, episode.reason = Ending.NO_ENCOUNTER, f"The request cannot be played: {episode.declined}"
-        return None
-    if not episode.intents and episode.settings.tuner == "off":
-        episode.ending, episode.reason = Ending.NO_ENCOUNTER, "The analyzer sees nothing here that could be dangerous."
-        return None
+        record, library = analyze(record, planned, settings, agents, bank, keep)
+    why_not = _why_not(record, planned, settings)
+    if why_not:
+        record = replace(record, ending=Ending.NO_ENCOUNTER, reason=why_not)
+    keep(record)
+    return Decision(record, planned, None if why_not else library)
+
+
+def _why_not(record: EncounterRecord, planned: PlannedEncounter, settings: Settings) -> str:
+    """Why there is nothing to attack with, empty if there is."""
+    if record.request.declined:
+        return f"The request cannot be played: {record.request.declined}"
+    if not record.intents and settings.tuner == "off":
+        return "The analyzer sees nothing here that could be dangerous."
     if planned.search:
-        return entries
-    ranking = () if episode.found is None else episode.found.ranking
-    near = ", ".join(f"{name} ({relation})" for name, relation, _ in ranking)
+        return ""
+    near = ", ".join(f"{name} ({relation})" for name, relation, _ in planned.found.ranking)
     reason = "No intent of the library applies to any vehicle near"
-    episode.ending, episode.reason = Ending.NO_ENCOUNTER, f"{reason}: {near}." if near else f"{reason}."
-    return None
+    return f"{reason}: {near}." if near else f"{reason}."
 
 
 def pursue(
-    episode: Episode, planned: PlannedEncounter, entries: Sequence[LibraryEntry], runner: Attempts, agents: Agents,
-    bank: MemoryBank, tell: Tell, *, another: bool = False,
-) -> None:  # fmt: skip
-    """Run attempts until one succeeds or the budget is used up, and learn from them. another: there may be another
-    encounter, so this one is left sooner where nothing comes near."""
-    settings, timing = episode.settings, episode.timing
-    if episode.asked is not None:
-        reader = reader_of(agents, episode.words)
-        episode.refinement.fitting = Fitting(episode.asked, planned.found, settings, reader)
-    refiner = Refiner(runner, planned.found, planned.search, agents, entries, settings, tell, another=another)
+    decision: Decision, runner: Attempts, settings: Settings, agents: Agents, bank: MemoryBank, tell: Tell,
+    keep: Keep = forget, *, another: bool = False,
+) -> EncounterRecord:  # fmt: skip
+    """Run attempts until one succeeds or the budget is used up, and learn from them.
+
+    Args:
+        decision: What to attack with; it has a library.
+        runner: Runs the attempts.
+        settings: The run's settings.
+        agents: The players of the parts.
+        bank: The memory bank.
+        tell: Called with each attempt.
+        keep: Called with the record of the attempts, also after an interruption or a failure.
+        another: True if there may be another encounter, so this one is left sooner if nothing comes near.
+
+    Returns:
+        The record with the attempts and what was learnt from them.
+    """
+    record, planned, library = decision.record, decision.planned, decision.library
+    assert library is not None
+    done, asked = Refinement(goal=settings.goal), record.request.asked
+    if asked is not None:
+        done.fitting = Fitting(asked, planned.found, settings, reader_of(agents, record.request.words))
+    refiner = Refiner(runner, planned.found, planned.search, agents, library, settings, tell, another=another)
     try:
-        refiner.run(episode.intents, episode.refinement)
-        episode.ending, episode.reason = episode.refinement.ending, episode.refinement.reason
+        refiner.run(record.intents, done)
     except ModelError as error:  # the attempts until then count
-        episode.ending, episode.reason = model_ending(error), str(error)
-    finally:  # also after an interruption or a failure
-        episode.known_labels = frozenset(e.label for e in planned.library)
-        episode.keep_intent()
-        episode.isolation = agents.sandbox.isolation
-        timing["prediction"] = timing.get("prediction", 0.0) + planned.predictor.seconds
-        timing["attempts"] = episode.refinement.seconds
-        episode.notes += sorted(f"planner {name[:12]}: {why}" for name, why in planned.predictor.failures.items())
-    before = BankView.of(episode, bank, planned)
-    learn(episode, bank, entries)
-    episode.bank_change = before.difference(BankView.of(episode, bank, planned))
+        done.ending, done.reason = model_ending(error), str(error)
+    finally:
+        failures = sorted(f"planner {name[:12]}: {why}" for name, why in planned.predictor.failures.items())
+        known = frozenset(entry.label for entry in planned.library)
+        record = replace(done.recorded(record), known_labels=known, notes=[*record.notes, *failures])
+        record = record.took("prediction", planned.predictor.seconds).took("attempts", done.seconds)
+        keep(record)
+    before = BankView.of(planned, settings, agents, bank)
+    learnt = learn(record, bank, library, settings, planned.network, planned.scene.controller)
+    change = before.difference(BankView.of(planned, settings, agents, bank))
+    notes = [*record.notes, learnt.note] if learnt.note else record.notes
+    record = replace(record, learnt=learnt.success, bank_change=change, notes=notes)
+    keep(record)
+    return record
+
+
+# -- a recorded attack again ----------------------------------------------------------------------------------------
 
 
 def replay_episode(
-    source: RunInput, settings: Settings, task: Task, engine: EpisodeEngine, sandbox: Sandbox, proposal: Proposal,
+    run_input: RunInput, settings: Settings, task: Task, engine: EpisodeEngine, sandbox: Sandbox, proposal: Proposal,
     skips: int,
-) -> Episode:  # fmt: skip
-    """The encounter again, with one given attempt and nothing else: no analyzer, no bank; ``skips`` as recorded."""
-    episode = Episode(source, settings, task)
-    episode.intent = Intent(proposal.bv, proposal.label, "", "", proposal.acceleration, "replayed from a manifest")
-    encounter = recorded_encounter(episode, engine, proposal, skips)
-    if encounter is not None:
-        attack_once(episode, engine, sandbox, encounter, proposal)
-    episode.warnings = task.own_names(engine.log.warnings())
-    return episode
+) -> Run:  # fmt: skip
+    """Repeat an encounter with one given attempt and nothing else: no analyzer, no bank. ``skips``: the number of
+    encounters before it."""
+    finder = EncounterFinder(run_input, settings, task, engine, lambda *_: None)
+    record = recorded_encounter(finder, proposal, skips)
+    if record is not None:
+        runner = runner_of(engine, sandbox, record.found, settings)
+        done = attack_once(record.found, runner, settings, proposal, record.request.asked)
+        finder.keep(given_attack(done.recorded(record), proposal, "replayed from a manifest"))
+    return Run(
+        run_input, settings, task, tuple(finder.records), finder.stop, finder.forked, isolation=sandbox.isolation,
+        warnings=task.own_names(engine.log.warnings()),
+        timing=seconds_by_part(finder.timing, *(record.timing for record in finder.records)),
+    )  # fmt: skip
+
+
+def given_attack(record: EncounterRecord, proposal: Proposal, reason: str) -> EncounterRecord:
+    """Return a record whose intent is that of a given attack, for the ``reason`` given."""
+    intent = Intent(proposal.bv, proposal.label, "", "", proposal.acceleration, reason)
+    return replace(record, intents=(intent,), known_labels=frozenset({proposal.label}))
 
 
 def attack_once(
-    episode: Episode, engine: EpisodeEngine, sandbox: Sandbox, found: FoundEncounter, proposal: Proposal
-) -> None:
-    """Run one given attempt in an encounter, with its reference drivers, and keep it as the only one."""
-    settings = episode.settings
-    runner = runner_of(engine, sandbox, found, settings)
+    found: FoundEncounter, runner: Attempts, settings: Settings, proposal: Proposal, asked: Asked | None
+) -> Refinement:
+    """Run one given attempt in an encounter, with its reference drivers. Returns it as the only attempt."""
     (result,) = runner.attempt([proposal])
     verdict = result.verdict or NOTHING
     attempt = Attempt(0, "replay", proposal, result.start, verdict, result.driven.ending, result.driven.message)
-    if episode.asked is not None:
-        attempt = Fitting(episode.asked, found, settings).judged(attempt, result, settings.goal)
-    episode.refinement.attempts.append(attempt)
-    episode.refinement.results.append(result)
-    settle_best(episode.refinement, runner)
-    ok = settings.goal.met(episode.refinement.attempts[0].verdict)
-    episode.ending = Ending.CRITICAL if ok else Ending.ATTEMPTS_EXHAUSTED
+    if asked is not None:
+        attempt = Fitting(asked, found, settings).judged(attempt, result, settings.goal)
+    done = Refinement(goal=settings.goal, attempts=[attempt], results=[result])
+    settle_best(done, runner)
+    done.ending = Ending.CRITICAL if settings.goal.met(done.attempts[0].verdict) else Ending.ATTEMPTS_EXHAUSTED
+    return done
 
 
-def recorded_encounter(
-    episode: Episode, engine: EpisodeEngine, proposal: Proposal, skips: int
-) -> FoundEncounter | None:
-    """The encounter of a recorded attack; None if the simulation does not come to it (the episode says why). Raises
-    UsageError: the recorded start or vehicle is none of the encounter's."""
-    for _ in range(skips + 1):
-        encounter = seek(episode, engine, lambda *_: None)
-        if encounter is None:
-            return None
-    assert encounter is not None
-    if proposal.delay not in encounter.situations:
+def recorded_encounter(finder: EncounterFinder, proposal: Proposal, skips: int) -> EncounterRecord | None:
+    """Go on to the encounter of a recorded attack.
+
+    Returns:
+        Its record; None if the simulation does not come to it (``finder.stop`` says why).
+
+    Raises:
+        UsageError: The recorded start or vehicle is none of the encounter's.
+    """
+    record = finder.seek()
+    for _ in range(skips):
+        if record is not None:
+            finder.leave(OUT_OF_REACH)
+            record = finder.seek()
+    if record is None:
+        return None
+    if proposal.delay not in record.found.situations:
         raise UsageError(
             f"The manifest's delay of {proposal.delay:g} s is not one of the run, so it cannot be replayed."
         )
     for bv in proposal.bvs:
-        if bv not in encounter.situations[proposal.delay].targets:
+        if bv not in record.found.situations[proposal.delay].targets:
             raise UsageError(f"The manifest's vehicle '{bv}' is none of the run's, so it cannot be replayed.")
-    return encounter
+    return record

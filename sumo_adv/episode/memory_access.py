@@ -1,11 +1,11 @@
-"""What an episode reads from the memory bank and writes to it: library, retrieval, recall of scenes, learning."""
+"""What a run reads from the memory bank and writes to it: library, retrieval, recall of scenes, learning."""
 
 from __future__ import annotations
 
 import random
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 from sumo_adv import __version__
@@ -13,9 +13,10 @@ from sumo_adv.agents.agents import Agents
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Intent, LibraryEntry, Limits, Planner, Proposal, acceleration_of
 from sumo_adv.episode.assessment import rank
-from sumo_adv.episode.episode import Episode
+from sumo_adv.episode.run import EncounterRecord
 from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.errors import BankError
+from sumo_adv.goal import Goal
 from sumo_adv.memory.bank import MemoryBank, retrieve_composition
 from sumo_adv.memory.recall import SCENE_SCALES, draw, explain, signature_distance
 from sumo_adv.memory.records import Composition, Evidence, IntentRecord, Part, SceneSignature, canonical, evidence_of
@@ -72,11 +73,6 @@ def _with(entries: Sequence[LibraryEntry], shipped: LibraryEntry) -> list[Librar
     return [more if e is held else e for e in entries]
 
 
-def selection_of(episode: Episode, bank: MemoryBank) -> Selection:
-    """The intents that the settings and the scenario let an episode try. Raises UsageError for unknown ones."""
-    return selected(episode.settings, bank, episode.source.intents)
-
-
 def selected(settings: Settings, bank: MemoryBank, scenario: Sequence[str] = ()) -> Selection:
     """The intents of a bank that settings and a scenario allow. Raises UsageError for unknown ones. A scenario may name
     intents that the bank lacks or has retired, if the program ships them."""
@@ -98,15 +94,14 @@ def shipped_labels() -> frozenset[str]:
 
 
 def recall(
-    episode: Episode, found: FoundEncounter, library: Sequence[LibraryEntry], bank: MemoryBank
-) -> tuple[Intent, Proposal] | None:
-    """The attack that the bank remembers from the most similar scene; None if no scene is similar enough."""
-    began, limits = time.perf_counter(), episode.settings.limits.limits()
-    selection = selection_of(episode, bank)
+    found: FoundEncounter, library: Sequence[LibraryEntry], bank: MemoryBank, selection: Selection, limits: Limits,
+    driver: str,
+) -> tuple[Intent, Proposal] | None:  # fmt: skip
+    """Return the attack that the bank remembers from the most similar scene; None if no scene is similar enough."""
     best: tuple[tuple[bool, float], Intent, Proposal] | None = None
     for delay, situation in sorted(found.situations.items()):
         for target in situation.target_list():
-            scene = signature(situation, target.state.id, episode.task.ego_driver)
+            scene = signature(situation, target.state.id, driver)
             evidence = bank.recall_scene(scene)
             remains = _remembered(library, evidence, limits) if evidence is not None else None
             if evidence is None or remains is None or not selection.allows(evidence.label):
@@ -121,7 +116,6 @@ def recall(
                     by="memory", score=0.0,
                 )  # fmt: skip
                 best = (order, intent, proposal)
-    episode.timing["recall"] = time.perf_counter() - began
     return None if best is None else best[1:]
 
 
@@ -141,11 +135,21 @@ def _remembered(
     return None
 
 
+@dataclass(frozen=True, slots=True)
+class Retrieved:
+    """The intents under the labels of their entries, the library that has these entries, and the seconds in the
+    bank."""
+
+    intents: Sequence[Intent]
+    library: Sequence[LibraryEntry]
+    seconds: float
+
+
 def retrieve(
-    episode: Episode, agents: Agents, situations: Mapping[float, Situation], library: Sequence[LibraryEntry],
+    given: Sequence[Intent], agents: Agents, situations: Mapping[float, Situation], library: Sequence[LibraryEntry],
     bank: MemoryBank,
-) -> list[LibraryEntry]:  # fmt: skip
-    """The library with entries for the episode's intents.
+) -> Retrieved:  # fmt: skip
+    """Return the library with entries for the ``given`` intents.
 
     An intent that a model calls novel is novel, unless the model says that it is one of the nearest two. Without a
     judgement, an intent within epsilon of a library entry takes that entry's label. A novel intent gets a new
@@ -153,14 +157,14 @@ def retrieve(
 
     Raises ModelError: a model plays the analyzer or the generator and failed.
     """
-    entries, by_label = list(library), {e.label: e for e in library}
+    entries, by_label, intents, spent = list(library), {e.label: e for e in library}, list(given), 0.0
     situation = situations[min(situations)]
-    for intent in tuple(episode.intents):
+    for intent in given:
         if intent.label in by_label:
             continue
         began = time.perf_counter()
         retrieved = bank.retrieve(intent.label, intent.description)
-        episode.timing["retrieval"] = episode.timing.get("retrieval", 0.0) + time.perf_counter() - began
+        spent += time.perf_counter() - began
         near = [by_label[label] for label, _ in retrieved.nearest if label in by_label]
         if agents.by_model("analyzer") and not applies_of(intent.label) and near:
             same = agents.confirm(intent, near[:CONFIRMED], situations)
@@ -172,9 +176,7 @@ def retrieve(
             entry = replace(hit, applies=tuple(dict.fromkeys((*hit.applies, *words))))
             entries = [entry if e.label == hit.label else e for e in entries]
             by_label[hit.label] = entry
-            episode.intents = [
-                replace(i, label=hit.label, ways=same.ways) if i.label == intent.label else i for i in episode.intents
-            ]
+            intents = [replace(i, label=hit.label, ways=same.ways) if i.label == intent.label else i for i in intents]
             continue
         planners = agents.generate(intent, situation, near or library)
         if planners:
@@ -182,7 +184,7 @@ def retrieve(
             entry = LibraryEntry(intent.label, intent.description, own, planners, "generated")
             by_label[intent.label] = entry
             entries.append(entry)
-    return entries
+    return Retrieved(intents, entries, spent)
 
 
 def known_casts(casts: Sequence[Cast], bank: MemoryBank) -> list[Cast]:
@@ -220,50 +222,72 @@ def remembered(bank: MemoryBank, library: Sequence[LibraryEntry], now: SceneSign
     return tallies
 
 
-def learn(episode: Episode, bank: MemoryBank, entries: Sequence[LibraryEntry]) -> None:
-    """Write what the attempts showed to the bank, one piece of evidence for each planner that was tried.
+@dataclass(frozen=True, slots=True)
+class Learnt:
+    """Whether the bank has learnt a success, and a sentence if it could not be written."""
+
+    success: bool = False
+    note: str = ""
+
+
+def learn(
+    record: EncounterRecord, bank: MemoryBank, entries: Sequence[LibraryEntry], settings: Settings, network: str,
+    driver: str,
+) -> Learnt:  # fmt: skip
+    """Write what the attempts of an encounter showed to the bank: a piece of evidence for each planner that was tried.
 
     A critical and feasible attempt that is no rear-end adds its planner, and a generated intent, to the bank. A failed
     one is recorded only if the bank has its planner.
 
-    A bank that cannot be written adds a note to the episode and raises nothing.
+    Args:
+        record: The encounter with its attempts.
+        bank: The bank. If it cannot be written, nothing is raised.
+        entries: The library that the attempts came from.
+        settings: The run's settings.
+        network: The name of the run's input.
+        driver: The name of the ego's driver.
     """
-    if episode.settings.learn == "off" or episode.best is None or episode.found is None:
-        return
+    if settings.learn == "off":
+        return Learnt()
+    success = False
     by_planner: dict[str, list[Attempt]] = {}
     by_composition: dict[str, list[Attempt]] = {}  # those of several adversaries say nothing of a planner alone
-    for attempt in episode.refinement.attempts:
+    for attempt in record.attempts:
         p = attempt.proposal
         if attempt.ending not in ("ego_lost", "crashed"):  # else it was not driven to its end, and says nothing
             tried, key = (by_composition, p.composition) if p.supports else (by_planner, p.planner.hash)
             tried.setdefault(key, []).append(attempt)
     try:
         for attempts in by_planner.values():
-            episode.learnt |= _learn_one(episode, bank, entries, min(attempts, key=lambda a: rank(a.verdict)))
+            attempt = min(attempts, key=lambda a: rank(a.verdict))
+            scene = signature(record.found.situations[attempt.proposal.delay], attempt.proposal.bv, driver)
+            success |= _learn_one(bank, entries, attempt, scene, network, settings.seed)
         for attempts in by_composition.values():
-            episode.learnt |= _learn_composition(episode, bank, entries, attempts)
+            success |= _learn_composition(bank, entries, attempts, record.casts, settings.goal)
     except BankError as error:
-        episode.notes.append(f"Nothing was learnt: {error}")
+        return Learnt(success, f"Nothing was learnt: {error}")
+    return Learnt(success)
 
 
 def _learn_composition(
-    episode: Episode, bank: MemoryBank, entries: Sequence[LibraryEntry], attempts: Sequence[Attempt]
+    bank: MemoryBank, entries: Sequence[LibraryEntry], attempts: Sequence[Attempt], casts: Sequence[Cast], goal: Goal
 ) -> bool:
     """Count the attempts of a composition, which a success adds if it is new; whether anything was learnt."""
     best = min(attempts, key=lambda a: rank(a.verdict)).proposal
     parts = tuple(Part(p.duty, p.label, p.planner.mode) for p in best.members)
-    composition = Composition(best.composition, description_of(best, entries, episode.casts), parts)
-    met = [episode.settings.goal.met(a.verdict) for a in attempts]
+    composition = Composition(best.composition, description_of(best, entries, casts), parts)
+    met = [goal.met(a.verdict) for a in attempts]
     return bank.record_composition(composition, met) and any(met)
 
 
-def _learn_one(episode: Episode, bank: MemoryBank, entries: Sequence[LibraryEntry], attempt: Attempt) -> bool:
+def _learn_one(
+    bank: MemoryBank, entries: Sequence[LibraryEntry], attempt: Attempt, scene: SceneSignature, network: str, seed: int
+) -> bool:
     """Write one piece of evidence; True if it is a success.
 
     An intent composed by the expert is written with all of its modes. They adapt the bank's own planners to another
     movement, and no planner is generated for an intent that the bank already has.
     """
-    assert episode.found is not None
     p = attempt.proposal
     entry = next((e for e in entries if e.label == p.label), None)
     if entry is None:  # a free motion that was named after an intent that was not composed here
@@ -271,9 +295,8 @@ def _learn_one(episode: Episode, bank: MemoryBank, entries: Sequence[LibraryEntr
     planner = p.planner
     evidence = evidence_of(
         attempt.verdict, label=p.label, planner_hash=planner.hash,
-        scene=signature(episode.found.situations[p.delay], p.bv, episode.task.ego_driver), attempts=attempt.index + 1,
-        version=__version__, network=episode.source.name, seed=episode.settings.seed, parameters=dict(p.parameters),
-        acceleration=p.acceleration, delay=p.delay,
+        scene=scene, attempts=attempt.index + 1, version=__version__, network=network, seed=seed,
+        parameters=dict(p.parameters), acceleration=p.acceleration, delay=p.delay,
     )  # fmt: skip
     in_bank = planner.hash in {p.hash for p in bank.planners(entry.label)}
     if not evidence.success and not in_bank:

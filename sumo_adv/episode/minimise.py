@@ -14,12 +14,13 @@ from itertools import cycle
 from random import Random
 
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Attempt, Ending, Intent, Level, Proposal
+from sumo_adv.datatypes import Attempt, Ending, Level, Proposal
 from sumo_adv.episode.assessment import attempt_of, confirmed, runner_of
 from sumo_adv.episode.engine import EpisodeEngine
-from sumo_adv.episode.episode import Episode
-from sumo_adv.episode.loop import recorded_encounter
-from sumo_adv.episode.planned_encounter import Tell
+from sumo_adv.episode.loop import given_attack, recorded_encounter
+from sumo_adv.episode.planned_encounter import EncounterFinder, Tell
+from sumo_adv.episode.refinement import Refinement
+from sumo_adv.episode.run import Run, seconds_by_part
 from sumo_adv.episode.task import AttemptResult, Task
 from sumo_adv.errors import UsageError
 from sumo_adv.metrics.gates import largest_acceleration
@@ -87,10 +88,10 @@ class Minimiser:
 
 
 def minimise_episode(
-    source: RunInput, settings: Settings, task: Task, engine: EpisodeEngine, sandbox: Sandbox, proposal: Proposal,
+    run_input: RunInput, settings: Settings, task: Task, engine: EpisodeEngine, sandbox: Sandbox, proposal: Proposal,
     skips: int, tell: Tell,
-) -> Episode:  # fmt: skip
-    """The encounter of a recorded attack again, with the attack and milder variants. The mildest one counts.
+) -> Run:  # fmt: skip
+    """Repeat the encounter of a recorded attack, with the attack and milder variants. The mildest one counts.
 
     settings: ``until`` is the level that a variant must reach, ``attempts`` the largest number of simulations.
 
@@ -98,20 +99,20 @@ def minimise_episode(
     """
     if settings.goal.ttc is not None:
         raise UsageError("The run looked for a near miss, which has no milder variants: minimise takes a collision.")
-    episode = Episode(source, settings, task)
     began = time.perf_counter()
-    encounter = recorded_encounter(episode, engine, proposal, skips)
-    if encounter is None:
-        raise UsageError(f"The encounter did not come back ({episode.reason}), so there is nothing to minimise.")
-    episode.intent = Intent(proposal.bv, proposal.label, "", "", proposal.acceleration, "minimised from a manifest")
-    episode.intents, level, done = (episode.intent,), settings.until.level, episode.refinement
+    finder = EncounterFinder(run_input, settings, task, engine, lambda *_: None)
+    record = recorded_encounter(finder, proposal, skips)
+    if record is None:
+        why = "" if finder.stop is None else finder.stop.reason
+        raise UsageError(f"The encounter did not come back ({why}), so there is nothing to minimise.")
+    found, level, done = record.found, settings.until.level, Refinement(goal=settings.goal)
     reached, met = settings.goal.reached, settings.goal.met
-    runner = runner_of(engine, sandbox, encounter, settings)
+    runner = runner_of(engine, sandbox, found, settings)
 
     def attempted(p: Proposal) -> tuple[Attempt, AttemptResult]:
         (result,) = runner.attempt([p])
         phase = "replay" if not done.attempts else "minimise"
-        attempt = confirmed(attempt_of(len(done.attempts), phase, p, result, encounter, settings), result, runner)
+        attempt = confirmed(attempt_of(len(done.attempts), phase, p, result, found, settings), result, runner)
         done.attempts.append(attempt)
         done.results.append(result)
         tell("attempt", attempt)
@@ -122,26 +123,28 @@ def minimise_episode(
         raise UsageError(
             f"The attack reaches the level {first.verdict.level}, not {settings.goal}; choose a lower --until."
         )
-    predictor = Predictor(sandbox, settings, encounter.drivable, encounter.situations)
-    starts = [
-        delay for delay, situation in encounter.situations.items() if situation.targets.keys() >= set(proposal.bvs)
-    ]
+    predictor = Predictor(sandbox, settings, found.drivable, found.situations)
+    starts = [delay for delay, situation in found.situations.items() if situation.targets.keys() >= set(proposal.bvs)]
     search = Minimiser(predictor, proposal, math.inf, level, starts, settings.seed)
     search.harshness = before = _harshness(search, first, result, settings)
-    done.chosen, done.ending, episode.ending = 0, Ending.CRITICAL, Ending.CRITICAL
+    mildest = 0
     while len(done.attempts) < settings.attempts and (variant := search.propose()) is not None:
         attempt, result = attempted(variant)
         harshness = _harshness(search, attempt, result, settings) if met(attempt.verdict) else math.inf
         if search.observe(variant, reached(attempt.verdict), harshness):
-            done.chosen = attempt.index
-    episode.reason = (
+            mildest = attempt.index
+    done.ending, total = Ending.CRITICAL, time.perf_counter() - began
+    done.reason = (
         f"The mildest of {len(done.attempts)} attacks that reaches {level}: harshness {search.harshness:.1f} instead "
         f"of {before:.1f} m/s2."
     )
-    episode.isolation = sandbox.isolation
-    episode.timing |= {"prediction": predictor.seconds, "total": time.perf_counter() - began}
-    done.seconds = episode.timing["total"]
-    return episode
+    record = given_attack(done.recorded(record), proposal, "minimised from a manifest").of_attempt(mildest)
+    finder.keep(record.took("prediction", predictor.seconds))
+    spent = seconds_by_part(finder.timing, *(record.timing for record in finder.records))
+    return Run(
+        run_input, settings, task, tuple(finder.records), finder.stop, finder.forked, isolation=sandbox.isolation,
+        timing={**spent, "total": total},
+    )  # fmt: skip
 
 
 def _harshness(search: Minimiser, attempt: Attempt, result: AttemptResult, settings: Settings) -> float:

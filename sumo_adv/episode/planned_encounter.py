@@ -3,43 +3,66 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from sumo_adv.agents.agents import Agents
 from sumo_adv.agents.teams import Teamwork
-from sumo_adv.datatypes import Intent, LibraryEntry
+from sumo_adv.config import Settings
+from sumo_adv.datatypes import Ending, Intent, LibraryEntry
 from sumo_adv.episode.engine import EpisodeCalls, EpisodeEngine
-from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.memory_access import (
     known_casts,
     read_library,
     recall,
     remembered,
     retrieve,
-    selection_of,
+    selected,
     signature,
 )
-from sumo_adv.episode.task import FoundEncounter, NoEncounter
+from sumo_adv.episode.run import EncounterRecord, Request, Stop, best_record
+from sumo_adv.episode.task import FoundEncounter, NoEncounter, Task
 from sumo_adv.memory.bank import MemoryBank, compositions
 from sumo_adv.memory.records import SceneSignature
 from sumo_adv.planners.sandbox import Sandbox
-from sumo_adv.search.intents import FREE, composed
+from sumo_adv.search.intents import FREE, Selection, composed
 from sumo_adv.search.prediction import Predictor
 from sumo_adv.search.sampling import templates_of
 from sumo_adv.search.search import AttackSearch
 from sumo_adv.search.settings import SearchSettings
+from sumo_adv.simulation.inputs import RunInput
 from sumo_adv.words.request import needs_model
 
 MOST_SKIPS = 6  # encounters that are passed over because no candidate is predicted to collide
+OUT_OF_REACH = "no intent reaches the ego, by prediction"
 Tell = Callable[[str, Any], None]
 """Called with what happens, for progress: ("encounter", FoundEncounter), ("intents", ...), ("attempt", Attempt)."""
+Keep = Callable[[EncounterRecord], None]
+"""Called with the record of an encounter whenever it has grown, so that nothing is lost if something breaks."""
+
+
+def forget(record: EncounterRecord) -> None:
+    """Keep nothing: for callers that need the record only if nothing breaks."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlannedEncounter:
-    """An encounter with its predictions. ``known``: the intent recalled from a similar scene, if there is one."""
+    """An encounter with the predictions of the first candidates.
+
+    Attributes:
+        found: The encounter.
+        predictor: Predicts candidates.
+        library: The bank's intents, with those for pedestrians and cyclists near.
+        scene: What the bank compares this encounter by.
+        search: The search for attacks.
+        known: The intent recalled from a similar scene; None if there is none.
+        selection: The intents that may be tried.
+        teamwork: What an analyzer may compose; None if one adversary is all that is allowed.
+        network: The name of the run's input.
+        bandit: How the planners of each intent were ordered, for the manifest.
+        timing: How long each part took [s].
+    """
 
     found: FoundEncounter
     predictor: Predictor
@@ -47,6 +70,11 @@ class PlannedEncounter:
     scene: SceneSignature
     search: AttackSearch
     known: Intent | None
+    selection: Selection
+    teamwork: Teamwork | None
+    network: str
+    bandit: Sequence[Mapping[str, object]] = ()
+    timing: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def reaches(self) -> bool:
@@ -54,130 +82,189 @@ class PlannedEncounter:
         return self.known is not None or self.search.reaches
 
 
-def find_attackable(
-    episode: Episode, engine: EpisodeEngine, sandbox: Sandbox, bank: MemoryBank, tell: Tell, *, ask: bool = False
-) -> PlannedEncounter | None:
-    """The first encounter in which some candidate is predicted to collide; None if there is none.
+class EncounterFinder:
+    """Finds the encounters of a run one after another, and keeps their records while the run goes on.
 
-    ask: any candidate is enough, because attempts will tell. The episode says why there is no encounter. Raises
-    UsageError for intents in the settings that the bank does not know.
+    Attributes:
+        records: The records so far; the last one is that of the encounter at hand.
+        stop: Why there is no further encounter; None while there may be one.
+        forked: Whether attempts are forks of the simulation; known once the first encounter was looked for.
+        stopped: How many calls of each planner ran into a limit in predictions, by the planner's hash.
+        timing: How long the start took [s].
     """
-    selection_of(episode, bank)  # refuses misspelt names before anything is simulated
-    while True:
-        encounter = seek(episode, engine, tell)
-        if encounter is None:
+
+    def __init__(self, run_input: RunInput, settings: Settings, task: Task, engine: EpisodeEngine, tell: Tell) -> None:
+        """Find encounters of a task; nothing is simulated yet."""
+        self._run_input, self._settings, self._task = run_input, settings, task
+        self._engine, self._tell = engine, tell
+        self.records: list[EncounterRecord] = []
+        self.stop: Stop | None = None
+        self.forked = False
+        self.stopped: Mapping[str, int] = {}
+        self.timing: dict[str, float] = {}
+
+    def seek(self) -> EncounterRecord | None:
+        """Start the simulation, if it has not started, and go on to the next encounter.
+
+        Returns:
+            The record of the encounter; None if there is none (``stop`` says why).
+        """
+        began = time.perf_counter()
+        if not self.records:
+            self._engine.call(EpisodeCalls.open, self._task)
+            self.forked = self._engine.call(EpisodeCalls.forks)
+            self.timing["start"] = time.perf_counter() - began
+            began = time.perf_counter()
+        found = self._engine.call(EpisodeCalls.seek, self.records[-1].left if self.records else "")
+        seconds = time.perf_counter() - began
+        if isinstance(found, NoEncounter):
+            self.stop = Stop(found.ending, found.reason)
+            self.timing["seek"] = seconds
             return None
-        planned = with_predictions(episode, encounter, sandbox, bank)
-        episode.stopped = planned.predictor.stopped
-        reaches = planned.reaches or (ask and bool(planned.search))
-        if reaches or planned.found.last or episode.task.trigger is not None or episode.skips >= MOST_SKIPS:
-            return planned
-        episode.skips += 1
+        record = EncounterRecord(
+            found, self._settings.goal, self._engine.call(EpisodeCalls.prefix),
+            self._engine.call(EpisodeCalls.lanes, *found.area),
+            Request(self._run_input.asked, self._run_input.words), timing={"seek": seconds},
+        )  # fmt: skip
+        self.records.append(record)
+        self._tell("encounter", found)
+        return record
+
+    def find_attackable(
+        self, sandbox: Sandbox, bank: MemoryBank, agents: Agents | None = None, *, ask: bool = False
+    ) -> PlannedEncounter | None:
+        """Go on to the first encounter in which some candidate is predicted to collide.
+
+        Args:
+            sandbox: Where planners run.
+            bank: The memory bank.
+            agents: Who plays along; None if nobody does.
+            ask: True if any candidate is enough, because attempts will tell.
+
+        Returns:
+            The encounter, whose record is the last one; None if there is none (``stop`` says why).
+
+        Raises:
+            UsageError: The settings name an intent that the bank does not know.
+        """
+        selected(self._settings, bank, self._run_input.intents)  # refuses misspelt names before anything is simulated
+        while (record := self.seek()) is not None:
+            planned = with_predictions(
+                record.found, self._run_input, self._settings, self._task, sandbox, bank, agents, stopped=self.stopped
+            )
+            self.stopped = planned.predictor.stopped
+            reaches = planned.reaches or (ask and bool(planned.search))
+            given = self._task.trigger is not None
+            if reaches or record.found.last or given or len(self.records) > MOST_SKIPS:
+                return planned
+            self.leave(OUT_OF_REACH)
+        return None
+
+    def keep(self, record: EncounterRecord) -> None:
+        """Replace the record of the encounter at hand by a later one."""
+        self.records[-1] = record
+
+    def leave(self, why: str) -> None:
+        """Leave the encounter at hand, so that ``seek`` goes on to the next one. Only the best record so far keeps its
+        recorded states, which are large."""
+        record = replace(self.records[-1], left=why)
+        if not record.attacked:
+            record = replace(record, ending=Ending.NO_ENCOUNTER, reason=record.reason or why)
+        self.records[-1] = record
+        best = best_record(self.records)
+        self.records = [r if r is best else r.without_states() for r in self.records]
+
+    def break_off(self, stop: Stop) -> None:
+        """Note what broke the run off, also in the record of the encounter at hand."""
+        self.stop = stop
+        if self.records and not self.records[-1].left:
+            self.keep(replace(self.records[-1], ending=stop.ending, reason=stop.reason))
 
 
 def with_predictions(
-    episode: Episode, found: FoundEncounter, sandbox: Sandbox, bank: MemoryBank, *, forecast: bool = False
-) -> PlannedEncounter:
-    """An encounter with the bank's library and the predictions of the first candidates.
+    found: FoundEncounter, run_input: RunInput, settings: Settings, task: Task, sandbox: Sandbox, bank: MemoryBank,
+    agents: Agents | None = None, *, stopped: Mapping[str, int] | None = None, forecast: bool = False,
+) -> PlannedEncounter:  # fmt: skip
+    """Return an encounter with the bank's library and the predictions of the first candidates.
 
     A driver that is not known is asked, not predicted, unless ``forecast``: for those that cannot ask it by attempts.
-    With ``recall = scene`` the search starts with a candidate that succeeded in a similar scene.
+    With ``recall = scene`` the search starts with a candidate that succeeded in a similar scene. ``stopped``: how many
+    calls of each planner ran into a limit in earlier encounters, by hash.
     """
-    settings, agents = episode.settings, episode.agents
     share = settings.per_planner if agents is not None and agents.by_model("modifier") else settings.attempts
     evidence = agents is not None and agents.by_model("analyzer") and settings.evidence == "on"
     weights = SearchSettings(proposals=settings.proposals, share=share)
-    predictor = Predictor(sandbox, settings, found.drivable, found.situations, weights.score, episode.stopped)
-    scene = signature(found.first, found.first.target_list()[0].state.id, episode.task.ego_driver)
-    library, episode.bandit = read_library(bank, scene, settings.seed, found.situations)
+    selection = selected(settings, bank, run_input.intents)
+    predictor = Predictor(sandbox, settings, found.drivable, found.situations, weights.score, stopped)
+    scene = signature(found.first, found.first.target_list()[0].state.id, task.ego_driver)
+    library, bandit = read_library(bank, scene, settings.seed, found.situations)
     predicts = forecast or found.first.baseline.model.known or evidence
-    log = episode.task.playback
+    log = task.playback
     if settings.tuner == "builtin" and (not predicts or (log is not None and log.tracks is not None)):
         library = [*library, FREE]
-    recalled = recall(episode, found, library, bank) if settings.recall == "scene" else None
+    timing, recalled = dict[str, float](), None
+    if settings.recall == "scene":
+        began = time.perf_counter()
+        recalled = recall(found, library, bank, selection, settings.limits.limits(), task.ego_driver)
+        timing["recall"] = time.perf_counter() - began
     intent, first = (None, None) if recalled is None else recalled
+    known = tuple(compositions(bank)) if settings.adversaries > 1 else ()
     search = AttackSearch(
-        predictor, found.situations, library, weights, seed=settings.seed, goal=settings.goal,
-        selection=selection_of(episode, bank), recalled=first, adversaries=settings.adversaries,
-        colliders=episode.task.colliders, compositions=compositions(bank) if settings.adversaries > 1 else (),
+        predictor, found.situations, library, weights, seed=settings.seed, goal=settings.goal, selection=selection,
+        recalled=first, adversaries=settings.adversaries, colliders=task.colliders, compositions=known,
         predicts=predicts,
     )  # fmt: skip
-    return PlannedEncounter(found, predictor, library, scene, search, intent)
+    teamwork = Teamwork(settings.adversaries, task.colliders, known) if settings.adversaries > 1 else None
+    return PlannedEncounter(
+        found, predictor, library, scene, search, intent, selection, teamwork, run_input.name, bandit, timing
+    )
 
 
-def analyze(episode: Episode, planned: PlannedEncounter, agents: Agents, bank: MemoryBank) -> Sequence[LibraryEntry]:
-    """Fill in the intents of an encounter; the library, with retrieved or generated planners for new intents. Raises
-    ModelError: a language model plays a part and failed."""
+def analyze(
+    record: EncounterRecord, planned: PlannedEncounter, settings: Settings, agents: Agents, bank: MemoryBank,
+    keep: Keep,
+) -> tuple[EncounterRecord, Sequence[LibraryEntry]]:  # fmt: skip
+    """Return the record with the intents of an encounter, and the library with retrieved or generated planners for new
+    intents. Raises ModelError: a language model plays a part and failed."""
     began = time.perf_counter()
     situations, library = planned.found.situations, planned.library
     try:
-        episode.intents = agents.analyze(
-            planned.search, situations, library, selection=selection_of(episode, bank),
-            remembered=remembered(bank, library, planned.scene), teamwork=teamwork(episode, bank),
+        intents = agents.analyze(
+            planned.search, situations, library, selection=planned.selection,
+            remembered=remembered(bank, library, planned.scene), teamwork=planned.teamwork,
         )  # fmt: skip
-        _note_request(episode, agents)
-        if agents.by_model("analyzer") and episode.settings.tuner == "builtin" and episode.settings.ask is None:
-            chosen = {(i.bv, i.label) for i in episode.intents}
-            others = planned.search.ranking(library)
-            episode.intents = [*episode.intents, *(i for i in others if (i.bv, i.label) not in chosen)]
-        entries = retrieve(episode, agents, situations, library, bank)
+        record = _with_request(replace(record, intents=intents), settings, agents)
+        if agents.by_model("analyzer") and settings.tuner == "builtin" and settings.ask is None:
+            chosen = {(i.bv, i.label) for i in intents}
+            others = (i for i in planned.search.ranking(library) if (i.bv, i.label) not in chosen)
+            record = replace(record, intents=[*intents, *others])
+        retrieved = retrieve(record.intents, agents, situations, library, bank)
+        record = replace(record, intents=retrieved.intents).took("retrieval", retrieved.seconds)
     finally:
-        episode.timing["analyzer"] = time.perf_counter() - began
-    episode.casts = known_casts(agents.casts, bank)
-    labels = {i.label for i in episode.intents}
+        record = record.took("analyzer", time.perf_counter() - began)
+        keep(record)
+    entries, labels = retrieved.library, {i.label for i in record.intents}
+    record = replace(record, casts=known_casts(agents.casts, bank))
     if entries != library or any(composed(e) and e.label in labels for e in entries):
         planned.search.extend([e for e in entries if not composed(e) or e.label in labels])
-    if episode.settings.ask is not None:
-        planned.search.confine({(i.bv, i.label) for i in episode.intents})
-    if episode.casts and episode.settings.tuner == "builtin":
-        planned.search.add_casts(episode.casts, agents.player("analyzer"))
-    return entries
+    if settings.ask is not None:
+        planned.search.confine({(i.bv, i.label) for i in record.intents})
+    if record.casts and settings.tuner == "builtin":
+        planned.search.add_casts(record.casts, agents.player("analyzer"))
+    return record, entries
 
 
-def _note_request(episode: Episode, agents: Agents) -> None:
+def _with_request(record: EncounterRecord, settings: Settings, agents: Agents) -> EncounterRecord:
     """Keep what a model made of the words of ``ask``, or why they cannot be played here. Raises UsageError."""
-    if episode.settings.ask is None or episode.found is None:
-        return
+    if settings.ask is None:
+        return record
     if agents.asked is None:  # no model, or one that failed and was replaced
-        raise needs_model("An attack asked for in words", episode.settings.ask)
-    episode.asked, episode.words, episode.declined = agents.asked, episode.settings.ask, agents.why_not
-    if agents.why_not:
-        episode.notes.append(f"The encounter at {episode.found.time:.1f} s cannot play the request: {agents.why_not}")
-
-
-def teamwork(episode: Episode, bank: MemoryBank) -> Teamwork | None:
-    """What an analyzer may compose; None if one adversary is all that is allowed."""
-    most = episode.settings.adversaries
-    return Teamwork(most, episode.task.colliders, tuple(compositions(bank))) if most > 1 else None
-
-
-def passed_over(episode: Episode) -> str:
-    """Why the last encounter is left."""
-    if episode.declined:
-        return f"it cannot play the request: {episode.declined}"
-    if episode.tried and episode.tried[-1].time == getattr(episode.found, "time", None):
-        return f"{episode.tried[-1].attempts} attempts without success"
-    return "no intent reaches the ego, by prediction"
-
-
-def seek(episode: Episode, engine: EpisodeEngine, tell: Tell) -> FoundEncounter | None:
-    """Start the simulation, if it has not started, and go on to the next encounter; None if there is none."""
-    began = time.perf_counter()
-    if episode.found is None:
-        engine.call(EpisodeCalls.open, episode.task)
-        episode.forked = engine.call(EpisodeCalls.forks)
-        episode.timing["start"] = time.perf_counter() - began
-        began = time.perf_counter()
-    encounter = engine.call(EpisodeCalls.seek, "" if episode.found is None else passed_over(episode))
-    episode.timing["seek"] = episode.timing.get("seek", 0.0) + time.perf_counter() - began
-    if isinstance(encounter, NoEncounter):
-        episode.ending, episode.reason, episode.found = encounter.ending, encounter.reason, None
-        episode.intents = ()  # they belong to an encounter that was passed over
-        return None
-    episode.found, episode.prefix = encounter, engine.call(EpisodeCalls.prefix)
-    episode.lanes = engine.call(EpisodeCalls.lanes, *encounter.area)
-    tell("encounter", encounter)
-    return encounter
+        raise needs_model("An attack asked for in words", settings.ask)
+    record = replace(record, request=Request(agents.asked, settings.ask, agents.why_not))
+    if not agents.why_not:
+        return record
+    note = f"The encounter at {record.found.time:.1f} s cannot play the request: {agents.why_not}"
+    return replace(record, notes=[*record.notes, note])
 
 
 # -- what the next run would see of the bank ------------------------------------------------------------------------
@@ -192,13 +279,12 @@ class BankView:
     evidence: int
 
     @classmethod
-    def of(cls, episode: Episode, bank: MemoryBank, planned: PlannedEncounter) -> BankView:
-        """The view of the bank as it is now, in the encounter of an episode."""
-        settings, agents = episode.settings, episode.agents
+    def of(cls, planned: PlannedEncounter, settings: Settings, agents: Agents, bank: MemoryBank) -> BankView:
+        """Return the view of the bank as it is now, in an encounter."""
         library, _ = read_library(bank, planned.scene, settings.seed, planned.found.situations)
         plain = [e for e in library if not composed(e)]  # the expert composes the others anyway
         templates = [t.key for t in templates_of(planned.found.situations, plain)]
-        shown = agents is not None and agents.by_model("analyzer") and settings.evidence == "on"
+        shown = agents.by_model("analyzer") and settings.evidence == "on"
         counts = shown or settings.recall == "scene"
         return cls(
             tuple(templates if settings.tuner == "off" else sorted(templates)),

@@ -15,9 +15,10 @@ from typing import Any
 from sumo_adv.agents.agents import Agents
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Intent, Level, LibraryEntry, Proposal, Verdict
-from sumo_adv.episode.assessment import Attempts, Fitting, attempt_of, checked, confirmed, observed_motion, rank
+from sumo_adv.episode.assessment import Attempts, Fitting, attempt_of, checked, confirmed, observed_motion
 from sumo_adv.episode.neighbours import Robustness, holds, neighbours
 from sumo_adv.episode.repairs import Repairs
+from sumo_adv.episode.run import EncounterRecord, best_index, worth
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.goal import Goal
 from sumo_adv.search.ranking import FixedOrder, as_written, chosen
@@ -39,9 +40,9 @@ Optimizer = AttackSearch | FixedOrder
 class Refinement:
     """The attempts so far; ``results[k]`` belongs to ``attempts[k]``.
 
-    goal: what an attempt must come to. successes: indices of the attempts that reached it, one of each kind. chosen:
-    the attempt that counts, if it is not the best. robust: by index of a success, in how many neighbours it holds.
-    fitting: compares attempts with the request, None without a request.
+    goal: what an attempt must come to. successes: indices of the attempts that reached it, one of each kind. robust: by
+    index of a success, in how many neighbours it holds. fitting: compares attempts with the request, None without a
+    request.
     """
 
     goal: Goal = field(default_factory=Goal)
@@ -52,38 +53,27 @@ class Refinement:
     seconds: float = 0.0
     first_success_seconds: float | None = None
     successes: list[int] = field(default_factory=list)
-    chosen: int | None = None
     robust: dict[int, Robustness] = field(default_factory=dict)
     fitting: Fitting | None = None
 
     @property
     def best(self) -> int | None:
-        """Index of the attempt that counts, None without attempts."""
-        if self.chosen is not None or not self.attempts:
-            return self.chosen
-        return min(range(len(self.attempts)), key=lambda k: (*self.worth(self.attempts[k]), -self._share(k), k))
-
-    @property
-    def robustness(self) -> Robustness | None:
-        """Of the attempt that counts; None if no neighbour was tried."""
-        return None if self.best is None else self.robust.get(self.best)
-
-    def _share(self, index: int) -> float:
-        """The share of neighbours in which a success holds; 0 if none was tried."""
-        seen = self.robust.get(index)
-        return 0.0 if seen is None or not seen.of else seen.held / seen.of
+        """Index of the best attempt; None without attempts."""
+        return best_index(self.attempts, self.goal, self.robust, asked=self.fitting is not None)
 
     @property
     def level(self) -> Level:
         """The highest level of an attempt so far."""
         return max((a.verdict.level for a in self.attempts), default=Level.NONE)
 
-    def worth(self, attempt: Attempt) -> tuple[float, ...]:
-        """A key that sorts attempts, the best first: successes, then those that fit what was asked for."""
-        verdict = attempt.verdict
-        met = self.goal.met(verdict)
-        fits = self.fitting is None or (not verdict.misfits and (met or verdict.level >= Level.CRITICAL))
-        return (not met, not fits, *rank(verdict))
+    def recorded(self, record: EncounterRecord) -> EncounterRecord:
+        """Return the record of an encounter with these attempts."""
+        readings = {} if self.fitting is None else dict(self.fitting.readings)
+        return replace(
+            record, goal=self.goal, attacked=True, attempts=tuple(self.attempts), results=tuple(self.results),
+            successes=tuple(self.successes), robust=dict(self.robust), readings=readings,
+            first_success_seconds=self.first_success_seconds, ending=self.ending, reason=self.reason,
+        )  # fmt: skip
 
 
 def settle_best(found: Refinement, runner: Attempts) -> None:
@@ -193,7 +183,8 @@ class Refiner:
     def _forget(self, found: Refinement) -> None:
         """Drop the recorded states of attempts that no longer matter: they take a megabyte each."""
         kept = set(range(len(found.attempts) - GENERATION, len(found.attempts))) | set(found.successes)
-        ordered = sorted(range(len(found.attempts)), key=lambda k: found.worth(found.attempts[k]))
+        asked = found.fitting is not None
+        ordered = sorted(range(len(found.attempts)), key=lambda k: worth(found.attempts[k], found.goal, asked=asked))
         kept |= set(ordered[:KEPT])
         for k, result in enumerate(found.results):
             if k >= REMEMBERED and k not in kept and len(result.snapshots):

@@ -19,11 +19,10 @@ from sumo_adv.drivers.registry import OBJECT_PREFIX, GivenEgo, pack
 from sumo_adv.drivers.sumo_driven import sumo_type
 from sumo_adv.episode.assessment import AttemptRunner
 from sumo_adv.episode.engine import EpisodeCalls
-from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.loop import decide
-from sumo_adv.episode.planned_encounter import find_attackable, seek, with_predictions
+from sumo_adv.episode.planned_encounter import EncounterFinder, with_predictions
 from sumo_adv.episode.refinement import Refiner
-from sumo_adv.episode.task import FoundEncounter, make_task
+from sumo_adv.episode.task import make_task
 from sumo_adv.errors import UsageError
 from sumo_adv.files import scratch_prefix
 from sumo_adv.gym.curriculum import Curriculum
@@ -33,6 +32,7 @@ from sumo_adv.planners.sessions import Roads, Sessions
 from sumo_adv.search.ranking import FixedOrder
 from sumo_adv.search.search import AttackSearch
 from sumo_adv.simulation.engine import Conversation
+from sumo_adv.simulation.inputs import RunInput
 
 
 class Attacks(Protocol):
@@ -104,29 +104,30 @@ class TrainingEncounter:
             UsageError: wrong use, or the scenario has no encounter. SimulationError: SUMO failed.
         """
         self.name, self._attacker = Path(scenario).stem, attacker
-        source = load(Path(scenario), None)
+        run_input = load(Path(scenario), None)
         packed = None if isinstance(ego, str) else pack(AgentEgo if ego is None else ego)
         driver = None if ego is None else ego if packed is None else packed.name
-        self.settings = settings_of(given, driver, attacker, source.horizon)
+        self.settings = settings_of(given, driver, attacker, run_input.horizon)
         with ExitStack() as opening:
-            self._open(source, packed, opening)
+            self._open(run_input, packed, opening)
             self._stack = opening.pop_all()
 
-    def _open(self, source: Any, packed: GivenEgo | None, stack: ExitStack) -> None:
+    def _open(self, run_input: RunInput, packed: GivenEgo | None, stack: ExitStack) -> None:
         scratch = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix=scratch_prefix())))
-        task = replace(make_task(source, self.settings, scratch), ego_given=packed)
+        task = replace(make_task(run_input, self.settings, scratch), ego_given=packed)
         self._sandbox = stack.enter_context(new_sandbox(self.settings))
         self._agents = stack.enter_context(open_agents(self.settings, self._sandbox))
         self.engine = stack.enter_context(new_engine())
-        self._episode = Episode(source, self.settings, task)
+        finder = EncounterFinder(run_input, self.settings, task, self.engine, _silent)
         if self._attacker is None or task.trigger is not None:
-            seek(self._episode, self.engine, _silent)
+            finder.seek()
         else:
             with open_for_run(self.settings) as bank:
-                find_attackable(self._episode, self.engine, self._sandbox, bank, _silent)
-        if self._episode.found is None:
-            raise UsageError(f"The scenario {self.name!r} has no encounter for an environment: {self._episode.reason}")
-        self.found: FoundEncounter = self._episode.found
+                finder.find_attackable(self._sandbox, bank)
+        if finder.stop is not None:
+            raise UsageError(f"The scenario {self.name!r} has no encounter for an environment: {finder.stop.reason}")
+        self._run_input, self._task, self._record, self._stopped = run_input, task, finder.records[-1], finder.stopped
+        self.found = self._record.found
         self.roads = Roads(self.found.situations)
 
     def plan(self, *, adapts: bool) -> Attacks:
@@ -148,15 +149,18 @@ class TrainingEncounter:
 
     def _search(self, *, forecast: bool) -> AttackSearch | FixedOrder:
         """The search for attacks; ``forecast``: one that predicts, though how the agent drives is unknown."""
-        settings, episode = self.settings, replace(self._episode)
+        settings = self.settings
         with open_for_run(settings) as bank:
-            planned = with_predictions(episode, self.found, self._sandbox, bank, forecast=forecast)
-            entries = decide(episode, planned, self._agents, bank)
-        if entries is None:
-            raise UsageError(f"Nothing attacks in the scenario {self.name!r}: {episode.reason}")
+            planned = with_predictions(
+                self.found, self._run_input, settings, self._task, self._sandbox, bank, stopped=self._stopped,
+                forecast=forecast,
+            )  # fmt: skip
+            decision = decide(self._record, planned, settings, self._agents, bank)
+        if decision.library is None:
+            raise UsageError(f"Nothing attacks in the scenario {self.name!r}: {decision.record.reason}")
         runner = AttemptRunner(self.engine, self._sandbox, self.found, settings.seed)
-        refiner = Refiner(runner, self.found, planned.search, self._agents, entries, settings, _silent)
-        return refiner.optimizer(episode.intents)
+        refiner = Refiner(runner, self.found, planned.search, self._agents, decision.library, settings, _silent)
+        return refiner.optimizer(decision.record.intents)
 
     def play(self, play: Play) -> PlayedAttack:
         """Begin an episode; the one before must have ended."""

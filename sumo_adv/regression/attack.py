@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from sumo_adv.config import Settings
 from sumo_adv.datatypes import Level, Verdict
 from sumo_adv.episode.assessment import attempt_of, checked, runner_of
 from sumo_adv.episode.engine import EpisodeEngine
-from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.loop import attack_once
-from sumo_adv.episode.refinement import settle_best
+from sumo_adv.episode.refinement import Refinement, settle_best
 from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.regression.at_trigger import AtTrigger
@@ -43,18 +43,26 @@ def arrived(case: KeptCase, encounter: FoundEncounter) -> Arrived:
 
 
 def attack(
-    case: KeptCase, episode: Episode, engine: EpisodeEngine, sandbox: Sandbox, encounter: FoundEncounter, attempts: int
-) -> Arrived:
+    case: KeptCase,
+    settings: Settings,
+    engine: EpisodeEngine,
+    sandbox: Sandbox,
+    encounter: FoundEncounter,
+    attempts: int,
+) -> tuple[Refinement, Arrived]:
     """Attack the ego until an attempt breaks what the case expects, ``attempts`` times at most, and ``NEARBY_ATTEMPTS``
-    times at least if the ego arrives otherwise. The attempt that came nearest to that counts."""
-    came, settings, done = arrived(case, encounter), episode.settings, episode.refinement
-    attack_once(episode, engine, sandbox, encounter, case.proposal)
+    times at least if the ego arrives otherwise.
+
+    Returns:
+        The attempts, of which the one that came nearest to that is the best, and how the ego arrived.
+    """
+    came, runner = arrived(case, encounter), runner_of(engine, sandbox, encounter, settings)
+    done = attack_once(encounter, runner, settings, case.proposal, case.source.asked)
     most = max(attempts, NEARBY_ATTEMPTS if came.otherwise else 1)
     if most == 1:
-        return came
+        return done, came
     search = SearchSettings()
     evolution = Evolution(Sampler(search.sampling, settings.seed), settings.goal, search.evolution)
-    runner = runner_of(engine, sandbox, encounter, settings)
     if came.otherwise and case.situation is not None:
         evolution.add([case.situation.moved(case.proposal, came.situation)])
     while True:
@@ -71,7 +79,7 @@ def attack(
         done.attempts.append(checked(attempt, result, runner, settings.goal, Level.COLLISION))
         done.results.append(result)
     settle_best(done, runner)
-    return came
+    return done, came
 
 
 def breaks(expect: Expectation, verdict: Verdict) -> bool:

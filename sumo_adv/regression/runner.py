@@ -20,10 +20,11 @@ from pydantic import TypeAdapter
 from sumo_adv.campaigns.results import Done
 from sumo_adv.campaigns.worker import share
 from sumo_adv.config import Settings, Until, forget_environment, load_settings
-from sumo_adv.datatypes import Attempt, Intent, Level, Track
+from sumo_adv.datatypes import Attempt, Level, Track
 from sumo_adv.episode.engine import EpisodeEngine
-from sumo_adv.episode.episode import Episode
-from sumo_adv.episode.planned_encounter import seek
+from sumo_adv.episode.loop import given_attack
+from sumo_adv.episode.planned_encounter import EncounterFinder
+from sumo_adv.episode.run import EncounterRecord, Run, seconds_by_part
 from sumo_adv.episode.task import FoundEncounter, Task, make_task
 from sumo_adv.episode.warm import WarmProcesses
 from sumo_adv.errors import SumoAdvError
@@ -242,12 +243,12 @@ class CaseRunner(WarmProcesses):
                 came = run_case(case, settings, task, engine, sandbox, self._setup.attempts)
             if isinstance(came, str):
                 return CaseMeasurements(case.name, settings.ego, broken=came, missed=True)
-            episode, arrived = came
+            run, arrived = came
             with staged(self._setup.runs / case.name, force=True, inside=True) as folder:
-                outcome = write_run(folder, episode, figure=False)
+                outcome = write_run(folder, run, figure=False)
                 share(folder.stage / INPUTS, self._setup.runs.parent / INPUTS)
                 folder.keep(force=True)
-        return measure(case, episode, arrived, outcome)
+        return measure(case, run, arrived, outcome)
 
 
 def settings_for(case: KeptCase, ego: str) -> Settings:
@@ -269,22 +270,26 @@ def task_for(case: KeptCase, settings: Settings, scratch: Path) -> Task:
 
 def run_case(
     case: KeptCase, settings: Settings, task: Task, engine: EpisodeEngine, sandbox: Sandbox, attempts: int
-) -> tuple[Episode, Arrived] | str:
+) -> tuple[Run, Arrived] | str:
     """Drive to the trigger and attack as the case says; or why there was no encounter.
 
     Raises SumoAdvError: the driver or the simulation broke.
     """
-    p = case.proposal
-    episode = Episode(replace(case.source, name=case.name), settings, task)
-    episode.intent = Intent(p.bv, p.label, "", "", p.acceleration, "a kept case")
-    encounter = seek(episode, engine, lambda *_: None)
-    if encounter is None:
-        return episode.reason
-    if why := _elsewhere(case, encounter):
+    run_input = replace(case.source, name=case.name)
+    finder = EncounterFinder(run_input, settings, task, engine, lambda *_: None)
+    record = finder.seek()
+    if record is None:
+        return "" if finder.stop is None else finder.stop.reason
+    if why := _elsewhere(case, record.found):
         return why
-    arrived = attack(case, episode, engine, sandbox, encounter, attempts)
-    episode.isolation = sandbox.isolation
-    return episode, arrived
+    done, arrived = attack(case, settings, engine, sandbox, record.found, attempts)
+    finder.keep(given_attack(done.recorded(record), case.proposal, "a kept case"))
+    timing = seconds_by_part(finder.timing, record.timing)
+    run = Run(
+        run_input, settings, task, tuple(finder.records), forked=finder.forked, isolation=sandbox.isolation,
+        timing=timing,
+    )  # fmt: skip
+    return run, arrived
 
 
 def _elsewhere(case: KeptCase, encounter: FoundEncounter) -> str:
@@ -301,24 +306,25 @@ def _elsewhere(case: KeptCase, encounter: FoundEncounter) -> str:
     return ""
 
 
-def measure(case: KeptCase, episode: Episode, arrived: Arrived, outcome: Mapping[str, Any]) -> CaseMeasurements:
-    """What came of a case, by the attempt that counts."""
-    best, verdict, encounter = episode.best, outcome["outcome"], episode.found
-    assert best is not None and encounter is not None
-    made = episode.refinement.attempts
+def measure(case: KeptCase, run: Run, arrived: Arrived, outcome: Mapping[str, Any]) -> CaseMeasurements:
+    """Return the result of a case, by the attempt that counts."""
+    verdict, record = outcome["outcome"], run.best
+    best = None if record is None else record.best
+    assert record is not None and best is not None
+    encounter = record.found
     cause = verdict["cause"] or {}
-    tracks = _tracks(episode, best)
+    tracks = _tracks(record, best, run.settings.step_length)
     ego = tracks.get(encounter.ego)
     drive = _Drive() if ego is None else _drive(ego, best)
     return CaseMeasurements(
-        case.name, episode.settings.ego, level=verdict["level"], collided=verdict["collided"],
+        case.name, run.settings.ego, level=verdict["level"], collided=verdict["collided"],
         rear_end=verdict["rear_end"], failed_gates=tuple(verdict["failed_gates"]), min_ttc=verdict["min_ttc"],
         delta_v=verdict["delta_v"], severity=verdict["severity"], contact_time=verdict["contact_time"],
         preventable_by=tuple(verdict["preventable_by"] or ()),
         touched=None if ego is None else _touched(ego, tracks, best, encounter.time),
         planner=best.message if best.ending == "planner_failed" else "", cause=cause.get("kind"),
         cause_sentence=cause.get("sentence", ""), arrived=arrived.situation, otherwise=arrived.otherwise,
-        attempts=len(made), near=any(map(_near, made)), min_distance=verdict["min_distance"],
+        attempts=len(record.attempts), near=any(map(_near, record.attempts)), min_distance=verdict["min_distance"],
         progress=drive.progress, jerk=drive.jerk, time_to_end=drive.time_to_end,
     )  # fmt: skip
 
@@ -329,13 +335,12 @@ def _near(attempt: Attempt) -> bool:
     return v.collided or v.min_distance <= DANGER_DISTANCE_M or v.min_ttc <= DANGER_TTC_S
 
 
-def _tracks(episode: Episode, best: Attempt) -> dict[str, Track]:
+def _tracks(record: EncounterRecord, best: Attempt, step: float) -> dict[str, Track]:
     """The motions in the attempt that counts, by id, from the trigger to its end."""
-    prefix, done = episode.prefix, episode.refinement
-    assert prefix is not None and done.best is not None
-    snapshots = [*prefix.snapshots[-1:], *done.results[done.best].snapshots]
+    assert record.prefix is not None
+    snapshots = [*record.prefix.snapshots[-1:], *record.results[best.index].snapshots]
     end = np.inf if best.verdict.contact_time is None else best.verdict.contact_time
-    tracks = tracks_of(snapshots, all_sizes(episode), {}, episode.settings.step_length)
+    tracks = tracks_of(snapshots, all_sizes(record), {}, step)
     return {t.id: t.between(-np.inf, end) for t in tracks}
 
 

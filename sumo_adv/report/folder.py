@@ -4,21 +4,24 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 
+from sumo_adv.config import Settings
 from sumo_adv.datatypes import MAX_ADVERSARIES, Attempt, plain_acceleration
-from sumo_adv.episode.episode import Episode
+from sumo_adv.episode.run import EncounterRecord, Run
+from sumo_adv.episode.task import Prefix, Task
 from sumo_adv.files import json_text
 from sumo_adv.metrics.boxes import first_contact, on_grid
 from sumo_adv.metrics.criticality import ttc
 from sumo_adv.report.outcome import manifest, number, outcome
 from sumo_adv.report.staging import RunFolder
 from sumo_adv.report.tables import SERIES_HEADER, csv_text, write_gzip, write_plan, write_signals, write_states
-from sumo_adv.report.verdicts import findings_on, further_keys
+from sumo_adv.report.verdicts import Findings, findings_on, further_keys
 from sumo_adv.simulation.sumo_states import Snapshot
 from sumo_adv.simulation.tracks import tracks_of
 from sumo_adv.simulation.warnings_log import WARNINGS_FILE
@@ -29,28 +32,36 @@ SIGNALS = "signals.csv.gz"  # there is one where traffic lights are near the ego
 PLAN = "plan.csv.gz"  # there is one where the attempt that counts ends with a contact, and one for each support
 
 
-def write_run(folder: RunFolder, episode: Episode, *, figure: bool = True) -> dict[str, Any]:
-    """All files of the contract, the picture only with ``figure``; gives back what ``outcome.json`` holds."""
+def write_run(folder: RunFolder, run: Run, *, figure: bool = True) -> dict[str, Any]:
+    """Write all files of the contract for the best record of a run, the picture only with ``figure``.
+
+    Returns:
+        The content of ``outcome.json``.
+    """
+    return _write(folder, run, run.best, figure=figure)
+
+
+def _write(folder: RunFolder, run: Run, record: EncounterRecord | None, *, figure: bool) -> dict[str, Any]:
+    """The files for a record, and a folder inside for each further kind of attack in it."""
     stage = folder.stage
-    inputs = _copy_inputs(episode, stage / "inputs")
+    inputs = _copy_inputs(run.task, stage / "inputs")
     began = perf_counter()
-    found = findings_on(episode)
-    episode.timing["verdict"] = perf_counter() - began
-    realism = found.realism if found is not None else {}
-    result = outcome(episode, raw_figures(episode), further_keys(found), realism)
-    (stage / "manifest.json").write_text(json_text(manifest(episode, inputs), 2), encoding="utf-8")
-    _write_attempts(stage / "attempts.csv.gz", episode)
-    if episode.warnings:
-        lines = "".join(f"{text}\n" for text in episode.warnings)
+    findings = None if record is None else findings_on(run, record)
+    seconds = {"verdict": perf_counter() - began}
+    result = full_outcome(run, record, findings, seconds)
+    (stage / "manifest.json").write_text(json_text(manifest(run, record, inputs), 2), encoding="utf-8")
+    _write_attempts(stage / "attempts.csv.gz", run)
+    if run.warnings:
+        lines = "".join(f"{text}\n" for text in run.warnings)
         (stage / WARNINGS_FILE).write_text(lines, encoding="utf-8", newline="\n")
-    if episode.found is not None and episode.prefix is not None:
-        _write_tables(stage, episode)
-        if found is not None:
-            write_gzip(stage / "criticality.csv.gz", SERIES_HEADER + "".join(found.rows))
-        if episode.best is not None and figure:
+    if record is not None and record.prefix is not None:
+        _write_tables(stage, run, record, record.prefix)
+        if findings is not None:
+            write_gzip(stage / "criticality.csv.gz", SERIES_HEADER + "".join(findings.rows))
+        if record.best is not None and figure:
             picture = stage / "encounter.png"
             try:
-                _figure(picture, episode)
+                _figure(picture, run, record, record.best, record.prefix)
             except OSError:
                 raise
             except Exception as error:  # odd values that no plotting library takes: the run is kept without it
@@ -58,20 +69,31 @@ def write_run(folder: RunFolder, episode: Episode, *, figure: bool = True) -> di
                 result["notes"] = [*result["notes"], why]
     (stage / "outcome.json").write_text(json_text(result, 2), encoding="utf-8")
     for success in result["successes"]:
-        if success["folder"] is not None:
+        if record is not None and success["folder"] is not None:
             attack_stage = stage / success["folder"]
             attack_stage.mkdir(parents=True)
             inside = RunFolder(folder.target / success["folder"], attack_stage)
-            write_run(inside, episode.of_attempt(success["attempt"]), figure=figure)
+            _write(inside, run, record.of_attempt(success["attempt"]), figure=figure)
     return result
 
 
-def _copy_inputs(episode: Episode, folder: Path) -> dict[Path, str]:
+def full_outcome(
+    run: Run, record: EncounterRecord | None, findings: Findings | None, seconds: Mapping[str, float] | None = None
+) -> dict[str, Any]:
+    """Return the content of ``outcome.json`` for a record of a run and the findings on it. Nothing is written.
+
+    ``seconds``: times of parts beside those of the run [s].
+    """
+    raw = None if record is None else raw_figures(record, run.settings)
+    return outcome(run, record, raw, further_keys(findings), {} if findings is None else findings.realism, seconds)
+
+
+def _copy_inputs(task: Task, folder: Path) -> dict[Path, str]:
     """Content-addressed copies of network, demand, additional files and what is played back."""
-    spec = episode.task.spec
+    spec = task.spec
     folder.mkdir()
     names = {}
-    played = () if episode.task.playback is None else episode.task.playback.files
+    played = () if task.playback is None else task.playback.files
     for file in (spec.network, *spec.routes, *spec.additional, *played):
         data = file.read_bytes()
         content = hashlib.sha256(data).hexdigest()[:12]
@@ -80,28 +102,30 @@ def _copy_inputs(episode: Episode, folder: Path) -> dict[Path, str]:
     return names
 
 
-def _attempt_snapshots(episode: Episode) -> list[Snapshot]:
-    assert episode.prefix is not None
-    best, encounter = episode.refinement.best, episode.found
-    after = encounter.baseline if best is None and encounter else episode.refinement.results[best or 0].snapshots
-    return [*episode.prefix.snapshots, *after]
+def _snapshots(record: EncounterRecord, prefix: Prefix) -> list[Snapshot]:
+    """The states of the attempt that counts, from the start of the simulation on; without attempts unattacked ones."""
+    result = record.best_result
+    return [*prefix.snapshots, *(record.found.baseline if result is None else result.snapshots)]
 
 
-def _write_tables(stage: Path, episode: Episode) -> None:
+def _write_tables(stage: Path, run: Run, record: EncounterRecord, prefix: Prefix) -> None:
     """States, lights, and what the adversaries were to do after the contact."""
-    assert episode.found is not None and episode.prefix is not None
-    ego, before, baseline = episode.found.ego, episode.prefix.snapshots, episode.found.baseline
-    sizes, step, roles, done = all_sizes(episode), episode.settings.step_length, episode.task.roles, episode.refinement
+    ego, before, baseline, best = record.found.ego, prefix.snapshots, record.found.baseline, record.best
+    sizes, step, roles = all_sizes(record), run.settings.step_length, run.task.roles
     if baseline:
         write_states(stage / "raw.csv.gz", [*before, *baseline], sizes, roles(ego), step)
-    bvs = () if episode.best is None else episode.best.proposal.bvs
-    write_states(stage / "states.csv.gz", _attempt_snapshots(episode), sizes, roles(ego, *bvs), step)
-    write_signals(stage / SIGNALS, _attempt_snapshots(episode))
-    if done.best and done.results[0].snapshots:  # of the first attempt, from the step before the trigger on
-        names = (ego, *done.attempts[0].proposal.bvs)
-        write_states(stage / FIRST, [*before[-2:], *done.results[0].snapshots], sizes, roles(*names), step, names)
-    if episode.best is not None:
-        beyond = done.results[done.best or 0].driven.beyond
+    bvs = () if best is None else best.proposal.bvs
+    snapshots = _snapshots(record, prefix)
+    write_states(stage / "states.csv.gz", snapshots, sizes, roles(ego, *bvs), step)
+    write_signals(stage / SIGNALS, snapshots)
+    if best is None:
+        return
+    first = record.results[0].snapshots
+    if best.index and first:  # from the step before the trigger on
+        names = (ego, *record.attempts[0].proposal.bvs)
+        write_states(stage / FIRST, [*before[-2:], *first], sizes, roles(*names), step, names)
+    if record.best_result is not None:
+        beyond = record.best_result.driven.beyond
         for name, bv in zip(plan_names(), bvs, strict=False):
             if bv in beyond:
                 write_plan(stage / name, beyond[bv])
@@ -112,27 +136,26 @@ def plan_names() -> tuple[str, ...]:
     return (PLAN, *(PLAN.replace(".", f"_{number}.", 1) for number in range(2, MAX_ADVERSARIES + 1)))
 
 
-def all_sizes(episode: Episode) -> dict[str, tuple[float, float]]:
-    assert episode.prefix is not None
-    sizes = dict(episode.prefix.sizes)
-    for result in episode.refinement.results:
+def all_sizes(record: EncounterRecord) -> dict[str, tuple[float, float]]:
+    """Return length and width of all vehicles of an encounter [m]."""
+    sizes = {} if record.prefix is None else dict(record.prefix.sizes)
+    for result in record.results:
         sizes.update(result.sizes)
-    if episode.found is not None:
-        sizes.update(episode.found.sizes)
+    sizes.update(record.found.sizes)
     return sizes
 
 
-def raw_figures(episode: Episode) -> dict[str, Any] | None:
-    """The unattacked run over the same pair and window as the attempt that counts; None if there was none."""
-    best, encounter = episode.best, episode.found
-    if best is None or encounter is None or episode.prefix is None or not encounter.baseline:
+def raw_figures(record: EncounterRecord, settings: Settings) -> dict[str, Any] | None:
+    """Return the unattacked run over the same pair and window as the attempt that counts; None if there was none."""
+    best, result, encounter = record.best, record.best_result, record.found
+    if best is None or result is None or record.prefix is None or not encounter.baseline:
         return None
-    after = episode.refinement.results[episode.refinement.best or 0].snapshots
+    after = result.snapshots
     if not after:  # its planner failed before the first step
         return {"min_ttc": None, "collided": False}
     names = (encounter.ego, best.proposal.bv)
-    step, snapshots = episode.settings.step_length, [*episode.prefix.snapshots[-5:], *encounter.baseline]
-    tracks = tracks_of(snapshots, all_sizes(episode), {}, step, names)
+    step, snapshots = settings.step_length, [*record.prefix.snapshots[-5:], *encounter.baseline]
+    tracks = tracks_of(snapshots, all_sizes(record), {}, step, names)
     low = max([best.trigger_time, *(t.time[0] for t in tracks)])
     high = min([after[-1].time, *(t.time[-1] for t in tracks)])
     if len(tracks) < 2 or high - low < step:
@@ -145,38 +168,34 @@ def raw_figures(episode: Episode) -> dict[str, Any] | None:
             "collided": bool(np.isfinite(contact).any())}  # fmt: skip
 
 
-def _figure(target: Path, episode: Episode) -> None:
+def _figure(target: Path, run: Run, record: EncounterRecord, best: Attempt, prefix: Prefix) -> None:
     from sumo_adv.report.encounter_figure import draw_encounter
 
-    best, encounter, prefix = episode.best, episode.found, episode.prefix
-    assert best is not None and encounter is not None and prefix is not None
+    encounter = record.found
     names = (encounter.ego, best.proposal.bv)
-    roles = episode.task.roles(encounter.ego, *best.proposal.bvs)
-    sizes, step = all_sizes(episode), episode.settings.step_length
-    history = episode.settings.steps(episode.settings.history)
-    since = _attempt_snapshots(episode)[len(prefix.snapshots) - history :]
+    roles = run.task.roles(encounter.ego, *best.proposal.bvs)
+    sizes, step = all_sizes(record), run.settings.step_length
+    history = run.settings.steps(run.settings.history)
+    since = _snapshots(record, prefix)[len(prefix.snapshots) - history :]
     attacked = {t.id: t for t in tracks_of(since, sizes, roles, step)}
     raw = {t.id: t for t in tracks_of([*prefix.snapshots[-history:], *encounter.baseline], sizes, roles, step, names)}
     others = [t for n, t in attacked.items() if n not in names]
     p = best.proposal
     draw_encounter(
-        target, lanes=episode.lanes, ego=attacked[encounter.ego], adversary=attacked[p.bv], others=others,
+        target, lanes=record.lanes, ego=attacked[encounter.ego], adversary=attacked[p.bv], others=others,
         raw_ego=raw.get(encounter.ego), raw_adversary=raw.get(p.bv), trigger_time=best.trigger_time,
         verdict=best.verdict,
-        title=f"{episode.source.name}: {' + '.join(p.bvs)} — {p.composition or p.label} "
-        f"against {encounter.ego} ({episode.task.ego_driver})",
+        title=f"{run.run_input.name}: {' + '.join(p.bvs)} — {p.composition or p.label} "
+        f"against {encounter.ego} ({run.task.ego_driver})",
     )  # fmt: skip
 
 
-def _write_attempts(target: Path, episode: Episode) -> None:
+def _write_attempts(target: Path, run: Run) -> None:
     """A row for each attempt, of encounters that gave nothing, too. Times s, distances m, speeds m/s; never = empty.
 
     encounter: its time; attempt: its number there, from 1; delay: from the encounter to the start.
     """
-    encounters = {t.time: t.made for t in episode.tried}
-    if episode.found is not None:
-        encounters[episode.found.time] = episode.refinement.attempts
-    rows = [_row(time, attempt) for time, made in sorted(encounters.items()) for attempt in made]
+    rows = [_row(record.found.time, attempt) for record in run.records for attempt in record.attempts]
     if rows:
         write_gzip(target, csv_text(list(rows[0]), rows))
 

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import math
 import platform
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from sumo_adv import __version__
-from sumo_adv.agents.agents import AGENT_ROLES, BUILT_IN_AGENTS
+from sumo_adv.agents.agents import AGENT_ROLES, BUILT_IN_AGENTS, Agents
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import ENDING_SENTENCES, Attempt, Duty, Intent, Level, Proposal, Verdict, plain_acceleration
 from sumo_adv.episode.assessment import motion_of
-from sumo_adv.episode.episode import Episode
+from sumo_adv.episode.run import EncounterRecord, Request, Run
 from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.llm.chat import Ledger
 from sumo_adv.outcome_schema import OUTCOME_SCHEMA
@@ -31,57 +31,77 @@ EXPERT_NOTE = "Built-in expert (kinematic prediction); no language model took pa
 
 
 def outcome(
-    episode: Episode, raw: Mapping[str, Any] | None, further: Mapping[str, Any], realism: Mapping[str, Any]
-) -> dict[str, Any]:
-    """The contract's ``outcome.json``. Times s, distances m, never = null.
+    run: Run, record: EncounterRecord | None, raw: Mapping[str, Any] | None, further: Mapping[str, Any],
+    realism: Mapping[str, Any], seconds: Mapping[str, float] | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Return the contract's ``outcome.json``. Times s, distances m, never = null.
 
-    ``further``: what the full verdict adds to the attempt that counts; ``realism``: the block of that name.
+    Args:
+        run: The run.
+        record: Its record that counts; None if no encounter does.
+        raw: The unattacked run over the window of the attempt that counts.
+        further: What the full verdict adds to the attempt that counts.
+        realism: The block of that name.
+        seconds: Times of parts beside those of the run [s].
     """
-    chosen = episode.task.ego if isinstance(episode.task.ego, str) else None
-    best, settings, encounter, robust = episode.best, episode.settings, episode.found, episode.refinement.robustness
-    times = {name: round(seconds, 4) for name, seconds in episode.timing.items()}
+    settings, task = run.settings, run.task
+    chosen = task.ego if isinstance(task.ego, str) else None
+    encounter = None if record is None else record.found
+    best = None if record is None else record.best
+    robust = None if record is None else record.robustness
+    times = {name: round(each, 4) for name, each in {**run.timing, **(seconds or {})}.items()}
+    first = None if record is None else record.first_success_seconds
+    tried = [each for each in run.records if each.left and each.attacked]
     return {
-        "schema": OUTCOME_SCHEMA, "ending": str(episode.ending),
-        "reason": " ".join(filter(None, (ENDING_SENTENCES[episode.ending], episode.reason))),
-        "network": episode.source.name, "seed": settings.seed,
-        "ego": {"id": encounter.ego if encounter else chosen, "controller": episode.task.ego_driver},
+        "schema": OUTCOME_SCHEMA, "ending": str(run.ending),
+        "reason": " ".join(filter(None, (ENDING_SENTENCES[run.ending], run.reason))),
+        "network": run.run_input.name, "seed": settings.seed,
+        "ego": {"id": encounter.ego if encounter else chosen, "controller": task.ego_driver},
         "adversaries": [p.as_adversary() for p in best.proposal.members] if best else [],
         "trigger_time": number(best.trigger_time) if best else None,
         "encounter": None if encounter is None else _encounter(encounter),
-        "agents": _agents(episode),
-        "intent": _intent(episode.intent, settings.recall),
-        "intents": [_intent(i, settings.recall) for i in episode.intents[:10]],
-        "raw": raw, "attempts": [_attempt(a) for a in episode.refinement.attempts],
+        "agents": _agents(run),
+        "intent": None if record is None else _intent(record.intent, settings.recall),
+        "intents": [_intent(i, settings.recall) for i in (() if record is None else record.intents[:10])],
+        "raw": raw, "attempts": [_attempt(a) for a in attempts_of(record)],
         "encounters_tried": [
-            {"time": number(t.time), "ego": t.ego, "attempts": t.attempts, "level": str(t.level), "reason": t.reason}
-            for t in episode.tried
+            {
+                "time": number(t.found.time), "ego": t.found.ego, "attempts": len(t.attempts), "level": str(t.level),
+                "reason": t.reason,
+            }
+            for t in tried
         ],
-        "seconds_allowed": settings.seconds, "best": episode.refinement.best,
+        "seconds_allowed": settings.seconds, "best": None if best is None else best.index,
         "robust": None if robust is None else {**asdict(robust), "robust": robust.enough},
-        "successes": _successes(episode), "until": str(settings.until), "goal": _goal(settings),
+        "successes": [] if record is None else _successes(record),
+        "until": str(settings.until), "goal": _goal(settings),
         "attempts_allowed": settings.attempts,
         "outcome": None if best is None else {**verdict(best.verdict), **further},
-        "ego_actions": _ego_actions(episode), "realism": dict(realism),
-        "timing": {**times, "first_success": number(episode.refinement.first_success_seconds)}, "llm": _llm(episode),
-        "sandbox": episode.isolation, "forked": episode.forked, "learnt": episode.learnt,
-        "bank_change": episode.bank_change or None, "notes": [*episode.source.notes, *episode.notes],
-        "warnings": [asdict(kind) for kind in kinds_of(episode.warnings)],
-        "asked": _asked(episode),
+        "ego_actions": None if record is None else _ego_actions(record), "realism": dict(realism),
+        "timing": {**times, "first_success": number(first)}, "llm": _llm(run.agents, attempts_of(record)),
+        "sandbox": run.isolation, "forked": run.forked, "learnt": run.learnt,
+        "bank_change": run.bank_change or None, "notes": run.notes,
+        "warnings": [asdict(kind) for kind in kinds_of(run.warnings)],
+        "asked": _asked(run.request if record is None else record.request, record, settings),
     }  # fmt: skip
 
 
-def _asked(episode: Episode) -> dict[str, Any] | None:
+def attempts_of(record: EncounterRecord | None) -> Sequence[Attempt]:
+    """Return the attempts of a record; none if there is no record."""
+    return () if record is None else record.attempts
+
+
+def _asked(request: Request, record: EncounterRecord | None, settings: Settings) -> dict[str, Any] | None:
     """What was asked for, whether the attempt that counts fits, and its motion in words; None where nothing was."""
-    if episode.asked is None:
+    if request.asked is None:
         return None
-    best, motion = episode.best, None
-    if best is not None and episode.found is not None:
-        motion = motion_of(best, episode.refinement.results[best.index], episode.found, episode.settings)
-    lacks = () if best is None or motion is None else best.verdict.misfits or misfits(episode.asked, motion)
-    fitting = episode.refinement.fitting
-    reading = None if fitting is None or best is None else fitting.readings.get(best.index)
+    best = motion = reading = None
+    if record is not None and (best := record.best) is not None:
+        motion = motion_of(best, record.results[best.index], record.found, settings)
+        reading = record.readings.get(best.index)
+    lacks = () if best is None or motion is None else best.verdict.misfits or misfits(request.asked, motion)
     return {
-        "words": episode.words or None, "attack": episode.asked.model_dump(mode="json", exclude_defaults=True),
+        "words": request.words or None, "attack": request.asked.model_dump(mode="json", exclude_defaults=True),
         "fits": motion is not None and not lacks, "misfits": list(lacks),
         "motion": None if motion is None else motion.words,
         "reading": None if reading is None else reading.model_dump(mode="json"),
@@ -109,17 +129,17 @@ def _goal(settings: Settings) -> str:
     return f"min TTC of {settings.critical_ttc:g} s or less" if plain else str(goal)
 
 
-def _ego_actions(episode: Episode) -> dict[str, int] | None:
+def _ego_actions(record: EncounterRecord) -> dict[str, int] | None:
     """How often the ego's driver gave each kind of answer in the attempt that counts, from its takeover on, and after
     how many of them SUMO's safe speed was lower than the speed asked for. None: it gave none."""
-    best = episode.refinement.best
-    actions = episode.refinement.results[best].actions if best is not None else None
+    result = record.best_result
+    actions = None if result is None else result.actions
     return {**actions.counts, "limited": actions.limited} if actions is not None and actions.counts else None
 
 
-def _agents(episode: Episode) -> dict[str, Any]:
+def _agents(run: Run) -> dict[str, Any]:
     """The players of the parts. The built-in expert is never presented as a language model."""
-    agents = episode.agents
+    agents = run.agents
     players = dict(BUILT_IN_AGENTS) if agents is None else {role: agents.player(role) for role in AGENT_ROLES}
     models = sorted({m.name for m in agents.models.values()}) if agents is not None else []
     note = EXPERT_NOTE
@@ -127,25 +147,24 @@ def _agents(episode: Episode) -> dict[str, Any]:
         parts = ", ".join(f"{role} {player}" for role, player in players.items())
         note = f"Parts played at the end: {parts}; predictions and tuner are built in."
     return {
-        **players, "tuner": episode.settings.tuner, "note": note,
+        **players, "tuner": run.settings.tuner, "note": note,
         "calls": dict.fromkeys(AGENT_ROLES, 0) if agents is None else agents.calls,
         "failed": {} if agents is None else agents.failed, "analysis": {} if agents is None else agents.analysis,
     }  # fmt: skip
 
 
-def _llm(episode: Episode) -> dict[str, Any]:
+def _llm(agents: Agents | None, attempts: Sequence[Attempt]) -> dict[str, Any]:
     """The ledger, with what each question bought; ``model`` names those that took part, null for none."""
-    agents = episode.agents
     names = sorted({m.name for m in agents.models.values()}) if agents is not None else []
     ledger = (Ledger() if agents is None else agents.ledger).as_dict()
-    return {"model": ", ".join(names) or None, **ledger, "bought": _bought(episode)}
+    return {"model": ", ".join(names) or None, **ledger, "bought": _bought(agents, attempts)}
 
 
-def _bought(episode: Episode) -> list[dict[str, Any]]:
+def _bought(agents: Agents | None, attempts: Sequence[Attempt]) -> list[dict[str, Any]]:
     """The result of each question to a model; of a planner's text, also the attempts with it and their best level."""
     rows = []
-    for each in [] if episode.agents is None else episode.agents.bought:
-        own = [a.verdict.level for a in episode.refinement.attempts if a.proposal.planner.hash == each.planner]
+    for each in [] if agents is None else agents.bought:
+        own = [a.verdict.level for a in attempts if a.proposal.planner.hash == each.planner]
         row = {"agent": each.agent, "what": each.what, "planner": each.planner, "attempts": len(own)}
         rows.append({**row, "level": str(max(own)) if own else None})
     return rows
@@ -224,12 +243,12 @@ def _composed(p: Proposal) -> dict[str, Any]:
     return {"composition": p.composition, "supports": supports}
 
 
-def _successes(episode: Episode) -> list[dict[str, Any]]:
+def _successes(record: EncounterRecord) -> list[dict[str, Any]]:
     """The attacks of different kinds that reached the level; ``folder``: where the run's folder holds another one."""
-    done, rows = episode.refinement, []
-    for k in done.successes:
-        folder = None if k == done.best or done.chosen is not None else f"{ATTACKS}/{k + 1}"
-        rows.append({"attempt": k, "kind": done.attempts[k].kind, "folder": folder})
+    best, rows = record.best, []
+    for k in record.successes:
+        counts = record.chosen is not None or (best is not None and k == best.index)
+        rows.append({"attempt": k, "kind": record.attempts[k].kind, "folder": None if counts else f"{ATTACKS}/{k + 1}"})
     return rows
 
 
@@ -239,15 +258,22 @@ def versions() -> dict[str, str]:
     return {"sumo_adv": __version__, "python": platform.python_version(), **{n: version(n) for n in names}}
 
 
-def manifest(episode: Episode, inputs: Mapping[Path, str]) -> dict[str, Any]:
-    """The contract's ``manifest.json``. ``inputs``: original file -> its copy's name under ``inputs/``."""
-    task, best = episode.task, episode.best
-    model_agents = episode.agents if episode.agents is not None and episode.agents.models else None
-    used = {p.planner.hash: p.planner for a in episode.refinement.attempts for p in a.proposal.members}
-    spec, made, record = task.spec, episode.source.conversion, episode.source.waymo
+def manifest(run: Run, record: EncounterRecord | None, inputs: Mapping[Path, str]) -> dict[str, Any]:
+    """Return the contract's ``manifest.json``.
+
+    Args:
+        run: The run.
+        record: Its record that counts; None if no encounter does.
+        inputs: By original file, the name of its copy under ``inputs/``.
+    """
+    task, run_input, best = run.task, run.run_input, None if record is None else record.best
+    model_agents = run.agents if run.agents is not None and run.agents.models else None
+    used = {p.planner.hash: p.planner for a in attempts_of(record) for p in a.proposal.members}
+    spec, made, waymo = task.spec, run_input.conversion, run_input.waymo
+    request = run.request if record is None else record.request
     return {
-        "schema": MANIFEST_SCHEMA, "versions": versions(), "name": episode.source.name,
-        "settings": episode.settings.model_dump(mode="json", exclude={"memory"}),
+        "schema": MANIFEST_SCHEMA, "versions": versions(), "name": run_input.name,
+        "settings": run.settings.model_dump(mode="json", exclude={"memory"}),
         "network": inputs[spec.network], "routes": [inputs[p] for p in spec.routes],
         "additional": [inputs[p] for p in spec.additional], "begin": spec.begin, "end": task.end,
         "seed": spec.seed, "step_length": spec.step_length, "sumo_options": spec.all_options,
@@ -257,16 +283,16 @@ def manifest(episode: Episode, inputs: Mapping[Path, str]) -> dict[str, Any]:
             "map": made.source.name, "options": list(made.options), "lost": dict(made.lost), "said": list(made.said),
             "warnings": [asdict(kind) for kind in made.warnings],
         },
-        "waymo": None if record is None else {**asdict(record), "file": str(record.file)},
-        "notes": list(episode.source.notes),
+        "waymo": None if waymo is None else {**asdict(waymo), "file": str(waymo.file)},
+        "notes": list(run_input.notes),
         "ego": asdict(task.ego) if isinstance(task.ego, EgoRoute) else task.ego,
         "ego_base_type": task.ego_base_type, "ego_driver": task.ego_driver,
         "ego_parameters": dict(task.ego_parameters), "driven_from": task.driven_from,
         "driven_before": [list(each) for each in task.driven_before], "delay": task.delay,
-        "skips": episode.skips,
-        "intents_allowed": list(episode.source.intents), "words": episode.words or None,
-        "asked": None if episode.asked is None else episode.asked.model_dump(mode="json", exclude_defaults=True),
-        "bank_hash": episode.bank_hash, "bandit": episode.bandit,
+        "skips": run.encounters_before(record),
+        "intents_allowed": list(run_input.intents), "words": request.words or None,
+        "asked": None if request.asked is None else request.asked.model_dump(mode="json", exclude_defaults=True),
+        "bank_hash": run.bank_hash, "bandit": [] if record is None else list(record.bandit),
         "model_answers": None if model_agents is None else MODEL_FILE,
         "prompts": None if model_agents is None else model_agents.prompts.versions,
         "planners": {

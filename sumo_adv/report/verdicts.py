@@ -13,10 +13,11 @@ from typing import Any
 
 import numpy as np
 
+from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Floats, Role, Track, Verdict
-from sumo_adv.episode.episode import Episode
 from sumo_adv.episode.rules_broken import RulesBroken, rules_broken
-from sumo_adv.episode.task import AttemptResult, FoundEncounter, Prefix
+from sumo_adv.episode.run import EncounterRecord, Run
+from sumo_adv.episode.task import AttemptResult, FoundEncounter, Prefix, Task
 from sumo_adv.episode.verdict import first_judged, recorded_case
 from sumo_adv.metrics.cause import Cause, cause_of
 from sumo_adv.metrics.further import PAPER_EPSILON_M, FurtherFigures, further_figures
@@ -70,14 +71,14 @@ class Findings:
     rows: Sequence[str] = ()
 
 
-def findings_on(episode: Episode) -> Findings | None:
-    """Return what is found on the attempt that counts; None without an attempt."""
-    best, encounter, prefix = episode.best, episode.found, episode.prefix
-    if best is None or encounter is None or prefix is None:
+def findings_on(run: Run, record: EncounterRecord) -> Findings | None:
+    """Return what is found on the attempt that counts in a record; None without an attempt."""
+    best, result, encounter, prefix = record.best, record.best_result, record.found, record.prefix
+    if best is None or result is None or prefix is None:
         return None
-    result, settings, bv = episode.refinement.results[episode.refinement.best or 0], episode.settings, best.proposal.bv
-    tracks = _tracks(episode, best, encounter, prefix, result)
-    played = episode.task.playback
+    settings, task, bv = run.settings, run.task, best.proposal.bv
+    tracks = _tracks(settings, task, best, encounter, prefix, result)
+    played = task.playback
     case = recorded_case(
         tracks, encounter, settings, best.proposal.bvs, result.start, result.driven.beyond,
         follows_log=played is not None and played.follows_log,
@@ -88,37 +89,36 @@ def findings_on(episode: Episode) -> Findings | None:
     end = float(min(case.ego.time[-1], recorded.time[-1])) if contact is None else contact
     moved = recorded.between(result.start + settings.step_length / 2, end)
     if case.unattacked is None:
-        case = replace(case, unattacked=_foreseen(episode, best, encounter))
+        case = replace(case, unattacked=_foreseen(settings, best, encounter))
     return Findings(
         further_figures(case),
         cause_of(case, best.verdict),
         rules_broken(best, result, encounter),
         warning_of(best.verdict),
-        markings_crossed(moved, episode.lanes, encounter.drivable),
-        _realism(episode, moved, encounter, prefix),
+        markings_crossed(moved, record.lanes, encounter.drivable),
+        _realism(settings, task, moved, encounter, prefix),
         series_rows(case.ego.between(result.start, np.inf), tracks, bv),
     )
 
 
-def _foreseen(episode: Episode, best: Attempt, encounter: FoundEncounter) -> Track | None:
+def _foreseen(settings: Settings, best: Attempt, encounter: FoundEncounter) -> Track | None:
     """The ego's motion without the attack, as it was foreseen."""
     situation = encounter.situations.get(best.proposal.delay)
     if situation is None or len(situation.baseline.s) < 2:
         return None
     b = situation.baseline
     x, y, heading = b.path.at(b.s)
-    time = np.asarray(best.trigger_time + episode.settings.step_length * np.arange(len(b.s)), dtype=np.float64)
+    time = np.asarray(best.trigger_time + settings.step_length * np.arange(len(b.s)), dtype=np.float64)
     return Track(encounter.ego, Role.EGO, time, x, y, heading, b.v, b.a, 0.0, 0.0)
 
 
 def _tracks(
-    episode: Episode, best: Attempt, encounter: FoundEncounter, prefix: Prefix, result: AttemptResult
+    settings: Settings, task: Task, best: Attempt, encounter: FoundEncounter, prefix: Prefix, result: AttemptResult
 ) -> list[Track]:
     """The recording that the engine judged: from a little before the attempt's start on."""
-    settings = episode.settings
     first = first_judged(encounter, settings, len(prefix.snapshots), result.start)
     snapshots = [*prefix.snapshots, *result.snapshots][first:]
-    roles = episode.task.roles(encounter.ego, *best.proposal.bvs)
+    roles = task.roles(encounter.ego, *best.proposal.bvs)
     return tracks_of(snapshots, {**prefix.sizes, **result.sizes}, roles, settings.step_length)
 
 
@@ -167,17 +167,17 @@ def _plain(value: Any) -> Any:
 # -- realism --------------------------------------------------------------------------------------------------------
 
 
-def _realism(episode: Episode, moved: Track, encounter: FoundEncounter, prefix: Prefix) -> dict[str, Any]:
+def _realism(settings: Settings, task: Task, moved: Track, encounter: FoundEncounter, prefix: Prefix) -> dict[str, Any]:
     """The adversary's motion up to the contact against the unattacked run's traffic in the same window."""
-    step = episode.settings.step_length
+    step = settings.step_length
     start, end = (float(moved.time[0]), float(moved.time[-1])) if len(moved.time) else (encounter.time, encounter.time)
     sizes = {**prefix.sizes, **encounter.sizes}
-    raw = tracks_of([*prefix.snapshots[-2:], *encounter.baseline], sizes, episode.task.roles(encounter.ego), step)
+    raw = tracks_of([*prefix.snapshots[-2:], *encounter.baseline], sizes, task.roles(encounter.ego), step)
     window = [t.between(start - step / 2, end + step / 2) for t in raw if t.role is Role.BACKGROUND]
     traffic = [t for t in window if len(t.time) > 1]
-    played = episode.task.playback
+    played = task.playback
     who = "as recorded" if played is not None and played.follows_log else "driven by SUMO"
-    sigmas = demand_sigmas([*episode.task.spec.routes, *episode.task.spec.additional])
+    sigmas = demand_sigmas([*task.spec.routes, *task.spec.additional])
     return {
         **_plain(realism_figures(moved, traffic, encounter.drivable)),
         "steps": len(moved.time),

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from sumo_adv.datatypes import Proposal
-from sumo_adv.episode.episode import Episode
+from sumo_adv.episode.run import Run
 from sumo_adv.errors import SumoAdvError, UsageError, fault_sentence
 from sumo_adv.files import json_text
 
@@ -27,7 +27,7 @@ MAX_LISTED_OUTCOMES = 200  # outcomes that the status page lists
 LOOPBACK = "127.0.0.1"
 HOSTS = (LOOPBACK, "localhost")
 MAX_WAITING_ENCOUNTERS = 2  # encounters that may wait to be written; then the simulation waits
-WriteEncounter = Callable[[Episode, int], Mapping[str, Any]]
+WriteEncounter = Callable[[Run, int], Mapping[str, Any]]
 
 
 def helpers(p: Proposal) -> dict[str, Any]:
@@ -193,21 +193,22 @@ def _handler(report: Callable[[], dict[str, Any]]) -> type[BaseHTTPRequestHandle
 
 
 class ResultWriter:
-    """``write`` gets an episode and its number and gives back what ``outcome.json`` holds, with its ``folder``."""
+    """``write`` gets the run of one encounter and its number; it returns what ``outcome.json`` holds, with its
+    ``folder``."""
 
     def __init__(self, write: WriteEncounter, events: Events) -> None:
         self._write, self._events = write, events
         self.critical = self.collided = self.written = 0
         self.failure: SumoAdvError | None = None
-        self._tray: queue.Queue[tuple[Episode, int] | None] = queue.Queue(MAX_WAITING_ENCOUNTERS)
+        self._tray: queue.Queue[tuple[Run, int] | None] = queue.Queue(MAX_WAITING_ENCOUNTERS)
         self._thread = threading.Thread(target=self._work, name="result writer", daemon=True)
         self._thread.start()
 
-    def keep(self, episode: Episode, number: int) -> None:
+    def keep(self, run: Run, number: int) -> None:
         """Have an encounter written. Raises SumoAdvError if an earlier one could not be."""
         if self.failure is not None:
             raise self.failure
-        self._tray.put((episode, number))
+        self._tray.put((run, number))
 
     def close(self) -> None:
         if self._thread.is_alive():
@@ -216,15 +217,15 @@ class ResultWriter:
 
     def _work(self) -> None:
         while (item := self._tray.get()) is not None:
-            episode, number = item
+            run, number = item
             if self.failure is None:
                 try:
-                    self._report(self._write(episode, number), number)
+                    self._report(self._write(run, number), number)
                 except SumoAdvError as error:
                     self.failure = error
                 except Exception as error:  # a fault of ours: the run ends with a sentence
                     self.failure = SumoAdvError(f"Encounter {number} could not be written. {fault_sentence(error)}")
-            del item, episode  # nothing of it is kept while the next one is waited for
+            del item, run  # nothing of it is kept while the next one is waited for
 
     def _report(self, result: Mapping[str, Any], number: int) -> None:
         best, supports = result["outcome"] or {}, result["adversaries"][1:]

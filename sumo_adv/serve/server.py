@@ -7,16 +7,17 @@ from __future__ import annotations
 
 import random
 import time
-from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, replace
 from typing import Any
 
 from sumo_adv.agents.agents import Agents
-from sumo_adv.datatypes import Attempt, Ending, LibraryEntry, Proposal
+from sumo_adv.config import Settings
+from sumo_adv.datatypes import Attempt, Ending
 from sumo_adv.episode.encounter_search import INSERTED_EGO
-from sumo_adv.episode.episode import Episode
-from sumo_adv.episode.loop import decide, model_ending, pursue
-from sumo_adv.episode.planned_encounter import PlannedEncounter, with_predictions
+from sumo_adv.episode.loop import Decision, decide, model_ending, pursue
+from sumo_adv.episode.planned_encounter import OUT_OF_REACH, with_predictions
+from sumo_adv.episode.run import EncounterRecord, Request, Run
 from sumo_adv.episode.task import Prefix, Task
 from sumo_adv.errors import ModelError, SumoAdvError, UsageError, fault_sentence
 from sumo_adv.llm.chat import run_in_thread
@@ -43,7 +44,7 @@ MAX_FRUITLESS_SIMULATIONS = 3  # simulations in a row without an encounter, afte
 class ServerDependencies:
     """Everything that a server needs and does not make itself. ``task_for``: the task with another seed."""
 
-    source: RunInput
+    run_input: RunInput
     options: Options
     task_for: Callable[[int], Task]
     road: RoadMap
@@ -199,55 +200,69 @@ class EgoServer:
             "encounter", time=encounter.time, number=self._number + 1, ego=encounter.ego,
             ranking=[{"id": i, "relation": r, "risk": k} for i, r, k in encounter.ranking],
         )  # fmt: skip
-        episode = Episode(
-            parts.source, self._settings, self._task, bank_hash=parts.bank.content_hash(), agents=parts.agents
-        )
-        episode.found, episode.lanes = encounter, parts.road.strips(*encounter.area)
+        request = Request(parts.run_input.asked, parts.run_input.words)
+        lanes = parts.road.strips(*encounter.area)
+        kept = [EncounterRecord(encounter, self._settings.goal, lanes=lanes, request=request)]
+        bank_hash = parts.bank.content_hash()
         try:
-            decision = self._decided(session, episode, scene)
+            decision = self._decided(session, kept, scene)
         except ModelError as error:
             self._number += 1
-            episode.ending, episode.reason = model_ending(error), str(error)
-            parts.writer.keep(episode, self._number)
+            record = replace(kept[-1], ending=model_ending(error), reason=str(error))
+            parts.writer.keep(self._run(record, self._settings, bank_hash), self._number)
             raise
-        given = decision.planned.reaches or self._task.trigger is not None
-        if decision.entries is None or not given:
-            self._pass_over(session, episode.reason if given else "no intent reaches the ego, by prediction", passed)
+        given, record = decision.planned.reaches or self._task.trigger is not None, decision.record
+        if decision.library is None or not given:
+            self._pass_over(session, record.reason if given else OUT_OF_REACH, passed)
             return False
-        if stale := self._stale(session, watch, scene, {episode.intents[0].bv, *decision.best.bvs}):
+        search = decision.planned.search
+        best = min(search.pool, key=search.price)
+        if stale := self._stale(session, watch, scene, {record.intents[0].bv, *best.bvs}):
             parts.events.tell("dropped", time=session.now, reason=stale)
             return False
         self._number += 1
-        self._pursue(session, scene, episode, decision)
+        self._pursue(session, scene, decision, bank_hash)
         return True
 
-    def _pursue(self, session: Session, scene: AttackScene, episode: Episode, decision: Decision) -> None:
+    def _run(self, record: EncounterRecord, settings: Settings, bank_hash: str) -> Run:
+        """The run of one encounter, as it is written."""
+        parts = self._parts
+        isolation = parts.agents.sandbox.isolation if record.attacked else ""
+        return Run(
+            parts.run_input, settings, self._task, (record,), agents=parts.agents, isolation=isolation,
+            bank_hash=bank_hash, timing=record.timing,
+        )  # fmt: skip
+
+    def _pursue(self, session: Session, scene: AttackScene, decision: Decision, bank_hash: str) -> None:
         parts, settings = self._parts, self._settings
         episodes = parts.options.mode is Mode.EPISODES
-        episode.settings = settings if episodes else settings.model_copy(update={"attempts": 1})
+        settings = settings if episodes else settings.model_copy(update={"attempts": 1})
         live = LiveAttempts(
-            session, scene, parts.road, episode.settings, parts.agents.sandbox, parts.events,
+            session, scene, parts.road, settings, parts.agents.sandbox, parts.events,
             (lambda: self._again(scene.found.time)) if episodes else None,
         )  # fmt: skip
-        assert decision.entries is not None
+        kept, failed = [decision.record], None
         try:
-            pursue(episode, decision.planned, decision.entries, live, parts.agents, parts.bank, self._tell_attempt)
-            if live.lost and episode.ending is not Ending.CRITICAL:
-                episode.ending, episode.reason = Ending.EGO_LOST, ""
+            pursue(decision, live, settings, parts.agents, parts.bank, self._tell_attempt, kept.append)
+            if live.lost and kept[-1].ending is not Ending.CRITICAL:
+                failed = (Ending.EGO_LOST, "")
         except KeyboardInterrupt:
-            episode.ending, episode.reason = Ending.INTERRUPTED, "Ctrl-C."
+            failed = (Ending.INTERRUPTED, "Ctrl-C.")
             raise
         except SumoAdvError as error:
-            episode.ending, episode.reason = Ending.SIMULATION_FAILED, str(error)
+            failed = (Ending.SIMULATION_FAILED, str(error))
             raise
         except (ClientGone, EgoLost):
-            episode.ending, episode.reason = Ending.EGO_LOST, ""
+            failed = (Ending.EGO_LOST, "")
             raise
         finally:
-            best = episode.refinement.best or 0
-            before = live.prefixes[best] if best < len(live.prefixes) else ()
-            episode.prefix = Prefix(before, dict(scene.found.sizes))
-            parts.writer.keep(episode, self._number)
+            record, best = kept[-1], kept[-1].best
+            index = 0 if best is None else best.index
+            before = live.prefixes[index] if index < len(live.prefixes) else ()
+            record = replace(record, prefix=Prefix(before, dict(scene.found.sizes)))
+            if failed is not None:
+                record = replace(record, ending=failed[0], reason=failed[1])
+            parts.writer.keep(self._run(record, settings, bank_hash), self._number)
         if live.lost and parts.options.on_loss is OnLoss.END:
             raise EgoLost
 
@@ -272,22 +287,23 @@ class EgoServer:
 
     # -- the decision -------------------------------------------------------------------------------------------
 
-    def _decided(self, session: Session, episode: Episode, scene: AttackScene) -> Decision:
+    def _decided(self, session: Session, kept: list[EncounterRecord], scene: AttackScene) -> Decision:
         """The predictions and the library for an encounter. The world waits for it; with ``real_time`` it goes on
-        meanwhile.
+        meanwhile. ``kept``: the record at hand; later ones are appended.
 
         Raises ModelError: a model plays a part and failed.
         """
-        began = time.perf_counter()
+        began, parts, settings = time.perf_counter(), self._parts, self._settings
 
         def work() -> Decision:
             planned = with_predictions(
-                episode, scene.found, self._parts.agents.sandbox, self._parts.bank, forecast=True
-            )
-            helped = self._settings.adversaries > 1 and self._task.trigger is not None  # supports may make it succeed
-            go_on = planned.reaches or helped
-            entries = decide(episode, planned, self._parts.agents, self._parts.bank) if go_on else None
-            return Decision(planned, entries)
+                scene.found, parts.run_input, settings, self._task, parts.agents.sandbox, parts.bank, parts.agents,
+                forecast=True,
+            )  # fmt: skip
+            helped = settings.adversaries > 1 and self._task.trigger is not None  # supports may make it succeed
+            if not planned.reaches and not helped:
+                return Decision(kept[-1], planned, None)
+            return decide(kept[-1], planned, settings, parts.agents, parts.bank, kept.append)
 
         if session.pace is None:
             decision = work()
@@ -299,7 +315,7 @@ class EgoServer:
         self._parts.events.tell(
             "decided", time=session.now, seconds=round(time.perf_counter() - began, 3),
             age=round(session.now - scene.found.time, 2),
-            intents=[{"bv": i.bv, "label": i.label, "risk": i.risk} for i in list(episode.intents)[:3]],
+            intents=[{"bv": i.bv, "label": i.label, "risk": i.risk} for i in decision.record.intents[:3]],
         )  # fmt: skip
         return decision
 
@@ -313,15 +329,3 @@ class EgoServer:
         if age > MAX_DECISION_AGE_S:
             return f"the decision is {age:.1f} s old"
         return next(filter(None, (watch.changed(scene.tracks, bv, scene.relation(bv)) for bv in sorted(wanted))), "")
-
-
-@dataclass(frozen=True, slots=True)
-class Decision:
-    """The predictions of an encounter, and the library to try from, None if there is no candidate."""
-
-    planned: PlannedEncounter
-    entries: Sequence[LibraryEntry] | None
-
-    @property
-    def best(self) -> Proposal:
-        return min(self.planned.search.pool, key=self.planned.search.price)

@@ -1,0 +1,303 @@
+"""A run and its encounters: frozen records, of which the best one is the run's result."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from sumo_adv.agents.agents import Agents
+from sumo_adv.asked import Asked
+from sumo_adv.config import Settings
+from sumo_adv.datatypes import Attempt, Ending, Intent, LaneStrip, Level
+from sumo_adv.episode.assessment import rank
+from sumo_adv.episode.neighbours import Robustness
+from sumo_adv.episode.task import AttemptResult, FoundEncounter, Prefix, Task
+from sumo_adv.goal import Goal
+from sumo_adv.search.supports import Cast
+from sumo_adv.simulation.inputs import RunInput
+from sumo_adv.words.request import Reading
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """What the attack was asked to be.
+
+    Attributes:
+        asked: What must be true of the attack; None if nothing was asked for.
+        words: The words of the request; empty without words.
+        declined: Why the encounter cannot play the request; empty if it can.
+    """
+
+    asked: Asked | None = None
+    words: str = ""
+    declined: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class EncounterRecord:
+    """What a run found, tried and learnt in one encounter.
+
+    Attributes:
+        found: The encounter.
+        goal: What an attempt must reach.
+        prefix: The simulation up to the encounter; None if it was not kept.
+        lanes: The lanes near.
+        request: What was asked for in this encounter.
+        intents: The intents, as the analyzer ranked them.
+        casts: Compositions that a model proposed.
+        bandit: How the planners of each intent were ordered, for the manifest.
+        attacked: Whether attempts were begun. Encounters that were passed over were not attacked.
+        known_labels: Labels of the intents that the bank had before the attempts.
+        attempts: The attempts in order; ``results[k]`` belongs to ``attempts[k]``.
+        results: The results of the attempts; empty if the recorded states were not kept.
+        successes: Indices of the attempts that reached the goal, one of each kind.
+        robust: By index of a success, in how many of its neighbours it holds.
+        readings: By index of an attempt, what a model reads in its motion.
+        first_success_seconds: Time from the first attempt to the first success [s]; None without a success.
+        chosen: Index of the attempt that counts, if it is not the best one.
+        ending: How the encounter ended.
+        reason: Why it ended, as a sentence.
+        left: Why the run went on to the next encounter; empty if it did not.
+        learnt: Whether the bank has learnt a success.
+        bank_change: What the bank has learnt that changes the next run, as a sentence.
+        notes: Sentences about what the reader of the result should know.
+        timing: How long each part took [s].
+    """
+
+    found: FoundEncounter
+    goal: Goal = field(default_factory=Goal)
+    prefix: Prefix | None = None
+    lanes: Sequence[LaneStrip] = ()
+    request: Request = field(default_factory=Request)
+    intents: Sequence[Intent] = ()
+    casts: Sequence[Cast] = ()
+    bandit: Sequence[Any] = ()
+    attacked: bool = False
+    known_labels: frozenset[str] = frozenset()
+    attempts: Sequence[Attempt] = ()
+    results: Sequence[AttemptResult] = ()
+    successes: Sequence[int] = ()
+    robust: Mapping[int, Robustness] = field(default_factory=dict)
+    readings: Mapping[int, Reading] = field(default_factory=dict)
+    first_success_seconds: float | None = None
+    chosen: int | None = None
+    ending: Ending = Ending.SIMULATION_FAILED
+    reason: str = ""
+    left: str = ""
+    learnt: bool = False
+    bank_change: str = ""
+    notes: Sequence[str] = ()
+    timing: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def best(self) -> Attempt | None:
+        """The attempt that counts; None without attempts."""
+        if self.chosen is not None:
+            return self.attempts[self.chosen]
+        k = best_index(self.attempts, self.goal, self.robust, asked=self.request.asked is not None)
+        return None if k is None else self.attempts[k]
+
+    @property
+    def best_result(self) -> AttemptResult | None:
+        """The result of the attempt that counts; None without attempts, or if the recorded states were not kept."""
+        best = self.best
+        return None if best is None or not self.results else self.results[best.index]
+
+    @property
+    def intent(self) -> Intent | None:
+        """The intent of the attempt that counts; without attempts the first one. None if nothing attacked."""
+        if not self.attacked or not self.intents:
+            return None
+        best = self.best
+        if best is None:
+            return self.intents[0]
+        p = best.proposal
+        same = [i for i in self.intents if i.label == p.label]
+        intent = next((i for i in same if i.bv == p.bv), same[0] if same else self.intents[0])
+        source = "memory" if p.label in self.known_labels else "generated"
+        return replace(intent, bv=p.bv, acceleration=p.acceleration, source=source)
+
+    @property
+    def robustness(self) -> Robustness | None:
+        """In how many neighbours the attempt that counts holds; None if no neighbour was tried."""
+        best = self.best
+        return None if best is None else self.robust.get(best.index)
+
+    @property
+    def level(self) -> Level:
+        """The level of the attempt that counts."""
+        best = self.best
+        return Level.NONE if best is None else best.verdict.level
+
+    @property
+    def passed_over(self) -> bool:
+        """Whether the run went on to the next encounter without an attempt."""
+        return bool(self.left) and not self.attacked
+
+    def of_attempt(self, index: int) -> EncounterRecord:
+        """The same record, in which another attempt counts."""
+        return replace(self, chosen=index)
+
+    def took(self, part: str, seconds: float) -> EncounterRecord:
+        """The record with more time spent on a part."""
+        return replace(self, timing={**self.timing, part: self.timing.get(part, 0.0) + seconds})
+
+    def without_states(self) -> EncounterRecord:
+        """The record without recorded states, which take a megabyte for each attempt."""
+        return replace(self, found=replace(self.found, baseline=()), prefix=None, lanes=(), results=())
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """Why a run ended outside an encounter.
+
+    Attributes:
+        ending: How the run ended.
+        reason: Why, as a sentence.
+        failed: True if something broke the run off: then this is its ending, whatever its encounters came to.
+            False if there was no further encounter: then this is its ending only if no encounter counts.
+        traceback: Of a fault in sumo_adv; empty otherwise.
+    """
+
+    ending: Ending
+    reason: str
+    failed: bool = False
+    traceback: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """A run from its input to its encounters. All that is written of a run is a function of this and its best record.
+
+    Attributes:
+        run_input: What the run started from.
+        settings: The settings.
+        task: What the engine was opened with.
+        records: The encounters in order, with those that were passed over.
+        stop: Why the run ended; None if it ended with its last encounter.
+        forked: Whether attempts were forks of one simulation.
+        agents: Who analyzed, generated and modified; None if no part was played.
+        isolation: How planners were kept apart from this machine; empty if none ran.
+        bank_hash: Hash of the bank's content before the run.
+        warnings: SUMO's warnings, except those of attempts.
+        timing: How long each part took [s].
+    """
+
+    run_input: RunInput
+    settings: Settings
+    task: Task
+    records: Sequence[EncounterRecord] = ()
+    stop: Stop | None = None
+    forked: bool = False
+    agents: Agents | None = None
+    isolation: str = ""
+    bank_hash: str = ""
+    warnings: Sequence[str] = ()
+    timing: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def best(self) -> EncounterRecord | None:
+        """The record that is the run's result."""
+        return best_record(self.records)
+
+    @property
+    def ending(self) -> Ending:
+        """How the run ended."""
+        return self._end[0]
+
+    @property
+    def reason(self) -> str:
+        """Why the run ended, as a sentence."""
+        return self._end[1]
+
+    @property
+    def _end(self) -> tuple[Ending, str]:
+        best, stop = self.best, self.stop
+        if stop is not None and (stop.failed or best is None):
+            return stop.ending, stop.reason
+        return (Ending.SIMULATION_FAILED, "") if best is None else (best.ending, best.reason)
+
+    @property
+    def traceback(self) -> str:
+        """Of a fault in sumo_adv; empty otherwise."""
+        return "" if self.stop is None else self.stop.traceback
+
+    @property
+    def request(self) -> Request:
+        """What was asked for: in the best record, otherwise in the last one, otherwise by the input."""
+        record = self.best or (self.records[-1] if self.records else None)
+        return Request(self.run_input.asked, self.run_input.words) if record is None else record.request
+
+    @property
+    def declined(self) -> bool:
+        """Whether nothing was tried because a request could not be played."""
+        tried = any(record.attempts for record in self.records)
+        return not tried and any(record.request.declined for record in self.records)
+
+    def encounters_before(self, record: EncounterRecord | None) -> int:
+        """Return how many encounters the run sought before that of a record; without a record, all of them."""
+        return len(self.records) if record is None else [r.found.time for r in self.records].index(record.found.time)
+
+    @property
+    def learnt(self) -> bool:
+        """Whether the bank has learnt a success."""
+        return any(record.learnt for record in self.records)
+
+    @property
+    def bank_change(self) -> str:
+        """What the bank has learnt last that changes the next run, as a sentence; empty if nothing."""
+        return next((record.bank_change for record in reversed(self.records) if record.bank_change), "")
+
+    @property
+    def notes(self) -> list[str]:
+        """The notes of the input and of all encounters."""
+        return [*self.run_input.notes, *(note for record in self.records for note in record.notes)]
+
+
+def best_record(records: Sequence[EncounterRecord]) -> EncounterRecord | None:
+    """Return the record that is the result of a run.
+
+    A success comes first, then the best attempt by ``rank``, then encounters without an attempt. The first one wins a
+    tie. Encounters that were passed over do not count.
+    """
+    counting = [record for record in records if not record.passed_over]
+    return min(counting, key=_order, default=None)
+
+
+def _order(record: EncounterRecord) -> tuple[float, ...]:
+    """A key that sorts records, the best one first."""
+    best = record.best
+    worth = (math.inf, 0.0) if best is None else rank(best.verdict)
+    return (record.ending is not Ending.CRITICAL, *worth)
+
+
+def best_index(attempts: Sequence[Attempt], goal: Goal, robust: Mapping[int, Robustness], *, asked: bool) -> int | None:
+    """Return the index of the best attempt, the most robust and then the first one of equals; None without attempts."""
+    if not attempts:
+        return None
+
+    def order(k: int) -> tuple[float, ...]:
+        seen = robust.get(k)
+        share = 0.0 if seen is None or not seen.of else seen.held / seen.of
+        return (*worth(attempts[k], goal, asked=asked), -share, k)
+
+    return min(range(len(attempts)), key=order)
+
+
+def worth(attempt: Attempt, goal: Goal, *, asked: bool) -> tuple[float, ...]:
+    """Return a key that sorts attempts, the best first: successes, then those that fit what was ``asked`` for."""
+    verdict = attempt.verdict
+    met = goal.met(verdict)
+    fits = not asked or (not verdict.misfits and (met or verdict.level >= Level.CRITICAL))
+    return (not met, not fits, *rank(verdict))
+
+
+def seconds_by_part(*timings: Mapping[str, float]) -> dict[str, float]:
+    """Return how long each part took in all ``timings`` together [s]."""
+    parts: dict[str, float] = {}
+    for timing in timings:
+        for part, seconds in timing.items():
+            parts[part] = parts.get(part, 0.0) + seconds
+    return parts
