@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 from typing import Any
@@ -36,7 +37,7 @@ def run(folder: Path, server: ModelServer | None, *arguments: str) -> Done:
     program = Program(folder, folder)
     program.variables.update(server.environment() if server is not None else {})
     more = ("--memory", "bank.sqlite", "--learn", "off", "--out", "out", "--attempts", "40", "--seconds", "3600")
-    return program.here("run", *arguments, *more)
+    return program.here("run", *more, *arguments)
 
 
 def test_only_the_attack_that_was_asked_for_is_tried(tmp_path: Path) -> None:
@@ -103,3 +104,27 @@ def test_words_that_no_encounter_can_play_end_in_a_sentence(tmp_path: Path) -> N
 def test_without_a_model_the_nearest_scenarios_are_named(tmp_path: Path) -> None:
     done = run(tmp_path, None, "motorway_cut_in_left", "--ask", "A cyclist swings out into my lane.")
     assert done.status == 2 and "needs a language model" in done.err and "cyclist_swerve" in done.err
+
+
+def test_a_run_that_falls_back_to_an_earlier_encounter_writes_its_request(tmp_path: Path) -> None:
+    """The model reads another event into the words in each of two encounters. Neither event happens, so both are
+    attacked without success; the attempts of the first one are as good as those of the second, so the first counts."""
+    events = {22.0: "runs_red", 26.5: "turns_left"}
+    times = iter(events)
+
+    def script(request: Asked) -> dict[str, Any]:
+        listed = re.findall(r"^BV\d+: .*Behaviours that apply: (.*)\.$", request.last, re.MULTILINE)
+        label = next(labels.split(", ")[0] for labels in listed if labels != "none of the library")
+        return plan(request, label, events=[events[next(times)]])
+
+    with ModelServer(script) as server:
+        done = run(
+            tmp_path, server, "straight_3lane", "--ask", WORDS, "--analyzer", "gpt-test", "--seed", "2",
+            "--attempts", "2", "--end", "30",
+        )  # fmt: skip
+    assert done.status == 0, done.err
+    outcome, manifest = done.outcome, json.loads((done.folder / "manifest.json").read_text())
+    tried = [(t["time"], t["attempts"], t["level"]) for t in outcome["encounters_tried"]]
+    assert tried == [(22.0, 2, "strict"), (26.5, 2, "strict")]
+    assert outcome["encounter"]["time"] == 22.0 and manifest["skips"] == 0
+    assert outcome["asked"]["attack"] == manifest["asked"] == {"events": ["runs_red"]}
