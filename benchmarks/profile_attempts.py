@@ -26,7 +26,6 @@ from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 from types import CodeType, FrameType
-from typing import Any
 
 from sumo_adv.agents.agents import Agents
 from sumo_adv.app import load
@@ -40,15 +39,17 @@ from sumo_adv.episode import attempt, verdict
 from sumo_adv.episode.assessment import AttemptRunner
 from sumo_adv.episode.attempt import OngoingAttempt
 from sumo_adv.episode.drive import Drive
+from sumo_adv.episode.engine import EpisodeCalls, EpisodeEngine
 from sumo_adv.episode.loop import run_episode
 from sumo_adv.episode.memory_access import read_library
 from sumo_adv.episode.references import PlannedEgo, ReferenceEgo
 from sumo_adv.episode.surroundings import Surroundings
 from sumo_adv.episode.task import AttemptResult, NoEncounter, make_task
-from sumo_adv.episode.worker import body
+from sumo_adv.episode.worker import EpisodeWorker
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.records import SceneSignature
 from sumo_adv.metrics.reference import counterfactual
+from sumo_adv.metrics.verdict import judge
 from sumo_adv.planners.adversary_batch import AdversaryBatch
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Sessions
@@ -57,10 +58,11 @@ from sumo_adv.search.prediction import Predictor
 from sumo_adv.search.scoring import judge_all
 from sumo_adv.search.search import AttackSearch
 from sumo_adv.search.settings import SearchSettings
-from sumo_adv.simulation import engine as engine_module
 from sumo_adv.simulation.engine import Engine
+from sumo_adv.simulation.forks import in_forks
 from sumo_adv.simulation.inputs import data_folder, load_input
 from sumo_adv.simulation.simulation import Simulation
+from sumo_adv.simulation.tracks import tracks_of
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 ROAD, DENSITY_PER_KM, DURATION_S = "straight_4lane", 250.0, 8.0  # about 20 vehicles
@@ -81,8 +83,9 @@ PARTS: tuple[tuple[str, Part], ...] = (
     ("    rollouts judged", (judge_all,)),
     ("  attempts requested", (AttemptRunner.attempt,)),
     ("engine", "engine"),
-    ("  forks made and read", (engine_module.in_forks,)),
+    ("  forks made and read", (in_forks,)),
     ("forks of the engine", "fork"),
+    ("  go on to the start", (EpisodeWorker._begin,)),
     ("  driving", (attempt.attack,)),
     ("    ego's turn", (Drive._let_ego_act,)),
     ("      observation", (Drive.observation,)),
@@ -95,9 +98,9 @@ PARTS: tuple[tuple[str, Part], ...] = (
     ("    SUMO's step", (Simulation.step,)),
     ("    states read", (Simulation.read,)),
     ("    distances", (attempt.apart_of,)),
-    ("  verdict", (verdict.gate_verdict,)),
-    ("    gates and contact", (verdict.judge,)),
-    ("    level", (verdict.with_level,)),
+    ("  verdict", (verdict.verdict_on,)),
+    ("    motions recorded", (tracks_of,)),
+    ("    gates, contact and level", (judge,)),
     ("      reference roll-outs", (counterfactual.answers,)),
 )
 """What is counted: a process, or functions in the process above them. A part that is indented is of the one above."""
@@ -144,16 +147,16 @@ def name_of(code: CodeType) -> str:
     return f"{Path(code.co_filename).stem}.{code.co_qualname}".replace(" ", "_").replace(";", "_")
 
 
-def sampled_body(file: Path, slots: list[Connection]) -> Mapping[str, Callable[..., Any]]:
-    """The commands of an engine process that is sampled."""
+def sampled_worker(file: Path, slots: list[Connection]) -> EpisodeWorker:
+    """The worker of an engine process that is sampled."""
     Sampler(file, "engine")
-    return body(slots)
+    return EpisodeWorker(slots)
 
 
 # -- what is profiled -----------------------------------------------------------------------------------------------
 
 
-def first_attempts(count: int, ego: str, engine: Engine, sandbox: Sandbox, begin: Callable[[], None]) -> str:
+def first_attempts(count: int, ego: str, engine: EpisodeEngine, sandbox: Sandbox, begin: Callable[[], None]) -> str:
     """Make the first attempts of a search; ``begin`` is called before the first one. A line on what was done."""
     source = load_input(Path(ROAD))
     settings = load_settings(None, ego=ego, duration=DURATION_S, density=DENSITY_PER_KM)
@@ -161,8 +164,8 @@ def first_attempts(count: int, ego: str, engine: Engine, sandbox: Sandbox, begin
         tempfile.TemporaryDirectory(prefix="sumo_adv-") as folder,
         MemoryBank.open(data_folder("memory_bank.sqlite"), read_only=True) as bank,
     ):
-        engine.request("open", make_task(source, settings, Path(folder)))
-        found = engine.request("seek")
+        engine.call(EpisodeCalls.open, make_task(source, settings, Path(folder)))
+        found = engine.call(EpisodeCalls.seek)
         if isinstance(found, NoEncounter):
             raise SystemExit(found.reason)
         entries = read_library(bank, SceneSignature("straight", "neighbour", {}, ego), seed=0, situations={})[0]
@@ -178,14 +181,13 @@ def first_attempts(count: int, ego: str, engine: Engine, sandbox: Sandbox, begin
                 if result.verdict is not None:
                     search.observe(proposal, None, result.verdict)
     contacts = sum(r.verdict is not None and r.verdict.collided for r in results)
-    steps, vehicles = (
-        sum(len(r.snapshots) for r in results),
-        max(len(r.snapshots[0].raw) for r in results if len(r.snapshots)),
-    )
+    steps, vehicles = sum(len(r.snapshots) for r in results), len(results[0].snapshots[0].raw)
     return f"{len(results)} attempts on {ROAD} against {ego}: {contacts} contacts, {steps} steps, {vehicles} vehicles"
 
 
-def encounters(suite: str, every: int, ego: str, engine: Engine, sandbox: Sandbox, begin: Callable[[], None]) -> str:
+def encounters(
+    suite: str, every: int, ego: str, engine: EpisodeEngine, sandbox: Sandbox, begin: Callable[[], None]
+) -> str:
     """Attack encounters of a suite, as ``first_attempts`` does."""
     cases, done = load_suite(suite).cases[::every], 0
     begin()
@@ -249,7 +251,7 @@ def main() -> int:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="sumo_adv-")))
         samples = folder / "samples" if given.stacks is None else given.stacks
         samples.write_text("")
-        engine = stack.enter_context(Engine(partial(sampled_body, samples)))
+        engine = stack.enter_context(Engine(partial(sampled_worker, samples)))
         sandbox = stack.enter_context(Sandbox())
 
         def begin() -> None:

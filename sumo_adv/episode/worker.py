@@ -48,6 +48,7 @@ from sumo_adv.simulation.network import RoadMap, read_network
 from sumo_adv.simulation.playback import Playback
 from sumo_adv.simulation.scan import silent_copies
 from sumo_adv.simulation.signals import LightsNear
+from sumo_adv.simulation.stored_snapshots import StoredSnapshots
 from sumo_adv.simulation.sumo_states import Snapshot
 from sumo_adv.simulation.tracks import tracks_of
 from sumo_adv.situation import Situation
@@ -396,7 +397,7 @@ class EpisodeWorker(EpisodeCalls):
         start = self._begin(proposal)
         driven = self._drive_attack(proposal, asks)
         verdict = verdict_on(drive, self._encounter, settings, self._trigger_step, proposal.bvs, start, driven)
-        snapshots = drive.recording.snapshots[self._trigger_step :]
+        snapshots = StoredSnapshots(drive.recording.snapshots[self._trigger_step :])
         sizes = dict(drive.simulation.fleet.sizes)
         return AttemptResult(driven, verdict, start, snapshots, sizes, drive.actions.total())
 
