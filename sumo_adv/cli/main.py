@@ -44,7 +44,7 @@ COMMANDS = {
 }
 """By command: the module of this package that has its function, and the name of its example there."""
 FUNCTIONS = {"import": "import_fcd"}  # those that are not called as their command
-GROUPS = ("batch", "bench", "memory", "transformer")  # of commands, each in the module of its name
+GROUPS = ("batch", "bench", "memory")  # of commands, each in the module of its name
 
 
 def _version(wanted: bool) -> None:

@@ -268,5 +268,5 @@ def read_weights(file: Path) -> dict[str, NDArray[np.float32]]:
     except (OSError, ValueError) as error:
         raise UsageError(f"{file} cannot be read as weights ({error}); give the weights.npz of a training.") from error
     if {name: values.shape for name, values in weights.items()} != shapes:
-        raise UsageError(f"{file} holds no weights of this network; train them with sumo-adv transformer train.")
+        raise UsageError(f"{file} holds no weights of this network; train them with benchmarks/transformer.py.")
     return weights

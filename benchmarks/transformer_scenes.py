@@ -349,7 +349,7 @@ def load(folder: Path, kind: str) -> Scenes:
     """
     files = sorted(folder.glob(f"{kind}-*.npz"))
     if not files:
-        raise UsageError(f"{folder} has no scenes ({kind}-*.npz); make them with sumo-adv transformer data.")
+        raise UsageError(f"{folder} has no scenes ({kind}-*.npz); make them with benchmarks/transformer.py data.")
     parts = [_load(file) for file in files]
     names = (*Features._fields, "future", "known", *(["followed"] if all("followed" in p for p in parts) else []))
     joined = {name: np.concatenate([part[name] for part in parts]) for name in names}

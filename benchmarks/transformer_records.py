@@ -10,9 +10,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import transformer_scenes as scenes
 
 from sumo_adv.errors import UsageError
-from sumo_adv.transformer import dataset, scene
+from sumo_adv.transformer import scene
 from sumo_adv.womd.reader import read_records
 from sumo_adv.womd.record import BIKE, VEHICLE, Record, evenly_sampled
 
@@ -28,21 +29,21 @@ def make_from_records(source: Path, folder: Path, progress: Callable[[int, int],
     files = sorted(path for path in source.iterdir() if ".tfrecord" in path.name) if source.is_dir() else []
     if not files:
         raise UsageError(f"{source} is no folder with .tfrecord files.")
-    dataset.begin(folder, f"womd, {len(files)} files")
+    scenes.begin(folder, f"womd, {len(files)} files")
     for number, file in enumerate(files):
-        kept = (number + 1) % dataset.TRAINING_RUNS_PER_HELD_OUT == 0
-        kind = dataset.HELD_OUT if kept else dataset.TRAIN
+        kept = (number + 1) % scenes.TRAINING_RUNS_PER_HELD_OUT == 0
+        kind = scenes.HELD_OUT if kept else scenes.TRAIN
         target = folder / f"{kind}-{number:04d}.npz"
         if not target.exists():
-            scenes = [made for record in read_records(file) if (made := scene_of_record(record)) is not None]
-            if scenes:
-                dataset.save(dataset.together(scenes), target)
+            found = [made for record in read_records(file) if (made := scene_of_record(record)) is not None]
+            if found:
+                scenes.save(scenes.together(found), target)
         progress(number + 1, len(files))
     return len(files)
 
 
-def scene_of_record(record: Record) -> dataset.Scene | None:
-    """The scene of a record around its ego (see ``dataset.scene_of``); None where its history is too short."""
+def scene_of_record(record: Record) -> scenes.Scene | None:
+    """The scene of a record around its ego (see ``scenes.scene_of``); None where its history is too short."""
     record, _ = evenly_sampled(record)
     first = record.current - scene.HISTORY_COUNT + 1
     ego = record.tracks[record.sdc]
@@ -51,7 +52,7 @@ def scene_of_record(record: Record) -> dataset.Scene | None:
     current = record.current
     there = [t for t in record.tracks if t.kind == VEHICLE and t.valid[current] and t.valid[first]]
     far = {t.id: float(np.hypot(t.x[current] - ego.x[current], t.y[current] - ego.y[current])) for t in there}
-    near = (t for t in there if far[t.id] < dataset.SCENE_RADIUS_M)
+    near = (t for t in there if far[t.id] < scenes.SCENE_RADIUS_M)
     chosen = sorted(near, key=lambda t: far[t.id])[: scene.MAX_AGENTS]
     if not chosen:
         return None
@@ -66,7 +67,7 @@ def scene_of_record(record: Record) -> dataset.Scene | None:
         np.array([(t.length[current], t.width[current]) for t in chosen]),
         np.array([scene.light_of(None) for _ in chosen]),
     )  # fmt: skip
-    return dataset.scene_of(agents, place[:, scene.HISTORY_COUNT :], _segments(record))
+    return scenes.scene_of(agents, place[:, scene.HISTORY_COUNT :], _segments(record))
 
 
 def _segments(record: Record) -> scene.Segments:

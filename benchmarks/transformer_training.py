@@ -22,11 +22,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from transformer_scenes import MIN_MOVING_DISTANCE_M, Scenes
 
 from sumo_adv.datatypes import Bools, Floats
 from sumo_adv.errors import UsageError
 from sumo_adv.files import write_whole
-from sumo_adv.transformer.dataset import MIN_MOVING_DISTANCE_M, Scenes
 from sumo_adv.transformer.model import FUTURE_TIMES_S, Parameters, forward, make_parameters, softmax, write_weights
 from sumo_adv.transformer.scene import SPEED_SCALE_M_S, Features
 
