@@ -13,8 +13,8 @@ from model_samples import Answers
 from situation_samples import changed, crossing, leader, neighbour, situation
 
 from sumo_adv.agents.analyzer import Analysis, Choice, ModelAnalyzer, analyzer_prompt
+from sumo_adv.agents.feedback import MAX_EARLIER_ATTEMPTS, AttemptReport, Row, earlier_words, report_words
 from sumo_adv.agents.generator import mode_name, without_fence
-from sumo_adv.agents.modifier import MAX_EARLIER_ATTEMPTS, AttemptReport, Row, earlier_words, report_words
 from sumo_adv.agents.scene_text import Aliases, driver_words, relative_words, road_words, state_words
 from sumo_adv.agents.ways import evidence_words, modes_words, opening_comment
 from sumo_adv.datatypes import (
@@ -326,17 +326,17 @@ def test_a_near_miss_is_diagnosed() -> None:
     assert (diagnosis.ego_reaction, diagnosis.ego_braking, diagnosis.ego_shift, diagnosis.bound) == (None, 0.0, 0.0, ())
 
 
-def report(verdict: Verdict, ending: str = "passed") -> str:
+def report(prompts: Prompts, verdict: Verdict, ending: str = "passed") -> str:
     d = Diagnosis(3.4, (-4.0, -4.8), (4.8, 4.0), 9.0, 8.0, -1.0, 2.5, 3.2, 0.0, ("braking",))
     attempt = Attempt(0, "analyzer", proposal(0.5), 100.0, verdict, ending, "", d)
     return report_words(
-        AttemptReport(attempt, (Row(0.5, 20.0, 3.2, 0.0, 12.0, 14.0, 0.1),), ("lateral: 5 m/s2.",), 0.0, 6.5)
+        prompts, AttemptReport(attempt, (Row(0.5, 20.0, 3.2, 0.0, 12.0, 14.0, 0.1),), ("lateral: 5 m/s2.",), 0.0, 6.5)
     )
 
 
-def test_the_feedback_describes_an_attempt() -> None:
+def test_the_feedback_describes_an_attempt(prompts: Prompts) -> None:
     verdict = Verdict(1.44, 2.31, False, False, False, False, ("lateral",), min_ttc_time=103.4)
-    words = report(verdict)
+    words = report(prompts, verdict)
     assert "lasted 6.5 s; it ended because the two had passed each other" in words
     assert "Level none: no contact; least time to collision 1.44 s, least distance of the boxes 2.3 m." in words
     assert "Not feasible, lateral: 5 m/s2." in words and "needs: a motion that is feasible" in words
@@ -345,31 +345,33 @@ def test_the_feedback_describes_an_attempt() -> None:
     assert "  0.5; 20.0, 3.2; 0; 12.0, 14.0; 0.1" in words
 
 
-def test_the_feedback_says_what_the_next_level_needs() -> None:
+def test_the_feedback_says_what_the_next_level_needs(prompts: Prompts) -> None:
     """The danger shows at 104.2 s, 0.8 s before the contact at 105.0; the attempt began at 100."""
     by = Preventability({"cc_human": "collides", "manoeuvre": "avoids"}, {"cc_human": 104.2})
     hit = Verdict(
         0.0, 0.0, True, True, True, False, True, False, None, contact_time=105.0, level=Level.VALID, preventability=by,
         delta_v=3.1, humanlike=True,
     )  # fmt: skip
-    words = report(hit, "contact")
+    words = report(prompts, hit, "contact")
     assert "Level valid: they collided, delta-v of EGO 3.1 m/s." in words
     assert "a danger that shows earlier. It showed 4.2 s after the start, 0.8 s before the contact;" in words
     assert "it is avoided by manoeuvre. A careful driver that only brakes lets 0.75 s pass" in words
     soft = replace(hit, level=Level.STRICT, delta_v=1.1)
-    assert "needs: a harder contact (delta-v 1.1, wanted 2.24 m/s)." in report(soft, "contact")
-    assert "needs: a contact in which the bv does not run into the back of EGO." in report(replace(hit, rear_end=True))
+    assert "needs: a harder contact (delta-v 1.1, wanted 2.24 m/s)." in report(prompts, soft, "contact")
+    assert "needs: a contact in which the bv does not run into the back of EGO." in report(
+        prompts, replace(hit, rear_end=True)
+    )
 
 
-def test_other_attempts_are_a_line_each_with_what_they_lacked() -> None:
+def test_other_attempts_are_a_line_each_with_what_they_lacked(prompts: Prompts) -> None:
     missed = Verdict(1.44, 2.31, False, False, False, False, ())
     missed, off_road = replace(missed, feasible=True), replace(missed, failed_gates=("off_road",))
     tries = [Attempt(k, "tuner", proposal(0.5), 100.0, v, "passed", "") for k, v in enumerate((missed, off_road))]
-    first, second = earlier_words(tries, {"bv": "BV1"}).splitlines()
+    first, second = earlier_words(prompts, tries, {"bv": "BV1"}).splitlines()
     side = f"BV1, Straight Lane Shift/side (text {PLANNER.hash[:4]}: no parameters): level none"
     assert first == f"1: {side}; needs a contact."
     assert second == f"2: {side}; not feasible (off_road); needs a motion that is feasible."
-    many = earlier_words([replace(tries[0], index=k) for k in range(30)], {}).splitlines()
+    many = earlier_words(prompts, [replace(tries[0], index=k) for k in range(30)], {}).splitlines()
     assert len(many) == MAX_EARLIER_ATTEMPTS and many[-1].startswith("30: a vehicle,")
 
 

@@ -15,8 +15,9 @@ from functools import partial
 from typing import Any, TypeVar
 
 from sumo_adv.agents.analyzer import Distribution, ModelAnalyzer
+from sumo_adv.agents.feedback import AttemptReport
 from sumo_adv.agents.generator import ModelGenerator, Trial, expert_planners
-from sumo_adv.agents.modifier import AttemptReport, Change, ModelModifier, RepairScene
+from sumo_adv.agents.modifier import Change, ModelModifier, RepairScene
 from sumo_adv.agents.teams import Teamwork
 from sumo_adv.agents.ways import evidence_words
 from sumo_adv.asked import Asked

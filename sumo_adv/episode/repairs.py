@@ -13,7 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from sumo_adv.agents.agents import Agents
-from sumo_adv.agents.modifier import AttemptReport, Change, Instead, RepairScene, Row
+from sumo_adv.agents.feedback import AttemptReport, Row
+from sumo_adv.agents.modifier import Change, Instead, RepairScene
 from sumo_adv.agents.scene_text import Aliases, driver_words, scene_words
 from sumo_adv.agents.ways import begin_of, starts_words, way_of
 from sumo_adv.config import Settings

@@ -1,7 +1,8 @@
 """The prompts: versioned files in the folder ``prompts/`` with variables.
 
 A file begins with ``version: N``. The lines ``=== system`` and ``=== user`` begin its two parts. A file without these
-lines is a piece of other prompts. ``$name`` is a variable. A missing or unknown variable is an error.
+lines is a piece of other prompts, or has a sentence a line (``key: sentence``). ``$name`` is a variable. A missing or
+unknown variable is an error.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ from sumo_adv.metrics.avoidance import HAZARD_TO_MANOEUVRE_S
 from sumo_adv.metrics.reference import brakers, cc_human
 
 PROMPT_NAMES = (
-    "analyzer", "confirm", "danger", "generator", "modifier", "planner", "reading", "request", "teams", "write",
+    "analyzer", "confirm", "danger", "feedback", "generator", "modifier", "planner", "reading", "request", "teams",
+    "write",
 )  # fmt: skip
 MAX_PROMPT_TEXT_CHARACTERS = 600  # of a label or description in a prompt
 
@@ -71,6 +73,15 @@ class Prompts:
     def piece(self, name: str, **variables: str) -> str:
         """A file without parts, with its variables filled in."""
         return _filled(name, self._parts[name][0], variables, set(variables))
+
+    def phrases(self, name: str) -> Mapping[str, str]:
+        """The sentences of a file that has one a line, ``key: sentence``, by their keys."""
+        lines = self._parts[name][0].splitlines()
+        return {key: sentence for key, colon, sentence in (line.partition(": ") for line in lines) if colon}
+
+    def phrase(self, name: str, key: str, **variables: str) -> str:
+        """A sentence of such a file, with its variables filled in. Raises KeyError as ``render`` does."""
+        return _filled(f"{name}: {key}", self.phrases(name)[key], variables, set(variables))
 
     def render(self, name: str, **variables: str) -> Prompt:
         """A file with its variables filled in. Raises KeyError for a missing or unknown variable."""
