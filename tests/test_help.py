@@ -79,5 +79,5 @@ def test_the_list_of_commands_is_that_of_the_whole_program(program: Program) -> 
     """It is made without loading them."""
     program.variables["COLUMNS"] = "100"
     whole = program.here("--help").out
-    assert "regress" in whole and "transformer" in whole
+    assert "regress" in whole and "memory" in whole
     assert program("--help").out.split("\n", 2)[2] == whole.split("\n", 2)[2]  # below how it was called
