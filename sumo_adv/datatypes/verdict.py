@@ -1,0 +1,159 @@
+"""How a run ends, and what an attempt is worth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum, StrEnum
+
+
+class Ending(StrEnum):
+    """How an episode ended; ``ENDING_SENTENCES`` says it in words."""
+
+    CRITICAL = "critical"
+    ATTEMPTS_EXHAUSTED = "attempts_exhausted"
+    NO_ENCOUNTER = "no_encounter"
+    EGO_LEFT = "ego_left"
+    EGO_LOST = "ego_lost"
+    MODEL_FAILED = "model_failed"
+    BUDGET_EXHAUSTED = "budget_exhausted"
+    PLANNER_FAILED = "planner_failed"
+    SIMULATION_FAILED = "simulation_failed"
+    INTERRUPTED = "interrupted"
+
+
+ENDING_SENTENCES: Mapping[Ending, str] = {
+    Ending.CRITICAL: "An attempt met the criterion.",
+    Ending.ATTEMPTS_EXHAUSTED: "No attempt met the criterion.",
+    Ending.NO_ENCOUNTER: "No encounter worth attacking was found in the time given.",
+    Ending.EGO_LEFT: "The ego left the network before an encounter.",
+    Ending.EGO_LOST: "The ego's controller was lost.",
+    Ending.MODEL_FAILED: "The language model failed.",
+    Ending.BUDGET_EXHAUSTED: "The budget of model calls, tokens or seconds is used up.",
+    Ending.PLANNER_FAILED: "No planner could be run.",
+    Ending.SIMULATION_FAILED: "The simulation failed.",
+    Ending.INTERRUPTED: "The run was interrupted.",
+}
+FAILED_ENDINGS = frozenset({
+    Ending.SIMULATION_FAILED, Ending.PLANNER_FAILED, Ending.MODEL_FAILED, Ending.BUDGET_EXHAUSTED, Ending.EGO_LOST,
+    Ending.INTERRUPTED,
+})  # fmt: skip
+"""Endings of episodes that failed: they say nothing about the ego."""
+
+
+class Level(IntEnum):
+    """How far an attempt came; see ``metrics/levels.py``."""
+
+    NONE = 0
+    CRITICAL = 1
+    COLLISION = 2
+    VALID = 3
+    STRICT = 4
+    SERIOUS = 5
+
+    def __str__(self) -> str:
+        """The level in lower case."""
+        return self.name.lower()
+
+
+@dataclass(frozen=True, slots=True)
+class Preventability:
+    """Which reference drivers avoid a collision.
+
+    Attributes:
+        answers: By driver, ``avoids``, ``collides`` or ``not_applicable``, by the kinematic check: the adversary moves
+            as recorded and planned.
+        alarms: By driver, when a danger first showed to it [s], only of those before the contact.
+        inconclusive: None, or why the check says nothing: no_hazard | unchanged_ego_misses | no_plan.
+        in_loop: By driver, ``avoids`` or ``collides`` by the check in the loop: the adversary plans again. Empty if the
+            collision was not checked so; only drivers that avoid it in the kinematic check are asked.
+    """
+
+    answers: Mapping[str, str]
+    alarms: Mapping[str, float]
+    inconclusive: str | None = None
+    in_loop: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def simulated(self) -> bool:
+        """Whether drivers were asked in the loop."""
+        return bool(self.in_loop)
+
+    @property
+    def by(self) -> tuple[str, ...]:
+        """The drivers that avoid it in each check that was made."""
+        avoids = (name for name, answer in self.answers.items() if answer == "avoids")
+        return tuple(name for name in avoids if not self.in_loop or self.in_loop.get(name) == "avoids")
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What one attempt came to, as ``metrics/verdict.py`` judges it. Times s, distances m, never = ``inf``; None = the
+    question does not arise."""
+
+    min_ttc: float
+    min_distance: float
+    collided: bool
+    critical: bool
+    feasible: bool
+    rear_end: bool
+    failed_gates: tuple[str, ...] = ()
+    log_gates: tuple[str, ...] = ()  # broken by the log of the adversary before the take-over; they do not count
+    min_ttc_any: float = float("inf")
+    min_pet: float = float("inf")
+    max_drac: float = 0.0
+    fault: str | None = None
+    contact_time: float | None = None
+    min_ttc_time: float | None = None
+    level: Level = Level.NONE
+    preventability: Preventability | None = None
+    ego_stationary: bool | None = None
+    ego_blocking: bool | None = None
+    humanlike: bool | None = None
+    beyond_human: tuple[str, ...] = ()  # signals outside the human envelope
+    contact_side: str | None = None  # of the ego: front | rear | left | right
+    delta_v: float | None = None  # m/s, of the ego
+    adversary_delta_v: float | None = None
+    overlap: float | None = None  # of the narrower of the two touching faces, a share
+    severity: str | None = None  # negligible | minor | moderate | severe
+    injury_risk: float | None = None
+    impact_speed: float | None = None  # m/s, at which a pedestrian or cyclist is hit; None for a vehicle
+    misfits: tuple[str, ...] = ()  # differences from the attack that was asked for, a sentence each
+
+    @property
+    def counts(self) -> bool:
+        """Whether the attempt can reach a level: the motion is feasible, and the adversary does not run into the ego's
+        back."""
+        return self.feasible and not self.rear_end
+
+    @property
+    def valid(self) -> bool | None:
+        """Whether the collision is valid; None without a collision."""
+        return self.level >= Level.VALID if self.collided else None
+
+    @property
+    def strict(self) -> bool | None:
+        """Whether the collision is strict; None without a collision."""
+        return self.level >= Level.STRICT if self.collided else None
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnosis:
+    """What an attempt showed, for the modifier. Times in s after its start.
+
+    time: of the nearest approach; ego_frame, bv_frame: the other's centre ahead and to the left of the one named [m];
+    early: by how much the BV was there before the ego where their paths come together (negative: late), None if the
+    paths never do; ego_reaction: when the ego began to brake, None = never; ego_braking [m/s2, positive] and ego_shift
+    [m sideways]: the most it did; bound: names of the limits that the BV reached.
+    """
+
+    time: float
+    ego_frame: tuple[float, float]
+    bv_frame: tuple[float, float]
+    ego_speed: float
+    bv_speed: float
+    early: float | None
+    ego_reaction: float | None
+    ego_braking: float
+    ego_shift: float
+    bound: tuple[str, ...]
