@@ -305,7 +305,7 @@ def _index(found: Found, workers: int) -> Path:
 # -- crash rates
 
 
-Progress = Callable[[str, int, int], None]
+TellProgress = Callable[[str, int, int], None]
 
 
 def crash_rate(
@@ -324,7 +324,7 @@ def crash_rate(
     workers: int | None = None,
     ray: str | None = None,
     ego_parameters: Mapping[str, Any] | None = None,
-    tell: Progress | None = None,
+    tell: TellProgress | None = None,
 ) -> RateEstimate | None:
     """Estimate how often the ego crashes in normal traffic, as ``sumo-adv rate``; None if Ctrl-C stopped it.
 

@@ -174,7 +174,7 @@ class Fuzzer:
             answer = b""
         if answer and whole:
             self.counts["answered"] += 1
-            self.counts["refused"] += answer[6] != framing.OK
+            self.counts["refused"] += answer[6] != framing.STATUS_OK
         elif answer:
             self.counts["mutated, answered"] += 1
         else:

@@ -16,9 +16,9 @@ from sumo_adv.benchmark.drafts import (
     STRAIGHT_KINDS,
     Car,
     EncounterDraft,
-    apart,
     draw_junction,
     draw_straight,
+    keep_apart,
     meetings,
     write_draft,
 )
@@ -148,7 +148,7 @@ def test_drawn_vehicles_fit_the_road_and_one_another(kind: str) -> None:
         draft = draw(kind, number, Random(f"{kind}{number}"))
         cars = [draft.ego, *draft.others]
         assert all(5.0 <= car.speed <= 25.0 and car.place > 0 for car in [*cars, draft.bv])
-        assert all(apart(car, cars[:k]) for k, car in enumerate(cars) if car.depart == 0)
+        assert all(keep_apart(car, cars[:k]) for k, car in enumerate(cars) if car.depart == 0)
         assert next(iter(draft.named())) == "ego"
         assert draft.named()[draft.bv_id()] is draft.bv
 
@@ -156,9 +156,9 @@ def test_drawn_vehicles_fit_the_road_and_one_another(kind: str) -> None:
 def test_room_behind_a_leader_grows_with_speed() -> None:
     """At 20 m/s 1.15 s are 23 m, and 9 m for the car ahead and the gap: 32 m from front to front."""
     leader = Car(("a",), 0, 100.0, 20.0)
-    assert not apart(Car(("a",), 0, 69.0, 20.0), [leader])
-    assert apart(Car(("a",), 0, 67.0, 20.0), [leader])
-    assert apart(Car(("a",), 1, 99.0, 20.0), [leader])
+    assert not keep_apart(Car(("a",), 0, 69.0, 20.0), [leader])
+    assert keep_apart(Car(("a",), 0, 67.0, 20.0), [leader])
+    assert keep_apart(Car(("a",), 1, 99.0, 20.0), [leader])
 
 
 def test_a_changed_file_is_named(tmp_path: Path) -> None:

@@ -65,8 +65,8 @@ def test_no_payload_raises(body: bytes, setter: int, variable: bytes) -> None:
 def test_a_command_by_hand() -> None:
     assert make_command(0xA4, b"\x40" + NAME) == b"\x0a\xa4\x40\0\0\0\3ego"
     assert make_message(b"\x02\x02") == b"\0\0\0\x06\x02\x02"
-    assert make_status(0xC4, framing.ERROR, "no") == b"\x09\xc4\xff\0\0\0\2no"
-    long = make_status(0xC4, framing.ERROR, "ü" * 300)
+    assert make_status(0xC4, framing.STATUS_ERROR, "no") == b"\x09\xc4\xff\0\0\0\2no"
+    long = make_status(0xC4, framing.STATUS_ERROR, "ü" * 300)
     assert long[0] == 0xFD and long[7:].decode() == "ü" * 123
     assert make_command(1, bytes(253))[0] == 255 and make_command(1, bytes(254))[:5] == b"\0\0\0\1\4"
     assert framing.accepted(make_message(make_status(2))) and not framing.accepted(make_message(long))

@@ -16,7 +16,7 @@ from sumo_adv.gym.actions import EGO_ACTIONS, action_space, controlled, ego_acti
 from sumo_adv.gym.picture import beside
 from sumo_adv.gym.policy import PolicyDriver
 from sumo_adv.gym.rewards import Transition, adversary_reward, ego_reward
-from sumo_adv.gym.views import Viewing, Watch, view_of_ego
+from sumo_adv.gym.views import AgentWatch, Viewing, view_of_ego
 
 ME = VehicleState("ego", 100.0, 50.0, math.pi / 2, 20.0, 1.0, 5.0, 2.0, "north_1")  # on its way north
 SEEN = Observation(3.0, 0.1, ME, (), math.pi / 2 - 0.1, 0.5, [(100.5, 40.0), (100.5, 50.0), (100.5, 62.0)])
@@ -56,7 +56,7 @@ def test_without_a_path_the_way_is_straight_on() -> None:
 def test_the_watch_tells_when_a_careful_driver_sees_a_danger_and_brakes() -> None:
     """A vehicle stands 60 m ahead, which at 20 m/s takes 400 / 2 / (60 - 4.5 - 0.75 * 20) = 4.9 m/s2, more than 4.5. It
     is understood after 0.4 s; braking begins 0.75 s later and is whole, 0.774 g, after another 0.6 s."""
-    watch, told = Watch(), []
+    watch, told = AgentWatch(), []
     for k in range(20):
         me = replace(ME, y=50.0 + 2.0 * k)
         standing = replace(vehicle("ahead", 100.0, 110.0, math.pi / 2), speed=0.0)

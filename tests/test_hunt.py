@@ -21,7 +21,7 @@ from sumo_adv.datatypes import Level
 from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.goal import Goal
 from sumo_adv.hunting.failures import distinct, failure_of, table
-from sumo_adv.hunting.hunt import Found, Hunt, HuntProgress, RunCampaign, counted, over_time
+from sumo_adv.hunting.hunt import Found, Hunt, HuntProgress, RunCampaign, count_failures, over_time
 
 ROW: Mapping[str, Any] = {
     "id": "a", "level": "serious", "intent": "Cut", "composition": None, "relation": "neighbour", "road": "motorway",
@@ -93,7 +93,7 @@ def test_robust_and_humanlike_failures_come_first_within_a_level_and_near_touche
     told = table(found, Path())
     assert [each["near_touch"] for each in told] == [False] * 4 + [True]
     assert [told[3][key] for key in ("humanlike", "fault", "overlap", "warning")] == [True, "ego", 0.5, 1.5]
-    assert counted(found, Level.VALID) == 4
+    assert count_failures(found, Level.VALID) == 4
 
 
 class Campaigns:

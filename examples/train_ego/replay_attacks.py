@@ -26,7 +26,7 @@ from experiment import BASE, NAMES, NEEDLESS, TRAINED, VALID, mixed
 from trained_ego import ENVIRONMENT, OWN, Network
 
 import sumo_adv.gym  # registers the environment
-from sumo_adv.gym.actions import EGO_BRAKING_M_S2
+from sumo_adv.gym.actions import PEDAL_BRAKING_M_S2
 from sumo_adv.gym.views import DANGER_MAXIMA, MAX_VIEWED_SPEED_M_S
 from sumo_adv.metrics.statistics import bootstrap
 
@@ -44,7 +44,7 @@ def policy(row: str, out: Path) -> Callable[[Any], Any]:
 
     def careful(seen: Any) -> Any:
         braking = seen[OWN + 1] * DANGER_MAXIMA[1]
-        return np.array([-braking / EGO_BRAKING_M_S2 if braking > 0 else 1.0], np.float32)
+        return np.array([-braking / PEDAL_BRAKING_M_S2 if braking > 0 else 1.0], np.float32)
 
     return careful
 

@@ -48,7 +48,7 @@ def without_attack(cell: Cell) -> bool:
     return not failed(cell) and not is_raw(cell) and cell.get("best") is None
 
 
-def counted(cell: Cell) -> Mapping[str, Any]:
+def counted_outcome(cell: Cell) -> Mapping[str, Any]:
     """The verdict that counts; empty for a failure and where no attempt was made."""
     return {} if failed(cell) else cell.get("outcome") or {}
 

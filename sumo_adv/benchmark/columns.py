@@ -69,18 +69,18 @@ class Column:
 
 
 def _verdict(name: str) -> Callable[[Cell], Value]:
-    return lambda cell: c.counted(cell).get(name) is True
+    return lambda cell: c.counted_outcome(cell).get(name) is True
 
 
 def _gate(name: str) -> Callable[[Cell], Value]:
-    return lambda cell: name in (c.counted(cell).get("failed_gates") or ())
+    return lambda cell: name in (c.counted_outcome(cell).get("failed_gates") or ())
 
 
 def _paper_collision(epsilon: float) -> Callable[[Cell], Value]:
     """A touch, or centres within ``epsilon`` [m]."""
 
     def of(cell: Cell) -> Value:
-        verdict = c.counted(cell)
+        verdict = c.counted_outcome(cell)
         centres = verdict.get("paper_centre_distance")
         if c.is_raw(cell) and centres is None:
             return None
@@ -92,11 +92,11 @@ def _paper_collision(epsilon: float) -> Callable[[Cell], Value]:
 def _paper_ttc(cell: Cell) -> Value:
     """Min TTC [s] with the paper's kind of collision, of the centres, as 0."""
     near = _paper_collision(SUCCESS_DISTANCES_M[-1])(cell)
-    return None if near is None else (0.0 if near else c.capped_ttc(c.counted(cell)))
+    return None if near is None else (0.0 if near else c.capped_ttc(c.counted_outcome(cell)))
 
 
 def _of_collisions(cell: Cell, key: str) -> Value:
-    verdict = c.counted(cell)
+    verdict = c.counted_outcome(cell)
     return bool(verdict.get(key)) if verdict.get("collided") else None
 
 
@@ -115,7 +115,7 @@ def _kinds(cells: Sequence[Cell]) -> Counter[str]:
     kinds = Counter[str]()
     for cell in cells:
         best = cell.get("best")
-        if best is not None and c.counted(cell).get("valid"):
+        if best is not None and c.counted_outcome(cell).get("valid"):
             kinds[str(c.attempts(cell)[best].get("kind"))] += 1
     return kinds
 
@@ -132,7 +132,7 @@ def _largest_kind(cells: Sequence[Cell]) -> Estimate | None:
 
 def _unseen(cell: Cell) -> Value:
     """Of valid ones: whether a driver avoids it that the search does not know; None if none of them applies."""
-    verdict = c.counted(cell)
+    verdict = c.counted_outcome(cell)
     answers = [
         a
         for name, a in (verdict.get("references") or {}).items()
@@ -191,14 +191,14 @@ def _pace(cell: Cell) -> Value:
 TABLE_COLUMNS: tuple[Column, ...] = (
     Column("collision", "collision", "Verdicts", "the adversary touched the ego", of=_verdict("collided"), raw=True),
     Column("no_rear", "noRear", "Verdicts", "a feasible collision, not into the ego's back",
-           of=lambda cell: c.no_rear(c.counted(cell))),
+           of=lambda cell: c.no_rear(c.counted_outcome(cell))),
     Column("valid", "valid", "Verdicts",
            "noRear, conclusive, the ego took part, and a reference driver avoids it",
            of=_verdict("valid")),
     Column("strict", "strict", "Verdicts", "valid, and UN R157's careful human driver (cc_human) avoids it",
            of=_verdict("strict")),
     Column("serious", "serious", "Verdicts", "strict, driven as a person could, delta-v of the ego at least 5 mph",
-           of=lambda cell: c.counted(cell).get("level") == "serious"),
+           of=lambda cell: c.counted_outcome(cell).get("level") == "serious"),
     Column("critical", "critical", "Verdicts", "min TTC at or below --critical-ttc, a collision included",
            of=_verdict("critical"), raw=True),
     Column("inconclusive", "inconclusive", "Why not", "of collisions: the counterfactual says nothing",
@@ -206,10 +206,10 @@ TABLE_COLUMNS: tuple[Column, ...] = (
     Column("stationary", "ego stood", "Why not", "of collisions: the ego stood for the last second before the contact",
            of=lambda cell: _of_collisions(cell, "ego_stationary"), asked_of_all=False),
     Column("delta_v", "delta-v [m/s]", "Verdicts", "median of the ego's, of collisions", MEDIAN,
-           lambda cell: c.counted(cell).get("delta_v"), asked_of_all=False, digits=1),
+           lambda cell: c.counted_outcome(cell).get("delta_v"), asked_of_all=False, digits=1),
     Column("rear_end", "rear-end", "Why not", "the adversary ran into the ego's back", of=_verdict("rear_end")),
     Column("infeasible", "infeasible", "Why not", "some gate failed",
-           of=lambda cell: c.counted(cell).get("feasible") is False),
+           of=lambda cell: c.counted_outcome(cell).get("feasible") is False),
     Column("third_party", "third party", "Why not", "the adversary touched someone else first",
            of=_gate("third_party")),
     Column("off_road", "off-road", "Why not", "a corner of the adversary left the road", of=_gate("off_road")),
@@ -217,12 +217,12 @@ TABLE_COLUMNS: tuple[Column, ...] = (
     Column("failed", "failed", "Why not", "a crash, a model or a budget; counts as neither critical nor valid",
            of=c.failed, raw=True),
     Column("mean_min_ttc", "mean [s]", "Min TTC", "a collision is 0; never and failures are 10", MEAN,
-           lambda cell: c.capped_ttc(c.counted(cell)), raw=True),
+           lambda cell: c.capped_ttc(c.counted_outcome(cell)), raw=True),
     Column("median_min_ttc", "median [s]", "Min TTC", "of the same", MEDIAN,
-           lambda cell: c.capped_ttc(c.counted(cell)), raw=True),
+           lambda cell: c.capped_ttc(c.counted_outcome(cell)), raw=True),
     Column("mean_min_ttc_apart", "mean where no collision [s]", "Min TTC", "over encounters without a collision", MEAN,
-           lambda cell: None if c.counted(cell).get("collided") else c.capped_ttc(c.counted(cell)), raw=True,
-           asked_of_all=False),
+           lambda cell: None if c.counted_outcome(cell).get("collided") else c.capped_ttc(c.counted_outcome(cell)),
+           raw=True, asked_of_all=False),
     Column("mean_min_ttc_paper", "mean (paper) [s]", "Min TTC", "0 also where the centres came within 5 m", MEAN,
            _paper_ttc, raw=True),
     Column("paper_collision_2_5", "collision rate (paper, 2.5 m)", "Min TTC", "a touch, or centres within 2.5 m",

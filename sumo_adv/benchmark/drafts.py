@@ -122,7 +122,7 @@ def _type_id(car: Car) -> str:
     return f"car_{car.speed:g}_{car.size[0]:g}".replace(".", "p")
 
 
-def apart(car: Car, others: Sequence[Car]) -> bool:
+def keep_apart(car: Car, others: Sequence[Car]) -> bool:
     """Whether a vehicle that departs at once has room in its lane: as much as SUMO wants to insert it, and a little."""
     for neighbour in others:
         if neighbour.edges[0] != car.edges[0] or neighbour.lane != car.lane or neighbour.depart != car.depart:
@@ -237,7 +237,7 @@ def _traffic(road: DraftRoad, ego: Car, bv: Car, count: int, draw: Random) -> tu
         car = Car((road.back if towards else road.edge,), draw.randrange(road.lanes), place, speed, 0.0,
                   draw.choice(TRAFFIC_SIZES_M)).rounded()  # fmt: skip
         beside = not towards and abs(car.place - ego.place) < CLEAR_RADIUS_M
-        if not beside and 8.0 < car.place < road.length - 150.0 and apart(car, (ego, bv, *placed)):
+        if not beside and 8.0 < car.place < road.length - 150.0 and keep_apart(car, (ego, bv, *placed)):
             placed.append(car)
     return tuple(placed)
 
@@ -408,6 +408,6 @@ def _junction_traffic(
         )
         depart = draw.uniform(1.5, LAST_TRAFFIC_DEPARTURE_S) if later else 0.0
         car = Car(way.edges, way.lane, place, speed, depart, draw.choice(TRAFFIC_SIZES_M)).rounded()
-        if later or apart(car, (ego, bv, *placed)):
+        if later or keep_apart(car, (ego, bv, *placed)):
             placed.append(car)
     return tuple(placed)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.benchmark import cells as c
-from sumo_adv.benchmark.cells import counted, first_valid, remembered
+from sumo_adv.benchmark.cells import counted_outcome, first_valid, remembered
 from sumo_adv.benchmark.columns import TABLE_COLUMNS
 from sumo_adv.benchmark.nouns import Cell, SuiteCase
 from sumo_adv.benchmark.table import grid, number, signed
@@ -201,7 +201,7 @@ def _step(cell: Cell, place: int, hits: list[bool], seconds: list[float]) -> Ste
         cell["row"], cell["ego"], cell["seed"], place, cell["case"], hit,
         float(np.mean(hits)) if hits else None, took,
         float(np.mean(seconds[-MOVING_MEAN_ENCOUNTERS:])) if seconds else None,
-        int((cell.get("llm") or {}).get("calls") or 0), first_valid(cell), counted(cell).get("valid") is True,
+        int((cell.get("llm") or {}).get("calls") or 0), first_valid(cell), counted_outcome(cell).get("valid") is True,
     )  # fmt: skip
 
 

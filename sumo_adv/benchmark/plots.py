@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.benchmark.analysis import ANALYZER_ANSWERS, NO_ANSWER, AnalyzerAnalysis
-from sumo_adv.benchmark.cells import capped_ttc, counted, names, samples
+from sumo_adv.benchmark.cells import capped_ttc, counted_outcome, names, samples
 from sumo_adv.benchmark.league import MOVING_MEAN_ENCOUNTERS, Step
 from sumo_adv.benchmark.nouns import MIN_TTC_CAP_S, RAW, Cell
 from sumo_adv.datatypes import Floats
@@ -85,7 +85,7 @@ def draw_ttc(target: Path, by_row: Mapping[str, Sequence[Cell]], title: str) -> 
     figure, axes = _figure(9.0, 5.5, 1, 1)
     panel = axes[0][0]
     for k, (row, cells) in enumerate(by_row.items()):
-        values = np.sort([capped_ttc(counted(c)) for c in cells])
+        values = np.sort([capped_ttc(counted_outcome(c)) for c in cells])
         x, y = np.append(values, MIN_TTC_CAP_S), np.append(np.arange(1, len(values) + 1) / len(values), 1.0)
         x, y = np.concatenate([[0.0], x]), np.concatenate([[0.0], y])
         look = _look(k) | ({"color": UNATTACKED, "ls": "-"} if row == RAW else {})

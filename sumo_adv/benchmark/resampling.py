@@ -45,7 +45,7 @@ FORETOLD_LIKELIHOOD, NOT_FORETOLD_LIKELIHOOD = (
     0.8,
     0.3,
 )  # likelihood of what an attempt came to under a future that foretold it, or did not
-USUAL_ACCELERATION_M_S2 = 1.5  # standard deviation of accelerations that drivers are used to
+ACCELERATION_STD_M_S2 = 1.5  # standard deviation of accelerations that drivers are used to
 MEAN_ACCELERATIONS_M_S2 = (-4.0, 2.0)  # mean ones are drawn from here
 MAX_STRAY_M = 1.3  # half the moves end so far off the middle of a lane at most
 LANE_MOVE_ODDS, STRAY_ODDS = 0.3, 0.5  # prior odds of a move to another lane, and of a move that ends off the middle
@@ -159,7 +159,7 @@ def _plans(targets: Sequence[Target], rng: np.random.Generator) -> _Plan:
     speeds = np.array([slower, np.maximum(slower + means[1] * spans[1], 0.0)])
     moved = np.diff(lane, axis=0, prepend=0.0) != 0.0
     odds = np.where(moved, LANE_MOVE_ODDS, 1.0) * np.where(stray != 0.0, STRAY_ODDS, 1.0)
-    prior = np.exp(-0.5 * np.square(means / USUAL_ACCELERATION_M_S2).sum(axis=0)) * odds.prod(axis=0)
+    prior = np.exp(-0.5 * np.square(means / ACCELERATION_STD_M_S2).sum(axis=0)) * odds.prod(axis=0)
     return _Plan(way, lane + stray, begins, rng.uniform(2.5, 6.5, (2, n)), speeds, spans, prior)
 
 

@@ -47,43 +47,25 @@ Given = Annotated[
     list[str],
     typer.Argument(metavar="PLAN | INPUT...", help="A plan .toml; or networks, maps, scenarios, records, folders."),
 ]
-Seeds = Annotated[str | None, option(INPUT_PANEL, "How many, from 0; or a list: 3,7,11.", default="1")]
-Egos = Annotated[str | None, option(INPUT_PANEL, "krauss,idm,module:Class ...", default="the input's")]
-Records = Annotated[str | None, option(INPUT_PANEL, "Of .tfrecord files: ids or places.", default="all")]
-Setting = Annotated[
-    list[str] | None, option(INPUT_PANEL, "A setting of every episode; repeatable.", "--set", metavar="NAME=VALUE")
-]
-OddFile = Annotated[
-    Path | None,
-    option(INPUT_PANEL, "TOML file of an operational design domain: attack only within it.", default="none"),
-]
-Learning = Annotated[
-    Learn | None,
-    option(SEARCH_PANEL, "Into the bank: off, after (all, in order), during (rows depend on order).", default="off"),
-]
 Memory = Annotated[
     Path | None, option(SEARCH_PANEL, "Memory bank; episodes read a snapshot of it.", default="your own")
 ]
-Figures = Annotated[bool | None, option(OUTPUT_PANEL, "Draw encounter.png for each run.", default="no")]
-Out = Annotated[Path | None, option(OUTPUT_PANEL, "Folder of results.", default="runs/<plan>")]
-Parquet = Annotated[bool, option(OUTPUT_PANEL, "Write results.parquet as well.", "--parquet")]
-States = Annotated[bool, option(OUTPUT_PANEL, "Write states.parquet as well: all vehicles of every run.", "--states")]
-Deadline = Annotated[float, option(RUNNING_PANEL, "Seconds after which an episode is stuck.", default="600", min=1)]
-Recycle = Annotated[int, option(RUNNING_PANEL, "Episodes after which a worker is replaced.", default="200", min=1)]
-Retry = Annotated[bool, option(RUNNING_PANEL, "Run failed episodes again.", "--retry-failed")]
-DryRun = Annotated[bool, option(RUNNING_PANEL, "Print the episodes and run none.", "--dry-run")]
-Force = Annotated[bool, option(RUNNING_PANEL, "Go on in a folder of another plan.", "--force")]
 
 
 @dataclass(frozen=True)
 class InputOptions:
     """What is run."""
 
-    seeds: Seeds = None
-    egos: Egos = None
-    records: Records = None
-    setting: Setting = None
-    odd: OddFile = None
+    seeds: Annotated[str | None, option(INPUT_PANEL, "How many, from 0; or a list: 3,7,11.", default="1")] = None
+    egos: Annotated[str | None, option(INPUT_PANEL, "krauss,idm,module:Class ...", default="the input's")] = None
+    records: Annotated[str | None, option(INPUT_PANEL, "Of .tfrecord files: ids or places.", default="all")] = None
+    setting: Annotated[
+        list[str] | None, option(INPUT_PANEL, "A setting of every episode; repeatable.", "--set", metavar="NAME=VALUE")
+    ] = None
+    odd: Annotated[
+        Path | None,
+        option(INPUT_PANEL, "TOML file of an operational design domain: attack only within it.", default="none"),
+    ] = None
     settings_file: opt.SettingsFile = None
 
 
@@ -107,7 +89,12 @@ class AttackOptions:
 class BankOptions:
     """The memory bank of the batch."""
 
-    learn: Learning = None
+    learn: Annotated[
+        Learn | None,
+        option(
+            SEARCH_PANEL, "Into the bank: off, after (all, in order), during (rows depend on order).", default="off"
+        ),
+    ] = None
     memory: Memory = None
 
 
@@ -116,22 +103,28 @@ class RunningOptions:
     """How the episodes are run."""
 
     workers: opt.Workers = None
-    deadline: Deadline = 600.0
-    recycle: Recycle = 200
+    deadline: Annotated[
+        float, option(RUNNING_PANEL, "Seconds after which an episode is stuck.", default="600", min=1)
+    ] = 600.0
+    recycle: Annotated[
+        int, option(RUNNING_PANEL, "Episodes after which a worker is replaced.", default="200", min=1)
+    ] = 200
     ray: opt.RayCluster = None
-    retry_failed: Retry = False
-    dry_run: DryRun = False
-    force: Force = False
+    retry_failed: Annotated[bool, option(RUNNING_PANEL, "Run failed episodes again.", "--retry-failed")] = False
+    dry_run: Annotated[bool, option(RUNNING_PANEL, "Print the episodes and run none.", "--dry-run")] = False
+    force: Annotated[bool, option(RUNNING_PANEL, "Go on in a folder of another plan.", "--force")] = False
 
 
 @dataclass(frozen=True)
 class OutputOptions:
     """What is written, and what is printed."""
 
-    figures: Figures = None
-    out: Out = None
-    parquet: Parquet = False
-    states: States = False
+    figures: Annotated[bool | None, option(OUTPUT_PANEL, "Draw encounter.png for each run.", default="no")] = None
+    out: Annotated[Path | None, option(OUTPUT_PANEL, "Folder of results.", default="runs/<plan>")] = None
+    parquet: Annotated[bool, option(OUTPUT_PANEL, "Write results.parquet as well.", "--parquet")] = False
+    states: Annotated[
+        bool, option(OUTPUT_PANEL, "Write states.parquet as well: all vehicles of every run.", "--states")
+    ] = False
     as_json: opt.AsJson = False
 
 

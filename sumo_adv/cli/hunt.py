@@ -33,30 +33,26 @@ Given = Annotated[
     typer.Argument(metavar="INPUT...", help="Networks, maps, .sumocfg files, scenarios, records, folders, names."),
 ]
 Ego = Annotated[str | None, option(INPUT_PANEL, "Driver under test: idm, module:Class ...", default="the inputs'")]
-Minutes = Annotated[float, option(ATTACK_PANEL, "Of the whole hunt, several calls together.", default="30", min=0.1)]
-Distinct = Annotated[int | None, option(ATTACK_PANEL, "End sooner, with this many distinct failures.", min=1)]
-Seed = Annotated[int, option(SEARCH_PANEL, "The first seed of traffic and search.", default="0", min=0)]
 Memory = Annotated[Path | None, option(SEARCH_PANEL, "Memory bank; it is only read.", default="your own")]
-Out = Annotated[Path | None, option(OUTPUT_PANEL, "Folder; the same one goes on.", default="runs/hunt")]
-UntilLevel = Annotated[
-    opt.Until | None,
-    option(
-        ATTACK_PANEL, "Level at which an encounter ends, and that a failure reaches: valid, strict or serious.",
-        metavar="LEVEL",
-        default="serious; valid for the ego careful",
-    ),
-]  # fmt: skip
-Deadline = Annotated[float, option(RUNNING_PANEL, "Seconds after which an episode is stuck.", default="600", min=1)]
-NoPages = Annotated[bool, option(OUTPUT_PANEL, "Make no index page and no replays.", "--no-pages")]
 
 
 @dataclass(frozen=True)
 class AttackOptions:
     """Which failures are looked for, and how long."""
 
-    minutes: Minutes = 30.0
-    distinct: Distinct = None
-    until: UntilLevel = None
+    minutes: Annotated[
+        float, option(ATTACK_PANEL, "Of the whole hunt, several calls together.", default="30", min=0.1)
+    ] = 30.0
+    distinct: Annotated[int | None, option(ATTACK_PANEL, "End sooner, with this many distinct failures.", min=1)] = None
+    until: Annotated[
+        opt.Until | None,
+        option(
+            ATTACK_PANEL,
+            "Level at which an encounter ends, and that a failure reaches: valid, strict or serious.",
+            metavar="LEVEL",
+            default="serious; valid for the ego careful",
+        ),
+    ] = None
     min_delta_v: opt.MinDeltaV = None
     intents: opt.Intents = None
     exclude: opt.Exclude = None
@@ -68,7 +64,7 @@ class AttackOptions:
 class SearchOptions:
     """From which seed and with which bank they are searched for."""
 
-    seed: Seed = 0
+    seed: Annotated[int, option(SEARCH_PANEL, "The first seed of traffic and search.", default="0", min=0)] = 0
     memory: Memory = None
 
 
@@ -77,7 +73,9 @@ class RunningOptions:
     """How the encounters are run."""
 
     workers: opt.Workers = None
-    deadline: Deadline = 600.0
+    deadline: Annotated[
+        float, option(RUNNING_PANEL, "Seconds after which an episode is stuck.", default="600", min=1)
+    ] = 600.0
     ray: opt.RayCluster = None
 
 
@@ -85,8 +83,8 @@ class RunningOptions:
 class OutputOptions:
     """What is written, and what is printed."""
 
-    out: Out = None
-    no_pages: NoPages = False
+    out: Annotated[Path | None, option(OUTPUT_PANEL, "Folder; the same one goes on.", default="runs/hunt")] = None
+    no_pages: Annotated[bool, option(OUTPUT_PANEL, "Make no index page and no replays.", "--no-pages")] = False
     as_json: opt.AsJson = False
 
 

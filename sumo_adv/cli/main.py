@@ -44,7 +44,7 @@ COMMANDS = {
 }
 """By command: the module of this package that has its function, and the name of its example there."""
 FUNCTIONS = {"import": "import_fcd"}  # those that are not called as their command
-GROUPS = ("batch", "bench", "memory")  # of commands, each in the module of its name
+HELP_GROUPS = ("batch", "bench", "memory")  # of commands, each in the module of its name
 
 
 def _version(wanted: bool) -> None:
@@ -73,7 +73,7 @@ def command_line(names: Collection[str]) -> typer.Typer:
         if name in names:
             module = import_module(f"sumo_adv.cli.{file}")
             app.command(name, epilog=getattr(module, example))(getattr(module, FUNCTIONS.get(name, name)))
-    for name in GROUPS:
+    for name in HELP_GROUPS:
         if name in names:
             app.add_typer(import_module(f"sumo_adv.cli.{name}").app, name=name)
     return app
@@ -83,7 +83,7 @@ def __getattr__(name: str) -> Any:
     """``app``: the program with all commands, made when it is read."""
     if name != "app":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    made = globals()[name] = command_line([*COMMANDS, *GROUPS])
+    made = globals()[name] = command_line([*COMMANDS, *HELP_GROUPS])
     return made
 
 
@@ -123,7 +123,7 @@ def main() -> None:
 def _listing() -> typer.Typer:
     """The program as its help lists it: the commands with their docstrings, of which no module is loaded."""
     app, documents = command_line(()), dict[str, dict[str, str]]()
-    for name in [*COMMANDS, *GROUPS]:
+    for name in [*COMMANDS, *HELP_GROUPS]:
         file = COMMANDS.get(name, (name, ""))[0]
         if file not in documents:
             documents[file] = _docstrings(Path(__file__).with_name(f"{file}.py"))
@@ -147,7 +147,7 @@ def _docstrings(file: Path) -> dict[str, str]:
 
 def _wanted(arguments: list[str]) -> Collection[str]:
     """The command that the program is called with; all of them if it is called otherwise."""
-    every = [*COMMANDS, *GROUPS]
+    every = [*COMMANDS, *HELP_GROUPS]
     if arguments[:1] == ["--version"]:
         return ["doctor"]
     return arguments[:1] if arguments and arguments[0] in every else every

@@ -103,25 +103,10 @@ Record = Annotated[str | None, option(INPUT_PANEL, "Record of a .tfrecord: its i
 Begin = Annotated[
     float | None, option(INPUT_PANEL, "Simulation begin, s.", default="a .sumocfg's, or the first departure")
 ]
-End = Annotated[
-    float | None,
-    option(INPUT_PANEL, "Look for an encounter until this time, s.", default="600 s after the first vehicle"),
-]
-SumoOption = Annotated[
-    list[str] | None,
-    option(INPUT_PANEL, "An option of SUMO; may be repeated.", "--option", metavar="NAME=VALUE", default="the input's"),
-]
 Density = Annotated[
     float | None,
     option(INPUT_PANEL, "Generated demand, for an input without any: departures a minute.", default="by lanes"),
 ]
-Background = Annotated[
-    str | None,
-    option(
-        INPUT_PANEL, "What drives recorded vehicles: log or sumo.",
-        default="as the input says, else log for a replayed ego",
-    ),
-]  # fmt: skip
 Ego = Annotated[
     str | None,
     option(
@@ -129,45 +114,14 @@ Ego = Annotated[
         default="as the input says, else idm",
     ),
 ]  # fmt: skip
-EgoDeadline = Annotated[
-    float | None,
-    option(
-        EGO_PANEL,
-        "Seconds in which its driver must answer in a step; 0: any time, for a debugger.",
-        setting="ego_deadline",
-    ),
-]
-EgoId = Annotated[str | None, option(EGO_PANEL, "The vehicle under test.", default="chosen")]
-Ask = Annotated[
-    str | None,
-    option(ATTACK_PANEL, "The attack that is wanted, in words; needs --llm.", metavar="WORDS", default="none"),
-]
 Adversary = Annotated[str | None, option(ATTACK_PANEL, "The only vehicle that may attack.", default="any")]
 Trigger = Annotated[float | None, option(ATTACK_PANEL, "Attack from this time on, s.", default="found")]
-TotalSeconds = Annotated[
-    float | None,
-    option(
-        ATTACK_PANEL,
-        "Seconds after which no further encounter is begun; 0: the first one alone.",
-        setting="total_seconds",
-    ),
-]
-Tuner = Annotated[
-    str | None, option(SEARCH_PANEL, "builtin, or off: try only what the analyzer proposes.", setting="tuner")
-]
 Learn = Annotated[str | None, option(SEARCH_PANEL, "on or off: keep what was critical in the bank.", setting="learn")]
-Recall = Annotated[
-    str | None,
-    option(
-        SEARCH_PANEL, "intent, or scene: try first what worked in a similar scene, without analysis.", setting="recall"
-    ),
-]
 Memory = Annotated[
     Path | None,
     option(SEARCH_PANEL, "Memory bank; made from the shipped one if it does not exist.", default="your own"),
 ]
 Seed = Annotated[int | None, option(SEARCH_PANEL, "Of SUMO, demand, search and planners.", setting="seed")]
-NoFork = Annotated[bool, option(SEARCH_PANEL, "Load and repeat instead of forking (slower).", "--no-fork")]
 Llm = Annotated[
     str | None,
     option(
@@ -175,31 +129,6 @@ Llm = Annotated[
         default="none: the built-in expert",
     ),
 ]  # fmt: skip
-Analyzer = Annotated[str | None, option(MODEL_PANEL, "builtin or a model, for this part alone.", default="as --llm")]
-Generator = Annotated[
-    str | None, option(MODEL_PANEL, "builtin or a model, for planners of new intents.", default="as --llm")
-]
-Modifier = Annotated[
-    str | None, option(MODEL_PANEL, "builtin or a model, for changes of a planner.", default="as --llm")
-]
-Fallback = Annotated[
-    str | None, option(MODEL_PANEL, "builtin: the expert goes on where a model fails; or off.", setting="fallback")
-]
-Samples = Annotated[int | None, option(MODEL_PANEL, "How often the analyzer's model is asked.", setting="samples")]
-Evidence = Annotated[
-    str | None, option(MODEL_PANEL, "on or off: show a model the predictor's figures.", setting="evidence")
-]
-Instruction = Annotated[
-    str | None, option(MODEL_PANEL, "In words, how generated planners shall shape their trajectories.", default="none")
-]
-ShowPrompts = Annotated[
-    bool, option(MODEL_PANEL, "Print what a model would be asked here, and ask nothing.", "--show-prompts")
-]
-Out = Annotated[Path | None, option(OUTPUT_PANEL, "Folder to write.", default="runs/<input>-<seed>")]
-Force = Annotated[bool, option(OUTPUT_PANEL, "Replace another run's folder.", "--force")]
-Replay = Annotated[
-    Path | None, option(INPUT_PANEL, "Run the attempt of that folder again, from its manifest.", default="none")
-]
 
 
 # -- the groups of ``run``; other commands share some of the options above
@@ -209,7 +138,10 @@ Replay = Annotated[
 class AttackOptions:
     """Which attack is wanted."""
 
-    ask: Ask = None
+    ask: Annotated[
+        str | None,
+        option(ATTACK_PANEL, "The attack that is wanted, in words; needs --llm.", metavar="WORDS", default="none"),
+    ] = None
     until: UntilLevel = None
     ttc: Ttc = None
     critical_ttc: CriticalTtc = None
@@ -223,7 +155,14 @@ class AttackOptions:
     diverse: Diverse = None
     attempts: Attempts = None
     seconds: Seconds = None
-    total_seconds: TotalSeconds = None
+    total_seconds: Annotated[
+        float | None,
+        option(
+            ATTACK_PANEL,
+            "Seconds after which no further encounter is begun; 0: the first one alone.",
+            setting="total_seconds",
+        ),
+    ] = None
 
 
 @dataclass(frozen=True)
@@ -232,12 +171,29 @@ class InputOptions:
 
     record: Record = None
     begin: Begin = None
-    end: End = None
+    end: Annotated[
+        float | None,
+        option(INPUT_PANEL, "Look for an encounter until this time, s.", default="600 s after the first vehicle"),
+    ] = None
     density: Density = None
-    background: Background = None
-    sumo_option: SumoOption = None
+    background: Annotated[
+        str | None,
+        option(
+            INPUT_PANEL,
+            "What drives recorded vehicles: log or sumo.",
+            default="as the input says, else log for a replayed ego",
+        ),
+    ] = None
+    sumo_option: Annotated[
+        list[str] | None,
+        option(
+            INPUT_PANEL, "An option of SUMO; may be repeated.", "--option", metavar="NAME=VALUE", default="the input's"
+        ),
+    ] = None
     settings_file: SettingsFile = None
-    replay: Replay = None
+    replay: Annotated[
+        Path | None, option(INPUT_PANEL, "Run the attempt of that folder again, from its manifest.", default="none")
+    ] = None
 
 
 @dataclass(frozen=True)
@@ -245,20 +201,36 @@ class EgoOptions:
     """What drives the ego."""
 
     ego: Ego = None
-    ego_id: EgoId = None
-    ego_deadline: EgoDeadline = None
+    ego_id: Annotated[str | None, option(EGO_PANEL, "The vehicle under test.", default="chosen")] = None
+    ego_deadline: Annotated[
+        float | None,
+        option(
+            EGO_PANEL,
+            "Seconds in which its driver must answer in a step; 0: any time, for a debugger.",
+            setting="ego_deadline",
+        ),
+    ] = None
 
 
 @dataclass(frozen=True)
 class SearchOptions:
     """How the attack is searched for."""
 
-    tuner: Tuner = None
+    tuner: Annotated[
+        str | None, option(SEARCH_PANEL, "builtin, or off: try only what the analyzer proposes.", setting="tuner")
+    ] = None
     seed: Seed = None
     learn: Learn = None
-    recall: Recall = None
+    recall: Annotated[
+        str | None,
+        option(
+            SEARCH_PANEL,
+            "intent, or scene: try first what worked in a similar scene, without analysis.",
+            setting="recall",
+        ),
+    ] = None
     memory: Memory = None
-    no_fork: NoFork = False
+    no_fork: Annotated[bool, option(SEARCH_PANEL, "Load and repeat instead of forking (slower).", "--no-fork")] = False
 
 
 @dataclass(frozen=True)
@@ -266,22 +238,39 @@ class ModelOptions:
     """Which language model plays which part, and how."""
 
     llm: Llm = None
-    analyzer: Analyzer = None
-    generator: Generator = None
-    modifier: Modifier = None
-    fallback: Fallback = None
-    samples: Samples = None
-    evidence: Evidence = None
-    instruction: Instruction = None
-    show_prompts: ShowPrompts = False
+    analyzer: Annotated[
+        str | None, option(MODEL_PANEL, "builtin or a model, for this part alone.", default="as --llm")
+    ] = None
+    generator: Annotated[
+        str | None, option(MODEL_PANEL, "builtin or a model, for planners of new intents.", default="as --llm")
+    ] = None
+    modifier: Annotated[
+        str | None, option(MODEL_PANEL, "builtin or a model, for changes of a planner.", default="as --llm")
+    ] = None
+    fallback: Annotated[
+        str | None, option(MODEL_PANEL, "builtin: the expert goes on where a model fails; or off.", setting="fallback")
+    ] = None
+    samples: Annotated[
+        int | None, option(MODEL_PANEL, "How often the analyzer's model is asked.", setting="samples")
+    ] = None
+    evidence: Annotated[
+        str | None, option(MODEL_PANEL, "on or off: show a model the predictor's figures.", setting="evidence")
+    ] = None
+    instruction: Annotated[
+        str | None,
+        option(MODEL_PANEL, "In words, how generated planners shall shape their trajectories.", default="none"),
+    ] = None
+    show_prompts: Annotated[
+        bool, option(MODEL_PANEL, "Print what a model would be asked here, and ask nothing.", "--show-prompts")
+    ] = False
 
 
 @dataclass(frozen=True)
 class OutputOptions:
     """What is written, and what is printed."""
 
-    out: Out = None
-    force: Force = False
+    out: Annotated[Path | None, option(OUTPUT_PANEL, "Folder to write.", default="runs/<input>-<seed>")] = None
+    force: Annotated[bool, option(OUTPUT_PANEL, "Replace another run's folder.", "--force")] = False
     as_json: AsJson = False
 
 

@@ -25,14 +25,6 @@ Ego = Annotated[
     option(EGO_PANEL, "Driver under test: idm, careful, module:Class ...", default="as the input says, else idm"),
 ]
 Runs = Annotated[int, option(SEARCH_PANEL, "Runs that are estimated from, in blocks of 20.", default="1000", min=1)]
-Pilot = Annotated[int, option(SEARCH_PANEL, "Runs before, from which the proposal learns.", default="200", min=1)]
-Plain = Annotated[bool, option(SEARCH_PANEL, "Draw all runs from the model: plain Monte Carlo.", "--plain")]
-Seed = Annotated[int, option(SEARCH_PANEL, "Of traffic and errors.", default="0", min=0)]
-Duration = Annotated[float, option(INPUT_PANEL, "How long the ego drives at most in a run, s.", default="60", min=1)]
-WarmUp = Annotated[
-    float, option(INPUT_PANEL, "How long generated traffic runs before the ego comes, s.", default="20", min=0)
-]
-Density = Annotated[float | None, option(INPUT_PANEL, "Of generated traffic: departures a minute.", default="by lanes")]
 Errors = Annotated[float, option(INPUT_PANEL, "Factor on the rates of all human errors.", default="1", min=0)]
 Out = Annotated[
     Path | None,
@@ -45,18 +37,26 @@ class SamplingOptions:
     """How many runs are drawn, and from what."""
 
     runs: Runs = 1000
-    pilot: Pilot = 200
-    plain: Plain = False
-    seed: Seed = 0
+    pilot: Annotated[
+        int, option(SEARCH_PANEL, "Runs before, from which the proposal learns.", default="200", min=1)
+    ] = 200
+    plain: Annotated[bool, option(SEARCH_PANEL, "Draw all runs from the model: plain Monte Carlo.", "--plain")] = False
+    seed: Annotated[int, option(SEARCH_PANEL, "Of traffic and errors.", default="0", min=0)] = 0
 
 
 @dataclass(frozen=True)
 class TrafficOptions:
     """The traffic in which the ego drives."""
 
-    duration: Duration = 60.0
-    warm_up: WarmUp = 20.0
-    density: Density = None
+    duration: Annotated[
+        float, option(INPUT_PANEL, "How long the ego drives at most in a run, s.", default="60", min=1)
+    ] = 60.0
+    warm_up: Annotated[
+        float, option(INPUT_PANEL, "How long generated traffic runs before the ego comes, s.", default="20", min=0)
+    ] = 20.0
+    density: Annotated[
+        float | None, option(INPUT_PANEL, "Of generated traffic: departures a minute.", default="by lanes")
+    ] = None
     errors: Errors = 1.0
 
 

@@ -28,7 +28,7 @@ ADVERSARY_ACTIONS: Mapping[str, int] = {"endpoint": 4, "controls": 2}
 
 MAX_LATERAL_ACCELERATION_M_S2 = 6.0  # full steering of the ego; about what a car on a dry road can do
 MAX_SPEED_LIMIT_FACTOR = 1.3  # of the speed limit: the highest target speed
-EGO_ACCELERATION_M_S2, EGO_BRAKING_M_S2 = 3.0, 8.0  # most acceleration and braking with ``pedals`` and ``lane``
+PEDAL_ACCELERATION_M_S2, PEDAL_BRAKING_M_S2 = 3.0, 8.0  # most acceleration and braking with ``pedals`` and ``lane``
 LANE_CHANGE_THRESHOLD = 1 / 3  # beyond it the second number of ``lane`` asks for the lane beside
 ENDPOINT_AHEAD_M = (5.0, 65.0)  # m ahead: where an endpoint may be
 ENDPOINT_ASIDE_M = 8.0  # m to either side of the way
@@ -43,7 +43,7 @@ def action_space(kinds: Mapping[str, int], kind: str) -> Any:
     return spaces.Box(-1.0, 1.0, (kinds[kind],), np.float32)
 
 
-def checked(agent: str, numbers: Any, count: int) -> Numbers:
+def checked_action(agent: str, numbers: Any, count: int) -> Numbers:
     """An agent's action as ``count`` numbers ``(count,)``. Numbers beyond -1 and 1 are cut by what uses them.
 
     Raises UsageError: it has another shape, or a number that is not finite.
@@ -68,8 +68,8 @@ def ego_action(kind: str, numbers: Numbers, me: VehicleState, limit: float, dt: 
     """The ego's action for the next step; ``limit``: of its speed [m/s]."""
     first, *others = (float(v) for v in np.clip(numbers, -1.0, 1.0))
     if kind == "pedals":
-        speed = me.speed + first * (EGO_ACCELERATION_M_S2 if first > 0 else EGO_BRAKING_M_S2) * dt
-        return LaneSpeed(None, max(min(speed, max(limit, me.speed - EGO_ACCELERATION_M_S2 * dt)), 0.0))
+        speed = me.speed + first * (PEDAL_ACCELERATION_M_S2 if first > 0 else PEDAL_BRAKING_M_S2) * dt
+        return LaneSpeed(None, max(min(speed, max(limit, me.speed - PEDAL_ACCELERATION_M_S2 * dt)), 0.0))
     second = others[0]
     if kind == "controls":
         acceleration = first * (MAX_ACCELERATION_M_S2 if first > 0 else MAX_BRAKING_M_S2)
@@ -78,7 +78,7 @@ def ego_action(kind: str, numbers: Numbers, me: VehicleState, limit: float, dt: 
         )
         return Steer(acceleration, second * sharpest)
     wished = (first + 1.0) / 2.0 * MAX_SPEED_LIMIT_FACTOR * limit
-    speed = min(max(wished, me.speed - EGO_BRAKING_M_S2 * dt), me.speed + EGO_ACCELERATION_M_S2 * dt)
+    speed = min(max(wished, me.speed - PEDAL_BRAKING_M_S2 * dt), me.speed + PEDAL_ACCELERATION_M_S2 * dt)
     return LaneSpeed(_lane(me, second), max(speed, 0.0))
 
 

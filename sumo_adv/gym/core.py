@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_adv.errors import SimulationError, UsageError
-from sumo_adv.gym.actions import ADVERSARY_ACTIONS, EGO_ACTIONS, checked
+from sumo_adv.gym.actions import ADVERSARY_ACTIONS, EGO_ACTIONS, checked_action
 from sumo_adv.gym.encounters import Attacker, Attacks, PlayedAttack, TrainingEncounter
 from sumo_adv.gym.picture import EMPTY_PICTURE
 from sumo_adv.gym.play import DRAW_REQUEST, TERMINATED, AgentStep, Play
@@ -112,7 +112,7 @@ class Core:
         assert self._played is not None and self._last is not None, "reset comes before step"
         if missing := self._counts.keys() - actions.keys():
             raise UsageError(f"The agent {min(missing)!r} has no action: give one of every agent in each step.")
-        numbers = {agent: checked(agent, actions[agent], count) for agent, count in self._counts.items()}
+        numbers = {agent: checked_action(agent, actions[agent], count) for agent, count in self._counts.items()}
         try:
             self._last = self._played.ask(numbers)
         except SimulationError as error:

@@ -19,7 +19,7 @@ from sumo_adv.gym.encounters import EXPERT_ATTACKER, Attacker
 from sumo_adv.gym.play import AgentStep
 from sumo_adv.gym.rewards import Reward, adversary_reward, ego_reward
 from sumo_adv.gym.views import Viewing
-from sumo_adv.gym.window import RENDER_MODES, Shown
+from sumo_adv.gym.window import RENDER_MODES, Viewer
 
 METADATA = {"render_modes": list(RENDER_MODES), "render_fps": 10}
 Observations = Literal["vector", "dict"]
@@ -32,13 +32,13 @@ def viewing_of(observations: str, vehicles: int, danger: bool = False) -> Viewin
     return Viewing(vehicles, observations == "vector", danger)
 
 
-class OneAgentEnv(Shown, gymnasium.Env[Any, NDArray[np.float32]]):
+class OneAgentEnv(Viewer, gymnasium.Env[Any, NDArray[np.float32]]):
     """What the two environments share."""
 
     metadata: dict[str, Any] = METADATA
 
     def __init__(self, agent: str, core: Core, viewing: Viewing, reward: Reward, render_mode: str | None) -> None:
-        Shown.__init__(self, core, render_mode)
+        Viewer.__init__(self, core, render_mode)
         self._agent, self._viewing, self._reward = agent, viewing, reward
         self.observation_space = viewing.space(adversary=agent == "adversary")
 

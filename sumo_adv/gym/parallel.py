@@ -16,14 +16,14 @@ from sumo_adv.gym.core import Core, Scenarios
 from sumo_adv.gym.environments import METADATA, Observations, viewing_of
 from sumo_adv.gym.play import AgentStep
 from sumo_adv.gym.rewards import Reward, adversary_reward, ego_reward
-from sumo_adv.gym.window import Shown
+from sumo_adv.gym.window import Viewer
 
 EGO_AGENT, ADVERSARY_AGENT = "ego", "adversary"
 PARALLEL_METADATA = {**METADATA, "name": "sumo_adv_v0"}
 Box = NDArray[np.float32]
 
 
-class BothEnv(Shown, ParallelEnv[str, Any, Box]):
+class BothEnv(Viewer, ParallelEnv[str, Any, Box]):
     """Two agents, ``ego`` and ``adversary``. Both are there from the first step to the end of an episode."""
 
     metadata: dict[str, Any] = PARALLEL_METADATA
@@ -57,7 +57,7 @@ class BothEnv(Shown, ParallelEnv[str, Any, Box]):
         core = Core(
             scenario, self._viewing, interval, settings, ego_actions=ego_actions, adversary_actions=adversary_actions
         )
-        Shown.__init__(self, core, render_mode)
+        Viewer.__init__(self, core, render_mode)
         self._draws: np.random.Generator | None = None
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:

@@ -19,8 +19,10 @@ EMPTY_PICTURE: NDArray[np.uint8] = np.full((PICTURE_SIZE_PX, PICTURE_SIZE_PX, 3)
 VEHICLE_RGB = {"ego": (31, 102, 184), "adversary": (200, 48, 40), "other": (245, 245, 245)}
 
 
-def draw(road: RoadMap, drive: Drive, ego: str, adversary: str | None, middle: VehicleState) -> NDArray[np.uint8]:
-    """An image ``(SIZE, SIZE, 3)`` around the pose ``middle``."""
+def draw_picture(
+    road: RoadMap, drive: Drive, ego: str, adversary: str | None, middle: VehicleState
+) -> NDArray[np.uint8]:
+    """An image ``(PICTURE_SIZE_PX, PICTURE_SIZE_PX, 3)`` around the pose ``middle``."""
     from PIL import Image, ImageDraw
 
     image = Image.new("RGB", (PICTURE_SIZE_PX, PICTURE_SIZE_PX), GROUND_RGB)

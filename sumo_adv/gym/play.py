@@ -26,9 +26,9 @@ from sumo_adv.episode.engine import OpenEncounter
 from sumo_adv.episode.verdict import unattacked, verdict_on
 from sumo_adv.geometry import Pose, stations
 from sumo_adv.gym.actions import controlled, ego_action, endpoint
-from sumo_adv.gym.picture import draw
+from sumo_adv.gym.picture import draw_picture
 from sumo_adv.gym.rewards import Transition
-from sumo_adv.gym.views import SIGHT_M, AgentView, Viewing, ViewOfAdversary, Watch, view_of_ego
+from sumo_adv.gym.views import SIGHT_M, AgentView, AgentWatch, Viewing, ViewOfAdversary, view_of_ego
 from sumo_adv.planners.answers import Answer, AskOne, PlannerObservation
 from sumo_adv.planners.sessions import ask_trusted
 from sumo_adv.situation import Target
@@ -97,7 +97,7 @@ class Playing:
         self._start = here.drive.now
         self._me = here.drive.state(self._ego)  # where it is, or was last
         self._pace, self._driven, self._behind = RealTimePace(here), 0.0, 0.0
-        self._watch = Watch() if play.viewing.danger and play.ego is not None else None
+        self._watch = AgentWatch() if play.viewing.danger and play.ego is not None else None
         self._every_step = play.ego == STEERED or self._watch is not None
         self._seen = self._look() if self._every_step else None
         self._actions: Mapping[str, Numbers] = {}
@@ -156,7 +156,7 @@ class Playing:
 
     def picture(self) -> NDArray[np.uint8]:
         """The road and the vehicles around the ego, from above."""
-        return draw(self._here.road, self._drive, self._ego, self._play.bv, self._me)
+        return draw_picture(self._here.road, self._drive, self._ego, self._play.bv, self._me)
 
     # -- a step of the simulation -------------------------------------------------------------------------------
 

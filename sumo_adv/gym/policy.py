@@ -8,9 +8,9 @@ from typing import Any
 from numpy.typing import NDArray
 
 from sumo_adv.drivers import Action, Observation
-from sumo_adv.gym.actions import EGO_ACTIONS, action_space, checked, ego_action
+from sumo_adv.gym.actions import EGO_ACTIONS, action_space, checked_action, ego_action
 from sumo_adv.gym.environments import Observations, viewing_of
-from sumo_adv.gym.views import MAX_VIEWED_SPEED_M_S, Watch, view_of_ego
+from sumo_adv.gym.views import MAX_VIEWED_SPEED_M_S, AgentWatch, view_of_ego
 
 Policy = Callable[[Any], NDArray[Any]]
 """From an observation of ``sumo_adv/Ego-v0`` to an action."""
@@ -43,7 +43,7 @@ class PolicyDriver:
     def reset(self, seed: int) -> None:
         """Forget the last action, and what was seen."""
         self._numbers = None
-        self._watch = Watch() if self._viewing.danger else None
+        self._watch = AgentWatch() if self._viewing.danger else None
 
     def act(self, observation: Observation) -> Action:
         """What the policy does; it decides every ``interval`` seconds."""
@@ -51,7 +51,9 @@ class PolicyDriver:
             self._watch.step(observation)
         if self._numbers is None or observation.time > self._due - observation.dt / 2:
             view = view_of_ego(observation, self._viewing.vehicles, self._watch)
-            self._numbers = checked(self.name, self._policy(self._viewing.given(view)), EGO_ACTIONS[self._actions])
+            self._numbers = checked_action(
+                self.name, self._policy(self._viewing.given(view)), EGO_ACTIONS[self._actions]
+            )
             self._due = observation.time + self._interval
         limit = MAX_VIEWED_SPEED_M_S if observation.road is None else observation.road.limit
         return ego_action(self._actions, self._numbers, observation.ego, limit, observation.dt)

@@ -21,8 +21,8 @@ from sumo_adv.drivers.careful import CarefulEgo
 from sumo_adv.geometry import Path, stations
 from sumo_adv.situation import Target
 
-Numbers = NDArray[np.float32]
-AgentView = dict[str, Numbers]
+ViewNumbers = NDArray[np.float32]
+AgentView = dict[str, ViewNumbers]
 """``own`` (9,), ``path`` (10, 2), ``vehicles`` (n, 13); an ego's may have ``danger`` (2,), an adversary's has ``ego``
 (13,)."""
 
@@ -79,7 +79,7 @@ class Viewing:
         low = np.concatenate([(lows[name] / highs[name]).ravel() for name in names])
         return spaces.Box(low, np.ones_like(low), dtype=np.float32)
 
-    def given(self, view: AgentView) -> AgentView | Numbers:
+    def given(self, view: AgentView) -> AgentView | ViewNumbers:
         """A view as the agent gets it."""
         if not self.vector:
             return {name: values.copy() for name, values in view.items()}
@@ -91,14 +91,14 @@ _COLUMNS: Mapping[str, tuple[Sequence[float], Sequence[int]]] = {  # largest val
     "ego": (OTHER_MAXIMA, SIGNED_OTHER),
     "vehicles": (OTHER_MAXIMA, SIGNED_OTHER),
 }  # fmt: skip
-_LARGEST: Mapping[str, Numbers] = {name: np.array(largest, np.float32) for name, (largest, _) in _COLUMNS.items()}
-_SMALLEST: Mapping[str, Numbers] = {
+_LARGEST: Mapping[str, ViewNumbers] = {name: np.array(largest, np.float32) for name, (largest, _) in _COLUMNS.items()}
+_SMALLEST: Mapping[str, ViewNumbers] = {
     name: np.array([-v if k in signed else 0.0 for k, v in enumerate(largest)], np.float32)
     for name, (largest, signed) in _COLUMNS.items()
 }
 
 
-class Watch:
+class AgentWatch:
     """The careful driver as a passenger: it watches every step of the simulation and does not drive."""
 
     def __init__(self) -> None:
@@ -116,7 +116,7 @@ class Watch:
         return float(bool(self._driver.dangers)), self._braking
 
 
-def view_of_ego(seen: Observation, vehicles: int, watch: Watch | None = None) -> AgentView:
+def view_of_ego(seen: Observation, vehicles: int, watch: AgentWatch | None = None) -> AgentView:
     """What the ego observes, from what its driver sees. watch: has looked at this step and those before."""
     me, road = seen.ego, seen.road
     turned = 0.0 if seen.lane_heading is None else me.heading - seen.lane_heading

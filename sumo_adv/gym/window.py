@@ -42,7 +42,7 @@ class PictureWindow:
             self._figure = self._image = None
 
 
-class Shown:
+class Viewer:
     """What all environments do with pictures, and at their end."""
 
     def __init__(self, core: Core, render_mode: str | None) -> None:

@@ -51,7 +51,7 @@ RunCampaign = Callable[[CampaignPlan, Orders], Summary]
 """Runs what is missing of a plan. Raises SumoAdvError."""
 
 
-def counted(found: Sequence[Failure], level: Level) -> int:
+def count_failures(found: Sequence[Failure], level: Level) -> int:
     """How many failures are of this level or a higher one; near-touches do not count."""
     return sum(f.level >= level and not f.near_touch for f in found)
 
@@ -71,7 +71,7 @@ class HuntProgress:
 
     def count(self, level: Level) -> int:
         """Distinct failures of this level or a higher one, without near-touches."""
-        return counted(self.found, level)
+        return count_failures(self.found, level)
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +174,7 @@ class Hunt:
         found = self.found()
         if self._rows:
             self._state["rounds"][len(self._rows) - 1]["found"] = {
-                str(level): counted(found, level) for level in FAILURE_LEVELS
+                str(level): count_failures(found, level) for level in FAILURE_LEVELS
             }
         self._write(found)
         return found
@@ -227,7 +227,7 @@ class Hunt:
         return [f for f in every if f.level >= self._goal.level and f.delta_v >= self._goal.min_delta_v]
 
     def _enough(self) -> bool:
-        return self._most is not None and counted(self.found(), Level.VALID) >= self._most
+        return self._most is not None and count_failures(self.found(), Level.VALID) >= self._most
 
     def _seconds(self) -> float:
         return sum(float(r.get("took", 0.0)) for r in self._state["rounds"])

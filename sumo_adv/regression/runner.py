@@ -41,7 +41,7 @@ from sumo_adv.simulation.tracks import tracks_of
 NO_CONCERN_TTC_S = 4.0  # a larger TTC is no danger to a driver (Minderhoud and Bovy 2001), so it is not compared
 TTC_TOLERANCE_S = 0.1  # a step of the simulation: a smaller loss of TTC is not worse
 DELTA_V_TOLERANCE_M_S = 0.447  # m/s (1 mph, the bound of negligible severity): a smaller gain of delta-v is not worse
-DANGER_DISTANCE_M, DANGER_TTC_S = (
+CONCERN_DISTANCE_M, CONCERN_TTC_S = (
     5.0,
     3.0,
 )  # an attack that came to neither was no danger, so it says nothing of the driver
@@ -332,7 +332,7 @@ def measure(case: KeptCase, run: Run, arrived: Arrived, outcome: Mapping[str, An
 def _near(attempt: Attempt) -> bool:
     """Whether an attempt was a danger to the ego."""
     v = attempt.verdict
-    return v.collided or v.min_distance <= DANGER_DISTANCE_M or v.min_ttc <= DANGER_TTC_S
+    return v.collided or v.min_distance <= CONCERN_DISTANCE_M or v.min_ttc <= CONCERN_TTC_S
 
 
 def _tracks(record: EncounterRecord, best: Attempt, step: float) -> dict[str, Track]:

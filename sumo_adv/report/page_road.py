@@ -34,7 +34,7 @@ MUST_STOP, MUST_YIELD = "sw", "m"  # SUMO's letters of right of way
 Changes = Mapping[str, tuple[bool, bool]]
 """By lane, whether passenger cars may leave it to the left and to the right."""
 ROAD_RADIUS_M = 220.0  # around the vehicles' paths
-LINE_TOLERANCE_M = 0.02  # m a lane's line may be off when points are left out
+SHAPE_TOLERANCE_M = 0.02  # m a lane's line may be off when points are left out
 AREA_ROAD, AREA_JUNCTION, AREA_OTHER, AREA_GROUND = 0, 1, 2, 3
 
 
@@ -220,4 +220,4 @@ def _near(lines: Iterable[Line], path: Any) -> list[Line]:
 def _thinned(line: Along) -> Along:
     from shapely import linestrings, simplify
 
-    return replace(line, line=np.asarray(simplify(linestrings(line.line), LINE_TOLERANCE_M).coords, float))
+    return replace(line, line=np.asarray(simplify(linestrings(line.line), SHAPE_TOLERANCE_M).coords, float))

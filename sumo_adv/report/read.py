@@ -25,7 +25,7 @@ from sumo_adv.simulation.signals import SignalLog, read_signals
 
 OUTCOME_FILE, MANIFEST_FILE = "outcome.json", "manifest.json"
 MAX_TABLE_ROWS = 4_000_000  # of a table: 1,000 vehicles over 400 s
-NUMBER_COLUMNS = ("time", "x", "y", "heading", "speed", "acceleration", "length", "width")
+TRACK_COLUMNS = ("time", "x", "y", "heading", "speed", "acceleration", "length", "width")
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,13 +148,13 @@ def _tracks(file: Path) -> list[Track]:
         places.setdefault(name, []).append(place)
     try:
         high = [HEIGHT] if HEIGHT in columns else []
-        values = {name: np.array(columns[name], dtype=np.float64) for name in (*NUMBER_COLUMNS, *high)}
+        values = {name: np.array(columns[name], dtype=np.float64) for name in (*TRACK_COLUMNS, *high)}
         if not all(np.isfinite(v).all() for v in values.values()):
             raise ValueError("a number is not finite")
         tracks = []
         for name, of in places.items():
-            time, x, y, heading, speed, acceleration = (values[n][of] for n in NUMBER_COLUMNS[:6])
-            length, width = (float(values[n][of[0]]) for n in NUMBER_COLUMNS[6:])
+            time, x, y, heading, speed, acceleration = (values[n][of] for n in TRACK_COLUMNS[:6])
+            length, width = (float(values[n][of[0]]) for n in TRACK_COLUMNS[6:])
             role, lane = Role(columns["role"][of[0]]), tuple(columns["lane"][i] for i in of)
             z = values[HEIGHT][of] if high else 0.0
             tracks.append(Track(name, role, time, x, y, heading, speed, acceleration, length, width, lane, z))
@@ -172,7 +172,7 @@ def write_states_parquet(target: Path, runs: Iterable[tuple[str, Path]]) -> None
     import pyarrow as pa
     from pyarrow import parquet
 
-    names, numbers = [*STATES_HEADER.strip().split(","), HEIGHT], (*NUMBER_COLUMNS, HEIGHT)
+    names, numbers = [*STATES_HEADER.strip().split(","), HEIGHT], (*TRACK_COLUMNS, HEIGHT)
     kinds = {name: pa.float64() if name in numbers else pa.string() for name in names}
     schema = pa.schema({"run": pa.string(), **kinds})
 

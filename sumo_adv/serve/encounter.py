@@ -184,7 +184,7 @@ class LiveAttempts:
         )
         hits = collided(session, bvs, with_ego=driven.ending == "contact")
         for bv in bvs:
-            release(session, bv, edges.get(bv, ()), self._events, hit=hits.get(bv, ""))
+            release_adversary(session, bv, edges.get(bv, ()), self._events, hit=hits.get(bv, ""))
         return result
 
     def _drive(self, session: Session, proposal: Proposal) -> Driven:
@@ -229,7 +229,7 @@ def collided(session: Session, bvs: Sequence[str], *, with_ego: bool) -> dict[st
     return hits
 
 
-def release(session: Session, vehicle: str, edges: Sequence[str], events: Events, *, hit: str = "") -> None:
+def release_adversary(session: Session, vehicle: str, edges: Sequence[str], events: Events, *, hit: str = "") -> None:
     """Give an adversary back to SUMO on its old way; take it away where it has hit something or is off the road.
 
     hit: what it has hit, empty for nothing. A vehicle that is released where no lane is leaves the simulation anyway,

@@ -21,7 +21,7 @@ from typing import NamedTuple
 from sumo_adv.errors import SumoAdvError
 
 GETVERSION, LOAD, SIMSTEP, SETORDER, EXECUTEMOVE, FILTER, CLOSE = 0x00, 0x01, 0x02, 0x03, 0x7D, 0x7E, 0x7F
-OK, ERROR = 0x00, 0xFF
+STATUS_OK, STATUS_ERROR = 0x00, 0xFF
 MAX_MESSAGE_BYTES = 16 * 2**20  # bytes of a client's message
 MAX_COMMANDS = 50_000  # of a message: ten getters of each of 5,000 vehicles; 16 MB could hold 2.8 million
 POLL_PERIOD_S = 0.05  # s between two looks at the clock while nothing comes
@@ -60,7 +60,7 @@ def make_message(*commands: bytes) -> bytes:
     return _INT.pack(4 + len(body)) + body
 
 
-def make_status(number: int, result: int = OK, text: str = "") -> bytes:
+def make_status(number: int, result: int = STATUS_OK, text: str = "") -> bytes:
     """SUMO's answer to a command: whether it worked, and why not (cut to what the format holds)."""
     words = text.encode()[:MAX_STATUS_TEXT_BYTES].decode(errors="ignore").encode()
     return make_command(number, bytes((result,)) + _INT.pack(len(words)) + words)
@@ -69,7 +69,7 @@ def make_status(number: int, result: int = OK, text: str = "") -> bytes:
 def accepted(answer: bytes) -> bool:
     """Whether the first command of an answering message went well."""
     start = 5 if answer[4] else 9
-    return len(answer) > start + 1 and answer[start + 1] == OK
+    return len(answer) > start + 1 and answer[start + 1] == STATUS_OK
 
 
 def complaint(answer: bytes) -> str:

@@ -24,7 +24,7 @@ from sumo_adv.serve.sumo_process import SumoProcess
 from sumo_adv.serve.turns import Turns
 
 TURN_DEADLINE_S = 10.0  # s of a turn, from when SUMO comes to the client; what the server took before is not counted
-SUMO_TIMEOUT_S = 30.0  # s for SUMO to listen, and for the last simulation to end
+SHARED_SUMO_TIMEOUT_S = 30.0  # s for SUMO to listen, and for the last simulation to end
 MAX_STRANGERS = 16  # connections at once that have not said anything yet
 STOP_POLL_PERIOD_S = 0.2  # between two looks whether the server is to stop
 _TAKEN = "Another client drives the ego: one at a time."
@@ -145,9 +145,9 @@ class Gate:
             StrangerError: another program connected to SUMO first.
             SimulationError: SUMO does not listen, or another simulation is still attached.
         """
-        if not self.wait_detached(SUMO_TIMEOUT_S):
+        if not self.wait_detached(SHARED_SUMO_TIMEOUT_S):
             raise SimulationError("The gate is still attached to another simulation: detach it and end that SUMO.")
-        line = MessageLine(sumo.dial(SUMO_TIMEOUT_S), link.MAX_SUMO_ANSWER_BYTES)
+        line = MessageLine(sumo.dial(SHARED_SUMO_TIMEOUT_S), link.MAX_SUMO_ANSWER_BYTES)
         policy = Policy(self._rules, own, tuple(kept))
         turns = Turns(
             lambda idle: SumoLink(line, idle), policy, self._seat, self._deadline, lambda: self._stopping,

@@ -104,7 +104,7 @@ def errors(message: bytes, reason: str) -> bytes:
     for number, _, _ in framing.split(message):
         refused = number != framing.CLOSE
         words = reason if refused and not answers else ""
-        answers.append(framing.make_status(number, framing.ERROR if refused else framing.OK, words))
+        answers.append(framing.make_status(number, framing.STATUS_ERROR if refused else framing.STATUS_OK, words))
     return framing.make_message(*answers)
 
 

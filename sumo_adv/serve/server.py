@@ -33,7 +33,7 @@ from sumo_adv.simulation.network import RoadMap
 from sumo_adv.simulation.scan import scan_demand
 
 DEFAULT_TYPE = "DEFAULT_VEHTYPE"
-TRAFFIC_WARM_UP_S = 20.0  # s of traffic before an ego on drawn routes departs
+ROUTE_WARM_UP_S = 20.0  # s of traffic before an ego on drawn routes departs
 COOL_DOWN_S, PASSED_OVER_S = 5.0, 2.0  # s without an encounter: after an attack, after an encounter passed over
 MAX_DECISION_AGE_S = 4.0  # s a decision may be old, where the world does not wait for it
 MAX_FRUITLESS_SIMULATIONS = 3  # simulations in a row without an encounter, after which it is of no use to go on
@@ -170,7 +170,7 @@ class EgoServer:
         drawn = journeys(task.spec.network, draw)
         weights = [j.lanes for j in drawn]
         return EgoPlan(
-            INSERTED_EGO, kind, lambda: EgoRoute(draw.choices(drawn, weights)[0].edges, 0.0), TRAFFIC_WARM_UP_S
+            INSERTED_EGO, kind, lambda: EgoRoute(draw.choices(drawn, weights)[0].edges, 0.0), ROUTE_WARM_UP_S
         )
 
     def _in_demand(self, task: Task, vehicle: str) -> bool:

@@ -21,7 +21,7 @@ from sumo_adv.errors import SimulationError
 from sumo_adv.geometry import Pose
 from sumo_adv.serve import OnLoss, Options
 from sumo_adv.serve.events import Events
-from sumo_adv.serve.gate import STOP_POLL_PERIOD_S, SUMO_TIMEOUT_S, Gate
+from sumo_adv.serve.gate import SHARED_SUMO_TIMEOUT_S, STOP_POLL_PERIOD_S, Gate
 from sumo_adv.serve.policy import OUR_PREFIX
 from sumo_adv.serve.seat import Stepper
 from sumo_adv.serve.sumo_process import StrangerError, SumoProcess
@@ -80,7 +80,7 @@ def connect(sumo: SumoProcess) -> Connection:
         with socket.create_server(("127.0.0.1", 0)) as nobody:  # traci connects by itself and takes no socket
             connection = traci.connect(nobody.getsockname()[1], numRetries=0, host="127.0.0.1")
         connection._socket.close()
-        connection._socket = sumo.dial(SUMO_TIMEOUT_S)
+        connection._socket = sumo.dial(SHARED_SUMO_TIMEOUT_S)
         connection._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         connection.setOrder(OUR_ORDER)
     except (traci.TraCIException, traci.FatalTraCIError, OSError) as error:

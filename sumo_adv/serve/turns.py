@@ -222,7 +222,7 @@ class Turns:
         if number in GETTERS:
             return self._asked(command)
         if number in SUBSCRIPTIONS and (reason := self._subscriptions.deadly(command)):
-            return make_message(make_status(number, framing.ERROR, reason))
+            return make_message(make_status(number, framing.STATUS_ERROR, reason))
         if gone := removed(command):
             self._subscriptions.end_of(*gone)
         answer = self._asked(command)
@@ -253,7 +253,7 @@ class Turns:
             client.refused.add(key)
             sentence = f"A call of the client at {client.peer} was refused: {reason}"
             self._seat.tell(GateEvent(EventKind.REFUSED, sentence))
-        return make_message(make_status(command.number, framing.ERROR, reason))
+        return make_message(make_status(command.number, framing.STATUS_ERROR, reason))
 
     def _step(self, client: Client, command: TraciCommand) -> bytes:
         """Pass a step on; a time that is past becomes the present, or SUMO would want every step since then again."""

@@ -24,8 +24,8 @@ import numpy as np
 from sumo_adv import __version__
 from sumo_adv.datatypes import Floats, Role, Track
 from sumo_adv.report.export.piece import (
+    DEFAULT_STEERING_RAD,
     HEIGHT_M,
-    MAX_STEERING_RAD,
     WHEELBASE_SHARE,
     ExportedRun,
     MapLane,
@@ -181,7 +181,7 @@ def _steering(track: Track) -> Floats:
         return np.zeros(len(track.time))
     turn = np.gradient(np.unwrap(track.heading), track.time)
     curvature = np.divide(turn, track.speed, out=np.zeros_like(turn), where=track.speed > MIN_STEERED_SPEED_M_S)
-    return np.clip(np.arctan(WHEELBASE_SHARE * track.length * curvature), -MAX_STEERING_RAD, MAX_STEERING_RAD)
+    return np.clip(np.arctan(WHEELBASE_SHARE * track.length * curvature), -DEFAULT_STEERING_RAD, DEFAULT_STEERING_RAD)
 
 
 def _solution(piece: ExportedRun, problem: int) -> Element:

@@ -31,8 +31,8 @@ from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.files import scratch_prefix
 from sumo_adv.report.export import Variant
 from sumo_adv.report.export.piece import (
+    DEFAULT_STEERING_RAD,
     HEIGHT_M,
-    MAX_STEERING_RAD,
     WHEELBASE_SHARE,
     ExportedRun,
     height_of,
@@ -55,7 +55,7 @@ PERFORMANCE_SPEED_M_S, PERFORMANCE_ACCELERATION_M_S2, PERFORMANCE_DECELERATION_M
     9.0,
 )  # m/s, m/s2: wide enough for every trajectory
 START_SLACK_S = 0.5  # how much before its time a free ego's nearness may start the attack
-NETCONVERT_TIMEOUT_S = 600.0  # s for netconvert: a town takes seconds
+OPENDRIVE_EXPORT_TIMEOUT_S = 600.0  # s for netconvert: a town takes seconds
 Names = Mapping[str, str]
 
 
@@ -167,7 +167,10 @@ def _add_vehicle_parts(thing: Element, track: Track) -> None:
         maxDeceleration=f"{PERFORMANCE_DECELERATION_M_S2}",
     )
     axles = SubElement(thing, "Axles")
-    for name, at, steer in (("FrontAxle", WHEELBASE_SHARE * track.length, MAX_STEERING_RAD), ("RearAxle", 0.0, 0.0)):
+    for name, at, steer in (
+        ("FrontAxle", WHEELBASE_SHARE * track.length, DEFAULT_STEERING_RAD),
+        ("RearAxle", 0.0, 0.0),
+    ):
         SubElement(
             axles, name, maxSteering=f"{steer}", wheelDiameter=f"{WHEEL_DIAMETER_M}",
             trackWidth=metres(TRACK_WIDTH_SHARE * track.width),
@@ -337,7 +340,7 @@ def write_opendrive(netconvert: Path, network: Path, target: Path, written: date
         command += ["--precision", "4", "--xml-validation", "never"]
         command += ["--opendrive-output.lefthand-left"] if left_hand else []
         done = subprocess.run(
-            command, capture_output=True, text=True, timeout=NETCONVERT_TIMEOUT_S, check=False, cwd=scratch
+            command, capture_output=True, text=True, timeout=OPENDRIVE_EXPORT_TIMEOUT_S, check=False, cwd=scratch
         )
         if done.returncode or not made.is_file():
             reason = (done.stderr.strip().splitlines() or ["no reason given"])[0].removeprefix("Error: ")

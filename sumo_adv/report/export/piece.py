@@ -24,7 +24,7 @@ from sumo_adv.simulation.network import NetworkLane, RoadMap
 from sumo_adv.simulation.signals import SignalLog
 
 HEIGHT_M = {"car": 1.5, "truck": 3.2, "bicycle": 1.7, "pedestrian": 1.75, "obstacle": 1.5}  # SUMO has none
-WHEELBASE_SHARE, MAX_STEERING_RAD = 0.6, 0.6  # of the length; rad
+WHEELBASE_SHARE, DEFAULT_STEERING_RAD = 0.6, 0.6  # of the length; rad
 MIN_TRUCK_LENGTH_M, MIN_CAR_WIDTH_M = 6.5, 1.0
 POINT_SPACING_M = 0.5  # m between points of a spaced line
 

@@ -22,7 +22,7 @@ from sumo_adv.report.page_road import network
 from sumo_adv.womd.lines import road_outline
 
 RECORD_STEPS, CURRENT_STEP, RECORD_STEP_S = 91, 10, 0.1
-AFTER_CONTACT_S = 0.5  # s that a record goes on after the contact
+EXPORTED_AFTER_CONTACT_S = 0.5  # s that a record goes on after the contact
 OBJECT_TYPES = {"car": 1, "truck": 1, "obstacle": 1, "pedestrian": 2, "bicycle": 3}  # Track.ObjectType
 FREEWAY, SURFACE = 1, 2  # LaneCenter.LaneType
 FREEWAY_SPEED_M_S = 22.5  # from which a lane is a freeway's
@@ -83,7 +83,8 @@ def first_step(piece: ExportedRun) -> float:
     late = (
         0
         if contact is None
-        else math.ceil((min(contact + AFTER_CONTACT_S, piece.end) - start) / RECORD_STEP_S - 1e-6) - (RECORD_STEPS - 1)
+        else math.ceil((min(contact + EXPORTED_AFTER_CONTACT_S, piece.end) - start) / RECORD_STEP_S - 1e-6)
+        - (RECORD_STEPS - 1)
     )
     return start + RECORD_STEP_S * max(0, late)
 
