@@ -18,7 +18,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, NonNegativeFloat, No
 
 from sumo_adv.datatypes import Relation, RoadClass, RoadPlace
 from sumo_adv.errors import UsageError
-from sumo_adv.parsing import read_toml
+from sumo_adv.parsing import first_fault, read_toml
 
 
 def _ascending(given: tuple[float, float]) -> tuple[float, float]:
@@ -58,13 +58,4 @@ def read_odd(path: Path) -> Odd:
     try:
         return Odd.model_validate(read_toml(path, "The ODD"))
     except ValidationError as error:
-        raise UsageError(f"The ODD {path} {_wrong(error)}") from error
-
-
-def _wrong(error: ValidationError) -> str:
-    first = error.errors()[0]
-    key = str(first["loc"][0])
-    if first["type"] == "extra_forbidden":
-        return f"has an unknown key '{key}'; known keys are {', '.join(Odd.model_fields)}."
-    message = first["msg"].removeprefix("Value error, ")
-    return f"has a bad '{key}': {message[:1].lower()}{message[1:]}."
+        raise UsageError(f"The ODD {path} {first_fault(error, Odd.model_fields)}") from error

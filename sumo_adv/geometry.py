@@ -247,13 +247,35 @@ def _turning(x: Floats, y: Floats) -> tuple[Floats, Floats]:
 
 def along(shape: Floats, x: Floats | float, y: Floats | float) -> Floats:
     """Metres along a polyline ``(k, 2)`` to the points on it that are nearest to (x, y): floats, or any shape."""
+    share, distance = seen_from_segments(shape, x, y)
+    k, length = distance.argmin(axis=-1), np.hypot(*np.diff(shape, axis=0).T)
+    before = np.concatenate([[0.0], np.cumsum(length)])
+    return np.asarray(before[k] + np.take_along_axis(share, k[..., None], axis=-1)[..., 0] * length[k])
+
+
+def seen_from_segments(
+    shape: Floats, x: Floats | float, y: Floats | float, *, straight_on: bool = False
+) -> tuple[Floats, Floats]:
+    """Return the place on each segment of a polyline that is nearest to each point, and the distance to it.
+
+    Args:
+        shape: The polyline ``(k, 2)`` [m].
+        x: The points' x [m], of any shape.
+        y: The points' y [m], of the same shape.
+        straight_on: Whether the first and the last segment go on without an end.
+
+    Returns:
+        The share of the segment up to the place, from 0 to 1, and the distance [m]; both have the points' shape and an
+        axis more, ``(..., k - 1)``.
+    """
     x, y, a, step = np.asarray(x)[..., None], np.asarray(y)[..., None], shape[:-1], np.diff(shape, axis=0)
     length = np.hypot(*step.T)
-    t = ((x - a[:, 0]) * step[:, 0] + (y - a[:, 1]) * step[:, 1]) / np.maximum(length**2, 1e-9)
-    t = np.clip(t, 0.0, 1.0)
-    k = np.hypot(a[:, 0] + t * step[:, 0] - x, a[:, 1] + t * step[:, 1] - y).argmin(axis=-1)
-    before = np.concatenate([[0.0], np.cumsum(length)])
-    return np.asarray(before[k] + np.take_along_axis(t, k[..., None], axis=-1)[..., 0] * length[k])
+    share = ((x - a[:, 0]) * step[:, 0] + (y - a[:, 1]) * step[:, 1]) / np.maximum(length**2, 1e-9)
+    least, most = np.zeros(len(step)), np.ones(len(step))
+    if straight_on:
+        least[0], most[-1] = -np.inf, np.inf
+    share = np.clip(share, least, most)
+    return share, np.hypot(a[:, 0] + share * step[:, 0] - x, a[:, 1] + share * step[:, 1] - y)
 
 
 def _smooth(values: Floats) -> Floats:

@@ -12,11 +12,14 @@ import json
 import math
 import tomllib
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sumo_adv.errors import UsageError
+
+if TYPE_CHECKING:
+    from pydantic import ValidationError
 
 MAX_INTEGER = 2**63 - 1  # of TOML and SQLite; within any float
 MAX_NESTING = 100  # tables and lists within one another
@@ -36,6 +39,32 @@ def parse_toml(text: str) -> dict[str, Any]:
 def parse_json(text: str) -> Any:
     """The value of a JSON text (RFC 8259: no NaN, no infinity). Raises ValueError."""
     return _checked(json.loads, text)
+
+
+_CHOICES = ("literal[", "constr", "constrained", "tuple[")  # how pydantic names the choices of a union in a location
+
+
+def first_fault(error: ValidationError, known: Iterable[str] = ()) -> str:
+    """Return the first thing wrong with a file as the end of a sentence that begins with the file's name.
+
+    Args:
+        error: What pydantic found.
+        known: The keys that the file may have, to name them beside an unknown one.
+    """
+    detail = error.errors()[0]
+    key = dotted(detail["loc"])
+    if detail["type"] == "extra_forbidden":
+        names = ", ".join(known)
+        return f"has an unknown key '{key}'{f'; known keys are {names}' if names else ''}."
+    if detail["type"] == "missing":
+        return f"lacks the key '{key}'."
+    reason = detail["msg"].removeprefix("Value error, ")
+    return f"has a bad '{key}': {reason[:1].lower()}{reason[1:]}."
+
+
+def dotted(location: Iterable[int | str]) -> str:
+    """Return pydantic's location of a value as a key with dots."""
+    return ".".join(str(part) for part in location if not (isinstance(part, str) and part.startswith(_CHOICES)))
 
 
 def read_toml(path: Path, what: str) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sumo_adv.datatypes import Floats
-from sumo_adv.geometry import PATH_STEP_M, Frame, Path, along, make_path, quintics, wrap
+from sumo_adv.geometry import PATH_STEP_M, Frame, Path, along, make_path, quintics, seen_from_segments, wrap
 
 COORDINATE = st.floats(-2000.0, 2000.0)
 ANGLE = st.floats(-math.pi + 1e-6, math.pi)
@@ -197,3 +197,13 @@ def test_metres_along_a_polyline_are_those_of_the_nearest_place_on_it() -> None:
 
     assert float(along(corner, 4.0, 1.0)) == 4.0
     assert along(corner, np.array([-3.0, 12.0, 9.0]), np.array([1.0, 2.0, 9.0])).tolist() == [0.0, 12.0, 15.0]
+
+
+def test_a_point_is_seen_from_each_segment_of_a_bent_line() -> None:
+    """The line goes 4 m east, then 2 m north. (1, 3) is 3 m beside the first segment and 1 m past the second one."""
+    bent = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 2.0]])
+    share, distance = seen_from_segments(bent, 1.0, 3.0)
+    assert share.tolist() == [0.25, 1.0]
+    assert distance == pytest.approx([3.0, math.hypot(3.0, 1.0)])
+    share, distance = seen_from_segments(bent, np.array([1.0]), np.array([3.0]), straight_on=True)
+    assert share.tolist() == [[0.25, 1.5]] and distance.tolist() == [[3.0, 3.0]]

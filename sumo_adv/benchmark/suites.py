@@ -30,7 +30,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from sumo_adv.benchmark.nouns import GROUPS, Suite, SuiteCase
 from sumo_adv.errors import UsageError
-from sumo_adv.parsing import read_json, read_toml
+from sumo_adv.parsing import dotted, read_json, read_toml
 from sumo_adv.simulation.inputs import data_folder, find_input, input_name, load_input
 from sumo_adv.simulation.network import read_network
 
@@ -151,7 +151,7 @@ def _listed(path: Path) -> Suite:
         return _whole(path, _List.model_validate(table))
     except ValidationError as error:
         first = min(error.errors(), key=lambda fault: fault["type"] != "extra_forbidden")
-        key = ".".join(map(str, first["loc"]))
+        key = dotted(first["loc"])
         if first["type"] == "extra_forbidden":
             raise UsageError(f"The suite {path} has an unknown key '{key}'.") from error
         raise UsageError(

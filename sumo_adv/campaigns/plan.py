@@ -35,7 +35,7 @@ from sumo_adv.config import Settings, load_settings, refuse_address
 from sumo_adv.drivers.registry import check_name
 from sumo_adv.episode.task import refuse_density
 from sumo_adv.errors import SumoAdvError, UsageError
-from sumo_adv.parsing import parse_toml, read_toml
+from sumo_adv.parsing import first_fault, parse_toml, read_toml
 from sumo_adv.simulation.inputs import data_folder, find_input, input_name
 
 MAGIC = re.compile(r"[*?\[]")
@@ -233,7 +233,8 @@ def make_plan(
     try:
         file = PlanFile.model_validate(table)
     except ValidationError as error:
-        raise UsageError(_sentence(said, error)) from error
+        known = [info.alias or name for name, info in PlanFile.model_fields.items()]
+        raise UsageError(f"{said} {first_fault(error, known)}") from error
     for key in (*file.settings, *file.vary):
         if key in OWN_KEYS:
             raise UsageError(f"{said} has '{key}' among its settings; a plan says it as '{OWN_KEYS[key]}'.")
@@ -265,17 +266,6 @@ def _as_data(settings: Settings) -> dict[str, Any]:
         if name not in settings.model_fields_set:
             del data[name]
     return data
-
-
-def _sentence(subject: str, error: ValidationError) -> str:
-    detail = error.errors()[0]
-    key = ".".join(str(p) for p in detail["loc"] if isinstance(p, int) or not p.startswith(("constrained", "tuple[")))
-    if detail["type"] == "extra_forbidden":
-        keys = ", ".join(info.alias or name for name, info in PlanFile.model_fields.items())
-        return f"{subject} has an unknown key '{key}'; known keys are {keys}."
-    if detail["type"] == "missing":
-        return f"{subject} lacks the key '{key}'."
-    return f"{subject} has a bad '{key}': {detail['msg'][:1].lower()}{detail['msg'][1:]}."
 
 
 def checked_plan(value: Any) -> dict[str, Any]:

@@ -24,7 +24,7 @@ from sumo_adv.episode.right_of_way import PASSED
 from sumo_adv.episode.task import Task
 from sumo_adv.errors import SimulationError, UsageError
 from sumo_adv.files import scratch_prefix
-from sumo_adv.geometry import wrap
+from sumo_adv.geometry import seen_from_segments, wrap
 from sumo_adv.metrics.boxes import corners
 from sumo_adv.simulation.network import RoadMap, read_network
 
@@ -216,10 +216,8 @@ def off_lane(road: RoadMap, track: Track) -> Floats:
 
 def _from_lane(shape: Floats, track: Track) -> Floats:
     """Distance [m] from those parts of a centreline ``(k, 2)`` that lead a vehicle's way, ``(n,)``; inf without one."""
-    start, step = shape[:-1], np.diff(shape, axis=0)
-    dx, dy = track.x[:, None] - start[:, 0], track.y[:, None] - start[:, 1]
-    share = np.clip((dx * step[:, 0] + dy * step[:, 1]) / np.maximum((step**2).sum(axis=1), 1e-9), 0.0, 1.0)
-    away = np.hypot(dx - share * step[:, 0], dy - share * step[:, 1])
+    step = np.diff(shape, axis=0)
+    _, away = seen_from_segments(shape, track.x, track.y)
     turned: Bools = (
         np.abs(wrap(np.arctan2(step[:, 1], step[:, 0]) - track.heading[:, None])) > MAX_DRIVEN_LANE_ANGLE_RAD
     )

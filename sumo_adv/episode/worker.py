@@ -12,7 +12,7 @@ import math
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -54,11 +54,23 @@ from sumo_adv.simulation.tracks import tracks_of
 from sumo_adv.situation import Situation
 
 ROOM_M = 60.0  # within which other vehicles may be in the way of an ego that arrives otherwise
-MOST_BESIDE = 3  # recorded vehicles on which SUMO crashes
-COOL_DOWN = 2.0  # s without an encounter after an encounter that was passed over
+MAX_VEHICLES_BESIDE = 3  # recorded vehicles on which SUMO crashes
+COOL_DOWN_S = 2.0  # without an encounter after an encounter that was passed over
 
 
-Looks = dict[float, list[RankedVehicle]]
+@dataclass(frozen=True, slots=True)
+class UnattackedBranch:
+    """What a branch without an attack recorded.
+
+    Attributes:
+        snapshots: The states from the trigger on.
+        sizes: Length and width [m] of the vehicles by id.
+        looks: In a recording, the vehicles that could attack by time [s], every ``LOOK_EVERY`` s.
+    """
+
+    snapshots: list[Snapshot]
+    sizes: dict[str, tuple[float, float]]
+    looks: dict[float, list[RankedVehicle]]
 
 
 class EpisodeWorker(EpisodeCalls):
@@ -111,7 +123,7 @@ class EpisodeWorker(EpisodeCalls):
         if log is None or not self._drive.recorded() or not (self._task.settings.fork and can_fork()):
             return
         beside: list[str] = []
-        while len(beside) < MOST_BESIDE and not self._survives(log, beside):
+        while len(beside) < MAX_VEHICLES_BESIDE and not self._survives(log, beside):
             suspects = [name for name in log.recorded if name != self._task.ego]
             while len(suspects) > 1:
                 half = suspects[: len(suspects) // 2]
@@ -166,7 +178,7 @@ class EpisodeWorker(EpisodeCalls):
             self._cool_down()
 
     def _cool_down(self) -> None:
-        for _ in range(self._drive.within(self._settings.steps(COOL_DOWN))):
+        for _ in range(self._drive.within(self._settings.steps(COOL_DOWN_S))):
             self._drive.tick()
 
     def prefix(self) -> Prefix:
@@ -335,12 +347,12 @@ class EpisodeWorker(EpisodeCalls):
     def _baseline(self, seconds: float) -> UnattackedMotion:
         drive, settings = self._drive, self._settings
         before = drive.recording.snapshots[-settings.steps(settings.history) - 1 :]
-        snapshots, sizes, looks = self._branch([partial(self._unattacked, settings.steps(seconds))])[0]
-        tracks = tracks_of([*before, *snapshots], sizes, drive.roles(), settings.step_length)
-        return UnattackedMotion({t.id: t for t in tracks}, snapshots, sizes, looks)
+        branch: UnattackedBranch = self._branch([partial(self._unattacked, settings.steps(seconds))])[0]
+        tracks = tracks_of([*before, *branch.snapshots], branch.sizes, drive.roles(), settings.step_length)
+        return UnattackedMotion({t.id: t for t in tracks}, branch.snapshots, branch.sizes, branch.looks)
 
-    def _unattacked(self, steps: int) -> tuple[list[Snapshot], dict[str, tuple[float, float]], Looks]:
-        """The states and sizes, and in a recording the vehicles that could attack, every ``LOOK_EVERY`` s.
+    def _unattacked(self, steps: int) -> UnattackedBranch:
+        """Drive on without an attack.
 
         In a recording the branch ends when the ego leaves: nothing after that can be attacked.
         """
@@ -353,7 +365,8 @@ class EpisodeWorker(EpisodeCalls):
                 if drive.recorded() and self._task.trigger is None and step % every == 0:
                     looks[round(step * settings.step_length, 6)] = detector.rank(drive)
                 drive.tick()
-        return drive.recording.snapshots[self._trigger_step :], dict(drive.simulation.fleet.sizes), looks
+        snapshots = drive.recording.snapshots[self._trigger_step :]
+        return UnattackedBranch(snapshots, dict(drive.simulation.fleet.sizes), looks)
 
     @contextmanager
     def _within_memory(self) -> Iterator[None]:

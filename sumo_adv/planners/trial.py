@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sumo_adv.datatypes import Floats, Planner
+from sumo_adv.datatypes import Planner
 from sumo_adv.errors import SandboxError
-from sumo_adv.geometry import wrap
+from sumo_adv.geometry import seen_from_segments, wrap
 from sumo_adv.road_users import UNPROTECTED_SPEEDS_M_S, RoadUser
 from sumo_adv.situation import NO_ARRIVAL_S, fastest_of
 
@@ -269,23 +269,11 @@ def _fault(call: Call, road: Mapping[str, Any], answer: dict[str, float] | Sandb
     distance = math.hypot(answer["x"] - bv["x"], answer["y"] - bv["y"])
     if distance > ENDPOINT_REACH_M + ENDPOINT_REACH_SPEED_M_S * answer["time"]:
         return f"it asks for a place {distance:.0f} m away within {answer['time']:.1f} s, which no vehicle reaches."
-    lines = (road["ego_centreline"], *(way["centreline"] for way in road["ways"]))
-    aside = min(_from_line(np.asarray(line, float), answer["x"], answer["y"]) for line in lines)
+    lines = [np.asarray(line, float) for line in (road["ego_centreline"], *(way["centreline"] for way in road["ways"]))]
+    aside = min(seen_from_segments(line, answer["x"], answer["y"], straight_on=True)[1].min() for line in lines)
     if aside > MAX_ROAD_DISTANCE_M + ROAD_DISTANCE_PER_METRE * distance:
         return f"it asks for a place {aside:.0f} m beside the road."
     return None
-
-
-def _from_line(line: Floats, x: float, y: float) -> float:
-    """Metres from a place to a line, which goes straight on beyond its ends."""
-    a, b = line[:-1], line[1:]
-    d = b - a
-    length = np.hypot(d[:, 0], d[:, 1])
-    along = ((x - a[:, 0]) * d[:, 0] + (y - a[:, 1]) * d[:, 1]) / length
-    low = np.where(np.arange(len(a)) == 0, -np.inf, 0.0)
-    high = np.where(np.arange(len(a)) == len(a) - 1, np.inf, length)
-    share = np.clip(along, low, high) / length
-    return float(np.hypot(x - a[:, 0] - share * d[:, 0], y - a[:, 1] - share * d[:, 1]).min())
 
 
 def _own_trajectory(

@@ -21,7 +21,7 @@ from sumo_adv.config import MAX_ATTACK_DELAY_S, load_settings
 from sumo_adv.datatypes import MAX_ADVERSARIES, Duty, Level, Proposal, acceleration_of
 from sumo_adv.errors import SandboxError, UsageError
 from sumo_adv.files import refuse_links
-from sumo_adv.parsing import read_toml
+from sumo_adv.parsing import first_fault, read_toml
 from sumo_adv.planners.source import make_planner
 from sumo_adv.regression.at_trigger import AtTrigger
 from sumo_adv.simulation.inputs import RunInput, load_input
@@ -219,11 +219,4 @@ def _parsed(file: Path) -> _File:
     try:
         return _File.model_validate(read_toml(file, "The case"))
     except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        if first["type"] == "extra_forbidden":
-            raise UsageError(f"The case {file} has an unknown key '{key}'.") from error
-        if first["type"] == "missing":
-            raise UsageError(f"The case {file} lacks the key '{key}'.") from error
-        reason = first["msg"].removeprefix("Value error, ")
-        raise UsageError(f"The case {file} has a bad '{key}': {reason[:1].lower()}{reason[1:]}.") from error
+        raise UsageError(f"The case {file} {first_fault(error)}") from error

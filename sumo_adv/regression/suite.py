@@ -24,7 +24,7 @@ from sumo_adv.campaigns.results import Done, Row, read_row, write_csv
 from sumo_adv.drivers import make_ego
 from sumo_adv.errors import UsageError
 from sumo_adv.files import is_plain_name, json_text, sentences, write_text
-from sumo_adv.parsing import read_json
+from sumo_adv.parsing import dotted, read_json
 from sumo_adv.regression.case import KeptCase
 from sumo_adv.regression.runner import (
     UNTESTED,
@@ -171,8 +171,7 @@ def read_results(path: Path) -> dict[str, Any]:
         return {**document, "cases": rows}
     except ValidationError as error:
         first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        raise UsageError(f"{file} has a bad '{key}' ({first['msg']}); run the suite again.") from error
+        raise UsageError(f"{file} has a bad '{dotted(first['loc'])}' ({first['msg']}); run the suite again.") from error
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise UsageError(
             f"{file} is not what sumo-adv regress writes ({error}); give its {REGRESSION_FILE}."

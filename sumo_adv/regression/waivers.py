@@ -17,6 +17,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, ValidationError, field_validator
 
 from sumo_adv.errors import UsageError
+from sumo_adv.parsing import dotted
 
 WAIVERS = "waive.toml"
 
@@ -89,7 +90,7 @@ def _parsed(file: Path) -> _File:
         raise UsageError(f"The waivers {file} cannot be read ({error}).") from error
     except ValidationError as error:
         first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
+        key = dotted(first["loc"])
         raise UsageError(
             f"The waivers {file} have a bad '{key}' ({first['msg'].removeprefix('Value error, ')}); each [[waive]] "
             "needs case, reason and until (a date as 2027-01-31)."

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import secrets
 import shutil
 import tempfile
@@ -11,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from sumo_adv.errors import SumoAdvError, UsageError
-from sumo_adv.files import json_text, refuse_links, scratch_prefix
+from sumo_adv.files import FULL, json_text, refuse_links, scratch_prefix
 from sumo_adv.parsing import read_json
 
 PROGRAM = "sumo_adv"
@@ -105,6 +104,6 @@ def scratch_folder() -> Iterator[Path]:
 
 
 def _sentence(error: OSError, target: Path) -> SumoAdvError:
-    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+    if error.errno in FULL:
         return SumoAdvError(f"There is no space left to write {target}; free some or give another --out.")
     return UsageError(f"The output folder {target} cannot be written ({error.strerror or error}); give another --out.")

@@ -13,12 +13,11 @@ from pathlib import Path
 from typing import Annotated, Literal, Self, TypeAlias
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, model_validator
-from pydantic_core import ErrorDetails
 
 from sumo_adv.asked import Asked, RequestOrigin
 from sumo_adv.datatypes import MAX_ADVERSARIES, Relation
 from sumo_adv.errors import UsageError
-from sumo_adv.parsing import read_toml
+from sumo_adv.parsing import dotted, first_fault, read_toml
 
 SCENARIO_SCHEMA = 1
 SCENARIO_FILE, NETWORK_FILE = "scenario.toml", "network.net.xml"  # of an imported or kept scenario, as the next two
@@ -174,22 +173,18 @@ def load_scenario(path: Path) -> Scenario:
     try:
         return Scenario.model_validate(table, context={"folder": path.parent})
     except ValidationError as error:
-        raise UsageError(_sentence(path, error.errors()[0])) from error
+        raise UsageError(f"The scenario {path} {_fault(error)}") from error
 
 
-def _sentence(path: Path, detail: ErrorDetails) -> str:
-    """The first thing wrong with the file, as one sentence that names file and key."""
-    parts = [part for part in detail["loc"] if not (isinstance(part, str) and part.startswith(("literal[", "constr")))]
-    key = ".".join(str(part) for part in parts)
+def _fault(error: ValidationError) -> str:
+    """Return the first thing wrong with the file, to follow its name."""
+    detail = error.errors()[0]
+    key = dotted(detail["loc"])
     if detail["type"] == "extra_forbidden":
-        return f"The scenario {path} has an unknown key '{key}'; {_known_keys(detail['loc'])}"
-    if detail["type"] == "missing":
-        return f"The scenario {path} lacks the key '{key}'."
-    if key == "schema":
-        given = repr(detail["input"])[:200]
-        return f"The scenario {path} has schema = {given}; this program reads schema = {SCENARIO_SCHEMA}."
-    reason = detail["msg"].removeprefix("Value error, ")
-    return f"The scenario {path} has a bad '{key}': {reason[:1].lower()}{reason[1:]}."
+        return f"has an unknown key '{key}'; {_known_keys(detail['loc'])}"
+    if key == "schema" and detail["type"] != "missing":
+        return f"has schema = {repr(detail['input'])[:200]}; this program reads schema = {SCENARIO_SCHEMA}."
+    return first_fault(error)
 
 
 def _known_keys(location: tuple[int | str, ...]) -> str:
