@@ -18,7 +18,7 @@ from sumo_adv.datatypes import Boxes, Floats, VehicleState
 from sumo_adv.drivers.protocol import Observation, Vehicle
 from sumo_adv.geometry import wrap_below_pi
 from sumo_adv.metrics.reference import Braker
-from sumo_adv.metrics.reference.view import YAW_RATE_SPAN_S, EgoPaths, View
+from sumo_adv.metrics.reference.view import YAW_RATE_SPAN_S, EgoPaths, View, is_same_direction
 from sumo_adv.road_users import is_unprotected
 
 HALF_LANE_M = 1.6  # half of SUMO's default lane, where the lane is not known
@@ -66,13 +66,16 @@ def view_of(egos: Egos, others: Others, lane_half_width: Floats | float) -> View
     half_across = (sin * others.length + cos * others.width) / 2
     away, side = others.station - egos.station, np.where(others.offset >= 0, 1.0, -1.0)
     near_edge = np.abs(others.offset) - half_across
+    side_gap = near_edge - egos.width / 2
     return View(
         ahead=away > 0,
         away=away,
         left=others.offset,
         heading=others.heading,
+        same_direction=is_same_direction(others.heading),
         gap=np.abs(away) - half_along - egos.length / 2,
-        side_gap=near_edge - egos.width / 2,
+        side_gap=side_gap,
+        in_corridor=side_gap <= 0.0,
         near_edge=near_edge,
         speed=others.speed,
         along=others.speed * np.cos(others.heading),

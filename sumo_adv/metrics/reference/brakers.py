@@ -119,9 +119,12 @@ class Reg157:
     def step(self, view: View) -> Floats:
         over_the_line = view.near_edge < view.lane_half_width - REG157_INTRUSION_M + 1e-9
         intrudes = view.same_direction & view.ahead & over_the_line
-        faster = intrudes & (view.closing > 0.0)
-        needed = view.closing / (2 * REG157_BRAKING_M_S2) + self.delay + self._dt
-        begins = faster & (view.gap > 0.0) & (view.time_to_reach <= np.maximum(REG157_TTC_S, needed))
+        closing = view.closing
+        faster = intrudes & (closing > 0.0)
+        begins = faster & (view.gap > 0.0)
+        if begins.any():
+            needed = closing / (2 * REG157_BRAKING_M_S2) + self.delay + self._dt
+            begins &= view.time_to_reach <= np.maximum(REG157_TTC_S, needed)
         self._danger = (self._danger & faster) | begins
         self.alarmed |= self._danger.any(axis=1)
         lasted = self._delay.step(self._danger).max(axis=1, initial=-np.inf)

@@ -107,7 +107,9 @@ class CcHuman:
         drift = np.where(view.towards < LATERAL_REST_SPEED_M_S, 0.0, self._drift + view.towards * dt)
         self._drift = np.where(paused, self._drift, drift)
         perceived = self._perceived(view)
-        danger = self._is_danger(view) | (self.danger & intrudes & _still_reached(view))
+        danger = self._is_danger(view)
+        if (intruding := self.danger & intrudes).any():
+            danger = danger | (intruding & _still_reached(view))
         self._perceived_since = np.where(perceived, np.minimum(self._perceived_since, time), np.inf)
         seen = danger & self._understood(view, time)
         self._seen_at = np.where(seen, time, self._seen_at)

@@ -133,11 +133,12 @@ class Counterfactual:
         change = np.diff(pace, axis=1, append=pace[:, -1:]) / dt
         station, speed = recorded.copy(), np.array(np.broadcast_to(pace, recorded.shape))
         acceleration = np.zeros(n)
-        acting, alarm = np.zeros(n, bool), np.full(n, np.inf)
+        acting, alarmed, alarm = np.zeros(n, bool), np.zeros(n, bool), np.full(n, np.inf)
         for k in range(self.steps - 1):
             reaction = drivers.step(self.views.at(k, station[:, k], speed[:, k], acceleration))
-            fresh = drivers.alarmed & ~np.isfinite(alarm)
-            alarm = np.where(fresh, self.time[k], alarm)
+            if not alarmed.all():
+                alarm = np.where(drivers.alarmed & ~alarmed, self.time[k], alarm)
+                alarmed = np.isfinite(alarm)
             brakes, present = np.isfinite(reaction), speed[:, k]
             acting |= brakes & (k >= self.given.start)
             if acting.any():

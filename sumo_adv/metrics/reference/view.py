@@ -119,8 +119,10 @@ class View(NamedTuple):
     away: Floats  # between the centres, along the path
     left: Floats  # of its centre, from the path
     heading: Floats  # against the path's there
+    same_direction: Bools  # it goes the ego's way (``is_same_direction``)
     gap: Floats  # along the path, between the boxes; negative where they overlap lengthwise
     side_gap: Floats  # across the path, between the boxes; negative inside the ego's corridor
+    in_corridor: Bools  # its box lies in the strip that the ego's box sweeps
     near_edge: Floats  # from the path to its box
     speed: Floats
     along: Floats  # speed along the path
@@ -145,18 +147,14 @@ class View(NamedTuple):
     def time_to_reach(self) -> Floats:
         """Gap over closing speed [s], 0 where the boxes overlap lengthwise, ``inf`` where the ego does not close in."""
         closing = self.closing
-        time = np.where(closing > 1e-9, np.maximum(self.gap, 0.0) / np.where(closing > 1e-9, closing, 1.0), np.inf)
+        closes = closing > 1e-9
+        time = np.where(closes, np.maximum(self.gap, 0.0) / np.where(closes, closing, 1.0), np.inf)
         return np.where(self.gap <= 0.0, 0.0, time)
 
-    @property
-    def same_direction(self) -> Bools:
-        """Whether it goes the ego's way (within 45 degrees)."""
-        return np.abs(self.heading) < SAME_DIRECTION
 
-    @property
-    def in_corridor(self) -> Bools:
-        """Whether its box lies in the strip that the ego's box sweeps."""
-        return self.side_gap <= 0.0
+def is_same_direction(heading: Floats) -> Bools:
+    """Whether vehicles with a heading [rad] against the ego's path go the ego's way (within 45 degrees)."""
+    return np.abs(heading) < SAME_DIRECTION
 
 
 def located_on(paths: EgoPaths, others: Boxes) -> tuple[Floats, Floats, Floats]:
@@ -198,9 +196,10 @@ class Views:
         there = np.isfinite(station)
         side = np.where(there & (left < 0.0), -1.0, 1.0)
         speed, near_edge = others.speed, np.where(there, np.abs(left) - half_across, np.inf)
+        seen_heading, side_gap = np.where(there, self._heading, 0.0), near_edge - ego_size[1] / 2
         by_vehicle = (
             there, np.where(there, station, np.inf), np.where(there, half_along, 0.0), np.where(there, left, np.inf),
-            np.where(there, self._heading, 0.0), near_edge - ego_size[1] / 2, near_edge, _known(speed),
+            seen_heading, is_same_direction(seen_heading), side_gap, side_gap <= 0.0, near_edge, _known(speed),
             _known(speed * np.cos(self._heading)), _known(-side * _change(left, dt)),
             _known(-side * speed * np.sin(self._heading)), _known(_change(speed, dt)),
             _known((turned - turned[..., before]) / span),
@@ -212,14 +211,14 @@ class Views:
     def at(self, step: int, station: Floats, speed: Floats, acceleration: Floats) -> View:
         """What egos at ``station`` [m], ``speed`` and ``acceleration`` ``(N,)`` see in a step."""
         (
-            there, here, half_along, left, heading, side_gap, near_edge,
+            there, here, half_along, left, heading, same_direction, side_gap, in_corridor, near_edge,
             pace, along, towards, crossing, change, yaw_rate,
         ) = (values[step] for values in self._steps)  # fmt: skip
         away, (ego_length, ego_width) = here - station[:, None], self._size
         return View(
-            there & (away > 0), away, left, heading, np.abs(away) - half_along - ego_length / 2, side_gap, near_edge,
-            pace, along, towards, crossing, change, yaw_rate, self._length, self._width, speed[:, None],
-            acceleration[:, None], ego_length, ego_width, self._half,
+            there & (away > 0), away, left, heading, same_direction, np.abs(away) - half_along - ego_length / 2,
+            side_gap, in_corridor, near_edge, pace, along, towards, crossing, change, yaw_rate, self._length,
+            self._width, speed[:, None], acceleration[:, None], ego_length, ego_width, self._half,
         )  # fmt: skip
 
     def in_lane_ahead(self, ego_station: Floats) -> Bools:
