@@ -3,7 +3,7 @@
 A vehicle along the path, either way, keeps its speed (or its braking, until standstill) and its drift sideways.  Where
 it comes into the ego's lane the same way, it stays on the centre.  All others go on at constant speed and yaw rate.
 Left out are followers in the ego's own lane, and vehicles on crossing courses that can still stop short of the path at
-3 m/s2 (the rule of ``metrics/validity.py``).
+3 m/s2.
 """
 
 from __future__ import annotations
