@@ -225,6 +225,7 @@ def test_an_attempt_that_is_lost_is_one_that_failed(arena: tuple[Arena, MemoryBa
     assert record is not None
     lost, driven = record.attempts
     assert (lost.ending, lost.verdict.feasible, lost.verdict.collided) == ("planner_failed", False, False)
+    assert lost.verdict.level is Level.NONE
     assert "nobody" in lost.message
     assert driven.ending in {"contact", "passed", "time_limit"}
 

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from sumo_adv.datatypes import Bools, Boxes, Floats, Ints
 from sumo_adv.metrics.boxes import corners, height_as, touches
+from sumo_adv.metrics.reference.cc_human import PERCEPTION_S
 
-PERCEPTION_S = 0.4  # that ``cc_human`` needs, UN R157 annex 3
 RAMP_S = 0.3  # to full braking
 PEAK_LATERAL_M_S2 = 4.5  # of a shift; with 6 m/s2 of braking inside the friction circle of 8
 BRAKING_WITH_SHIFT_M_S2 = (0.0, 3.0, 6.0)
