@@ -44,6 +44,8 @@ CHOICE = (
     "predicted_level",
 )
 """What an attempt was; the other keys of an attempt in ``outcome.json`` say what came of it."""
+NAMES = ("named_scenario",)
+"""Keys of an attempt that only name what is in the others."""
 
 
 def instructions() -> list[str]:
@@ -74,7 +76,7 @@ def run_one(case: tuple[str, str]) -> dict[str, str]:
         states = result.folder / "states.csv.gz"
         content = gzip.decompress(states.read_bytes()) if states.is_file() else b""
     attempts = [{**{key: a[key] for key in CHOICE}, "mode": a["planner"]["mode"]} for a in document["attempts"]]
-    verdicts = [{key: a[key] for key in a.keys() - {*CHOICE, "planner"}} for a in document["attempts"]]
+    verdicts = [{key: a[key] for key in a.keys() - {*CHOICE, *NAMES, "planner"}} for a in document["attempts"]]
     return {
         "attempts": hashed([document["ending"], attempts]), "verdicts": hashed([verdicts, document["outcome"]]),
         "states": hashed(content),

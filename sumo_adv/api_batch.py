@@ -239,6 +239,7 @@ def hunt(
     workers: int | None = None,
     deadline: float = 600.0,
     ray: str | None = None,
+    cover: bool = False,
     settings_file: str | Path | None = None,
     pages: bool = True,
     tell: Callable[[HuntProgress], None] | None = None,
@@ -251,6 +252,7 @@ def hunt(
     inputs: networks, .sumocfg files, scenarios, records, folders and shipped names. distinct: end sooner with this many
     failures. until: the level at which an encounter ends, ``serious`` by default (``valid`` for the ego careful); if it
     is given, only collisions of this level or a higher one are failures.
+    cover: give time to the named scenarios that were met least, otherwise to inputs that bring new failures.
     deadline: seconds after which an episode is stuck. pages: make an index page with replays. tell: called after each
     round. stopping: called when Ctrl-C is pressed, with True where it is pressed again. note: called at the start with
     each sentence on what of the inputs is not kept, as options of a .sumocfg.
@@ -280,7 +282,8 @@ def hunt(
             note(sentence)
     orders = orders_of(plan, out, workers, deadline, ray=ray)
     at_once = orders.pace if ray is None else replace(orders.pace, workers=cluster_processors(ray))
-    found = Hunt(plan, replace(orders, pace=at_once), campaign, minutes, distinct, goal).run(tell or (lambda _: None))
+    hunted = Hunt(plan, replace(orders, pace=at_once), campaign, minutes, distinct, goal, cover=cover)
+    found = hunted.run(tell or (lambda _: None))
     rows = table(found.failures, found.folder)
     return HuntResult(found, rows, _index(found, orders.pace.workers) if pages and rows else None)
 
@@ -295,8 +298,8 @@ def _index(found: Found, workers: int) -> Path:
     coverage = campaign_coverage(found.folder, runs, {}, shipped_bank())
     made = write_report(
         found.folder / "failures", target, found.folder.resolve().name,
-        table_of(row for run in runs if (row := read_row(run)) is not None), Packs(), coverage, most=MAX_PAGES_AT_ONCE,
-        workers=workers, again=True,
+        table_of(row for run in runs if (row := read_row(run)) is not None), Packs(), coverage, found.scenarios,
+        most=MAX_PAGES_AT_ONCE, workers=workers, again=True,
     )  # fmt: skip
     write_coverage(target, coverage)
     return made.index

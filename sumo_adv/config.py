@@ -25,6 +25,7 @@ from sumo_adv.errors import UsageError, nearest
 from sumo_adv.goal import Goal
 from sumo_adv.parsing import read_toml
 from sumo_adv.road_users import Sized, limits_of
+from sumo_adv.scenario_names import ScenarioName, wanted
 from sumo_adv.times import whole_milliseconds
 
 ResponseFormat = Literal["json_schema", "json_object", "text"]
@@ -161,6 +162,7 @@ class Settings(ModelSettings, BaseSettings):
     exclude: Annotated[tuple[str, ...], NoDecode] = ()  # labels that may not
     ask: str | None = None  # the attack that is wanted, in words; a language model reads them
     kind: Annotated[tuple[Relation, ...], NoDecode] = ()  # relations that the adversary may have; empty: all
+    scenario: Annotated[tuple[str, ...], NoDecode] = ()  # named scenarios that an attack must show; empty: any
     tuner: Literal["builtin", "off"] = "builtin"
     llm: str | None = None  # plays analyzer, generator and modifier, but for the parts named below
     analyzer: str | None = None
@@ -199,11 +201,17 @@ class Settings(ModelSettings, BaseSettings):
     questions_familiar: int = Field(3, ge=1)  # where the analysis has no new intent
     limits: LimitSettings = Field(default_factory=LimitSettings)
 
-    @field_validator("intents", "exclude", "kind", mode="before")
+    @field_validator("intents", "exclude", "kind", "scenario", mode="before")
     @classmethod
     def _listed(cls, given: Any) -> Any:
         """A text with commas is a list."""
         return tuple(w.strip() for w in given.split(",") if w.strip()) if isinstance(given, str) else given
+
+    @field_validator("scenario")
+    @classmethod
+    def _has_known_names(cls, given: tuple[str, ...]) -> tuple[str, ...]:
+        wanted(given)
+        return given
 
     @field_validator("step_length")
     @classmethod
@@ -249,6 +257,11 @@ class Settings(ModelSettings, BaseSettings):
     def goal(self) -> Goal:
         """What an attempt must come to."""
         return Goal(self.until.level, self.min_delta_v, self.ttc)
+
+    @property
+    def scenario_names(self) -> tuple[ScenarioName, ...]:
+        """The named scenarios one of which an attack must show; empty for any."""
+        return wanted(self.scenario)
 
     @property
     def harmless_ttc(self) -> float:

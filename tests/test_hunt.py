@@ -21,7 +21,9 @@ from sumo_adv.datatypes import Level
 from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.goal import Goal
 from sumo_adv.hunting.failures import distinct, failure_of, table
-from sumo_adv.hunting.hunt import Found, Hunt, HuntProgress, RunCampaign, count_failures, over_time
+from sumo_adv.hunting.hunt import Found, Hunt, HuntProgress, RunCampaign, count_failures
+from sumo_adv.hunting.rounds import over_time
+from sumo_adv.metrics.species import discovery
 
 ROW: Mapping[str, Any] = {
     "id": "a", "level": "serious", "intent": "Cut", "composition": None, "relation": "neighbour", "road": "motorway",
@@ -29,6 +31,9 @@ ROW: Mapping[str, Any] = {
     "adversary": "bv", "preventable_by": "cc_human", "attempts": 2, "failure": "", "critical": True,
     "ending": "critical", "cause": "late", "cause_sentence": "Your driver was late.",
 }  # fmt: skip
+
+
+OUTCOME = '{"attempts": [], "encounter": null, "timing": {"first_success": 2.0}}'
 
 
 def row(**changes: Any) -> dict[str, Any]:
@@ -113,7 +118,7 @@ class Campaigns:
         for job in plan.jobs:
             run = orders.out / "runs" / job.id
             run.mkdir(parents=True, exist_ok=True)
-            (run / "outcome.json").write_text('{"attempts": [], "timing": {"first_success": 2.0}}')
+            (run / "outcome.json").write_text(OUTCOME)
             level = "serious" if job.input.name == "good" else "collision"
             kind = f"Cut / neighbour / side {job.seed}"
             rows.append(row(id=job.id, network=job.input.name, seed=job.seed, level=level, kind=kind))
@@ -220,8 +225,11 @@ def test_the_failures_over_time_are_drawn(tmp_path: Path, program: Program) -> N
     """Four rounds find a serious failure each."""
     hunted(tmp_path, Campaigns())
     after = over_time(tmp_path / "out")
-    assert [found for _, found in after] == [dict.fromkeys(("valid", "strict", "serious"), k) for k in (1, 2, 3, 4)]
-    assert [minutes for minutes, _ in after] == sorted(minutes for minutes, _ in after)
+    assert [a.found for a in after] == [dict.fromkeys(("valid", "strict", "serious"), k) for k in (1, 2, 3, 4)]
+    assert [a.minutes for a in after] == sorted(a.minutes for a in after)
+    # after four rounds of two episodes each: four kinds, all seen once, so half of the encounters brought a new one
+    last = after[-1].discovery
+    assert last is not None and (last.samples, last.kinds, last.chance, last.least) == (8, 4, 0.5, 10.0)
     done = program.here("figure", tmp_path / "out", "--out", "over_time.svg")
     assert done.status == 0, done.err
     assert "<svg" in (program.folder / "over_time.svg").read_text()
@@ -274,6 +282,6 @@ def test_the_result_of_a_hunt_is_a_table() -> None:
     """The columns are those of ``results.csv``."""
     from sumo_adv.api_batch import HuntResult
 
-    result = HuntResult(Found(Path(), [], 0, 0, 0.0, "time"), [], None)
+    result = HuntResult(Found(Path(), [], 0, 0, 0.0, "time", discovery([])), [], None)
     assert list(result.table)[:3] == ["rank", "level", "intent"]
     assert sumo_adv.hunt.__module__ == "sumo_adv.api_batch"

@@ -25,6 +25,7 @@ LEVELS = (
         "outcome_schema",
         "parsing",
         "road_users",
+        "scenario_names",
         "situation",
         "times",
     ),
@@ -41,7 +42,8 @@ LEVELS = (
 """From the bottom up: a part may import what stands below it, not its neighbours and not what is above."""
 SIDEWAYS = {("asked", "datatypes"), ("asked", "road_users"), ("consistency", "datatypes"), ("consistency", "geometry"),
             ("config", "config_odd"), ("files", "errors"), ("outcome_schema", "errors"), ("parsing", "errors"),
-            ("geometry", "datatypes"), ("goal", "datatypes"), ("road_users", "datatypes"), ("situation", "datatypes"),
+            ("geometry", "datatypes"), ("goal", "datatypes"), ("road_users", "datatypes"),
+            ("scenario_names", "datatypes"), ("situation", "datatypes"),
             ("situation", "geometry"), ("situation", "road_users"),
             ("benchmark", "campaigns"), ("report", "womd"), ("cli", "api"), ("cli", "api_batch"), ("api_batch", "api"),
             ("__main__", "cli")}  # fmt: skip

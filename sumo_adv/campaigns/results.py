@@ -18,6 +18,7 @@ from sumo_adv.errors import UsageError
 from sumo_adv.files import cell_text, plain_cell, write_whole
 from sumo_adv.outcome_schema import OUTCOME_SCHEMA, check_schema
 from sumo_adv.parsing import read_json
+from sumo_adv.scenario_names import COLUMNS as SCENARIO
 
 if TYPE_CHECKING:
     from sumo_adv.simulation.inputs import RunInput
@@ -109,7 +110,7 @@ RESULT_COLUMNS = (
     "attempts", "seconds", "failure", "traceback", "level", "strict", "preventable_by", "inconclusive",
     "ego_stationary", "humanlike", "delta_v", "severity", "serious", "fault", "contact_time", "adversary", "relation",
     "kind", "road", "ego_speed", "supports", "composition", "cause", "cause_sentence",
-    "robust", "overlap", "warning", "red_light", "right_of_way",
+    "robust", "overlap", "warning", "red_light", "right_of_way", *SCENARIO,
 )  # fmt: skip
 """Of the table; settings that vary come behind them, as ``set_NAME``. Times in s, speeds in m/s. An empty min_ttc is
 never; an empty valid, strict or serious is no collision. ``road`` and ``ego_speed`` are those of the encounter.
@@ -117,7 +118,8 @@ never; an empty valid, strict or serious is no collision. ``road`` and ``ego_spe
 Both are empty for a single adversary. ``cause``: its kind (``metrics/cause.py``); empty for neither a contact nor a
 near miss. ``robust``: whether most of its neighbours succeed, too; empty where none was simulated. ``overlap``: share
 of the touching face; ``warning``: s from the alarm of ``cc_human`` to the contact; ``red_light``, ``right_of_way``:
-who broke it (``episode/rules_broken.py``)."""
+who broke it (``episode/rules_broken.py``). ``motion``, ``nhtsa``, ``iso_34502``, ``euro_ncap``: what the attempt that
+counts shows (``scenario_names.py``)."""
 
 
 INTEGER_COLUMNS = ("seed", "attempts")
@@ -147,6 +149,7 @@ def result_row(name: str, outcome: Mapping[str, Any], traceback: bool) -> Row:
         "serious": best["level"] == "serious" if best.get("collided") else None,
         "fault": best.get("fault"), "contact_time": best.get("contact_time"), **_attack(outcome),
         **{key: best.get(key) for key in ("overlap", "warning", "red_light", "right_of_way")},
+        **{key: (outcome.get("named_scenario") or {}).get(key) for key in SCENARIO},
     }  # fmt: skip
 
 

@@ -80,6 +80,7 @@ class AttackOptions:
     intents: opt.Intents = None
     exclude: opt.Exclude = None
     kind: opt.Kind = None
+    scenario: opt.Scenario = None
     adversaries: opt.Adversaries = None
     diverse: opt.Diverse = None
     attempts: opt.Attempts = None

@@ -24,8 +24,9 @@ MAX_FAILURES_SHOWN = 20  # failures in the table on the screen
 SCREEN_COLUMNS: dict[str, Literal["left", "right"]] = {
     "rank": "right", "level": "left", "delta-v": "right", "hit on": "left", "times": "right", "attack and cause": "left"
 }  # fmt: skip
+SCENARIO_NAME_WIDTH = 54  # characters of a scenario's name on the screen
 RULE_BREAKERS = ("adversary", "ego", "both")
-DIFFERING_COLUMNS = ("speed_band", "cause", "seed", "adversary")
+DIFFERING_COLUMNS = ("intent", "speed_band", "cause", "seed", "adversary")
 """Columns of which rows that read alike say those that differ."""
 
 Given = Annotated[
@@ -57,15 +58,20 @@ class AttackOptions:
     intents: opt.Intents = None
     exclude: opt.Exclude = None
     kind: opt.Kind = None
+    scenario: opt.Scenario = None
     adversaries: opt.Adversaries = None
 
 
 @dataclass(frozen=True)
 class SearchOptions:
-    """From which seed and with which bank they are searched for."""
+    """From which seed and with which bank they are searched for, and to what the time is given."""
 
     seed: Annotated[int, option(SEARCH_PANEL, "The first seed of traffic and search.", default="0", min=0)] = 0
     memory: Memory = None
+    cover: Annotated[
+        bool,
+        option(SEARCH_PANEL, "Give time to the named scenarios that were met least, not to new failures.", "--cover"),
+    ] = False
 
 
 @dataclass(frozen=True)
@@ -120,6 +126,7 @@ def _document(found: Found, rows: list[dict[str, Any]]) -> dict[str, Any]:
     return {
         "folder": str(found.folder), "ended": found.ended, "seconds": round(found.seconds, 1),
         "encounters": found.encounters, "attempts": found.attempts, "lost": list(found.lost), "failures": rows,
+        "left": found.left.as_data(), "scenarios": [row.cells() for row in found.scenarios],
     }  # fmt: skip
 
 
@@ -135,7 +142,8 @@ def _tell(progress: HuntProgress) -> None:
     lost = f", {progress.lost} lost" if progress.lost else ""
     typer.echo(
         f"{progress.seconds_left / 60:5.1f} min left: {progress.encounters} encounters, {progress.attempts} attempts "
-        f"({progress.attempts_per_second:.2g} a second{lost}), distinct failures (that or worse): {levels}.{newest}"
+        f"({progress.attempts_per_second:.2g} a second{lost}), distinct failures (that or worse): {levels}; "
+        f"{progress.left.words}.{newest}"
     )
 
 
@@ -170,6 +178,8 @@ def _show(found: Found, rows: list[dict[str, Any]], index: Path | None) -> None:
         f"{ends[found.ended]}: {len(failures)} distinct failures{near} in {found.encounters} encounters, "
         f"{found.attempts} attempts, {found.seconds / 60:.1f} min.{more}"
     )
+    typer.echo(f"What is left: {found.left.words}.")
+    _show_scenarios(found)
     for sentence in said_of(kinds_below(found.folder)):
         typer.echo(sentence)
     typer.echo(f"Table: {found.folder / 'results.csv'}")
@@ -184,8 +194,31 @@ def _show(found: Found, rows: list[dict[str, Any]], index: Path | None) -> None:
         typer.echo("The same command goes on.")
 
 
+def _show_scenarios(found: Found) -> None:
+    """The named scenarios that were met, and the names of those that were not."""
+    from sumo_adv.report.scenario_table import LEVELS, never_met
+    from sumo_adv.scenario_names import LISTS
+
+    met = [row for row in found.scenarios if row.encounters]
+    if not met:
+        return
+    typer.echo("Named scenarios: encounters and attempts that show them, encounters that reached a level or more:")
+    typer.echo(f"{'':54}  enc.   att.  " + "  ".join(f"{level!s:>9}" for level in LEVELS))
+    for row in met:
+        name = f"{row.name.list}: {row.name.name}"
+        name = name if len(name) <= SCENARIO_NAME_WIDTH else f"{name[: SCENARIO_NAME_WIDTH - 3]}..."
+        reached = "  ".join(f"{row.reached[level]:9}" for level in LEVELS)
+        typer.echo(f"{name:{SCENARIO_NAME_WIDTH}}  {row.encounters:4}  {row.attempts:5}  {reached}")
+    for name in LISTS:
+        names = never_met(found.scenarios, name)
+        typer.echo(f"{name}, never met ({len(names)}): {'; '.join(names) or 'none'}")
+
+
 def _what(row: Mapping[str, Any]) -> str:
-    return f"{row['intent']} ({row['relation']}, {row['road']}), {row['network']}"
+    """What the adversary does, where, and the names of the scenario."""
+    names = [row["euro_ncap"], row["nhtsa"] and f"NHTSA {row['nhtsa']}"]
+    named = f", {'; '.join(filter(None, names))}" if any(names) else ""
+    return f"{row['motion'] or row['intent']} ({row['relation']}, {row['road']}), {row['network']}{named}"
 
 
 def _facts(row: Mapping[str, Any]) -> str:

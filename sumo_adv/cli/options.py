@@ -71,6 +71,13 @@ Kind = Annotated[
         "several with commas between.", metavar="RELATION", default="all",
     ),
 ]  # fmt: skip
+Scenario = Annotated[
+    str | None,
+    option(
+        ATTACK_PANEL, "Named scenarios that an attack must show: CCFtap,cut-in,nhtsa-25 (Euro NCAP, ISO 34502, NHTSA).",
+        metavar="A,B", default="any",
+    ),
+]  # fmt: skip
 Adversaries = Annotated[
     int | None,
     option(ATTACK_PANEL, "Most adversaries of an attack, 1 to 3: a collider and supports.", setting="adversaries"),
@@ -149,6 +156,7 @@ class AttackOptions:
     intents: Intents = None
     exclude: Exclude = None
     kind: Kind = None
+    scenario: Scenario = None
     adversary: Adversary = None
     adversaries: Adversaries = None
     trigger: Trigger = None

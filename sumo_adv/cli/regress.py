@@ -12,12 +12,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from sumo_adv.cli.options import words
 from sumo_adv.config import Until
 from sumo_adv.errors import UsageError
 
 if TYPE_CHECKING:
     from sumo_adv.regression.case import Expectation
     from sumo_adv.regression.waivers import Waivers
+    from sumo_adv.scenario_names import ScenarioName
 
 KEEP_EXAMPLE = "Example: sumo-adv keep runs/priority_crossing-3 --suite regression"
 
@@ -28,6 +30,10 @@ def keep(
     level: Annotated[
         Until, typer.Option(help="From a folder that holds runs, keep only attacks that reach this level.")
     ] = Until.COLLISION,
+    scenario: Annotated[
+        str | None,
+        typer.Option(metavar="A,B", help="From such a folder, keep only attacks that show one of these scenarios."),
+    ] = None,
     avoid: Annotated[
         Until | None,
         typer.Option(help="Expect that the attack stays below this level (default: what a reference driver does)."),
@@ -56,7 +62,7 @@ def keep(
     runs = run_folders(given)
     if name is not None and len(runs) != 1:
         raise UsageError(f"--name is for one run, and {len(runs)} were given.")
-    done, fresh = _sorted(runs, set(given), suite, level, name)
+    done, fresh = _sorted(runs, set(given), suite, level, _scenarios(scenario), name)
     counter, number = Counter("attacks", quiet=as_json), count(1)
     answers = references(fresh, expect, workers or os.cpu_count() or 1, lambda: counter.tell(next(number), len(fresh)))
     counter.close()
@@ -86,17 +92,21 @@ class _Keeping:
 
 
 def _sorted(
-    runs: Sequence[Path], given: Set[Path], suite: Path, level: Until, name: str | None
+    runs: Sequence[Path], given: Set[Path], suite: Path, level: Until, only: Sequence[ScenarioName], name: str | None
 ) -> tuple[_Keeping, list[Path]]:
     """The runs that are settled at once, and those that reference drivers must drive first."""
     from sumo_adv.regression.keep import held_in
     from sumo_adv.report.read import read_outcome, reading
     from sumo_adv.report.run_outcome import level_of
+    from sumo_adv.scenario_names import is_one_of
 
     done, fresh = _Keeping(), list[Path]()
     for run in runs:
         with reading(run):
-            if run not in given and level_of((read_outcome(run).get("outcome") or {}).get("level")) < level.level:
+            outcome = read_outcome(run)
+            below = level_of((outcome.get("outcome") or {}).get("level")) < level.level
+            other = bool(only) and not is_one_of(outcome.get("named_scenario") or {}, only)
+            if run not in given and (below or other):
                 done.left_out.append(run)
             elif (folder := held_in(run, suite, name)) is not None:
                 done.there_already.append(folder)
@@ -127,9 +137,19 @@ def _say(done: _Keeping, suite: Path, level: Until, *, as_json: bool) -> None:
     for run, why in failed.items():
         typer.echo(f"Left out {run}: no reference driver passes it (careful: {why})")
     more = [f"{len(again)} there already"] if again else []
-    more += [f"{len(left)} left out (below {level})"] if left else []
+    more += [f"{len(left)} left out (below {level}, or another scenario)"] if left else []
     more += [f"{len(failed)} left out (no reference driver passes; --all keeps them)"] if failed else []
     typer.echo(f"{len(kept)} case{'s' * (len(kept) != 1)} into {suite}{''.join(', ' + each for each in more)}.")
+
+
+def _scenarios(given: str | None) -> tuple[ScenarioName, ...]:
+    """The named scenarios of a filter. Raises UsageError: one is unknown."""
+    from sumo_adv.scenario_names import wanted
+
+    try:
+        return wanted(words(given or ""))
+    except ValueError as error:
+        raise UsageError(f"--scenario cannot be used: {error}.") from error
 
 
 EXAMPLE = "Example: sumo-adv regress regression --ego my_package.driver:MyDriver --junit regression.xml"

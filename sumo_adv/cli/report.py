@@ -73,6 +73,7 @@ def _batch(
     from sumo_adv.cli.progress import Counter
     from sumo_adv.report.coverage import campaign_coverage, write_coverage
     from sumo_adv.report.index import Packs, read_rows, table_of, write_report
+    from sumo_adv.report.scenario_table import rows_of_runs, write_scenarios
 
     target = out or folder / "report"
     if target.is_file():
@@ -85,17 +86,20 @@ def _batch(
     counter = Counter("pages", quiet=quiet)
     of = [runs / str(row["id"]) for row in table.rows]
     coverage = campaign_coverage(folder, of, packs.outcomes, shipped_bank())
+    scenarios = rows_of_runs(of, packs.outcomes)
     made = write_report(
-        runs, target, folder.resolve().name, table, packs, coverage, most=pages, workers=workers, again=force,
-        tell=counter.tell,
+        runs, target, folder.resolve().name, table, packs, coverage, scenarios, most=pages, workers=workers,
+        again=force, tell=counter.tell,
     )  # fmt: skip
     counter.close()
-    cells = write_coverage(target, coverage)
+    cells, names = write_coverage(target, coverage), write_scenarios(target, scenarios)
     met, every = coverage.covered()
+    words = f"{_words(made)}\nCoverage: {met} of {every} cells have an encounter. Table: {cells}"
     return {
         "index": str(made.index), "episodes": made.episodes, "pages": made.pages, "made": made.made,
         "damaged": list(made.damaged), "coverage": str(cells), "cells": every, "covered": met,
-        "words": f"{_words(made)}\nCoverage: {met} of {every} cells have an encounter. Table: {cells}",
+        "scenarios": str(names),
+        "words": f"{words}\nNamed scenarios: {names}",
     }  # fmt: skip
 
 
@@ -140,7 +144,7 @@ def figure(
 
 
 def _draw_hunt(folder: Path, target: Path, kind: str) -> None:
-    from sumo_adv.hunting.hunt import over_time
+    from sumo_adv.hunting.rounds import over_time
     from sumo_adv.report.figures import draw_over_time, save
 
     if kind in FILMS:
@@ -148,7 +152,8 @@ def _draw_hunt(folder: Path, target: Path, kind: str) -> None:
     after = over_time(folder)
     with sentences(target):
         target.parent.mkdir(parents=True, exist_ok=True)
-        save(draw_over_time(after), target, kind)
+        picture = draw_over_time([a.minutes for a in after], [a.found for a in after], [a.discovery for a in after])
+        save(picture, target, kind)
 
 
 def _draw_run(folder: Path, target: Path, kind: str) -> None:

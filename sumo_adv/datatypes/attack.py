@@ -214,6 +214,23 @@ class Proposal:
 
 
 @dataclass(frozen=True, slots=True)
+class NamedScenario:
+    """What an attempt shows, in the names of three lists (``scenario_names.py``).
+
+    Attributes:
+        motion: What the adversary does, in a few words.
+        nhtsa: The number of the pre-crash scenario in NHTSA's typology, None if none fits.
+        iso_34502: The traffic disturbance of ISO 34502, empty at crossings and if none fits.
+        euro_ncap: The scenario of Euro NCAP, empty if none fits.
+    """
+
+    motion: str
+    nhtsa: int | None = None
+    iso_34502: str = ""
+    euro_ncap: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class Attempt:
     """One closed-loop run against the real ego."""
 
@@ -226,6 +243,7 @@ class Attempt:
     message: str = ""
     diagnosis: Diagnosis | None = None
     kind: str = ""  # intent, relation and side of the ego that is hit
+    scenario: NamedScenario | None = None  # what it shows; None if the ego or the adversary was gone at once
 
 
 @dataclass(frozen=True, slots=True)

@@ -146,15 +146,25 @@ class RoadClass(StrEnum):
     JUNCTION = "junction"
 
 
+class RoadGeometry(StrEnum):
+    """Whether other roads join or leave the ego's; the road geometries of ISO 34502."""
+
+    MAIN = "main roadway"
+    MERGE = "merge zone"
+    DEPARTURE = "departure zone"
+
+
 @dataclass(frozen=True, slots=True)
 class RoadPlace:
     """What surrounds the ego when an attack may begin. road: None off the network. limit: the speed limit [m/s], None
-    off the network. speed: the ego's [m/s]. vehicles_near: how many vehicles are within 70 m of it."""
+    off the network. speed: the ego's [m/s]. vehicles_near: how many vehicles are within 70 m of it. geometry: None off
+    the network and before a junction at which ways cross."""
 
     road: RoadClass | None
     limit: float | None
     speed: float
     vehicles_near: int
+    geometry: RoadGeometry | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,6 +32,7 @@ from sumo_adv.datatypes import (
 )
 from sumo_adv.episode.engine import EpisodeCalls, EpisodeEngine, PlannerQuestion
 from sumo_adv.episode.rules_broken import red_light_at
+from sumo_adv.episode.scenario_naming import scenario_of
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.geometry import Frame, Path, wrap
 from sumo_adv.goal import Goal
@@ -41,6 +42,7 @@ from sumo_adv.metrics.verdict import with_answers
 from sumo_adv.planners.answers import Answer
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Roads, Sessions
+from sumo_adv.scenario_names import columns_of, is_one_of
 from sumo_adv.search.intents import named
 from sumo_adv.search.sampling import kind_of
 from sumo_adv.situation import Situation
@@ -225,6 +227,7 @@ class Fitting:
         if may_read and motion is not None and self.reader is not None:
             reading = self.readings[attempt.index] = self.reader(motion)
             lacks = () if reading.fits else (reading.lacks or reading.happened,)
+        lacks = tuple(dict.fromkeys((*attempt.verdict.misfits, *lacks)))
         return replace(attempt, verdict=replace(attempt.verdict, misfits=lacks))
 
 
@@ -298,9 +301,15 @@ def attempt_of(
     if target is not None:
         proposal = named(proposal, target, verdict)
         kind = kind_of(proposal.label, target.relation, verdict.contact_side)
+    scenario = scenario_of(proposal, verdict, result, found, settings)
+    if settings.scenario and not is_one_of(columns_of(scenario), settings.scenario_names):
+        shown = "nothing that has a name" if scenario is None else scenario.motion
+        misfit = f"It shows {shown}, not {' or '.join(settings.scenario)}."
+        verdict = replace(verdict, misfits=(*verdict.misfits, misfit))
     return Attempt(
-        index, phase, proposal, result.start, verdict, result.driven.ending, result.driven.message, diagnosis, kind
-    )
+        index, phase, proposal, result.start, verdict, result.driven.ending, result.driven.message, diagnosis, kind,
+        scenario,
+    )  # fmt: skip
 
 
 def observed_motion(

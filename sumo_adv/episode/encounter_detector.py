@@ -30,6 +30,7 @@ from sumo_adv.geometry import Path, make_path, same_layer, wrap
 from sumo_adv.road_users import is_motorcycle, is_unprotected
 from sumo_adv.simulation.network import NetworkLane, PathAhead, RoadMap
 from sumo_adv.simulation.permissions import CAR, MOTOR
+from sumo_adv.simulation.road_geometry import geometry_of
 from sumo_adv.situation import MEET_AHEAD, ReferencePath, relate
 
 # -- what surrounds the ego -----------------------------------------------------------------------------------------
@@ -53,8 +54,10 @@ def place_of(road: RoadMap, drive: Drive) -> RoadPlace:
     lane, station = at
     place = None if drive.replayed() else drive.place(road)
     route = drive.simulation.ahead(drive.ego) if place is None else place.route
-    kind = road_class(road, lane, station, SOON * ego.speed, route, drive.kind(drive.ego))
-    return RoadPlace(kind, drive.simulation.lane_limit(lane.id), ego.speed, count)
+    ahead, vclass = SOON * ego.speed, drive.kind(drive.ego)
+    kind = road_class(road, lane, station, ahead, route, vclass)
+    geometry = geometry_of(road, lane, station, ahead, route, vclass)
+    return RoadPlace(kind, drive.simulation.lane_limit(lane.id), ego.speed, count, geometry)
 
 
 def road_class(

@@ -29,6 +29,7 @@ from sumo_adv.episode.planned_encounter import (
 )
 from sumo_adv.episode.refinement import Refinement, Refiner, settle_best
 from sumo_adv.episode.run import EncounterRecord, Run, Stop, seconds_by_part
+from sumo_adv.episode.scenario_naming import scenario_of
 from sumo_adv.episode.task import FoundEncounter, Task
 from sumo_adv.errors import BudgetError, MissingVehicleError, ModelError, SumoAdvError, UsageError, fault_sentence
 from sumo_adv.memory.bank import MemoryBank
@@ -242,7 +243,10 @@ def attack_once(
     """Run one given attempt in an encounter, with its reference drivers. Returns it as the only attempt."""
     (result,) = runner.attempt([proposal])
     verdict = result.verdict or NOTHING
-    attempt = Attempt(0, "replay", proposal, result.start, verdict, result.driven.ending, result.driven.message)
+    scenario = scenario_of(proposal, verdict, result, found, settings)
+    attempt = Attempt(
+        0, "replay", proposal, result.start, verdict, result.driven.ending, result.driven.message, scenario=scenario
+    )
     if asked is not None:
         attempt = Fitting(asked, found, settings).judged(attempt, result, settings.goal)
     done = Refinement(goal=settings.goal, attempts=[attempt], results=[result])

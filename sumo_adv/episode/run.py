@@ -290,7 +290,7 @@ def worth(attempt: Attempt, goal: Goal, *, asked: bool) -> tuple[float, ...]:
     """Return a key that sorts attempts, the best first: successes, then those that fit what was ``asked`` for."""
     verdict = attempt.verdict
     met = goal.met(verdict)
-    fits = not asked or (not verdict.misfits and (met or verdict.level >= Level.CRITICAL))
+    fits = not verdict.misfits and (not asked or met or verdict.level >= Level.CRITICAL)
     return (not met, not fits, *rank(verdict))
 
 

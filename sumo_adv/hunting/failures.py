@@ -11,11 +11,12 @@ from typing import Any, NamedTuple
 from sumo_adv.datatypes import Level
 from sumo_adv.report.coverage import SPEED_BANDS_M_S, band_of
 from sumo_adv.report.run_outcome import level_of
+from sumo_adv.scenario_names import COLUMNS as SCENARIO
 
 FAILURE_COLUMNS = (
     "rank", "level", "intent", "relation", "road", "speed_band", "side", "delta_v", "count", "network", "seed",
     "adversary", "preventable_by", "run", "cause", "cause_sentence", "robust", "humanlike", "fault", "red_light",
-    "right_of_way", "overlap", "warning", "near_touch",
+    "right_of_way", "overlap", "warning", "near_touch", *SCENARIO,
 )  # fmt: skip
 NEAR_TOUCH_DELTA_V_M_S = 0.447
 """Delta-v [m/s] (1 mph) below which a collision is a near-touch: it is listed apart, behind all others."""
@@ -54,6 +55,10 @@ class Failure:
     right_of_way: str | None = None  # who took it from the other
     overlap: float | None = None  # share of the touching face
     warning: float | None = None  # s from the alarm of cc_human to the contact
+    motion: str | None = None  # what the adversary does; None for episodes of an earlier version
+    nhtsa: str | None = None  # the names of the scenario (``scenario_names.py``)
+    iso_34502: str | None = None
+    euro_ncap: str | None = None
     count: int = 1
 
     @property
@@ -70,7 +75,8 @@ class Failure:
     @property
     def words(self) -> str:
         c = self.cell
-        hit = f"{self.level}: {c.intent} ({c.relation}, {c.road}), hit on the {c.side} with {self.delta_v:.1f} m/s"
+        does = f"{self.motion or c.intent} ({c.relation}, {c.road})"
+        hit = f"{self.level}: {does}, hit on the {c.side} with {self.delta_v:.1f} m/s"
         return f"{hit}. {self.why.removesuffix('.')}" if self.why else hit
 
 
@@ -92,7 +98,8 @@ def failure_of(row: Mapping[str, Any], runs: Path) -> Failure | None:
         str(row["preventable_by"] or ""), runs / str(row["id"]), str(row.get("cause_sentence") or ""),
         robust=row.get("robust"), humanlike=row.get("humanlike"), fault=row.get("fault"),
         red_light=row.get("red_light"), right_of_way=row.get("right_of_way"), overlap=row.get("overlap"),
-        warning=row.get("warning"),
+        warning=row.get("warning"), motion=row.get("motion"), nhtsa=row.get("nhtsa"),
+        iso_34502=row.get("iso_34502"), euro_ncap=row.get("euro_ncap"),
     )  # fmt: skip
 
 

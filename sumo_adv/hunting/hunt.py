@@ -13,8 +13,8 @@ import os
 import shutil
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from random import Random
 from statistics import median
@@ -22,20 +22,24 @@ from typing import Any
 
 from sumo_adv.campaigns.campaign import Orders, Summary
 from sumo_adv.campaigns.plan import CampaignPlan
-from sumo_adv.campaigns.results import OUTCOME_FILE, is_failed, read_row
+from sumo_adv.campaigns.results import is_failed
 from sumo_adv.datatypes import Level
 from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.files import refuse_links, sentences, write_text
 from sumo_adv.goal import Goal
+from sumo_adv.hunting.choice import Shown, drawn_to_cover, drawn_to_fail
 from sumo_adv.hunting.failures import FAILURE_COLUMNS, Failure, distinct, failure_of, table
-from sumo_adv.parsing import read_json, read_object
+from sumo_adv.hunting.rounds import FAILURE_LEVELS, cells_of, folder_of, further, outcomes_of
+from sumo_adv.metrics.species import Discovery, discovery
+from sumo_adv.parsing import read_object
 from sumo_adv.report.index import HUNT
-from sumo_adv.report.outcome import ATTACKS
+from sumo_adv.report.scenario_table import ScenarioRow, Tally, scenario_rows, tallies_of, write_scenarios
 from sumo_adv.report.staging import RESULTS_FILE
 from sumo_adv.report.tables import csv_text, plain_row
+from sumo_adv.scenario_names import is_one_of, wanted
 
 HUNT_SCHEMA = 1
-FAILURES_FOLDER, ROUNDS_FOLDER = "failures", "rounds"
+FAILURES_FOLDER = "failures"
 MAX_EPISODES_PER_WORKER = 3
 """Episodes of a round for each worker at most; fewer where the time that is left is not enough for them."""
 MAX_ENCOUNTER_S = 20.0  # s of attempts in an encounter at most: a second simulation tells more than a longer search
@@ -44,7 +48,6 @@ MAX_MEDIAN_TIMES = 3.0  # an encounter may take this many times the median time 
 KINDS_PER_ENCOUNTER = 3
 """Kinds of attacks that are looked for in an encounter once fresh encounters brought nothing new."""
 MAX_TIME_SHARE = 0.1  # of the time that is left: the most that an encounter may take
-FAILURE_LEVELS = (Level.VALID, Level.STRICT, Level.SERIOUS)
 FAILURE_GOAL = Goal(Level.VALID)
 """What a failure comes to at least, if no level is asked for."""
 RunCampaign = Callable[[CampaignPlan, Orders], Summary]
@@ -59,7 +62,7 @@ def count_failures(found: Sequence[Failure], level: Level) -> int:
 @dataclass(frozen=True, slots=True)
 class HuntProgress:
     """How far a hunt is. newest: the newest distinct failure, None where the last round brought none. lost: attempts
-    and episodes that broke, as with a driver that hangs."""
+    and episodes that broke, as with a driver that hangs. left: what is left to find, by estimates."""
 
     seconds_left: float
     encounters: int
@@ -68,6 +71,7 @@ class HuntProgress:
     found: Sequence[Failure]
     newest: Failure | None
     lost: int
+    left: Discovery
 
     def count(self, level: Level) -> int:
         """Distinct failures of this level or a higher one, without near-touches."""
@@ -77,7 +81,8 @@ class HuntProgress:
 @dataclass(frozen=True, slots=True)
 class Found:
     """What a hunt came to. ended: ``time``, ``distinct`` or ``stopped`` (Ctrl-C). lost: a sentence for each attempt and
-    each episode that broke."""
+    each episode that broke. left: what is left to
+    find, by estimates; scenarios: what was met of each named scenario."""
 
     folder: Path
     failures: Sequence[Failure]
@@ -85,7 +90,9 @@ class Found:
     attempts: int
     seconds: float
     ended: str
+    left: Discovery
     lost: Sequence[str] = ()
+    scenarios: Sequence[ScenarioRow] = ()
 
 
 class Hunt:
@@ -96,11 +103,13 @@ class Hunt:
 
     def __init__(
         self, plan: CampaignPlan, orders: Orders, campaign: RunCampaign, minutes: float, most: int | None,
-        goal: Goal = FAILURE_GOAL,
+        goal: Goal = FAILURE_GOAL, *, cover: bool = False,
     ) -> None:  # fmt: skip
         """minutes: of the whole hunt, also over several calls. most: distinct failures that end it sooner. goal: what a
-        failure comes to at least."""
-        self._goal = goal
+        failure comes to at least. cover: give time to the named scenarios that were met least, otherwise to inputs that
+        bring new failures."""
+        self._goal, self._cover = goal, cover
+        self._only = wanted(plan.variants[0].get("scenario") or ())  # what failures must show
         self._plan, self._orders, self._campaign = plan, orders, campaign
         self._limit, self._most, self.folder = minutes * 60.0, most, orders.out
         self._inputs = {i.content: i for i in plan.inputs if not i.error}
@@ -112,6 +121,7 @@ class Hunt:
         self._more: list[dict[str, list[Failure]]] = []  # of each round, by id: attacks of further kinds
         self._lost: list[list[str]] = []  # of each round, why attempts and episodes broke
         self._firsts: list[list[float]] = []  # of each round, s to the first success of an encounter
+        self._tallies: list[dict[str, list[Tally]]] = []  # of each round, by id: scenarios of each encounter
         self._input_of: dict[str, str] = {}  # by id of an episode, the content of its input
 
     def run(self, tell: Callable[[HuntProgress], None]) -> Found:
@@ -137,11 +147,23 @@ class Hunt:
             ended = "distinct"
         found = self._collected()
         progress, lost = self._progress(found, None), [why for each in self._lost for why in each]
-        return Found(self.folder, found, progress.encounters, progress.attempts, self._seconds(), ended, lost)
+        return Found(
+            self.folder, found, progress.encounters, progress.attempts, self._seconds(), ended, self.left(), lost,
+            self.scenarios(),
+        )  # fmt: skip
 
     def found(self) -> list[Failure]:
         """The distinct failures so far, most serious first."""
         return distinct(f for k, rows in enumerate(self._rows) for f in self._failures(k, rows))
+
+    def left(self) -> Discovery:
+        """What is left to find, by the encounters so far."""
+        rows = [(k, row) for k, each in enumerate(self._rows) for row in each if not is_failed(row)]
+        return discovery([cells_of(self._failures(k, [row])) for k, row in rows])
+
+    def scenarios(self) -> list[ScenarioRow]:
+        """What was met of each named scenario so far."""
+        return scenario_rows(tally for each in self._tallies for own in each.values() for tally in own)
 
     # -- rounds -------------------------------------------------------------------------------------------------
 
@@ -160,10 +182,12 @@ class Hunt:
         if summary.ran:
             order["took"] = order.get("took", 0.0) + time.perf_counter() - began
         self._rows[k:] = [list(summary.rows)]
-        self._more[k:] = [_further(self._runs_of(k), summary.rows)]
-        outcomes = _outcomes(self._runs_of(k), summary.rows)
+        self._more[k:] = [further(self._runs_of(k), summary.rows)]
+        outcomes = outcomes_of(self._runs_of(k), summary.rows)
+        self._tallies[k:] = [{name: tallies_of(outcome) for name, outcome in outcomes.items()}]
         self._lost[k:] = [_lost(summary.rows, outcomes)]
-        self._firsts[k:] = [[s for o in outcomes if (s := (o["timing"] or {}).get("first_success")) is not None]]
+        first = ((o["timing"] or {}).get("first_success") for o in outcomes.values())
+        self._firsts[k:] = [[seconds for seconds in first if seconds is not None]]
         every = [row for each in self._rows for row in each]
         if every and not summary.stopped and all(map(is_failed, every)):
             raise SumoAdvError(f"All {len(every)} episodes of the hunt failed, the first one so: {every[0]['failure']}")
@@ -176,6 +200,7 @@ class Hunt:
             self._state["rounds"][len(self._rows) - 1]["found"] = {
                 str(level): count_failures(found, level) for level in FAILURE_LEVELS
             }
+            self._state["rounds"][len(self._rows) - 1]["left"] = self.left().as_data()
         self._write(found)
         return found
 
@@ -188,8 +213,10 @@ class Hunt:
         size = workers * (
             max(1, min(MAX_EPISODES_PER_WORKER, round(self._left() / lasts))) if lasts else MAX_EPISODES_PER_WORKER
         )
-        tries, wins = self._tally()
-        drawn = {c: random.betavariate(1 + wins[c], 1 + tries[c] - wins[c]) for c in self._inputs}
+        if self._cover:
+            drawn = drawn_to_cover(self._inputs, self._shown(), random)
+        else:
+            drawn = drawn_to_fail(self._inputs, *self._tally(), random)
         chosen = sorted(drawn, key=lambda c: -drawn[c])[:size]
         first = seed + sum(len(r["seeds"]) for r in rounds)
         seeds = list(range(first, first + max(1, size // len(chosen))))
@@ -206,6 +233,8 @@ class Hunt:
 
         As long as the rounds bring new failures, a fresh encounter is the quicker way to the next one.
         """
+        if self._cover:
+            return KINDS_PER_ENCOUNTER
         known = [r.get("found") for r in self._state["rounds"]]
         return KINDS_PER_ENCOUNTER if known and known[-1] == (known[-2] if len(known) > 1 else None) else 1
 
@@ -221,10 +250,18 @@ class Hunt:
                 cells |= own
         return tries, wins
 
+    def _shown(self) -> Iterator[Shown]:
+        """The episodes with the named scenarios that they show."""
+        for rows, tallies in zip(self._rows, self._tallies, strict=True):
+            for row in rows:
+                own = {name for tally in tallies.get(str(row["id"]), ()) for name in tally}
+                yield self._input_of[str(row["id"])], own
+
     def _failures(self, k: int, rows: Sequence[Mapping[str, Any]]) -> list[Failure]:
         first = [f for row in rows if (f := failure_of(row, self._runs_of(k))) is not None]
         every = first + [f for row in rows for f in self._more[k].get(str(row["id"]), ())]
-        return [f for f in every if f.level >= self._goal.level and f.delta_v >= self._goal.min_delta_v]
+        some = [f for f in every if f.level >= self._goal.level and f.delta_v >= self._goal.min_delta_v]
+        return [f for f in some if not self._only or is_one_of(asdict(f), self._only)]
 
     def _enough(self) -> bool:
         return self._most is not None and count_failures(self.found(), Level.VALID) >= self._most
@@ -239,12 +276,14 @@ class Hunt:
         rows = [row for each in self._rows for row in each if not is_failed(row)]
         attempts = sum(int(row["attempts"] or 0) for row in rows)
         pace = attempts / max(self._seconds(), 1e-3)
-        return HuntProgress(self._left(), len(rows), attempts, pace, found, newest, sum(map(len, self._lost)))
+        return HuntProgress(
+            self._left(), len(rows), attempts, pace, found, newest, sum(map(len, self._lost)), self.left()
+        )
 
     # -- files --------------------------------------------------------------------------------------------------
 
     def _folder_of(self, k: int) -> Path:
-        return self.folder / ROUNDS_FOLDER / f"{k + 1:04d}"
+        return folder_of(self.folder, k)
 
     def _runs_of(self, k: int) -> Path:
         return self._folder_of(k) / "runs"
@@ -274,6 +313,7 @@ class Hunt:
                 write_text(
                     self.folder / RESULTS_FILE, csv_text(FAILURE_COLUMNS, map(plain_row, table(found, self.folder)))
                 )
+                write_scenarios(self.folder, self.scenarios())
 
     def _collected(self) -> list[Failure]:
         """Copies of the representatives' folders in ``failures/``, best first, and the table that names them."""
@@ -290,27 +330,9 @@ class Hunt:
         return found
 
 
-def _further(runs: Path, rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Failure]]:
-    """By id of an episode, its attacks of further kinds; their folders lie in that of the run."""
-    more: dict[str, list[Failure]] = {}
-    for row in rows:
-        for folder in sorted((runs / str(row["id"]) / ATTACKS).glob("*")):
-            attack = read_row(folder)
-            failure = None if attack is None else failure_of({**attack, "id": folder.name}, folder.parent)
-            if failure is not None:
-                more.setdefault(str(row["id"]), []).append(failure)
-    return more
-
-
-def _outcomes(runs: Path, rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """What ``outcome.json`` of each episode says."""
-    files = [runs / str(row["id"]) / OUTCOME_FILE for row in rows]
-    return [read_object(file, "The outcome") for file in files if file.is_file()]
-
-
-def _lost(rows: Sequence[Mapping[str, Any]], outcomes: Sequence[Mapping[str, Any]]) -> list[str]:
+def _lost(rows: Sequence[Mapping[str, Any]], outcomes: Mapping[str, Mapping[str, Any]]) -> list[str]:
     """Why episodes failed, and why attempts of the others broke."""
-    broke = [each for o in outcomes for each in o["attempts"] if each["ending"] == "crashed"]
+    broke = [each for o in outcomes.values() for each in o["attempts"] if each["ending"] == "crashed"]
     return [str(row["failure"]) for row in rows if is_failed(row)] + [str(each["message"]) for each in broke]
 
 
@@ -329,24 +351,3 @@ def _copy(source: Path, target: Path) -> None:
 
 def _slug(words: str) -> str:
     return "-".join("".join(c if c.isalnum() else " " for c in words.lower()).split())
-
-
-def over_time(folder: Path) -> list[tuple[float, Mapping[str, int]]]:
-    """After each round of a hunt the minutes that were used and the distinct failures, by level: that or worse.
-
-    Raises UsageError: it is no hunt, is damaged, or has finished no round.
-    """
-    file = folder / HUNT
-    if not file.is_file():
-        raise UsageError(f"{folder} is not the folder of a hunt: it has no {HUNT}.")
-    after, seconds = list[tuple[float, Mapping[str, int]]](), 0.0
-    try:
-        for each in read_json(file)["rounds"]:
-            seconds += float(each.get("took", 0.0))
-            if "found" in each:
-                after.append((seconds / 60.0, {str(level): int(each["found"][str(level)]) for level in FAILURE_LEVELS}))
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise UsageError(f"{file} is damaged ({error}).") from error
-    if not after:
-        raise UsageError(f"The hunt in {folder} has finished no round: say its command again.")
-    return after

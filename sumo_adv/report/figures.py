@@ -25,6 +25,7 @@ from matplotlib.ticker import MaxNLocator
 from sumo_adv.datatypes import LaneStrip, Track
 from sumo_adv.errors import UsageError
 from sumo_adv.files import write_whole
+from sumo_adv.metrics.species import Discovery
 from sumo_adv.report.encounter_figure import (
     ACTION_MARGIN_M,
     ADVERSARY_COLOUR,
@@ -63,6 +64,7 @@ FILM_END_FRAMES = 10  # frames for which the end stands
 FILM_STYLE = Style(text=9, lane=1.2, box=0.8, hollow=0.9, bar=2.5)
 CURVE_SIZE_IN = (3.5, 2.4)  # a column of an IEEE page
 CURVE_TEXT_PT = 7.5
+MAX_ESTIMATE_TIMES = 4  # times the failures found: estimates are drawn up to there
 LEVEL_COLOURS = {"valid": EGO_COLOUR, "strict": SUPPORT_COLOUR, "serious": ADVERSARY_COLOUR}
 
 
@@ -306,19 +308,47 @@ def _caption(story: Story, time: float) -> str:
     return f"{since:+.1f} s   {shortened(f'{story.name}: {story.intent}', MAX_FILM_TITLE_CHARACTERS)}{contact}"
 
 
-def draw_over_time(after: Sequence[tuple[float, Mapping[str, int]]]) -> Picture:
-    """Steps that rise at the end of each round. after: minutes, and the failures by level, that or worse."""
-    figure = Picture(figsize=CURVE_SIZE_IN, facecolor="white", layout="constrained")
+def draw_over_time(
+    minutes: Sequence[float], found: Sequence[Mapping[str, int]], left: Sequence[Discovery | None]
+) -> Picture:
+    """Draw the failures of a hunt, and below them the chance of a new kind.
+
+    Steps rise at the end of each round. Of hunts of an earlier version, which have no estimates, there are the failures
+    alone.
+
+    Args:
+        minutes: The time after each round, ``(n,)``.
+        found: The distinct failures then, by level: that or worse.
+        left: The estimates then: the least number of kinds with its interval, and the chance of a new one.
+    """
+    known = [(time, each) for time, each in zip(minutes, left, strict=True) if each is not None]
+    width, height = CURVE_SIZE_IN
+    figure = Picture(figsize=(width, height * (1.5 if known else 1.0)), facecolor="white", layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
-    minutes = [0.0, *(time for time, _ in after)]
+    ratios = (2, 1) if known else (1,)
+    axes, *below = figure.subplots(len(ratios), squeeze=False, sharex=True, height_ratios=ratios)[:, 0]
+    times = [0.0, *minutes]
+    most = float(max(each["valid"] for each in found))
+    if known:
+        ends, highest = [time for time, _ in known], MAX_ESTIMATE_TIMES * max(most, 1)
+        least, low, high = (
+            [min(getattr(each, name), highest) for _, each in known] for name in ("least", "low", "high")
+        )
+        axes.fill_between(ends, low, high, step="post", color=OTHER_COLOUR, alpha=0.25, lw=0)
+        axes.step(ends, least, where="post", color=OTHER_COLOUR, lw=1.2, ls="--", label="there are at least")
+        most = max([most, *least])
+        below[0].step(ends, [100 * each.chance for _, each in known], where="post", color="black", lw=1.2)
+        below[0].set_ylabel("new kind in\nthe next [%]", fontsize=CURVE_TEXT_PT)
+        below[0].set_ylim(0.0, 105.0)
+        below[0].tick_params(labelsize=CURVE_TEXT_PT)
+        below[0].grid(alpha=0.3)
     for level, colour in LEVEL_COLOURS.items():
-        counts = [0, *(found[level] for _, found in after)]
+        counts = [0, *(each[level] for each in found)]
         label = level if level == "serious" else f"{level} or worse"
-        axes.step(minutes, counts, where="post", color=colour, lw=1.4, marker="o", ms=2.5, label=label)
-    axes.set_xlim(0.0, max(minutes[-1], 1e-3))
-    axes.set_ylim(0.0, max(1.0, 1.1 * max(found["valid"] for _, found in after)))
-    axes.set_xlabel("time of the hunt [min]", fontsize=CURVE_TEXT_PT)
+        axes.step(times, counts, where="post", color=colour, lw=1.4, marker="o", ms=2.5, label=label)
+    axes.set_xlim(0.0, max(times[-1], 1e-3))
+    axes.set_ylim(0.0, max(1.0, 1.1 * most))
+    (below or [axes])[-1].set_xlabel("time of the hunt [min]", fontsize=CURVE_TEXT_PT)
     axes.set_ylabel("distinct failures", fontsize=CURVE_TEXT_PT)
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     axes.tick_params(labelsize=CURVE_TEXT_PT)

@@ -22,6 +22,7 @@ from sumo_adv.report.outcome import manifest, number, outcome
 from sumo_adv.report.staging import RunFolder
 from sumo_adv.report.tables import SERIES_HEADER, csv_text, write_gzip, write_plan, write_signals, write_states
 from sumo_adv.report.verdicts import Findings, findings_on, further_keys
+from sumo_adv.scenario_names import columns_of
 from sumo_adv.simulation.sumo_states import Snapshot
 from sumo_adv.simulation.tracks import tracks_of
 from sumo_adv.simulation.warnings_log import WARNINGS_FILE
@@ -210,5 +211,5 @@ def _row(encounter: float, a: Attempt) -> dict[str, Any]:
         "min_ttc": number(v.min_ttc), "min_distance": number(v.min_distance), "delta_v": number(v.delta_v),
         "contact_time": number(v.contact_time), "contact_side": v.contact_side,
         "preventable_by": None if v.preventability is None else " ".join(v.preventability.by),
-        "failed_gates": " ".join(v.failed_gates), "ending": a.ending,
+        "failed_gates": " ".join(v.failed_gates), "ending": a.ending, **columns_of(a.scenario),
     }  # fmt: skip

@@ -40,6 +40,8 @@ from sumo_adv.report.page import page_of
 from sumo_adv.report.page_road import network
 from sumo_adv.report.read import OUTCOME_FILE
 from sumo_adv.report.run_outcome import level_of
+from sumo_adv.report.scenario_table import ScenarioRow, scenario_section
+from sumo_adv.scenario_names import COLUMNS as SCENARIO
 
 HUNT = "hunt.json"  # in the folder of a hunt
 TEXT_FIELDS = (
@@ -51,11 +53,13 @@ LATER_TEXT_FIELDS = (
     "fault",
     "red_light",
     "right_of_way",
+    *SCENARIO,
 )  # words that earlier tables may lack
 LATER_NUMBER_FIELDS, LATER_FLAG_FIELDS = ("overlap", "warning"), ("humanlike", "robust")  # the same
 NUMBER_FIELDS = ("seed", "raw_min_ttc", "min_ttc", "attempts", "seconds", "delta_v")
 FLAG_FIELDS = ("collided", "valid", "critical")
 VARIED = "set_"
+SCENARIOS_MARK = "<!-- named scenarios -->"  # where the page's body has the section of named scenarios
 INDEX_LEVELS = (Level.CRITICAL, Level.COLLISION, Level.VALID, Level.STRICT, Level.SERIOUS)
 INDEX_SCHEMA = 1
 INDEX_SCRIPTS = ("common.js", "decode.js", "rows.js", "bars.js", "places.js", "egos.js", "cells.js", "index.js")
@@ -158,6 +162,7 @@ def make_index(
     made: Mapping[str, MadePages],
     roads: Mapping[str, Any],
     coverage: Coverage | None = None,
+    scenarios: Sequence[ScenarioRow] = (),
 ) -> str:
     """The index as HTML. ``made``: the episodes that have a page, by id; ``roads``: see :func:`road_of`, by network."""
     rows = table.rows
@@ -179,7 +184,8 @@ def make_index(
         "egos": summarise(rows),
         "coverage": None if coverage is None else _cells(coverage),
     }  # fmt: skip
-    return document("Episodes", asset("index.html"), INDEX_STYLES, INDEX_SCRIPTS, data)
+    body = asset("index.html").replace(SCENARIOS_MARK, scenario_section(scenarios))
+    return document("Episodes", body, INDEX_STYLES, INDEX_SCRIPTS, data)
 
 
 def _cells(coverage: Coverage) -> dict[str, Any]:
@@ -252,6 +258,7 @@ def write_report(
     table: ResultsTable,
     packs: Packs,
     coverage: Coverage | None = None,
+    scenarios: Sequence[ScenarioRow] = (),
     *,
     most: int | None = None,
     workers: int = 1,
@@ -260,8 +267,8 @@ def write_report(
 ) -> Report:
     """Make the pages that are missing, ``most`` of them (None: all), the most critical first, then the index.
 
-    ``runs``: the folder of the runs, by id; ``coverage``: shown in the index; ``again``: make all pages anew. On Ctrl-C
-    finished pages are kept. Raises UsageError where ``out`` cannot be written.
+    ``runs``: the folder of the runs, by id; ``coverage``, ``scenarios``: shown in the index; ``again``: make all pages
+    anew. On Ctrl-C finished pages are kept. Raises UsageError where ``out`` cannot be written.
     """
     made, roads = _read(out) if not again else ({}, {})
     stamps = _stamps(runs, table, packs)
@@ -281,7 +288,7 @@ def write_report(
             tell(done, len(missing))
     finally:
         _write(out, made, roads)
-        write_document(out / INDEX_PAGE, make_index(name, table, made, roads, coverage))
+        write_document(out / INDEX_PAGE, make_index(name, table, made, roads, coverage, scenarios))
     return Report(out / INDEX_PAGE, len(table.rows), len(made), done - len(damaged), damaged)
 
 

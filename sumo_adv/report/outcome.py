@@ -13,12 +13,23 @@ from typing import Any
 from sumo_adv import __version__
 from sumo_adv.agents.agents import AGENT_ROLES, BUILT_IN_AGENTS, Agents
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import ENDING_SENTENCES, Attempt, Duty, Intent, Level, Proposal, Verdict, plain_acceleration
+from sumo_adv.datatypes import (
+    ENDING_SENTENCES,
+    Attempt,
+    Duty,
+    Intent,
+    Level,
+    NamedScenario,
+    Proposal,
+    Verdict,
+    plain_acceleration,
+)
 from sumo_adv.episode.assessment import motion_of
 from sumo_adv.episode.run import EncounterRecord, Request, Run
 from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.llm.chat import Ledger
 from sumo_adv.outcome_schema import OUTCOME_SCHEMA
+from sumo_adv.scenario_names import columns_of
 from sumo_adv.simulation.inputs import EgoRoute
 from sumo_adv.simulation.playback_spec import PlaybackSpec
 from sumo_adv.simulation.warnings_log import kinds_of
@@ -67,7 +78,7 @@ def outcome(
         "encounters_tried": [
             {
                 "time": number(t.found.time), "ego": t.found.ego, "attempts": len(t.attempts), "level": str(t.level),
-                "reason": t.reason,
+                "reason": t.reason, "named_scenarios": _tally(t.attempts),
             }
             for t in tried
         ],
@@ -77,6 +88,7 @@ def outcome(
         "until": str(settings.until), "goal": _goal(settings),
         "attempts_allowed": settings.attempts,
         "outcome": None if best is None else {**verdict(best.verdict), **further},
+        "named_scenario": None if best is None else _scenario(best),
         "ego_actions": None if record is None else _ego_actions(record), "realism": dict(realism),
         "timing": {**times, "first_success": number(first)}, "llm": _llm(run.agents, attempts_of(record)),
         "sandbox": run.isolation, "forked": run.forked, "learnt": run.learnt,
@@ -84,6 +96,20 @@ def outcome(
         "warnings": [asdict(kind) for kind in kinds_of(run.warnings)],
         "asked": _asked(run.request if record is None else record.request, record, settings),
     }  # fmt: skip
+
+
+def _scenario(attempt: Attempt) -> dict[str, Any] | None:
+    """The names of what an attempt shows."""
+    return None if attempt.scenario is None else columns_of(attempt.scenario)
+
+
+def _tally(made: Sequence[Attempt]) -> list[dict[str, Any]]:
+    """What the attempts of an encounter show, each once: how many attempts, and the highest level of them."""
+    levels: dict[NamedScenario, list[Level]] = {}
+    for attempt in made:
+        if attempt.scenario is not None:
+            levels.setdefault(attempt.scenario, []).append(attempt.verdict.level)
+    return [{**columns_of(s), "attempts": len(own), "level": str(max(own))} for s, own in levels.items()]
 
 
 def attempts_of(record: EncounterRecord | None) -> Sequence[Attempt]:
@@ -120,6 +146,7 @@ def _encounter(encounter: FoundEncounter) -> dict[str, Any]:
         "ego_speed": None if place is None else number(place.speed),
         "limit": None if place is None else number(place.limit),
         "vehicles_near": None if place is None else place.vehicles_near,
+        "geometry": None if place is None or place.geometry is None else str(place.geometry),
     }  # fmt: skip
 
 
@@ -229,7 +256,7 @@ def _attempt(a: Attempt) -> dict[str, Any]:
         "ego_stationary": v.ego_stationary, "delta_v": number(v.delta_v), "humanlike": v.humanlike,
         "impact_speed": number(v.impact_speed), "contact_side": v.contact_side, "kind": a.kind,
         "diagnosis": None if a.diagnosis is None else asdict(a.diagnosis), **_composed(p),
-        **({"misfits": list(v.misfits)} if v.misfits else {}),
+        **({"misfits": list(v.misfits)} if v.misfits else {}), "named_scenario": _scenario(a),
     }  # fmt: skip
 
 

@@ -138,12 +138,17 @@ class RoadMap:
     @cached_property
     def meeting_junctions(self) -> frozenset[str]:
         """Ids of the junctions that motor vehicles reach from two or more edges."""
+        return frozenset(name for name, approaching in self.approaching.items() if len(approaching) > 1)
+
+    @cached_property
+    def approaching(self) -> dict[str, set[str]]:
+        """By id of a junction the edges from which motor vehicles reach it."""
         edges: dict[str, set[str]] = {}
         for lane in self.lanes.values():
             for connection in () if lane.internal else lane.connections:
                 if connection.link[0] and lane.carriageway and is_carriageway(connection.classes):
                     edges.setdefault(connection.link[0], set()).add(lane.edge)
-        return frozenset(name for name, approaching in edges.items() if len(approaching) > 1)
+        return edges
 
     @cached_property
     def _paved_tree(self) -> tuple[Any, list[NetworkLane]]:

@@ -72,8 +72,9 @@ class Motion:
 
 
 @dataclass(frozen=True, slots=True)
-class _Along:
-    """A track along a path: station, offset of the centre [m], heading against the path [rad], half extent across."""
+class Along:
+    """A track along a path: station and offset of the centre [m], heading against the path [rad], half of its extents
+    across and along the path [m]; each ``(n,)``."""
 
     s: Floats
     d: Floats
@@ -82,8 +83,29 @@ class _Along:
     reach: Floats
 
 
-def observe(scene: Scene) -> Motion | None:
-    """What happened in a scene; None if one of the two was gone at once."""
+@dataclass(frozen=True, slots=True)
+class Course:
+    """The common states of the ego and the adversary, from the take-over on.
+
+    Attributes:
+        time: Seconds after the take-over, ``(n,)``.
+        ego: The ego's track.
+        adversary: The adversary's track.
+        ego_along: The ego along its path.
+        along: The adversary along the ego's path.
+        events: What the adversary does: (seconds after the take-over, event), in order.
+    """
+
+    time: Floats
+    ego: Track
+    adversary: Track
+    ego_along: Along
+    along: Along
+    events: tuple[tuple[float, Event], ...]
+
+
+def follow(scene: Scene) -> Course | None:
+    """Follow the ego and the adversary of a scene; None if one of the two was gone at once."""
     time = np.intersect1d(np.round(scene.ego.time, 3), np.round(scene.adversary.time, 3))
     time = time[time >= scene.start - 1e-6]
     if len(time) < 3:
@@ -92,6 +114,16 @@ def observe(scene: Scene) -> Motion | None:
     ego, bv = _at(scene.ego, time), _at(scene.adversary, time)
     a, b = _along(ego, scene.path), _along(bv, scene.path)
     events = tuple(sorted(_events(scene, time - time[0], ego, bv, a, b)))
+    return Course(time - time[0], ego, bv, a, b, events)
+
+
+def observe(scene: Scene) -> Motion | None:
+    """What happened in a scene; None if one of the two was gone at once."""
+    course = follow(scene)
+    if course is None:
+        return None
+    ego, bv, a, b, events = course.ego, course.adversary, course.ego_along, course.along, course.events
+    time = np.round(ego.time, 3)
     others = [_at(t, time) for t in scene.others if len(np.intersect1d(np.round(t.time, 3), time)) == len(time)]
     along = [(t, _along(t, scene.path)) for t in others]
     sides = (_beside(a, o) for t, o in along if t.speed.max() > STANDING_SPEED_M_S)  # not those that are parked
@@ -115,7 +147,7 @@ def _at(track: Track, time: Floats) -> Track:
     return track.picked(np.flatnonzero(np.isin(np.round(track.time, 3), time)))
 
 
-def _along(track: Track, path: Path) -> _Along:
+def _along(track: Track, path: Path) -> Along:
     places, near = [], None
     for x, y in zip(track.x.tolist(), track.y.tolist(), strict=True):
         station, offset = path.project(x, y, near=near, reach=NEXT_PLACE_REACH_M)
@@ -125,10 +157,10 @@ def _along(track: Track, path: Path) -> _Along:
     turn = wrap(track.heading - path.at(s)[2])
     cos, sin = np.abs(np.cos(turn)), np.abs(np.sin(turn))
     half = (track.length * sin + track.width * cos) / 2
-    return _Along(s, d, turn, half, (track.length * cos + track.width * sin) / 2)
+    return Along(s, d, turn, half, (track.length * cos + track.width * sin) / 2)
 
 
-def _events(scene: Scene, t: Floats, ego: Track, bv: Track, a: _Along, b: _Along) -> list[tuple[float, Event]]:
+def _events(scene: Scene, t: Floats, ego: Track, bv: Track, a: Along, b: Along) -> list[tuple[float, Event]]:
     inside = np.abs(b.d) < b.half + ego.width / 2
     inside[-1] |= scene.side is not None  # the tracks end just before the boxes touch
     found = [*_way_events(t, b, inside), *_pass_events(t, a, b), *_speed_events(t, bv)]
@@ -141,7 +173,7 @@ def _events(scene: Scene, t: Floats, ego: Track, bv: Track, a: _Along, b: _Along
     return [(round(max(time, 0.0), 1), event) for time, event in found]
 
 
-def _way_events(t: Floats, b: _Along, inside: Bools) -> list[tuple[float, Event]]:
+def _way_events(t: Floats, b: Along, inside: Bools) -> list[tuple[float, Event]]:
     """Into the ego's way and out of it. A vehicle that is in the way at first enters nothing. A vehicle that comes
     across and then, still in the way, turns the ego's way also enters."""
     found = []
@@ -165,7 +197,7 @@ def _way_events(t: Floats, b: _Along, inside: Bools) -> list[tuple[float, Event]
     return found
 
 
-def _pass_events(t: Floats, a: _Along, b: _Along) -> list[tuple[float, Event]]:
+def _pass_events(t: Floats, a: Along, b: Along) -> list[tuple[float, Event]]:
     """The first time that it gets from behind the ego's centre to ahead of it, going the ego's way."""
     ahead = b.s - a.s
     behind = _first((ahead <= -PASSED_MARGIN_M) & (np.abs(b.turn) < CROSSING_ANGLE_RAD))
@@ -216,7 +248,7 @@ def change_after(time: Floats, speed: Floats, after: float, event: Event) -> flo
     return None if k is None else float(t[int(np.flatnonzero(gained[: k + 1] == since[k])[-1])])
 
 
-def _beside(a: _Along, o: _Along) -> str | None:
+def _beside(a: Along, o: Along) -> str | None:
     near = (np.abs(o.s - a.s) < o.reach + a.reach) & (np.abs(o.d) > 1.5) & (np.abs(o.d) < MAX_BESIDE_OFFSET_M)
     k = _first(near & (np.abs(o.turn) < CROSSING_ANGLE_RAD))
     return None if k is None else ("left" if o.d[k] > 0 else "right")
@@ -246,8 +278,8 @@ EVENT_PHRASES = {
 
 
 def _words(
-    scene: Scene, t: Floats, ego: Track, bv: Track, a: _Along, b: _Along, events: Sequence[tuple[float, Event]],
-    user: RoadUser, others: Sequence[tuple[Track, _Along]],
+    scene: Scene, t: Floats, ego: Track, bv: Track, a: Along, b: Along, events: Sequence[tuple[float, Event]],
+    user: RoadUser, others: Sequence[tuple[Track, Along]],
 ) -> str:  # fmt: skip
     """The motion in numbers and plain facts, without names from files. A reader sees nothing else."""
     lines = [
@@ -272,7 +304,7 @@ def _words(
     return "\n".join([*lines, end])
 
 
-def _route(scene: Scene, ego: Track, a: _Along) -> str:
+def _route(scene: Scene, ego: Track, a: Along) -> str:
     """What the ego did, and what it would have done next if nothing had happened."""
     turned = float(wrap(ego.heading[-1] - ego.heading[0]))
     if abs(turned) >= EGO_TURN_ANGLE_RAD:
@@ -285,7 +317,7 @@ def _route(scene: Scene, ego: Track, a: _Along) -> str:
     return f"is about to turn {'left' if bend > 0 else 'right'}"
 
 
-def _others(a: _Along, others: Sequence[tuple[Track, _Along]]) -> list[str]:
+def _others(a: Along, others: Sequence[tuple[Track, Along]]) -> list[str]:
     """Where the nearest other vehicles are, at first and in the end."""
     near = sorted(others, key=lambda each: float(np.hypot(each[1].s - a.s, each[1].d).min()))[:MAX_DESCRIBED_OTHERS]
     return [
@@ -295,7 +327,7 @@ def _others(a: _Along, others: Sequence[tuple[Track, _Along]]) -> list[str]:
     ]
 
 
-def _placed(a: _Along, o: _Along, track: Track, k: int) -> str:
+def _placed(a: Along, o: Along, track: Track, k: int) -> str:
     ahead, left = float(o.s[k] - a.s[k]), float(o.d[k])
     side = "in EGO's lane" if abs(left) < 1.0 else f"{abs(left):.1f} m to the {'left' if left > 0 else 'right'}"
     place = f"{abs(ahead):.0f} m {'ahead of' if ahead >= 0 else 'behind'} EGO, {side}"
@@ -304,7 +336,7 @@ def _placed(a: _Along, o: _Along, track: Track, k: int) -> str:
     return f"{place}, {track.speed[k]:.0f} m/s, heading {math.degrees(float(o.turn[k])):.0f} deg"
 
 
-def _where(scene: Scene, a: _Along, b: _Along) -> str:
+def _where(scene: Scene, a: Along, b: Along) -> str:
     words = {
         "leader": "ahead of EGO in its lane", "follower": "behind EGO in its lane",
         "neighbour": "in a lane beside EGO, going the same way", "oncoming": "coming towards EGO",
