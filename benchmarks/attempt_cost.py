@@ -69,12 +69,12 @@ def library() -> list[LibraryEntry]:
         return read_library(bank, SceneSignature("straight", "neighbour", {}, "idm"), seed=0, situations={})[0]
 
 
-def encounter(engine: EpisodeEngine, source: RunInput, settings: Settings, folder: Path) -> FoundEncounter:
+def encounter(engine: EpisodeEngine, run_input: RunInput, settings: Settings, folder: Path) -> FoundEncounter:
     """Bring an engine to the scenario's trigger."""
-    engine.call(EpisodeCalls.open, make_task(source, settings, folder))
+    engine.call(EpisodeCalls.open, make_task(run_input, settings, folder))
     outcome = engine.call(EpisodeCalls.seek)
     if not isinstance(outcome, FoundEncounter):
-        raise SystemExit(f"{source.name}: {outcome.reason}")
+        raise SystemExit(f"{run_input.name}: {outcome.reason}")
     return outcome
 
 
@@ -120,14 +120,14 @@ def calls(sandbox: Sandbox, encounter: FoundEncounter, proposal: Proposal, runs:
 
 def measure(name: str, pairs: int, proposals: int, entries: Sequence[LibraryEntry]) -> bool:
     """Print one scenario's lines; whether both ways gave the same states and verdict."""
-    source = load_input(Path(name))
-    base: dict[str, Any] = {"ego": source.ego_controller, "horizon": source.horizon, "proposals": proposals}
+    run_input = load_input(Path(name))
+    base: dict[str, Any] = {"ego": run_input.ego_controller, "horizon": run_input.horizon, "proposals": proposals}
     ways = [load_settings(None, **base, fork=fork) for fork in (True, False)]
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="sumo_adv-")))
         sandbox = stack.enter_context(Sandbox())
         engines = [stack.enter_context(Engine(episode_worker)) for _ in ways]
-        encounters = [encounter(e, source, s, folder) for e, s in zip(engines, ways, strict=True)]
+        encounters = [encounter(e, run_input, s, folder) for e, s in zip(engines, ways, strict=True)]
         best, count, searched = search(sandbox, ways[0], encounters[0], entries)
         runners = [AttemptRunner(e, sandbox, f, ways[0].seed) for e, f in zip(engines, encounters, strict=True)]
         results = [next(runner.attempt([best])) for runner in runners]
@@ -143,7 +143,7 @@ def measure(name: str, pairs: int, proposals: int, entries: Sequence[LibraryEntr
     fork, load = ([1e3 * t for t in times] for times in took)
     start = f"{encounters[0].time:.1f} s"
     attempt = f"{best.label}/{best.planner.mode}, {len(results[0].snapshots)} steps"
-    print(f"{source.name}, trigger {start}, {len(results[0].sizes)} vehicles so far: {attempt}")
+    print(f"{run_input.name}, trigger {start}, {len(results[0].sizes)} vehicles so far: {attempt}")
     print(f"  same states and verdict both ways: {'yes' if same else 'NO'}")
     print(spread("attempt by fork", fork, "ms"))
     print(spread("attempt by load and repeat", load, "ms"))
@@ -156,13 +156,13 @@ def measure(name: str, pairs: int, proposals: int, entries: Sequence[LibraryEntr
 
 def first_attempts(entries: Sequence[LibraryEntry]) -> bool:
     """Print what the first attempts of a search cost; whether the bounds hold."""
-    source = load_input(Path(ROAD))
+    run_input = load_input(Path(ROAD))
     settings = load_settings(None, ego="idm", duration=8.0, density=DENSITY)
     took: dict[str, list[float]] = {name: [] for name in KINDS}
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="sumo_adv-")))
         sandbox, engine = stack.enter_context(Sandbox()), stack.enter_context(Engine(episode_worker))
-        found = encounter(engine, source, settings, folder)
+        found = encounter(engine, run_input, settings, folder)
         predictor = Predictor(sandbox, settings, found.drivable, found.situations)
         weights = SearchSettings(share=FIRST)
         search = AttackSearch(predictor, found.situations, entries, weights, seed=settings.seed, predicts=False)

@@ -186,14 +186,14 @@ def plain(plan: CampaignPlan, folder: Path) -> Took:
     clock = Clock()
     with Sandbox() as sandbox, MemoryBank.open(BANK, read_only=True) as bank:
         for job in plan.jobs:
-            given = load_input(job.input.source)
+            run_input = load_input(job.input.source)
             settings = load_settings(None, seed=job.seed, learn="off", **plan.variants[0])
             with (
                 tempfile.TemporaryDirectory() as scratch, staged(folder / job.id, force=False) as place,
                 open_agents(settings, sandbox) as cast, Engine(episode_worker) as engine,
             ):  # fmt: skip
-                task = make_task(given, settings, Path(scratch))
-                run = run_episode(given, settings, task, engine, cast, bank, lambda *_: None)
+                task = make_task(run_input, settings, Path(scratch))
+                run = run_episode(run_input, settings, task, engine, cast, bank, lambda *_: None)
                 write_run(place, run, figure=False)
                 place.keep(force=False)
             clock.finished(job)

@@ -67,19 +67,19 @@ def seconds_near(rollouts: Rollouts, row: int, course: ObservedMotion, path: Pat
 
 def compare(name: str, ego: str, count: int, seed: int, entries: Sequence[LibraryEntry]) -> list[Compared]:
     """Predict and attempt ``count`` attacks on one input's encounter."""
-    source = load_input(File(name))
-    settings = load_settings(None, ego=ego, horizon=source.horizon, seed=seed)
+    run_input = load_input(File(name))
+    settings = load_settings(None, ego=ego, horizon=run_input.horizon, seed=seed)
     with ExitStack() as stack:
         folder = File(stack.enter_context(tempfile.TemporaryDirectory(prefix="sumo_adv-")))
         sandbox, engine = stack.enter_context(Sandbox()), stack.enter_context(Engine(episode_worker))
-        engine.call(EpisodeCalls.open, make_task(source, settings, folder))
+        engine.call(EpisodeCalls.open, make_task(run_input, settings, folder))
         encounter = engine.call(EpisodeCalls.seek, "")
         if not isinstance(encounter, FoundEncounter):
-            print(f"  {source.name}: {encounter.reason}")
+            print(f"  {run_input.name}: {encounter.reason}")
             return []
         drawn = attacks(encounter, entries, count, seed)
         if not drawn:
-            print(f"  {source.name}: nothing applies")
+            print(f"  {run_input.name}: nothing applies")
             return []
         predictor = Predictor(sandbox, settings, encounter.drivable, encounter.situations)
         expected, rollouts = predictor.score(drawn), predictor.rolled(drawn)
@@ -95,7 +95,7 @@ def compare(name: str, ego: str, count: int, seed: int, entries: Sequence[Librar
         collides = proposal.prediction is not None and proposal.prediction.hit
         counts = proposal.score < SearchSettings().avoidable
         rows.append(Compared(collides == result.verdict.collided, counts == bool(result.verdict.valid), near))
-    print(line(source.name, rows), flush=True)
+    print(line(run_input.name, rows), flush=True)
     return rows
 
 

@@ -158,13 +158,13 @@ def sampled_worker(file: Path, slots: list[Connection]) -> EpisodeWorker:
 
 def first_attempts(count: int, ego: str, engine: EpisodeEngine, sandbox: Sandbox, begin: Callable[[], None]) -> str:
     """Make the first attempts of a search; ``begin`` is called before the first one. A line on what was done."""
-    source = load_input(Path(ROAD))
+    run_input = load_input(Path(ROAD))
     settings = load_settings(None, ego=ego, duration=DURATION_S, density=DENSITY_PER_KM)
     with (
         tempfile.TemporaryDirectory(prefix="sumo_adv-") as folder,
         MemoryBank.open(data_folder("memory_bank.sqlite"), read_only=True) as bank,
     ):
-        engine.call(EpisodeCalls.open, make_task(source, settings, Path(folder)))
+        engine.call(EpisodeCalls.open, make_task(run_input, settings, Path(folder)))
         found = engine.call(EpisodeCalls.seek)
         if isinstance(found, NoEncounter):
             raise SystemExit(found.reason)
@@ -192,14 +192,14 @@ def encounters(
     cases, done = load_suite(suite).cases[::every], 0
     begin()
     for case in cases:
-        source = load(case.path, case.record)
-        settings = load_settings(None, ego=ego, until="valid", learn="off", horizon=source.horizon)
+        run_input = load(case.path, case.record)
+        settings = load_settings(None, ego=ego, until="valid", learn="off", horizon=run_input.horizon)
         with (
             tempfile.TemporaryDirectory(prefix="sumo_adv-") as folder,
             MemoryBank.open(data_folder("memory_bank.sqlite"), read_only=True) as bank,
         ):
-            task = make_task(source, settings, Path(folder))
-            episode = run_episode(source, settings, task, engine, Agents(settings, sandbox), bank, _silent)
+            task = make_task(run_input, settings, Path(folder))
+            episode = run_episode(run_input, settings, task, engine, Agents(settings, sandbox), bank, _silent)
             done += len(episode.refinement.attempts)
     return f"{len(cases)} encounters of {suite} against {ego}: {done} attempts"
 

@@ -38,7 +38,7 @@ def played(recorded: RecordedRun) -> EncounterRecord | None:
     """The attempt of a manifest, simulated again; None if its encounter does not come."""
     with Sandbox() as sandbox, new_engine() as engine:
         return replay_episode(
-            recorded.source, recorded.settings, recorded.task, engine, sandbox, recorded.proposal, recorded.skips
+            recorded.run_input, recorded.settings, recorded.task, engine, sandbox, recorded.proposal, recorded.skips
         ).best
 
 

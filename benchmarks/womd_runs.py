@@ -131,19 +131,21 @@ def checked(name: str, scenario: Path, record: Record) -> bool:
 
 def played(scenario: Path) -> tuple[str, dict[str, Track]]:
     """The ego's id, and all vehicles' states, moved by the log."""
-    source = load_input(scenario)
-    spec = with_background(source.playback, "log")
-    assert spec is not None and isinstance(source.ego, str)
+    run_input = load_input(scenario)
+    spec = with_background(run_input.playback, "log")
+    assert spec is not None and isinstance(run_input.ego, str)
     driver = ReplayEgo()
     types = ego_type_file(driver, scenario.parent)
-    log = Playback(spec, read_network(source.network), begin=0.0, step=STEP, ego=source.ego, warm_up=source.warm_up)
-    drive = Drive(SimulationSpec(source.network, source.routes, (types,), 0.0, 0, STEP), driver, 0, playback=log)
+    log = Playback(
+        spec, read_network(run_input.network), begin=0.0, step=STEP, ego=run_input.ego, warm_up=run_input.warm_up
+    )
+    drive = Drive(SimulationSpec(run_input.network, run_input.routes, (types,), 0.0, 0, STEP), driver, 0, playback=log)
     try:
         for _ in range(round(spec.end / STEP)):
             drive.tick()
-            if drive.ego is None and source.ego in drive.snapshot.raw and drive.may_take_over(source.ego):
-                drive.take_over(source.ego)
-        return source.ego, {t.id: t for t in drive.tracks()}
+            if drive.ego is None and run_input.ego in drive.snapshot.raw and drive.may_take_over(run_input.ego):
+                drive.take_over(run_input.ego)
+        return run_input.ego, {t.id: t for t in drive.tracks()}
     finally:
         drive.simulation.close()
         types.unlink()

@@ -160,18 +160,18 @@ def run(
     from sumo_adv.drivers.registry import pack, trusted_driver
     from sumo_adv.simulation.inputs import own_simulation
 
-    given = load(Path(source), record)
+    run_input = load(Path(source), record)
     options = {name: value for name, value in settings.items() if value is not None}
     packed = None if ego is None or isinstance(ego, str) else pack(ego)
     named = packed.name if packed is not None else str(ego) if ego is not None else None
-    driver = trusted_driver(named, given.ego_controller, given.source)
-    options = {**own_simulation(given), **given.settings(options), **options, "ego": driver}
+    driver = trusted_driver(named, run_input.ego_controller, run_input.path)
+    options = {**own_simulation(run_input), **run_input.settings(options), **options, "ego": driver}
     chosen = load_settings(None if settings_file is None else Path(settings_file), **options)
     keep = tempfile.TemporaryDirectory(prefix=scratch_prefix()) if out is None else None
-    target = Path(out) if out is not None else Path(keep.name if keep else "") / f"{given.name}-{chosen.seed}"
+    target = Path(out) if out is not None else Path(keep.name if keep else "") / f"{run_input.name}-{chosen.seed}"
     try:
         with staged(target, force=force) as folder, scratch_folder() as scratch:
-            played = play(given, chosen, folder.stage, scratch, tell or (lambda *_: None), ego=packed)
+            played = play(run_input, chosen, folder.stage, scratch, tell or (lambda *_: None), ego=packed)
             from sumo_adv.report.folder import write_run  # here, since loading it would keep the engine waiting
 
             write_run(folder, played)

@@ -73,10 +73,10 @@ def load(source: Path, record: str | None) -> RunInput:
     atexit.register(stack.close)
     made = stack.enter_context(conversion(chosen, traffic=False))
     origin = WaymoSource(source.absolute(), chosen.scenario_id, chosen.content) if waymo else None
-    given = load_input(made.scenario)
-    files = (source.absolute(),) if commonroad else given.files
+    run_input = load_input(made.scenario)
+    files = (source.absolute(),) if commonroad else run_input.files
     return replace(
-        given, name=chosen.scenario_id, files=files, waymo=origin, notes=(*given.notes, *chosen.notes)
+        run_input, name=chosen.scenario_id, files=files, waymo=origin, notes=(*run_input.notes, *chosen.notes)
     )  # fmt: skip
 
 
@@ -181,7 +181,7 @@ def shipped_prompts() -> Prompts:
 
 
 def play(
-    given: RunInput,
+    run_input: RunInput,
     settings: Settings,
     stage: Path,
     scratch: Path,
@@ -206,13 +206,13 @@ def play(
         from sumo_adv.report.outcome import MODEL_FILE
 
         load_matplotlib()
-        task = replace(make_task(given, settings, scratch), ego_given=ego)
+        task = replace(make_task(run_input, settings, scratch), ego_given=ego)
         with (
             open_for_run(settings) as bank,
             new_sandbox(settings) as sandbox,
             open_agents(settings, sandbox, stage / MODEL_FILE) as agents,
         ):
-            run = run_episode(given, settings, task, engine, agents, bank, tell)
+            run = run_episode(run_input, settings, task, engine, agents, bank, tell)
             played()
     return run
 
@@ -235,7 +235,7 @@ def replay(recorded: RecordedRun) -> Run:
 
     with new_sandbox(recorded.settings) as sandbox, new_engine() as engine:
         return replay_episode(
-            recorded.source, recorded.settings, recorded.task, engine, sandbox, recorded.proposal, recorded.skips
+            recorded.run_input, recorded.settings, recorded.task, engine, sandbox, recorded.proposal, recorded.skips
         )
 
 
@@ -246,7 +246,7 @@ def minimise(recorded: RecordedRun, settings: Settings, tell: Callable[[str, Any
     task = replace(recorded.task, settings=settings)
     with new_sandbox(settings) as sandbox, new_engine() as engine:
         return minimise_episode(
-            recorded.source, settings, task, engine, sandbox, recorded.proposal, recorded.skips, tell
+            recorded.run_input, settings, task, engine, sandbox, recorded.proposal, recorded.skips, tell
         )
 
 
@@ -270,7 +270,7 @@ def check_driver(
         return check_driver(engine, driven, settings, Path(scratch), seconds=seconds or DRIVE_DURATION_S, tell=tell)
 
 
-def check_input(given: RunInput, settings: Settings, seconds: float) -> InputCheck:
+def check_input(run_input: RunInput, settings: Settings, seconds: float) -> InputCheck:
     """Compare an input's traffic without an attack with the program ``sumo`` over ``seconds`` [s], and count what was
     read of it. Raises UsageError or SimulationError."""
     from sumo_adv.input_check import WatchWorker, check_input
@@ -280,7 +280,7 @@ def check_input(given: RunInput, settings: Settings, seconds: float) -> InputChe
     with _without_main(), deferred_interrupts():
         engine = Engine(WatchWorker, slots=0)
     with engine, tempfile.TemporaryDirectory(prefix="sumo_adv-") as scratch:
-        return check_input(engine, given, settings, Path(scratch), seconds)
+        return check_input(engine, run_input, settings, Path(scratch), seconds)
 
 
 _idle: list[tuple[WarmEngine, Finalize]] = []  # with what ends it where this process ends before

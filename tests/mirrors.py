@@ -77,7 +77,7 @@ def both_ways(name: str, folder: Path, attempts: int = 6) -> tuple[Attacked, Att
     mirrored = folder / "mirrored"
     mirrored.mkdir()
     network = mirrored_network(_network_of(name), mirrored)
-    return _attack(case, folder), _attack(replace(case, source=replace(case.source, network=network)), folder)
+    return _attack(case, folder), _attack(replace(case, run_input=replace(case.run_input, network=network)), folder)
 
 
 def _network_of(name: str) -> str:
@@ -88,7 +88,7 @@ def _network_of(name: str) -> str:
 
 
 def _attack(case: KeptCase, folder: Path) -> Attacked:
-    settings = settings_for(case, case.source.ego_controller)
+    settings = settings_for(case, case.run_input.ego_controller)
     task = task_for(case, settings, folder)
     sandboxes, warm = WarmSandboxes(), WarmEngine()
     try:

@@ -38,9 +38,9 @@ def pinched() -> Path:
     """The folder of a run in which SUMO's IDM is hit by the vehicle that was ahead on its left."""
     home = Path(tempfile.mkdtemp(prefix="sumo_adv-tests-"))
     atexit.register(shutil.rmtree, home, ignore_errors=True)
-    source = app.load(Path(INPUT), None)
+    run_input = app.load(Path(INPUT), None)
     settings = load_settings(None, duration=12.0, delays=(0.0,), adversaries=2)
-    recorded = RecordedRun(source, settings, make_task(source, settings, home), pinch(COLLIDER, SUPPORT), 0)
+    recorded = RecordedRun(run_input, settings, make_task(run_input, settings, home), pinch(COLLIDER, SUPPORT), 0)
     run = app.replay(recorded)
     with staged(home / "run", force=False) as folder:
         write_run(folder, run, figure=False)

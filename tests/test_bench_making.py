@@ -38,12 +38,12 @@ def test_suite81_is_fifty_straight_and_31_at_junctions_and_speaks_of_no_kind() -
     assert Counter(case.group for case in suite.cases) == {"straight": 50, "intersection": 31}
     assert Counter(case.kind for case in suite.cases) == ENCOUNTERS_PER_KIND
     for case in suite.cases:
-        given = load_input(case.path)
-        assert given.name == case.name
-        assert given.ego == "ego"
-        assert given.label is None
-        assert given.candidates == ()
-        text = case.path.read_text() + given.routes[0].read_text()
+        run_input = load_input(case.path)
+        assert run_input.name == case.name
+        assert run_input.ego == "ego"
+        assert run_input.label is None
+        assert run_input.candidates == ()
+        text = case.path.read_text() + run_input.routes[0].read_text()
         assert not any(word in text for word in ("leader", "follower", "neighbour", "oncoming", "crossing_"))
         assert 'sigma="0.5"' in text
 

@@ -174,15 +174,18 @@ def test_its_exceptions_name_class_and_error() -> None:
 @pytest.fixture(scope="module")
 def arena() -> Iterator[tuple[Arena, MemoryBank]]:
     """A car beside and behind an ego that drives what it drove unattacked; at most two attempts a row."""
-    source = load(Path("neighbour_behind_left"), None)
-    settings = Settings(ego="replay", until="valid", attempts=2, horizon=source.horizon or 8.0)
+    run_input = load(Path("neighbour_behind_left"), None)
+    settings = Settings(ego="replay", until="valid", attempts=2, horizon=run_input.horizon or 8.0)
     with (
         tempfile.TemporaryDirectory() as scratch,
         MemoryBank.open(shipped_bank(), read_only=True) as bank,
         Sandbox() as sandbox,
         Engine(episode_worker) as engine,
     ):
-        yield Arena(source, settings, make_task(source, settings, Path(scratch)), engine, sandbox, bank, settings), bank
+        yield (
+            Arena(run_input, settings, make_task(run_input, settings, Path(scratch)), engine, sandbox, bank, settings),
+            bank,
+        )
 
 
 def test_the_example_collides_within_two_attempts(

@@ -133,8 +133,8 @@ def test_convert_takes_it(program: Program) -> None:
     write(program.folder, *LANES, CAR, PROBLEM)
     done = program.here("convert", "hand.xml", "--out", "made", "--no-traffic")
     assert done.status == 0, done.err
-    given = load_input(program.folder / "made" / "ZAM_Hand-1_1_T-1" / "scenario.toml")
-    assert given.ego == "7" and given.playback is not None and given.playback.vehicles == {"5", "7"}
+    run_input = load_input(program.folder / "made" / "ZAM_Hand-1_1_T-1" / "scenario.toml")
+    assert run_input.ego == "7" and run_input.playback is not None and run_input.playback.vehicles == {"5", "7"}
     refused = program.here("convert", "hand.xml", "--out", "made", "--first", "1")
     assert (refused.status, "choose among records of a TFRecord file" in refused.err) == (2, True)
 

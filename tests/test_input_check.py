@@ -55,8 +55,10 @@ def check(folder: Path) -> Iterator[Check]:
     with Engine(WatchWorker, slots=0) as engine:
 
         def checked(path: Path) -> InputCheck:
-            given = load_input(path)
-            return check_input(engine, given, load_settings(None, **own_simulation(given)), path.parent, SECONDS)
+            run_input = load_input(path)
+            return check_input(
+                engine, run_input, load_settings(None, **own_simulation(run_input)), path.parent, SECONDS
+            )
 
         yield checked
 

@@ -288,10 +288,10 @@ def test_off_the_road_is_refused_with_the_time(sandbox: Sandbox) -> None:
 @pytest.fixture(scope="module")
 def encounter(tmp_path_factory: pytest.TempPathFactory, sandbox: Sandbox) -> Iterator[AttemptRunner]:
     """A vehicle one lane to the left, 12 m ahead of the ego, at 20 m/s."""
-    source = load_input(Path("neighbour_ahead_left"))
-    given = load_settings(None, horizon=source.horizon, ego=source.ego_controller)
+    run_input = load_input(Path("neighbour_ahead_left"))
+    given = load_settings(None, horizon=run_input.horizon, ego=run_input.ego_controller)
     with Engine(episode_worker) as engine:
-        engine.call(EpisodeCalls.open, make_task(source, given, tmp_path_factory.mktemp("own")))
+        engine.call(EpisodeCalls.open, make_task(run_input, given, tmp_path_factory.mktemp("own")))
         encounter = engine.call(EpisodeCalls.seek, "")
         assert isinstance(encounter, FoundEncounter)
         yield AttemptRunner(engine, sandbox, encounter, 0)

@@ -53,11 +53,13 @@ def playing(
     names = [t.id for t in tracks]
     top = {"background": f'"{background}"'}
     path = write_scenario(folder, list(tracks), routed=tuple(n for n in routed if n in names), more=more, top=top)
-    source = load_input(path)
-    assert source.playback is not None
+    run_input = load_input(path)
+    assert run_input.playback is not None
     controller = driver or ReplayEgo()
-    spec = SimulationSpec(source.network, source.routes, (ego_type_file(controller, folder),), 0.0, 3)
-    log = Playback(source.playback, read_network(spec.network), begin=0.0, step=0.1, ego="e", warm_up=source.warm_up)
+    spec = SimulationSpec(run_input.network, run_input.routes, (ego_type_file(controller, folder),), 0.0, 3)
+    log = Playback(
+        run_input.playback, read_network(spec.network), begin=0.0, step=0.1, ego="e", warm_up=run_input.warm_up
+    )
     drive = Drive(spec, controller, 3, playback=log)
     try:
         yield drive
@@ -247,10 +249,10 @@ def test_a_situation_knows_how_long_the_log_goes_on_and_whether_it_moves_the_oth
     """The log ends at 9.0 s; with a background that drives on by itself and an ego of SUMO's nothing ends."""
     path = write_scenario(tmp_path, [EGO, LEADER], routed=("e", "lead"))
     for ego, background in (("replay", "sumo"), ("idm", "log"), ("idm", "sumo")):
-        given = load_input(path)
+        run_input = load_input(path)
         settings = load_settings(None, ego=ego, background=background)
         with Engine(episode_worker) as engine:
-            engine.call(EpisodeCalls.open, make_task(given, settings, tmp_path))
+            engine.call(EpisodeCalls.open, make_task(run_input, settings, tmp_path))
             encounter = engine.call(EpisodeCalls.seek, "")
         assert isinstance(encounter, FoundEncounter)
         for s in encounter.situations.values():

@@ -39,7 +39,7 @@ def suite(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def case_of(suite: Path, **expect: Any) -> KeptCase:
     (case,) = read_suite(suite)
-    return KeptCase(case.name, case.folder, case.source, case.proposal, case.relations, Expectation(**expect))
+    return KeptCase(case.name, case.folder, case.run_input, case.proposal, case.relations, Expectation(**expect))
 
 
 def regress(program: Program, suite: Path, *options: str | Path) -> Done:
@@ -135,7 +135,7 @@ def test_a_case_moves_with_its_suite(suite: Path, tmp_path: Path) -> None:
     shutil.copytree(suite, tmp_path / "elsewhere")
     here, there = read_case(suite / "crossing"), read_case(tmp_path / "elsewhere" / "crossing")
     assert here.proposal == there.proposal and here.settings == there.settings
-    assert there.source.routes == (tmp_path / "elsewhere" / "crossing" / f"{FOUND}.rou.xml",)
+    assert there.run_input.routes == (tmp_path / "elsewhere" / "crossing" / f"{FOUND}.rou.xml",)
 
 
 def test_an_attack_is_kept_once_and_its_expectation_may_be_edited(tmp_path: Path) -> None:
@@ -162,7 +162,7 @@ def test_a_network_of_ones_own_is_copied_once(tmp_path: Path) -> None:
         keep_run(own, tmp_path / "suite", Expectation(avoid="collision"), name)
     assert [p.name for p in (tmp_path / "suite" / "networks").iterdir()] == ["town.net.xml"]
     case = read_case(tmp_path / "suite" / "one")
-    assert case.source.network.resolve() == (tmp_path / "suite" / "networks" / "town.net.xml").resolve()
+    assert case.run_input.network.resolve() == (tmp_path / "suite" / "networks" / "town.net.xml").resolve()
     assert case.notes == ()
     network = tmp_path / "suite" / "networks" / "town.net.xml"
     network.write_text(network.read_text() + "<!-- another -->\n")

@@ -71,7 +71,7 @@ class Told:
 
 def served(folder: Path, seconds: float, *, kill: bool = False) -> Told:
     """One encounter in real time, with an analyzer that takes ``seconds``; ``kill``: the client, while it thinks."""
-    given = load_input(Path("motorway_cut_in_left"))
+    run_input = load_input(Path("motorway_cut_in_left"))
     settings = load_settings(None, ego="external", trigger=TRIGGER, learn="off")
     log = Told([], [])
     clients: list[subprocess.Popen[bytes]] = []
@@ -88,7 +88,7 @@ def served(folder: Path, seconds: float, *, kill: bool = False) -> Told:
         return {"outcome": None, "ending": "", "reason": "", "adversaries": [], "intent": None, "attempts": [],
                 "folder": number}  # fmt: skip
 
-    task = make_task(given, settings, folder)
+    task = make_task(run_input, settings, folder)
     with (
         MemoryBank.open(folder / "bank.sqlite", seed_from=data_folder("memory_bank.sqlite")) as bank,
         Sandbox() as sandbox,
@@ -100,8 +100,8 @@ def served(folder: Path, seconds: float, *, kill: bool = False) -> Told:
         clients.append(subprocess.Popen([sys.executable, str(TESTS / "serve_client.py"), str(gate.port)]))
         try:
             parts = ServerDependencies(
-                given, Options(real_time=True, encounters=1), lambda _: task, read_network(task.spec.network), agents,
-                bank, gate, events, writer, lambda: None,
+                run_input, Options(real_time=True, encounters=1), lambda _: task, read_network(task.spec.network),
+                agents, bank, gate, events, writer, lambda: None,
             )  # fmt: skip
             assert EgoServer(parts).run() is None
         finally:

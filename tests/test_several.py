@@ -297,9 +297,9 @@ def test_parts_in_any_order_have_the_composition_s_name() -> None:
 def test_all_adversaries_are_driven_stored_and_replayed(tmp_path: Path) -> None:
     """Of a scenario with a vehicle ahead on the left and one behind on the right, both attack."""
     both = pinch("left_ahead", "right_behind", "side")
-    source = app.load(Path("neighbour_ahead_left"), None)
+    run_input = app.load(Path("neighbour_ahead_left"), None)
     settings = load_settings(None, duration=6.0, delays=(0.0,), adversaries=2)
-    recorded = RecordedRun(source, settings, make_task(source, settings, tmp_path), both, 0)
+    recorded = RecordedRun(run_input, settings, make_task(run_input, settings, tmp_path), both, 0)
     run = app.replay(recorded)
     assert run.best is not None
     (attempt,) = run.best.attempts

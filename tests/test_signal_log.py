@@ -28,9 +28,9 @@ def played(folder: Path, signals: str, tracks: str = "") -> tuple[Simulation, Pl
     (folder / "log.csv").write_text(tracks)
     text = f'schema = 1\nnetwork = "{network}"\n' + ('tracks = "log.csv"\n' if tracks else "")
     (folder / "case.toml").write_text(text + '[signals]\nlog = "lights.csv"\n')
-    source = load_input(folder / "case.toml")
-    assert source.playback is not None
-    log = Playback(source.playback, read_network(network), begin=0.0, step=0.1, ego=None, warm_up=0.0)
+    run_input = load_input(folder / "case.toml")
+    assert run_input.playback is not None
+    log = Playback(run_input.playback, read_network(network), begin=0.0, step=0.1, ego=None, warm_up=0.0)
     types = folder / "types.add.xml"
     types.write_text('<additional><vType id="sumo_adv_logged"/></additional>')
     simulation = Simulation(SimulationSpec(network, (), (types,), 0.0, 1))

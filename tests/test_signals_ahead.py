@@ -14,10 +14,10 @@ from sumo_adv.simulation.inputs import load_input
 
 def test_the_lights_ahead_of_ego_and_targets_are_in_every_situation(tmp_path: Path) -> None:
     """The ego has green and the vehicle from the right red, as the scenario says."""
-    given = load_input(Path("signals_red_light"))
-    settings = load_settings(None, horizon=given.horizon, ego=given.ego_controller)
+    run_input = load_input(Path("signals_red_light"))
+    settings = load_settings(None, horizon=run_input.horizon, ego=run_input.ego_controller)
     with Engine(episode_worker) as engine:
-        engine.call(EpisodeCalls.open, make_task(given, settings, tmp_path))
+        engine.call(EpisodeCalls.open, make_task(run_input, settings, tmp_path))
         encounter = engine.call(EpisodeCalls.seek, "")
     assert isinstance(encounter, FoundEncounter)
     bv = encounter.ranking[0][0]

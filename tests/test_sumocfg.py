@@ -26,9 +26,9 @@ def network(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_it_begins_at_0_and_the_search_at_the_first_departure(tmp_path: Path, network: Path) -> None:
     """The first vehicle departs at 7 h. SUMO makes the 252 000 steps before, so its lights are where they should be;
     nothing is recorded but the last one of them."""
-    given = load_input(configuration(tmp_path, network, f'{WE}<vehicle id="v" route="we" depart="7:00:00"/>'))
-    assert given.begin == 0.0 and own_simulation(given) == {"seed": 23423, "step_length": 0.1}
-    task = make_task(given, load_settings(None, **own_simulation(given)), tmp_path)
+    run_input = load_input(configuration(tmp_path, network, f'{WE}<vehicle id="v" route="we" depart="7:00:00"/>'))
+    assert run_input.begin == 0.0 and own_simulation(run_input) == {"seed": 23423, "step_length": 0.1}
+    task = make_task(run_input, load_settings(None, **own_simulation(run_input)), tmp_path)
     assert (task.spec.begin, task.spec.recorded_from, task.end) == (0.0, 25199.9, 25200.0 + 600.0)
 
 

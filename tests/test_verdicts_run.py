@@ -74,15 +74,15 @@ def write(run: Run, target: Path) -> Written:
 def crossing(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Written]:
     """A vehicle from the right rushes through a crossing into the ego."""
     folder = tmp_path_factory.mktemp("verdicts")
-    given = load_input(Path("priority_straight_from_right"))
-    settings = load_settings(None, until="valid", learn="off", horizon=given.horizon, ego=given.ego_controller)
-    task = make_task(given, settings, folder)
+    run_input = load_input(Path("priority_straight_from_right"))
+    settings = load_settings(None, until="valid", learn="off", horizon=run_input.horizon, ego=run_input.ego_controller)
+    task = make_task(run_input, settings, folder)
     with (
         MemoryBank.open(folder / "bank.sqlite", seed_from=data_folder("memory_bank.sqlite")) as bank,
         Sandbox() as sandbox,
         Engine(episode_worker) as engine,
     ):
-        run = run_episode(given, settings, task, engine, Agents(settings, sandbox), bank, lambda *_: None)
+        run = run_episode(run_input, settings, task, engine, Agents(settings, sandbox), bank, lambda *_: None)
     yield write(run, folder / "run")
 
 
@@ -210,7 +210,7 @@ def test_a_replay_comes_to_the_same_bytes(crossing: Written, tmp_path: Path) -> 
     recorded = read_manifest(crossing.folder)
     with Sandbox() as sandbox, Engine(episode_worker) as engine:
         run = replay_episode(
-            recorded.source, recorded.settings, recorded.task, engine, sandbox, recorded.proposal, recorded.skips
+            recorded.run_input, recorded.settings, recorded.task, engine, sandbox, recorded.proposal, recorded.skips
         )
     again = write(run, tmp_path / "again")
     for name in ("states.csv.gz", "criticality.csv.gz", "raw.csv.gz"):

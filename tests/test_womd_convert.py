@@ -52,8 +52,8 @@ def test_every_sample_becomes_a_scenario_that_loads(tmp_path: Path, build: objec
     record = read(write(tmp_path / "a.tfrecord", build()))  # type: ignore[operator]
     with conversion(record, traffic=False, cache=tmp_path / "cache") as made:
         assert lacking(made.folder, FILES) == set()
-        given = load_input(made.scenario)
-        assert (given.name, given.ego, given.warm_up) == (record.scenario_id, "1", 1.0)
+        run_input = load_input(made.scenario)
+        assert (run_input.name, run_input.ego, run_input.warm_up) == (record.scenario_id, "1", 1.0)
         report = made.report
         assert report["represented"] > 0.99
         assert report["deviation"]["within_0.1"] > 0.99
@@ -98,9 +98,9 @@ def test_crosswalks_are_polygons_that_sumo_loads(tmp_path: Path) -> None:
     for cached in (False, True):
         with conversion(record, traffic=False, cache=tmp_path / "cache") as made:
             assert made.cached == cached and made.report["converter"]["crosswalks"] == 1
-            given = load_input(made.scenario)
-    assert given.additional == (made.folder / "crosswalks.add.xml",) and given.additional[0] in given.files
-    command = [sys.executable, "-c", ask, str(given.network), str(given.additional[0])]
+            run_input = load_input(made.scenario)
+    assert run_input.additional == (made.folder / "crosswalks.add.xml",) and run_input.additional[0] in run_input.files
+    command = [sys.executable, "-c", ask, str(run_input.network), str(run_input.additional[0])]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     corners = ((-3.5, -14.0), (3.5, -14.0), (3.5, -11.0), (-3.5, -11.0))
     assert ast.literal_eval(done.stdout.splitlines()[-1]) == {"crosswalk401": ("crosswalk", corners)}

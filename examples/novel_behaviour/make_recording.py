@@ -66,8 +66,8 @@ def _said(answer: object) -> ChatReply:
 
 def main() -> None:
     """Run the story once and keep the exchanges."""
-    given = load_input(Path("dual_left_turn_blind_side"))
-    settings = load_settings(None, llm=Author.name, tuner="off", horizon=given.horizon)
+    run_input = load_input(Path("dual_left_turn_blind_side"))
+    settings = load_settings(None, llm=Author.name, tuner="off", horizon=run_input.horizon)
     ledger = Ledger()
     with (
         tempfile.TemporaryDirectory() as scratch,
@@ -79,7 +79,7 @@ def main() -> None:
         model = recorder.wrap(BudgetedModel(Author(), ledger))
         agents = Agents(settings, sandbox, dict.fromkeys(AGENT_ROLES, model), ledger, shipped_prompts())
         run = run_episode(
-            given, settings, make_task(given, settings, Path(scratch)), engine, agents, bank, lambda *_: None
+            run_input, settings, make_task(run_input, settings, Path(scratch)), engine, agents, bank, lambda *_: None
         )
     attempts = () if run.best is None else run.best.attempts
     print(f"{run.ending}: {[(a.proposal.by, round(a.verdict.min_ttc, 2)) for a in attempts]}")

@@ -59,9 +59,9 @@ class Trial:
 
 def trial(scenario: Path, ego: str, bv: str, kind: str) -> Trial:
     """The trial of a scenario file with the driver ``ego`` and SUMO's seed 0."""
-    source = load_input(scenario)
-    settings = load_settings(None, ego=ego, seed=0, critical_ttc=CRITICAL_TTC_S, horizon=source.horizon)
-    task = make_task(source, settings, Path(tempfile.gettempdir()))
+    run_input = load_input(scenario)
+    settings = load_settings(None, ego=ego, seed=0, critical_ttc=CRITICAL_TTC_S, horizon=run_input.horizon)
+    task = make_task(run_input, settings, Path(tempfile.gettempdir()))
     return Trial(task, bv, kind, kind in RELATION_OF_KIND and ego == EGOS[0])
 
 

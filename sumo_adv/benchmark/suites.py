@@ -218,12 +218,16 @@ def _scenarios(sources: Sequence[Path]) -> Suite:
     cases: list[SuiteCase] = []
     hashes: dict[str, str] = {}
     for source in sources:
-        given = load_input(source)
-        name = given.name if all(given.name != case.name for case in cases) else f"{given.name}-{len(cases) + 1}"
-        hashes |= {f"{name}/{k}": hash_of_file(file) for k, file in enumerate(given.files)}
-        annotated = given.label if given.label is not None and given.label.source == "annotated" else None
+        run_input = load_input(source)
+        name = (
+            run_input.name
+            if all(run_input.name != case.name for case in cases)
+            else f"{run_input.name}-{len(cases) + 1}"
+        )
+        hashes |= {f"{name}/{k}": hash_of_file(file) for k, file in enumerate(run_input.files)}
+        annotated = run_input.label if run_input.label is not None and run_input.label.source == "annotated" else None
         labels = {} if annotated is None else {"people": {"annotated": annotated.intents}}
-        cases.append(SuiteCase(name, source, None, OWN_KIND, _group(given.network), labels))
+        cases.append(SuiteCase(name, source, None, OWN_KIND, _group(run_input.network), labels))
     content = _content(hashes)
     return Suite(input_name(sources[0]) if len(sources) == 1 else OWN_KIND, content[:8], tuple(cases), content)
 

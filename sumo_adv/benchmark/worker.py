@@ -106,18 +106,18 @@ class Bencher(WarmProcesses):
 
     def _run(self, job: BenchJob, left: list[str]) -> None:
         """The cells of the job's rows that are ``left`` into their places; they leave the list one by one."""
-        source = self._setup.parts.load(job.case.path, job.case.record)
-        settings, common = (self._settings(job, source.horizon, own) for own in (job.settings, {}))
+        run_input = self._setup.parts.load(job.case.path, job.case.record)
+        settings, common = (self._settings(job, run_input.horizon, own) for own in (job.settings, {}))
         with (
             tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch,
             MemoryBank.open(self._setup.bank, read_only=True) as bank,
         ):
             if job.shift:
-                moved = self._shifted(job.shift, source, common, bank, Path(scratch))
+                moved = self._shifted(job.shift, run_input, common, bank, Path(scratch))
                 settings = settings.model_copy(update={"trigger": moved})
-            task = make_task(source, settings, Path(scratch))
+            task = make_task(run_input, settings, Path(scratch))
             with self._engine.episode() as engine:
-                arena = Arena(source, settings, task, engine, self._sandboxes.of(settings), bank, common)
+                arena = Arena(run_input, settings, task, engine, self._sandboxes.of(settings), bank, common)
                 while left:
                     keep_cell(self._setup.folder, self._cell(job, left[0], arena, bank, Path(scratch)))
                     left.pop(0)
@@ -134,15 +134,15 @@ class Bencher(WarmProcesses):
         return settings if reachable(settings) else load_settings(None, **{**given, "until": "valid"})
 
     def _shifted(
-        self, shift: float, source: RunInput, common: Settings, bank: MemoryBank, scratch: Path
+        self, shift: float, run_input: RunInput, common: Settings, bank: MemoryBank, scratch: Path
     ) -> float | None:
         """The trigger [s], ``shift`` s after that of the other rows: the scenario's, or, where it leaves it open, the
         found time, and then not before the beginning. None where they find none."""
-        if source.trigger != "auto":
-            return float(source.trigger) + shift
-        task = make_task(source, common, scratch)
+        if run_input.trigger != "auto":
+            return float(run_input.trigger) + shift
+        task = make_task(run_input, common, scratch)
         with self._engine.episode() as engine:
-            encounter = Arena(source, common, task, engine, self._sandboxes.of(common), bank, common).found
+            encounter = Arena(run_input, common, task, engine, self._sandboxes.of(common), bank, common).found
         return None if encounter is None else max(task.spec.begin, encounter.time + shift)
 
     def _cell(self, job: BenchJob, row: str, arena: Arena, bank: MemoryBank, scratch: Path) -> Cell:

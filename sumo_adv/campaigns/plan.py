@@ -96,14 +96,14 @@ def _sources(name: str, folder: Path) -> list[Path]:
 def _file(source: Path, density: float | None, parts: CampaignParts) -> Input:
     """A network, configuration or scenario, also one of CommonRoad, with all its files."""
     try:
-        given = parts.load(source, None)
+        run_input = parts.load(source, None)
     except (SumoAdvError, OSError) as error:
         return broken(source, None, str(error))
-    refuse_density(given, density)
+    refuse_density(run_input, density)
     try:
-        content = files_hash(given.files)
+        content = files_hash(run_input.files)
         place = source.absolute() if source.is_file() else source  # a shipped one is found by its name anywhere
-        return Input(given.name, place, None, content, notes=given.notes)
+        return Input(run_input.name, place, None, content, notes=run_input.notes)
     except (SumoAdvError, OSError) as error:
         return broken(source, None, str(error))
 

@@ -190,20 +190,20 @@ class Runner(WarmProcesses):
             return keep_failure(self._parts.staged, self._setup.runs, job, reason, traceback.format_exc())
 
     def _run(self, job: EpisodeJob, *, last: bool) -> Done:
-        given = self._parts.load(job.input.source, job.input.record)
-        settings = self.settings(job, given)
+        run_input = self._parts.load(job.input.source, job.input.record)
+        settings = self.settings(job, run_input)
         with (
             tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch,
             self._parts.staged(self._setup.runs / job.id, force=True, inside=True) as folder,
         ):
-            task = make_task(given, settings, Path(scratch))
+            task = make_task(run_input, settings, Path(scratch))
             bank = self._bank()
             recorded = folder.stage / self._parts.model_file
             with (
                 self._parts.open_agents(settings, self._sandboxes.of(settings), recorded) as agents,
                 self._engine.episode() as engine,
             ):
-                run = run_episode(given, settings, task, engine, agents, bank, lambda *_: None)
+                run = run_episode(run_input, settings, task, engine, agents, bank, lambda *_: None)
                 log = engine.log.said() if run.ending is Ending.SIMULATION_FAILED else ""
             if run.ending is Ending.SIMULATION_FAILED:
                 self._engine.close()
@@ -214,11 +214,11 @@ class Runner(WarmProcesses):
             folder.keep(force=True)
         return Done(job.id, row, size)
 
-    def settings(self, job: EpisodeJob, given: RunInput) -> Settings:
+    def settings(self, job: EpisodeJob, run_input: RunInput) -> Settings:
         """The settings of an episode: the plan's, and where it says nothing the input's."""
-        ego = trusted_driver(job.ego, given.ego_controller, given.source)
+        ego = trusted_driver(job.ego, run_input.ego_controller, run_input.path)
         return load_settings(None, **{
-            **own_simulation(given), "horizon": given.horizon, **self._setup.variants[job.variant],
+            **own_simulation(run_input), "horizon": run_input.horizon, **self._setup.variants[job.variant],
             "ego": ego, "seed": job.seed, "memory": self._setup.bank,
             "learn": "off" if self._setup.learn is Learn.OFF else "on",
         })  # fmt: skip

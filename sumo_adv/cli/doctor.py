@@ -114,9 +114,9 @@ def tell_input(source: Path, seconds: float, settings_file: Path | None, *, as_j
     from sumo_adv import app
     from sumo_adv.simulation.inputs import own_simulation
 
-    given = app.load(source, None)
-    settings = load_settings(settings_file, **own_simulation(given))
-    done = app.check_input(given, settings, seconds)
+    run_input = app.load(source, None)
+    settings = load_settings(settings_file, **own_simulation(run_input))
+    done = app.check_input(run_input, settings, seconds)
     typer.echo(json.dumps(_of_input(source, done)) if as_json else "\n".join(_words_of_input(source, done)))
     if not done.same:
         raise typer.Exit(EXIT_FINDINGS)

@@ -59,16 +59,16 @@ def rerun(
     from sumo_adv.simulation.engine import Engine
     from sumo_adv.simulation.inputs import load_input
 
-    given = load_input(scenario)
+    run_input = load_input(scenario)
     with tempfile.TemporaryDirectory(prefix=scratch_prefix()) as folder:
         settings = load_settings(
-            None, ego=evidence.scene.controller, seed=evidence.seed, learn="off", horizon=given.horizon,
+            None, ego=evidence.scene.controller, seed=evidence.seed, learn="off", horizon=run_input.horizon,
             attempts=attempts,
         )  # fmt: skip
-        task = make_task(given, settings, Path(folder))
+        task = make_task(run_input, settings, Path(folder))
         with MemoryBank.open(Path(folder) / "one.sqlite") as bank, Engine(episode_worker) as engine:
             bank.add(source.intent, [planner])
-            run = run_episode(given, settings, task, engine, Agents(settings, sandbox), bank, lambda *_: None)
+            run = run_episode(run_input, settings, task, engine, Agents(settings, sandbox), bank, lambda *_: None)
     made = () if run.best is None else run.best.attempts
     own = [a.verdict for a in made if a.proposal.planner.hash == planner.hash]
     good = any(v.critical and v.counts for v in own)

@@ -45,20 +45,20 @@ def run(
     from sumo_adv.simulation.inputs import own_simulation
     from sumo_adv.simulation.sumo_options import parse_options
 
-    given, ego = _input(source, where.record, driver.ego)
+    run_input, ego = _input(source, where.record, driver.ego)
     named = named_settings(attack, where, driver, search, models)
     settings = load_settings(
         where.settings_file,
         **{
-            **own_simulation(given), **given.settings(named), **named, "ego": ego,
+            **own_simulation(run_input), **run_input.settings(named), **named, "ego": ego,
             "fork": False if search.no_fork else None,
             "sumo_options": parse_options(where.sumo_option) if where.sumo_option else None,
         },
     )  # fmt: skip
     if models.show_prompts:
-        show_prompts_of(given, settings, as_json=output.as_json)
+        show_prompts_of(run_input, settings, as_json=output.as_json)
         return
-    _run(given, settings, output)
+    _run(run_input, settings, output)
 
 
 def _input(source: Path | None, record: str | None, ego: str | None) -> tuple[RunInput, str | None]:
@@ -67,20 +67,20 @@ def _input(source: Path | None, record: str | None, ego: str | None) -> tuple[Ru
 
     if source is None:
         raise UsageError("Give an INPUT: a net.xml, a .sumocfg, a scenario, a map, or the name of a shipped one.")
-    given = app.load(source, record)
-    return given, trusted_driver(ego, given.ego_controller, given.source)
+    run_input = app.load(source, record)
+    return run_input, trusted_driver(ego, run_input.ego_controller, run_input.path)
 
 
-def _run(source: RunInput, settings: Settings, output: opt.OutputOptions) -> None:
+def _run(run_input: RunInput, settings: Settings, output: opt.OutputOptions) -> None:
     from sumo_adv.cli.progress import RunProgress
 
-    target = output.out or Path("runs") / f"{source.name}-{settings.seed}"
+    target = output.out or Path("runs") / f"{run_input.name}-{settings.seed}"
     reporter = RunProgress(quiet=output.as_json, seconds=settings.seconds)
     with Interrupts() as interrupts, staged(target, force=output.force) as folder, scratch_folder() as scratch:
         tell = interrupts.checked(reporter.tell)
         with reporter:
-            played = app.play(source, settings, folder.stage, scratch, tell, interrupts.hold)
-        for note in () if output.as_json else source.notes:
+            played = app.play(run_input, settings, folder.stage, scratch, tell, interrupts.hold)
+        for note in () if output.as_json else run_input.notes:
             typer.echo(note)
         finish(folder, played, force=output.force, as_json=output.as_json)
 
@@ -130,10 +130,10 @@ def _replay(source: Path, ego: str | None, output: opt.OutputOptions) -> None:
         finish(folder, app.replay(recorded), force=output.force, as_json=output.as_json)
 
 
-def show_prompts_of(given: RunInput, settings: Settings, *, as_json: bool) -> None:
+def show_prompts_of(run_input: RunInput, settings: Settings, *, as_json: bool) -> None:
     """Print the analyzer's prompt, the generator's as if the first intent were new, and the modifier's after one
     attempt of the search's."""
-    prompts = _prompts(given, settings)
+    prompts = _prompts(run_input, settings)
     if as_json:
         entries = [{"agent": p.agent, "tokens": p.tokens, "system": p.system, "user": p.user} for p in prompts]
         typer.echo(json.dumps({"prompts": entries}))
@@ -143,15 +143,15 @@ def show_prompts_of(given: RunInput, settings: Settings, *, as_json: bool) -> No
     typer.echo("About (a quarter of the characters): " + ", ".join(f"{p.agent} {p.tokens} tokens" for p in prompts))
 
 
-def _prompts(given: RunInput, settings: Settings) -> list[Prompt]:
+def _prompts(run_input: RunInput, settings: Settings) -> list[Prompt]:
     from sumo_adv.agents.agents import Agents
     from sumo_adv.episode.planned_encounter import EncounterFinder
     from sumo_adv.episode.task import make_task
 
     with tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch:
-        task = make_task(given, settings, Path(scratch))
+        task = make_task(run_input, settings, Path(scratch))
         with open_for_run(settings) as bank, new_sandbox(settings) as sandbox, new_engine() as engine:
-            finder = EncounterFinder(given, settings, task, engine, lambda *_: None)
+            finder = EncounterFinder(run_input, settings, task, engine, lambda *_: None)
             planned = finder.find_attackable(sandbox, bank)
             if planned is None or not planned.search.pool:
                 why = "" if finder.stop is None else finder.stop.reason

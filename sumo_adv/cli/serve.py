@@ -220,10 +220,10 @@ def _input(source: Path) -> Any:
     from sumo_adv.simulation.programs import find_sumo
 
     find_sumo()
-    given = app.load(source, None)
-    if given.playback is not None:
+    run_input = app.load(source, None)
+    if run_input.playback is not None:
         raise UsageError(f"{source} plays a log back, which serve does not do: give a scenario without tracks.")
-    return given
+    return run_input
 
 
 def _serve(given: Any, settings: Settings, options: Options, output: OutputOptions) -> None:

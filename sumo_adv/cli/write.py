@@ -165,12 +165,12 @@ def _run(scenario: Path, folder: Path, goal: Mapping[str, Any], settings: Settin
     """Run a scenario into a folder; what its ``outcome.json`` holds."""
     from sumo_adv.report.folder import write_run
 
-    given = app.load(scenario, None)
+    run_input = app.load(scenario, None)
     goal = {"until": Until(str(goal["until"])), "ttc": goal.get("ttc")}
-    brought = {key: value for key, value in given.settings(["until"]).items() if value is not None}
+    brought = {key: value for key, value in run_input.settings(["until"]).items() if value is not None}
     wanted = settings.model_copy(update={**brought, **goal})
     with staged(folder, force=False) as target, scratch_folder() as scratch:
-        run = app.play(given, wanted, target.stage, scratch, lambda *_: None)
+        run = app.play(run_input, wanted, target.stage, scratch, lambda *_: None)
         result = write_run(target, run)
         target.keep(force=False)
     return result

@@ -56,8 +56,8 @@ def twelve() -> tuple[RunInput, ...]:
 
 
 def shipped_drive(scenario: str, vehicle: str) -> RunInput:
-    given = load_input(data_folder("scenarios") / f"{scenario}.toml")
-    return replace(given, name=f"{given.name}:{vehicle}", ego=vehicle)
+    run_input = load_input(data_folder("scenarios") / f"{scenario}.toml")
+    return replace(run_input, name=f"{run_input.name}:{vehicle}", ego=vehicle)
 
 
 def by_name(name: str) -> RunInput | None:
@@ -125,11 +125,11 @@ def check_driver(
     return DriverCheck(settings.ego, tuple(checked), milliseconds(drives))
 
 
-def _task(given: RunInput, settings: Settings, folder: Path, seconds: float) -> Task:
-    if given.playback is not None:
-        raise UsageError(f"{given.source} plays a recording; the check needs a scenario with traffic of SUMO's.")
+def _task(run_input: RunInput, settings: Settings, folder: Path, seconds: float) -> Task:
+    if run_input.playback is not None:
+        raise UsageError(f"{run_input.path} plays a recording; the check needs a scenario with traffic of SUMO's.")
     folder.mkdir()
-    task = make_task(given, settings, folder)
+    task = make_task(run_input, settings, folder)
     return replace(task, end=task.spec.recorded_from + seconds)
 
 

@@ -130,22 +130,22 @@ class Prefix:
     sizes: Mapping[str, tuple[float, float]]
 
 
-def refuse_density(source: RunInput, density: float | None) -> None:
+def refuse_density(run_input: RunInput, density: float | None) -> None:
     """Raises UsageError if an input with traffic of its own is given a density of generated traffic."""
-    logged = source.playback is not None and source.playback.tracks is not None
-    if density is not None and (source.routes or logged or _drives(source)):
+    logged = run_input.playback is not None and run_input.playback.tracks is not None
+    if density is not None and (run_input.routes or logged or _drives(run_input)):
         raise UsageError(
-            f"{source.source} brings its own traffic, so --density {density:g} would have no effect: leave it out, or "
+            f"{run_input.path} brings its own traffic, so --density {density:g} would have no effect: leave it out, or "
             "give the network alone."
         )
 
 
-def _drives(source: RunInput) -> bool:
+def _drives(run_input: RunInput) -> bool:
     """Whether additional files of an input hold vehicles."""
-    return any(scan.vehicles or scan.flows for scan in map(scan_demand, source.additional))
+    return any(scan.vehicles or scan.flows for scan in map(scan_demand, run_input.additional))
 
 
-def make_task(source: RunInput, settings: Settings, folder: Path) -> Task:
+def make_task(run_input: RunInput, settings: Settings, folder: Path) -> Task:
     """The engine's task for an input; demand is generated into ``folder`` if the input has none.
 
     Files from which SUMO would write others are copied into ``folder`` without that.
@@ -157,51 +157,51 @@ def make_task(source: RunInput, settings: Settings, folder: Path) -> Task:
             f"--until {settings.until} cannot be reached against the ego 'careful': strict means that this very driver "
             "avoids the collision; use --until valid."
         )
-    refuse_density(source, settings.density)
-    routes = source.routes
-    playback = with_background(source.playback, settings.background, replayed=settings.ego == "replay")
-    begin = settings.begin if settings.begin is not None else source.begin
-    driven = _drives(source)
-    first = first_departure((*routes, *source.additional)) if routes or driven else 0.0
+    refuse_density(run_input, settings.density)
+    routes = run_input.routes
+    playback = with_background(run_input.playback, settings.background, replayed=settings.ego == "replay")
+    begin = settings.begin if settings.begin is not None else run_input.begin
+    driven = _drives(run_input)
+    first = first_departure((*routes, *run_input.additional)) if routes or driven else 0.0
     begin = first if begin is None else begin
     first = max(begin, first)
-    end = settings.end if settings.end is not None else source.end
+    end = settings.end if settings.end is not None else run_input.end
     end = min(end, first + settings.search) if end is not None and settings.end is None else end
     end = first + settings.search if end is None else end
     if playback is not None and (playback.follows_log or settings.ego == "replay"):
         end = min(end, playback.end)  # what comes after is not in the log
     logged = playback is not None and playback.tracks is not None
     if not routes and not driven and not logged:
-        seed = settings.seed if source.demand_seed is None else source.demand_seed
-        density = settings.density if settings.density is not None else source.density
+        seed = settings.seed if run_input.demand_seed is None else run_input.demand_seed
+        density = settings.density if settings.density is not None else run_input.density
         routes = (
             generate_demand(
-                source.network, folder / "demand.rou.xml", seed=seed, density=density, begin=begin, end=end
+                run_input.network, folder / "demand.rou.xml", seed=seed, density=density, begin=begin, end=end
             ),
         )
     refuse(settings.sumo_options)
-    given = (source.network, *routes, *source.additional)
+    given = (run_input.network, *routes, *run_input.additional)
     network, *files = silent_copies(given, folder)
     copies = {str(copy): str(file) for copy, file in zip((network, *files), given, strict=True) if copy != file}
-    if source.conversion is not None:
-        copies[str(network)] = str(source.conversion.source)
+    if run_input.conversion is not None:
+        copies[str(network)] = str(run_input.conversion.path)
     spec = SimulationSpec(
         network, tuple(files[: len(routes)]), tuple(files[len(routes) :]), begin, settings.seed, settings.step_length,
-        {**(DEFAULTS if source.options is None else source.options), **settings.sumo_options},
-        0 if logged or isinstance(source.ego, EgoRoute) else empty_steps(begin, first, settings.step_length),
+        {**(DEFAULTS if run_input.options is None else run_input.options), **settings.sumo_options},
+        0 if logged or isinstance(run_input.ego, EgoRoute) else empty_steps(begin, first, settings.step_length),
     )  # fmt: skip
-    trigger = settings.trigger if settings.trigger is not None else source.trigger
+    trigger = settings.trigger if settings.trigger is not None else run_input.trigger
     if end <= begin:
         raise UsageError(f"The end, {end:g} s, is not after the begin, {begin:g} s; give a later --end.")
     if trigger != "auto" and not begin <= float(trigger) < end:
         raise UsageError(f"The trigger, {trigger:g} s, is not between begin, {begin:g} s, and end, {end:g} s.")
-    colliders = (settings.adversary,) if settings.adversary else source.candidates
-    own = dict(source.ego_parameters) if source.ego_controller in (None, settings.ego) else {}
+    colliders = (settings.adversary,) if settings.adversary else run_input.candidates
+    own = dict(run_input.ego_parameters) if run_input.ego_controller in (None, settings.ego) else {}
     return Task(
-        spec, settings, settings.ego_id or source.ego, source.ego_type, settings.ego,
+        spec, settings, settings.ego_id or run_input.ego, run_input.ego_type, settings.ego,
         {**own, **settings.ego_parameters},
-        _adversaries(colliders, source.supports, settings.adversaries),
-        None if trigger == "auto" else float(trigger), source.warm_up, end, playback,
+        _adversaries(colliders, run_input.supports, settings.adversaries),
+        None if trigger == "auto" else float(trigger), run_input.warm_up, end, playback,
         colliders=colliders, copies=copies,
     )  # fmt: skip
 

@@ -49,7 +49,7 @@ class InputCheck:
 
 
 def check_input(
-    engine: Engine[WatchWorker], given: RunInput, settings: Settings, folder: Path, seconds: float
+    engine: Engine[WatchWorker], run_input: RunInput, settings: Settings, folder: Path, seconds: float
 ) -> InputCheck:
     """Check an input over ``seconds`` [s] from its first departure, or until its end.
 
@@ -59,21 +59,21 @@ def check_input(
         UsageError: The input cannot be run, or the program ``sumo`` is not installed.
         SimulationError: SUMO fails.
     """
-    read = InputCheck(given.source, contents_of(given), given.notes)
-    if given.playback is not None or not (given.routes or given.additional):
+    read = InputCheck(run_input.path, contents_of(run_input), run_input.notes)
+    if run_input.playback is not None or not (run_input.routes or run_input.additional):
         return read
-    task = make_task(given, settings, folder)
+    task = make_task(run_input, settings, folder)
     spec = task.spec
     first, until = spec.recorded_from, min(task.end, spec.recorded_from + seconds)
     engine.log.begin_episode()
     watched = engine.call(WatchWorker.watch, spec, until)
-    alone = run_alone(spec, given.source, spec.step_length, until, folder)
-    own = read_sumocfg(given.source).sumo_step if is_sumocfg(given.source) else None
+    alone = run_alone(spec, run_input.path, spec.step_length, until, folder)
+    own = read_sumocfg(run_input.path).sumo_step if is_sumocfg(run_input.path) else None
     beside = None
     if own is not None and own != spec.step_length:
-        slow = run_alone(spec, given.source, own, until, folder)
+        slow = run_alone(spec, run_input.path, own, until, folder)
         beside = compare_motions(watched.motions, slow.motions, spec.begin, (first, until), own)
-    due = departures(given, spec.begin, until)
+    due = departures(run_input, spec.begin, until)
     here = task.own_names(engine.log.warnings())
     besides = [text for text in task.own_names(alone.warnings) if text not in here]
     return replace(

@@ -19,32 +19,32 @@ LANE_KINDS = (
 EDGE_KINDS = {"crossing": "pedestrian crossings", "walkingarea": "walking areas"}
 
 
-def contents_of(given: RunInput) -> Mapping[str, int]:
+def contents_of(run_input: RunInput) -> Mapping[str, int]:
     """Counts of what an input holds, by kind: its network's, its demand's, its recording's."""
-    counts = Counter(_network(given.network))
-    for file in (*given.routes, *given.additional):
+    counts = Counter(_network(run_input.network))
+    for file in (*run_input.routes, *run_input.additional):
         scan = scan_demand(file)
         counts["vehicles and trips"] += len(scan.vehicles)
         counts["flows"] += len(scan.flows)
         counts["persons and flows of them"] += len(scan.persons)
-    if given.playback is not None:
-        counts["recorded vehicles"] += len(given.playback.vehicles)
-        counts["recorded obstacles, pedestrians and cyclists"] += len(given.playback.obstacles)
+    if run_input.playback is not None:
+        counts["recorded vehicles"] += len(run_input.playback.vehicles)
+        counts["recorded obstacles, pedestrians and cyclists"] += len(run_input.playback.obstacles)
     return {kind: number for kind, number in counts.items() if number}
 
 
-def departures(given: RunInput, first: float, last: float) -> frozenset[str]:
+def departures(run_input: RunInput, first: float, last: float) -> frozenset[str]:
     """The vehicles and persons that are to depart from ``first`` to ``last`` [s]; without those of flows."""
     due: set[str] = set()
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         if tag in ("vehicle", "trip", "person"):
             with contextlib.suppress(UsageError):  # "triggered" and the like are no times
-                time = parse_seconds(given.source, "departure", attributes.get("depart"))
+                time = parse_seconds(run_input.path, "departure", attributes.get("depart"))
                 if time is not None and first <= time < last:
                     due.add((PERSON if tag == "person" else "") + attributes.get("id", ""))
 
-    for file in (*given.routes, *given.additional):
+    for file in (*run_input.routes, *run_input.additional):
         parse_xml(file, start)
     return frozenset(due)
 

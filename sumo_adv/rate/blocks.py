@@ -66,20 +66,20 @@ class RatePlan:
 
         Raises UsageError: the input cannot be read, or is a recording; there is no such ego.
         """
-        given = load_input(self.source)
-        if given.playback is not None:
+        run_input = load_input(self.source)
+        if run_input.playback is not None:
             raise UsageError(f"{self.source} plays a recording, where vehicles do not react; give a network.")
-        refuse_density(given, self.density)
-        driven = any(scan.vehicles or scan.flows for scan in map(scan_demand, given.additional))
-        if not given.routes and not driven:
+        refuse_density(run_input, self.density)
+        driven = any(scan.vehicles or scan.flows for scan in map(scan_demand, run_input.additional))
+        if not run_input.routes and not driven:
             end = self.warm_up + MAX_EGO_WAIT_S + self.duration
-            density = given.density if self.density is None else self.density
-            flows = generate_flows(given.network, folder / "flows.rou.xml", density=density, end=end)
-            given = replace(given, routes=(flows,), begin=0.0)
-        ego = trusted_driver(self.ego, given.ego_controller, given.source)
+            density = run_input.density if self.density is None else self.density
+            flows = generate_flows(run_input.network, folder / "flows.rou.xml", density=density, end=end)
+            run_input = replace(run_input, routes=(flows,), begin=0.0)
+        ego = trusted_driver(self.ego, run_input.ego_controller, run_input.path)
         chosen = {} if ego is None else {"ego": ego}
         settings = load_settings(None, **chosen, ego_parameters=dict(self.parameters), seed=self.seed)
-        task = make_task(given, settings, folder)
+        task = make_task(run_input, settings, folder)
         make_ego(task.ego_driver, task.ego_parameters)
         return task
 

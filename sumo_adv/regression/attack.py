@@ -57,7 +57,7 @@ def attack(
         The attempts, of which the one that came nearest to that is the best, and how the ego arrived.
     """
     came, runner = arrived(case, encounter), runner_of(engine, sandbox, encounter, settings)
-    done = attack_once(encounter, runner, settings, case.proposal, case.source.asked)
+    done = attack_once(encounter, runner, settings, case.proposal, case.run_input.asked)
     most = max(attempts, NEARBY_ATTEMPTS if came.otherwise else 1)
     if most == 1:
         return done, came

@@ -129,7 +129,7 @@ class KeptCase:
 
     name: str
     folder: Path
-    source: RunInput
+    run_input: RunInput
     proposal: Proposal
     relations: Mapping[str, str]
     expect: Expectation
@@ -160,16 +160,16 @@ def read_case(folder: Path) -> KeptCase:
     file = folder / CASE_FILE
     name = folder.name if folder.name not in ("", "..") else folder.resolve().name  # its place in the suite
     given = _parsed(file)
-    source = load_input(folder / SCENARIO_FILE)
+    run_input = load_input(folder / SCENARIO_FILE)
     attack = given.attack
-    if source.trigger == "auto" or source.candidates != (attack.adversary,):
+    if run_input.trigger == "auto" or run_input.candidates != (attack.adversary,):
         raise UsageError(
             f"The scenario of the case {folder} needs a trigger [s], and as its only candidate '{attack.adversary}'."
         )
-    if source.ego is None:
+    if run_input.ego is None:
         raise UsageError(f"The scenario of the case {folder} names no ego: give it an id or a route.")
     helpers = tuple(support.adversary for support in attack.supports)
-    if set(source.supports) != set(helpers):
+    if set(run_input.supports) != set(helpers):
         raise UsageError(f"The scenario of the case {folder} and its {CASE_FILE} must name the same supports.")
     strange = sorted(given.settings.keys() - set(SHAPING))
     if strange:
@@ -179,10 +179,10 @@ def read_case(folder: Path) -> KeptCase:
     proposal, *supports = [_proposal(file, planner_file(k), m, attack.delay) for k, m in enumerate(members)]
     proposal = replace(proposal, supports=tuple(supports), composition=attack.composition)
     relations = {m.adversary: m.relation for m in members}
-    changed = hash_of(source.network) != attack.network
-    note = f"{name}: the network {source.network.name} is not the one that the case was kept with."
+    changed = hash_of(run_input.network) != attack.network
+    note = f"{name}: the network {run_input.network.name} is not the one that the case was kept with."
     return KeptCase(
-        name, folder, source, proposal, relations, given.expect, attack.ego_driven_from,
+        name, folder, run_input, proposal, relations, given.expect, attack.ego_driven_from,
         attack.ego_before, given.settings, Level[given.found.level.upper()], given.found.situation,
         (note,) if changed else (),
     )  # fmt: skip

@@ -105,7 +105,7 @@ def _situation(run: Path, recorded: RecordedRun, outcome: Mapping[str, Any]) -> 
 
 
 def _named(recorded: RecordedRun) -> str:
-    return _slug(f"{recorded.source.name}-{recorded.settings.seed}")
+    return _slug(f"{recorded.run_input.name}-{recorded.settings.seed}")
 
 
 def _place(suite: Path, name: str, texts: Mapping[str, str], *, fixed: str | None) -> Path:

@@ -254,7 +254,7 @@ class CaseRunner(WarmProcesses):
 def settings_for(case: KeptCase, ego: str) -> Settings:
     """The settings of a case with another driver. The case's parameters of the ego are those of the driver it was kept
     with. Raises UsageError."""
-    source = case.source
+    source = case.run_input
     parameters = dict(source.ego_parameters) if ego == source.ego_controller else {}
     options = {"horizon": source.horizon, **case.settings, "ego": ego, "ego_parameters": parameters, "end": source.end}
     members = len(case.proposal.members)
@@ -263,7 +263,7 @@ def settings_for(case: KeptCase, ego: str) -> Settings:
 
 def task_for(case: KeptCase, settings: Settings, scratch: Path) -> Task:
     """What the engine is opened with. Raises UsageError."""
-    source = replace(case.source, ego_parameters={})
+    source = replace(case.run_input, ego_parameters={})
     task = make_task(source, settings, scratch)
     return replace(task, driven_from=case.ego_driven_from, driven_before=case.ego_before, delay=case.proposal.delay)
 
@@ -275,7 +275,7 @@ def run_case(
 
     Raises SumoAdvError: the driver or the simulation broke.
     """
-    run_input = replace(case.source, name=case.name)
+    run_input = replace(case.run_input, name=case.name)
     finder = EncounterFinder(run_input, settings, task, engine, lambda *_: None)
     record = finder.seek()
     if record is None:

@@ -32,7 +32,7 @@ USERS = ("llm_base_url", "bubblewrap")  # settings that no run folder brings: a 
 class RecordedRun:
     """A run as its manifest tells it."""
 
-    source: RunInput
+    run_input: RunInput
     settings: Settings
     task: Task
     proposal: Proposal
@@ -83,13 +83,13 @@ def _recorded(folder: Path, m: dict[str, Any]) -> RecordedRun:
     conversion = None if made is None else MapConversion(
         Path(made["map"]), spec.network, tuple(made["options"]), dict(made["lost"]), tuple(made["said"])
     )  # fmt: skip
-    source = RunInput(
-        name=m["name"], source=folder, network=spec.network, intents=tuple(m["intents_allowed"]),
+    run_input = RunInput(
+        name=m["name"], path=folder, network=spec.network, intents=tuple(m["intents_allowed"]),
         asked=None if asked is None else Asked.model_validate(asked), words=m.get("words") or "",
         conversion=conversion, notes=tuple(m.get("notes", ())),
         waymo=waymo_source(m),
     )  # fmt: skip
-    return RecordedRun(source, settings, task, proposal, m["skips"])
+    return RecordedRun(run_input, settings, task, proposal, m["skips"])
 
 
 def _proposal(folder: Path, a: dict[str, Any], planners: dict[str, Any]) -> Proposal:

@@ -307,7 +307,7 @@ def manifest(run: Run, record: EncounterRecord | None, inputs: Mapping[Path, str
         "empty_steps": spec.empty_steps,
         "trigger": task.trigger, "warm_up": task.warm_up, "only": list(task.only),
         "playback": _playback(task.playback, inputs), "conversion": None if made is None else {
-            "map": made.source.name, "options": list(made.options), "lost": dict(made.lost), "said": list(made.said),
+            "map": made.path.name, "options": list(made.options), "lost": dict(made.lost), "said": list(made.said),
             "warnings": [asdict(kind) for kind in made.warnings],
         },
         "waymo": None if waymo is None else {**asdict(waymo), "file": str(waymo.file)},

@@ -62,7 +62,7 @@ class RunInput:
     """
 
     name: str
-    source: Path
+    path: Path
     network: Path
     routes: tuple[Path, ...] = ()
     additional: tuple[Path, ...] = ()
@@ -117,14 +117,14 @@ def load_input(path: Path) -> RunInput:
         made = convert_map(file)
         scan_network(made.network, shown=file)
         return RunInput(
-            name=input_name(file), source=file, network=made.network, files=(file, made.network),
+            name=input_name(file), path=file, network=made.network, files=(file, made.network),
             notes=made.said, conversion=made,
         )  # fmt: skip
     if is_commonroad(file):
         raise UsageError(f"{file} is a CommonRoad scenario: convert it to a scenario first (sumo-adv convert).")
     if lower.endswith(_NETWORK_SUFFIXES):
         scan_network(file)
-        return RunInput(name=input_name(file), source=file, network=file, files=(file,))
+        return RunInput(name=input_name(file), path=file, network=file, files=(file,))
     raise UsageError(f"{file} is no input: give a .net.xml, .net.xml.gz, .sumocfg, scenario .toml, .xodr or .osm.")
 
 
@@ -139,9 +139,9 @@ def is_commonroad(path: Path) -> bool:
         return False
 
 
-def own_simulation(given: RunInput) -> dict[str, float | int]:
+def own_simulation(run_input: RunInput) -> dict[str, float | int]:
     """The settings that the user's own simulation brings: ``seed`` and ``step_length``."""
-    brought = {"seed": given.seed, "step_length": given.step_length}
+    brought = {"seed": run_input.seed, "step_length": run_input.step_length}
     return {name: value for name, value in brought.items() if value is not None}
 
 
@@ -207,7 +207,7 @@ def _from_configuration(path: Path) -> RunInput:
     network = given.networks[0]
     _, scans = _scan_all(path, network, (*given.routes, *given.additional))
     return RunInput(
-        name=input_name(path), source=path, network=network, routes=given.routes, additional=given.additional,
+        name=input_name(path), path=path, network=network, routes=given.routes, additional=given.additional,
         begin=given.begin, end=given.end,
         files=(path, network, *given.routes, *given.additional, *_named(scans)), seed=given.seed,
         step_length=given.step, options=given.options, notes=given.notes,
@@ -228,7 +228,7 @@ def _from_scenario(path: Path) -> RunInput:
         if edge not in edges.edges:
             raise UsageError(f"The ego's route in {path} uses edge '{edge}', which {network} does not have.")
     return RunInput(
-        name=input_name(path), source=path, network=network, routes=routes, additional=additional,
+        name=input_name(path), path=path, network=network, routes=routes, additional=additional,
         begin=_or(scenario.demand.begin, playback.begin if recorded and playback else None),
         end=_or(scenario.demand.end, playback.end if recorded and playback else None), density=scenario.demand.density,
         demand_seed=scenario.demand.seed, ego=_ego(scenario.ego), ego_type=scenario.ego.type,

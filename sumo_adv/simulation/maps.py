@@ -73,7 +73,7 @@ class MapConversion:
     """A converted map. network: the SUMO network. options: netconvert's. lost: what the network lacks, by kind. said:
     sentences on what was converted and lost, and on what netconvert warns of. warnings: all kinds of that."""
 
-    source: Path
+    path: Path
     network: Path
     options: tuple[str, ...]
     lost: Mapping[str, int]

@@ -85,8 +85,8 @@ def attack(rng: random.Random, folder: Path) -> str:
     file = folder / "wrong.toml"
     file.write_bytes(_wrong(rng, text))
     if kind == "scenario":
-        given = load_input(file)
-        make_task(given, load_settings(None), folder)
+        run_input = load_input(file)
+        make_task(run_input, load_settings(None), folder)
     elif kind == "plan":
         table = read_plan(file)
         plan = make_plan(table, folder, str(file), batch_parts())
