@@ -50,6 +50,30 @@ def test_an_attempt_is_worth_its_level_and_within_it_the_margin_to_the_next() ->
     assert [badness(verdict, Goal()) for verdict, _ in order] == pytest.approx([worth for _, worth in order])
 
 
+def test_a_plateau_is_varied_rather_than_a_needle() -> None:
+    """At 2 m one attempt is serious, its neighbours miss; at -6 m all three are valid. Later candidates are near -6 m:
+    the mean over the attempts near 2 m is worse. If an elite counts alone, they are near 2 m."""
+
+    def tried(near: float) -> float:
+        search = evolution(settings=EvolutionSettings(first=0, anew=0.0, near=near, other_start=0.0, parents=1))
+        template = templates()[0]
+        for gap, verdict in (
+            (2.0, collision(Level.SERIOUS, delta_v=9.0, human=True)), (1.5, MISS), (2.5, MISS),
+            *((gap, collision(Level.VALID, delta_v=4.0, human=True)) for gap in (-6.0, -5.5, -6.5)),
+        ):  # fmt: skip
+            side = verdict.contact_side or "miss"
+            search.observe(
+                replace(template.proposal(None), parameters={"gap": gap}),
+                replace(verdict, contact_side=f"{side}{gap > 0}"),
+                "",
+            )
+        drawn = [p for _ in range(60) if (p := search.propose()) is not None][12:]  # the first ones were waiting
+        return sum(p.parameters["gap"] for p in drawn) / len(drawn)
+
+    assert tried(0.08) == pytest.approx(-6.0, abs=1.0)
+    assert tried(0.0) == pytest.approx(2.0, abs=1.0)
+
+
 def test_a_near_miss_is_worth_its_distance_from_the_middle_of_the_band() -> None:
     """The middle of 0.5 to 1.5 s is 1 s: 0.4 s off at 3 m; a contact and what breaks a limit come behind."""
     goal = Goal(Level.CRITICAL, ttc=(0.5, 1.5))

@@ -2,9 +2,11 @@
 
 Generation 0 has the candidates that were handed in (memory, analyzer, forecast), the planners' own numbers and
 uniform draws. Later candidates vary an elite: the best attempt of its cell, which is a vehicle, intent, mode and side
-of the ego (MAP-Elites; Mouret and Clune 2015, "Illuminating search spaces by mapping elites"). The step of a cell grows
-where a variation improves it and shrinks where none does (the one-fifth rule; Rechenberg 1973). Some are drawn anew.
-Where several adversaries are allowed, a part of the candidates gets or loses a support (``supports``).
+of the ego (MAP-Elites; Mouret and Clune 2015, "Illuminating search spaces by mapping elites"). What an elite is worth
+is the mean over the attempts near it, so that a needle is worth less than a plateau (implicit averaging; Branke 1998,
+"Creating robust solutions by means of evolutionary algorithms"). The step of a cell grows where a variation improves
+it and shrinks where none does (the one-fifth rule; Rechenberg 1973). Some are drawn anew. Where several adversaries are
+allowed, a part of the candidates gets or loses a support (``supports``).
 """
 
 from __future__ import annotations
@@ -12,6 +14,8 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+
+import numpy as np
 
 from sumo_adv.datatypes import AS_FOUND, Duty, Level, Proposal, Verdict
 from sumo_adv.goal import Goal
@@ -27,6 +31,7 @@ from sumo_adv.search.settings import FULL_WARNING_S, MAX_COUNTED_DISTANCE_M, MAX
 from sumo_adv.search.supports import Supports
 
 MAX_COUNTED_DELTA_V_M_S = 10.0  # more counts as this
+START_SCALE_S, BRAKING_SCALE_M_S2 = 3.0, 8.0  # differences that count as the whole range of a number
 
 
 def badness(verdict: Verdict, goal: Goal) -> float:
@@ -66,13 +71,48 @@ def _warning(verdict: Verdict) -> float:
     return max(verdict.contact_time - p.alarms["cc_human"], 0.0)
 
 
+class _Tries:
+    """The attempts of one family: where they stand among its numbers, and how far they were from the goal."""
+
+    def __init__(self) -> None:
+        self._places: list[tuple[float, ...]] = []
+        self._badness: list[float] = []
+
+    def note(self, tried: Proposal, worth: float) -> None:
+        """Take note of an attempt; ``worth``: its badness."""
+        self._places.append(_place(tried))
+        self._badness.append(worth)
+
+    def near(self, tried: Proposal, reach: float) -> float:
+        """The mean badness of the attempts near one; the weight of each falls with its distance (Gaussian, standard
+        deviation ``reach``)."""
+        place = _place(tried)
+        same = [k for k, other in enumerate(self._places) if len(other) == len(place)]
+        apart = np.array([self._places[k] for k in same]) - np.array(place)
+        weights = np.exp(-0.5 * (apart**2).mean(axis=1) / reach**2)
+        return float(weights @ np.array([self._badness[k] for k in same]) / weights.sum())
+
+
+def _place(p: Proposal) -> tuple[float, ...]:
+    """The numbers of a candidate as shares of their ranges; its start and its braking as shares of ``WHOLE_*``."""
+    numbers = [
+        (p.parameters.get(q.name, q.default) - q.low) / (q.high - q.low)
+        for each in p.members
+        for q in each.planner.parameters
+        if q.high > q.low
+    ]
+    braking = p.acceleration if isinstance(p.acceleration, float) else 0.0
+    return (*numbers, p.delay / START_SCALE_S, braking / BRAKING_SCALE_M_S2)
+
+
 @dataclass(slots=True)
 class _Elite:
-    """The best attempt of a cell. badness: its own. step: standard deviation of its variations, as a share of a
-    parameter's range. escape: what a support had to do in it."""
+    """The best attempt of a cell. own: its badness; worth: the mean over the attempts near it. step: standard deviation
+    of its variations, as a share of a parameter's range. escape: what a support had to do in it."""
 
     proposal: Proposal
-    badness: float
+    own: float
+    worth: float
     step: float
     escape: Sequence[Duty]
 
@@ -91,6 +131,7 @@ class Evolution:
         self._waiting: list[Proposal] = []  # of generation 0
         self._elites: dict[tuple[str, ...], _Elite] = {}
         self._families: dict[tuple[str, str, str], float] = {}  # least badness of an attempt
+        self._tries: dict[tuple[str, str, str], _Tries] = {}
         self._parents: dict[int, tuple[str, ...]] = {}  # id of a proposed variation -> its parent's cell
         self._closed: set[str] = set()  # kinds of attacks that are no longer looked for
 
@@ -140,19 +181,29 @@ class Evolution:
         settings = self._settings
         own = badness(verdict, self._goal) + settings.support * len(tried.supports)
         family = tried.family
+        self._tries.setdefault(family, _Tries()).note(tried, own)
+        for each in self._elites.values():
+            if each.proposal.family == family:
+                each.worth = self._worth(each.proposal, each.own)
         if tried.arrival != AS_FOUND:  # what it came to is not what the candidate comes to here
             return
-        self._families[family] = min(own, self._families.get(family, math.inf))
+        worth = self._worth(tried, own)
+        self._families[family] = min(worth, self._families.get(family, math.inf))
         side = verdict.contact_side or ("contact" if verdict.collided else "miss")
         cell = (*family, side, kind)
         elite, parent = self._elites.get(cell), self._elites.get(self._parents.pop(id(tried), ()))
         if parent is not None:
-            better = own < parent.badness
+            better = worth < parent.worth
             factor = settings.grow if better else settings.shrink
             parent.step = min(max(parent.step * factor, settings.least_step), settings.most_step)
-        if elite is None or own < elite.badness:
+        if elite is None or worth < elite.worth:
             step = settings.step if parent is None else parent.step
-            self._elites[cell] = _Elite(tried, own, step, escape)
+            self._elites[cell] = _Elite(tried, own, worth, step, escape)
+
+    def _worth(self, tried: Proposal, own: float) -> float:
+        """What an attempt is worth, lower is better: the mean over the attempts near it; ``own``: its own badness."""
+        reach, tries = self._settings.near, self._tries.get(tried.family)
+        return own if not reach or tries is None else tries.near(tried, reach)
 
     def _drawn(self, templates: Sequence[AttackTemplate]) -> Proposal:
         """Uniform numbers for the better of two templates, by the best attempt of their families; an untried one is
@@ -170,7 +221,7 @@ class Evolution:
     def _variation(self, elites: Sequence[_Elite]) -> Proposal:
         """Near one of the best elites: the better its rank, the likelier."""
         settings = self._settings
-        ordered = sorted(elites, key=lambda e: e.badness)[: settings.parents]
+        ordered = sorted(elites, key=lambda e: e.worth)[: settings.parents]
         weights = [settings.pressure**k for k in range(len(ordered))]
         parent = self._random.choices(ordered, weights)[0]
         child = varied(parent.proposal, self._random, parent.step)

@@ -76,6 +76,7 @@ class EvolutionSettings:
     most_step: float = 0.3
     grow: float = 1.5  # after a variation that is better than its parent,
     shrink: float = 0.9  # and after one that is not: steady at one better one in five
+    near: float = 0.08  # attempts within about this share of the ranges count for an elite's worth; 0: its own alone
     other_start: float = 0.2  # share of variations with another start
     accompany: float = 0.5  # where several adversaries are allowed: share of candidates with a support more or fewer
     support: float = 0.03  # the price of each support: fewer adversaries are more likely in traffic
