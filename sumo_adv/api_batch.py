@@ -19,7 +19,7 @@ import numpy as np
 
 from sumo_adv.api import Result, Table
 from sumo_adv.app import batch_parts, cluster_processors, estimate_rate, run_campaign, shipped_bank
-from sumo_adv.campaigns.results import INTEGER_COLUMNS, NUMBER_COLUMNS, OUTCOME_FILE, read_csv, read_row
+from sumo_adv.campaigns.results import INTEGER_COLUMNS, NUMERIC_COLUMNS, OUTCOME_FILE, read_csv, read_row
 from sumo_adv.config import Until
 from sumo_adv.config_odd import Odd, read_odd
 from sumo_adv.datatypes import Level
@@ -57,7 +57,7 @@ class Campaign:
         Numbers are arrays of float (nan where nothing is said, as in ``min_ttc`` for never) or int; texts and truth
         values are arrays of objects (None where nothing is said).
         """
-        kinds = {**dict.fromkeys(NUMBER_COLUMNS, np.float64), **dict.fromkeys(INTEGER_COLUMNS, np.int64)}
+        kinds = {**dict.fromkeys(NUMERIC_COLUMNS, np.float64), **dict.fromkeys(INTEGER_COLUMNS, np.int64)}
         columns = read_csv(self.folder / RESULTS_FILE)
         return {name: np.array(values, dtype=kinds.get(name, np.object_)) for name, values in columns.items()}
 

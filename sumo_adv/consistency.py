@@ -26,7 +26,7 @@ FITTING_RAD = math.radians(10.0)  # between heading and motion where a conventio
 MAX_REVERSING_SPEED_M_S = 10.0  # no car drives backwards faster
 UNIT_TOLERANCE = 0.06  # of a factor between two units
 ROUNDING_RAD = 0.01  # of a heading of 2 pi
-MAX_COORDINATE_M = 1e9  # from the origin
+MAX_INPUT_COORDINATE_M = 1e9  # from the origin
 MAX_WIDTH_M = 100.0  # of anything on a road; a car is 180 cm wide
 GRID_SLACK_S = 2e-3  # that a time may be off an even grid, and at most a quarter of a step: SUMO's times are in ms
 FRAME_RATES_HZ = (5.0, 120.0)
@@ -196,7 +196,7 @@ def unordered(times: Floats) -> tuple[int, str] | None:
 def _not_finite(m: GivenMotion) -> Fault | None:
     for column in ("time", "x", "y", "heading", "speed", "length", "width"):
         values = np.atleast_1d(np.asarray(getattr(m, column), float))
-        bad = ~(np.abs(values) < MAX_COORDINATE_M) if column in ("x", "y") else ~np.isfinite(values)
+        bad = ~(np.abs(values) < MAX_INPUT_COORDINATE_M) if column in ("x", "y") else ~np.isfinite(values)
         if bad.any():
             k = int(bad.argmax())
             kind = "no finite number" if not math.isfinite(values[k]) else "no place on a map"

@@ -13,7 +13,7 @@ from sumo_adv.datatypes import Bools, Floats
 
 PATH_STEP_M = 0.5  # between samples of a path
 HEADING_SMOOTHING_M = 1.5  # over which headings are averaged
-BEND_BRAKING_M_S2 = 4.0  # before bends
+PATH_BRAKING_M_S2 = 4.0  # before bends
 # passes of the average over a path with a bend that is too tight, each on top of the last
 ROUNDING_PASSES = (2, 2, 3, 3, 4, 4, 6, 8)
 LAYER_HEIGHT_M = 3.0
@@ -204,7 +204,7 @@ def make_path(
 ) -> Path:
     """A path through ``points`` ``(n, 2)``, or ``(n, 3)`` with heights [m].
 
-    The bend speed is sqrt(lateral / curvature) with a backward pass at ``BEND_BRAKING_M_S2``. Bends with more than
+    The bend speed is sqrt(lateral / curvature) with a backward pass at ``PATH_BRAKING_M_S2``. Bends with more than
     ``tightest`` [1/m] are rounded, as by a driver that cannot turn as sharply as a lane's centre line."""
     p = np.asarray(points, float)
     p = p[np.concatenate([[True], np.hypot(*np.diff(p[:, :2], axis=0).T) > 1e-3])]
@@ -292,7 +292,7 @@ def _smooth(values: Floats) -> Floats:
 def _bend_speed(curvature: Floats, lateral: float) -> Floats:
     """min over all places ahead of sqrt(v^2 + 2 b distance), v = sqrt(lateral / curvature)."""
     square = np.minimum(lateral / np.maximum(np.abs(curvature), 1e-4), 3600.0)
-    gained = 2 * BEND_BRAKING_M_S2 * PATH_STEP_M * np.arange(len(square))
+    gained = 2 * PATH_BRAKING_M_S2 * PATH_STEP_M * np.arange(len(square))
     least = np.minimum.accumulate((square + gained)[::-1])[::-1]
     return np.asarray(np.sqrt(least - gained))
 

@@ -123,7 +123,7 @@ counts shows (``scenario_names.py``)."""
 
 
 INTEGER_COLUMNS = ("seed", "attempts")
-NUMBER_COLUMNS = (
+NUMERIC_COLUMNS = (
     "raw_min_ttc", "min_ttc", "seconds", "delta_v", "contact_time", "ego_speed", "overlap", "warning",
 )  # fmt: skip
 BOOLEAN_COLUMNS = ("collided", "valid", "critical", "strict", "serious", "ego_stationary", "humanlike", "robust")
@@ -178,7 +178,7 @@ def checked_row(row: Any) -> Row:
         value = dict(row).get(name)
         kind = (
             float
-            if name in NUMBER_COLUMNS
+            if name in NUMERIC_COLUMNS
             else int
             if name in INTEGER_COLUMNS
             else bool
@@ -276,7 +276,7 @@ def _value(name: str, text: str) -> Any:
         return None
     if name in BOOLEAN_COLUMNS:
         return text == "true"
-    return int(text) if name in INTEGER_COLUMNS else float(text) if name in NUMBER_COLUMNS else cell_text(text)
+    return int(text) if name in INTEGER_COLUMNS else float(text) if name in NUMERIC_COLUMNS else cell_text(text)
 
 
 def check_parquet() -> None:
@@ -294,7 +294,7 @@ def write_parquet(target: Path, table: Sequence[Mapping[str, Any]], varied: Sequ
     from pyarrow import parquet
 
     kinds = {
-        **dict.fromkeys(INTEGER_COLUMNS, pa.int64()), **dict.fromkeys(NUMBER_COLUMNS, pa.float64()),
+        **dict.fromkeys(INTEGER_COLUMNS, pa.int64()), **dict.fromkeys(NUMERIC_COLUMNS, pa.float64()),
         **dict.fromkeys(BOOLEAN_COLUMNS, pa.bool_()),
     }  # fmt: skip
     # packed rows of old versions lack some

@@ -20,7 +20,7 @@ from sumo_adv.simulation.sumo_states import PERSON
 from sumo_adv.simulation.sumocfg import as_sumo_reads_it, is_sumocfg
 from sumo_adv.simulation.warnings_log import warnings_in
 
-SUMO_TIMEOUT_S = 600.0
+SUMO_ALONE_TIMEOUT_S = 600.0
 READ_AT_ONCE_BYTES = 1 << 16
 WITHOUT_STEPS = "--pedestrian.model=nonInteracting"  # pedestrians whose places hold at the moment they are read
 FCD_DEVICES = ("device.fcd.", "person-device.fcd.")  # options that say of whom and when SUMO writes FCD
@@ -83,7 +83,7 @@ def run_alone(spec: SimulationSpec, source: Path, step: float, until: float, fol
         process = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=said, cwd=folder
         )  # fmt: skip
-        patience = threading.Timer(SUMO_TIMEOUT_S, process.kill)
+        patience = threading.Timer(SUMO_ALONE_TIMEOUT_S, process.kill)
         patience.start()
         try:
             assert process.stdout is not None
@@ -96,7 +96,7 @@ def run_alone(spec: SimulationSpec, source: Path, step: float, until: float, fol
             process.wait()
     printed = words.read_text(encoding="utf-8", errors="replace")
     if not in_time:
-        raise SimulationError(f"SUMO alone took more than {SUMO_TIMEOUT_S:g} s: give fewer --seconds.")
+        raise SimulationError(f"SUMO alone took more than {SUMO_ALONE_TIMEOUT_S:g} s: give fewer --seconds.")
     if not reached:
         errors = [line.removeprefix("Error: ") for line in printed.splitlines() if line.startswith("Error: ")]
         if errors:

@@ -52,8 +52,8 @@ ERRORS_PER_HOUR = {
 """Errors that a driver begins in an hour in which the error is possible (``HumanErrors.possible``)."""
 LOOK_AHEAD_TIMES_S = np.arange(0.25, 6.01, 0.25)
 DANGER_GAP_M = 1.5  # between the boxes
-EGO_REACTION_S, EGO_BRAKING_M_S2 = 1.0, 4.5
-LANE_CHANGE_SPEED_M_S, LANE_CHANGE_DISTANCE_M = 1.0, 3.2  # SUMO's
+ASSUMED_EGO_REACTION_S, ASSUMED_EGO_BRAKING_M_S2 = 1.0, 4.5
+SUMO_LANE_CHANGE_SPEED_M_S, LANE_CHANGE_DISTANCE_M = 1.0, 3.2  # SUMO's
 GO_SPEED_M_S, GO_ACCELERATION_M_S2 = 8.0, 2.0  # of a driver that enters a junction from a low speed
 MODEL_SHARE = 0.1  # of the runs that are drawn from the model
 MAX_WEIGHT = 1.0 / MODEL_SHARE
@@ -86,7 +86,7 @@ def danger_levels(ego: Boxes, others: Boxes) -> Ints:
     z = np.asarray(others.z)[:, None, None] if np.ndim(others.z) else others.z
     moved = Boxes(x, y, np.broadcast_to(others.heading[:, None, None], x.shape), speed, length, width, z)
     pace = np.asarray(ego.speed, float)
-    ways = (pace * LOOK_AHEAD_TIMES_S, _braked(pace, EGO_REACTION_S, EGO_BRAKING_M_S2))
+    ways = (pace * LOOK_AHEAD_TIMES_S, _braked(pace, ASSUMED_EGO_REACTION_S, ASSUMED_EGO_BRAKING_M_S2))
     keeps, brakes = (separation(_straight(ego, way), moved).min(axis=-1) for way in ways)
     return (np.asarray(keeps < DANGER_GAP_M, np.intp) + (keeps <= 0.0) + ((keeps <= 0.0) & (brakes <= 0.0))).astype(
         np.intp
@@ -122,7 +122,7 @@ def _motions(speed: Floats) -> tuple[Floats, Floats]:
             along[:, k] = gone
         elif kind in ERROR_SIDES:
             wide = DRIFT_DISTANCE_M if kind in (ErrorKind.DRIFT_LEFT, ErrorKind.DRIFT_RIGHT) else LANE_CHANGE_DISTANCE_M
-            left[:, k] = ERROR_SIDES[kind] * np.minimum(LANE_CHANGE_SPEED_M_S * LOOK_AHEAD_TIMES_S, wide)
+            left[:, k] = ERROR_SIDES[kind] * np.minimum(SUMO_LANE_CHANGE_SPEED_M_S * LOOK_AHEAD_TIMES_S, wide)
     return along, left
 
 

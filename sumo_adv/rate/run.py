@@ -27,8 +27,8 @@ from sumo_adv.simulation.human_errors import HumanErrors
 from sumo_adv.simulation.sumo_states import RawState, heading_of
 
 SECONDS_PER_HOUR = 3600.0
-AFTER_CONTACT_S = 4.0  # after a contact, which show what the other vehicle would have done
-BEFORE_CONTACT_S = 4.0  # before a contact from which it is judged, if the other vehicle made no error
+DRIVEN_AFTER_CONTACT_S = 4.0  # after a contact, which show what the other vehicle would have done
+JUDGED_BEFORE_CONTACT_S = 4.0  # before a contact from which it is judged, if the other vehicle made no error
 MAX_ERROR_AGE_S = 10.0  # before a contact: an earlier error has nothing to do with it
 JUDGED_HISTORY_S = 2.0  # before that, which the judge may look at
 UNLIMITED = Limits(*[1e9] * 5)  # the traffic is the model's own: the limits of an adversary do not apply to it
@@ -165,10 +165,10 @@ class RateRun:
         record, drive = self._record(), self.drive
         error = self.errors.last.get(foe)
         recent = error is not None and when - error.since < MAX_ERROR_AGE_S
-        start = error.since if error is not None and recent else when - BEFORE_CONTACT_S
+        start = error.since if error is not None and recent else when - JUDGED_BEFORE_CONTACT_S
         ego = drive.ego
         assert ego is not None
-        for _ in range(round(AFTER_CONTACT_S / drive.recording.step_length)):
+        for _ in range(round(DRIVEN_AFTER_CONTACT_S / drive.recording.step_length)):
             self.errors.before_step()
             drive.tick()
         snapshots = drive.recording.snapshots

@@ -13,7 +13,7 @@ from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
 from sumo_adv import parsing
-from sumo_adv.consistency import MAX_COORDINATE_M
+from sumo_adv.consistency import MAX_INPUT_COORDINATE_M
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.permissions import CAR, classes_of, is_paved
 from sumo_adv.simulation.simulation_spec import check_nameable
@@ -109,7 +109,7 @@ def _check_lane(path: Path, lane: dict[str, str]) -> None:
         raise UsageError(_bad_lane(path, lane, f"has a length of {lane['length']} m"))
     if not 0.0 < width < MAX_LANE_NUMBER or not 0.0 <= speed < MAX_LANE_NUMBER:
         raise UsageError(_bad_lane(path, lane, f"has a width of {width:g} m and a speed of {speed:g} m/s"))
-    if len(shape.split()) < 2 or not all(abs(place) < MAX_COORDINATE_M for place in places):
+    if len(shape.split()) < 2 or not all(abs(place) < MAX_INPUT_COORDINATE_M for place in places):
         raise UsageError(_bad_lane(path, lane, "has no shape of two places or more"))
 
 

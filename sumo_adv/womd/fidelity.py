@@ -32,7 +32,7 @@ HALF_LANE_WIDTH_M = 1.75  # about a centre line that counts as the lane
 MIN_LOGGED_SPEED_M_S = 1.0  # from which a logged vehicle counts as moving
 MIN_DRIVEN_DISTANCE_M = 5.0  # that a track must cover to count as driven
 DEVIATION_BANDS_M = ((0.1, 0.5, "#F0E442"), (0.5, 1.0, "#E69F00"), (1.0, np.inf, "#D55E00"))  # m from, m to, colour
-DATASET_COLOUR, OUTSIDE_COLOUR, INSIDE_COLOUR, EGO_COLOUR = "#BBD7EA", "#333333", "#009E73", "#0072B2"
+DATASET_COLOUR, OUTSIDE_COLOUR, INSIDE_COLOUR, PICTURED_EGO_COLOUR = "#BBD7EA", "#333333", "#009E73", "#0072B2"
 PICTURE_WIDTH_IN, MIN_PICTURE_HEIGHT_IN, MAX_PICTURE_HEIGHT_IN = 14.0, 6.0, 18.0  # inches; 100 dots an inch
 FIDELITY_COLUMNS = (
     "record", "km", "kept %", "<0.1 m %", "<0.5 m %", "p99 m", "links", "signals", "inside %", "centre %", "broken",
@@ -258,7 +258,15 @@ def draw_fidelity(target: Path, record: Record, net: SumoNet, fidelity: Fidelity
         name = f"{start:g} to {end:g} m off" if np.isfinite(end) else f"over {start:g} m off"
         axes.plot(*chosen.T, "o", ms=4, color=colour, zorder=5, label=f"{name} ({len(chosen)} samples)")
     ego = record.tracks[record.sdc]
-    axes.plot(ego.x[ego.valid], ego.y[ego.valid], color=EGO_COLOUR, lw=1.8, ls=(0, (3, 2)), zorder=4, label="ego's log")
+    axes.plot(
+        ego.x[ego.valid],
+        ego.y[ego.valid],
+        color=PICTURED_EGO_COLOUR,
+        lw=1.8,
+        ls=(0, (3, 2)),
+        zorder=4,
+        label="ego's log",
+    )
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])
     axes.set_aspect("equal")

@@ -25,12 +25,12 @@ BIKE_LANE_ATTRIBUTE = 'allow="bicycle"'
 CAR_LANE_ATTRIBUTE = 'disallow="pedestrian tram rail_urban rail rail_electric rail_fast ship"'
 MAX_LINE_POINTS = 6  # of a line that netconvert is told
 _OCTAGON = [(0.2 * math.cos(k * math.pi / 4), 0.2 * math.sin(k * math.pi / 4)) for k in range(8)]
-NETCONVERT_OPTIONS = (
+RECORD_NETCONVERT_OPTIONS = (
     "--offset.disable-normalization", "--no-turnarounds", "--junctions.join", "false",
     "--geometry.avoid-overlap", "false", "--default.junctions.radius", "0", "--precision", "3",
     "--geometry.max-angle", "-1", "--geometry.min-radius", "-1", "--no-warnings", "--xml-validation", "never",
 )  # fmt: skip
-NETCONVERT_TIMEOUT_S = 120.0
+RECORD_NETCONVERT_TIMEOUT_S = 120.0
 MIN_LANE_LENGTH_M = 0.1  # SUMO's shortest lane
 
 
@@ -82,11 +82,11 @@ def _thin(shape: Floats) -> Floats:
 
 def run_netconvert(program: Path, folder: Path, target: Path) -> None:
     """From ``plain.*.xml`` in ``folder`` to ``target``. Raises UsageError with netconvert's last error."""
-    command = [str(program), *NETCONVERT_OPTIONS, "-o", str(target)]
+    command = [str(program), *RECORD_NETCONVERT_OPTIONS, "-o", str(target)]
     for option, kind in (("-n", "nod"), ("-e", "edg"), ("-x", "con")):
         command += [option, str(folder / f"plain.{kind}.xml")]
     try:
-        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=NETCONVERT_TIMEOUT_S)
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=RECORD_NETCONVERT_TIMEOUT_S)
     except (OSError, subprocess.TimeoutExpired) as error:
         raise UsageError(f"netconvert could not build the network: {error}.") from error
     if done.returncode != 0 or not target.is_file():
