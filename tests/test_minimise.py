@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from sumo_adv.datatypes import Level, ObservedMotion, Parameter, Planner, Prediction, Proposal
-from sumo_adv.episode.minimise import ROUNDS, Minimiser
+from sumo_adv.episode.minimise import MAX_ROUNDS_WITHOUT_GAIN, Minimiser
 
 PLANNER = Planner("Shift", "side", "", (Parameter("push", 5.0, 0.0, 10.0, "m/s2", "how hard"),), "seed")
 FIRST = Proposal("bv", "Shift", PLANNER, {"push": 8.0}, 0.0, 0.0)
@@ -52,7 +52,7 @@ def test_it_comes_down_to_the_least_that_still_reaches_the_level_and_ends() -> N
 
 def test_a_variant_that_does_not_reach_the_level_in_the_simulation_is_not_the_best() -> None:
     search = minimiser()
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ROUNDS_WITHOUT_GAIN):
         variant = search.propose()
         assert variant is not None and not search.observe(variant, Level.VALID, 1.0)
     assert search.propose() is None

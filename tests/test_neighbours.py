@@ -9,7 +9,7 @@ import pytest
 
 import sumo_adv
 from sumo_adv.datatypes import Attempt, Level, PrescribedMotion, Proposal
-from sumo_adv.episode.assessment import NOTHING
+from sumo_adv.episode.assessment import NO_MOTION_VERDICT
 from sumo_adv.episode.attempt import Driven
 from sumo_adv.episode.neighbours import Robustness, holds, neighbours, retimed
 from sumo_adv.episode.task import AttemptResult
@@ -48,7 +48,7 @@ def attack(contact: float) -> tuple[Attempt, AttemptResult]:
     """A vehicle of 5 m that goes east at 10 m/s from 100 s on and hits the ego ``contact`` s later."""
     planner = make_planner("Shift", "side", TEXT, "seed")
     proposal = Proposal("bv", "Shift", planner, {"gap": 0.5, "drift": 3.0}, 0.0, 0.0)
-    verdict = replace(NOTHING, level=Level.VALID, collided=True, contact_time=100.0 + contact)
+    verdict = replace(NO_MOTION_VERDICT, level=Level.VALID, collided=True, contact_time=100.0 + contact)
     snapshots = [Snapshot(100.0 + 0.1 * k, {"bv": (2.5 + k, 0.0, 90.0, 10.0, "a")}) for k in range(61)]
     result = AttemptResult(Driven("contact", ""), None, 100.0, snapshots, {"bv": (5.0, 2.0)})
     return Attempt(0, "tuner", proposal, 100.0, verdict, "contact", ""), result
@@ -89,7 +89,7 @@ def test_an_attack_is_robust_if_four_of_six_neighbours_succeed() -> None:
 
 
 def test_a_neighbour_of_a_serious_attack_holds_if_it_is_valid() -> None:
-    valid, mild = replace(NOTHING, level=Level.VALID), replace(NOTHING, level=Level.COLLISION)
+    valid, mild = replace(NO_MOTION_VERDICT, level=Level.VALID), replace(NO_MOTION_VERDICT, level=Level.COLLISION)
     assert holds(valid, Goal(Level.SERIOUS)) and not holds(mild, Goal(Level.SERIOUS))
     assert holds(mild, Goal(Level.COLLISION)) and not holds(mild, Goal(Level.VALID))
 

@@ -13,7 +13,7 @@ from sumo_samples import make_spec, vehicle
 
 from sumo_adv.drivers import ExternalEgo
 from sumo_adv.episode.drive import Drive
-from sumo_adv.episode.traffic_forecast import MIN_GAP, apart, traffic_forecast
+from sumo_adv.episode.traffic_forecast import FORECAST_MIN_GAP_M, apart, traffic_forecast
 from sumo_adv.geometry import Pose
 from sumo_adv.simulation.network import RoadMap, read_network
 from sumo_adv.simulation.simulation_spec import SimulationSpec
@@ -51,7 +51,7 @@ def test_no_vehicle_drives_through_a_leader(tmp_path: Path) -> None:
     with scene(tmp_path, "straight_3lane", spec_type, slow, ego) as (road, drive):
         tracks = traffic_forecast(road, drive, 20.0)
         gap = tracks["slow"].x - tracks["ego"].x - 5.0
-        assert gap.min() > MIN_GAP - 0.5
+        assert gap.min() > FORECAST_MIN_GAP_M - 0.5
         assert tracks["ego"].speed[-1] == pytest.approx(3.0, abs=0.3)  # behind it, at its speed
         assert tracks["ego"].acceleration.min() >= -9.0 - 1e-6
 

@@ -24,7 +24,7 @@ from sumo_adv.benchmark.drafts import STRAIGHT_KINDS, EncounterDraft, draw_junct
 from sumo_adv.benchmark.nouns import CRITICAL_TTC_S
 from sumo_adv.benchmark.suites import NAME_PATTERN, SUITE_FILE, hash_of_file
 from sumo_adv.config import load_settings
-from sumo_adv.episode.encounter_detector import FASTEST_START, LATEST
+from sumo_adv.episode.encounter_detector import MAX_LATER_ARRIVAL_S, MAX_START_ACCELERATION_M_S2
 from sumo_adv.episode.task import FoundEncounter, NoEncounter, Task, make_task
 from sumo_adv.episode.worker import EpisodeWorker
 from sumo_adv.errors import SumoAdvError, UsageError
@@ -109,8 +109,10 @@ def in_time(target: Target, ego_speed: float) -> bool:
         if way.conflict is None or way.conflict.bv_s < 1.0 or way.conflict.ego_s < 1.0:
             continue
         v = max(target.state.speed, 0.1)
-        earliest = (-v + math.sqrt(v * v + 2 * FASTEST_START * way.conflict.bv_s)) / FASTEST_START
-        if earliest <= way.conflict.ego_s / max(ego_speed, 1.0) + LATEST:
+        earliest = (
+            -v + math.sqrt(v * v + 2 * MAX_START_ACCELERATION_M_S2 * way.conflict.bv_s)
+        ) / MAX_START_ACCELERATION_M_S2
+        if earliest <= way.conflict.ego_s / max(ego_speed, 1.0) + MAX_LATER_ARRIVAL_S:
             return True
     return False
 

@@ -20,7 +20,7 @@ from sumo_adv.drivers import Action, EgoController, Observation, Pose, StopLine,
 from sumo_adv.drivers.protocol import wishes_of
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.encounter_search import EncounterSearch
-from sumo_adv.episode.right_of_way import PASSED
+from sumo_adv.episode.right_of_way import LINE_PASSED_M
 from sumo_adv.episode.task import Task
 from sumo_adv.errors import SimulationError, UsageError
 from sumo_adv.files import scratch_prefix
@@ -100,7 +100,7 @@ class ObservedDriver:
         """Note a line at which the ego has had to wait, and which is no longer ahead."""
         road, front = observation.road, observation.ego.length / 2
         lines = () if road is None else road.stop_lines
-        line = next((line for line in lines if line.ahead > front - PASSED), None)
+        line = next((line for line in lines if line.ahead > front - LINE_PASSED_M), None)
         last, time = self._line, observation.time
         passed = last is not None and last.ahead - front < LINE_PASSING_DISTANCE_M
         passed = passed and (line is None or last is None or line.ahead > last.ahead + NEXT_LINE_DISTANCE_M)

@@ -122,10 +122,10 @@ def runner_of(engine: EpisodeEngine, sandbox: Sandbox, found: FoundEncounter, se
 
 # -- diagnosis ------------------------------------------------------------------------------------------------------
 
-TOGETHER = 2.0  # m: centres of two tracks at a smaller distance are at the same place
-BRAKES = 1.5  # m/s2: stronger braking is a reaction
-REACHED = 0.97  # share of a limit that counts as reached
-REACH = 25.0  # m along the ego's path within which its next position is searched
+SAME_PLACE_DISTANCE_M = 2.0  # m: centres of two tracks at a smaller distance are at the same place
+BRAKING_REACTION_M_S2 = 1.5  # m/s2: stronger braking is a reaction
+LIMIT_REACHED_SHARE = 0.97  # share of a limit that counts as reached
+NEXT_POSITION_SEARCH_M = 25.0  # m along the ego's path within which its next position is searched
 
 
 def diagnose(
@@ -141,7 +141,7 @@ def diagnose(
     if count < 2:
         return None
     i = int(np.argmin(np.hypot(a.x[:count] - b.x[:count], a.y[:count] - b.y[:count])))
-    braking = np.flatnonzero(a.acceleration < -BRAKES)
+    braking = np.flatnonzero(a.acceleration < -BRAKING_REACTION_M_S2)
     return Diagnosis(
         time=round(float(a.time[i]) - first, 2), ego_frame=_seen(a, b, i), bv_frame=_seen(b, a, i),
         ego_speed=round(float(a.speed[i]), 2), bv_speed=round(float(b.speed[i]), 2), early=_early(a, b),
@@ -161,7 +161,7 @@ def _early(ego: Track, bv: Track) -> float | None:
     """Seconds by which the BV was before the ego at a place where both have been; None without such a place. With
     several such pairs of states, the pair with the smallest difference in time counts."""
     apart = np.hypot(ego.x[:, None] - bv.x[None, :], ego.y[:, None] - bv.y[None, :])
-    i, j = np.nonzero(apart < TOGETHER)
+    i, j = np.nonzero(apart < SAME_PLACE_DISTANCE_M)
     if not len(i):
         return None
     between = ego.time[i] - bv.time[j]
@@ -174,7 +174,7 @@ def _shift(ego: Track, path: Path) -> float:
     return round(float(np.max(np.abs(offsets - offsets[0]))), 2)
 
 
-def followed(path: Path, x: Floats, y: Floats, reach: float = REACH) -> list[tuple[float, float]]:
+def followed(path: Path, x: Floats, y: Floats, reach: float = NEXT_POSITION_SEARCH_M) -> list[tuple[float, float]]:
     """Stations and offsets [m] of places (x, y) on the way along a path, each within ``reach`` [m] of the one
     before."""
     places, station = list[tuple[float, float]](), 0.0
@@ -195,12 +195,12 @@ def _bound(bv: Track, limits: Limits, dt: float) -> tuple[str, ...]:
         "lateral": float(np.abs(turn * bv.speed[1:]).max()) / limits.lateral,
         "jerk": float(np.abs(np.diff(a)).max()) / dt / limits.jerk,
     }  # fmt: skip
-    return tuple(name for name, share in most.items() if math.isfinite(share) and share >= REACHED)
+    return tuple(name for name, share in most.items() if math.isfinite(share) and share >= LIMIT_REACHED_SHARE)
 
 
 # -- what was asked for ---------------------------------------------------------------------------------------------
 
-MOST_READINGS = 2  # attempts of an encounter that a model is asked about
+MAX_READINGS = 2  # attempts of an encounter that a model is asked about
 Reader = Callable[[Motion], Reading]
 """Reads a motion and says whether it fits the request. Raises ModelError."""
 
@@ -223,7 +223,7 @@ class Fitting:
             return attempt
         motion = motion_of(attempt, result, self.found, self.settings)
         lacks = ("The adversary or the ego was gone at once.",) if motion is None else misfits(self.asked, motion)
-        may_read = read and not lacks and goal.met(attempt.verdict) and len(self.readings) < MOST_READINGS
+        may_read = read and not lacks and goal.met(attempt.verdict) and len(self.readings) < MAX_READINGS
         if may_read and motion is not None and self.reader is not None:
             reading = self.readings[attempt.index] = self.reader(motion)
             lacks = () if reading.fits else (reading.lacks or reading.happened,)
@@ -274,7 +274,7 @@ def _red_at(bv: str, situation: Situation, result: AttemptResult, begun: float) 
 
 # -- from a result to an attempt ------------------------------------------------------------------------------------
 
-NOTHING = Verdict(float("inf"), float("inf"), False, False, False, False, failed_gates=("no_motion",))
+NO_MOTION_VERDICT = Verdict(float("inf"), float("inf"), False, False, False, False, failed_gates=("no_motion",))
 
 
 def rank(verdict: Verdict) -> tuple[float, float]:
@@ -289,7 +289,7 @@ def attempt_of(
     index: int, phase: str, proposal: Proposal, result: AttemptResult, found: FoundEncounter, settings: Settings
 ) -> Attempt:
     """An attempt from its result; if the planner failed it is not feasible."""
-    verdict = result.verdict or NOTHING
+    verdict = result.verdict or NO_MOTION_VERDICT
     if result.driven.ending == "planner_failed":
         failed = (*verdict.failed_gates, "planner_failed")
         verdict = replace(verdict, feasible=False, failed_gates=failed, level=Level.NONE)

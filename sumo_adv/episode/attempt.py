@@ -30,7 +30,7 @@ from sumo_adv.situation import Situation
 
 # -- controllers ----------------------------------------------------------------------------------------------------
 
-LEFT_LINE = 1.0  # m: a larger distance from a planner's own trajectory is reported to the modifier
+TRAJECTORY_DEVIATION_M = 1.0  # m: a larger distance from a planner's own trajectory is reported to the modifier
 
 
 class PrescribedAdversary:
@@ -139,7 +139,7 @@ class PlannedAdversary:
     def _note_distance(self) -> None:
         if self._follower is not None:
             self._farthest = max(self._farthest, self._follower.farthest)
-        if self._farthest > LEFT_LINE:
+        if self._farthest > TRAJECTORY_DEVIATION_M:
             self._remarks["left"] = f"It was up to {self._farthest:.1f} m from where trajectory() had it."
 
     def advance(self) -> Pose:
@@ -176,8 +176,8 @@ def controller_of(situation: Situation, proposal: Proposal, limits: Limits, ask:
 
 # -- the attempt ----------------------------------------------------------------------------------------------------
 
-PARTED = 90.0  # m between centres: further apart, and still parting, the two will not meet any more
-CONTINUED = 4.0  # s beyond a contact for which the adversary's plan is continued, for the judge
+PARTED_DISTANCE_M = 90.0  # m between centres: further apart, and still parting, the two will not meet any more
+PLAN_AFTER_CONTACT_S = 4.0  # s beyond a contact for which the adversary's plan is continued, for the judge
 
 
 @dataclass(frozen=True, slots=True)
@@ -271,7 +271,7 @@ class OngoingAttempt:
     def _outcome(self, steps: int, before: Mapping[str, float], apart: Mapping[str, float]) -> Driven | None:
         if 0.0 in apart.values():
             return self._ended("contact")
-        if all(far > PARTED and far > before[name] for name, far in apart.items()):
+        if all(far > PARTED_DISTANCE_M and far > before[name] for name, far in apart.items()):
             return self._ended("passed")
         return self._ended("time_limit") if steps >= self._steps else None
 
@@ -282,11 +282,11 @@ class OngoingAttempt:
         return Driven(ending, message, {name: self._beyond(name) for name in there})
 
     def _beyond(self, name: str) -> Track:
-        """The adversary's plan for the next ``CONTINUED`` seconds, outside the simulation."""
+        """The adversary's plan for the next ``PLAN_AFTER_CONTACT_S`` seconds, outside the simulation."""
         controller, dt, start = self._adversaries[name], self._dt, self._drive.now
         state = self._drive.state(name)
         rows: list[tuple[float, ...]] = []
-        for k in range(round(CONTINUED / dt)):
+        for k in range(round(PLAN_AFTER_CONTACT_S / dt)):
             p = _straight_on(state, (k + 1) * dt) if controller is None else controller.advance()
             acceleration = 0.0 if controller is None else controller.acceleration
             rows.append((start + (k + 1) * dt, p.x, p.y, p.heading, p.speed, acceleration))

@@ -19,7 +19,7 @@ from sumo_adv.config import Settings
 from sumo_adv.datatypes import Floats, Role, Track
 from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.encounter_detector import RankedVehicle, place_of, vehicles_of
-from sumo_adv.episode.situation_builder import MOST_SHIFT, build_situations, recorded_situations, trigger_state
+from sumo_adv.episode.situation_builder import MAX_START_SHIFT_S, build_situations, recorded_situations, trigger_state
 from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.geometry import Frame
 from sumo_adv.metrics.boxes import first_contact, on_grid, overlaps
@@ -33,10 +33,10 @@ from sumo_adv.situation import fastest_of
 # -- dangerous without an attack ------------------------------------------------------------------------------------
 
 ENDANGERS = "could endanger the ego"  # ends the reason where no vehicle near could
-LEAST = 2.0  # s from the trigger until which the ego must stay in the network
-REACH = 30.0  # m between centres
-NAMED, NAMED_WITHIN = 4, 200.0  # vehicles that a reason names at most, and how near they are [m]
-AS_LOGGED = 0.1  # m: largest sum of the distances of ego and vehicle from their logged positions
+MIN_EGO_STAY_S = 2.0  # s from the trigger until which the ego must stay in the network
+ENCOUNTER_REACH_M = 30.0  # m between centres
+MAX_NAMED_VEHICLES, NAMED_WITHIN_M = 4, 200.0  # vehicles that a reason names at most, and how near they are [m]
+AS_LOGGED_DISTANCE_M = 0.1  # m: largest sum of the distances of ego and vehicle from their logged positions
 
 
 class Danger(NamedTuple):
@@ -59,10 +59,12 @@ def danger(tracks: Mapping[str, Track], drive: Drive, time: float, limit: float,
     objects that are no vehicles only a contact counts.
     """
     ego = tracks[str(drive.ego)]
-    if ego.time[-1] < time + LEAST:
+    if ego.time[-1] < time + MIN_EGO_STAY_S:
         return Danger("the ego leaves the network at once", frozenset())
     grid = ego.time[ego.time >= time - 1e-6]
-    near = [t for n, t in tracks.items() if n != ego.id and len(t.time) > 1 and closest(ego, t, time) < REACH]
+    near = [
+        t for n, t in tracks.items() if n != ego.id and len(t.time) > 1 and closest(ego, t, time) < ENCOUNTER_REACH_M
+    ]
     overlapping = _overlapping(drive, tracks, ego, grid)
     others = [t for t in near if t.id not in overlapping]
     if overlapping and overlapping.issuperset(candidates):
@@ -94,7 +96,7 @@ def _overlapping(drive: Drive, tracks: Mapping[str, Track], ego: Track, grid: Fl
     their = on_grid([logged.get(t.id, t) for t in others], grid)
     ego_logged = on_grid([logged[ego.id]], grid)
     ego_off = np.hypot(me.x - ego_logged.x, me.y - ego_logged.y)
-    as_logged = ego_off + np.hypot(them.x - their.x, them.y - their.y) < AS_LOGGED
+    as_logged = ego_off + np.hypot(them.x - their.x, them.y - their.y) < AS_LOGGED_DISTANCE_M
     touching = np.asarray(overlaps(me, them))
     fault = touching & as_logged
     fault[:, 0] = touching[:, 0]
@@ -103,7 +105,7 @@ def _overlapping(drive: Drive, tracks: Mapping[str, Track], ego: Track, grid: Fl
 
 # -- out of reach ---------------------------------------------------------------------------------------------------
 
-EVERY = 0.5  # s between the moments at which it may set out
+SET_OUT_INTERVAL_S = 0.5  # s between the moments at which it may set out
 
 
 class Reach(NamedTuple):
@@ -126,7 +128,7 @@ def nearest_reach(tracks: Mapping[str, Track], ego: str, time: float, accelerati
         own = track.between(time, math.inf)
         if name == ego or track.role is Role.OBSTACLE or len(own.time) < 1:
             continue
-        steps = np.unique(np.searchsorted(own.time, np.arange(own.time[0], own.time[-1] + 1e-6, EVERY)))
+        steps = np.unique(np.searchsorted(own.time, np.arange(own.time[0], own.time[-1] + 1e-6, SET_OUT_INTERVAL_S)))
         starts = steps[steps < len(own.time)]
         left = me.time[None, :] - own.time[starts][:, None]
         v = own.speed[starts][:, None]
@@ -157,9 +159,9 @@ def why_nobody(tracks: Mapping[str, Track], ego: str, time: float, acceleration:
 
 # -- the encounter --------------------------------------------------------------------------------------------------
 
-SAFE = 0.3  # s before a log becomes dangerous by itself, at which attempts end
-MOST_VEHICLES = 12  # of a recording, that may attack
-ROAD_MARGIN = 150.0  # m around the unattacked ego's path within which the drivable area is known
+LOG_DANGER_MARGIN_S = 0.3  # s before a log becomes dangerous by itself, at which attempts end
+MAX_RECORDED_ADVERSARIES = 12  # of a recording, that may attack
+ROAD_MARGIN_M = 150.0  # m around the unattacked ego's path within which the drivable area is known
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,7 +196,7 @@ def build_encounter(
     nobody += " within the ODD" if settings.odd is not None else ""
     if drive.ego is None or not (ranking or drive.recorded()):
         return nobody
-    place, late = place_of(road, drive), MOST_SHIFT if all(c.meets_ahead for c in ranking) else 0.0
+    place, late = place_of(road, drive), MAX_START_SHIFT_S if all(c.meets_ahead for c in ranking) else 0.0
     baseline = baseline_for(settings.duration + max(max(settings.delays) + late, delay or 0.0))
     looks = dict(baseline.looks)
     if looks:
@@ -204,8 +206,8 @@ def build_encounter(
     names, limit = [c.id for c in ranking], settings.harmless_ttc
     tracks = {name: t.between(-math.inf, drive.now + checked) for name, t in baseline.tracks.items()}
     found = danger(tracks, drive, drive.now, limit, names)
-    if drive.recorded() and found.why and found.since - SAFE >= drive.now + LEAST:
-        drive.until = found.since - SAFE
+    if drive.recorded() and found.why and found.since - LOG_DANGER_MARGIN_S >= drive.now + MIN_EGO_STAY_S:
+        drive.until = found.since - LOG_DANGER_MARGIN_S
         tracks = {name: t.between(-math.inf, drive.until) for name, t in tracks.items()}
         snapshots = [s for s in baseline.snapshots if s.time <= drive.until + 1e-6]
         baseline = replace(baseline, tracks=tracks, snapshots=snapshots)
@@ -240,24 +242,24 @@ def nearest_ones(drive: Drive) -> str:
     ego, places = Frame(x, y, heading_of(angle)), []
     for name, (other_x, other_y, angle, speed, *_) in drive.snapshot.raw.items():
         ahead, left, _ = ego.to_local(other_x, other_y, heading_of(angle))
-        if name != drive.ego and math.hypot(ahead, left) < NAMED_WITHIN:
+        if name != drive.ego and math.hypot(ahead, left) < NAMED_WITHIN_M:
             side = "" if abs(left) < 1.0 else f" and {abs(left):.0f} m to the {'left' if left > 0 else 'right'}"
             place = f"{name} {abs(ahead):.0f} m {'ahead' if ahead >= 0 else 'behind'}{side}, at {speed:.0f} m/s"
             place += f" (a {kind}, which cannot attack)" if (kind := drive.kind(name)) in OFF_ROAD_CLASSES else ""
             places.append((math.hypot(ahead, left), place))
-    return f": {'; '.join(place for _, place in sorted(places)[:NAMED])}" if places else ""
+    return f": {'; '.join(place for _, place in sorted(places)[:MAX_NAMED_VEHICLES])}" if places else ""
 
 
 def _most_dangerous(looks: Mapping[float, Sequence[RankedVehicle]]) -> list[RankedVehicle]:
-    """Each vehicle at its most dangerous moment, highest risk first, at most ``MOST_VEHICLES``."""
+    """Each vehicle at its most dangerous moment, highest risk first, at most ``MAX_RECORDED_ADVERSARIES``."""
     best: dict[str, RankedVehicle] = {}
     for ranked in (c for delay in sorted(looks) for c in looks[delay]):
         if ranked.id not in best or ranked.risk > best[ranked.id].risk:
             best[ranked.id] = ranked
-    return sorted(best.values(), key=lambda c: (-c.risk, c.id))[:MOST_VEHICLES]
+    return sorted(best.values(), key=lambda c: (-c.risk, c.id))[:MAX_RECORDED_ADVERSARIES]
 
 
 def _area_around(ego: Track) -> tuple[float, float, float]:
     """A circle (x, y, radius) [m] around the unattacked ego's path, with a margin."""
     x, y = float(ego.x.min() + ego.x.max()) / 2, float(ego.y.min() + ego.y.max()) / 2
-    return x, y, float(np.hypot(ego.x - x, ego.y - y).max()) + ROAD_MARGIN
+    return x, y, float(np.hypot(ego.x - x, ego.y - y).max()) + ROAD_MARGIN_M

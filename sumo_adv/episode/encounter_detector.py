@@ -2,8 +2,8 @@
 
 Every half second the vehicles near the ego are placed relative to its path: ahead, behind, beside, oncoming, crossing
 or merging.  Vehicles that cannot meet the ego in time are dropped.  The others get a risk in [0, 1].  An encounter
-begins when the highest risk is at least ``ON`` and the next look finds at least ``OFF``. In a recording each later
-look tells which vehicles could begin an attack then, whatever their risk.
+begins when the highest risk is at least ``RISK_ON`` and the next look finds at least ``RISK_OFF``. In a recording each
+later look tells which vehicles could begin an attack then, whatever their risk.
 
 What surrounds the ego then (``place_of``) is told from the network alone. Its road class, by these rules in this order:
 
@@ -35,11 +35,11 @@ from sumo_adv.situation import MEET_AHEAD, ReferencePath, relate
 
 # -- what surrounds the ego -----------------------------------------------------------------------------------------
 
-MOTORWAY_LIMIT = 25.0  # m/s, 90 km/h
-URBAN_LIMIT = 13.9  # m/s, 50 km/h, as networks have it rounded
-SOON = 8.0  # s: most attacks come to a contact within that time
-SHORTEST = 10.0  # m: a way that is looked at is no shorter
-COUNTED = 70.0  # m: the radius in which vehicles are counted
+MOTORWAY_LIMIT_M_S = 25.0  # m/s, 90 km/h
+URBAN_LIMIT_M_S = 13.9  # m/s, 50 km/h, as networks have it rounded
+PLACE_LOOKAHEAD_S = 8.0  # s: most attacks come to a contact within that time
+MIN_LOOKAHEAD_M = 10.0  # m: a way that is looked at is no shorter
+VEHICLE_COUNT_RADIUS_M = 70.0  # m: the radius in which vehicles are counted
 
 
 def place_of(road: RoadMap, drive: Drive) -> RoadPlace:
@@ -47,14 +47,14 @@ def place_of(road: RoadMap, drive: Drive) -> RoadPlace:
     assert drive.ego is not None
     ego = drive.state(drive.ego)
     obstacles = drive.obstacles
-    count = sum(name not in obstacles for name in drive.near(ego, COUNTED))
+    count = sum(name not in obstacles for name in drive.near(ego, VEHICLE_COUNT_RADIUS_M))
     at = _lane(road, drive, ego)
     if at is None:
         return RoadPlace(None, None, ego.speed, count)
     lane, station = at
     place = None if drive.replayed() else drive.place(road)
     route = drive.simulation.ahead(drive.ego) if place is None else place.route
-    ahead, vclass = SOON * ego.speed, drive.kind(drive.ego)
+    ahead, vclass = PLACE_LOOKAHEAD_S * ego.speed, drive.kind(drive.ego)
     kind = road_class(road, lane, station, ahead, route, vclass)
     geometry = geometry_of(road, lane, station, ahead, route, vclass)
     return RoadPlace(kind, drive.simulation.lane_limit(lane.id), ego.speed, count, geometry)
@@ -65,11 +65,11 @@ def road_class(
 ) -> RoadClass:
     """The class of the road ``station`` metres along a lane. ahead: how far a junction counts [m]. route: the edges
     from there on, where they are known; vclass: SUMO's class of the vehicle that goes there."""
-    if lane.speed >= MOTORWAY_LIMIT and not _two_way(road, lane):
+    if lane.speed >= MOTORWAY_LIMIT_M_S and not _two_way(road, lane):
         return RoadClass.MOTORWAY
     if _near_junction(road, lane, station, ahead, route, vclass):
         return RoadClass.JUNCTION
-    return RoadClass.RURAL if lane.speed > URBAN_LIMIT else RoadClass.URBAN
+    return RoadClass.RURAL if lane.speed > URBAN_LIMIT_M_S else RoadClass.URBAN
 
 
 def _lane(road: RoadMap, drive: Drive, ego: VehicleState) -> tuple[NetworkLane, float] | None:
@@ -94,7 +94,7 @@ def _near_junction(
 ) -> bool:
     if lane.internal:
         return lane.id[1:].rsplit("_", 2)[0] in road.meeting_junctions
-    ways = road.ways(lane.id, station, max(ahead, SHORTEST), route, vclass=vclass)
+    ways = road.ways(lane.id, station, max(ahead, MIN_LOOKAHEAD_M), route, vclass=vclass)
     return any(
         way.first is not None and way.junction <= ahead and way.first.link[0] in road.meeting_junctions for way in ways
     )
@@ -102,20 +102,23 @@ def _near_junction(
 
 # -- who could attack -----------------------------------------------------------------------------------------------
 
-ON, OFF, LOOKS = 0.40, 0.30, 2
-LOOK_EVERY = 0.5  # s
-NEAR, ONCOMING_NEAR = 70.0, 320.0  # m
-REACH = 330.0  # m of the ways ahead
-SLOWEST_EGO = 4.0  # m/s: an ego that stands has no encounter
-SLOWEST_SAME_WAY = 2.0  # m/s: of a vehicle that drives the ego's way
-FASTEST_START = 3.0  # m/s2: acceleration of a BV that hurries to a conflict
-LATEST = 0.2  # s: how much later than the ego a BV may arrive at a conflict
-CONFLICT_TIMES = (1.5, 12.0)  # s from now until the ego is at the conflict
-SAME_LANE = 1.2  # m
-LEAST_WAY = 1.0  # m: a shorter log shows no path
-BESIDE = 8.5  # m
-BEHIND = 45.0  # m behind the ego, for vehicles on the ego's path
-AHEAD, FAR_AHEAD = 60.0, 100.0  # m ahead of the ego, for such vehicles; the second if no other vehicle is ranked
+RISK_ON, RISK_OFF, LOOKS_ABOVE = 0.40, 0.30, 2
+LOOK_INTERVAL_S = 0.5  # s
+NEAR_DISTANCE_M, ONCOMING_DISTANCE_M = 70.0, 320.0  # m
+WAY_AHEAD_M = 330.0  # m of the ways ahead
+MIN_EGO_SPEED_M_S = 4.0  # m/s: an ego that stands has no encounter
+MIN_SAME_WAY_SPEED_M_S = 2.0  # m/s: of a vehicle that drives the ego's way
+MAX_START_ACCELERATION_M_S2 = 3.0  # m/s2: acceleration of a BV that hurries to a conflict
+MAX_LATER_ARRIVAL_S = 0.2  # s: how much later than the ego a BV may arrive at a conflict
+CONFLICT_TIMES_S = (1.5, 12.0)  # s from now until the ego is at the conflict
+SAME_LANE_OFFSET_M = 1.2  # m
+MIN_LOGGED_WAY_M = 1.0  # m: a shorter log shows no path
+BESIDE_OFFSET_M = 8.5  # m
+BEHIND_DISTANCE_M = 45.0  # m behind the ego, for vehicles on the ego's path
+AHEAD_DISTANCE_M, FAR_AHEAD_DISTANCE_M = (
+    60.0,
+    100.0,
+)  # m ahead of the ego, for such vehicles; the second if no other vehicle is ranked
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +148,7 @@ class EncounterDetector:
         ego that they may have. Both are empty for all. odd: no encounter begins outside it."""
         self.road, self.shortlist, self.only, self.kinds, self.odd = road, shortlist, only, kinds, odd
         self.best, self._looks, self._recorded = 0.0, 0, recorded
-        self._slowest = 0.0 if recorded else SLOWEST_EGO
+        self._slowest = 0.0 if recorded else MIN_EGO_SPEED_M_S
         self._path = self._moved = self._near_one = False  # seen at some look: a path, an ego that moves, a vehicle
         self._outside = False  # the ego or a vehicle near was outside the ODD at some look
 
@@ -154,8 +157,8 @@ class EncounterDetector:
         ranking = self.rank(drive)
         top = ranking[0].risk if ranking else 0.0
         self.best = max(self.best, top)
-        self._looks = self._looks + 1 if top >= ON or (self._looks and top >= OFF) else 0
-        return ranking if self._looks >= LOOKS else None
+        self._looks = self._looks + 1 if top >= RISK_ON or (self._looks and top >= RISK_OFF) else 0
+        return ranking if self._looks >= LOOKS_ABOVE else None
 
     def rank(self, drive: Drive) -> list[RankedVehicle]:
         """The vehicles that could attack, highest risk first. Empty if the ego is off the road or too slow; an ego of a
@@ -169,7 +172,9 @@ class EncounterDetector:
             return []
         names = self._near(drive, ego)
         self._near_one |= bool(names)
-        placed = self._placed(drive, names, ego, path, AHEAD) or self._placed(drive, names, ego, path, FAR_AHEAD)
+        placed = self._placed(drive, names, ego, path, AHEAD_DISTANCE_M) or self._placed(
+            drive, names, ego, path, FAR_AHEAD_DISTANCE_M
+        )
         if self.odd is not None and placed:
             placed = self._inside(self.odd, drive, placed)
         return sorted(placed, key=lambda c: (-c.risk, c.id))[: self.shortlist]
@@ -184,11 +189,10 @@ class EncounterDetector:
     @property
     def needed(self) -> str:
         """What was missing for an encounter, in words."""
-        if self.best >= ON:
-            return (
-                f"a risk of {self.best:.2f} was seen, but it did not last until the next look, {LOOK_EVERY:g} s later"
-            )
-        return f"highest risk seen {self.best:.2f}, {ON:.2f} is needed"
+        if self.best >= RISK_ON:
+            missed = f"it did not last until the next look, {LOOK_INTERVAL_S:g} s later"
+            return f"a risk of {self.best:.2f} was seen, but {missed}"
+        return f"highest risk seen {self.best:.2f}, {RISK_ON:.2f} is needed"
 
     @property
     def outside(self) -> str:
@@ -203,7 +207,7 @@ class EncounterDetector:
         if not self._path:
             return "The ego is on no road, or does not move in what is left of its log."
         if not self._near_one:
-            return f"No vehicle comes within {NEAR:.0f} m of the ego."
+            return f"No vehicle comes within {NEAR_DISTANCE_M:.0f} m of the ego."
         if not self._moved:
             return f"The ego is never faster than {self._slowest:g} m/s, and no vehicle can reach it where it stands."
         return "No vehicle near the ego can reach its path in time."
@@ -229,7 +233,7 @@ class EncounterDetector:
             distance = math.hypot(dx, dy)
             ahead = c * dx + s * dy > 0
             far = ahead or abs(wrap(heading - ego.heading)) > 0.5
-            if distance < (ONCOMING_NEAR if far else NEAR) and (small or drive.kind(name) in MOTOR):
+            if distance < (ONCOMING_DISTANCE_M if far else NEAR_DISTANCE_M) and (small or drive.kind(name) in MOTOR):
                 names.append(name)
         return names
 
@@ -247,12 +251,16 @@ class EncounterDetector:
         place = drive.place(self.road)
         own_edge = place is not None and self.road.lanes[bv.lane].edge == place.lane.edge
         relation, risk = "", 0.0
-        near = abs(d) < SAME_LANE
-        if level and turned < 0.5 and (near or (own_edge and abs(d) < BESIDE)):
+        near = abs(d) < SAME_LANE_OFFSET_M
+        if level and turned < 0.5 and (near or (own_edge and abs(d) < BESIDE_OFFSET_M)):
             in_line = near and not (is_motorcycle(bv) and _passes(bv, d, ego, path))
             relation = ("leader" if s > 0 else "follower") if in_line else "neighbour"
-            risk = self._same_way_risk(relation, s, d, bv, ego, drive.kind(name)) if -BEHIND < s < ahead else 0.0
-        elif level and turned > 2.64 and 1.2 < self.road.hand * d < BESIDE and s > 0:
+            risk = (
+                self._same_way_risk(relation, s, d, bv, ego, drive.kind(name))
+                if -BEHIND_DISTANCE_M < s < ahead
+                else 0.0
+            )
+        elif level and turned > 2.64 and 1.2 < self.road.hand * d < BESIDE_OFFSET_M and s > 0:
             sides = self.road.side_offsets(bv.lane, bv.x, bv.y, bv.heading)
             if any(kind == "opposite" for _, kind in sides):  # only a line separates the two
                 relation, risk = "oncoming", _oncoming_risk(s, bv.speed + ego.speed)
@@ -271,7 +279,7 @@ class EncounterDetector:
         self, relation: str, s: float, d: float, bv: VehicleState, ego: VehicleState, vclass: str
     ) -> float:
         """Risk of a vehicle of a class that drives the ego's way. It is lower if it has no lane beside its own."""
-        if bv.speed < SLOWEST_SAME_WAY and not self._recorded:
+        if bv.speed < MIN_SAME_WAY_SPEED_M_S and not self._recorded:
             return 0.0
         best_gap = {"leader": 12.0, "follower": -10.0, "neighbour": 3.0}[relation]
         closing = 0.5 * (bv.speed - ego.speed)
@@ -301,10 +309,10 @@ def _conflict_risk(way: ReferencePath, bv: VehicleState, ego: VehicleState) -> f
     if conflict.bv_s < 1.0 or conflict.ego_s < 1.0:
         return 0.0
     ego_time = conflict.ego_s / max(ego.speed, 1.0)
-    v, a = max(bv.speed, 0.1), FASTEST_START
+    v, a = max(bv.speed, 0.1), MAX_START_ACCELERATION_M_S2
     earliest = (-v + math.sqrt(v * v + 2 * a * conflict.bv_s)) / a
     arrival = conflict.bv_s / max(bv.speed, 1.5)
-    if not CONFLICT_TIMES[0] < ego_time < CONFLICT_TIMES[1] or earliest > ego_time + LATEST:
+    if not CONFLICT_TIMES_S[0] < ego_time < CONFLICT_TIMES_S[1] or earliest > ego_time + MAX_LATER_ARRIVAL_S:
         return 0.0
     return 0.95 * math.exp(-max(0.0, abs(arrival - ego_time) - 0.5) / 4.0) * math.exp(-max(0.0, ego_time - 5.0) / 4.0)
 
@@ -324,7 +332,12 @@ def ego_path(road: RoadMap, drive: Drive) -> Path | None:
     if place is None:
         return None
     ways = road.ways(
-        place.lane.id, place.front - ego.length / 2, REACH, place.route, vclass=drive.kind(ego.id), closed=drive.closed
+        place.lane.id,
+        place.front - ego.length / 2,
+        WAY_AHEAD_M,
+        place.route,
+        vclass=drive.kind(ego.id),
+        closed=drive.closed,
     )
     return ways[0].path if ways else None
 
@@ -335,7 +348,9 @@ def _ways(road: RoadMap, drive: Drive, vehicle: VehicleState) -> list[PathAhead]
     lane = lane_on_route(road, vehicle, (), vclass)
     if lane is None:
         return []
-    return road.ways(lane.id, front_on(lane, vehicle, drive.simulation) - vehicle.length / 2, REACH, vclass=vclass)
+    return road.ways(
+        lane.id, front_on(lane, vehicle, drive.simulation) - vehicle.length / 2, WAY_AHEAD_M, vclass=vclass
+    )
 
 
 def logged_path(road: RoadMap, drive: Drive) -> Path | None:
@@ -344,20 +359,20 @@ def logged_path(road: RoadMap, drive: Drive) -> Path | None:
     points = drive.playback.ahead(drive.ego, drive.now)
     if road.heights is not None:
         points = road.heights.along(points, drive.state(drive.ego).z)
-    if len(points) < 2 or float(np.hypot(*np.diff(points[:, :2], axis=0).T).sum()) < LEAST_WAY:
+    if len(points) < 2 or float(np.hypot(*np.diff(points[:, :2], axis=0).T).sum()) < MIN_LOGGED_WAY_M:
         return None
     path = make_path(points)
     vclass, z = drive.kind(drive.ego), float(path.height(path.length))
     last = road.lane_at(float(path.x[-1]), float(path.y[-1]), float(path.heading[-1]), vclass, z)
-    return continued(points, road.ways(*last, REACH, drive.route(), vclass=vclass) if last is not None else ())
+    return continued(points, road.ways(*last, WAY_AHEAD_M, drive.route(), vclass=vclass) if last is not None else ())
 
 
 def continued(points: Floats, ways: Sequence[PathAhead]) -> Path:
     """The path through ``points`` ``(n, 2)``, or ``(n, 3)`` with heights, and on along the first of the ways, if any,
-    for ``REACH`` metres."""
+    for ``WAY_AHEAD_M`` metres."""
     if ways:
         way = ways[0].path
         onward = np.column_stack([way.x, way.y, np.broadcast_to(way.z, way.x.shape)])[:, : points.shape[1]]
         points = np.vstack([points, onward[4:]])  # 2 m on: no fold where the points are off the centre
     path = make_path(points)
-    return path if path.length > REACH else path.extended(REACH - path.length)
+    return path if path.length > WAY_AHEAD_M else path.extended(WAY_AHEAD_M - path.length)

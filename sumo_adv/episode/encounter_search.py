@@ -9,7 +9,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Ending
 from sumo_adv.episode.drive import Drive
-from sumo_adv.episode.encounter_detector import LOOK_EVERY, EncounterDetector, RankedVehicle, vehicles_of
+from sumo_adv.episode.encounter_detector import LOOK_INTERVAL_S, EncounterDetector, RankedVehicle, vehicles_of
 from sumo_adv.episode.right_of_way import Meetings
 from sumo_adv.episode.surroundings import Surroundings
 from sumo_adv.episode.task import NoEncounter, Task
@@ -18,11 +18,15 @@ from sumo_adv.simulation.inputs import EgoRoute
 from sumo_adv.simulation.network import RoadMap
 from sumo_adv.simulation.permissions import OFF_ROAD_CLASSES
 
-PATIENCE = 15.0  # s after which a chosen ego without an encounter is replaced by another
-SAME = 15.0  # s after an encounter that was left, in which the same vehicles make no other one
-WHOLE = 10.0  # s: a recording that is no longer than this, or the rest of a longer one, is one encounter
+EGO_PATIENCE_S = 15.0  # s after which a chosen ego without an encounter is replaced by another
+SAME_ENCOUNTER_S = 15.0  # s after an encounter that was left, in which the same vehicles make no other one
+WHOLE_RECORDING_S = 10.0  # s: a recording that is no longer than this, or the rest of a longer one, is one encounter
 INSERTED_EGO = "ego"
-MOVING, CROWD, LEFT = 5.0, 60.0, 150.0  # a chosen ego: least speed [m/s], radius of counted traffic, least route [m]
+MIN_CHOSEN_EGO_SPEED_M_S, TRAFFIC_COUNT_RADIUS_M, MIN_ROUTE_LEFT_M = (
+    5.0,
+    60.0,
+    150.0,
+)  # a chosen ego: least speed [m/s], radius of counted traffic, least route [m]
 
 
 class EncounterSearch:
@@ -58,8 +62,8 @@ class EncounterSearch:
 
     def until_encounter(self) -> list[RankedVehicle] | NoEncounter:
         """Step until an encounter begins. The ranking, highest risk first; it may be empty at a given trigger, and in
-        the last ``WHOLE`` s of a recording, which are one encounter as soon as the ego's history is known."""
-        task, drive, every = self.task, self.drive, self.task.settings.steps(LOOK_EVERY)
+        the last ``WHOLE_RECORDING_S`` of a recording, which are one encounter as soon as the ego's history is known."""
+        task, drive, every = self.task, self.drive, self.task.settings.steps(LOOK_INTERVAL_S)
         requested = INSERTED_EGO if isinstance(task.ego, EgoRoute) else task.ego
         wait = max(task.settings.history, task.warm_up if requested is not None else 0.0)  # before the first look
         detector = self.watch()
@@ -97,10 +101,10 @@ class EncounterSearch:
                 return detector.rank(drive)
             elif step % every == 0 and drive.now - since >= wait:
                 ranking = detector.look(drive)
-                later = drive.now >= self._left_at + SAME
+                later = drive.now >= self._left_at + SAME_ENCOUNTER_S
                 if ranking and (later or not self._left_vehicles.issuperset(c.id for c in ranking)):
                     return ranking
-                if requested is None and drive.now - since > PATIENCE:
+                if requested is None and drive.now - since > EGO_PATIENCE_S:
                     tried.add(drive.ego)
                     drive.release()
             if not drive.to_come():
@@ -130,7 +134,7 @@ class EncounterSearch:
     def nearly_over(self) -> bool:
         """Whether the rest of a recording is attacked as a whole."""
         log = self.drive.playback if self.drive.recorded() else None
-        return log is not None and log.spec.end - self.drive.now <= WHOLE
+        return log is not None and log.spec.end - self.drive.now <= WHOLE_RECORDING_S
 
     def watch(self) -> EncounterDetector:
         return EncounterDetector(
@@ -173,9 +177,13 @@ class EncounterSearch:
         return MissingVehicleError(words, vehicle)
 
     def _choose_ego(self, tried: set[str]) -> str | None:
-        """The moving car with the most moving traffic within ``CROWD``; the first of equal ones."""
+        """The moving car with the most moving traffic within ``TRAFFIC_COUNT_RADIUS_M``; the first of equal ones."""
         drive, raw, simulation = self.drive, self.drive.snapshot.raw, self.drive.simulation
-        moving = [(n, *drive.pose(n)[:2]) for n, r in raw.items() if r[3] > MOVING and n not in drive.obstacles]
+        moving = [
+            (n, *drive.pose(n)[:2])
+            for n, r in raw.items()
+            if r[3] > MIN_CHOSEN_EGO_SPEED_M_S and n not in drive.obstacles
+        ]
         best, best_count = None, 0
         points = np.array([(x, y) for _, x, y in moving]).reshape(-1, 2)
         for name, x, y in moving:
@@ -185,10 +193,10 @@ class EncounterSearch:
                 continue
             lanes, edges = self.road.lanes, self.road.edges
             left = sum(lanes[edges[e][0]].length for e in simulation.ahead(name) if e in edges)
-            if left < LEFT or raw[name][4] not in self.road.lanes:
+            if left < MIN_ROUTE_LEFT_M or raw[name][4] not in self.road.lanes:
                 continue
             near = np.hypot(points[:, 0] - x, points[:, 1] - y)
-            count = int((near < CROWD).sum()) - 1
+            count = int((near < TRAFFIC_COUNT_RADIUS_M).sum()) - 1
             if count > best_count:
                 best, best_count = name, count
         return best

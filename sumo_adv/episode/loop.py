@@ -14,7 +14,7 @@ from sumo_adv.agents.agents import Agents
 from sumo_adv.asked import Asked
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Proposal
-from sumo_adv.episode.assessment import NOTHING, Attempts, Fitting, reader_of, runner_of
+from sumo_adv.episode.assessment import NO_MOTION_VERDICT, Attempts, Fitting, reader_of, runner_of
 from sumo_adv.episode.engine import EpisodeEngine
 from sumo_adv.episode.memory_access import learn
 from sumo_adv.episode.planned_encounter import (
@@ -37,7 +37,7 @@ from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.simulation.inputs import RunInput
 from sumo_adv.simulation.warnings_log import about, with_names
 
-MOST_ASKED = 4  # encounters that a model is asked about, where those before cannot play what was asked for
+MAX_ANALYSED_ENCOUNTERS = 4  # encounters that a model is asked about, where those before cannot play what was asked for
 
 
 def run_episode(
@@ -96,7 +96,7 @@ def _attack_encounters(
         decision = decide(finder.records[-1], planned, settings, agents, bank, finder.keep)
         if decision.library is None:
             declined = decision.record.request.declined
-            if not declined or not another or agents.calls["analyzer"] >= MOST_ASKED:
+            if not declined or not another or agents.calls["analyzer"] >= MAX_ANALYSED_ENCOUNTERS:
                 return
             finder.leave(f"it cannot play the request: {declined}")
             continue
@@ -242,7 +242,7 @@ def attack_once(
 ) -> Refinement:
     """Run one given attempt in an encounter, with its reference drivers. Returns it as the only attempt."""
     (result,) = runner.attempt([proposal])
-    verdict = result.verdict or NOTHING
+    verdict = result.verdict or NO_MOTION_VERDICT
     scenario = scenario_of(proposal, verdict, result, found, settings)
     attempt = Attempt(
         0, "replay", proposal, result.start, verdict, result.driven.ending, result.driven.message, scenario=scenario

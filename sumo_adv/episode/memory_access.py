@@ -25,7 +25,7 @@ from sumo_adv.search.supports import ANY_FITTING, Cast, description_of
 from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.situation import Situation
 
-CONFIRMED = 2  # the analyzer compares a new intent with this number of nearest intents
+CONFIRMED_INTENTS = 2  # the analyzer compares a new intent with this number of nearest intents
 
 
 def read_library(
@@ -167,7 +167,7 @@ def retrieve(
         spent += time.perf_counter() - began
         near = [by_label[label] for label, _ in retrieved.nearest if label in by_label]
         if agents.by_model("analyzer") and not applies_of(intent.label) and near:
-            same = agents.confirm(intent, near[:CONFIRMED], situations)
+            same = agents.confirm(intent, near[:CONFIRMED_INTENTS], situations)
         else:
             same = None if retrieved.hit is None else replace(intent, label=retrieved.hit)
         words = situation.targets[intent.bv].applies()

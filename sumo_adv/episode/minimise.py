@@ -29,12 +29,12 @@ from sumo_adv.search.prediction import Predictor
 from sumo_adv.search.sampling import Scorer, varied
 from sumo_adv.simulation.inputs import RunInput
 
-OF_DELTA_V = 1.0  # 1/s: a delta-v of 1 m/s counts as an acceleration of 1 m/s2
-OF_EARLINESS = 0.2  # m/s3 for each second of delay that is given away: later tells more about the ego
-DRAWN = 120  # variants predicted in each round
-SPREADS = (0.3, 0.1, 0.03)  # of a parameter's range: standard deviations, in turn
-ROUNDS = 6  # in a row without a milder attack, then it ends
-LEAST_GAIN = 0.02  # share by which a variant must be predicted to be milder
+HARSHNESS_OF_DELTA_V_PER_S = 1.0  # 1/s: a delta-v of 1 m/s counts as an acceleration of 1 m/s2
+HARSHNESS_OF_EARLINESS_M_S3 = 0.2  # m/s3 for each second of delay that is given away: later tells more about the ego
+VARIANTS_PER_ROUND = 120  # variants predicted in each round
+VARIANT_SPREADS = (0.3, 0.1, 0.03)  # of a parameter's range: standard deviations, in turn
+MAX_ROUNDS_WITHOUT_GAIN = 6  # in a row without a milder attack, then it ends
+MIN_GAIN_SHARE = 0.02  # share by which a variant must be predicted to be milder
 
 
 class Minimiser:
@@ -47,21 +47,23 @@ class Minimiser:
         """first: the attack, with ``harshness`` in the simulation; starts: delays at which variants may begin [s]."""
         self._scorer, self._level, self._starts, self._random = scorer, level, tuple(starts), Random(seed)
         self.best, self.harshness = first, harshness
-        self._latest, self._failed, self._spreads = max(starts), 0, cycle(SPREADS)
+        self._latest, self._failed, self._spreads = max(starts), 0, cycle(VARIANT_SPREADS)
 
     def harshness_of(self, acceleration: float, delta_v: float, delay: float) -> float:
         """Harshness [m/s2] from the largest acceleration [m/s2], the ego's delta-v [m/s] and the delay [s]."""
-        return acceleration + OF_DELTA_V * delta_v + OF_EARLINESS * (self._latest - delay)
+        return (
+            acceleration + HARSHNESS_OF_DELTA_V_PER_S * delta_v + HARSHNESS_OF_EARLINESS_M_S3 * (self._latest - delay)
+        )
 
     def propose(self) -> Proposal | None:
         """The variant to try next; None when no variant has been milder for some rounds."""
-        while self._failed < ROUNDS:
+        while self._failed < MAX_ROUNDS_WITHOUT_GAIN:
             spread = next(self._spreads)
-            variants = [varied(self.best, self._random, spread) for _ in range(DRAWN)]
+            variants = [varied(self.best, self._random, spread) for _ in range(VARIANTS_PER_ROUND)]
             variants = [self._begun_elsewhen(p) for p in variants]
             scored = [(self._predicted(p), k, p) for k, p in enumerate(self._scorer.score(variants))]
             harshness, _, mildest = min(scored, key=lambda each: each[:2])
-            if harshness < self.harshness * (1.0 - LEAST_GAIN):
+            if harshness < self.harshness * (1.0 - MIN_GAIN_SHARE):
                 return mildest
             self._failed += 1
         return None

@@ -18,10 +18,13 @@ from sumo_adv.goal import Goal
 from sumo_adv.search.sampling import moved
 
 EARLIER_S = 0.3  # by which the ego arrives earlier in one neighbour, and later in another
-FASTER = 0.05  # share by which the ego is faster in one neighbour, and slower in another
-NUMBERS, SPREAD = 2, 0.05  # neighbours with other numbers, and by which share of their ranges at most
-ENOUGH = 4  # neighbours of six in which a robust attack holds
-EASED = 1.0  # s over which the clock takes its new rate, so that the speed does not jump at the takeover
+FASTER_SHARE = 0.05  # share by which the ego is faster in one neighbour, and slower in another
+OTHER_NUMBERS_NEIGHBOURS, NUMBER_SPREAD_SHARE = (
+    2,
+    0.05,
+)  # neighbours with other numbers, and by which share of their ranges at most
+MIN_NEIGHBOURS_HELD = 4  # neighbours of six in which a robust attack holds
+CLOCK_EASING_S = 1.0  # s over which the clock takes its new rate, so that the speed does not jump at the takeover
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +37,7 @@ class Robustness:
     @property
     def enough(self) -> bool:
         """Whether the attack is robust: it holds in two thirds of its neighbours."""
-        return self.of > 0 and 6 * self.held >= ENOUGH * self.of
+        return self.of > 0 and 6 * self.held >= MIN_NEIGHBOURS_HELD * self.of
 
 
 def holds(verdict: Verdict, goal: Goal) -> bool:
@@ -58,16 +61,21 @@ def neighbours(
     p, contact = attempt.proposal, attempt.verdict.contact_time
 
     def drawn(count: int) -> list[Proposal]:
-        return [moved(p, lambda: random.uniform(-SPREAD, SPREAD)) for _ in range(count)]
+        return [moved(p, lambda: random.uniform(-NUMBER_SPREAD_SHARE, NUMBER_SPREAD_SHARE)) for _ in range(count)]
 
     if displaces:
-        arrivals = (Arrival(EARLIER_S), Arrival(-EARLIER_S), Arrival(pace=1.0 + FASTER), Arrival(pace=1.0 - FASTER))
-        return [replace(p, arrival=arrival) for arrival in arrivals] + drawn(NUMBERS)
+        arrivals = (
+            Arrival(EARLIER_S),
+            Arrival(-EARLIER_S),
+            Arrival(pace=1.0 + FASTER_SHARE),
+            Arrival(pace=1.0 - FASTER_SHARE),
+        )
+        return [replace(p, arrival=arrival) for arrival in arrivals] + drawn(OTHER_NUMBERS_NEIGHBOURS)
     if contact is None or contact - result.start <= EARLIER_S:
-        return drawn(2 * NUMBERS)
+        return drawn(2 * OTHER_NUMBERS_NEIGHBOURS)
     course, left = recorded_course(attempt, result, dt), contact - result.start
     return [replace(p, course=retimed(course, left / (left + late), dt)) for late in (-EARLIER_S, EARLIER_S)] + drawn(
-        2 * NUMBERS
+        2 * OTHER_NUMBERS_NEIGHBOURS
     )
 
 
@@ -82,12 +90,12 @@ def recorded_course(attempt: Attempt, result: AttemptResult, dt: float) -> Presc
 
 
 def retimed(course: PrescribedMotion, rate: float, dt: float) -> PrescribedMotion:
-    """The same path with a clock of another ``rate`` (1: as it was), which it takes over ``EASED`` s. States are ``dt``
-    [s] apart; where the recorded motion ends, the adversary goes on at its last speed."""
+    """The same path with a clock of another ``rate`` (1: as it was), which it takes over ``CLOCK_EASING_S``. States are
+    ``dt`` [s] apart; where the recorded motion ends, the adversary goes on at its last speed."""
     times = dt * np.arange(1, len(course.x) + 1)
-    eased = np.minimum(times, EASED)
-    clock = times + (rate - 1.0) * (eased**2 / (2 * EASED) + times - eased)
-    pace = 1.0 + (rate - 1.0) * eased / EASED
+    eased = np.minimum(times, CLOCK_EASING_S)
+    clock = times + (rate - 1.0) * (eased**2 / (2 * CLOCK_EASING_S) + times - eased)
+    pace = 1.0 + (rate - 1.0) * eased / CLOCK_EASING_S
     beyond = np.maximum(clock - times[-1], 0.0) * course.speed[-1]
 
     def at(values: Floats) -> Floats:

@@ -34,7 +34,7 @@ from sumo_adv.search.settings import SearchSettings
 from sumo_adv.simulation.inputs import RunInput
 from sumo_adv.words.request import needs_model
 
-MOST_SKIPS = 6  # encounters that are passed over because no candidate is predicted to collide
+MAX_PASSED_OVER = 6  # encounters that are passed over because no candidate is predicted to collide
 OUT_OF_REACH = "no intent reaches the ego, by prediction"
 Tell = Callable[[str, Any], None]
 """Called with what happens, for progress: ("encounter", FoundEncounter), ("intents", ...), ("attempt", Attempt)."""
@@ -155,7 +155,7 @@ class EncounterFinder:
             self.stopped = planned.predictor.stopped
             reaches = planned.reaches or (ask and bool(planned.search))
             given = self._task.trigger is not None
-            if reaches or record.found.last or given or len(self.records) > MOST_SKIPS:
+            if reaches or record.found.last or given or len(self.records) > MAX_PASSED_OVER:
                 return planned
             self.leave(OUT_OF_REACH)
         return None

@@ -24,14 +24,22 @@ from sumo_adv.goal import Goal
 from sumo_adv.search.ranking import FixedOrder, as_written, chosen
 from sumo_adv.search.search import AttackSearch
 
-GENERATION = 8  # attempts that are chosen at a time: fixed, so that results do not depend on the number of cores
-ALONE = 2 * GENERATION  # attempts before which fewer are made at a time: most searches end early
-HOPEFUL = 120  # attempts without a higher level after which an encounter is left, if another one may come;
-HOPELESS = 40  # the same number where no attempt has been critical
-BROKEN = 5  # attempts after which a run ends if the ego's driver or SUMO broke in all of them
-FRAGILE = 24  # attempts after a success of a kind in which a robust one of that kind is still looked for
-REMEMBERED, KEPT = 25, 10  # the first and the best attempts keep their recorded states
-FAVOURITES = 2  # intents that are tried first where a model's answers disagree
+GENERATION_ATTEMPTS = (
+    8  # attempts that are chosen at a time: fixed, so that results do not depend on the number of cores
+)
+FULL_GENERATION_AFTER_ATTEMPTS = (
+    2 * GENERATION_ATTEMPTS
+)  # attempts before which fewer are made at a time: most searches end early
+MAX_ATTEMPTS_WITHOUT_GAIN = (
+    120  # attempts without a higher level after which an encounter is left, if another one may come;
+)
+MAX_ATTEMPTS_WITHOUT_DANGER = 40  # the same number where no attempt has been critical
+BROKEN_ATTEMPTS = 5  # attempts after which a run ends if the ego's driver or SUMO broke in all of them
+MAX_ATTEMPTS_FOR_ROBUST = (
+    24  # attempts after a success of a kind in which a robust one of that kind is still looked for
+)
+FIRST_KEPT_ATTEMPTS, BEST_KEPT_ATTEMPTS = 25, 10  # the first and the best attempts keep their recorded states
+FAVOURITE_INTENTS = 2  # intents that are tried first where a model's answers disagree
 Optimizer = AttackSearch | FixedOrder
 """Chooses the candidates that are tried (``propose``), and takes note of the attempts (``observe``)."""
 
@@ -118,7 +126,7 @@ class Refiner:
                 break
             if self._try(plans, found, began, optimizer):
                 break
-            if len(found.attempts) >= BROKEN and _all(found, "crashed"):
+            if len(found.attempts) >= BROKEN_ATTEMPTS and _all(found, "crashed"):
                 break
             self._observe(optimizer, found, plans)
             self._forget(found)
@@ -146,7 +154,7 @@ class Refiner:
         if modelled:
             player = self._agents.player("analyzer")
             self._search.add_chosen([replace(p, by=player) for i in intents for p in chosen(i, templates)])
-            favourites = intents[:FAVOURITES] if self._agents.undecided else ()
+            favourites = intents[:FAVOURITE_INTENTS] if self._agents.undecided else ()
             taken = [self._search.take_best(i.bv, i.label) for i in favourites]
             self._favourites = [p for p in taken if p is not None]
         return self._search
@@ -157,8 +165,15 @@ class Refiner:
             return self._favourites[:left]
         if isinstance(optimizer, AttackSearch):
             self._modify(optimizer, found)
-        size = FAVOURITES if self._agents.undecided else 1
-        budget = min(GENERATION if len(found.attempts) >= ALONE else size if not found.attempts else 2, left)
+        size = FAVOURITE_INTENTS if self._agents.undecided else 1
+        budget = min(
+            GENERATION_ATTEMPTS
+            if len(found.attempts) >= FULL_GENERATION_AFTER_ATTEMPTS
+            else size
+            if not found.attempts
+            else 2,
+            left,
+        )
         plans = optimizer.propose(budget)
         return plans or (self._repairs.next(_tried(found)) if isinstance(optimizer, FixedOrder) else [])
 
@@ -182,12 +197,12 @@ class Refiner:
 
     def _forget(self, found: Refinement) -> None:
         """Drop the recorded states of attempts that no longer matter: they take a megabyte each."""
-        kept = set(range(len(found.attempts) - GENERATION, len(found.attempts))) | set(found.successes)
+        kept = set(range(len(found.attempts) - GENERATION_ATTEMPTS, len(found.attempts))) | set(found.successes)
         asked = found.fitting is not None
         ordered = sorted(range(len(found.attempts)), key=lambda k: worth(found.attempts[k], found.goal, asked=asked))
-        kept |= set(ordered[:KEPT])
+        kept |= set(ordered[:BEST_KEPT_ATTEMPTS])
         for k, result in enumerate(found.results):
-            if k >= REMEMBERED and k not in kept and len(result.snapshots):
+            if k >= FIRST_KEPT_ATTEMPTS and k not in kept and len(result.snapshots):
                 found.results[k] = replace(result, snapshots=(), sizes={})
 
     def _try_neighbours(self, found: Refinement, index: int) -> list[tuple[Proposal, Verdict]]:
@@ -212,11 +227,11 @@ class Refiner:
 
     def _enough(self, found: Refinement) -> bool:
         """Whether there are successes of enough kinds. A kind counts once one of its successes is robust, or once none
-        was found in ``FRAGILE`` attempts after its first one."""
+        was found in ``MAX_ATTEMPTS_FOR_ROBUST`` attempts after its first one."""
         last, settled = len(found.attempts) - 1, set[str]()
         for k in found.successes:
             kind = found.attempts[k].kind
-            given_up = self._settings.tuner == "off" or not self._runner.repeats or last - k >= FRAGILE
+            given_up = self._settings.tuner == "off" or not self._runner.repeats or last - k >= MAX_ATTEMPTS_FOR_ROBUST
             if given_up or kind in _robust_kinds(found):
                 settled.add(kind)
         for kind in sorted(settled - self._settled):
@@ -282,7 +297,7 @@ def _in_vain(found: Refinement) -> int:
     """How many attempts were made since the first one of the highest level, once these are enough to leave; else 0."""
     levels = [found.goal.reached(a.verdict) for a in found.attempts]
     since = len(levels) - levels.index(max(levels)) if levels else 0
-    enough = HOPEFUL if levels and max(levels) >= Level.CRITICAL else HOPELESS
+    enough = MAX_ATTEMPTS_WITHOUT_GAIN if levels and max(levels) >= Level.CRITICAL else MAX_ATTEMPTS_WITHOUT_DANGER
     return since if since >= enough else 0
 
 

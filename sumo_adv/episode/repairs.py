@@ -30,8 +30,8 @@ from sumo_adv.situation import ReferencePath
 
 # -- what the modifier is told --------------------------------------------------------------------------------------
 
-EVERY = 0.5  # s between rows
-NEAR_WAY = 30.0  # m along a way within which the next position is searched
+REPORT_ROW_INTERVAL_S = 0.5  # s between rows
+NEXT_ON_WAY_SEARCH_M = 30.0  # m along a way within which the next position is searched
 
 
 def report_of(attempt: Attempt, result: AttemptResult, found: FoundEncounter, settings: Settings) -> AttemptReport:
@@ -58,16 +58,18 @@ def report_of(attempt: Attempt, result: AttemptResult, found: FoundEncounter, se
 def way_taken(track: Track, ways: Sequence[ReferencePath]) -> ReferencePath:
     """The way that a vehicle followed: the one from which its centre was the least off, in the mean; of equals the
     first."""
-    return min(ways, key=lambda way: sum(abs(d) for _, d in followed(way.path, track.x, track.y, NEAR_WAY)))
+    return min(ways, key=lambda way: sum(abs(d) for _, d in followed(way.path, track.x, track.y, NEXT_ON_WAY_SEARCH_M)))
 
 
 def _rows(ego: Track, bv: Track, start: float, way: ReferencePath | None) -> tuple[Row, ...]:
     count = min(len(ego.time), len(bv.time))
     if count < 2:
         return ()
-    every = max(1, round(EVERY / float(np.diff(ego.time).min())))
+    every = max(1, round(REPORT_ROW_INTERVAL_S / float(np.diff(ego.time).min())))
     steps = sorted({*range(0, count, every), count - 1})
-    places = [(0.0, 0.0)] * len(steps) if way is None else followed(way.path, bv.x[steps], bv.y[steps], NEAR_WAY)
+    places = (
+        [(0.0, 0.0)] * len(steps) if way is None else followed(way.path, bv.x[steps], bv.y[steps], NEXT_ON_WAY_SEARCH_M)
+    )
     rows = list[Row]()
     for k, (_, offset) in zip(steps, places, strict=True):
         frame = Frame(float(ego.x[k]), float(ego.y[k]), float(ego.heading[k]))
@@ -96,7 +98,7 @@ def scene_of(
 
 # -- its changes ----------------------------------------------------------------------------------------------------
 
-IN_VAIN = 2  # changes in a row that bring nothing
+MAX_CHANGES_IN_VAIN = 2  # changes in a row that bring nothing
 Key = tuple[str, float, tuple[tuple[str, float], ...]]
 Tried = Sequence[tuple[Attempt, AttemptResult]]
 
@@ -129,7 +131,7 @@ class Repairs:
         """The candidate to which the modifier changes an attempt, or none. ``only``: attempts of this planner (hash).
         Raises ModelError."""
         ordered = sorted((a for a, _ in tried), key=lambda a: (rank(a.verdict), a.verdict.min_distance))
-        if not ordered or self._in_vain_by(rank(ordered[0].verdict)) >= IN_VAIN:
+        if not ordered or self._in_vain_by(rank(ordered[0].verdict)) >= MAX_CHANGES_IN_VAIN:
             return []
         attempt = next((a for a in ordered if self._may_change(a.proposal, only)), None)
         if attempt is None:
@@ -172,7 +174,7 @@ class Repairs:
             if change.planner.hash != p.planner.hash:
                 self.versions[change.planner.hash] = change.planner
         else:  # nothing can work here
-            self._before, self._in_vain = None, IN_VAIN
+            self._before, self._in_vain = None, MAX_CHANGES_IN_VAIN
             return []
         for candidate in candidates:
             self._depth[key_of(candidate)] = self._depth.get(key_of(p), 0) + 1

@@ -106,13 +106,19 @@ class Meetings:
 # -- who waits ------------------------------------------------------------------------------------------------------
 
 # m/s2: a driver that can stop with this braking stops at a yellow light, and keeps ``MINOR_TIME_GAP_S``
-COMFORTABLE = 3.0
-STOPS = 4.5  # m/s2: a driver that cannot stop with this (SUMO's ``decel``) passes, unless it had to wait already
-CAN_STOP = 0.5  # m: a driver that would stop at most this far beyond the line can still stop before it
-RELAX = 1.0  # s more than ``MINOR_TIME_GAP_S`` before a reason to wait goes away: SUMO's own margin once more
-PASSED = 0.5  # m by which the front bumper may be over a line and still stand at it, as in ``drivers/junctions.py``
-AT_SIGN = 3.0  # m before a stop sign's line within which a standstill counts
-LETS_GO = 3.0  # s: a vehicle that has stood this long lets the ego go first, so that two do not wait for each other
+COMFORTABLE_BRAKING_M_S2 = 3.0
+STOPPING_BRAKING_M_S2 = (
+    4.5  # m/s2: a driver that cannot stop with this (SUMO's ``decel``) passes, unless it had to wait already
+)
+STOP_BEYOND_LINE_M = 0.5  # m: a driver that would stop at most this far beyond the line can still stop before it
+WAIT_RELAX_S = 1.0  # s more than ``MINOR_TIME_GAP_S`` before a reason to wait goes away: SUMO's own margin once more
+LINE_PASSED_M = (
+    0.5  # m by which the front bumper may be over a line and still stand at it, as in ``drivers/junctions.py``
+)
+AT_STOP_SIGN_M = 3.0  # m before a stop sign's line within which a standstill counts
+LETS_GO_AFTER_S = (
+    3.0  # s: a vehicle that has stood this long lets the ego go first, so that two do not wait for each other
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,12 +148,12 @@ class Foe:
     letter: str  # SUMO's, of its light now or of its sign
 
 
-COLOURS = {**dict.fromkeys("Ggs", "green"), **dict.fromkeys("yY", "yellow"), **dict.fromkeys("rRu", "red")}
+LIGHT_COLOURS = {**dict.fromkeys("Ggs", "green"), **dict.fromkeys("yY", "yellow"), **dict.fromkeys("rRu", "red")}
 
 
 def signal_of(letter: str, *, light: bool) -> str | None:
     """``green``, ``yellow``, ``red``; None if there is no light or it is off."""
-    return COLOURS.get(letter) if light else None
+    return LIGHT_COLOURS.get(letter) if light else None
 
 
 def sign_of(letter: str) -> str | None:
@@ -170,19 +176,19 @@ class RightOfWay:
 
     def must_wait(self, line: Line, length: float, speed: float, stood: float, foes: Sequence[Foe]) -> bool:
         """For an ego of a length [m] and a speed [m/s] that has been standing for ``stood`` seconds."""
-        if line.room < -PASSED:
+        if line.room < -LINE_PASSED_M:
             self._forget(line.link)
             return False
         signal = signal_of(line.letter, light=line.way.light[1] >= 0 and line.begin == 0.0)
         if signal == "red":
             return True
         if signal == "yellow":
-            if speed * speed <= 2 * COMFORTABLE * max(line.room, 0.0) or speed < HALTING_SPEED_M_S:
+            if speed * speed <= 2 * COMFORTABLE_BRAKING_M_S2 * max(line.room, 0.0) or speed < HALTING_SPEED_M_S:
                 self._yellow.add(line.link)
             return line.link in self._yellow
         self._yellow.discard(line.link)
         if sign_of(line.letter) == "stop":
-            if speed < HALTING_SPEED_M_S and line.room <= AT_SIGN:
+            if speed < HALTING_SPEED_M_S and line.room <= AT_STOP_SIGN_M:
                 self._stood[line.link] = max(stood, self._stood.get(line.link, 0.0))
             elif line.link not in self._stood:
                 return True
@@ -214,10 +220,13 @@ class RightOfWay:
             return False
         margin = MINOR_TIME_GAP_S
         if (line.link, foe.id) in self._waits:
-            margin = MINOR_TIME_GAP_S + RELAX
-        elif line.room <= speed * speed / (2 * STOPS) - CAN_STOP:
+            margin = MINOR_TIME_GAP_S + WAIT_RELAX_S
+        elif line.room <= speed * speed / (2 * STOPPING_BRAKING_M_S2) - STOP_BEYOND_LINE_M:
             return False
-        elif line.link in self._let_go or line.room <= speed * speed / (2 * COMFORTABLE) - CAN_STOP:
+        elif (
+            line.link in self._let_go
+            or line.room <= speed * speed / (2 * COMFORTABLE_BRAKING_M_S2) - STOP_BEYOND_LINE_M
+        ):
             margin = 0.0
         for meeting in self._meetings.of(line.link):
             if meeting.other != foe.link or not (meeting.yields or entered) or meeting.at < line.begin:
@@ -226,7 +235,7 @@ class RightOfWay:
             to_clear = foe.to_line + meeting.other_at + foe.length + MEETING_CLEARANCE_M
             if to_clear <= 0.0:
                 continue
-            if to_zone > 0.0 and foe.speed < HALTING_SPEED_M_S and foe.stood() >= LETS_GO:
+            if to_zone > 0.0 and foe.speed < HALTING_SPEED_M_S and foe.stood() >= LETS_GO_AFTER_S:
                 continue
             if line.letter == "w" and not entered and foe.stood() <= self._stood[line.link]:
                 continue

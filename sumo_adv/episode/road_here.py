@@ -20,10 +20,13 @@ from sumo_adv.simulation.network import NetworkLane as NetLane
 if TYPE_CHECKING:
     from sumo_adv.episode.drive import Drive
 
-SLOW, AT_LINE = 1.0, 10.0  # m/s, m: a slower ego nearer to the end of its lane gets no advised speed: SUMO's advice is
+UNADVISED_SPEED_M_S, UNADVISED_DISTANCE_M = (
+    1.0,
+    10.0,
+)  # m/s, m: a slower ego nearer to the end of its lane gets no advised speed: SUMO's advice is
 # at most the speed that the ego was given, so a creeping ego would creep on.
-LEAVING = 0.3  # s before its front bumper reaches the end of its route the ego leaves
-SEEN = 120.0  # m: how far the road is told
+LEAVING_S = 0.3  # s before its front bumper reaches the end of its route the ego leaves
+ROAD_SEEN_M = 120.0  # m: how far the road is told
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +106,11 @@ class RoadNow(Road):
 
     @cached_property
     def advised(self) -> float | None:
-        at_line = self._ego.speed < SLOW and self._left < AT_LINE and not self._place.lane.internal
+        at_line = (
+            self._ego.speed < UNADVISED_SPEED_M_S
+            and self._left < UNADVISED_DISTANCE_M
+            and not self._place.lane.internal
+        )
         drive = self._now().drive
         return drive.simulation.advised(self._ego.id) if drive.heeding and not at_line else None
 
@@ -114,7 +121,7 @@ class RoadNow(Road):
         if arrival is None or arrival.edge != self._place.lane.edge or arrival.edge in self._place.route[1:]:
             return False
         left = self._place.lane.station_of(arrival.position) - self._place.front
-        return left < LEAVING * self._ego.speed + 0.5
+        return left < LEAVING_S * self._ego.speed + 0.5
 
     @cached_property
     def lanes(self) -> tuple[Lane, ...]:
@@ -147,7 +154,7 @@ class RoadNow(Road):
         if not lines:
             return ()
         foes = self._foes
-        stood = here.drive.simulation.stood(ego.id) if ego.speed < SLOW else 0.0
+        stood = here.drive.simulation.stood(ego.id) if ego.speed < UNADVISED_SPEED_M_S else 0.0
         return tuple(
             StopLine(
                 line.room + ego.length / 2, signal_of(line.letter, light=_lit(line)), sign_of(line.letter),
@@ -163,7 +170,7 @@ class RoadNow(Road):
             own = self._line(junction, 0.0)
             for meeting in here.meetings.of(junction.link):
                 ahead = junction.ahead + meeting.at
-                if 0.0 <= ahead <= SEEN:
+                if 0.0 <= ahead <= ROAD_SEEN_M:
                     yields = here.rule.yields(own, meeting, self._letter(meeting.other))
                     conflicts.append(Conflict(ahead, meeting.lane, meeting.x, meeting.y, yields, meeting.joins))
         return tuple(sorted(conflicts, key=lambda c: c.ahead))
@@ -178,7 +185,7 @@ class RoadNow(Road):
         if (link := here.meetings.link_of.get(lane.id)) is not None:  # the ego is on it
             before = sum(lanes[n].length for n in ways[link].via[: ways[link].via.index(lane.id)])
             junctions.append(Junction(link, ways[link], ahead - before))
-        while (ahead := ahead + lane.length) < SEEN:
+        while (ahead := ahead + lane.length) < ROAD_SEEN_M:
             onward = here.map.onward(lane, place.route, here.drive.kind(self._ego.id), here.drive.closed)
             if not onward:
                 break
@@ -199,7 +206,7 @@ class RoadNow(Road):
             entry = self._line(junction, 0.0)
             if entry.room > -self._ego.length / 2 and (_lit(entry) or (sign_of(entry.letter) and not bay)):
                 yield entry
-            if bay and sign_of(entry.letter) and -self._ego.length / 2 < entry.room + bay < SEEN:
+            if bay and sign_of(entry.letter) and -self._ego.length / 2 < entry.room + bay < ROAD_SEEN_M:
                 yield self._line(junction, bay)
 
     def _line(self, junction: Junction, begin: float) -> Line:
@@ -224,7 +231,7 @@ class RoadNow(Road):
         here, ahead = self._now(), {junction.link[0] for junction in self._stretches[1]}
         raw, ego = here.drive.snapshot.raw, self._ego
         foes: list[Foe] = []
-        for name in here.drive.near(ego, SEEN):
+        for name in here.drive.near(ego, ROAD_SEEN_M):
             at = self._approach(name)
             if at is None or at[0][0] not in ahead:
                 continue
@@ -246,7 +253,7 @@ class RoadNow(Road):
             link = here.meetings.link_of.get(on)
             return None if link is None else (link, -float(along(here.meetings.line(link), x, y)) - 1e-3)
         edges, room = here.drive.simulation.ahead(name), lane.length - lane.station_at(x, y)
-        while room < SEEN:
+        while room < ROAD_SEEN_M:
             onward = here.map.onward(lane, edges, here.drive.kind(name))
             if not onward:
                 return None

@@ -14,10 +14,10 @@ from sumo_adv.geometry import read_only, wrap
 from sumo_adv.simulation.network import NetworkLane as NetLane
 from sumo_adv.simulation.network import RoadMap
 
-REACH = 120.0  # m from the ego
-FRESH = 10.0  # m that the ego goes until they are made again
-SPAN = 0.25  # m before and behind a place over which the direction there is taken
-SAME = math.pi / 4  # rad between a lane and the path, for lanes that lead the same way
+LANES_RADIUS_M = 120.0  # m from the ego
+LANES_RENEWED_AFTER_M = 10.0  # m that the ego goes until they are made again
+DIRECTION_SPAN_M = 0.25  # m before and behind a place over which the direction there is taken
+SAME_DIRECTION_RAD = math.pi / 4  # rad between a lane and the path, for lanes that lead the same way
 
 
 class RoadNear:
@@ -42,10 +42,10 @@ class RoadNear:
         """
         key = tuple(lane.id for lane in route[:3])
         on = {lane.id for lane in route}
-        if self._around[0] != key or math.dist(self._around[1], ego) >= FRESH:
+        if self._around[0] != key or math.dist(self._around[1], ego) >= LANES_RENEWED_AFTER_M:
             way = self._way(route)
             near = (
-                lane for lane in self._road.paved_lanes_within(*ego, REACH)
+                lane for lane in self._road.paved_lanes_within(*ego, LANES_RADIUS_M)
                 if lane.id in on or lane.id in met or not self._road.leads_over(way, self._road.line(lane))
             )  # fmt: skip
             self._around = (key, ego, tuple(near))
@@ -73,12 +73,12 @@ class RoadNear:
         self, ego: tuple[float, float], route: Sequence[str], lanes: Sequence[NetLane] = ()
     ) -> tuple[Floats, ...]:
         """The boundary of the carriageway near a place; ``route``: of the ego; ``lanes``: of its path."""
-        if self._edges[0] == route and math.dist(self._edges[1], ego) < FRESH:
+        if self._edges[0] == route and math.dist(self._edges[1], ego) < LANES_RENEWED_AFTER_M:
             return self._edges[2]
         from shapely import Point
 
-        area = self._road.drivable(*ego, REACH, self._way(lanes) if lanes else None).area
-        line = area.boundary.intersection(Point(*ego).buffer(REACH))
+        area = self._road.drivable(*ego, LANES_RADIUS_M, self._way(lanes) if lanes else None).area
+        line = area.boundary.intersection(Point(*ego).buffer(LANES_RADIUS_M))
         parts = [part for part in getattr(line, "geoms", [line]) if part.geom_type == "LineString"]
         self._edges = (route, ego, tuple(read_only(part.coords) for part in parts))
         return self._edges[2]
@@ -99,11 +99,13 @@ class _Direction:
         line = LineString(shape)
         a, b = (Point(p) for p in shortest_line(self._line, line).coords)
         turn = abs(wrap(_heading(line, b) - _heading(self._line, a)))
-        return "beside" if turn < SAME else "oncoming" if turn > math.pi - SAME else "crossing"
+        return (
+            "beside" if turn < SAME_DIRECTION_RAD else "oncoming" if turn > math.pi - SAME_DIRECTION_RAD else "crossing"
+        )
 
 
 def _heading(line: Any, point: Any) -> float:
     """The direction [rad] of a line at a point on it."""
-    at = min(max(line.project(point), SPAN), line.length - SPAN)
-    a, b = line.interpolate(max(at - SPAN, 0.0)), line.interpolate(at + SPAN)
+    at = min(max(line.project(point), DIRECTION_SPAN_M), line.length - DIRECTION_SPAN_M)
+    a, b = line.interpolate(max(at - DIRECTION_SPAN_M, 0.0)), line.interpolate(at + DIRECTION_SPAN_M)
     return math.atan2(b.y - a.y, b.x - a.x)

@@ -13,9 +13,9 @@ from sumo_adv.datatypes import DriverModel, Floats, Track, VehicleState
 from sumo_adv.drivers import model_of
 from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.ego_place import lane_on_route
-from sumo_adv.episode.encounter_detector import REACH, RankedVehicle, continued
+from sumo_adv.episode.encounter_detector import WAY_AHEAD_M, RankedVehicle, continued
 from sumo_adv.episode.surroundings import Sight
-from sumo_adv.episode.unprotected import STANDS, unprotected_ways
+from sumo_adv.episode.unprotected import STANDING_SPEED_M_S, unprotected_ways
 from sumo_adv.geometry import PATH_STEP_M, Frame, Path, wrap
 from sumo_adv.metrics.case import closest, smoothed
 from sumo_adv.road_users import is_unprotected
@@ -38,9 +38,11 @@ from sumo_adv.situation import (
 
 # -- when attacks may begin -----------------------------------------------------------------------------------------
 
-FORESEEN = 7.0  # s: longest time from the start of an attack until the ego, or the first of both, is at the conflict
-MOST_SHIFT = 8.0  # s
-AT_ONCE = 3.0  # m ahead within which no vehicle can slow down much
+MAX_CONFLICT_TIME_S = (
+    7.0  # s: longest time from the start of an attack until the ego, or the first of both, is at the conflict
+)
+MAX_START_SHIFT_S = 8.0  # s
+AT_ONCE_DISTANCE_M = 3.0  # m ahead within which no vehicle can slow down much
 
 
 def delays(
@@ -50,7 +52,7 @@ def delays(
     """Seconds after the trigger at which attacks may begin. tracks: the unattacked motion from the trigger on; both:
     attacks begin before the adversary is at the conflict too."""
     soonest = min((_steps_to_conflict(c, tracks, ego_id, both) for c in ranking), default=0.0)
-    shift = min(max(0.0, math.floor(soonest * settings.step_length - FORESEEN)), MOST_SHIFT)
+    shift = min(max(0.0, math.floor(soonest * settings.step_length - MAX_CONFLICT_TIME_S)), MAX_START_SHIFT_S)
     return [shift + d for d in settings.delays]
 
 
@@ -78,19 +80,21 @@ def spent(target: Target, lateral: float) -> bool:
     if target.relation not in MEET_AHEAD:
         return False
     k, square = max(int(target.station / PATH_STEP_M), 0), target.state.speed**2
-    meeting = [w.path.curvature[k : k + round(AT_ONCE / PATH_STEP_M)] for w in target.ways if w.conflict is not None]
+    meeting = [
+        w.path.curvature[k : k + round(AT_ONCE_DISTANCE_M / PATH_STEP_M)] for w in target.ways if w.conflict is not None
+    ]
     return not any(square * float(np.abs(bends).max(initial=0.0)) <= lateral for bends in meeting)
 
 
 # -- situations -----------------------------------------------------------------------------------------------------
 
-OTHERS_NEAR = 90.0  # m: a situation keeps the motion of vehicles that come this close to the unattacked ego
-ANOTHER = 1.0  # m beyond the start of a junction: what begins there is another junction
-FULL_LANE = 3.2  # m, where the ego's lane is unknown
-FARTHEST_TIME = 20.0  # s at a BV's highest speed: covers an attempt and the plan made at its end
-LEAST_ATTACK = 1.5  # s from the start of an attack to the end of a recording
-IN_SIGHT = 120.0  # m
-HISTORY = 1.1  # s before the trigger of which a situation keeps the states (the paper's)
+OTHERS_NEAR_M = 90.0  # m: a situation keeps the motion of vehicles that come this close to the unattacked ego
+NEXT_JUNCTION_GAP_M = 1.0  # m beyond the start of a junction: what begins there is another junction
+UNKNOWN_LANE_WIDTH_M = 3.2  # m, where the ego's lane is unknown
+FARTHEST_WAY_S = 20.0  # s at a BV's highest speed: covers an attempt and the plan made at its end
+MIN_ATTACK_S = 1.5  # s from the start of an attack to the end of a recording
+IN_SIGHT_M = 120.0  # m
+HISTORY_S = 1.1  # s before the trigger of which a situation keeps the states (the paper's)
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,7 +176,7 @@ def recorded_situations(
         looks = {delay: looks[min(looks, key=lambda d: abs(d - delay))]}
     enough = {
         d: ranking for d, ranking in looks.items()
-        if ranking and (trigger.left - settings.steps(d)) * settings.step_length >= LEAST_ATTACK
+        if ranking and (trigger.left - settings.steps(d)) * settings.step_length >= MIN_ATTACK_S
     }  # fmt: skip
     return _situations(road, tracks, trigger, enough, settings)
 
@@ -217,14 +221,14 @@ def build_situation(
         return None
     others = tuple(
         part for name, t in tracks.items() if name != ego_id and len((part := t.between(time, math.inf)).time) > 1
-        and closest(ego_track, part, time) < OTHERS_NEAR and level_with(part, path).any()
+        and closest(ego_track, part, time) < OTHERS_NEAR_M and level_with(part, path).any()
     )  # fmt: skip
     lane = lane_on_route(road, ego, trigger.route, vclass)
-    width = FULL_LANE if lane is None else lane.width
+    width = UNKNOWN_LANE_WIDTH_M if lane is None else lane.width
     sides = () if lane is None else road.side_offsets(lane.id, ego.x, ego.y, ego.heading, vclass)
     near = {ego_id, *targets, *(t.id for t in others)}
-    history = tuple(t.between(time - HISTORY, time) for name, t in tracks.items() if name in near)
-    later = tuple(s for s in _junctions(road, ego_track, path, stations) if s > junction + ANOTHER)
+    history = tuple(t.between(time - HISTORY_S, time) for name, t in tracks.items() if name in near)
+    later = tuple(s for s in _junctions(road, ego_track, path, stations) if s > junction + NEXT_JUNCTION_GAP_M)
     situation = Situation(
         time, dt, settings.horizon, Frame(ego.x, ego.y, ego.heading, road.hand), ego,
         Baseline(path, stations, ego_track.speed, ego_track.acceleration, trigger.ego_model),
@@ -266,7 +270,7 @@ def _ways_on(road: RoadMap, vehicle: VehicleState, route: tuple[str, ...], vclas
     lane = lane_on_route(road, vehicle, route, vclass)
     if lane is None:
         return []
-    return road.ways(lane.id, lane.station_at(vehicle.x, vehicle.y), REACH, route, vclass=vclass)
+    return road.ways(lane.id, lane.station_at(vehicle.x, vehicle.y), WAY_AHEAD_M, route, vclass=vclass)
 
 
 def _junctions(road: RoadMap, ego: Track, path: Path, stations: Floats) -> list[float]:
@@ -280,7 +284,7 @@ def _junctions(road: RoadMap, ego: Track, path: Path, stations: Floats) -> list[
 def _ahead(
     tracks: Mapping[str, Track], ego: Track, path: Path, stations: Floats, dt: float, lane: float
 ) -> tuple[OnPath, ...]:
-    """Vehicles that are ahead of the unattacked ego at some time: within ``IN_SIGHT``, in its lane or the next one."""
+    """Vehicles that are ahead of the unattacked ego at some time, within ``IN_SIGHT_M`` and in its lane or the next."""
     ahead = []
     for name, track in tracks.items():
         unattacked = track.between(float(ego.time[0]), math.inf)
@@ -288,7 +292,7 @@ def _ahead(
             continue
         motion = on_path(unattacked, float(ego.time[0]), dt, len(stations), path)
         before = motion.s - stations
-        if ((before > 0.0) & (before < IN_SIGHT) & (np.abs(motion.d) < 1.5 * lane)).any():  # false for nan
+        if ((before > 0.0) & (before < IN_SIGHT_M) & (np.abs(motion.d) < 1.5 * lane)).any():  # false for nan
             ahead.append(motion)
     return tuple(ahead)
 
@@ -317,11 +321,11 @@ def _target(
         return None
     lane = lane_on_route(road, bv, (), vclass)
     begin = 0.0 if lane is None else lane.station_at(bv.x, bv.y)
-    farthest = FARTHEST_TIME * top_speed(bv)
-    onward = [] if lane is None else road.ways(lane.id, begin, REACH, farthest=farthest, vclass=vclass)
+    farthest = FARTHEST_WAY_S * top_speed(bv)
+    onward = [] if lane is None else road.ways(lane.id, begin, WAY_AHEAD_M, farthest=farthest, vclass=vclass)
     if is_unprotected(bv):
         small = unprotected_ways(bv, path, onward)
-        turn = 0.0 if bv.speed < STANDS else wrap(bv.heading - float(small[0].path.heading[0]))
+        turn = 0.0 if bv.speed < STANDING_SPEED_M_S else wrap(bv.heading - float(small[0].path.heading[0]))
         return Target(bv, ranked.relation, small, 0.0, 0.0, turn, (), ranked.risk, hand=road.hand)
     related = [relate(w.path, w.movement, w.junction, w.gives_way, path) for w in onward]
     ways = [replace(r, before_ego=goes_first(w.first, ego), bay=w.bay) for r, w in zip(related, onward, strict=True)]

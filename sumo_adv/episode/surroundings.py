@@ -17,7 +17,7 @@ from sumo_adv.datatypes import Bools, Floats, VehicleState
 from sumo_adv.drivers import Observation, Road, Vehicle
 from sumo_adv.drivers.protocol import wishes_of
 from sumo_adv.episode.ego_place import LanePlace
-from sumo_adv.episode.encounter_detector import REACH, logged_path
+from sumo_adv.episode.encounter_detector import WAY_AHEAD_M, logged_path
 from sumo_adv.episode.right_of_way import Meetings
 from sumo_adv.episode.road_here import RoadHere
 from sumo_adv.errors import SimulationError
@@ -198,7 +198,7 @@ class LaneLine:
             return self._line
         path = logged_path(self._road, drive) if logged else None
         if place is not None and not logged:
-            ways = self._road.ways(place.lane.id, begin, REACH, place.route, vclass=vclass, closed=drive.closed)
+            ways = self._road.ways(place.lane.id, begin, WAY_AHEAD_M, place.route, vclass=vclass, closed=drive.closed)
             path, lanes = (ways[0].path, ways[0].lanes) if ways else (None, lanes)
         if path is None:
             return None

@@ -16,20 +16,30 @@ import numpy as np
 from sumo_adv.datatypes import Floats, Track, VehicleState
 from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.ego_place import front_on, lane_on_route
-from sumo_adv.episode.encounter_detector import REACH
-from sumo_adv.episode.situation_builder import HISTORY
+from sumo_adv.episode.encounter_detector import WAY_AHEAD_M
+from sumo_adv.episode.situation_builder import HISTORY_S
 from sumo_adv.geometry import PATH_STEP_M, Path, make_path, same_layer, wrap
 from sumo_adv.metrics.boxes import height_as
 from sumo_adv.simulation.network import NetworkLane, RoadMap
 
-SEEN = 250.0  # m around the ego within which vehicles are foreseen
-FADING, GAINING = 1.0, 5.0  # s, time constants of the present acceleration, and of one above ``GAINS``
-GAINS = 1.0  # m/s2
-CENTRING = 1.5  # s, time constant of the return to the lane's centre
-COMFORT = 3.0  # m/s2, braking for what is ahead
-TAU, BRAKING, MIN_GAP = 1.0, 4.5, 2.0  # s, m/s2, m: of the safe speed behind a leader
-IN_LINE, SAME_WAY = 1.5, 0.6  # m, rad: largest offset and turn of a leader from the follower's path
-AHEAD, TURNED = 150.0, 2.2  # m, rad: largest distance and relative heading of a possible leader
+FORECAST_RADIUS_M = 250.0  # m around the ego within which vehicles are foreseen
+ACCELERATION_FADING_S, ACCELERATION_GAINING_S = (
+    1.0,
+    5.0,
+)  # s, time constants of the present acceleration, and of one above ``GAINING_ACCELERATION_M_S2``
+GAINING_ACCELERATION_M_S2 = 1.0  # m/s2
+CENTRING_S = 1.5  # s, time constant of the return to the lane's centre
+FORECAST_BRAKING_M_S2 = 3.0  # m/s2, braking for what is ahead
+FORECAST_TAU_S, SAFE_SPEED_BRAKING_M_S2, FORECAST_MIN_GAP_M = (
+    1.0,
+    4.5,
+    2.0,
+)  # s, m/s2, m: of the safe speed behind a leader
+LEADER_OFFSET_M, LEADER_HEADING_RAD = 1.5, 0.6  # m, rad: largest offset and turn of a leader from the follower's path
+LEADER_SEARCH_M, POSSIBLE_LEADER_HEADING_RAD = (
+    150.0,
+    2.2,
+)  # m, rad: largest distance and relative heading of a possible leader
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,12 +56,12 @@ class ForecastPath:
 
 
 def traffic_forecast(road: RoadMap, drive: Drive, duration: float) -> dict[str, Track]:
-    """Tracks of the ego and of the vehicles within ``SEEN`` of it: the last second and the next ``duration`` s."""
+    """Tracks of the ego and of vehicles within ``FORECAST_RADIUS_M``: the last second and the next ``duration`` s."""
     assert drive.ego is not None
     ego, dt = drive.state(drive.ego), drive.recording.step_length
-    seen = [ego, *(drive.state(name) for name in drive.near(ego, SEEN))]
+    seen = [ego, *(drive.state(name) for name in drive.near(ego, FORECAST_RADIUS_M))]
     courses = [course(road, drive, state, duration) for state in seen]
-    steps = round(HISTORY / dt) + 1
+    steps = round(HISTORY_S / dt) + 1
     recorded = {t.id: t for t in drive.tracks(start=max(0, len(drive.recording.snapshots) - steps))}
     gains = np.array([_acceleration(recorded[c.state.id]) for c in courses])
     travelled, speed = _advance(courses, gains, round(duration / dt), dt)
@@ -60,7 +70,7 @@ def traffic_forecast(road: RoadMap, drive: Drive, duration: float) -> dict[str, 
 
 def course(road: RoadMap, drive: Drive, state: VehicleState, duration: float) -> ForecastPath:
     """The way on of a vehicle; straight on if it is off the road."""
-    reach = min(REACH, max(60.0, (state.speed + 2.0) * duration))
+    reach = min(WAY_AHEAD_M, max(60.0, (state.speed + 2.0) * duration))
     if state.lane not in road.lanes:
         c, s = math.cos(state.heading), math.sin(state.heading)
         path = make_path(np.array([[state.x, state.y, state.z], [state.x + reach * c, state.y + reach * s, state.z]]))
@@ -104,7 +114,7 @@ def _caps(limits: Floats, path: Path, ends: Floats, state: VehicleState) -> Floa
 
 def _towards(path: Path, square: Floats) -> Floats:
     """Speeds from which comfortable braking reaches the squared speeds ahead."""
-    gained = 2 * COMFORT * _stations(path)
+    gained = 2 * FORECAST_BRAKING_M_S2 * _stations(path)
     least = np.minimum.accumulate((square + gained)[::-1])[::-1]
     return np.asarray(np.sqrt(np.maximum(least - gained, 0.0)))
 
@@ -127,14 +137,19 @@ def _advance(courses: Sequence[ForecastPath], a: Floats, steps: int, dt: float) 
     start = np.array([c.station for c in courses])
     rows, travelled, speed = np.arange(n), np.zeros((n, steps + 1)), np.empty((n, steps + 1))
     speed[:, 0] = v
-    went, fade = np.zeros(n), np.exp(-dt / np.where(a > GAINS, GAINING, FADING))
+    went, fade = (
+        np.zeros(n),
+        np.exp(-dt / np.where(a > GAINING_ACCELERATION_M_S2, ACCELERATION_GAINING_S, ACCELERATION_FADING_S)),
+    )
     for k in range(1, steps + 1):
         room = np.maximum(gap + np.where(follows, went[leader], 0.0) - went, 0.0)
         ahead = np.where(follows, v[leader], 0.0)
-        safe = -BRAKING * TAU + np.sqrt((BRAKING * TAU) ** 2 + ahead**2 + 2 * BRAKING * room)
+        safe = -SAFE_SPEED_BRAKING_M_S2 * FORECAST_TAU_S + np.sqrt(
+            (SAFE_SPEED_BRAKING_M_S2 * FORECAST_TAU_S) ** 2 + ahead**2 + 2 * SAFE_SPEED_BRAKING_M_S2 * room
+        )
         place = np.minimum(((start + went) / PATH_STEP_M).astype(np.intp), cap.shape[1] - 1)
         wish = np.minimum(v + a * dt, np.where(follows, safe, math.inf))
-        v = np.clip(np.minimum(wish, cap[rows, place]), np.maximum(v - 2 * BRAKING * dt, 0.0), 60.0)
+        v = np.clip(np.minimum(wish, cap[rows, place]), np.maximum(v - 2 * SAFE_SPEED_BRAKING_M_S2 * dt, 0.0), 60.0)
         a, went = a * fade, went + v * dt
         travelled[:, k], speed[:, k] = went, v
     return travelled, speed
@@ -147,13 +162,20 @@ def _leaders(courses: Sequence[ForecastPath]) -> tuple[np.ndarray, Floats]:
     leader, room = np.full(len(courses), -1), np.full(len(courses), math.inf)
     for k, c in enumerate(courses):
         forth = np.cos(c.state.heading) * (x - c.state.x) + np.sin(c.state.heading) * (y - c.state.y)
-        near = (forth > -5.0) & (np.hypot(x - c.state.x, y - c.state.y) < AHEAD)
-        for j in np.flatnonzero(near & (np.abs(wrap(h - c.state.heading)) < TURNED)):
+        near = (forth > -5.0) & (np.hypot(x - c.state.x, y - c.state.y) < LEADER_SEARCH_M)
+        for j in np.flatnonzero(near & (np.abs(wrap(h - c.state.heading)) < POSSIBLE_LEADER_HEADING_RAD)):
             s, d = c.path.project(float(x[j]), float(y[j]))
-            free = s - c.station - half[k] - half[j] - MIN_GAP
+            free = s - c.station - half[k] - half[j] - FORECAST_MIN_GAP_M
             turned = abs(wrap(h[j] - c.path.heading[min(int(max(s, 0.0) / PATH_STEP_M), len(c.path.x) - 1)]))
             level = same_layer(z[j], c.path.height(s))
-            if j != k and s > c.station and abs(d) < IN_LINE and turned < SAME_WAY and free < room[k] and level:
+            if (
+                j != k
+                and s > c.station
+                and abs(d) < LEADER_OFFSET_M
+                and turned < LEADER_HEADING_RAD
+                and free < room[k]
+                and level
+            ):
                 leader[k], room[k] = j, free
     return leader, room
 
@@ -162,7 +184,7 @@ def _track(c: ForecastPath, travelled: Floats, speed: Floats, recorded: Track, d
     """The recorded track, continued by the foreseen motion."""
     after = dt * np.arange(1, len(travelled))
     s = c.station + travelled[1:]
-    x, y, heading = c.path.at(s, c.offset * np.exp(-after / CENTRING))
+    x, y, heading = c.path.at(s, c.offset * np.exp(-after / CENTRING_S))
     lanes = np.minimum(np.searchsorted(c.ends, s), len(c.lanes) - 1)
 
     def both(name: str, foreseen: Floats) -> Floats:

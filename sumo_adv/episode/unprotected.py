@@ -21,16 +21,16 @@ from sumo_adv.simulation.network import PathAhead
 from sumo_adv.simulation.permissions import CYCLES, ON_FOOT
 from sumo_adv.situation import ReferencePath, relate
 
-STANDS = 0.3  # m/s, a slower pedestrian turns on the spot
-LATER = (0.0, 1.0, 2.0, 3.0, 4.0)  # s of going on until the turn
-LEAST_STRAIGHT = 1.0  # m before a turn: paths are smoothed over as much, and would begin turned
-ACROSS = 30.0  # m of a way after the turn
-LEAN = 2.5  # m/s2 sideways in a turn, more than people are used to and less than the limit
-LEAST_RADIUS = {RoadUser.PEDESTRIAN: 0.6, RoadUser.CYCLIST: 2.0}  # m
-ARC_STEP = 0.1  # rad
-FARTHEST = 25.0  # m from the ego's path; a pedestrian needs 6 s for it
-EGO_TIME = (1.5, 8.0)  # s until the ego is where the two meet
-STARTS = 0.5  # s that a pedestrian or cyclist needs to begin to move
+STANDING_SPEED_M_S = 0.3  # m/s, a slower pedestrian turns on the spot
+TURN_DELAYS_S = (0.0, 1.0, 2.0, 3.0, 4.0)  # s of going on until the turn
+MIN_STRAIGHT_M = 1.0  # m before a turn: paths are smoothed over as much, and would begin turned
+WAY_ACROSS_M = 30.0  # m of a way after the turn
+TURN_ACCELERATION_M_S2 = 2.5  # m/s2 sideways in a turn, more than people are used to and less than the limit
+MIN_TURN_RADIUS_M = {RoadUser.PEDESTRIAN: 0.6, RoadUser.CYCLIST: 2.0}  # m
+ARC_STEP_RAD = 0.1  # rad
+MAX_PATH_DISTANCE_M = 25.0  # m from the ego's path; a pedestrian needs 6 s for it
+EGO_TIMES_S = (1.5, 8.0)  # s until the ego is where the two meet
+START_DELAY_S = 0.5  # s that a pedestrian or cyclist needs to begin to move
 
 
 def may_attack(drive: Drive, name: str, only: Sequence[str]) -> bool:
@@ -51,8 +51,12 @@ def unprotected_ways(state: VehicleState, ego_path: Path, lanes: Sequence[PathAh
     """The ways of a pedestrian or cyclist. All of them begin at its place. lanes: the ways on of a cyclist along its
     lane; none for one beside the road."""
     user, speed = road_user(state), state.speed
-    stands = speed < STANDS and user is RoadUser.PEDESTRIAN
-    straight = [0.0] if stands else [LEAST_STRAIGHT + after * speed for after in (LATER if speed >= STANDS else (0.0,))]
+    stands = speed < STANDING_SPEED_M_S and user is RoadUser.PEDESTRIAN
+    straight = (
+        [0.0]
+        if stands
+        else [MIN_STRAIGHT_M + after * speed for after in (TURN_DELAYS_S if speed >= STANDING_SPEED_M_S else (0.0,))]
+    )
     across = [_across(state, user, ego_path, after, turns=not stands) for after in straight]
     ways = [relate(_at(state, path), "across", math.inf, False, ego_path) for path in across]
     if stands:
@@ -74,7 +78,7 @@ def _beside(lane: Path, state: VehicleState) -> Path:
 
 
 def _straight_on(state: VehicleState) -> Path:
-    reach = np.array([0.0, ACROSS + max(LATER) * state.speed])
+    reach = np.array([0.0, WAY_ACROSS_M + max(TURN_DELAYS_S) * state.speed])
     return make_path(
         np.column_stack([state.x + reach * math.cos(state.heading), state.y + reach * math.sin(state.heading)])
     )
@@ -89,17 +93,17 @@ def _across(state: VehicleState, user: RoadUser, ego_path: Path, after: float, *
     heading = ahead + (-math.pi / 2 if left > 0 else math.pi / 2)
     points = [(state.x, state.y)] if after > 0 else []
     turn = wrap(heading - state.heading) if turns else 0.0
-    radius = max(LEAST_RADIUS[user], state.speed**2 / LEAN)
+    radius = max(MIN_TURN_RADIUS_M[user], state.speed**2 / TURN_ACCELERATION_M_S2)
     sign = math.copysign(1.0, turn)
-    for a in np.linspace(0.0, abs(turn), max(2, math.ceil(abs(turn) / ARC_STEP))):
+    for a in np.linspace(0.0, abs(turn), max(2, math.ceil(abs(turn) / ARC_STEP_RAD))):
         h = state.heading + sign * a
         points.append(
             (x + sign * radius * (math.sin(h) - s), y - sign * radius * (math.cos(h) - c))
             if turns else (x, y)
         )  # fmt: skip
     end = points[-1]
-    points.append((end[0] + ACROSS * math.cos(heading), end[1] + ACROSS * math.sin(heading)))
-    return make_path(points, tightest=UNPROTECTED_LIMITS[user].curvature, lateral=LEAN)
+    points.append((end[0] + WAY_ACROSS_M * math.cos(heading), end[1] + WAY_ACROSS_M * math.sin(heading)))
+    return make_path(points, tightest=UNPROTECTED_LIMITS[user].curvature, lateral=TURN_ACCELERATION_M_S2)
 
 
 def crossing_risk(ways: Sequence[ReferencePath], state: VehicleState, ego: VehicleState) -> float:
@@ -108,10 +112,10 @@ def crossing_risk(ways: Sequence[ReferencePath], state: VehicleState, ego: Vehic
     best = 0.0
     for way in ways:
         conflict = way.conflict
-        if conflict is None or conflict.bv_s > FARTHEST:
+        if conflict is None or conflict.bv_s > MAX_PATH_DISTANCE_M:
             continue
         ego_time = conflict.ego_s / max(ego.speed, 1.0)
-        earliest = STARTS + conflict.bv_s / UNPROTECTED_SPEEDS_M_S[user]
-        if EGO_TIME[0] < ego_time < EGO_TIME[1] and earliest < ego_time:
+        earliest = START_DELAY_S + conflict.bv_s / UNPROTECTED_SPEEDS_M_S[user]
+        if EGO_TIMES_S[0] < ego_time < EGO_TIMES_S[1] and earliest < ego_time:
             best = max(best, 0.95 * math.exp(-max(0.0, ego_time - 5.0) / 4.0))
     return best

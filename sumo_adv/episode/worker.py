@@ -26,8 +26,14 @@ from sumo_adv.drivers import ReplayEgo, make_ego
 from sumo_adv.drivers.protocol import MAX_BRAKING_M_S2
 from sumo_adv.episode.attempt import Driven, attack, box_of, controller_of
 from sumo_adv.episode.drive import Drive, ego_type_file
-from sumo_adv.episode.encounter_builder import ENDANGERS, LEAST, UnattackedMotion, build_encounter, nearest_ones
-from sumo_adv.episode.encounter_detector import LOOK_EVERY, RankedVehicle
+from sumo_adv.episode.encounter_builder import (
+    ENDANGERS,
+    MIN_EGO_STAY_S,
+    UnattackedMotion,
+    build_encounter,
+    nearest_ones,
+)
+from sumo_adv.episode.encounter_detector import LOOK_INTERVAL_S, RankedVehicle
 from sumo_adv.episode.encounter_search import EncounterSearch
 from sumo_adv.episode.engine import EpisodeCalls, OpenEncounter, PlannerQuestion
 from sumo_adv.episode.references import WARM_UP_S, PlannedEgo, ReferenceEgo, avoids, manoeuvre_plan
@@ -65,7 +71,7 @@ class UnattackedBranch:
     Attributes:
         snapshots: The states from the trigger on.
         sizes: Length and width [m] of the vehicles by id.
-        looks: In a recording, the vehicles that could attack by time [s], every ``LOOK_EVERY`` s.
+        looks: In a recording, the vehicles that could attack by time [s], every ``LOOK_INTERVAL_S`` s.
     """
 
     snapshots: list[Snapshot]
@@ -331,7 +337,7 @@ class EpisodeWorker(EpisodeCalls):
         given = self._task.delay is not None  # a given attack: later danger is left to its verdict
         built = build_encounter(
             self._drive, self._road, self._settings, ranking, self._baseline, passed_over=self._passed,
-            checked=LEAST + self._settings.step_length if given else math.inf, delay=self._task.delay,
+            checked=MIN_EGO_STAY_S + self._settings.step_length if given else math.inf, delay=self._task.delay,
         )  # fmt: skip
         if isinstance(built, str):
             return built
@@ -357,7 +363,7 @@ class EpisodeWorker(EpisodeCalls):
         In a recording the branch ends when the ego leaves: nothing after that can be attacked.
         """
         drive, settings, looks = self._drive, self._settings, dict[float, list[RankedVehicle]]()
-        detector, every = self._search.watch(), settings.steps(LOOK_EVERY)
+        detector, every = self._search.watch(), settings.steps(LOOK_INTERVAL_S)
         with self._within_memory():
             for step in range(drive.within(steps)):
                 if drive.recorded() and drive.ego not in drive.snapshot.raw:

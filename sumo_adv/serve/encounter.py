@@ -16,7 +16,7 @@ from sumo_adv.config import Settings
 from sumo_adv.datatypes import Preventability, Proposal, Track
 from sumo_adv.episode.attempt import Driven, apart_of, attack, controller_of
 from sumo_adv.episode.encounter_builder import UnattackedMotion, build_encounter
-from sumo_adv.episode.encounter_detector import LOOK_EVERY, EncounterDetector, RankedVehicle
+from sumo_adv.episode.encounter_detector import LOOK_INTERVAL_S, EncounterDetector, RankedVehicle
 from sumo_adv.episode.situation_builder import build_situation, trigger_state
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.episode.traffic_forecast import apart, traffic_forecast
@@ -51,7 +51,7 @@ class EncounterMonitor:
 
         Raises ClientGone: the client did not come back in time.
         """
-        session, every = self._session, self._settings.steps(LOOK_EVERY)
+        session, every = self._session, self._settings.steps(LOOK_INTERVAL_S)
         from_here = session.now + quiet
         self._encounter = self._fresh()
         while session.now < end:
