@@ -11,7 +11,7 @@ from test_cli_bad_input import refused
 import sumo_adv
 from sumo_adv.config_odd import Odd, read_odd
 from sumo_adv.datatypes import RoadClass, RoadPlace
-from sumo_adv.episode.encounter_detector import road_class
+from sumo_adv.episode.road_place import road_class
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.network import read_network
 

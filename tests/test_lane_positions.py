@@ -14,7 +14,8 @@ from sumo_samples import make_net, make_spec, vehicle
 
 from sumo_adv.drivers import ExternalEgo, Observation
 from sumo_adv.episode.drive import Drive
-from sumo_adv.episode.encounter_detector import EncounterDetector, ego_path, place_of
+from sumo_adv.episode.encounter_detector import EncounterDetector, ego_path
+from sumo_adv.episode.road_place import place_of
 from sumo_adv.episode.situation_builder import trigger_state
 from sumo_adv.episode.traffic_forecast import traffic_forecast
 from sumo_adv.simulation.human_errors import ErrorKind, HumanErrors

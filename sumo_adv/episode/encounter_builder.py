@@ -18,7 +18,8 @@ import numpy as np
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Floats, Role, Track
 from sumo_adv.episode.drive import Drive
-from sumo_adv.episode.encounter_detector import RankedVehicle, place_of, vehicles_of
+from sumo_adv.episode.encounter_detector import RankedVehicle, vehicles_of
+from sumo_adv.episode.road_place import place_of
 from sumo_adv.episode.situation_builder import MAX_START_SHIFT_S, build_situations, recorded_situations, trigger_state
 from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.geometry import Frame

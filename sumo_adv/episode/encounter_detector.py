@@ -4,13 +4,6 @@ Every half second the vehicles near the ego are placed relative to its path: ahe
 or merging.  Vehicles that cannot meet the ego in time are dropped.  The others get a risk in [0, 1].  An encounter
 begins when the highest risk is at least ``RISK_ON`` and the next look finds at least ``RISK_OFF``. In a recording each
 later look tells which vehicles could begin an attack then, whatever their risk.
-
-What surrounds the ego then (``place_of``) is told from the network alone. Its road class, by these rules in this order:
-
-motorway   a limit of at least 90 km/h, and no lane of the other direction beside the carriageway
-junction   the ego is on a junction where several roads come together, or comes to one within 8 s at its speed
-rural      a limit above 50 km/h
-urban      everything else
 """
 
 from __future__ import annotations
@@ -22,85 +15,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from sumo_adv.config_odd import Odd
-from sumo_adv.datatypes import Floats, Relation, RoadClass, RoadPlace, VehicleState
+from sumo_adv.datatypes import Floats, Relation, VehicleState
 from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.ego_place import front_on, lane_on_route
+from sumo_adv.episode.road_place import place_of
 from sumo_adv.episode.unprotected import crossing_risk, may_attack, unprotected_ways
 from sumo_adv.geometry import Path, make_path, same_layer, wrap
 from sumo_adv.road_users import is_motorcycle, is_unprotected
-from sumo_adv.simulation.network import NetworkLane, PathAhead, RoadMap
-from sumo_adv.simulation.permissions import CAR, MOTOR
-from sumo_adv.simulation.road_geometry import geometry_of
+from sumo_adv.simulation.network import PathAhead, RoadMap
+from sumo_adv.simulation.permissions import MOTOR
 from sumo_adv.situation import MEET_AHEAD, ReferencePath, relate
-
-# -- what surrounds the ego -----------------------------------------------------------------------------------------
-
-MOTORWAY_LIMIT_M_S = 25.0  # m/s, 90 km/h
-URBAN_LIMIT_M_S = 13.9  # m/s, 50 km/h, as networks have it rounded
-PLACE_LOOKAHEAD_S = 8.0  # s: most attacks come to a contact within that time
-MIN_LOOKAHEAD_M = 10.0  # m: a way that is looked at is no shorter
-VEHICLE_COUNT_RADIUS_M = 70.0  # m: the radius in which vehicles are counted
-
-
-def place_of(road: RoadMap, drive: Drive) -> RoadPlace:
-    """The surroundings of the ego now."""
-    assert drive.ego is not None
-    ego = drive.state(drive.ego)
-    obstacles = drive.obstacles
-    count = sum(name not in obstacles for name in drive.near(ego, VEHICLE_COUNT_RADIUS_M))
-    at = _lane(road, drive, ego)
-    if at is None:
-        return RoadPlace(None, None, ego.speed, count)
-    lane, station = at
-    place = None if drive.replayed() else drive.place(road)
-    route = drive.simulation.ahead(drive.ego) if place is None else place.route
-    ahead, vclass = PLACE_LOOKAHEAD_S * ego.speed, drive.kind(drive.ego)
-    kind = road_class(road, lane, station, ahead, route, vclass)
-    geometry = geometry_of(road, lane, station, ahead, route, vclass)
-    return RoadPlace(kind, drive.simulation.lane_limit(lane.id), ego.speed, count, geometry)
-
-
-def road_class(
-    road: RoadMap, lane: NetworkLane, station: float, ahead: float, route: tuple[str, ...] = (), vclass: str = CAR
-) -> RoadClass:
-    """The class of the road ``station`` metres along a lane. ahead: how far a junction counts [m]. route: the edges
-    from there on, where they are known; vclass: SUMO's class of the vehicle that goes there."""
-    if lane.speed >= MOTORWAY_LIMIT_M_S and not _two_way(road, lane):
-        return RoadClass.MOTORWAY
-    if _near_junction(road, lane, station, ahead, route, vclass):
-        return RoadClass.JUNCTION
-    return RoadClass.RURAL if lane.speed > URBAN_LIMIT_M_S else RoadClass.URBAN
-
-
-def _lane(road: RoadMap, drive: Drive, ego: VehicleState) -> tuple[NetworkLane, float] | None:
-    """The ego's lane and its centre's station on it [m]; None off the network. A log names no lane."""
-    place = None if drive.replayed() else drive.place(road)
-    if place is not None:
-        return place.lane, max(place.front - ego.length / 2, 0.0)
-    lane_at = road.lane_at(ego.x, ego.y, ego.heading, drive.kind(ego.id), ego.z)
-    return None if lane_at is None else (road.lanes[lane_at[0]], lane_at[1])
-
-
-def _two_way(road: RoadMap, lane: NetworkLane) -> bool:
-    """Whether a lane of the other direction touches the carriageway."""
-    middle = len(lane.shape) // 2
-    (x, y), (dx, dy) = lane.shape[middle - 1], lane.shape[middle] - lane.shape[middle - 1]
-    sides = road.side_offsets(lane.id, float(x + dx / 2), float(y + dy / 2), math.atan2(dy, dx))
-    return any(kind == "opposite" for _, kind in sides)
-
-
-def _near_junction(
-    road: RoadMap, lane: NetworkLane, station: float, ahead: float, route: tuple[str, ...], vclass: str
-) -> bool:
-    if lane.internal:
-        return lane.id[1:].rsplit("_", 2)[0] in road.meeting_junctions
-    ways = road.ways(lane.id, station, max(ahead, MIN_LOOKAHEAD_M), route, vclass=vclass)
-    return any(
-        way.first is not None and way.junction <= ahead and way.first.link[0] in road.meeting_junctions for way in ways
-    )
-
-
-# -- who could attack -----------------------------------------------------------------------------------------------
 
 RISK_ON, RISK_OFF, LOOKS_ABOVE = 0.40, 0.30, 2
 LOOK_INTERVAL_S = 0.5  # s
@@ -115,10 +39,8 @@ SAME_LANE_OFFSET_M = 1.2  # m
 MIN_LOGGED_WAY_M = 1.0  # m: a shorter log shows no path
 BESIDE_OFFSET_M = 8.5  # m
 BEHIND_DISTANCE_M = 45.0  # m behind the ego, for vehicles on the ego's path
-AHEAD_DISTANCE_M, FAR_AHEAD_DISTANCE_M = (
-    60.0,
-    100.0,
-)  # m ahead of the ego, for such vehicles; the second if no other vehicle is ranked
+AHEAD_DISTANCE_M = 60.0  # ahead of the ego, for vehicles on its path
+FAR_AHEAD_DISTANCE_M = 100.0  # the same if no other vehicle is ranked
 
 
 @dataclass(frozen=True, slots=True)

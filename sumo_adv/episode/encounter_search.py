@@ -22,11 +22,9 @@ EGO_PATIENCE_S = 15.0  # s after which a chosen ego without an encounter is repl
 SAME_ENCOUNTER_S = 15.0  # s after an encounter that was left, in which the same vehicles make no other one
 WHOLE_RECORDING_S = 10.0  # s: a recording that is no longer than this, or the rest of a longer one, is one encounter
 INSERTED_EGO = "ego"
-MIN_CHOSEN_EGO_SPEED_M_S, TRAFFIC_COUNT_RADIUS_M, MIN_ROUTE_LEFT_M = (
-    5.0,
-    60.0,
-    150.0,
-)  # a chosen ego: least speed [m/s], radius of counted traffic, least route [m]
+MIN_CHOSEN_EGO_SPEED_M_S = 5.0  # of an ego that is chosen
+TRAFFIC_COUNT_RADIUS_M = 60.0  # within which traffic is counted to choose an ego
+MIN_ROUTE_LEFT_M = 150.0  # of an ego that is chosen
 
 
 class EncounterSearch:

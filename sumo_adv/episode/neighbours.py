@@ -19,10 +19,8 @@ from sumo_adv.search.sampling import moved
 
 EARLIER_S = 0.3  # by which the ego arrives earlier in one neighbour, and later in another
 FASTER_SHARE = 0.05  # share by which the ego is faster in one neighbour, and slower in another
-OTHER_NUMBERS_NEIGHBOURS, NUMBER_SPREAD_SHARE = (
-    2,
-    0.05,
-)  # neighbours with other numbers, and by which share of their ranges at most
+OTHER_NUMBERS_NEIGHBOURS = 2  # neighbours with other parameter values
+NUMBER_SPREAD_SHARE = 0.05  # of a parameter's range by which its value differs at most
 MIN_NEIGHBOURS_HELD = 4  # neighbours of six in which a robust attack holds
 CLOCK_EASING_S = 1.0  # s over which the clock takes its new rate, so that the speed does not jump at the takeover
 

@@ -24,20 +24,12 @@ from sumo_adv.goal import Goal
 from sumo_adv.search.ranking import FixedOrder, as_written, chosen
 from sumo_adv.search.search import AttackSearch
 
-GENERATION_ATTEMPTS = (
-    8  # attempts that are chosen at a time: fixed, so that results do not depend on the number of cores
-)
-FULL_GENERATION_AFTER_ATTEMPTS = (
-    2 * GENERATION_ATTEMPTS
-)  # attempts before which fewer are made at a time: most searches end early
-MAX_ATTEMPTS_WITHOUT_GAIN = (
-    120  # attempts without a higher level after which an encounter is left, if another one may come;
-)
+GENERATION_ATTEMPTS = 8  # chosen at a time: fixed, so that results do not depend on the number of cores
+FULL_GENERATION_AFTER_ATTEMPTS = 2 * GENERATION_ATTEMPTS  # before, fewer are made at a time: most searches end early
+MAX_ATTEMPTS_WITHOUT_GAIN = 120  # without a higher level: then an encounter is left, if another one may come
 MAX_ATTEMPTS_WITHOUT_DANGER = 40  # the same number where no attempt has been critical
 BROKEN_ATTEMPTS = 5  # attempts after which a run ends if the ego's driver or SUMO broke in all of them
-MAX_ATTEMPTS_FOR_ROBUST = (
-    24  # attempts after a success of a kind in which a robust one of that kind is still looked for
-)
+MAX_ATTEMPTS_FOR_ROBUST = 24  # after a success of a kind, in which a robust one of that kind is still looked for
 FIRST_KEPT_ATTEMPTS, BEST_KEPT_ATTEMPTS = 25, 10  # the first and the best attempts keep their recorded states
 FAVOURITE_INTENTS = 2  # intents that are tried first where a model's answers disagree
 Optimizer = AttackSearch | FixedOrder

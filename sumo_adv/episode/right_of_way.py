@@ -107,18 +107,12 @@ class Meetings:
 
 # m/s2: a driver that can stop with this braking stops at a yellow light, and keeps ``MINOR_TIME_GAP_S``
 COMFORTABLE_BRAKING_M_S2 = 3.0
-STOPPING_BRAKING_M_S2 = (
-    4.5  # m/s2: a driver that cannot stop with this (SUMO's ``decel``) passes, unless it had to wait already
-)
+STOPPING_BRAKING_M_S2 = 4.5  # SUMO's ``decel``: a driver that cannot stop with it passes, unless it had to wait already
 STOP_BEYOND_LINE_M = 0.5  # m: a driver that would stop at most this far beyond the line can still stop before it
 WAIT_RELAX_S = 1.0  # s more than ``MINOR_TIME_GAP_S`` before a reason to wait goes away: SUMO's own margin once more
-LINE_PASSED_M = (
-    0.5  # m by which the front bumper may be over a line and still stand at it, as in ``drivers/junctions.py``
-)
+LINE_PASSED_M = 0.5  # by which the front bumper may be over a line and still stand at it (``drivers/junctions.py``)
 AT_STOP_SIGN_M = 3.0  # m before a stop sign's line within which a standstill counts
-LETS_GO_AFTER_S = (
-    3.0  # s: a vehicle that has stood this long lets the ego go first, so that two do not wait for each other
-)
+LETS_GO_AFTER_S = 3.0  # a vehicle that has stood this long lets the ego go first, so that not both wait for each other
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,10 +20,8 @@ from sumo_adv.simulation.network import NetworkLane as NetLane
 if TYPE_CHECKING:
     from sumo_adv.episode.drive import Drive
 
-UNADVISED_SPEED_M_S, UNADVISED_DISTANCE_M = (
-    1.0,
-    10.0,
-)  # m/s, m: a slower ego nearer to the end of its lane gets no advised speed: SUMO's advice is
+UNADVISED_SPEED_M_S, UNADVISED_DISTANCE_M = 1.0, 10.0
+# a slower ego nearer to the end of its lane gets no advised speed: SUMO's advice is
 # at most the speed that the ego was given, so a creeping ego would creep on.
 LEAVING_S = 0.3  # s before its front bumper reaches the end of its route the ego leaves
 ROAD_SEEN_M = 120.0  # m: how far the road is told

@@ -38,9 +38,7 @@ from sumo_adv.situation import (
 
 # -- when attacks may begin -----------------------------------------------------------------------------------------
 
-MAX_CONFLICT_TIME_S = (
-    7.0  # s: longest time from the start of an attack until the ego, or the first of both, is at the conflict
-)
+MAX_CONFLICT_TIME_S = 7.0  # from the start of an attack until the ego, or the first of both, is at the conflict
 MAX_START_SHIFT_S = 8.0  # s
 AT_ONCE_DISTANCE_M = 3.0  # m ahead within which no vehicle can slow down much
 

@@ -23,23 +23,16 @@ from sumo_adv.metrics.boxes import height_as
 from sumo_adv.simulation.network import NetworkLane, RoadMap
 
 FORECAST_RADIUS_M = 250.0  # m around the ego within which vehicles are foreseen
-ACCELERATION_FADING_S, ACCELERATION_GAINING_S = (
-    1.0,
-    5.0,
-)  # s, time constants of the present acceleration, and of one above ``GAINING_ACCELERATION_M_S2``
+ACCELERATION_FADING_S = 1.0  # time constant of the present acceleration
+ACCELERATION_GAINING_S = 5.0  # the same above ``GAINING_ACCELERATION_M_S2``
 GAINING_ACCELERATION_M_S2 = 1.0  # m/s2
 CENTRING_S = 1.5  # s, time constant of the return to the lane's centre
 FORECAST_BRAKING_M_S2 = 3.0  # m/s2, braking for what is ahead
-FORECAST_TAU_S, SAFE_SPEED_BRAKING_M_S2, FORECAST_MIN_GAP_M = (
-    1.0,
-    4.5,
-    2.0,
-)  # s, m/s2, m: of the safe speed behind a leader
+FORECAST_TAU_S, FORECAST_MIN_GAP_M = 1.0, 2.0  # of the safe speed behind a leader
+SAFE_SPEED_BRAKING_M_S2 = 4.5  # the same
 LEADER_OFFSET_M, LEADER_HEADING_RAD = 1.5, 0.6  # m, rad: largest offset and turn of a leader from the follower's path
-LEADER_SEARCH_M, POSSIBLE_LEADER_HEADING_RAD = (
-    150.0,
-    2.2,
-)  # m, rad: largest distance and relative heading of a possible leader
+LEADER_SEARCH_M = 150.0  # largest distance of a possible leader
+POSSIBLE_LEADER_HEADING_RAD = 2.2  # largest relative heading of a possible leader
 
 
 @dataclass(frozen=True, slots=True)
