@@ -18,7 +18,7 @@ import numpy as np
 from sumo_adv.datatypes import Limits, Planner
 from sumo_adv.geometry import make_path
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature, Source
+from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature, StoredIntent
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.trajectory import Goal, PathRow, Scalar, advance, start, steer
 from sumo_adv.planners.trial import probes
@@ -52,7 +52,7 @@ def scene(number: int) -> SceneSignature:
     return SceneSignature("straight", "neighbour", {k: round(float(v), 2) for k, v in relative.items()}, "idm")
 
 
-def sources() -> list[Source]:
+def stored_intents() -> list[StoredIntent]:
     """``MANY`` intents with a planner and a success each."""
     rng = np.random.default_rng(0)
     made = []
@@ -64,7 +64,7 @@ def sources() -> list[Source]:
             critical=True, feasible=True, rear_end=False, valid=None, strict=None, version="0", network="n", seed=i,
         )  # fmt: skip
         intent = IntentRecord(label, " ".join(rng.choice(WORDS, 25)), ("neighbour",))
-        made.append(Source(intent, (planner,), evidence=(evidence,)))
+        made.append(StoredIntent(intent, (planner,), evidence=(evidence,)))
     return made
 
 
@@ -102,7 +102,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "many.sqlite"
         with MemoryBank.open(path) as bank:
-            bank.absorb(sources())
+            bank.absorb(stored_intents())
         with MemoryBank.open(SHIPPED, read_only=True) as bank:
             count = len(bank.intents())
             rows.append(

@@ -29,7 +29,7 @@ from sumo_adv.episode.worker import EpisodeWorker
 from sumo_adv.planners.answers import Answer, PlannerObservation, road_of, world_endpoint
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Roads, Sessions
-from sumo_adv.planners.source import HELPERS_CODE, make_planner
+from sumo_adv.planners.text import HELPERS_CODE, make_planner
 from sumo_adv.simulation.engine import Engine
 from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.simulation.simulation_spec import SimulationSpec
@@ -100,7 +100,7 @@ class Bench(EpisodeWorker):
 def _local(encounter: FoundEncounter, proposal: Proposal) -> Callable[[PlannerObservation], Any]:
     """The planner as a plain function of this process."""
     space: dict[str, Any] = {}
-    exec(HELPERS_CODE + proposal.planner.source, space)
+    exec(HELPERS_CODE + proposal.planner.text, space)
     situation = encounter.situations[proposal.delay]
     road, planner = road_of(situation, proposal.bv), space["endpoint"]
 

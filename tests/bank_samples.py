@@ -12,9 +12,9 @@ from pathlib import Path
 
 from sumo_adv.datatypes import Parameter, Planner
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.memory.build import read_sources
+from sumo_adv.memory.build import read_folder
 from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature
-from sumo_adv.planners.source import parse_parameters
+from sumo_adv.planners.text import parse_parameters
 
 SHIPPED = Path(__file__).parents[1] / "memory_bank"
 
@@ -35,7 +35,7 @@ CUT_PLANNER = Planner("Aggressive Cut-in", "side", "PARAMETERS = {}\n", (), "exp
 @lru_cache
 def shipped_planners() -> dict[tuple[str, str], Planner]:
     """The planners of ``memory_bank/`` by label and mode, shared texts filled in."""
-    return {(p.label, p.mode): p for source in read_sources(SHIPPED, parse_parameters) for p in source.planners}
+    return {(p.label, p.mode): p for stored in read_folder(SHIPPED, parse_parameters) for p in stored.planners}
 
 
 def evidence(**changes: object) -> Evidence:

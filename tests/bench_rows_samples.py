@@ -10,7 +10,7 @@ from situation_samples import situation
 from sumo_adv.benchmark.nouns import Encounter
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, LibraryEntry, Proposal, Verdict
-from sumo_adv.planners.source import make_planner
+from sumo_adv.planners.text import make_planner
 from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.simulation.network import Drivable
 from sumo_adv.situation import Situation, Target

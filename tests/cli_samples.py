@@ -24,7 +24,7 @@ from sumo_adv.errors import SumoAdvError
 from sumo_adv.files import held, write_text
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.records import IntentRecord
-from sumo_adv.planners.source import make_planner
+from sumo_adv.planners.text import make_planner
 
 TESTS = Path(__file__).resolve().parent
 ROOT = TESTS.parent

@@ -23,7 +23,7 @@ from sumo_adv.memory.exchange import export_bank, import_bank
 from sumo_adv.memory.migrations import APPLICATION_ID, MIGRATIONS, migrate
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Roads, Sessions
-from sumo_adv.planners.source import make_planner
+from sumo_adv.planners.text import make_planner
 from sumo_adv.search.rollouts import predict
 
 KNOTS = ((1.0, 2.0), (3.0, -6.0))  # 2 m/s2 until 1 s, then falling by 4 m/s3, -6 m/s2 from 3 s on
@@ -142,7 +142,7 @@ def test_a_bank_of_the_first_version_keeps_its_evidence(tmp_path: Path) -> None:
         )
         connection.execute(
             "INSERT INTO planners VALUES (1, 1, 'plain', ?, '[]', ?, NULL, 'seed', 'active', '')",
-            (BRAKE_PLANNER.source, BRAKE_PLANNER.hash),
+            (BRAKE_PLANNER.text, BRAKE_PLANNER.hash),
         )
         connection.execute(
             "INSERT INTO evidence VALUES (1, 1, ?, 'straight', 'leader', '{}', 'idm', '{}', -7.5, 0.0, 1, NULL,"

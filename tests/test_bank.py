@@ -76,9 +76,9 @@ def test_evidence_about_the_unknown_is_refused_and_leaves_nothing(tmp_path: Path
 
 
 def test_planners_come_by_mode_then_age_and_one_source_may_serve_two_intents(tmp_path: Path) -> None:
-    late = replace(BRAKE_PLANNER, mode="late", source="# late\n", parent=BRAKE_PLANNER.hash)
-    newer = replace(BRAKE_PLANNER, source="# plain, newer\n")
-    shared = replace(CUT_PLANNER, source=BRAKE_PLANNER.source, parameters=BRAKE_PLANNER.parameters)
+    late = replace(BRAKE_PLANNER, mode="late", text="# late\n", parent=BRAKE_PLANNER.hash)
+    newer = replace(BRAKE_PLANNER, text="# plain, newer\n")
+    shared = replace(CUT_PLANNER, text=BRAKE_PLANNER.text, parameters=BRAKE_PLANNER.parameters)
     with MemoryBank.open(tmp_path / "bank.sqlite") as bank:
         bank.add(BRAKING, [BRAKE_PLANNER, newer, late])
         bank.add(CUT_IN, [shared])
@@ -106,7 +106,7 @@ def test_the_content_hash_counts_content_only(tmp_path: Path) -> None:
         assert bank.content_hash() != first
         assert bank.epsilon() == (0.5, "nothing")
     with MemoryBank.open(tmp_path / "b") as bank:
-        bank.add(BRAKING, [replace(BRAKE_PLANNER, mode="other", source=BRAKE_PLANNER.source + "# other\n")])
+        bank.add(BRAKING, [replace(BRAKE_PLANNER, mode="other", text=BRAKE_PLANNER.text + "# other\n")])
         before = bank.content_hash()
         bank.retire(BRAKING.label, "other")
         assert bank.content_hash() != before

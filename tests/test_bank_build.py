@@ -12,7 +12,7 @@ from bank_samples import BRAKE_PLANNER, SHIPPED
 from sumo_adv.datatypes import Parameter
 from sumo_adv.errors import BankError, PlannerSyntaxError
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.memory.build import build, read_sources
+from sumo_adv.memory.build import build, read_folder
 from sumo_adv.memory.records import RELATIONS
 from sumo_adv.memory.similarity import TextAndSlots
 from sumo_adv.planners.trial import UNPROTECTED_SIZES_M
@@ -36,7 +36,7 @@ def parse(source: str) -> tuple[Parameter, ...]:
 def sources(folder: Path) -> Path:
     (folder / "braking").mkdir(parents=True)
     (folder / "braking" / "intent.toml").write_text(INTENT)
-    (folder / "braking" / "plain.py").write_text(BRAKE_PLANNER.source)
+    (folder / "braking" / "plain.py").write_text(BRAKE_PLANNER.text)
     (folder / "braking" / "late.py").write_text("PARAMETERS = {}\n")
     return folder
 
@@ -103,9 +103,9 @@ def test_intents_share_a_text_and_give_it_their_own_words(tmp_path: Path) -> Non
     (folder / "more").mkdir()
     more = INTENT.replace("Emergency", "More")
     (folder / "more" / "intent.toml").write_text(more + '[shared]\nwait = { late = "2.0" }\n')
-    braking, more_braking = read_sources(folder, lambda _: ())
+    braking, more_braking = read_folder(folder, lambda _: ())
     assert [planner.mode for planner in braking.planners] == ["late", "plain", "wait"]
-    first, second = braking.planners[2].source, more_braking.planners[0].source
+    first, second = braking.planners[2].text, more_braking.planners[0].text
     assert first == '# Emergency Braking\nPARAMETERS = {"late": (0.5, 0.0, 3.0, "s")}\n'
     assert second == '# More Braking\nPARAMETERS = {"late": (2.0, 0.0, 3.0, "s")}\n'
 
@@ -126,7 +126,7 @@ def test_intents_share_a_text_and_give_it_their_own_words(tmp_path: Path) -> Non
 def test_wrong_words_for_a_shared_text_are_refused(tmp_path: Path, text: str, table: str, sentence: str) -> None:
     folder = share(tmp_path, text, table)
     with pytest.raises(BankError, match=re.escape(sentence)):
-        read_sources(folder, lambda _: ())
+        read_folder(folder, lambda _: ())
 
 
 def test_a_label_may_be_used_once(tmp_path: Path) -> None:
@@ -135,11 +135,11 @@ def test_a_label_may_be_used_once(tmp_path: Path) -> None:
     (folder / "again" / "intent.toml").write_text(INTENT.replace("Emergency Braking", "emergency-braking"))
     (folder / "again" / "plain.py").write_text("PARAMETERS = {}\n")
     with pytest.raises(BankError, match="Two folders"):
-        read_sources(folder, parse)
+        read_folder(folder, parse)
 
 
 def test_the_seven_intents_of_the_paper_are_there() -> None:
-    intents = [source.intent for source in read_sources(SHIPPED, lambda _: ())]
+    intents = [source.intent for source in read_folder(SHIPPED, lambda _: ())]
     assert {record.label for record in intents} == LABELS
     assert len(intents) == 7
     covered = {relation for record in intents for relation in record.applies}

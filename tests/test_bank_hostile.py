@@ -15,9 +15,9 @@ from sumo_adv.datatypes import Parameter, Planner
 from sumo_adv.errors import BankError, UsageError
 from sumo_adv.files import held
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.memory.build import read_sources
+from sumo_adv.memory.build import read_folder
 from sumo_adv.memory.exchange import export_bank
-from sumo_adv.planners.source import parse_parameters
+from sumo_adv.planners.text import parse_parameters
 
 
 @pytest.mark.parametrize("wrong", WRONG)
@@ -74,7 +74,7 @@ def test_a_relation_that_is_named_again_and_again_is_refused_before_anything_is_
     file.write_text(text.replace('"leader"', ", ".join(["'leader'"] * 3000)), encoding="utf-8")
     tracemalloc.start()
     with pytest.raises(BankError, match="names a relation twice"):
-        read_sources(export, parse_parameters)
+        read_folder(export, parse_parameters)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 10e6  # bytes
@@ -88,12 +88,12 @@ def test_an_import_follows_no_linked_folder(export: Path, tmp_path: Path, linked
         (export / "emergency_braking").symlink_to(elsewhere)
     else:
         elsewhere.mkdir()
-        (elsewhere / "brake.template").write_text(BRAKE_PLANNER.source, encoding="utf-8")
+        (elsewhere / "brake.template").write_text(BRAKE_PLANNER.text, encoding="utf-8")
         (export / "planners").symlink_to(elsewhere)
         file = export / "emergency_braking" / "intent.toml"
         file.write_text(file.read_text(encoding="utf-8") + "\n[shared]\nbrake = {}\n", encoding="utf-8")
     with pytest.raises(BankError, match="is a link"):
-        read_sources(export, parse_parameters)
+        read_folder(export, parse_parameters)
 
 
 def test_evidence_with_a_number_of_401_digits_is_refused_by_its_line(export: Path) -> None:
@@ -104,7 +104,7 @@ def test_evidence_with_a_number_of_401_digits_is_refused_by_its_line(export: Pat
     with pytest.raises(
         BankError, match=r"evidence\.csv, line 2, is no evidence: a whole number in it has more than 64"
     ):
-        read_sources(export, lambda _: BRAKE_PLANNER.parameters)
+        read_folder(export, lambda _: BRAKE_PLANNER.parameters)
 
 
 def test_a_journal_beside_a_database_has_no_file_elsewhere_deleted(tmp_path: Path) -> None:

@@ -29,7 +29,7 @@ from sumo_adv.datatypes import Duty
 from sumo_adv.errors import UsageError
 from sumo_adv.memory.bank import MemoryBank, compositions
 from sumo_adv.memory.records import Composition, Evidence, IntentRecord, Part, SceneSignature
-from sumo_adv.planners.source import make_planner
+from sumo_adv.planners.text import make_planner
 from sumo_adv.report.staging import staged
 from sumo_adv.womd.reader import choice_of, find_record
 

@@ -22,7 +22,7 @@ from sumo_adv.goal import Goal
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.build import write_part
 from sumo_adv.memory.migrations import utc_now
-from sumo_adv.planners.source import make_planner
+from sumo_adv.planners.text import make_planner
 from sumo_adv.search.intents import Selection, select
 from sumo_adv.search.scoring import goal_score
 from sumo_adv.search.search import AttackSearch

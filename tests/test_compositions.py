@@ -76,7 +76,7 @@ def test_a_part_of_a_bank_has_the_compositions_of_its_intents(tmp_path: Path) ->
 
 def test_a_composition_follows_an_intent_that_is_merged(tmp_path: Path) -> None:
     """The planner's mode is taken in the other intent, so it gets a number there."""
-    stop_planner = replace(BRAKE_PLANNER, label="Stop", source=BRAKE_PLANNER.source + "# theirs\n")
+    stop_planner = replace(BRAKE_PLANNER, label="Stop", text=BRAKE_PLANNER.text + "# theirs\n")
     with filled(tmp_path / "bank.sqlite") as bank:
         bank.add(IntentRecord("Stop", "It stops.", ("leader",)), [stop_planner])
         stop = replace(SQUEEZE, label="Stop Trap", parts=(Part(Duty.COLLIDER, "Stop", stop_planner.mode), BLOCK))

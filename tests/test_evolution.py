@@ -10,7 +10,7 @@ from situation_samples import neighbour, situation
 
 from sumo_adv.datatypes import Level, LibraryEntry, Preventability, Proposal, Verdict
 from sumo_adv.goal import Goal
-from sumo_adv.planners.source import make_planner
+from sumo_adv.planners.text import make_planner
 from sumo_adv.search.evolution import Evolution, badness
 from sumo_adv.search.sampling import AttackTemplate, Sampler, templates_of
 from sumo_adv.search.search import AttackSearch

@@ -71,9 +71,9 @@ def written(piece: ExportedRun, target: Path) -> Any:
 
 
 def test_the_manifest_names_the_record(run: Path) -> None:
-    source = read_manifest(run).source.waymo
-    assert source is not None
-    assert (source.file, source.id) == (run.parent / "records.tfrecord", "hill")
+    waymo = read_manifest(run).run_input.waymo
+    assert waymo is not None
+    assert (waymo.file, waymo.id) == (run.parent / "records.tfrecord", "hill")
 
 
 def test_the_attacked_record_keeps_its_map_its_signals_and_its_numbers(run: Path, tmp_path: Path) -> None:

@@ -39,7 +39,7 @@ def test_one_that_hits_is_named_by_where_it_came_from_and_the_side_that_it_hits(
     found = named(free(target.state.id), target, hit)
     assert (found.label, found.planner.label) == (label, label)
     assert entry_of(found, [BRAKING, FREE]) is FREE  # it was drawn from there, also where the library knows the label
-    changed = replace(found, planner=replace(found.planner, source="changed by a model"))
+    changed = replace(found, planner=replace(found.planner, text="changed by a model"))
     assert entry_of(changed, [BRAKING, FREE]) is (BRAKING if label == "Emergency Braking" else FREE)
 
 

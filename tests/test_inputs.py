@@ -205,7 +205,7 @@ def test_a_shipped_network_is_found_from_anywhere(name: str, tmp_path: Path) -> 
 
 def test_a_file_at_hand_goes_before_a_shipped_name(tmp_path: Path) -> None:
     own_network = write(tmp_path / "two_way.net.xml", NET.format(lane=""))
-    assert load_input(own_network).source == own_network
+    assert load_input(own_network).path == own_network
 
 
 def test_every_shipped_name_loads() -> None:

@@ -43,7 +43,7 @@ def test_the_bank_of_the_variable_is_the_one_that_runs_use(program: Program) -> 
 def test_show_prints_the_sources(program: Program) -> None:
     text = succeeded(program.here("memory", "show", "straight lane-shift"))
     assert text.splitlines()[0] == "Straight Lane Shift"
-    sources = [p.source for p in shipped_planners().values() if p.label == "Straight Lane Shift"]
+    sources = [p.text for p in shipped_planners().values() if p.label == "Straight Lane Shift"]
     assert len(sources) == 4 and all(source in text for source in sources)
     done = program.here("memory", "show", "Dancing")
     assert (done.status, done.out) == (2, "")

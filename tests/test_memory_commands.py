@@ -11,9 +11,9 @@ from bank_samples import evidence
 from cli_samples import BAD_PLANNERS, ROOT, TRAIL, Done, Program, bank_with
 
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.memory.records import RELATIONS, IntentRecord, SceneSignature, Source
+from sumo_adv.memory.records import RELATIONS, IntentRecord, SceneSignature, StoredIntent
 from sumo_adv.planners.sandbox import Sandbox
-from sumo_adv.planners.source import make_planner
+from sumo_adv.planners.text import make_planner
 from sumo_adv.planners.trial import CROSSING_ANGLES_RAD, LANE_PLACES_M, UNPROTECTED_SIZES_M, probes, trial
 
 SHIPPED = ROOT / "memory_bank.sqlite"
@@ -121,11 +121,11 @@ def test_verify_finds_the_planner_that_fails(program: Program) -> None:
 def test_verify_runs_a_scenario_again_and_finds_the_evidence_that_is_not_so(program: Program) -> None:
     path = program.folder / "bank.sqlite"
     with MemoryBank.open(SHIPPED, read_only=True) as shipped:
-        cut_in = next(source for source in shipped.sources() if source.intent.label == "Aggressive Cut-in")
+        cut_in = next(source for source in shipped.stored_intents() if source.intent.label == "Aggressive Cut-in")
     claims = {"network": "motorway_cut_in_left", "seed": 0, "scene": SceneSignature("straight", "neighbour", {}, "idm")}
     trail = make_planner("Odd Driving", "trail", TRAIL, "person")
     with MemoryBank.open(path) as bank:
-        bank.absorb([cut_in, Source(IntentRecord("Odd Driving", "It drives along.", ("neighbour",)), (trail,))])
+        bank.absorb([cut_in, StoredIntent(IntentRecord("Odd Driving", "It drives along.", ("neighbour",)), (trail,))])
         bank.record(evidence(label="Aggressive Cut-in", planner_hash=cut_in.planners[0].hash, **claims))
         bank.record(evidence(label="Odd Driving", planner_hash=trail.hash, **claims))
     done = program.here(

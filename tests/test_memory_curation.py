@@ -17,7 +17,7 @@ from sumo_adv.memory.records import IntentRecord
 
 HARD_STOP = IntentRecord("Hard Stop", "The vehicle in front of the ego brakes hard.", ("leader",))
 STOP_PLANNER = Planner(HARD_STOP.label, "plain", "# another text\n", (), "some-model")
-LATE = replace(BRAKE_PLANNER, mode="late", source="# late\n")
+LATE = replace(BRAKE_PLANNER, mode="late", text="# late\n")
 FAILED = {"critical": False, "collided": False, "valid": None, "strict": None, "min_ttc": 4.0}
 
 
@@ -153,8 +153,8 @@ def test_a_part_of_a_bank(tmp_path: Path) -> None:
         assert write_part(bank, tmp_path / "part.sqlite", ["emergency braking"], lambda: "now") == [BRAKING.label]
         with pytest.raises(BankError, match="exists"):
             write_part(bank, tmp_path / "part.sqlite", [CUT_IN.label], lambda: "now")
-        whole = bank.sources()
+        whole = bank.stored_intents()
     with MemoryBank.open(tmp_path / "part.sqlite") as part:
-        assert part.sources() == [source for source in whole if source.intent == BRAKING]
+        assert part.stored_intents() == [source for source in whole if source.intent == BRAKING]
         assert part.epsilon() == (0.5, "by hand")
     assert {file.name for file in tmp_path.iterdir()} == {"bank.sqlite", "part.sqlite"}

@@ -19,7 +19,7 @@ from sumo_adv.memory.records import IntentRecord
 
 ODD = IntentRecord('Ein "Überholer" \\ 超車', 'It says "go" \\ and passes.', ("oncoming", "merging"))
 ODD_PLANNER = Planner(ODD.label, "../..//x", "PARAMETERS = {}\n# ü\n", (), "some/model", parent="ab" * 32)
-TWIN = replace(ODD_PLANNER, mode="x", source="PARAMETERS = {}\n# twin")
+TWIN = replace(ODD_PLANNER, mode="x", text="PARAMETERS = {}\n# twin")
 
 
 def fine(intent: IntentRecord, planner: Planner) -> str | None:
@@ -66,7 +66,7 @@ def test_there_and_back_again(tmp_path: Path) -> None:
         assert bank.retrieve("old braking").hit == BRAKING.label
     build(tmp_path / "out" / "one", tmp_path / "built.sqlite", parse)
     with MemoryBank.open(tmp_path / "built.sqlite") as built, MemoryBank.open(tmp_path / "back.sqlite") as back:
-        assert sorted(built.sources(), key=str) == sorted(back.sources(), key=str)
+        assert sorted(built.stored_intents(), key=str) == sorted(back.stored_intents(), key=str)
     assert {p.name for p in (tmp_path / "out").iterdir()} == {"one", "two"}
 
 
@@ -87,7 +87,7 @@ def test_an_export_replaces_only_an_export(tmp_path: Path) -> None:
 
 
 def test_an_import_keeps_what_is_there_and_renames_a_mode_that_is_taken(tmp_path: Path) -> None:
-    their_planner = replace(BRAKE_PLANNER, source=BRAKE_PLANNER.source + "# theirs\n")
+    their_planner = replace(BRAKE_PLANNER, text=BRAKE_PLANNER.text + "# theirs\n")
     with MemoryBank.open(tmp_path / "theirs.sqlite") as bank:
         bank.add(replace(BRAKING, label="emergency-braking", description="Theirs."), [their_planner])
         bank.record(evidence(planner_hash=their_planner.hash))
@@ -141,7 +141,7 @@ def test_what_cannot_be_read_is_left_out_when_asked(tmp_path: Path) -> None:
     out = tmp_path / "out"
     with MemoryBank.open(tmp_path / "one.sqlite") as bank:
         bank.add(CUT_IN, [CUT_PLANNER])
-        bank.add(BRAKING, [BRAKE_PLANNER, replace(BRAKE_PLANNER, mode="other", source="PARAMETERS = {}\n# other\n")])
+        bank.add(BRAKING, [BRAKE_PLANNER, replace(BRAKE_PLANNER, mode="other", text="PARAMETERS = {}\n# other\n")])
         bank.record(evidence())
         export_bank(bank, out)
     (out / "emergency_braking" / "plain.py").write_text("PARAMETERS = {")
@@ -165,7 +165,7 @@ def test_wrong_and_hostile_folders_are_refused_whole(tmp_path: Path) -> None:
         bank.record(evidence(), intent=BRAKING, planner=BRAKE_PLANNER)
         export_bank(bank, out)
     secret = tmp_path / "secret.py"
-    secret.write_text(BRAKE_PLANNER.source)
+    secret.write_text(BRAKE_PLANNER.text)
     braking = out / "emergency_braking"
     toml, rows = (braking / "intent.toml").read_text(), (braking / "evidence.csv").read_text()
     cases = [

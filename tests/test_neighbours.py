@@ -14,7 +14,7 @@ from sumo_adv.episode.attempt import Driven
 from sumo_adv.episode.neighbours import Robustness, holds, neighbours, retimed
 from sumo_adv.episode.task import AttemptResult
 from sumo_adv.goal import Goal
-from sumo_adv.planners.source import make_planner
+from sumo_adv.planners.text import make_planner
 from sumo_adv.simulation.sumo_states import Snapshot
 
 TEXT = """

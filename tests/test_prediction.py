@@ -8,7 +8,7 @@ from situation_samples import neighbour, situation
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Planner, Proposal
 from sumo_adv.planners.sandbox import Sandbox
-from sumo_adv.planners.source import make_planner
+from sumo_adv.planners.text import make_planner
 from sumo_adv.search.prediction import Predictor
 from sumo_adv.search.settings import ScoreSettings
 

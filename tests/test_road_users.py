@@ -21,7 +21,7 @@ from sumo_adv.episode.memory_access import unprotected_library
 from sumo_adv.episode.unprotected import crossing_risk, unprotected_ways
 from sumo_adv.geometry import Pose
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.memory.build import build, read_sources
+from sumo_adv.memory.build import build, read_folder
 from sumo_adv.metrics.case import Case
 from sumo_adv.metrics.gates import failed_gates, kinematic_gates
 from sumo_adv.metrics.preventability import preventability
@@ -30,7 +30,7 @@ from sumo_adv.metrics.severity import crash, hardness, unprotected_risk
 from sumo_adv.metrics.verdict import judge
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import is_trusted
-from sumo_adv.planners.source import parse_parameters
+from sumo_adv.planners.text import parse_parameters
 from sumo_adv.planners.trial import trial
 from sumo_adv.report.export.openscenario import kind
 from sumo_adv.road_users import UNPROTECTED_LIMITS, RoadUser, road_user
@@ -272,7 +272,7 @@ def test_the_shipped_bank_is_built_from_its_text_and_its_planners_are_trusted(tm
 
 def test_every_planner_passes_its_trial() -> None:
     with Sandbox() as sandbox:
-        for source in read_sources(ROOT / "unprotected_bank", parse_parameters):
+        for source in read_folder(ROOT / "unprotected_bank", parse_parameters):
             for planner in source.planners:
                 assert trial(sandbox, planner, source.intent.applies) is None
 

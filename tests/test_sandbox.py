@@ -22,7 +22,7 @@ from sumo_adv.errors import (
 )
 from sumo_adv.planners.sandbox import Jail, Sandbox, make_jail, wrapper_script
 from sumo_adv.planners.session import SandboxLimits
-from sumo_adv.planners.source import HELPERS_TEXT, make_planner, parse_parameters
+from sumo_adv.planners.text import HELPERS_TEXT, make_planner, parse_parameters
 
 TABLE = 'PARAMETERS = {"gap": (2.0, 0.5, 8.0, "m", "ahead of the ego")}\n'
 HEAD = TABLE + "def endpoint(bv, ego, road, parameters, acc, horizon):\n"

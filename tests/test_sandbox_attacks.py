@@ -22,7 +22,7 @@ from sumo_adv.errors import (
 from sumo_adv.planners.results import check_endpoint, check_trajectory
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.session import Call, SandboxLimits
-from sumo_adv.planners.source import make_planner
+from sumo_adv.planners.text import make_planner
 
 LIMIT, RUNTIME, RESULT, SYNTAX = PlannerLimitError, PlannerRuntimeError, PlannerResultError, PlannerSyntaxError
 TABLE = "PARAMETERS = {}\n"

@@ -11,7 +11,7 @@ from situation_samples import crossing, neighbour, situation
 
 from sumo_adv.agents.generator import expert_planners
 from sumo_adv.datatypes import Intent, Level, LibraryEntry, Planner, Prediction, Proposal, Verdict
-from sumo_adv.planners.source import make_planner
+from sumo_adv.planners.text import make_planner
 from sumo_adv.search.intents import Selection, compose
 from sumo_adv.search.sampling import Sampler, templates_of
 from sumo_adv.search.search import AttackSearch
@@ -248,8 +248,8 @@ def test_a_new_intent_gets_a_planner_for_each_mode_that_makes_a_movement() -> No
         (intent.label, "weave", "expert", rush[1].hash),
     ]
     for planner in planners:
-        assert planner.source.startswith(f'# {intent.label}, mode "{planner.mode}"\n')
-        assert 'MOVEMENT = "right"' in planner.source
+        assert planner.text.startswith(f'# {intent.label}, mode "{planner.mode}"\n')
+        assert 'MOVEMENT = "right"' in planner.text
         assert planner.defaults() == {"gap": 2.0, "drift": 3.0}
 
 
@@ -258,7 +258,7 @@ def test_the_nearest_intent_that_makes_a_movement_is_the_example() -> None:
     near, far = (LibraryEntry(n, "", (), (movement(n.lower(), "left"),)) for n in ("Near", "Far"))
     intent = Intent("bv", "Ramp Merge Rush", "", "medium", 0.0)
     (planner,) = expert_planners(intent, [still, near, far])
-    assert (planner.mode, 'MOVEMENT = "any"' in planner.source) == ("near", True)
+    assert (planner.mode, 'MOVEMENT = "any"' in planner.text) == ("near", True)
     assert expert_planners(intent, [still]) == ()
     assert expert_planners(intent, []) == ()
 

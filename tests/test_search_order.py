@@ -9,7 +9,7 @@ import pytest
 from sumo_adv.agents.generator import expert_planners
 from sumo_adv.datatypes import Boxes, Intent, Level, LibraryEntry, Prediction, Proposal, Verdict
 from sumo_adv.metrics.boxes import touching
-from sumo_adv.planners.source import make_planner
+from sumo_adv.planners.text import make_planner
 from sumo_adv.search.intents import compose
 from sumo_adv.search.prediction import batches_of
 from sumo_adv.search.ranking import as_written
@@ -282,7 +282,7 @@ def test_the_generator_adapts_a_movement_planner_and_keeps_its_parent():
     examples = [entry("Shift", ("neighbour",)), entry("Go-straight", ("crossing_straight",), RUSH, "direct")]
     intent = Intent("bv", "Intersection Rush-through Turn Right", "", "medium", 0.0)
     (planner,) = expert_planners(intent, examples)
-    assert 'MOVEMENT = "right"' in planner.source
+    assert 'MOVEMENT = "right"' in planner.text
     assert planner.parent == examples[1].planners[0].hash and planner.origin == "expert"
     assert expert_planners(Intent("bv", "Something else", "", "low", 0.0), examples) == ()
 

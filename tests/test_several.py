@@ -36,7 +36,7 @@ from sumo_adv.memory.records import MAX_FAILURES_IN_A_ROW, Composition, Part
 from sumo_adv.metrics.case import Case, make_case
 from sumo_adv.metrics.verdict import judge
 from sumo_adv.planners.answers import Answer, PlannerObservation
-from sumo_adv.planners.source import make_planner
+from sumo_adv.planners.text import make_planner
 from sumo_adv.report.folder import write_run
 from sumo_adv.report.manifest import RecordedRun, read_manifest
 from sumo_adv.report.staging import staged

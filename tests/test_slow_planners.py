@@ -14,7 +14,7 @@ from sumo_adv.errors import PlannerLimitError
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.session import MAX_STOPPED_CALLS, SandboxLimits
 from sumo_adv.planners.sessions import Roads, Sessions
-from sumo_adv.planners.source import make_planner
+from sumo_adv.planners.text import make_planner
 from sumo_adv.search.rollouts import predict
 
 HERE = {0.0: situation([neighbour()], model=replace(KRAUSS, kind="replay"))}

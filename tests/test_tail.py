@@ -112,6 +112,6 @@ def test_it_then_stands_off_the_middle_of_its_lane(sandbox: Sandbox) -> None:
 
 
 def test_two_intents_have_it_and_differ_in_the_movement_alone() -> None:
-    texts = {name: planner(name).source.splitlines()[1:] for name in (LEFT, STRAIGHT)}
+    texts = {name: planner(name).text.splitlines()[1:] for name in (LEFT, STRAIGHT)}
     differ = [pair for pair in zip(*texts.values(), strict=True) if pair[0] != pair[1]]
     assert differ == [('MOVEMENT = "left"', 'MOVEMENT = "straight"')]

@@ -26,7 +26,7 @@ from sumo_adv.llm.chat import Ledger
 from sumo_adv.llm.prompts import Prompts
 from sumo_adv.memory.bank import MemoryBank, compositions
 from sumo_adv.memory.records import Composition, Part
-from sumo_adv.planners.source import make_planner
+from sumo_adv.planners.text import make_planner
 from sumo_adv.search.search import AttackSearch
 from sumo_adv.search.settings import SearchSettings
 from sumo_adv.search.supports import ANY_FITTING, Cast, description_of

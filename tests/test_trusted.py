@@ -21,12 +21,12 @@ from sumo_adv.planners.answers import Answer, PlannerObservation, road_of
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.session import Call
 from sumo_adv.planners.sessions import TRUSTED, InProcessSession, Roads, Sessions, ask_trusted, fingerprint, is_trusted
-from sumo_adv.planners.source import make_planner
+from sumo_adv.planners.text import make_planner
 from sumo_adv.search.intents import FREE
 from sumo_adv.search.support_intents import SUPPORT_INTENTS
 
 SHIPPED = [*shipped_planners().values(), *(p for entry in unprotected_library() for p in entry.planners)]
-SIDE = shipped_planners()["Straight Lane Shift", "side"].source
+SIDE = shipped_planners()["Straight Lane Shift", "side"].text
 BESIDE = situation([neighbour()])
 
 
@@ -36,16 +36,16 @@ def planner(source: str) -> Planner:
 
 @pytest.mark.parametrize("p", SHIPPED, ids=lambda p: f"{p.label}/{p.mode}")
 def test_every_planner_of_the_shipped_bank_is_trusted(p: Planner) -> None:
-    assert is_trusted(p), f"write {fingerprint(p.source)} into TRUSTED (sumo_adv/planners/sessions.py)"
+    assert is_trusted(p), f"write {fingerprint(p.text)} into TRUSTED (sumo_adv/planners/sessions.py)"
 
 
 def test_no_text_is_trusted_that_the_bank_does_not_have() -> None:
     supports = [p for those in SUPPORT_INTENTS.values() for entry in those for p in entry.planners]
-    assert {fingerprint(p.source) for p in (*SHIPPED, *supports, *FREE.planners)} == TRUSTED
+    assert {fingerprint(p.text) for p in (*SHIPPED, *supports, *FREE.planners)} == TRUSTED
 
 
 def test_a_text_with_other_numbers_and_another_movement_is_trusted() -> None:
-    direct = shipped_planners()["Intersection Rush-through Turn Left", "direct"].source
+    direct = shipped_planners()["Intersection Rush-through Turn Left", "direct"].text
     assert is_trusted(planner(direct.replace('MOVEMENT = "left"', 'MOVEMENT = "right"')))
     assert is_trusted(planner(SIDE.replace('"gap": (', '"gap": (2.5, 1.0, 12.0, "m", "x"), "gap_2": (')))
 

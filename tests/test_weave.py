@@ -46,7 +46,7 @@ def aside(end: Mapping[str, float]) -> float:
 
 def test_four_intents_share_the_mode_with_their_own_movements() -> None:
     movements = [
-        next(line for line in planner(label).source.splitlines() if line.startswith("MOVEMENT")) for label in LABELS
+        next(line for line in planner(label).text.splitlines() if line.startswith("MOVEMENT")) for label in LABELS
     ]
     assert movements == [f'MOVEMENT = "{m}"' for m in ("straight", "left", "none", "none")]
     assert sorted(label for label, mode in shipped_planners() if mode == "weave") == sorted(LABELS)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sumo_adv.datatypes import Planner
-from sumo_adv.planners.source import make_planner
+from sumo_adv.planners.text import make_planner
 
 LANE_CHANGE = '''
 PARAMETERS = {

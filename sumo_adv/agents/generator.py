@@ -14,7 +14,7 @@ from sumo_adv.errors import SandboxError
 from sumo_adv.llm.asking import MeteredModel, ask
 from sumo_adv.llm.prompts import Prompt, Prompts, danger_words, sanitize
 from sumo_adv.planners.sessions import MOVEMENT
-from sumo_adv.planners.source import HELPERS_TEXT, make_planner
+from sumo_adv.planners.text import HELPERS_TEXT, make_planner
 from sumo_adv.search.intents import EXPERT, NEW_INTENTS
 from sumo_adv.situation import Situation
 
@@ -47,8 +47,8 @@ class ModelGenerator:
         prompt = generator_prompt(self.prompts, intent, situation, examples, self.limits, self.instruction)
 
         def build(answer: Written) -> Planner:
-            source, mode = without_fence(answer.source), mode_name(answer.mode)
-            return make_planner(intent.label, mode, source, self.metered.model.name)
+            text, mode = without_fence(answer.source), mode_name(answer.mode)
+            return make_planner(intent.label, mode, text, self.metered.model.name)
 
         def check(answer: Written) -> str | None:
             fault = planner_fault(lambda: build(answer), self.trial)
@@ -65,10 +65,10 @@ def expert_planners(intent: Intent, examples: Sequence[LibraryEntry]) -> tuple[P
     adapted to the new one. Empty for another intent, or if no example has a movement."""
     movement = next((m for _, (label, _, m) in NEW_INTENTS.items() if label == intent.label), None)
     for entry in examples if movement is not None else ():
-        planners = [p for p in entry.planners if MOVEMENT.search(p.source) and 'MOVEMENT = "none"' not in p.source]
+        planners = [p for p in entry.planners if MOVEMENT.search(p.text) and 'MOVEMENT = "none"' not in p.text]
         if planners:
             line, name = f'MOVEMENT = "{movement}"', intent.label
-            texts = [re.sub(r"\A# .*", f'# {name}, mode "{p.mode}"', MOVEMENT.sub(line, p.source)) for p in planners]
+            texts = [re.sub(r"\A# .*", f'# {name}, mode "{p.mode}"', MOVEMENT.sub(line, p.text)) for p in planners]
             return tuple(make_planner(name, p.mode, t, EXPERT, p.hash) for p, t in zip(planners, texts, strict=True))
     return ()
 
@@ -86,7 +86,7 @@ def generator_prompt(
         relation = situation.targets[intent.bv].relation
         scene, driver = scene_words(situation, aliases, alias), driver_words(situation)
     shown = [e for e in examples if e.planners][:MAX_EXAMPLE_PLANNERS]
-    texts = [f"--- {sanitize(e.label)}: {sanitize(e.description)}\n{e.planners[0].source}" for e in shown]
+    texts = [f"--- {sanitize(e.label)}: {sanitize(e.description)}\n{e.planners[0].text}" for e in shown]
     psi = (
         f"\nTHE USER'S INSTRUCTION FOR THE TRAJECTORY (define `trajectory` so)\n{sanitize(instruction)}\n"
         if instruction
@@ -113,10 +113,10 @@ def planner_fault(build: Callable[[], Planner], trial: Trial) -> str | None:
         return str(error)
 
 
-def without_fence(source: str) -> str:
+def without_fence(text: str) -> str:
     """A planner's text without the fence that models tend to put around it."""
-    fenced = re.search(r"```(?:python)?\s*\n(.*?)```", source, re.DOTALL)
-    return (fenced.group(1) if fenced else source).strip() + "\n"
+    fenced = re.search(r"```(?:python)?\s*\n(.*?)```", text, re.DOTALL)
+    return (fenced.group(1) if fenced else text).strip() + "\n"
 
 
 def mode_name(mode: str) -> str:

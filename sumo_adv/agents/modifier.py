@@ -20,7 +20,7 @@ from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, LibraryEntry, Limits, Planner
 from sumo_adv.llm.asking import MeteredModel, ask
 from sumo_adv.llm.prompts import Prompt, Prompts, danger_words, sanitize
-from sumo_adv.planners.source import make_planner
+from sumo_adv.planners.text import make_planner
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,8 +96,8 @@ class ModelModifier:
         prompt = modifier_prompt(self.prompts, planner, reports, scene, self.limits, self.settings)
 
         def build(answer: Changed) -> Planner:
-            source, author = without_fence(answer.source), self.metered.model.name
-            return make_planner(planner.label, planner.mode, source, author, planner.hash)
+            text, author = without_fence(answer.source), self.metered.model.name
+            return make_planner(planner.label, planner.mode, text, author, planner.hash)
 
         def check(answer: Changed) -> str | None:
             match answer.action:
@@ -106,7 +106,7 @@ class ModelModifier:
                 case "another":
                     return _instead_fault(answer.instead, scene)
                 case "text":
-                    if without_fence(answer.source) == planner.source:
+                    if without_fence(answer.source) == planner.text:
                         return "This is the old text; change it, or give other numbers."
                     return planner_fault(lambda: build(answer), self.trial)
                 case _:
@@ -165,7 +165,7 @@ def modifier_prompt(
     return prompts.render(
         "modifier", rules=planner_rules(prompts, limits), until=str(settings.until), ttc=f"{settings.critical_ttc:g}",
         label=sanitize(scene.entry.label), description=sanitize(scene.entry.description), mode=sanitize(planner.mode),
-        source=planner.source, scene=scene.scene, duration=f"{settings.duration:g}", starts=scene.starts,
+        source=planner.text, scene=scene.scene, duration=f"{settings.duration:g}", starts=scene.starts,
         feedback="\n".join(report_words(prompts, r) for r in shown), earlier=_others_tried(prompts, shown, scene),
         others="\n".join(others), danger=danger_words(prompts),
     )  # fmt: skip

@@ -13,7 +13,7 @@ from pydantic import BaseModel, Field
 from sumo_adv.agents.scene_text import Aliases
 from sumo_adv.datatypes import Level, LibraryEntry, ModeChoice, Planner, Prediction, Proposal
 from sumo_adv.llm.prompts import sanitize
-from sumo_adv.planners.source import uses_acceleration
+from sumo_adv.planners.text import uses_acceleration
 from sumo_adv.search.settings import SearchSettings
 from sumo_adv.situation import Situation
 
@@ -42,8 +42,8 @@ def modes_words(entry: LibraryEntry) -> list[str]:
     """The modes of an intent with their tables of parameters, a line each; of versions of a mode the first one."""
     lines = []
     for planner in first_of_each_mode(entry):
-        mark = " (uses acceleration)" if uses_acceleration(planner.source) else ""
-        lines.append(f"  mode {sanitize(planner.mode)}{mark}: {opening_comment(planner.source)}")
+        mark = " (uses acceleration)" if uses_acceleration(planner.text) else ""
+        lines.append(f"  mode {sanitize(planner.mode)}{mark}: {opening_comment(planner.text)}")
         lines += [
             f"    {sanitize(p.name)}: {p.default:g} ({p.low:g} to {p.high:g}{' ' + p.unit if p.unit else ''})"
             f"{', ' + sanitize(p.meaning) if p.meaning else ''}"
@@ -60,9 +60,9 @@ def first_of_each_mode(entry: LibraryEntry) -> list[Planner]:
     return list(first.values())
 
 
-def opening_comment(source: str) -> str:
+def opening_comment(text: str) -> str:
     """The comment that opens a planner's text, without a first line that only names the planner."""
-    lines = [line.lstrip("# ") for line in takewhile(lambda line: line.startswith("#"), source.splitlines())]
+    lines = [line.lstrip("# ") for line in takewhile(lambda line: line.startswith("#"), text.splitlines())]
     if lines and NAME_LINE.fullmatch(lines[0]):
         del lines[0]
     return sanitize(" ".join(lines)) or "without a word on it"

@@ -238,7 +238,7 @@ def _checked(answer: object, situations: Mapping[float, Situation], name: str) -
         raise ValueError(f"the vehicle {answer.bv!r}; use one of the encounter's targets, {', '.join(targets)}")
     if answer.course is not None:
         return replace(answer, by=name, course=_course(answer.course))
-    if not isinstance(answer.planner, Planner) or not answer.planner.source:
+    if not isinstance(answer.planner, Planner) or not answer.planner.text:
         raise ValueError("a Proposal with neither a course nor a planner's source text; give one of them")
     numbers = answer.parameters.values()
     if not all(isinstance(n, int | float) and np.isfinite(n) for n in numbers):

@@ -22,7 +22,7 @@ from sumo_adv.app import shipped_bank
 from sumo_adv.config import SETTING_PREFIX
 from sumo_adv.errors import SumoAdvError
 from sumo_adv.memory.store import default_bank_path
-from sumo_adv.planners.source import make_planner
+from sumo_adv.planners.text import make_planner
 from sumo_adv.simulation.programs import SYSTEM_LIBRARIES
 
 LIBRARIES = ("numpy", "scipy", "shapely", "httpx", "pydantic", "pydantic_settings", "typer", "rich", "matplotlib")

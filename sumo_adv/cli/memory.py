@@ -60,23 +60,23 @@ def show(label: str, memory: Bank = None, as_json: Json = False) -> None:
             show_composition(composition, as_json)
             return
         record = known_intent(bank, label)
-        source = next(s for s in bank.sources() if s.intent == record)
+        stored = next(s for s in bank.stored_intents() if s.intent == record)
     planners: list[dict[str, Any]] = [
         {
             "mode": p.mode, "origin": p.origin, "hash": p.hash, "parent": p.parent,
-            "status": "retired" if p.hash in source.retired else "active",
+            "status": "retired" if p.hash in stored.retired else "active",
             "parameters": {x.name: [x.default, x.low, x.high, x.unit, x.meaning] for x in p.parameters},
-            "source": p.source,
-            "evidence": sum(e.planner_hash == p.hash for e in source.evidence),
-            "successes": sum(e.planner_hash == p.hash and e.success for e in source.evidence),
+            "source": p.text,
+            "evidence": sum(e.planner_hash == p.hash for e in stored.evidence),
+            "successes": sum(e.planner_hash == p.hash and e.success for e in stored.evidence),
         }
-        for p in source.planners
+        for p in stored.planners
     ]  # fmt: skip
     value = {
         "label": record.label, "description": record.description, "applies": list(record.applies),
-        "status": record.status, "merged_into": source.merged_into, "planners": planners,
+        "status": record.status, "merged_into": stored.merged_into, "planners": planners,
     }  # fmt: skip
-    gone = f" (merged into {source.merged_into})" if source.merged_into else ""
+    gone = f" (merged into {stored.merged_into})" if stored.merged_into else ""
     answer(value, as_json, lambda: [
         f"{record.label}{'' if record.status == 'active' else ', retired'}{gone}", record.description,
         f"applies to: {', '.join(record.applies)}",

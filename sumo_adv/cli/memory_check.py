@@ -19,7 +19,7 @@ from sumo_adv.files import scratch_prefix
 
 if TYPE_CHECKING:
     from sumo_adv.memory.bank import MemoryBank
-    from sumo_adv.memory.records import Composition, Evidence, Source
+    from sumo_adv.memory.records import Composition, Evidence, StoredIntent
     from sumo_adv.memory.similarity import Paraphrase, SetFigures
     from sumo_adv.planners.sandbox import Sandbox
 
@@ -33,19 +33,19 @@ class Rerun:
     min_ttc: float | None
 
 
-def successes_on(source: Source, planner: Planner, network: str) -> list[Evidence]:
+def successes_on(stored: StoredIntent, planner: Planner, network: str) -> list[Evidence]:
     """The evidence that a run on ``network`` can be held against, in the order of the bank.
 
     Not that of an ego which is a Python class: evidence may have been imported, and must not name code to be run.
     """
     from sumo_adv.drivers.registry import is_foreign
 
-    own = [e for e in source.evidence if e.success and e.planner_hash == planner.hash]
+    own = [e for e in stored.evidence if e.success and e.planner_hash == planner.hash]
     return [e for e in own if e.network == network and not is_foreign(e.scene.controller)]
 
 
 def rerun(
-    sandbox: Sandbox, source: Source, planner: Planner, evidence: Evidence, scenario: Path, attempts: int
+    sandbox: Sandbox, stored: StoredIntent, planner: Planner, evidence: Evidence, scenario: Path, attempts: int
 ) -> Rerun:
     """Run ``scenario`` with this planner alone, with the evidence's seed and ego driver, until it succeeds.
 
@@ -67,7 +67,7 @@ def rerun(
         )  # fmt: skip
         task = make_task(run_input, settings, Path(folder))
         with MemoryBank.open(Path(folder) / "one.sqlite") as bank, Engine(episode_worker) as engine:
-            bank.add(source.intent, [planner])
+            bank.add(stored.intent, [planner])
             run = run_episode(run_input, settings, task, engine, Agents(settings, sandbox), bank, lambda *_: None)
     made = () if run.best is None else run.best.attempts
     own = [a.verdict for a in made if a.proposal.planner.hash == planner.hash]
@@ -97,11 +97,11 @@ def verify(
 
     with open_bank(memory) as bank:
         chosen_label = known_intent(bank, label).label if label is not None else None
-        active = [s for s in bank.sources() if s.intent.status == "active"]
-        sources = [s for s in active if chosen_label in (None, s.intent.label)]
+        active = [s for s in bank.stored_intents() if s.intent.status == "active"]
+        stored_intents = [s for s in active if chosen_label in (None, s.intent.label)]
         composed = [] if chosen_label is not None else [lacking_row(c, active) for c in compositions(bank)]
     with Sandbox() as sandbox:
-        results = [row for source in sources for row in _verify(sandbox, source, scenario, attempts)]
+        results = [row for stored in stored_intents for row in _verify(sandbox, stored, scenario, attempts)]
         isolation = sandbox.isolation if results else None
     failed = sum(not row["ok"] for row in results)
     bad = [row for row in composed if not row["ok"]]
@@ -115,7 +115,7 @@ def verify(
         raise typer.Exit(1)
 
 
-def lacking_row(composition: Composition, active: Sequence[Source]) -> dict[str, Any]:
+def lacking_row(composition: Composition, active: Sequence[StoredIntent]) -> dict[str, Any]:
     """Whether bank and program have each part of a composition, and what they lack."""
     from sumo_adv.search.intents import COMPOSED
     from sumo_adv.search.support_intents import SUPPORT_INTENTS
@@ -135,33 +135,33 @@ def _remark(row: dict[str, Any]) -> str:
     return f": succeeded again, {row['rerun']['attempts']} attempts" if row["rerun"] is not None else ""
 
 
-def _verify(sandbox: Sandbox, source: Source, scenario: Path | None, attempts: int) -> list[dict[str, Any]]:
+def _verify(sandbox: Sandbox, stored: StoredIntent, scenario: Path | None, attempts: int) -> list[dict[str, Any]]:
     from sumo_adv.planners.trial import trial
 
     rows = []
-    for planner in source.planners:
-        if planner.hash not in source.retired:
-            failure, again = trial(sandbox, planner, source.intent.applies), None
+    for planner in stored.planners:
+        if planner.hash not in stored.retired:
+            failure, again = trial(sandbox, planner, stored.intent.applies), None
             if failure is None and scenario is not None:
-                again, failure = _again(sandbox, source, planner, scenario, attempts)
-            successes = sum(e.success for e in source.evidence if e.planner_hash == planner.hash)
+                again, failure = _again(sandbox, stored, planner, scenario, attempts)
+            successes = sum(e.success for e in stored.evidence if e.planner_hash == planner.hash)
             rows.append({
-                "label": source.intent.label, "mode": planner.mode, "hash": planner.hash, "ok": failure is None,
+                "label": stored.intent.label, "mode": planner.mode, "hash": planner.hash, "ok": failure is None,
                 "failure": failure, "successes": successes, "rerun": again,
             })  # fmt: skip
     return rows
 
 
 def _again(
-    sandbox: Sandbox, source: Source, planner: Planner, scenario: Path, attempts: int
+    sandbox: Sandbox, stored: StoredIntent, planner: Planner, scenario: Path, attempts: int
 ) -> tuple[dict[str, Any] | None, str | None]:
     """The new run of a planner that has evidence on the scenario, and what is wrong with it."""
     from sumo_adv.simulation.inputs import load_input
 
-    held = successes_on(source, planner, load_input(scenario).name)
+    held = successes_on(stored, planner, load_input(scenario).name)
     if not held:
         return None, None
-    result = rerun(sandbox, source, planner, held[0], scenario, attempts)
+    result = rerun(sandbox, stored, planner, held[0], scenario, attempts)
     failure = None if result.ok else f"It succeeded in {scenario} once and in {result.attempts} attempts did not again."
     return asdict(result), failure
 

@@ -15,7 +15,7 @@ from sumo_adv.cli.options import words
 from sumo_adv.config import Settings, load_settings
 from sumo_adv.datatypes import Intent, LibraryEntry, Planner
 from sumo_adv.errors import UsageError
-from sumo_adv.planners.source import make_planner, parse_parameters
+from sumo_adv.planners.text import make_planner, parse_parameters
 
 if TYPE_CHECKING:
     from sumo_adv.memory.bank import MemoryBank
@@ -62,11 +62,11 @@ def add(
     name = (mode or file.stem).strip()
     if not name or not name.isprintable() or len(name) > 80:
         raise UsageError("A mode is a short name; give another --mode.")
-    source = _read(file)
+    text = _read(file)
     with open_bank(memory, make=True) as bank:
         intent = _intent_to_add(bank, label, description, applies)
-        planner = make_planner(intent.label, name, source, "person")
-        for existing in next((s.planners for s in bank.sources() if s.intent.label == intent.label), ()):
+        planner = make_planner(intent.label, name, text, "person")
+        for existing in next((s.planners for s in bank.stored_intents() if s.intent.label == intent.label), ()):
             if existing.hash == planner.hash:
                 raise UsageError(
                     f"The bank has this planner for {intent.label!r} already, as the mode {existing.mode!r}."
@@ -204,10 +204,10 @@ def generate(
             bank.add(intent, [planner])
     value = {
         "label": intent.label, "applies": list(intent.applies), "mode": planner.mode, "hash": planner.hash,
-        "by": planner.origin, "source": planner.source, "added": not dry_run,
+        "by": planner.origin, "source": planner.text, "added": not dry_run,
     }  # fmt: skip
     done = f"{'Not added' if dry_run else 'Added'}: {intent.label} / {planner.mode} ({planner.hash[:12]})."
-    answer(value, as_json, lambda: [planner.source, done])
+    answer(value, as_json, lambda: [planner.text, done])
 
 
 def _intent(

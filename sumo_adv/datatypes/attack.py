@@ -86,15 +86,15 @@ class Planner:
 
     label: str
     mode: str
-    source: str
+    text: str
     parameters: tuple[Parameter, ...]
     origin: str  # seed | expert | a model's name | person
     parent: str | None = None
 
     @property
     def hash(self) -> str:
-        """SHA-256 of the source, hexadecimal."""
-        return _sha256(self.source)
+        """SHA-256 of the text, hexadecimal."""
+        return _sha256(self.text)
 
     def defaults(self) -> dict[str, float]:
         """Parameter values as the planner's author set them."""

@@ -28,7 +28,7 @@ from sumo_adv.memory.records import (
     IntentRecord,
     Retrieval,
     SceneSignature,
-    Source,
+    StoredIntent,
     canonical,
     composition_of,
     counted,
@@ -114,16 +114,16 @@ class MemoryBank:
         key = canonical(label)
         return [e for e in self._content.evidence if canonical(e.label) == key]
 
-    def sources(self) -> list[Source]:
+    def stored_intents(self) -> list[StoredIntent]:
         """The whole content by intent. Retired planners are included. Planners are sorted by mode, then text."""
         by_intent: dict[str, list[Evidence]] = {}
         for evidence in self._content.evidence:
             by_intent.setdefault(canonical(evidence.label), []).append(evidence)
         content = self._content
         return [
-            Source(
+            StoredIntent(
                 record,
-                tuple(sorted(content.planners[key], key=lambda planner: (planner.mode, planner.source))),
+                tuple(sorted(content.planners[key], key=lambda planner: (planner.mode, planner.text))),
                 frozenset(planner.hash for planner in content.planners[key] if (key, planner.hash) in content.retired),
                 tuple(by_intent.get(key, ())),
                 content.settings.get(f"{rows.MERGED_KEY_PREFIX}{key}"),
@@ -238,15 +238,15 @@ class MemoryBank:
 
     def add(self, intent: IntentRecord, planners: Iterable[Planner] = ()) -> None:
         """Add an intent and planners without evidence, in one transaction. Existing ones are not changed."""
-        self.absorb([Source(intent, tuple(planners))], unique_modes=False)
+        self.absorb([StoredIntent(intent, tuple(planners))], unique_modes=False)
 
     def absorb(
-        self, sources: Iterable[Source], *, unique_modes: bool = True, compositions: Iterable[Composition] = ()
+        self, intents: Iterable[StoredIntent], *, unique_modes: bool = True, compositions: Iterable[Composition] = ()
     ) -> edits.Absorbed:
-        """Import ``sources`` and ``compositions`` in one transaction; returns the additions. Nothing that is there is
+        """Import ``intents`` and ``compositions`` in one transaction; returns the additions. Nothing that is there is
         changed. unique_modes: number the mode of a new planner if another planner of its intent has that mode."""
         with self._writing() as stamp:
-            return edits.absorb(self._connection, sources, stamp, unique_modes=unique_modes, compositions=compositions)
+            return edits.absorb(self._connection, intents, stamp, unique_modes=unique_modes, compositions=compositions)
 
     def merge(self, label: str, into: str) -> None:
         """Move planners and evidence of intent ``label`` to the active intent ``into``, in one transaction.

@@ -31,7 +31,7 @@ from sumo_adv.memory.records import (
     Evidence,
     IntentRecord,
     SceneSignature,
-    Source,
+    StoredIntent,
     canonical,
     composition_of,
     named_numbers,
@@ -52,7 +52,7 @@ EVIDENCE_FILE = "evidence.csv"
 COMPOSITIONS_FILE = "compositions.toml"
 MAX_LABEL_CHARACTERS = 400  # of a composition's label, which may be put together from those of three intents
 SHARED_FOLDER = "planners"  # of the texts that several intents share
-MAX_SOURCE_FILE_BYTES = 256 * 1024  # of an intent.toml or a planner
+MAX_TEXT_FILE_BYTES = 256 * 1024  # of an intent.toml or a planner
 MAX_EVIDENCE_BYTES = 64 * 1024 * 1024
 _KEYS = {"label": str, "description": str, "applies": list}
 _MORE_KEYS = {"shared": dict, "status": str, "merged_into": str, "planners": dict}
@@ -64,7 +64,7 @@ EVIDENCE_FILE_COLUMNS = (
 MAX_EVIDENCE_ROWS = 200_000  # of a file: about 150 MB in memory
 
 
-def read_sources(folder: Path, parse: Parse, refuse: Refuse | None = None) -> list[Source]:
+def read_folder(folder: Path, parse: Parse, refuse: Refuse | None = None) -> list[StoredIntent]:
     """The intents of ``folder`` by slug. ``parse`` reads a planner's PARAMETERS table without running it.
 
     Raises BankError for a missing or wrong file, a link, an unknown key, an intent without planners, a label used
@@ -74,16 +74,16 @@ def read_sources(folder: Path, parse: Parse, refuse: Refuse | None = None) -> li
     files = sorted(folder.glob("*/intent.toml"))
     if not files:
         raise BankError(f"{folder} holds no <intent>/intent.toml, so there is no bank to build or import.")
-    sources = [source for file in files if (source := _taken(file, parse, refuse)) is not None]
+    intents = [stored for file in files if (stored := _taken(file, parse, refuse)) is not None]
     seen: dict[str, str] = {}
-    for source in sources:
-        label = source.intent.label
+    for stored in intents:
+        label = stored.intent.label
         if canonical(label) in seen:
             raise BankError(
                 f"Two folders of {folder} hold the intent {label!r}; labels must differ by letters or digits."
             )
         seen[canonical(label)] = label
-    return sources
+    return intents
 
 
 def read_compositions(folder: Path) -> list[Composition]:
@@ -92,7 +92,7 @@ def read_compositions(folder: Path) -> list[Composition]:
     if not (file.exists() or file.is_symlink()):
         return []
     try:
-        table = parse_toml(_read_text(file, MAX_SOURCE_FILE_BYTES))
+        table = parse_toml(_read_text(file, MAX_TEXT_FILE_BYTES))
         if table.keys() != {"compositions"} or not isinstance(table["compositions"], list):
             raise ValueError("it must hold tables [[compositions]] and nothing else")
         made = [composition_of(each) for each in table["compositions"]]
@@ -115,7 +115,7 @@ def read_intent(file: Path) -> IntentRecord:
 
 def _read_toml(file: Path) -> dict[str, Any]:
     try:
-        table = parse_toml(_read_text(file, MAX_SOURCE_FILE_BYTES))
+        table = parse_toml(_read_text(file, MAX_TEXT_FILE_BYTES))
     except ValueError as error:
         raise BankError(f"{file} cannot be read as TOML: {error}.") from error
     types = {**_KEYS, **_MORE_KEYS}
@@ -150,9 +150,9 @@ def _intent(table: Mapping[str, Any]) -> IntentRecord:
     return IntentRecord(table["label"], description, tuple(map(str, table["applies"])), table.get("status", "active"))
 
 
-def _taken(file: Path, parse: Parse, refuse: Refuse | None) -> Source | None:
+def _taken(file: Path, parse: Parse, refuse: Refuse | None) -> StoredIntent | None:
     try:
-        return _read_source(file, parse, refuse)
+        return _read_stored(file, parse, refuse)
     except BankError as error:
         if refuse is None:
             raise
@@ -160,7 +160,7 @@ def _taken(file: Path, parse: Parse, refuse: Refuse | None) -> Source | None:
         return None
 
 
-def _read_source(file: Path, parse: Parse, refuse: Refuse | None) -> Source:
+def _read_stored(file: Path, parse: Parse, refuse: Refuse | None) -> StoredIntent:
     folder, table = file.parent, _read_toml(file)
     intent, merged_into = _intent(table), table.get("merged_into")
     details: dict[str, dict[str, str]] = table.get("planners", {})
@@ -182,7 +182,7 @@ def _read_source(file: Path, parse: Parse, refuse: Refuse | None) -> Source:
     for name in names:
         try:
             path = files.get(name, folder.parent / SHARED_FOLDER / f"{name}.template")
-            text = _read_text(path, MAX_SOURCE_FILE_BYTES)
+            text = _read_text(path, MAX_TEXT_FILE_BYTES)
             if name in shared:
                 text = _filled(path, text, intent.label, shared[name])
             planners[name] = _planner(path, text, intent.label, details.get(name, {}), parse)
@@ -201,7 +201,7 @@ def _read_source(file: Path, parse: Parse, refuse: Refuse | None) -> Source:
     if file.exists() or file.is_symlink():
         left_out = set(names) - set(hashes)
         evidence = read_evidence(_read_text(file, MAX_EVIDENCE_BYTES), intent.label, hashes, str(file), left_out)
-    return Source(intent, tuple(planners.values()), retired, evidence, merged_into)
+    return StoredIntent(intent, tuple(planners.values()), retired, evidence, merged_into)
 
 
 def _shared(file: Path, table: Mapping[str, Any]) -> Mapping[str, Mapping[str, str]]:
@@ -223,17 +223,17 @@ def _filled(path: Path, text: str, label: str, words: Mapping[str, str]) -> str:
     return template.substitute(words, label=label)
 
 
-def _planner(path: Path, source: str, label: str, details: Mapping[str, str], parse: Parse) -> Planner:
+def _planner(path: Path, text: str, label: str, details: Mapping[str, str], parse: Parse) -> Planner:
     try:
-        parameters = parse(source)
+        parameters = parse(text)
     except SumoAdvError as error:
         raise BankError(f"{path} is no planner: {error}") from error
     mode = details.get("mode", path.stem)
-    return Planner(label, mode, source, parameters, details.get("origin", "seed"), details.get("parent"))
+    return Planner(label, mode, text, parameters, details.get("origin", "seed"), details.get("parent"))
 
 
 def build(folder: Path, target: Path, parse: Parse) -> None:
-    """Write the bank of the sources in ``folder`` to ``target``, replacing what is there, whole or not at all.
+    """Write the bank of the intents in ``folder`` to ``target``, replacing what is there, whole or not at all.
 
     The file is in rollback-journal mode, so that reading it makes no files beside it. Raises BankError.
     """
@@ -241,7 +241,7 @@ def build(folder: Path, target: Path, parse: Parse) -> None:
         EPSILON_KEY: {"epsilon": TextAndSlots.epsilon, "calibrated_on": TextAndSlots.calibrated_on},
         **{c.key: plain_composition(c) for c in read_compositions(folder)},
     }
-    _write(target, read_sources(folder, parse), settings, lambda: SEED_TIME, replace=True)
+    _write(target, read_folder(folder, parse), settings, lambda: SEED_TIME, replace=True)
 
 
 def write_part(bank: MemoryBank, target: Path, labels: Iterable[str], clock: Clock) -> list[str]:
@@ -251,9 +251,9 @@ def write_part(bank: MemoryBank, target: Path, labels: Iterable[str], clock: Clo
     Raises BankError, also for a label that the bank lacks or a target that exists.
     """
     chosen = {canonical(label): label for label in labels}
-    sources = [source for source in bank.sources() if canonical(source.intent.label) in chosen]
-    lacking = chosen.keys() - {canonical(source.intent.label) for source in sources}
-    if lacking or not sources:
+    intents = [stored for stored in bank.stored_intents() if canonical(stored.intent.label) in chosen]
+    lacking = chosen.keys() - {canonical(stored.intent.label) for stored in intents}
+    if lacking or not intents:
         named = ", ".join(repr(chosen[key]) for key in sorted(lacking)) or "nothing"
         there = ", ".join(record.label for record in bank.intents())
         raise BankError(f"The bank has no intent {named}; it has: {there}.")
@@ -265,11 +265,13 @@ def write_part(bank: MemoryBank, target: Path, labels: Iterable[str], clock: Clo
         for c in all_compositions(bank)
         if left_out.isdisjoint(canonical(part.intent) for part in c.parts)
     }
-    _write(target, sources, {**bank.settings(rows.EPSILON_KEY_PREFIX), **composed}, clock, replace=False)
-    return [source.intent.label for source in sources]
+    _write(target, intents, {**bank.settings(rows.EPSILON_KEY_PREFIX), **composed}, clock, replace=False)
+    return [stored.intent.label for stored in intents]
 
 
-def _write(target: Path, sources: list[Source], settings: Mapping[str, object], clock: Clock, *, replace: bool) -> None:
+def _write(
+    target: Path, intents: list[StoredIntent], settings: Mapping[str, object], clock: Clock, *, replace: bool
+) -> None:
     """A bank at ``target``, whole or not at all; one that exists is kept unless ``replace``."""
 
     def fill(connection: sqlite3.Connection) -> None:
@@ -277,7 +279,7 @@ def _write(target: Path, sources: list[Source], settings: Mapping[str, object], 
         migrate(connection, str(target), clock)
         with connection:
             connection.execute("BEGIN IMMEDIATE")
-            edits.absorb(connection, sources, clock(), unique_modes=False)
+            edits.absorb(connection, intents, clock(), unique_modes=False)
             for key, value in settings.items():
                 rows.write_setting(connection, key, value)
 

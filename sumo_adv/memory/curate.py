@@ -42,14 +42,14 @@ def near_duplicates(bank: MemoryBank) -> list[MergeProposal]:
     """Active intents that may be one: a planner with the same text, or that can be tried from a common relation and lie
     within half of epsilon; nearest first."""
     places = {record.label: i for i, record in enumerate(bank.intents())}
-    sources = {source.intent.label: source for source in bank.sources() if source.intent.status == "active"}
+    active = {stored.intent.label: stored for stored in bank.stored_intents() if stored.intent.status == "active"}
     texts: dict[str, list[str]] = {}
     proposals: dict[tuple[str, str], MergeProposal] = {}
-    for label, source in sources.items():
-        for planner in source.planners:
+    for label, stored in active.items():
+        for planner in stored.planners:
             texts.setdefault(planner.hash, []).append(label)
-        for neighbour, distance in bank.retrieve(label, source.intent.description).nearest:
-            common = set(source.intent.applies) & set(sources[neighbour].intent.applies)
+        for neighbour, distance in bank.retrieve(label, stored.intent.description).nearest:
+            common = set(stored.intent.applies) & set(active[neighbour].intent.applies)
             if neighbour != label and common and distance <= DUPLICATE_EPSILON_SHARE * bank.epsilon()[0]:
                 into, later = sorted((label, neighbour), key=places.__getitem__)
                 proposals[later, into] = MergeProposal(later, into, distance, "they say nearly the same")
@@ -61,35 +61,35 @@ def near_duplicates(bank: MemoryBank) -> list[MergeProposal]:
 
 def statistics(bank: MemoryBank) -> dict[str, Any]:
     """Counts over the bank, and under ``by_label`` for each intent; ``attempts``: the sum over its evidence."""
-    sources = bank.sources()
+    held = bank.stored_intents()
     by_label = {}
-    for source in sources:
-        successes = sum(e.success for e in source.evidence)
-        by_label[source.intent.label] = {
-            "planners": len(source.planners), "evidence": len(source.evidence), "successes": successes,
-            "collisions": sum(e.collided for e in source.evidence),
-            "valid": sum(e.valid is True for e in source.evidence),
-            "attempts": sum(e.attempts for e in source.evidence), "failures": len(source.evidence) - successes,
+    for stored in held:
+        successes = sum(e.success for e in stored.evidence)
+        by_label[stored.intent.label] = {
+            "planners": len(stored.planners), "evidence": len(stored.evidence), "successes": successes,
+            "collisions": sum(e.collided for e in stored.evidence),
+            "valid": sum(e.valid is True for e in stored.evidence),
+            "attempts": sum(e.attempts for e in stored.evidence), "failures": len(stored.evidence) - successes,
         }  # fmt: skip
     return {
-        "intents": len(sources), "active": sum(source.intent.status == "active" for source in sources),
-        "planners": sum(len(source.planners) for source in sources),
-        "evidence": sum(len(source.evidence) for source in sources), "by_label": by_label,
+        "intents": len(held), "active": sum(stored.intent.status == "active" for stored in held),
+        "planners": sum(len(stored.planners) for stored in held),
+        "evidence": sum(len(stored.evidence) for stored in held), "by_label": by_label,
     }  # fmt: skip
 
 
 def planner_counts(bank: MemoryBank) -> list[PlannerCounts]:
-    """Successes and failures of every planner, retired ones too, in the order of ``MemoryBank.sources``."""
+    """Successes and failures of every planner, retired ones too, in the order of ``MemoryBank.stored_intents``."""
     counts = []
-    for source in bank.sources():
-        results: Mapping[str, list[int]] = {planner.hash: [0, 0] for planner in source.planners}
-        for evidence in source.evidence:
+    for stored in bank.stored_intents():
+        results: Mapping[str, list[int]] = {planner.hash: [0, 0] for planner in stored.planners}
+        for evidence in stored.evidence:
             results[evidence.planner_hash][0 if evidence.success else 1] += 1
-        for planner in source.planners:
+        for planner in stored.planners:
             good, bad = results[planner.hash]
-            retired = planner.hash in source.retired or source.intent.status == "retired"
+            retired = planner.hash in stored.retired or stored.intent.status == "retired"
             counts.append(
-                PlannerCounts(source.intent.label, planner.mode, planner.hash, planner.origin, retired, good, bad)
+                PlannerCounts(stored.intent.label, planner.mode, planner.hash, planner.origin, retired, good, bad)
             )
     return counts
 

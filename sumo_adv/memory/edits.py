@@ -18,7 +18,7 @@ from sumo_adv.memory.records import (
     Composition,
     Evidence,
     IntentRecord,
-    Source,
+    StoredIntent,
     canonical,
     composition_of,
     plain_composition,
@@ -37,24 +37,24 @@ class Absorbed:
 
 
 def absorb(
-    connection: sqlite3.Connection, sources: Iterable[Source], now: str, *, unique_modes: bool,
+    connection: sqlite3.Connection, intents: Iterable[StoredIntent], now: str, *, unique_modes: bool,
     compositions: Iterable[Composition] = (),
 ) -> Absorbed:  # fmt: skip
-    """Add what the bank lacks; a piece of evidence that it holds as often as ``sources`` do is not added again."""
-    sources = list(sources)
+    """Add what the bank lacks; a piece of evidence that it holds as often as ``intents`` do is not added again."""
+    intents = list(intents)
     added = Absorbed()
     content = rows.read(connection)
     held = Counter(_evidence_key(evidence) for evidence in content.evidence)
-    for source in sources:
-        _absorb_one(connection, source, content, held, now, added, unique_modes)
-    for source in sources:
-        key = canonical(source.intent.label)
-        if source.merged_into is not None and key not in content.intents:
-            if rows.read_intent(connection, source.merged_into) is None:
+    for stored in intents:
+        _absorb_one(connection, stored, content, held, now, added, unique_modes)
+    for stored in intents:
+        key = canonical(stored.intent.label)
+        if stored.merged_into is not None and key not in content.intents:
+            if rows.read_intent(connection, stored.merged_into) is None:
                 raise BankError(
-                    f"The intent {source.intent.label!r} is merged into {source.merged_into!r}, which is not there."
+                    f"The intent {stored.intent.label!r} is merged into {stored.merged_into!r}, which is not there."
                 )
-            rows.write_setting(connection, f"{rows.MERGED_KEY_PREFIX}{key}", source.merged_into)
+            rows.write_setting(connection, f"{rows.MERGED_KEY_PREFIX}{key}", stored.merged_into)
     for composition in compositions:
         if composition.key not in content.settings:
             rows.write_setting(connection, composition.key, plain_composition(composition))
@@ -63,27 +63,27 @@ def absorb(
 
 
 def _absorb_one(
-    connection: sqlite3.Connection, source: Source, content: rows.Content, held: Counter[str], now: str,
+    connection: sqlite3.Connection, stored: StoredIntent, content: rows.Content, held: Counter[str], now: str,
     added: Absorbed, unique_modes: bool,
 ) -> None:  # fmt: skip
-    label = rows.resolve(content.settings, source.intent.label)
+    label = rows.resolve(content.settings, stored.intent.label)
     key = canonical(label)
     if key not in content.intents:
-        rows.insert_intent(connection, source.intent, now)
+        rows.insert_intent(connection, stored.intent, now)
         added.intents += 1
     else:
         label = content.intents[key].label
     held_planners = content.planners.get(key, [])
     hashes, modes = {planner.hash for planner in held_planners}, {planner.mode for planner in held_planners}
-    for planner in source.planners:
+    for planner in stored.planners:
         if planner.hash in hashes:
             continue
         named = replace(planner, mode=free_mode(planner.mode, modes)) if unique_modes else planner
         modes.add(named.mode)
-        status = "retired" if planner.hash in source.retired else "active"
+        status = "retired" if planner.hash in stored.retired else "active"
         rows.insert_planner(connection, label, named, now, status)
         added.planners += 1
-    for evidence in source.evidence:
+    for evidence in stored.evidence:
         relabelled = replace(evidence, label=label)
         if held[_evidence_key(relabelled)] > 0:
             held[_evidence_key(relabelled)] -= 1
@@ -113,16 +113,16 @@ def merge(connection: sqlite3.Connection, label: str, into: str, now: str) -> No
     """See ``MemoryBank.merge``."""
     content = rows.read(connection)
     merged, kept = _known(content, label), _known(content, into)
-    source, target = canonical(merged.label), canonical(kept.label)
-    if source == target:
+    old, target = canonical(merged.label), canonical(kept.label)
+    if old == target:
         raise BankError(f"{label!r} and {into!r} are the same intent; name two.")
     if kept.status != "active":
         raise BankError(f"The intent {kept.label!r} is retired; merge into an active one.")
     modes = {planner.mode for planner in content.planners[target]}
     hashes = {planner.hash: planner.mode for planner in content.planners[target]}
     became = dict[str, str]()  # mode -> mode of the same planner afterwards
-    for planner in content.planners[source]:
-        retired = (source, planner.hash) in content.retired
+    for planner in content.planners[old]:
+        retired = (old, planner.hash) in content.retired
         if planner.hash not in hashes:
             named = replace(planner, label=kept.label, mode=free_mode(planner.mode, modes))
             modes.add(named.mode)
@@ -134,11 +134,11 @@ def merge(connection: sqlite3.Connection, label: str, into: str, now: str) -> No
     connection.execute(
         "UPDATE evidence SET intent = (SELECT id FROM intents WHERE key = ?)"
         " WHERE intent = (SELECT id FROM intents WHERE key = ?)",
-        (target, source),
+        (target, old),
     )
-    connection.execute("DELETE FROM planners WHERE intent = (SELECT id FROM intents WHERE key = ?)", (source,))
-    rows.set_intent_status(connection, source, "retired")
-    rows.write_setting(connection, f"{rows.MERGED_KEY_PREFIX}{source}", kept.label)
+    connection.execute("DELETE FROM planners WHERE intent = (SELECT id FROM intents WHERE key = ?)", (old,))
+    rows.set_intent_status(connection, old, "retired")
+    rows.write_setting(connection, f"{rows.MERGED_KEY_PREFIX}{old}", kept.label)
     for key, value in content.settings.items():
         if key.startswith(COMPOSITION_KEY_PREFIX):
             after = renamed(composition_of(value), merged.label, kept.label, became)

@@ -25,11 +25,11 @@ from sumo_adv.memory.build import (
     EVIDENCE_FILE,
     Parse,
     read_compositions,
-    read_sources,
+    read_folder,
     write_evidence,
 )
 from sumo_adv.memory.edits import Absorbed, free_mode
-from sumo_adv.memory.records import Composition, IntentRecord, Source, canonical, plain_composition
+from sumo_adv.memory.records import Composition, IntentRecord, StoredIntent, canonical, plain_composition
 from sumo_adv.memory.store import sentences
 
 Verify = Callable[[IntentRecord, Planner], str | None]
@@ -53,17 +53,17 @@ def export_bank(bank: MemoryBank, folder: Path, *, force: bool = False) -> int:
     if folder.exists() and not (force and _is_export(folder)):
         sentence = "is no export and stays as it is" if force else "exists; say --force to replace an earlier export"
         raise BankError(f"The folder {folder} {sentence}.")
-    sources = sorted(bank.sources(), key=lambda source: canonical(source.intent.label))
+    stored_intents = sorted(bank.stored_intents(), key=lambda stored: canonical(stored.intent.label))
     slugs: set[str] = set()
     with sentences(folder):
         folder.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as scratch:
             fresh, old = Path(scratch) / "new", Path(scratch) / "old"
             fresh.mkdir()
-            for source in sources:
-                slug = free_mode(_slug(source.intent.label), slugs)
+            for stored in stored_intents:
+                slug = free_mode(_slug(stored.intent.label), slugs)
                 slugs.add(slug)
-                _write_source(fresh / slug, source)
+                _write_intent(fresh / slug, stored)
             if composed := all_compositions(bank):
                 _write(fresh / COMPOSITIONS_FILE, "\n".join(map(_composition, composed)))
             if folder.exists():
@@ -74,7 +74,7 @@ def export_bank(bank: MemoryBank, folder: Path, *, force: bool = False) -> int:
                 if old.exists():
                     shutil.move(old, folder)
                 raise
-    return len(sources)
+    return len(stored_intents)
 
 
 def import_bank(
@@ -92,16 +92,16 @@ def import_bank(
     def refuse(label: str, mode: str, error: BankError) -> None:
         refused.append(Refused(label, mode, str(error)))
 
-    for source in read_sources(folder, parse, refuse if skip_refused else None):
+    for stored in read_folder(folder, parse, refuse if skip_refused else None):
         bad: set[str] = set()
-        for planner in source.planners:
-            if (reason := verify(source.intent, planner)) is not None:
-                refused.append(Refused(source.intent.label, planner.mode, reason))
+        for planner in stored.planners:
+            if (reason := verify(stored.intent, planner)) is not None:
+                refused.append(Refused(stored.intent.label, planner.mode, reason))
                 bad.add(planner.hash)
-        kept = tuple(planner for planner in source.planners if planner.hash not in bad)
-        evidence = tuple(each for each in source.evidence if each.planner_hash not in bad)
-        if kept or source.merged_into is not None:
-            taken.append(replace(source, planners=kept, evidence=evidence))
+        kept = tuple(planner for planner in stored.planners if planner.hash not in bad)
+        evidence = tuple(each for each in stored.evidence if each.planner_hash not in bad)
+        if kept or stored.merged_into is not None:
+            taken.append(replace(stored, planners=kept, evidence=evidence))
     try:
         composed = read_compositions(folder)
     except BankError as error:
@@ -129,15 +129,15 @@ def _is_export(folder: Path) -> bool:
     return True
 
 
-def _write_source(folder: Path, source: Source) -> None:
+def _write_intent(folder: Path, stored: StoredIntent) -> None:
     folder.mkdir()
     names: dict[str, str] = {}
-    for planner in source.planners:
+    for planner in stored.planners:
         names[planner.hash] = free_mode(_slug(planner.mode), set(names.values()))
-        _write(folder / f"{names[planner.hash]}.py", planner.source)
-    _write(folder / "intent.toml", _toml(source, names))
-    if source.evidence:
-        _write(folder / EVIDENCE_FILE, write_evidence(source.evidence, names))
+        _write(folder / f"{names[planner.hash]}.py", planner.text)
+    _write(folder / "intent.toml", _toml(stored, names))
+    if stored.evidence:
+        _write(folder / EVIDENCE_FILE, write_evidence(stored.evidence, names))
 
 
 def _composition(c: Composition) -> str:
@@ -159,22 +159,22 @@ def _slug(name: str) -> str:
     return plain[:80] or f"intent_{hashlib.sha256(name.encode()).hexdigest()[:8]}"
 
 
-def _toml(source: Source, names: dict[str, str]) -> str:
-    intent = source.intent
+def _toml(stored: StoredIntent, names: dict[str, str]) -> str:
+    intent = stored.intent
     words = toml_text(" ".join(intent.description.split()))[1:-1]
     wrapped = "\n".join(textwrap.wrap(words, 118, break_long_words=False, break_on_hyphens=False))
     status = None if intent.status == "active" else intent.status
     lines = [
         f"label = {toml_text(intent.label)}", f'description = """\n{wrapped}\n"""',
-        *toml_lines({"applies": intent.applies, "status": status, "merged_into": source.merged_into}),
+        *toml_lines({"applies": intent.applies, "status": status, "merged_into": stored.merged_into}),
     ]  # fmt: skip
-    for planner in source.planners:
+    for planner in stored.planners:
         name = names[planner.hash]
         more = {
             "mode": planner.mode if planner.mode != name else None,
             "origin": planner.origin if planner.origin != "seed" else None,
             "parent": planner.parent,
-            "status": "retired" if planner.hash in source.retired else None,
+            "status": "retired" if planner.hash in stored.retired else None,
         }
         if fields := toml_lines(more):
             lines += ["", f"[planners.{name}]", *fields]

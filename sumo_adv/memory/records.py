@@ -176,7 +176,7 @@ class Retrieval:
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
+class StoredIntent:
     """All that a bank holds about one intent, as it is exported, imported and built.
 
     ``planners``: retired ones too, by mode; ``retired``: hashes of those; ``merged_into``: the label of the intent that

@@ -50,13 +50,13 @@ def _intent(key: str, label: str, description: str, applies: str, status: str) -
 
 
 def _planner(
-    label: str, planner_hash: str, mode: str, source: str, parameters: str, parent: str | None, origin: str
+    label: str, planner_hash: str, mode: str, text: str, parameters: str, parent: str | None, origin: str
 ) -> Planner:
     """A planner of the intent ``label``."""
     table = parse_json(parameters)
     if not isinstance(table, list) or not all(isinstance(each, list) and 5 <= len(each) <= 6 for each in table):
         raise ValueError("the parameters of a planner must be lists of name, default, low, high, unit and meaning")
-    made = Planner(label, mode, source, tuple(Parameter(*each) for each in table), origin, parent)
+    made = Planner(label, mode, text, tuple(Parameter(*each) for each in table), origin, parent)
     if made.hash != planner_hash:
         raise ValueError(f"the planner {mode[:80]!r} has another text than its hash says")
     _check_parameters(made)
@@ -188,7 +188,7 @@ def read_intent(connection: sqlite3.Connection, label: str) -> IntentRecord | No
 
 
 def insert_planner(connection: sqlite3.Connection, label: str, planner: Planner, now: str, status: str) -> None:
-    """Add a planner to an intent that exists, unless it has that source already. Raises BankError."""
+    """Add a planner to an intent that exists, unless it has that text already. Raises BankError."""
     try:
         _check_parameters(planner)
     except ValueError as error:
@@ -199,7 +199,7 @@ def insert_planner(connection: sqlite3.Connection, label: str, planner: Planner,
         " SELECT id, ?, ?, ?, ?, ?, ?, ?, ? FROM intents WHERE key = ?"
         " ON CONFLICT (intent, hash) DO NOTHING",
         (
-            planner.mode, planner.source, _json(parameters), planner.hash, planner.parent, planner.origin,
+            planner.mode, planner.text, _json(parameters), planner.hash, planner.parent, planner.origin,
             status, now, canonical(label),
         ),
     )  # fmt: skip

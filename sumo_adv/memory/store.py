@@ -194,9 +194,9 @@ def _create(path: Path, seed_from: Path | None, clock: Clock) -> None:
         else:
             with sentences(seed_from):
                 _check_header(seed_from)
-                with contextlib.closing(_connect_readable(seed_from)) as source:
-                    _check(source, seed_from)
-                    source.backup(connection)
+                with contextlib.closing(_connect_readable(seed_from)) as seed_bank:
+                    _check(seed_bank, seed_from)
+                    seed_bank.backup(connection)
         connection.execute("PRAGMA journal_mode = WAL").fetchone()
         migrate(connection, str(seed_from or path), clock)
         if seed_from is not None:

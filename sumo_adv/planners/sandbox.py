@@ -34,7 +34,7 @@ from sumo_adv.errors import SandboxError
 from sumo_adv.files import scratch_prefix
 from sumo_adv.planners.results import clean
 from sumo_adv.planners.session import PlannerSession, SandboxLimits
-from sumo_adv.planners.source import HELPERS_STUBS
+from sumo_adv.planners.text import HELPERS_STUBS
 
 if TYPE_CHECKING:
     from pydantic_monty import Monty, MontySession

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Self
 from sumo_adv.datatypes import Planner
 from sumo_adv.errors import PlannerLimitError, PlannerResultError, PlannerRuntimeError, PlannerSyntaxError, SandboxError
 from sumo_adv.planners.results import REDUCERS, check_endpoint, check_motion, check_trajectory, clean, subject_of
-from sumo_adv.planners.source import HELPERS_CODE, read_source
+from sumo_adv.planners.text import HELPERS_CODE, read_planner
 
 if TYPE_CHECKING:
     from pydantic_monty import MontyError, MontySession
@@ -57,7 +57,7 @@ class PlannerSession:
         """start: an interpreter with nothing in it, for a seed and with or without type checks. usable: raises
         SandboxError where no interpreter may be used any more."""
         self.planner = planner
-        self.has_trajectory = read_source(planner.source).has_trajectory
+        self.has_trajectory = read_planner(planner.text).has_trajectory
         self._new, self._usable, self._limits = start, usable, limits
         self._roads = {str(key): road for key, road in roads.items()}
         self._seed = seed
@@ -146,7 +146,7 @@ class PlannerSession:
         self._session = self._new(self._seed, type_check)
         try:
             self._feed(HELPERS_CODE + REDUCERS.replace("ID", self._id), {f"roads_{self._id}": self._roads})
-            self._feed(self.planner.source + "\nNone\n", {}, loading=True)
+            self._feed(self.planner.text + "\nNone\n", {}, loading=True)
         except SandboxError:
             self.close()
             raise

@@ -28,7 +28,7 @@ from sumo_adv.planners.follower import leaves_road
 from sumo_adv.planners.results import ENDPOINT_KEYS, check_endpoint, subject_of
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.session import MAX_STOPPED_CALLS, Call, PlannerSession
-from sumo_adv.planners.source import HELPERS_CODE, read_source
+from sumo_adv.planners.text import HELPERS_CODE, read_planner
 from sumo_adv.simulation.network import Drivable
 from sumo_adv.situation import Situation
 
@@ -66,32 +66,32 @@ ENDPOINT_VALUES = itemgetter(*ENDPOINT_KEYS)
 MOVEMENT = re.compile(r'^MOVEMENT = "\w+"$', re.MULTILINE)
 
 
-def body(source: str) -> str:
+def body(text: str) -> str:
     """A planner's text after its table. Raises PlannerSyntaxError."""
-    read_source(source)  # the table is the first statement
-    tree = ast.parse(source)
+    read_planner(text)  # the table is the first statement
+    tree = ast.parse(text)
     table = next(node for node in tree.body if not isinstance(node, ast.Expr))
-    lines = source.encode().splitlines(keepends=True)[(table.end_lineno or 1) - 1 :]
+    lines = text.encode().splitlines(keepends=True)[(table.end_lineno or 1) - 1 :]
     lines[0] = lines[0][table.end_col_offset or 0 :]
     return b"".join(lines).decode()
 
 
-def fingerprint(source: str) -> str:
+def fingerprint(text: str) -> str:
     """SHA-256 of the body of a planner's text, equal for all movements. Raises PlannerSyntaxError."""
-    return hashlib.sha256(MOVEMENT.sub('MOVEMENT = "any"', body(source)).encode()).hexdigest()
+    return hashlib.sha256(MOVEMENT.sub('MOVEMENT = "any"', body(text)).encode()).hexdigest()
 
 
 @lru_cache(maxsize=1024)
-def _is_trusted_text(source: str) -> bool:
+def _is_trusted_text(text: str) -> bool:
     try:
-        return fingerprint(source) in TRUSTED
+        return fingerprint(text) in TRUSTED
     except SandboxError:
         return False
 
 
 def is_trusted(planner: Planner) -> bool:
     """Whether the planner's text is a shipped one, apart from its numbers and its movement."""
-    return _is_trusted_text(planner.source)
+    return _is_trusted_text(planner.text)
 
 
 class InProcessSession:
@@ -108,7 +108,7 @@ class InProcessSession:
         self._subject = subject_of(planner)
         if not is_trusted(planner):
             raise SandboxError(f"{self._subject} is not trusted: run it in the sandbox.")
-        self._endpoint, self._roads, self._open_sandboxed = _loaded(planner.source), roads, open_sandboxed
+        self._endpoint, self._roads, self._open_sandboxed = _loaded(planner.text), roads, open_sandboxed
         self._sandboxed: PlannerSession | None = None
 
     def close(self) -> None:
@@ -164,10 +164,10 @@ def _no_session() -> NoReturn:
 
 
 @lru_cache(maxsize=256)
-def _loaded(source: str) -> Callable[..., Any]:
+def _loaded(text: str) -> Callable[..., Any]:
     names: dict[str, Any] = {}
     exec(compile(HELPERS_CODE, "<helpers>", "exec"), names)
-    exec(compile(body(source), "<planner>", "exec"), names)
+    exec(compile(body(text), "<planner>", "exec"), names)
     return names["endpoint"]
 
 

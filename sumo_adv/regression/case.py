@@ -22,7 +22,7 @@ from sumo_adv.datatypes import MAX_ADVERSARIES, Duty, Level, Proposal, accelerat
 from sumo_adv.errors import SandboxError, UsageError
 from sumo_adv.files import refuse_links
 from sumo_adv.parsing import first_fault, read_toml
-from sumo_adv.planners.source import make_planner
+from sumo_adv.planners.text import make_planner
 from sumo_adv.regression.at_trigger import AtTrigger
 from sumo_adv.simulation.inputs import RunInput, load_input
 from sumo_adv.simulation.scenario import SCENARIO_FILE
@@ -196,8 +196,8 @@ def planner_file(member: int) -> str:
 def _proposal(file: Path, planner: str, member: _Member, delay: float) -> Proposal:
     """What one adversary of the case in ``file`` does. Raises UsageError."""
     try:
-        acceleration, source = acceleration_of(member.acceleration), (file.parent / planner).read_text(encoding="utf-8")
-        made = make_planner(member.intent, member.mode, source, member.origin)
+        acceleration, text = acceleration_of(member.acceleration), (file.parent / planner).read_text(encoding="utf-8")
+        made = make_planner(member.intent, member.mode, text, member.origin)
     except (OSError, ValueError, SandboxError) as error:
         raise UsageError(f"The planner of the case {file.parent} cannot be used ({error}).") from error
     numbers = {**made.defaults(), **member.parameters}

@@ -89,7 +89,7 @@ def _texts(
     situation = _situation(run, recorded, outcome)
     return recorded, {
         SCENARIO_FILE: _scenario(recorded, outcome, suite),
-        **{planner_file(k): p.planner.source for k, p in enumerate(recorded.proposal.members)},
+        **{planner_file(k): p.planner.text for k, p in enumerate(recorded.proposal.members)},
         CASE_FILE: _case(recorded, outcome, relations, expect, passed_by, situation),
     }
 

@@ -16,7 +16,7 @@ from sumo_adv.episode.task import Task
 from sumo_adv.errors import UsageError
 from sumo_adv.files import refuse_links
 from sumo_adv.parsing import read_json
-from sumo_adv.planners.source import make_planner
+from sumo_adv.planners.text import make_planner
 from sumo_adv.report.outcome import MANIFEST_SCHEMA
 from sumo_adv.simulation.inputs import EgoRoute, RunInput, WaymoSource
 from sumo_adv.simulation.maps import MapConversion

@@ -323,7 +323,7 @@ def manifest(run: Run, record: EncounterRecord | None, inputs: Mapping[Path, str
         "model_answers": None if model_agents is None else MODEL_FILE,
         "prompts": None if model_agents is None else model_agents.prompts.versions,
         "planners": {
-            name: {"label": p.label, "mode": p.mode, "origin": p.origin, "parent": p.parent, "source": p.source}
+            name: {"label": p.label, "mode": p.mode, "origin": p.origin, "parent": p.parent, "source": p.text}
             for name, p in used.items()
         },
         "attempt": None if best is None else _proposal(best.proposal),

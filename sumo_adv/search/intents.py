@@ -15,7 +15,7 @@ from itertools import chain
 from sumo_adv.datatypes import Intent, LibraryEntry, Proposal, Verdict
 from sumo_adv.errors import UsageError, nearest
 from sumo_adv.memory.records import RELATIONS, canonical
-from sumo_adv.planners.source import make_planner
+from sumo_adv.planners.text import make_planner
 from sumo_adv.situation import Situation, Target
 
 # -- composed by the expert -----------------------------------------------------------------------------------------
@@ -67,7 +67,7 @@ def applies_of(label: str) -> tuple[str, ...]:
 
 # -- free motions ---------------------------------------------------------------------------------------------------
 
-_SOURCE = """\
+_FREE_MOTION_TEXT = """\
 # Free Motion, mode "free"
 # Leaves its way and meets the ego at a place beside or ahead of it, at a time and with a speed of its own.
 PARAMETERS = {
@@ -103,7 +103,7 @@ FREE = LibraryEntry(
     FREE_MOTION,
     "The vehicle leaves its way and goes to where the ego will be, at a time and a speed of its own.",
     tuple(word for word in RELATIONS if not word.startswith(("cyclist", "pedestrian"))),
-    (make_planner(FREE_MOTION, "free", _SOURCE, EXPERT),),
+    (make_planner(FREE_MOTION, "free", _FREE_MOTION_TEXT, EXPERT),),
     "generated",
 )
 
@@ -194,8 +194,8 @@ def select(
     chosen, without = (frozenset(_label(name, labels) for name in names) for names in (intents, exclude))
     only = chosen or frozenset(labels.get(canonical(name), name) for name in scenario) or None
     if not (frozenset(labels.values()) if only is None else only) - without:
-        source = "the scenario's own list" if scenario and not chosen else "intents"
-        raise UsageError(f"No intent is left to try: {source} and exclude together leave none.")
+        place = "the scenario's own list" if scenario and not chosen else "intents"
+        raise UsageError(f"No intent is left to try: {place} and exclude together leave none.")
     return Selection(only, without)
 
 

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from string import Template
 
 from sumo_adv.datatypes import Duty, LibraryEntry
-from sumo_adv.planners.source import make_planner
+from sumo_adv.planners.text import make_planner
 from sumo_adv.road_users import is_unprotected
 from sumo_adv.search.intents import EXPERT
 from sumo_adv.situation import Target
@@ -124,10 +124,10 @@ def endpoint(bv, ego, road, parameters, acc, horizon):
 
 
 def _entry(
-    label: str, description: str, applies: tuple[str, ...], mode: str, text: Template, **numbers: str
+    label: str, description: str, applies: tuple[str, ...], mode: str, template: Template, **numbers: str
 ) -> LibraryEntry:
-    source = text.substitute(label=label, **numbers)
-    return LibraryEntry(label, description, applies, (make_planner(label, mode, source, EXPERT),))
+    text = template.substitute(label=label, **numbers)
+    return LibraryEntry(label, description, applies, (make_planner(label, mode, text, EXPERT),))
 
 
 _BLOCK = "The vehicle keeps beside the ego on its {} side and takes the room into which the ego would swerve."

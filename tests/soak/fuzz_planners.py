@@ -17,7 +17,7 @@ from trajectory_samples import LANE_CHANGE  # isort: skip
 
 from sumo_adv.errors import SandboxError
 from sumo_adv.planners.sandbox import Sandbox
-from sumo_adv.planners.source import make_planner
+from sumo_adv.planners.text import make_planner
 from sumo_adv.planners.trial import trial
 
 RELATIONS = ("leader", "neighbour", "crossing_left", "oncoming")
@@ -36,7 +36,7 @@ NUMBERS = ("0", "-1", "1e308", "1e-308", "1e400", "10**400", "float('nan')", "'x
 @cache
 def samples() -> tuple[str, ...]:
     """Texts of the shipped planners, and one with a trajectory of its own."""
-    return (*(p.source for p in shipped_planners().values()), LANE_CHANGE, LANE_CHANGE)
+    return (*(p.text for p in shipped_planners().values()), LANE_CHANGE, LANE_CHANGE)
 
 
 @cache

@@ -96,27 +96,27 @@ def wrap(angle: float) -> float: ...
 """
 
 
-class SourceFacts(NamedTuple):
+class PlannerFacts(NamedTuple):
     parameters: tuple[Parameter, ...]
     has_trajectory: bool
 
 
-def parse_parameters(source: str) -> tuple[Parameter, ...]:
+def parse_parameters(text: str) -> tuple[Parameter, ...]:
     """The table at the top of a planner's text. Raises PlannerSyntaxError: the text does not parse, lacks the table or
     ``endpoint``, or a number is out of its bounds."""
-    return read_source(source).parameters
+    return read_planner(text).parameters
 
 
-def make_planner(label: str, mode: str, source: str, origin: str, parent: str | None = None) -> Planner:
+def make_planner(label: str, mode: str, text: str, origin: str, parent: str | None = None) -> Planner:
     """A planner from its text. Raises PlannerSyntaxError: as in ``parse_parameters``."""
-    return Planner(label, mode, source, parse_parameters(source), origin, parent)
+    return Planner(label, mode, text, parse_parameters(text), origin, parent)
 
 
 @lru_cache(maxsize=256)
-def read_source(source: str) -> SourceFacts:
+def read_planner(text: str) -> PlannerFacts:
     """Parse and check a planner's text; nothing of it is run. Raises PlannerSyntaxError: as in ``parse_parameters``;
     the message names the line if it is known."""
-    tree = _parse(source)
+    tree = _parse(text)
     body = tree.body[1:] if tree.body and _is_docstring(tree.body[0]) else tree.body
     parameters = tuple(_parameters(_table(body)))
     functions = {node.name: node for node in tree.body if isinstance(node, ast.FunctionDef)}
@@ -125,27 +125,27 @@ def read_source(source: str) -> SourceFacts:
     _check_arguments(functions["endpoint"], ENDPOINT_ARGUMENTS)
     if "trajectory" in functions:
         _check_arguments(functions["trajectory"], TRAJECTORY_ARGUMENTS)
-    return SourceFacts(parameters, "trajectory" in functions)
+    return PlannerFacts(parameters, "trajectory" in functions)
 
 
 @lru_cache(maxsize=256)
-def uses_acceleration(source: str) -> bool:
+def uses_acceleration(text: str) -> bool:
     """Whether a planner's text reads the intent's acceleration, which is its argument ``acc``. Raises
     PlannerSyntaxError: the text does not parse."""
-    return any(isinstance(node, ast.Name) and node.id == "acc" for node in ast.walk(_parse(source)))
+    return any(isinstance(node, ast.Name) and node.id == "acc" for node in ast.walk(_parse(text)))
 
 
-def _parse(source: str) -> ast.Module:
+def _parse(text: str) -> ast.Module:
     """``ast.parse``, which raises ``PlannerSyntaxError`` for hostile text too."""
-    if not isinstance(source, str) or len(source) > MAX_PLANNER_BYTES:
+    if not isinstance(text, str) or len(text) > MAX_PLANNER_BYTES:
         raise PlannerSyntaxError(f"The planner must be text of at most {MAX_PLANNER_BYTES} bytes: shorten it.")
-    strange = next((c for c in source if (c < " " and c not in "\n\r\t") or "\ud800" <= c <= "\udfff"), None)
+    strange = next((c for c in text if (c < " " and c not in "\n\r\t") or "\ud800" <= c <= "\udfff"), None)
     if strange is not None:
         raise PlannerSyntaxError(f"The planner's text holds the character {strange!r}: remove it.")
-    if len(source.encode()) > MAX_PLANNER_BYTES:
+    if len(text.encode()) > MAX_PLANNER_BYTES:
         raise PlannerSyntaxError(f"The planner must be text of at most {MAX_PLANNER_BYTES} bytes: shorten it.")
     try:
-        tree = ast.parse(source)
+        tree = ast.parse(text)
         names = (node for node in ast.walk(tree) if isinstance(node, ast.Name))
         refused = next((name for name in names if name.id in REFUSED_NAMES), None)
     except SyntaxError as error:
