@@ -42,6 +42,7 @@ from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.engine import EpisodeCalls, EpisodeEngine
 from sumo_adv.episode.loop import run_episode
 from sumo_adv.episode.memory_access import read_library
+from sumo_adv.episode.open_encounter import OpenEncounter
 from sumo_adv.episode.references import PlannedEgo, ReferenceEgo
 from sumo_adv.episode.surroundings import Surroundings
 from sumo_adv.episode.task import AttemptResult, NoEncounter, make_task
@@ -85,7 +86,7 @@ PARTS: tuple[tuple[str, Part], ...] = (
     ("engine", "engine"),
     ("  forks made and read", (in_forks,)),
     ("forks of the engine", "fork"),
-    ("  go on to the start", (EpisodeWorker._begin,)),
+    ("  go on to the start", (OpenEncounter._begin,)),
     ("  driving", (attempt.attack,)),
     ("    ego's turn", (Drive._let_ego_act,)),
     ("      observation", (Drive.observation,)),

@@ -80,14 +80,14 @@ class Bench(EpisodeWorker):
         """Seconds, steps and vehicles of one attempt with its verdict, and its ending."""
         self._again()
         slot = self._slots[0]
-        local = _local(self._encounter, proposal)
+        local = _local(self._encounter.found, proposal)
 
         def ask(observation: PlannerObservation) -> Any:
             slot.send(observation)
             return slot.recv()
 
         began = time.perf_counter()
-        result = self._attempt(proposal, [ask if sandbox else local])
+        result = self._encounter.attempt(proposal, [ask if sandbox else local])
         took = time.perf_counter() - began
         assert result.verdict is not None
         return took, len(result.snapshots), len(result.snapshots[-1].raw), result.driven.ending

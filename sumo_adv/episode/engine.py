@@ -9,15 +9,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from typing import Protocol, TypeAlias
+from typing import TYPE_CHECKING, Protocol, TypeAlias
 
-from sumo_adv.config import Settings
 from sumo_adv.datatypes import LaneStrip, Preventability, Proposal
-from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.task import AttemptResult, FoundEncounter, NoEncounter, Prefix, Task
 from sumo_adv.planners.answers import AskOne, PlannerObservation
 from sumo_adv.simulation.engine import Engine
-from sumo_adv.simulation.network import RoadMap
+
+if TYPE_CHECKING:
+    from sumo_adv.episode.open_encounter import OpenEncounter
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,27 +35,12 @@ class PlannerQuestion:
     observation: PlannerObservation
 
 
-@dataclass(frozen=True, slots=True)
-class OpenEncounter:
-    """An encounter at its trigger, in the engine process.
+Director: TypeAlias = "Callable[[OpenEncounter, Connection, AskOne], Callable[[], None]]"
+"""Returns what makes an attempt that the front directs.
 
-    Attributes:
-        drive: The simulation with the ego.
-        found: The encounter.
-        settings: The run's settings.
-        road: The map.
-        trigger_step: How many snapshots the recording has.
-        dialogue: The connection to the front, which sends None at the end.
-        ask_front: Asks the planner of the attempt's proposal in its sandbox.
-    """
-
-    drive: Drive
-    found: FoundEncounter
-    settings: Settings
-    road: RoadMap
-    trigger_step: int
-    dialogue: Connection
-    ask_front: AskOne
+It gets the encounter at its trigger, the connection to the front, which sends None at the end, and what asks the
+planner of the attempt's proposal in the front's sandbox.
+"""
 
 
 class EpisodeCalls(Protocol):
@@ -101,11 +86,11 @@ class EpisodeCalls(Protocol):
             The answers; None if there was no collision that counts, or if SUMO dies.
         """
 
-    def directed_attempt(self, prepare: Callable[[OpenEncounter], Callable[[], None]]) -> None:
+    def directed_attempt(self, prepare: Director) -> None:
         """Simulate an attempt from the trigger on that the front directs by messages in the first slot.
 
         Args:
-            prepare: Returns what makes the attempt; it is called before the fork.
+            prepare: It is called before the fork, and what it returns in the fork.
         """
 
 

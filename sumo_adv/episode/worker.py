@@ -18,13 +18,11 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import numpy.ma
+import numpy.ma  # noqa: F401 - np.unique imports it, which would take each fork 10 ms
 
-from sumo_adv.datatypes import AS_FOUND, Arrival, Boxes, Ending, LaneStrip, Preventability, Proposal, Track
-from sumo_adv.drivers import ReplayEgo, make_ego
-from sumo_adv.drivers.protocol import MAX_BRAKING_M_S2
-from sumo_adv.episode.attempt import Driven, attack, box_of, controller_of
+from sumo_adv.datatypes import Boxes, Ending, LaneStrip, Preventability, Proposal
+from sumo_adv.drivers import make_ego
+from sumo_adv.episode.attempt import Driven
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.encounter_builder import (
     ENDANGERS,
@@ -35,32 +33,27 @@ from sumo_adv.episode.encounter_builder import (
 )
 from sumo_adv.episode.encounter_detector import LOOK_INTERVAL_S, RankedVehicle
 from sumo_adv.episode.encounter_search import EncounterSearch
-from sumo_adv.episode.engine import EpisodeCalls, OpenEncounter, PlannerQuestion
-from sumo_adv.episode.references import WARM_UP_S, PlannedEgo, ReferenceEgo, avoids, manoeuvre_plan
+from sumo_adv.episode.engine import Director, EpisodeCalls, PlannerQuestion
+from sumo_adv.episode.open_encounter import OpenEncounter
+from sumo_adv.episode.references import manoeuvre_plan
 from sumo_adv.episode.task import AttemptResult, FoundEncounter, NoEncounter, Prefix, Task
-from sumo_adv.episode.verdict import first_judged, own_reference, recorded_case, verdict_on
-from sumo_adv.errors import DriverError, SimulationError, ran_out_of_memory
+from sumo_adv.episode.verdict import own_reference
+from sumo_adv.errors import DriverError, ran_out_of_memory
 from sumo_adv.files import scratch_prefix
-from sumo_adv.geometry import Pose, wrap
-from sumo_adv.metrics.boxes import overlaps
-from sumo_adv.metrics.case import Case
 from sumo_adv.metrics.preventability import AVOIDS, COLLIDES, preventability
-from sumo_adv.metrics.reference import BRAKERS, COMPETENT, MANOEUVRE, REFERENCE_DRIVERS
+from sumo_adv.metrics.reference import COMPETENT, MANOEUVRE, REFERENCE_DRIVERS
 from sumo_adv.planners.answers import AskOne, PlannerObservation
 from sumo_adv.planners.sessions import ask_trusted
 from sumo_adv.simulation.engine_log import aside
 from sumo_adv.simulation.forks import can_fork, in_forks
 from sumo_adv.simulation.network import RoadMap, read_network
 from sumo_adv.simulation.playback import Playback
+from sumo_adv.simulation.playback_rehearsal import put_unplayable_beside
 from sumo_adv.simulation.scan import silent_copies
 from sumo_adv.simulation.signals import LightsNear
-from sumo_adv.simulation.stored_snapshots import StoredSnapshots
 from sumo_adv.simulation.sumo_states import Snapshot
 from sumo_adv.simulation.tracks import tracks_of
-from sumo_adv.situation import Situation
 
-ROOM_M = 60.0  # within which other vehicles may be in the way of an ego that arrives otherwise
-MAX_VEHICLES_BESIDE = 3  # recorded vehicles on which SUMO crashes
 COOL_DOWN_S = 2.0  # without an encounter after an encounter that was passed over
 
 
@@ -87,8 +80,7 @@ class EpisodeWorker(EpisodeCalls):
         self._folder: tempfile.TemporaryDirectory[str]
         self._road: RoadMap
         self._passed: list[str] = []
-        self._encounter: FoundEncounter
-        self._baseline_ego: Track  # of the encounter
+        self._encounter: OpenEncounter
         self._moved = False  # a branch ran in place: load the simulation again before anything else
 
     # -- commands -----------------------------------------------------------------------------------------------
@@ -124,37 +116,17 @@ class EpisodeWorker(EpisodeCalls):
         )
 
     def _put_beside_what_sumo_crashes_on(self) -> None:
-        """Rehearse a log in forks; a recorded vehicle on which SUMO crashes is a box beside SUMO from then on."""
-        log = self._drive.playback
-        if log is None or not self._drive.recorded() or not (self._task.settings.fork and can_fork()):
+        drive = self._drive
+        if drive.playback is None or not drive.recorded() or not (self._settings.fork and can_fork()):
             return
-        beside: list[str] = []
-        while len(beside) < MAX_VEHICLES_BESIDE and not self._survives(log, beside):
-            suspects = [name for name in log.recorded if name != self._task.ego]
-            while len(suspects) > 1:
-                half = suspects[: len(suspects) // 2]
-                suspects = half if self._survives(log, [*beside, *half]) else suspects[len(half) :]
-            beside += suspects
-        log.put_beside(beside)
-        if beside:
+        if put_unplayable_beside(drive.playback, self._task.ego, self._rehearse):
             with aside():
-                self._drive.rewind(0)
+                drive.rewind(0)
 
-    def _survives(self, log: Playback, beside: Sequence[str]) -> bool:
-        """Whether SUMO lives through the log with these vehicles beside it."""
-
-        def rehearse() -> bool:
-            log.put_beside(beside)
-            try:
-                self._drive.rewind(0)
-                while self._drive.now < log.spec.end:
-                    self._drive.tick()
-            except SimulationError:
-                return False
-            return True
-
-        log.put_beside(())
-        return in_forks([rehearse], lost=lambda why: False) == [True]
+    def _rehearse(self, end: float) -> None:
+        self._drive.rewind(0)
+        while self._drive.now < end:
+            self._drive.tick()
 
     def forks(self) -> bool:
         return self._forks
@@ -162,9 +134,9 @@ class EpisodeWorker(EpisodeCalls):
     def seek(self, passed_over: str = "") -> FoundEncounter | NoEncounter:
         passed = self._passed
         if passed_over:
-            passed.append(f"{self._encounter.time:.1f} s ({passed_over})")
+            passed.append(f"{self._encounter.found.time:.1f} s ({passed_over})")
             self._at_trigger()
-            self._search.leave([name for name, _, _ in self._encounter.ranking])
+            self._search.leave([name for name, _, _ in self._encounter.found.ranking])
             self._cool_down()
         while True:
             ranking = self._search.until_encounter()
@@ -174,7 +146,7 @@ class EpisodeWorker(EpisodeCalls):
                 return ranking
             why = self._survey(ranking)
             if not why:
-                return self._encounter
+                return self._encounter.found
             passed.append(f"{self._drive.now:.1f} s ({why})")
             if self._search.nearly_over():  # it was looked at as a whole
                 return NoEncounter(Ending.NO_ENCOUNTER, f"In the rest of the recording {why}. Try another --ego-id.")
@@ -203,11 +175,11 @@ class EpisodeWorker(EpisodeCalls):
         return results
 
     def _crashed(self, why: str) -> AttemptResult:
-        return AttemptResult(Driven("crashed", why), None, self._encounter.time)
+        return AttemptResult(Driven("crashed", why), None, self._encounter.found.time)
 
     def references(self, proposal: Proposal, result: AttemptResult, all_drivers: bool) -> Preventability | None:
         self._at_trigger()
-        verdict, case = result.verdict, self._case(proposal, result)
+        verdict, case = result.verdict, self._encounter.case(proposal, result)
         if case is None or verdict is None or verdict.contact_time is None or not verdict.counts:
             return None
         kinematic = preventability(case, verdict.contact_time, driver=own_reference(self._drive))
@@ -218,9 +190,7 @@ class EpisodeWorker(EpisodeCalls):
         for names in (avoiding,) if all_drivers else (first, others):
             if AVOIDS in in_loop.values() or not names:
                 continue
-            plan = None
-            if MANOEUVRE in names:
-                plan = manoeuvre_plan(case, verdict.contact_time)
+            plan = manoeuvre_plan(case, verdict.contact_time) if MANOEUVRE in names else None
             asked = [name for name in names if name != MANOEUVRE or plan is not None]
             answers = self._in_loop(proposal, asked, plan, case.lane_half_width)
             if answers is None:
@@ -237,67 +207,29 @@ class EpisodeWorker(EpisodeCalls):
             batch = names[first : first + len(self._slots)]
             works = [
                 partial(
-                    self._refer, proposal, self._asks(REFERENCE_DRIVERS.index(name), proposal, slot), name, plan, half
+                    self._encounter.avoids, proposal, self._asks(REFERENCE_DRIVERS.index(name), proposal, slot), name,
+                    plan if name == MANOEUVRE else None, half,
                 )
                 for name, slot in zip(batch, self._slots, strict=False)
-            ]
+            ]  # fmt: skip
             avoid = self._branch(works, lambda why: None)
             if None in avoid:
                 return None
             answers |= {name: AVOIDS if good else COLLIDES for name, good in zip(batch, avoid, strict=True)}
         return answers
 
-    def directed_attempt(self, prepare: Callable[[OpenEncounter], Callable[[], None]]) -> None:
+    def directed_attempt(self, prepare: Director) -> None:
         dialogue, questions = self._slots[:2]
 
         def ask_front(observation: PlannerObservation) -> Any:
             questions.send(observation)
             return questions.recv()
 
-        here = OpenEncounter(
-            self._drive, self._encounter, self._settings, self._road, self._trigger_step, dialogue, ask_front
-        )
+        work = prepare(self._encounter, dialogue, ask_front)
         if self._forks:
-            in_forks([prepare(here)], memory=self._settings.attempt_memory)  # not repeated: the front has spoken
+            in_forks([work], memory=self._settings.attempt_memory)  # not repeated: the front has spoken
         else:
-            self._branch([prepare(here)])
-
-    def _case(self, proposal: Proposal, result: AttemptResult) -> Case | None:
-        drive, settings = self._drive, self._settings
-        assert drive.ego is not None
-        first = first_judged(self._encounter, settings, self._trigger_step, result.start)
-        snapshots = [*drive.recording.snapshots[: self._trigger_step], *result.snapshots][first:]
-        sizes = {**drive.simulation.fleet.sizes, **result.sizes}
-        tracks = tracks_of(snapshots, sizes, drive.roles(*proposal.bvs), settings.step_length)
-        return recorded_case(
-            tracks, self._encounter, settings, proposal.bvs, result.start, result.driven.beyond,
-            follows_log=drive.follows_log(),
-        )  # fmt: skip
-
-    def _refer(
-        self, proposal: Proposal, asks: Sequence[AskOne], name: str, plan: Boxes | None, lane_half_width: float
-    ) -> bool:  # fmt: skip
-        """Whether a reference driver avoids the collision in the loop; ``plan``: that of the manoeuvre."""
-        drive, settings, tested = self._drive, self._settings, self._drive.controller
-        assert drive.ego is not None
-        start = self._begin(proposal)
-        if name == MANOEUVRE:
-            assert plan is not None
-            drive.controller = PlannedEgo(plan)
-        else:
-            first = max(0, len(drive.recording.snapshots) - settings.steps(WARM_UP_S))
-            logged = drive.replayed() or isinstance(tested, ReplayEgo)
-            log = self._baseline_ego if logged else None
-            strong = partial(drive.simulation.strengthen, drive.ego, MAX_BRAKING_M_S2)
-            drive.controller = ReferenceEgo(
-                tested, BRAKERS[name], drive.tracks(start=first), drive.ego, strong, log
-            )  # fmt: skip
-        try:
-            self._drive_attack(proposal, asks)
-        finally:
-            drive.controller = tested
-        tracks = drive.tracks(*proposal.bvs, start=max(0, self._trigger_step - 1))
-        return avoids(tracks, drive.ego, proposal.bv, start, lane_half_width)
+            self._branch([work])
 
     # -- branching ----------------------------------------------------------------------------------------------
 
@@ -343,11 +275,13 @@ class EpisodeWorker(EpisodeCalls):
             return built
         encounter, baseline = built
         drive = self._drive
-        self._encounter = replace(
+        found = replace(
             encounter, driven_from=drive.driven_from, driven_before=drive.driven_before,
             last=self._search.nearly_over(), beside=() if drive.playback is None else drive.playback.beside,
         )  # fmt: skip
-        self._baseline_ego = baseline.tracks[self._encounter.ego]
+        self._encounter = OpenEncounter(
+            drive, found, self._settings, self._road, self._trigger_step, baseline.tracks[found.ego]
+        )
         return ""
 
     def _baseline(self, seconds: float) -> UnattackedMotion:
@@ -395,7 +329,7 @@ class EpisodeWorker(EpisodeCalls):
 
     def _asks(self, index: int, proposal: Proposal, slot: Connection) -> list[AskOne]:
         """Ask the planners of a proposal's adversaries; made before the fork, because a planner's text is read once."""
-        situation = self._situation_for(proposal)
+        situation = self._encounter.situation_for(proposal)
 
         def ask_front(member: int, observation: PlannerObservation) -> Any:
             slot.send(PlannerQuestion(index, member, observation))
@@ -407,59 +341,6 @@ class EpisodeWorker(EpisodeCalls):
         """An attempt; it alone is lost where the ego's driver hangs, ends its process or uses up the memory."""
         try:
             with self._within_memory():
-                return self._attempt(proposal, asks)
+                return self._encounter.attempt(proposal, asks)
         except DriverError as error:
             return self._crashed(str(error))
-
-    def _attempt(self, proposal: Proposal, asks: Sequence[AskOne]) -> AttemptResult:
-        drive, settings = self._drive, self._settings
-        start = self._begin(proposal)
-        driven = self._drive_attack(proposal, asks)
-        verdict = verdict_on(drive, self._encounter, settings, self._trigger_step, proposal.bvs, start, driven)
-        snapshots = StoredSnapshots(drive.recording.snapshots[self._trigger_step :])
-        sizes = dict(drive.simulation.fleet.sizes)
-        return AttemptResult(driven, verdict, start, snapshots, sizes, drive.actions.total())
-
-    def _begin(self, proposal: Proposal) -> float:
-        """Go on to when a proposal's attack begins, and return that time [s]."""
-        self._drive.replay(self._baseline_ego)
-        for _ in range(self._settings.steps(proposal.delay)):
-            self._drive.tick()
-        return self._drive.now
-
-    def _drive_attack(self, proposal: Proposal, asks: Sequence[AskOne]) -> Driven:
-        """Drive a proposal's adversaries against the ego from now on."""
-        drive, settings, situation = self._drive, self._settings, self._situation_for(proposal)
-        members = {
-            p.bv: controller_of(situation, p, settings.limits.of(situation.targets[p.bv].state), ask)
-            for p, ask in zip(proposal.members, asks, strict=True)
-        }
-        steps, replan = drive.within(settings.steps(settings.duration)), settings.steps(settings.replan)
-        ego = None if proposal.arrival == AS_FOUND else self._displaced(proposal.arrival, situation)
-        return attack(drive, members, steps=steps, replan=replan, ego=ego)
-
-    def _displaced(self, arrival: Arrival, situation: Situation) -> Pose:
-        """Where the ego is after a step if it arrives otherwise; nearer to its place if a vehicle is in the way."""
-        drive, dt = self._drive, self._settings.step_length
-        assert drive.ego is not None
-        ego, path = drive.state(drive.ego), situation.baseline.path
-        s, d = path.project(ego.x, ego.y)
-        turned = ego.heading - float(path.at(np.asarray(s))[2])
-        others = [box_of(drive.state(name)) for name in drive.near(ego, ROOM_M)]
-        speed = ego.speed * arrival.pace
-        for share in (1.0, 0.5, 0.0):
-            station = np.asarray(s + share * arrival.earlier * ego.speed + speed * dt)
-            x, y, heading = (float(q) for q in path.at(station, d))
-            pose = Pose(x, y, wrap(heading + turned), speed)
-            box = box_of(replace(ego, x=x, y=y, heading=pose.heading))
-            if not any(bool(overlaps(box, other)) for other in others):
-                break
-        return pose
-
-    def _situation_for(self, proposal: Proposal) -> Situation:
-        situation = self._encounter.situations.get(proposal.delay)
-        for bv in proposal.bvs:
-            if situation is None or bv not in situation.targets:
-                raise SimulationError(f"Vehicle '{bv}' cannot attack {proposal.delay:g} s after the trigger.")
-        assert situation is not None
-        return situation

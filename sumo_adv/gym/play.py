@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
+from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from sumo_adv.episode.attempt import (
     apart_of,
     controller_of,
 )
-from sumo_adv.episode.engine import OpenEncounter
+from sumo_adv.episode.open_encounter import OpenEncounter
 from sumo_adv.episode.verdict import unattacked, verdict_on
 from sumo_adv.geometry import Pose, stations
 from sumo_adv.gym.actions import controlled, ego_action, endpoint
@@ -68,18 +69,18 @@ class Play:
     bv: str | None = None
     delay: float = 0.0
 
-    def __call__(self, here: OpenEncounter) -> Callable[[], None]:
+    def __call__(self, here: OpenEncounter, dialogue: Connection, ask_front: AskOne) -> Callable[[], None]:
         """What makes the steps that the front asks for until it sends None. A planner's text is read already here."""
         ask = None
         if self.proposal is not None:
-            ask = ask_trusted(self.proposal, here.found.situations[self.delay], here.ask_front)
-        return partial(self._talk, here, ask)
+            ask = ask_trusted(self.proposal, here.found.situations[self.delay], ask_front)
+        return partial(self._talk, here, dialogue, ask)
 
-    def _talk(self, here: OpenEncounter, ask: AskOne | None) -> None:
+    def _talk(self, here: OpenEncounter, dialogue: Connection, ask: AskOne | None) -> None:
         playing = Playing(self, here, ask)
-        here.dialogue.send(playing.moment())
-        while (message := here.dialogue.recv()) is not None:
-            here.dialogue.send(playing.picture() if message == DRAW_REQUEST else playing.step(message))
+        dialogue.send(playing.moment())
+        while (message := dialogue.recv()) is not None:
+            dialogue.send(playing.picture() if message == DRAW_REQUEST else playing.step(message))
 
 
 class Playing:
