@@ -1,7 +1,7 @@
 """The attack that was asked for: what must be true of it, so that a run can tell whether an attempt fits.
 
 It stands in a scenario file as the table ``[asked]``, written by ``sumo-adv write``, and is what a language model makes
-of the words of ``sumo-adv run --ask``. ``words/motion.py`` compares it with the motion of an attempt.
+of the words of ``sumo-adv run --ask``. ``words/fit.py`` compares it with the motion of an attempt.
 """
 
 from __future__ import annotations

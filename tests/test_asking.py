@@ -71,6 +71,12 @@ def test_the_fault_of_an_answer_is_named(text: str, says: str) -> None:
     assert answer is None and fault is not None and says in fault
 
 
+def test_all_keys_at_fault_are_listed() -> None:
+    answer, fault = read_answer(json.dumps({"label": "x", "risk": 1} | {f"key{k}": k for k in range(12)}), Choice)
+    assert answer is None and fault is not None
+    assert fault.count("Extra inputs are not permitted") == 12 and "key11: " in fault
+
+
 @given(st.text(), st.dictionaries(st.text(), st.integers()), st.text(alphabet="{}[]\"',: \n`x1"))
 def test_any_text_can_be_read(before: str, inner: dict[str, int], after: str) -> None:
     read_answer(before + json.dumps(inner) + after, Choice)

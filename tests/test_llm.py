@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import gzip
+import json
 import re
 import signal
 import socket
@@ -82,7 +83,7 @@ def test_a_schema_is_sent_in_strict_mode() -> None:
         "additionalProperties": False,
     }
     assert server.asked[0].body["response_format"]["json_schema"] == {"name": "Thing", "strict": True, "schema": strict}
-    assert server.asked[0].system == "Be brief."
+    assert server.asked[0].system.startswith("Be brief.\n") and server.asked[0].system.endswith(json.dumps(SCHEMA))
     assert "default" in SCHEMA["properties"]["a"]  # type: ignore[index]
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -11,7 +11,8 @@ from sumo_adv.asked import Asked, Event
 from sumo_adv.datatypes import Floats, Relation, Role, Track
 from sumo_adv.geometry import make_path
 from sumo_adv.road_users import RoadUser
-from sumo_adv.words.motion import Motion, Scene, misfits, observe
+from sumo_adv.words.fit import compare, held, misfits
+from sumo_adv.words.motion import Motion, Scene, observe
 
 TIME = np.round(np.arange(0.0, 6.01, 0.1), 3)
 WAY = make_path([(-50.0, 0.0), (250.0, 0.0)])  # eastward
@@ -69,6 +70,18 @@ def test_the_order_counts() -> None:
     asked = Asked(events=(Event.BRAKES, Event.ENTERS_FROM_LEFT))
     (lack,) = misfits(asked, seen(cut_in()))
     assert lack.startswith("'enters_from_left' does not happen after 'brakes'")
+
+
+def test_each_part_of_a_request_holds_or_does_not() -> None:
+    """The car enters from the left at 3.6 s and brakes at 5.0 s; it does not pass, and the order goes on without it."""
+    wanted = (Event.ENTERS_FROM_LEFT, Event.PASSES_LEFT, Event.BRAKES)
+    parts = compare(Asked(relation=Relation.LEADER, events=wanted), seen(cut_in()))
+    assert [(part.name, part.holds) for part in parts] == [
+        ("relation", False), ("events: enters_from_left", True), ("events: passes_left", False),
+        ("events: brakes", True),
+    ]  # fmt: skip
+    assert parts[3].says == "'brakes' happens at 5.0 s after 'enters_from_left'."
+    assert held([asdict(part) for part in parts]) == "What holds: events: enters_from_left, events: brakes."
 
 
 def test_a_contact_counts_as_being_in_the_way() -> None:

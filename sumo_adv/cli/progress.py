@@ -17,6 +17,7 @@ from sumo_adv.cli.terminal import clean
 from sumo_adv.datatypes import ENDING_SENTENCES, Attempt, Ending, Level
 from sumo_adv.episode.assessment import rank
 from sumo_adv.simulation.warnings_log import WarningKind, said_of
+from sumo_adv.words.fit import held
 
 if TYPE_CHECKING:
     from sumo_adv.benchmark import jobs as bench
@@ -266,7 +267,8 @@ def summary(result: Mapping[str, Any], folder: Path) -> str:
         lines.append(f"{intent['label']} by {intent['bv']}. Baseline: {_before(raw)}. Attacked: {_after(best)}.")
     asked = result.get("asked")
     if best is not None and asked is not None:
-        lines.append(f"As asked: {'yes.' if asked['fits'] else 'no. ' + ' '.join(asked['misfits'])}")
+        lacks = " ".join(["no.", *asked["misfits"], held(asked["parts"])]).rstrip()
+        lines.append(f"As asked: {'yes.' if asked['fits'] else lacks}")
     if best is not None and best.get("cause"):
         lines.append(f"Why: {best['cause']['sentence']}")
     if (robust := result.get("robust")) is not None:

@@ -181,7 +181,7 @@ def _as_json(made: Played, out: Path, folder: Path) -> dict[str, Any]:
     return {
         "scenario": str(out), "folder": str(folder), "understood": made.draft.understood,
         "left_out": made.draft.left_out or None, "level": str(made.level), "reached": made.reached,
-        "fits": not made.misfits, "misfits": made.misfits,
+        "fits": not made.misfits, "misfits": made.misfits, "parts": (made.outcome["asked"] or {}).get("parts", []),
         "happened": None if reading is None else reading.happened, "read": reading is not None,
         "motion": (made.outcome["asked"] or {}).get("motion"), "attempts": len(made.outcome["attempts"]),
     }  # fmt: skip
@@ -189,6 +189,7 @@ def _as_json(made: Played, out: Path, folder: Path) -> dict[str, Any]:
 
 def _three_lines(made: Played, out: Path, folder: Path) -> str:
     from sumo_adv.llm.prompts import sanitize
+    from sumo_adv.words.fit import held
 
     scene, reading = made.scene, made.reading
     others = len(scene.vehicles) + len(scene.walkers) + len(scene.parked)
@@ -200,7 +201,8 @@ def _three_lines(made: Played, out: Path, folder: Path) -> str:
         told = made.outcome["reason"]
     by = "by the rules and to a reader" if reading is not None else "by the rules; no reader was asked"
     missed = "" if made.reached else f" The goal was not reached: {made.outcome['goal']}."
-    fits = f"yes, {by}." if not made.misfits else f"no: {sanitize(' '.join(made.misfits))}"
+    holds = held((made.outcome["asked"] or {}).get("parts", []))
+    fits = f"yes, {by}." if not made.misfits else f"no: {sanitize(' '.join(made.misfits))} {holds}".rstrip()
     return "\n".join(
         (
             f"Built: {sanitize(made.draft.understood)} ({road}, other road users: {others}; {out}).{left}",

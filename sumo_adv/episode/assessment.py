@@ -46,7 +46,8 @@ from sumo_adv.scenario_names import columns_of, is_one_of
 from sumo_adv.search.intents import named
 from sumo_adv.search.sampling import kind_of
 from sumo_adv.situation import Situation
-from sumo_adv.words.motion import Motion, Scene, misfits, observe
+from sumo_adv.words.fit import misfits
+from sumo_adv.words.motion import Motion, Scene, observe
 from sumo_adv.words.request import Reading, read_motion
 
 # -- running attempts -----------------------------------------------------------------------------------------------

@@ -18,7 +18,7 @@ from sumo_adv.errors import BudgetError, ModelError
 from sumo_adv.llm.chat import CUT_SHORT, ChatModel, ChatRequest, Ledger, Messages, run_in_thread, without_thought
 
 T = TypeVar("T", bound=BaseModel)
-MAX_LISTED_FAULTS = 5  # of an answer that are sent back
+MAX_LISTED_FAULTS = 200  # of an answer that are sent back: all, unless the answer is no sincere one
 MAX_OBJECTS_IN_PROSE = 40  # that are read from prose
 MAX_ECHO_CHARACTERS = 6000  # of a refused answer that are sent back
 

@@ -38,7 +38,8 @@ class InvalidAnswer(Exception):
 def chat_body(request: ChatRequest, model: str, mode: str, temperature: float | None) -> dict[str, Any]:
     """The body of POST chat/completions.
 
-    By ``mode`` the answer's schema is sent as ``response_format`` (json_schema) or in the first message (others).
+    The first message ends with the answer's schema in every ``mode``, because some servers accept ``response_format``
+    and ignore it. The mode ``json_schema`` sends the schema as ``response_format``, too.
     """
     messages = [{"role": role, "content": content} for role, content in request.messages]
     body: dict[str, Any] = {"model": model, "messages": messages, "stream": False}
@@ -49,8 +50,7 @@ def chat_body(request: ChatRequest, model: str, mode: str, temperature: float | 
     if mode == "json_schema":
         schema = {"name": request.schema_name or "answer", "strict": True, "schema": strict_schema(request.schema)}
         body["response_format"] = {"type": "json_schema", "json_schema": schema}
-        return body
-    if mode == "json_object":
+    elif mode == "json_object":
         body["response_format"] = {"type": "json_object"}
     text = json.dumps(request.schema, ensure_ascii=False)
     messages[0]["content"] += f"\n\nAnswer with one JSON object and nothing else. Its JSON schema:\n{text}"

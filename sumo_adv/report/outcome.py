@@ -33,7 +33,7 @@ from sumo_adv.scenario_names import columns_of
 from sumo_adv.simulation.inputs import EgoRoute
 from sumo_adv.simulation.playback_spec import PlaybackSpec
 from sumo_adv.simulation.warnings_log import kinds_of
-from sumo_adv.words.motion import misfits
+from sumo_adv.words.fit import compare
 
 MANIFEST_SCHEMA = 1
 ATTACKS = "attacks"  # in a run's folder: one folder for each further kind of attack, by the number of its attempt
@@ -125,10 +125,11 @@ def _asked(request: Request, record: EncounterRecord | None, settings: Settings)
     if record is not None and (best := record.best) is not None:
         motion = motion_of(best, record.results[best.index], record.found, settings)
         reading = record.readings.get(best.index)
-    lacks = () if best is None or motion is None else best.verdict.misfits or misfits(request.asked, motion)
+    parts = () if motion is None else compare(request.asked, motion)
+    lacks = () if best is None or motion is None else best.verdict.misfits or [p.says for p in parts if not p.holds]
     return {
         "words": request.words or None, "attack": request.asked.model_dump(mode="json", exclude_defaults=True),
-        "fits": motion is not None and not lacks, "misfits": list(lacks),
+        "fits": motion is not None and not lacks, "misfits": list(lacks), "parts": [asdict(part) for part in parts],
         "motion": None if motion is None else motion.words,
         "reading": None if reading is None else reading.model_dump(mode="json"),
     }  # fmt: skip

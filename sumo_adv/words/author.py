@@ -20,6 +20,7 @@ from sumo_adv.memory.records import canonical
 from sumo_adv.simulation.inputs import data_folder, load_input, shipped_files
 from sumo_adv.words.build import build
 from sumo_adv.words.draft import Draft, SceneDraft
+from sumo_adv.words.fit import held
 from sumo_adv.words.request import Reading, read_motion
 from sumo_adv.words.roads import Net
 
@@ -143,6 +144,8 @@ class Author:
         if draft.scene is None:
             return "Give a scene, or in cannot the reason why there is none."
         self._tries += 1
+        if draft.left_out:  # said before the run, so that a person who needs it can end the command
+            self._tell(f"Answer {self._tries} leaves out: {sanitize(draft.left_out)}")
         folder = self._folder / str(self._tries)
         folder.mkdir()
         try:
@@ -188,6 +191,7 @@ def _what_happened(played: Played) -> str:
     count = len(outcome["attempts"])
     lines.append(f"The best of {count} attempts reached the level {played.level} (wanted: {outcome['goal']}).")
     lines += [f"Missing: {fault}" for fault in played.misfits]
+    lines += [holds] if (holds := held(asked["parts"])) else []
     gates = outcome["outcome"]["failed_gates"]
     lines += [f"Gates that failed: {', '.join(gates)}."] if gates else []
     lines.append(f"Its motion, from when the attack began (A is '{played.scene.attack.adversary}'):\n{asked['motion']}")

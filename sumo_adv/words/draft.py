@@ -67,8 +67,8 @@ class VehicleDraft(_Part):
 
 
 class WalkerDraft(_Part):
-    """A pedestrian or cyclist who stands beside the road. at: m along the ego's way from its start. offset: m from the
-    middle of the ego's lane, left positive."""
+    """A pedestrian or cyclist who stands beside the road. at: m along the ego's way from its front at the start of
+    the scene. offset: m from the middle of the ego's lane, left positive."""
 
     id: Name
     kind: Literal["pedestrian", "cyclist"] = "pedestrian"

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sumo_adv.asked import Asked, Event
+from sumo_adv.asked import Event
 from sumo_adv.datatypes import Bools, Floats, Track
 from sumo_adv.geometry import Path, wrap
 from sumo_adv.road_users import RoadUser, road_user
@@ -25,13 +25,11 @@ TURN_ANGLE_RAD = math.radians(45)  # change of its own heading that is a turn
 EGO_TURN_ANGLE_RAD = math.radians(30)  # of the ego's heading: it turns
 ONCOMING_ANGLE_RAD = math.radians(120)  # heading against the ego's path from which a vehicle comes towards it
 MIN_SPEED_CHANGE_M_S = 2.0  # lost or gained
-BRAKING_WINDOW_S = 0.5  # over which braking is averaged
 STANDING_SPEED_M_S = 0.5
 MAX_BESIDE_OFFSET_M = 4.5  # offset of a vehicle beside the ego at most
 AFTER_APPROACH_S = 3.0  # after the nearest approach: what still counts if nothing is hit
 MAX_DESCRIBED_OTHERS = 4  # other vehicles in the description, the nearest ones
 DESCRIPTION_STEP_S = 1.0  # between the lines of the description
-EVENT_ORDER_SLACK_S = 0.4  # by which an event may be earlier than its predecessor
 
 
 @dataclass(frozen=True, slots=True)
@@ -346,55 +344,3 @@ def _where(scene: Scene, a: Along, b: Along) -> str:
     if road_user(scene.adversary) is not RoadUser.VEHICLE:
         return f"{b.s[0] - a.s[0]:.0f} m ahead, beside EGO's way, on its {side}"
     return f"{words.get(scene.relation, scene.relation)}, on its {side}"
-
-
-def misfits(asked: Asked, motion: Motion) -> tuple[str, ...]:
-    """What an attempt lacks of the request, a sentence each; empty if it fits."""
-    lacks = []
-    if asked.user is not None and asked.user is not motion.user:
-        lacks.append(f"The adversary is a {motion.user}, not a {asked.user}.")
-    if asked.relation is not None and asked.relation != motion.relation:
-        lacks.append(f"The adversary is {motion.relation}, not {asked.relation}.")
-    if (missing := _missing(asked.events, motion)) is not None:
-        after = "" if missing == 0 else f" after '{asked.events[missing - 1]}'"
-        happened = ", ".join(f"{event} at {time:.1f} s" for time, event in motion.events) or "nothing of note"
-        lacks.append(f"'{asked.events[missing]}' does not happen{after}; what happens: {happened}.")
-    if asked.side is not None and asked.side != motion.side:
-        hit = f"The ego is hit at its {motion.side}" if motion.side else "The ego is not hit"
-        lacks.append(f"{hit}, not at its {asked.side}.")
-    if asked.hidden and not motion.hidden:
-        lacks.append("Nothing hides the adversary from the ego at first.")
-    if asked.beside is not None and asked.beside not in motion.beside:
-        lacks.append(f"No other vehicle is beside the ego on its {asked.beside}.")
-    if asked.least_length is not None and motion.length < asked.least_length:
-        lacks.append(f"The adversary is {motion.length:g} m long, not {asked.least_length:g} m or more.")
-    if asked.most_braking is not None and (hardest := _hardest(motion)) > asked.most_braking:
-        lacks.append(f"The adversary brakes with {hardest:.1f} m/s2, not with at most {asked.most_braking:g}.")
-    first = float(motion.speed[0])
-    if asked.most_speed_first is not None and first > asked.most_speed_first:
-        lacks.append(f"The adversary drives {first:.1f} m/s at first, not {asked.most_speed_first:g}.")
-    return tuple(lacks)
-
-
-def _hardest(motion: Motion) -> float:
-    """The hardest braking of the adversary, averaged over ``BRAKING_WINDOW_S`` s [m/s2]."""
-    late = np.searchsorted(motion.time, motion.time + BRAKING_WINDOW_S - 1e-6)
-    k = np.flatnonzero(late < len(motion.time))
-    lost = motion.speed[k] - motion.speed[late[k]]
-    return float((lost / (motion.time[late[k]] - motion.time[k])).max(initial=0.0))
-
-
-def _missing(wanted: tuple[Event, ...], motion: Motion) -> int | None:
-    """The place of the first wanted event that does not come in its order; None if all do."""
-    after = 0.0
-    for place, event in enumerate(wanted):
-        if event in (Event.BRAKES, Event.SPEEDS_UP):
-            time = change_after(motion.time, motion.speed, after - EVENT_ORDER_SLACK_S, event)
-        else:
-            earliest = after - EVENT_ORDER_SLACK_S
-            times = (time for time, happened in motion.events if happened is event and time >= earliest)
-            time = min(times, default=None)
-        if time is None:
-            return place
-        after = max(after, time)
-    return None

@@ -1,0 +1,121 @@
+"""Whether a motion fits a request: each part of the request, and whether the motion has it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.asked import Asked, Event
+from sumo_adv.words.motion import Motion, change_after
+
+BRAKING_WINDOW_S = 0.5  # over which braking is averaged
+EVENT_ORDER_SLACK_S = 0.4  # by which an event may be earlier than its predecessor
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One part of a request, compared with a motion.
+
+    Attributes:
+        name: The key of ``Asked`` that asks for it; for an event ``events: `` and the event.
+        holds: Whether the motion has it.
+        says: What the motion shows of it, one sentence.
+    """
+
+    name: str
+    holds: bool
+    says: str
+
+
+def compare(asked: Asked, motion: Motion) -> tuple[Part, ...]:
+    """Compare a motion with each part of a request.
+
+    Events are looked for in their order. An event that does not happen is left out of the order of those behind it.
+
+    Args:
+        asked: The request.
+        motion: What happened.
+
+    Returns:
+        The parts that the request names; empty if it names none.
+    """
+    parts = []
+    if asked.user is not None:
+        holds = asked.user is motion.user
+        lack = "" if holds else f", not a {asked.user}"
+        parts.append(Part("user", holds, f"The adversary is a {motion.user}{lack}."))
+    if asked.relation is not None:
+        holds = asked.relation == motion.relation
+        lack = "" if holds else f", not {asked.relation}"
+        parts.append(Part("relation", holds, f"The adversary is {motion.relation}{lack}."))
+    parts += _events(asked.events, motion)
+    if asked.side is not None:
+        holds = asked.side == motion.side
+        hit = f"The ego is hit at its {motion.side}" if motion.side else "The ego is not hit"
+        lack = "" if holds else f", not at its {asked.side}"
+        parts.append(Part("side", holds, f"{hit}{lack}."))
+    if asked.hidden:
+        what = "Something hides" if motion.hidden else "Nothing hides"
+        parts.append(Part("hidden", motion.hidden, f"{what} the adversary from the ego at first."))
+    if asked.beside is not None:
+        holds = asked.beside in motion.beside
+        who = "Another vehicle" if holds else "No other vehicle"
+        parts.append(Part("beside", holds, f"{who} is beside the ego on its {asked.beside}."))
+    if asked.least_length is not None:
+        holds = motion.length >= asked.least_length
+        lack = "" if holds else f", not {asked.least_length:g} m or more"
+        parts.append(Part("least_length", holds, f"The adversary is {motion.length:g} m long{lack}."))
+    if asked.most_speed_first is not None:
+        first = float(motion.speed[0])
+        holds = first <= asked.most_speed_first
+        lack = "" if holds else f", not {asked.most_speed_first:g}"
+        parts.append(Part("most_speed_first", holds, f"The adversary drives {first:.1f} m/s at first{lack}."))
+    if asked.most_braking is not None:
+        hardest = _hardest(motion)
+        holds = hardest <= asked.most_braking
+        lack = "" if holds else f", not with at most {asked.most_braking:g}"
+        parts.append(Part("most_braking", holds, f"The adversary brakes with {hardest:.1f} m/s2{lack}."))
+    return tuple(parts)
+
+
+def misfits(asked: Asked, motion: Motion) -> tuple[str, ...]:
+    """What an attempt lacks of the request, a sentence each; empty if it fits."""
+    return tuple(part.says for part in compare(asked, motion) if not part.holds)
+
+
+def held(parts: Sequence[Mapping[str, Any]]) -> str:
+    """The names of the parts that hold, in one sentence; empty if none does. ``parts``: as ``outcome.json`` has
+    them."""
+    names = [str(part["name"]) for part in parts if part["holds"]]
+    return f"What holds: {', '.join(names)}." if names else ""
+
+
+def _events(wanted: Sequence[Event], motion: Motion) -> Iterator[Part]:
+    """The wanted events in their order."""
+    happened = ", ".join(f"{event} at {time:.1f} s" for time, event in motion.events) or "nothing of note"
+    after, last = 0.0, ""
+    for event in wanted:
+        time = _time_of(event, after - EVENT_ORDER_SLACK_S, motion)
+        if time is None:
+            yield Part(f"events: {event}", False, f"'{event}' does not happen{last}; what happens: {happened}.")
+        else:
+            yield Part(f"events: {event}", True, f"'{event}' happens at {time:.1f} s{last}.")
+            after, last = max(after, time), f" after '{event}'"
+
+
+def _time_of(event: Event, earliest: float, motion: Motion) -> float | None:
+    """When an event first happens at ``earliest`` or later [s]; None if it does not."""
+    if event in (Event.BRAKES, Event.SPEEDS_UP):
+        return change_after(motion.time, motion.speed, earliest, event)
+    return min((time for time, happened in motion.events if happened is event and time >= earliest), default=None)
+
+
+def _hardest(motion: Motion) -> float:
+    """The hardest braking of the adversary, averaged over ``BRAKING_WINDOW_S`` s [m/s2]."""
+    late = np.searchsorted(motion.time, motion.time + BRAKING_WINDOW_S - 1e-6)
+    k = np.flatnonzero(late < len(motion.time))
+    lost = motion.speed[k] - motion.speed[late[k]]
+    return float((lost / (motion.time[late[k]] - motion.time[k])).max(initial=0.0))
