@@ -34,6 +34,7 @@ COMMANDS = {
     "judge": ("judge", "EXAMPLE"),
     "keep": ("regress", "KEEP_EXAMPLE"),
     "regress": ("regress", "EXAMPLE"),
+    "sweep": ("sweep", "EXAMPLE"),
     "rate": ("rate", "EXAMPLE"),
     "compare": ("judge", "COMPARE_EXAMPLE"),
     "report": ("report", "EXAMPLE"),

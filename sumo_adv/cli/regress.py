@@ -76,7 +76,7 @@ def keep(
             done.kept[folder] = run
         else:
             done.there_already.append(folder)
-    _say(done, suite, level, as_json=as_json)
+    _say(done, suite, level, ", or another scenario" if scenario else "", as_json=as_json)
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,8 @@ def _expected(avoid: Until | None, min_ttc: float | None, *, no_worse: bool) -> 
     )
 
 
-def _say(done: _Keeping, suite: Path, level: Until, *, as_json: bool) -> None:
+def _say(done: _Keeping, suite: Path, level: Until, other: str, *, as_json: bool) -> None:
+    """Print what was kept, and why the rest was not."""
     kept, again, left, failed = done.kept, done.there_already, done.left_out, done.not_passed
     if as_json:
         names = {"kept": list(kept), "there_already": again, "left_out": left, "not_passed": list(failed)}
@@ -137,7 +138,7 @@ def _say(done: _Keeping, suite: Path, level: Until, *, as_json: bool) -> None:
     for run, why in failed.items():
         typer.echo(f"Left out {run}: no reference driver passes it (careful: {why})")
     more = [f"{len(again)} there already"] if again else []
-    more += [f"{len(left)} left out (below {level}, or another scenario)"] if left else []
+    more += [f"{len(left)} left out (below {level}{other})"] if left else []
     more += [f"{len(failed)} left out (no reference driver passes; --all keeps them)"] if failed else []
     typer.echo(f"{len(kept)} case{'s' * (len(kept) != 1)} into {suite}{''.join(', ' + each for each in more)}.")
 

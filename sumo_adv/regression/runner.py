@@ -280,7 +280,7 @@ def run_case(
     record = finder.seek()
     if record is None:
         return "" if finder.stop is None else finder.stop.reason
-    if why := _elsewhere(case, record.found):
+    if why := elsewhere(case, record.found):
         return why
     done, arrived = attack(case, settings, engine, sandbox, record.found, attempts)
     finder.keep(given_attack(done.recorded(record), case.proposal, "a kept case"))
@@ -292,7 +292,7 @@ def run_case(
     return run, arrived
 
 
-def _elsewhere(case: KeptCase, encounter: FoundEncounter) -> str:
+def elsewhere(case: KeptCase, encounter: FoundEncounter) -> str:
     """Why the encounter is another than the case's, or empty."""
     p, when = case.proposal, f"At the trigger, {encounter.time:g} s,"
     relations = {name: relation for name, relation, _ in encounter.ranking}
