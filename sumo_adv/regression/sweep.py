@@ -110,27 +110,27 @@ def _bounds(case: KeptCase) -> dict[str, tuple[str, float, float]]:
     bounds["delay"] = ("s", 0.0, MAX_ATTACK_DELAY_S)
     if not isinstance(p.acceleration, tuple):
         bounds["acceleration"] = ("m/s2", -12.0, 8.0)
-    if isinstance(case.source.ego, EgoRoute):
+    if isinstance(case.run_input.ego, EgoRoute):
         bounds |= {name: (unit, 0.0, most) for name, (unit, most) in OF_THE_SCENARIO.items()}
     return bounds
 
 
 def at_numbers(case: KeptCase, numbers: Mapping[str, float]) -> KeptCase:
     """The case with other numbers. It is attacked with exactly these, however the ego arrives."""
-    source, p = case.source, case.proposal
-    ego = source.ego
+    run_input, p = case.run_input, case.proposal
+    ego = run_input.ego
     if isinstance(ego, EgoRoute):
         ego = replace(
             ego, speed=numbers.get("ego.speed", ego.speed), depart=numbers.get("ego.depart", ego.depart),
             position=numbers.get("ego.position", ego.position),
         )  # fmt: skip
-        source = replace(source, ego=ego)
+        run_input = replace(run_input, ego=ego)
     parameters = {**p.parameters, **{k: v for k, v in numbers.items() if k in p.parameters}}
     p = replace(
         p, parameters=parameters, delay=numbers.get("delay", p.delay),
         acceleration=numbers.get("acceleration", p.acceleration),
     )  # fmt: skip
-    return replace(case, source=source, proposal=p, situation=None)
+    return replace(case, run_input=run_input, proposal=p, situation=None)
 
 
 class SweepRunner(WarmProcesses):
@@ -168,7 +168,7 @@ class SweepRunner(WarmProcesses):
         settings = settings_for(cases[0], ego)
         with tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch, self._engine.episode() as engine:
             task = task_for(cases[0], settings, Path(scratch))
-            record = EncounterFinder(cases[0].source, settings, task, engine, lambda *_: None).seek()
+            record = EncounterFinder(cases[0].run_input, settings, task, engine, lambda *_: None).seek()
             if record is None or elsewhere(cases[0], record.found):
                 return [Point(PointResult.NO_ENCOUNTER)] * len(cases)
             runner = runner_of(engine, self._sandboxes.of(settings), record.found, settings)
