@@ -76,10 +76,10 @@ def test_off_the_network_only_an_odd_without_roads_contains_the_ego() -> None:
     ("text", "sentence"),
     [
         ('road = ["urban"]', "unknown key 'road'; known keys are roads, relations, speed, vehicles_near"),
-        ('roads = ["city"]', "bad 'roads': input should be 'motorway', 'rural', 'urban' or 'junction'"),
-        ('relations = ["beside"]', "bad 'relations': input should be 'leader', 'follower'"),
+        ('roads = ["city"]', "bad 'roads.0': input should be 'motorway', 'rural', 'urban' or 'junction'"),
+        ('relations = ["beside"]', "bad 'relations.0': input should be 'leader', 'follower'"),
         ("speed = [14, 8]", "bad 'speed': write the lower end of the range first"),
-        ("speed = [-1, 8]", "bad 'speed': input should be greater than or equal to 0"),
+        ("speed = [-1, 8]", "bad 'speed.0': input should be greater than or equal to 0"),
         ("speed = 8", "bad 'speed'"),
         ("roads = [", "is not valid TOML"),
     ],
