@@ -21,6 +21,7 @@ from pydantic_settings import (
 
 from sumo_adv.config_odd import Odd
 from sumo_adv.datatypes import MAX_ADVERSARIES, Level, Limits, Relation
+from sumo_adv.ego_sensing import EgoSensing
 from sumo_adv.errors import UsageError, nearest
 from sumo_adv.goal import Goal
 from sumo_adv.parsing import read_toml
@@ -144,6 +145,8 @@ class Settings(ModelSettings, BaseSettings):
     ego_id: str | None = None
     ego_parameters: dict[str, float] = Field(default_factory=dict)
     ego_deadline: float = Field(60.0, ge=0, le=86_400)  # real s in which its driver must answer; 0: none
+    ego_latency: Annotated[float, Field(ge=0, le=5)] | Literal["measured"] = 0.0  # s until an answer takes effect
+    ego_sensing: EgoSensing = Field(default_factory=EgoSensing)
     attempt_memory: float = Field(4096.0, ge=0, le=1_048_576)  # MiB of a fork beyond what it begins with; 0: no bound
     adversary: str | None = None
     adversaries: int = Field(1, ge=1, le=MAX_ADVERSARIES)  # of an attack at most: a collider and supports
@@ -234,6 +237,8 @@ class Settings(ModelSettings, BaseSettings):
         for name in ("replan", "history", "duration", "horizon"):
             if getattr(self, name) < self.step_length:
                 raise ValueError(f"{name} is shorter than a step of {self.step_length:g} s")
+        if self.ego_latency != "measured" and self.ego_latency > 0 and self.steps(self.ego_latency) == 0:
+            raise ValueError(f"ego_latency is less than half a step of {self.step_length:g} s; 0 is none")
         if not self.delays or min(self.delays) < 0:
             raise ValueError("delays needs one time or more, none of them negative")
         if max(self.delays) > MAX_ATTACK_DELAY_S:
@@ -364,7 +369,8 @@ def _sentence(detail: ErrorDetails) -> str:
     if not name:
         return f"The settings do not fit together: {message}."
     if detail["type"] == "extra_forbidden":
-        model = LimitSettings if names[0] == "limits" and len(names) > 1 else Settings
+        tables: dict[str, type[BaseModel]] = {"limits": LimitSettings, "ego_sensing": EgoSensing}
+        model = tables.get(names[0], Settings) if len(names) > 1 else Settings
         return f"There is no setting '{name}'{nearest(names[-1], model.model_fields)}."
     if detail["type"] == "enum" and names[0] == "kind":
         kinds = ", ".join(Relation)

@@ -18,6 +18,7 @@ LEVELS = (
         "asked",
         "consistency",
         "datatypes",
+        "ego_sensing",
         "errors",
         "files",
         "geometry",

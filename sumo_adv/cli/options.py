@@ -218,6 +218,14 @@ class EgoOptions:
             setting="ego_deadline",
         ),
     ] = None
+    ego_latency: Annotated[
+        str | None,
+        option(
+            EGO_PANEL,
+            "Seconds until an answer of its driver takes effect, or measured: what the answer took.",
+            setting="ego_latency",
+        ),
+    ] = None
 
 
 @dataclass(frozen=True)

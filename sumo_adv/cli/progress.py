@@ -15,6 +15,7 @@ import typer
 from sumo_adv.campaigns.results import EpisodeJob, Row, is_failed
 from sumo_adv.cli.terminal import clean
 from sumo_adv.datatypes import ENDING_SENTENCES, Attempt, Ending, Level
+from sumo_adv.drivers.timing import read_driver_time
 from sumo_adv.episode.assessment import rank
 from sumo_adv.simulation.warnings_log import WarningKind, said_of
 from sumo_adv.words.fit import held
@@ -277,6 +278,8 @@ def summary(result: Mapping[str, Any], folder: Path) -> str:
         path = f" ({folder / success['folder']})" if success["folder"] else ""
         lines.append(f"Attack of attempt {success['attempt'] + 1}: {success['kind']}{path}.")
     lines += [_overridden(result["ego_actions"])] if (result.get("ego_actions") or {}).get("LaneSpeed") else []
+    if (driver := read_driver_time(result.get("driver_time"))) is not None and driver.calls:
+        lines.append(driver.words(result["timing"]["total"]))
     lines.append(result["agents"]["note"])
     if result["encounter"] is not None and not result["forked"]:
         lines.append("Attempts were loaded and repeated, not forked: slower, the same result.")

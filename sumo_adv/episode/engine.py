@@ -12,6 +12,7 @@ from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING, Protocol, TypeAlias
 
 from sumo_adv.datatypes import LaneStrip, Preventability, Proposal
+from sumo_adv.drivers.timing import DriverTime
 from sumo_adv.episode.task import AttemptResult, FoundEncounter, NoEncounter, Prefix, Task
 from sumo_adv.planners.answers import AskOne, PlannerObservation
 from sumo_adv.simulation.engine import Engine
@@ -51,6 +52,9 @@ class EpisodeCalls(Protocol):
 
     def forks(self) -> bool:
         """Return whether attempts run in forks; otherwise the simulation is loaded again for each."""
+
+    def driver_time(self) -> DriverTime | None:
+        """Return how long the driver's answers took so far, in all forks; None if SUMO drives the ego."""
 
     def seek(self, passed_over: str = "") -> FoundEncounter | NoEncounter:
         """Simulate until an encounter with a harmless baseline begins, or until none can come.

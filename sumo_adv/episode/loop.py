@@ -71,7 +71,7 @@ def run_episode(
     spent = seconds_by_part(finder.timing, *(record.timing for record in finder.records))
     return Run(
         run_input, settings, task, tuple(finder.records), finder.stop, finder.forked, agents, isolation, bank_hash,
-        task.own_names(engine.log.warnings()), {**spent, "total": time.perf_counter() - began},
+        task.own_names(engine.log.warnings()), {**spent, "total": time.perf_counter() - began}, finder.driver_time(),
     )  # fmt: skip
 
 

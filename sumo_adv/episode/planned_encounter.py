@@ -11,6 +11,7 @@ from sumo_adv.agents.agents import Agents
 from sumo_adv.agents.teams import Teamwork
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Ending, Intent, LibraryEntry
+from sumo_adv.drivers.timing import DriverTime
 from sumo_adv.episode.engine import EpisodeCalls, EpisodeEngine
 from sumo_adv.episode.memory_access import (
     known_casts,
@@ -23,6 +24,7 @@ from sumo_adv.episode.memory_access import (
 )
 from sumo_adv.episode.run import EncounterRecord, Request, Stop, best_record
 from sumo_adv.episode.task import FoundEncounter, NoEncounter, Task
+from sumo_adv.errors import SumoAdvError
 from sumo_adv.memory.bank import MemoryBank, compositions
 from sumo_adv.memory.records import SceneSignature
 from sumo_adv.planners.sandbox import Sandbox
@@ -129,6 +131,16 @@ class EncounterFinder:
         self.records.append(record)
         self._tell("encounter", found)
         return record
+
+    def driver_time(self) -> DriverTime | None:
+        """Return how long the driver's answers took so far; None if that is not known."""
+        engine = self._engine
+        if "start" not in self.timing or engine.lost or engine.asked or engine.talks:
+            return None
+        try:
+            return engine.call(EpisodeCalls.driver_time)
+        except SumoAdvError:
+            return None
 
     def find_attackable(
         self, sandbox: Sandbox, bank: MemoryBank, agents: Agents | None = None, *, ask: bool = False

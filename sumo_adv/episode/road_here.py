@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from sumo_adv.datatypes import Floats, VehicleState
 from sumo_adv.drivers.protocol import Conflict, Lane, Road, SpeedLimit, StopLine
+from sumo_adv.drivers.timing import engine_work
 from sumo_adv.episode.ego_place import LanePlace
 from sumo_adv.episode.right_of_way import Foe, Line, Link, Meetings, RightOfWay, sign_of, signal_of
 from sumo_adv.episode.road_near import RoadNear
@@ -79,11 +80,13 @@ class RoadNow(Road):
         return self._here
 
     @cached_property
+    @engine_work
     def limit(self) -> float:
         simulation, lane = self._now().drive.simulation, self._place.lane.id
         return simulation.limit(self._ego.id, lane if lane != self._ego.lane else None)
 
     @cached_property
+    @engine_work
     def sides(self) -> tuple[float, ...]:
         here, lane = self._now(), self._place.lane
         beside = () if lane.internal else here.map.beside(lane, here.drive.kind(self._ego.id))
@@ -95,14 +98,17 @@ class RoadNow(Road):
         return self._place.lane.length - self._place.front
 
     @cached_property
+    @engine_work
     def until(self) -> float:
         return self._left + self._ego.length / 2
 
     @cached_property
+    @engine_work
     def width(self) -> float:
         return self._place.lane.width
 
     @cached_property
+    @engine_work
     def advised(self) -> float | None:
         at_line = (
             self._ego.speed < UNADVISED_SPEED_M_S
@@ -113,6 +119,7 @@ class RoadNow(Road):
         return drive.simulation.advised(self._ego.id) if drive.heeding and not at_line else None
 
     @cached_property
+    @engine_work
     def leaves(self) -> bool:
         drive = self._now().drive
         arrival = drive.simulation.arrival(self._ego.id, drive.route())
@@ -122,6 +129,7 @@ class RoadNow(Road):
         return left < LEAVING_S * self._ego.speed + 0.5
 
     @cached_property
+    @engine_work
     def lanes(self) -> tuple[Lane, ...]:
         here, (stretches, junctions) = self._now(), self._stretches
         met = frozenset(m.lane for junction in junctions for m in here.meetings.of(junction.link))
@@ -133,11 +141,13 @@ class RoadNow(Road):
         return here.near.lanes((self._ego.x, self._ego.y), [s.lane for s in stretches], met, now)
 
     @cached_property
+    @engine_work
     def edges(self) -> tuple[Floats, ...]:
         lanes = [stretch.lane for stretch in self._stretches[0]]
         return self._now().near.edges((self._ego.x, self._ego.y), self._place.route, lanes)
 
     @cached_property
+    @engine_work
     def limits(self) -> tuple[SpeedLimit, ...]:
         limits: list[SpeedLimit] = []
         for stretch in self._stretches[0]:
@@ -147,6 +157,7 @@ class RoadNow(Road):
         return tuple(limits)
 
     @cached_property
+    @engine_work
     def stop_lines(self) -> tuple[StopLine, ...]:
         here, ego, lines = self._now(), self._ego, list(self._lines())
         if not lines:
@@ -162,6 +173,7 @@ class RoadNow(Road):
         )  # fmt: skip
 
     @cached_property
+    @engine_work
     def conflicts(self) -> tuple[Conflict, ...]:
         here, conflicts = self._now(), []
         for junction in self._stretches[1]:

@@ -11,6 +11,7 @@ from sumo_adv.agents.agents import Agents
 from sumo_adv.asked import Asked
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Intent, LaneStrip, Level
+from sumo_adv.drivers.timing import DriverTime
 from sumo_adv.episode.assessment import rank
 from sumo_adv.episode.neighbours import Robustness
 from sumo_adv.episode.task import AttemptResult, FoundEncounter, Prefix, Task
@@ -183,6 +184,7 @@ class Run:
         bank_hash: Hash of the bank's content before the run.
         warnings: SUMO's warnings, except those of attempts.
         timing: How long each part took [s].
+        driver_time: How long the answers of the ego's driver took; None if SUMO drove it, or the engine was lost.
     """
 
     run_input: RunInput
@@ -196,6 +198,7 @@ class Run:
     bank_hash: str = ""
     warnings: Sequence[str] = ()
     timing: Mapping[str, float] = field(default_factory=dict)
+    driver_time: DriverTime | None = None
 
     @property
     def best(self) -> EncounterRecord | None:

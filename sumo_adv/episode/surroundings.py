@@ -16,6 +16,7 @@ import numpy as np
 from sumo_adv.datatypes import Bools, Floats, VehicleState
 from sumo_adv.drivers import Observation, Road, Vehicle
 from sumo_adv.drivers.protocol import wishes_of
+from sumo_adv.drivers.timing import engine_work
 from sumo_adv.episode.ego_place import LanePlace
 from sumo_adv.episode.encounter_detector import WAY_AHEAD_M, logged_path
 from sumo_adv.episode.right_of_way import Meetings
@@ -140,6 +141,7 @@ class ObservationNow(Observation):
         return seen
 
     @cached_property
+    @engine_work
     def others(self) -> Sequence[VehicleState]:
         states = self._senses.vehicles
         return tuple(state for state in states if state.visible) if self._visible_only else states
@@ -153,10 +155,12 @@ class ObservationNow(Observation):
         return self._in_lane[1]
 
     @cached_property
+    @engine_work
     def _in_lane(self) -> tuple[float | None, float | None]:
         return (None, None) if self._place is None else in_lane(self._place, self.ego)
 
     @cached_property
+    @engine_work
     def path(self) -> Points | None:
         self._senses.check("the path")
         return self._find_path()
@@ -222,10 +226,12 @@ class SensesNow:
         step = self._drive.recording.step_length
         return tuple(make(Vehicle, newest, n, acceleration(n, newest, before, step), self) for n in self._near)
 
+    @engine_work
     def kind(self, vehicle: str) -> str:
         self.check()
         return self._drive.kind(vehicle)
 
+    @engine_work
     def yaw_rate(self, vehicle: str) -> float:
         self.check()
         if self._before is None or vehicle not in self._before.raw:
@@ -240,6 +246,7 @@ class SensesNow:
     def brake_light(self, vehicle: str) -> bool:
         return bool(self._lamps(vehicle) & LAMP_BRAKE)
 
+    @engine_work
     def visible(self, vehicle: str) -> bool:
         self.check()
         return bool(self._seen[self._near.index(vehicle)])
@@ -250,6 +257,7 @@ class SensesNow:
             return np.zeros(0, bool)
         return self._sight.visible((self._ego.x, self._ego.y), self.vehicles, self._ego.z)
 
+    @engine_work
     def _lamps(self, vehicle: str) -> int:
         self.check()
         return 0 if vehicle in self._drive.obstacles else self._drive.simulation.lamps(vehicle)

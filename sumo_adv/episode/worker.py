@@ -21,7 +21,8 @@ from typing import Any
 import numpy.ma  # noqa: F401 - np.unique imports it, which would take each fork 10 ms
 
 from sumo_adv.datatypes import Boxes, Ending, LaneStrip, Preventability, Proposal
-from sumo_adv.drivers import make_ego
+from sumo_adv.drivers.tested import make_tested_ego
+from sumo_adv.drivers.timing import DriverTime, TimedEgo
 from sumo_adv.episode.attempt import Driven
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.encounter_builder import (
@@ -81,6 +82,7 @@ class EpisodeWorker(EpisodeCalls):
         self._road: RoadMap
         self._passed: list[str] = []
         self._encounter: OpenEncounter
+        self._timed: TimedEgo | None = None  # times the answers of the ego's driver
         self._moved = False  # a branch ran in place: load the simulation again before anything else
 
     # -- commands -----------------------------------------------------------------------------------------------
@@ -88,7 +90,7 @@ class EpisodeWorker(EpisodeCalls):
     def open(self, task: Task) -> None:
         self._task = task
         self._settings = task.settings
-        controller = make_ego(task.ego_driver, task.ego_parameters, task.ego_given)
+        controller, self._timed = make_tested_ego(task.ego_driver, task.ego_parameters, task.settings, task.ego_given)
         self._road = read_network(task.spec.network)
         self._folder = tempfile.TemporaryDirectory(prefix=scratch_prefix())
         folder = Path(self._folder.name)
@@ -130,6 +132,9 @@ class EpisodeWorker(EpisodeCalls):
 
     def forks(self) -> bool:
         return self._forks
+
+    def driver_time(self) -> DriverTime | None:
+        return None if self._timed is None else self._timed.time
 
     def seek(self, passed_over: str = "") -> FoundEncounter | NoEncounter:
         passed = self._passed
@@ -236,7 +241,14 @@ class EpisodeWorker(EpisodeCalls):
     def _branch(self, works: Sequence[Callable[[], Any]], lost: Callable[[str], Any] | None = None) -> list[Any]:
         """The results of the works, each from the trigger on; ``lost``: see ``in_forks``."""
         if self._forks:
-            return in_forks(works, self._reloaded, lost, self._settings.attempt_memory)
+            forgone = None if lost is None else partial(_lost_in_no_time, lost)
+            timed = in_forks(
+                [self._in_own_time(w) for w in works], self._reloaded, forgone, self._settings.attempt_memory
+            )
+            for _, spent in timed:
+                if self._timed is not None:
+                    self._timed.add(spent)
+            return [value for value, _ in timed]
         results = []
         for work in works:
             self._at_trigger()
@@ -245,6 +257,17 @@ class EpisodeWorker(EpisodeCalls):
                 results.append(work())
         self._at_trigger()
         return results
+
+    def _in_own_time(self, work: Callable[[], Any]) -> Callable[[], tuple[Any, DriverTime]]:
+        """The same work in a fork, with the time that the driver's answers took there."""
+
+        def timed() -> tuple[Any, DriverTime]:
+            if self._timed is None:
+                return work(), DriverTime()
+            self._timed.start_over()
+            return work(), self._timed.time
+
+        return timed
 
     def _reloaded(self, work: Callable[[], Any]) -> Callable[[], Any]:
         """The same work after loading the simulation again: SUMO may crash in a fork of a state that it reached."""
@@ -344,3 +367,8 @@ class EpisodeWorker(EpisodeCalls):
                 return self._encounter.attempt(proposal, asks)
         except DriverError as error:
             return self._crashed(str(error))
+
+
+def _lost_in_no_time(lost: Callable[[str], Any], why: str) -> tuple[Any, DriverTime]:
+    """What stands for the result of a fork that died, whose driver's time is not known."""
+    return lost(why), DriverTime()

@@ -24,8 +24,8 @@ from sumo_adv.campaigns.plan import files_hash
 from sumo_adv.campaigns.ray_pool import RayPool
 from sumo_adv.campaigns.results import Done
 from sumo_adv.config import forget_environment, load_settings
-from sumo_adv.drivers import make_ego
 from sumo_adv.drivers.registry import trusted_driver
+from sumo_adv.drivers.tested import make_tested_ego
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.encounter_search import INSERTED_EGO, EncounterSearch
 from sumo_adv.episode.task import Task, make_task, refuse_density
@@ -80,7 +80,7 @@ class RatePlan:
         chosen = {} if ego is None else {"ego": ego}
         settings = load_settings(None, **chosen, ego_parameters=dict(self.parameters), seed=self.seed)
         task = make_task(run_input, settings, folder)
-        make_ego(task.ego_driver, task.ego_parameters)
+        make_tested_ego(task.ego_driver, task.ego_parameters, settings)
         return task
 
     def content(self) -> str:
@@ -134,7 +134,7 @@ class BlockRunner:
         self._scratch = tempfile.TemporaryDirectory(prefix=scratch_prefix())
         folder = Path(self._scratch.name)
         self._task = task = plan.task(folder)
-        controller = make_ego(task.ego_driver, task.ego_parameters)
+        controller, _ = make_tested_ego(task.ego_driver, task.ego_parameters, task.settings)
         spec = task.spec
         types = ego_type_file(controller, folder, (*spec.routes, *spec.additional))
         spec = replace(spec, additional=(*spec.additional, types), seed=0)

@@ -90,6 +90,7 @@ def outcome(
         "outcome": None if best is None else {**verdict(best.verdict), **further},
         "named_scenario": None if best is None else _scenario(best),
         "ego_actions": None if record is None else _ego_actions(record), "realism": dict(realism),
+        "driver_time": None if run.driver_time is None else run.driver_time.as_data(),
         "timing": {**times, "first_success": number(first)}, "llm": _llm(run.agents, attempts_of(record)),
         "sandbox": run.isolation, "forked": run.forked, "learnt": run.learnt,
         "bank_change": run.bank_change or None, "notes": run.notes,

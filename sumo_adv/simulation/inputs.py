@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from sumo_adv.asked import Asked
+from sumo_adv.ego_sensing import EgoSensing
 from sumo_adv.errors import UsageError, nearest
 from sumo_adv.simulation.maps import MAPS, MapConversion, convert_map, is_map
 from sumo_adv.simulation.playback_spec import PlaybackSpec, scenario_playback
@@ -74,6 +75,7 @@ class RunInput:
     ego_type: str | None = None
     ego_controller: str | None = None
     ego_parameters: Mapping[str, bool | int | float | str] = field(default_factory=dict)
+    ego_sensing: EgoSensing | None = None
     trigger: float | Literal["auto"] = "auto"
     warm_up: float = DEFAULT_WARM_UP_S
     horizon: float | None = None
@@ -93,9 +95,13 @@ class RunInput:
     waymo: WaymoSource | None = None
 
     def settings(self, named: Collection[str] = ()) -> dict[str, Any]:
-        """Settings that the input brings: the horizon, and level and number of adversaries of the attack that it asks
-        for. Another goal among the settings that are ``named`` goes before its level."""
+        """Return the settings that the input brings.
+
+        They are the horizon, the sensors of the ego's driver, and level and number of adversaries of the attack that
+        the input asks for. Another goal among the settings that are ``named`` goes before the level."""
         brought: dict[str, Any] = {"horizon": self.horizon}
+        if self.ego_sensing is not None:
+            brought["ego_sensing"] = self.ego_sensing.model_dump()
         if self.asked is not None:
             brought |= {} if {"until", "ttc", "min_delta_v"} & set(named) else self.asked.settings
             brought |= {"adversaries": 1 + len(self.supports)} if self.supports else {}
@@ -233,6 +239,7 @@ def _from_scenario(path: Path) -> RunInput:
         end=_or(scenario.demand.end, playback.end if recorded and playback else None), density=scenario.demand.density,
         demand_seed=scenario.demand.seed, ego=_ego(scenario.ego), ego_type=scenario.ego.type,
         ego_controller=scenario.ego.controller, ego_parameters=scenario.ego.parameters,
+        ego_sensing=scenario.ego.sensing,
         trigger=scenario.window.trigger, warm_up=scenario.window.warm_up, horizon=scenario.window.horizon,
         candidates=scenario.adversary.candidates, supports=scenario.adversary.supports,
         intents=scenario.adversary.intents, label=scenario.label,

@@ -16,6 +16,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from sumo_adv.asked import Asked, RequestOrigin
 from sumo_adv.datatypes import MAX_ADVERSARIES, Relation
+from sumo_adv.ego_sensing import EgoSensing
 from sumo_adv.errors import UsageError
 from sumo_adv.parsing import dotted, first_fault, read_toml
 
@@ -77,6 +78,7 @@ class Ego(_Table):
     controller: Name | None = None
     parameters: dict[str, bool | int | float | str] = Field(default_factory=dict)
     type: Name | None = None
+    sensing: EgoSensing | None = None
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
