@@ -16,6 +16,7 @@ from typing import Any
 from cli_samples import Done, Program
 from ego_samples import BRAKES_AT, CalmEgo
 
+from sumo_adv.campaigns.results import CLOCK_COLUMNS
 from sumo_adv.drivers import LaneSpeed, Observation
 
 INPUTS = ("motorway_cut_in_left", "t_junction_left_into_stem")
@@ -68,7 +69,7 @@ class OnceCrashingEgo(CalmEgo):
 def table(folder: Path) -> list[dict[str, str]]:
     """``results.csv`` without what the clock says."""
     with (folder / "results.csv").open(newline="", encoding="utf-8") as file:
-        return [{k: v for k, v in row.items() if k != "seconds"} for row in csv.DictReader(file)]
+        return [{k: v for k, v in row.items() if k not in CLOCK_COLUMNS} for row in csv.DictReader(file)]
 
 
 def summary(done: Done) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from test_cli_bad_input import powerless, refused, shelf  # noqa: F401 - a fixtu
 from test_interrupt import alive, children_of, wait_until
 
 from sumo_adv.campaigns.local import _work
-from sumo_adv.campaigns.results import RESULT_COLUMNS
+from sumo_adv.campaigns.results import CLOCK_COLUMNS, RESULT_COLUMNS
 from sumo_adv.memory.bank import MemoryBank
 
 
@@ -60,7 +60,7 @@ def test_a_batch_leaves_whole_folders_and_a_table_in_the_plans_order(whole: tupl
     assert "kB an episode" in done.out
     rows = table(done.folder)
     assert [(r["network"], r["seed"]) for r in rows] == [(i, s) for i in INPUTS for s in "01"]
-    assert list(rows[0]) == [c for c in RESULT_COLUMNS if c != "seconds"]
+    assert list(rows[0]) == [c for c in RESULT_COLUMNS if c not in CLOCK_COLUMNS]
     assert {p.name for p in (done.folder / "runs").iterdir()} == {r["id"] for r in rows}
     for row in rows:
         folder = done.folder / "runs" / row["id"]

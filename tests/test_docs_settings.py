@@ -19,11 +19,12 @@ from pydantic_core import PydanticUndefined
 from sumo_adv.asked import Asked, RequestOrigin
 from sumo_adv.config import LimitSettings, ModelSettings, Settings
 from sumo_adv.config_odd import Odd
+from sumo_adv.ego_sensing import EgoSensing
 from sumo_adv.simulation.scenario import Adversary, AttackWindow, Demand, Ego, Label, ObstacleBox, Scenario, Signals
 
 PAGE = ROOT / "docs" / "settings.md"
 MODELS: Mapping[str, type[BaseModel]] = {
-    "Settings of a run": Settings, "Limits": LimitSettings,
+    "Settings of a run": Settings, "Limits": LimitSettings, "Sensors": EgoSensing,
     "Operational design domain": Odd, "Servers of language models": ModelSettings,
 }  # fmt: skip
 PARTS: Mapping[str, type[BaseModel]] = {  # of a scenario file, all in one table

@@ -111,6 +111,7 @@ RESULT_COLUMNS = (
     "ego_stationary", "humanlike", "delta_v", "severity", "serious", "fault", "contact_time", "adversary", "relation",
     "kind", "road", "ego_speed", "supports", "composition", "cause", "cause_sentence",
     "robust", "overlap", "warning", "red_light", "right_of_way", *SCENARIO,
+    "driver_calls", "driver_seconds", "driver_p99_ms",
 )  # fmt: skip
 """Of the table; settings that vary come behind them, as ``set_NAME``. Times in s, speeds in m/s. An empty min_ttc is
 never; an empty valid, strict or serious is no collision. ``road`` and ``ego_speed`` are those of the encounter.
@@ -119,12 +120,16 @@ Both are empty for a single adversary. ``cause``: its kind (``metrics/cause.py``
 near miss. ``robust``: whether most of its neighbours succeed, too; empty where none was simulated. ``overlap``: share
 of the touching face; ``warning``: s from the alarm of ``cc_human`` to the contact; ``red_light``, ``right_of_way``:
 who broke it (``episode/rules_broken.py``). ``motion``, ``nhtsa``, ``iso_34502``, ``euro_ncap``: what the attempt that
-counts shows (``scenario_names.py``)."""
+counts shows (``scenario_names.py``). ``driver_calls``, ``driver_seconds``, ``driver_p99_ms``: how many answers the
+ego's driver gave in all attempts, how long they took, and within what time 99 % of them came."""
+CLOCK_COLUMNS = ("seconds", "driver_seconds", "driver_p99_ms")
+"""Columns with wall times, which differ from one run to the next."""
 
 
-INTEGER_COLUMNS = ("seed", "attempts")
+INTEGER_COLUMNS = ("seed", "attempts", "driver_calls")
 NUMERIC_COLUMNS = (
     "raw_min_ttc", "min_ttc", "seconds", "delta_v", "contact_time", "ego_speed", "overlap", "warning",
+    "driver_seconds", "driver_p99_ms",
 )  # fmt: skip
 BOOLEAN_COLUMNS = ("collided", "valid", "critical", "strict", "serious", "ego_stationary", "humanlike", "robust")
 """Columns that hold whole numbers, numbers, yes or no; the others hold text. Any may be empty."""
@@ -150,6 +155,7 @@ def result_row(name: str, outcome: Mapping[str, Any], traceback: bool) -> Row:
         "fault": best.get("fault"), "contact_time": best.get("contact_time"), **_attack(outcome),
         **{key: best.get(key) for key in ("overlap", "warning", "red_light", "right_of_way")},
         **{key: (outcome.get("named_scenario") or {}).get(key) for key in SCENARIO},
+        **{f"driver_{key}": (outcome.get("driver_time") or {}).get(key) for key in ("calls", "seconds", "p99_ms")},
     }  # fmt: skip
 
 

@@ -227,6 +227,13 @@ def _words_of(summary: Summary) -> str:
     if summary.ran:
         size = f"{s['bytes_an_episode'] / 1000:.0f} kB an episode, {s['input_bytes'] / 1000:.0f} kB of inputs"
         lines.append(f"{summary.ran} run now in {s['seconds']:.0f} s; {size}.")
+    if s["driver_calls"]:
+        total = sum(float(r["seconds"] or 0.0) for r in summary.rows)
+        mean = 1e3 * s["driver_seconds"] / s["driver_calls"]
+        lines.append(
+            f"The egos' drivers took {s['driver_seconds']:.0f} of the {total:.0f} s of all episodes: "
+            f"{s['driver_calls']:,} calls, mean {mean:.2g} ms, 99 % within {s['driver_p99_ms']:.2g} ms in each episode."
+        )
     if summary.learnt is not None:
         lines.append(f"{summary.learnt} pieces of evidence went into the memory bank.")
     lines += said_of(kinds_below(summary.folder))

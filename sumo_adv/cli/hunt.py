@@ -126,6 +126,7 @@ def _document(found: Found, rows: list[dict[str, Any]]) -> dict[str, Any]:
     return {
         "folder": str(found.folder), "ended": found.ended, "seconds": round(found.seconds, 1),
         "encounters": found.encounters, "attempts": found.attempts, "lost": list(found.lost), "failures": rows,
+        "driver_time": {**found.driver_time.as_data(), "of": round(found.episode_seconds, 1)},
         "left": found.left.as_data(), "scenarios": [row.cells() for row in found.scenarios],
     }  # fmt: skip
 
@@ -145,6 +146,8 @@ def _tell(progress: HuntProgress) -> None:
         f"({progress.attempts_per_second:.2g} a second{lost}), distinct failures (that or worse): {levels}; "
         f"{progress.left.words}.{newest}"
     )
+    if progress.driver_time.calls:
+        typer.echo(f"          {progress.driver_time.words(progress.episode_seconds)}")
 
 
 def _show(found: Found, rows: list[dict[str, Any]], index: Path | None) -> None:
@@ -179,6 +182,8 @@ def _show(found: Found, rows: list[dict[str, Any]], index: Path | None) -> None:
         f"{found.attempts} attempts, {found.seconds / 60:.1f} min.{more}"
     )
     typer.echo(f"What is left: {found.left.words}.")
+    if found.driver_time.calls:
+        typer.echo(found.driver_time.words(found.episode_seconds))
     _show_scenarios(found)
     for sentence in said_of(kinds_below(found.folder)):
         typer.echo(sentence)

@@ -14,7 +14,7 @@ import shutil
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from random import Random
 from statistics import median
@@ -24,6 +24,7 @@ from sumo_adv.campaigns.campaign import Orders, Summary
 from sumo_adv.campaigns.plan import CampaignPlan
 from sumo_adv.campaigns.results import is_failed
 from sumo_adv.datatypes import Level
+from sumo_adv.drivers.timing import DriverTime, read_driver_time, total_time
 from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.files import refuse_links, sentences, write_text
 from sumo_adv.goal import Goal
@@ -62,7 +63,8 @@ def count_failures(found: Sequence[Failure], level: Level) -> int:
 @dataclass(frozen=True, slots=True)
 class HuntProgress:
     """How far a hunt is. newest: the newest distinct failure, None where the last round brought none. lost: attempts
-    and episodes that broke, as with a driver that hangs. left: what is left to find, by estimates."""
+    and episodes that broke, as with a driver that hangs. left: what is left to find, by estimates. driver_time: how
+    long the driver's answers took, of ``episode_seconds`` of all episodes."""
 
     seconds_left: float
     encounters: int
@@ -72,6 +74,8 @@ class HuntProgress:
     newest: Failure | None
     lost: int
     left: Discovery
+    driver_time: DriverTime
+    episode_seconds: float
 
     def count(self, level: Level) -> int:
         """Distinct failures of this level or a higher one, without near-touches."""
@@ -81,8 +85,8 @@ class HuntProgress:
 @dataclass(frozen=True, slots=True)
 class Found:
     """What a hunt came to. ended: ``time``, ``distinct`` or ``stopped`` (Ctrl-C). lost: a sentence for each attempt and
-    each episode that broke. left: what is left to
-    find, by estimates; scenarios: what was met of each named scenario."""
+    each episode that broke. left: what is left to find, by estimates; scenarios: what was met of each named scenario.
+    driver_time: how long the driver's answers took, of ``episode_seconds`` of all episodes."""
 
     folder: Path
     failures: Sequence[Failure]
@@ -93,6 +97,8 @@ class Found:
     left: Discovery
     lost: Sequence[str] = ()
     scenarios: Sequence[ScenarioRow] = ()
+    driver_time: DriverTime = field(default_factory=DriverTime)
+    episode_seconds: float = 0.0
 
 
 class Hunt:
@@ -122,6 +128,7 @@ class Hunt:
         self._lost: list[list[str]] = []  # of each round, why attempts and episodes broke
         self._firsts: list[list[float]] = []  # of each round, s to the first success of an encounter
         self._tallies: list[dict[str, list[Tally]]] = []  # of each round, by id: scenarios of each encounter
+        self._times: list[list[tuple[DriverTime, float]]] = []  # of each round, of its episodes
         self._input_of: dict[str, str] = {}  # by id of an episode, the content of its input
 
     def run(self, tell: Callable[[HuntProgress], None]) -> Found:
@@ -149,7 +156,7 @@ class Hunt:
         progress, lost = self._progress(found, None), [why for each in self._lost for why in each]
         return Found(
             self.folder, found, progress.encounters, progress.attempts, self._seconds(), ended, self.left(), lost,
-            self.scenarios(),
+            self.scenarios(), progress.driver_time, progress.episode_seconds,
         )  # fmt: skip
 
     def found(self) -> list[Failure]:
@@ -185,6 +192,7 @@ class Hunt:
         self._more[k:] = [further(self._runs_of(k), summary.rows)]
         outcomes = outcomes_of(self._runs_of(k), summary.rows)
         self._tallies[k:] = [{name: tallies_of(outcome) for name, outcome in outcomes.items()}]
+        self._times[k:] = [list(map(_times_of, outcomes.values()))]
         self._lost[k:] = [_lost(summary.rows, outcomes)]
         first = ((o["timing"] or {}).get("first_success") for o in outcomes.values())
         self._firsts[k:] = [[seconds for seconds in first if seconds is not None]]
@@ -277,8 +285,10 @@ class Hunt:
         attempts = sum(int(row["attempts"] or 0) for row in rows)
         pace = attempts / max(self._seconds(), 1e-3)
         return HuntProgress(
-            self._left(), len(rows), attempts, pace, found, newest, sum(map(len, self._lost)), self.left()
-        )
+            self._left(), len(rows), attempts, pace, found, newest, sum(map(len, self._lost)), self.left(),
+            total_time(took for each in self._times for took, _ in each),
+            sum(seconds for each in self._times for _, seconds in each),
+        )  # fmt: skip
 
     # -- files --------------------------------------------------------------------------------------------------
 
@@ -334,6 +344,12 @@ def _lost(rows: Sequence[Mapping[str, Any]], outcomes: Mapping[str, Mapping[str,
     """Why episodes failed, and why attempts of the others broke."""
     broke = [each for o in outcomes.values() for each in o["attempts"] if each["ending"] == "crashed"]
     return [str(row["failure"]) for row in rows if is_failed(row)] + [str(each["message"]) for each in broke]
+
+
+def _times_of(outcome: Mapping[str, Any]) -> tuple[DriverTime, float]:
+    """How long the driver's answers took in an episode, and the episode [s]."""
+    took = read_driver_time(outcome.get("driver_time"))
+    return took or DriverTime(), float((outcome["timing"] or {}).get("total") or 0.0)
 
 
 def _copy(source: Path, target: Path) -> None:
