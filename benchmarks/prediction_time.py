@@ -18,12 +18,12 @@ import numpy as np
 
 from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.simulation.network import read_network
-from sumo_adv.transformer.model import Predictor
+from sumo_adv.transformer.model import TransformerPredictor
 from sumo_adv.transformer.scene import (
     HISTORY_COUNT,
     MAX_AGENTS,
     POSITION_STEP_S,
-    Agents,
+    SceneVehicles,
     Segments,
     light_of,
     segments_of,
@@ -33,14 +33,16 @@ BOUND = 20.0  # ms
 NETWORKS = ("straight_3lane", "signalised_wide", "roundabout_large")
 
 
-def scene(segments: Segments, rng: np.random.Generator) -> Agents:
+def scene(segments: Segments, rng: np.random.Generator) -> SceneVehicles:
     """Vehicles that go evenly along drawn pieces of lanes."""
     ends = segments.ends[rng.choice(len(segments.ends), MAX_AGENTS)]
     heading = np.arctan2(ends[:, 3] - ends[:, 1], ends[:, 2] - ends[:, 0])
     speed = rng.uniform(0.0, 20.0, MAX_AGENTS)
     back = POSITION_STEP_S * speed[:, None] * np.arange(1 - HISTORY_COUNT, 1)
     past = ends[:, None, :2] + np.stack([np.cos(heading)[:, None] * back, np.sin(heading)[:, None] * back], axis=2)
-    return Agents(past, heading, speed, np.full((MAX_AGENTS, 2), (4.8, 1.8)), np.array([light_of(None)] * MAX_AGENTS))
+    return SceneVehicles(
+        past, heading, speed, np.full((MAX_AGENTS, 2), (4.8, 1.8)), np.array([light_of(None)] * MAX_AGENTS)
+    )
 
 
 def main() -> int:
@@ -48,7 +50,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scenes", type=int, default=50)
     scenes = parser.parse_args().scenes
-    predictor, over = Predictor(), False
+    predictor, over = TransformerPredictor(), False
     for name in NETWORKS:
         segments = segments_of(read_network(data_folder("networks") / f"{name}.net.xml"))
         rng = np.random.default_rng(0)

@@ -50,7 +50,7 @@ from sumo_adv.episode.worker import EpisodeWorker
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.records import SceneSignature
 from sumo_adv.metrics.reference import counterfactual
-from sumo_adv.metrics.verdict import judge
+from sumo_adv.metrics.verdict import judge_attempt
 from sumo_adv.planners.adversary_batch import AdversaryBatch
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Sessions
@@ -101,8 +101,8 @@ PARTS: tuple[tuple[str, Part], ...] = (
     ("    distances", (attempt.apart_of,)),
     ("  verdict", (verdict.verdict_on,)),
     ("    motions recorded", (tracks_of,)),
-    ("    gates, contact and level", (judge,)),
-    ("      reference roll-outs", (counterfactual.answers,)),
+    ("    gates, contact and level", (judge_attempt,)),
+    ("      reference roll-outs", (counterfactual.driver_outcomes,)),
 )
 """What is counted: a process, or functions in the process above them. A part that is indented is of the one above."""
 

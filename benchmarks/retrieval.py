@@ -20,7 +20,7 @@ from sumo_adv.geometry import make_path
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.records import Evidence, IntentRecord, SceneSignature, StoredIntent
 from sumo_adv.planners.sandbox import Sandbox
-from sumo_adv.planners.trajectory import Goal, PathRow, Scalar, advance, start, steer
+from sumo_adv.planners.trajectory import PathEndpoint, PathRow, Scalar, advance, start, steer
 from sumo_adv.planners.trial import probes
 
 MANY = 5000
@@ -80,7 +80,7 @@ def hit_time(bank: MemoryBank) -> float:
         with sandbox.session(planner, {"bv": probe.road}) as session:
             end = session.endpoint("bv", probe.bv, probe.ego, planner.defaults(), 0.0, 8.0)
         motion = start(Scalar, 18.0, 0.0, 0.0, float(probe.bv["speed"]), 0.0)
-        goal = Goal(end["x"], end["y"], end["speed"], end["time"])
+        goal = PathEndpoint(end["x"], end["y"], end["speed"], end["time"])
         motion = steer(Scalar, motion, goal, 0.0)
         for _ in range(20):
             motion = advance(Scalar, motion, goal, road, limits, 30.0, 0.1)

@@ -26,7 +26,7 @@ from sumo_adv.config import load_settings
 from sumo_adv.datatypes import Planner, Proposal, acceleration_at
 from sumo_adv.episode.task import FoundEncounter, Task
 from sumo_adv.episode.worker import EpisodeWorker
-from sumo_adv.planners.answers import Answer, PlannerObservation, road_of, world_endpoint
+from sumo_adv.planners.answers import Answer, PlannerObservation, planner_road, world_endpoint
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Roads, Sessions
 from sumo_adv.planners.text import HELPERS_CODE, make_planner
@@ -102,7 +102,7 @@ def _local(encounter: FoundEncounter, proposal: Proposal) -> Callable[[PlannerOb
     space: dict[str, Any] = {}
     exec(HELPERS_CODE + proposal.planner.text, space)
     situation = encounter.situations[proposal.delay]
-    road, planner = road_of(situation, proposal.bv), space["endpoint"]
+    road, planner = planner_road(situation, proposal.bv), space["endpoint"]
 
     def ask(observation: PlannerObservation) -> Any:
         acceleration = acceleration_at(proposal.acceleration, observation[0]["time"])

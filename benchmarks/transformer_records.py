@@ -61,7 +61,7 @@ def scene_of_record(record: Record) -> scenes.Scene | None:
         steps = min(scene.HISTORY_COUNT + scene.FUTURE_COUNT, len(track.x) - first)
         valid = track.valid[first : first + steps]
         place[i, :steps][valid] = np.column_stack([track.x, track.y])[first : first + steps][valid]
-    agents = scene.Agents(
+    agents = scene.SceneVehicles(
         place[:, :scene.HISTORY_COUNT], np.array([t.heading[current] for t in chosen]),
         np.array([np.hypot(t.vx[current], t.vy[current]) for t in chosen]),
         np.array([(t.length[current], t.width[current]) for t in chosen]),

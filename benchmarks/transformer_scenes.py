@@ -36,11 +36,11 @@ from sumo_adv.transformer.scene import (
     HISTORY_COUNT,
     MAX_AGENTS,
     POSITION_STEP_S,
-    Agents,
     Features,
+    SceneVehicles,
     Segments,
-    features,
     light_of,
+    scene_features,
     segments_of,
     to_local,
 )
@@ -200,7 +200,7 @@ class Scenes:
         return len(self.future)
 
 
-def scene_of(agents: Agents, future: Floats, segments: Segments, followed: Floats | None = None) -> Scene:
+def scene_of(agents: SceneVehicles, future: Floats, segments: Segments, followed: Floats | None = None) -> Scene:
     """One scene for ``together``; future: the vehicles' next ``FUTURE_COUNT`` positions in the world, nan = not there,
     ``(n, FUTURE, 2)``; ``followed``: see ``Scenes``."""
     n = len(future)
@@ -211,7 +211,7 @@ def scene_of(agents: Agents, future: Floats, segments: Segments, followed: Float
     if followed is not None:
         ways = np.full((MAX_AGENTS, MAX_FOLLOWED_LANES, FUTURE_COUNT, 2), np.nan, np.float32)
         ways[:n] = followed
-    return features(agents, segments), whole, there, ways
+    return scene_features(agents, segments), whole, there, ways
 
 
 def together(scenes: Sequence[Scene]) -> Scenes:
@@ -249,7 +249,7 @@ def _around(focus: str, names: Sequence[str], current: Any) -> list[str]:
     return near[:MAX_AGENTS]
 
 
-def _agents(run: Recorded, k: int, names: Sequence[str], lights_known: Sequence[bool]) -> tuple[Agents, Floats]:
+def _agents(run: Recorded, k: int, names: Sequence[str], lights_known: Sequence[bool]) -> tuple[SceneVehicles, Floats]:
     """The vehicles at step ``k`` and where they are afterwards, in the world.
 
     lights_known: for each vehicle, whether its traffic light is known.
@@ -262,14 +262,14 @@ def _agents(run: Recorded, k: int, names: Sequence[str], lights_known: Sequence[
     current = [run.steps[k][name] for name in names]
     heading = [pose_of(state, 0.0)[2] for state in current]
     lights = [run.lights[k][n] if is_known else None for n, is_known in zip(names, lights_known, strict=True)]
-    agents = Agents(
+    agents = SceneVehicles(
         place[:, :HISTORY_COUNT], np.array(heading), np.array([state[3] for state in current]),
         np.array([run.sizes[name] for name in names]), np.array([light_of(light) for light in lights]),
     )  # fmt: skip
     return agents, place[:, HISTORY_COUNT:]
 
 
-def follow(road: RoadMap, agents: Agents, i: int, lane: str) -> Floats:
+def follow(road: RoadMap, agents: SceneVehicles, i: int, lane: str) -> Floats:
     """Lane following: vehicle ``i`` keeps its speed and its offset on every way on from its ``lane``, in its own frame,
     ``(WAYS, FUTURE, 2)``; straight on where it is on no lane. The straightest way is the first."""
     ways = np.full((MAX_FOLLOWED_LANES, FUTURE_COUNT, 2), np.nan)
@@ -282,7 +282,7 @@ def follow(road: RoadMap, agents: Agents, i: int, lane: str) -> Floats:
     shape = road.lanes[lane].shape
     station = stations(*shape.T)
     at = float(station[np.argmin(np.hypot(shape[:, 0] - x, shape[:, 1] - y))])
-    me = Agents(
+    me = SceneVehicles(
         *(values[i : i + 1] for values in (agents.past, agents.heading, agents.speed, agents.size, agents.light))
     )
     for way, path in enumerate(

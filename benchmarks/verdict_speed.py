@@ -21,8 +21,8 @@ from sumo_adv.metrics.case import Case
 from sumo_adv.metrics.criticality import ttc
 from sumo_adv.metrics.further import further_figures
 from sumo_adv.metrics.markings import markings_crossed
-from sumo_adv.metrics.reference.counterfactual import Encounters, answers
-from sumo_adv.metrics.verdict import judge
+from sumo_adv.metrics.reference.counterfactual import Encounters, driver_outcomes
+from sumo_adv.metrics.verdict import judge_attempt
 from sumo_adv.report.tables import series_rows
 from sumo_adv.report.verdicts import realism_figures
 from sumo_adv.simulation.network import Drivable
@@ -81,10 +81,10 @@ def main() -> int:
     encounters = Encounters(rollouts([ego] * 150), wide, np.full(150, 10), np.full(150, 80), DT)
     figures = (
         ("ttc, 100 vehicles x 91 steps", 10.0, lambda: ttc(vehicle, vehicles)),
-        ("verdict without a collision, 10 others", 5.0, lambda: judge(missed)),
-        ("verdict on a collision, 5 drivers", 205.0, lambda: judge(case)),
-        ("cc_human on 150 rollouts", 200.0, lambda: answers(encounters, ("cc_human",))),
-        ("cc_human, manoeuvre on 150 rollouts", 500.0, lambda: answers(encounters, ("cc_human", "manoeuvre"))),
+        ("verdict without a collision, 10 others", 5.0, lambda: judge_attempt(missed)),
+        ("verdict on a collision, 5 drivers", 205.0, lambda: judge_attempt(case)),
+        ("cc_human on 150 rollouts", 200.0, lambda: driver_outcomes(encounters, ("cc_human",))),
+        ("cc_human, manoeuvre on 150 rollouts", 500.0, lambda: driver_outcomes(encounters, ("cc_human", "manoeuvre"))),
         ("further figures", 145.0, lambda: further_figures(case)),
         ("series rows, 120 steps, 10 others", 50.0, lambda: series_rows(ego, [ego, adversary, *others], "adversary")),
         ("markings, 120 steps, 30 lanes", 50.0, lambda: markings_crossed(adversary, strips, road)),

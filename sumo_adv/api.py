@@ -157,12 +157,12 @@ def run(
         BankError: the bank cannot be opened.
     """
     from sumo_adv.app import load, play
-    from sumo_adv.drivers.registry import pack, trusted_driver
+    from sumo_adv.drivers.registry import pack_driver, trusted_driver
     from sumo_adv.simulation.inputs import own_simulation
 
     run_input = load(Path(source), record)
     options = {name: value for name, value in settings.items() if value is not None}
-    packed = None if ego is None or isinstance(ego, str) else pack(ego)
+    packed = None if ego is None or isinstance(ego, str) else pack_driver(ego)
     named = packed.name if packed is not None else str(ego) if ego is not None else None
     driver = trusted_driver(named, run_input.ego_controller, run_input.path)
     options = {**own_simulation(run_input), **run_input.settings(options), **options, "ego": driver}
@@ -213,13 +213,13 @@ def judge(
     Raises UsageError: a column is missing or bad, an id is not in the table, or the tracks do not overlap.
     """
     from sumo_adv.metrics.case import Case
-    from sumo_adv.metrics.own_data import split, track_of
-    from sumo_adv.metrics.verdict import judge as judge_case
+    from sumo_adv.metrics.own_data import columns_by_vehicle, track_of
+    from sumo_adv.metrics.verdict import judge_attempt
 
     if isinstance(ego, str) or isinstance(adversary, str):
         if not (isinstance(ego, str) and isinstance(adversary, str)) or not hasattr(others, "__getitem__"):
             raise UsageError("Give ego and adversary both as ids, with one table of all vehicles, or both as tables.")
-        table = split(others)
+        table = columns_by_vehicle(others)
         missing = [name for name in (ego, adversary) if name not in table]
         if missing:
             raise UsageError(f"The table has no vehicle {missing[0]!r}; it has {', '.join(list(table)[:10])}.")
@@ -232,7 +232,7 @@ def judge(
     third = tuple(track_of(name, columns, Role.BACKGROUND) for name, columns in given.items())
     start = float(first.time[2]) if trigger_time is None else trigger_time
     ground = None if on_road is None else lambda x, y, z=None: on_road(x, y)
-    return judge_case(
+    return judge_attempt(
         Case(first, second, third, start, on_road=ground, lane_half_width=lane_width / 2), ttc_threshold=ttc
     )
 

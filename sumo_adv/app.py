@@ -156,11 +156,11 @@ def open_agents(settings: Settings, sandbox: Sandbox, record: Path | None = None
     if not names:
         yield Agents(settings, sandbox)
         return
-    from sumo_adv.llm.client import connect
+    from sumo_adv.llm.client import open_model
     from sumo_adv.llm.recording import Recorder
 
     ledger = Ledger.for_settings(settings)
-    by_name: dict[str, ChatModel] = {name: connect(name, settings, ledger) for name in sorted(set(names.values()))}
+    by_name: dict[str, ChatModel] = {name: open_model(name, settings, ledger) for name in sorted(set(names.values()))}
     with ExitStack() as stack:
         if record is not None:
             recorder = stack.enter_context(Recorder(record, ", ".join(model.name for model in by_name.values())))

@@ -16,8 +16,8 @@ from situation_samples import EGO_PATH, car, changed, crossing, leader, line, ne
 from sumo_adv.datatypes import Endpoint, Floats
 from sumo_adv.geometry import Frame, Path
 from sumo_adv.planners.adversary_batch import AdversaryBatch
-from sumo_adv.planners.answers import road_of
-from sumo_adv.planners.trajectory import Batch, Goal, Motion, pose
+from sumo_adv.planners.answers import planner_road
+from sumo_adv.planners.trajectory import Batch, Motion, PathEndpoint, pose
 from sumo_adv.situation import NO_ARRIVAL_S, Situation, Target, relate
 
 EXAMPLES = settings(max_examples=20, deadline=None, derandomize=True)
@@ -28,8 +28,8 @@ def row(*values: float) -> Floats:
     return np.array(values)
 
 
-def straight_on(motion: Motion) -> Goal:
-    return Goal(motion.s + 30.0, motion.d, motion.v, motion.v * 0.0 + 3.0)
+def straight_on(motion: Motion) -> PathEndpoint:
+    return PathEndpoint(motion.s + 30.0, motion.d, motion.v, motion.v * 0.0 + 3.0)
 
 
 def observed(sit: Situation, name: str = "bv", motion: Motion | None = None) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -303,12 +303,12 @@ def test_arrivals_stand_in_the_order_of_the_ways() -> None:
 
 def test_observations_and_roads_are_plain_data() -> None:
     sit = situation([crossing()])
-    data = [*observed(sit), road_of(sit, "bv")]
+    data = [*observed(sit), planner_road(sit, "bv")]
     assert json.loads(json.dumps(data, allow_nan=False)) == data
 
 
 def test_the_road_has_ways_conflict_and_lanes_beside() -> None:
-    road = road_of(situation([crossing()]), "bv")
+    road = planner_road(situation([crossing()]), "bv")
     assert (road["relation"], road["lane_width"], road["fastest"]) == ("crossing", 3.2, pytest.approx(13.0))
     assert [w["movement"] for w in road["ways"]] == ["straight", "left"]
     assert [w["junction"] for w in road["ways"]] == [15.0, 15.0]
@@ -319,18 +319,18 @@ def test_the_road_has_ways_conflict_and_lanes_beside() -> None:
     assert road["ways"][0]["centreline"][1] == pytest.approx([30.0, -23.0])  # 2 m on
     assert road["sides"] == [{"offset": 3.2, "kind": "same"}]
     assert road["start"] == pytest.approx({"x": 30.0, "y": -25.0, "heading": math.pi / 2, "speed": 8.0})
-    assert road_of(situation([neighbour()]), "bv")["left"] == pytest.approx(3.2)
+    assert planner_road(situation([neighbour()]), "bv")["left"] == pytest.approx(3.2)
 
 
 def test_the_road_has_the_lights_ahead_of_both() -> None:
     sit = changed(
         situation([crossing()]), signals={"ego": (("J", 20.5, "G"),), "bv": (("J", 12.0, "r"), ("K", 90.0, "g"))}
     )
-    assert road_of(sit, "bv")["signals"] == {
+    assert planner_road(sit, "bv")["signals"] == {
         "bv": [{"id": "J", "distance": 12.0, "state": "r"}, {"id": "K", "distance": 90.0, "state": "g"}],
         "ego": [{"id": "J", "distance": 20.5, "state": "G"}],
     }
-    assert road_of(situation([crossing()]), "bv")["signals"] == {"bv": [], "ego": []}
+    assert planner_road(situation([crossing()]), "bv")["signals"] == {"bv": [], "ego": []}
 
 
 def moved(path: Path, frame: Frame) -> Path:
@@ -362,7 +362,7 @@ def test_observations_do_not_depend_on_the_place_in_the_world(x: float, y: float
     for a, b in zip(observed(here), observed(there), strict=True):
         assert flat(a) == pytest.approx(flat(b), abs=1e-6)
     # centrelines are rounded to centimetres, conflicts lie on a sample, half a metre from the next
-    assert flat(road_of(here, "bv")) == pytest.approx(flat(road_of(there, "bv")), abs=0.511)
+    assert flat(planner_road(here, "bv")) == pytest.approx(flat(planner_road(there, "bv")), abs=0.511)
 
 
 def flat(value: Any) -> list[float]:

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict
 from sumo_adv.errors import BudgetError, ModelError
 from sumo_adv.llm.asking import MeteredModel, ask, ask_many, read_answer
 from sumo_adv.llm.chat import Budget, Ledger, without_thought
-from sumo_adv.llm.client import connect
+from sumo_adv.llm.client import open_model
 
 
 class Choice(BaseModel):
@@ -30,7 +30,7 @@ GOOD = '{"label": "Cut-in", "risk": 0.5}'
 
 def metered(server: ModelServer, budget: Budget | None = None, **given: float) -> MeteredModel:
     ledger = Ledger(budget)
-    return MeteredModel(connect("test-model", server.settings(**given), ledger, clock=StepClock()), ledger)
+    return MeteredModel(open_model("test-model", server.settings(**given), ledger, clock=StepClock()), ledger)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sumo_adv.errors import BankError
-from sumo_adv.memory.build import read_intent
+from sumo_adv.memory.build import read_intent_file
 from sumo_adv.memory.similarity import (
     Measured,
     TextAndSlots,
@@ -58,7 +58,7 @@ def test_the_set_is_as_large_as_it_says() -> None:
 
 
 def test_the_shipped_metric_on_the_reporting_halves() -> None:
-    intents = [read_intent(file) for file in sorted((HERE.parent / "memory_bank").glob("*/intent.toml"))]
+    intents = [read_intent_file(file) for file in sorted((HERE.parent / "memory_bank").glob("*/intent.toml"))]
     result = calibrate(intents, [read_paraphrases(PARAPHRASES), read_paraphrases(INDEPENDENT)])
     assert result.epsilon == pytest.approx(TextAndSlots.epsilon, abs=0.005)
     ours, independent = result.sets

@@ -22,7 +22,7 @@ from sumo_adv.benchmark.drafts import (
     meetings,
     write_draft,
 )
-from sumo_adv.benchmark.making import ENCOUNTERS_PER_KIND, TrialWorker, candidate, make_suite, places_of, trial
+from sumo_adv.benchmark.making import ENCOUNTERS_PER_KIND, TrialWorker, candidate, make_suite, places_of, scenario_trial
 from sumo_adv.benchmark.suites import load_suite, shipped_suites
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.engine import Engine
@@ -128,7 +128,7 @@ def test_what_is_wrong_with_an_encounter_is_found_in_sumo(tmp_path: Path) -> Non
         me = Car(("eastbound",), 1, 1000.0, 20.0) if name == "short" else ego
         adversary = Car(("eastbound",), 1, 1040.0, 20.0) if name == "short" else bv
         scenario, meant = write_pair(tmp_path / name, me, adversary, kind)
-        trials.append(trial(scenario, "idm", meant, kind))
+        trials.append(scenario_trial(scenario, "idm", meant, kind))
     with Engine(TrialWorker, slots=1) as engine:
         assert engine.call(TrialWorker.trials, trials) == [expected for _, _, expected in stories.values()]
 

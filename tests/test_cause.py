@@ -17,7 +17,7 @@ from metrics_tracks import TIME, braking, car, cruise, drift
 from sumo_adv.datatypes import Track
 from sumo_adv.metrics.case import Case
 from sumo_adv.metrics.cause import Action, Cause, CauseKind, cause_of
-from sumo_adv.metrics.verdict import judge, with_answers
+from sumo_adv.metrics.verdict import judge_attempt, with_answers
 
 LEADER = braking("adversary", 35.0, 0.0, 20.0, 2.0, 6.0)
 STEADY = cruise("ego", 0.0, 0.0, 20.0)
@@ -28,7 +28,7 @@ def why(
     ttc: float = 1.0,
 ) -> Cause | None:  # fmt: skip
     case = Case(ego, adversary, others, 1.0, unattacked=unattacked)
-    return cause_of(case, judge(case, ttc_threshold=ttc))
+    return cause_of(case, judge_attempt(case, ttc_threshold=ttc))
 
 
 def test_an_ego_that_does_nothing_did_not_react() -> None:
@@ -155,7 +155,7 @@ def test_a_contact_that_braking_in_time_does_not_avoid_says_how_the_careful_driv
 def test_a_driver_that_avoids_only_the_recorded_motion_is_not_said_to_avoid_it() -> None:
     """As in the first story, but in the loop the adversary plans again and hits the careful driver, too."""
     case = Case(STEADY, LEADER, (), 1.0, unattacked=STEADY)
-    verdict = judge(case)
+    verdict = judge_attempt(case)
     assert verdict.preventability is not None
     hit = {name: "collides" for name, answer in verdict.preventability.answers.items() if answer == "avoids"}
     cause = cause_of(case, with_answers(verdict, replace(verdict.preventability, in_loop=hit)))

@@ -15,7 +15,7 @@ from sumo_adv.agents.teams import Teamwork
 from sumo_adv.datatypes import LibraryEntry
 from sumo_adv.llm.asking import MeteredModel
 from sumo_adv.llm.chat import Ledger
-from sumo_adv.llm.client import connect
+from sumo_adv.llm.client import open_model
 from sumo_adv.llm.prompts import Prompts
 from sumo_adv.simulation.inputs import data_folder
 
@@ -60,7 +60,7 @@ def test_a_server_gets_the_enums_of_the_scene() -> None:
     answer = {"intents": [{"bv": "BV1", "label": "Straight Lane Shift", "risk": "high"}]}
     ledger = Ledger()
     with ModelServer([Say(answer)]) as server:
-        model = connect("test-model", server.settings(), ledger, clock=StepClock())
+        model = open_model("test-model", server.settings(), ledger, clock=StepClock())
         analyzer = ModelAnalyzer(MeteredModel(model, ledger), Prompts(data_folder("prompts")), LIMITS)
         assert [intent.bv for intent in analyzer.analyze({0.0: SCENE}, [SHIFT])] == ["right"]
     sent = server.asked[0].body["response_format"]["json_schema"]["schema"]

@@ -13,7 +13,14 @@ from situation_samples import KRAUSS, changed, crossing, leader, neighbour, situ
 
 from sumo_adv.datatypes import Bools, Floats, Limits, Planner, Proposal
 from sumo_adv.geometry import Frame
-from sumo_adv.planners.answers import Answer, PlannerObservation, arrivals, local_endpoint, stations, world_endpoint
+from sumo_adv.planners.answers import (
+    Answer,
+    PlannerObservation,
+    arrivals,
+    expected_stations,
+    local_endpoint,
+    world_endpoint,
+)
 from sumo_adv.search.rollouts import Ask, Rollouts, predict
 from sumo_adv.simulation.sumo_rules import SituationBatch, profile_at
 from sumo_adv.situation import NO_ARRIVAL_S, Situation
@@ -36,13 +43,13 @@ def test_the_profile_is_read_between_its_samples_and_goes_on_beyond_them() -> No
 
 def test_an_ego_on_its_profile_is_forecast_by_it_shifted_to_where_it_is() -> None:
     braking = changed(SIT, s=SIT.baseline.s, v=np.linspace(10.0, 5.0, 51))
-    s, v = stations(SituationBatch([braking]), 2.0, array(20.4), array(8.3), array(0.0), array(0.0, 1.0))
+    s, v = expected_stations(SituationBatch([braking]), 2.0, array(20.4), array(8.3), array(0.0), array(0.0, 1.0))
     assert s[0] == pytest.approx([20.4, 30.4])  # 0.4 m ahead of its profile, and so it stays
     assert v[0] == pytest.approx([8.0, 7.0])
 
 
 def test_a_disturbed_ego_keeps_its_acceleration_for_half_a_second_and_then_its_speed() -> None:
-    s, v = stations(
+    s, v = expected_stations(
         SituationBatch([SIT] * 2), 2.0, array(20.0, 17.0), array(5.0, 10.0), array(-4.0, 0.0), array(0.0, 0.5, 1.0)
     )
     assert s[0] == pytest.approx([20.0, 22.0, 23.5])  # 5 -> 3 m/s on 2 m, then 1.5 m
@@ -51,7 +58,7 @@ def test_a_disturbed_ego_keeps_its_acceleration_for_half_a_second_and_then_its_s
 
 
 def test_a_braking_ego_never_rolls_back() -> None:
-    s, v = stations(SituationBatch([SIT]), 2.0, array(5.0), array(1.0), array(-8.0), array(0.5, 3.0))
+    s, v = expected_stations(SituationBatch([SIT]), 2.0, array(5.0), array(1.0), array(-8.0), array(0.5, 3.0))
     assert (v == 0.0).all()
     assert (np.diff(s[0]) == 0.0).all()
 

@@ -8,7 +8,7 @@ import pytest
 from situation_samples import crossing, leader, neighbour, situation
 
 from sumo_adv.datatypes import LibraryEntry, Proposal, Verdict
-from sumo_adv.search.intents import FREE, FREE_MOTION, entry_of, named
+from sumo_adv.search.intents import FREE, FREE_MOTION, entry_of, labelled_by_motion
 from sumo_adv.search.sampling import templates_of
 from sumo_adv.situation import Target
 
@@ -36,7 +36,7 @@ def test_one_that_hits_is_named_by_where_it_came_from_and_the_side_that_it_hits(
     target: Target, side: str, label: str
 ) -> None:
     hit = replace(MISS, collided=True, contact_side=side)
-    found = named(free(target.state.id), target, hit)
+    found = labelled_by_motion(free(target.state.id), target, hit)
     assert (found.label, found.planner.label) == (label, label)
     assert entry_of(found, [BRAKING, FREE]) is FREE  # it was drawn from there, also where the library knows the label
     changed = replace(found, planner=replace(found.planner, text="changed by a model"))
@@ -44,7 +44,7 @@ def test_one_that_hits_is_named_by_where_it_came_from_and_the_side_that_it_hits(
 
 
 def test_one_that_misses_keeps_its_name() -> None:
-    assert named(free("bv"), neighbour(), MISS).label == FREE_MOTION
+    assert labelled_by_motion(free("bv"), neighbour(), MISS).label == FREE_MOTION
 
 
 def test_every_vehicle_on_a_way_to_the_ego_may_try_one() -> None:

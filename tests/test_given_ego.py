@@ -13,7 +13,7 @@ import sumo_adv
 from sumo_adv import LaneSpeed, Observation, Pose, Steer
 from sumo_adv.cli.progress import summary
 from sumo_adv.drivers import make_ego
-from sumo_adv.drivers.registry import pack, trusted_driver
+from sumo_adv.drivers.registry import pack_driver, trusted_driver
 from sumo_adv.episode.drive import ActionCount
 from sumo_adv.errors import UsageError
 
@@ -67,21 +67,21 @@ SEEN = Observation(0.0, 0.1, None, ())  # type: ignore[arg-type]
 
 def test_an_object_is_copied_and_a_class_gets_the_parameters() -> None:
     driver = Slow(3.0)
-    packed = pack(driver)
+    packed = pack_driver(driver)
     driver.speed = 4.0
     assert make_ego(packed.name, {}, packed).act(SEEN) == LaneSpeed(None, 3.0)
-    assert make_ego("object:Slow", {"speed": 7.0}, pack(Slow)).act(SEEN) == LaneSpeed(None, 7.0)
+    assert make_ego("object:Slow", {"speed": 7.0}, pack_driver(Slow)).act(SEEN) == LaneSpeed(None, 7.0)
 
 
 def test_what_cannot_drive_is_refused_at_once() -> None:
     with pytest.raises(UsageError, match=r"'object:Lazy' has no method 'act'; it needs reset\(seed\) and act"):
-        pack(type("Lazy", (), {"reset": lambda self, seed: None}))
+        pack_driver(type("Lazy", (), {"reset": lambda self, seed: None}))
     held = Slow()
     held.lock = Lock()  # type: ignore[attr-defined]
     with pytest.raises(UsageError, match=r"cannot be sent to the engine's process .*TypeError.*: make in reset what"):
-        pack(held)
+        pack_driver(held)
     with pytest.raises(UsageError, match=r"could not be made: TypeError: .*'gain'"):
-        make_ego("object:Slow", {"gain": 1.0}, pack(Slow))
+        make_ego("object:Slow", {"gain": 1.0}, pack_driver(Slow))
 
 
 def test_without_the_object_its_name_says_nothing() -> None:

@@ -14,9 +14,9 @@ from cli_samples import Program
 
 from sumo_adv.datatypes import Boxes, VehicleState
 from sumo_adv.drivers import LatticeEgo, Observation, Steer, apply_steer, make_ego
-from sumo_adv.drivers.lattice import Egos, Expected, LatticeSettings, Size
-from sumo_adv.drivers.lattice_candidates import Space, aside, choose
-from sumo_adv.drivers.lattice_frame import RoadFrame, Watch, expect, others_on
+from sumo_adv.drivers.lattice import Expected, LatticeEgos, LatticeSettings, Size
+from sumo_adv.drivers.lattice_candidates import Space, choose, lateral_candidates
+from sumo_adv.drivers.lattice_frame import RoadFrame, VehicleHistory, expect, others_on
 from sumo_adv.drivers.protocol import Road, StopLine, wishes_of
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.right_of_way import Meetings
@@ -158,21 +158,21 @@ def test_at_its_routes_end_sumo_takes_over() -> None:
 # ---- parts
 
 
-def at(x: float, speed: float) -> Egos:
+def at(x: float, speed: float) -> LatticeEgos:
     """One ego on the centre of its path, its wheel straight."""
-    return Egos(np.array([x]), np.zeros(1), np.array([speed]), *(np.zeros(1) for _ in range(5)))
+    return LatticeEgos(np.array([x]), np.zeros(1), np.array([speed]), *(np.zeros(1) for _ in range(5)))
 
 
 def expected(x: float, speed: float, others: Sequence[VehicleState], times: Sequence[float]) -> Expected:
     """Where an ego on the straight road expects other vehicles that it sees for the first time."""
     frame = RoadFrame(STRAIGHT)
-    placed = others_on(frame, car("ego", x, speed=speed), others, Watch().look(0.0, others))
+    placed = others_on(frame, car("ego", x, speed=speed), others, VehicleHistory().look(0.0, others))
     return expect(placed, at(x, speed), Size(5.0, 2.0), np.array(times), frame.project)
 
 
 def test_a_quintic_by_hand() -> None:
     # 2 m in 2 s: half way there at 1 s with 15/8 of the mean rate of 1 m/s; integral of jerk^2 = 720 * 4 / 32 = 90
-    moves = aside(at(0.0, 10.0), np.array([2.0]), np.array([0.0, 1.0, 2.0, 3.0]))
+    moves = lateral_candidates(at(0.0, 10.0), np.array([2.0]), np.array([0.0, 1.0, 2.0, 3.0]))
     k = int(np.flatnonzero(moves.duration[0] == 2.0)[0])
     assert moves.d[0, k] == pytest.approx([0.0, 1.0, 2.0, 2.0])
     assert moves.rate[0, k] == pytest.approx([0.0, 1.875, 0.0, 0.0], abs=1e-9)
@@ -205,7 +205,7 @@ def test_egos_choose_together_as_each_chooses_alone() -> None:
 
     def chosen(others: Expected) -> list[list[float]]:
         n = len(others.s)
-        egos = Egos(*(np.repeat(q, n) for q in at(5.0, 20.0)))
+        egos = LatticeEgos(*(np.repeat(q, n) for q in at(5.0, 20.0)))
         space = Space.between(np.full(n, 1.6), [(3.2,)] * n, np.full(n, 400.0), size.width)
         keep = np.zeros((n, len(settings.times)))
         best = choose(egos, size, keep, np.full(n, 20.0), others, space, settings, 0.1)

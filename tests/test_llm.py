@@ -21,7 +21,7 @@ from model_server import KEY, Answer, Asked, Cut, Drip, Hang, Large, ModelServer
 from sumo_adv.config import ModelSettings, load_settings
 from sumo_adv.errors import BudgetError, ModelError, UsageError
 from sumo_adv.llm.chat import Budget, ChatReply, ChatRequest, Ledger
-from sumo_adv.llm.client import connect, find_server
+from sumo_adv.llm.client import find_server, open_model
 
 SCHEMA = {"type": "object", "properties": {"a": {"type": "integer", "default": 1}}}
 BOMB = gzip.compress(gzip.compress(bytes(20_000_000)))  # 20 MB in some hundred bytes
@@ -31,7 +31,7 @@ WITH_SCHEMA = ChatRequest("analyzer", QUESTION.messages, SCHEMA, "Thing")
 
 def answer(server: ModelServer, request: ChatRequest = QUESTION, **given: Any) -> tuple[ChatReply, Ledger, StepClock]:
     ledger, clock = Ledger(), StepClock()
-    model = connect("test-model", server.settings(**given), ledger, clock=clock)
+    model = open_model("test-model", server.settings(**given), ledger, clock=clock)
     return model.complete(request), ledger, clock
 
 
@@ -39,7 +39,7 @@ def failure(script: Any, **given: Any) -> tuple[str, Ledger, StepClock, ModelSer
     """The message of a question that fails; the key is not in it."""
     ledger, clock = Ledger(), StepClock()
     with ModelServer(script) as server:
-        model = connect("test-model", server.settings(**given), ledger, clock=clock)
+        model = open_model("test-model", server.settings(**given), ledger, clock=clock)
         with pytest.raises(ModelError) as caught:
             model.complete(QUESTION)
     assert KEY not in str(caught.value) and KEY not in repr(caught.value)
@@ -92,7 +92,7 @@ def test_a_schema_is_sent_in_strict_mode() -> None:
 )
 def test_the_supported_schema_mode_is_remembered(refused: tuple[str, ...], mode: str, calls: int) -> None:
     with ModelServer(no_schema(Say({"a": 2}), refused)) as server:
-        model = connect("test-model", server.settings(), Ledger(), clock=StepClock())
+        model = open_model("test-model", server.settings(), Ledger(), clock=StepClock())
         first, second = model.complete(WITH_SCHEMA), model.complete(WITH_SCHEMA)
     assert (first.mode, first.retries, second.mode, second.retries) == (mode, calls - 1, mode, 0)
     assert len(server.asked) == calls + 1
@@ -101,7 +101,7 @@ def test_the_supported_schema_mode_is_remembered(refused: tuple[str, ...], mode:
 
 def test_a_400_for_other_reasons_says_so_and_changes_nothing() -> None:
     with ModelServer([*[status(400, "the prompt is too long")] * 3, Say({"a": 1})]) as server:
-        model = connect("test-model", server.settings(), Ledger(), clock=StepClock())
+        model = open_model("test-model", server.settings(), Ledger(), clock=StepClock())
         with pytest.raises(ModelError, match="too long"):
             model.complete(WITH_SCHEMA)
         assert model.complete(WITH_SCHEMA).mode == "json_schema"
@@ -230,7 +230,9 @@ def test_a_missing_server_is_reported_at_once() -> None:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     clock = StepClock()
-    model = connect("ollama:llama3", ModelSettings(llm_base_url=f"http://localhost:{port}/v1"), Ledger(), clock=clock)
+    model = open_model(
+        "ollama:llama3", ModelSettings(llm_base_url=f"http://localhost:{port}/v1"), Ledger(), clock=clock
+    )
     with pytest.raises(ModelError, match=f"localhost:{port} of model ollama:llama3 cannot be reached .*start it, or"):
         model.complete(QUESTION)
     assert clock.slept == []
@@ -261,7 +263,7 @@ def test_an_address_without_v1_is_named(code: int, body: str) -> None:
         threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True).start()
         address = f"http://127.0.0.1:{server.server_port}"
         for url, said in ((address, True), (f"{address}/v1", False)):
-            model = connect("my-own", ModelSettings(llm_base_url=url), Ledger(), clock=StepClock())
+            model = open_model("my-own", ModelSettings(llm_base_url=url), Ledger(), clock=StepClock())
             with pytest.raises(ModelError) as caught:
                 model.complete(QUESTION)
             assert (f"; set SUMO_ADV_LLM_BASE_URL to {address}/v1, where" in str(caught.value)) == said
@@ -276,7 +278,7 @@ def test_no_more_questions_at_once_than_allowed() -> None:
         return "Yes."
 
     with ModelServer(script) as server:
-        model = connect("test-model", server.settings(llm_concurrency=2), Ledger(), clock=StepClock())
+        model = open_model("test-model", server.settings(llm_concurrency=2), Ledger(), clock=StepClock())
         threads = [threading.Thread(target=model.complete, args=(QUESTION,)) for _ in range(6)]
         for thread in threads:
             thread.start()
@@ -297,7 +299,7 @@ def test_budgets_end_before_the_call_that_would_exceed_them(budget: Budget, answ
     long = ChatRequest("analyzer", (("user", "x" * 396),))  # 99 tokens
     ledger = Ledger(budget)
     with ModelServer(lambda request: "Yes.") as server:
-        model = connect("test-model", server.settings(), ledger, clock=StepClock())
+        model = open_model("test-model", server.settings(), ledger, clock=StepClock())
         for _ in range(answered):
             model.complete(long)
         with pytest.raises(BudgetError, match=says):
@@ -323,7 +325,7 @@ def test_parallel_questions_are_waited_for_once() -> None:
 
 def test_the_runs_time_cuts_a_question_short() -> None:
     with ModelServer([Hang()]) as server:
-        model = connect("test-model", server.settings(), Ledger(Budget(seconds=0.3)), clock=StepClock())
+        model = open_model("test-model", server.settings(), Ledger(Budget(seconds=0.3)), clock=StepClock())
         with pytest.raises(BudgetError, match="ended during a question"):
             model.complete(QUESTION)
 
@@ -370,7 +372,7 @@ def test_a_name_stands_for_a_server(
 )
 def test_a_name_without_a_server_names_the_missing_setting(name: str, says: str) -> None:
     with pytest.raises(UsageError, match=says):
-        connect(name, ModelSettings(), Ledger(), environment={})
+        open_model(name, ModelSettings(), Ledger(), environment={})
 
 
 def test_the_wait_can_be_interrupted() -> None:

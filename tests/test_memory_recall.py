@@ -13,7 +13,7 @@ from bank_samples import BRAKE_PLANNER, BRAKING, CUT_IN, CUT_PLANNER, evidence
 
 from sumo_adv.datatypes import Planner
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.memory.recall import SceneIndex, draw, explain, likeness, signature_distance
+from sumo_adv.memory.recall import SceneIndex, drawn_order, explain, likeness, signature_distance
 from sumo_adv.memory.records import SceneSignature
 
 HERE = {"ahead": 12.0, "left": 3.2, "heading": 0.0, "speed": 14.0, "ego_speed": 15.0}
@@ -106,13 +106,13 @@ def test_arms_by_hand_and_the_same_in_any_order() -> None:
         evidence(planner_hash=SIDE.hash, scene=replace(SCENE, geometry="crossing"), **FAILED),
         evidence(planner_hash="of nobody here", scene=SCENE),
     ]
-    arms = draw([SIDE, BACK], history, SCENE, random.Random(1))
+    arms = drawn_order([SIDE, BACK], history, SCENE, random.Random(1))
     by_mode = {arm.planner.mode: arm for arm in arms}
     side, back = by_mode["side"], by_mode["back"]
     assert (side.successes, side.failures, side.rows) == (1.5, 0.3, 3)
     assert side.mean == pytest.approx(2.5 / 3.8)
     assert (back.successes, back.failures, back.mean) == (0.0, 0.0, 0.5)
-    assert draw([BACK, SIDE], history[::-1], SCENE, random.Random(1)) == arms
+    assert drawn_order([BACK, SIDE], history[::-1], SCENE, random.Random(1)) == arms
     explained = explain(arms)
     assert [row["draw"] for row in explained] == sorted((row["draw"] for row in explained), reverse=True)
     assert {row["mode"]: row["planner"] for row in explained} == {"side": SIDE.hash, "back": BACK.hash}
@@ -121,10 +121,10 @@ def test_arms_by_hand_and_the_same_in_any_order() -> None:
 def test_what_succeeded_is_tried_first_mostly_and_new_ones_sometimes() -> None:
     history = [evidence(planner_hash=SIDE.hash, scene=SCENE, seed=seed) for seed in range(4)]
     rng = random.Random(0)
-    first = [draw([BACK, SIDE], history, SCENE, rng)[0].planner.mode for _ in range(300)]
+    first = [drawn_order([BACK, SIDE], history, SCENE, rng)[0].planner.mode for _ in range(300)]
     # P(Beta(5, 1) > U) = 5/6
     assert 0.77 < first.count("side") / 300 < 0.90
     failed = [replace(each, critical=False) for each in history]
-    first = [draw([BACK, SIDE], failed, SCENE, rng)[0].planner.mode for _ in range(300)]
+    first = [drawn_order([BACK, SIDE], failed, SCENE, rng)[0].planner.mode for _ in range(300)]
     assert first.count("side") / 300 < 0.23
-    assert draw([], history, SCENE, rng) == []
+    assert drawn_order([], history, SCENE, rng) == []

@@ -14,9 +14,9 @@ from sumo_adv.metrics.realism import (
     WOSAC_BINS,
     Bins,
     distances,
-    features,
     jensen_shannon,
     kl,
+    pooled_features,
     realism,
     wasserstein,
     wosac_features,
@@ -138,5 +138,5 @@ def test_wosac_features_of_a_circle() -> None:
 
 def test_features_pool_vehicles_and_ignore_those_seen_once() -> None:
     once = cruise("once", 0, 0, 10).between(1.0, 1.0)
-    pooled = features([cruise("a", 0, 0, 10), once, cruise("b", 0, 0, 20)], end=1.0)
+    pooled = pooled_features([cruise("a", 0, 0, 10), once, cruise("b", 0, 0, 20)], end=1.0)
     assert len(pooled["speed"]) == 22 and len(pooled["jerk"]) == 20

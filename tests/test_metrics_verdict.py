@@ -17,7 +17,7 @@ from sumo_adv.metrics.contact import CollisionClass, Side, collision_class, rear
 from sumo_adv.metrics.criticality import CRITICALITY_COLUMNS, series
 from sumo_adv.metrics.fault import longitudinal_safe_distance, rss_opinion
 from sumo_adv.metrics.further import further_figures
-from sumo_adv.metrics.verdict import judge, with_answers
+from sumo_adv.metrics.verdict import judge_attempt, with_answers
 
 EGO = cruise("ego", 0, 0, 15)
 LATE_CUT_IN = drift("adversary", 3, 3.2, 15, 2.0, 2.5, 0.0)  # beside the ego, drifting into it
@@ -29,7 +29,7 @@ COMES_OVER = replace(drift("adversary", 100, 3.2, -10, 1.5, 2.5, 0.0), heading=O
 
 
 def judged(ego: Track, adversary: Track, *others: Track, start: float = 1.0) -> Verdict:
-    return judge(Case(ego, adversary, others, start))
+    return judge_attempt(Case(ego, adversary, others, start))
 
 
 def answers(verdict: Verdict) -> tuple[str, str]:
@@ -64,13 +64,13 @@ def test_a_slow_drift_far_ahead_anybody_avoids() -> None:
 
 def test_a_collision_of_the_careful_driver_itself_is_not_strict() -> None:
     """Its path and lane are not those of the kinematic check, in which it avoids the collision."""
-    v = judge(Case(EGO, SLOW_DRIFT, (), 1.0), driver="cc_human")
+    v = judge_attempt(Case(EGO, SLOW_DRIFT, (), 1.0), driver="cc_human")
     assert answers(v) == ("collides", "avoids")
     assert v.level is Level.VALID
 
 
 def test_drivers_are_asked_only_as_far_as_the_level_depends_on_them() -> None:
-    few, every = (judge(Case(EGO, SLOW_DRIFT, (), 1.0), all_drivers=asked) for asked in (False, True))
+    few, every = (judge_attempt(Case(EGO, SLOW_DRIFT, (), 1.0), all_drivers=asked) for asked in (False, True))
     assert few.preventability is not None and every.preventability is not None
     assert few.preventability.answers.items() < every.preventability.answers.items()
     assert few.level is every.level is Level.SERIOUS
@@ -145,7 +145,7 @@ def road(half_width: float) -> OnRoad:
 
 def test_an_escape_must_stay_on_the_road() -> None:
     case = Case(cruise("ego", 0, 0, 10), COMES_OVER, (), 1.0)
-    wide, narrow = (judge(replace(case, on_road=road(half_width))) for half_width in (6.0, 1.5))
+    wide, narrow = (judge_attempt(replace(case, on_road=road(half_width))) for half_width in (6.0, 1.5))
     assert (answers(wide)[1], answers(narrow)[1]) == ("avoids", "collides")
 
 
@@ -198,7 +198,7 @@ def test_further_figures_say_how_they_met_and_give_a_second_opinion() -> None:
     case = Case(EGO, SLOW_DRIFT, (), 1.0)
     further = further_figures(case)
     assert further.collision_class is CollisionClass.ACTIVE_FRONT
-    assert judge(case).fault == "ego"  # nuPlan looks at the bumper alone
+    assert judge_attempt(case).fault == "ego"  # nuPlan looks at the bumper alone
     assert further.rss is not None and (further.rss.trigger, further.rss.blame) == ("lateral", "adversary")
     impact = further.impact
     assert impact is not None and impact.speed == pytest.approx(6.0) and impact.adversary_side is Side.REAR

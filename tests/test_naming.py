@@ -10,7 +10,7 @@ import pytest
 from sumo_adv.datatypes import Floats, NamedScenario, RoadGeometry, Role, Track
 from sumo_adv.geometry import make_path
 from sumo_adv.words.motion import Scene, follow
-from sumo_adv.words.naming import Surroundings, named
+from sumo_adv.words.naming import NamingContext, named
 
 TIME = np.round(np.arange(0.0, 6.01, 0.1), 3)
 STILL = 0.0 * TIME
@@ -26,11 +26,11 @@ def track(
 
 
 EGO = track("ego", 10.0 * TIME, STILL, 0.0, 10.0)
-NEIGHBOUR, ONCOMING, CROSSING = Surroundings("neighbour"), Surroundings("oncoming"), Surroundings("crossing")
-JUNCTION = Surroundings("crossing", junction=True, geometry=None)
+NEIGHBOUR, ONCOMING, CROSSING = NamingContext("neighbour"), NamingContext("oncoming"), NamingContext("crossing")
+JUNCTION = NamingContext("crossing", junction=True, geometry=None)
 
 
-def name_of(adversary: Track, around: Surroundings, *, contact: bool = False, ego: Track = EGO) -> NamedScenario:
+def name_of(adversary: Track, around: NamingContext, *, contact: bool = False, ego: Track = EGO) -> NamedScenario:
     side = "front" if contact else None
     course = follow(Scene(ego, adversary, (), WAY, around.relation, around.hidden, side, 0.0))
     assert course is not None
@@ -58,17 +58,17 @@ def test_a_leader_is_named_by_its_speed(
     speed: Floats, size: tuple[float, float], number: int, name: str, motion: str
 ) -> None:
     """A braking leader is a leader, whatever the intent was called."""
-    scenario = name_of(ahead(speed, size=size), Surroundings("leader"), contact=True)
+    scenario = name_of(ahead(speed, size=size), NamingContext("leader"), contact=True)
     assert (scenario.nhtsa, scenario.euro_ncap, scenario.motion) == (number, name, motion)
 
 
 def test_disturbances_of_iso_34502_name_the_road_the_ego_and_the_other() -> None:
     slower = ahead(STILL + 5.0)
-    around = Surroundings("leader", geometry=RoadGeometry.MERGE, changes_lane=True)
+    around = NamingContext("leader", geometry=RoadGeometry.MERGE, changes_lane=True)
     scenario = name_of(slower, around, contact=True)
     assert scenario.iso_34502 == "merge zone, lane change, deceleration"
     assert scenario.nhtsa == 22  # the following vehicle makes a manoeuvre
-    assert name_of(slower, Surroundings("leader", geometry=None), contact=True).iso_34502 == ""  # ways cross there
+    assert name_of(slower, NamingContext("leader", geometry=None), contact=True).iso_34502 == ""  # ways cross there
 
 
 @pytest.mark.parametrize(("sideways", "number", "motion"), [(1.2, 18, "cuts in"), (0.4, 19, "drifts in")])
@@ -81,10 +81,10 @@ def test_a_vehicle_that_comes_from_the_side_changes_lanes_or_drifts(sideways: fl
 
 def test_a_leader_that_leaves_and_a_follower() -> None:
     y = np.clip(1.2 * (TIME - 0.5), 0.0, 3.5)
-    leaves = name_of(track("l", 12.0 + EGO.x, y, 0.0, 10.0), Surroundings("leader"))
+    leaves = name_of(track("l", 12.0 + EGO.x, y, 0.0, 10.0), NamingContext("leader"))
     assert (leaves.motion, leaves.euro_ncap) == ("leader leaves the lane", "cut-out")
     assert leaves.iso_34502 == "main roadway, lane keep, cut-out"
-    behind = name_of(track("f", -20.0 + 12.0 * TIME, STILL, 0.0, 12.0), Surroundings("follower"))
+    behind = name_of(track("f", -20.0 + 12.0 * TIME, STILL, 0.0, 12.0), NamingContext("follower"))
     assert behind == NamedScenario("follower closes up", 24, "main roadway, lane keep, acceleration")
     beside = name_of(track("b", EGO.x, STILL + 3.5, 0.0, 10.0), NEIGHBOUR)
     assert beside == NamedScenario("stays beside the ego")  # no list has a name for what is no conflict
@@ -105,14 +105,14 @@ def test_oncoming_vehicles() -> None:
 def test_turns_across_the_path_of_oncoming_traffic() -> None:
     """The ego turns left: CCFtap. The other turns left: Euro NCAP has no name for it. In left-hand traffic, right."""
     straight = track("o", 120.0 - 20.0 * TIME, STILL + 3.4, math.pi, 20.0)
-    turning = Surroundings("oncoming", junction=True, geometry=None, ego_turn=math.radians(90))
+    turning = NamingContext("oncoming", junction=True, geometry=None, ego_turn=math.radians(90))
     tap = name_of(straight, turning, contact=True)
     assert (tap.nhtsa, tap.euro_ncap) == (29, "CCFtap")
-    lights = Surroundings("oncoming", junction=True, signalised=True, geometry=None, movements=frozenset({"left"}))
+    lights = NamingContext("oncoming", junction=True, signalised=True, geometry=None, movements=frozenset({"left"}))
     crosses = name_of(track("o", 120.0 - 20.0 * TIME, 3.4 - TIME, math.pi, 20.0), lights, contact=True)
     assert (crosses.nhtsa, crosses.euro_ncap) == (27, "")
     assert crosses.motion == "oncoming vehicle turns left across the ego's way"
-    mirrored = Surroundings("oncoming", junction=True, geometry=None, ego_turn=-math.radians(90), hand=-1.0)
+    mirrored = NamingContext("oncoming", junction=True, geometry=None, ego_turn=-math.radians(90), hand=-1.0)
     assert name_of(straight, mirrored, contact=True).euro_ncap == "CCFtap"
 
 
@@ -120,11 +120,11 @@ def test_crossing_paths() -> None:
     """Northward with 8 m/s from 24 m on the right: there after 3 s, as the ego."""
     right = track("c", STILL + 30.0, -24.0 + 8.0 * TIME, math.pi / 2, 8.0)
     assert name_of(right, JUNCTION) == NamedScenario("crosses from the right", 30, "", "CCCscp")
-    red = Surroundings("crossing", junction=True, signalised=True, red=True, geometry=None)
+    red = NamingContext("crossing", junction=True, signalised=True, red=True, geometry=None)
     assert name_of(right, red).nhtsa == 4
-    green = Surroundings("crossing", junction=True, signalised=True, geometry=None)
+    green = NamingContext("crossing", junction=True, signalised=True, geometry=None)
     assert name_of(right, green).nhtsa == 37
-    only = Surroundings("merging", junction=True, geometry=None, movements=frozenset({"right"}))
+    only = NamingContext("merging", junction=True, geometry=None, movements=frozenset({"right"}))
     turns = name_of(right, only)
     assert (turns.nhtsa, turns.motion) == (31, "comes from the right and turns right")
 
@@ -134,14 +134,14 @@ def test_crossing_paths() -> None:
     [
         (-6.0, CROSSING, PERSON, "CPNA", 12),
         (6.0, CROSSING, PERSON, "CPFA", 12),
-        (-6.0, Surroundings("crossing", hidden=True), PERSON, "CPNCO", 12),
-        (-6.0, Surroundings("crossing", hidden=True), BICYCLE, "CBNAO", 14),
-        (-6.0, Surroundings("crossing", hand=-1.0), PERSON, "CPFA", 12),  # the kerb is on the left
-        (-6.0, Surroundings("crossing", junction=True, ego_turn=1.2), BICYCLE, "CBTA", 13),
+        (-6.0, NamingContext("crossing", hidden=True), PERSON, "CPNCO", 12),
+        (-6.0, NamingContext("crossing", hidden=True), BICYCLE, "CBNAO", 14),
+        (-6.0, NamingContext("crossing", hand=-1.0), PERSON, "CPFA", 12),  # the kerb is on the left
+        (-6.0, NamingContext("crossing", junction=True, ego_turn=1.2), BICYCLE, "CBTA", 13),
     ],
 )
 def test_pedestrians_and_cyclists(
-    y: float, around: Surroundings, size: tuple[float, float], name: str, number: int
+    y: float, around: NamingContext, size: tuple[float, float], name: str, number: int
 ) -> None:
     """With 2 m/s towards the ego's way, 30 m ahead."""
     walks = track("p", STILL + 30.0, y - math.copysign(2.0, y) * TIME, -math.copysign(math.pi / 2, y), 2.0, size)

@@ -25,7 +25,7 @@ from sumo_adv.episode.engine import EpisodeCalls, episode_worker
 from sumo_adv.episode.task import AttemptResult, FoundEncounter, make_task
 from sumo_adv.errors import PlannerResultError
 from sumo_adv.metrics.gates import motion
-from sumo_adv.planners.follower import Follower, Line, aligned, leaves_road
+from sumo_adv.planners.follower import Follower, PlannedCourse, leaves_road, starting_now
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Roads, Sessions
 from sumo_adv.planners.trajectory import PathRow, Scalar, pose, start
@@ -52,29 +52,29 @@ def straight(v: float, a: float = 0.0, n: int = 40, y: float = 0.0) -> Floats:
 
 
 def test_speed_and_accelerations_are_those_of_the_positions() -> None:
-    line = Line(straight(10.0, 2.0), DT)
+    line = PlannedCourse(straight(10.0, 2.0), DT)
     assert line.v == pytest.approx(10.0 + 0.2 * np.arange(40))
     assert line.a == pytest.approx([2.0] * 40)
     turn = 0.2 * DT * np.arange(40)  # a circle of 50 m at 10 m/s: 2 m/s2, 0.02 1/m
-    line = Line(np.column_stack([50.0 * np.sin(turn), 50.0 - 50.0 * np.cos(turn), turn, 0.0 * turn]), DT)
+    line = PlannedCourse(np.column_stack([50.0 * np.sin(turn), 50.0 - 50.0 * np.cos(turn), turn, 0.0 * turn]), DT)
     assert line.lateral == pytest.approx([2.0] * 40, abs=0.02)
     assert line.curvature == pytest.approx([0.02] * 40, abs=3e-4)
     assert line.heading == pytest.approx(turn, abs=0.003)
 
 
 def test_what_no_vehicle_can_do_is_named_with_its_limit() -> None:
-    assert Line(straight(10.0, 2.0), DT).beyond(LIMITS, 20.0) == ""
-    assert Line(straight(10.0, 5.0), DT).beyond(LIMITS, 50.0) == "acceleration 5 m/s2 (at most 4)"
+    assert PlannedCourse(straight(10.0, 2.0), DT).beyond(LIMITS, 20.0) == ""
+    assert PlannedCourse(straight(10.0, 5.0), DT).beyond(LIMITS, 50.0) == "acceleration 5 m/s2 (at most 4)"
     assert (
-        Line(straight(30.0, -9.0, n=30), DT).beyond(LIMITS, 20.0)
+        PlannedCourse(straight(30.0, -9.0, n=30), DT).beyond(LIMITS, 20.0)
         == "braking 9 m/s2 (at most 8), speed 30 m/s (at most 20)"
     )
 
 
 def test_states_from_now_on_and_from_a_step_later_differ_by_their_place() -> None:
     states = straight(10.0)
-    assert aligned(states, 0.0, 0.0, 0.0, DT) is states
-    later = aligned(states[1:], 0.0, 0.0, 0.0, DT)
+    assert starting_now(states, 0.0, 0.0, 0.0, DT) is states
+    later = starting_now(states[1:], 0.0, 0.0, 0.0, DT)
     assert later[:, :3] == pytest.approx(states[:, :3])
 
 
@@ -92,7 +92,7 @@ def test_the_first_moment_off_the_road_is_found() -> None:
 
 def drive(states: Floats, v: float, y: float = 0.0, limits: Limits = LIMITS) -> tuple[Floats, Follower]:
     """Rows x, y, heading, speed, acceleration of a vehicle at the origin that drives after the states."""
-    road, follower = PathRow(ROAD), Follower(Line(states, DT), ROAD)
+    road, follower = PathRow(ROAD), Follower(PlannedCourse(states, DT), ROAD)
     m = follower.begin(start(Scalar, 0.0, y, 0.0, v, 0.0))
     rows = []
     while not follower.over:
@@ -117,7 +117,7 @@ def test_in_a_bend_the_line_is_kept_and_not_the_lane() -> None:
     lane = line(*((30.0 * math.sin(a), 30.0 - 30.0 * math.cos(a)) for a in np.arange(0.0, 3.1, 0.01)))
     turn = 0.5 + 8.0 / 31.5 * DT * np.arange(50)
     states = np.column_stack([31.5 * np.sin(turn), 30.0 - 31.5 * np.cos(turn), turn, 0.0 * turn + 8.0])
-    road, follower = PathRow(lane), Follower(Line(states, DT), lane)
+    road, follower = PathRow(lane), Follower(PlannedCourse(states, DT), lane)
     m = follower.begin(start(Scalar, 15.0, -1.5, 0.0, 8.0, 0.0))
     for k in range(49):
         m = follower.advance(m, road, LIMITS, 60.0, True)
@@ -167,7 +167,7 @@ def test_a_line_that_is_none_on_this_way_is_refused() -> None:
         (straight(10.0) * np.array([-1.0, 1.0, 1.0, 1.0]), "does not go the endpoint's way"),
     ):
         with pytest.raises(PlannerResultError, match=words):
-            Follower(Line(states, DT), ROAD)
+            Follower(PlannedCourse(states, DT), ROAD)
 
 
 # ---- attempts and predictions

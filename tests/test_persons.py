@@ -26,7 +26,7 @@ from sumo_adv.errors import UsageError
 from sumo_adv.geometry import Pose
 from sumo_adv.metrics.case import make_case
 from sumo_adv.metrics.contact import first_other_contact
-from sumo_adv.metrics.verdict import judge
+from sumo_adv.metrics.verdict import judge_attempt
 from sumo_adv.simulation.inputs import load_input
 from sumo_adv.simulation.network import read_network
 from sumo_adv.simulation.simulation import Simulation
@@ -110,7 +110,7 @@ def test_an_adversary_that_drives_over_it_has_harmed_a_third_party(tmp_path: Pat
             drive.tick({"bv": Pose(45.0 + k, y, 0.0, 10.0)})
         case = make_case(drive.tracks("bv"), "ego", ("bv",), start, {})
     assert case is not None
-    verdict = judge(case, limits=load_settings(None).limits.limits())
+    verdict = judge_attempt(case, limits=load_settings(None).limits.limits())
     assert ("third_party" in verdict.failed_gates) is harmed
 
 

@@ -21,7 +21,7 @@ from sumo_adv.episode.engine import EpisodeCalls, episode_worker
 from sumo_adv.episode.task import FoundEncounter, make_task
 from sumo_adv.geometry import Pose
 from sumo_adv.metrics.case import make_case
-from sumo_adv.metrics.verdict import judge
+from sumo_adv.metrics.verdict import judge_attempt
 from sumo_adv.simulation.engine import Engine
 from sumo_adv.simulation.inputs import load_input
 from sumo_adv.simulation.network import read_network
@@ -359,7 +359,7 @@ def test_a_box_that_the_adversary_hits_first_is_a_third_party(tmp_path: Path) ->
                 drive.tick({"lead": Pose(118.0 + 1.4 * (k + 1), y, 0.0, 14.0)})
             case = make_case(drive.tracks("lead"), "e", ["lead"], 2.0, {})
             assert case is not None
-            verdict = judge(case)
+            verdict = judge_attempt(case)
             assert ("third_party" in verdict.failed_gates) is there
             assert not verdict.collided
 
@@ -373,7 +373,7 @@ def test_a_vehicle_unseen_before_the_attack_is_judged_by_what_came_after(tmp_pat
         case = make_case(drive.tracks("lead"), "e", ["lead"], 2.0, {})
         assert case is not None
         assert case.adversary.time == pytest.approx(np.arange(15, 51) * 0.1)
-        assert judge(case).feasible
+        assert judge_attempt(case).feasible
 
 
 def test_a_vehicle_that_sumo_refuses_is_inserted_slower_and_brought_to_its_speed(tmp_path: Path) -> None:

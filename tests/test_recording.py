@@ -13,7 +13,7 @@ from sumo_adv.config import ModelSettings
 from sumo_adv.errors import BudgetError, ModelError, UsageError
 from sumo_adv.llm.asking import MeteredModel, ask, ask_many
 from sumo_adv.llm.chat import Budget, ChatReply, ChatRequest, Ledger
-from sumo_adv.llm.client import connect
+from sumo_adv.llm.client import open_model
 from sumo_adv.llm.recording import Recorder, Replay
 
 
@@ -54,13 +54,13 @@ def recorded(path: Path) -> tuple[list[object], dict[str, object]]:
     _TURNS = iter(range(10_000))
     ledger = Ledger()
     with ModelServer(script) as server, Recorder(path, "test-model", note="written by a test") as recorder:  # type: ignore[arg-type]
-        model = connect("test-model", server.settings(), ledger, clock=StepClock())
+        model = open_model("test-model", server.settings(), ledger, clock=StepClock())
         return story(MeteredModel(recorder.wrap(model), ledger)), ledger.as_dict()
 
 
 def replayed(path: Path, again: Path | None = None) -> tuple[list[object], dict[str, object]]:
     ledger = Ledger()
-    model = connect(f"replay:{path}", ModelSettings(), ledger)
+    model = open_model(f"replay:{path}", ModelSettings(), ledger)
     if again is None:
         return story(MeteredModel(model, ledger)), ledger.as_dict()
     with Recorder(again, model.name, note="written by a test") as recorder:
@@ -144,7 +144,7 @@ def test_a_folder_of_recordings_answers_as_one(tmp_path: Path) -> None:
 def test_a_budget_holds_in_a_replay_too(tmp_path: Path) -> None:
     recorded(tmp_path / "one.jsonl")
     ledger = Ledger(Budget(calls=2))
-    model = connect(f"replay:{tmp_path / 'one.jsonl'}", ModelSettings(), ledger)
+    model = open_model(f"replay:{tmp_path / 'one.jsonl'}", ModelSettings(), ledger)
     assert ask(MeteredModel(model, ledger), "analyzer", "Be brief.", "How many?", Number).value == 1
     with pytest.raises(BudgetError, match="2 calls"):
         ask(MeteredModel(model, ledger), "analyzer", "Be brief.", "How many?", Number)
@@ -167,7 +167,7 @@ HEADER = '{"kind": "sumo_adv recording of a language model", "schema": 1, "model
 def test_files_that_are_no_recordings_are_refused(tmp_path: Path, text: bytes, says: str) -> None:
     (tmp_path / "one.jsonl").write_bytes(text)
     with pytest.raises(UsageError, match=says):
-        connect(f"replay:{tmp_path / 'one.jsonl'}", ModelSettings(), Ledger())
+        open_model(f"replay:{tmp_path / 'one.jsonl'}", ModelSettings(), Ledger())
 
 
 def test_a_missing_folder_is_reported(tmp_path: Path) -> None:

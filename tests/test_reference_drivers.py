@@ -20,7 +20,7 @@ from sumo_adv.metrics.reference import BRAKERS, REFERENCE_DRIVERS, SAME_DIRECTIO
 from sumo_adv.metrics.reference.brakers import FULL_BRAKING_M_S2, critical, proactive, speed_lost
 from sumo_adv.metrics.reference.counterfactual import Counterfactual, Encounters
 from sumo_adv.metrics.reference.view import EgoPaths
-from sumo_adv.metrics.verdict import judge, with_answers
+from sumo_adv.metrics.verdict import judge_attempt, with_answers
 
 METRICS = Path(__file__).resolve().parent.parent / "sumo_adv" / "metrics"
 EGO = cruise("ego", 0, 0, 15)
@@ -32,7 +32,7 @@ def row(track: Track) -> Boxes:
 
 
 def judged(ego: Track, adversary: Track, *others: Track, trigger: float = 1.0) -> Verdict:
-    return judge(Case(ego, adversary, others, trigger))
+    return judge_attempt(Case(ego, adversary, others, trigger))
 
 
 # ---- the rules

@@ -27,7 +27,7 @@ from sumo_adv.metrics.gates import failed_gates, kinematic_gates
 from sumo_adv.metrics.preventability import preventability
 from sumo_adv.metrics.reference.view import hidden
 from sumo_adv.metrics.severity import crash, hardness, unprotected_risk
-from sumo_adv.metrics.verdict import judge
+from sumo_adv.metrics.verdict import judge_attempt
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import is_trusted
 from sumo_adv.planners.text import parse_parameters
@@ -193,7 +193,7 @@ def test_serious_depends_on_the_impact_speed() -> None:
     """The front of the ego meets the pedestrian at 10 m/s, which is more than 8.06; at 7 m/s it is strict."""
     for speed, expected in ((10.0, Level.SERIOUS), (7.0, Level.STRICT)):
         ego, walks = cruise("ego", 80.0 - 10.0 * speed, 0.0, speed), crossing(3.2, **PERSON)
-        verdict = judge(Case(ego, walks, (), 2.0), limits=UNPROTECTED_LIMITS[RoadUser.PEDESTRIAN])
+        verdict = judge_attempt(Case(ego, walks, (), 2.0), limits=UNPROTECTED_LIMITS[RoadUser.PEDESTRIAN])
         assert verdict.collided and verdict.feasible
         assert verdict.impact_speed == pytest.approx(speed, abs=0.01) and verdict.humanlike
         assert verdict.level is expected

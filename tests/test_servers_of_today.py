@@ -12,7 +12,7 @@ from pydantic import BaseModel
 from sumo_adv.errors import ModelError
 from sumo_adv.llm.asking import MeteredModel, ask
 from sumo_adv.llm.chat import Ledger, without_thought
-from sumo_adv.llm.client import connect
+from sumo_adv.llm.client import open_model
 
 THINKING = "The gap closes, so the vehicle may brake hard. Or not."
 FIELDS = ("reasoning_effort", "chat_template_kwargs", "thinking")
@@ -27,7 +27,7 @@ class Choice(BaseModel):
 def asked_for(server: ModelServer, *, re_asks: int = 1, **settings: Any) -> tuple[int, Ledger]:
     """The risk that the server's model answers."""
     ledger = Ledger()
-    model = connect("test-model", server.settings(**settings), ledger, clock=StepClock())
+    model = open_model("test-model", server.settings(**settings), ledger, clock=StepClock())
     return ask(MeteredModel(model, ledger), "analyzer", "S", "U", Choice, re_asks=re_asks).risk, ledger
 
 
@@ -86,7 +86,7 @@ def test_a_model_that_only_thinks_is_asked_for_less_in_the_way_that_its_server_k
 
     with ModelServer(script) as server:
         ledger = Ledger()
-        metered = MeteredModel(connect("test-model", server.settings(), ledger, clock=StepClock()), ledger)
+        metered = MeteredModel(open_model("test-model", server.settings(), ledger, clock=StepClock()), ledger)
         assert [ask(metered, "analyzer", "S", user, Choice).risk for user in "UV"] == [2, 2]
     assert [fields_of(each) for each in server.asked] == [[], ["reasoning_effort"], *[["chat_template_kwargs"]] * 2]
     counts = ledger.as_dict()
@@ -260,7 +260,7 @@ def test_a_server_that_restarts_is_waited_for() -> None:
 
     first.__enter__()
     ledger = Ledger()
-    model = connect("test-model", first.settings(), ledger, clock=Restart())
+    model = open_model("test-model", first.settings(), ledger, clock=Restart())
     try:
         assert ask(MeteredModel(model, ledger), "analyzer", "S", "U", Choice).risk == 3
     finally:

@@ -34,7 +34,7 @@ from sumo_adv.errors import BankError
 from sumo_adv.memory.bank import MemoryBank, compositions, retrieve_composition
 from sumo_adv.memory.records import MAX_FAILURES_IN_A_ROW, Composition, Part
 from sumo_adv.metrics.case import Case, make_case
-from sumo_adv.metrics.verdict import judge
+from sumo_adv.metrics.verdict import judge_attempt
 from sumo_adv.planners.answers import Answer, PlannerObservation
 from sumo_adv.planners.text import make_planner
 from sumo_adv.report.folder import write_run
@@ -43,8 +43,8 @@ from sumo_adv.report.staging import staged
 from sumo_adv.search.rollouts import predict
 from sumo_adv.search.search import AttackSearch
 from sumo_adv.search.settings import EvolutionSettings, SearchSettings
-from sumo_adv.search.support_intents import SUPPORT_INTENTS, fits
-from sumo_adv.search.supports import Supports, against, named, observed_escape
+from sumo_adv.search.support_intents import SUPPORT_INTENTS, can_do_duty
+from sumo_adv.search.supports import Supports, composition_label, duties_against, observed_escape
 from sumo_adv.simulation.sumo_rules import SituationBatch
 from sumo_adv.situation import Target
 
@@ -117,23 +117,23 @@ BESIDE = cruise("support", 5, 3.2, 15)
 
 
 def test_a_support_that_keeps_clear_fails_nothing_and_one_that_touches_the_ego_first_fails() -> None:
-    assert judge(Case(EGO, COLLIDER, (BESIDE,), 1.0, supports=(BESIDE,))).failed_gates == ()
+    assert judge_attempt(Case(EGO, COLLIDER, (BESIDE,), 1.0, supports=(BESIDE,))).failed_gates == ()
     drifting = replace(BESIDE, y=np.maximum(3.2 - np.maximum(EGO.time - 1.5, 0.0), 0.5), x=EGO.x - 2.0)
-    verdict = judge(Case(EGO, COLLIDER, (drifting,), 1.0, supports=(drifting,)))
+    verdict = judge_attempt(Case(EGO, COLLIDER, (drifting,), 1.0, supports=(drifting,)))
     assert "third_party" in verdict.failed_gates
     assert not verdict.feasible
-    assert "third_party" not in judge(Case(EGO, COLLIDER, (drifting,), 1.0)).failed_gates
+    assert "third_party" not in judge_attempt(Case(EGO, COLLIDER, (drifting,), 1.0)).failed_gates
 
 
 def test_adversaries_that_touch_each_other_fail() -> None:
     into = cruise("support", 25, 0, 12)  # 10 m behind the collider, 7 m/s faster: they touch after 1.5 s
-    verdict = judge(Case(EGO, COLLIDER, (into,), 1.0, supports=(into,)))
+    verdict = judge_attempt(Case(EGO, COLLIDER, (into,), 1.0, supports=(into,)))
     assert verdict.failed_gates == ("third_party",)
 
 
 def test_a_support_that_brakes_harder_than_a_car_can_fails_the_attempt() -> None:
     braking = replace(BESIDE, acceleration=np.where(BESIDE.time > 2.0, -12.0, 0.0))
-    failed = judge(Case(EGO, COLLIDER, (braking,), 1.0, supports=(braking,))).failed_gates
+    failed = judge_attempt(Case(EGO, COLLIDER, (braking,), 1.0, supports=(braking,))).failed_gates
     assert "longitudinal" in failed
 
 
@@ -151,10 +151,10 @@ def test_a_case_holds_the_supports_with_what_they_planned() -> None:
 
 
 def test_the_escape_says_which_support_is_needed() -> None:
-    assert against(0.9, 10.0, 10.0) == (Duty.BLOCK_LEFT,)
-    assert against(-0.5, 5.0, 10.0) == (Duty.BLOCK_RIGHT,)  # it swerves and brakes
-    assert against(0.3, 9.0, 10.0) == (Duty.SLOW, Duty.HIDE)
-    assert against(0.0, 10.0, 10.0) == ()
+    assert duties_against(0.9, 10.0, 10.0) == (Duty.BLOCK_LEFT,)
+    assert duties_against(-0.5, 5.0, 10.0) == (Duty.BLOCK_RIGHT,)  # it swerves and brakes
+    assert duties_against(0.3, 9.0, 10.0) == (Duty.SLOW, Duty.HIDE)
+    assert duties_against(0.0, 10.0, 10.0) == ()
 
 
 def test_the_widest_swerve_of_an_attempt_counts_and_what_was_not_seen_does_not() -> None:
@@ -166,13 +166,15 @@ def test_the_widest_swerve_of_an_attempt_counts_and_what_was_not_seen_does_not()
 
 def test_a_support_fits_where_it_can_do_its_duty() -> None:
     keep, oncoming = SUPPORT_INTENTS[Duty.BLOCK_LEFT]
-    assert fits(Duty.BLOCK_LEFT, keep, LEFT)
-    assert not fits(Duty.BLOCK_LEFT, keep, RIGHT)
-    assert not fits(Duty.BLOCK_LEFT, keep, replace(LEFT, offset=-7.0))  # it has gone from 3.2 m left to 3.8 m right
-    assert fits(Duty.BLOCK_LEFT, keep, AHEAD)  # it has a lane to the left (situation_samples)
-    assert not fits(Duty.BLOCK_RIGHT, SUPPORT_INTENTS[Duty.BLOCK_RIGHT][0], AHEAD)
-    assert fits(Duty.BLOCK_LEFT, oncoming, replace(LEFT, relation="oncoming"))
-    assert not fits(Duty.SLOW, SUPPORT_INTENTS[Duty.SLOW][0], LEFT)
+    assert can_do_duty(Duty.BLOCK_LEFT, keep, LEFT)
+    assert not can_do_duty(Duty.BLOCK_LEFT, keep, RIGHT)
+    assert not can_do_duty(
+        Duty.BLOCK_LEFT, keep, replace(LEFT, offset=-7.0)
+    )  # it has gone from 3.2 m left to 3.8 m right
+    assert can_do_duty(Duty.BLOCK_LEFT, keep, AHEAD)  # it has a lane to the left (situation_samples)
+    assert not can_do_duty(Duty.BLOCK_RIGHT, SUPPORT_INTENTS[Duty.BLOCK_RIGHT][0], AHEAD)
+    assert can_do_duty(Duty.BLOCK_LEFT, oncoming, replace(LEFT, relation="oncoming"))
+    assert not can_do_duty(Duty.SLOW, SUPPORT_INTENTS[Duty.SLOW][0], LEFT)
 
 
 TABLE = 'PARAMETERS = {"gap": (2.0, -3.0, 4.0, "m", "where")}\n\n\n'
@@ -287,8 +289,8 @@ def test_parts_in_any_order_have_the_composition_s_name() -> None:
     collider = replace(attack("right"), label="Aggressive Cut-in")
     block = replace(attack("left"), label="Escape Block Left", duty=Duty.BLOCK_LEFT)
     slow = replace(attack("ahead"), label="Slow Leader", duty=Duty.SLOW)
-    assert named(collider, [block], [SQUEEZE]) == "Squeeze"
-    assert named(collider, [slow], [SQUEEZE]) == "Aggressive Cut-in + Slow Leader"
+    assert composition_label(collider, [block], [SQUEEZE]) == "Squeeze"
+    assert composition_label(collider, [slow], [SQUEEZE]) == "Aggressive Cut-in + Slow Leader"
 
 
 # ---- a run

@@ -7,7 +7,7 @@ from pathlib import Path
 from sumo_adv.config import load_settings
 from sumo_adv.episode.engine import EpisodeCalls, episode_worker
 from sumo_adv.episode.task import FoundEncounter, make_task
-from sumo_adv.planners.answers import road_of
+from sumo_adv.planners.answers import planner_road
 from sumo_adv.simulation.engine import Engine
 from sumo_adv.simulation.inputs import load_input
 
@@ -26,7 +26,11 @@ def test_the_lights_ahead_of_ego_and_targets_are_in_every_situation(tmp_path: Pa
         assert (ego_light[0], bv_light[0]) == ("centre", "centre")
         assert (ego_light[2].lower(), bv_light[2]) == ("g", "r")
         assert situation.traffic.signals.keys() <= {"ego", *situation.targets}
-        assert road_of(situation, bv)["signals"]["bv"][0] == {"id": "centre", "distance": bv_light[1], "state": "r"}
+        assert planner_road(situation, bv)["signals"]["bv"][0] == {
+            "id": "centre",
+            "distance": bv_light[1],
+            "state": "r",
+        }
     first = encounter.first
     ways = [w for w in first.targets[bv].ways if w.conflict is not None]
     stop_line = first.traffic.signals[bv][0][1]  # from the bumper; the conflict lies beyond it

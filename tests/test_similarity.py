@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sumo_adv.memory.similarity import TextAndSlots, TfIdf, term_counts
-from sumo_adv.memory.words import features, stem
+from sumo_adv.memory.words import stem, text_features
 
 
 @pytest.mark.parametrize(
@@ -29,9 +29,9 @@ def test_forms_of_a_word_have_one_stem(words: str, root: str) -> None:
 
 
 def test_the_longest_phrase_wins_and_stop_words_vanish() -> None:
-    assert list(features("The zebra drives head-on")) == ["zebra", "@oncoming"]
-    assert list(features("in front of us it stops")) == ["@ahead", "@brake"]
-    assert list(features("... 42 !")) == []
+    assert list(text_features("The zebra drives head-on")) == ["zebra", "@oncoming"]
+    assert list(text_features("in front of us it stops")) == ["@ahead", "@brake"]
+    assert list(text_features("... 42 !")) == []
 
 
 def test_counts_of_label_and_description_are_damped() -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from sumo_adv.memory.bank import MemoryBank
-from sumo_adv.memory.build import read_intent
+from sumo_adv.memory.build import read_intent_file
 from sumo_adv.memory.slots import slots_of
 
 ROOT = Path(__file__).parent.parent
@@ -42,7 +42,7 @@ def test_a_phrase_does_not_go_on_after_a_comma_or_the_label() -> None:
 def test_the_seven_have_no_value_but_the_junction() -> None:
     junctions = set()
     for file in sorted((ROOT / "memory_bank").glob("*/intent.toml")):
-        intent = read_intent(file)
+        intent = read_intent_file(file)
         slots = slots_of(intent.label, intent.description)
         assert not slots["manoeuvre"] and not slots["ego"]
         if slots["place"]:

@@ -12,7 +12,18 @@ from hypothesis import strategies as st
 
 from sumo_adv.datatypes import Floats, Limits
 from sumo_adv.geometry import Path, make_path
-from sumo_adv.planners.trajectory import Batch, Goal, Motion, PathRow, PathRows, Scalar, advance, pose, start, steer
+from sumo_adv.planners.trajectory import (
+    Batch,
+    Motion,
+    PathEndpoint,
+    PathRow,
+    PathRows,
+    Scalar,
+    advance,
+    pose,
+    start,
+    steer,
+)
 
 DT = 0.1
 LIMITS = Limits()
@@ -25,7 +36,7 @@ OFFSET = st.floats(-3.2, 3.2)
 
 
 def drive(
-    path: Path, motion: Motion, goal: Goal, *, steps: int = 60, cap: float = 40.0, hard: bool = True
+    path: Path, motion: Motion, goal: PathEndpoint, *, steps: int = 60, cap: float = 40.0, hard: bool = True
 ) -> tuple[list[Motion], list[tuple[float, float, float]]]:
     """States and poses while a goal given once is driven to, the state at the start first."""
     road = PathRow(path)
@@ -52,14 +63,14 @@ def column(states: list[Motion], name: str) -> Floats:
 
 
 def test_a_goal_that_constant_speed_reaches_changes_nothing() -> None:
-    states, poses = drive(STRAIGHT, keeping(10.0), Goal(90.0, 0.0, 10.0, 4.0), steps=40)
+    states, poses = drive(STRAIGHT, keeping(10.0), PathEndpoint(90.0, 0.0, 10.0, 4.0), steps=40)
     assert column(states, "v") == pytest.approx(10.0)
     assert poses[-1] == pytest.approx((90.0, 0.0, 0.0))
 
 
 def test_a_gentle_goal_is_met_in_place_speed_and_time() -> None:
     # 10 -> 14 m/s in 4 s at 1 m/s2: 48 m
-    states, _ = drive(STRAIGHT, keeping(10.0), Goal(98.0, 0.0, 14.0, 4.0), steps=40)
+    states, _ = drive(STRAIGHT, keeping(10.0), PathEndpoint(98.0, 0.0, 14.0, 4.0), steps=40)
     assert states[-1].s == pytest.approx(98.0, abs=0.4)
     assert states[-1].v == pytest.approx(14.0, abs=0.2)
 
@@ -67,20 +78,20 @@ def test_a_gentle_goal_is_met_in_place_speed_and_time() -> None:
 def test_a_vehicle_beside_or_across_brakes_and_speeds_up_as_people_do() -> None:
     """From 20 m/s it brakes with 3.5 m/s2 at most and at 5 m/s with 5, of which 95 % are used; one ahead of the ego in
     its lane with nearly 8 m/s2. It speeds up with 2.4 m/s2, from 17 m/s on with less, and with 1.9 m/s2 at 20 m/s."""
-    stops = Goal(50.0, 0.0, 0.0, 0.8)
+    stops = PathEndpoint(50.0, 0.0, 0.0, 0.8)
     gently, _ = drive(STRAIGHT, keeping(20.0), stops, steps=60, hard=False)
     hard, _ = drive(STRAIGHT, keeping(20.0), stops, steps=60)
     v, a = column(gently, "v"), column(gently, "a")
     assert a[3:10].min() == pytest.approx(-3.5, abs=0.2) and column(hard, "a").min() < -7.5
     assert (a >= -0.95 * np.interp(v, (5.0, 20.0), (5.0, 3.5)) - 0.03).all()
-    faster, _ = drive(STRAIGHT, keeping(10.0), Goal(400.0, 0.0, 25.0, 6.0), steps=60, hard=False)
+    faster, _ = drive(STRAIGHT, keeping(10.0), PathEndpoint(400.0, 0.0, 25.0, 6.0), steps=60, hard=False)
     v, a = column(faster, "v"), column(faster, "a")
     assert a.max() == pytest.approx(2.4, abs=0.01) and (a <= np.interp(v, (5.0, 20.0), (4.0, 2.0)) + 1e-9).all()
 
 
 def test_a_full_stop_from_10_takes_its_11_metres_and_never_goes_back() -> None:
     # 11.04 m/s3 until nearly 8 m/s2: 0.7 s and 6.4 m, 7.3 m/s left; then as sqrt(8.83 v): some 5 m more
-    states, _ = drive(STRAIGHT, keeping(10.0), Goal(50.0, 0.0, 0.0, 0.8), steps=40)
+    states, _ = drive(STRAIGHT, keeping(10.0), PathEndpoint(50.0, 0.0, 0.0, 0.8), steps=40)
     v, a = column(states, "v"), column(states, "a")
     assert -8.0 < a.min() < -7.5
     assert v[-1] == 0.0
@@ -89,18 +100,18 @@ def test_a_full_stop_from_10_takes_its_11_metres_and_never_goes_back() -> None:
 
 
 def test_no_vehicle_goes_faster_than_the_cap() -> None:
-    states, _ = drive(STRAIGHT, keeping(10.0), Goal(250.0, 0.0, 30.0, 6.0), cap=15.0)
+    states, _ = drive(STRAIGHT, keeping(10.0), PathEndpoint(250.0, 0.0, 30.0, 6.0), cap=15.0)
     assert 14.5 < column(states, "v").max() < 15.1
 
 
 def test_a_bend_of_30_metres_is_taken_at_what_3_2_metres_a_second_squared_allows() -> None:
-    states, poses = drive(BEND, keeping(9.0, s=10.0), Goal(150.0, 0.0, 20.0, 6.0), steps=50)
+    states, poses = drive(BEND, keeping(9.0, s=10.0), PathEndpoint(150.0, 0.0, 20.0, 6.0), steps=50)
     assert column(states, "v").max() < math.sqrt(3.2 * 30.0) + 0.4  # 9.8 m/s
     assert [math.hypot(x, y - 30.0) for x, y, _ in poses] == pytest.approx([30.0] * 51, abs=0.05)
 
 
 def test_a_lane_change_ends_in_the_lane_and_along_it() -> None:
-    states, poses = drive(STRAIGHT, keeping(15.0), Goal(110.0, 3.2, 15.0, 4.0), steps=60)
+    states, poses = drive(STRAIGHT, keeping(15.0), PathEndpoint(110.0, 3.2, 15.0, 4.0), steps=60)
     end = states[-1]
     assert (end.d, end.dd, end.ddd) == pytest.approx((3.2, 0.0, 0.0), abs=1e-9)
     assert poses[-1][2] == pytest.approx(0.0, abs=1e-3)
@@ -110,7 +121,7 @@ def test_a_lane_change_ends_in_the_lane_and_along_it() -> None:
 
 
 def test_a_lane_change_asked_for_in_no_time_is_stretched_to_the_limits() -> None:
-    states, _ = drive(STRAIGHT, keeping(15.0), Goal(51.5, 3.2, 15.0, 0.1), steps=60)
+    states, _ = drive(STRAIGHT, keeping(15.0), PathEndpoint(51.5, 3.2, 15.0, 0.1), steps=60)
     assert np.abs(column(states, "ddd")).max() <= 3.0 + 0.05  # m/s2: 10 / sqrt(3) * 3.2 / T^2 gives T >= 2.48 s
     moving = DT * np.flatnonzero(np.abs(column(states, "d") - 3.2) > 1e-6)
     assert 2.3 < moving[-1] < 3.0
@@ -118,7 +129,7 @@ def test_a_lane_change_asked_for_in_no_time_is_stretched_to_the_limits() -> None
 
 
 def test_a_standing_car_does_not_slide_sideways() -> None:
-    states, poses = drive(STRAIGHT, keeping(0.0), Goal(50.0, 3.2, 0.0, 3.0), steps=30)
+    states, poses = drive(STRAIGHT, keeping(0.0), PathEndpoint(50.0, 3.2, 0.0, 3.0), steps=30)
     assert column(states, "d") == pytest.approx(0.0)
     assert poses[-1] == pytest.approx((50.0, 0.0, 0.0))
 
@@ -126,11 +137,11 @@ def test_a_standing_car_does_not_slide_sideways() -> None:
 def test_a_car_that_stands_at_an_angle_keeps_it_until_it_drives_off() -> None:
     road, motion = PathRow(STRAIGHT), start(Scalar, 50.0, 0.0, math.sin(0.1), 0.0, 0.0)
     for target in (1.0, -1.0, 0.0):  # wherever it is to go
-        motion = steer(Scalar, motion, Goal(50.0, target, 0.0, 3.0), 0.0)
+        motion = steer(Scalar, motion, PathEndpoint(50.0, target, 0.0, 3.0), 0.0)
         for _ in range(5):
-            motion = advance(Scalar, motion, Goal(50.0, target, 0.0, 3.0), road, LIMITS, 40.0, DT, True)
+            motion = advance(Scalar, motion, PathEndpoint(50.0, target, 0.0, 3.0), road, LIMITS, 40.0, DT, True)
         assert pose(Scalar, motion, road) == pytest.approx((50.0, 0.0, 0.1))
-    states, poses = drive(STRAIGHT, motion, Goal(70.0, 0.0, 8.0, 5.0), steps=80)
+    states, poses = drive(STRAIGHT, motion, PathEndpoint(70.0, 0.0, 8.0, 5.0), steps=80)
     turned = np.abs(np.diff([h for _, _, h in poses])) / DT / np.maximum(column(states, "v")[1:], 1.0)
     assert turned.max() <= LIMITS.curvature
     assert 0.0 < column(states, "d").max() < 1.0  # it goes where it points before it comes back
@@ -138,7 +149,7 @@ def test_a_car_that_stands_at_an_angle_keeps_it_until_it_drives_off() -> None:
 
 def test_a_target_that_moved_by_a_hand_keeps_the_running_lane_change() -> None:
     road = PathRow(STRAIGHT)
-    goal = Goal(110.0, 3.2, 15.0, 4.0)
+    goal = PathEndpoint(110.0, 3.2, 15.0, 4.0)
     motion = steer(Scalar, keeping(15.0), goal, 0.0)
     for _ in range(10):
         motion = advance(Scalar, motion, goal, road, LIMITS, 40.0, DT, True)
@@ -151,13 +162,15 @@ def test_a_target_that_moved_by_a_hand_keeps_the_running_lane_change() -> None:
 
 
 def test_a_vehicle_that_drifts_at_the_start_comes_to_rest_beside_its_lane_centre() -> None:
-    states, _ = drive(STRAIGHT, start(Scalar, 50.0, 0.5, 0.4 / 12.0, 12.0, 0.0), Goal(100.0, 0.5, 12.0, 4.0), steps=50)
+    states, _ = drive(
+        STRAIGHT, start(Scalar, 50.0, 0.5, 0.4 / 12.0, 12.0, 0.0), PathEndpoint(100.0, 0.5, 12.0, 4.0), steps=50
+    )
     assert states[-1].d == pytest.approx(0.5)
     assert 0.55 < column(states, "d").max() < 0.9
 
 
 def test_after_its_goal_a_car_goes_on_at_the_speed_of_the_goal() -> None:
-    states, _ = drive(STRAIGHT, keeping(10.0), Goal(60.0, 0.0, 10.0, 1.0), steps=40)
+    states, _ = drive(STRAIGHT, keeping(10.0), PathEndpoint(60.0, 0.0, 10.0, 1.0), steps=40)
     assert column(states, "v") == pytest.approx(10.0)
     assert states[-1].s == pytest.approx(90.0)
 
@@ -166,7 +179,7 @@ def test_after_its_goal_a_car_goes_on_at_the_speed_of_the_goal() -> None:
 
 
 @st.composite
-def starts_and_goals(draw: st.DrawFn) -> tuple[Motion, Goal]:
+def starts_and_goals(draw: st.DrawFn) -> tuple[Motion, PathEndpoint]:
     """A state SUMO could leave behind and any goal, sensible or not."""
     v = draw(SPEED)
     softest = -math.sqrt(0.8 * 11.0 * v)  # no car brakes at 8 m/s2 when it is almost standing
@@ -174,12 +187,12 @@ def starts_and_goals(draw: st.DrawFn) -> tuple[Motion, Goal]:
     slope = draw(st.floats(-0.1, 0.1))
     motion = start(Scalar, 50.0, draw(OFFSET), max(-1.0, min(1.0, slope * v)) / v if v > 1.0 else slope, v, a)
     ahead = draw(st.floats(-20.0, 150.0))
-    return motion, Goal(50.0 + ahead, draw(OFFSET), draw(st.floats(0.0, 35.0)), draw(st.floats(0.05, 8.0)))
+    return motion, PathEndpoint(50.0 + ahead, draw(OFFSET), draw(st.floats(0.0, 35.0)), draw(st.floats(0.05, 8.0)))
 
 
 @EXAMPLES
 @given(starts_and_goals(), st.sampled_from(list(PATHS)))
-def test_speed_acceleration_and_jerk_stay_within_the_limits(case: tuple[Motion, Goal], path: str) -> None:
+def test_speed_acceleration_and_jerk_stay_within_the_limits(case: tuple[Motion, PathEndpoint], path: str) -> None:
     states, _ = drive(PATHS[path], case[0], case[1])
     v, a = column(states, "v"), column(states, "a")
     assert v.min() >= 0.0
@@ -191,7 +204,7 @@ def test_speed_acceleration_and_jerk_stay_within_the_limits(case: tuple[Motion, 
 
 @EXAMPLES
 @given(starts_and_goals())
-def test_sideways_a_car_pulls_no_more_than_about_4_metres_a_second_squared(case: tuple[Motion, Goal]) -> None:
+def test_sideways_a_car_pulls_no_more_than_about_4_metres_a_second_squared(case: tuple[Motion, PathEndpoint]) -> None:
     """The bounds are on the quintic; braking hard in the middle of a lane change adds up to half a metre more."""
     states, poses = drive(STRAIGHT, case[0], case[1])
     heading = np.unwrap([h for _, _, h in poses[1:]])  # before the first step the heading is SUMO's, not ours
@@ -203,7 +216,7 @@ def test_sideways_a_car_pulls_no_more_than_about_4_metres_a_second_squared(case:
 @EXAMPLES
 @given(starts_and_goals(), st.sampled_from(list(PATHS)))
 def test_poses_move_as_fast_as_the_speed_says_and_where_the_heading_points(
-    case: tuple[Motion, Goal], path: str
+    case: tuple[Motion, PathEndpoint], path: str
 ) -> None:
     states, poses = drive(PATHS[path], case[0], case[1], steps=30)
     way = np.hypot(*np.diff([(x, y) for x, y, _ in poses], axis=0).T)
@@ -217,7 +230,7 @@ def test_poses_move_as_fast_as_the_speed_says_and_where_the_heading_points(
 
 @EXAMPLES
 @given(starts_and_goals())
-def test_the_quintic_ends_at_its_target_with_no_sideways_speed(case: tuple[Motion, Goal]) -> None:
+def test_the_quintic_ends_at_its_target_with_no_sideways_speed(case: tuple[Motion, PathEndpoint]) -> None:
     motion = steer(Scalar, case[0], case[1], 0.0)
     c = motion.c
     assert sum(c) == pytest.approx(motion.target, abs=1e-9)
@@ -235,7 +248,7 @@ def spread(values: list[Any]) -> Any:
 
 @EXAMPLES
 @given(st.lists(starts_and_goals(), min_size=2, max_size=5), st.floats(-1.0, 1.0))
-def test_one_vehicle_goes_as_it_goes_among_many(cases: list[tuple[Motion, Goal]], shift: float) -> None:
+def test_one_vehicle_goes_as_it_goes_among_many(cases: list[tuple[Motion, PathEndpoint]], shift: float) -> None:
     n = len(cases)
     paths, row = [STRAIGHT, BEND], np.arange(n) % 2
     roads, rows = [PathRow(paths[k]) for k in row], PathRows(paths, row)
@@ -243,7 +256,7 @@ def test_one_vehicle_goes_as_it_goes_among_many(cases: list[tuple[Motion, Goal]]
     single = [(m.s, m.d, m.slope, m.v, m.a) for m in ones]
     goals = [g for _, g in cases]
     many = start(Batch, *(np.array(q) for q in zip(*single, strict=True)))
-    goal = Goal(*(np.array(q) for q in zip(*goals, strict=True)))
+    goal = PathEndpoint(*(np.array(q) for q in zip(*goals, strict=True)))
     for k in range(40):
         if k % 10 == 0:
             side = shift * k / 10

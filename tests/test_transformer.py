@@ -14,16 +14,16 @@ from sumo_adv.datatypes import Role, Track
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.simulation.network import RoadMap, read_network
-from sumo_adv.transformer.model import SHIPPED_WEIGHTS, Predictor, forward, read_weights
+from sumo_adv.transformer.model import SHIPPED_WEIGHTS, TransformerPredictor, forward, read_weights
 from sumo_adv.transformer.scene import (
     MAX_AGENTS,
     POSITION_STEP_S,
-    Agents,
+    SceneVehicles,
     Segments,
     agents_of,
     cut,
-    features,
     light_of,
+    scene_features,
     segments_of,
     to_local,
     to_world,
@@ -37,7 +37,9 @@ def road() -> RoadMap:
     return read_network(data_folder("networks") / "straight_3lane.net.xml")
 
 
-def turned(agents: Agents, segments: Segments, angle: float, by: tuple[float, float]) -> tuple[Agents, Segments]:
+def turned(
+    agents: SceneVehicles, segments: Segments, angle: float, by: tuple[float, float]
+) -> tuple[SceneVehicles, Segments]:
     """The same scene, rotated about the origin and then moved."""
     c, s = math.cos(angle), math.sin(angle)
     turn = np.array([[c, s], [-s, c]])
@@ -54,7 +56,7 @@ def test_a_vehicle_sees_its_neighbour_and_the_lane_in_its_own_frame() -> None:
     lane = cut([(np.array([[0.0, 0.0], [24.0, 0.0]]), 12.0, (0, 0, 0, 0, 0, 1.0))])
     assert lane.ends.tolist() == [[0.0, 0.0, 12.0, 0.0], [12.0, 0.0, 24.0, 0.0]]
     agents, lane = turned(driving((0.0, 0.0, 10.0), (20.0, 3.2, 15.0)), lane, math.pi / 2, (100.0, 50.0))
-    f = features(agents, lane)
+    f = scene_features(agents, lane)
     # In units of 10 m; a token is two steps of 1 m each, the neighbour's of 1.5 m each.
     assert f.own[0, -1] == pytest.approx([1.0, 0.0, 1.0, 0.0, 1.0], abs=1e-5)
     assert f.near[0, -1, 0] == pytest.approx([2.0, 0.32, 1.5, 0.0, 1.5, 0.0, 1.0, 1.0], abs=1e-5)
@@ -108,7 +110,7 @@ def test_the_shipped_weights_are_small_and_of_this_network() -> None:
 
 def test_a_car_alone_on_a_straight_road_is_expected_to_drive_on_in_its_lane(road: RoadMap) -> None:
     """20 m/s, below the limit of 22: within 8 s it goes 160 m, give or take a car that speeds up or slows down."""
-    prediction = Predictor().predict(driving((300.0, 0.0, 20.0)), segments_of(road))
+    prediction = TransformerPredictor().predict(driving((300.0, 0.0, 20.0)), segments_of(road))
     best = prediction.place[0, np.argmax(prediction.probability[0])]
     assert abs(best[-1, 0] - 460.0) < 32.0 and np.abs(best[:, 1]).max() < LANE
     assert (np.diff(best[:, 0]) > 0.0).all()
@@ -117,17 +119,17 @@ def test_a_car_alone_on_a_straight_road_is_expected_to_drive_on_in_its_lane(road
 
 def test_a_car_behind_a_standing_one_is_expected_to_slow_down(road: RoadMap) -> None:
     """In the mean over the modes: it may also change lanes and pass."""
-    alone = Predictor().predict(driving((300.0, 0.0, 15.0)), segments_of(road))
-    behind = Predictor().predict(driving((300.0, 0.0, 15.0), (345.0, 0.0, 0.0)), segments_of(road))
+    alone = TransformerPredictor().predict(driving((300.0, 0.0, 15.0)), segments_of(road))
+    behind = TransformerPredictor().predict(driving((300.0, 0.0, 15.0), (345.0, 0.0, 0.0)), segments_of(road))
     ends = [p.probability[0] @ p.place[0, :, -1, 0] for p in (alone, behind)]
     assert ends[1] < ends[0] - 10.0
 
 
 def test_a_scene_that_is_moved_and_rotated_is_predicted_moved_and_rotated(road: RoadMap) -> None:
     agents, segments = driving((300.0, 0.0, 15.0), (320.0, 3.2, 12.0), (280.0, -3.2, 18.0)), segments_of(road)
-    before = Predictor().predict(agents, segments)
+    before = TransformerPredictor().predict(agents, segments)
     moved, moved_segments = turned(agents, segments, 2.1, (-700.0, 350.0))
-    after = Predictor().predict(moved, moved_segments)
+    after = TransformerPredictor().predict(moved, moved_segments)
     expected = to_world(to_local(before.place.reshape(3, -1, 2), agents), moved).reshape(before.place.shape)
     assert after.place == pytest.approx(expected, abs=0.02)
     assert after.probability == pytest.approx(before.probability, abs=1e-3)
@@ -135,7 +137,7 @@ def test_a_scene_that_is_moved_and_rotated_is_predicted_moved_and_rotated(road: 
 
 def test_jax_and_numpy_compute_the_same(road: RoadMap) -> None:
     jax = pytest.importorskip("jax", reason="the extra train (JAX) is not installed")
-    f = features(driving((300.0, 0.0, 15.0), (320.0, 3.2, 12.0)), segments_of(road))
+    f = scene_features(driving((300.0, 0.0, 15.0), (320.0, 3.2, 12.0)), segments_of(road))
     parameters = read_weights(SHIPPED_WEIGHTS)
     with jax.default_device(jax.devices("cpu")[0]):
         by_numpy, by_jax = forward(parameters, f), forward(parameters, f, jax.numpy)
@@ -148,4 +150,4 @@ def test_a_file_that_holds_no_weights_is_refused(tmp_path: Path) -> None:
     np.savez(tmp_path / "other.npz", w=np.zeros(3))
     for name, sentence in (("text.npz", "cannot be read as weights"), ("other.npz", "no weights of this network")):
         with pytest.raises(UsageError, match=sentence):
-            Predictor(tmp_path / name)
+            TransformerPredictor(tmp_path / name)

@@ -17,7 +17,7 @@ from sumo_adv.datatypes import Planner, PrescribedMotion, Proposal
 from sumo_adv.episode.memory_access import unprotected_library
 from sumo_adv.errors import PlannerRuntimeError, SandboxError
 from sumo_adv.planners.adversary_batch import AdversaryBatch
-from sumo_adv.planners.answers import Answer, PlannerObservation, road_of
+from sumo_adv.planners.answers import Answer, PlannerObservation, planner_road
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.session import Call
 from sumo_adv.planners.sessions import TRUSTED, InProcessSession, Roads, Sessions, ask_trusted, fingerprint, is_trusted
@@ -95,7 +95,7 @@ def questions(p: Planner, count: int) -> tuple[Mapping[str, Mapping[str, Any]], 
         last = [
             None if j % 2 else {"x": 1.0, "y": 0.0, "heading": 0.0, "speed": 3.0, "time": 1.0} for j in range(count)
         ]
-        roads[str(k)] = road_of(sit, "bv")
+        roads[str(k)] = planner_road(sit, "bv")
         for bv, ego_seen in batch.observe(motion, 1.5, ego, last):
             numbers = {q.name: draw.uniform(q.low, q.high) for q in p.parameters}
             calls.append((str(k), bv, ego_seen, numbers, draw.choice([0.0, -6.0]), 3.0))

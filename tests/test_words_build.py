@@ -13,7 +13,7 @@ from sumo_samples import make_net
 from sumo_adv.asked import RequestOrigin
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.inputs import data_folder, load_input
-from sumo_adv.words.build import build
+from sumo_adv.words.build import build_scenario
 from sumo_adv.words.draft import SceneDraft
 from sumo_adv.words.roads import Net
 
@@ -66,7 +66,7 @@ ROADS: list[tuple[dict[str, Any], dict[str, Any], dict[str, Any]]] = [
 def test_each_road_is_built_and_loads(
     tmp_path: Path, road: dict[str, Any], ego: dict[str, Any], vehicle: dict[str, Any]
 ) -> None:
-    made = load_input(build(scene(road, ego, vehicle), tmp_path / "my.toml", WRITTEN))
+    made = load_input(build_scenario(scene(road, ego, vehicle), tmp_path / "my.toml", WRITTEN))
     assert made.ego == "ego" and made.candidates == ("other",) and made.words == WRITTEN.words
     assert {"ego", "other"} == set(starts(tmp_path))
 
@@ -75,7 +75,7 @@ def test_a_crossing_vehicle_arrives_when_the_draft_says(tmp_path: Path) -> None:
     """Both drive 10 m/s; 2 s later is 20 m farther back. The ways meet 1.6 m below and left of the middle: the ego is
     counted from where they come within 2 m, 5.2 m before the other's place."""
     road = {"kind": "crossing", "lanes": 1, "length": 300}
-    build(scene(road, WEST_EAST, other(("north_in", "south_out"), arrives=2)), tmp_path / "my.toml", WRITTEN)
+    build_scenario(scene(road, WEST_EAST, other(("north_in", "south_out"), arrives=2)), tmp_path / "my.toml", WRITTEN)
     placed = starts(tmp_path)
     assert placed["ego"][0] - placed["other"][0] == pytest.approx(20.0 - 5.2, abs=1.0)
     file = tomllib.loads((tmp_path / "my.toml").read_text())
@@ -86,7 +86,7 @@ def test_a_vehicle_close_behind_starts_there_and_stays_close(tmp_path: Path) -> 
     """A front 14 m behind the ego's, at 24.4 m/s: 9.2 m to the ego's back, of which SUMO keeps 2.5 m, so 0.27 s."""
     road, ego = {"kind": "straight", "lanes": 1}, {"route": ["forward", "forward"], "speed": 88}
     lorry = other(("forward", "forward"), type="truck", gap=-14) | {"speed": 88}
-    build(scene(road | {"speed_limit": 100, "length": 900}, ego, lorry), tmp_path / "my.toml", WRITTEN)
+    build_scenario(scene(road | {"speed_limit": 100, "length": 900}, ego, lorry), tmp_path / "my.toml", WRITTEN)
     demand = ElementTree.parse(tmp_path / "my.rou.xml").getroot()
     assert {t.get("id"): t.get("tau") for t in demand.iter("vType")} == {"type_ego": "1", "type_other": "0.27"}
     assert {v.get("insertionChecks") for v in demand.iter("vehicle")} == {"none"}
@@ -95,7 +95,7 @@ def test_a_vehicle_close_behind_starts_there_and_stays_close(tmp_path: Path) -> 
 def test_a_limit_of_which_the_prompt_has_the_round_number_is_kept(tmp_path: Path) -> None:
     """70 km/h are 19.44 m/s, the limit is 19.4."""
     road, ego = {"kind": "shipped", "name": "yield_merge"}, {"route": ["main", "onward"], "speed": 70}
-    build(scene(road, ego, other(("ramp", "onward"), arrives=0)), tmp_path / "my.toml", WRITTEN)
+    build_scenario(scene(road, ego, other(("ramp", "onward"), arrives=0)), tmp_path / "my.toml", WRITTEN)
     demand = ElementTree.parse(tmp_path / "my.rou.xml").getroot()
     assert {v.get("id"): v.get("departSpeed") for v in demand.iter("vehicle")} == {"ego": "19.40", "other": "10.00"}
 
@@ -105,7 +105,7 @@ def test_a_vehicle_from_a_ramp_is_beside_the_ego_where_its_lane_begins(tmp_path:
     begin 5 s before they are there, so on the ramp."""
     road = {"kind": "ramp", "lanes": 2, "length": 400, "speed_limit": 100, "minor_limit": 80}
     ego, truck = {"route": ["main", "onward"], "speed": 72}, other(("ramp", "onward"), speed=72, arrives=0)
-    build(scene(road, ego, truck), tmp_path / "my.toml", WRITTEN)
+    build_scenario(scene(road, ego, truck), tmp_path / "my.toml", WRITTEN)
     net, placed = Net(tmp_path / "my.net.xml"), starts(tmp_path)
     left = {}
     for name, way in (("ego", ["main", "onward"]), ("other", ["ramp", "onward"])):
@@ -125,7 +125,7 @@ def test_vehicles_with_a_gap_and_boxes_along_the_way(tmp_path: Path) -> None:
         attack={"adversary": "walker", "intents": ["Pedestrian From Behind Obstacle"],
                 "asked": {"user": "pedestrian", "hidden": True, "level": "near_miss"}},
     )  # fmt: skip
-    made = load_input(build(draft, tmp_path / "my.toml", WRITTEN))
+    made = load_input(build_scenario(draft, tmp_path / "my.toml", WRITTEN))
     assert starts(tmp_path)["other"][0] == 70.0
     assert made.candidates == ("pedestrian0",)
     assert made.settings() == {"horizon": 10.0, "ttc": (0.2, 1.5), "until": "critical"}
@@ -140,7 +140,7 @@ def test_vehicles_with_a_gap_and_boxes_along_the_way(tmp_path: Path) -> None:
 
 def test_the_ego_has_green_and_who_crosses_has_red(tmp_path: Path) -> None:
     road = {"kind": "crossing", "lanes": 1, "control": "signals", "length": 300}
-    build(scene(road, WEST_EAST, other(("north_in", "south_out"), arrives=0)), tmp_path / "my.toml", WRITTEN)
+    build_scenario(scene(road, WEST_EAST, other(("north_in", "south_out"), arrives=0)), tmp_path / "my.toml", WRITTEN)
     (phase,) = ElementTree.parse(tmp_path / "my.add.xml").getroot().iter("phase")
     state = phase.get("state", "")
     links = {
@@ -184,7 +184,7 @@ STRAIGHT, ALONG = {"kind": "straight", "length": 500}, {"route": ["forward", "fo
 )  # fmt: skip
 def test_what_cannot_be_built_is_one_sentence(tmp_path: Path, draft: SceneDraft, says: str) -> None:
     with pytest.raises(UsageError) as raised:
-        build(draft, tmp_path / "my.toml", WRITTEN)
+        build_scenario(draft, tmp_path / "my.toml", WRITTEN)
     assert says in str(raised.value), raised.value
 
 
@@ -198,7 +198,7 @@ def test_vehicles_start_where_the_draft_says_on_an_edge_of_another_length(tmp_pa
         {"kind": "given"}, {"route": ["ab", "ab"], "speed": 36, "position": 100},
         other(("ab", "ab"), lane=1, gap=20),
     )  # fmt: skip
-    build(draft, tmp_path / "my.toml", WRITTEN, net)
+    build_scenario(draft, tmp_path / "my.toml", WRITTEN, net)
     begins = {name: position for name, (position, _) in starts(tmp_path).items()}
     assert begins == {"ego": pytest.approx(200.0, abs=0.1), "other": pytest.approx(240.0, abs=0.1)}
 
@@ -207,5 +207,5 @@ def test_the_users_network_is_named_by_its_path(tmp_path: Path) -> None:
     network = data_folder("networks") / "two_way.net.xml"
     draft = scene({"kind": "given"}, {"route": ["eastbound", "eastbound"], "speed": 72},
                   other(("westbound", "westbound"), speed=72, arrives=0))  # fmt: skip
-    made = load_input(build(draft, tmp_path / "my.toml", WRITTEN, network))
+    made = load_input(build_scenario(draft, tmp_path / "my.toml", WRITTEN, network))
     assert made.network == network

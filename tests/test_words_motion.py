@@ -12,7 +12,7 @@ from sumo_adv.datatypes import Floats, Relation, Role, Track
 from sumo_adv.geometry import make_path
 from sumo_adv.road_users import RoadUser
 from sumo_adv.words.fit import compare, held, misfits
-from sumo_adv.words.motion import Motion, Scene, observe
+from sumo_adv.words.motion import DescribedMotion, Scene, observe
 
 TIME = np.round(np.arange(0.0, 6.01, 0.1), 3)
 WAY = make_path([(-50.0, 0.0), (250.0, 0.0)])  # eastward
@@ -29,13 +29,13 @@ def track(name: str, x: Floats, y: Floats, heading: float, speed: Floats | float
 EGO = track("ego", EGO_SPEED * TIME, 0.0 * TIME, 0.0, EGO_SPEED, (4.8, 1.8))
 
 
-def seen(adversary: Track, others: tuple[Track, ...] = (), side: str | None = None, **more: float) -> Motion:
+def seen(adversary: Track, others: tuple[Track, ...] = (), side: str | None = None, **more: float) -> DescribedMotion:
     motion = observe(Scene(EGO, adversary, others, WAY, "neighbour", False, side, 0.0, **more))
     assert motion is not None
     return motion
 
 
-def events(motion: Motion) -> dict[Event, float]:
+def events(motion: DescribedMotion) -> dict[Event, float]:
     return {event: time for time, event in motion.events}
 
 

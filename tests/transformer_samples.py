@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from sumo_adv.transformer.scene import HISTORY_COUNT, POSITION_STEP_S, Agents, light_of
+from sumo_adv.transformer.scene import HISTORY_COUNT, POSITION_STEP_S, SceneVehicles, light_of
 
 
-def driving(*cars: tuple[float, float, float]) -> Agents:
+def driving(*cars: tuple[float, float, float]) -> SceneVehicles:
     """Cars of 5 x 2 m that have gone east evenly: x, y [m] and speed [m/s] now; their lights are unknown."""
     x, y, speed = np.array(cars).T
     past = np.stack(
@@ -18,4 +18,4 @@ def driving(*cars: tuple[float, float, float]) -> Agents:
         2,
     )
     n = len(cars)
-    return Agents(past, np.zeros(n), speed, np.full((n, 2), (5.0, 2.0)), np.array([light_of(None)] * n))
+    return SceneVehicles(past, np.zeros(n), speed, np.full((n, 2), (5.0, 2.0)), np.array([light_of(None)] * n))

@@ -16,7 +16,7 @@ from sumo_adv.datatypes import Duty, LibraryEntry
 from sumo_adv.llm.prompts import MAX_PROMPT_TEXT_CHARACTERS, Prompts, sanitize
 from sumo_adv.memory.records import Composition, Part, canonical
 from sumo_adv.road_users import is_unprotected
-from sumo_adv.search.support_intents import SUPPORT_INTENTS, fits
+from sumo_adv.search.support_intents import SUPPORT_INTENTS, can_do_duty
 from sumo_adv.search.supports import ANY_FITTING, EXPERT_COMPOSITIONS, Cast
 from sumo_adv.situation import Situation, Target
 
@@ -86,7 +86,7 @@ def teams_words(
         may = [
             *([str(Duty.COLLIDER)] if collides else []),
             *(f"{duty} ({entry.label})" for duty in DUTY_DESCRIPTIONS for entry in SUPPORT_INTENTS[duty]
-              if fits(duty, entry, target)),
+              if can_do_duty(duty, entry, target)),
         ]  # fmt: skip
         fitting.append(f"{alias}: {', '.join(may) or 'nothing'}")
     named = [
@@ -144,7 +144,7 @@ def _member_fault(
         choices = ", ".join(e.label for e in entries.values())
         return f"'{sanitize(member.label)}' is no behaviour of the role {role}; choose {choices}."
     if duty is not Duty.COLLIDER:
-        return None if fits(duty, entry, target) else f"{bv} cannot carry out '{entry.label}' from where it is."
+        return None if can_do_duty(duty, entry, target) else f"{bv} cannot carry out '{entry.label}' from where it is."
     if not teamwork.may_collide(name):
         return f"{bv} may not be the collider, only a support."
     if is_unprotected(target.state):  # all adversaries of a candidate have the same limits

@@ -132,7 +132,9 @@ def library_words(library: Sequence[LibraryEntry], shown: frozenset[str] | set[s
 # -- the evidence of predictions ------------------------------------------------------------------------------------
 
 REACHES = SearchSettings().reaches
-HEADING = "EVIDENCE (predictions of the library's modes, from a few candidates each, against the model of EGO's driver)"
+EVIDENCE_HEADING = (
+    "EVIDENCE (predictions of the library's modes, from a few candidates each, against the model of EGO's driver)"
+)
 
 
 def evidence_words(
@@ -148,7 +150,7 @@ def evidence_words(
     if not groups:
         return ""
     begin = min(p.delay for p in pool)
-    lines = [HEADING]
+    lines = [EVIDENCE_HEADING]
     for (alias, label), members in sorted(groups.items()):
         lines.append(f"- {alias}, {sanitize(label)}: {_counts(members)}")
         for mode in sorted({p.planner.mode for p in members}):

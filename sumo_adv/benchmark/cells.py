@@ -15,7 +15,7 @@ import numpy as np
 
 from sumo_adv.benchmark.nouns import GROUPS, MIN_TTC_CAP_S, RAW, Cell, counts
 from sumo_adv.datatypes import Ending, Floats
-from sumo_adv.metrics.realism import PAPER_BINS, Bins, jensen_shannon, kl, smoothed, wasserstein
+from sumo_adv.metrics.realism import PAPER_BINS, Bins, jensen_shannon, kl, smoothed_probabilities, wasserstein
 from sumo_adv.metrics.statistics import Estimate
 
 ORACLE = "oracle"
@@ -151,7 +151,7 @@ def _of_counts(measure: str, p: Floats, q: Floats, bins: Bins) -> float:
     if measure == "wasserstein":
         width = (bins.high - bins.low) / bins.count
         return float(np.abs(np.cumsum(p) / p.sum() - np.cumsum(q) / q.sum()).sum() * width)
-    return (kl if measure == "kl" else jensen_shannon)(smoothed(p), smoothed(q))
+    return (kl if measure == "kl" else jensen_shannon)(smoothed_probabilities(p), smoothed_probabilities(q))
 
 
 def step_share(name: str) -> Pooled:

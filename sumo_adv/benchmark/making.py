@@ -57,7 +57,7 @@ class Trial:
     first: bool
 
 
-def trial(scenario: Path, ego: str, bv: str, kind: str) -> Trial:
+def scenario_trial(scenario: Path, ego: str, bv: str, kind: str) -> Trial:
     """The trial of a scenario file with the driver ``ego`` and SUMO's seed 0."""
     run_input = load_input(scenario)
     settings = load_settings(None, ego=ego, seed=0, critical_ttc=CRITICAL_TTC_S, horizon=run_input.horizon)
@@ -256,7 +256,7 @@ def _fill(
 def _refused(draft: EncounterDraft, scenario: Path, engine: Engine[TrialWorker]) -> str:
     """Why a candidate is refused, and by which driver; the first driver alone, then all others."""
     for egos in (EGOS[:1], EGOS[1:]):
-        trials = [trial(scenario, ego, draft.bv_id(), draft.kind) for ego in egos]
+        trials = [scenario_trial(scenario, ego, draft.bv_id(), draft.kind) for ego in egos]
         for fault in engine.call(TrialWorker.trials, trials):
             if fault:
                 return fault

@@ -31,7 +31,7 @@ from sumo_adv.metrics.boxes import on_grid, pick, touching
 from sumo_adv.metrics.contact import SAME_DIRECTION
 from sumo_adv.metrics.gates import off_road
 from sumo_adv.planners.adversary_batch import AdversaryBatch
-from sumo_adv.planners.trajectory import Batch, Goal, Motion, advance, pose, steer
+from sumo_adv.planners.trajectory import Batch, Motion, PathEndpoint, advance, pose, steer
 from sumo_adv.situation import Situation, Target
 
 Places = NDArray[np.intp]
@@ -169,7 +169,7 @@ def _forward(ground: AdversaryBatch, motion: Motion, plan: _Plan, elapsed: float
     v = np.where(later, plan.speeds[1], plan.speeds[0])
     time = np.maximum(np.where(later, plan.spans[0] + plan.spans[1], plan.spans[0]) - elapsed, 1.0)
     offset = np.where(again, plan.offsets[1], np.where(moved, plan.offsets[0], motion.target))
-    goal = Goal(motion.s + (motion.v + v) / 2 * time, offset, v, time)
+    goal = PathEndpoint(motion.s + (motion.v + v) / 2 * time, offset, v, time)
     sideways = goal._replace(time=np.where(again, plan.lasts[1], plan.lasts[0]))
     motion = steer(Batch, motion, sideways, ground.rows.at(motion.s)[3])
     return advance(Batch, motion, goal, ground.rows, limits, ground.cap, dt, True)  # CAT knows no human bounds

@@ -31,7 +31,7 @@ from sumo_adv.search.scoring import judge_all, touch_of
 from sumo_adv.search.settings import ScoreSettings
 from sumo_adv.simulation.network import read_network
 from sumo_adv.situation import Situation
-from sumo_adv.transformer.model import SHIPPED_WEIGHTS, Predicted, Predictor
+from sumo_adv.transformer.model import SHIPPED_WEIGHTS, Predicted, TransformerPredictor
 from sumo_adv.transformer.scene import FUTURE_COUNT, POSITION_STEP_S, agents_of, segments_of
 
 DRAWS_PER_MODE = 3  # draws of each mode
@@ -43,7 +43,7 @@ class Transformer:
     def __init__(self, weights: Path = SHIPPED_WEIGHTS) -> None:
         """Raises UsageError if the file holds no weights."""
         self.name = "transformer" if weights == SHIPPED_WEIGHTS else f"transformer:{weights}"
-        self._predictor = Predictor(weights)
+        self._predictor = TransformerPredictor(weights)
         self._proposals: list[Proposal] = []
 
     def begin(self, encounter: Encounter) -> None:

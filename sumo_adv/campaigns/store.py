@@ -29,7 +29,7 @@ from sumo_adv.campaigns.plan import checked_plan, plan_differences
 from sumo_adv.campaigns.results import OUTCOME_FILE, Done, EpisodeJob, Row, checked_row, keep_failure, read_row
 from sumo_adv.errors import UsageError
 from sumo_adv.files import is_plain_name, refuse_links, scratch_prefix, sentences, write_text, write_whole
-from sumo_adv.memory.store import connect
+from sumo_adv.memory.store import open_database
 from sumo_adv.parsing import MAX_UNPACKED_BYTES, read_json
 
 PACK_SCHEMA = 1
@@ -248,7 +248,7 @@ class Store:
         part = self.bank.with_name(f".{BANK_FILE}.part")
         with suppress(FileNotFoundError):
             part.unlink()
-        with closing(connect(bank, "mode=ro")) as source, closing(sqlite3.connect(part)) as target:
+        with closing(open_database(bank, "mode=ro")) as source, closing(sqlite3.connect(part)) as target:
             source.backup(target)
             target.execute("PRAGMA journal_mode = DELETE").fetchone()
         part.replace(self.bank)

@@ -337,13 +337,13 @@ def _check_models(request: TableRequest) -> None:
     from sumo_adv.agents.agents import AGENT_ROLES
     from sumo_adv.benchmark.jobs import method_of
     from sumo_adv.llm.chat import Ledger
-    from sumo_adv.llm.client import connect
+    from sumo_adv.llm.client import open_model
 
     for row in request.rows:
         given = method.settings if (method := method_of(row)) is not None else {}
         for name in (given[key] for key in ("llm", *AGENT_ROLES) if given.get(key, BUILTIN) != BUILTIN):
             settings = load_settings(None, **{**request.settings, **given})
-            connect(name, settings, Ledger.for_settings(settings))
+            open_model(name, settings, Ledger.for_settings(settings))
 
 
 def _settings(given: Sequence[str]) -> dict[str, Any]:

@@ -229,13 +229,13 @@ def _written(settings: Settings, name: str, intent: IntentRecord, near: list[Lib
     from sumo_adv.agents.generator import ModelGenerator
     from sumo_adv.llm.asking import MeteredModel
     from sumo_adv.llm.chat import Ledger
-    from sumo_adv.llm.client import connect
+    from sumo_adv.llm.client import open_model
     from sumo_adv.planners.trial import trial
 
     ledger = Ledger.for_settings(settings)
     with new_sandbox(settings) as sandbox:
         generator = ModelGenerator(
-            MeteredModel(connect(name, settings, ledger), ledger), shipped_prompts(), settings.limits.limits(),
+            MeteredModel(open_model(name, settings, ledger), ledger), shipped_prompts(), settings.limits.limits(),
             lambda p: trial(sandbox, p, intent.applies, type_check=True), tries=settings.generations,
             instruction=settings.instruction,
         )  # fmt: skip

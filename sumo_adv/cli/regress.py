@@ -97,14 +97,14 @@ def _sorted(
     """The runs that are settled at once, and those that reference drivers must drive first."""
     from sumo_adv.regression.keep import held_in
     from sumo_adv.report.read import read_outcome, reading
-    from sumo_adv.report.run_outcome import level_of
+    from sumo_adv.report.run_outcome import level_named
     from sumo_adv.scenario_names import is_one_of
 
     done, fresh = _Keeping(), list[Path]()
     for run in runs:
         with reading(run):
             outcome = read_outcome(run)
-            below = level_of((outcome.get("outcome") or {}).get("level")) < level.level
+            below = level_named((outcome.get("outcome") or {}).get("level")) < level.level
             other = bool(only) and not is_one_of(outcome.get("named_scenario") or {}, only)
             if run not in given and (below or other):
                 done.left_out.append(run)

@@ -125,13 +125,13 @@ def _write(
     """Have the scenario written and run; its files then lie at ``out`` and in ``folder``."""
     from sumo_adv.llm.asking import MeteredModel
     from sumo_adv.llm.chat import Ledger
-    from sumo_adv.llm.client import connect
+    from sumo_adv.llm.client import open_model
     from sumo_adv.llm.recording import Recorder
     from sumo_adv.report.outcome import MODEL_FILE
     from sumo_adv.words.author import Author
 
     ledger = Ledger.for_settings(settings)
-    player = connect(model, settings, ledger)
+    player = open_model(model, settings, ledger)
     played_by = settings.model_copy(
         update={"llm": None, "analyzer": None, "generator": None, "modifier": None, "learn": "off"}
     )

@@ -26,7 +26,7 @@ from sumo_adv.regression.runner import CaseMeasurements, CaseResult, measured_of
 from sumo_adv.regression.suite import REGRESSION_FILE, read_results
 from sumo_adv.report.index import read_rows
 from sumo_adv.report.read import MANIFEST_FILE, OUTCOME_FILE, damaged, read_outcome
-from sumo_adv.report.run_outcome import level_of
+from sumo_adv.report.run_outcome import level_named
 from sumo_adv.report.staging import PLAN_FILE, RESULTS_FILE
 
 DEFAULT_ATTEMPTS = int(Settings.model_fields["attempts"].default)
@@ -158,11 +158,11 @@ def _of_outcome(key: str, outcome: Mapping[str, Any], run: Path | None) -> Compa
     failed = outcome.get("ending") in CELL_FAILURES
     verdict = {} if failed else outcome.get("outcome") or {}
     attempts = () if failed else outcome.get("attempts") or ()
-    level = level_of(verdict.get("level"))
+    level = level_named(verdict.get("level"))
     return Compared(
         key, _ego(outcome), level, capped_ttc(verdict),
         float(verdict.get("delta_v") or 0.0) if level >= Level.COLLISION else 0.0, verdict.get("severity"),
-        next((k for k, a in enumerate(attempts, 1) if level_of(a.get("level")) >= Level.VALID), None), failed,
+        next((k for k, a in enumerate(attempts, 1) if level_named(a.get("level")) >= Level.VALID), None), failed,
         outcome.get("best") is not None, None, run,
     )  # fmt: skip
 
@@ -175,7 +175,7 @@ def _regression(path: Path) -> ComparedSide:
 
 
 def _of_case(m: CaseMeasurements, result: str, folder: Path) -> Compared:
-    level, run = level_of(m.level), folder / "runs" / m.case
+    level, run = level_named(m.level), folder / "runs" / m.case
     verdict = {"collided": m.collided, "min_ttc": m.min_ttc}
     delta_v = m.delta_v or 0.0 if level >= Level.COLLISION else 0.0
     return Compared(

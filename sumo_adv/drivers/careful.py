@@ -20,7 +20,15 @@ from typing import Any
 from sumo_adv.datatypes import DriverModel, Floats
 from sumo_adv.drivers.protocol import Action, LaneSpeed, Observation
 from sumo_adv.drivers.sumo_driven import FOLLOWING_MODELS, known_model, sumo_type
-from sumo_adv.drivers.watching import Egos, Others, Watcher, braked_speed, lane_half_width_of, path_of, view_of
+from sumo_adv.drivers.watching import (
+    WatchedVehicles,
+    Watcher,
+    WatchingEgos,
+    braked_speed,
+    lane_half_width_of,
+    path_of,
+    view_of,
+)
 from sumo_adv.errors import UsageError
 from sumo_adv.geometry import wrap_below_pi
 from sumo_adv.metrics.reference.cc_human import CcHuman
@@ -99,10 +107,10 @@ class CarefulDrivers:
         first_heading = self._past[0][1] if self._past else heading
         span = max(len(self._past), 1) * self._dt
         self._past = [*self._past, (offset, heading, v)][-self._history :]
-        others = Others(
+        others = WatchedVehicles(
             station, offset, heading, v, (offset - offset_before) / self._dt, (v - v_before) / self._dt,
             wrap_below_pi(heading - first_heading) / span, self._length, self._width,
         )  # fmt: skip
         ego_station, ego_speed, ego_acceleration = (values[:, None] for values in ego)
-        egos = Egos(ego_station, ego_speed, ego_acceleration, *self._ego)
+        egos = WatchingEgos(ego_station, ego_speed, ego_acceleration, *self._ego)
         return braked_speed(self._drivers, egos, view_of(egos, others, self._lane_half_width), self._dt)

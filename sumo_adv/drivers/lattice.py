@@ -48,7 +48,7 @@ class Size(NamedTuple):
     width: float
 
 
-class Egos(NamedTuple):
+class LatticeEgos(NamedTuple):
     """Egos on their paths, each ``(n,)``: station s and offset d (left positive) of the box centre [m], speed,
     acceleration, first and second derivative of the offset; target offset [m] and remaining time [s] of the present
     move sideways."""
@@ -93,14 +93,14 @@ class Memory(NamedTuple):
         """Before the first step: on the centre, the wheel straight."""
         return Memory(acceleration, reference, *(np.zeros(len(acceleration)) for _ in range(4)))
 
-    def egos(self, s: Floats, d: Floats, turn: Floats, speed: Floats) -> Egos:
+    def egos(self, s: Floats, d: Floats, turn: Floats, speed: Floats) -> LatticeEgos:
         """The egos that remember this; ``turn``: heading against the path [rad]."""
         rate = speed * np.sin(turn + self.slip)
-        return Egos(s, d, speed, self.acceleration, rate, self.second, self.target, self.left)
+        return LatticeEgos(s, d, speed, self.acceleration, rate, self.second, self.target, self.left)
 
 
 def reference(
-    egos: Egos, size: Size, others: Expected, desired: Floats, cap: Floats, settings: LatticeSettings
+    egos: LatticeEgos, size: Size, others: Expected, desired: Floats, cap: Floats, settings: LatticeSettings
 ) -> Floats:
     """Accelerations [m/s2] of ordinary driving (IDM behind the expected leader) by time, ``(n, time)``.
 
@@ -148,7 +148,7 @@ def _free(v: Floats, desired: Floats, idm: Idm) -> Floats:
     return np.where(v <= desired, 1.0 - (v / desired) ** idm.delta, (desired - v) * SLOWING_RATE_1_S / idm.accel)
 
 
-def _leader(egos: Egos, size: Size, others: Expected, count: int) -> tuple[Floats, Floats]:
+def _leader(egos: LatticeEgos, size: Size, others: Expected, count: int) -> tuple[Floats, Floats]:
     """Station of the nearest rear ahead in the ego's way, and its speed, ``(n, time)``; ``inf`` and 0 without one."""
     n, m = others.speed.shape
     if m == 0:

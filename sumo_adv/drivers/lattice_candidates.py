@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats, Ints
-from sumo_adv.drivers.lattice import COMPARED_STEP_S, Egos, Expected, LatticeSettings, Size
+from sumo_adv.drivers.lattice import COMPARED_STEP_S, Expected, LatticeEgos, LatticeSettings, Size
 from sumo_adv.geometry import quintics
 
 MOVE_DURATIONS_S = (1.2, 2.0, 3.0)  # of a move sideways
@@ -65,7 +65,7 @@ class Space(NamedTuple):
         return Space(np.array([0.0, *steps, *sides[0]]), half, right, left, until)
 
 
-class Along(NamedTuple):
+class LongitudinalCandidates(NamedTuple):
     """Candidates along, the reference first: station s [m], speed v [m/s], acceleration a [m/s2]."""
 
     s: Floats
@@ -109,13 +109,14 @@ class Chosen(NamedTuple):
 
 
 def choose(
-    egos: Egos, size: Size, reference: Floats, fastest: Floats, others: Expected, space: Space,
+    egos: LatticeEgos, size: Size, reference: Floats, fastest: Floats, others: Expected, space: Space,
     settings: LatticeSettings, dt: float, curvature: Callable[[Floats], Floats] | None = None,
 ) -> Chosen:  # fmt: skip
     """The cheapest candidates. ``reference``, ``(n, time)``; ``fastest``: the maximum speed [m/s], ``(n,)``;
     ``curvature`` [1/m] of the paths at stations, None if they are straight; ``dt``: a step [s]."""
     times = settings.times
-    on, off = along(egos, reference, fastest, settings), aside(egos, space.offsets, times)
+    on = longitudinal_candidates(egos, reference, fastest, settings)
+    off = lateral_candidates(egos, space.offsets, times)
     bend = None if curvature is None else curvature(on.s)
     costs = _comfort(off, egos, space)[:, None] + _pace(on)[:, :, None]
     costs = costs + _off_road(off, on, egos, size, space, times)[:, None] + _physics(on, off, bend)
@@ -130,7 +131,9 @@ def choose(
     )  # fmt: skip
 
 
-def along(egos: Egos, reference: Floats, fastest: Floats, settings: LatticeSettings) -> Along:
+def longitudinal_candidates(
+    egos: LatticeEgos, reference: Floats, fastest: Floats, settings: LatticeSettings
+) -> LongitudinalCandidates:
     """The reference, keep the speed, accelerate to the ``fastest`` [m/s], and three brakes."""
     times, accelerate = settings.times, np.where(egos.speed < fastest, settings.idm.accel, 0.0)
     aims = np.zeros((len(fastest), 5, 1))
@@ -140,10 +143,10 @@ def along(egos: Egos, reference: Floats, fastest: Floats, settings: LatticeSetti
     pedals = np.concatenate([reference[:, None], start + np.clip(aims - start, -pressed, pressed)], axis=1)
     v = np.maximum(egos.speed[:, None, None] + _summed(pedals), 0.0)
     v[:, 2] = np.minimum(v[:, 2], np.maximum(fastest, egos.speed)[:, None])
-    return Along(egos.s[:, None, None] + _summed(v), v, pedals)
+    return LongitudinalCandidates(egos.s[:, None, None] + _summed(v), v, pedals)
 
 
-def aside(egos: Egos, offsets: Floats, times: Floats) -> Aside:
+def lateral_candidates(egos: LatticeEgos, offsets: Floats, times: Floats) -> Aside:
     """To each of ``offsets`` [m] in each of ``MOVE_DURATIONS_S``, and the rest of the present move."""
     count = len(MOVE_DURATIONS_S) * len(offsets)
     target, duration = np.empty((2, len(egos.d), count + 1))
@@ -169,7 +172,7 @@ def _after(values: Floats, dt: float) -> Floats:
     return np.asarray(values[:, k] * (k + 1 - at) + values[:, k + 1] * (at - k))
 
 
-def _comfort(off: Aside, egos: Egos, space: Space) -> Floats:
+def _comfort(off: Aside, egos: LatticeEgos, space: Space) -> Floats:
     here = np.abs(off.target) < space.half[:, None]
     offset = TARGET_OFFSET_COST * off.target**2 + MEAN_OFFSET_COST * (off.d**2).mean(axis=2)
     away = np.where(here, offset, OTHER_LANE_COST)
@@ -178,19 +181,21 @@ def _comfort(off: Aside, egos: Egos, space: Space) -> Floats:
     return np.asarray(away + change + LATERAL_JERK_COST * off.jerk + sideways)
 
 
-def _pace(on: Along) -> Floats:
+def _pace(on: LongitudinalCandidates) -> Floats:
     slower, faster = np.maximum(on.v[:, :1] - on.v, 0.0), np.maximum(on.v - on.v[:, :1], 0.0)
     braking = BRAKING_COST * np.minimum(on.a, 0.0) ** 2
     braking[:, 0] = 0.0  # the reference brakes where it must, not by choice
     return np.asarray((SLOWER_COST * slower**2 + FASTER_COST * faster**2 + braking).mean(axis=2))
 
 
-def _turned(off: Aside, on: Along) -> Floats:
+def _turned(off: Aside, on: LongitudinalCandidates) -> Floats:
     """The heading [rad] against the path, as the reference would have it."""
     return np.asarray(np.minimum(np.abs(off.rate) / np.maximum(on.v[:, :1], 3.0), 0.4))
 
 
-def _off_road(off: Aside, on: Along, egos: Egos, size: Size, space: Space, times: Floats) -> Floats:
+def _off_road(
+    off: Aside, on: LongitudinalCandidates, egos: LatticeEgos, size: Size, space: Space, times: Floats
+) -> Floats:
     """By the metres that the box sticks out over the road's edges, more than it does now; ``(n, aside)``."""
     beside = egos.speed[:, None] * times < space.until[:, None]
     right = np.where(beside, space.right[:, None], -space.half[:, None])[:, None]
@@ -200,7 +205,7 @@ def _off_road(off: Aside, on: Along, egos: Egos, size: Size, space: Space, times
     return np.asarray(OFF_ROAD_COST_1_M * np.maximum(out.max(axis=2) - out[:, :, 0], 0.0))
 
 
-def _physics(on: Along, off: Aside, bend: Floats | None) -> Floats:
+def _physics(on: LongitudinalCandidates, off: Aside, bend: Floats | None) -> Floats:
     """Moving sideways without going on, and accelerations beyond the friction circle; ``(n, along, aside)``."""
     slope = (np.abs(off.rate)[:, None] - (MAX_LATERAL_SLOPE * on.v + 0.1)[:, :, None]).max(axis=3)
     sideways = off.second[:, None] if bend is None else off.second[:, None] + (bend * on.v**2)[:, :, None]
@@ -209,7 +214,7 @@ def _physics(on: Along, off: Aside, bend: Floats | None) -> Floats:
     return np.asarray(SLOPE_COST * np.maximum(slope, 0.0) ** 2 + SLIDING_COST * sliding)
 
 
-def _meetings(on: Along, off: Aside, others: Expected, size: Size, times: Floats) -> Floats:
+def _meetings(on: LongitudinalCandidates, off: Aside, others: Expected, size: Size, times: Floats) -> Floats:
     """Contacts with and nearness to other vehicles; ``(n, along, aside)``."""
     gap_s = np.abs(others.s[:, None] - on.s[:, :, None]) - others.half_s[:, None] - size.length / 2
     corner = _turned(off, on)[:, :, None] * size.length / 2

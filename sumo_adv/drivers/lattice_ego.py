@@ -16,8 +16,8 @@ import numpy as np
 from sumo_adv.datatypes import Floats, VehicleState
 from sumo_adv.drivers.lattice import (
     MIN_DESIRED_SPEED_M_S,
-    Egos,
     Expected,
+    LatticeEgos,
     LatticeSettings,
     Memory,
     Size,
@@ -27,7 +27,7 @@ from sumo_adv.drivers.lattice import (
     steering,
 )
 from sumo_adv.drivers.lattice_candidates import Space, choose
-from sumo_adv.drivers.lattice_frame import LINE_HOLDING_M_S2, RoadFrame, Watch, expect, others_on
+from sumo_adv.drivers.lattice_frame import LINE_HOLDING_M_S2, RoadFrame, VehicleHistory, expect, others_on
 from sumo_adv.drivers.protocol import Action, Observation, Road, Steer, Wishes
 from sumo_adv.drivers.sumo_driven import Idm, sumo_type
 from sumo_adv.errors import UsageError
@@ -64,7 +64,7 @@ class LatticeEgo:
 
     def reset(self, seed: int) -> None:
         """Forget everything; the seed is not needed."""
-        self._watch = Watch()
+        self._watch = VehicleHistory()
         self._points: Sequence[tuple[float, float]] | None = None
         self._frame: RoadFrame | None = None
         self._memory: Memory | None = None
@@ -120,7 +120,9 @@ class LatticeEgo:
             self._cruising = max(ego.speed, 1.0)
         return self._cruising
 
-    def _reference(self, frame: RoadFrame, egos: Egos, size: Size, others: Expected, road: Road, dt: float) -> Floats:
+    def _reference(
+        self, frame: RoadFrame, egos: LatticeEgos, size: Size, others: Expected, road: Road, dt: float
+    ) -> Floats:
         """Accelerations [m/s2] of ordinary driving, ``(1, time)``."""
         assert self._memory is not None
         times, v = self.settings.times, egos.speed[:, None]

@@ -15,7 +15,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Floats, VehicleState
-from sumo_adv.drivers.lattice import Egos, Expected, Size, look_ahead, steering
+from sumo_adv.drivers.lattice import Expected, LatticeEgos, Size, look_ahead, steering
 from sumo_adv.geometry import PATH_STEP_M, Path, make_path, wrap
 from sumo_adv.metrics.reference.cc_human import YIELDING_BRAKING_M_S2
 
@@ -81,7 +81,7 @@ class RoadFrame:
         return float(steering(np.array([angle]), ahead, speed, lateral)[0][0])
 
 
-class Others(NamedTuple):
+class OtherVehicles(NamedTuple):
     """Vehicles now, ``m`` for each of ``n`` egos, all ``(n, m)``.
 
     pose: on any plane; place: on the path.  speed, acceleration.  drift: rate of the offset [m/s], 0 for lane keeping.
@@ -99,7 +99,7 @@ class Others(NamedTuple):
     width: Floats
 
 
-class Watch:
+class VehicleHistory:
     """Remembers where other vehicles were, for their velocities and yaw rates."""
 
     def __init__(self) -> None:
@@ -121,8 +121,8 @@ class Watch:
         return rows
 
 
-def others_on(frame: RoadFrame, ego: VehicleState, others: Sequence[VehicleState], moving: Floats) -> Others:
-    """The other vehicles of one ego, ``(1, m)``; ``moving``: what ``Watch.look`` returned for them."""
+def others_on(frame: RoadFrame, ego: VehicleState, others: Sequence[VehicleState], moving: Floats) -> OtherVehicles:
+    """The other vehicles of one ego, ``(1, m)``; ``moving``: what ``VehicleHistory.look`` returned for them."""
     state = np.array([[o.x, o.y, o.heading, o.speed, o.acceleration, o.length, o.width] for o in others])
     x, y, h, v, a, length, width = state.reshape(-1, 7).T[:, None]
     vx, vy, yaw_rate = moving.T[:, None]
@@ -131,13 +131,15 @@ def others_on(frame: RoadFrame, ego: VehicleState, others: Sequence[VehicleState
     drift = vy * np.cos(direction) - vx * np.sin(direction)
     keeps_lane = np.abs(drift) < MIN_DRIFT_M_S + DRIFT_YAW_RATE_FACTOR_M * (v * np.abs(frame.bend(s)[0]))
     unknown = (s >= frame.path.length) & (np.cos(turn) <= math.cos(ALONG_PATH_RAD))  # beyond the known path
-    return Others(
+    return OtherVehicles(
         (x, y, h), (s, d, turn), v, a, np.where(keeps_lane, 0.0, drift), yaw_rate,
         np.where(unknown, np.inf, np.hypot(x - ego.x, y - ego.y)), length, width,
     )  # fmt: skip
 
 
-def expect(others: Others, egos: Egos, size: Size, times: Floats, project: Callable[..., Poses]) -> Expected:
+def expect(
+    others: OtherVehicles, egos: LatticeEgos, size: Size, times: Floats, project: Callable[..., Poses]
+) -> Expected:
     """Where other vehicles are expected at ``times`` [s] from now. ``project`` puts poses of the plane on the path."""
     (s, d, turn), v = others.place, others.speed
     way = _travelled(v, others.acceleration, times)
@@ -181,14 +183,14 @@ def _arcs(x: Floats, y: Floats, h: Floats, rate: Floats, way: Floats, v: Floats)
     return x[:, None] + chord * np.cos(direction), y[:, None] + chord * np.sin(direction), h[:, None] + turned
 
 
-def _follows(others: Others, egos: Egos, size: Size, half_s: Floats, half_d: Floats) -> Bools:
+def _follows(others: OtherVehicles, egos: LatticeEgos, size: Size, half_s: Floats, half_d: Floats) -> Bools:
     """Whether a vehicle is wholly behind the ego, in its lane, and goes the same way."""
     s, d, turn = others.place
     lane = np.abs(d - egos.d[:, None]) < half_d + size.width / 2 + FOLLOWER_WIDTH_MARGIN_M
     return np.asarray((s + half_s < egos.s[:, None] - size.length / 2) & lane & (np.cos(turn) > 0))
 
 
-def _yields(others: Others, size: Size, half_d: Floats) -> Bools:
+def _yields(others: OtherVehicles, size: Size, half_d: Floats) -> Bools:
     """Whether a vehicle on a crossing course can still stop short of the path."""
     (_, d, turn), v = others.place, others.speed
     towards = -np.sign(d) * v * np.sin(turn)

@@ -261,7 +261,7 @@ class GivenEgo:
     content: bytes
 
 
-def pack(ego: Any) -> GivenEgo:
+def pack_driver(ego: Any) -> GivenEgo:
     """A class or an object as bytes.
 
     Raises UsageError: it lacks a method that a driver needs, or cannot be turned into bytes.
@@ -280,7 +280,7 @@ def pack(ego: Any) -> GivenEgo:
         ) from error
 
 
-def unpack(given: GivenEgo, parameters: Mapping[str, Any]) -> Any:
+def unpack_driver(given: GivenEgo, parameters: Mapping[str, Any]) -> Any:
     """The driver; ``parameters`` are those of its constructor, if it is still to be made.
 
     Raises UsageError: it cannot be made.
@@ -337,7 +337,7 @@ def make_ego(name: str, parameters: Mapping[str, Any], given: GivenEgo | None = 
     Raises UsageError for an unknown name, an unknown parameter, or a class that cannot be used.
     """
     if given is not None:
-        return UserEgo(given.name, unpack(given, parameters))
+        return UserEgo(given.name, unpack_driver(given, parameters))
     if name.startswith(OBJECT_PREFIX):
         raise lost(name, "The run")
     if ":" in name:

@@ -2,8 +2,8 @@
 
 ``Watcher`` is one reference driver in one ego. The controller ``careful`` and the reference drivers that drive in the
 loop (``episode/references.py``) are made of it, so they see the same path, lane width, history and vehicles.
-``CarefulDrivers`` (``careful.py``) describes many predicted egos by the same ``Egos`` and ``Others``; ``view_of`` makes
-the reference driver's ``View`` of them.
+``CarefulDrivers`` (``careful.py``) describes many predicted egos by the same ``WatchingEgos`` and ``WatchedVehicles``;
+``view_of`` makes the reference driver's ``View`` of them.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ PastPose = tuple[float, float, float]  # x, y [m], heading [rad]
 
 
 @dataclass(frozen=True, slots=True)
-class Egos:
+class WatchingEgos:
     """N egos on their paths: station [m], speed [m/s], acceleration [m/s2], each ``(N, 1)``; size [m]."""
 
     station: Floats
@@ -41,7 +41,7 @@ class Egos:
 
 
 @dataclass(frozen=True, slots=True)
-class Others:
+class WatchedVehicles:
     """The M vehicles that each ego watches, box centres in the frame of the ego's path, arrays ``(N, M)``.
 
     station, offset [m, left positive]; heading against the path [rad]; speed [m/s]; sideways: change of the offset over
@@ -59,7 +59,7 @@ class Others:
     width: Floats
 
 
-def view_of(egos: Egos, others: Others, lane_half_width: Floats | float) -> View:
+def view_of(egos: WatchingEgos, others: WatchedVehicles, lane_half_width: Floats | float) -> View:
     """The view of the reference driver in each ego; ``lane_half_width`` [m]: of the ego's lane."""
     cos, sin = np.abs(np.cos(others.heading)), np.abs(np.sin(others.heading))
     half_along = (cos * others.length + sin * others.width) / 2
@@ -93,7 +93,7 @@ def view_of(egos: Egos, others: Others, lane_half_width: Floats | float) -> View
     )
 
 
-def braked_speed(drivers: Braker, egos: Egos, view: View, dt: float) -> Floats:
+def braked_speed(drivers: Braker, egos: WatchingEgos, view: View, dt: float) -> Floats:
     """The speed [m/s] to which each driver brakes within the step of ``dt`` [s], ``(N,)``; inf if it does not brake."""
     acceleration = drivers.step(view)
     speed = np.maximum(egos.speed[:, 0] + np.nan_to_num(acceleration) * dt, 0.0)
@@ -140,7 +140,7 @@ class Watcher:
         self._remember(seen)
         station, _, _ = path.locate(np.array([[ego.x]]), np.array([[ego.y]]))
         speed, acceleration = np.array([[ego.speed]]), np.array([[ego.acceleration]])
-        egos = Egos(station, speed, acceleration, ego.length, ego.width)
+        egos = WatchingEgos(station, speed, acceleration, ego.length, ego.width)
         view = view_of(egos, self._located(path, seen), lane_half_width)
         return float(braked_speed(self._driver, egos, view, self._dt)[0])
 
@@ -151,7 +151,7 @@ class Watcher:
         for vehicle in others:
             self._past[vehicle.id].append((vehicle.x, vehicle.y, vehicle.heading))
 
-    def _located(self, path: EgoPaths, others: Sequence[VehicleState]) -> Others:
+    def _located(self, path: EgoPaths, others: Sequence[VehicleState]) -> WatchedVehicles:
         """The vehicles in the frame of the path, ``(1, M)``."""
         states = np.array([(o.x, o.y, o.heading, o.speed, o.acceleration, o.length, o.width) for o in others])
         x, y, heading, speed, acceleration, length, width = states.reshape(-1, 7).T[:, None, :]
@@ -161,7 +161,7 @@ class Watcher:
         span = np.array([max(len(p) - 1, 1) * self._dt for p in past])[None, :]
         station, offset, direction = path.locate(x, y)
         sideways = ((y - y_before) * np.cos(direction) - (x - x_before) * np.sin(direction)) / self._dt
-        return Others(
+        return WatchedVehicles(
             station, offset, wrap_below_pi(heading - direction), speed, sideways, acceleration,
             wrap_below_pi(heading - first_heading) / span, length, width,
         )  # fmt: skip

@@ -43,11 +43,11 @@ from sumo_adv.planners.answers import Answer
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import Roads, Sessions
 from sumo_adv.scenario_names import columns_of, is_one_of
-from sumo_adv.search.intents import named
+from sumo_adv.search.intents import labelled_by_motion
 from sumo_adv.search.sampling import kind_of
 from sumo_adv.situation import Situation
 from sumo_adv.words.fit import misfits
-from sumo_adv.words.motion import Motion, Scene, observe
+from sumo_adv.words.motion import DescribedMotion, Scene, observe
 from sumo_adv.words.request import Reading, read_motion
 
 # -- running attempts -----------------------------------------------------------------------------------------------
@@ -202,7 +202,7 @@ def _bound(bv: Track, limits: Limits, dt: float) -> tuple[str, ...]:
 # -- what was asked for ---------------------------------------------------------------------------------------------
 
 MAX_READINGS = 2  # attempts of an encounter that a model is asked about
-Reader = Callable[[Motion], Reading]
+Reader = Callable[[DescribedMotion], Reading]
 """Reads a motion and says whether it fits the request. Raises ModelError."""
 
 
@@ -238,7 +238,7 @@ def reader_of(agents: Agents, words: str) -> Reader | None:
         return None
     metered = MeteredModel(agents.models["analyzer"], agents.ledger)
 
-    def read(motion: Motion) -> Reading:
+    def read(motion: DescribedMotion) -> Reading:
         reading = read_motion(metered, agents.prompts, motion.words, words)
         agents.bought.append(Bought("reader", "it fits" if reading.fits else "it does not fit"))
         return reading
@@ -246,7 +246,9 @@ def reader_of(agents: Agents, words: str) -> Reader | None:
     return read
 
 
-def motion_of(attempt: Attempt, result: AttemptResult, found: FoundEncounter, settings: Settings) -> Motion | None:
+def motion_of(
+    attempt: Attempt, result: AttemptResult, found: FoundEncounter, settings: Settings
+) -> DescribedMotion | None:
     """What happened in an attempt; None if the ego or the adversary was gone at once."""
     p, start, end = attempt.proposal, result.start, attempt.verdict.contact_time
     situation = found.situations.get(p.delay)
@@ -300,7 +302,7 @@ def attempt_of(
     diagnosis = diagnose(result, found.ego, proposal.bv, path, limits, settings.step_length)
     kind = ""
     if target is not None:
-        proposal = named(proposal, target, verdict)
+        proposal = labelled_by_motion(proposal, target, verdict)
         kind = kind_of(proposal.label, target.relation, verdict.contact_side)
     scenario = scenario_of(proposal, verdict, result, found, settings)
     if settings.scenario and not is_one_of(columns_of(scenario), settings.scenario_names):

@@ -25,7 +25,7 @@ from sumo_adv.metrics.boxes import overlaps
 from sumo_adv.planners.adversary_batch import AdversaryBatch
 from sumo_adv.planners.answers import Answer, AskOne, local_endpoint
 from sumo_adv.planners.follower import Follower
-from sumo_adv.planners.trajectory import Goal, Motion, PathRow, Scalar, advance, one_of, pose, release, steer
+from sumo_adv.planners.trajectory import Motion, PathEndpoint, PathRow, Scalar, advance, one_of, pose, release, steer
 from sumo_adv.situation import Situation
 
 # -- controllers ----------------------------------------------------------------------------------------------------
@@ -67,7 +67,7 @@ class PlannedAdversary:
         self._ask = ask
         self.ground = AdversaryBatch([situation], [name])
         self.motion = one_of(self.ground.begin(), 0)
-        self.goal = Goal(self.motion.s + 3 * self.motion.v, self.motion.d, self.motion.v, 3.0)
+        self.goal = PathEndpoint(self.motion.s + 3 * self.motion.v, self.motion.d, self.motion.v, 3.0)
         self.last: Mapping[str, float] | None = None
         self._follower: Follower | None = None
         self._remarks: dict[str, str] = {}
@@ -104,8 +104,8 @@ class PlannedAdversary:
         if isinstance(answer, str):
             return answer
         self.last = local_endpoint(self.situation, answer.endpoint)
-        before = Goal(*(np.array([q]) for q in self.goal))
-        self.goal = Goal(*(float(q[0]) for q in self.ground.aim(batch, [answer.endpoint], before)))
+        before = PathEndpoint(*(np.array([q]) for q in self.goal))
+        self.goal = PathEndpoint(*(float(q[0]) for q in self.ground.aim(batch, [answer.endpoint], before)))
         self._built_in()
         self._follow(answer, batch, now)
         return None
@@ -151,7 +151,7 @@ class PlannedAdversary:
         else:
             self.motion = advance(Scalar, self.motion, self.goal, self.road, self.limits, self._cap, dt, self._hard)
         goal = self.goal
-        self.goal = Goal(goal.s, goal.d, goal.v, goal.time - dt)
+        self.goal = PathEndpoint(goal.s, goal.d, goal.v, goal.time - dt)
         x, y, h = pose(Scalar, self.motion, self.road)
         return Pose(x, y, h, self.motion.v)
 

@@ -18,7 +18,7 @@ from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.errors import BankError
 from sumo_adv.goal import Goal
 from sumo_adv.memory.bank import MemoryBank, retrieve_composition
-from sumo_adv.memory.recall import SCENE_SCALES, draw, explain, signature_distance
+from sumo_adv.memory.recall import SCENE_SCALES, drawn_order, explain, signature_distance
 from sumo_adv.memory.records import Composition, Evidence, IntentRecord, Part, SceneSignature, canonical, evidence_of
 from sumo_adv.search.intents import COMPOSED, EXPERT, FREE, Selection, applies_of, select
 from sumo_adv.search.supports import ANY_FITTING, Cast, description_of
@@ -40,7 +40,7 @@ def read_library(
     entries, explained = [], list[dict[str, object]]()
     for record in bank.intents():
         if record.status == "active":
-            arms = draw(bank.planners(record.label), bank.evidence(record.label), now, rng)
+            arms = drawn_order(bank.planners(record.label), bank.evidence(record.label), now, rng)
             explained.append({"label": record.label, "planners": explain(arms)})
             planners = tuple(arm.planner for arm in arms)
             entries.append(LibraryEntry(record.label, record.description, record.applies, planners))

@@ -21,7 +21,7 @@ from sumo_adv.episode.repairs import Repairs
 from sumo_adv.episode.run import EncounterRecord, best_index, worth
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.goal import Goal
-from sumo_adv.search.ranking import FixedOrder, as_written, chosen
+from sumo_adv.search.ranking import FixedOrder, as_written, chosen_candidates
 from sumo_adv.search.search import AttackSearch
 
 GENERATION_ATTEMPTS = 8  # chosen at a time: fixed, so that results do not depend on the number of cores
@@ -145,7 +145,7 @@ class Refiner:
             return FixedOrder(as_written(intents, templates, recalled))
         if modelled:
             player = self._agents.player("analyzer")
-            self._search.add_chosen([replace(p, by=player) for i in intents for p in chosen(i, templates)])
+            self._search.add_chosen([replace(p, by=player) for i in intents for p in chosen_candidates(i, templates)])
             favourites = intents[:FAVOURITE_INTENTS] if self._agents.undecided else ()
             taken = [self._search.take_best(i.bv, i.label) for i in favourites]
             self._favourites = [p for p in taken if p is not None]

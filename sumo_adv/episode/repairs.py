@@ -24,7 +24,7 @@ from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.geometry import Frame, wrap
 from sumo_adv.metrics.gates import explained_gates
 from sumo_adv.search.intents import entry_of
-from sumo_adv.search.ranking import chosen
+from sumo_adv.search.ranking import chosen_candidates
 from sumo_adv.search.sampling import AttackTemplate
 from sumo_adv.situation import ReferencePath
 
@@ -183,4 +183,4 @@ class Repairs:
     def _instead(self, instead: Instead) -> list[Proposal]:
         bv = Aliases.of(self._found.first).bvs[instead.bv]
         intent = Intent(bv, instead.label, "", "high", 0.0, ways=(way_of(instead, self._found.situations, bv),))
-        return chosen(intent, self._templates)
+        return chosen_candidates(intent, self._templates)

@@ -15,7 +15,7 @@ from sumo_adv.geometry import Path
 from sumo_adv.simulation.tracks import tracks_of
 from sumo_adv.situation import Situation, Target
 from sumo_adv.words.motion import Course, Scene, follow
-from sumo_adv.words.naming import BEYOND_M, Surroundings, decisive, named
+from sumo_adv.words.naming import BEYOND_M, NamingContext, decisive, named
 
 AT_CONFLICT_M = 20.0  # from where the two ways meet
 WHILE_CHANGING_S = 1.0  # s after the decisive moment: a lane change that begins then was under way
@@ -47,7 +47,7 @@ def scenario_of(
     k = decisive(course, contact)
     place = found.place
     signals = situation.traffic.signals
-    around = Surroundings(
+    around = NamingContext(
         first.relation, first.hidden,
         junction=_at_a_junction(found, target, course, k),
         signalised=bool(signals.get(found.ego) or signals.get(proposal.bv)),

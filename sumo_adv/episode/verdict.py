@@ -10,7 +10,7 @@ from sumo_adv.episode.attempt import Driven
 from sumo_adv.episode.drive import Drive
 from sumo_adv.episode.task import FoundEncounter
 from sumo_adv.metrics.case import Case, make_case
-from sumo_adv.metrics.verdict import judge
+from sumo_adv.metrics.verdict import judge_attempt
 from sumo_adv.simulation.tracks import tracks_of
 
 
@@ -42,7 +42,7 @@ def verdict_on(
     if case is None:
         return None
     driver = own_reference(drive)
-    return judge(
+    return judge_attempt(
         case, ttc_threshold=settings.critical_ttc, limits=settings.limits.of(case.adversary), driver=driver,
         all_drivers=settings.player("modifier") is not None or driver is not None,
     )  # fmt: skip

@@ -15,7 +15,7 @@ from sumo_adv.app import load, new_engine, new_sandbox, open_agents, open_for_ru
 from sumo_adv.config import Settings, load_settings
 from sumo_adv.datatypes import Proposal, Verdict
 from sumo_adv.drivers import Action, Observation
-from sumo_adv.drivers.registry import OBJECT_PREFIX, GivenEgo, pack
+from sumo_adv.drivers.registry import OBJECT_PREFIX, GivenEgo, pack_driver
 from sumo_adv.drivers.sumo_driven import sumo_type
 from sumo_adv.episode.assessment import AttemptRunner
 from sumo_adv.episode.engine import EpisodeCalls
@@ -105,7 +105,7 @@ class TrainingEncounter:
         """
         self.name, self._attacker = Path(scenario).stem, attacker
         run_input = load(Path(scenario), None)
-        packed = None if isinstance(ego, str) else pack(AgentEgo if ego is None else ego)
+        packed = None if isinstance(ego, str) else pack_driver(AgentEgo if ego is None else ego)
         driver = None if ego is None else ego if packed is None else packed.name
         self.settings = settings_of(given, driver, attacker, run_input.horizon)
         with ExitStack() as opening:

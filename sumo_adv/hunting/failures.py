@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from sumo_adv.datatypes import Level
 from sumo_adv.report.coverage import SPEED_BANDS_M_S, band_of
-from sumo_adv.report.run_outcome import level_of
+from sumo_adv.report.run_outcome import level_named
 from sumo_adv.scenario_names import COLUMNS as SCENARIO
 
 FAILURE_COLUMNS = (
@@ -82,7 +82,7 @@ class Failure:
 
 def failure_of(row: Mapping[str, Any], runs: Path) -> Failure | None:
     """The failure of an episode from its row of ``results.csv``; None if no valid collision counts."""
-    level = level_of(row["level"])
+    level = level_named(row["level"])
     if level < Level.VALID:
         return None
     band = "unknown"

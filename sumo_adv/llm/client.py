@@ -80,7 +80,7 @@ def find_server(name: str, settings: ModelSettings, environment: Mapping[str, st
     return Server(name, provider.base_url, key, provider.mode)
 
 
-def connect(
+def open_model(
     name: str,
     settings: ModelSettings,
     ledger: Ledger,

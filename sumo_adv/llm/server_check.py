@@ -11,7 +11,7 @@ from sumo_adv.errors import ModelError
 from sumo_adv.llm.chat import ChatRequest, Ledger
 from sumo_adv.llm.client import HttpModel, Server
 from sumo_adv.llm.transport import Clock, ServerConnection
-from sumo_adv.llm.wire import quoted
+from sumo_adv.llm.wire import quoted_reply
 
 PROBE_QUESTION_TOKENS = 8_000  # the longest question of the shipped recordings has 7,600
 MIN_CONTEXT_TOKENS = 11_000  # with the longest answer, of 3,000
@@ -52,7 +52,7 @@ def check_server(name: str, server: Server, settings: ModelSettings, schema: Map
             "SUMO_ADV_LLM_API_KEY."
         )
     entries = _entries(listing) if status == 200 else []
-    listed = tuple(quoted(str(entry["id"])) for entry in entries)
+    listed = tuple(quoted_reply(str(entry["id"])) for entry in entries)
     context = _context(entries, server.model)
     if context is not None and context < MIN_CONTEXT_TOKENS:
         raise ModelError(_too_short(name, f"has a context of {context:,} tokens"))

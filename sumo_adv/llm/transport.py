@@ -151,7 +151,7 @@ class ServerConnection:
         except (httpx.HTTPError, httpx.InvalidURL, httpx.StreamError, _TooLarge, _Compressed) as error:
             why = self.quoted(str(error)) or type(error).__name__
             raise ModelError(f"{self.host} gave no usable answer to GET models ({why}).") from error
-        return answer.status, wire.read_json(answer.body)[0]
+        return answer.status, wire.read_body(answer.body)[0]
 
     def _within(self, seconds: float, exchange: Coroutine[Any, Any, _Response]) -> _Response:
         return run_in_thread(lambda: asyncio.run(asyncio.wait_for(exchange, seconds))).result()
@@ -180,7 +180,7 @@ class ServerConnection:
 
     def quoted(self, text: str) -> str:
         """A text of the server for a message, without the key."""
-        return wire.quoted(self.blank(text))
+        return wire.quoted_reply(self.blank(text))
 
 
 class Question:
@@ -219,7 +219,7 @@ class Question:
         for number in itertools.count():
             result = self._try(raw)
             if isinstance(result, _Response):
-                value, unreadable = wire.read_json(result.body)
+                value, unreadable = wire.read_body(result.body)
                 fault = fault_of(result.status, value)
                 if fault is not None:
                     if none_if_rejected and (fault.of_a_field or wire.refuses_the_form(result.body)):
@@ -315,7 +315,7 @@ class Question:
 
     def _server_text(self, answer: _Response) -> str:
         """The text that a server gives with its status, after a colon."""
-        value, _ = wire.read_json(answer.body)
+        value, _ = wire.read_body(answer.body)
         text = self._server.quoted(answer.body[:1000] if value is None else wire.error_text(value))
         return f": {text.rstrip('.')}" if text else ""
 

@@ -27,8 +27,8 @@ TOKEN_LIMITS = ("max_tokens", "max_completion_tokens")  # OpenAI's newer models 
 MAX_QUOTED_CHARACTERS = 200  # of a server's text that a message quotes
 TRY_LATER = "try again later, or use another model"
 _FORM = re.compile(r"response_?format|json_?schema|json_?object|guided_|grammar", re.IGNORECASE)
-_LOADING = re.compile(r"\b(?:loading|starting)\b", re.IGNORECASE)
-_CONTEXT_EXCEEDED = re.compile(r"maximum context length|context (?:length|size|window)", re.IGNORECASE)
+_LOADING_PATTERN = re.compile(r"\b(?:loading|starting)\b", re.IGNORECASE)
+_CONTEXT_EXCEEDED_PATTERN = re.compile(r"maximum context length|context (?:length|size|window)", re.IGNORECASE)
 
 
 class InvalidAnswer(Exception):
@@ -75,7 +75,7 @@ def strict_schema(schema: Mapping[str, Any]) -> dict[str, Any]:
     return strict
 
 
-def read_json(raw: str) -> tuple[dict[str, Any] | None, str]:
+def read_body(raw: str) -> tuple[dict[str, Any] | None, str]:
     """The object in a server's body and nothing, or None and why it cannot be read."""
     try:
         value = json.loads(raw)
@@ -99,7 +99,7 @@ def read_reply(value: Mapping[str, Any], request: ChatRequest, mode: str) -> Cha
         ) from error
     finish = finish if isinstance(finish, str) else ""
     if not text and isinstance(refusal, str) and refusal:
-        raise InvalidAnswer(f"the model refuses: {quoted(refusal)}")
+        raise InvalidAnswer(f"the model refuses: {quoted_reply(refusal)}")
     if finish == "content_filter":
         raise InvalidAnswer("its content filter withheld it; switch the filter off there, or choose another model")
     reasoning = next((v for k in REASONING if isinstance(v := message.get(k), str) and v), "")
@@ -109,7 +109,9 @@ def read_reply(value: Mapping[str, Any], request: ChatRequest, mode: str) -> Cha
             "the model called a tool, and none was offered; switch tools off there, or use another model"
         )
     if not (text or reasoning or finish in ("", "stop", CUT_SHORT)):
-        raise InvalidAnswer(f"it is empty and ended with '{quoted(finish)}'; try again later, or use another model")
+        raise InvalidAnswer(
+            f"it is empty and ended with '{quoted_reply(finish)}'; try again later, or use another model"
+        )
     given = value.get("usage")
     usage: Mapping[str, Any] = given if isinstance(given, dict) else {}
     details = usage.get("prompt_tokens_details")
@@ -134,7 +136,7 @@ def error_text(value: Any) -> str:
     return str(error)
 
 
-def quoted(text: str) -> str:
+def quoted_reply(text: str) -> str:
     """A server's text for a message: one line of at most ``MAX_QUOTED_CHARACTERS`` characters."""
     line = one_line(text)
     return line if len(line) <= MAX_QUOTED_CHARACTERS else line[: MAX_QUOTED_CHARACTERS - 3] + "..."
@@ -250,9 +252,9 @@ def fault_of(status: int, body: Mapping[str, Any] | None) -> ServerFault | None:
     for code in codes:
         if isinstance(code, str) and code in BY_CODE:
             return BY_CODE[code]
-    if status in (200, 400) and isinstance(error, dict) and _CONTEXT_EXCEEDED.search(str(error.get("message"))):
+    if status in (200, 400) and isinstance(error, dict) and _CONTEXT_EXCEEDED_PATTERN.search(str(error.get("message"))):
         return CONTEXT_EXCEEDED
-    if status == 503 and body is not None and _LOADING.search(error_text(body)):  # llama.cpp
+    if status == 503 and body is not None and _LOADING_PATTERN.search(error_text(body)):  # llama.cpp
         return LOADING
     if status == 200:  # the error's own code may be a status
         numbers = [int(str(code)) for code in codes if str(code).isdecimal() and len(str(code)) == 3]

@@ -35,7 +35,7 @@ from sumo_adv.memory.records import (
     plain_composition,
 )
 from sumo_adv.memory.similarity import TextAndSlots
-from sumo_adv.memory.store import open_file, sentences
+from sumo_adv.memory.store import as_bank_errors, open_file
 
 MAX_RETRIEVED_LABELS = 5  # labels in a retrieval
 EPSILON_KEY = f"{rows.EPSILON_KEY_PREFIX}{TextAndSlots.name}"  # of the bank's setting
@@ -52,7 +52,7 @@ class MemoryBank:
         self._connection = connection
         self._similarity = TextAndSlots()
         self._clock = clock
-        self._content = rows.load(connection)
+        self._content = rows.read_snapshot(connection)
         self._fitted: dict[str, int] | None = None  # label -> index in the fitted similarity
         self._scenes: SceneIndex | None = None
 
@@ -69,7 +69,7 @@ class MemoryBank:
         path = Path(path)
         connection, writable = open_file(path, seed_from=seed_from, read_only=read_only, clock=clock)
         try:
-            with sentences(path):
+            with as_bank_errors(path):
                 return cls(connection, path, writable, clock)
         except BaseException:
             connection.close()
@@ -89,8 +89,8 @@ class MemoryBank:
 
     def refresh(self) -> None:
         """Read the file again, with the rows that other processes have written."""
-        with sentences(self.path):
-            self._content = rows.load(self._connection)
+        with as_bank_errors(self.path):
+            self._content = rows.read_snapshot(self._connection)
         self._fitted = self._scenes = None
 
     def intents(self) -> list[IntentRecord]:
@@ -278,7 +278,7 @@ class MemoryBank:
         file again afterwards."""
         if not self.writable:
             raise BankError(f"The memory bank {self.path} is read-only; give another path, or make it writable.")
-        with sentences(self.path), self._connection:
+        with as_bank_errors(self.path), self._connection:
             self._connection.execute("BEGIN IMMEDIATE")
             yield self._clock()
         if refresh:

@@ -38,7 +38,7 @@ from sumo_adv.memory.records import (
     plain_composition,
 )
 from sumo_adv.memory.similarity import TextAndSlots
-from sumo_adv.memory.store import make_file, sentences
+from sumo_adv.memory.store import as_bank_errors, make_file
 from sumo_adv.parsing import parse_json, parse_toml
 
 Parse = Callable[[str], tuple[Parameter, ...]]
@@ -108,7 +108,7 @@ def read_compositions(folder: Path) -> list[Composition]:
     return made
 
 
-def read_intent(file: Path) -> IntentRecord:
+def read_intent_file(file: Path) -> IntentRecord:
     """The intent of one ``intent.toml``. Raises BankError."""
     return _intent(_read_toml(file))
 
@@ -283,7 +283,7 @@ def _write(
             for key, value in settings.items():
                 rows.write_setting(connection, key, value)
 
-    with sentences(target):
+    with as_bank_errors(target):
         make_file(target, fill, replace=replace)
 
 

@@ -30,7 +30,7 @@ from sumo_adv.memory.build import (
 )
 from sumo_adv.memory.edits import Absorbed, free_mode
 from sumo_adv.memory.records import Composition, IntentRecord, StoredIntent, canonical, plain_composition
-from sumo_adv.memory.store import sentences
+from sumo_adv.memory.store import as_bank_errors
 
 Verify = Callable[[IntentRecord, Planner], str | None]
 """Tries a planner where it can do no harm: None, or what is wrong with it."""
@@ -55,7 +55,7 @@ def export_bank(bank: MemoryBank, folder: Path, *, force: bool = False) -> int:
         raise BankError(f"The folder {folder} {sentence}.")
     stored_intents = sorted(bank.stored_intents(), key=lambda stored: canonical(stored.intent.label))
     slugs: set[str] = set()
-    with sentences(folder):
+    with as_bank_errors(folder):
         folder.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as scratch:
             fresh, old = Path(scratch) / "new", Path(scratch) / "old"

@@ -23,7 +23,9 @@ APPLICATION_ID = 0x53414442  # "SADB", in bytes 68-71 of the file: this is one o
 
 Clock = Callable[[], str]
 REPAIR_ADVICE = "restore a copy, or move it away to start from the shipped one"
-_OBJECTS = "SELECT type, name, tbl_name, sql FROM sqlite_master WHERE name NOT LIKE 'sqlite\\_%' ESCAPE '\\'"
+_SCHEMA_OBJECTS_QUERY = (
+    "SELECT type, name, tbl_name, sql FROM sqlite_master WHERE name NOT LIKE 'sqlite\\_%' ESCAPE '\\'"
+)
 Schema = frozenset[tuple[str, str, str, str]]
 """Type, name, table and statement of each object."""
 
@@ -169,7 +171,7 @@ def migrate(
     return applied
 
 
-def check_schema(connection: sqlite3.Connection, name: str, version: int) -> None:
+def check_bank_schema(connection: sqlite3.Connection, name: str, version: int) -> None:
     """Refuse a file with another schema than that of ``version``. No table is read. Raises BankError, sqlite3.Error."""
     present, expected = _schema(connection), _schema_of(version)
     if present != expected:
@@ -191,7 +193,7 @@ def check_references(connection: sqlite3.Connection, name: str) -> None:
 
 
 def _schema(connection: sqlite3.Connection) -> Schema:
-    rows = connection.execute(_OBJECTS)
+    rows = connection.execute(_SCHEMA_OBJECTS_QUERY)
     return frozenset((kind, name, table, " ".join(str(sql).split())) for kind, name, table, sql in rows)
 
 

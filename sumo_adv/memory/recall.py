@@ -32,8 +32,8 @@ MAX_SIMILAR_DISTANCE = 1.0  # the distance up to which two scenes count as simil
 
 ROUNDING_SHARE = 1e-4  # candidates are rounded to four digits, and may lie that far outside of their planner's bounds
 
-_SCENE_NAMES = tuple(SCENE_SCALES)
-_HEADING = _SCENE_NAMES.index("heading")
+_SIGNATURE_FIELDS = tuple(SCENE_SCALES)
+_HEADING = _SIGNATURE_FIELDS.index("heading")
 _SCALE = np.asarray(tuple(SCENE_SCALES.values()))
 OTHER_GEOMETRY_DISTANCE = 0.3
 OTHER_RELATION_DISTANCE = 0.5
@@ -107,7 +107,7 @@ def _kind(scene: SceneSignature) -> tuple[str, str, str]:
 
 
 def _numbers(scene: SceneSignature) -> Floats | None:
-    values = [scene.relative.get(name, math.nan) for name in _SCENE_NAMES]
+    values = [scene.relative.get(name, math.nan) for name in _SIGNATURE_FIELDS]
     return np.asarray(values, dtype=np.float64) if all(map(math.isfinite, values)) else None
 
 
@@ -143,7 +143,7 @@ def likeness(scene: SceneSignature, now: SceneSignature) -> float:
     return weight * (1.0 if scene.controller == now.controller else OTHER_CONTROLLER_DISTANCE)
 
 
-def draw(
+def drawn_order(
     planners: Sequence[Planner], evidence: Sequence[Evidence], signature: SceneSignature, rng: random.Random
 ) -> list[Arm]:
     """The planners of one intent with its ``evidence``, the one to try first at the front. The same planners, evidence
@@ -162,7 +162,8 @@ def draw(
 
 
 def explain(arms: Sequence[Arm]) -> list[Mapping[str, Any]]:
-    """What ``draw`` found, for the manifest: mode, hash, evidence rows, weighted successes and failures, mean, draw."""
+    """What ``drawn_order`` found, for the manifest: mode, hash, evidence rows, weighted successes and failures, mean,
+    draw."""
     return [
         {
             "mode": arm.planner.mode, "planner": arm.planner.hash, "rows": arm.rows,

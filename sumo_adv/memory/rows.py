@@ -114,7 +114,7 @@ class Content:
     settings: dict[str, Any] = field(default_factory=dict)
 
 
-def load(connection: sqlite3.Connection) -> Content:
+def read_snapshot(connection: sqlite3.Connection) -> Content:
     """Everything, from one consistent view of the file. Raises BankError for content that no bank can have."""
     with connection:
         connection.execute("BEGIN")

@@ -29,7 +29,7 @@ from sumo_adv.datatypes import Bools, Floats
 from sumo_adv.errors import BankError
 from sumo_adv.memory.records import IntentRecord, canonical
 from sumo_adv.memory.slots import OPTIONAL, SLOTS, Slots, slots_of
-from sumo_adv.memory.words import features
+from sumo_adv.memory.words import text_features
 from sumo_adv.parsing import parse_toml
 
 CALIBRATION_RESAMPLES = 2000
@@ -155,8 +155,8 @@ class TfIdf:
 
 def term_counts(label: str, description: str) -> dict[str, float]:
     """Damped counts, 1 + ln(count), of the features of an intent."""
-    raw = Counter(features(label))
-    raw.update(features(description))
+    raw = Counter(text_features(label))
+    raw.update(text_features(description))
     return {term: 1.0 + math.log(count) for term, count in raw.items()}
 
 
@@ -227,7 +227,7 @@ def read_paraphrases(file: Path) -> tuple[list[Paraphrase], list[Paraphrase]]:
     return halves
 
 
-def measure(intents: Sequence[IntentRecord], paraphrases: Sequence[Paraphrase]) -> Measured:
+def measure_distances(intents: Sequence[IntentRecord], paraphrases: Sequence[Paraphrase]) -> Measured:
     """Distances of the paraphrases to the nearest of ``intents``; an exact label gets no privilege here."""
     similarity = TextAndSlots()
     similarity.fit([(record.label, record.description) for record in intents])
@@ -287,8 +287,8 @@ def calibrate(
     """
     if not intents or not sets or any({p.intent is None for p in half} != {True, False} for s in sets for half in s):
         raise BankError("Calibration needs intents, and known and novel behaviours in both halves of its sets.")
-    epsilon = best_epsilon(measure(intents, [p for tuning, _ in sets for p in tuning]))
-    figures = tuple(_figures(measure(intents, reporting), epsilon, seed) for _, reporting in sets)
+    epsilon = best_epsilon(measure_distances(intents, [p for tuning, _ in sets for p in tuning]))
+    figures = tuple(_figures(measure_distances(intents, reporting), epsilon, seed) for _, reporting in sets)
     return Calibration(TextAndSlots.name, epsilon, figures)
 
 

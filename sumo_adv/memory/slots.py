@@ -6,7 +6,7 @@ values, nor is the relation to the ego: many descriptions mention them in passin
 tell known from novel intents on the tuning sets.  They are compared as words of the text (``similarity.py``).
 
 ``SLOTS`` has the phrases of each value and ``VALUE_NAMES`` the words that are read as one.  In both, stems are
-compared, so one form of a word is enough; the words in ``LEFT_OUT`` are passed over; commas separate entries.  The
+compared, so one form of a word is enough; the words in ``LEFT_OUT_TEXT`` are passed over; commas separate entries.  The
 table was written from the vocabulary of traffic rules and crash typologies, and completed on the tuning sets alone.
 """
 
@@ -61,7 +61,7 @@ VALUE_NAMES: Mapping[str, str] = {
 }
 """Words that are read as one: the name, and what is read as it. So a phrase can be kept from meaning its parts."""
 
-LEFT_OUT = "a an the its his her their very already just still own"
+LEFT_OUT_TEXT = "a an the its his her their very already just still own"
 
 SLOTS: Mapping[str, Mapping[str, str]] = {
     "manoeuvre": {
@@ -230,7 +230,7 @@ def _phrases() -> Iterator[tuple[tuple[str, ...], str, str]]:
                 yield tuple(_read(entry)), slot, value
 
 
-_LEFT_OUT = frozenset(LEFT_OUT.split())
+_LEFT_OUT = frozenset(LEFT_OUT_TEXT.split())
 _STEMMED_NAMES = {
     tuple(_stems(entry)): "-".join(_stems(name))
     for name, entries in VALUE_NAMES.items()

@@ -18,14 +18,14 @@ from sumo_adv.memory.migrations import (
     MIGRATIONS,
     REPAIR_ADVICE,
     Clock,
+    check_bank_schema,
     check_identity,
     check_references,
-    check_schema,
     migrate,
 )
 
 BUSY_TIMEOUT_MS = 10_000  # how long a writer waits for another one
-_MAGIC = b"SQLite format 3\0"
+_SQLITE_MAGIC = b"SQLite format 3\0"
 BANK_FILE_NAME = "memory_bank.sqlite"
 
 
@@ -48,7 +48,7 @@ def bank_error(error: sqlite3.Error, path: Path) -> BankError:
 
 
 @contextlib.contextmanager
-def sentences(path: Path) -> Iterator[None]:
+def as_bank_errors(path: Path) -> Iterator[None]:
     """Within it, errors of SQLite and of the file system about ``path`` are raised as BankError."""
     try:
         yield
@@ -63,7 +63,7 @@ def sentences(path: Path) -> Iterator[None]:
         ) from error
 
 
-def connect(path: Path, mode: str) -> sqlite3.Connection:
+def open_database(path: Path, mode: str) -> sqlite3.Connection:
     """A connection in autocommit mode with foreign keys on; ``mode`` is the query part of SQLite's file URI.
 
     Raises UsageError: a journal beside the file is not of this program; OSError, sqlite3.Error.
@@ -83,7 +83,7 @@ def open_file(path: Path, *, seed_from: Path | None, read_only: bool, clock: Clo
     A path that does not exist is made first (not with ``read_only``). The shipped bank itself is opened read-only.
     Raises BankError.
     """
-    with sentences(path):
+    with as_bank_errors(path):
         if seed_from is not None and path.exists() and seed_from.exists() and path.samefile(seed_from):
             read_only = True
         if not path.exists():
@@ -100,16 +100,16 @@ def _check_header(path: Path) -> None:
     if path.is_dir():
         raise BankError(f"The memory bank {path} is a folder; give the path of a file.")
     with path.open("rb") as file:
-        head = file.read(len(_MAGIC))
+        head = file.read(len(_SQLITE_MAGIC))
     if not head:
         raise BankError(f"The memory bank {path} is an empty file; delete it and a new bank will be made there.")
-    if head != _MAGIC:
+    if head != _SQLITE_MAGIC:
         raise BankError(f"The memory bank {path} is not a SQLite file; give the path of a memory bank.")
 
 
 def _open_writable(path: Path, clock: Clock) -> sqlite3.Connection | None:
     """A connection in WAL mode to a bank of the newest version, or None if the file or its folder is read-only."""
-    connection = connect(path, "mode=rw")
+    connection = open_database(path, "mode=rw")
     try:
         _check(connection, path)
         if connection.execute("PRAGMA journal_mode").fetchone()[0] != "wal":
@@ -134,7 +134,7 @@ def _connect_readable(path: Path) -> sqlite3.Connection:
     """A read-only connection that makes no file beside the bank unless another process has a log there."""
     log = path.with_name(path.name + "-wal")
     pending = log.exists() and log.stat().st_size > 0
-    return connect(path, "mode=ro" if pending else "mode=ro&immutable=1")
+    return open_database(path, "mode=ro" if pending else "mode=ro&immutable=1")
 
 
 def _open_readable(path: Path) -> sqlite3.Connection:
@@ -155,7 +155,7 @@ def _check(connection: sqlite3.Connection, path: Path) -> int:
     """The version of the file; BankError if it is another program's, newer, laid out otherwise or damaged. Changes
     nothing."""
     version = check_identity(connection, str(path))
-    check_schema(connection, str(path), version)
+    check_bank_schema(connection, str(path), version)
     if connection.execute("PRAGMA quick_check(1)").fetchall() != [("ok",)]:
         raise BankError(f"The memory bank {path} is damaged; {REPAIR_ADVICE}.")
     check_references(connection, str(path))
@@ -173,7 +173,7 @@ def make_file(path: Path, fill: Callable[[sqlite3.Connection], None], *, replace
     os.close(handle)
     fresh = Path(name)
     try:
-        with contextlib.closing(connect(fresh, "mode=rw")) as connection:
+        with contextlib.closing(open_database(fresh, "mode=rw")) as connection:
             fill(connection)
         fresh.chmod(0o644)
         if replace:
@@ -192,7 +192,7 @@ def _create(path: Path, seed_from: Path | None, clock: Clock) -> None:
         if seed_from is None:
             connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
         else:
-            with sentences(seed_from):
+            with as_bank_errors(seed_from):
                 _check_header(seed_from)
                 with contextlib.closing(_connect_readable(seed_from)) as seed_bank:
                     _check(seed_bank, seed_from)
@@ -200,7 +200,7 @@ def _create(path: Path, seed_from: Path | None, clock: Clock) -> None:
         connection.execute("PRAGMA journal_mode = WAL").fetchone()
         migrate(connection, str(seed_from or path), clock)
         if seed_from is not None:
-            rows.load(connection)  # refuses content that no bank can have, before the copy gets its name
+            rows.read_snapshot(connection)  # refuses content that no bank can have, before the copy gets its name
 
     make_file(path, fill)
 

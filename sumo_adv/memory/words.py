@@ -180,7 +180,7 @@ _CONCEPT_PHRASES = _phrases()
 _MAX_CONCEPT_WORDS = max(len(key) for key in _CONCEPT_PHRASES)
 
 
-def features(text: str) -> Iterator[str]:
+def text_features(text: str) -> Iterator[str]:
     """Features in order of the text: ``@concept`` for each word or phrase that the thesaurus knows (longest phrase
     first), the bare stem for each other word that is no stop word."""
     raw = _WORD.findall(text.casefold().replace("'", ""))

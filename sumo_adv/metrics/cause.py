@@ -54,7 +54,7 @@ CALM_S = 2.0  # without a danger, after which the next one is another
 ZERO_IN_WORDS_S = 0.05  # before the moment, which is 0.0 s in words
 BRAKING_STEP_M_S2 = 0.1  # between the constant brakings that are tried
 COARSE_STEPS = 5  # every fifth one is tried first
-STANDING_SPEED_M_S = 0.1  # a slower ego stands
+STOPPED_EGO_MAX_SPEED_M_S = 0.1  # a slower ego stands
 CAREFUL = CcHuman.name
 REACTION_DELAY_S = {name: braker.delay for name, braker in BRAKERS.items()}
 REACTION_DELAY_S |= {MANOEUVRE: HAZARD_TO_MANOEUVRE_S - PERCEPTION_S}
@@ -341,7 +341,7 @@ def _all_the_same(c: Cause, check: Counterfactual, begin: float) -> str:
         return f"{braked}, and avoids the adversary's recorded motion."
     pace = float(np.interp(contact, check.time, speed[0]))
     later = begin + contact - (c.careful or 0.0)
-    hit = "standing" if pace < STANDING_SPEED_M_S else f"at {pace:.1f} m/s"
+    hit = "standing" if pace < STOPPED_EGO_MAX_SPEED_M_S else f"at {pace:.1f} m/s"
     return f"{braked}, and is hit all the same {later:.1f} s later, {hit}."
 
 

@@ -12,7 +12,7 @@ from sumo_adv.metrics.case import Case
 from sumo_adv.metrics.contact import CollisionClass, Impact, collision_class, contact_point, impact
 from sumo_adv.metrics.criticality import AVAILABLE_BRAKING_M_S2, exposure, pet, series
 from sumo_adv.metrics.fault import SecondOpinion, rss_opinion
-from sumo_adv.metrics.verdict import LARGEST_DRAC_M_S2, aligned
+from sumo_adv.metrics.verdict import LARGEST_DRAC_M_S2, on_common_grid
 
 EXPOSURE_TTC_S = 1.5  # threshold of TET and TIT
 PAPER_EPSILON_M = 5.0  # the paper's collision threshold on centres, which it does not give: a car's length
@@ -53,7 +53,7 @@ def further_figures(case: Case) -> FurtherFigures:
     Raises:
         UsageError: The tracks have no step in common after the attack begins.
     """
-    ego, adversary, pair = case.ego, case.adversary, aligned(case)
+    ego, adversary, pair = case.ego, case.adversary, on_common_grid(case)
     stop, contact = float(pair.time[-1]), pair.contact_time
     measures = series(ego.between(case.start, stop), [adversary])
     tet, tit = exposure(measures["ttc"][0], EXPOSURE_TTC_S, pair.dt)

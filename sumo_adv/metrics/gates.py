@@ -33,7 +33,7 @@ GATES = ("longitudinal", "lateral", "friction_circle", "curvature", "jerk", "con
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class MotionDerivatives:
     """Derivatives of a motion, each ``(..., steps)``: speed m/s, acceleration and lateral acceleration m/s2, yaw rate
     rad/s, curvature 1/m, jerk m/s3 (0 at the first step)."""
 
@@ -45,12 +45,12 @@ class Motion:
     jerk: Floats
 
 
-def motion(track: Track) -> Motion:
+def motion(track: Track) -> MotionDerivatives:
     """The derivatives ``(steps,)`` of a recorded track."""
     return derivatives(track.boxes(), track.acceleration, track.time)
 
 
-def derivatives(b: Boxes, acceleration: Floats, time: Floats) -> Motion:
+def derivatives(b: Boxes, acceleration: Floats, time: Floats) -> MotionDerivatives:
     """Differentiate boxes ``(..., steps)`` with accelerations [m/s2] of the same shape at ``time`` ``(steps,)`` [s].
 
     The yaw rate is the central difference of headings, one-sided at the ends. Lateral acceleration is v |yaw rate|.
@@ -62,7 +62,7 @@ def derivatives(b: Boxes, acceleration: Floats, time: Floats) -> Motion:
     jerk[..., 1:] = np.where(b.speed[..., 1:] < REST_SPEED_M_S, 0.0, np.diff(acceleration, axis=-1) / np.diff(time))
     size = np.abs(yaw_rate)
     curvature = size / np.maximum(b.speed, DEFINED_CURVATURE_SPEED_M_S)
-    return Motion(b.speed, acceleration, yaw_rate, b.speed * size, curvature, jerk)
+    return MotionDerivatives(b.speed, acceleration, yaw_rate, b.speed * size, curvature, jerk)
 
 
 def largest_acceleration(b: Boxes, acceleration: Floats, time: Floats) -> Floats:

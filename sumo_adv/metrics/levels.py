@@ -32,7 +32,7 @@ from sumo_adv.metrics.severity import SERIOUS_DELTA_V_M_S
 
 STATIONARY_SPEED_M_S, STATIONARY_FOR_S = 0.5, 1.0  # before the contact
 SERIOUS_RISK = 0.1  # of a serious injury of a pedestrian or cyclist
-STOPPING_BRAKING_M_S2 = 3.0  # with which a blocking ego could have stopped before the junction
+BLOCKING_EGO_BRAKING_M_S2 = 3.0  # with which a blocking ego could have stopped before the junction
 JUNCTION_PREFIX = ":"  # of SUMO's internal lanes
 
 
@@ -77,7 +77,7 @@ def blocking(ego: Track, contact_time: float) -> bool:
     entry = outside_it[-1]
     way = stations(until.x, until.y)
     room = way[entry] - way[: entry + 1]
-    return bool((room >= until.speed[: entry + 1] ** 2 / (2 * STOPPING_BRAKING_M_S2)).any())
+    return bool((room >= until.speed[: entry + 1] ** 2 / (2 * BLOCKING_EGO_BRAKING_M_S2)).any())
 
 
 def ahead_in_lane(ego: Track, adversary: Track, lane_half_width: float) -> Bools:

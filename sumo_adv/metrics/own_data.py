@@ -66,7 +66,7 @@ def track_of(name: str, columns: Mapping[str, Any], role: Role) -> Track:
     )  # fmt: skip
 
 
-def split(table: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+def columns_by_vehicle(table: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """The columns of each vehicle of a table with the column ``id``, in order of appearance. Raises UsageError."""
     if "id" not in table:
         raise UsageError("The table has no column 'id': it tells the vehicles apart.")

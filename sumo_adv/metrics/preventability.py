@@ -13,7 +13,7 @@ from sumo_adv.metrics.boxes import on_grid, row_of
 from sumo_adv.metrics.case import Case
 from sumo_adv.metrics.contact import SAME_DIRECTION
 from sumo_adv.metrics.reference import REFERENCE_DRIVERS, SAME_DIRECTION_ONLY
-from sumo_adv.metrics.reference.counterfactual import Encounters, answers
+from sumo_adv.metrics.reference.counterfactual import Encounters, driver_outcomes
 from sumo_adv.road_users import RoadUser, road_user
 
 SAME_WAY_M = 3.0  # beside the unattacked way
@@ -36,7 +36,7 @@ def preventability(
     given = encounter_of(case, contact_time)
     ruled = has_rule(case.ego, case.adversary, contact_time)
     applicable = [name for name in REFERENCE_DRIVERS if ruled or name not in SAME_DIRECTION_ONLY]
-    found = answers(given, applicable, case.on_road, until_avoided=until_avoided)
+    found = driver_outcomes(given, applicable, case.on_road, until_avoided=until_avoided)
     in_words, alarms = {}, {}
     for name in REFERENCE_DRIVERS:
         if name in SAME_DIRECTION_ONLY and not ruled:

@@ -113,10 +113,10 @@ class Bins:
 
     def histogram(self, values: Floats) -> Floats:
         """Smoothed probabilities ``(count,)`` of finite values."""
-        return smoothed(self.counts(values))
+        return smoothed_probabilities(self.counts(values))
 
 
-def smoothed(counts: Floats) -> Floats:
+def smoothed_probabilities(counts: Floats) -> Floats:
     """Probabilities of bins: counts + 0.1, normalised."""
     return np.asarray((counts + BIN_PSEUDOCOUNT) / (counts + BIN_PSEUDOCOUNT).sum())
 
@@ -167,7 +167,7 @@ def wasserstein(a: Floats, b: Floats) -> float:
     return float(np.sum(between * np.diff(every)))
 
 
-def features(tracks: Sequence[Track], end: float | None = None) -> dict[str, Floats]:
+def pooled_features(tracks: Sequence[Track], end: float | None = None) -> dict[str, Floats]:
     """Pooled samples of every feature of ``PAPER_BINS`` (lateral as magnitude) before ``end`` [s]."""
     pooled: dict[str, list[Floats]] = {name: [] for name in PAPER_BINS}
     for track in tracks:
@@ -236,7 +236,7 @@ def realism(
 
     ``end``: the contact, after which the adversary's motion does not count.  Raises UsageError without a reference.
     """
-    attacked, unattacked = features(adversarial, end), features(reference)
+    attacked, unattacked = pooled_features(adversarial, end), pooled_features(reference)
     if not unattacked["speed"].size or not attacked["speed"].size:
         raise UsageError("Realism needs moving vehicles on both sides; give reference tracks of at least two steps.")
     out = distances(attacked, unattacked, PAPER_BINS) | own_figures(adversarial, end=end, on_road=on_road)
@@ -251,7 +251,7 @@ def own_figures(
 
     Raises UsageError where no track has two steps before ``end``.
     """
-    values = features(tracks, end)
+    values = pooled_features(tracks, end)
     if not values["speed"].size:
         raise UsageError("Realism needs a vehicle that moves; give tracks of at least two steps before the contact.")
     out = {"abnormal_lateral_share": _abnormal(values)}

@@ -24,7 +24,7 @@ from sumo_adv.road_users import is_unprotected
 LARGEST_DRAC_M_S2 = 20.0  # more than any car can do; the rate is unbounded at contact, so larger ones are cut
 
 
-def judge(
+def judge_attempt(
     case: Case,
     *,
     ttc_threshold: float = 1.0,
@@ -44,7 +44,7 @@ def judge(
     Raises:
         UsageError: The tracks have no step in common after the attack begins.
     """
-    pair = aligned(case)
+    pair = on_common_grid(case)
     contact, until_last = pair.contact_time, pair.until_last()
     collided = contact is not None
     stop = float(pair.time[-1]) if contact is None else contact
@@ -127,7 +127,7 @@ class Aligned:
         return some_steps(self.adversary, slice(len(self.time)))
 
 
-def aligned(case: Case) -> Aligned:
+def on_common_grid(case: Case) -> Aligned:
     """Return both tracks on their common grid, the ego's cut at the first contact after the attack begins.
 
     Raises:

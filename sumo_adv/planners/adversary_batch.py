@@ -17,16 +17,16 @@ import numpy as np
 from sumo_adv.datatypes import Bools, Endpoint, Floats
 from sumo_adv.geometry import PATH_STEP_M, wrap
 from sumo_adv.metrics.contact import SAME_DIRECTION
-from sumo_adv.planners.answers import PATH_TIMES_S, PlannerObservation, arrivals, stations
-from sumo_adv.planners.follower import Follower, Line, aligned
-from sumo_adv.planners.trajectory import Batch, Goal, Motion, PathRow, PathRows, pose, start
+from sumo_adv.planners.answers import PATH_TIMES_S, PlannerObservation, arrivals, expected_stations
+from sumo_adv.planners.follower import Follower, PlannedCourse, starting_now
+from sumo_adv.planners.trajectory import Batch, Motion, PathEndpoint, PathRow, PathRows, pose, start
 from sumo_adv.road_users import is_unprotected
 from sumo_adv.simulation.sumo_rules import AtJunction, SituationBatch
 from sumo_adv.situation import ReferencePath, Situation, Target
 
 TURN_COST_M_RAD = 4.0  # cost of a heading difference when an endpoint's way is chosen
 WAY_CHANGE_COST_M = 0.5  # another way must be this much nearer to an endpoint than the present one
-SAME_PLACE_DISTANCE_M = 0.4  # ways this near to each other still coincide
+COINCIDING_WAYS_DISTANCE_M = 0.4  # ways this near to each other still coincide
 MAX_LATERAL_MOVE_S = 20.0  # bound of ``lateral_time``, because the move of a vehicle that hardly moves takes minutes
 COARSE_WAY_STRIDE = 12  # samples of a way between those of the first search for the nearest one
 COARSE_NEIGHBOURS = np.arange(1 - COARSE_WAY_STRIDE, COARSE_WAY_STRIDE)
@@ -166,7 +166,7 @@ class AdversaryBatch:
 
     # -- endpoints ----------------------------------------------------------------------------------------------
 
-    def aim(self, motion: Motion, ends: Sequence[Endpoint | None], before: Goal) -> Goal:
+    def aim(self, motion: Motion, ends: Sequence[Endpoint | None], before: PathEndpoint) -> PathEndpoint:
         """Goals on the ways for endpoints in the world. Puts each vehicle on the way that leads to its endpoint.
         Vehicles without an endpoint keep the goal ``before``."""
         have = np.array([e is not None for e in ends])
@@ -186,11 +186,11 @@ class AdversaryBatch:
                 part = motion._replace(s=motion.s[vehicles], d=motion.d[vehicles], slope=motion.slope[vehicles])
                 there = pose(Batch, part, self.rows.on(row))
                 apart = np.hypot(there[0] - here[0][vehicles], there[1] - here[1][vehicles])
-                better &= (apart < SAME_PLACE_DISTANCE_M) | same
+                better &= (apart < COINCIDING_WAYS_DISTANCE_M) | same
             to = vehicles[better]
             least[to], best[to], best_s[to], best_d[to] = cost[better], row[better], s[better], d[better]
         self.rows.row = best
-        return Goal(best_s, best_d, np.where(have, v, before.v), np.where(have, time, before.time))
+        return PathEndpoint(best_s, best_d, np.where(have, v, before.v), np.where(have, time, before.time))
 
     def _project(self, row: Any, x: Floats, y: Floats, h: Floats) -> tuple[Floats, Floats, Floats]:
         """Stations and offsets [m] of poses ``(n,)`` on the ways ``row``, and the heading differences [rad]."""
@@ -210,7 +210,7 @@ class AdversaryBatch:
         there are too few states, or they leave the way."""
         x, y, h = pose(Batch, motion, self.rows)
         dt = self.scenes.dt
-        line = Line(aligned(states, float(x[k]), float(y[k]), float(h[k]), dt), dt)
+        line = PlannedCourse(starting_now(states, float(x[k]), float(y[k]), float(h[k]), dt), dt)
         return Follower(line, self._ways[int(self.rows.row[k])].path)
 
     # -- observations -------------------------------------------------------------------------------------------
@@ -229,7 +229,7 @@ class AdversaryBatch:
         x, y, h = scenes.to_local(*pose(Batch, motion, self.rows))
         rs, rd, rh = self.relative(motion)
         hand = scenes.each(lambda s: s.frame.hand)
-        ahead_s, ahead_v = stations(scenes, now, es, ev, ea, PATH_TIMES_S)
+        ahead_s, ahead_v = expected_stations(scenes, now, es, ev, ea, PATH_TIMES_S)
         px, py, ph = scenes.to_local(*scenes.ego_at(ahead_s, ed[:, None]))
         table = np.empty((*px.shape, 5))
         for column, values in enumerate((PATH_TIMES_S, px, py, ph, ahead_v)):

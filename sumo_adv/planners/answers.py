@@ -58,7 +58,7 @@ def world_endpoint(situation: Situation, end: Mapping[str, float]) -> Endpoint:
 # -- the road -------------------------------------------------------------------------------------------------------
 
 
-def road_of(situation: Situation, name: str) -> dict[str, Any]:
+def planner_road(situation: Situation, name: str) -> dict[str, Any]:
     """The ``road`` of the BV ``name``; the keys are described in ``prompts/planner.md``."""
     target = situation.targets[name]
     frame, hand = situation.frame, situation.frame.hand
@@ -106,7 +106,7 @@ PATH_TIMES_S = np.arange(0.0, 9.0)  # times of the predicted path in a planner's
 ARRIVAL_TIMES_S = np.arange(0.0, 16.1, 0.5)
 
 
-def stations(
+def expected_stations(
     scenes: SituationBatch, now: float, s: Floats, v: Floats, a: Floats, look: Floats
 ) -> tuple[Floats, Floats]:
     """Stations and speeds (n, k), ``look`` (k,) seconds from ``now``, of egos at ``s`` with ``v``, ``a`` (n,)."""
@@ -124,7 +124,7 @@ def arrivals(scenes: SituationBatch, now: float, s: Floats, v: Floats, a: Floats
     times = np.full(conflict_s.shape, NO_ARRIVAL_S)
     if not np.isfinite(conflict_s).any():
         return times
-    way, _ = stations(scenes, now, s, v, a, ARRIVAL_TIMES_S)
+    way, _ = expected_stations(scenes, now, s, v, a, ARRIVAL_TIMES_S)
     rows = np.arange(len(s))
     for k, at in enumerate(conflict_s.T):
         reached = way >= at[:, None]

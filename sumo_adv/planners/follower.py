@@ -33,7 +33,7 @@ MIN_CURVATURE_SPEED_M_S = 2.0  # below it, curvature is not checked
 ON_ROAD_S = 3.0  # of a trajectory that must be on the road
 
 
-class Line:
+class PlannedCourse:
     """A planner's states (n, 4: x, y, heading, speed in the world, ``dt`` s apart) as a smooth motion.
 
     Attributes are arrays ``(n,)``: x, y [m]; heading [rad], of the motion or, below ``MIN_HEADING_SPEED_M_S``, the
@@ -80,7 +80,7 @@ def _slopes(values: Floats, dt: float) -> tuple[Floats, Floats]:
     return c[:, 1] + 2 * c[:, 2] * (np.arange(n) - first) * dt, 2 * c[:, 2]
 
 
-def aligned(states: Floats, x: float, y: float, heading: float, dt: float) -> Floats:
+def starting_now(states: Floats, x: float, y: float, heading: float, dt: float) -> Floats:
     """The states, beginning now: with the present pose before them if their first one is ``dt`` from now."""
     step = math.hypot(*(states[1, :2] - states[0, :2])) if len(states) > 1 else 0.0
     ahead = math.cos(heading) * (states[0, 0] - x) + math.sin(heading) * (states[0, 1] - y)
@@ -102,7 +102,7 @@ class Follower:
     """Drives one vehicle along one trajectory on its way. Raises PlannerResultError: the trajectory has too few states,
     or leaves the way."""
 
-    def __init__(self, line: Line, way: Path) -> None:
+    def __init__(self, line: PlannedCourse, way: Path) -> None:
         if len(line.x) < MIN_FITTED_STATES:
             raise PlannerResultError(f"trajectory() gave {len(line.x)} states, at least {MIN_FITTED_STATES} are needed")
         d, turned, curvature = _beside(line, way)
@@ -208,7 +208,7 @@ def _on_way(
     return motion._replace(s=s, d=d, dd=v * slope, ddd=lateral - v * v * bend, v=v, a=a, slope=slope, clock=clock)
 
 
-def _beside(line: Line, way: Path) -> tuple[Floats, Floats, Floats]:
+def _beside(line: PlannedCourse, way: Path) -> tuple[Floats, Floats, Floats]:
     """Offsets of a line from a way [m], heading differences [rad], and the way's curvature there [1/m]."""
     i = np.argmin((line.x[:, None] - way.x) ** 2 + (line.y[:, None] - way.y) ** 2, axis=1)
     h = way.heading[i]

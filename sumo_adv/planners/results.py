@@ -135,7 +135,7 @@ def check_motion(
             raise PlannerResultError(f"{subject}: its trajectory {jump}.")
 
 
-def clean(text: str) -> str:
+def printable_line(text: str) -> str:
     """The text as one line of at most ``MAX_MESSAGE_CHARACTERS`` characters, without control codes for a terminal."""
     short = text[: 2 * MAX_MESSAGE_CHARACTERS].replace("\n", "; ")
     return "".join(c for c in short if c.isprintable())[:MAX_MESSAGE_CHARACTERS].rstrip("; .")
@@ -143,7 +143,7 @@ def clean(text: str) -> str:
 
 def subject_of(planner: Planner) -> str:
     """The planner as the subject of error messages."""
-    return clean(f"Planner {planner.label}/{planner.mode}")[:120]
+    return printable_line(f"Planner {planner.label}/{planner.mode}")[:120]
 
 
 def _number(subject: str, name: str, value: Any) -> float:
@@ -158,5 +158,5 @@ def _number(subject: str, name: str, value: Any) -> float:
 
 def _bad(subject: str, value: Any) -> PlannerResultError:
     """An error with the reducer's own sentence, if the value is one."""
-    reason = clean(value) if type(value) is str else "the result is not what a planner may return"
+    reason = printable_line(value) if type(value) is str else "the result is not what a planner may return"
     return PlannerResultError(f"{subject}: {reason}.")

@@ -32,7 +32,7 @@ from typing import TYPE_CHECKING, Any, Self
 from sumo_adv.datatypes import Planner
 from sumo_adv.errors import SandboxError
 from sumo_adv.files import scratch_prefix
-from sumo_adv.planners.results import clean
+from sumo_adv.planners.results import printable_line
 from sumo_adv.planners.session import PlannerSession, SandboxLimits
 from sumo_adv.planners.text import HELPERS_STUBS
 
@@ -272,5 +272,7 @@ class Sandbox:
         except TimeoutError:
             raise SandboxError(f"All {self._workers} sandbox workers are busy: close planner sessions.") from None
         except (MontyError, OSError, RuntimeError) as error:
-            raise SandboxError(f"The sandbox's worker does not start ({clean(str(error))}): run doctor.") from None
+            raise SandboxError(
+                f"The sandbox's worker does not start ({printable_line(str(error))}): run doctor."
+            ) from None
         return session

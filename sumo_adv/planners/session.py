@@ -14,8 +14,15 @@ from typing import TYPE_CHECKING, Any, Self
 
 from sumo_adv.datatypes import Planner
 from sumo_adv.errors import PlannerLimitError, PlannerResultError, PlannerRuntimeError, PlannerSyntaxError, SandboxError
-from sumo_adv.planners.results import REDUCERS, check_endpoint, check_motion, check_trajectory, clean, subject_of
-from sumo_adv.planners.text import HELPERS_CODE, read_planner
+from sumo_adv.planners.results import (
+    REDUCERS,
+    check_endpoint,
+    check_motion,
+    check_trajectory,
+    printable_line,
+    subject_of,
+)
+from sumo_adv.planners.text import HELPERS_CODE, read_planner_text
 
 if TYPE_CHECKING:
     from pydantic_monty import MontyError, MontySession
@@ -57,7 +64,7 @@ class PlannerSession:
         """start: an interpreter with nothing in it, for a seed and with or without type checks. usable: raises
         SandboxError where no interpreter may be used any more."""
         self.planner = planner
-        self.has_trajectory = read_planner(planner.text).has_trajectory
+        self.has_trajectory = read_planner_text(planner.text).has_trajectory
         self._new, self._usable, self._limits = start, usable, limits
         self._roads = {str(key): road for key, road in roads.items()}
         self._seed = seed
@@ -158,7 +165,9 @@ class PlannerSession:
 
     def _known(self, key: str) -> None:
         if key not in self._roads:
-            raise SandboxError(f"No road was given for the vehicle {clean(str(key))!r}: add it to the session's roads.")
+            raise SandboxError(
+                f"No road was given for the vehicle {printable_line(str(key))!r}: add it to the session's roads."
+            )
 
     def _feed(self, code: str, inputs: dict[str, Any], *, loading: bool = False) -> Any:
         """Run one snippet. Raises SandboxError, and closes the session if it has ended."""
@@ -229,7 +238,7 @@ def _translate(error: MontyError, subject: str, loading: bool) -> tuple[SandboxE
     """Monty's error as one of this program, and whether it ended the session."""
     from pydantic_monty import MontyRuntimeError, MontySyntaxError, MontyTypingError
 
-    message = MEASURED_TIME.sub(r"more than \1", clean(str(error)))
+    message = MEASURED_TIME.sub(r"more than \1", printable_line(str(error)))
     if isinstance(error, MontyTypingError):
         return PlannerSyntaxError(f"{subject} fails the type check: {message}"), False
     if isinstance(error, MontySyntaxError):

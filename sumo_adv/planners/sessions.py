@@ -23,12 +23,12 @@ import numpy as np
 
 from sumo_adv.datatypes import Planner, Proposal
 from sumo_adv.errors import PlannerLimitError, SandboxError
-from sumo_adv.planners.answers import Answer, AskOne, PlannerObservation, call_of, road_of, world_endpoint
+from sumo_adv.planners.answers import Answer, AskOne, PlannerObservation, call_of, planner_road, world_endpoint
 from sumo_adv.planners.follower import leaves_road
 from sumo_adv.planners.results import ENDPOINT_KEYS, check_endpoint, subject_of
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.session import MAX_STOPPED_CALLS, Call, PlannerSession
-from sumo_adv.planners.text import HELPERS_CODE, read_planner
+from sumo_adv.planners.text import HELPERS_CODE, read_planner_text
 from sumo_adv.simulation.network import Drivable
 from sumo_adv.situation import Situation
 
@@ -68,7 +68,7 @@ MOVEMENT = re.compile(r'^MOVEMENT = "\w+"$', re.MULTILINE)
 
 def body(text: str) -> str:
     """A planner's text after its table. Raises PlannerSyntaxError."""
-    read_planner(text)  # the table is the first statement
+    read_planner_text(text)  # the table is the first statement
     tree = ast.parse(text)
     table = next(node for node in tree.body if not isinstance(node, ast.Expr))
     lines = text.encode().splitlines(keepends=True)[(table.end_lineno or 1) - 1 :]
@@ -147,7 +147,7 @@ def ask_trusted(proposal: Proposal, situation: Situation, fallback: AskOne) -> A
     """
     if proposal.course is not None or not is_trusted(proposal.planner):
         return fallback
-    session = InProcessSession(proposal.planner, {ROAD_KEY: road_of(situation, proposal.bv)}, _no_session)
+    session = InProcessSession(proposal.planner, {ROAD_KEY: planner_road(situation, proposal.bv)}, _no_session)
 
     def ask(observation: PlannerObservation) -> Answer | str:
         try:
@@ -187,7 +187,7 @@ class Roads:
         """The roads of the proposals' BVs, by :func:`road_key`, without those of BVs that are not in the encounter."""
         by_key = {road_key(p): p for p in proposals if p.bv in self.situations[p.delay].targets}
         for key in by_key.keys() - self._made.keys():
-            self._made[key] = road_of(self.situations[by_key[key].delay], by_key[key].bv)
+            self._made[key] = planner_road(self.situations[by_key[key].delay], by_key[key].bv)
         return {key: self._made[key] for key in by_key}
 
 

@@ -104,7 +104,7 @@ class PlannerFacts(NamedTuple):
 def parse_parameters(text: str) -> tuple[Parameter, ...]:
     """The table at the top of a planner's text. Raises PlannerSyntaxError: the text does not parse, lacks the table or
     ``endpoint``, or a number is out of its bounds."""
-    return read_planner(text).parameters
+    return read_planner_text(text).parameters
 
 
 def make_planner(label: str, mode: str, text: str, origin: str, parent: str | None = None) -> Planner:
@@ -113,7 +113,7 @@ def make_planner(label: str, mode: str, text: str, origin: str, parent: str | No
 
 
 @lru_cache(maxsize=256)
-def read_planner(text: str) -> PlannerFacts:
+def read_planner_text(text: str) -> PlannerFacts:
     """Parse and check a planner's text; nothing of it is run. Raises PlannerSyntaxError: as in ``parse_parameters``;
     the message names the line if it is known."""
     tree = _parse(text)

@@ -96,7 +96,7 @@ class Motion(NamedTuple):
     target: Any
 
 
-class Goal(NamedTuple):
+class PathEndpoint(NamedTuple):
     """An endpoint in path coordinates: station [m], offset [m], speed [m/s], seconds from now."""
 
     s: Any
@@ -246,7 +246,7 @@ def _too_sharp(m: Any, c: tuple[Any, ...], span: Any, most: Any, slope: Any) -> 
     return (m.worst(d1) > slope * span) | (m.worst(d2) > most * two) | (m.worst(d3) > 10.0 * two * span)
 
 
-def steer(m: Any, motion: Motion, goal: Goal, curvature: Any) -> Motion:
+def steer(m: Any, motion: Motion, goal: PathEndpoint, curvature: Any) -> Motion:
     """Aim the lateral motion at a goal; the running quintic goes on if its end hardly moved."""
     moved = abs(goal.d - motion.target) >= SAME_LATERAL_TARGET_M
     if m is Scalar:
@@ -292,7 +292,7 @@ def _put(values: Any, rows: Any, new: Any) -> Any:
 
 
 def advance(
-    m: Any, motion: Motion, goal: Goal, road: Any, limits: Limits, cap: Any, dt: float, hard: Any
+    m: Any, motion: Motion, goal: PathEndpoint, road: Any, limits: Limits, cap: Any, dt: float, hard: Any
 ) -> Motion:  # fmt: skip
     """One step of ``dt`` s towards a goal; ``cap``: the vehicle's highest speed [m/s]; ``hard``: see ``faster``."""
     s, v, a = motion.s, motion.v, motion.a

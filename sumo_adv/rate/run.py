@@ -12,7 +12,7 @@ from sumo_adv.datatypes import Boxes, Floats, Ints, Level, Limits, VehicleState
 from sumo_adv.episode.drive import Drive
 from sumo_adv.metrics.boxes import first_contact
 from sumo_adv.metrics.case import make_case
-from sumo_adv.metrics.verdict import judge
+from sumo_adv.metrics.verdict import judge_attempt
 from sumo_adv.rate.proposal import (
     DANGER_LEVEL_COUNT,
     DECISION_INTERVAL_S,
@@ -176,7 +176,7 @@ class RateRun:
         case = make_case(drive.tracks(foe, start=first), ego, [foe], start, {})
         level = Level.NONE
         if case is not None:
-            level = judge(case, limits=UNLIMITED).level
+            level = judge_attempt(case, limits=UNLIMITED).level
         if level >= Level.COLLISION and recent and foe in self._begun:
             self.counts.crashes[self._begun[foe]] += 1.0
         return replace(

@@ -26,7 +26,7 @@ from sumo_adv.regression.case import (
 )
 from sumo_adv.report.manifest import RecordedRun, read_manifest
 from sumo_adv.report.read import read_outcome, read_run
-from sumo_adv.report.run_outcome import level_of
+from sumo_adv.report.run_outcome import level_named
 from sumo_adv.report.staging import staged
 from sumo_adv.simulation.inputs import EgoRoute, data_folder
 from sumo_adv.simulation.playback_spec import Prop
@@ -80,7 +80,7 @@ def _texts(
 ) -> tuple[RecordedRun, dict[str, str]]:
     """What the manifest of a run records, and the texts of its case by file."""
     recorded, outcome = read_manifest(run), read_outcome(run)
-    if level_of((outcome.get("outcome") or {}).get("level")) is Level.NONE:
+    if level_named((outcome.get("outcome") or {}).get("level")) is Level.NONE:
         raise UsageError(f"The attack of {run} reached no level, so there is nothing to keep.")
     encounter = outcome.get("encounter") or {}
     relations = {r["id"]: r["relation"] for r in encounter.get("ranking", ())}

@@ -19,7 +19,7 @@ from sumo_adv.regression.keep import keep_run
 from sumo_adv.regression.runner import CaseMeasurements, CaseResult, judged
 from sumo_adv.regression.suite import measure_cases
 from sumo_adv.report.read import read_outcome
-from sumo_adv.report.run_outcome import level_of
+from sumo_adv.report.run_outcome import level_named
 
 DRIVER, ITS_CHECK = "careful", "cc_human"
 
@@ -86,7 +86,7 @@ def _below(level: Level) -> Expectation:
 
 def _least(run: Path) -> Level:
     """The level that a reference driver must stay below: a collision, or the near miss that was found."""
-    return min(level_of((read_outcome(run).get("outcome") or {}).get("level")), Level.COLLISION)
+    return min(level_named((read_outcome(run).get("outcome") or {}).get("level")), Level.COLLISION)
 
 
 def _expected(found: Level, measured: CaseMeasurements, passed: bool) -> Level:
@@ -95,7 +95,7 @@ def _expected(found: Level, measured: CaseMeasurements, passed: bool) -> Level:
     least = min(found, Level.COLLISION)
     if passed or measured.broken:
         return least
-    return min(found, max(least, Level(min(level_of(measured.level) + 1, Level.SERIOUS))))
+    return min(found, max(least, Level(min(level_named(measured.level) + 1, Level.SERIOUS))))
 
 
 def _by_the_verdict(run: Path) -> tuple[str, ...]:

@@ -24,7 +24,7 @@ from sumo_adv.outcome_schema import check_schema
 from sumo_adv.parsing import parse_json, read_json
 from sumo_adv.report.document import write_document
 from sumo_adv.report.read import OUTCOME_FILE
-from sumo_adv.report.run_outcome import level_of
+from sumo_adv.report.run_outcome import level_named
 from sumo_adv.report.staging import PLAN_FILE
 from sumo_adv.report.tables import csv_text, plain_row
 
@@ -92,7 +92,7 @@ def cells_of(document: Mapping[str, Any]) -> dict[CoverageCell, bool]:
         relation = relations.get(attempt["adversaries"][0])
         if relation is not None:
             cell = CoverageCell(attempt["intent"], relation, road, band_of(speed))
-            cells[cell] = cells.get(cell, False) or level_of(attempt.get("level")) >= Level.VALID
+            cells[cell] = cells.get(cell, False) or level_named(attempt.get("level")) >= Level.VALID
     return cells
 
 

@@ -39,7 +39,7 @@ from sumo_adv.report.document import asset, document, packed, whole, write_docum
 from sumo_adv.report.page import page_of
 from sumo_adv.report.page_road import network
 from sumo_adv.report.read import OUTCOME_FILE
-from sumo_adv.report.run_outcome import level_of
+from sumo_adv.report.run_outcome import level_named
 from sumo_adv.report.scenario_table import ScenarioRow, scenario_section
 from sumo_adv.scenario_names import COLUMNS as SCENARIO
 
@@ -129,7 +129,7 @@ def summarise(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     summaries = []
     for ego in sorted({str(row["ego"]) for row in rows}):
         own = [row for row in rows if row["ego"] == ego]
-        levels = [level_of(row["level"]) for row in own]
+        levels = [level_named(row["level"]) for row in own]
         hits = [row for row, level in zip(own, levels, strict=True) if level >= Level.VALID]
         counted = Counter(row["severity"] for row in hits)
         speeds = [row["delta_v"] for row in hits if row["delta_v"] is not None]

@@ -16,11 +16,11 @@ import numpy as np
 from sumo_adv.datatypes import Level, Role, Track
 from sumo_adv.errors import UsageError
 from sumo_adv.metrics.case import Case, make_case
-from sumo_adv.metrics.verdict import judge, with_answers
+from sumo_adv.metrics.verdict import judge_attempt, with_answers
 from sumo_adv.report.folder import plan_names
 from sumo_adv.report.outcome import level_figures
 from sumo_adv.report.read import OUTCOME_FILE, RunRead, columns_of, damaged, read_run
-from sumo_adv.report.run_outcome import level_of, verdict_of
+from sumo_adv.report.run_outcome import level_named, verdict_of
 from sumo_adv.report.tables import PLAN_HEADER
 from sumo_adv.simulation.network import read_network
 
@@ -75,7 +75,7 @@ def judge_files(folder: Path) -> Judgement:
     before = run.outcome.get("outcome") or {}
     ego = str((run.outcome.get("ego") or {}).get("controller"))
     case = _case(run) if before.get("collided") else None
-    again = None if case is None else judge(case)
+    again = None if case is None else judge_attempt(case)
     if again is None or again.preventability is None:
         return Judgement(folder, ego, before, before, "files")
     recorded = verdict_of(before)
@@ -135,7 +135,7 @@ def counts(judgements: Sequence[Judgement]) -> dict[str, dict[str, int]]:
     """By ego: how many runs reach each level or a higher one, collide, are inconclusive, or hit a standing ego."""
     by_ego: dict[str, dict[str, int]] = {}
     for j in judgements:
-        level = level_of(j.now.get("level"))
+        level = level_named(j.now.get("level"))
         holds = {
             "runs": True, "valid before": j.before.get("valid") is True,
             "strict before": j.before.get("strict") is True,

@@ -154,7 +154,7 @@ def verdict_of(written: Mapping[str, Any]) -> Verdict:
     values = {name: written[name] for name in names}
     values |= {name: _time(written[name]) for name in MAY_BE_NEVER}
     values |= {name: tuple(written[name]) for name in LISTS}
-    values["level"] = level_of(written["level"])
+    values["level"] = level_named(written["level"])
     if written["references"] is not None:
         values["preventability"] = Preventability(
             written["references"], written["alarms"], written["inconclusive"], written["in_loop"]
@@ -171,7 +171,7 @@ def _cause(written: Mapping[str, Any] | None) -> Cause | None:
     return Cause(**{**values, "kind": CauseKind(values["kind"]), "action": action})
 
 
-def level_of(name: str | None) -> Level:
+def level_named(name: str | None) -> Level:
     """The level of that name; ``Level.NONE`` without one, as a run without an attempt has none."""
     return Level[name.upper()] if name else Level.NONE
 
@@ -196,7 +196,7 @@ def _intent(written: Mapping[str, Any]) -> Intent:
 def _attempt(a: Mapping[str, Any]) -> AttemptRecord:
     return AttemptRecord(
         int(a["index"]), a["intent"], a["adversaries"][0], a["planner"]["mode"], a["trigger_time"],
-        level_of(a["level"]), a["kind"], _time(a["min_ttc"]), _time(a["min_distance"]), a["collided"],
+        level_named(a["level"]), a["kind"], _time(a["min_ttc"]), _time(a["min_distance"]), a["collided"],
         a["critical"], a["feasible"], a["valid"], a["strict"], a["delta_v"], tuple(a["failed_gates"]),
         a["parameters"], a["ending"], a["message"], a.get("composition", ""),
         tuple(

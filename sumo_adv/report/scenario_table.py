@@ -15,7 +15,7 @@ from typing import Any
 from sumo_adv.datatypes import Level
 from sumo_adv.parsing import parse_json, read_json
 from sumo_adv.report.document import write_document
-from sumo_adv.report.run_outcome import level_of
+from sumo_adv.report.run_outcome import level_named
 from sumo_adv.report.tables import csv_text
 from sumo_adv.scenario_names import EVERY, LISTS, ScenarioName, names_in
 
@@ -58,11 +58,11 @@ def tallies_of(document: Mapping[str, Any]) -> list[Tally]:
     """The tallies of the encounters that an episode attacked, from its ``outcome.json``."""
     listed = document["attempts"]
     here = (document.get("encounter") or {}).get("time")
-    found = [_tally([(each.get("named_scenario") or {}, 1, level_of(each.get("level"))) for each in listed])]
+    found = [_tally([(each.get("named_scenario") or {}, 1, level_named(each.get("level"))) for each in listed])]
     for tried in document.get("encounters_tried", ()):
         if tried["time"] != here or not listed:  # the encounter that counts may be one of these
             own = tried.get("named_scenarios", ())
-            found.append(_tally([(each, int(each["attempts"]), level_of(each["level"])) for each in own]))
+            found.append(_tally([(each, int(each["attempts"]), level_named(each["level"])) for each in own]))
     return [tally for tally in found if tally]
 
 

@@ -3,7 +3,7 @@
 The built-in expert composes intents for relations that the library does not cover. Free motions are offered in
 recordings, where vehicles stand as no intent of the library expects: to a place near where the ego will be, at a time
 and a speed of the vehicle's own, whatever its lane. An attempt of one is named afterwards by what it came to
-(``named``). It is no part of the memory bank until a success adds it to an intent.
+(``labelled_by_motion``). It is no part of the memory bank until a success adds it to an intent.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ FREE = LibraryEntry(
     "generated",
 )
 
-_SIDES = {
+_LABEL_BY_CONTACT = {
     ("leader", "front"): "Emergency Braking",
     ("neighbour", "front"): "Aggressive Cut-in",
     ("neighbour", "left"): "Straight Lane Shift",
@@ -123,12 +123,12 @@ _WORDS = {
 }
 
 
-def named(p: Proposal, target: Target, verdict: Verdict) -> Proposal:
+def labelled_by_motion(p: Proposal, target: Target, verdict: Verdict) -> Proposal:
     """A free motion that collided, with the label of the intent that it carried out; it keeps its own where none fits.
     Of a vehicle that crosses or merges it is the intent of its way that meets the ego's path soonest."""
     if p.label != FREE_MOTION or not verdict.collided:
         return p
-    label = _SIDES.get((target.relation, verdict.contact_side or ""))
+    label = _LABEL_BY_CONTACT.get((target.relation, verdict.contact_side or ""))
     if label is None:
         label = next((_WORDS[word] for word in _by_conflict(target) if word in _WORDS), None)
     return p if label is None else replace(p, label=label, planner=replace(p.planner, label=label))

@@ -31,7 +31,7 @@ PATH_POINT_SPACING_M = 2.0
 
 
 @dataclass(frozen=True, slots=True)
-class Danger:
+class PredictedSeverity:
     """What predicted collisions come to, row by row, arrays ``(n,)``.
 
     level: ``COLLISION`` or higher. warning: from the alarm of ``cc_human`` to the contact [s], 0 without an alarm.
@@ -68,7 +68,7 @@ class Collisions:
     supports: Sequence[Boxes] = ()
 
 
-def danger_of(collisions: Collisions, drivable: Drivable) -> Danger:
+def danger_of(collisions: Collisions, drivable: Drivable) -> PredictedSeverity:
     """The level of each predicted collision. All are judged together, which takes less time than one by one."""
     situations, ego, adversary, last = collisions.situations, collisions.ego, collisions.adversary, collisions.last
     n, dt = len(last), situations[0].dt
@@ -106,7 +106,9 @@ def danger_of(collisions: Collisions, drivable: Drivable) -> Danger:
     level[counts & careful] = Level.STRICT
     level[counts & careful & human & (hard >= 1.0)] = Level.SERIOUS
     sides = [str(impact.ego_side) for impact in impacts]
-    return Danger(level, warning, delta_v, hard, human, careful, manoeuvre, sides, _strongest(adversary, last, dt))
+    return PredictedSeverity(
+        level, warning, delta_v, hard, human, careful, manoeuvre, sides, _strongest(adversary, last, dt)
+    )
 
 
 def _strongest(adversary: Boxes, last: Ints, dt: float) -> Floats:

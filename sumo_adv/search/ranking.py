@@ -96,11 +96,13 @@ def as_written(
         applicable = [t for t in templates if (t.target.state.id, t.entry.label) == (intent.bv, intent.label)]
         earliest = min((t.delay for t in applicable), default=0.0)
         first = [t.proposal(None) for t in applicable if t.delay == earliest]
-        candidates += chosen(intent, templates) or [replace(p, acceleration=intent.acceleration) for p in first]
+        candidates += chosen_candidates(intent, templates) or [
+            replace(p, acceleration=intent.acceleration) for p in first
+        ]
     return [p for k, p in enumerate(candidates) if p not in candidates[:k]]
 
 
-def chosen(intent: Intent, templates: Sequence[AttackTemplate]) -> list[Proposal]:
+def chosen_candidates(intent: Intent, templates: Sequence[AttackTemplate]) -> list[Proposal]:
     """The ways that an analyzer chose for an intent, as candidates."""
     candidates = []
     for way in intent.ways:

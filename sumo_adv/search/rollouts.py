@@ -17,7 +17,7 @@ from sumo_adv.errors import PlannerResultError
 from sumo_adv.planners.adversary_batch import AdversaryBatch
 from sumo_adv.planners.answers import Answer, PlannerObservation, local_endpoint
 from sumo_adv.planners.follower import Follower
-from sumo_adv.planners.trajectory import Batch, Goal, Motion, advance, one_of, pose, put_back, release, steer
+from sumo_adv.planners.trajectory import Batch, Motion, PathEndpoint, advance, one_of, pose, put_back, release, steer
 from sumo_adv.situation import Situation
 
 Ask = Callable[[Sequence[int], Sequence[PlannerObservation]], Sequence[Answer | None]]
@@ -59,7 +59,7 @@ def predict(
     scenes, dt = ground.scenes, ground.scenes.dt
     width = np.array([t.state.width for t in ground.targets])
     motion, egos = ground.begin(), PredictedEgos(scenes, ground.length, width, each)
-    goal = Goal(motion.s + motion.v * 3.0, motion.d, motion.v, motion.v * 0 + 3.0)
+    goal = PathEndpoint(motion.s + motion.v * 3.0, motion.d, motion.v, motion.v * 0 + 3.0)
     last: list[Mapping[str, float] | None] = [None] * len(members)
     adversary, ego = np.empty((steps, 4, len(members))), np.empty((steps, 4, n))
     followers: dict[int, Follower] = {}
@@ -99,9 +99,9 @@ def lined_up(proposals: Sequence[Proposal]) -> list[Proposal]:
 
 
 def _replan(
-    ground: AdversaryBatch, motion: Motion, ego: tuple[Floats, Floats, Floats, Floats], goal: Goal,
+    ground: AdversaryBatch, motion: Motion, ego: tuple[Floats, Floats, Floats, Floats], goal: PathEndpoint,
     last: list[Mapping[str, float] | None], followers: dict[int, Follower], now: float, rows: Sequence[int], ask: Ask,
-) -> tuple[Goal, Motion]:  # fmt: skip
+) -> tuple[PathEndpoint, Motion]:  # fmt: skip
     observations = ground.observe(motion, now, ego, last, rows)
     answers = ask(rows, observations)
     for k in rows:
@@ -122,7 +122,7 @@ def _replan(
     return goal, motion
 
 
-def _steer(ground: AdversaryBatch, motion: Motion, goal: Goal, released: Sequence[int]) -> Motion:
+def _steer(ground: AdversaryBatch, motion: Motion, goal: PathEndpoint, released: Sequence[int]) -> Motion:
     """Aim all at their goals; those of ``released`` were led by a trajectory until now."""
     if released:
         motion = put_back(motion, released, [release(one_of(motion, k)) for k in released])
@@ -130,7 +130,12 @@ def _steer(ground: AdversaryBatch, motion: Motion, goal: Goal, released: Sequenc
 
 
 def _advance(
-    ground: AdversaryBatch, motion: Motion, goal: Goal, followers: dict[int, Follower], limits: Limits, hard: Bools
+    ground: AdversaryBatch,
+    motion: Motion,
+    goal: PathEndpoint,
+    followers: dict[int, Follower],
+    limits: Limits,
+    hard: Bools,
 ) -> Motion:
     """One step on, by the built-in f_traj or after the planner's own trajectory."""
     over = [k for k, f in followers.items() if f.over]

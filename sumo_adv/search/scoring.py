@@ -32,7 +32,7 @@ from sumo_adv.metrics.contact import rear_end
 from sumo_adv.metrics.criticality import ttc
 from sumo_adv.metrics.gates import CLOCK_SLACK_S, kinematic_gates, near_pairs, off_road, third_party
 from sumo_adv.road_users import RoadUser, road_user, unprotected
-from sumo_adv.search.predicted_level import Collisions, Danger, danger_of, some_rows
+from sumo_adv.search.predicted_level import Collisions, PredictedSeverity, danger_of, some_rows
 from sumo_adv.search.rollouts import Motions, Rollouts, Touch
 from sumo_adv.search.settings import MAX_COUNTED_DISTANCE_M, MAX_COUNTED_TTC_S, ScoreSettings
 from sumo_adv.simulation.network import Drivable
@@ -182,7 +182,7 @@ def _prediction(seen: _Seen, k: int) -> Prediction:
     )  # fmt: skip
 
 
-def _with_danger(made: Prediction, danger: Danger, row: int) -> Prediction:
+def _with_danger(made: Prediction, danger: PredictedSeverity, row: int) -> Prediction:
     return replace(
         made, level=Level(int(danger.level[row])), warning=float(danger.warning[row]),
         delta_v=float(danger.delta_v[row]), human=bool(danger.human[row]), careful=bool(danger.careful[row]),
@@ -210,7 +210,7 @@ def touch_of(situations: Mapping[float, Situation], proposals: Sequence[Proposal
     return touch
 
 
-def _score(danger: Danger, weights: ScoreSettings) -> Floats:
+def _score(danger: PredictedSeverity, weights: ScoreSettings) -> Floats:
     """By the level, and within a level by what is missing to the next: winners at the edge do not survive noise."""
     warned = np.clip(danger.warning / weights.warned_enough, 0.0, 1.0)
     hard = np.clip(danger.hardness, 0.0, 1.0)

@@ -169,7 +169,7 @@ SUPPORT_INTENTS: Mapping[Duty, tuple[LibraryEntry, ...]] = {
 """By duty, the intents of supports."""
 
 
-def fits(duty: Duty, entry: LibraryEntry, target: Target) -> bool:
+def can_do_duty(duty: Duty, entry: LibraryEntry, target: Target) -> bool:
     """Whether a vehicle can do its duty from where it is. Pedestrians and cyclists have none."""
     if target.relation not in entry.applies or not target.ways or is_unprotected(target.state):
         return False

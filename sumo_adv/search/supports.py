@@ -17,7 +17,7 @@ from sumo_adv.datatypes import Duty, LibraryEntry, ObservedMotion, Proposal
 from sumo_adv.memory.records import Composition, Part
 from sumo_adv.road_users import is_unprotected
 from sumo_adv.search.sampling import EMERGENCY_BRAKING_LABEL, AttackTemplate
-from sumo_adv.search.support_intents import SUPPORT_INTENTS, fits
+from sumo_adv.search.support_intents import SUPPORT_INTENTS, can_do_duty
 from sumo_adv.situation import MEET_AHEAD, Situation
 
 # -- how an ego escapes ---------------------------------------------------------------------------------------------
@@ -26,7 +26,7 @@ MIN_SWERVE_M = 0.4  # m from its path, from which on the ego has swerved
 MIN_SPEED_LOSS_M_S = 0.5  # m/s below its unattacked speed, from which on it has braked
 
 
-def against(offset: float, speed: float, unattacked: float) -> tuple[Duty, ...]:
+def duties_against(offset: float, speed: float, unattacked: float) -> tuple[Duty, ...]:
     """What a support has to do against an escape: an offset from the ego's path [m, left positive], and a speed
     compared with the unattacked one [m/s]."""
     if offset > MIN_SWERVE_M:
@@ -44,7 +44,7 @@ def observed_escape(situation: Situation, motion: ObservedMotion) -> tuple[Duty,
     baseline = situation.baseline.v
     count = min(len(motion.v[seen]), len(baseline))
     slower = int((motion.v[:count] - baseline[:count]).argmin())
-    return against(widest, float(motion.v[slower]), float(baseline[slower]))
+    return duties_against(widest, float(motion.v[slower]), float(baseline[slower]))
 
 
 # -- compositions ---------------------------------------------------------------------------------------------------
@@ -106,7 +106,7 @@ EXPERT_COMPOSITIONS: tuple[Composition, ...] = (
 """Compositions of intents of the shipped memory bank and of supports."""
 
 
-def named(collider: Proposal, supports: Sequence[Proposal], known: Iterable[Composition]) -> str:
+def composition_label(collider: Proposal, supports: Sequence[Proposal], known: Iterable[Composition]) -> str:
     """The label of the composition that has these parts, in any order of the supports; without one the labels of the
     parts, the collider's first."""
     parts = sorted((p.duty, p.label) for p in (collider, *supports))
@@ -183,7 +183,7 @@ class Supports:
             (duty, AttackTemplate(p.delay, target, entry, planner))
             for target in self._situations[p.delay].target_list()
             if target.state.id not in p.bvs and vehicle in (ANY_FITTING, target.state.id)
-            for entry in entries if fits(duty, entry, target)
+            for entry in entries if can_do_duty(duty, entry, target)
             for planner in entry.planners if mode in (ANY_FITTING, planner.mode)
         ]  # fmt: skip
 
@@ -213,5 +213,5 @@ class Supports:
         return p
 
     def _together(self, collider: Proposal, supports: tuple[Proposal, ...]) -> Proposal:
-        label = named(collider, supports, (*self._compositions, *self._proposed)) if supports else ""
+        label = composition_label(collider, supports, (*self._compositions, *self._proposed)) if supports else ""
         return replace(collider.unscored(), supports=supports, composition=label, by="tuner")

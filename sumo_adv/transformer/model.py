@@ -29,10 +29,10 @@ from sumo_adv.transformer.scene import (
     POSITION_STEP_S,
     SPEED_SCALE_M_S,
     TOKEN_COUNT,
-    Agents,
     Features,
+    SceneVehicles,
     Segments,
-    features,
+    scene_features,
     to_world,
 )
 
@@ -232,17 +232,17 @@ class Predicted:
     probability: Floats
 
 
-class Predictor:
+class TransformerPredictor:
     """A trained network."""
 
     def __init__(self, weights: Path = SHIPPED_WEIGHTS) -> None:
         """Raises UsageError if the file holds no weights of this network."""
         self._parameters = read_weights(weights)
 
-    def predict(self, agents: Agents, segments: Segments) -> Predicted:
+    def predict(self, agents: SceneVehicles, segments: Segments) -> Predicted:
         """The futures of all vehicles of a scene of at most ``AGENTS``."""
         n = len(agents.heading)
-        modes = forward(self._parameters, features(agents, segments))
+        modes = forward(self._parameters, scene_features(agents, segments))
         place = to_world(np.asarray(modes.place[:n], float), agents)
         return Predicted(place, np.asarray(modes.scale[:n], float), softmax(np.asarray(modes.logit[:n], float)))
 

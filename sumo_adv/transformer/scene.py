@@ -50,7 +50,7 @@ class Segments:
 
 
 @dataclass(frozen=True, slots=True)
-class Agents:
+class SceneVehicles:
     """The vehicles of a scene, now.
 
     past: box centres [m] of the last ``HISTORY_COUNT`` steps, the last one now, ``(n, HISTORY_COUNT, 2)``, nan where a
@@ -96,7 +96,7 @@ def light_of(signals: Sequence[Signal] | None) -> tuple[float, ...]:
     return 1.0, float(shown in "ru"), float(shown == "y"), float(shown == "g"), far
 
 
-def agents_of(situation: Situation) -> tuple[list[str], Agents]:
+def agents_of(situation: Situation) -> tuple[list[str], SceneVehicles]:
     """The ids and the states of the ego, its possible adversaries and the vehicles that are nearest to it, in this
     order, ``MAX_AGENTS`` at most."""
     history = {track.id: track for track in situation.traffic.history}
@@ -117,7 +117,7 @@ def agents_of(situation: Situation) -> tuple[list[str], Agents]:
             past[i, there, 1] = np.interp(time[there], seen.time, seen.y)
         past[i, -1] = state.x, state.y
     signals = situation.traffic.signals
-    return [state.id for state in chosen], Agents(
+    return [state.id for state in chosen], SceneVehicles(
         past, np.array([s.heading for s in chosen]), np.array([s.speed for s in chosen]),
         np.array([(s.length, s.width) for s in chosen]), np.array([light_of(signals.get(s.id)) for s in chosen]),
     )  # fmt: skip
@@ -151,7 +151,7 @@ def cut(pieces: Iterable[tuple[Floats, float, Sequence[float]]]) -> Segments:
     return Segments(np.reshape(ends, (-1, 4)), np.reshape(about, (-1, 6)))
 
 
-def features(agents: Agents, segments: Segments) -> Features:
+def scene_features(agents: SceneVehicles, segments: Segments) -> Features:
     """The features of one scene of at most ``MAX_AGENTS`` vehicles."""
     n = len(agents.heading)
     turn = _turns(agents.heading)
@@ -179,14 +179,14 @@ def features(agents: Agents, segments: Segments) -> Features:
     )  # fmt: skip
 
 
-def to_world(points: Floats, agents: Agents) -> Floats:
+def to_world(points: Floats, agents: SceneVehicles) -> Floats:
     """Positions ``(n, ..., 2)`` in the vehicles' frames as positions in the world."""
     n = len(agents.heading)
     flat = points.reshape(n, -1, 2) @ np.swapaxes(_turns(agents.heading), 1, 2)
     return np.asarray((flat + agents.past[:, -1][:, None]).reshape(points.shape))
 
 
-def to_local(points: Floats, agents: Agents) -> Floats:
+def to_local(points: Floats, agents: SceneVehicles) -> Floats:
     """Positions ``(n, k, 2)`` in the world as positions in the vehicles' frames."""
     return np.asarray((points - agents.past[:, -1][:, None]) @ _turns(agents.heading))
 
@@ -197,7 +197,9 @@ def _turns(heading: Floats) -> Floats:
     return np.stack([np.stack([c, -s], axis=1), np.stack([s, c], axis=1)], axis=1)
 
 
-def _neighbours(agents: Agents, turn: Floats, chosen: Ints, steps: Floats, known_steps: Bools) -> tuple[Floats, Floats]:
+def _neighbours(
+    agents: SceneVehicles, turn: Floats, chosen: Ints, steps: Floats, known_steps: Bools
+) -> tuple[Floats, Floats]:
     """``Features.near`` and ``near_there`` of the neighbours ``chosen`` ``(n, k)``.
 
     Positions are those at the end of each token.
@@ -212,7 +214,7 @@ def _neighbours(agents: Agents, turn: Floats, chosen: Ints, steps: Floats, known
     return np.swapaxes(columns, 1, 2), np.swapaxes(there, 1, 2).astype(float)
 
 
-def _lanes(agents: Agents, turn: Floats, segments: Segments) -> tuple[Floats, Floats]:
+def _lanes(agents: SceneVehicles, turn: Floats, segments: Segments) -> tuple[Floats, Floats]:
     """``Features.lanes`` and ``lanes_there``: the segments that count as nearest."""
     here = agents.past[:, -1]
     start = (segments.ends[None, :, :2] - here[:, None]) @ turn  # (n, segments, 2)

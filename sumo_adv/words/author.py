@@ -18,7 +18,7 @@ from sumo_adv.llm.asking import MeteredModel, ask
 from sumo_adv.llm.prompts import Prompts, fenced, sanitize
 from sumo_adv.memory.records import canonical
 from sumo_adv.simulation.inputs import data_folder, load_input, shipped_files
-from sumo_adv.words.build import build
+from sumo_adv.words.build import build_scenario
 from sumo_adv.words.draft import Draft, SceneDraft
 from sumo_adv.words.fit import held
 from sumo_adv.words.request import Reading, read_motion
@@ -171,7 +171,7 @@ class Author:
         if unknown is not None:
             raise UsageError(f"There is no intent '{sanitize(unknown)}'; leave intents empty, or take one of the list.")
         written = RequestOrigin(words=self._words, model=self._metered.model.name, date=self._date)
-        file = build(scene, folder / f"{self._name}.toml", written, self._network)
+        file = build_scenario(scene, folder / f"{self._name}.toml", written, self._network)
         load_input(file)
         played = Played(draft, file, folder / "run", self._run(file, folder / "run", goal_of(scene)))
         if played.reached and not played.misfits and self._questions < MAX_REQUEST_QUESTIONS:

@@ -17,7 +17,7 @@ from sumo_adv.asked import RequestOrigin
 from sumo_adv.errors import UsageError
 from sumo_adv.files import toml_lines, toml_text, toml_value
 from sumo_adv.words.draft import EgoDraft, SceneDraft, VehicleDraft
-from sumo_adv.words.roads import Drive, Net, make_network, meeting
+from sumo_adv.words.roads import Net, VehicleRoute, make_network, meeting
 
 MEETING_TIME_S = 9.0  # after the start at which the ego is where it meets others
 MIN_TIME_TO_MEETING_S = 5.5  # that is left at the trigger
@@ -44,12 +44,12 @@ class Placed:
     ego [s], None without such a place."""
 
     draft: VehicleDraft
-    drive: Drive
+    drive: VehicleRoute
     position: float
     meets: float | None
 
 
-def build(scene: SceneDraft, target: Path, written: RequestOrigin, given: Path | None = None) -> Path:
+def build_scenario(scene: SceneDraft, target: Path, written: RequestOrigin, given: Path | None = None) -> Path:
     """Write the scenario ``target`` (.toml) and the files beside it. given: the user's network.
 
     Raises UsageError: one sentence with what is wrong with the draft, for people and for the model.
@@ -87,14 +87,14 @@ def _check_names(scene: SceneDraft) -> None:
             raise UsageError(f"The attack names '{name}', which is no vehicle or walker; there are {', '.join(names)}.")
 
 
-def _check_speed(kmh: float, drive: Drive, who: str) -> None:
+def _check_speed(kmh: float, drive: VehicleRoute, who: str) -> None:
     if kmh / 3.6 > drive.limit + 0.05:
         raise UsageError(
             f"{who} drives {kmh:g} km/h on edge '{drive.edges[0]}', where the limit is {drive.limit * 3.6:.0f} km/h."
         )
 
 
-def _ego_start(scene: SceneDraft, ego: Drive, drives: dict[str, Drive]) -> float:
+def _ego_start(scene: SceneDraft, ego: VehicleRoute, drives: dict[str, VehicleRoute]) -> float:
     """Where the ego's front starts on its first edge [m]."""
     length = ACTOR_SIZES_M[scene.ego.type][0]
     if scene.ego.position is not None:
@@ -117,14 +117,14 @@ def _ego_start(scene: SceneDraft, ego: Drive, drives: dict[str, Drive]) -> float
     return min(max(ROAD_BEHIND_EGO_M, behind + ROAD_BEHIND_EGO_M / 2), ego.first / 2)
 
 
-def _seconds(v: VehicleDraft, drive: Drive, station: float) -> float:
+def _seconds(v: VehicleDraft, drive: VehicleRoute, station: float) -> float:
     """The time to the meeting that lets the vehicle start on its first edge [s]."""
     if v.stands or v.speed == 0:
         return MEETING_TIME_S
     return max(MEETING_TIME_S, (station - drive.first + MIN_FRONT_DISTANCE_M) / (v.speed / 3.6) - (v.arrives or 0.0))
 
 
-def _place(v: VehicleDraft, drive: Drive, ego: EgoDraft, ego_drive: Drive, start: float) -> Placed:
+def _place(v: VehicleDraft, drive: VehicleRoute, ego: EgoDraft, ego_drive: VehicleRoute, start: float) -> Placed:
     speed = ego.speed / 3.6
     _check_speed(v.speed, drive, f"'{v.id}'")
     met = meeting(ego_drive, drive)
@@ -151,7 +151,7 @@ def _place(v: VehicleDraft, drive: Drive, ego: EgoDraft, ego_drive: Drive, start
     return Placed(v, drive, _within(v, drive, station - (meets + v.arrives) * v.speed / 3.6), meets)
 
 
-def _within(v: VehicleDraft, drive: Drive, position: float) -> float:
+def _within(v: VehicleDraft, drive: VehicleRoute, position: float) -> float:
     """The position, if it is on the first edge. Raises UsageError."""
     if not ACTOR_SIZES_M[v.type][0] <= position <= drive.first:
         way = "Its speed, arrives or gap must be less, or the road longer" if position < 0 else "Choose other numbers"
@@ -162,7 +162,7 @@ def _within(v: VehicleDraft, drive: Drive, position: float) -> float:
     return position
 
 
-def _check_room(placed: list[Placed], ego: EgoDraft, ego_drive: Drive, start: float) -> None:
+def _check_room(placed: list[Placed], ego: EgoDraft, ego_drive: VehicleRoute, start: float) -> None:
     """No two may start on top of one another."""
     fronts = [("the ego", ego_drive.edges[0], ego_drive.lane, start, ACTOR_SIZES_M[ego.type][0])]
     fronts += [
@@ -177,8 +177,8 @@ def _check_room(placed: list[Placed], ego: EgoDraft, ego_drive: Drive, start: fl
                 )
 
 
-def _demand(ego: EgoDraft, ego_drive: Drive, start: float, placed: list[Placed]) -> str:
-    rows: list[tuple[str, str, float, Drive, float, bool]]
+def _demand(ego: EgoDraft, ego_drive: VehicleRoute, start: float, placed: list[Placed]) -> str:
+    rows: list[tuple[str, str, float, VehicleRoute, float, bool]]
     rows = [("ego", ego.type, ego.speed, ego_drive, start, False)]
     rows += [(p.draft.id, p.draft.type, p.draft.speed, p.drive, p.position, p.draft.stands) for p in placed]
     types, vehicles = [], []
@@ -204,7 +204,7 @@ def _demand(ego: EgoDraft, ego_drive: Drive, start: float, placed: list[Placed])
     return f'<?xml version="1.0" encoding="UTF-8"?>\n\n<routes>\n{"".join(types)}{"".join(vehicles)}</routes>\n'
 
 
-def _headway(backs: list[tuple[str, int, float]], drive: Drive, position: float, speed: float) -> float:
+def _headway(backs: list[tuple[str, int, float]], drive: VehicleRoute, position: float, speed: float) -> float:
     """The time [s] to the back of the next vehicle in its lane: a vehicle placed close behind another stays there."""
     ahead = [b - position for edge, lane, b in backs if (edge, lane) == (drive.edges[0], drive.lane) and b > position]
     least, most = PLACED_HEADWAY_RANGE_S
@@ -221,8 +221,8 @@ def _signals(states: dict[str, str]) -> str:
 
 
 def _scenario(
-    scene: SceneDraft, stem: str, network: Path, written: RequestOrigin, ego: Drive, start: float, placed: list[Placed],
-    *, lights: bool,
+    scene: SceneDraft, stem: str, network: Path, written: RequestOrigin, ego: VehicleRoute, start: float,
+    placed: list[Placed], *, lights: bool,
 ) -> str:  # fmt: skip
     attack, speed = scene.attack, scene.ego.speed / 3.6
     walkers, tables = _boxes(scene, ego, start)
@@ -249,7 +249,7 @@ def _scenario(
     return "".join(lines)
 
 
-def _boxes(scene: SceneDraft, ego: Drive, start: float) -> tuple[dict[str, str], list[str]]:
+def _boxes(scene: SceneDraft, ego: VehicleRoute, start: float) -> tuple[dict[str, str], list[str]]:
     """The ids that a run gives to the walkers, and the tables of walkers and parked vehicles."""
     ids: dict[str, str] = {}
     tables = []
@@ -267,7 +267,7 @@ def _boxes(scene: SceneDraft, ego: Drive, start: float) -> tuple[dict[str, str],
     return ids, tables
 
 
-def _beside(ego: Drive, station: float, offset: float) -> tuple[float, float, float]:
+def _beside(ego: VehicleRoute, station: float, offset: float) -> tuple[float, float, float]:
     x, y, heading = ego.at(station)
     return x - offset * math.sin(heading), y + offset * math.cos(heading), heading
 

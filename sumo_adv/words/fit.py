@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.asked import Asked, Event
-from sumo_adv.words.motion import Motion, change_after
+from sumo_adv.words.motion import DescribedMotion, change_after
 
 BRAKING_WINDOW_S = 0.5  # over which braking is averaged
 EVENT_ORDER_SLACK_S = 0.4  # by which an event may be earlier than its predecessor
@@ -30,7 +30,7 @@ class Part:
     says: str
 
 
-def compare(asked: Asked, motion: Motion) -> tuple[Part, ...]:
+def compare(asked: Asked, motion: DescribedMotion) -> tuple[Part, ...]:
     """Compare a motion with each part of a request.
 
     Events are looked for in their order. An event that does not happen is left out of the order of those behind it.
@@ -81,7 +81,7 @@ def compare(asked: Asked, motion: Motion) -> tuple[Part, ...]:
     return tuple(parts)
 
 
-def misfits(asked: Asked, motion: Motion) -> tuple[str, ...]:
+def misfits(asked: Asked, motion: DescribedMotion) -> tuple[str, ...]:
     """What an attempt lacks of the request, a sentence each; empty if it fits."""
     return tuple(part.says for part in compare(asked, motion) if not part.holds)
 
@@ -93,7 +93,7 @@ def held(parts: Sequence[Mapping[str, Any]]) -> str:
     return f"What holds: {', '.join(names)}." if names else ""
 
 
-def _events(wanted: Sequence[Event], motion: Motion) -> Iterator[Part]:
+def _events(wanted: Sequence[Event], motion: DescribedMotion) -> Iterator[Part]:
     """The wanted events in their order."""
     happened = ", ".join(f"{event} at {time:.1f} s" for time, event in motion.events) or "nothing of note"
     after, last = 0.0, ""
@@ -106,14 +106,14 @@ def _events(wanted: Sequence[Event], motion: Motion) -> Iterator[Part]:
             after, last = max(after, time), f" after '{event}'"
 
 
-def _time_of(event: Event, earliest: float, motion: Motion) -> float | None:
+def _time_of(event: Event, earliest: float, motion: DescribedMotion) -> float | None:
     """When an event first happens at ``earliest`` or later [s]; None if it does not."""
     if event in (Event.BRAKES, Event.SPEEDS_UP):
         return change_after(motion.time, motion.speed, earliest, event)
     return min((time for time, happened in motion.events if happened is event and time >= earliest), default=None)
 
 
-def _hardest(motion: Motion) -> float:
+def _hardest(motion: DescribedMotion) -> float:
     """The hardest braking of the adversary, averaged over ``BRAKING_WINDOW_S`` s [m/s2]."""
     late = np.searchsorted(motion.time, motion.time + BRAKING_WINDOW_S - 1e-6)
     k = np.flatnonzero(late < len(motion.time))

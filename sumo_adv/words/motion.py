@@ -25,7 +25,7 @@ TURN_ANGLE_RAD = math.radians(45)  # change of its own heading that is a turn
 EGO_TURN_ANGLE_RAD = math.radians(30)  # of the ego's heading: it turns
 ONCOMING_ANGLE_RAD = math.radians(120)  # heading against the ego's path from which a vehicle comes towards it
 MIN_SPEED_CHANGE_M_S = 2.0  # lost or gained
-STANDING_SPEED_M_S = 0.5
+DESCRIBED_AS_STANDING_SPEED_M_S = 0.5
 MAX_BESIDE_OFFSET_M = 4.5  # offset of a vehicle beside the ego at most
 AFTER_APPROACH_S = 3.0  # after the nearest approach: what still counts if nothing is hit
 MAX_DESCRIBED_OTHERS = 4  # other vehicles in the description, the nearest ones
@@ -52,7 +52,7 @@ class Scene:
 
 
 @dataclass(frozen=True, slots=True)
-class Motion:
+class DescribedMotion:
     """What happened. events: (seconds after the take-over, event), in order. beside: sides of the ego on which another
     vehicle was. time [s after the take-over], speed [m/s], ``(n,)``, and length [m]: of the adversary. words: all of
     it, for a reader."""
@@ -70,7 +70,7 @@ class Motion:
 
 
 @dataclass(frozen=True, slots=True)
-class Along:
+class PathTrack:
     """A track along a path: station and offset of the centre [m], heading against the path [rad], half of its extents
     across and along the path [m]; each ``(n,)``."""
 
@@ -97,8 +97,8 @@ class Course:
     time: Floats
     ego: Track
     adversary: Track
-    ego_along: Along
-    along: Along
+    ego_along: PathTrack
+    along: PathTrack
     events: tuple[tuple[float, Event], ...]
 
 
@@ -115,7 +115,7 @@ def follow(scene: Scene) -> Course | None:
     return Course(time - time[0], ego, bv, a, b, events)
 
 
-def observe(scene: Scene) -> Motion | None:
+def observe(scene: Scene) -> DescribedMotion | None:
     """What happened in a scene; None if one of the two was gone at once."""
     course = follow(scene)
     if course is None:
@@ -124,11 +124,13 @@ def observe(scene: Scene) -> Motion | None:
     time = np.round(ego.time, 3)
     others = [_at(t, time) for t in scene.others if len(np.intersect1d(np.round(t.time, 3), time)) == len(time)]
     along = [(t, _along(t, scene.path)) for t in others]
-    sides = (_beside(a, o) for t, o in along if t.speed.max() > STANDING_SPEED_M_S)  # not those that are parked
+    sides = (
+        _beside(a, o) for t, o in along if t.speed.max() > DESCRIBED_AS_STANDING_SPEED_M_S
+    )  # not those that are parked
     beside = frozenset(side for side in sides if side is not None)
     user = road_user(scene.adversary)
     words = _words(scene, time - time[0], ego, bv, a, b, events, user, along)
-    return Motion(
+    return DescribedMotion(
         scene.relation, user, events, scene.side, scene.hidden, beside, time - time[0], bv.speed, bv.length, words
     )  # fmt: skip
 
@@ -145,7 +147,7 @@ def _at(track: Track, time: Floats) -> Track:
     return track.picked(np.flatnonzero(np.isin(np.round(track.time, 3), time)))
 
 
-def _along(track: Track, path: Path) -> Along:
+def _along(track: Track, path: Path) -> PathTrack:
     places, near = [], None
     for x, y in zip(track.x.tolist(), track.y.tolist(), strict=True):
         station, offset = path.project(x, y, near=near, reach=NEXT_PLACE_REACH_M)
@@ -155,10 +157,10 @@ def _along(track: Track, path: Path) -> Along:
     turn = wrap(track.heading - path.at(s)[2])
     cos, sin = np.abs(np.cos(turn)), np.abs(np.sin(turn))
     half = (track.length * sin + track.width * cos) / 2
-    return Along(s, d, turn, half, (track.length * cos + track.width * sin) / 2)
+    return PathTrack(s, d, turn, half, (track.length * cos + track.width * sin) / 2)
 
 
-def _events(scene: Scene, t: Floats, ego: Track, bv: Track, a: Along, b: Along) -> list[tuple[float, Event]]:
+def _events(scene: Scene, t: Floats, ego: Track, bv: Track, a: PathTrack, b: PathTrack) -> list[tuple[float, Event]]:
     inside = np.abs(b.d) < b.half + ego.width / 2
     inside[-1] |= scene.side is not None  # the tracks end just before the boxes touch
     found = [*_way_events(t, b, inside), *_pass_events(t, a, b), *_speed_events(t, bv)]
@@ -171,7 +173,7 @@ def _events(scene: Scene, t: Floats, ego: Track, bv: Track, a: Along, b: Along) 
     return [(round(max(time, 0.0), 1), event) for time, event in found]
 
 
-def _way_events(t: Floats, b: Along, inside: Bools) -> list[tuple[float, Event]]:
+def _way_events(t: Floats, b: PathTrack, inside: Bools) -> list[tuple[float, Event]]:
     """Into the ego's way and out of it. A vehicle that is in the way at first enters nothing. A vehicle that comes
     across and then, still in the way, turns the ego's way also enters."""
     found = []
@@ -195,7 +197,7 @@ def _way_events(t: Floats, b: Along, inside: Bools) -> list[tuple[float, Event]]
     return found
 
 
-def _pass_events(t: Floats, a: Along, b: Along) -> list[tuple[float, Event]]:
+def _pass_events(t: Floats, a: PathTrack, b: PathTrack) -> list[tuple[float, Event]]:
     """The first time that it gets from behind the ego's centre to ahead of it, going the ego's way."""
     ahead = b.s - a.s
     behind = _first((ahead <= -PASSED_MARGIN_M) & (np.abs(b.turn) < CROSSING_ANGLE_RAD))
@@ -226,7 +228,7 @@ def _speed_events(t: Floats, bv: Track) -> list[tuple[float, Event]]:
             high, since_high = low, since_low
         elif last is Event.SPEEDS_UP:
             low, since_low = high, since_high
-    standing = bv.speed < STANDING_SPEED_M_S
+    standing = bv.speed < DESCRIBED_AS_STANDING_SPEED_M_S
     for k in range(1, len(t)):
         if standing[k] != standing[k - 1]:
             found.append((float(t[k]), Event.STOPS if standing[k] else Event.STARTS))
@@ -246,7 +248,7 @@ def change_after(time: Floats, speed: Floats, after: float, event: Event) -> flo
     return None if k is None else float(t[int(np.flatnonzero(gained[: k + 1] == since[k])[-1])])
 
 
-def _beside(a: Along, o: Along) -> str | None:
+def _beside(a: PathTrack, o: PathTrack) -> str | None:
     near = (np.abs(o.s - a.s) < o.reach + a.reach) & (np.abs(o.d) > 1.5) & (np.abs(o.d) < MAX_BESIDE_OFFSET_M)
     k = _first(near & (np.abs(o.turn) < CROSSING_ANGLE_RAD))
     return None if k is None else ("left" if o.d[k] > 0 else "right")
@@ -276,8 +278,8 @@ EVENT_PHRASES = {
 
 
 def _words(
-    scene: Scene, t: Floats, ego: Track, bv: Track, a: Along, b: Along, events: Sequence[tuple[float, Event]],
-    user: RoadUser, others: Sequence[tuple[Track, Along]],
+    scene: Scene, t: Floats, ego: Track, bv: Track, a: PathTrack, b: PathTrack, events: Sequence[tuple[float, Event]],
+    user: RoadUser, others: Sequence[tuple[Track, PathTrack]],
 ) -> str:  # fmt: skip
     """The motion in numbers and plain facts, without names from files. A reader sees nothing else."""
     lines = [
@@ -302,7 +304,7 @@ def _words(
     return "\n".join([*lines, end])
 
 
-def _route(scene: Scene, ego: Track, a: Along) -> str:
+def _route(scene: Scene, ego: Track, a: PathTrack) -> str:
     """What the ego did, and what it would have done next if nothing had happened."""
     turned = float(wrap(ego.heading[-1] - ego.heading[0]))
     if abs(turned) >= EGO_TURN_ANGLE_RAD:
@@ -315,7 +317,7 @@ def _route(scene: Scene, ego: Track, a: Along) -> str:
     return f"is about to turn {'left' if bend > 0 else 'right'}"
 
 
-def _others(a: Along, others: Sequence[tuple[Track, Along]]) -> list[str]:
+def _others(a: PathTrack, others: Sequence[tuple[Track, PathTrack]]) -> list[str]:
     """Where the nearest other vehicles are, at first and in the end."""
     near = sorted(others, key=lambda each: float(np.hypot(each[1].s - a.s, each[1].d).min()))[:MAX_DESCRIBED_OTHERS]
     return [
@@ -325,16 +327,16 @@ def _others(a: Along, others: Sequence[tuple[Track, Along]]) -> list[str]:
     ]
 
 
-def _placed(a: Along, o: Along, track: Track, k: int) -> str:
+def _placed(a: PathTrack, o: PathTrack, track: Track, k: int) -> str:
     ahead, left = float(o.s[k] - a.s[k]), float(o.d[k])
     side = "in EGO's lane" if abs(left) < 1.0 else f"{abs(left):.1f} m to the {'left' if left > 0 else 'right'}"
     place = f"{abs(ahead):.0f} m {'ahead of' if ahead >= 0 else 'behind'} EGO, {side}"
-    if track.speed[k] < STANDING_SPEED_M_S:
+    if track.speed[k] < DESCRIBED_AS_STANDING_SPEED_M_S:
         return f"{place}, standing"
     return f"{place}, {track.speed[k]:.0f} m/s, heading {math.degrees(float(o.turn[k])):.0f} deg"
 
 
-def _where(scene: Scene, a: Along, b: Along) -> str:
+def _where(scene: Scene, a: PathTrack, b: PathTrack) -> str:
     words = {
         "leader": "ahead of EGO in its lane", "follower": "behind EGO in its lane",
         "neighbour": "in a lane beside EGO, going the same way", "oncoming": "coming towards EGO",

@@ -32,10 +32,10 @@ from sumo_adv.road_users import RoadUser, is_motorcycle, road_user
 from sumo_adv.scenario_names import Disturbance, EgoBehaviour, disturbance
 from sumo_adv.words.motion import (
     CROSSING_ANGLE_RAD,
+    DESCRIBED_AS_STANDING_SPEED_M_S,
     EGO_TURN_ANGLE_RAD,
     MIN_SPEED_CHANGE_M_S,
     ONCOMING_ANGLE_RAD,
-    STANDING_SPEED_M_S,
     Course,
 )
 
@@ -47,7 +47,7 @@ DRIFT_M_S = 0.5  # speed to the side below which a vehicle drifts; a lane change
 DRIFT_OVER_S = 1.0  # s before it enters the ego's way over which this speed is averaged
 STOOD_S = 1.0  # s before the decisive moment
 BEYOND_M = 15.0  # m past the ego's place at the decisive moment: the end of a turn that it has begun
-SIDES = {
+ENTRY_SIDES = {
     Event.ENTERS_FROM_LEFT: "left", Event.ENTERS_FROM_RIGHT: "right",
     Event.CROSSES_FROM_LEFT: "left", Event.CROSSES_FROM_RIGHT: "right",
 }  # fmt: skip
@@ -55,7 +55,7 @@ TURNS = {Event.TURNS_LEFT: "left", Event.TURNS_RIGHT: "right"}
 
 
 @dataclass(frozen=True, slots=True)
-class Surroundings:
+class NamingContext:
     """What the names need to know beside the tracks.
 
     Attributes:
@@ -103,7 +103,7 @@ def decisive(course: Course, contact: bool) -> int:
     return int(np.argmin(np.hypot(course.ego.x - course.adversary.x, course.ego.y - course.adversary.y)))
 
 
-def named(course: Course, around: Surroundings, *, contact: bool) -> NamedScenario:
+def named(course: Course, around: NamingContext, *, contact: bool) -> NamedScenario:
     """Name what an attempt shows.
 
     Args:
@@ -123,7 +123,7 @@ def named(course: Course, around: Surroundings, *, contact: bool) -> NamedScenar
     return _same_way(course, around, k, contact=contact)
 
 
-def _unprotected(course: Course, around: Surroundings, user: RoadUser, k: int) -> NamedScenario:
+def _unprotected(course: Course, around: NamingContext, user: RoadUser, k: int) -> NamedScenario:
     letters = "CP" if user is RoadUser.PEDESTRIAN else "CB"
     manoeuvre = bool(around.ego_turns) or around.changes_lane
     nhtsa = (11 if user is RoadUser.PEDESTRIAN else 13) + (not manoeuvre)
@@ -141,7 +141,7 @@ def _unprotected(course: Course, around: Surroundings, user: RoadUser, k: int) -
     return NamedScenario(f"{'hidden ' * around.hidden}{user} crosses from the {side}", nhtsa, euro_ncap=name)
 
 
-def _oncoming(course: Course, around: Surroundings, k: int) -> NamedScenario:
+def _oncoming(course: Course, around: NamingContext, k: int) -> NamedScenario:
     motorcycle = is_motorcycle(course.adversary)
     turned = _turned(course, around, k)
     entered = _when(course, Event.COMES_OVER)
@@ -166,7 +166,7 @@ def _oncoming(course: Course, around: Surroundings, k: int) -> NamedScenario:
     return NamedScenario("oncoming vehicle comes over", 20, euro_ncap="" if motorcycle else "CCFhol")
 
 
-def _crossing(course: Course, around: Surroundings, k: int) -> NamedScenario:
+def _crossing(course: Course, around: NamingContext, k: int) -> NamedScenario:
     side = "left" if float(course.along.turn[0]) < 0 else "right"  # a vehicle from the left heads to the right
     turned = _turned(course, around, k)
     entered = any(event in (Event.ENTERS_FROM_LEFT, Event.ENTERS_FROM_RIGHT) for _, event in course.events)
@@ -181,9 +181,9 @@ def _crossing(course: Course, around: Surroundings, k: int) -> NamedScenario:
     return NamedScenario(f"crosses from the {side}{red}", nhtsa, euro_ncap=name)
 
 
-def _same_way(course: Course, around: Surroundings, k: int, *, contact: bool) -> NamedScenario:
+def _same_way(course: Course, around: NamingContext, k: int, *, contact: bool) -> NamedScenario:
     motorcycle, turned = is_motorcycle(course.adversary), _turned(course, around, k)
-    entered = next(((t, SIDES[e]) for t, e in course.events if e in SIDES), None)
+    entered = next(((t, ENTRY_SIDES[e]) for t, e in course.events if e in ENTRY_SIDES), None)
     leaves = _when(course, Event.LEAVES)
     in_way = abs(float(course.along.d[0])) < _touching(course, 0)
     behind = bool(course.along.s[0] < course.ego_along.s[0])
@@ -208,12 +208,12 @@ def _same_way(course: Course, around: Surroundings, k: int, *, contact: bool) ->
     return _leader(course, around, k, motorcycle)
 
 
-def _leader(course: Course, around: Surroundings, k: int, motorcycle: bool) -> NamedScenario:
+def _leader(course: Course, around: NamingContext, k: int, motorcycle: bool) -> NamedScenario:
     """A vehicle ahead of the ego in its lane."""
     iso = _iso(around, Disturbance.DECELERATION)
     stands, braked, gained = _speeds(course.adversary.speed[: k + 1], course.time[: k + 1])
     number = 22 if around.changes_lane else 26 if stands else 25 if braked else 23 if gained else 24
-    stood = bool((course.adversary.speed[: k + 1] < STANDING_SPEED_M_S).all())
+    stood = bool((course.adversary.speed[: k + 1] < DESCRIBED_AS_STANDING_SPEED_M_S).all())
     rear = "CMR" if motorcycle else "CCR"
     if stood:
         return NamedScenario("leader stands", number, iso, f"{rear}s")
@@ -224,7 +224,7 @@ def _leader(course: Course, around: Surroundings, k: int, motorcycle: bool) -> N
     return NamedScenario("leader drives slower", number, iso, "" if motorcycle else "CCRm")
 
 
-def _rear(course: Course, around: Surroundings, k: int) -> NamedScenario:
+def _rear(course: Course, around: NamingContext, k: int) -> NamedScenario:
     """A vehicle behind the ego in its lane: the ego is the lead vehicle."""
     stands, braked, gained = _speeds(course.ego.speed[: k + 1], course.time[: k + 1])
     number = 26 if stands else 25 if braked else 23 if gained else 24
@@ -233,26 +233,26 @@ def _rear(course: Course, around: Surroundings, k: int) -> NamedScenario:
 
 def _speeds(speed: np.ndarray, time: np.ndarray) -> tuple[bool, bool, bool]:
     """Whether a vehicle stands at the end, and has lost or gained ``MIN_SPEED_CHANGE_M_S`` since the start."""
-    stands = bool((speed[time >= time[-1] - STOOD_S] < STANDING_SPEED_M_S).all())
+    stands = bool((speed[time >= time[-1] - STOOD_S] < DESCRIBED_AS_STANDING_SPEED_M_S).all())
     gained = float(speed[-1] - speed[0])
     return stands, gained <= -MIN_SPEED_CHANGE_M_S, gained >= MIN_SPEED_CHANGE_M_S
 
 
-def _iso(around: Surroundings, motion: Disturbance) -> str:
+def _iso(around: NamingContext, motion: Disturbance) -> str:
     """The disturbance of ISO 34502; empty before a junction at which ways cross."""
     if around.geometry is None:
         return ""
     return disturbance(around.geometry, EgoBehaviour.CHANGE if around.changes_lane else EgoBehaviour.KEEP, motion)
 
 
-def _turning(around: Surroundings, side: str) -> int:
+def _turning(around: NamingContext, side: str) -> int:
     """NHTSA's number for a turn at a junction."""
     if not around.signalised:
         return 31
     return 37 if side == around.far_side else 28
 
 
-def _turned(course: Course, around: Surroundings, k: int) -> str:
+def _turned(course: Course, around: NamingContext, k: int) -> str:
     """The side to which the adversary turns at a junction, against the ego's path; empty if it does not."""
     if not around.junction:
         return ""

@@ -207,7 +207,7 @@ def _build(nodes: Sequence[Attributes], edges: Sequence[Attributes], links: Sequ
 
 
 @dataclass(frozen=True, slots=True)
-class Drive:
+class VehicleRoute:
     """A vehicle's way: its edges, SUMO's index of the lane on the first one, its points (n, 2) every
     ``DRIVE_POINT_SPACING_M`` m from the beginning of the first edge, that lane's middle line, its limit [m/s], and the
     station [m] at which each edge begins."""
@@ -249,7 +249,7 @@ class Net:
         except Exception as error:  # sumolib raises whatever its parser does
             raise UsageError(f"The network {path} cannot be read ({error}).") from error
 
-    def drive(self, route: Sequence[str], lane: int, vclass: str, who: str) -> Drive:
+    def drive(self, route: Sequence[str], lane: int, vclass: str, who: str) -> VehicleRoute:
         """The quickest way from the first to the last edge. lane: counted from the right among those for ``vclass``.
 
         Raises UsageError with the edges that there are.
@@ -267,7 +267,7 @@ class Net:
         shapes = _driven(edges, chosen, vclass)
         points = _even(np.concatenate(shapes))
         begins = tuple(float(np.argmin(np.hypot(*(points - shape[0]).T))) * DRIVE_POINT_SPACING_M for shape in shapes)
-        return Drive(
+        return VehicleRoute(
             tuple(str(e.getID()) for e in edges), int(chosen.getIndex()), points,
             centreline(chosen.getShape3D(), float(chosen.getLength())), float(chosen.getSpeed()), begins,
         )  # fmt: skip
@@ -314,7 +314,7 @@ class Net:
         return self._net.getEdge(name)
 
 
-def meeting(one: Drive, other: Drive) -> tuple[float, float] | None:
+def meeting(one: VehicleRoute, other: VehicleRoute) -> tuple[float, float] | None:
     """Stations [m] on both ways where they first come together, or get onto the same edge in lanes side by side (a ramp
     with a lane to merge from); None if they do not, or if they begin together."""
     if one.edges[0] == other.edges[0]:

@@ -58,7 +58,7 @@ class Encounters:
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class DriverOutcome:
     """What one driver made of N encounters.  Times s from step 0, ``inf`` = never; arrays ``(N,)``."""
 
     avoids: Bools
@@ -93,22 +93,22 @@ class Counterfactual:
         located = located_on(self.paths, visible)
         return Views(visible, located, self._ego_size(), self.given.dt, self.given.lane_half_width)
 
-    def unchanged(self) -> Answer:
+    def unchanged(self) -> DriverOutcome:
         """The ego as it was."""
         return self._touched(self.ego, self.paths.station)
 
-    def braking(self, driver: MakeDriver) -> Answer:
+    def braking(self, driver: MakeDriver) -> DriverOutcome:
         """What a driver that brakes makes of them."""
         station, speed, alarm = self.roll_out(driver)
         return replace(self.moving(station, speed), alarm=alarm)
 
-    def moving(self, station: Floats, speed: Floats) -> Answer:
+    def moving(self, station: Floats, speed: Floats) -> DriverOutcome:
         """What egos that go along their paths in a given way make of them: stations [m] and speeds ``(N, steps)``."""
         x, y, heading = self.paths.poses(station)
         z = self.paths.heights(station)
         return self._touched(replace(self.ego, x=x, y=y, heading=heading, speed=speed, z=z), station)
 
-    def manoeuvring(self, alarm: Floats, on_road: OnRoad | None = None) -> tuple[Answer, Ints]:
+    def manoeuvring(self, alarm: Floats, on_road: OnRoad | None = None) -> tuple[DriverOutcome, Ints]:
         """What braking and steering make of them, begun after ``alarm`` [s]; and the best combination, -1 = none."""
         alarmed = np.isfinite(alarm)
         best = np.full(len(alarm), -1)
@@ -123,7 +123,7 @@ class Counterfactual:
                 good = good[self._clear_of_others(poses, good, row, place, int(first[row]))]
                 if len(good):
                     best[row], contact[row] = int(good[0]), np.inf
-        return Answer(best >= 0, alarm, contact), best
+        return DriverOutcome(best >= 0, alarm, contact), best
 
     def roll_out(self, driver: MakeDriver) -> tuple[Floats, Floats, Floats]:
         """Stations [m] and speeds [m/s] of the egos with a driver, ``(N, steps)``; when a danger first showed [s]."""
@@ -152,7 +152,7 @@ class Counterfactual:
             acceleration = (speed[:, k + 1] - present) / dt
         return station, speed, alarm
 
-    def _touched(self, ego: Boxes, station: Floats) -> Answer:
+    def _touched(self, ego: Boxes, station: Floats) -> DriverOutcome:
         """When the egos first touch a vehicle that does not run into them from behind in their lane."""
         n = len(ego.x)
         wide = Boxes(
@@ -169,7 +169,7 @@ class Counterfactual:
             behind = (there < station[rows, k]) & (np.abs(left) < self.given.lane_half_width)
             when[pairs] = np.where(behind & (np.abs(heading) < SAME_DIRECTION), np.inf, when[pairs])
         contact = np.asarray(when.min(axis=1))
-        return Answer(~np.isfinite(contact), np.full(n, np.inf), contact)
+        return DriverOutcome(~np.isfinite(contact), np.full(n, np.inf), contact)
 
     def _clear_of_others(self, poses: Boxes, which: Ints, row: int, place: int, first: int) -> Bools:
         """Which of a row's manoeuvres touch none of the others but those that come from behind in the lane; the row's
@@ -211,10 +211,10 @@ class Counterfactual:
         return float(np.ravel(self.ego.length)[0]), float(np.ravel(self.ego.width)[0])
 
 
-def answers(
+def driver_outcomes(
     given: Encounters, drivers: Sequence[str] = REFERENCE_DRIVERS, on_road: OnRoad | None = None,
     *, until_avoided: bool = False,
-) -> dict[str, Answer]:  # fmt: skip
+) -> dict[str, DriverOutcome]:  # fmt: skip
     """What each driver makes of the encounters, and the ``unchanged`` ego.
 
     until_avoided: of one encounter, ask only until the level is known: none if the unchanged ego misses, and none after
