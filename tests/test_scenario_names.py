@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import pytest
@@ -101,5 +102,9 @@ def test_a_run_looks_for_a_named_scenario(program: Program) -> None:
     assert done.status == 0 and "COLLISION" in done.out.upper(), done.err
     other = program.here("run", "leader_brakes_hard", *few, "--scenario", "cut-in", "--out", "cut_in")
     assert "It shows leader brakes" in (program.folder / "cut_in" / "outcome.json").read_text(), other.err
+    repeated = program.here("run", "--replay", "cut_in", "--out", "again")
+    endings = [json.loads((program.folder / f / "outcome.json").read_text()) for f in ("cut_in", "again")]
+    assert [o["ending"] for o in endings] == ["attempts_exhausted"] * 2, repeated.err
+    assert endings[1]["attempts"][0]["misfits"] == ["It shows leader brakes, not cut-in."]
     refused = program.here("run", "leader_brakes_hard", "--scenario", "CCRx")
     assert refused.status == 2 and "there is no scenario 'CCRx'" in refused.err

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from sumo_adv.agents.agents import Agents
 from sumo_adv.asked import Asked
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Attempt, Ending, Intent, LibraryEntry, Proposal
-from sumo_adv.episode.assessment import NO_MOTION_VERDICT, Attempts, Fitting, reader_of, runner_of
+from sumo_adv.datatypes import Ending, Intent, LibraryEntry, Proposal
+from sumo_adv.episode.assessment import Attempts, Fitting, attempt_of, reader_of, runner_of
 from sumo_adv.episode.engine import EpisodeEngine
 from sumo_adv.episode.memory_access import learn
 from sumo_adv.episode.planned_encounter import (
@@ -29,7 +29,6 @@ from sumo_adv.episode.planned_encounter import (
 )
 from sumo_adv.episode.refinement import Refinement, Refiner, settle_best
 from sumo_adv.episode.run import EncounterRecord, Run, Stop, seconds_by_part
-from sumo_adv.episode.scenario_naming import scenario_of
 from sumo_adv.episode.task import FoundEncounter, Task
 from sumo_adv.errors import BudgetError, MissingVehicleError, ModelError, SumoAdvError, UsageError, fault_sentence
 from sumo_adv.memory.bank import MemoryBank
@@ -240,18 +239,20 @@ def given_attack(record: EncounterRecord, proposal: Proposal, reason: str) -> En
 def attack_once(
     found: FoundEncounter, runner: Attempts, settings: Settings, proposal: Proposal, asked: Asked | None
 ) -> Refinement:
-    """Run one given attempt in an encounter, with its reference drivers. Returns it as the only attempt."""
+    """Run one given attempt and check it as an attempt of a run, except that no model reads its motion.
+
+    Returns:
+        The attempt as the only one. Its ending says whether it meets the goal, or what failed.
+    """
     (result,) = runner.attempt([proposal])
-    verdict = result.verdict or NO_MOTION_VERDICT
-    scenario = scenario_of(proposal, verdict, result, found, settings)
-    attempt = Attempt(
-        0, "replay", proposal, result.start, verdict, result.driven.ending, result.driven.message, scenario=scenario
-    )
+    attempt = attempt_of(0, "replay", proposal, result, found, settings)
     if asked is not None:
         attempt = Fitting(asked, found, settings).judged(attempt, result, settings.goal)
     done = Refinement(goal=settings.goal, attempts=[attempt], results=[result])
     settle_best(done, runner)
-    done.ending = Ending.CRITICAL if settings.goal.met(done.attempts[0].verdict) else Ending.ATTEMPTS_EXHAUSTED
+    if settings.goal.met(done.attempts[0].verdict):
+        done.ending = Ending.CRITICAL
+    done.end_if_all_failed()
     return done
 
 

@@ -66,6 +66,16 @@ class Refinement:
         """The highest level of an attempt so far."""
         return max((a.verdict.level for a in self.attempts), default=Level.NONE)
 
+    def all_ended(self, ending: str) -> bool:
+        """Return whether there are attempts and all of them ended in this way."""
+        return bool(self.attempts) and all(a.ending == ending for a in self.attempts)
+
+    def end_if_all_failed(self) -> None:
+        """Take the planner's or the simulation's failure as the ending if it ended all attempts."""
+        for way, ending in (("planner_failed", Ending.PLANNER_FAILED), ("crashed", Ending.SIMULATION_FAILED)):
+            if self.all_ended(way):
+                self.ending, self.reason = ending, self.attempts[-1].message
+
     def recorded(self, record: EncounterRecord) -> EncounterRecord:
         """Return the record of an encounter with these attempts."""
         readings = {} if self.fitting is None else dict(self.fitting.readings)
@@ -118,16 +128,13 @@ class Refiner:
                 break
             if self._try(plans, found, began, optimizer):
                 break
-            if len(found.attempts) >= BROKEN_ATTEMPTS and _all(found, "crashed"):
+            if len(found.attempts) >= BROKEN_ATTEMPTS and found.all_ended("crashed"):
                 break
             self._observe(optimizer, found, plans)
             self._forget(found)
         if found.successes:
             found.reason = ""
-        if _all(found, "planner_failed"):
-            found.ending, found.reason = Ending.PLANNER_FAILED, found.attempts[-1].message
-        if _all(found, "crashed"):
-            found.ending, found.reason = Ending.SIMULATION_FAILED, found.attempts[-1].message
+        found.end_if_all_failed()
         settle_best(found, self._runner)
         best = found.best
         if found.successes and best is not None and best not in found.robust and self._runner.repeats:
@@ -279,10 +286,6 @@ def _fitted(found: Refinement, attempt: Attempt, result: AttemptResult, *, read:
 
 def _robust_kinds(found: Refinement) -> set[str]:
     return {found.attempts[k].kind for k, seen in found.robust.items() if seen.enough}
-
-
-def _all(found: Refinement, ending: str) -> bool:
-    return bool(found.attempts) and all(a.ending == ending for a in found.attempts)
 
 
 def _in_vain(found: Refinement) -> int:
