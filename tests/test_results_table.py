@@ -53,8 +53,9 @@ def test_a_row_names_the_supports_and_their_composition() -> None:
 
 def test_without_a_collision_the_questions_about_one_do_not_arise() -> None:
     row = result_row("a", outcome(), False)
-    columns = ("level", "strict", "serious", "preventable_by", "fault", "contact_time", "kind", "road", "cause")
+    columns = ("strict", "serious", "preventable_by", "fault", "contact_time", "road", "cause")
     assert {row[name] for name in columns} == {None}
+    assert (row["level"], row["kind"]) == ("critical", "")
     assert (row["adversary"], row["relation"]) == ("adversary", "neighbour")
 
 
