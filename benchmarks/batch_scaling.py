@@ -186,7 +186,7 @@ def plain(plan: CampaignPlan, folder: Path) -> Took:
     clock = Clock()
     with Sandbox() as sandbox, MemoryBank.open(BANK, read_only=True) as bank:
         for job in plan.jobs:
-            run_input = load_input(job.input.source)
+            run_input = load_input(job.input.path)
             settings = load_settings(None, seed=job.seed, learn="off", **plan.variants[0])
             with (
                 tempfile.TemporaryDirectory() as scratch, staged(folder / job.id, force=False) as place,

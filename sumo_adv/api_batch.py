@@ -278,7 +278,7 @@ def hunt(
     least = Level.VALID if asked is None else max(Until(asked).level, Level.VALID)
     goal = Goal(least, float(settings.get("min_delta_v") or 0.0))
     if note is not None:
-        for sentence in (each for source in plan.inputs for each in source.notes):
+        for sentence in (each for given in plan.inputs for each in given.notes):
             note(sentence)
     orders = orders_of(plan, out, workers, deadline, ray=ray)
     at_once = orders.pace if ray is None else replace(orders.pace, workers=cluster_processors(ray))

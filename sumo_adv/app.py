@@ -50,31 +50,31 @@ if TYPE_CHECKING:
 # -- the input and the memory bank --------------------------------------------------------------------------------
 
 
-def load(source: Path, record: str | None) -> RunInput:
-    """The input at ``source``. A Waymo record or a CommonRoad scenario is converted, or taken from the cache.
+def load(path: Path, record: str | None) -> RunInput:
+    """The input at ``path``. A Waymo record or a CommonRoad scenario is converted, or taken from the cache.
 
     record: the id, or the place from 0, of the record to take from such a file (default: the first).
     Raises SumoAdvError for what cannot be read or converted.
     """
     from sumo_adv.simulation.inputs import WaymoSource, is_commonroad, load_input
 
-    commonroad = is_commonroad(source)
-    waymo = ".tfrecord" in source.name.lower() and source.is_file()
+    commonroad = is_commonroad(path)
+    waymo = ".tfrecord" in path.name.lower() and path.is_file()
     if record is not None and not waymo:
-        raise UsageError(f"--record chooses among the records of a TFRecord file, which {source} is not.")
+        raise UsageError(f"--record chooses among the records of a TFRecord file, which {path} is not.")
     if not waymo and not commonroad:
-        return load_input(source)
+        return load_input(path)
     from sumo_adv.womd.commonroad import read_commonroad
     from sumo_adv.womd.convert import conversion
     from sumo_adv.womd.reader import choice_of, find_record
 
-    chosen = read_commonroad(source) if commonroad else find_record(source, choice_of(record))
+    chosen = read_commonroad(path) if commonroad else find_record(path, choice_of(record))
     stack = ExitStack()  # a conversion that cannot be cached is removed at exit
     atexit.register(stack.close)
     made = stack.enter_context(conversion(chosen, traffic=False))
-    origin = WaymoSource(source.absolute(), chosen.scenario_id, chosen.content) if waymo else None
+    origin = WaymoSource(path.absolute(), chosen.scenario_id, chosen.content) if waymo else None
     run_input = load_input(made.scenario)
-    files = (source.absolute(),) if commonroad else run_input.files
+    files = (path.absolute(),) if commonroad else run_input.files
     return replace(
         run_input, name=chosen.scenario_id, files=files, waymo=origin, notes=(*run_input.notes, *chosen.notes)
     )  # fmt: skip

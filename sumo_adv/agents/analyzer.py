@@ -276,14 +276,10 @@ def analyzer_prompt(
         driver=driver_words(situation), evidence=f"\n{table}" if table else "", danger=danger_words(prompts),
     )  # fmt: skip
     more = [] if teamwork is None else [teams_words(prompts, teamwork, situation, aliases, library)]
-    more += [_request_words(prompts, request)] if request else []
+    if request:
+        events = "\n".join(f" - {event}: {meaning}" for event, meaning in MEANINGS.items())
+        more.append(prompts.piece("request", request=fenced(request), events=events))
     return replace(prompt, user="\n\n".join([prompt.user, *more]))
-
-
-def _request_words(prompts: Prompts, request: str) -> str:
-    """The part of the analyzer's prompt on an attack that is asked for."""
-    events = "\n".join(f" - {event}: {meaning}" for event, meaning in MEANINGS.items())
-    return prompts.piece("request", request=fenced(request), events=events)
 
 
 def _asked_fault(answer: AskedAnalysis) -> str | None:

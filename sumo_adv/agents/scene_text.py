@@ -185,19 +185,18 @@ def _bends(situation: Situation) -> str:
     return ", ".join(f"{t:+.0f} deg after {m} m" for t, m in zip(turned, ahead, strict=True))
 
 
+MOVEMENT_WORDS = {"left": "turning left", "right": "turning right", "across": "going across"}
+
+
 def _paths(alias: str, target: Target, situation: Situation) -> list[str]:
     lines = []
     for path in target.ways:
         if path.conflict is not None:
-            lines.append(f"{alias} {_movement(path)}: {_conflict(path, target, situation)}")
+            movement = MOVEMENT_WORDS.get(path.movement, "going straight on")
+            lines.append(f"{alias} {movement}: {_conflict(path, target, situation)}")
     if not lines and any(math.isfinite(path.junction) for path in target.ways):
         lines.append(f"{alias}: none of its ways through the junction ahead of it meets EGO's path.")
     return lines
-
-
-def _movement(path: ReferencePath) -> str:
-    words = {"left": "turning left", "right": "turning right", "across": "going across"}
-    return words.get(path.movement, "going straight on")
 
 
 def _conflict(path: ReferencePath, target: Target, situation: Situation) -> str:

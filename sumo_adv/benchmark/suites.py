@@ -101,7 +101,7 @@ def _named(named: Sequence[str]) -> Suite:
     whole = next((name for name in named if name.startswith(WOMD_PREFIX) or _list_file(name) is not None), None)
     if whole is not None:
         raise UsageError(f"The suite {whole} stands alone in a table; several --suite are scenario files, or folders.")
-    return _scenarios([source for name in named for source in _sources(name)])
+    return _scenarios([path for name in named for path in _paths(name)])
 
 
 def shipped_suites() -> tuple[str, ...]:
@@ -128,7 +128,7 @@ def _list_file(name: str) -> Path | None:
     return None
 
 
-def _sources(name: str) -> list[Path]:
+def _paths(name: str) -> list[Path]:
     """The scenario files of a folder, or the one file or shipped scenario."""
     given = Path(name)
     if given.is_dir():
@@ -185,10 +185,10 @@ def _whole(path: Path, given: _List) -> Suite:
 
 def _chosen(path: Path, given: _Choice) -> Suite:
     beside = path.parent / given.suite
-    source = _list_file(str(beside) if beside.exists() else given.suite)
-    if source is None or "suite" in read_toml(source, "The file"):
+    chosen_from = _list_file(str(beside) if beside.exists() else given.suite)
+    if chosen_from is None or "suite" in read_toml(chosen_from, "The file"):
         raise UsageError(f"The suite {path} chooses from '{given.suite}', which is no list of scenarios.")
-    whole = _listed(source)
+    whole = _listed(chosen_from)
     by_name = {case.name: case for case in whole.cases}
     missing = next((name for name in given.cases if name not in by_name), None)
     if missing is not None:
@@ -213,12 +213,12 @@ def _labels(path: Path, names: Collection[str], listed: Path) -> LabelsFile:
     return labels
 
 
-def _scenarios(sources: Sequence[Path]) -> Suite:
+def _scenarios(paths: Sequence[Path]) -> Suite:
     """A suite of scenario files that no list speaks of: their group is read off their network."""
     cases: list[SuiteCase] = []
     hashes: dict[str, str] = {}
-    for source in sources:
-        run_input = load_input(source)
+    for path in paths:
+        run_input = load_input(path)
         name = (
             run_input.name
             if all(run_input.name != case.name for case in cases)
@@ -227,9 +227,9 @@ def _scenarios(sources: Sequence[Path]) -> Suite:
         hashes |= {f"{name}/{k}": hash_of_file(file) for k, file in enumerate(run_input.files)}
         annotated = run_input.label if run_input.label is not None and run_input.label.source == "annotated" else None
         labels = {} if annotated is None else {"people": {"annotated": annotated.intents}}
-        cases.append(SuiteCase(name, source, None, OWN_KIND, _group(run_input.network), labels))
+        cases.append(SuiteCase(name, path, None, OWN_KIND, _group(run_input.network), labels))
     content = _content(hashes)
-    return Suite(input_name(sources[0]) if len(sources) == 1 else OWN_KIND, content[:8], tuple(cases), content)
+    return Suite(input_name(paths[0]) if len(paths) == 1 else OWN_KIND, content[:8], tuple(cases), content)
 
 
 def _group(network: Path) -> str:

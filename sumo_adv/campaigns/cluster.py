@@ -52,7 +52,7 @@ class Needs:
     def of(cls, jobs: Iterable[EpisodeJob], versions: Mapping[str, str]) -> Needs:
         """Those of jobs. Inputs that cannot be read here either are no node's fault: their episodes say so."""
         jobs = list(jobs)
-        inputs = dict.fromkeys((job.input.source, job.input.content, job.input.record) for job in jobs)
+        inputs = dict.fromkeys((job.input.path, job.input.content, job.input.record) for job in jobs)
         egos = dict.fromkeys(job.ego for job in jobs if job.ego is not None)
         return cls(versions, tuple(each for each in inputs if not wrong_content(*each)), tuple(egos))
 
@@ -219,13 +219,13 @@ def _desk(sent: NodeContent) -> _Desk:
 
 
 @lru_cache(maxsize=10_000)
-def wrong_content(source: Path, content: str, record: str | None) -> str:
+def wrong_content(path: Path, content: str, record: str | None) -> str:
     """Why an input on this node is not the plan's, '' if it is. Records are compared by their ids alone."""
     if record is not None:
-        return "" if source.is_file() else f"There is no file {source} on this node."
+        return "" if path.is_file() else f"There is no file {path} on this node."
     try:
-        files = (source,) if is_commonroad(source) else load_input(source).files
+        files = (path,) if is_commonroad(path) else load_input(path).files
         same = files_hash(files) == content
     except (SumoAdvError, OSError) as error:
         return f"On this node: {error}"
-    return "" if same else f"On this node {source} has another content than in the plan."
+    return "" if same else f"On this node {path} has another content than in the plan."

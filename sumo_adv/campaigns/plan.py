@@ -56,24 +56,22 @@ def find_inputs(
     inputs: list[Input] = []
     left = set(records)
     for name in named:
-        for source in _sources(name, folder):
-            if ".tfrecord" in source.name.lower():
-                inputs += _records(source, records, left, parts)
+        for path in _paths(name, folder):
+            if ".tfrecord" in path.name.lower():
+                inputs += _records(path, records, left, parts)
             else:
-                inputs.append(_file(source, density, parts))
+                inputs.append(_file(path, density, parts))
     if left:
         raise UsageError(f"No record '{min(left)}' that can be read is in the inputs; check --records.")
     return inputs
 
 
-def _sources(name: str, folder: Path) -> list[Path]:
+def _paths(name: str, folder: Path) -> list[Path]:
     """The files of a pattern, those of a folder, or the one file or shipped name."""
     given, shipped = folder / name, Path(name).parts[0]
     if shipped in SHIPPED_FOLDERS and not (folder / shipped).exists():
         root = data_folder(shipped)
-        return [
-            Path(shipped) / p.relative_to(root) for p in _sources(str(root.joinpath(*Path(name).parts[1:])), Path())
-        ]
+        return [Path(shipped) / p.relative_to(root) for p in _paths(str(root.joinpath(*Path(name).parts[1:])), Path())]
     if given.is_dir():
         files = [p for p in sorted(given.iterdir()) if p.name.lower().endswith((".toml", ".sumocfg", ".sumo.cfg"))]
         files += sorted(given.glob("*/scenario.toml"))
@@ -93,44 +91,44 @@ def _sources(name: str, folder: Path) -> list[Path]:
     return [Path(name)]
 
 
-def _file(source: Path, density: float | None, parts: CampaignParts) -> Input:
+def _file(path: Path, density: float | None, parts: CampaignParts) -> Input:
     """A network, configuration or scenario, also one of CommonRoad, with all its files."""
     try:
-        run_input = parts.load(source, None)
+        run_input = parts.load(path, None)
     except (SumoAdvError, OSError) as error:
-        return broken(source, None, str(error))
+        return broken(path, None, str(error))
     refuse_density(run_input, density)
     try:
         content = files_hash(run_input.files)
-        place = source.absolute() if source.is_file() else source  # a shipped one is found by its name anywhere
+        place = path.absolute() if path.is_file() else path  # a shipped one is found by its name anywhere
         return Input(run_input.name, place, None, content, notes=run_input.notes)
     except (SumoAdvError, OSError) as error:
-        return broken(source, None, str(error))
+        return broken(path, None, str(error))
 
 
-def _records(source: Path, chosen: Sequence[str], left: set[str], parts: CampaignParts) -> Iterator[Input]:
+def _records(path: Path, chosen: Sequence[str], left: set[str], parts: CampaignParts) -> Iterator[Input]:
     """The records of a file; a broken one is an input that fails. Those that are there are removed from ``left``."""
     try:
-        for k, record in enumerate(parts.records(source)):
+        for k, record in enumerate(parts.records(path)):
             if isinstance(record, str):
                 if not chosen or str(k) in chosen:
                     left.discard(str(k))
-                    yield broken(source, str(k), record)
+                    yield broken(path, str(k), record)
                 continue
             name, content = record
             if not chosen or name in chosen or str(k) in chosen:
                 left -= {name, str(k)}
-                yield Input(name, source.absolute(), name, content)
+                yield Input(name, path.absolute(), name, content)
     except SumoAdvError as error:
         left.clear()  # what cannot be read may hold them
-        yield broken(source, None, str(error))
+        yield broken(path, None, str(error))
 
 
-def broken(source: Path, record: str | None, error: str) -> Input:
+def broken(path: Path, record: str | None, error: str) -> Input:
     """An input that cannot be run; it is known by its name, for want of content."""
-    name = input_name(source) if record is None else f"{input_name(source)}[{record}]"
-    content = hashlib.sha256(f"broken {source.name} {record}".encode()).hexdigest()
-    return Input(name, source, record, content, error)
+    name = input_name(path) if record is None else f"{input_name(path)}[{record}]"
+    content = hashlib.sha256(f"broken {path.name} {record}".encode()).hexdigest()
+    return Input(name, path, record, content, error)
 
 
 def files_hash(files: Sequence[Path]) -> str:

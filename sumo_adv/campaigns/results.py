@@ -37,12 +37,12 @@ class Learn(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Input:
-    """One input of a plan. ``name``: as people know it; ``source``: the path or the shipped name; ``record``: the id of
+    """One input of a plan. ``name``: as people know it; ``path``: the path or the shipped name; ``record``: the id of
     a Waymo record; ``content``: SHA-256 of all its files; ``error``: why it cannot be run, '' if it can; ``notes``:
     sentences about what of it is not kept, or was converted."""
 
     name: str
-    source: Path
+    path: Path
     record: str | None
     content: str
     error: str = ""

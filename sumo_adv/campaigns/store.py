@@ -58,11 +58,11 @@ def packed_texts(folder: Path, name: str) -> dict[str, str]:
     texts = {}
     for index in _indices(folder):
         try:
-            with zipfile.ZipFile(index.with_suffix(".zip")) as source:
-                inside = set(source.namelist())
+            with zipfile.ZipFile(index.with_suffix(".zip")) as archive:
+                inside = set(archive.namelist())
                 for run in _read(index):
                     if f"{run}/{name}" in inside:
-                        texts[run] = _unpacked(source, f"{run}/{name}").decode()
+                        texts[run] = _unpacked(archive, f"{run}/{name}").decode()
         except (*ZIP_FAULTS, OSError, ValueError) as error:
             raise _damaged(index.with_suffix(".zip"), error) from error
     return texts
@@ -156,8 +156,8 @@ def _unpack_one(
     file: Path, runs: dict[str, list[str]], into: Path, staged: Callable[..., AbstractContextManager[Any]]
 ) -> Iterator[Path]:
     try:
-        with zipfile.ZipFile(file) as source:
-            names = source.namelist()
+        with zipfile.ZipFile(file) as archive:
+            names = archive.namelist()
             for run, inputs in runs.items():
                 if (into / run / OUTCOME_FILE).exists():
                     continue
@@ -169,18 +169,18 @@ def _unpack_one(
                     for inside, outside in members.items():
                         target = folder.stage / outside
                         target.parent.mkdir(parents=True, exist_ok=True)
-                        target.write_bytes(_unpacked(source, inside))
+                        target.write_bytes(_unpacked(archive, inside))
                     folder.keep(force=True)
                 yield into / run
     except (*ZIP_FAULTS, FileNotFoundError, KeyError, ValueError) as error:
         raise _damaged(file, error) from error
 
 
-def _unpacked(source: zipfile.ZipFile, name: str) -> bytes:
+def _unpacked(archive: zipfile.ZipFile, name: str) -> bytes:
     """A member of a pack; ``zipfile`` reads no more than its head says. Raises ValueError: it is too large."""
-    if source.getinfo(name).file_size > MAX_UNPACKED_BYTES:
+    if archive.getinfo(name).file_size > MAX_UNPACKED_BYTES:
         raise ValueError(f"{name} holds more than {MAX_UNPACKED_BYTES // 2**20} MiB")
-    return source.read(name)
+    return archive.read(name)
 
 
 def _damaged(file: Path, error: Exception) -> UsageError:
@@ -248,8 +248,8 @@ class Store:
         part = self.bank.with_name(f".{BANK_FILE}.part")
         with suppress(FileNotFoundError):
             part.unlink()
-        with closing(open_database(bank, "mode=ro")) as source, closing(sqlite3.connect(part)) as target:
-            source.backup(target)
+        with closing(open_database(bank, "mode=ro")) as original, closing(sqlite3.connect(part)) as target:
+            original.backup(target)
             target.execute("PRAGMA journal_mode = DELETE").fetchone()
         part.replace(self.bank)
 

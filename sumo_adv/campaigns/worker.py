@@ -190,7 +190,7 @@ class Runner(WarmProcesses):
             return keep_failure(self._parts.staged, self._setup.runs, job, reason, traceback.format_exc())
 
     def _run(self, job: EpisodeJob, *, last: bool) -> Done:
-        run_input = self._parts.load(job.input.source, job.input.record)
+        run_input = self._parts.load(job.input.path, job.input.record)
         settings = self.settings(job, run_input)
         with (
             tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch,

@@ -114,18 +114,18 @@ def _refuse_what_a_replay_ignores(context: typer.Context, source: Path | None) -
             )
 
 
-def _replay(source: Path, ego: str | None, output: opt.OutputOptions) -> None:
+def _replay(path: Path, ego: str | None, output: opt.OutputOptions) -> None:
     from sumo_adv.drivers.registry import trusted_driver
     from sumo_adv.report.manifest import read_manifest
 
-    recorded = read_manifest(source)
+    recorded = read_manifest(path)
     driver = recorded.task.ego_driver
-    if trusted_driver(ego, driver, source) != driver:
+    if trusted_driver(ego, driver, path) != driver:
         raise UsageError(
-            f"The run in {source} was driven by {driver!r}, and a replay repeats it: leave out --ego {ego}, "
+            f"The run in {path} was driven by {driver!r}, and a replay repeats it: leave out --ego {ego}, "
             "or give the INPUT for a new run with that driver."
         )
-    target = output.out or source.with_name(f"{source.resolve().name}-replay")
+    target = output.out or path.with_name(f"{path.resolve().name}-replay")
     with staged(target, force=output.force) as folder:
         finish(folder, app.replay(recorded), force=output.force, as_json=output.as_json)
 

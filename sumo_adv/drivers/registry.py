@@ -294,10 +294,10 @@ def unpack_driver(given: GivenEgo, parameters: Mapping[str, Any]) -> Any:
         raise UsageError(f"The ego {given.name!r} could not be made: {in_one_line(error)}.") from error
 
 
-def lost(name: str, source: str) -> UsageError:
-    """That a driver was given as an object, and ``source`` does not hold it."""
+def lost(name: str, path: str) -> UsageError:
+    """That a driver was given as an object, and ``path`` does not hold it."""
     return UsageError(
-        f"{source} was driven by an object from Python, {name.removeprefix(OBJECT_PREFIX)!r}, which no file holds: "
+        f"{path} was driven by an object from Python, {name.removeprefix(OBJECT_PREFIX)!r}, which no file holds: "
         "give it again with sumo_adv.run(ego=...)."
     )
 
@@ -363,17 +363,17 @@ def is_foreign(name: str) -> bool:
     return ":" in name or (name not in DRIVERS and name in _installed())
 
 
-def trusted_driver(named: str | None, recorded: str | None, source: Path) -> str | None:
-    """The driver ``named`` by the user, else the driver that the file or folder ``source`` records; None if neither
+def trusted_driver(named: str | None, recorded: str | None, path: Path) -> str | None:
+    """The driver ``named`` by the user, else the driver that the file or folder ``path`` records; None if neither
     names one.
 
-    Raises UsageError: only ``source`` names the driver, and it is a class of another package or was given as an object.
+    Raises UsageError: only ``path`` names the driver, and it is a class of another package or was given as an object.
     """
     if named is None and recorded is not None and recorded.startswith(OBJECT_PREFIX):
-        raise lost(recorded, f"The run in {source}")
+        raise lost(recorded, f"The run in {path}")
     if named is None and recorded is not None and is_foreign(recorded):
         raise UsageError(
-            f"{source} wants the class {recorded!r} to drive the ego, and a class runs with your rights: "
+            f"{path} wants the class {recorded!r} to drive the ego, and a class runs with your rights: "
             f"if you trust it, name it yourself with --ego {recorded}."
         )
     return named or recorded

@@ -352,10 +352,10 @@ def _times_of(outcome: Mapping[str, Any]) -> tuple[DriverTime, float]:
     return took or DriverTime(), float((outcome["timing"] or {}).get("total") or 0.0)
 
 
-def _copy(source: Path, target: Path) -> None:
+def _copy(path: Path, target: Path) -> None:
     """The files of a folder in a new one, as links (which take no space) where the file system has them."""
     target.mkdir(parents=True)
-    for file in sorted(source.iterdir()):
+    for file in sorted(path.iterdir()):
         if file.is_dir():
             _copy(file, target / file.name)
             continue

@@ -36,7 +36,7 @@ class Alone:
     warnings: tuple[str, ...]
 
 
-def arguments_of(spec: SimulationSpec, source: Path, step: float, folder: Path) -> list[str]:
+def arguments_of(spec: SimulationSpec, path: Path, step: float, folder: Path) -> list[str]:
     """The options of ``sumo`` for an input in steps of ``step`` [s].
 
     Of a .sumocfg they are those that it names, as SUMO reads them; of other inputs those of this program. The files are
@@ -48,11 +48,11 @@ def arguments_of(spec: SimulationSpec, source: Path, step: float, folder: Path) 
         spec, network=spec.network.absolute(), routes=tuple(file.absolute() for file in spec.routes),
         additional=tuple(file.absolute() for file in spec.additional), step_length=step,
     )  # fmt: skip
-    if not is_sumocfg(source):
+    if not is_sumocfg(path):
         return spec.arguments()
     files = {"net-file": (spec.network,), "route-files": spec.routes, "additional-files": spec.additional}
     named = {name: ",".join(map(str, each)) for name, each in files.items() if each}
-    options = {**named, **_of_all(as_sumo_reads_it(source)), **FORCED, "step-length": repr(step)}
+    options = {**named, **_of_all(as_sumo_reads_it(path)), **FORCED, "step-length": repr(step)}
     if LOAD_STATE_OPTION in options:
         options[LOAD_STATE_OPTION] = str(silent_copies([Path(options[LOAD_STATE_OPTION])], folder)[0])
     return [f"--{name}={value}" for name, value in options.items()]  # apart, a value could be an option of its own
@@ -66,7 +66,7 @@ def _of_all(options: Mapping[str, str]) -> dict[str, str]:
     return {**kept, **dict.fromkeys(sorted(drawn), "1")}
 
 
-def run_alone(spec: SimulationSpec, source: Path, step: float, until: float, folder: Path) -> Alone:
+def run_alone(spec: SimulationSpec, path: Path, step: float, until: float, folder: Path) -> Alone:
     """Run ``sumo`` on an input in steps of ``step`` [s] until ``until`` [s], where it is ended: its own end would
     change flows. folder: for what it says.
 
@@ -75,7 +75,7 @@ def run_alone(spec: SimulationSpec, source: Path, step: float, until: float, fol
         SimulationError: It takes too long.
     """
     command = [
-        str(find_sumo()), *arguments_of(spec, source, step, folder), "--fcd-output", "stdout",
+        str(find_sumo()), *arguments_of(spec, path, step, folder), "--fcd-output", "stdout",
         "--fcd-output.attributes", "x,y,speed,vehicle", "--precision", "6",
     ]  # fmt: skip
     words = folder / "sumo.txt"

@@ -282,19 +282,19 @@ def on_grid(tracks: Sequence[Track], time: Floats) -> Boxes:
         if not len(track.time):
             continue
         first = int(np.rint((track.time[0] - time[0]) / step))
-        sources = [track.x, track.y, track.heading, track.speed]
+        columns = [track.x, track.y, track.heading, track.speed]
         if raised:
-            sources.append(np.broadcast_to(track.z, track.x.shape))
+            columns.append(np.broadcast_to(track.z, track.x.shape))
         if track.time[-1] - track.time[0] > (len(track.time) - 0.5) * step:  # the vehicle was away in between
             at = np.rint((track.time - time[0]) / step).astype(np.intp)
             there = (at >= 0) & (at < len(time))
-            for values, source in zip(state, sources, strict=True):
-                values[row, at[there]] = source[there]
+            for values, column in zip(state, columns, strict=True):
+                values[row, at[there]] = column[there]
             continue
         low, high = max(first, 0), min(first + len(track.time), len(time))
         if high > low:
-            for values, source in zip(state, sources, strict=True):
-                values[row, low:high] = source[low - first : high - first]
+            for values, column in zip(state, columns, strict=True):
+                values[row, low:high] = column[low - first : high - first]
     length, width = (np.array([getattr(t, name) for t in tracks]).reshape(-1, 1) for name in ("length", "width"))
     x, y, heading, speed = state[:4]
     return Boxes(x, y, heading, speed, length, width, state[4] if raised else 0.0)

@@ -67,7 +67,7 @@ def envelope_left(b: Boxes, time: Floats, judged: Bools, excused: Bools) -> dict
     """
     dt = float(np.diff(time).min())
     change = np.diff(b.speed, axis=-1, prepend=b.speed[..., :1]) / dt
-    m, along = derivatives(b, change, time), _mean(change, dt, BRAKING_SPAN_S)
+    m, along = derivatives(b, change, time), _span_mean(change, dt)
     jerk = _span_change(along, dt)
     signals = {
         "acceleration": along, "braking": np.where(excused, 0.0, -along),
@@ -80,9 +80,9 @@ def envelope_left(b: Boxes, time: Floats, judged: Bools, excused: Bools) -> dict
     return left_by_signal
 
 
-def _mean(values: Floats, dt: float, span: float) -> Floats:
-    """The mean over the last ``span`` [s]."""
-    count = max(1, round(span / dt))
+def _span_mean(values: Floats, dt: float) -> Floats:
+    """The mean over the last ``BRAKING_SPAN_S`` [s]."""
+    count = max(1, round(BRAKING_SPAN_S / dt))
     padded = np.concatenate([np.repeat(values[..., :1], count - 1, axis=-1), values], axis=-1)
     return np.asarray(sliding_window_view(padded, count, axis=-1).mean(axis=-1))
 

@@ -68,7 +68,9 @@ def make_jail(bubblewrap: bool = True) -> Jail:
         return _plain(worker, "bwrap is not installed")
     try:
         inside = ("--ro-bind", worker, "/monty", "--remount-ro", "/", "/monty")
-        command = (*_bubblewrap(program, _libraries(worker)), *inside)
+        # The worker's shared libraries and loader, as absolute paths; none if it is linked statically.
+        libraries = re.findall(r"(/\S+) \(0x[0-9a-f]+\)", _done("ldd", worker).stdout)
+        command = (*_bubblewrap(program, libraries), *inside)
         failure = _probe(command)
     except (OSError, subprocess.SubprocessError) as error:
         failure = str(error)
@@ -111,11 +113,6 @@ def _bubblewrap(program: str, libraries: list[str]) -> list[str]:
     for library in libraries:
         command += ["--ro-bind", library, library]
     return command
-
-
-def _libraries(worker: str) -> list[str]:
-    """Absolute paths of the worker's shared libraries and loader; empty if it is linked statically."""
-    return re.findall(r"(/\S+) \(0x[0-9a-f]+\)", _done("ldd", worker).stdout)
 
 
 def _done(*command: str) -> subprocess.CompletedProcess[str]:

@@ -254,17 +254,23 @@ class CaseRunner(WarmProcesses):
 def settings_for(case: KeptCase, ego: str) -> Settings:
     """The settings of a case with another driver. The case's parameters of the ego are those of the driver it was kept
     with. Raises UsageError."""
-    source = case.run_input
-    parameters = dict(source.ego_parameters) if ego == source.ego_controller else {}
-    options = {"horizon": source.horizon, **case.settings, "ego": ego, "ego_parameters": parameters, "end": source.end}
+    run_input = case.run_input
+    parameters = dict(run_input.ego_parameters) if ego == run_input.ego_controller else {}
+    options = {
+        "horizon": run_input.horizon,
+        **case.settings,
+        "ego": ego,
+        "ego_parameters": parameters,
+        "end": run_input.end,
+    }
     members = len(case.proposal.members)
     return load_settings(None, **options, until=Until.COLLISION, attempts=1, adversaries=members, learn="off")
 
 
 def task_for(case: KeptCase, settings: Settings, scratch: Path) -> Task:
     """What the engine is opened with. Raises UsageError."""
-    source = replace(case.run_input, ego_parameters={})
-    task = make_task(source, settings, scratch)
+    run_input = replace(case.run_input, ego_parameters={})
+    task = make_task(run_input, settings, scratch)
     return replace(task, driven_from=case.ego_driven_from, driven_before=case.ego_before, delay=case.proposal.delay)
 
 

@@ -272,12 +272,12 @@ def _ego(ego: Ego) -> str | EgoRoute | None:
     return EgoRoute(edges=ego.route, depart=ego.depart or 0.0, **given)  # type: ignore[arg-type]
 
 
-def _scan_all(source: Path, network: Path, demand: tuple[Path, ...]) -> tuple[NetworkScan, tuple[DemandScan, ...]]:
-    """Scans the files that ``source`` names; a missing one or a demand for another network is a UsageError."""
+def _scan_all(path: Path, network: Path, demand: tuple[Path, ...]) -> tuple[NetworkScan, tuple[DemandScan, ...]]:
+    """Scans the files that ``path`` names; a missing one or a demand for another network is a UsageError."""
     for file in (network, *demand):
         if not file.is_file():
             trouble = "is a folder" if file.is_dir() else "is missing"
-            raise UsageError(f"{source} names the file {file}, which {trouble}.")
+            raise UsageError(f"{path} names the file {file}, which {trouble}.")
     roads, scans = scan_network(network, cars=not demand), tuple(scan_demand(file) for file in demand)
     for file, scan in zip(demand, scans, strict=True):
         for edge in scan.edges:

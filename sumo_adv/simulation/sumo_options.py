@@ -122,8 +122,8 @@ def is_on(value: str | None) -> bool:
     return value is not None and value.lower() in ("true", "1", "on", "yes", "x", "t")
 
 
-def _collisions(source: str, given: Mapping[str, str]) -> tuple[dict[str, str], tuple[str, ...]]:
-    """What SUMO does with vehicles that collide, and what differs from ``source`` in a sentence.
+def _collisions(file_name: str, given: Mapping[str, str]) -> tuple[dict[str, str], tuple[str, ...]]:
+    """What SUMO does with vehicles that collide, and what differs from ``file_name`` in a sentence.
 
     With the action ``teleport``, SUMO passes over collisions of a vehicle that is moved, or was in the last 10 s, but
     those on junctions (``MSLane::detectCollisionBetween``; measured). So a user's collisions happen as they are
@@ -138,7 +138,7 @@ def _collisions(source: str, given: Mapping[str, str]) -> tuple[dict[str, str], 
         return {"collision.action": action}, ()
     why = ", as SUMO looks for collisions on junctions" if on_junctions else ""
     return {"collision.action": "warn", "collision.stoptime": "0"}, (
-        f"What {source} says of collisions is not kept{why} (collision.action={action}, "
+        f"What {file_name} says of collisions is not kept{why} (collision.action={action}, "
         f"collision.stoptime={stop}): vehicles that collide drive on, so what comes after a collision of your own "
         "traffic may differ.",
     )

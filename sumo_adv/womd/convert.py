@@ -97,7 +97,7 @@ def conversion(record: Record, *, traffic: bool, cache: Path | None = None) -> I
     Where the cache cannot be written, its folder lives as long as the context. Raises SumoAdvError like
     :func:`convert_record`.
     """
-    key = hashlib.sha256(f"{record.content} {__version__} {_sources()}".encode()).hexdigest()
+    key = hashlib.sha256(f"{record.content} {__version__} {_package_hash()}".encode()).hexdigest()
     place = (cache or cache_folder()) / key[:32] / record.scenario_id
     report = _known(place)
     if report is not None:
@@ -133,10 +133,10 @@ def _known(place: Path) -> dict[str, Any] | None:
 
 
 @lru_cache(maxsize=1)
-def _sources() -> str:
+def _package_hash() -> str:
     """A hash of this package's own sources."""
-    sources = b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.rglob("*.py")))
-    return hashlib.sha256(sources).hexdigest()
+    content = b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.rglob("*.py")))
+    return hashlib.sha256(content).hexdigest()
 
 
 def cache_folder(

@@ -74,11 +74,11 @@ def read_records(path: Path, choice: RecordChoice = ALL_RECORDS, told: Told | No
         raise UsageError(f"The file {path} cannot be read: {error.strerror or error}.") from error
 
 
-def find_record(source: Path, choice: RecordChoice) -> Record:
+def find_record(path: Path, choice: RecordChoice) -> Record:
     """The chosen record. The search for an id passes over records that cannot be read. Raises UsageError."""
     wrong: list[UsageError] = []
     try:
-        return next(read_records(source, choice, None if choice.id is None else wrong.append))
+        return next(read_records(path, choice, None if choice.id is None else wrong.append))
     except UsageError as error:
         if wrong:
             raise UsageError(f"{str(error).rstrip('.')} that can be read. {wrong[0]}") from error
