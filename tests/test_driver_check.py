@@ -17,7 +17,7 @@ from sumo_adv.config import load_settings
 from sumo_adv.datatypes import Role, Track, VehicleState
 from sumo_adv.driver_check import Checked, FindingKind, by_name, shipped_drive, twelve
 from sumo_adv.driver_check.drive import PassedLine, UnattackedDrive
-from sumo_adv.driver_check.findings import find_faults, first_separation, longest
+from sumo_adv.driver_check.findings import answer_times, find_faults, first_separation, longest
 from sumo_adv.drivers import Pose
 from sumo_adv.errors import UsageError
 
@@ -102,6 +102,27 @@ def test_motions_are_apart_from_where_they_part() -> None:
     when, far = first_separation(same, track("ego", 10.5), 1.0)
     assert (when, far) == (2.1, pytest.approx(15.0))  # 0.5 m/s: 1.05 m after 2.1 s, 15 m after 30 s
     assert first_separation(same, same.between(0.0, 20.0), 1.0) == (20.1, math.inf)
+
+
+def test_a_planner_that_plans_in_each_fifth_step_has_the_mean_of_its_plans() -> None:
+    """60 ms in each fifth step and 1 ms in the others: (60 + 4 * 1) / 5 = 12.8 ms in the mean."""
+    times = answer_times([replace(IDM, act=np.tile([0.06, 0.001, 0.001, 0.001, 0.001], 20))])
+    assert times is not None and (times.count, times.plans) == (100, 20)
+    assert (times.mean, times.median, times.p99, times.plan_mean) == pytest.approx((12.8, 1.0, 60.0, 60.0))
+    words = "An answer takes 13 ms in the mean (median 1 ms, 99 % within 60 ms)."
+    assert times.words == f"{words} One in 5 is a plan, which takes 60 ms in the mean."
+    assert answer_times([IDM]) is None
+
+
+def test_a_check_that_is_stopped_keeps_what_it_has() -> None:
+    """Ctrl-C comes when the first of two scenarios is done."""
+
+    def interrupt(checked: Checked) -> None:
+        raise KeyboardInterrupt
+
+    inputs = twelve()[:2]
+    done = app.check_driver(inputs, load_settings(None, ego="careful"), interrupt, seconds=5.0)
+    assert done.stopped and [checked.scenario for checked in done.scenarios] == [inputs[0].name]
 
 
 def test_the_longest_run() -> None:

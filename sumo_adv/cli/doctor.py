@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
@@ -179,19 +180,47 @@ SCENARIO_NAME_CHARACTERS = 40  # columns for a scenario's name
 def check_ego(ego: str, scenarios: Sequence[Path], settings_file: Path | None, *, as_json: bool) -> None:
     """Check a driver and print what was found. Raises typer.Exit if there is a finding."""
     from sumo_adv import app
-    from sumo_adv.driver_check import by_name
+    from sumo_adv.driver_check import DRIVE_DURATION_S, by_name, twelve
 
     settings = load_settings(settings_file, ego=ego)
-    inputs = [by_name(str(source)) or app.load(source, None) for source in scenarios] or None
+    inputs = [by_name(str(source)) or app.load(source, None) for source in scenarios] or twelve()
     if not as_json:
+        typer.echo(f"{ego} drives {_many(len(inputs))}: {', '.join(given.name for given in inputs)}.")
+        typer.echo(
+            f"Each is {DRIVE_DURATION_S:.0f} s of traffic, which idm drives once and {ego} twice, more often if the two "
+            "differ. After the first the time that is left is said. Ctrl-C keeps what was driven until then."
+        )
         typer.echo(f"{'scenario':<{SCENARIO_NAME_CHARACTERS}} {'time':>6} {'ego':>7} {'idm':>7}  findings")
-    done = app.check_driver(inputs, settings, (lambda checked: None) if as_json else _tell)
+    done = app.check_driver(inputs, settings, (lambda checked: None) if as_json else CheckProgress(len(inputs)).tell)
     if as_json:
         typer.echo(json.dumps(_plain(done)))
     else:
         typer.echo("\n".join(summary(done)))
-    if done.kinds:
-        raise typer.Exit(EXIT_FINDINGS)
+    if done.kinds or done.stopped:
+        raise typer.Exit(EXIT_FINDINGS if done.kinds else 1)
+
+
+def _many(scenarios: int) -> str:
+    return f"{scenarios} scenarios" if scenarios != 1 else "one scenario"
+
+
+class CheckProgress:
+    """A line for each scenario; after the first one, how long the others will take."""
+
+    def __init__(self, scenarios: int) -> None:
+        self._left, self._first, self._began = scenarios, True, time.monotonic()
+
+    def tell(self, checked: Checked) -> None:
+        _tell(checked)
+        self._left -= 1
+        if self._first and self._left:
+            self._first = False
+            each = time.monotonic() - self._began
+            typer.echo(f"It took {each:.0f} s; the other {self._left} will take about {_span(self._left * each)}.")
+
+
+def _span(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
 
 
 def _tell(checked: Checked) -> None:
@@ -204,11 +233,13 @@ def summary(done: DriverCheck) -> list[str]:
     from sumo_adv.driver_check import FINDING_MEANINGS
 
     lines = [f"{kind}: {FINDING_MEANINGS[kind]}" for kind in done.kinds]
-    if done.act_ms is not None:
-        lines.append("An answer takes {:.1f} ms (median; 99 % within {:.1f} ms).".format(*done.act_ms))
+    if done.times is not None:
+        lines.append(done.times.words)
+    if done.stopped:
+        lines.append(f"Stopped by Ctrl-C after {_many(len(done.scenarios))}.")
     wrong = sum(bool(checked.findings) for checked in done.scenarios)
     if not wrong:
-        lines.append(f"{done.ego} drives well in all {len(done.scenarios)} scenarios.")
+        lines.append(f"{done.ego} drives well in all {len(done.scenarios)} scenarios." if done.scenarios else "")
     else:
         lines.append(f"{done.ego}: something is wrong in {wrong} of {len(done.scenarios)} scenarios.")
     return lines
@@ -221,6 +252,7 @@ def _plain(done: DriverCheck) -> dict[str, Any]:
         "ego": done.ego,
         "ok": not done.kinds,
         "findings": {kind: FINDING_MEANINGS[kind] for kind in done.kinds},
-        "act_ms": None if done.act_ms is None else {"median": done.act_ms[0], "p99": done.act_ms[1]},
+        "act_ms": None if done.times is None else asdict(done.times),
+        "stopped": done.stopped,
         "scenarios": [asdict(checked) for checked in done.scenarios],
     }

@@ -3,10 +3,19 @@
 ``check_driver`` drives it through scenarios and returns what it found; ``sumo-adv doctor --ego NAME`` prints that.
 """
 
-from sumo_adv.driver_check.check import Checked, DriverCheck, by_name, check_driver, shipped_drive, twelve
+from sumo_adv.driver_check.check import (
+    DRIVE_DURATION_S,
+    Checked,
+    DriverCheck,
+    by_name,
+    check_driver,
+    shipped_drive,
+    twelve,
+)
 from sumo_adv.driver_check.findings import FINDING_MEANINGS, DriverFinding, FindingKind
 
 __all__ = [
+    "DRIVE_DURATION_S",
     "FINDING_MEANINGS",
     "Checked",
     "DriverCheck",

@@ -14,11 +14,12 @@ from pathlib import Path
 from sumo_adv.config import Settings
 from sumo_adv.driver_check.drive import CheckWorker, UnattackedDrive
 from sumo_adv.driver_check.findings import (
+    AnswerTimes,
     DriverFinding,
     FindingKind,
+    answer_times,
     find_faults,
     first_separation,
-    milliseconds,
     travelled,
 )
 from sumo_adv.episode.task import Task, make_task
@@ -83,11 +84,19 @@ class Checked:
 
 @dataclass(frozen=True, slots=True)
 class DriverCheck:
-    """What the check of one driver found; act_ms: median and 99 % quantile of the time for an answer [ms]."""
+    """What the check of one driver found.
+
+    Attributes:
+        ego: The driver.
+        scenarios: Those that were driven.
+        times: How long an answer takes; None if SUMO drives.
+        stopped: Whether Ctrl-C ended the check before the last scenario.
+    """
 
     ego: str
     scenarios: tuple[Checked, ...]
-    act_ms: tuple[float, float] | None = field(compare=False)
+    times: AnswerTimes | None = field(compare=False)
+    stopped: bool = False
 
     @property
     def kinds(self) -> tuple[FindingKind, ...]:
@@ -107,22 +116,25 @@ def check_driver(
     """Drive ``settings.ego`` unattacked through the inputs, each for ``seconds`` [s].
 
     engine: a process that drives. folder: for generated demand. tell: called with each scenario
-    as soon as it is done.
+    as soon as it is done. Ctrl-C ends the check, and what was driven until then is returned.
 
     Raises:
         UsageError: the driver cannot be made, or an input is a recording.
         SimulationError: SUMO does not start, or the driver ended the process.
     """
-    checked, drives = [], list[UnattackedDrive]()
-    for k, given in enumerate(inputs):
-        task = _task(given, settings, folder / str(k), seconds)
-        if task.ego is None:
-            task = replace(task, ego=engine.call(CheckWorker.choose, task))
-        drive, result = _check(engine, task, given.name)
-        checked.append(result)
-        drives.append(drive)
-        tell(result)
-    return DriverCheck(settings.ego, tuple(checked), milliseconds(drives))
+    checked, drives = list[Checked](), list[UnattackedDrive]()
+    try:
+        for k, given in enumerate(inputs):
+            task = _task(given, settings, folder / str(k), seconds)
+            if task.ego is None:
+                task = replace(task, ego=engine.call(CheckWorker.choose, task))
+            drive, result = _check(engine, task, given.name)
+            checked.append(result)
+            drives.append(drive)
+            tell(result)
+    except KeyboardInterrupt:
+        return DriverCheck(settings.ego, tuple(checked), answer_times(drives), stopped=True)
+    return DriverCheck(settings.ego, tuple(checked), answer_times(drives))
 
 
 def _task(run_input: RunInput, settings: Settings, folder: Path, seconds: float) -> Task:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 import tempfile
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
@@ -18,6 +17,7 @@ import numpy as np
 from sumo_adv.datatypes import Bools, Floats, Track, VehicleState
 from sumo_adv.drivers import Action, EgoController, Observation, Pose, StopLine, make_ego
 from sumo_adv.drivers.protocol import wishes_of
+from sumo_adv.drivers.timing import Stopwatch
 from sumo_adv.episode.drive import Drive, ego_type_file
 from sumo_adv.episode.encounter_search import EncounterSearch
 from sumo_adv.episode.right_of_way import LINE_PASSED_M
@@ -89,9 +89,9 @@ class ObservedDriver:
     def act(self, observation: Observation) -> Action:
         self._watch_lines(observation)
         seen = replace(observation, time=observation.time + self._later) if self._later else observation
-        begun = time.perf_counter()
-        action = self._driver.act(seen)
-        self.seconds.append(time.perf_counter() - begun)
+        with (watch := Stopwatch()):
+            action = self._driver.act(seen)
+        self.seconds.append(watch.seconds)
         if isinstance(action, Pose):
             self.poses.append((observation.ego, action))
         return action

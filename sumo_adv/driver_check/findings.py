@@ -205,7 +205,50 @@ def longest(flags: Bools) -> tuple[int, int]:
     return int(starts[k]), int(lengths[k])
 
 
-def milliseconds(drives: Sequence[UnattackedDrive]) -> tuple[float, float] | None:
-    """Median and 99 % quantile of the time for an answer [ms]; None without answers."""
-    act = np.concatenate([np.zeros(0), *(drive.act for drive in drives)])
-    return (float(np.median(act)) * 1e3, float(np.quantile(act, 0.99)) * 1e3) if len(act) else None
+PLANNING_SHARE = 0.5  # of the time within which 99 % of the answers come: an answer that takes longer is a plan
+
+
+@dataclass(frozen=True, slots=True)
+class AnswerTimes:
+    """How long a driver's answers take.
+
+    Many planners plan in some steps and follow their plan in the others, so the median says nothing of a plan. An
+    answer is a plan if it takes more than half of the time within which 99 % of the answers come.
+
+    Attributes:
+        count: How many answers there were.
+        mean: Mean of all of them [ms].
+        median: Their median [ms].
+        p99: The time within which 99 % of them come [ms].
+        plans: How many of them are plans.
+        plan_mean: Mean of the plans [ms].
+    """
+
+    count: int
+    mean: float
+    median: float
+    p99: float
+    plans: int
+    plan_mean: float
+
+    @property
+    def words(self) -> str:
+        """For people, in one line."""
+        quantiles = f"median {self.median:.2g} ms, 99 % within {self.p99:.2g} ms"
+        line = f"An answer takes {self.mean:.2g} ms in the mean ({quantiles})."
+        if self.plans > PLANNING_SHARE * self.count:
+            return line
+        return (
+            f"{line} One in {self.count / self.plans:.3g} is a plan, which takes {self.plan_mean:.2g} ms in the mean."
+        )
+
+
+def answer_times(drives: Sequence[UnattackedDrive]) -> AnswerTimes | None:
+    """The times of all answers in some drives; None without answers."""
+    act = 1e3 * np.concatenate([np.zeros(0), *(drive.act for drive in drives)])
+    if not len(act):
+        return None
+    p99 = float(np.quantile(act, 0.99))
+    plans = act[act > PLANNING_SHARE * p99]
+    plan_mean = float(plans.mean()) if len(plans) else float(act.mean())
+    return AnswerTimes(len(act), float(act.mean()), float(np.median(act)), p99, max(len(plans), 1), plan_mean)
