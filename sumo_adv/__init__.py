@@ -14,18 +14,18 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from sumo_adv.api import Result, judge, load, run
     from sumo_adv.api_batch import Campaign, batch, crash_rate, hunt
-    from sumo_adv.drivers import LaneSpeed, Observation, Pose, Steer
+    from sumo_adv.drivers import LaneSpeed, Observation, PlannedPose, Pose, Steer
 
 __version__ = "0.3.0"
 __all__ = [
-    "Campaign", "LaneSpeed", "Observation", "Pose", "Result", "Steer", "__version__", "batch", "crash_rate",
-    "hunt", "judge", "load", "run",
+    "Campaign", "LaneSpeed", "Observation", "PlannedPose", "Pose", "Result", "Steer", "__version__", "batch",
+    "crash_rate", "hunt", "judge", "load", "run",
 ]  # fmt: skip
 
 _HOMES = {
     **dict.fromkeys(("Result", "judge", "load", "run"), "sumo_adv.api"),
     **dict.fromkeys(("Campaign", "batch", "crash_rate", "hunt"), "sumo_adv.api_batch"),
-    **dict.fromkeys(("LaneSpeed", "Observation", "Pose", "Steer"), "sumo_adv.drivers"),
+    **dict.fromkeys(("LaneSpeed", "Observation", "PlannedPose", "Pose", "Steer"), "sumo_adv.drivers"),
 }
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import tiny_planner
 from tiny_planner import Route, State
 
-from sumo_adv import Observation, Pose
+from sumo_adv import Observation, PlannedPose, Pose
 
 AXLE = 1.4  # m from the rear axle to the centre of the box
 BEHIND = 10.0  # m of the route that are kept
@@ -37,7 +37,10 @@ class BroughtPlanner:
             leaders = self.leaders(seen)
             self.plan = tiny_planner.plan(self.state(seen.ego), self.route, seen.road.limit, leaders)
             self.begun = seen.time
-        return self.pose(self.at(self.since_plan(seen.time) + seen.dt))
+        after = self.pose(self.at(self.since_plan(seen.time) + seen.dt))
+        ahead = [self.pose(state) for state in self.plan[::5]]  # for the replay page; the simulation does not need it
+        notes = {"age of the plan [s]": self.since_plan(seen.time)}
+        return PlannedPose(after.x, after.y, after.heading, after.speed, [(p.x, p.y) for p in ahead], notes)
 
     def joined(self, path: np.ndarray) -> np.ndarray:
         """The path, with the route behind it: it begins at the centre of the ego, and the rear axle is further back."""

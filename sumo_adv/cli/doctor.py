@@ -187,7 +187,7 @@ def check_ego(ego: str, scenarios: Sequence[Path], settings_file: Path | None, *
     if not as_json:
         typer.echo(f"{ego} drives {_many(len(inputs))}: {', '.join(given.name for given in inputs)}.")
         typer.echo(
-            f"Each is {DRIVE_DURATION_S:.0f} s of traffic, which idm drives once and {ego} twice, more often if the two "
+            f"Each is {DRIVE_DURATION_S:.0f} s, which idm drives once and {ego} twice, more often if these "
             "differ. After the first the time that is left is said. Ctrl-C keeps what was driven until then."
         )
         typer.echo(f"{'scenario':<{SCENARIO_NAME_CHARACTERS}} {'time':>6} {'ego':>7} {'idm':>7}  findings")

@@ -197,12 +197,25 @@ class Observation:
     road: Road | None = None
 
 
+Points: TypeAlias = Sequence[tuple[float, float]]
+"""(x, y) [m] in the world frame."""
+
+
 @dataclass(frozen=True, slots=True)
 class Steer:
-    """Pedals and wheel: ``acceleration`` [m/s2]; ``steering``: angle of the front wheels [rad, left positive]."""
+    """Pedals and wheel.
+
+    Attributes:
+        acceleration: Of the car [m/s2].
+        steering: Angle of the front wheels [rad, left positive].
+        plan: Where the driver plans to go from here, for pages and exports. It changes nothing in the simulation.
+        notes: Numbers by name that a person wants to see beside the motion, such as costs.
+    """
 
     acceleration: float
     steering: float
+    plan: Points | None = None
+    notes: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,11 +225,36 @@ class LaneSpeed:
 
     SUMO goes slower than asked where its rules demand it (safe distance, red light). The ego can brake harder than its
     vType's ``decel``, up to ``emergencyDecel``. While a speed is asked for, SUMO's own rules may use
-    ``emergencyDecel``, too.
+    ``emergencyDecel``, too. ``plan`` and ``notes`` are those of ``Steer``.
     """
 
     lane: int | None
     speed: float
+    plan: Points | None = None
+    notes: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedPose(Pose):
+    """A ``Pose`` with what the driver planned; ``plan`` and ``notes`` are those of ``Steer``."""
+
+    plan: Points | None = None
+    notes: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class DriverInside:
+    """What a driver showed of its inside with one answer.
+
+    Attributes:
+        time: When it was asked [s].
+        plan: Where it planned to go; empty if it did not say.
+        notes: Its numbers by name.
+    """
+
+    time: float
+    plan: Points = ()
+    notes: Mapping[str, float] = field(default_factory=dict)
 
 
 Action: TypeAlias = Steer | LaneSpeed | Pose | None

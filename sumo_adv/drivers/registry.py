@@ -21,7 +21,7 @@ import math
 import sys
 from collections.abc import Callable, Mapping
 from contextlib import redirect_stderr, redirect_stdout
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -35,13 +35,27 @@ from sumo_adv.datatypes import DriverModel
 from sumo_adv.drivers.blind import BlindEgo
 from sumo_adv.drivers.careful import CarefulEgo
 from sumo_adv.drivers.lattice_ego import LatticeEgo
-from sumo_adv.drivers.protocol import Action, EgoController, LaneSpeed, Observation, Pose, Steer, model_of, read_wishes
+from sumo_adv.drivers.protocol import (
+    Action,
+    EgoController,
+    LaneSpeed,
+    Observation,
+    PlannedPose,
+    Points,
+    Pose,
+    Steer,
+    model_of,
+    read_wishes,
+)
 from sumo_adv.drivers.sumo_driven import FOLLOWING_MODELS, DriverType, ReplayEgo, SumoEgo, sumo_type
 from sumo_adv.errors import DriverError, SimulationError, UsageError, nearest, ran_out_of_memory
 from sumo_adv.simulation.watch import OutOfTimeError
 
 T = TypeVar("T")
 MAX_ACTION_NUMBER = 1e9  # of a number in an action: SUMO takes whole numbers of 32 bits
+MAX_PLAN_POINTS = 1000  # of an answer
+MAX_NOTES = 20  # of an answer
+MAX_NOTE_NAME_CHARACTERS = 40
 METHODS = {"reset": "reset(seed)", "act": "act(observation)"}  # of a driver
 
 
@@ -74,9 +88,10 @@ class UserEgo:
                 f"The ego {self._spec!r} returned {type(action).__name__}; "
                 "act must return Steer, LaneSpeed, Pose or None."
             )
-        if not all(value is None or type(value) in (int, float) for value in astuple(action)):
-            action = type(action)(*map(_plain, astuple(action)))
-        for value in astuple(action):
+        names = _number_names(action)
+        if not all(getattr(action, name) is None or type(getattr(action, name)) in (int, float) for name in names):
+            action = replace(action, **{name: _plain(getattr(action, name)) for name in names})
+        for value in (getattr(action, name) for name in names):
             if value is None and isinstance(action, LaneSpeed):
                 continue
             if not isinstance(value, int | float):
@@ -87,6 +102,11 @@ class UserEgo:
                     f"The ego {self._spec!r} returned {str(action)[:200]} {at}; its numbers must be finite, "
                     f"and at most {MAX_ACTION_NUMBER:g}."
                 )
+        if isinstance(action, Steer | LaneSpeed | PlannedPose) and (action.plan is not None or action.notes):
+            try:
+                return replace(action, plan=_plan(action.plan), notes=_notes(action.notes))
+            except (TypeError, ValueError) as error:
+                raise DriverError(f"The ego {self._spec!r} returned {type(action).__name__} {at}; {error}.") from error
         return action
 
     def model_of(self, numbers: DriverModel) -> DriverModel:
@@ -105,6 +125,37 @@ class UserEgo:
             if ran_out_of_memory(error):
                 raise
             raise DriverError(f"The ego {self._spec!r} {failure}: {in_one_line(error)}{_place(error)}.") from error
+
+
+def _number_names(action: Steer | LaneSpeed | Pose) -> tuple[str, ...]:
+    """The names of the numbers that move the ego."""
+    if isinstance(action, Steer):
+        return "acceleration", "steering"
+    return ("lane", "speed") if isinstance(action, LaneSpeed) else ("x", "y", "heading", "speed")
+
+
+def _plan(given: Any) -> Points | None:
+    """A plan as pairs of plain numbers. Raises ValueError or TypeError for what is none."""
+    if given is None:
+        return None
+    points = np.asarray(given, dtype=np.float64)
+    if points.size == 0:
+        return ()
+    if points.ndim != 2 or points.shape[1] < 2 or not np.isfinite(points).all():
+        raise ValueError("its plan must be finite points (x, y)")
+    if len(points) > MAX_PLAN_POINTS:
+        raise ValueError(f"its plan has {len(points)} points; {MAX_PLAN_POINTS} are the most")
+    return tuple(zip(points[:, 0].tolist(), points[:, 1].tolist(), strict=True))
+
+
+def _notes(given: Any) -> dict[str, float]:
+    """Notes as plain numbers by name. Raises ValueError or TypeError for what is none."""
+    if not isinstance(given, Mapping) or len(given) > MAX_NOTES:
+        raise ValueError(f"its notes must be a mapping of at most {MAX_NOTES} names to numbers")
+    notes = {str(name)[:MAX_NOTE_NAME_CHARACTERS]: float(value) for name, value in given.items()}
+    if not all(math.isfinite(value) for value in notes.values()):
+        raise ValueError("its notes must be finite numbers")
+    return notes
 
 
 def _plain(value: Any) -> Any:

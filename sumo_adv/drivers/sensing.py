@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sumo_adv.datatypes import VehicleState
-from sumo_adv.drivers.protocol import Action, EgoController, LaneSpeed, Observation, Pose, Steer, Vehicle
+from sumo_adv.drivers.protocol import Action, EgoController, LaneSpeed, Observation, Steer, Vehicle
 from sumo_adv.drivers.timing import TimedEgo
 from sumo_adv.drivers.wrapped import WrappedEgo
 from sumo_adv.ego_sensing import EgoSensing
@@ -144,4 +144,5 @@ def _from(answer: _Answer, observation: Observation) -> Action:
     far = (now.speed + speed) / 2 * observation.dt
     direction = now.heading + slip
     heading = wrap(now.heading + action.heading - then.heading)
-    return Pose(now.x + far * math.cos(direction), now.y + far * math.sin(direction), heading, speed)
+    x, y = now.x + far * math.cos(direction), now.y + far * math.sin(direction)
+    return replace(action, x=x, y=y, heading=heading, speed=speed)

@@ -18,11 +18,12 @@ from sumo_adv.drivers import (
     ExternalEgo,
     LaneSpeed,
     Observation,
+    PlannedPose,
     ReplayEgo,
     Steer,
     apply_steer,
 )
-from sumo_adv.drivers.protocol import wishes_of
+from sumo_adv.drivers.protocol import DriverInside, wishes_of
 from sumo_adv.drivers.sumo_driven import defaults_of
 from sumo_adv.episode.ego_place import EgoPlace, LanePlace, back_to_lane
 from sumo_adv.errors import DriverError
@@ -60,7 +61,8 @@ class ActionCount:
 
     def answered(self, action: Action, reachable: float) -> None:
         """``reachable``: the highest speed [m/s] that the ego can have after the step, without other vehicles."""
-        self._counts["SUMO" if action is None else type(action).__name__] += 1
+        name = "Pose" if isinstance(action, Pose) else type(action).__name__
+        self._counts["SUMO" if action is None else name] += 1
         self._expected = min(action.speed, reachable) if isinstance(action, LaneSpeed) else None
 
     def stepped(self, speed: float) -> None:
@@ -115,6 +117,7 @@ class Drive:
         self.steered = False  # the ego's driver, not SUMO, moved the ego in the last step
         self.heeding = False  # it did so with pedals and wheel, and asks for SUMO's advice
         self.actions = ActionCount()  # of the ego's driver since it took over
+        self.inside: list[DriverInside] = []  # what the driver showed of its inside, since it took over
         self._ego_place: EgoPlace | None = None
         self._placed: tuple[float, LanePlace | None] = (-math.inf, None)  # when it was last worked out [s]
         self.on_load: Callable[[], None] | None = None  # called when the simulation was loaded again
@@ -185,7 +188,7 @@ class Drive:
             self.playback.take(vehicle, speed, factor, replayed=isinstance(self.controller, ReplayEgo))
         with self._driver("reset"):
             self.controller.reset(self.seed)
-        self.actions, self._ego_place = ActionCount(), None
+        self.actions, self.inside, self._ego_place = ActionCount(), [], None
         self.ego = vehicle
         self._takeovers.append((len(self.recording.snapshots), vehicle))
 
@@ -381,6 +384,7 @@ class Drive:
             with self._driver("act"):
                 action = self.controller.act(observation)
             heeds = wishes.needs_road and observation.road is not None
+            self._note_inside(action)
         answer, action = action, self._led_back(action)
         self.steered = isinstance(action, Steer | Pose)
         self.heeding = isinstance(answer, Steer) and heeds
@@ -389,7 +393,7 @@ class Drive:
             after = apply_steer(self.state(self.ego), action, self.recording.step_length, wishes.bicycle)
             driven[self.ego] = Pose(after.x, after.y, after.heading, after.speed)
         elif isinstance(action, Pose):
-            driven[self.ego] = action
+            driven[self.ego] = Pose(action.x, action.y, action.heading, action.speed)
         elif isinstance(action, LaneSpeed):
             reachable = self.simulation.reachable(self.ego, self.state(self.ego).speed)
             self.simulation.set_speed(self.ego, action.speed)
@@ -398,6 +402,11 @@ class Drive:
         else:
             self.simulation.set_speed(self.ego, None)
         self.actions.answered(answer, reachable)
+
+    def _note_inside(self, action: Action) -> None:
+        """Keep the plan and the notes of an answer, if it has any."""
+        if isinstance(action, Steer | LaneSpeed | PlannedPose) and (action.plan or action.notes):
+            self.inside.append(DriverInside(self.now, action.plan or (), action.notes))
 
     def _led_back(self, action: Action) -> Action:
         """The action, or a way back to the ego's own lane where its driver gives it to SUMO on a lane off its route:

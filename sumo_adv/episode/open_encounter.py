@@ -77,8 +77,9 @@ class OpenEncounter:
         verdict = verdict_on(drive, self.found, self.settings, self.trigger_step, proposal.bvs, start, driven)
         snapshots = StoredSnapshots(drive.recording.snapshots[self.trigger_step :])
         return AttemptResult(
-            driven, verdict, start, snapshots, dict(drive.simulation.fleet.sizes), drive.actions.total()
-        )
+            driven, verdict, start, snapshots, dict(drive.simulation.fleet.sizes), drive.actions.total(),
+            tuple(drive.inside),
+        )  # fmt: skip
 
     def avoids(
         self, proposal: Proposal, asks: Sequence[AskOne], driver: str, manoeuvre: Boxes | None, lane_half_width: float

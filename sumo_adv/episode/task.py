@@ -10,6 +10,7 @@ from typing import Any
 
 from sumo_adv.config import Settings, reachable
 from sumo_adv.datatypes import Ending, RoadPlace, Role, Track, Verdict
+from sumo_adv.drivers.protocol import DriverInside
 from sumo_adv.drivers.registry import GivenEgo
 from sumo_adv.episode.attempt import Driven
 from sumo_adv.episode.drive import EgoActions
@@ -108,7 +109,8 @@ class NoEncounter:
 @dataclass(frozen=True, slots=True)
 class AttemptResult:
     """The result of one attempt; ``start`` [s]: the takeover of the adversary, ``snapshots``: from the trigger on.
-    actions: the answers of the ego's driver since it took over; None where a program of its own drives it."""
+    actions: the answers of the ego's driver since it took over; None where a program of its own drives it. inside: what
+    it showed of its inside since it took over."""
 
     driven: Driven
     verdict: Verdict | None
@@ -116,6 +118,7 @@ class AttemptResult:
     snapshots: Sequence[Snapshot] = field(repr=False, default=())
     sizes: Mapping[str, tuple[float, float]] = field(repr=False, default_factory=dict)
     actions: EgoActions | None = None
+    inside: Sequence[DriverInside] = field(repr=False, default=())
 
     def tracks(self, step: float, *only: str) -> dict[str, Track]:
         """The recorded motions by id, of these vehicles or of all; ``step``: of the simulation [s]."""

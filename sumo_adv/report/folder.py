@@ -20,7 +20,15 @@ from sumo_adv.metrics.boxes import first_contact, on_grid
 from sumo_adv.metrics.criticality import ttc
 from sumo_adv.report.outcome import manifest, number, outcome
 from sumo_adv.report.staging import RunFolder
-from sumo_adv.report.tables import SERIES_HEADER, csv_text, write_gzip, write_plan, write_signals, write_states
+from sumo_adv.report.tables import (
+    SERIES_HEADER,
+    csv_text,
+    write_gzip,
+    write_inside,
+    write_plan,
+    write_signals,
+    write_states,
+)
 from sumo_adv.report.verdicts import Findings, findings_on, further_keys
 from sumo_adv.scenario_names import columns_of
 from sumo_adv.simulation.sumo_states import Snapshot
@@ -30,6 +38,7 @@ from sumo_adv.simulation.warnings_log import WARNINGS_FILE
 RUN_FILES = ("outcome.json", "manifest.json", "states.csv.gz", "raw.csv.gz", "criticality.csv.gz", "encounter.png")
 FIRST = "first.csv.gz"  # written if another attempt than the first counts
 SIGNALS = "signals.csv.gz"  # there is one where traffic lights are near the ego
+INSIDE = "driver.jsonl.gz"  # there is one where the ego's driver showed its plan or its notes
 PLAN = "plan.csv.gz"  # there is one where the attempt that counts ends with a contact, and one for each support
 
 
@@ -126,6 +135,7 @@ def _write_tables(stage: Path, run: Run, record: EncounterRecord, prefix: Prefix
         names = (ego, *record.attempts[0].proposal.bvs)
         write_states(stage / FIRST, [*before[-2:], *first], sizes, roles(*names), step, names)
     if record.best_result is not None:
+        write_inside(stage / INSIDE, record.best_result.inside)
         beyond = record.best_result.driven.beyond
         for name, bv in zip(plan_names(), bvs, strict=False):
             if bv in beyond:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.datatypes import FAILED_ENDINGS, Floats, Role, Track
+from sumo_adv.drivers.protocol import DriverInside
 from sumo_adv.metrics.criticality import series
 from sumo_adv.metrics.gates import GATES
 from sumo_adv.report.document import WholeNumbers, asset, document, packed, whole
@@ -31,6 +32,7 @@ CENTIMETRE_M, MILLIRADIAN_RAD, HUNDREDTH = 0.01, 0.001, 0.01
 SERIES_CAP = 9_000.0  # a series' cap, in its unit
 SCENE_NAMES = {"best": "attacked", "first": "first attempt", "raw": "unattacked"}
 MAX_COMPARED_LINES = 2000  # of a planner that is compared with another
+MAX_NOTES_SHOWN = 4  # series of the driver's notes
 PAGE_SCHEMA = 1
 PAGE_SCRIPTS = ("common.js", "decode.js", "model.js", "map.js", "charts.js", "words.js", "replay.js")
 PAGE_STYLES = ("common.css", "replay.css")
@@ -80,8 +82,17 @@ class Grid:
         return round((time - self.start) / self.step)
 
 
-def make_scene(road: DrawnRoad, grid: Grid, attempts: Sequence[ShownAttempt], lights: SignalLog) -> dict[str, Any]:
-    """The scene as JSON: figures as they are, positions, series and the road packed in ``blob``."""
+def make_scene(
+    road: DrawnRoad, grid: Grid, attempts: Sequence[ShownAttempt], lights: SignalLog,
+    inside: Sequence[DriverInside] = (),
+) -> dict[str, Any]:  # fmt: skip
+    """The scene as JSON: figures as they are, positions, series, plans and the road packed in ``blob``.
+
+    ``inside``: what the driver showed of its inside in the attempt that counts.
+    """
+    end = grid.start + (grid.frames - 0.5) * grid.step
+    inside = [each for each in inside if grid.start - grid.step / 2 <= each.time < end]
+    notes = sorted({name for each in inside for name in each.notes})[:MAX_NOTES_SHOWN]
     names = lights_of(road.stops)
     shown = [lights.lights.get(name, ((), ())) for name in names]
     return {
@@ -91,7 +102,9 @@ def make_scene(road: DrawnRoad, grid: Grid, attempts: Sequence[ShownAttempt], li
         "markings": [[len(m.line), m.kind] for m in road.markings],
         "stops": [[s.kind, names.index(s.light) if s.light else -1, list(s.links)] for s in road.stops],
         "lights": [[[grid.frame(time) for time in times], list(states)] for times, states in shown],
-        "blob": packed(list(_columns(attempts, road, grid))),
+        "plans": [[grid.frame(each.time), len(each.plan)] for each in inside],
+        "notes": [[name, [each.notes.get(name) for each in inside]] for name in notes],
+        "blob": packed(list(_columns(attempts, road, grid, inside))),
     }  # fmt: skip
 
 
@@ -106,7 +119,9 @@ def _described(a: ShownAttempt) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _columns(attempts: Sequence[ShownAttempt], road: DrawnRoad, grid: Grid) -> Iterator[tuple[int, WholeNumbers]]:
+def _columns(
+    attempts: Sequence[ShownAttempt], road: DrawnRoad, grid: Grid, inside: Sequence[DriverInside]
+) -> Iterator[tuple[int, WholeNumbers]]:
     """In the order in which the script reads them; alike beside alike packs best."""
     for name in ("x", "y", "heading"):
         for attempt in attempts:
@@ -120,6 +135,10 @@ def _columns(attempts: Sequence[ShownAttempt], road: DrawnRoad, grid: Grid) -> I
         for axis in (0, 1):
             for each in lines:
                 yield 1, whole(each.line[:, axis] - grid.origin[axis], CENTIMETRE_M)
+    for axis in (0, 1):
+        for answer in inside:
+            plan = np.array(answer.plan).reshape(-1, 2)
+            yield 1, whole(plan[:, axis] - grid.origin[axis], CENTIMETRE_M)
 
 
 def make_attempts(run: RunRead, road: RoadMap | None = None) -> tuple[Grid, list[ShownAttempt]] | None:
@@ -310,7 +329,7 @@ def page_of(folder: Path, back: str | None = None) -> Page:
         scene, moments, place = None, [], None
         if made is not None:
             grid, attempts = made
-            scene = make_scene(_road(road, file, attempts), grid, attempts, run.lights)
+            scene = make_scene(_road(road, file, attempts), grid, attempts, run.lights, run.inside)
             moments = _moments(run.outcome, attempts)
             place = _place(run, attempts)
         data = {

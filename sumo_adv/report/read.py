@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -14,11 +15,12 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.datatypes import Role, Track
+from sumo_adv.drivers.protocol import DriverInside
 from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.files import json_text, refuse_links, sentences, write_text, write_whole
 from sumo_adv.outcome_schema import check_schema, migrated
 from sumo_adv.parsing import MAX_UNPACKED_BYTES, read_json, read_text
-from sumo_adv.report.folder import FIRST, SIGNALS
+from sumo_adv.report.folder import FIRST, INSIDE, SIGNALS
 from sumo_adv.report.outcome import ATTACKS
 from sumo_adv.report.tables import HEIGHT, STATES_HEADER
 from sumo_adv.simulation.signals import SignalLog, read_signals
@@ -35,7 +37,8 @@ class RunRead:
     ``best``: the attempt that counts from the start of its simulation on, or the unattacked run where there was no
     attempt; ``raw``: the unattacked run; ``first``: ego and adversary of the first attempt where that is another.
     ``attacks``: the index of each attempt of another kind that succeeded too, and its tracks. ``lights``: what the
-    traffic lights near the ego showed in the attempt that counts.
+    traffic lights near the ego showed in the attempt that counts. ``inside``: what the driver
+    showed of its inside then.
     """
 
     folder: Path
@@ -46,6 +49,7 @@ class RunRead:
     first: Sequence[Track]
     attacks: Sequence[tuple[int, Sequence[Track]]] = ()
     lights: SignalLog = SignalLog({})  # noqa: RUF009 - frozen
+    inside: Sequence[DriverInside] = ()
 
 
 def read_run(folder: Path) -> RunRead:
@@ -54,7 +58,23 @@ def read_run(folder: Path) -> RunRead:
     manifest = _json(folder / MANIFEST_FILE) if (folder / MANIFEST_FILE).is_file() else {}
     best, raw, first = (_tracks(folder / name) for name in ("states.csv.gz", "raw.csv.gz", FIRST))
     lights = read_signals(folder / SIGNALS) if (folder / SIGNALS).is_file() else SignalLog({})
-    return RunRead(folder, outcome, manifest, best, raw, first, _attacks(folder, outcome), lights)
+    inside = read_inside(folder / INSIDE) if (folder / INSIDE).is_file() else []
+    return RunRead(folder, outcome, manifest, best, raw, first, _attacks(folder, outcome), lights, inside)
+
+
+def read_inside(file: Path) -> list[DriverInside]:
+    """What a driver showed of its inside, from the file that a run has. Raises UsageError: it is damaged."""
+    try:
+        lines = [json.loads(line) for line in read_text(file).splitlines()]
+        return [
+            DriverInside(
+                float(line["time"]), tuple((float(x), float(y)) for x, y in line["plan"]),
+                {str(name): float(value) for name, value in line["notes"].items()},
+            )
+            for line in lines
+        ]  # fmt: skip
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise damaged(file, error) from error
 
 
 def read_outcome(folder: Path) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import gzip
 import io
+import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.datatypes import Role, Track
+from sumo_adv.drivers.protocol import DriverInside
 from sumo_adv.files import plain_cell
 from sumo_adv.metrics.case import THIRD_PARTY_DISTANCE_M
 from sumo_adv.metrics.criticality import AVAILABLE_BRAKING_M_S2, series
@@ -64,6 +66,19 @@ def write_states(
     rows.sort(key=lambda r: (r[0], r[1]))
     header = f"{STATES_HEADER.strip()},{HEIGHT}\n" if high else STATES_HEADER
     write_gzip(target, header + "".join(r[2] for r in rows))
+
+
+def write_inside(target: Path, inside: Sequence[DriverInside]) -> None:
+    """``driver.jsonl.gz``: a JSON object for each answer with which the driver showed its inside.
+
+    Its keys are ``time`` [s], ``plan`` (points (x, y) [m]) and ``notes``. Nothing is written if there is none.
+    """
+    lines = [
+        {"time": round(each.time, 6), "plan": [[round(x, 3), round(y, 3)] for x, y in each.plan], "notes": each.notes}
+        for each in inside
+    ]
+    if lines:
+        write_gzip(target, "".join(f"{json.dumps(line)}\n" for line in lines))
 
 
 def write_signals(target: Path, snapshots: Sequence[Snapshot]) -> None:

@@ -11,6 +11,7 @@ const EDGE = { left: 44, right: 10, top: 16, gap: 24 };
 class Charts {
   constructor(lines, cursor, scene, moments, threshold) {
     Object.assign(this, { lines, cursorCanvas: cursor, scene, threshold });
+    this.all = [...ROWS, ...scene.notes.map(([name]) => ({ title: `${name} (your driver)`, names: [`note ${name}`], free: true }))];
     this.moments = moments.filter((m) => m.key !== "raw_closest");
     this.resize();
   }
@@ -35,8 +36,8 @@ class Charts {
     const c = this.lines.getContext("2d"), k = this.colours;
     c.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
     c.clearRect(0, 0, this.width, this.height);
-    const tall = (this.height - 18) / ROWS.length;
-    this.rows = ROWS.map((row, i) => ({ row, top: tall * i + EDGE.top + (i ? 4 : 12), bottom: tall * (i + 1) - 4 }));
+    const tall = (this.height - 18) / this.all.length;
+    this.rows = this.all.map((row, i) => ({ row, top: tall * i + EDGE.top + (i ? 4 : 12), bottom: tall * (i + 1) - 4 }));
     for (const m of this.moments) {
       const f = (m.time - this.scene.start) / this.scene.step;
       if (f < from || f > to) continue;
@@ -123,7 +124,7 @@ class Charts {
   }
 
   range(row, attempts) {
-    let low = row.least ?? -2, high = row.most ? Math.min(row.most, 4) : row.least === 0 ? 5 : 2;
+    let low = row.free ? Infinity : row.least ?? -2, high = row.free ? -Infinity : row.most ? Math.min(row.most, 4) : row.least === 0 ? 5 : 2;
     for (const a of attempts) {
       for (const name of row.names) {
         for (let f = this.from; f <= this.to; f++) {
@@ -134,7 +135,8 @@ class Charts {
         }
       }
     }
-    return [low, high * 1.04];
+    if (row.free && !(high - low > 1e-9)) return Number.isFinite(low) ? [low - 1, low + 1] : [0, 1];
+    return row.free ? [low, high + 0.04 * (high - low)] : [low, high * 1.04];
   }
 
   drawAxis(c) {

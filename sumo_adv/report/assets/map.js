@@ -168,6 +168,7 @@ class MapView {
     const now = Math.min(frame, a.to);
     this.drawLights(c, place, now);
     this.drawTrails(c, place, [a, ...ghosts], now);
+    if (a.key === "best") this.drawPlan(c, place, now);
     this.drawOthers(c, place, a, now);
     for (const g of ghosts) this.drawPair(c, place, g, Math.min(frame, g.to), true);
     this.drawPair(c, place, a, now, false);
@@ -217,6 +218,22 @@ class MapView {
     c.setLineDash([]);
     c.globalAlpha = 1;
     c.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
+  }
+
+  /** Where the ego's driver planned to go then: a thin line with a dot at its end. */
+  drawPlan(c, { s, ox, oy }, frame) {
+    const plan = planAt(this.scene.plans, frame);
+    if (!plan) return;
+    c.strokeStyle = c.fillStyle = this.colours["ego-text"];
+    c.lineWidth = 2.5;
+    c.setLineDash([2, 3]);
+    c.beginPath();
+    for (let i = 0; i < plan.count; i++) c.lineTo(ox + plan.x[i] * s, oy - plan.y[i] * s);
+    c.stroke();
+    c.setLineDash([]);
+    c.beginPath();
+    c.arc(ox + plan.x[plan.count - 1] * s, oy - plan.y[plan.count - 1] * s, 3.5, 0, 2 * Math.PI);
+    c.fill();
   }
 
   drawOthers(c, { s, ox, oy, panel }, attempt, frame) {

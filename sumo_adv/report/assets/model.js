@@ -23,6 +23,9 @@ async function unpack(scene) {
   for (const lines of [lanes, markings, stops]) {
     for (const axis of ["x", "y"]) for (const line of lines) line[axis] = columns.next(line.count, 1, 0.01);
   }
+  const plans = scene.plans.map(([frame, count]) => ({ frame, count }));
+  for (const axis of ["x", "y"]) for (const plan of plans) plan[axis] = columns.next(plan.count, 1, 0.01);
+  addNotes(scene, attempts[0], plans);
   for (const a of attempts.slice(1)) prepend(a, attempts[0]);
   const [best] = attempts, helpers = new Set();
   for (const v of best.vehicles) if (v.role === "adversary" && v.id !== best.adversary) helpers.add(v.id);
@@ -33,7 +36,30 @@ async function unpack(scene) {
     a.supports = a.vehicles.filter(helps);
     a.others = a.vehicles.filter((v) => v !== a.egoVehicle && v !== a.adversaryVehicle && !a.supports.includes(v));
   }
-  return { ...scene, attempts, lanes, markings, stops };
+  return { ...scene, attempts, lanes, markings, stops, plans };
+}
+
+/** What the driver noted, as curves of the attempt that counts: each value holds until its next answer. */
+function addNotes(scene, best, plans) {
+  if (!best.curve) return;
+  for (const [name, values] of scene.notes) {
+    const curve = new Float64Array(best.curve.count).fill(ABSENT * 0.01);
+    plans.forEach(({ frame }, i) => {
+      const next = i + 1 < plans.length ? plans[i + 1].frame : frame + 1;
+      for (let f = frame; f < next; f++) {
+        const at = f - best.curve.first;
+        if (values[i] !== null && at >= 0 && at < curve.length) curve[at] = values[i];
+      }
+    });
+    best.curve[`note ${name}`] = curve;
+  }
+}
+
+/** The plan that the driver had at a frame; null where it showed none. */
+function planAt(plans, frame) {
+  let found = null;
+  for (const plan of plans) if (plan.frame <= frame + 1e-6) found = plan;
+  return found && found.count ? found : null;
 }
 
 /** Give an attempt what it shares with the one that counts: all frames up to its own first. */
@@ -92,5 +118,5 @@ function stateAt([frames, states], frame) {
 /** A curve's value at a frame; null where there is none. */
 function valueAt(attempt, name, frame) {
   const c = attempt.curve, i = c ? Math.round(frame) - c.first : -1;
-  return c && i >= 0 && i < c.count && c[name][i] > ABSENT * 0.01 + 1 ? c[name][i] : null;
+  return c && c[name] && i >= 0 && i < c.count && c[name][i] > ABSENT * 0.01 + 1 ? c[name][i] : null;
 }

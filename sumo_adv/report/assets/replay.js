@@ -158,7 +158,8 @@ class Player {
 
   buildNow(attempts) {
     const heads = [["ttc", "TTC [s]", 2], ["gap", "distance [m]", 2], ["ego_speed", "ego [m/s]", 1], ["adversary_speed", "adversary [m/s]", 1],
-      ["ego_acceleration", "ego [m/s²]", 1], ["adversary_acceleration", "adversary [m/s²]", 1]];
+      ["ego_acceleration", "ego [m/s²]", 1], ["adversary_acceleration", "adversary [m/s²]", 1],
+      ...this.scene.notes.map(([name]) => [`note ${name}`, name, 2])];
     this.cells = [];
     const rows = attempts.map((a) => el("tr", null, el("th", { scope: "row" }, a.name), heads.map(([name, , digits]) => {
       const cell = el("td", null, "");
@@ -287,6 +288,7 @@ async function start() {
     return null;
   }
   const scene = await unpack(data.scene);
+  if (scene.notes.length) document.querySelector(".curves").style.height = `${420 + 105 * scene.notes.length}px`;
   byId("stage").hidden = false;
   const player = new Player(scene);
   connect(player);

@@ -1,9 +1,10 @@
 """A run as MCAP with Foxglove's schemas (for Lichtblick and Foxglove), and as an ASAM OSI trace.
 
 MCAP topics: ``/vehicles`` and ``/road`` (SceneUpdate), ``/ego`` (PoseInFrame), ``/adversaries`` (PosesInFrame),
-``/log`` (Log). The frame ``world`` is the network's. OSI: a GroundTruth a step, each after its length in 4 bytes
-(little-endian); the lanes are in the first message only, because they do not change. Objects are numbered in the order
-of the run from 1; their ids are in ``source_reference``. Times are simulation times, positions are centres of boxes.
+``/log`` (Log); if the ego's driver showed them, ``/plan`` (SceneUpdate) and ``/notes`` (JSON). The frame ``world`` is
+the network's. OSI: a GroundTruth a step, each after its length in 4 bytes (little-endian); the lanes are in the first
+message only, because they do not change. Objects are numbered in the order of the run from 1; their ids are in
+``source_reference``. Times are simulation times, positions are centres of boxes.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.datatypes import Role, Track
+from sumo_adv.drivers.protocol import DriverInside
 from sumo_adv.report.export.piece import HEIGHT_M, ExportedRun, height_of, kind, map_lanes
 
 FRAME = "world"
@@ -40,8 +42,15 @@ def write_mcap(target: Path, piece: ExportedRun) -> None:
     ego = channels.PoseInFrameChannel("/ego", context=context)
     adversaries = channels.PosesInFrameChannel("/adversaries", context=context)
     log = channels.LogChannel("/log", context=context)
+    plan = channels.SceneUpdateChannel("/plan", context=context) if piece.inside else None
+    notes = foxglove.Channel("/notes", message_encoding="json", context=context) if piece.inside else None
     with foxglove.open_mcap(target, allow_overwrite=True, context=context):
         road.log(_road(piece), log_time=nanoseconds(piece.begin))
+        for each in piece.inside:
+            if plan is not None and each.plan:
+                plan.log(_plan(each, piece), log_time=nanoseconds(each.time))
+            if notes is not None and each.notes:
+                notes.log({"time": each.time, **each.notes}, log_time=nanoseconds(each.time))
         said = sorted(_said(piece), key=lambda pair: pair[0])
         for step in range(round((piece.end - piece.begin) / piece.step) + 1):
             time = piece.begin + step * piece.step
@@ -108,6 +117,20 @@ def _scene(there: list[tuple[Track, int]], time: float, step: float) -> Any:
         )  # fmt: skip
         entities.append(entity)
     return m.SceneUpdate(entities=entities)
+
+
+def _plan(inside: DriverInside, piece: ExportedRun) -> Any:
+    """The plan of the ego's driver as a line."""
+    from foxglove import messages as m
+
+    red, green, blue = ROLE_RGB[Role.EGO]
+    line = m.LinePrimitive(
+        type=m.LinePrimitiveLineType.LineStrip, thickness=2 * LINE_WIDTH_M,
+        color=m.Color(r=red, g=green, b=blue, a=1.0), points=[m.Point3(x=x, y=y, z=0.0) for x, y in inside.plan],
+    )  # fmt: skip
+    return m.SceneUpdate(
+        entities=[m.SceneEntity(timestamp=_stamp(inside.time), frame_id=FRAME, id=f"plan of {piece.ego}", lines=[line])]
+    )
 
 
 def _road(piece: ExportedRun) -> Any:

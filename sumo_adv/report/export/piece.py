@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.datatypes import Floats, Role, Track
+from sumo_adv.drivers.protocol import DriverInside
 from sumo_adv.errors import UsageError
 from sumo_adv.metrics.boxes import first_contact, row_of
 from sumo_adv.report.manifest import waymo_source
@@ -36,7 +37,7 @@ class ExportedRun:
     network: the net.xml they drive on. step [s]. adversary: the collider; supports: the other adversaries. takeover:
     when they begin to be driven [s], None if unattacked. written: when the run was made. level: what the attempt came
     to, empty if unattacked. lights: what the traffic lights near the ego showed, empty if unattacked. waymo: the record
-    that the run's input was converted from.
+    that the run's input was converted from. inside: plans and notes of the ego's driver, empty if unattacked.
     """
 
     name: str
@@ -53,6 +54,7 @@ class ExportedRun:
     level: str = ""
     lights: SignalLog = SignalLog({})  # noqa: RUF009 - frozen
     waymo: WaymoSource | None = None
+    inside: tuple[DriverInside, ...] = ()
 
     def track(self, vehicle: str) -> Track:
         """The track of that id, which is there."""
@@ -105,11 +107,12 @@ def read_piece(
             raise UsageError(f"The ego is not in the exported part of the run in {run.folder}; give --whole.")
         best = None if attacked is None else run.outcome.get("best")
         level = "" if best is None else str(run.outcome["attempts"][best]["level"] or "")
+        inside = () if unattacked else tuple(each for each in run.inside if begin <= each.time <= end)
         return ExportedRun(
             str(run.manifest["name"]), file, tuple(shown), float(min(t.time[0] for t in shown)), float(end),
             float(settings["step_length"]), ego, attacked, float(takeover) if attacked is not None else None,
             datetime.fromtimestamp((run.folder / MANIFEST_FILE).stat().st_mtime, UTC).replace(microsecond=0),
-            tuple(supports), level, SignalLog({}) if unattacked else run.lights, waymo_source(run.manifest),
+            tuple(supports), level, SignalLog({}) if unattacked else run.lights, waymo_source(run.manifest), inside,
         )  # fmt: skip
 
 
