@@ -93,7 +93,7 @@ def test_a_run_keeps_the_plan_of_each_step_of_the_attempt_that_counts(tmp_path: 
 
 
 def test_the_page_has_the_plan_of_a_frame_and_the_notes_by_name(tmp_path: Path) -> None:
-    """An answer at 0.5 s is frame 4, counted from 0.1 s; its plan goes from x = 5 m to 25 m, in centimetres from there."""
+    """The grid begins at 0.1 s, so an answer at 0.5 s is frame 4. Plans are in centimetres from the origin."""
     folder = make_run(tmp_path / "run", vehicles=2, frames=30, pose=meeting)
     lines = [
         {"time": 0.5, "plan": [[5.0, -1.6], [15.0, -1.6], [25.0, -1.6]], "notes": {"cost": 2.5}},

@@ -58,8 +58,8 @@ function addNotes(scene, best, plans) {
 /** The plan that the driver had at a frame; null where it showed none. */
 function planAt(plans, frame) {
   let found = null;
-  for (const plan of plans) if (plan.frame <= frame + 1e-6) found = plan;
-  return found && found.count ? found : null;
+  for (const plan of plans) if (plan.count && plan.frame <= frame + 1e-6) found = plan;
+  return found;
 }
 
 /** Give an attempt what it shares with the one that counts: all frames up to its own first. */
