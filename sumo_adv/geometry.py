@@ -19,7 +19,7 @@ ROUNDING_PASSES = (2, 2, 3, 3, 4, 4, 6, 8)
 LAYER_HEIGHT_M = 3.0
 """How much higher or lower another road may be at one place to be the same road: less than the clearance of a bridge,
 more than what two lanes of one road, or two ends of a long vehicle, differ."""
-Angle = TypeVar("Angle", float, Floats)
+Number = TypeVar("Number", float, Floats)
 
 
 def read_only(values: Any) -> Floats:
@@ -29,12 +29,12 @@ def read_only(values: Any) -> Floats:
     return made.view()
 
 
-def wrap(angle: Angle) -> Angle:
+def wrap(angle: Number) -> Number:
     """An angle [rad] in (-pi, pi]: a float, or an array of any shape."""
     return math.pi - (math.pi - angle) % math.tau
 
 
-def wrap_below_pi(angle: Angle) -> Angle:
+def wrap_below_pi(angle: Number) -> Number:
     """An angle [rad] in [-pi, pi): a float, or an array of any shape.
 
     The metrics use this half-open interval. Its last digit is rounded otherwise than that of :func:`wrap`, so that one
@@ -92,8 +92,8 @@ class Frame:
     heading: float
     hand: float = 1.0
 
-    def to_local(self, x: float, y: float, heading: float) -> tuple[float, float, float]:
-        """World pose to this frame."""
+    def to_local(self, x: Number, y: Number, heading: Number) -> tuple[Number, Number, Number]:
+        """World pose to this frame: floats, or arrays of any shape."""
         c, s = math.cos(self.heading), math.sin(self.heading)
         dx, dy = x - self.x, y - self.y
         return c * dx + s * dy, self.hand * (-s * dx + c * dy), self.hand * wrap(heading - self.heading)
@@ -103,12 +103,6 @@ class Frame:
         c, s = math.cos(self.heading), math.sin(self.heading)
         y, heading = self.hand * y, self.hand * heading
         return self.x + c * x - s * y, self.y + s * x + c * y, wrap(heading + self.heading)
-
-    def points_to_local(self, x: Floats, y: Floats, heading: Floats) -> tuple[Floats, Floats, Floats]:
-        """World poses (any shape) to this frame."""
-        c, s = math.cos(self.heading), math.sin(self.heading)
-        dx, dy = x - self.x, y - self.y
-        return c * dx + s * dy, self.hand * (-s * dx + c * dy), self.hand * wrap(heading - self.heading)
 
 
 @dataclass(frozen=True, slots=True)

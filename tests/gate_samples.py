@@ -117,6 +117,16 @@ class Scene:
         for _ in range(count):
             self.ours.simulationStep()
 
+    def script(self, code: str) -> Script:
+        """A client that is connected."""
+        script = Script(self.gate.port, code)
+        assert self.gate.wait_connected(10.0)
+        return script
+
+    def client(self, code: str) -> Script:
+        """A client of stock ``traci`` that is connected: ``code`` follows :func:`connected`."""
+        return self.script(connected(code))
+
     def time(self) -> float:
         """Simulated time [s]."""
         return float(self.ours.simulation.getTime())
@@ -164,6 +174,8 @@ def attached(gate: Gate, events: list[GateEvent], folder: Path) -> Iterator[Scen
 
 @contextmanager
 def scene(folder: Path, deadline: float = 5.0, rules: Rules | None = None) -> Iterator[Scene]:
-    """One simulation behind a gate of its own."""
+    """One simulation behind a gate of its own, ended in good order."""
     with opened(folder, deadline, rules) as (gate, events), attached(gate, events, folder) as simulation:
         yield simulation
+        if simulation.sumo.alive:
+            simulation.end()

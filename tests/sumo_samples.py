@@ -50,3 +50,10 @@ def over_the_line(k: int, start: float = 120.0) -> Pose:
     y = -3.2 + 1.6 * (1.0 - math.cos(math.pi * share))
     slope = 1.6 * math.pi / 36.0 * math.sin(math.pi * share)
     return Pose(start + 1.2 * k, y, math.atan(slope), 12.0)
+
+
+def write(path: Path, text: str) -> Path:
+    """A file with its folders."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, encoding="utf-8")
+    return path

@@ -10,8 +10,8 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
-from cli_samples import Program
-from sumo_samples import make_spec, vehicle
+from cli_samples import Program, files_of
+from sumo_samples import make_spec, vehicle, write
 
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.inputs import data_folder, load_input
@@ -60,12 +60,6 @@ PARKED = (
 )
 
 
-def write(path: Path, text: str) -> Path:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(text, encoding="utf-8")
-    return path
-
-
 def with_everything(folder: Path) -> tuple[Path, Path]:
     """An additional file with all kinds of outputs, and a demand that uses what it describes."""
     write(folder / "more" / "included.add.xml", INCLUDED)
@@ -76,10 +70,6 @@ def with_everything(folder: Path) -> tuple[Path, Path]:
     rides += [vehicle(f"north{k}", "north_in south_out", 1, 20.0 + 30.0 * k, 8.0, "car") for k in range(3)]
     demand = make_spec(folder, "signalised_crossing", rides).routes[0]
     return write(folder / "all.add.xml", ADDITIONAL), demand
-
-
-def files_in(folder: Path) -> Mapping[str, bytes]:
-    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
 @pytest.mark.parametrize(
@@ -149,11 +139,11 @@ def test_sumo_drives_the_same_with_silent_copies_and_writes_nothing(tmp_path: Pa
     own.write_text(there.replace('"calibrator.xml"', f'"{home / "calibrator.xml"}"'))
     network = data_folder("networks") / "signalised_crossing.net.xml"
     copies = silent_copies(files, scratch)
-    before = files_in(home)
+    before = files_of(home)
     silent = driven(SimulationSpec(network, (copies[1],), (copies[0],), 0.0, 1))
-    assert files_in(home) == before
+    assert files_of(home) == before
     plain = driven(SimulationSpec(network, (files[1],), (own,), 0.0, 1))
-    assert len(files_in(home)) == len(before) + 13
+    assert len(files_of(home)) == len(before) + 13
     assert silent == plain
     ways, passed, speed = silent
     assert passed > 0
@@ -233,12 +223,12 @@ def test_a_run_and_its_replay_write_nothing_beside_the_configuration(program: Pr
     home = program.folder / "town"
     with_everything(home)
     configured(home, "all.add.xml")
-    before = files_in(home)
+    before = files_of(home)
     options = ("--ego-id", "ego", "--trigger", "7", "--attempts", "3", "--until", "critical", "--out", "out")
     done = program.here("run", "town/own.sumocfg", *options)
     assert (done.status, done.err) == (0, "")
     assert done.outcome["attempts"]
-    assert files_in(home) == before
+    assert files_of(home) == before
     for file in home.rglob("*.xml"):
         file.unlink()
     again = program.here("run", "--replay", "out", "--out", "again")

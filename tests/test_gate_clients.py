@@ -78,7 +78,6 @@ def test_others_hear_the_version_of_sumo(tmp_path: Path) -> None:
         script = Script(simulation.gate.port, connected("print(client.getVersion()[0])"))
         simulation.step()
         assert script.end() == "22\n"
-        simulation.end()
 
 
 def sumo_folder() -> Path:
@@ -114,4 +113,3 @@ def test_a_cpp_program_drives_the_ego(tmp_path: Path) -> None:
         assert "'other' is not the client's" in refusal
         assert simulation.gate.client_steps == 20
         simulation.sentence_of(EventKind.CLOSED)
-        simulation.end()

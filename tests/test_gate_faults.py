@@ -46,8 +46,7 @@ def test_without_a_client_the_gate_steps(tmp_path: Path) -> None:
 def test_a_late_client_gets_the_next_turn_and_its_close_ends_only_itself(tmp_path: Path) -> None:
     with scene(tmp_path) as simulation:
         simulation.step(10)
-        script = Script(simulation.gate.port, connected("for _ in range(5): client.simulationStep()\nclient.close()"))
-        assert simulation.gate.wait_connected(10.0)
+        script = simulation.client("for _ in range(5): client.simulationStep()\nclient.close()")
         simulation.step()
         assert simulation.gate.stepped_by is Stepper.CLIENT
         simulation.step(4)
@@ -55,7 +54,6 @@ def test_a_late_client_gets_the_next_turn_and_its_close_ends_only_itself(tmp_pat
         simulation.step(5)
         script.end()
         assert (simulation.time(), simulation.gate.client_steps, simulation.gate.stepped_by) == (2.0, 5, Stepper.GATE)
-        simulation.end()
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -72,11 +70,9 @@ def test_killed_at_a_random_time(tmp_path: Path, seed: int) -> None:
         assert simulation.time() == pytest.approx(killed_at + 2.0)
         assert simulation.gate.stepped_by is Stepper.GATE and "was lost" in simulation.sentence_of(EventKind.LOST)
         script.kill()
-        again = Script(simulation.gate.port, connected("client.simulationStep(); client.close()"))
-        assert simulation.gate.wait_connected(10.0)
+        again = simulation.client("client.simulationStep(); client.close()")
         simulation.step(2)
         again.end()
-        simulation.end()
 
 
 def test_a_client_that_hangs_is_late_and_hears_why(tmp_path: Path) -> None:
@@ -90,15 +86,13 @@ def test_a_client_that_hangs_is_late_and_hears_why(tmp_path: Path) -> None:
             except traci.TraCIException as error:
                 print(error)
         """
-        script = Script(simulation.gate.port, connected(hang))
-        assert simulation.gate.wait_connected(10.0)
+        script = simulation.client(hang)
         simulation.step()
         assert script.line() == "stepped"
         simulation.step(3)
         assert "more than 0.3 s" in simulation.sentence_of(EventKind.LATE)
         assert not simulation.gate.connected and simulation.gate.stepped_by is Stepper.GATE
         assert "went on without it" in script.process.communicate("\n", timeout=20.0)[0]
-        simulation.end()
 
 
 def test_a_client_that_asks_for_ever_is_late_too(tmp_path: Path) -> None:
@@ -110,24 +104,20 @@ def test_a_client_that_asks_for_ever_is_late_too(tmp_path: Path) -> None:
             print(error)
     """
     with scene(tmp_path, deadline=0.3) as simulation:
-        script = Script(simulation.gate.port, connected(ask))
-        assert simulation.gate.wait_connected(10.0)
+        script = simulation.client(ask)
         simulation.step(3)
         assert "more than 0.3 s" in simulation.sentence_of(EventKind.LATE)
         assert "went on without it" in script.end()
-        simulation.end()
 
 
 def test_our_own_thinking_is_not_the_clients(tmp_path: Path) -> None:
     with scene(tmp_path, deadline=0.3) as simulation:
-        script = Script(simulation.gate.port, connected("for _ in range(3): client.simulationStep()\nclient.close()"))
-        assert simulation.gate.wait_connected(10.0)
+        script = simulation.client("for _ in range(3): client.simulationStep()\nclient.close()")
         for _ in range(3):
             time.sleep(0.6)
             simulation.step()
         script.end()
         assert EventKind.LATE not in simulation.kinds() and simulation.gate.client_steps == 3
-        simulation.end()
 
 
 LIES = {
@@ -156,7 +146,6 @@ def test_what_is_no_message_is_cut(tmp_path: Path, begin: str) -> None:
                 time.sleep(0.02)
             assert not simulation.gate.connected
             script.kill()
-        simulation.end()
 
 
 DRIP = """
@@ -177,7 +166,6 @@ def test_a_client_that_drips_is_late_like_one_that_hangs(tmp_path: Path) -> None
         assert time.monotonic() - began < 3.0
         assert "took more than 0.3 s for a turn" in simulation.sentence_of(EventKind.LATE)
         script.kill()
-        simulation.end()
 
 
 def test_strangers_that_drip_leave_room_for_an_honest_client(tmp_path: Path) -> None:
@@ -188,13 +176,11 @@ def test_strangers_that_drip_leave_room_for_an_honest_client(tmp_path: Path) -> 
         while simulation.kinds().count(EventKind.REFUSED) < 16:
             assert time.monotonic() < until
             time.sleep(0.02)
-        honest = Script(simulation.gate.port, connected("client.simulationStep(); client.close()"))
-        assert simulation.gate.wait_connected(10.0)
+        honest = simulation.client("client.simulationStep(); client.close()")
         simulation.step(2)
         honest.end()
         for stranger in strangers:
             stranger.kill()
-        simulation.end()
 
 
 def test_unknown_and_misshapen_commands_are_answered_as_errors(tmp_path: Path) -> None:
@@ -217,13 +203,11 @@ def test_unknown_and_misshapen_commands_are_answered_as_errors(tmp_path: Path) -
     """
     with scene(tmp_path) as simulation:
         simulation.step()
-        script = Script(simulation.gate.port, RAW + dedent(ask))
-        assert simulation.gate.wait_connected(10.0)
+        script = simulation.script(RAW + dedent(ask))
         simulation.step()
         *answers, last = script.end().split("\n")[:-1]
         assert len(answers) == 18 and all(answer.endswith("True") for answer in answers), answers
         assert last == "0"
-        simulation.end()
 
 
 def test_subscribing_to_what_is_not_there_yet(tmp_path: Path) -> None:
@@ -240,12 +224,10 @@ def test_subscribing_to_what_is_not_there_yet(tmp_path: Path) -> None:
     """
     with scene(tmp_path) as simulation:
         simulation.step()
-        script = Script(simulation.gate.port, connected(early))
-        assert simulation.gate.wait_connected(10.0)
+        script = simulation.client(early)
         simulation.step(3)
         assert "not_there_yet" in script.line()
         assert script.end() == "[64, 65, 66, 67]\n"
-        simulation.end()
 
 
 def test_only_one_client_at_a_time_and_the_second_hears_why(tmp_path: Path) -> None:
@@ -263,7 +245,6 @@ def test_only_one_client_at_a_time_and_the_second_hears_why(tmp_path: Path) -> N
         assert simulation.gate.stepped_by is Stepper.CLIENT
         first.kill()
         simulation.step()
-        simulation.end()
 
 
 def test_load_save_and_the_adversary_are_refused_by_an_error(tmp_path: Path) -> None:
@@ -293,15 +274,13 @@ def test_load_save_and_the_adversary_are_refused_by_an_error(tmp_path: Path) -> 
     """
     with scene(tmp_path) as simulation:
         simulation.step()
-        script = Script(simulation.gate.port, connected(trespass))
-        assert simulation.gate.wait_connected(10.0)
+        script = simulation.client(trespass)
         simulation.step(2)
         lines = script.end().splitlines()
         assert [line.split(":")[0] for line in lines] == ["refused"] * 11 + ["done"] + ["refused"] * 2
         assert "'other' is not the client's" in lines[4]
         # SUMO's own refusal does not count, and a call made twice counts once.
         assert simulation.kinds().count(EventKind.REFUSED) == 11
-        simulation.end()
 
 
 def test_what_the_client_adds_is_its_own_until_it_removes_it(tmp_path: Path) -> None:
@@ -321,14 +300,12 @@ def test_what_the_client_adds_is_its_own_until_it_removes_it(tmp_path: Path) -> 
     """
     with scene(tmp_path) as simulation:
         simulation.step()
-        script = Script(simulation.gate.port, connected(adds))
-        assert simulation.gate.wait_connected(10.0)
+        script = simulation.client(adds)
         simulation.step()
         assert script.line() == "added" and simulation.gate.own == {"ego", "friend"}
         simulation.step(3)
         assert script.end() == "mine\n"
         assert simulation.gate.own == {"ego"}
-        simulation.end()
 
 
 def test_a_domain_can_be_allowed(tmp_path: Path) -> None:
@@ -345,7 +322,6 @@ def test_a_domain_can_be_allowed(tmp_path: Path) -> None:
         simulation.step(2)
         assert script.end() == "done\n"
         assert simulation.ours.trafficlight.getRedYellowGreenState("centre") == "r" * 16
-        simulation.end()
 
 
 def test_subscriptions_of_a_lost_client_end_with_it_and_ours_stay(tmp_path: Path) -> None:

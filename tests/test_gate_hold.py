@@ -29,24 +29,20 @@ print(receive()[7:], flush=True)
 def test_a_message_of_very_many_commands_is_cut(tmp_path: Path) -> None:
     """1.2 million getters, 12 MB, which SUMO would need half a minute for."""
     with scene(tmp_path) as simulation:
-        script = Script(simulation.gate.port, RAW + "raw.sendall(message(GETTER * 1_200_000))\ntime.sleep(600)")
-        assert simulation.gate.wait_connected(10.0)
+        script = simulation.script(RAW + "raw.sendall(message(GETTER * 1_200_000))\ntime.sleep(600)")
         simulation.step(3)  # the first of them waits for the message
         assert "more than 50000 commands" in simulation.sentence_of(EventKind.LOST)
         assert simulation.gate.stepped_by is Stepper.GATE
         script.kill()
-        simulation.end()
 
 
 def test_a_long_message_ends_at_the_deadline(tmp_path: Path) -> None:
     """As many getters as a message may have: SUMO needs about a second for them."""
     with scene(tmp_path, deadline=0.2) as simulation:
-        script = Script(simulation.gate.port, RAW + "raw.sendall(message(GETTER * 50_000))" + FAREWELL)
-        assert simulation.gate.wait_connected(10.0)
+        script = simulation.script(RAW + "raw.sendall(message(GETTER * 50_000))" + FAREWELL)
         simulation.step(3)
         assert "more than 0.2 s" in simulation.sentence_of(EventKind.LATE)
         assert "went on without it" in script.end()
-        simulation.end()
 
 
 @pytest.mark.parametrize("call", ["LOAD", "VERSION"], ids=["that is refused", "that needs no SUMO"])
@@ -66,7 +62,6 @@ except OSError:
         simulation.step(3)
         assert "more than 0.2 s" in simulation.sentence_of(EventKind.LATE)
         script.kill()
-        simulation.end()
 
 
 ASKED = {
@@ -79,8 +74,7 @@ ASKED = {
 @pytest.mark.parametrize("way", ASKED)
 def test_a_client_that_asks_for_3000_steps_and_vanishes_drives_no_further(tmp_path: Path, way: str) -> None:
     with scene(tmp_path) as simulation:
-        script = Script(simulation.gate.port, RAW + ASKED[way] + "\nprint('sent', flush=True)\ntime.sleep(600)")
-        assert simulation.gate.wait_connected(10.0)
+        script = simulation.script(RAW + ASKED[way] + "\nprint('sent', flush=True)\ntime.sleep(600)")
         assert script.line() == "sent"
         simulation.step(10)
         assert simulation.gate.stepped_by is Stepper.CLIENT
@@ -91,7 +85,6 @@ def test_a_client_that_asks_for_3000_steps_and_vanishes_drives_no_further(tmp_pa
         assert simulation.gate.client_steps <= 11
         simulation.step(5)
         assert simulation.time() == pytest.approx(1.8)
-        simulation.end()
 
 
 def test_a_long_step_brings_its_client_where_it_wanted(tmp_path: Path) -> None:
@@ -107,12 +100,10 @@ def test_a_long_step_brings_its_client_where_it_wanted(tmp_path: Path) -> None:
         client.close()
     """
     with scene(tmp_path) as simulation:
-        script = Script(simulation.gate.port, connected(walk))
-        assert simulation.gate.wait_connected(10.0)
+        script = simulation.client(walk)
         simulation.step(16)
         assert script.end().split("\n")[:3] == ["1.3 1", "1.3", "1.4"]
         assert simulation.gate.client_steps == 14
-        simulation.end()
 
 
 @pytest.mark.parametrize("keep", [False, True], ids=["sent away", "stays"])

@@ -64,7 +64,7 @@ def test_into_the_frame_and_back_is_where_one_was(
     back = frame.to_world(*frame.to_local(x, y, h))
     assert back[:2] == pytest.approx((x, y), abs=1e-8)
     assert abs(wrap(back[2] - h)) < 1e-9
-    many = frame.points_to_local(np.array([x]), np.array([y]), np.array([h]))
+    many = frame.to_local(np.array([x]), np.array([y]), np.array([h]))
     assert [float(q[0]) for q in many[:2]] == pytest.approx(frame.to_local(x, y, h)[:2], abs=1e-9)
 
 

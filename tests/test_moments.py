@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -38,9 +39,11 @@ def far_crossing(x: float, before: float) -> Target:
 TRACKS = {"ego": drives("ego", 10.0), "bv": drives("bv", 10.0)}
 
 
-def test_where_ways_meet_130_m_ahead_attacks_begin_6_s_later() -> None:
-    """The ego is there after 13 s, 7 s of which an attack may take."""
-    assert delays([ranked(far_crossing(130.0, 90.0))], TRACKS, "ego", Settings()) == [6.0, 7.5, 9.0]
+@pytest.mark.parametrize(("ahead", "later"), [(130.0, [6.0, 7.5, 9.0]), (250.0, [8.0, 9.5, 11.0])])
+def test_attacks_begin_7_s_before_the_ego_is_where_ways_meet_and_at_most_8_s_later(
+    ahead: float, later: Sequence[float]
+) -> None:
+    assert delays([ranked(far_crossing(ahead, 90.0))], TRACKS, "ego", Settings()) == later
 
 
 def test_where_the_other_counts_they_begin_7_s_before_that_is_there() -> None:
@@ -51,10 +54,6 @@ def test_where_the_other_counts_they_begin_7_s_before_that_is_there() -> None:
 def test_a_vehicle_beside_the_ego_can_attack_at_once() -> None:
     both = [ranked(far_crossing(130.0, 90.0)), ranked(neighbour())]
     assert delays(both, TRACKS, "ego", Settings()) == [0.0, 1.5, 3.0]
-
-
-def test_no_attack_begins_more_than_8_s_later() -> None:
-    assert delays([ranked(far_crossing(250.0, 90.0))], TRACKS, "ego", Settings()) == [8.0, 9.5, 11.0]
 
 
 def test_a_vehicle_past_the_place_is_spent_and_a_leader_never_is() -> None:

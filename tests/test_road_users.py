@@ -26,7 +26,7 @@ from sumo_adv.metrics.case import Case
 from sumo_adv.metrics.gates import failed_gates, kinematic_gates
 from sumo_adv.metrics.preventability import preventability
 from sumo_adv.metrics.reference.view import hidden
-from sumo_adv.metrics.severity import crash, hardness, unprotected_risk
+from sumo_adv.metrics.severity import TENTH_RISK_SPEED_KMH, crash, hardness, unprotected_risk
 from sumo_adv.metrics.verdict import judge_attempt
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.sessions import is_trusted
@@ -103,10 +103,11 @@ def test_a_pedestrian_may_be_beside_the_road() -> None:
 
 
 def test_a_tenth_of_pedestrians_hit_at_29_kmh_and_of_cyclists_at_44_is_seriously_injured() -> None:
-    assert unprotected_risk(RoadUser.PEDESTRIAN, 29.0 / 3.6) == pytest.approx(0.1)
-    assert unprotected_risk(RoadUser.CYCLIST, 44.0 / 3.6) == pytest.approx(0.1)
+    pedestrian, cyclist = TENTH_RISK_SPEED_KMH[RoadUser.PEDESTRIAN], TENTH_RISK_SPEED_KMH[RoadUser.CYCLIST]
+    assert unprotected_risk(pedestrian, 29.0 / 3.6) == pytest.approx(0.1)
+    assert unprotected_risk(cyclist, 44.0 / 3.6) == pytest.approx(0.1)
     # 10 km/h more: odds 1/9 * exp(0.9) = 0.2733
-    assert unprotected_risk(RoadUser.PEDESTRIAN, 39.0 / 3.6) == pytest.approx(0.2733 / 1.2733, abs=1e-4)
+    assert unprotected_risk(pedestrian, 39.0 / 3.6) == pytest.approx(0.2733 / 1.2733, abs=1e-4)
 
 
 def test_the_impact_speed_is_along_the_normal() -> None:

@@ -51,7 +51,7 @@ def test_places_on_the_egos_paths_and_in_their_frames_are_those_of_each(stations
     for k, scene in enumerate(rows):
         x, y, h = scene.baseline.path.at(s[k : k + 1], d[k : k + 1])
         assert [q[k] for q in world] == [x[0], y[0], h[0]]
-        assert [q[k] for q in local] == [q[0] for q in scene.frame.points_to_local(x, y, h)]
+        assert [q[k] for q in local] == [q[0] for q in scene.frame.to_local(x, y, h)]
 
 
 def roll(proposals: Sequence[Proposal]) -> Rollouts:

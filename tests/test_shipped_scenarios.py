@@ -11,9 +11,10 @@ import sumo_adv
 from sumo_adv.datatypes import Level
 from sumo_adv.episode.memory_access import unprotected_library
 from sumo_adv.search.intents import COMPOSED
-from sumo_adv.simulation.shipped import ShippedScenario, shipped_scenarios
+from sumo_adv.simulation.shipped import shipped_scenarios
 
 SHIPPED = {scenario.name: scenario for scenario in shipped_scenarios()}
+IN_EVERY_TEST = ("follower_closes_up", "leader_brakes_hard", "signals_left_turn")
 LEVELS = [str(level) for level in Level]
 WORDS = {
     "leader": {"leader"}, "follower": {"follower"}, "neighbour": {"neighbour"}, "oncoming": {"oncoming"},
@@ -30,20 +31,6 @@ WORDS = {
     "blocked_escape": {"Emergency Braking"}, "turn_across": {"Intersection Rush-through Turn Left"},
 }  # fmt: skip
 """What a part of a name says of the best attack: its intent, or the relation of the adversary to the ego."""
-
-
-def holds(scenario: ShippedScenario, folder: Path) -> None:
-    """A run until the listed level reaches it with a listed attack. Attempts end it, not the time, so that it is the
-    same on every machine."""
-    run = sumo_adv.run(
-        scenario.name, until=scenario.level, learn="off", memory=folder / "bank.sqlite", out=folder / scenario.name,
-        adversaries=scenario.adversaries, attempts=400, seconds=3600.0, total_seconds=0.0,
-    )  # fmt: skip
-    document = run.outcome.document
-    relations = {vehicle["id"]: vehicle["relation"] for vehicle in document["encounter"]["ranking"]}
-    assert document["intent"]["label"] in scenario.intents
-    assert relations[document["intent"]["bv"]] == scenario.relation
-    assert LEVELS.index(document["outcome"]["level"]) >= LEVELS.index(scenario.level)
 
 
 @pytest.mark.parametrize("name", SHIPPED)
@@ -63,12 +50,19 @@ def test_all_intents_of_the_paper_and_two_found_ones_are_best_somewhere() -> Non
     assert {scenario.intents[0] for scenario in SHIPPED.values()} == of_the_paper | COMPOSED | on_foot_and_bicycle
 
 
-@pytest.mark.parametrize("name", ["follower_closes_up", "leader_brakes_hard", "signals_left_turn"])
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[] if name in IN_EVERY_TEST else pytest.mark.soak) for name in SHIPPED]
+)
 def test_the_listed_attack_is_found(name: str, tmp_path: Path) -> None:
-    holds(SHIPPED[name], tmp_path)
-
-
-@pytest.mark.soak
-@pytest.mark.parametrize("name", SHIPPED)
-def test_the_listed_attack_of_each_scenario_is_found(name: str, tmp_path: Path) -> None:
-    holds(SHIPPED[name], tmp_path)
+    """A run until the listed level reaches it with a listed attack. Attempts end it, not the time, so that it is the
+    same on every machine."""
+    scenario = SHIPPED[name]
+    run = sumo_adv.run(
+        name, until=scenario.level, learn="off", memory=tmp_path / "bank.sqlite", out=tmp_path / name,
+        adversaries=scenario.adversaries, attempts=400, seconds=3600.0, total_seconds=0.0,
+    )  # fmt: skip
+    document = run.outcome.document
+    relations = {vehicle["id"]: vehicle["relation"] for vehicle in document["encounter"]["ranking"]}
+    assert document["intent"]["label"] in scenario.intents
+    assert relations[document["intent"]["bv"]] == scenario.relation
+    assert LEVELS.index(document["outcome"]["level"]) >= LEVELS.index(scenario.level)

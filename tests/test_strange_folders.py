@@ -13,7 +13,7 @@ import pytest
 from cli_samples import Program
 from regression_samples import attacked, results, suite_in
 
-from sumo_adv.campaigns.store import open_store, pack_runs, packed_rows, unpack_runs
+from sumo_adv.campaigns.store import open_store, packed_rows, unpack_runs
 from sumo_adv.errors import UsageError
 from sumo_adv.files import refuse_links, scratch_prefix, sweep_scratch
 from sumo_adv.regression.case import read_suite
@@ -83,11 +83,6 @@ def test_names_in_an_index_stay_in_the_folder(campaign: Path, name: str) -> None
     for read in (packed_rows, lambda folder: unpack_runs(folder, [], folder / "unpacked", staged)):
         with pytest.raises(UsageError, match="it names what is no file in a folder"):
             read(campaign)
-
-
-def test_a_campaign_without_links_is_packed(campaign: Path) -> None:
-    (campaign / "runs").mkdir()
-    assert pack_runs(campaign).runs == 0
 
 
 def test_a_run_with_a_link_is_not_read(tmp_path: Path, mine: Path) -> None:

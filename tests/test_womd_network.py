@@ -16,16 +16,11 @@ from sumo_adv.simulation.network import RoadMap, read_network
 from sumo_adv.womd.fidelity import connectivity
 from sumo_adv.womd.matching import read_net
 from sumo_adv.womd.network import ConvertedNetwork, convert_network
-from sumo_adv.womd.reader import read_records
 from sumo_adv.womd.record import Record
 
 
-def record(folder: Path, message: Any) -> Record:
-    return next(iter(read_records(samples.write(folder / "one.tfrecord", message))))
-
-
 def convert(folder: Path, message: Any) -> tuple[ConvertedNetwork, RoadMap]:
-    made = convert_network(record(folder, message), folder / "net")
+    made = convert_network(samples.record(folder, message), folder / "net")
     return made, read_network(made.path)
 
 
@@ -67,7 +62,7 @@ def test_what_crosses_above_does_not_meet(tmp_path: Path) -> None:
 
 def test_a_ramp_yields_where_it_merges(tmp_path: Path) -> None:
     made, road = convert(tmp_path, samples.merge())
-    connections = connectivity(record(tmp_path, samples.merge()), read_net(made.path), made.pieces)
+    connections = connectivity(samples.record(tmp_path, samples.merge()), read_net(made.path), made.pieces)
     ramp = next(p for p in reversed(made.pieces[4]) if not p.internal)
     onward = [(lane, c) for lane in road.lanes.values() for c in lane.connections if not lane.internal]
     states = {lane.id: c.state for lane, c in onward}
@@ -122,7 +117,7 @@ def test_a_gap_is_not_bridged_but_told(tmp_path: Path) -> None:
 
 
 def test_a_record_without_lanes_is_refused(tmp_path: Path) -> None:
-    straight = record(tmp_path, samples.straight())
+    straight = samples.record(tmp_path, samples.straight())
     bare = Record(**{name: getattr(straight, name) for name in Record.__slots__} | {"lanes": {}})
     with pytest.raises(UsageError, match="no lane"):
         convert_network(bare, tmp_path / "net")

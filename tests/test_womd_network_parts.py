@@ -24,8 +24,6 @@ from sumo_adv.womd.network import convert_network
 from sumo_adv.womd.network.finish import run_netconvert
 from sumo_adv.womd.network.right_of_way import bend_together, find_foes
 from sumo_adv.womd.network.roads import JunctionLink
-from sumo_adv.womd.reader import read_records
-from sumo_adv.womd.record import Record
 
 LOAD = """
 import libsumo, sys
@@ -33,10 +31,6 @@ libsumo.start(["sumo", "-n", sys.argv[1], "--no-step-log", "--xml-validation", "
 libsumo.simulationStep()
 print(len(libsumo.lane.getIDList()))
 """
-
-
-def record(folder: Path, message: Any) -> Record:
-    return next(iter(read_records(samples.write(folder / "one.tfrecord", message))))
 
 
 def lanes_in_sumo(network: Path) -> int:
@@ -97,7 +91,7 @@ def test_ends_that_lanes_share_are_road_not_junction(tmp_path: Path) -> None:
         samples.lane(message, number, points, exits=[3])
     samples.lane(message, 3, samples.line((40.0, 0.0), (90.0, 0.0)), entries=[1, 2])
     samples.track(message, 1, samples.line((0.0, 10.0), (90.0, 0.0)), start=0.0, speed=5.0)
-    given = record(tmp_path, message)
+    given = samples.record(tmp_path, message)
     made = convert_network(given, tmp_path / "net")
     last, onward = made.pieces[1][-1], made.pieces[3][0]
     assert last.sumo_lane == onward.sumo_lane
@@ -112,7 +106,7 @@ def test_a_stop_sign_stops_its_lane_alone_and_signs_all_round_stop_everybody(tmp
         sign = next(f.stop_sign for f in message.map_features if f.HasField("stop_sign"))
         del sign.lane[:]
         sign.lane.extend(300 + 10 * (n - 101) + j for n in signs for j in range(4) if j != n - 101)
-        made = convert_network(record(tmp_path, message), tmp_path / str(len(signs)))
+        made = convert_network(samples.record(tmp_path, message), tmp_path / str(len(signs)))
         edge = made.pieces[101][0].sumo_lane.rpartition("_")[0]
         connections = ET.parse(made.path).getroot().findall("connection")
         outer = [c for c in connections if not c.get("from", "").startswith(":")]
@@ -122,7 +116,7 @@ def test_a_stop_sign_stops_its_lane_alone_and_signs_all_round_stop_everybody(tmp
 
 
 def test_of_two_in_conflict_exactly_one_yields(tmp_path: Path) -> None:
-    made = convert_network(record(tmp_path, samples.four_way(signals=False)), tmp_path / "net")
+    made = convert_network(samples.record(tmp_path, samples.four_way(signals=False)), tmp_path / "net")
     junction = next(j for j in ET.parse(made.path).getroot().findall("junction") if j.findall("request"))
     requests = {int(r.get("index", "0")): r for r in junction.findall("request")}
     for i, request in requests.items():
@@ -138,7 +132,7 @@ def test_default_phases_never_let_conflicting_streams_go_together(tmp_path: Path
     for step in message.dynamic_map_states:
         for state in step.lane_states:
             state.state = 0
-    made = convert_network(record(tmp_path, message), tmp_path / "net")
+    made = convert_network(samples.record(tmp_path, message), tmp_path / "net")
     assert made.report["signals_unknown"] == 12
     net = ET.parse(made.path).getroot()
     logic = net.find("tlLogic")
@@ -158,7 +152,7 @@ def test_bike_lanes_are_for_bicycles_and_unlimited_lanes_get_a_speed(tmp_path: P
     message = samples.straight()
     samples.lane(message, 30, samples.line((0.0, -3.0), (300.0, -3.0)), kind=3, speed=0.0)
     samples.lane(message, 31, samples.line((0.0, 30.0), (300.0, 30.0)), speed=0.0)
-    made = convert_network(record(tmp_path, message), tmp_path / "net")
+    made = convert_network(samples.record(tmp_path, message), tmp_path / "net")
     lanes = {lane.get("id"): lane for lane in ET.parse(made.path).getroot().iter("lane")}
     bike, car = (lanes[made.pieces[n][0].sumo_lane] for n in (30, 31))
     assert bike.get("allow") == "bicycle"
@@ -232,7 +226,7 @@ def test_any_topology_loads_and_keeps_its_lanes_and_connections(made_up: tuple[A
     message, ways = made_up
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        given = record(folder, message)
+        given = samples.record(folder, message)
         made = convert_network(given, folder / "net")
         net = read_net(made.path)
         connections, deviations = connectivity(given, net, made.pieces), lane_deviations(given, net)

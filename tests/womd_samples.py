@@ -15,6 +15,8 @@ import numpy as np
 
 from sumo_adv.datatypes import Floats
 from sumo_adv.womd.framing import frame
+from sumo_adv.womd.reader import read_records
+from sumo_adv.womd.record import Record
 from sumo_adv.womd.scenario_pb2 import Scenario
 
 STEPS, CURRENT = 91, 10
@@ -27,6 +29,11 @@ def write(path: Path, *messages: Any) -> Path:
     """A TFRecord file of messages."""
     path.write_bytes(b"".join(frame(m.SerializeToString()) for m in messages))
     return path
+
+
+def record(folder: Path, message: Any) -> Record:
+    """A message as it is read from a file of its own."""
+    return next(iter(read_records(write(folder / "one.tfrecord", message))))
 
 
 def empty(name: str) -> Any:

@@ -9,13 +9,10 @@ from pathlib import Path
 
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.inputs import RunInput
-from sumo_adv.simulation.scan import allows_passenger, parse_seconds, parse_xml, scan_demand
+from sumo_adv.simulation.network_counts import count_network
+from sumo_adv.simulation.scan import parse_seconds, parse_xml, scan_demand
 from sumo_adv.simulation.sumo_states import PERSON
 
-LANE_KINDS = (
-    ("bus", "bus"), ("tram", "tram"), ("rail", "railway"), ("bicycle", "cycle"), ("pedestrian", "foot")
-)  # fmt: skip
-"""Classes that make a lane without cars one of a kind, in this order."""
 EDGE_KINDS = {"crossing": "pedestrian crossings", "walkingarea": "walking areas"}
 
 
@@ -50,32 +47,9 @@ def departures(run_input: RunInput, first: float, last: float) -> frozenset[str]
 
 
 def _network(network: Path) -> Counter[str]:
-    counts: Counter[str] = Counter()
-    function = ""
-
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        nonlocal function
-        if tag == "edge":
-            function = attributes.get("function", "normal")
-            counts["edges"] += function == "normal"
-            if function in EDGE_KINDS:
-                counts[EDGE_KINDS[function]] += 1
-        elif tag == "lane" and function == "normal":
-            counts[_kind(attributes)] += 1
-        elif tag == "junction" and attributes.get("type") not in ("internal", "dead_end"):
-            counts[f"junctions ({attributes.get('type', 'unknown')})"] += 1
-        elif tag == "tlLogic":
-            counts["programs of traffic lights"] += 1
-        elif tag == "roundabout":
-            counts["roundabouts"] += 1
-
-    parse_xml(network, start)
-    return counts
-
-
-def _kind(lane: dict[str, str]) -> str:
-    if allows_passenger(lane):
-        return "lanes for cars"
-    allowed = lane.get("allow", "").split()
-    kind = next((kind for name, kind in LANE_KINDS if any(each.startswith(name) for each in allowed)), "other")
-    return f"{kind} lanes"
+    found = count_network(network)
+    counts = Counter({label: found.edges[function] for function, label in EDGE_KINDS.items()})
+    counts |= Counter(edges=found.edges["normal"]) | found.lanes
+    counts |= Counter({"programs of traffic lights": found.others["tlLogic"]})
+    counts |= Counter({f"junctions ({kind})": number for kind, number in found.junctions.items()})
+    return counts | Counter(roundabouts=found.others["roundabout"])

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.datatypes import Bools, Boxes, Floats, Ints, Track
-from sumo_adv.geometry import LAYER_HEIGHT_M, same_layer, wrap_below_pi
+from sumo_adv.geometry import LAYER_HEIGHT_M, wrap_below_pi
 
 MIN_ADVANCE_SHARE = 1e-3  # of one interval: 0.1 ms of a 0.1 s step
 TOUCHING_DISTANCE_M = 1e-9  # below this two boxes touch
@@ -78,13 +78,6 @@ def flat(a: Boxes, b: Boxes) -> bool:
 def height_as(b: Boxes | Track, change: Callable[[Floats], Floats]) -> Floats | float:
     """The heights, in the shape of the positions, changed as positions are; a number stays as it is."""
     return change(np.broadcast_to(b.z, b.x.shape)) if np.ndim(b.z) else b.z
-
-
-def on_layer(own: Boxes, others: Boxes) -> Boxes:
-    """The others, absent (NaN) where their road is above or below that of ``own``; shapes broadcast."""
-    if flat(own, others):
-        return others
-    return replace(others, x=np.where(same_layer(own.z, others.z), others.x, np.nan))
 
 
 def overlaps(a: Boxes, b: Boxes) -> Bools:

@@ -99,13 +99,8 @@ def injury_risk(delta_v: float) -> float:
     return 1.0 / (1.0 + math.exp(-(RISK_SLOPE_PER_KMH * (closing - CLOSING_SPEED_OF_TENTH_RISK_KMH) + math.log(1 / 9))))
 
 
-def unprotected_risk(user: RoadUser, impact_speed: float) -> float:
-    """Probability of a serious injury (MAIS3+F) of a pedestrian or cyclist that is hit at a speed [m/s]."""
-    return _risk(TENTH_RISK_SPEED_KMH[user], impact_speed)
-
-
-def _risk(tenth: float, impact_speed: float) -> float:
-    """The probability at an impact speed [m/s]; ``tenth``: the one of 10 % [km/h]."""
+def unprotected_risk(tenth: float, impact_speed: float) -> float:
+    """Probability of a serious injury (MAIS3+F) of one who is hit at a speed [m/s]; ``tenth``: that of 10 % [km/h]."""
     beyond = impact_speed * 3.6 - tenth
     return 1.0 / (1.0 + math.exp(-(UNPROTECTED_SLOPE_PER_KMH * beyond + math.log(1 / 9))))
 
@@ -149,7 +144,7 @@ def crash_of(ego: Boxes, adversary: Boxes, yaw_rates: tuple[float, float]) -> Cr
     impulse = (1 + RESTITUTION) * closing / effective
     deltas = [impulse / m for m in mass]
     sides, tenth = contact_sides(a, b), tenth_of(b)  # type: ignore[arg-type]
-    risk = injury_risk(deltas[0]) if tenth is None else _risk(tenth, closing)
+    risk = injury_risk(deltas[0]) if tenth is None else unprotected_risk(tenth, closing)
     return Crash(
         deltas[0], deltas[1], closing, *sides, severity_of(max(deltas)), _overlap(a, b, normal), risk,
         None if tenth is None else closing,

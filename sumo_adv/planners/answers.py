@@ -94,7 +94,7 @@ def _signals(situation: Situation, vehicle: str) -> list[dict[str, Any]]:
 def _points(situation: Situation, path: Any) -> list[list[float]]:
     """The first 200 m of a path as [x, y] every 2 m, in the ego's frame."""
     step = slice(0, 400, 4)
-    x, y, _ = situation.frame.points_to_local(path.x[step], path.y[step], path.heading[step])
+    x, y, _ = situation.frame.to_local(path.x[step], path.y[step], path.heading[step])
     return [[round(a, 2), round(b, 2)] for a, b in zip(x.tolist(), y.tolist(), strict=True)]
 
 

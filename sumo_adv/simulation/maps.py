@@ -27,10 +27,10 @@ from sumo_adv.files import keep_newest, scratch_prefix, user_folder
 from sumo_adv.parsing import read_json
 from sumo_adv.simulation import map_content, opendrive, openstreetmap
 from sumo_adv.simulation.map_content import MapContent
+from sumo_adv.simulation.network_counts import CAR_LANES, count_network
 from sumo_adv.simulation.opendrive import TYPE_MAP, read_opendrive
 from sumo_adv.simulation.openstreetmap import read_openstreetmap
 from sumo_adv.simulation.programs import find_netconvert, find_type_maps
-from sumo_adv.simulation.scan import allows_passenger, parse_xml
 from sumo_adv.simulation.warnings_log import WarningKind, kinds_of, said_of, warnings_in, with_names
 
 OPENDRIVE = (".xodr", ".xodr.gz")
@@ -193,32 +193,16 @@ def _report(
     path: Path, content: MapContent, network: Path, options: Sequence[str], warned: Sequence[str]
 ) -> dict[str, object] | None:
     """What ``CONVERSION_FILE`` holds; None: the network has no lane for cars."""
-    counts: Counter[str] = Counter()
-    kept: set[str] = set()
-    function = ""
-
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        nonlocal function
-        if tag == "edge":
-            function = attributes.get("function", "normal")
-            counts["edges"] += function == "normal"
-        elif tag == "lane" and function == "normal":
-            counts["lanes" if allows_passenger(attributes) else "other lanes"] += 1
-        elif tag == "junction":
-            counts["junctions"] += attributes.get("type") not in ("internal", "dead_end")
-        elif tag == "tlLogic":
-            counts["lights"] += 1
-        elif tag == "param" and attributes.get("key") == "origId":
-            kept.update(attributes.get("value", "").split())
-
-    parse_xml(network, start)
-    if not counts["lanes"]:
+    counts = count_network(network)
+    for_cars = counts.lanes[CAR_LANES]
+    if not for_cars:
         return None
-    missing = Counter(kind for name, kind in content.kinds.items() if name not in kept)
+    missing = Counter(kind for name, kind in content.kinds.items() if name not in counts.original_ids)
     lost = dict(missing.most_common()) | dict(content.lost)
     said = [
-        f"Converted {path.name} with netconvert: {counts['edges']} edges with {counts['lanes']} lanes for cars and "
-        f"{counts['other lanes']} others, {counts['junctions']} junctions, {counts['lights']} traffic lights"
+        f"Converted {path.name} with netconvert: {counts.edges['normal']} edges with {for_cars} lanes for cars and "
+        f"{sum(counts.lanes.values()) - for_cars} others, {sum(counts.junctions.values())} junctions, "
+        f"{counts.others['tlLogic']} traffic lights"
         f"{', left-hand traffic' if content.left_hand else ''}."
     ]
     if lost:

@@ -42,7 +42,6 @@ def test_a_hundred_kills(tmp_path: Path) -> None:
             assert one.gate.stepped_by is Stepper.GATE
         assert one.kinds().count(EventKind.LOST) == KILLS
         assert one.ours.vehicle.getAllSubscriptionResults() == {}
-        one.end()
 
 
 @pytest.mark.parametrize("seed", [0, 1])
