@@ -279,7 +279,7 @@ def balanced_accuracy(measured: Measured, epsilon: float) -> float:
 
 
 def calibrate(
-    intents: Sequence[IntentRecord], sets: Sequence[tuple[Sequence[Paraphrase], Sequence[Paraphrase]]], seed: int = 0
+    intents: Sequence[IntentRecord], sets: Sequence[tuple[Sequence[Paraphrase], Sequence[Paraphrase]]]
 ) -> Calibration:
     """Choose epsilon on the tuning halves of (tuning, reporting) ``sets``, measure on each reporting half.
 
@@ -288,15 +288,15 @@ def calibrate(
     if not intents or not sets or any({p.intent is None for p in half} != {True, False} for s in sets for half in s):
         raise BankError("Calibration needs intents, and known and novel behaviours in both halves of its sets.")
     epsilon = best_epsilon(measure_distances(intents, [p for tuning, _ in sets for p in tuning]))
-    figures = tuple(_figures(measure_distances(intents, reporting), epsilon, seed) for _, reporting in sets)
+    figures = tuple(_figures(measure_distances(intents, reporting), epsilon) for _, reporting in sets)
     return Calibration(TextAndSlots.name, epsilon, figures)
 
 
-def _figures(measured: Measured, epsilon: float, seed: int) -> SetFigures:
+def _figures(measured: Measured, epsilon: float) -> SetFigures:
     """The figures of a set, each with its percentile bootstrap."""
 
     def figure(statistic: Callable[[Measured], float]) -> Figure:
-        rng = np.random.default_rng(seed)
+        rng = np.random.default_rng(0)
         values = [statistic(_resampled(measured, rng)) for _ in range(CALIBRATION_RESAMPLES)]
         tail = 50.0 * (1.0 - CALIBRATION_CONFIDENCE)
         low, high = np.percentile(values, [tail, 100.0 - tail])

@@ -1,7 +1,7 @@
 """Intervals and tests for every table: Wilson, bootstrap, McNemar, sign flips of paired differences.
 
 All are those of ``scipy.stats``, which is imported where a figure is asked for, since that takes half a second.
-Intervals are those of 95 %.  What is drawn takes a seed and is deterministic.
+Intervals are those of 95 %.  What is drawn has one seed and is deterministic.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from sumo_adv.errors import UsageError
 CONFIDENCE_LEVEL = 0.95
 BOOTSTRAP_RESAMPLES = 10_000  # as many sign flips make a test exact up to 13 pairs
 MAX_VALUES_AT_ONCE = 1_000_000  # values drawn at a time
+RESAMPLING_SEED = 0
 Summary = Callable[..., Any]  # a numpy function with an ``axis``: mean, median
 Values = Sequence[float] | NDArray[np.float64]
 Flags = Sequence[bool] | NDArray[np.bool_]
@@ -55,15 +56,13 @@ def wilson(successes: int, n: int) -> Estimate:
     return Estimate(share, float(interval.low), float(interval.high), n)
 
 
-def bootstrap(
-    values: Values, *, resamples: int = BOOTSTRAP_RESAMPLES, seed: int = 0, of: Summary = np.mean
-) -> Estimate:
+def bootstrap(values: Values, *, resamples: int = BOOTSTRAP_RESAMPLES, of: Summary = np.mean) -> Estimate:
     """The mean (or another summary ``of`` the values) with a percentile bootstrap interval.
 
     Raises UsageError on no values or on any not finite.
     """
     data = _finite(values)
-    low, high = _percentiles(data, resamples, seed, of)
+    low, high = _percentiles(data, resamples, of)
     return Estimate(float(of(data, axis=0)), low, high, len(data))
 
 
@@ -74,7 +73,7 @@ def _finite(values: Values) -> Floats:
     return data
 
 
-def _percentiles(data: Floats, resamples: int, seed: int, of: Summary) -> tuple[float, float]:
+def _percentiles(data: Floats, resamples: int, of: Summary) -> tuple[float, float]:
     """The percentile bootstrap interval, drawn in portions that keep memory small; of one value this value."""
     from scipy.stats import bootstrap as resampled
 
@@ -82,7 +81,7 @@ def _percentiles(data: Floats, resamples: int, seed: int, of: Summary) -> tuple[
         return float(data[0]), float(data[0])
     interval = resampled(
         (data,), of, n_resamples=resamples, confidence_level=CONFIDENCE_LEVEL, method="percentile",
-        rng=np.random.default_rng(seed), batch=max(MAX_VALUES_AT_ONCE // len(data), 1),
+        rng=np.random.default_rng(RESAMPLING_SEED), batch=max(MAX_VALUES_AT_ONCE // len(data), 1),
     ).confidence_interval  # fmt: skip
     return float(interval.low), float(interval.high)
 
@@ -111,7 +110,7 @@ def mcnemar(first: Flags, second: Flags) -> float:
     return float(binomtest(b, b + c).pvalue) if b + c else 1.0
 
 
-def paired_means(first: Values, second: Values, *, resamples: int = BOOTSTRAP_RESAMPLES, seed: int = 0) -> Paired:
+def paired_means(first: Values, second: Values, *, resamples: int = BOOTSTRAP_RESAMPLES) -> Paired:
     """Difference of means on the same encounters.
 
     The interval is a percentile bootstrap over encounters.  p is that of the sign-flip test (Fisher 1935): under the
@@ -122,30 +121,31 @@ def paired_means(first: Values, second: Values, *, resamples: int = BOOTSTRAP_RE
     _same_length(len(first), len(second))
     values, other_values = _finite(first), _finite(second)
     differences = values - other_values
-    low, high = _percentiles(differences, resamples, seed, np.mean)
-    return Paired(float(differences.mean()), low, high, _sign_flips(differences, resamples, seed), len(values))
+    low, high = _percentiles(differences, resamples, np.mean)
+    return Paired(float(differences.mean()), low, high, _sign_flips(differences, resamples), len(values))
 
 
-def paired_rates(first: Flags, second: Flags, *, resamples: int = BOOTSTRAP_RESAMPLES, seed: int = 0) -> Paired:
+def paired_rates(first: Flags, second: Flags, *, resamples: int = BOOTSTRAP_RESAMPLES) -> Paired:
     """Difference of rates on the same encounters: percentile bootstrap over encounters, p of McNemar's exact test.
 
     Raises UsageError where the lengths differ.
     """
     p = mcnemar(first, second)
     differences = _finite(np.asarray(first, dtype=float) - np.asarray(second, dtype=float))
-    low, high = _percentiles(differences, resamples, seed, np.mean)
+    low, high = _percentiles(differences, resamples, np.mean)
     return Paired(float(differences.mean()), low, high, p, len(differences))
 
 
-def _sign_flips(differences: Floats, resamples: int, seed: int) -> float:
+def _sign_flips(differences: Floats, resamples: int) -> float:
     """Two-sided p of the sign-flip test."""
     from scipy.stats import permutation_test
 
     if len(differences) == 1:
         return 1.0
     test = permutation_test(
-        (differences,), np.mean, permutation_type="samples", n_resamples=resamples, rng=np.random.default_rng(seed),
-        batch=max(MAX_VALUES_AT_ONCE // len(differences), 1), vectorized=True,
+        (differences,), np.mean, permutation_type="samples", n_resamples=resamples,
+        rng=np.random.default_rng(RESAMPLING_SEED), batch=max(MAX_VALUES_AT_ONCE // len(differences), 1),
+        vectorized=True,
     )  # fmt: skip
     return float(test.pvalue)
 

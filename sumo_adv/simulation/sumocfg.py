@@ -109,10 +109,10 @@ def read_sumocfg(path: Path, environ: Mapping[str, str] = os.environ) -> Configu
     )  # fmt: skip
 
 
-def as_sumo_reads_it(path: Path, environ: Mapping[str, str] = os.environ) -> dict[str, str]:
+def as_sumo_reads_it(path: Path) -> dict[str, str]:
     """All options of the .sumocfg ``path`` but for its three kinds of files, and for what writes, reports and shows.
     Names of files are counted from the configuration's folder."""
-    given, _ = _options(path, environ)
+    given, _ = _options(path, os.environ)
     return {
         name: str((path.parent / value).absolute()) if (path.parent / value).is_file() else value
         for name, value in given.items()
