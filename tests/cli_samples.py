@@ -207,6 +207,23 @@ def position(row: Mapping[str, str]) -> tuple[float, float]:
     return float(row["x"]), float(row["y"])
 
 
+def refused(done: Done, status: int, *says: str) -> None:
+    """One sentence on stderr, nothing on stdout, no traceback."""
+    assert (done.status, done.out) == (status, ""), done.err
+    assert done.err.startswith("sumo-adv: ") and len(done.err.splitlines()) == 1, done.err
+    assert done.err.rstrip().endswith("."), done.err
+    assert [word for word in says if word not in done.err] == []
+
+
+def refusal_of(program: Program, *options: str) -> str:
+    """The sentence that refuses a command before anything has begun."""
+    before = program.leftovers()
+    done = program.here(*options)
+    refused(done, 2)
+    assert program.leftovers() == before
+    return done.err
+
+
 def moves(row: Mapping[str, str]) -> tuple[str, ...]:
     """All of a row but the role."""
     return tuple(value for key, value in row.items() if key != "role")

@@ -6,14 +6,12 @@ Lanes are 3.2 m wide: those of ``under`` are at y = -4.8 and -1.6 from x = -300 
 
 from __future__ import annotations
 
-import subprocess
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
-from sumo_samples import make_spec
+from sumo_samples import make_net, make_spec
 
-from sumo_adv.simulation.programs import find_netconvert
 from sumo_adv.simulation.simulation_spec import SimulationSpec
 
 UNDER, OVER = {"w": (-300, 0), "e": (300, 0)}, {"s": (0, -300), "n": (0, 300)}
@@ -33,13 +31,8 @@ def make_network(folder: Path, edges: str = CROSSING, deck: float | None = None)
         known = {"lanes": "2", **dict(each.split("=") for each in given)}
         ends = f'from="{known["from"]}" to="{known["to"]}" numLanes="{known["lanes"]}"'
         drawn.append(f'<edge id="{name}" {ends} speed="13.89"/>')
-    (folder / "bridge.nod.xml").write_text(f"<nodes>{nodes}</nodes>")
-    (folder / "bridge.edg.xml").write_text(f"<edges>{''.join(drawn)}</edges>")
-    network = folder / "bridge.net.xml"
-    command: list[str | Path] = [find_netconvert(), "-n", folder / "bridge.nod.xml", "-e", folder / "bridge.edg.xml"]
-    command += ["-o", network, "--offset.disable-normalization", "--no-turnarounds", "--xml-validation", "never"]
-    subprocess.run(command, check=True, capture_output=True)
-    return network
+    options = ("--offset.disable-normalization", "--no-turnarounds", "--xml-validation", "never")
+    return make_net(folder, nodes, "".join(drawn), *options, name="bridge")
 
 
 def queue(edge: str, *fronts: float) -> list[str]:

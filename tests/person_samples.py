@@ -6,27 +6,23 @@ the crossing 3 m. Persons are 0.4 m long and 0.6 m wide and walk at 1 m/s.
 
 from __future__ import annotations
 
-import subprocess
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
-from sumo_samples import make_spec
+from sumo_samples import make_net, make_spec
 
-from sumo_adv.simulation.programs import find_netconvert
 from sumo_adv.simulation.simulation_spec import SimulationSpec
 from sumo_adv.simulation.sumo_options import DEFAULTS
 
-NODES = '<nodes><node id="a" x="0" y="0"/><node id="b" x="100" y="0"/><node id="c" x="200" y="0"/></nodes>'
-EDGES = "<edges>{}</edges>".format(
-    "".join(
-        f'<edge id="{start}{end}" from="{start}" to="{end}" numLanes="1" speed="13.89" sidewalkWidth="2"/>'
-        for start, end in ("ab", "bc", "cb", "ba")
-    )
+NODES = '<node id="a" x="0" y="0"/><node id="b" x="100" y="0"/><node id="c" x="200" y="0"/>'
+EDGES = "".join(
+    f'<edge id="{start}{end}" from="{start}" to="{end}" numLanes="1" speed="13.89" sidewalkWidth="2"/>'
+    for start, end in ("ab", "bc", "cb", "ba")
 )
 CONNECTIONS = (
-    '<connections><connection from="ab" to="bc"/><connection from="cb" to="ba"/>'
-    '<crossing node="b" edges="bc cb" width="3" priority="true"/></connections>'
+    '<connection from="ab" to="bc"/><connection from="cb" to="ba"/>'
+    '<crossing node="b" edges="bc cb" width="3" priority="true"/>'
 )
 WALKS = (
     '<vType id="adult" vClass="pedestrian" maxSpeed="1" speedFactor="1" speedDev="0" length="0.4" width="0.6"/>'
@@ -42,13 +38,7 @@ STANDS = (
 
 def make_street(folder: Path) -> Path:
     """The network."""
-    for name, text in (("nod", NODES), ("edg", EDGES), ("con", CONNECTIONS)):
-        (folder / f"street.{name}.xml").write_text(text)
-    street = folder / "street.net.xml"
-    command: list[str | Path] = [find_netconvert(), "-n", folder / "street.nod.xml", "-e", folder / "street.edg.xml"]
-    command += ["-x", folder / "street.con.xml", "-o", street, "--no-turnarounds"]
-    subprocess.run(command, check=True, capture_output=True)
-    return street
+    return make_net(folder, NODES, EDGES, "--no-turnarounds", connections=CONNECTIONS, name="street")
 
 
 def street_spec(folder: Path, demand: Iterable[str], model: str = "striping") -> SimulationSpec:

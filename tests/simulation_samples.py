@@ -2,41 +2,24 @@
 
 from __future__ import annotations
 
-import subprocess
 from collections.abc import Mapping
 from pathlib import Path
 
-from sumo_adv.simulation.programs import find_netconvert
-
-NODES = """<nodes>
+NODES = """
 <node id="W" x="0" y="0"/><node id="C" x="200" y="0" type="traffic_light"/><node id="E" x="400" y="0"/>
-<node id="N" x="200" y="200"/><node id="S" x="200" y="-200"/></nodes>"""
-EDGES = """<edges>
+<node id="N" x="200" y="200"/><node id="S" x="200" y="-200"/>"""
+EDGES = """
 <edge id="WC" from="W" to="C" numLanes="2" speed="13.9" sidewalkWidth="2"/>
 <edge id="CW" from="C" to="W" numLanes="1" speed="13.9"/>
 <edge id="CE" from="C" to="E" numLanes="2" speed="13.9" sidewalkWidth="2"/>
 <edge id="EC" from="E" to="C" numLanes="1" speed="13.9"/>
 <edge id="SC" from="S" to="C" numLanes="2" speed="13.9"><lane index="0" allow="bus"/></edge>
 <edge id="CN" from="C" to="N" numLanes="2" speed="13.9"><lane index="0" allow="bus"/></edge>
-<edge id="CS" from="C" to="S" numLanes="1" speed="13.9"/><edge id="NC" from="N" to="C" numLanes="1" speed="13.9"/>
-</edges>"""
+<edge id="CS" from="C" to="S" numLanes="1" speed="13.9"/><edge id="NC" from="N" to="C" numLanes="1" speed="13.9"/>"""
 """A crossing with a light, sidewalks on one road and bus lanes on the other; each arm is 200 m long."""
-COUNTRY_NODES = '<nodes><node id="A" x="0" y="0"/><node id="B" x="900" y="0"/></nodes>'
-COUNTRY_EDGES = """<edges><edge id="AB" from="A" to="B" numLanes="1" speed="27"/>
-<edge id="BA" from="B" to="A" numLanes="1" speed="27"/></edges>"""
-
-
-def make_network(folder: Path, name: str, nodes: str, edges: str, *options: str) -> Path:
-    """A network that netconvert makes of nodes and edges."""
-    (folder / f"{name}.nod.xml").write_text(nodes, encoding="utf-8")
-    (folder / f"{name}.edg.xml").write_text(edges, encoding="utf-8")
-    target = folder / f"{name}.net.xml"
-    command = [
-        str(find_netconvert()), "-n", str(folder / f"{name}.nod.xml"), "-e", str(folder / f"{name}.edg.xml"),
-        "-o", str(target), *options,
-    ]  # fmt: skip
-    subprocess.run(command, check=True, capture_output=True)
-    return target
+COUNTRY_NODES = '<node id="A" x="0" y="0"/><node id="B" x="900" y="0"/>'
+COUNTRY_EDGES = """<edge id="AB" from="A" to="B" numLanes="1" speed="27"/>
+<edge id="BA" from="B" to="A" numLanes="1" speed="27"/>"""
 
 
 def configuration(folder: Path, network: Path, demand: str, additional: str = "", **options: str) -> Path:

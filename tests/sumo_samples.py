@@ -35,13 +35,17 @@ def make_spec(folder: Path, network: str | Path, vehicles: Iterable[str], seed: 
     return SimulationSpec(file, (routes,), (), 0.0, seed)
 
 
-def make_net(folder: Path, nodes: str, edges: str, *options: str) -> Path:
-    """A network that netconvert makes of ``<node>`` and ``<edge>`` elements."""
-    (folder / "own.nod.xml").write_text(f"<nodes>{nodes}</nodes>")
-    (folder / "own.edg.xml").write_text(f"<edges>{edges}</edges>")
-    command = [str(find_netconvert()), "-n", "own.nod.xml", "-e", "own.edg.xml", "-o", "own.net.xml", *options]
+def make_net(
+    folder: Path, nodes: str, edges: str, *options: str, connections: str = "", name: str = "own"
+) -> Path:  # fmt: skip
+    """A network that netconvert makes of ``<node>``, ``<edge>`` and ``<connection>`` elements."""
+    command = [str(find_netconvert()), "-o", f"{name}.net.xml", *options]
+    for option, kind, elements in (("-n", "nodes", nodes), ("-e", "edges", edges), ("-x", "connections", connections)):
+        if elements:
+            (folder / f"{name}.{kind[:3]}.xml").write_text(f"<{kind}>{elements}</{kind}>", encoding="utf-8")
+            command += [option, f"{name}.{kind[:3]}.xml"]
     subprocess.run(command, cwd=folder, check=True, capture_output=True)
-    return folder / "own.net.xml"
+    return folder / f"{name}.net.xml"
 
 
 def over_the_line(k: int, start: float = 120.0) -> Pose:

@@ -13,8 +13,7 @@ from typing import Any
 
 import pytest
 from batch_samples import INPUTS, QUICK, SMALL, clean, summary, table
-from cli_samples import PATIENCE, ROOT, Done, Program, files_of
-from test_cli_bad_input import refused
+from cli_samples import PATIENCE, ROOT, Done, Program, files_of, refused
 from test_interrupt import children_of, wait_until
 
 ray = pytest.importorskip("ray", reason="Ray is not installed: pip install 'sumo-adv[ray]'")

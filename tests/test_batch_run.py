@@ -14,8 +14,8 @@ from typing import Any
 
 import pytest
 from batch_samples import CRASHED, INPUTS, QUICK, RUN, SETTINGS_FILE, SMALL, clean, summary, table, workers_of
-from cli_samples import PATIENCE, ROOT, TRAIL, Done, Program, bank_with, files_of, lacking, tiny_disk, untimed
-from test_cli_bad_input import powerless, refused, shelf  # noqa: F401 - a fixture
+from cli_samples import PATIENCE, ROOT, TRAIL, Done, Program, bank_with, files_of, lacking, refused, tiny_disk, untimed
+from test_cli_bad_input import powerless, shelf  # noqa: F401 - a fixture
 from test_interrupt import alive, children_of, wait_until
 
 from sumo_adv.campaigns.local import _work

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from cli_samples import Program
+from cli_samples import Program, refusal_of
 from situation_samples import neighbour, situation
 
 import sumo_adv
@@ -190,17 +190,11 @@ def test_nothing_of_another_intent_is_even_predicted() -> None:
 QUICK = ("--attempts", "1", "--learn", "off", "--out", "out")
 
 
-def refused(program: Program, *options: str) -> str:
-    done = program.here(*options)
-    assert (done.status, done.out, program.leftovers()) == (2, "", []), done.err
-    return done.err
-
-
 def test_unknown_intents_and_kinds_are_refused_before_anything_runs(program: Program) -> None:
-    refusal = refused(program, "run", "motorway_cut_in_left", "--intents", "Cut-in", "--out", "out")
+    refusal = refusal_of(program, "run", "motorway_cut_in_left", "--intents", "Cut-in", "--out", "out")
     assert "There is no intent 'Cut-in'" in refusal and "Aggressive Cut-in, Close Car-following" in refusal
-    assert "known kinds are leader, follower" in refused(program, "run", "motorway_cut_in_left", "--kind", "left")
-    refusal = refused(program, "batch", "motorway_cut_in_left", "--exclude", "Cut-in", "--out", "out")
+    assert "known kinds are leader, follower" in refusal_of(program, "run", "motorway_cut_in_left", "--kind", "left")
+    refusal = refusal_of(program, "batch", "motorway_cut_in_left", "--exclude", "Cut-in", "--out", "out")
     assert "There is no intent 'Cut-in'" in refusal
 
 

@@ -24,20 +24,13 @@ from cli_samples import (
     files_of,
     lacking,
     let_interrupt,
+    refused,
     tiny_disk,
 )  # fmt: skip
 
 from sumo_adv.datatypes import Ending
 
 QUICK = ("motorway_cut_in_left", "--attempts", "2")
-
-
-def refused(done: Done, status: int, *says: str) -> None:
-    """One sentence on stderr, nothing on stdout, no traceback."""
-    assert (done.status, done.out) == (status, ""), done.err
-    assert done.err.startswith("sumo-adv: ") and len(done.err.splitlines()) == 1, done.err
-    assert done.err.rstrip().endswith("."), done.err
-    assert [word for word in says if word not in done.err] == []
 
 
 def misused(done: Done, says: str) -> None:

@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from cli_samples import ROOT, Program
-from test_cli_bad_input import refused
+from cli_samples import ROOT, Program, refused
 
 import sumo_adv
 from sumo_adv.config_odd import Odd, read_odd

@@ -15,9 +15,9 @@ from simulation_samples import (
     EDGES,
     NODES,
     configuration,
-    make_network,
     write_configuration,
 )
+from sumo_samples import make_net
 
 from sumo_adv.config import load_settings
 from sumo_adv.input_check import InputCheck, WatchWorker, check_input
@@ -36,17 +36,17 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def crossing(folder: Path) -> Path:
-    return make_network(folder, "crossing", NODES, EDGES, "--crossings.guess", "--tls.default-type", "actuated")
+    return make_net(folder, NODES, EDGES, "--crossings.guess", "--tls.default-type", "actuated", name="crossing")
 
 
 @pytest.fixture(scope="module")
 def left_hand(folder: Path) -> Path:
-    return make_network(folder, "left", NODES, EDGES, "--lefthand")
+    return make_net(folder, NODES, EDGES, "--lefthand", name="left")
 
 
 @pytest.fixture(scope="module")
 def country(folder: Path) -> Path:
-    return make_network(folder, "country", COUNTRY_NODES, COUNTRY_EDGES, "--opposites.guess")
+    return make_net(folder, COUNTRY_NODES, COUNTRY_EDGES, "--opposites.guess", name="country")
 
 
 @pytest.fixture(scope="module")

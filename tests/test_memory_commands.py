@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from bank_samples import evidence
-from cli_samples import BAD_PLANNERS, ROOT, TRAIL, Done, Program, bank_with
+from cli_samples import BAD_PLANNERS, ROOT, TRAIL, Done, Program, bank_with, refused
 
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.records import RELATIONS, IntentRecord, SceneSignature, StoredIntent
@@ -29,15 +29,6 @@ def printed_json(done: Done) -> dict[str, Any]:
     return dict(json.loads(done.out))
 
 
-def refused(done: Done, words: str) -> None:
-    """Wrong use: one sentence, no traceback."""
-    assert done.status == 2
-    assert done.out == ""
-    assert done.err.startswith("sumo-adv: ")
-    assert done.err.count("\n") == 1
-    assert words in done.err
-
-
 def test_every_command_has_help_with_an_example(program: Program) -> None:
     listed = program.here("memory", "--help").out
     for command in COMMANDS:
@@ -54,16 +45,20 @@ def test_a_planner_of_ones_own_is_tried_added_merged_and_retired(program: Progra
     shutil.copy(SHIPPED, bank)
     use = ("--memory", bank)
     new_intent = ("--label", "Trailing Along", "--description", "It drives beside the ego.", "--applies", "neighbour")
-    refused(program.here("memory", "add", "bad.py", *new_intent, *use), "division by zero")
-    refused(program.here("memory", "add", "trail.py", "--label", "Trailing Along", *use), "is new: give --description")
+    refused(program.here("memory", "add", "bad.py", *new_intent, *use), 2, "division by zero")
+    refused(
+        program.here("memory", "add", "trail.py", "--label", "Trailing Along", *use), 2, "is new: give --description"
+    )
     with MemoryBank.open(bank) as opened, MemoryBank.open(SHIPPED, read_only=True) as shipped:
         assert opened.content_hash() == shipped.content_hash()
     added = printed_json(program.here("memory", "add", "trail.py", *new_intent, *use, "--json"))
     assert (added["label"], added["mode"]) == ("Trailing Along", "trail")
     refused(
-        program.here("memory", "add", "trail.py", "--label", "trailing along", *use), "already, as the mode 'trail'"
+        program.here("memory", "add", "trail.py", "--label", "trailing along", *use), 2, "already, as the mode 'trail'"
     )
-    refused(program.here("memory", "merge", "Trailing Along", "Straight Lane Shift", *use), "Say which: memory merge")
+    refused(
+        program.here("memory", "merge", "Trailing Along", "Straight Lane Shift", *use), 2, "Say which: memory merge"
+    )
     merged = printed_json(
         program.here("memory", "merge", "trailing along", "into", "straight lane shift", *use, "--json")
     )
@@ -96,7 +91,7 @@ def test_a_bank_goes_out_and_comes_in_and_code_that_attacks_stays_out(program: P
     assert made["intents"] == ["Close Car-following", "Emergency Braking"]
     bad = out / "aggressive_cut_in" / "attack.py"
     bad.write_text(BAD_PLANNERS["allocates"])
-    refused(program.here("memory", "import", out, "--memory", "two.sqlite"), "Aggressive Cut-in / attack: ")
+    refused(program.here("memory", "import", out, "--memory", "two.sqlite"), 2, "Aggressive Cut-in / attack: ")
     with MemoryBank.open(program.folder / "two.sqlite", read_only=True) as bank:
         assert len(bank.intents()) == 2
     skipped = printed_json(program.here("memory", "import", out, "--memory", "two.sqlite", "--skip-refused", "--json"))

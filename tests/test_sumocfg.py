@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 from cli_samples import Program
-from simulation_samples import EDGES, NODES, configuration, make_network, write_configuration
+from simulation_samples import EDGES, NODES, configuration, write_configuration
+from sumo_samples import make_net
 
 from sumo_adv.config import load_settings
 from sumo_adv.episode.task import make_task
@@ -20,7 +21,7 @@ WE = '<route id="we" edges="WC CE"/>'
 
 @pytest.fixture(scope="module")
 def network(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return make_network(tmp_path_factory.mktemp("network"), "crossing", NODES, EDGES)
+    return make_net(tmp_path_factory.mktemp("network"), NODES, EDGES, name="crossing")
 
 
 def test_it_begins_at_0_and_the_search_at_the_first_departure(tmp_path: Path, network: Path) -> None:
@@ -98,7 +99,7 @@ def test_what_changes_motions_is_told_from_what_only_shows(tmp_path: Path) -> No
 
 
 def test_a_network_without_lanes_on_its_junctions_is_refused(tmp_path: Path) -> None:
-    bare = make_network(tmp_path, "bare", NODES, EDGES, "--no-internal-links")
+    bare = make_net(tmp_path, NODES, EDGES, "--no-internal-links", name="bare")
     with pytest.raises(UsageError, match="has no lanes on its junctions: SUMO dies when a vehicle is moved across"):
         scan_network(bare)
 

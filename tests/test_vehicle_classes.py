@@ -320,7 +320,7 @@ def test_a_car_attacks_a_bus_in_the_bus_lane(tmp_path: Path, caches: Path) -> No
 
 def test_a_network_for_bicycles_alone_is_enough_for_a_demand_of_bicycles(tmp_path: Path) -> None:
     """Alone it is not: the traffic that is made for a network is cars."""
-    net = make_street(tmp_path, CYCLE_TRACK, "<connections/>")
+    net = make_street(tmp_path, CYCLE_TRACK, "")
     make_spec(tmp_path, "classes", [vtype("bicycle"), vehicle("ego", "ab", 0, 20.0, 3.0, "bicycle")])
     (tmp_path / "c.sumocfg").write_text(
         '<configuration><net-file value="classes.net.xml"/><route-files value="classes.rou.xml"/></configuration>'

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 from cli_samples import ROOT, Program
-from simulation_samples import COUNTRY_EDGES, COUNTRY_NODES, configuration, make_network
+from simulation_samples import COUNTRY_EDGES, COUNTRY_NODES, configuration
+from sumo_samples import make_net
 
 from sumo_adv.simulation.warnings_log import WarningKind, about, kinds_of, said_of, warnings_in, with_names
 
@@ -38,7 +39,7 @@ def test_of_many_kinds_the_first_six_are_said_and_the_others_counted() -> None:
 @pytest.fixture
 def unsorted(program: Program) -> Path:
     """A vehicle that departs before the one that stands above it in the file, which SUMO ignores."""
-    network = make_network(program.folder, "country", COUNTRY_NODES, COUNTRY_EDGES)
+    network = make_net(program.folder, COUNTRY_NODES, COUNTRY_EDGES, name="country")
     demand = """<route id="r" edges="AB"/><vehicle id="first" route="r" depart="2" departPos="300"/>
     <vehicle id="second" route="r" depart="3"/><vehicle id="early" route="r" depart="1"/>"""
     return configuration(program.folder / "own", network, demand)

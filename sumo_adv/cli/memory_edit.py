@@ -78,7 +78,7 @@ def add(
         with Sandbox() as sandbox:
             wrong = trial(sandbox, planner, intent.applies)
         if wrong is not None:
-            raise UsageError(f"The planner {file} is not added. {wrong}")
+            raise UsageError(f"The planner {file} is not added. {wrong.rstrip('.')}.")
         bank.add(intent, [planner])
     value = {"label": intent.label, "mode": name, "hash": planner.hash}
     answer(value, as_json, lambda: [f"Added {intent.label} / {name} ({planner.hash[:12]})."])
