@@ -248,3 +248,11 @@ def test_a_changed_run_is_not_replayed(runs: Runs, program: Program, change: str
     assert done.err.startswith("sumo-adv: ") and len(done.err.splitlines()) == 1
     assert says in done.err
     assert (done.out, program.leftovers()) == ("", ["copy"])
+
+
+def test_without_time_for_a_further_encounter_the_first_one_is_attacked(program: Program) -> None:
+    """At 16 s no candidate is predicted to collide; attempts will tell, so the encounter is not passed over."""
+    few = ("--seed", "1", "--attempts", "1", "--learn", "off", "--total-seconds", "0")
+    done = program.here("run", "roundabout", *few, "--out", "run")
+    manifest = json.loads((program.folder / "run" / "manifest.json").read_text(encoding="utf-8"))
+    assert manifest["skips"] == 0, done.err

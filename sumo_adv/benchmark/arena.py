@@ -67,9 +67,10 @@ class Arena:
         self._started = {**finder.timing, "opened": opened}
         records = [record for record in finder.records if record.passed_over or finder.stop is None]
         spent = seconds_by_part(self._started, *(record.timing for record in records))
-        self.unattacked = Run(
-            run_input, settings, task, tuple(replace(record, goal=settings.goal) for record in records), finder.stop,
-            finder.forked, bank_hash=bank.content_hash(), timing={**spent, "total": opened},
+        self.unattacked = replace(
+            finder.run(bank_hash=bank.content_hash()), settings=settings,
+            records=tuple(replace(record, goal=settings.goal) for record in records),
+            timing={**spent, "total": opened},
         )  # fmt: skip
 
     @property

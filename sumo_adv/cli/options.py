@@ -167,7 +167,7 @@ class AttackOptions:
         float | None,
         option(
             ATTACK_PANEL,
-            "Seconds after which no further encounter is begun; 0: the first one alone.",
+            "Seconds after which no further encounter is begun; 0: only one is attacked.",
             setting="total_seconds",
         ),
     ] = None

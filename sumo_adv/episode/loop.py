@@ -28,7 +28,7 @@ from sumo_adv.episode.planned_encounter import (
     forget,
 )
 from sumo_adv.episode.refinement import Refinement, Refiner, settle_best
-from sumo_adv.episode.run import EncounterRecord, Run, Stop, seconds_by_part
+from sumo_adv.episode.run import EncounterRecord, Run, Stop
 from sumo_adv.episode.task import FoundEncounter, Task
 from sumo_adv.errors import BudgetError, MissingVehicleError, ModelError, SumoAdvError, UsageError, fault_sentence
 from sumo_adv.memory.bank import MemoryBank
@@ -51,8 +51,7 @@ def run_episode(
         UsageError: Wrong use that shows only in the simulation (an unknown ego, a broken driver class).
         BankError: The bank cannot be read.
     """
-    began, bank_hash = time.perf_counter(), bank.content_hash()
-    finder = EncounterFinder(run_input, settings, task, engine, tell)
+    finder, bank_hash = EncounterFinder(run_input, settings, task, engine, tell), bank.content_hash()
     try:
         _attack_encounters(finder, settings, task, engine, agents, bank, tell)
     except KeyboardInterrupt:
@@ -67,11 +66,7 @@ def run_episode(
         trace = traceback.format_exc()
         finder.break_off(Stop(Ending.SIMULATION_FAILED, fault_sentence(error), failed=True, traceback=trace))
     isolation = agents.sandbox.isolation if any(record.attacked for record in finder.records) else ""
-    spent = seconds_by_part(finder.timing, *(record.timing for record in finder.records))
-    return Run(
-        run_input, settings, task, tuple(finder.records), finder.stop, finder.forked, agents, isolation, bank_hash,
-        task.own_names(engine.log.warnings()), {**spent, "total": time.perf_counter() - began}, finder.driver_time(),
-    )  # fmt: skip
+    return finder.run(agents, isolation=isolation, bank_hash=bank_hash)
 
 
 def _explained(error: SumoAdvError, warnings: Sequence[str]) -> SumoAdvError:
@@ -89,8 +84,8 @@ def _attack_encounters(
     tell: Tell,
 ) -> None:  # fmt: skip
     """Attack in one encounter after another until one gives a success, or until the run may not go on."""
-    began, ask = time.perf_counter(), settings.tuner == "builtin" and settings.total_seconds > 0
-    while (planned := finder.find_attackable(agents.sandbox, bank, agents, ask=ask)) is not None:
+    began, varied = time.perf_counter(), settings.tuner == "builtin"
+    while (planned := finder.find_attackable(agents.sandbox, bank, agents, any_candidate=varied)) is not None:
         another = may_go_on(planned.found, task, settings)
         decision = decide(finder.records[-1], planned, settings, agents, bank, finder.keep)
         if decision.library is None:
@@ -223,11 +218,7 @@ def replay_episode(
         runner = runner_of(engine, sandbox, record.found, settings)
         done = attack_once(record.found, runner, settings, proposal, record.request.asked)
         finder.keep(given_attack(done.recorded(record), proposal, "replayed from a manifest"))
-    return Run(
-        run_input, settings, task, tuple(finder.records), finder.stop, finder.forked, isolation=sandbox.isolation,
-        warnings=task.own_names(engine.log.warnings()),
-        timing=seconds_by_part(finder.timing, *(record.timing for record in finder.records)),
-    )  # fmt: skip
+    return finder.run(isolation=sandbox.isolation)
 
 
 def given_attack(record: EncounterRecord, proposal: Proposal, reason: str) -> EncounterRecord:

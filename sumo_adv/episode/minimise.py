@@ -7,7 +7,6 @@ reach the level and to be milder are tried, the mildest first. The search ends w
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import cycle
@@ -20,7 +19,7 @@ from sumo_adv.episode.engine import EpisodeEngine
 from sumo_adv.episode.loop import given_attack, recorded_encounter
 from sumo_adv.episode.planned_encounter import EncounterFinder, Tell
 from sumo_adv.episode.refinement import Refinement
-from sumo_adv.episode.run import Run, seconds_by_part
+from sumo_adv.episode.run import Run
 from sumo_adv.episode.task import AttemptResult, Task
 from sumo_adv.errors import UsageError
 from sumo_adv.metrics.gates import largest_acceleration
@@ -101,7 +100,6 @@ def minimise_episode(
     """
     if settings.goal.ttc is not None:
         raise UsageError("The run looked for a near miss, which has no milder variants: minimise takes a collision.")
-    began = time.perf_counter()
     finder = EncounterFinder(run_input, settings, task, engine, lambda *_: None)
     record = recorded_encounter(finder, proposal, skips)
     if record is None:
@@ -135,18 +133,14 @@ def minimise_episode(
         harshness = _harshness(search, attempt, result, settings) if met(attempt.verdict) else math.inf
         if search.observe(variant, reached(attempt.verdict), harshness):
             mildest = attempt.index
-    done.ending, total = Ending.CRITICAL, time.perf_counter() - began
+    done.ending = Ending.CRITICAL
     done.reason = (
         f"The mildest of {len(done.attempts)} attacks that reaches {level}: harshness {search.harshness:.1f} instead "
         f"of {before:.1f} m/s2."
     )
     record = given_attack(done.recorded(record), proposal, "minimised from a manifest").of_attempt(mildest)
     finder.keep(record.took("prediction", predictor.seconds))
-    spent = seconds_by_part(finder.timing, *(record.timing for record in finder.records))
-    return Run(
-        run_input, settings, task, tuple(finder.records), finder.stop, finder.forked, isolation=sandbox.isolation,
-        timing={**spent, "total": total},
-    )  # fmt: skip
+    return finder.run(isolation=sandbox.isolation)
 
 
 def _harshness(search: Minimiser, attempt: Attempt, result: AttemptResult, settings: Settings) -> float:

@@ -22,7 +22,7 @@ from sumo_adv.episode.memory_access import (
     selected,
     signature,
 )
-from sumo_adv.episode.run import EncounterRecord, Request, Stop, best_record
+from sumo_adv.episode.run import EncounterRecord, Request, Run, Stop, best_record, seconds_by_part
 from sumo_adv.episode.task import FoundEncounter, NoEncounter, Task
 from sumo_adv.errors import SumoAdvError
 from sumo_adv.memory.bank import MemoryBank, compositions
@@ -98,7 +98,7 @@ class EncounterFinder:
     def __init__(self, run_input: RunInput, settings: Settings, task: Task, engine: EpisodeEngine, tell: Tell) -> None:
         """Find encounters of a task; nothing is simulated yet."""
         self._run_input, self._settings, self._task = run_input, settings, task
-        self._engine, self._tell = engine, tell
+        self._engine, self._tell, self._began = engine, tell, time.perf_counter()
         self.records: list[EncounterRecord] = []
         self.stop: Stop | None = None
         self.forked = False
@@ -143,7 +143,7 @@ class EncounterFinder:
             return None
 
     def find_attackable(
-        self, sandbox: Sandbox, bank: MemoryBank, agents: Agents | None = None, *, ask: bool = False
+        self, sandbox: Sandbox, bank: MemoryBank, agents: Agents | None = None, *, any_candidate: bool = False
     ) -> PlannedEncounter | None:
         """Go on to the first encounter in which some candidate is predicted to collide.
 
@@ -151,7 +151,8 @@ class EncounterFinder:
             sandbox: Where planners run.
             bank: The memory bank.
             agents: Who plays along; None if nobody does.
-            ask: True if any candidate is enough, because attempts will tell.
+            any_candidate: True if an encounter with any candidate is enough, because attempts will be varied until one
+                collides.
 
         Returns:
             The encounter, whose record is the last one; None if there is none (``stop`` says why).
@@ -165,7 +166,7 @@ class EncounterFinder:
                 record.found, self._run_input, self._settings, self._task, sandbox, bank, agents, stopped=self.stopped
             )
             self.stopped = planned.predictor.stopped
-            reaches = planned.reaches or (ask and bool(planned.search))
+            reaches = planned.reaches or (any_candidate and bool(planned.search))
             given = self._task.trigger is not None
             if reaches or record.found.last or given or len(self.records) > MAX_PASSED_OVER:
                 return planned
@@ -191,6 +192,21 @@ class EncounterFinder:
         self.stop = stop
         if self.records and not self.records[-1].left:
             self.keep(replace(self.records[-1], ending=stop.ending, reason=stop.reason))
+
+    def run(self, agents: Agents | None = None, *, isolation: str = "", bank_hash: str = "") -> Run:
+        """Return the run with the records so far, SUMO's warnings, and the time since the finder was made.
+
+        Args:
+            agents: Who analyzed, generated and modified; None if no part was played.
+            isolation: How planners were kept apart from this machine; empty if none ran.
+            bank_hash: Hash of the bank's content before the run.
+        """
+        spent = seconds_by_part(self.timing, *(record.timing for record in self.records))
+        return Run(
+            self._run_input, self._settings, self._task, tuple(self.records), self.stop, self.forked, agents, isolation,
+            bank_hash, self._task.own_names(self._engine.log.warnings()),
+            {**spent, "total": time.perf_counter() - self._began},
+        )  # fmt: skip
 
 
 def with_predictions(

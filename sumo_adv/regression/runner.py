@@ -24,7 +24,7 @@ from sumo_adv.datatypes import Attempt, Level, Track
 from sumo_adv.episode.engine import EpisodeEngine
 from sumo_adv.episode.loop import given_attack
 from sumo_adv.episode.planned_encounter import EncounterFinder
-from sumo_adv.episode.run import EncounterRecord, Run, seconds_by_part
+from sumo_adv.episode.run import EncounterRecord, Run
 from sumo_adv.episode.task import FoundEncounter, Task, make_task
 from sumo_adv.episode.warm import WarmProcesses
 from sumo_adv.errors import SumoAdvError
@@ -290,12 +290,7 @@ def run_case(
         return why
     done, arrived = attack(case, settings, engine, sandbox, record.found, attempts)
     finder.keep(given_attack(done.recorded(record), case.proposal, "a kept case"))
-    timing = seconds_by_part(finder.timing, record.timing)
-    run = Run(
-        run_input, settings, task, tuple(finder.records), forked=finder.forked, isolation=sandbox.isolation,
-        timing=timing,
-    )  # fmt: skip
-    return run, arrived
+    return finder.run(isolation=sandbox.isolation), arrived
 
 
 def elsewhere(case: KeptCase, encounter: FoundEncounter) -> str:
