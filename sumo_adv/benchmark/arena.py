@@ -123,7 +123,7 @@ class Arena:
                 done.results.append(result)
                 clock.tell("attempt", done.attempts[-1])
                 if done.goal.met(done.attempts[-1].verdict):
-                    done.ending = Ending.CRITICAL
+                    done.ending = Ending.GOAL_MET
                     if not exhaustive:
                         break
             settle_best(done, runner)

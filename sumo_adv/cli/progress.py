@@ -293,11 +293,11 @@ def _result(result: Mapping[str, Any]) -> str:
     """How the run ended, after how many attempts, and what was wanted."""
     tried, ending = len(result["attempts"]), str(result["ending"])
     of = f" after {tried} of {result['attempts_allowed']} attempts (criterion: {result['goal']})" if tried else ""
-    if ending != Ending.CRITICAL:
+    if ending != Ending.GOAL_MET:
         return f"Result: {ending.replace('_', ' ')}{of}. {result['reason']}"
     level = str((result["outcome"] or {}).get("level"))
     reached = "NEAR MISS" if result["goal"].startswith("near miss") else level.upper()
-    more = str(result["reason"]).removeprefix(ENDING_SENTENCES[Ending.CRITICAL])
+    more = str(result["reason"]).removeprefix(ENDING_SENTENCES[Ending.GOAL_MET])
     return f"Result: {reached}{of}.{more}"
 
 

@@ -10,7 +10,7 @@ from enum import IntEnum, StrEnum
 class Ending(StrEnum):
     """How an episode ended; ``ENDING_SENTENCES`` says it in words."""
 
-    CRITICAL = "critical"
+    GOAL_MET = "critical"  # the text in files is older than the levels
     ATTEMPTS_EXHAUSTED = "attempts_exhausted"
     NO_ENCOUNTER = "no_encounter"
     EGO_LEFT = "ego_left"
@@ -23,7 +23,7 @@ class Ending(StrEnum):
 
 
 ENDING_SENTENCES: Mapping[Ending, str] = {
-    Ending.CRITICAL: "An attempt met the criterion.",
+    Ending.GOAL_MET: "An attempt met the criterion.",
     Ending.ATTEMPTS_EXHAUSTED: "No attempt met the criterion.",
     Ending.NO_ENCOUNTER: "No encounter worth attacking was found in the time given.",
     Ending.EGO_LEFT: "The ego left the network before an encounter.",

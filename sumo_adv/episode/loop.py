@@ -242,7 +242,7 @@ def attack_once(
     done = Refinement(goal=settings.goal, attempts=[attempt], results=[result])
     settle_best(done, runner)
     if settings.goal.met(done.attempts[0].verdict):
-        done.ending = Ending.CRITICAL
+        done.ending = Ending.GOAL_MET
     done.end_if_all_failed()
     return done
 

@@ -133,7 +133,7 @@ def minimise_episode(
         harshness = _harshness(search, attempt, result, settings) if met(attempt.verdict) else math.inf
         if search.observe(variant, reached(attempt.verdict), harshness):
             mildest = attempt.index
-    done.ending = Ending.CRITICAL
+    done.ending = Ending.GOAL_MET
     done.reason = (
         f"The mildest of {len(done.attempts)} attacks that reaches {level}: harshness {search.harshness:.1f} instead "
         f"of {before:.1f} m/s2."

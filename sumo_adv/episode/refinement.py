@@ -86,12 +86,12 @@ class Refinement:
         )  # fmt: skip
 
 
-def settle_best(found: Refinement, runner: Attempts) -> None:
+def settle_best(done: Refinement, runner: Attempts) -> None:
     """Have the best attempt confirmed; if its level falls, the next best one, until one keeps its level."""
-    while (k := found.best) is not None:
-        attempt = confirmed(found.attempts[k], found.results[k], runner, all_drivers=True)
-        held = attempt.verdict.level == found.attempts[k].verdict.level
-        found.attempts[k] = attempt
+    while (k := done.best) is not None:
+        attempt = confirmed(done.attempts[k], done.results[k], runner, all_drivers=True)
+        held = attempt.verdict.level == done.attempts[k].verdict.level
+        done.attempts[k] = attempt
         if held:
             return
 
@@ -111,35 +111,35 @@ class Refiner:
         self._settled = set[str]()  # kinds of successes that are no longer looked for
         self._favourites: list[Proposal] = []  # if the model's answers disagree: tried first, side by side
 
-    def run(self, intents: Sequence[Intent], found: Refinement) -> None:
-        """Run attempts until one succeeds, and keep them in ``found``; ``intents``: as the analyzer ranked them."""
+    def run(self, intents: Sequence[Intent], done: Refinement) -> None:
+        """Run attempts until one succeeds, and keep them in ``done``; ``intents``: as the analyzer ranked them."""
         began = time.perf_counter()
         optimizer = self.optimizer(intents)
-        while len(found.attempts) < self._settings.attempts:
+        while len(done.attempts) < self._settings.attempts:
             if time.perf_counter() - began >= self._settings.seconds:
-                found.reason = f"The {self._settings.seconds:g} s for attempts were used up."
+                done.reason = f"The {self._settings.seconds:g} s for attempts were used up."
                 break
-            if self._another and (vain := _in_vain(found)):
-                found.reason = f"The last {vain} attempts came to no more, and another encounter may come."
+            if self._another and (vain := _in_vain(done)):
+                done.reason = f"The last {vain} attempts came to no more, and another encounter may come."
                 break
-            plans = self._next(optimizer, found)
+            plans = self._next(optimizer, done)
             if not plans:
-                found.reason = self._why_ended(optimizer, found)
+                done.reason = self._why_ended(optimizer, done)
                 break
-            if self._try(plans, found, began, optimizer):
+            if self._try(plans, done, began, optimizer):
                 break
-            if len(found.attempts) >= BROKEN_ATTEMPTS and found.all_ended("crashed"):
+            if len(done.attempts) >= BROKEN_ATTEMPTS and done.all_ended("crashed"):
                 break
-            self._observe(optimizer, found, plans)
-            self._forget(found)
-        if found.successes:
-            found.reason = ""
-        found.end_if_all_failed()
-        settle_best(found, self._runner)
-        best = found.best
-        if found.successes and best is not None and best not in found.robust and self._runner.repeats:
-            self._try_neighbours(found, best)
-        found.seconds = time.perf_counter() - began
+            self._observe(optimizer, done, plans)
+            self._forget(done)
+        if done.successes:
+            done.reason = ""
+        done.end_if_all_failed()
+        settle_best(done, self._runner)
+        best = done.best
+        if done.successes and best is not None and best not in done.robust and self._runner.repeats:
+            self._try_neighbours(done, best)
+        done.seconds = time.perf_counter() - began
 
     def optimizer(self, intents: Sequence[Intent]) -> Optimizer:
         """The search, or with ``tuner = off`` a fixed order. What a model chose joins the search's candidates, and its
@@ -158,97 +158,97 @@ class Refiner:
             self._favourites = [p for p in taken if p is not None]
         return self._search
 
-    def _next(self, optimizer: Optimizer, found: Refinement) -> list[Proposal]:
-        left = self._settings.attempts - len(found.attempts)
-        if not found.attempts and self._favourites:
+    def _next(self, optimizer: Optimizer, done: Refinement) -> list[Proposal]:
+        left = self._settings.attempts - len(done.attempts)
+        if not done.attempts and self._favourites:
             return self._favourites[:left]
         if isinstance(optimizer, AttackSearch):
-            self._modify(optimizer, found)
+            self._modify(optimizer, done)
         size = FAVOURITE_INTENTS if self._agents.undecided else 1
         budget = min(
             GENERATION_ATTEMPTS
-            if len(found.attempts) >= FULL_GENERATION_AFTER_ATTEMPTS
+            if len(done.attempts) >= FULL_GENERATION_AFTER_ATTEMPTS
             else size
-            if not found.attempts
+            if not done.attempts
             else 2,
             left,
         )
         plans = optimizer.propose(budget)
-        return plans or (self._repairs.next(_tried(found)) if isinstance(optimizer, FixedOrder) else [])
+        return plans or (self._repairs.next(_tried(done)) if isinstance(optimizer, FixedOrder) else [])
 
-    def _try(self, plans: Sequence[Proposal], found: Refinement, began: float, optimizer: Optimizer) -> bool:
+    def _try(self, plans: Sequence[Proposal], done: Refinement, began: float, optimizer: Optimizer) -> bool:
         """Run candidates; True once enough kinds of them succeeded (those behind the last are dropped)."""
         for proposal, result in zip(plans, self._runner.attempt(plans), strict=True):
-            attempt = self._attempt(len(found.attempts), proposal, result)
-            attempt = checked(attempt, result, self._runner, found.goal, found.level)
-            attempt = _fitted(found, attempt, result)
-            found.attempts.append(attempt)
-            found.results.append(result)
+            attempt = self._attempt(len(done.attempts), proposal, result)
+            attempt = checked(attempt, result, self._runner, done.goal, done.level)
+            attempt = _fitted(done, attempt, result)
+            done.attempts.append(attempt)
+            done.results.append(result)
             self._tell("attempt", attempt)
-            if found.goal.met(attempt.verdict):
-                self._keep(attempt, found, began)
+            if done.goal.met(attempt.verdict):
+                self._keep(attempt, done, began)
                 if self._runner.repeats:
-                    for tried, verdict in self._try_neighbours(found, attempt.index):
+                    for tried, verdict in self._try_neighbours(done, attempt.index):
                         optimizer.observe(tried, None, verdict)
-            if self._enough(found):
+            if self._enough(done):
                 return True
         return False
 
-    def _forget(self, found: Refinement) -> None:
+    def _forget(self, done: Refinement) -> None:
         """Drop the recorded states of attempts that no longer matter: they take a megabyte each."""
-        kept = set(range(len(found.attempts) - GENERATION_ATTEMPTS, len(found.attempts))) | set(found.successes)
-        asked = found.fitting is not None
-        ordered = sorted(range(len(found.attempts)), key=lambda k: worth(found.attempts[k], found.goal, asked=asked))
+        kept = set(range(len(done.attempts) - GENERATION_ATTEMPTS, len(done.attempts))) | set(done.successes)
+        asked = done.fitting is not None
+        ordered = sorted(range(len(done.attempts)), key=lambda k: worth(done.attempts[k], done.goal, asked=asked))
         kept |= set(ordered[:BEST_KEPT_ATTEMPTS])
-        for k, result in enumerate(found.results):
+        for k, result in enumerate(done.results):
             if k >= FIRST_KEPT_ATTEMPTS and k not in kept and len(result.snapshots):
-                found.results[k] = replace(result, snapshots=(), sizes={})
+                done.results[k] = replace(result, snapshots=(), sizes={})
 
-    def _try_neighbours(self, found: Refinement, index: int) -> list[tuple[Proposal, Verdict]]:
+    def _try_neighbours(self, done: Refinement, index: int) -> list[tuple[Proposal, Verdict]]:
         """Simulate the neighbours of a success, and note in how many it holds. Returns them with their verdicts."""
         random, dt = Random(self._settings.seed), self._settings.step_length
-        attempt, result = found.attempts[index], found.results[index]
+        attempt, result = done.attempts[index], done.results[index]
         near = neighbours(attempt, result, random, dt, displaces=self._runner.displaces)
         tried = [
-            _fitted(found, self._attempt(len(found.attempts), p, r), r, read=False)
+            _fitted(done, self._attempt(len(done.attempts), p, r), r, read=False)
             for p, r in zip(near, self._runner.attempt(near), strict=True)
         ]
-        found.robust[index] = Robustness(sum(holds(a.verdict, found.goal) for a in tried), len(tried))
+        done.robust[index] = Robustness(sum(holds(a.verdict, done.goal) for a in tried), len(tried))
         return [(p, a.verdict) for p, a in zip(near, tried, strict=True)]
 
-    def _keep(self, attempt: Attempt, found: Refinement, began: float) -> None:
+    def _keep(self, attempt: Attempt, done: Refinement, began: float) -> None:
         """Take note of a success; of each kind the first one is named."""
-        if found.first_success_seconds is None:
-            found.ending, found.reason = Ending.CRITICAL, ""
-            found.first_success_seconds = time.perf_counter() - began
-        if attempt.kind not in {found.attempts[k].kind for k in found.successes}:
-            found.successes.append(attempt.index)
+        if done.first_success_seconds is None:
+            done.ending, done.reason = Ending.GOAL_MET, ""
+            done.first_success_seconds = time.perf_counter() - began
+        if attempt.kind not in {done.attempts[k].kind for k in done.successes}:
+            done.successes.append(attempt.index)
 
-    def _enough(self, found: Refinement) -> bool:
+    def _enough(self, done: Refinement) -> bool:
         """Whether there are successes of enough kinds. A kind counts once one of its successes is robust, or once none
         was found in ``MAX_ATTEMPTS_FOR_ROBUST`` attempts after its first one."""
-        last, settled = len(found.attempts) - 1, set[str]()
-        for k in found.successes:
-            kind = found.attempts[k].kind
+        last, settled = len(done.attempts) - 1, set[str]()
+        for k in done.successes:
+            kind = done.attempts[k].kind
             given_up = self._settings.tuner == "off" or not self._runner.repeats or last - k >= MAX_ATTEMPTS_FOR_ROBUST
-            if given_up or kind in _robust_kinds(found):
+            if given_up or kind in _robust_kinds(done):
                 settled.add(kind)
         for kind in sorted(settled - self._settled):
             self._search.succeeded(kind)
         self._settled |= settled
         return len(settled) >= self._settings.diverse
 
-    def _observe(self, optimizer: Optimizer, found: Refinement, plans: Sequence[Proposal]) -> None:
+    def _observe(self, optimizer: Optimizer, done: Refinement, plans: Sequence[Proposal]) -> None:
         """Give the optimizer the ego's motions in the attempts of its last candidates."""
         count = len(plans)
-        for plan, attempt, result in zip(plans, found.attempts[-count:], found.results[-count:], strict=True):
+        for plan, attempt, result in zip(plans, done.attempts[-count:], done.results[-count:], strict=True):
             motion = observed_motion(result, self._found, plan.delay, self._settings)
             optimizer.observe(plan, motion, attempt.verdict)
 
-    def _why_ended(self, optimizer: Optimizer, found: Refinement) -> str:
+    def _why_ended(self, optimizer: Optimizer, done: Refinement) -> str:
         if isinstance(optimizer, AttackSearch):
             return optimizer.result
-        return "Nothing was left to try." if found.attempts else "There was nothing to try."
+        return "Nothing was left to try." if done.attempts else "There was nothing to try."
 
     def _attempt(self, index: int, proposal: Proposal, result: AttemptResult) -> Attempt:
         phase, by = self._credit(index, proposal)
@@ -269,32 +269,32 @@ class Refiner:
             return "analyzer", player
         return "tuner", "tuner"
 
-    def _modify(self, search: AttackSearch, found: Refinement) -> None:
+    def _modify(self, search: AttackSearch, done: Refinement) -> None:
         """Have planners without attempts left changed; the changes are predicted and join the search's candidates."""
         for name in search.exhausted():
-            for candidate in self._repairs.next(_tried(found), only=name):
+            for candidate in self._repairs.next(_tried(done), only=name):
                 if candidate.planner.hash in self._repairs.versions:
                     search.add_version(candidate.planner)
                 else:
                     search.add_chosen([candidate])
 
 
-def _fitted(found: Refinement, attempt: Attempt, result: AttemptResult, *, read: bool = True) -> Attempt:
+def _fitted(done: Refinement, attempt: Attempt, result: AttemptResult, *, read: bool = True) -> Attempt:
     """The attempt, compared with the request if there is one."""
-    return attempt if found.fitting is None else found.fitting.judged(attempt, result, found.goal, read=read)
+    return attempt if done.fitting is None else done.fitting.judged(attempt, result, done.goal, read=read)
 
 
-def _robust_kinds(found: Refinement) -> set[str]:
-    return {found.attempts[k].kind for k, seen in found.robust.items() if seen.enough}
+def _robust_kinds(done: Refinement) -> set[str]:
+    return {done.attempts[k].kind for k, seen in done.robust.items() if seen.enough}
 
 
-def _in_vain(found: Refinement) -> int:
+def _in_vain(done: Refinement) -> int:
     """How many attempts were made since the first one of the highest level, once these are enough to leave; else 0."""
-    levels = [found.goal.reached(a.verdict) for a in found.attempts]
+    levels = [done.goal.reached(a.verdict) for a in done.attempts]
     since = len(levels) - levels.index(max(levels)) if levels else 0
     enough = MAX_ATTEMPTS_WITHOUT_GAIN if levels and max(levels) >= Level.CRITICAL else MAX_ATTEMPTS_WITHOUT_DANGER
     return since if since >= enough else 0
 
 
-def _tried(found: Refinement) -> list[tuple[Attempt, AttemptResult]]:
-    return list(zip(found.attempts, found.results, strict=True))
+def _tried(done: Refinement) -> list[tuple[Attempt, AttemptResult]]:
+    return list(zip(done.attempts, done.results, strict=True))

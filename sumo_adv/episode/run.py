@@ -58,7 +58,7 @@ class EncounterRecord:
         readings: By index of an attempt, what a model reads in its motion.
         first_success_seconds: Time from the first attempt to the first success [s]; None without a success.
         chosen: Index of the attempt that counts, if it is not the best one.
-        ending: How the encounter ended.
+        ending: How the encounter ended; None while it is not over.
         reason: Why it ended, as a sentence.
         left: Why the run went on to the next encounter; empty if it did not.
         learnt: Whether the bank has learnt a success.
@@ -84,7 +84,7 @@ class EncounterRecord:
     readings: Mapping[int, Reading] = field(default_factory=dict)
     first_success_seconds: float | None = None
     chosen: int | None = None
-    ending: Ending = Ending.SIMULATION_FAILED
+    ending: Ending | None = None
     reason: str = ""
     left: str = ""
     learnt: bool = False
@@ -220,7 +220,9 @@ class Run:
         best, stop = self.best, self.stop
         if stop is not None and (stop.failed or best is None):
             return stop.ending, stop.reason
-        return (Ending.SIMULATION_FAILED, "") if best is None else (best.ending, best.reason)
+        if best is None or best.ending is None:  # nothing says how it ended, so nothing vouches for it
+            return Ending.SIMULATION_FAILED, ""
+        return best.ending, best.reason
 
     @property
     def traceback(self) -> str:
@@ -273,7 +275,7 @@ def _order(record: EncounterRecord) -> tuple[float, ...]:
     """A key that sorts records, the best one first."""
     best = record.best
     worth = (math.inf, 0.0) if best is None else rank(best.verdict)
-    return (record.ending is not Ending.CRITICAL, *worth)
+    return (record.ending is not Ending.GOAL_MET, *worth)
 
 
 def best_index(attempts: Sequence[Attempt], goal: Goal, robust: Mapping[int, Robustness], *, asked: bool) -> int | None:

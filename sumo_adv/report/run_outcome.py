@@ -29,7 +29,7 @@ class Unattacked:
 
 
 @dataclass(frozen=True, slots=True)
-class EncounterRecord:
+class EncounterSummary:
     """Where and when the attack could begin.
 
     ranking: id, relation and risk of the vehicles that could attack, highest risk first. road: motorway, rural, urban
@@ -105,7 +105,7 @@ class Outcome:
     ego_driver: str | None
     adversary: str | None
     trigger_time: float | None
-    encounter: EncounterRecord | None
+    encounter: EncounterSummary | None
     intent: Intent | None
     intents: tuple[Intent, ...]
     unattacked: Unattacked | None
@@ -180,10 +180,10 @@ def _time(value: float | None) -> float:
     return math.inf if value is None else float(value)
 
 
-def _encounter(written: Mapping[str, Any]) -> EncounterRecord:
+def _encounter(written: Mapping[str, Any]) -> EncounterSummary:
     ranking = tuple((str(r["id"]), str(r["relation"]), float(r["risk"])) for r in written["ranking"])
     place = {name: written.get(name) for name in ("road", "ego_speed", "limit", "vehicles_near")}
-    return EncounterRecord(float(written["time"]), ranking, **place)
+    return EncounterSummary(float(written["time"]), ranking, **place)
 
 
 def _intent(written: Mapping[str, Any]) -> Intent:

@@ -244,7 +244,7 @@ class EgoServer:
         kept, failed = [decision.record], None
         try:
             pursue(decision, live, settings, parts.agents, parts.bank, self._tell_attempt, kept.append)
-            if live.lost and kept[-1].ending is not Ending.CRITICAL:
+            if live.lost and kept[-1].ending is not Ending.GOAL_MET:
                 failed = (Ending.EGO_LOST, "")
         except KeyboardInterrupt:
             failed = (Ending.INTERRUPTED, "Ctrl-C.")

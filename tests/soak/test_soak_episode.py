@@ -16,7 +16,7 @@ from sumo_adv.datatypes import Ending
 
 SCRIPT = Path(__file__).with_name("soak_episodes.py")
 CONTRACT = {"outcome.json", "manifest.json", "states.csv.gz", "raw.csv.gz"}
-HONEST = {Ending.CRITICAL, Ending.ATTEMPTS_EXHAUSTED, Ending.NO_ENCOUNTER}
+HONEST = {Ending.GOAL_MET, Ending.ATTEMPTS_EXHAUSTED, Ending.NO_ENCOUNTER}
 GROWTH = 150  # MB from the first ten episodes to the last ten; most of it settles within the first few
 
 

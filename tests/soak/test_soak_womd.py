@@ -16,7 +16,7 @@ from sumo_adv.datatypes import Ending
 
 FOLDER = Path(os.environ.get("SUMO_ADV_WOMD", ROOT.parent / "shared" / "womd"))
 RECORDS = sorted(FOLDER.glob("*.tfrecord"))
-ENDINGS = {Ending.CRITICAL, Ending.ATTEMPTS_EXHAUSTED, Ending.NO_ENCOUNTER, Ending.EGO_LEFT}
+ENDINGS = {Ending.GOAL_MET, Ending.ATTEMPTS_EXHAUSTED, Ending.NO_ENCOUNTER, Ending.EGO_LEFT}
 
 
 @pytest.mark.soak
