@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_adv.config import load_settings
-from sumo_adv.datatypes import Role, Verdict
+from sumo_adv.datatypes import Ending, Role, Verdict
 from sumo_adv.errors import UsageError
 from sumo_adv.files import scratch_prefix
 from sumo_adv.report.staging import scratch_folder, staged
@@ -112,7 +112,9 @@ class Result:
         return Path(out)
 
     def __repr__(self) -> str:
-        return f"<sumo_adv.Result {self.outcome.ending}: {self.folder}>"
+        level = self.outcome.level
+        came_to = f"{level} ({self.outcome.ending})" if self.outcome.ending is Ending.CRITICAL else self.outcome.ending
+        return f"<sumo_adv.Result {came_to}, {len(self.outcome.attempts)} attempts: {self.folder}>"
 
 
 class Shown:

@@ -81,7 +81,7 @@ def batch(
     inputs: str | Path | Sequence[str | Path],
     *,
     out: str | Path,
-    egos: Sequence[str] = (),
+    egos: Sequence[str | type] = (),
     seeds: int | Sequence[int] | None = None,
     records: Sequence[int | str] = (),
     vary: Mapping[str, Sequence[Any]] | None = None,
@@ -102,7 +102,8 @@ def batch(
     """Run inputs x egos x varied settings x seeds, as ``sumo-adv batch``. Episodes that are finished are kept.
 
     inputs: a plan's .toml, or networks, scenarios, records, folders and shipped names. egos: names of drivers
-    (``module:Class`` for a driver of yours). vary: lists of values of settings. odd: a file or its keys: attack only
+    (``module:Class`` for a driver of yours), or classes that workers can import. vary: lists of values of
+    settings. odd: a file or its keys: attack only
     within this operational design domain. states: write ``states.parquet`` as well. deadline: seconds after which an
     episode is stuck. settings: of every episode, as for ``sumo_adv.run``; arguments replace what a plan says.
     tell: called with the row of each episode that has finished.
@@ -113,10 +114,9 @@ def batch(
         UsageError: bad input or settings, or the folder ``out`` holds another plan's results.
         BankError: the bank cannot be opened. SumoAdvError: no episode can be run.
     """
-    if any(not isinstance(ego, str) for ego in egos):
-        raise UsageError("Give the egos of a batch as names (module:Class): its workers import them.")
     given = {
-        "egos": list(egos) or None, "seeds": seeds, "records": list(records) or None, "vary": vary, "learn": learn,
+        "egos": [_ego_name(ego) for ego in egos] or None, "seeds": seeds,
+        "records": list(records) or None, "vary": vary, "learn": learn,
         "memory": None if memory is None else str(memory), "figures": figures,
     }  # fmt: skip
     plan = planned(inputs, given, settings, odd, settings_file)
@@ -200,19 +200,34 @@ class Teller:
             self._stopping(now)
 
 
+def _ego_name(ego: str | type) -> str:
+    """The name of a driver. Raises UsageError: an object, or a class that workers cannot import."""
+    from sumo_adv.drivers.registry import spec_of
+
+    if isinstance(ego, str):
+        return ego
+    if not isinstance(ego, type):
+        raise UsageError("Give egos as names (module:Class) or classes: workers make an object of their own.")
+    return spec_of(ego)
+
+
 # -- hunts
 
 
 MAX_PAGES_AT_ONCE = 60  # replay pages that are made at once
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class HuntResult:
     """What a hunt found. rows: a dictionary for each distinct failure, most serious first; index: the page of all."""
 
     found: Found
     rows: list[dict[str, Any]]
     index: Path | None
+
+    def __repr__(self) -> str:
+        some = f"{len(self.rows)} distinct failures in {self.found.encounters} encounters"
+        return f"<sumo_adv.HuntResult of {some}: {self.folder}>"
 
     @property
     def folder(self) -> Path:
@@ -230,7 +245,7 @@ class HuntResult:
 def hunt(
     inputs: str | Path | Sequence[str | Path],
     *,
-    ego: str | None = None,
+    ego: str | type | None = None,
     minutes: float = 30.0,
     distinct: int | None = None,
     out: str | Path = Path("runs") / "hunt",
@@ -249,8 +264,8 @@ def hunt(
 ) -> HuntResult:
     """The worst distinct failures that ``minutes`` are enough for, as ``sumo-adv hunt``. The same call again goes on.
 
-    inputs: networks, .sumocfg files, scenarios, records, folders and shipped names. distinct: end sooner with this many
-    failures. until: the level at which an encounter ends, ``serious`` by default (``valid`` for the ego careful); if it
+    inputs: networks, .sumocfg files, scenarios, records, folders and shipped names. ego: the name of a driver, or a
+    class that workers can import. distinct: end sooner with this many failures. until: the level at which an encounter ends, ``serious`` by default (``valid`` for the ego careful); if it
     is given, only collisions of this level or a higher one are failures.
     cover: give time to the named scenarios that were met least, otherwise to inputs that bring new failures.
     deadline: seconds after which an episode is stuck. pages: make an index page with replays. tell: called after each
@@ -272,7 +287,7 @@ def hunt(
     settings.setdefault("until", "valid" if ego == "careful" else "serious")
     named = [str(each) for each in ([inputs] if isinstance(inputs, str | Path) else inputs)]
     given: dict[str, Any] = {"inputs": named, "seeds": [seed], "settings": settings}
-    given |= {} if ego is None else {"egos": [ego]}
+    given |= {} if ego is None else {"egos": [_ego_name(ego)]}
     given |= {} if memory is None else {"memory": str(memory)}
     plan = make_plan(given, Path(), "The hunt", batch_parts(), None if settings_file is None else Path(settings_file))
     least = Level.VALID if asked is None else max(Until(asked).level, Level.VALID)

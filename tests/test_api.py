@@ -86,7 +86,9 @@ def test_the_outcome_is_the_file() -> None:
     result = sumo_adv.load(run_folder("crossing"))
     outcome, written = result.outcome, json.loads((result.folder / "outcome.json").read_text())
     assert outcome.document == written
-    assert repr(result) == f"<sumo_adv.Result {written['ending']}: {result.folder}>"
+    level = (written["outcome"] or {}).get("level")
+    came_to = f"{level} (critical)" if written["ending"] == "critical" else written["ending"]
+    assert repr(result) == f"<sumo_adv.Result {came_to}, {len(written['attempts'])} attempts: {result.folder}>"
     assert (outcome.ending, outcome.network, outcome.seed) == (written["ending"], written["network"], written["seed"])
     assert (outcome.ego, outcome.ego_driver) == ("ego", "idm")
     assert outcome.adversary == written["adversaries"][0]["id"] and outcome.trigger_time == written["trigger_time"]

@@ -248,6 +248,8 @@ def _attempt(a: Attempt) -> str:
     outcome = "collision" if v.collided else (f"min TTC {v.min_ttc:.2f} s" if v.min_ttc < 100 else "no conflict")
     if v.collided and v.preventability is not None:
         who = _preventable(v.preventability.by, v.preventability.inconclusive)
+        if not v.preventability.simulated and not v.preventability.inconclusive:
+            who = f"kinematically {who}"  # the check in the loop may find another answer
         level = "" if v.level is Level.COLLISION else f"{v.level}, "
         outcome += f" ({level}{_hard(v.delta_v, v.impact_speed)}, {who})"
     gates = f", not feasible: {', '.join(v.failed_gates)}" if v.failed_gates else ""

@@ -25,7 +25,9 @@ KEEP_EXAMPLE = "Example: sumo-adv keep runs/priority_crossing-3 --suite regressi
 
 
 def keep(
-    given: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Folders of runs, or that hold such.")],
+    given: Annotated[
+        list[Path], typer.Argument(metavar="RUN...", help="Folders of runs or of hunts, or that hold runs.")
+    ],
     suite: Annotated[Path, typer.Option(help="Folder of the suite; made if it is not there.")],
     level: Annotated[
         Until, typer.Option(help="From a folder that holds runs, keep only attacks that reach this level.")
@@ -53,12 +55,15 @@ def keep(
     The files are text, and stand on their own: put them under version control, and edit what is expected in case.toml.
     """
     from sumo_adv.cli.progress import Counter
+    from sumo_adv.hunting.hunt import FAILURES_FOLDER
     from sumo_adv.regression.keep import keep_run
     from sumo_adv.regression.reference import references
+    from sumo_adv.report.index import HUNT
     from sumo_adv.report.judging import run_folders
     from sumo_adv.report.read import reading
 
     expect = _expected(avoid, min_ttc, no_worse=no_worse)
+    given = [folder / FAILURES_FOLDER if (folder / HUNT).is_file() else folder for folder in given]
     runs = run_folders(given)
     if name is not None and len(runs) != 1:
         raise UsageError(f"--name is for one run, and {len(runs)} were given.")

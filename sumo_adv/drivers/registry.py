@@ -201,6 +201,22 @@ def find_class(kind: str, spec: str) -> type:
     return user_class
 
 
+def spec_of(user_class: type) -> str:
+    """The name ``module:Class`` by which other processes import a class; a script's module is its file's name.
+
+    Raises UsageError: other processes cannot import the class, because it lies in a notebook or in a function.
+    """
+    main = sys.modules.get("__main__")
+    file = getattr(main, "__file__", None)
+    module = Path(file).stem if user_class.__module__ == "__main__" and file else user_class.__module__
+    if module == "__main__" or "." in user_class.__qualname__:
+        raise UsageError(
+            f"Other processes cannot import the class {user_class.__name__!r}: put it at the top of a module beside "
+            "your script or notebook, and import it from there."
+        )
+    return f"{module}:{user_class.__qualname__}"
+
+
 def make_object(kind: str, spec: str, parameters: Mapping[str, Any], methods: Mapping[str, str]) -> Any:
     """An object of the class ``module:Class``; ``methods``: name -> signature, for the error message.
 

@@ -20,6 +20,7 @@ from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from functools import partial
+from html import escape
 from multiprocessing import get_context
 from pathlib import Path
 from statistics import median
@@ -43,6 +44,8 @@ from sumo_adv.report.run_outcome import level_named
 from sumo_adv.report.scenario_table import ScenarioRow, scenario_section
 from sumo_adv.scenario_names import COLUMNS as SCENARIO
 
+PLAIN_COLUMNS = ("id", "network", "ego", "seed", "intent", "level", "min_ttc", "delta_v", "ending", "failure")
+MAX_PLAIN_ROWS = 500  # in the table for browsers without JavaScript
 HUNT = "hunt.json"  # in the folder of a hunt
 TEXT_FIELDS = (
     "id", "network", "ego", "intent", "ending", "failure", "level", "severity", "relation", "road", "preventable_by",
@@ -184,8 +187,32 @@ def make_index(
         "egos": summarise(rows),
         "coverage": None if coverage is None else _cells(coverage),
     }  # fmt: skip
-    body = asset("index.html").replace(SCENARIOS_MARK, scenario_section(scenarios))
+    body = plain_table(name, rows, made) + asset("index.html").replace(SCENARIOS_MARK, scenario_section(scenarios))
     return document("Episodes", body, INDEX_STYLES, INDEX_SCRIPTS, data)
+
+
+def plain_table(name: str, rows: Sequence[Mapping[str, Any]], made: Mapping[str, MadePages]) -> str:
+    """What the index says where JavaScript is off: how many episodes came how far, and a table of the first ones."""
+
+    def cell(row: Mapping[str, Any], column: str) -> str:
+        value = row.get(column)
+        text = "" if value is None else f"{value:.2f}" if isinstance(value, float) else str(value)
+        words, run = escape(text), str(row["id"])
+        if column == "id" and run in made:
+            words = f'<a href="{PAGES_FOLDER}/{run}.html">{words}</a>'
+        return f"<td>{words}</td>"
+
+    levels = Counter(str(row["level"] or row["ending"]) for row in rows)
+    counts = ", ".join(f"{number} {escape(level)}" for level, number in levels.most_common())
+    heads = "".join(f'<th scope="col">{column.replace("_", " ")}</th>' for column in PLAIN_COLUMNS)
+    lines = "".join(
+        f"<tr>{''.join(cell(row, column) for column in PLAIN_COLUMNS)}</tr>" for row in rows[:MAX_PLAIN_ROWS]
+    )
+    more = f"<p>The first {MAX_PLAIN_ROWS} of them:</p>" if len(rows) > MAX_PLAIN_ROWS else ""
+    return (
+        f"<noscript><h1>{escape(name)}</h1><p>{len(rows)} episodes: {counts}. Pictures, filters and replays need "
+        f"JavaScript.</p>{more}<table><thead><tr>{heads}</tr></thead><tbody>{lines}</tbody></table></noscript>\n"
+    )
 
 
 def _cells(coverage: Coverage) -> dict[str, Any]:
