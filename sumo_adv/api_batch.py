@@ -265,7 +265,8 @@ def hunt(
     """The worst distinct failures that ``minutes`` are enough for, as ``sumo-adv hunt``. The same call again goes on.
 
     inputs: networks, .sumocfg files, scenarios, records, folders and shipped names. ego: the name of a driver, or a
-    class that workers can import. distinct: end sooner with this many failures. until: the level at which an encounter ends, ``serious`` by default (``valid`` for the ego careful); if it
+    class that workers can import. distinct: end sooner with this many failures.
+    until: the level at which an encounter ends, ``serious`` by default (``valid`` for the ego careful); if it
     is given, only collisions of this level or a higher one are failures.
     cover: give time to the named scenarios that were met least, otherwise to inputs that bring new failures.
     deadline: seconds after which an episode is stuck. pages: make an index page with replays. tell: called after each
