@@ -52,7 +52,7 @@ def test_importing_is_light(tmp_path: Path) -> None:
 
 
 def test_the_names_are_few() -> None:
-    drivers = {"LaneSpeed", "Observation", "Pose", "Steer"}
+    drivers = {"LaneSpeed", "Observation", "PlannedPose", "Pose", "Steer"}
     names = {"Campaign", "Result", "__version__", "batch", "crash_rate", "hunt", "judge", "load", "run"}
     assert set(sumo_adv.__all__) == names | drivers == set(dir(sumo_adv))
     assert all(getattr(sumo_adv, name) for name in sumo_adv.__all__)

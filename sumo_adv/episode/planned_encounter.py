@@ -205,7 +205,7 @@ class EncounterFinder:
         return Run(
             self._run_input, self._settings, self._task, tuple(self.records), self.stop, self.forked, agents, isolation,
             bank_hash, self._task.own_names(self._engine.log.warnings()),
-            {**spent, "total": time.perf_counter() - self._began},
+            {**spent, "total": time.perf_counter() - self._began}, self.driver_time(),
         )  # fmt: skip
 
 
