@@ -113,7 +113,7 @@ class Result:
 
     def __repr__(self) -> str:
         level = self.outcome.level
-        came_to = f"{level} ({self.outcome.ending})" if self.outcome.ending is Ending.CRITICAL else self.outcome.ending
+        came_to = f"{level}" if self.outcome.ending is Ending.GOAL_MET else self.outcome.ending
         return f"<sumo_adv.Result {came_to}, {len(self.outcome.attempts)} attempts: {self.folder}>"
 
 

@@ -87,7 +87,7 @@ def test_the_outcome_is_the_file() -> None:
     outcome, written = result.outcome, json.loads((result.folder / "outcome.json").read_text())
     assert outcome.document == written
     level = (written["outcome"] or {}).get("level")
-    came_to = f"{level} (critical)" if written["ending"] == "critical" else written["ending"]
+    came_to = level if written["ending"] == "critical" else written["ending"]
     assert repr(result) == f"<sumo_adv.Result {came_to}, {len(written['attempts'])} attempts: {result.folder}>"
     assert (outcome.ending, outcome.network, outcome.seed) == (written["ending"], written["network"], written["seed"])
     assert (outcome.ego, outcome.ego_driver) == ("ego", "idm")
