@@ -37,6 +37,7 @@ class Event(StrEnum):
     STOPS = "stops"
     STARTS = "starts"
     RUNS_RED = "runs_red"
+    RUNS_YELLOW = "runs_yellow"
 
 
 MEANINGS = {
@@ -55,6 +56,7 @@ MEANINGS = {
     Event.STOPS: "it comes to a standstill",
     Event.STARTS: "it moves off from a standstill",
     Event.RUNS_RED: "it enters a junction while its light is red",
+    Event.RUNS_YELLOW: "it enters a junction while its light is yellow",
 }
 """What each event means, for people and models."""
 
@@ -67,10 +69,11 @@ class Asked(_Table):
     """What must be true of an attack; what is not given may be anything.
 
     relation: how the adversary stands to the ego when the encounter begins. user: its kind. events: what it does, in
-    this order; others may come between. side: of the ego that is hit. hidden: other vehicles or obstacles hide it from
-    the ego at first. beside: another vehicle is beside the ego on that side at some time. least_length: of the
-    adversary [m]. most_speed_first: it is no faster than this at first [m/s]. most_braking: it brakes no harder than
-    this [m/s2]. level: which the attack must reach.
+    this order; others may come between. side: of the ego that is hit. hidden: other vehicles, standing or moving, or
+    obstacles hide it from the ego at first or for half a second before it comes into the ego's way. beside: another
+    vehicle is beside the ego on that side at some time. least_length: of the adversary [m]. most_speed_first: it is no
+    faster than this at first [m/s]. most_braking: it brakes no harder than this [m/s2]. level: which the attack must
+    reach.
     """
 
     relation: Relation | None = None

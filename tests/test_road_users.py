@@ -25,7 +25,7 @@ from sumo_adv.memory.build import build, read_folder
 from sumo_adv.metrics.case import Case
 from sumo_adv.metrics.gates import failed_gates, kinematic_gates
 from sumo_adv.metrics.preventability import preventability
-from sumo_adv.metrics.reference.view import hidden
+from sumo_adv.metrics.reference.view import hidden, seen
 from sumo_adv.metrics.severity import TENTH_RISK_SPEED_KMH, crash, hardness, unprotected_risk
 from sumo_adv.metrics.verdict import judge_attempt
 from sumo_adv.planners.sandbox import Sandbox
@@ -162,6 +162,19 @@ def test_a_careful_driver_notices_a_pedestrian_once_it_moves_towards_the_path_an
     open_, behind = (preventability(Case(ego, walks, others, 2.0), contact) for others in ((), (parked(76.0, -3.5),)))
     assert open_.alarms["cc_human"] == pytest.approx(5.8) and open_.answers["cc_human"] == "avoids"
     assert behind.alarms["cc_human"] == pytest.approx(6.9, abs=0.15) and behind.answers["cc_human"] == "collides"
+
+
+def test_a_lorry_that_moves_away_hides_no_more() -> None:
+    """A lorry of 4 m by 6 m at x = 10 hides up to y = 3 * 20 / 8 = 7.5 at x = 20. Then it is at y = 20. Reference
+    drivers do not see the person behind it, and see a car there."""
+    still = np.zeros((1, 2))
+    ego, person = Boxes(still, still, still, still, 5.0, 2.0), Boxes(still + 20.0, still, still, still, 0.5, 0.5)
+    y = np.array([[[0.0, 20.0]]])
+    lorry = Boxes(0.0 * y + 10.0, y, 0.0 * y, 0.0 * y, np.full((1, 1, 1), 4.0), np.full((1, 1, 1), 6.0))
+    assert hidden(ego, person, lorry).tolist() == [[True, False]]
+    assert np.isnan(seen(ego, person, lorry).x).tolist() == [[True, False]]
+    a_car = replace(person, length=4.5, width=1.8)
+    assert hidden(ego, a_car, lorry).tolist() == [[True, False]] and not np.isnan(seen(ego, a_car, lorry).x).any()
 
 
 def test_vehicles_are_noticed_whatever_is_in_the_way() -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import sumo_adv
-from sumo_adv.episode.rules_broken import red_light_at
+from sumo_adv.episode.rules_broken import LightPassed, light_at_line, red_light_at
 from sumo_adv.simulation.sumo_states import Snapshot
 
 
@@ -33,12 +33,17 @@ def snapshot(time: float, x: float, light: str) -> Snapshot:
     return Snapshot(time, {"bv": (x, 0.0, 90.0, 10.0, "a_0")}, lights={"tls": light})
 
 
-def test_a_light_that_changes_on_the_way_was_not_passed_on_red() -> None:
-    """At 10 m/s the line, 15 m ahead, is passed after 2 s; with a change of the light before, nothing is said."""
+def test_the_light_at_the_stop_line_counts() -> None:
+    """At 10 m/s the line, 15 m ahead, is passed after 2 s. What the vehicle's light shows then is known if all
+    links that were red at first show the same."""
     signals = (("tls", 15.0, "r"),)
     red = [snapshot(0.0, 0.0, "rG"), snapshot(1.0, 10.0, "rG"), snapshot(2.0, 20.0, "rG")]
     assert red_light_at("bv", signals, red) == 2.0
-    changed = [red[0], snapshot(1.0, 10.0, "Gr"), snapshot(2.0, 20.0, "Gr")]
-    assert red_light_at("bv", signals, changed) is None
-    assert red_light_at("bv", (("tls", 15.0, "G"),), red) is None
+    assert red_light_at("bv", signals, [*red[:2], snapshot(2.0, 20.0, "Gr")]) is None
     assert red_light_at("bv", (), red) is None
+    green = (("tls", 15.0, "G"),)
+    assert red_light_at("bv", green, red) is None
+    assert red_light_at("bv", green, [*red[:2], snapshot(2.0, 20.0, "Gr")]) == 2.0
+    assert light_at_line("bv", green, [*red[:2], snapshot(2.0, 20.0, "ry")]) == LightPassed(2.0, "y")
+    several = [snapshot(0.0, 0.0, "GG"), snapshot(2.0, 20.0, "Gr")]
+    assert light_at_line("bv", green, several) is None, "one of the two links is the vehicle's"

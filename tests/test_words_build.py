@@ -152,6 +152,27 @@ def test_the_ego_has_green_and_who_crosses_has_red(tmp_path: Path) -> None:
     assert links["north_in", "south_out"] == links["south_in", "north_out"] == "r"
 
 
+def test_lights_go_through_the_phases_of_a_draft(tmp_path: Path) -> None:
+    """The ego's green has 4 s left at the start: the program began 16 s before it, with 20 s of green."""
+    phases = [("ego_green", 20), ("ego_yellow", 3), ("all_red", 2), ("others_green", 20), ("others_yellow", 3)]
+    road = {
+        "kind": "crossing", "control": "signals", "length": 300, "lights_offset": -16,
+        "lights": [{"shows": shows, "seconds": seconds} for shows, seconds in phases],
+    }  # fmt: skip
+    build_scenario(scene(road, WEST_EAST, other(("north_in", "south_out"), arrives=0)), tmp_path / "my.toml", WRITTEN)
+    (program,) = ElementTree.parse(tmp_path / "my.add.xml").getroot().iter("tlLogic")
+    assert program.get("offset") == "-16"
+    assert [float(p.get("duration", "")) for p in program.iter("phase")] == [20, 3, 2, 20, 3]
+    net = ElementTree.parse(tmp_path / "my.net.xml").getroot()
+    links = [
+        {c.get("from"): p.get("state", "")[int(c.get("linkIndex", ""))] for c in net.iter("connection")
+         if c.get("tl") and c.get("dir") == "s"}
+        for p in program.iter("phase")
+    ]  # fmt: skip
+    assert [link["west_in"] for link in links] == [link["east_in"] for link in links] == ["G", "y", "r", "r", "r"]
+    assert [link["north_in"] for link in links] == [link["south_in"] for link in links] == ["r", "r", "r", "G", "y"]
+
+
 STRAIGHT, ALONG = {"kind": "straight", "length": 500}, {"route": ["forward", "forward"], "speed": 36}
 
 
@@ -162,6 +183,8 @@ STRAIGHT, ALONG = {"kind": "straight", "length": 500}, {"route": ["forward", "fo
          "There is no shipped network 'twoway'; the nearest is 'two_way'."),
         (scene({"kind": "shipped", "name": "../../secret"}, ALONG, other(("forward", "forward"), gap=9)),
          "There is no shipped network '../../secret'"),
+        (scene({"kind": "straight", "lights": [{"shows": "all_red", "seconds": 9}]}, ALONG,
+               other(("forward", "forward"), gap=9)), "The road has phases of lights and no traffic lights"),
         (scene({"kind": "given"}, ALONG, other(("forward", "forward"), gap=9)), "There is no network of the user's"),
         (scene(STRAIGHT, ALONG, other(("forward", "north"), gap=9)), "There is no edge 'north' for 'other'"),
         (scene(STRAIGHT, ALONG, other(("forward", "backward"), gap=9)), "No way leads a passenger from edge 'forward'"),

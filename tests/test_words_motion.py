@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,7 +30,7 @@ def track(name: str, x: Floats, y: Floats, heading: float, speed: Floats | float
 EGO = track("ego", EGO_SPEED * TIME, 0.0 * TIME, 0.0, EGO_SPEED, (4.8, 1.8))
 
 
-def seen(adversary: Track, others: tuple[Track, ...] = (), side: str | None = None, **more: float) -> DescribedMotion:
+def seen(adversary: Track, others: tuple[Track, ...] = (), side: str | None = None, **more: Any) -> DescribedMotion:
     motion = observe(Scene(EGO, adversary, others, WAY, "neighbour", False, side, 0.0, **more))
     assert motion is not None
     return motion
@@ -115,10 +116,26 @@ def test_a_vehicle_passes_on_the_right_while_another_is_beside_on_the_left() -> 
     assert "5.5 m long" in motion.words and "standing" in motion.words
 
 
+def test_a_moving_lorry_hides_what_shoots_out_behind_it() -> None:
+    """A lorry of 12 m by 2.5 m drives 20 m ahead of the ego, 4 m to the right; it hides slopes of 2.75/26 to 5.25/14.
+
+    The corners of a car that waits at x = 80, y = -9 are at 79.1 and 80.9, -7 and -11. The last one of the near side is
+    hidden when 80.9 - 10 t < 7 * 26 / 2.75 = 66.2: at 1.5 s. The first one of the far side shows when 79.1 - 10 t <
+    11 * 14 / 5.25 = 29.3: at 5.0 s.
+    """
+    lorry = track("lorry", EGO.x + 20.0, 0.0 * TIME - 4.0, 0.0, EGO_SPEED, (12.0, 2.5))
+    y = -9.0 + 8.0 * np.maximum(TIME - 5.0, 0.0)
+    car = track("car", 0.0 * TIME + 80.0, y, np.pi / 2, np.where(TIME < 5.0, 0.0, 8.0), (4.0, 1.8))
+    hides, shows = seen(car, (lorry,)), seen(car)
+    assert "From 1.5 s to 5.0 s A is hidden from EGO by something between them." in hides.words
+    assert hides.hidden and not shows.hidden and "hidden" not in shows.words
+    assert misfits(Asked(hidden=True), hides) == () and len(misfits(Asked(hidden=True), shows)) == 1
+
+
 def test_standing_and_red_lights() -> None:
     speed = np.clip(2.0 * (TIME - 1.0), 0.0, 6.0)
     starts = track("w", 60.0 + 0.0 * TIME, 0.0 * TIME + 8.0, -np.pi / 2, speed, (4.8, 1.8))
-    happened = events(seen(starts, red_at=1.5))
+    happened = events(seen(starts, light=(1.5, Event.RUNS_RED)))
     assert happened[Event.STARTS] == 1.3 and happened[Event.SPEEDS_UP] == 1.0 and happened[Event.RUNS_RED] == 1.5
 
 
@@ -134,7 +151,8 @@ def test_who_it_is_and_what_is_hit() -> None:
     )  # fmt: skip
     assert lacks == (
         "The adversary is a vehicle, not a pedestrian.", "The adversary is neighbour, not leader.",
-        "The ego is hit at its left, not at its front.", "Nothing hides the adversary from the ego at first.",
+        "The ego is hit at its left, not at its front.",
+        "Nothing hides the adversary from the ego before it comes into the way.",
         "No other vehicle is beside the ego on its right.", "The adversary is 12 m long, not 13 m or more.",
         "The adversary drives 10.0 m/s at first, not 5.",
     )  # fmt: skip

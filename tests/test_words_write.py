@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from cli_samples import Program
+from cli_samples import ROOT, Program
 from model_server import Asked, ModelServer
+
+from sumo_adv.memory.bank import MemoryBank
 
 CUT_IN = "On the motorway a van squeezes in right in front of me from the left lane."
 QUICK = ("--attempts", "40", "--seconds", "3600", "--memory", "bank.sqlite", "--out", "my.toml", "--run-out", "run")
@@ -135,3 +137,46 @@ def test_the_scenario_asks_for_its_attack_again(tmp_path: Path) -> None:
     again = json.loads((tmp_path / "again" / "outcome.json").read_text())
     assert repeated.status == 0 and again["asked"]["motion"] == done.outcome["asked"]["motion"]
     assert again["asked"]["fits"]
+
+
+def test_a_behaviour_that_no_intent_has_gets_a_planner_which_enters_the_bank(tmp_path: Path) -> None:
+    """The model's first planner has a fault, which goes back to it; the second one is that of a known cut-in."""
+    novel = {
+        "label": "Swerving Squeeze", "applies": ["neighbour"],
+        "description": "It drives beside the ego, swerves away from it, and then squeezes into the lane before it.",
+    }  # fmt: skip
+    draft = cut_in()
+    draft["scene"]["attack"] |= {"intents": [], "novel": novel}
+    with MemoryBank.open(ROOT / "memory_bank.sqlite", read_only=True) as shipped:
+        good = next(p.text for p in shipped.planners("Aggressive Cut-in") if p.mode == "side")
+    planners = iter(["PARAMETERS = {}\n", good])
+
+    def script(request: Asked) -> dict[str, Any]:
+        if request.system.startswith("You write planners"):
+            return {"mode": "direct", "source": next(planners)}
+        return READ if is_reader(request) else draft
+
+    with ModelServer(script) as server:
+        done = program(tmp_path, server).here("write", CUT_IN, "--llm", "gpt-test", *QUICK)
+    assert done.status == 0, done.err
+    assert "a planner for 'Swerving Squeeze' is written." in done.err
+    outcome = json.loads((tmp_path / "run" / "outcome.json").read_text())
+    assert {attempt["intent"] for attempt in outcome["attempts"]} == {"Swerving Squeeze"} and outcome["asked"]["fits"]
+    assert "squeezes into the lane" in server.asked[1].last  # the description is what the planner is written from
+    assert tomllib.loads((tmp_path / "my.toml").read_text())["adversary"]["intents"] == ["Swerving Squeeze"]
+    with MemoryBank.open(tmp_path / "bank.sqlite", read_only=True) as bank:
+        record = bank.intent("Swerving Squeeze")
+        assert record is not None and record.description == novel["description"]
+        assert [planner.origin for planner in bank.planners(record.label)] == ["gpt-test"]
+
+
+def test_a_novel_behaviour_that_is_known_goes_back_to_the_model(tmp_path: Path) -> None:
+    known = cut_in()
+    known["scene"]["attack"]["novel"] = {
+        "label": "Aggressive cut-in", "applies": ["neighbour"], "description": "It cuts in before the ego, very near."
+    }  # fmt: skip
+    drafts = iter([known, cut_in()])
+    with ModelServer(lambda request: READ if is_reader(request) else next(drafts)) as server:
+        done = program(tmp_path, server).here("write", CUT_IN, "--llm", "gpt-test", *QUICK)
+    assert done.status == 0, done.err
+    assert "'Aggressive cut-in' is an intent of the list" in server.asked[1].last

@@ -258,6 +258,7 @@ def _relation(target: Target, situation: Situation) -> str:
     side = "to the left" if y > 0 else "to the right"
     along = f"{gap:.1f} m {'ahead' if x > 0 else 'behind'} bumper to bumper" if gap > 0 else "overlapping in length"
     lateral = f"centres {abs(y):.1f} m apart sideways"
+    hidden = ", hidden from EGO now" if target.hidden else ""
     match target.relation:
         case "leader" | "follower":
             return f"in EGO's lane, {along}, {pace}."
@@ -266,8 +267,8 @@ def _relation(target: Target, situation: Situation) -> str:
         case "oncoming":
             return f"oncoming {side}, {along}, {lateral}, {pace}."
         case relation if is_unprotected(bv):
-            hidden = ", hidden from EGO now" if target.hidden else ""
             place = f"{abs(x):.1f} m {'ahead' if x > 0 else 'behind'}, {abs(y):.1f} m {side}"
             return f"{place}{hidden}. {_kind_words(target)}"
         case relation:
-            return f"{relation}, {math.hypot(x, y):.1f} m away in a straight line, from {side.removeprefix('to ')}."
+            away = f"{math.hypot(x, y):.1f} m away in a straight line"
+            return f"{relation}, {away}, from {side.removeprefix('to ')}{hidden}."

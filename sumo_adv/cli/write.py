@@ -129,6 +129,7 @@ def _write(
     from sumo_adv.llm.recording import Recorder
     from sumo_adv.report.outcome import MODEL_FILE
     from sumo_adv.words.author import Author
+    from sumo_adv.words.inventions import Inventions
 
     ledger = Ledger.for_settings(settings)
     player = open_model(model, settings, ledger)
@@ -140,14 +141,20 @@ def _write(
     today = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
     with scratch_folder() as scratch, staged(folder, force=force) as target:
         with Recorder(scratch / MODEL_FILE, player.name) as recorder:
-            with app.open_for_run(settings) as bank:
-                library = app.known_intents(bank)
-            author = Author(
-                MeteredModel(recorder.wrap(player), ledger), app.shipped_prompts(), library,
-                lambda file, place, goal: _run(file, place, goal, played_by), scratch, out.stem, today, network,
-                (lambda _: None) if quiet else (lambda line: typer.echo(line, err=True)),
-            )  # fmt: skip
-            made = author.write(request)
+            metered = MeteredModel(recorder.wrap(player), ledger)
+            with app.open_for_run(settings) as bank, app.new_sandbox(settings) as sandbox:
+                inventions = Inventions(
+                    metered, app.shipped_prompts(), settings, sandbox, bank, scratch / "bank.sqlite"
+                )  # fmt: skip
+                author = Author(
+                    metered, app.shipped_prompts(), app.known_intents(bank),
+                    lambda file, place, goal: _run(file, place, goal, inventions.used_by(played_by)), inventions.add,
+                    scratch, out.stem, today, network,
+                    (lambda _: None) if quiet else (lambda line: typer.echo(line, err=True)),
+                )  # fmt: skip
+                made = author.write(request)
+                if made.reached and not made.misfits:
+                    inventions.keep(made.scene.attack.novel)
         with sentences(out):
             out.parent.mkdir(parents=True, exist_ok=True)
             for old in _beside(out):

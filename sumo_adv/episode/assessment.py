@@ -16,7 +16,7 @@ from typing import Protocol
 import numpy as np
 
 from sumo_adv.agents.agents import Agents, Bought
-from sumo_adv.asked import Asked
+from sumo_adv.asked import Asked, Event
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import (
     Attempt,
@@ -31,7 +31,7 @@ from sumo_adv.datatypes import (
     Verdict,
 )
 from sumo_adv.episode.engine import EpisodeCalls, EpisodeEngine, PlannerQuestion
-from sumo_adv.episode.rules_broken import red_light_at
+from sumo_adv.episode.rules_broken import RED, YELLOW, light_at_line
 from sumo_adv.episode.scenario_naming import scenario_of
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.geometry import Frame, Path, wrap
@@ -265,14 +265,17 @@ def motion_of(
         Scene(
             cut[found.ego], cut[p.bv], others, situation.baseline.path, first.relation, first.hidden,
             attempt.verdict.contact_side if attempt.verdict.collided else None, start,
-            _red_at(p.bv, situation, result, float(cut[p.bv].time[0]) if len(cut[p.bv].time) else start),
+            _runs_light(p.bv, situation, result, float(cut[p.bv].time[0]) if len(cut[p.bv].time) else start),
         )
     )  # fmt: skip
 
 
-def _red_at(bv: str, situation: Situation, result: AttemptResult, begun: float) -> float | None:
-    """When the adversary passes its stop line on red [s]."""
-    return red_light_at(bv, situation.traffic.signals.get(bv, ()), [s for s in result.snapshots if s.time >= begun])
+def _runs_light(bv: str, situation: Situation, result: AttemptResult, begun: float) -> tuple[float, Event] | None:
+    """When the adversary passes its stop line on yellow or red [s], and which of the two."""
+    passed = light_at_line(bv, situation.traffic.signals.get(bv, ()), [s for s in result.snapshots if s.time >= begun])
+    if passed is None or passed.letter not in RED + YELLOW:
+        return None
+    return passed.time, Event.RUNS_RED if passed.letter in RED else Event.RUNS_YELLOW
 
 
 # -- from a result to an attempt ------------------------------------------------------------------------------------

@@ -16,6 +16,15 @@ BOTH, NONE = "both", "none"
 AT_CONFLICT_M = 20.0  # from where the two ways meet: a contact further away is no matter of the right of way there
 FIRST_BY_SIGN = "MOo"  # SUMO's letters of connections that do not give way
 MINOR_GREEN, MAJOR_GREEN = "g", "G"
+RED, YELLOW = "ru", "yY"  # letters
+
+
+@dataclass(frozen=True, slots=True)
+class LightPassed:
+    """A stop line that was passed: when [s], and SUMO's letter of the light then."""
+
+    time: float
+    letter: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +32,7 @@ class RulesBroken:
     """By whom: ``adversary``, ``ego``, ``both`` or ``none``.
 
     Attributes:
-        red_light: Passed a stop line at a light that was red all the time since the attack began.
+        red_light: Passed a stop line at a light that was red then.
         right_of_way: Had to give way where the two ways meet, by sign or by a minor green, and did not.
     """
 
@@ -46,30 +55,44 @@ def rules_broken(attempt: Attempt, result: AttemptResult, found: FoundEncounter)
     return RulesBroken(_by(red[ADVERSARY_PARTY], red[EGO_PARTY]), _not_yielding(situation, p.bv, found.ego, before))
 
 
-def red_light_at(vehicle: str, signals: Sequence[Signal], snapshots: Sequence[Snapshot]) -> float | None:
-    """When a vehicle passes its stop line on red [s]; None if it does not, or if its light changes before.
+def light_at_line(vehicle: str, signals: Sequence[Signal], snapshots: Sequence[Snapshot]) -> LightPassed | None:
+    """What the next light shows a vehicle when it passes its stop line.
+
+    A snapshot has the states of all links of a light. The vehicle's link is one of those that showed its letter at
+    first, so its letter is known while all of them show the same.
 
     Args:
         vehicle: Its id.
         signals: The lights ahead of it at the first snapshot, nearest first.
         snapshots: The states from then on.
+
+    Returns:
+        The time and the letter; None if the vehicle has no light ahead, does not pass the line, or if its letter is not
+        known then.
     """
-    if not signals or signals[0][2] not in "ru":
+    if not signals:
         return None
-    light, distance, _ = signals[0]
-    gone, last, shown = 0.0, None, None
+    light, distance, letter = signals[0]
+    gone, last, links, first = 0.0, None, list[int](), ""
     for snapshot in snapshots:
         if vehicle not in snapshot.raw:
             continue
         x, y = snapshot.raw[vehicle][:2]
         gone += 0.0 if last is None else math.hypot(x - last[0], y - last[1])
-        last, state = (x, y), snapshot.lights.get(light)
-        if shown is not None and state is not None and state != shown:
-            return None
-        shown = shown or state
+        last, state = (x, y), snapshot.lights.get(light, first)
+        if not first:
+            first, links = state, [k for k, shown in enumerate(state) if shown == letter]
         if gone > distance:
-            return snapshot.time
+            letters = {state[k] for k in links} if state != first else {letter}
+            return LightPassed(snapshot.time, letters.pop()) if len(letters) == 1 else None
     return None
+
+
+def red_light_at(vehicle: str, signals: Sequence[Signal], snapshots: Sequence[Snapshot]) -> float | None:
+    """When a vehicle passes its stop line on red [s]; None if it does not. For the arguments see
+    :func:`light_at_line`."""
+    passed = light_at_line(vehicle, signals, snapshots)
+    return passed.time if passed is not None and passed.letter in RED else None
 
 
 def _by(adversary: bool, ego: bool) -> str:

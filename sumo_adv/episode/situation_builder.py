@@ -213,8 +213,7 @@ def build_situation(
         kind = trigger.classes.get(ranked.id, CAR)  # a vehicle of a recording that comes later is a car to SUMO
         target = _target(road, track, ranked, time, path, first, trigger.routes.get(ranked.id, ()), kind)
         if target is not None:
-            hidden = is_unprotected(target.state) and _is_hidden(target.state, ego, tracks, time)
-            targets[ranked.id] = replace(target, hidden=hidden)
+            targets[ranked.id] = replace(target, hidden=_is_hidden(target.state, ego, tracks, time))
     if not targets:
         return None
     others = tuple(
@@ -340,7 +339,7 @@ def _target(
 
 
 def _is_hidden(bv: VehicleState, ego: VehicleState, tracks: Mapping[str, Track], time: float) -> bool:
-    """Whether other boxes hide a pedestrian or cyclist from the ego at a time [s]."""
+    """Whether other boxes, standing or moving, hide a road user from the ego at a time [s]."""
     there = (state_at(t, time) for name, t in tracks.items() if name not in (bv.id, ego.id) and len(t.time))
     return not Sight().visible((ego.x, ego.y), [bv, *(state for state in there if state is not None)], ego.z)[0]
 

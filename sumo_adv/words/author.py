@@ -6,20 +6,20 @@ one."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from sumo_adv.asked import MEANINGS, RequestOrigin
 from sumo_adv.datatypes import Level, LibraryEntry
-from sumo_adv.errors import ModelError, SumoAdvError, UsageError
+from sumo_adv.errors import BudgetError, ModelError, SumoAdvError, UsageError
 from sumo_adv.llm.asking import MeteredModel, ask
 from sumo_adv.llm.prompts import Prompts, fenced, sanitize
 from sumo_adv.memory.records import canonical
 from sumo_adv.simulation.inputs import data_folder, load_input, shipped_files
 from sumo_adv.words.build import build_scenario
-from sumo_adv.words.draft import Draft, SceneDraft
+from sumo_adv.words.draft import Draft, NovelDraft, SceneDraft
 from sumo_adv.words.fit import held
 from sumo_adv.words.request import Reading, read_motion
 from sumo_adv.words.roads import Net
@@ -31,6 +31,8 @@ DEFAULT_LEVEL = "valid"  # that is wanted where a draft names none
 Run = Callable[[Path, Path, Mapping[str, Any]], dict[str, Any]]
 """Runs a scenario: its file, the folder to write, settings of its goal. Returns what ``outcome.json`` holds. Raises
 SumoAdvError."""
+Invent = Callable[[NovelDraft], None]
+"""Has a planner written for a behaviour, and gives it to the runs from then on. Raises ModelError."""
 
 
 class NoScenario(SumoAdvError):
@@ -101,13 +103,16 @@ class Author:
     """Makes one scenario. ``folder``: for the files of all tries; ``name``: of the scenario."""
 
     def __init__(
-        self, metered: MeteredModel, prompts: Prompts, library: Sequence[LibraryEntry], run: Run, folder: Path,
-        name: str, date: str, network: Path | None = None, tell: Callable[[str], None] = lambda _: None,
+        self, metered: MeteredModel, prompts: Prompts, library: Sequence[LibraryEntry], run: Run, invent: Invent,
+        folder: Path, name: str, date: str, network: Path | None = None, tell: Callable[[str], None] = lambda _: None,
     ) -> None:  # fmt: skip
-        """``network``: the user's; ``tell``: called with what becomes of each answer."""
-        self._metered, self._prompts, self._library, self._run = metered, prompts, library, run
+        """``invent``: for behaviours that no intent of the library has. ``network``: the user's. ``tell``: called with
+        what becomes of each answer."""
+        self._metered, self._prompts, self._library = metered, prompts, library
+        self._run, self._invent = run, invent
         self._folder, self._name, self._date, self._network, self._tell = folder, name, date, network, tell
         self._tries = self._readings = 0
+        self._invented: dict[str, NovelDraft] = {}  # by canonical label
         self._words = ""
         self.best: Played | None = None
 
@@ -163,13 +168,18 @@ class Author:
     @property
     def _questions(self) -> int:
         """How many were asked, without answers that were not of the schema's shape."""
-        return self._tries + self._readings
+        return self._tries + self._readings + len(self._invented)
 
     def _play(self, draft: Draft, scene: SceneDraft, folder: Path) -> Played:
         known = {canonical(e.label) for e in self._library}
         unknown = next((label for label in scene.attack.intents if canonical(label) not in known), None)
         if unknown is not None:
-            raise UsageError(f"There is no intent '{sanitize(unknown)}'; leave intents empty, or take one of the list.")
+            raise UsageError(
+                f"There is no intent '{sanitize(unknown)}'; leave intents empty, take some of the list, or describe "
+                "the behaviour in novel."
+            )
+        if scene.attack.novel is not None:
+            self._write_planner(scene.attack.novel, known)
         written = RequestOrigin(words=self._words, model=self._metered.model.name, date=self._date)
         file = build_scenario(scene, folder / f"{self._name}.toml", written, self._network)
         load_input(file)
@@ -180,6 +190,32 @@ class Author:
             reading = read_motion(self._metered, self._prompts, motion, self._words)
             played = Played(draft, file, played.folder, played.outcome, reading)
         return played
+
+    def _write_planner(self, novel: NovelDraft, known: Collection[str]) -> None:
+        """Have the planner of a novel behaviour written, unless an earlier draft had the same."""
+        key = canonical(novel.label)
+        if key in known:
+            raise UsageError(
+                f"'{sanitize(novel.label)}' is an intent of the list: name it in intents, and give no novel."
+            )
+        if (earlier := self._invented.get(key)) is not None:
+            if earlier != novel:
+                raise UsageError(
+                    f"'{sanitize(novel.label)}' has a planner already: give it as before, or another label to another "
+                    "behaviour."
+                )
+            return
+        self._tell(f"No known intent does it: a planner for '{sanitize(novel.label)}' is written.")
+        self._invented[key] = novel
+        try:
+            self._invent(novel)
+        except BudgetError:
+            raise
+        except ModelError as error:
+            raise UsageError(
+                f"No planner could be written for '{sanitize(novel.label)}': {error} Describe a simpler behaviour "
+                "under another label, or take known intents."
+            ) from error
 
 
 def _what_happened(played: Played) -> str:

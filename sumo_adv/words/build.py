@@ -1,13 +1,14 @@
 """From a draft to files: the scenario (TOML) and, beside it, demand, network and signals under the same name.
 
 Vehicles that are to meet the ego start where, at constant speed, they arrive when the draft says. Pedestrians, cyclists
-and parked vehicles are placed along the ego's way. Where there are traffic lights the ego has green.
+and parked vehicles are placed along the ego's way. Where there are traffic lights the ego has green, or they go
+through the phases of the draft.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from xml.sax.saxutils import quoteattr
 from sumo_adv.asked import RequestOrigin
 from sumo_adv.errors import UsageError
 from sumo_adv.files import toml_lines, toml_text, toml_value
-from sumo_adv.words.draft import EgoDraft, SceneDraft, VehicleDraft
+from sumo_adv.words.draft import EgoDraft, LightsPhase, SceneDraft, VehicleDraft
 from sumo_adv.words.roads import Net, VehicleRoute, make_network, meeting
 
 MEETING_TIME_S = 9.0  # after the start at which the ego is where it meets others
@@ -30,6 +31,7 @@ PLACED_HEADWAY_RANGE_S = (0.2, 1.0)  # to the vehicle ahead: as placed, within t
 MIN_GAP_M = 2.5  # SUMO's minGap
 DRAFT_HORIZON_S = 10.0
 DEMAND_DURATION_S = 40.0
+ALWAYS_S = 3600.0  # of the one phase of lights that do not change
 ACTOR_SIZES_M = {
     "car": (4.8, 1.8), "van": (5.5, 2.0), "truck": (12.0, 2.5), "bus": (12.0, 2.55), "motorcycle": (2.2, 0.8),
     "bicycle": (1.8, 0.6),
@@ -65,10 +67,14 @@ def build_scenario(scene: SceneDraft, target: Path, written: RequestOrigin, give
     placed = [_place(v, drives[v.id], scene.ego, ego_drive, start) for v in scene.vehicles]
     _check_room(placed, scene.ego, ego_drive, start)
     stem.with_suffix(".rou.xml").write_text(_demand(scene.ego, ego_drive, start, placed), encoding="utf-8")
-    states = net.green_for(ego_drive.edges)
-    if states:
-        stem.with_suffix(".add.xml").write_text(_signals(states), encoding="utf-8")
-    text = _scenario(scene, stem.name, network, written, ego_drive, start, placed, lights=bool(states))
+    phases = scene.road.lights or [LightsPhase(shows="ego_green", seconds=ALWAYS_S)]
+    states = [net.light_states(ego_drive.edges, phase.shows) for phase in phases]
+    if states[0]:
+        text = _signals(phases, states, scene.road.lights_offset)
+        stem.with_suffix(".add.xml").write_text(text, encoding="utf-8")
+    elif scene.road.lights:
+        raise UsageError("The road has phases of lights and no traffic lights: give a crossing control = signals.")
+    text = _scenario(scene, stem.name, network, written, ego_drive, start, placed, lights=bool(states[0]))
     target.write_text(text, encoding="utf-8")
     return target
 
@@ -211,12 +217,16 @@ def _headway(backs: list[tuple[str, int, float]], drive: VehicleRoute, position:
     return min(max((min(ahead, default=math.inf) - MIN_GAP_M) / max(speed, 1.0), least), most)
 
 
-def _signals(states: dict[str, str]) -> str:
-    rows = [
-        f'    <tlLogic id={quoteattr(name)} type="static" programID="asked" offset="0">\n'
-        f'        <phase duration="3600" state="{state}"/>\n    </tlLogic>\n'
-        for name, state in sorted(states.items())
-    ]
+def _signals(phases: Sequence[LightsPhase], states: Sequence[Mapping[str, str]], offset: float) -> str:
+    """SUMO's programs of the traffic lights. states: of all lights, by phase."""
+    rows = []
+    for name in sorted(states[0]):
+        rows.append(f'    <tlLogic id={quoteattr(name)} type="static" programID="asked" offset="{offset:g}">\n')
+        rows += [
+            f'        <phase duration="{phase.seconds:g}" state="{state[name]}"/>\n'
+            for phase, state in zip(phases, states, strict=True)
+        ]
+        rows.append("    </tlLogic>\n")
     return f"<additional>\n{''.join(rows)}</additional>\n"
 
 
@@ -240,7 +250,7 @@ def _scenario(
         f"warm_up = {min(trigger, MIN_TRIGGER_TIME_S)}\ntrigger = {trigger}\n"
         f"horizon = {DRAFT_HORIZON_S}\n\n[adversary]\ncandidates = {toml_value([adversary])}\n",
         f"supports = {toml_value(attack.supports)}\n" if attack.supports else "",
-        f"intents = {toml_value(attack.intents)}\n" if attack.intents else "",
+        f"intents = {toml_value(attack.labels)}\n" if attack.labels else "",
         f"\n[signals]\nfiles = [{toml_text(f'{stem}.add.xml')}]\n" if lights else "",
         *tables,
         _table("written", {"words": written.words, "model": written.model, "date": written.date}),

@@ -17,6 +17,21 @@ Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,29}$")]
 Kmh = Annotated[float, Field(ge=0, le=160)]
 RoadKind = Literal["shipped", "given", "straight", "ramp", "lane_drop", "t", "crossing", "roundabout"]
 VehicleType = Literal["car", "van", "truck", "bus", "motorcycle", "bicycle"]
+Relation = Literal[
+    "leader",
+    "follower",
+    "neighbour",
+    "oncoming",
+    "crossing_left",
+    "crossing_straight",
+    "crossing_right",
+    "merging",
+    "cyclist",
+    "cyclist_hidden",
+    "pedestrian",
+    "pedestrian_hidden",
+]
+"""``memory/records.py:RELATIONS``."""
 MAX_ACTORS = 12
 
 
@@ -24,8 +39,17 @@ class _Part(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
+class LightsPhase(_Part):
+    """A phase of the traffic lights. ego: of the ego's direction and the opposite one; others: of all that cross it."""
+
+    shows: Literal["ego_green", "ego_yellow", "all_red", "others_green", "others_yellow"]
+    seconds: float = Field(ge=1, le=3600)
+
+
 class RoadDraft(_Part):
-    """The road. name: of a shipped network. The numbers are of a generated one."""
+    """The road. name: of a shipped network. The numbers are of a generated one. lights: the phases of its traffic
+    lights, over and over, the first of which begins lights_offset s after the start; none: the ego has green all the
+    time."""
 
     kind: RoadKind
     name: str = Field(default="", max_length=60)
@@ -38,6 +62,8 @@ class RoadDraft(_Part):
     ends: Literal["left", "right"] = "right"
     sidewalk: bool = False
     bike_lane: bool = False
+    lights: list[LightsPhase] = Field(default_factory=list, max_length=8)
+    lights_offset: float = Field(default=0, ge=-120, le=120)
 
 
 class EgoDraft(_Part):
@@ -84,13 +110,29 @@ class ParkedDraft(_Part):
     offset: float = Field(ge=-20, le=20)
 
 
+class NovelDraft(_Part):
+    """A behaviour that no known intent has, for which a planner is written. description: all that the adversary does,
+    in its order, with the conditions. applies: from where it begins."""
+
+    label: str = Field(min_length=3, max_length=60)
+    description: str = Field(min_length=20, max_length=500)
+    applies: list[Relation] = Field(min_length=1, max_length=4)
+
+
 class AttackDraft(_Part):
-    """The attack. adversary, supports: ids of vehicles or walkers. intents: known ones, empty for any."""
+    """The attack. adversary, supports: ids of vehicles or walkers. intents: known ones, empty for any. novel: if none
+    of them can be it."""
 
     adversary: Name
+    novel: NovelDraft | None = None
     intents: list[str] = Field(default_factory=list, max_length=4)
     supports: list[Name] = Field(default_factory=list, max_length=2)
     asked: Asked
+
+    @property
+    def labels(self) -> list[str]:
+        """The intents to try, the novel one first; empty for any."""
+        return ([] if self.novel is None else [self.novel.label]) + self.intents
 
 
 class SceneDraft(_Part):

@@ -59,7 +59,7 @@ def compare(asked: Asked, motion: DescribedMotion) -> tuple[Part, ...]:
         parts.append(Part("side", holds, f"{hit}{lack}."))
     if asked.hidden:
         what = "Something hides" if motion.hidden else "Nothing hides"
-        parts.append(Part("hidden", motion.hidden, f"{what} the adversary from the ego at first."))
+        parts.append(Part("hidden", motion.hidden, f"{what} the adversary from the ego before it comes into the way."))
     if asked.beside is not None:
         holds = asked.beside in motion.beside
         who = "Another vehicle" if holds else "No other vehicle"

@@ -14,8 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from sumo_adv.asked import Event
-from sumo_adv.datatypes import Bools, Floats, Track
+from sumo_adv.datatypes import Bools, Boxes, Floats, Track
 from sumo_adv.geometry import Path, wrap
+from sumo_adv.metrics.boxes import height_as, on_grid, row_of
+from sumo_adv.metrics.reference.view import hidden
 from sumo_adv.road_users import RoadUser, road_user
 
 NEXT_PLACE_REACH_M = 30.0  # along the path within which a vehicle's next place is looked for
@@ -26,6 +28,7 @@ EGO_TURN_ANGLE_RAD = math.radians(30)  # of the ego's heading: it turns
 ONCOMING_ANGLE_RAD = math.radians(120)  # heading against the ego's path from which a vehicle comes towards it
 MIN_SPEED_CHANGE_M_S = 2.0  # lost or gained
 DESCRIBED_AS_STANDING_SPEED_M_S = 0.5
+MIN_HIDDEN_S = 0.5  # for which an adversary is out of sight at least
 MAX_BESIDE_OFFSET_M = 4.5  # offset of a vehicle beside the ego at most
 AFTER_APPROACH_S = 3.0  # after the nearest approach: what still counts if nothing is hit
 MAX_DESCRIBED_OTHERS = 4  # other vehicles in the description, the nearest ones
@@ -36,8 +39,9 @@ DESCRIPTION_STEP_S = 1.0  # between the lines of the description
 class Scene:
     """The tracks of an attempt from the take-over on.
 
-    path: of the ego without an attack. side: of the ego that is hit, None without a contact; the tracks end there.
-    start: of the attack [s]. red_at: when the adversary passes a red light [s], None if it does not.
+    path: of the ego without an attack. hidden: the adversary is hidden when the encounter begins. side: of the ego that
+    is hit, None without a contact; the tracks end there. start: of the attack [s]. light: when the adversary passes its
+    stop line on red or yellow [s], and that event; None if it does not.
     """
 
     ego: Track
@@ -48,14 +52,15 @@ class Scene:
     hidden: bool
     side: str | None
     start: float
-    red_at: float | None = None
+    light: tuple[float, Event] | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class DescribedMotion:
-    """What happened. events: (seconds after the take-over, event), in order. beside: sides of the ego on which another
-    vehicle was. time [s after the take-over], speed [m/s], ``(n,)``, and length [m]: of the adversary. words: all of
-    it, for a reader."""
+    """What happened. events: (seconds after the take-over, event), in order. hidden: other boxes hide the adversary
+    from the ego at first, or for ``MIN_HIDDEN_S`` s or more before it comes into the ego's way. beside: sides of the
+    ego on which another vehicle was. time [s after the take-over], speed [m/s], ``(n,)``, and length [m]: of the
+    adversary. words: all of it, for a reader."""
 
     relation: str
     user: RoadUser
@@ -129,9 +134,10 @@ def observe(scene: Scene) -> DescribedMotion | None:
     )  # not those that are parked
     beside = frozenset(side for side in sides if side is not None)
     user = road_user(scene.adversary)
-    words = _words(scene, time - time[0], ego, bv, a, b, events, user, along)
+    unseen = _hidden(scene, course)
+    words = _words(scene, time - time[0], ego, bv, a, b, events, user, along, unseen)
     return DescribedMotion(
-        scene.relation, user, events, scene.side, scene.hidden, beside, time - time[0], bv.speed, bv.length, words
+        scene.relation, user, events, scene.side, unseen is not None, beside, time - time[0], bv.speed, bv.length, words
     )  # fmt: skip
 
 
@@ -141,6 +147,28 @@ def _end(scene: Scene, ego: Track, bv: Track) -> int:
         return len(ego.time)
     nearest = int(np.argmin(np.hypot(ego.x - bv.x, ego.y - bv.y)))
     return int(np.searchsorted(ego.time, ego.time[nearest] + AFTER_APPROACH_S, side="right"))
+
+
+def _hidden(scene: Scene, course: Course) -> tuple[float, float] | None:
+    """From when until when other boxes, standing or moving, hide the adversary from the ego's centre [s after the
+    take-over]: at first, or for ``MIN_HIDDEN_S`` s or more before it comes into the ego's way; None if it is in sight.
+    """
+    t = course.time
+    away = np.zeros(len(t), bool)
+    if scene.others:
+        boxes = on_grid(scene.others, np.round(course.ego.time, 3))
+        x, y, heading, speed = (v[None] for v in (boxes.x, boxes.y, boxes.heading, boxes.speed))
+        height = height_as(boxes, lambda z: z[None])
+        screens = Boxes(x, y, heading, speed, boxes.length[None], boxes.width[None], height)  # type: ignore[index]
+        away = hidden(row_of(course.ego), row_of(course.adversary), screens)[0]
+    in_way = min((time for time, event in course.events if event in INTO_THE_WAY), default=math.inf)
+    begins = [k for k in np.flatnonzero(away).tolist() if (k == 0 or not away[k - 1]) and t[k] < in_way]
+    for k in begins:
+        later = np.flatnonzero(~away[k:])
+        end = float(t[-1] if not len(later) else t[k + later[0]])
+        if k == 0 or end - t[k] > MIN_HIDDEN_S - 1e-6:
+            return float(t[k]), end
+    return (0.0, 0.0) if scene.hidden else None
 
 
 def _at(track: Track, time: Floats) -> Track:
@@ -168,8 +196,8 @@ def _events(scene: Scene, t: Floats, ego: Track, bv: Track, a: PathTrack, b: Pat
     for event, where in ((Event.TURNS_LEFT, turned >= TURN_ANGLE_RAD), (Event.TURNS_RIGHT, turned <= -TURN_ANGLE_RAD)):
         if (k := _first(where)) is not None:
             found.append((float(t[k]), event))
-    if scene.red_at is not None:
-        found.append((scene.red_at - scene.start, Event.RUNS_RED))
+    if scene.light is not None:
+        found.append((scene.light[0] - scene.start, scene.light[1]))
     return [(round(max(time, 0.0), 1), event) for time, event in found]
 
 
@@ -258,6 +286,13 @@ def _first(where: Bools) -> int | None:
     return int(np.argmax(where)) if where.any() else None
 
 
+INTO_THE_WAY = frozenset(
+    {
+        Event.ENTERS_FROM_LEFT, Event.ENTERS_FROM_RIGHT, Event.CROSSES_FROM_LEFT, Event.CROSSES_FROM_RIGHT,
+        Event.COMES_OVER,
+    }
+)  # fmt: skip
+"""Events with which an adversary comes into the ego's way."""
 EVENT_PHRASES = {
     Event.PASSES_LEFT: "A has come from behind and is now ahead of EGO, on its left",
     Event.PASSES_RIGHT: "A has come from behind and is now ahead of EGO, on its right",
@@ -274,18 +309,19 @@ EVENT_PHRASES = {
     Event.STOPS: "A stands",
     Event.STARTS: "A moves off",
     Event.RUNS_RED: "A enters the junction on red",
+    Event.RUNS_YELLOW: "A enters the junction on yellow",
 }
 
 
 def _words(
     scene: Scene, t: Floats, ego: Track, bv: Track, a: PathTrack, b: PathTrack, events: Sequence[tuple[float, Event]],
-    user: RoadUser, others: Sequence[tuple[Track, PathTrack]],
+    user: RoadUser, others: Sequence[tuple[Track, PathTrack]], unseen: tuple[float, float] | None,
 ) -> str:  # fmt: skip
     """The motion in numbers and plain facts, without names from files. A reader sees nothing else."""
     lines = [
         f"EGO is {ego.length:.1f} m long and {_route(scene, ego, a)}. A is a {user}, {bv.length:.1f} m long and "
         f"{bv.width:.1f} m wide; at first it is {_where(scene, a, b)}.",
-        *(["A is hidden from EGO at first by something between them."] if scene.hidden else []),
+        *([] if unseen is None else [_unseen(unseen)]),
         *_others(a, others),
     ]
     marks = sorted({*np.arange(0.0, float(t[-1]) - DESCRIPTION_STEP_S / 4, DESCRIPTION_STEP_S).tolist(), float(t[-1])})
@@ -302,6 +338,13 @@ def _words(
         )
     end = "They do not touch." if scene.side is None else f"They collide: EGO is hit at its {scene.side}."
     return "\n".join([*lines, end])
+
+
+def _unseen(between: tuple[float, float]) -> str:
+    begin, end = between
+    if begin == 0.0:
+        return "A is hidden from EGO at first by something between them."
+    return f"From {begin:.1f} s to {end:.1f} s A is hidden from EGO by something between them."
 
 
 def _route(scene: Scene, ego: Track, a: PathTrack) -> str:

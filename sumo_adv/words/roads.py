@@ -272,19 +272,21 @@ class Net:
             centreline(chosen.getShape3D(), float(chosen.getLength())), float(chosen.getSpeed()), begins,
         )  # fmt: skip
 
-    def green_for(self, edges: Sequence[str]) -> dict[str, str]:
-        """By traffic light the state that is green for a way along these edges and for traffic from ahead, and red for
-        all others. Left turns wait for traffic from ahead."""
+    def light_states(self, edges: Sequence[str], shows: str) -> dict[str, str]:
+        """The state of each traffic light in a phase of a draft. edges: the ego's way. Left turns wait for traffic from
+        ahead."""
         states = {}
+        side, _, colour = shows.partition("_")
         for light in self._net.getTrafficLights():
             links = light.getConnections()
             own = [a.getEdge().getID() for a, _, _ in links if a.getEdge().getID() in edges]
-            open_ = self._facing(own[0]) if own else set()
+            ahead = self._facing(own[0]) if own else set()
             letters = ["r"] * (max(k for _, _, k in links) + 1)
             for start, end, k in links:
-                if start.getEdge().getID() in open_:
-                    turns = [c.getDirection() for c in start.getOutgoing() if c.getToLane() is end]
-                    letters[k] = "g" if "l" in turns else "G"
+                if side == "all" or (side == "ego") != (start.getEdge().getID() in ahead):
+                    continue
+                turns = [c.getDirection() for c in start.getOutgoing() if c.getToLane() is end]
+                letters[k] = "y" if colour == "yellow" else "g" if "l" in turns else "G"
             states[str(light.getID())] = "".join(letters)
         return states
 

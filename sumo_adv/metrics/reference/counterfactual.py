@@ -6,8 +6,8 @@ goes on as the ego went without the attack, or straight), at least as hard as th
 does not brake, the ego's speed changes as it was recorded, up to the recorded speed.  Contact is swept between steps.
 A driver avoids the collision if it touches no vehicle but those that run into it from behind in its lane.
 
-A pedestrian or cyclist is seen only while nothing is in the way of the line of sight from the unchanged ego's centre to
-its centre or a corner (``metrics/reference/view.py``): until then no danger shows to any driver.
+A pedestrian or cyclist is seen only while a line from the unchanged ego's centre to its centre or a corner passes
+through no other box, standing or moving (``metrics/reference/view.py``): until then no danger shows to any driver.
 
 The unchanged ego (recorded motion, then constant speed) is rolled out by the same code: a collision that it does not
 have in this check is inconclusive.

@@ -1,7 +1,7 @@
 """What a reference driver sees: other vehicles in the frame of the ego's path, over all steps of a counterfactual.
 
 Paths are polylines, many at once: stations, offsets, poses; straight on before the first and past the last point. A
-pedestrian or cyclist is seen while the line of sight to it passes no other box.
+pedestrian or cyclist is seen unless other boxes, standing or moving, hide it.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 from sumo_adv.datatypes import Bools, Boxes, Floats, Ints
 from sumo_adv.geometry import crosses_box, same_layer, wrap_below_pi
-from sumo_adv.metrics.boxes import corners, flat
+from sumo_adv.metrics.boxes import corners, flat, pick
 from sumo_adv.metrics.contact import SAME_DIRECTION
 from sumo_adv.road_users import unprotected
 
@@ -249,10 +249,19 @@ def _known(values: Floats) -> Floats:
 def hidden(ego: Boxes, other: Boxes, screens: Boxes) -> Bools:
     """In which steps another box is hidden from the ego's centre, ``(N, T)``: its centre and all corners are.
 
-    A box on another layer than both hides nothing.
+    Any box between the two hides, standing or moving. A box on another layer than both hides nothing.
     ego, other: ``(N, T)``; screens: the boxes that may be in the way, ``(N, K, T)``, NaN = absent.
     """
-    points = np.concatenate([np.stack([other.x, other.y], -1)[..., None, :], corners(other)], axis=-2)
+    away = _blocked(ego, other, np.stack([other.x, other.y], -1)[..., None, :], screens)
+    rows = np.flatnonzero(away.any(axis=1))
+    if len(rows):  # corners count only where the centre is hidden
+        ego, other, screens = (pick(each, rows) for each in (ego, other, screens))
+        away[rows] &= _blocked(ego, other, corners(other), screens)
+    return away
+
+
+def _blocked(ego: Boxes, other: Boxes, points: Floats, screens: Boxes) -> Bools:
+    """In which steps all points ``(N, T, P, 2)`` of another box are behind boxes, ``(N, T)``."""
     length, width = (np.asarray(v)[..., None] / 2 for v in (screens.length, screens.width))
     eye = ego.x[:, None, :, None], ego.y[:, None, :, None]
     point = points[:, None, ..., 0], points[:, None, ..., 1]

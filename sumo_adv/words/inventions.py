@@ -1,0 +1,74 @@
+"""Planners for behaviours that no known intent has: written by a language model, tried in the sandbox, and kept."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from sumo_adv.agents.generator import ModelGenerator
+from sumo_adv.config import Settings
+from sumo_adv.datatypes import Intent, LibraryEntry, Planner
+from sumo_adv.llm.asking import MeteredModel
+from sumo_adv.llm.prompts import Prompts
+from sumo_adv.memory.bank import MemoryBank
+from sumo_adv.memory.records import IntentRecord
+from sumo_adv.planners.sandbox import Sandbox
+from sumo_adv.planners.trial import trial
+from sumo_adv.words.draft import NovelDraft
+
+
+@dataclass
+class Inventions:
+    """The novel intents of one request. They are tried with a copy of the bank, and enter the bank only if they are
+    kept.
+
+    Attributes:
+        metered: The model that writes planners.
+        prompts: The prompts.
+        settings: Of the run: the limits of vehicles, how often a planner is repaired.
+        sandbox: Where planners are tried.
+        bank: The bank; it has the examples for the model.
+        copy: The file of the bank's copy. It is made with the first invention.
+        written: The intents so far, with their planners, by label.
+    """
+
+    metered: MeteredModel
+    prompts: Prompts
+    settings: Settings
+    sandbox: Sandbox
+    bank: MemoryBank
+    copy: Path
+    written: dict[str, tuple[IntentRecord, Planner]] = field(default_factory=dict, init=False)
+
+    def add(self, novel: NovelDraft) -> None:
+        """Have a planner written for a behaviour, and add both to the bank's copy. A fault of the planner goes back to
+        the model, ``generations`` times at most.
+
+        Raises:
+            ModelError: No planner passed the sandbox.
+            BudgetError: The run may ask no more.
+        """
+        record = IntentRecord(novel.label, " ".join(novel.description.split()), tuple(dict.fromkeys(novel.applies)))
+        nearest = (self.bank.intent(label) for label, _ in self.bank.retrieve(record.label, record.description).nearest)
+        examples = [
+            LibraryEntry(r.label, r.description, r.applies, tuple(self.bank.planners(r.label))) for r in nearest if r
+        ]
+        generator = ModelGenerator(
+            self.metered, self.prompts, self.settings.limits.limits(),
+            lambda planner: trial(self.sandbox, planner, record.applies, type_check=True),
+            tries=self.settings.generations,
+        )  # fmt: skip
+        (planner,) = generator.generate(Intent("", record.label, record.description, "high", 0.0), None, examples)
+        with MemoryBank.open(self.copy, seed_from=self.bank.path) as copy:
+            copy.add(record, [planner])
+        self.written[record.label] = record, planner
+
+    def used_by(self, settings: Settings) -> Settings:
+        """The settings of a run that knows the inventions."""
+        return settings.model_copy(update={"memory": self.copy}) if self.written else settings
+
+    def keep(self, novel: NovelDraft | None) -> None:
+        """Add an invention, if there is one, to the bank. Raises BankError."""
+        if novel is not None:
+            record, planner = self.written[novel.label]
+            self.bank.add(record, [planner])
