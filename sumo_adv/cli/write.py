@@ -123,13 +123,13 @@ def _write(
     quiet: bool,
 ) -> Played:  # fmt: skip
     """Have the scenario written and run; its files then lie at ``out`` and in ``folder``."""
+    from sumo_adv.agents.inventions import Inventions
     from sumo_adv.llm.asking import MeteredModel
     from sumo_adv.llm.chat import Ledger
     from sumo_adv.llm.client import open_model
     from sumo_adv.llm.recording import Recorder
     from sumo_adv.report.outcome import MODEL_FILE
     from sumo_adv.words.author import Author
-    from sumo_adv.words.inventions import Inventions
 
     ledger = Ledger.for_settings(settings)
     player = open_model(model, settings, ledger)
@@ -153,8 +153,9 @@ def _write(
                     (lambda _: None) if quiet else (lambda line: typer.echo(line, err=True)),
                 )  # fmt: skip
                 made = author.write(request)
-                if made.reached and not made.misfits:
-                    inventions.keep(made.scene.attack.novel)
+                novel = made.scene.attack.novel
+                if novel is not None and made.reached and not made.misfits:
+                    inventions.keep(novel.label)
         with sentences(out):
             out.parent.mkdir(parents=True, exist_ok=True)
             for old in _beside(out):

@@ -16,7 +16,7 @@ from sumo_adv.datatypes import Level, LibraryEntry
 from sumo_adv.errors import BudgetError, ModelError, SumoAdvError, UsageError
 from sumo_adv.llm.asking import MeteredModel, ask
 from sumo_adv.llm.prompts import Prompts, fenced, sanitize
-from sumo_adv.memory.records import canonical
+from sumo_adv.memory.records import IntentRecord, canonical
 from sumo_adv.simulation.inputs import data_folder, load_input, shipped_files
 from sumo_adv.words.build import build_scenario
 from sumo_adv.words.draft import Draft, NovelDraft, SceneDraft
@@ -31,7 +31,7 @@ DEFAULT_LEVEL = "valid"  # that is wanted where a draft names none
 Run = Callable[[Path, Path, Mapping[str, Any]], dict[str, Any]]
 """Runs a scenario: its file, the folder to write, settings of its goal. Returns what ``outcome.json`` holds. Raises
 SumoAdvError."""
-Invent = Callable[[NovelDraft], None]
+Invent = Callable[[IntentRecord], None]
 """Has a planner written for a behaviour, and gives it to the runs from then on. Raises ModelError."""
 
 
@@ -112,7 +112,7 @@ class Author:
         self._run, self._invent = run, invent
         self._folder, self._name, self._date, self._network, self._tell = folder, name, date, network, tell
         self._tries = self._readings = 0
-        self._invented: dict[str, NovelDraft] = {}  # by canonical label
+        self._invented: dict[str, NovelDraft | None] = {}  # by canonical label; None: no planner could be written
         self._words = ""
         self.best: Played | None = None
 
@@ -198,20 +198,23 @@ class Author:
             raise UsageError(
                 f"'{sanitize(novel.label)}' is an intent of the list: name it in intents, and give no novel."
             )
-        if (earlier := self._invented.get(key)) is not None:
-            if earlier != novel:
+        if key in self._invented:
+            if self._invented[key] != novel:
                 raise UsageError(
-                    f"'{sanitize(novel.label)}' has a planner already: give it as before, or another label to another "
-                    "behaviour."
+                    f"'{sanitize(novel.label)}' was tried before: give it as it was if a planner was written, or another "
+                    "label to another behaviour."
                 )
             return
         self._tell(f"No known intent does it: a planner for '{sanitize(novel.label)}' is written.")
         self._invented[key] = novel
         try:
-            self._invent(novel)
+            self._invent(
+                IntentRecord(novel.label, " ".join(novel.description.split()), tuple(dict.fromkeys(novel.applies)))
+            )
         except BudgetError:
             raise
         except ModelError as error:
+            self._invented[key] = None
             raise UsageError(
                 f"No planner could be written for '{sanitize(novel.label)}': {error} Describe a simpler behaviour "
                 "under another label, or take known intents."

@@ -114,7 +114,7 @@ class NovelDraft(_Part):
     """A behaviour that no known intent has, for which a planner is written. description: all that the adversary does,
     in its order, with the conditions. applies: from where it begins."""
 
-    label: str = Field(min_length=3, max_length=60)
+    label: str = Field(pattern=r"^[A-Za-z][A-Za-z0-9 '-]{2,59}$")
     description: str = Field(min_length=20, max_length=500)
     applies: list[Relation] = Field(min_length=1, max_length=4)
 

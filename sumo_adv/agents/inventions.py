@@ -14,7 +14,6 @@ from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.memory.records import IntentRecord
 from sumo_adv.planners.sandbox import Sandbox
 from sumo_adv.planners.trial import trial
-from sumo_adv.words.draft import NovelDraft
 
 
 @dataclass
@@ -40,7 +39,7 @@ class Inventions:
     copy: Path
     written: dict[str, tuple[IntentRecord, Planner]] = field(default_factory=dict, init=False)
 
-    def add(self, novel: NovelDraft) -> None:
+    def add(self, record: IntentRecord) -> None:
         """Have a planner written for a behaviour, and add both to the bank's copy. A fault of the planner goes back to
         the model, ``generations`` times at most.
 
@@ -48,7 +47,6 @@ class Inventions:
             ModelError: No planner passed the sandbox.
             BudgetError: The run may ask no more.
         """
-        record = IntentRecord(novel.label, " ".join(novel.description.split()), tuple(dict.fromkeys(novel.applies)))
         nearest = (self.bank.intent(label) for label, _ in self.bank.retrieve(record.label, record.description).nearest)
         examples = [
             LibraryEntry(r.label, r.description, r.applies, tuple(self.bank.planners(r.label))) for r in nearest if r
@@ -67,8 +65,7 @@ class Inventions:
         """The settings of a run that knows the inventions."""
         return settings.model_copy(update={"memory": self.copy}) if self.written else settings
 
-    def keep(self, novel: NovelDraft | None) -> None:
-        """Add an invention, if there is one, to the bank. Raises BankError."""
-        if novel is not None:
-            record, planner = self.written[novel.label]
-            self.bank.add(record, [planner])
+    def keep(self, label: str) -> None:
+        """Add an invention to the bank. Raises BankError."""
+        record, planner = self.written[label]
+        self.bank.add(record, [planner])
