@@ -201,8 +201,8 @@ class Author:
         if key in self._invented:
             if self._invented[key] != novel:
                 raise UsageError(
-                    f"'{sanitize(novel.label)}' was tried before: give it as it was if a planner was written, or another "
-                    "label to another behaviour."
+                    f"'{sanitize(novel.label)}' was tried before: give it as it was if a planner was written, or "
+                    "another label to another behaviour."
                 )
             return
         self._tell(f"No known intent does it: a planner for '{sanitize(novel.label)}' is written.")
