@@ -13,7 +13,7 @@ from sumo_adv.benchmark.jobs import method_of
 from sumo_adv.campaigns.plan import make_plan
 from sumo_adv.cli.bench import DEFAULT_ROWS
 from sumo_adv.config import load_settings
-from sumo_adv.episode.planned_encounter import BankView
+from sumo_adv.episode.learning import BankView
 from sumo_adv.errors import UsageError, nearest
 
 SCENARIOS = len(list((ROOT / "scenarios").glob("*.toml")))

@@ -20,11 +20,12 @@ from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Level, Proposal, Role, Track
 from sumo_adv.episode.assessment import AttemptRunner, attempt_of, checked, runner_of
 from sumo_adv.episode.attempt import Driven
+from sumo_adv.episode.encounter_finder import EncounterFinder
 from sumo_adv.episode.engine import EpisodeCalls, EpisodeEngine
 from sumo_adv.episode.loop import decide, model_ending, pursue
 from sumo_adv.episode.memory_access import read_library, signature
 from sumo_adv.episode.neighbours import Robustness, holds, neighbours
-from sumo_adv.episode.planned_encounter import EncounterFinder, with_predictions
+from sumo_adv.episode.prepared_encounter import prepare
 from sumo_adv.episode.refinement import Refinement, settle_best
 from sumo_adv.episode.run import EncounterRecord, Run, Stop, seconds_by_part
 from sumo_adv.episode.task import AttemptResult, FoundEncounter, Task
@@ -86,12 +87,10 @@ class Arena:
             return run
         clock, kept = _Clock(), [opened.best]
         try:
-            planned = with_predictions(
-                opened.best.found, opened.run_input, settings, opened.task, self.sandbox, bank, agents
-            )
-            decision = decide(opened.best, planned, settings, agents, bank, kept.append)
+            prepared = prepare(opened.best.found, opened.run_input, settings, opened.task, self.sandbox, bank, agents)
+            decision = decide(opened.best, prepared, settings, agents, bank, kept.append)
             if decision.library is not None:
-                runner = runner_of(self.engine, self.sandbox, planned.found, settings)
+                runner = runner_of(self.engine, self.sandbox, prepared.found, settings)
                 pursue(decision, runner, settings, agents, bank, clock.tell, kept.append)
         except ModelError as error:
             kept.append(replace(kept[-1], ending=model_ending(error), reason=str(error)))

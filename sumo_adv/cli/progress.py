@@ -16,7 +16,7 @@ from sumo_adv.campaigns.results import EpisodeJob, Row, is_failed
 from sumo_adv.cli.terminal import clean
 from sumo_adv.datatypes import ENDING_SENTENCES, Attempt, Ending, Level
 from sumo_adv.drivers.timing import read_driver_time
-from sumo_adv.episode.assessment import rank
+from sumo_adv.episode.order import rank
 from sumo_adv.simulation.warnings_log import WarningKind, said_of
 from sumo_adv.words.fit import held
 

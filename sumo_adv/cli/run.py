@@ -23,7 +23,7 @@ from sumo_adv.report.staging import RunFolder, scratch_folder, staged
 
 if TYPE_CHECKING:
     from sumo_adv.episode.engine import EpisodeEngine
-    from sumo_adv.episode.planned_encounter import PlannedEncounter
+    from sumo_adv.episode.prepared_encounter import PreparedEncounter
     from sumo_adv.episode.run import Run
     from sumo_adv.llm.prompts import Prompt
     from sumo_adv.simulation.inputs import RunInput
@@ -145,35 +145,38 @@ def show_prompts_of(run_input: RunInput, settings: Settings, *, as_json: bool) -
 
 def _prompts(run_input: RunInput, settings: Settings) -> list[Prompt]:
     from sumo_adv.agents.agents import Agents
-    from sumo_adv.episode.planned_encounter import EncounterFinder
+    from sumo_adv.episode.encounter_finder import EncounterFinder
     from sumo_adv.episode.task import make_task
 
     with tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch:
         task = make_task(run_input, settings, Path(scratch))
         with open_for_run(settings) as bank, new_sandbox(settings) as sandbox, new_engine() as engine:
             finder = EncounterFinder(run_input, settings, task, engine, lambda *_: None)
-            planned = finder.find_attackable(sandbox, bank)
-            if planned is None or not planned.search.pool:
+            prepared = finder.find_attackable(sandbox, bank)
+            if prepared is None or not prepared.search.pool:
                 why = "" if finder.stop is None else finder.stop.reason
                 raise UsageError(f"There is nothing to ask about here. {why}".rstrip())
-            return [_analyzer(planned, settings, bank), *_writers(planned, settings, Agents(settings, sandbox), engine)]
+            return [
+                _analyzer(prepared, settings, bank),
+                *_writers(prepared, settings, Agents(settings, sandbox), engine),
+            ]
 
 
-def _analyzer(planned: PlannedEncounter, settings: Settings, bank: Any) -> Prompt:
+def _analyzer(prepared: PreparedEncounter, settings: Settings, bank: Any) -> Prompt:
     from sumo_adv.agents.analyzer import analyzer_prompt
     from sumo_adv.agents.ways import evidence_words
     from sumo_adv.episode.memory_access import remembered
 
-    recalled = remembered(bank, planned.library, planned.scene)
-    evidence = partial(evidence_words, planned.search.pool, library=planned.library, remembered=recalled)
-    library = planned.selection.of(planned.library)
+    recalled = remembered(bank, prepared.library, prepared.scene)
+    evidence = partial(evidence_words, prepared.search.pool, library=prepared.library, remembered=recalled)
+    library = prepared.selection.of(prepared.library)
     return analyzer_prompt(
-        shipped_prompts(), planned.found.situations, library, settings.limits.limits(),
-        evidence if settings.evidence == "on" else None, planned.teamwork, settings.ask or "",
+        shipped_prompts(), prepared.found.situations, library, settings.limits.limits(),
+        evidence if settings.evidence == "on" else None, prepared.teamwork, settings.ask or "",
     )  # fmt: skip
 
 
-def _writers(planned: PlannedEncounter, settings: Settings, agents: Any, engine: EpisodeEngine) -> list[Prompt]:
+def _writers(prepared: PreparedEncounter, settings: Settings, agents: Any, engine: EpisodeEngine) -> list[Prompt]:
     from sumo_adv.agents.generator import generator_prompt
     from sumo_adv.agents.modifier import modifier_prompt
     from sumo_adv.episode.assessment import AttemptRunner
@@ -181,21 +184,21 @@ def _writers(planned: PlannedEncounter, settings: Settings, agents: Any, engine:
     from sumo_adv.episode.repairs import report_of, scene_of
 
     prompts, limits = shipped_prompts(), settings.limits.limits()
-    intent = planned.search.ranking(planned.library)[0]
-    near = sorted(planned.library, key=lambda e: e.label != intent.label)
-    generator = generator_prompt(prompts, intent, planned.found.first, near, limits, settings.instruction)
+    intent = prepared.search.ranking(prepared.library)[0]
+    near = sorted(prepared.library, key=lambda e: e.label != intent.label)
+    generator = generator_prompt(prompts, intent, prepared.found.first, near, limits, settings.instruction)
     once = settings.model_copy(update={"attempts": 1})
     refinement = Refinement()
-    runner = AttemptRunner(engine, agents.sandbox, planned.found, settings.seed)
-    Refiner(runner, planned.found, planned.search, agents, planned.library, once, lambda *_: None).run(
+    runner = AttemptRunner(engine, agents.sandbox, prepared.found, settings.seed)
+    Refiner(runner, prepared.found, prepared.search, agents, prepared.library, once, lambda *_: None).run(
         [intent], refinement
     )
     if not refinement.attempts:
         return [generator]
     tried = refinement.attempts[0].proposal
-    entry = next(e for e in planned.library if e.label == tried.label)
-    reports = [report_of(refinement.attempts[0], refinement.results[0], planned.found, settings)]
-    scene = scene_of(tried.bv, entry, refinement.attempts, planned.found, planned.library)
+    entry = next(e for e in prepared.library if e.label == tried.label)
+    reports = [report_of(refinement.attempts[0], refinement.results[0], prepared.found, settings)]
+    scene = scene_of(tried.bv, entry, refinement.attempts, prepared.found, prepared.library)
     return [generator, modifier_prompt(prompts, tried.planner, reports, scene, limits, settings)]
 
 

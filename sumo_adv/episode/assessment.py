@@ -1,4 +1,4 @@
-"""Attempts on the front's side: they are run, and their results become attempts with a diagnosis and a rank.
+"""Attempts on the front's side: they are run, and their results become attempts with a diagnosis.
 
 Planners run in the sandbox and answer the engine's forks. Where an attack was asked for, attempts are compared with the
 request: by rules, and where a model plays along, by its reading. An attempt that does not fit has ``Verdict.misfits``,
@@ -281,14 +281,6 @@ def _runs_light(bv: str, situation: Situation, result: AttemptResult, begun: flo
 # -- from a result to an attempt ------------------------------------------------------------------------------------
 
 NO_MOTION_VERDICT = Verdict(float("inf"), float("inf"), False, False, False, False, failed_gates=("no_motion",))
-
-
-def rank(verdict: Verdict) -> tuple[float, float]:
-    """A key that sorts attempts: collisions by level, serious first; then feasible ones by min TTC; then infeasible
-    ones, collisions first."""
-    if verdict.collided:
-        return (float(Level.SERIOUS - verdict.level), 0.0) if verdict.counts else (5, 0.0)
-    return (4, verdict.min_ttc) if verdict.counts else (6, verdict.min_ttc)
 
 
 def attempt_of(

@@ -15,20 +15,12 @@ from sumo_adv.asked import Asked
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Ending, Intent, LibraryEntry, Proposal
 from sumo_adv.episode.assessment import Attempts, Fitting, attempt_of, reader_of, runner_of
+from sumo_adv.episode.encounter_finder import OUT_OF_REACH, EncounterFinder, Tell
 from sumo_adv.episode.engine import EpisodeEngine
-from sumo_adv.episode.memory_access import learn
-from sumo_adv.episode.planned_encounter import (
-    OUT_OF_REACH,
-    BankView,
-    EncounterFinder,
-    Keep,
-    PlannedEncounter,
-    Tell,
-    analyze,
-    forget,
-)
+from sumo_adv.episode.learning import BankView, learn
+from sumo_adv.episode.prepared_encounter import PreparedEncounter, analyze
 from sumo_adv.episode.refinement import Refinement, Refiner, settle_best
-from sumo_adv.episode.run import EncounterRecord, Run, Stop
+from sumo_adv.episode.run import EncounterRecord, Keep, Run, Stop, forget
 from sumo_adv.episode.task import FoundEncounter, Task
 from sumo_adv.errors import BudgetError, MissingVehicleError, ModelError, SumoAdvError, UsageError, fault_sentence
 from sumo_adv.memory.bank import MemoryBank
@@ -85,9 +77,9 @@ def _attack_encounters(
 ) -> None:  # fmt: skip
     """Attack in one encounter after another until one gives a success, or until the run may not go on."""
     began, varied = time.perf_counter(), settings.tuner == "builtin"
-    while (planned := finder.find_attackable(agents.sandbox, bank, agents, any_candidate=varied)) is not None:
-        another = may_go_on(planned.found, task, settings)
-        decision = decide(finder.records[-1], planned, settings, agents, bank, finder.keep)
+    while (prepared := finder.find_attackable(agents.sandbox, bank, agents, any_candidate=varied)) is not None:
+        another = may_go_on(prepared.found, task, settings)
+        decision = decide(finder.records[-1], prepared, settings, agents, bank, finder.keep)
         if decision.library is None:
             declined = decision.record.request.declined
             if not declined or not another or agents.calls["analyzer"] >= MAX_ANALYSED_ENCOUNTERS:
@@ -95,7 +87,7 @@ def _attack_encounters(
             finder.leave(f"it cannot play the request: {declined}")
             continue
         tell("intents", decision.record.intents)
-        runner = runner_of(engine, agents.sandbox, planned.found, settings)
+        runner = runner_of(engine, agents.sandbox, prepared.found, settings)
         record = pursue(decision, runner, settings, agents, bank, tell, finder.keep, another=another)
         if record.ending is not Ending.ATTEMPTS_EXHAUSTED or not another:
             return
@@ -116,17 +108,17 @@ class Decision:
 
     Attributes:
         record: The record of the encounter, with its intents.
-        planned: The encounter with its predictions.
+        prepared: The encounter with its predictions.
         library: The intents with their planners to try; None if there is no candidate (the record says why).
     """
 
     record: EncounterRecord
-    planned: PlannedEncounter
+    prepared: PreparedEncounter
     library: Sequence[LibraryEntry] | None
 
 
 def decide(
-    record: EncounterRecord, planned: PlannedEncounter, settings: Settings, agents: Agents, bank: MemoryBank,
+    record: EncounterRecord, prepared: PreparedEncounter, settings: Settings, agents: Agents, bank: MemoryBank,
     keep: Keep = forget,
 ) -> Decision:  # fmt: skip
     """Decide which intents to attack with.
@@ -134,27 +126,27 @@ def decide(
     Raises:
         ModelError: A language model plays a part and failed.
     """
-    record = replace(record, bandit=planned.bandit, timing={**record.timing, **planned.timing})
-    if planned.known is not None:  # recalled from a similar scene, so no agent is asked
-        record, library = replace(record, intents=[planned.known]), planned.library
+    record = replace(record, bandit=prepared.bandit, timing={**record.timing, **prepared.timing})
+    if prepared.known is not None:  # recalled from a similar scene, so no agent is asked
+        record, library = replace(record, intents=[prepared.known]), prepared.library
     else:
-        record, library = analyze(record, planned, settings, agents, bank, keep)
-    why_not = _why_not(record, planned, settings)
+        record, library = analyze(record, prepared, settings, agents, bank, keep)
+    why_not = _why_not(record, prepared, settings)
     if why_not:
         record = replace(record, ending=Ending.NO_ENCOUNTER, reason=why_not)
     keep(record)
-    return Decision(record, planned, None if why_not else library)
+    return Decision(record, prepared, None if why_not else library)
 
 
-def _why_not(record: EncounterRecord, planned: PlannedEncounter, settings: Settings) -> str:
+def _why_not(record: EncounterRecord, prepared: PreparedEncounter, settings: Settings) -> str:
     """Why there is nothing to attack with, empty if there is."""
     if record.request.declined:
         return f"The request cannot be played: {record.request.declined}"
     if not record.intents and settings.tuner == "off":
         return "The analyzer sees nothing here that could be dangerous."
-    if planned.search:
+    if prepared.search:
         return ""
-    near = ", ".join(f"{name} ({relation})" for name, relation, _ in planned.found.ranking)
+    near = ", ".join(f"{name} ({relation})" for name, relation, _ in prepared.found.ranking)
     reason = "No intent of the library applies to any vehicle near"
     return f"{reason}: {near}." if near else f"{reason}."
 
@@ -178,25 +170,25 @@ def pursue(
     Returns:
         The record with the attempts and what was learnt from them.
     """
-    record, planned, library = decision.record, decision.planned, decision.library
+    record, prepared, library = decision.record, decision.prepared, decision.library
     assert library is not None
     done, asked = Refinement(goal=settings.goal), record.request.asked
     if asked is not None:
-        done.fitting = Fitting(asked, planned.found, settings, reader_of(agents, record.request.words))
-    refiner = Refiner(runner, planned.found, planned.search, agents, library, settings, tell, another=another)
+        done.fitting = Fitting(asked, prepared.found, settings, reader_of(agents, record.request.words))
+    refiner = Refiner(runner, prepared.found, prepared.search, agents, library, settings, tell, another=another)
     try:
         refiner.run(record.intents, done)
     except ModelError as error:  # the attempts until then count
         done.ending, done.reason = model_ending(error), str(error)
     finally:
-        failures = sorted(f"planner {name[:12]}: {why}" for name, why in planned.predictor.failures.items())
-        known = frozenset(entry.label for entry in planned.library)
+        failures = sorted(f"planner {name[:12]}: {why}" for name, why in prepared.predictor.failures.items())
+        known = frozenset(entry.label for entry in prepared.library)
         record = replace(done.recorded(record), known_labels=known, notes=[*record.notes, *failures])
-        record = record.took("prediction", planned.predictor.seconds).took("attempts", done.seconds)
+        record = record.took("prediction", prepared.predictor.seconds).took("attempts", done.seconds)
         keep(record)
-    before = BankView.of(planned, settings, agents, bank)
-    learnt = learn(record, bank, library, settings, planned.network, planned.scene.controller)
-    change = before.difference(BankView.of(planned, settings, agents, bank))
+    before = BankView.of(prepared, settings, agents, bank)
+    learnt = learn(record, bank, library, settings, prepared.network, prepared.scene.controller)
+    change = before.difference(BankView.of(prepared, settings, agents, bank))
     notes = [*record.notes, learnt.note] if learnt.note else record.notes
     record = replace(record, learnt=learnt.success, bank_change=change, notes=notes)
     keep(record)

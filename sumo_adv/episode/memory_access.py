@@ -1,4 +1,4 @@
-"""What a run reads from the memory bank and writes to it: library, retrieval, recall of scenes, learning."""
+"""What a run reads from the memory bank: library, retrieval, recall of scenes."""
 
 from __future__ import annotations
 
@@ -8,20 +8,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
-from sumo_adv import __version__
 from sumo_adv.agents.agents import Agents
 from sumo_adv.config import Settings
-from sumo_adv.datatypes import Attempt, Intent, LibraryEntry, Limits, Planner, Proposal, acceleration_of
-from sumo_adv.episode.assessment import rank
-from sumo_adv.episode.run import EncounterRecord
+from sumo_adv.datatypes import Intent, LibraryEntry, Limits, Planner, Proposal, acceleration_of
 from sumo_adv.episode.task import FoundEncounter
-from sumo_adv.errors import BankError
-from sumo_adv.goal import Goal
 from sumo_adv.memory.bank import MemoryBank, retrieve_composition
 from sumo_adv.memory.recall import SCENE_SCALES, drawn_order, explain, signature_distance
-from sumo_adv.memory.records import Composition, Evidence, IntentRecord, Part, SceneSignature, canonical, evidence_of
-from sumo_adv.search.intents import COMPOSED, EXPERT, FREE, Selection, applies_of, select
-from sumo_adv.search.supports import ANY_FITTING, Cast, description_of
+from sumo_adv.memory.records import Evidence, SceneSignature, canonical
+from sumo_adv.search.intents import COMPOSED, FREE, Selection, applies_of, select
+from sumo_adv.search.supports import ANY_FITTING, Cast
 from sumo_adv.simulation.inputs import data_folder
 from sumo_adv.situation import Situation
 
@@ -220,93 +215,6 @@ def remembered(bank: MemoryBank, library: Sequence[LibraryEntry], now: SceneSign
                 f"{len(like)} times tried, {critical} times critical, {valid} times an avoidable collision"
             )
     return tallies
-
-
-@dataclass(frozen=True, slots=True)
-class Learnt:
-    """Whether the bank has learnt a success, and a sentence if it could not be written."""
-
-    success: bool = False
-    note: str = ""
-
-
-def learn(
-    record: EncounterRecord, bank: MemoryBank, entries: Sequence[LibraryEntry], settings: Settings, network: str,
-    driver: str,
-) -> Learnt:  # fmt: skip
-    """Write what the attempts of an encounter showed to the bank: a piece of evidence for each planner that was tried.
-
-    A critical and feasible attempt that is no rear-end adds its planner, and a generated intent, to the bank. A failed
-    one is recorded only if the bank has its planner.
-
-    Args:
-        record: The encounter with its attempts.
-        bank: The bank. If it cannot be written, nothing is raised.
-        entries: The library that the attempts came from.
-        settings: The run's settings.
-        network: The name of the run's input.
-        driver: The name of the ego's driver.
-    """
-    if settings.learn == "off":
-        return Learnt()
-    success = False
-    by_planner: dict[str, list[Attempt]] = {}
-    by_composition: dict[str, list[Attempt]] = {}  # those of several adversaries say nothing of a planner alone
-    for attempt in record.attempts:
-        p = attempt.proposal
-        if attempt.ending not in ("ego_lost", "crashed"):  # else it was not driven to its end, and says nothing
-            tried, key = (by_composition, p.composition) if p.supports else (by_planner, p.planner.hash)
-            tried.setdefault(key, []).append(attempt)
-    try:
-        for attempts in by_planner.values():
-            attempt = min(attempts, key=lambda a: rank(a.verdict))
-            scene = signature(record.found.situations[attempt.proposal.delay], attempt.proposal.bv, driver)
-            success |= _learn_one(bank, entries, attempt, scene, network, settings.seed)
-        for attempts in by_composition.values():
-            success |= _learn_composition(bank, entries, attempts, record.casts, settings.goal)
-    except BankError as error:
-        return Learnt(success, f"Nothing was learnt: {error}")
-    return Learnt(success)
-
-
-def _learn_composition(
-    bank: MemoryBank, entries: Sequence[LibraryEntry], attempts: Sequence[Attempt], casts: Sequence[Cast], goal: Goal
-) -> bool:
-    """Count the attempts of a composition, which a success adds if it is new; whether anything was learnt."""
-    best = min(attempts, key=lambda a: rank(a.verdict)).proposal
-    parts = tuple(Part(p.duty, p.label, p.planner.mode) for p in best.members)
-    composition = Composition(best.composition, description_of(best, entries, casts), parts)
-    met = [goal.met(a.verdict) for a in attempts]
-    return bank.record_composition(composition, met) and any(met)
-
-
-def _learn_one(
-    bank: MemoryBank, entries: Sequence[LibraryEntry], attempt: Attempt, scene: SceneSignature, network: str, seed: int
-) -> bool:
-    """Write one piece of evidence; True if it is a success.
-
-    An intent composed by the expert is written with all of its modes. They adapt the bank's own planners to another
-    movement, and no planner is generated for an intent that the bank already has.
-    """
-    p = attempt.proposal
-    entry = next((e for e in entries if e.label == p.label), None)
-    if entry is None:  # a free motion that was named after an intent that was not composed here
-        return False
-    planner = p.planner
-    evidence = evidence_of(
-        attempt.verdict, label=p.label, planner_hash=planner.hash,
-        scene=scene, attempts=attempt.index + 1, version=__version__, network=network, seed=seed,
-        parameters=dict(p.parameters), acceleration=p.acceleration, delay=p.delay,
-    )  # fmt: skip
-    in_bank = planner.hash in {p.hash for p in bank.planners(entry.label)}
-    if not evidence.success and not in_bank:
-        return False
-    record = IntentRecord(entry.label, entry.description, entry.applies) if entry.source == "generated" else None
-    adapted = [p for p in entry.planners if p.origin == EXPERT and p.hash != planner.hash]
-    if evidence.success and record is not None and adapted:
-        bank.add(record, adapted)
-    bank.record(evidence, intent=record, planner=None if in_bank else planner)
-    return evidence.success
 
 
 def signature(situation: Situation, bv: str, driver: str) -> SceneSignature:

@@ -15,9 +15,9 @@ from random import Random
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Level, Proposal
 from sumo_adv.episode.assessment import attempt_of, confirmed, runner_of
+from sumo_adv.episode.encounter_finder import EncounterFinder, Tell
 from sumo_adv.episode.engine import EpisodeEngine
 from sumo_adv.episode.loop import given_attack, recorded_encounter
-from sumo_adv.episode.planned_encounter import EncounterFinder, Tell
 from sumo_adv.episode.refinement import Refinement
 from sumo_adv.episode.run import Run
 from sumo_adv.episode.task import AttemptResult, Task

@@ -17,8 +17,9 @@ from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Intent, Level, LibraryEntry, Proposal, Verdict
 from sumo_adv.episode.assessment import Attempts, Fitting, attempt_of, checked, confirmed, observed_motion
 from sumo_adv.episode.neighbours import Robustness, holds, neighbours
+from sumo_adv.episode.order import best_index, worth
 from sumo_adv.episode.repairs import Repairs
-from sumo_adv.episode.run import EncounterRecord, best_index, worth
+from sumo_adv.episode.run import EncounterRecord
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.goal import Goal
 from sumo_adv.search.ranking import FixedOrder, as_written, chosen_candidates

@@ -19,7 +19,8 @@ from sumo_adv.agents.scene_text import Aliases, driver_words, scene_words
 from sumo_adv.agents.ways import begin_of, starts_words, way_of
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Intent, LibraryEntry, Planner, Proposal, Track
-from sumo_adv.episode.assessment import followed, rank
+from sumo_adv.episode.assessment import followed
+from sumo_adv.episode.order import rank
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.geometry import Frame, wrap
 from sumo_adv.metrics.gates import explained_gates

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -12,8 +12,8 @@ from sumo_adv.asked import Asked
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending, Intent, LaneStrip, Level
 from sumo_adv.drivers.timing import DriverTime
-from sumo_adv.episode.assessment import rank
 from sumo_adv.episode.neighbours import Robustness
+from sumo_adv.episode.order import best_index, rank
 from sumo_adv.episode.task import AttemptResult, FoundEncounter, Prefix, Task
 from sumo_adv.goal import Goal
 from sumo_adv.search.supports import Cast
@@ -150,6 +150,14 @@ class EncounterRecord:
         return replace(self, found=replace(self.found, baseline=()), prefix=None, lanes=(), results=())
 
 
+Keep = Callable[[EncounterRecord], None]
+"""Called with the record of an encounter whenever it has grown, so that nothing is lost if something breaks."""
+
+
+def forget(record: EncounterRecord) -> None:
+    """Keep nothing: for callers that need the record only if nothing breaks."""
+
+
 @dataclass(frozen=True, slots=True)
 class Stop:
     """Why a run ended outside an encounter.
@@ -276,27 +284,6 @@ def _order(record: EncounterRecord) -> tuple[float, ...]:
     best = record.best
     worth = (math.inf, 0.0) if best is None else rank(best.verdict)
     return (record.ending is not Ending.GOAL_MET, *worth)
-
-
-def best_index(attempts: Sequence[Attempt], goal: Goal, robust: Mapping[int, Robustness], *, asked: bool) -> int | None:
-    """Return the index of the best attempt, the most robust and then the first one of equals; None without attempts."""
-    if not attempts:
-        return None
-
-    def order(k: int) -> tuple[float, ...]:
-        seen = robust.get(k)
-        share = 0.0 if seen is None or not seen.of else seen.held / seen.of
-        return (*worth(attempts[k], goal, asked=asked), -share, k)
-
-    return min(range(len(attempts)), key=order)
-
-
-def worth(attempt: Attempt, goal: Goal, *, asked: bool) -> tuple[float, ...]:
-    """Return a key that sorts attempts, the best first: successes, then those that fit what was ``asked`` for."""
-    verdict = attempt.verdict
-    met = goal.met(verdict)
-    fits = not verdict.misfits and (not asked or met or verdict.level >= Level.CRITICAL)
-    return (not met, not fits, *rank(verdict))
 
 
 def seconds_by_part(*timings: Mapping[str, float]) -> dict[str, float]:

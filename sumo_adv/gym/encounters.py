@@ -18,9 +18,10 @@ from sumo_adv.drivers import Action, Observation
 from sumo_adv.drivers.registry import OBJECT_PREFIX, GivenEgo, pack_driver
 from sumo_adv.drivers.sumo_driven import sumo_type
 from sumo_adv.episode.assessment import AttemptRunner
+from sumo_adv.episode.encounter_finder import EncounterFinder
 from sumo_adv.episode.engine import EpisodeCalls
 from sumo_adv.episode.loop import decide
-from sumo_adv.episode.planned_encounter import EncounterFinder, with_predictions
+from sumo_adv.episode.prepared_encounter import prepare
 from sumo_adv.episode.refinement import Refiner
 from sumo_adv.episode.task import make_task
 from sumo_adv.errors import UsageError
@@ -151,15 +152,15 @@ class TrainingEncounter:
         """The search for attacks; ``forecast``: one that predicts, though how the agent drives is unknown."""
         settings = self.settings
         with open_for_run(settings) as bank:
-            planned = with_predictions(
+            prepared = prepare(
                 self.found, self._run_input, settings, self._task, self._sandbox, bank, stopped=self._stopped,
                 forecast=forecast,
             )  # fmt: skip
-            decision = decide(self._record, planned, settings, self._agents, bank)
+            decision = decide(self._record, prepared, settings, self._agents, bank)
         if decision.library is None:
             raise UsageError(f"Nothing attacks in the scenario {self.name!r}: {decision.record.reason}")
         runner = AttemptRunner(self.engine, self._sandbox, self.found, settings.seed)
-        refiner = Refiner(runner, self.found, planned.search, self._agents, decision.library, settings, _silent)
+        refiner = Refiner(runner, self.found, prepared.search, self._agents, decision.library, settings, _silent)
         return refiner.optimizer(decision.record.intents)
 
     def play(self, play: Play) -> PlayedAttack:

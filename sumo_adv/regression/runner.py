@@ -21,9 +21,9 @@ from sumo_adv.campaigns.results import Done
 from sumo_adv.campaigns.worker import share
 from sumo_adv.config import Settings, Until, forget_environment, load_settings
 from sumo_adv.datatypes import Attempt, Level, Track
+from sumo_adv.episode.encounter_finder import EncounterFinder
 from sumo_adv.episode.engine import EpisodeEngine
 from sumo_adv.episode.loop import given_attack
-from sumo_adv.episode.planned_encounter import EncounterFinder
 from sumo_adv.episode.run import EncounterRecord, Run
 from sumo_adv.episode.task import FoundEncounter, Task, make_task
 from sumo_adv.episode.warm import WarmProcesses

@@ -21,7 +21,7 @@ import numpy as np
 from sumo_adv.config import MAX_ATTACK_DELAY_S, forget_environment
 from sumo_adv.datatypes import Floats, Level
 from sumo_adv.episode.assessment import attempt_of, checked, runner_of
-from sumo_adv.episode.planned_encounter import EncounterFinder
+from sumo_adv.episode.encounter_finder import EncounterFinder
 from sumo_adv.episode.warm import WarmProcesses
 from sumo_adv.errors import UsageError
 from sumo_adv.files import scratch_prefix

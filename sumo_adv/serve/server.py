@@ -14,9 +14,10 @@ from typing import Any
 from sumo_adv.agents.agents import Agents
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending
+from sumo_adv.episode.encounter_finder import OUT_OF_REACH
 from sumo_adv.episode.encounter_search import INSERTED_EGO
 from sumo_adv.episode.loop import Decision, decide, model_ending, pursue
-from sumo_adv.episode.planned_encounter import OUT_OF_REACH, with_predictions
+from sumo_adv.episode.prepared_encounter import prepare
 from sumo_adv.episode.run import EncounterRecord, Request, Run
 from sumo_adv.episode.task import Prefix, Task
 from sumo_adv.errors import ModelError, SumoAdvError, UsageError, fault_sentence
@@ -211,11 +212,11 @@ class EgoServer:
             record = replace(kept[-1], ending=model_ending(error), reason=str(error))
             parts.writer.keep(self._run(record, self._settings, bank_hash), self._number)
             raise
-        given, record = decision.planned.reaches or self._task.trigger is not None, decision.record
+        given, record = decision.prepared.reaches or self._task.trigger is not None, decision.record
         if decision.library is None or not given:
             self._pass_over(session, record.reason if given else OUT_OF_REACH, passed)
             return False
-        search = decision.planned.search
+        search = decision.prepared.search
         best = min(search.pool, key=search.price)
         if stale := self._stale(session, watch, scene, {record.intents[0].bv, *best.bvs}):
             parts.events.tell("dropped", time=session.now, reason=stale)
@@ -296,14 +297,14 @@ class EgoServer:
         began, parts, settings = time.perf_counter(), self._parts, self._settings
 
         def work() -> Decision:
-            planned = with_predictions(
+            prepared = prepare(
                 scene.found, parts.run_input, settings, self._task, parts.agents.sandbox, parts.bank, parts.agents,
                 forecast=True,
             )  # fmt: skip
             helped = settings.adversaries > 1 and self._task.trigger is not None  # supports may make it succeed
-            if not planned.reaches and not helped:
-                return Decision(kept[-1], planned, None)
-            return decide(kept[-1], planned, settings, parts.agents, parts.bank, kept.append)
+            if not prepared.reaches and not helped:
+                return Decision(kept[-1], prepared, None)
+            return decide(kept[-1], prepared, settings, parts.agents, parts.bank, kept.append)
 
         if session.pace is None:
             decision = work()

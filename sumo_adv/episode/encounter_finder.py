@@ -1,0 +1,152 @@
+"""Finding the encounters of a run one after another, and keeping their records while the run goes on."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+from sumo_adv.agents.agents import Agents
+from sumo_adv.config import Settings
+from sumo_adv.datatypes import Ending
+from sumo_adv.drivers.timing import DriverTime
+from sumo_adv.episode.engine import EpisodeCalls, EpisodeEngine
+from sumo_adv.episode.memory_access import selected
+from sumo_adv.episode.prepared_encounter import PreparedEncounter, prepare
+from sumo_adv.episode.run import EncounterRecord, Request, Run, Stop, best_record, seconds_by_part
+from sumo_adv.episode.task import NoEncounter, Task
+from sumo_adv.errors import SumoAdvError
+from sumo_adv.memory.bank import MemoryBank
+from sumo_adv.planners.sandbox import Sandbox
+from sumo_adv.simulation.inputs import RunInput
+
+MAX_PASSED_OVER = 6  # encounters that are passed over because no candidate is predicted to collide
+OUT_OF_REACH = "no intent reaches the ego, by prediction"
+Tell = Callable[[str, Any], None]
+"""Called with what happens, for progress: ("encounter", FoundEncounter), ("intents", ...), ("attempt", Attempt)."""
+
+
+class EncounterFinder:
+    """Finds the encounters of a run one after another, and keeps their records while the run goes on.
+
+    Attributes:
+        records: The records so far; the last one is that of the encounter at hand.
+        stop: Why there is no further encounter; None while there may be one.
+        forked: Whether attempts are forks of the simulation; known once the first encounter was looked for.
+        stopped: How many calls of each planner ran into a limit in predictions, by the planner's hash.
+        timing: How long the start took [s].
+    """
+
+    def __init__(self, run_input: RunInput, settings: Settings, task: Task, engine: EpisodeEngine, tell: Tell) -> None:
+        """Find encounters of a task; nothing is simulated yet."""
+        self._run_input, self._settings, self._task = run_input, settings, task
+        self._engine, self._tell, self._began = engine, tell, time.perf_counter()
+        self.records: list[EncounterRecord] = []
+        self.stop: Stop | None = None
+        self.forked = False
+        self.stopped: Mapping[str, int] = {}
+        self.timing: dict[str, float] = {}
+
+    def seek(self) -> EncounterRecord | None:
+        """Start the simulation, if it has not started, and go on to the next encounter.
+
+        Returns:
+            The record of the encounter; None if there is none (``stop`` says why).
+        """
+        began = time.perf_counter()
+        if not self.records:
+            self._engine.call(EpisodeCalls.open, self._task)
+            self.forked = self._engine.call(EpisodeCalls.forks)
+            self.timing["start"] = time.perf_counter() - began
+            began = time.perf_counter()
+        found = self._engine.call(EpisodeCalls.seek, self.records[-1].left if self.records else "")
+        seconds = time.perf_counter() - began
+        if isinstance(found, NoEncounter):
+            self.stop = Stop(found.ending, found.reason)
+            self.timing["seek"] = seconds
+            return None
+        record = EncounterRecord(
+            found, self._settings.goal, self._engine.call(EpisodeCalls.prefix),
+            self._engine.call(EpisodeCalls.lanes, *found.area),
+            Request(self._run_input.asked, self._run_input.words), timing={"seek": seconds},
+        )  # fmt: skip
+        self.records.append(record)
+        self._tell("encounter", found)
+        return record
+
+    def driver_time(self) -> DriverTime | None:
+        """Return how long the driver's answers took so far; None if that is not known."""
+        engine = self._engine
+        if "start" not in self.timing or engine.lost or engine.asked or engine.talks:
+            return None
+        try:
+            return engine.call(EpisodeCalls.driver_time)
+        except SumoAdvError:
+            return None
+
+    def find_attackable(
+        self, sandbox: Sandbox, bank: MemoryBank, agents: Agents | None = None, *, any_candidate: bool = False
+    ) -> PreparedEncounter | None:
+        """Go on to the first encounter in which some candidate is predicted to collide.
+
+        Args:
+            sandbox: Where planners run.
+            bank: The memory bank.
+            agents: Who plays along; None if nobody does.
+            any_candidate: True if an encounter with any candidate is enough, because attempts will be varied until one
+                collides.
+
+        Returns:
+            The encounter, whose record is the last one; None if there is none (``stop`` says why).
+
+        Raises:
+            UsageError: The settings name an intent that the bank does not know.
+        """
+        selected(self._settings, bank, self._run_input.intents)  # refuses misspelt names before anything is simulated
+        while (record := self.seek()) is not None:
+            prepared = prepare(
+                record.found, self._run_input, self._settings, self._task, sandbox, bank, agents, stopped=self.stopped
+            )
+            self.stopped = prepared.predictor.stopped
+            reaches = prepared.reaches or (any_candidate and bool(prepared.search))
+            given = self._task.trigger is not None
+            if reaches or record.found.last or given or len(self.records) > MAX_PASSED_OVER:
+                return prepared
+            self.leave(OUT_OF_REACH)
+        return None
+
+    def keep(self, record: EncounterRecord) -> None:
+        """Replace the record of the encounter at hand by a later one."""
+        self.records[-1] = record
+
+    def leave(self, why: str) -> None:
+        """Leave the encounter at hand, so that ``seek`` goes on to the next one. Only the best record so far keeps its
+        recorded states, which are large."""
+        record = replace(self.records[-1], left=why)
+        if not record.attacked:
+            record = replace(record, ending=Ending.NO_ENCOUNTER, reason=record.reason or why)
+        self.records[-1] = record
+        best = best_record(self.records)
+        self.records = [r if r is best else r.without_states() for r in self.records]
+
+    def break_off(self, stop: Stop) -> None:
+        """Note what broke the run off, also in the record of the encounter at hand."""
+        self.stop = stop
+        if self.records and not self.records[-1].left:
+            self.keep(replace(self.records[-1], ending=stop.ending, reason=stop.reason))
+
+    def run(self, agents: Agents | None = None, *, isolation: str = "", bank_hash: str = "") -> Run:
+        """Return the run with the records so far, SUMO's warnings, and the time since the finder was made.
+
+        Args:
+            agents: Who analyzed, generated and modified; None if no part was played.
+            isolation: How planners were kept apart from this machine; empty if none ran.
+            bank_hash: Hash of the bank's content before the run.
+        """
+        spent = seconds_by_part(self.timing, *(record.timing for record in self.records))
+        return Run(
+            self._run_input, self._settings, self._task, tuple(self.records), self.stop, self.forked, agents, isolation,
+            bank_hash, self._task.own_names(self._engine.log.warnings()),
+            {**spent, "total": time.perf_counter() - self._began}, self.driver_time(),
+        )  # fmt: skip

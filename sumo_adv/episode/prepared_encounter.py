@@ -1,0 +1,154 @@
+"""An encounter that is ready for attacks: the bank's library, the search with its first candidates, and the intents."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from sumo_adv.agents.agents import Agents
+from sumo_adv.agents.teams import Teamwork
+from sumo_adv.config import Settings
+from sumo_adv.datatypes import Intent, LibraryEntry
+from sumo_adv.episode.memory_access import (
+    known_casts,
+    read_library,
+    recall,
+    remembered,
+    retrieve,
+    selected,
+    signature,
+)
+from sumo_adv.episode.run import EncounterRecord, Keep, Request
+from sumo_adv.episode.task import FoundEncounter, Task
+from sumo_adv.memory.bank import MemoryBank, compositions
+from sumo_adv.memory.records import SceneSignature
+from sumo_adv.planners.sandbox import Sandbox
+from sumo_adv.search.intents import FREE, Selection, composed
+from sumo_adv.search.prediction import Predictor
+from sumo_adv.search.search import AttackSearch
+from sumo_adv.search.settings import SearchSettings
+from sumo_adv.simulation.inputs import RunInput
+from sumo_adv.words.request import needs_model
+
+
+@dataclass(frozen=True, slots=True)
+class PreparedEncounter:
+    """An encounter with the predictions of the first candidates.
+
+    Attributes:
+        found: The encounter.
+        predictor: Predicts candidates.
+        library: The bank's intents, with those for pedestrians and cyclists near.
+        scene: What the bank compares this encounter by.
+        search: The search for attacks.
+        known: The intent recalled from a similar scene; None if there is none.
+        selection: The intents that may be tried.
+        teamwork: What an analyzer may compose; None if one adversary is all that is allowed.
+        network: The name of the run's input.
+        bandit: How the planners of each intent were ordered, for the manifest.
+        timing: How long each part took [s].
+    """
+
+    found: FoundEncounter
+    predictor: Predictor
+    library: Sequence[LibraryEntry]
+    scene: SceneSignature
+    search: AttackSearch
+    known: Intent | None
+    selection: Selection
+    teamwork: Teamwork | None
+    network: str
+    bandit: Sequence[Mapping[str, object]] = ()
+    timing: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def reaches(self) -> bool:
+        """Whether some candidate is predicted to collide, or an intent is recalled."""
+        return self.known is not None or self.search.reaches
+
+
+def prepare(
+    found: FoundEncounter, run_input: RunInput, settings: Settings, task: Task, sandbox: Sandbox, bank: MemoryBank,
+    agents: Agents | None = None, *, stopped: Mapping[str, int] | None = None, forecast: bool = False,
+) -> PreparedEncounter:  # fmt: skip
+    """Return an encounter with the bank's library and the predictions of the first candidates.
+
+    A driver that is not known is asked, not predicted, unless ``forecast``: for those that cannot ask it by attempts.
+    With ``recall = scene`` the search starts with a candidate that succeeded in a similar scene. ``stopped``: how many
+    calls of each planner ran into a limit in earlier encounters, by hash.
+    """
+    share = settings.per_planner if agents is not None and agents.by_model("modifier") else settings.attempts
+    evidence = agents is not None and agents.by_model("analyzer") and settings.evidence == "on"
+    weights = SearchSettings(proposals=settings.proposals, share=share)
+    selection = selected(settings, bank, run_input.intents)
+    predictor = Predictor(sandbox, settings, found.drivable, found.situations, weights.score, stopped)
+    scene = signature(found.first, found.first.target_list()[0].state.id, task.ego_driver)
+    library, bandit = read_library(bank, scene, settings.seed, found.situations)
+    predicts = forecast or found.first.baseline.model.known or evidence
+    log = task.playback
+    if settings.tuner == "builtin" and (not predicts or (log is not None and log.tracks is not None)):
+        library = [*library, FREE]
+    timing, recalled = dict[str, float](), None
+    if settings.recall == "scene":
+        began = time.perf_counter()
+        recalled = recall(found, library, bank, selection, settings.limits.limits(), task.ego_driver)
+        timing["recall"] = time.perf_counter() - began
+    intent, first = (None, None) if recalled is None else recalled
+    known = tuple(compositions(bank)) if settings.adversaries > 1 else ()
+    search = AttackSearch(
+        predictor, found.situations, library, weights, seed=settings.seed, goal=settings.goal, selection=selection,
+        recalled=first, adversaries=settings.adversaries, colliders=task.colliders, compositions=known,
+        predicts=predicts,
+    )  # fmt: skip
+    teamwork = Teamwork(settings.adversaries, task.colliders, known) if settings.adversaries > 1 else None
+    return PreparedEncounter(
+        found, predictor, library, scene, search, intent, selection, teamwork, run_input.name, bandit, timing
+    )
+
+
+def analyze(
+    record: EncounterRecord, prepared: PreparedEncounter, settings: Settings, agents: Agents, bank: MemoryBank,
+    keep: Keep,
+) -> tuple[EncounterRecord, Sequence[LibraryEntry]]:  # fmt: skip
+    """Return the record with the intents of an encounter, and the library with retrieved or generated planners for new
+    intents. Raises ModelError: a language model plays a part and failed."""
+    began = time.perf_counter()
+    situations, library = prepared.found.situations, prepared.library
+    try:
+        intents = agents.analyze(
+            prepared.search, situations, library, selection=prepared.selection,
+            remembered=remembered(bank, library, prepared.scene), teamwork=prepared.teamwork,
+        )  # fmt: skip
+        record = _with_request(replace(record, intents=intents), settings, agents)
+        if agents.by_model("analyzer") and settings.tuner == "builtin" and settings.ask is None:
+            chosen = {(i.bv, i.label) for i in intents}
+            others = (i for i in prepared.search.ranking(library) if (i.bv, i.label) not in chosen)
+            record = replace(record, intents=[*intents, *others])
+        retrieved = retrieve(record.intents, agents, situations, library, bank)
+        record = replace(record, intents=retrieved.intents).took("retrieval", retrieved.seconds)
+    finally:
+        record = record.took("analyzer", time.perf_counter() - began)
+        keep(record)
+    entries, labels = retrieved.library, {i.label for i in record.intents}
+    record = replace(record, casts=known_casts(agents.casts, bank))
+    if entries != library or any(composed(e) and e.label in labels for e in entries):
+        prepared.search.extend([e for e in entries if not composed(e) or e.label in labels])
+    if settings.ask is not None:
+        prepared.search.confine({(i.bv, i.label) for i in record.intents})
+    if record.casts and settings.tuner == "builtin":
+        prepared.search.add_casts(record.casts, agents.player("analyzer"))
+    return record, entries
+
+
+def _with_request(record: EncounterRecord, settings: Settings, agents: Agents) -> EncounterRecord:
+    """Keep what a model made of the words of ``ask``, or why they cannot be played here. Raises UsageError."""
+    if settings.ask is None:
+        return record
+    if agents.asked is None:  # no model, or one that failed and was replaced
+        raise needs_model("An attack asked for in words", settings.ask)
+    record = replace(record, request=Request(agents.asked, settings.ask, agents.why_not))
+    if not agents.why_not:
+        return record
+    note = f"The encounter at {record.found.time:.1f} s cannot play the request: {agents.why_not}"
+    return replace(record, notes=[*record.notes, note])
