@@ -279,7 +279,7 @@ def hunt(
     """
     from sumo_adv.campaigns.plan import make_plan
     from sumo_adv.hunting.failures import table
-    from sumo_adv.hunting.hunt import Hunt
+    from sumo_adv.hunting.hunt import MAX_ENCOUNTER_S, Hunt
 
     def campaign(plan: CampaignPlan, orders: Orders) -> Summary:
         return run_campaign(plan, orders, Teller(None, stopping))
@@ -298,7 +298,8 @@ def hunt(
             note(sentence)
     orders = orders_of(plan, out, workers, deadline, ray=ray)
     at_once = orders.pace if ray is None else replace(orders.pace, workers=cluster_processors(ray))
-    hunted = Hunt(plan, replace(orders, pace=at_once), campaign, minutes, distinct, goal, cover=cover)
+    longest = float(settings.get("seconds") or MAX_ENCOUNTER_S)
+    hunted = Hunt(plan, replace(orders, pace=at_once), campaign, minutes, distinct, goal, cover=cover, longest=longest)
     found = hunted.run(tell or (lambda _: None))
     rows = table(found.failures, found.folder)
     return HuntResult(found, rows, _index(found, orders.pace.workers) if pages and rows else None)

@@ -151,6 +151,15 @@ def test_an_encounter_gets_three_times_the_median_first_success_and_more_kinds_w
     assert [kinds for _, kinds in dull.bounds] == [1, 1, 3, 3]
 
 
+def test_an_encounter_may_be_given_more_or_less_time_at_first(tmp_path: Path) -> None:
+    """Slow planners need more than 20 s; 3 times the median first success, 6 s, holds then as before."""
+    for longest, first in ((40.0, 40.0), (5.0, 5.0)):
+        campaign = Campaigns()
+        orders = Orders(tmp_path / str(longest) / "out", tmp_path / "bank.sqlite", {}, WorkerPace(1, 60.0, 200))
+        Hunt(plan_of("good"), orders, campaign, 10.0, 6, longest=longest).run(lambda _: None)
+        assert [seconds for seconds, _ in campaign.bounds] == [first, min(longest, 6.0)]
+
+
 def test_a_hunt_ends_with_enough_distinct_failures_and_ranks_them(tmp_path: Path) -> None:
     """A round of one worker has three episodes: of two inputs, so one seed each. Four sides take four rounds."""
     campaign = Campaigns()

@@ -20,7 +20,7 @@ from sumo_samples import vehicle
 from sumo_adv.datatypes import VehicleState
 from sumo_adv.drivers import Observation
 from sumo_adv.episode.ego_place import EgoPlace
-from sumo_adv.errors import SimulationError
+from sumo_adv.errors import SimulationError, UsageError
 from sumo_adv.geometry import along
 from sumo_adv.simulation.centreline import centreline
 from sumo_adv.simulation.inputs import data_folder
@@ -229,3 +229,20 @@ def test_on_a_junction_the_ego_stays_on_the_lane_of_its_route() -> None:
     inside = at(-10.0, ":centre_11_0")
     assert inside.lane.id == ":centre_9_1" and inside.front == pytest.approx(4.9)  # from y = -12.4 to -7.5
     assert at(20.0, "north_out_1").lane.id == "north_out_1"
+
+
+def test_a_driver_may_ask_for_a_longer_path(tmp_path: Path) -> None:
+    """The road goes on for 330 m. The path is renewed every 40 m, and is 250 m long just before that."""
+
+    def ahead(seen: Observation) -> float:
+        assert seen.path is not None
+        return seen.path[-1][1] - seen.ego.y
+
+    with drive(tmp_path, "priority_crossing", [FROM_SOUTH], ahead, path_ahead=250) as (moving, watcher):
+        steps(moving, 50)
+    assert len(watcher.kept) > 40 and min(watcher.kept) >= 249.0
+    with (
+        pytest.raises(UsageError, match=r"path_ahead = 2000; it must be a number of metres, above 0 and at most 1000"),
+        drive(tmp_path, "priority_crossing", [FROM_SOUTH], ahead, path_ahead=2000),
+    ):
+        pass

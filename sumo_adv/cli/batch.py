@@ -84,6 +84,7 @@ class AttackOptions:
     adversaries: opt.Adversaries = None
     diverse: opt.Diverse = None
     attempts: opt.Attempts = None
+    seconds: opt.Seconds = None
 
 
 @dataclass(frozen=True)

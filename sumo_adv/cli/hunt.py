@@ -54,6 +54,10 @@ class AttackOptions:
             default="serious; valid for the ego careful",
         ),
     ] = None
+    seconds: Annotated[
+        float | None,
+        option(ATTACK_PANEL, "Seconds of attempts per encounter at most.", default="20", min=3.0),
+    ] = None
     min_delta_v: opt.MinDeltaV = None
     intents: opt.Intents = None
     exclude: opt.Exclude = None

@@ -362,18 +362,21 @@ def apply_steer(state: VehicleState, steer: Steer, dt: float, bicycle: Bicycle =
     )
 
 
+MAX_PATH_AHEAD_M = 1000.0  # of the path that a driver may ask for
 STEERING_LIMIT_RAD = math.pi / 2  # at this steering angle the bicycle would turn on the spot
 
 
 @dataclass(frozen=True, slots=True)
 class Wishes:
     """needs_road: SUMO's advice, ``Road.advised``. visible_only: ``others`` has only the vehicles in line of sight.
-    sees_buildings: buildings block the view. bicycle: the car that ``Steer`` moves."""
+    sees_buildings: buildings block the view. bicycle: the car that ``Steer`` moves. path_ahead: how far ahead ``path``
+    reaches at least [m]; None: 80 m."""
 
     needs_road: bool = False
     visible_only: bool = False
     sees_buildings: bool = False
     bicycle: Bicycle = DEFAULT_BICYCLE
+    path_ahead: float | None = None
 
 
 def wishes_of(controller: Any) -> Wishes:
@@ -400,4 +403,12 @@ def read_wishes(driver: Any, spec: str) -> Wishes:
             f"The ego {spec!r} has max_steering = {numbers['max_steering']:g} rad; it must be below pi / 2."
         )
     flags = {name: bool(getattr(driver, name, False)) for name in ("needs_road", "visible_only", "sees_buildings")}
-    return Wishes(**flags, bicycle=Bicycle(**numbers))
+    ahead = getattr(driver, "path_ahead", None)
+    if ahead is not None and (
+        isinstance(ahead, bool) or not isinstance(ahead, int | float) or not 0.0 < ahead <= MAX_PATH_AHEAD_M
+    ):
+        raise UsageError(
+            f"The ego {spec!r} has path_ahead = {ahead!r}; it must be a number of metres, above 0 and at most "
+            f"{MAX_PATH_AHEAD_M:g}."
+        )
+    return Wishes(**flags, bicycle=Bicycle(**numbers), path_ahead=None if ahead is None else float(ahead))

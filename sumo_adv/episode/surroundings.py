@@ -104,8 +104,8 @@ class Surroundings:
         self._map, self._drive = road, drive
         drive.heights = road.heights
         self._road = RoadHere(road, meetings, drive)
-        self._path = LaneLine(road, drive)
         self._wishes = wishes_of(drive.controller)
+        self._path = LaneLine(road, drive, self._wishes.path_ahead)
         self._sight = Sight(read_buildings(additional) if self._wishes.sees_buildings else ())
 
     def __call__(self, ego: VehicleState, near: Sequence[str]) -> Observation:
@@ -185,8 +185,10 @@ def in_lane(place: LanePlace, ego: VehicleState) -> tuple[float, float]:
 class LaneLine:
     """The centreline of the ego's lane and route ahead. It is the same object until it is renewed."""
 
-    def __init__(self, road: RoadMap, drive: Drive) -> None:
+    def __init__(self, road: RoadMap, drive: Drive, ahead: float | None = None) -> None:
+        """``ahead``: how far ahead of the ego the line reaches at least [m]; None: as far as by default."""
         self._road, self._drive = road, drive
+        self._length = PATH_LENGTH_M if ahead is None else max(PATH_LENGTH_M, ahead + PATH_RENEWED_M)
         self._lanes: tuple[str, ...] = ()
         self._from, self._line = (0.0, 0.0), tuple[tuple[float, float], ...]()
 
@@ -196,17 +198,19 @@ class LaneLine:
         lanes: tuple[str, ...] = (ego.lane,) if place is None else (place.lane.id,)
         if place is not None and not logged:
             begin = place.front - ego.length / 2
-            lanes = self._road.chain(place.lane.id, begin, PATH_LENGTH_M, place.route, vclass, drive.closed)
+            lanes = self._road.chain(place.lane.id, begin, self._length, place.route, vclass, drive.closed)
         fresh = math.dist(self._from, (ego.x, ego.y)) <= PATH_RENEWED_M
         if fresh and lanes[:1] == self._lanes[:1] and all(a == b for a, b in zip(lanes, self._lanes, strict=False)):
             return self._line
         path = logged_path(self._road, drive) if logged else None
         if place is not None and not logged:
-            ways = self._road.ways(place.lane.id, begin, WAY_AHEAD_M, place.route, vclass=vclass, closed=drive.closed)
+            ways = self._road.ways(
+                place.lane.id, begin, max(WAY_AHEAD_M, self._length), place.route, vclass=vclass, closed=drive.closed
+            )
             path, lanes = (ways[0].path, ways[0].lanes) if ways else (None, lanes)
         if path is None:
             return None
-        count = round(PATH_LENGTH_M / PATH_STEP_M)
+        count = round(self._length / PATH_STEP_M)
         self._line = tuple(zip(path.x[:count:2].tolist(), path.y[:count:2].tolist(), strict=True))
         self._lanes, self._from = lanes, (ego.x, ego.y)
         return self._line

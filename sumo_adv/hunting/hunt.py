@@ -109,12 +109,12 @@ class Hunt:
 
     def __init__(
         self, plan: CampaignPlan, orders: Orders, campaign: RunCampaign, minutes: float, most: int | None,
-        goal: Goal = FAILURE_GOAL, *, cover: bool = False,
+        goal: Goal = FAILURE_GOAL, *, cover: bool = False, longest: float = MAX_ENCOUNTER_S,
     ) -> None:  # fmt: skip
         """minutes: of the whole hunt, also over several calls. most: distinct failures that end it sooner. goal: what a
         failure comes to at least. cover: give time to the named scenarios that were met least, otherwise to inputs that
-        bring new failures."""
-        self._goal, self._cover = goal, cover
+        bring new failures. longest: of attempts in an encounter [s]."""
+        self._goal, self._cover, self._longest = goal, cover, longest
         self._only = wanted(plan.variants[0].get("scenario") or ())  # what failures must show
         self._plan, self._orders, self._campaign = plan, orders, campaign
         self._limit, self._most, self.folder = minutes * 60.0, most, orders.out
@@ -233,7 +233,7 @@ class Hunt:
     def _each(self) -> float:
         """How long an encounter may be attacked [s]."""
         firsts = [s for each in self._firsts for s in each]
-        longest = min(MAX_ENCOUNTER_S, MAX_MEDIAN_TIMES * median(firsts)) if firsts else MAX_ENCOUNTER_S
+        longest = min(self._longest, MAX_MEDIAN_TIMES * median(firsts)) if firsts else self._longest
         return round(max(MIN_ENCOUNTER_S, min(longest, MAX_TIME_SHARE * self._left())), 1)
 
     def _kinds(self) -> int:
