@@ -200,8 +200,8 @@ def encounters(
             MemoryBank.open(data_folder("memory_bank.sqlite"), read_only=True) as bank,
         ):
             task = make_task(run_input, settings, Path(folder))
-            episode = run_episode(run_input, settings, task, engine, Agents(settings, sandbox), bank, _silent)
-            done += len(episode.refinement.attempts)
+            run = run_episode(run_input, settings, task, engine, Agents(settings, sandbox), bank, _silent)
+            done += sum(len(record.attempts) for record in run.records)
     return f"{len(cases)} encounters of {suite} against {ego}: {done} attempts"
 
 
@@ -232,7 +232,7 @@ def table(seconds: Mapping[frozenset[str], float], unsampled: float) -> list[str
         functions = {part} if isinstance(part, str) else {name_of(each.__code__) for each in part}
         took = sum(s for names, s in seconds.items() if process in names and not functions.isdisjoint(names))
         took += unsampled if part == "fork" else 0.0
-        rows += [f"  {title:32s} {took:8.2f} s {took / whole:6.1%}"] if took else []
+        rows += [f"  {title:32s} {took:8.2f} s {took / whole:6.1%}"] if took or isinstance(part, str) else []
         if part == "fork":
             rows.append(f"  {'  begin and end of the process':32s} {unsampled:8.2f} s {unsampled / whole:6.1%}")
     return [*rows, f"  {'all':32s} {whole:8.2f} s"]

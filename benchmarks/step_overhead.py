@@ -57,9 +57,8 @@ class DurationSpec(SimulationSpec):
 
     def arguments(self) -> list[str]:
         """The base flags with ``--lanechange.duration 3`` for ``--lateral-resolution 0.8``."""
-        given = super().arguments()
-        at = given.index("--lateral-resolution")
-        return [*given[:at], "--lanechange.duration", "3", *given[at + 2 :]]
+        kept = [each for each in super().arguments() if not each.startswith("--lateral-resolution=")]
+        return [*kept, "--lanechange.duration=3"]
 
 
 class Bench(EpisodeWorker):
