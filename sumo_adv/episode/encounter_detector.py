@@ -28,6 +28,7 @@ from sumo_adv.situation import MEET_AHEAD, ReferencePath, relate
 
 RISK_ON, RISK_OFF, LOOKS_ABOVE = 0.40, 0.30, 2
 LOOK_INTERVAL_S = 0.5  # s
+COOL_DOWN_S = 2.0  # s without an encounter after an encounter that was passed over
 NEAR_DISTANCE_M, ONCOMING_DISTANCE_M = 70.0, 320.0  # m
 WAY_AHEAD_M = 330.0  # m of the ways ahead
 MIN_EGO_SPEED_M_S = 4.0  # m/s: an ego that stands has no encounter

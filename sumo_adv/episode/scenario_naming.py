@@ -9,7 +9,7 @@ import numpy as np
 
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import NamedScenario, Proposal, RoadClass, Track, Verdict
-from sumo_adv.episode.rules_broken import red_light_at
+from sumo_adv.episode.rules_broken import AT_CONFLICT_M, red_light_at
 from sumo_adv.episode.task import AttemptResult, FoundEncounter
 from sumo_adv.geometry import Path
 from sumo_adv.simulation.tracks import tracks_of
@@ -17,7 +17,6 @@ from sumo_adv.situation import Situation, Target
 from sumo_adv.words.motion import Course, Scene, follow
 from sumo_adv.words.naming import BEYOND_M, NamingContext, decisive, named
 
-AT_CONFLICT_M = 20.0  # from where the two ways meet
 WHILE_CHANGING_S = 1.0  # s after the decisive moment: a lane change that begins then was under way
 
 

@@ -32,7 +32,7 @@ from sumo_adv.episode.encounter_builder import (
     build_encounter,
     nearest_ones,
 )
-from sumo_adv.episode.encounter_detector import LOOK_INTERVAL_S, RankedVehicle
+from sumo_adv.episode.encounter_detector import COOL_DOWN_S, LOOK_INTERVAL_S, RankedVehicle
 from sumo_adv.episode.encounter_search import EncounterSearch
 from sumo_adv.episode.engine import Director, EpisodeCalls, PlannerQuestion
 from sumo_adv.episode.open_encounter import OpenEncounter
@@ -54,8 +54,6 @@ from sumo_adv.simulation.scan import silent_copies
 from sumo_adv.simulation.signals import LightsNear
 from sumo_adv.simulation.sumo_states import Snapshot
 from sumo_adv.simulation.tracks import tracks_of
-
-COOL_DOWN_S = 2.0  # without an encounter after an encounter that was passed over
 
 
 @dataclass(frozen=True, slots=True)

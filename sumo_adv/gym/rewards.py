@@ -51,7 +51,7 @@ LOSS_S_PER_DELTA_V = 4.0
 """And for each m/s of its delta-v: a serious one (2.24 m/s) costs 11, as much as standing for an episode."""
 OFF_ROAD_LOSS_S = 20.0
 BLOCKING_LOSS = 0.5  # a second, at less than half of the speed that it has unattacked, with a vehicle close behind
-COMFORTABLE_BRAKING_M_S2 = 2.0  # softer braking costs nothing,
+UNPENALISED_BRAKING_M_S2 = 2.0  # softer braking costs nothing,
 NEEDLESS_BRAKING_LOSS = 0.1  # a second, for each m/s2 of harder braking where nothing attacks
 MIN_SPEED_LIMIT_M_S = 10.0  # a lower speed limit counts as this
 
@@ -69,7 +69,7 @@ def ego_reward(t: Transition) -> float:
     worth = (t.behind_before - t.behind) / max(t.limit, MIN_SPEED_LIMIT_M_S)
     braking = (t.before.speed - t.ego.speed) / t.seconds if t.seconds else 0.0
     if not t.attacked:
-        worth -= NEEDLESS_BRAKING_LOSS * max(braking - COMFORTABLE_BRAKING_M_S2, 0.0) * t.seconds
+        worth -= NEEDLESS_BRAKING_LOSS * max(braking - UNPENALISED_BRAKING_M_S2, 0.0) * t.seconds
     if t.followed and t.ego.speed < t.unattacked / 2:
         worth -= BLOCKING_LOSS * t.seconds
     if t.touched is not None:

@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 
 from sumo_adv.datatypes import Level, Role, Track
+from sumo_adv.episode.encounter_builder import ROAD_MARGIN_M
+from sumo_adv.episode.situation_builder import HISTORY_S
 from sumo_adv.errors import UsageError
 from sumo_adv.metrics.case import Case, make_case
 from sumo_adv.metrics.verdict import judge_attempt, with_answers
@@ -24,8 +26,6 @@ from sumo_adv.report.run_outcome import level_named, verdict_of
 from sumo_adv.report.tables import PLAN_HEADER
 from sumo_adv.simulation.network import read_network
 
-ROAD_MARGIN_M = 150.0  # around the ego's way within which the road is read
-HISTORY_S = 1.1  # before the trigger
 SHOWN = (
     "level", "preventable_by", "inconclusive", "ego_stationary", "ego_blocking", "humanlike", "delta_v", "severity",
     "impact_speed", "simulated",

@@ -14,6 +14,7 @@ from typing import Any
 from sumo_adv.agents.agents import Agents
 from sumo_adv.config import Settings
 from sumo_adv.datatypes import Attempt, Ending
+from sumo_adv.episode.encounter_detector import COOL_DOWN_S
 from sumo_adv.episode.encounter_finder import OUT_OF_REACH
 from sumo_adv.episode.encounter_search import INSERTED_EGO
 from sumo_adv.episode.loop import Decision, decide, model_ending, pursue
@@ -35,7 +36,7 @@ from sumo_adv.simulation.scan import scan_demand
 
 DEFAULT_TYPE = "DEFAULT_VEHTYPE"
 ROUTE_WARM_UP_S = 20.0  # s of traffic before an ego on drawn routes departs
-COOL_DOWN_S, PASSED_OVER_S = 5.0, 2.0  # s without an encounter: after an attack, after an encounter passed over
+AFTER_ATTACK_S = 5.0  # s without an encounter after an attack
 MAX_DECISION_AGE_S = 4.0  # s a decision may be old, where the world does not wait for it
 MAX_FRUITLESS_SIMULATIONS = 3  # simulations in a row without an encounter, after which it is of no use to go on
 """Where the simulation ends (its demand, or ``--end``) the next one begins with the next seed."""
@@ -130,12 +131,12 @@ class EgoServer:
             ranking = watch.until_encounter(self._task.end, trigger=self._task.trigger, quiet=quiet)
             if not ranking and (session.now >= self._task.end - 1e-6 or session.deserted()):
                 break
-            quiet = PASSED_OVER_S
+            quiet = COOL_DOWN_S
             scene = describe(session, self._parts.road, self._settings, ranking, passed)
             if isinstance(scene, str):
                 self._pass_over(session, scene, passed)
             elif self._encounter(session, watch, scene, passed):
-                passed, quiet = [], COOL_DOWN_S
+                passed, quiet = [], AFTER_ATTACK_S
                 if self._parts.options.mode is Mode.EPISODES:
                     break
                 assert self._session is session

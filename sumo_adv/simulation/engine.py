@@ -21,7 +21,7 @@ from sumo_adv.files import scratch_prefix
 from sumo_adv.simulation.engine_log import EngineLog
 from sumo_adv.simulation.engine_process import serve
 from sumo_adv.simulation.processes import SINGLE_THREAD_VARIABLES, allowed_from_daemons, environment, exit_in_words
-from sumo_adv.simulation.watch import LOOK_INTERVAL_S, NOTE_BYTES, Watch
+from sumo_adv.simulation.watch import NOTE_BYTES, WATCH_INTERVAL_S, Watch
 
 DEFAULT_SLOTS = 2  # forks that run at once, unless told otherwise
 
@@ -155,7 +155,7 @@ class Engine(Generic[W]):
             self.lost = True
             call = self._watch.running()
             if call is not None and not call.is_sumo:
-                self._process.join(LOOK_INTERVAL_S)
+                self._process.join(WATCH_INTERVAL_S)
                 raise DriverError(call.ended(exit_in_words(self._process.exitcode))) from error
             raise SimulationError(f"The simulation process ended unexpectedly{self.log.last_words()}.") from error
 
@@ -165,7 +165,7 @@ class Engine(Generic[W]):
         Raises DriverError if code of others in the process is overdue, SimulationError if SUMO is; the process is
         killed then. EOFError if it has ended while a process that it left behind holds the connections.
         """
-        while not (ready := wait(connections, LOOK_INTERVAL_S)):
+        while not (ready := wait(connections, WATCH_INTERVAL_S)):
             if (call := self._watch.overdue()) is not None:
                 self._kill()
                 self.lost = True

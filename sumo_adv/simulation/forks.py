@@ -17,7 +17,7 @@ from typing import Any
 from sumo_adv.errors import DriverError, SimulationError, SumoAdvError
 from sumo_adv.simulation.engine_log import aside
 from sumo_adv.simulation.processes import exit_in_words, repair_process, unexpected
-from sumo_adv.simulation.watch import LOOK_INTERVAL_S, Call, Watch, keep
+from sumo_adv.simulation.watch import WATCH_INTERVAL_S, Call, Watch, keep
 
 
 def can_fork() -> bool:
@@ -91,7 +91,7 @@ def _all_written(children: Mapping[int, tuple[int, Watch]], late: set[int]) -> d
     parts: dict[int, list[bytes]] = {inlet: [] for inlet in children}
     open_ones = set(children)
     while open_ones:
-        ready = wait(open_ones, LOOK_INTERVAL_S)
+        ready = wait(open_ones, WATCH_INTERVAL_S)
         for ended in () if ready else [each for each in open_ones if _has_ended(children[each][0])]:
             if not wait([ended], 0):
                 os.close(ended)

@@ -23,7 +23,7 @@ NOTE_BYTES = 1024  # bytes of a note
 HEAD = struct.Struct("=ddHH")  # begin and limit [s], lengths of who and where [bytes]
 MAX_TEXT_BYTES = 400  # bytes of who and of where
 GRACE_S = 2.0  # s after the limit in which code that catches the alarm, or does not return to Python, may still end
-LOOK_INTERVAL_S = 0.5  # s between two looks of a process that waits
+WATCH_INTERVAL_S = 0.5  # s between two looks of a process that waits
 
 
 SUMO = "SUMO"
