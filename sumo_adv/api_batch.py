@@ -201,7 +201,7 @@ class Teller:
 
 
 def _ego_name(ego: str | type) -> str:
-    """The name of a driver. Raises UsageError: an object, or a class that workers cannot import."""
+    """The name of a driver. Raises UsageError: an object, a class that is no driver or that workers cannot import."""
     from sumo_adv.drivers.registry import spec_of
 
     if isinstance(ego, str):

@@ -91,8 +91,10 @@ def test_states_of_all_runs_as_parquet(folder: Path, tmp_path: Path) -> None:
 
 
 def test_wrong_use_is_one_sentence(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"as names \(module:Class\)"):
-        sumo_adv.batch(INPUTS[0], out=tmp_path / "out", egos=[UsageError])  # type: ignore[list-item]
+    with pytest.raises(UsageError, match=r"as names \(module:Class\) or classes"):
+        sumo_adv.batch(INPUTS[0], out=tmp_path / "out", egos=[UsageError("no driver")])  # type: ignore[list-item]
+    with pytest.raises(UsageError, match="'UsageError' has no method 'reset'"):
+        sumo_adv.batch(INPUTS[0], out=tmp_path / "out", egos=[UsageError])
     with pytest.raises(UsageError, match="nonsense"):
         sumo_adv.batch(INPUTS[0], out=tmp_path / "out", nonsense=3)
     with pytest.raises(UsageError, match=r"odd\.roads"):

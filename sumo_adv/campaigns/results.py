@@ -126,13 +126,14 @@ CLOCK_COLUMNS = ("seconds", "driver_seconds", "driver_p99_ms")
 """Columns with wall times, which differ from one run to the next."""
 
 
-INTEGER_COLUMNS = ("seed", "attempts", "driver_calls")
+INTEGER_COLUMNS = ("seed", "attempts")
 NUMERIC_COLUMNS = (
     "raw_min_ttc", "min_ttc", "seconds", "delta_v", "contact_time", "ego_speed", "overlap", "warning",
-    "driver_seconds", "driver_p99_ms",
+    "driver_calls", "driver_seconds", "driver_p99_ms",
 )  # fmt: skip
 BOOLEAN_COLUMNS = ("collided", "valid", "critical", "strict", "serious", "ego_stationary", "humanlike", "robust")
-"""Columns that hold whole numbers, numbers, yes or no; the others hold text. Any may be empty."""
+"""Columns that hold whole numbers, numbers, yes or no; the others hold text. Those of numbers, of yes or no and of text
+may be empty."""
 
 
 def result_row(name: str, outcome: Mapping[str, Any], traceback: bool) -> Row:

@@ -202,10 +202,13 @@ def find_class(kind: str, spec: str) -> type:
 
 
 def spec_of(user_class: type) -> str:
-    """The name ``module:Class`` by which other processes import a class; a script's module is its file's name.
+    """Return the name ``module:Class`` by which other processes import a driver; a script's module is its file's name.
 
-    Raises UsageError: other processes cannot import the class, because it lies in a notebook or in a function.
+    Raises:
+        UsageError: The class lacks a method that a driver needs, or other processes cannot import it because it lies
+            in a notebook or in a function.
     """
+    _check_methods("ego", user_class.__name__, user_class, METHODS)
     main = sys.modules.get("__main__")
     file = getattr(main, "__file__", None)
     module = Path(file).stem if user_class.__module__ == "__main__" and file else user_class.__module__

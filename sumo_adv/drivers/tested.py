@@ -9,6 +9,7 @@ from sumo_adv.config import Settings
 from sumo_adv.drivers.protocol import EgoController
 from sumo_adv.drivers.registry import GivenEgo, make_ego
 from sumo_adv.drivers.sensing import LateEgo, SensedEgo
+from sumo_adv.drivers.sumo_driven import ReplayEgo
 from sumo_adv.drivers.timing import TimedEgo
 from sumo_adv.errors import UsageError
 
@@ -21,16 +22,17 @@ def with_sensors(driver: EgoController, settings: Settings) -> tuple[EgoControll
         settings: The run's settings.
 
     Returns:
-        The driver, and the part of it that times its answers; None if the driver gives none, because SUMO drives.
+        The driver, and the part of it that times its answers; None if the driver gives none, because SUMO or a log
+        drives.
 
     Raises:
         UsageError: The settings give sensors or a latency to a driver that gives no answers.
     """
-    if not driver.needs_observation:
+    if not driver.needs_observation or isinstance(driver, ReplayEgo):
         if settings.ego_sensing.is_on or settings.ego_latency:
             raise UsageError(
-                f"The ego {driver.name!r} is driven by SUMO, which sees no observation: ego_sensing and ego_latency "
-                "need a driver with act."
+                f"The ego {driver.name!r} is driven by SUMO or by a log, which look at no observation: ego_sensing and "
+                "ego_latency need a driver with act."
             )
         return driver, None
     timed = TimedEgo(driver)
