@@ -1,8 +1,8 @@
-"""What a campaign has covered: encounters and failures by intent, relation, road class and speed of the ego.
+"""Count what a campaign has covered: encounters and failures by intent, relation, road class and speed of the ego.
 
 A cell is one combination of the four. An encounter counts in a cell if one of its attempts had the cell's intent and
-came from a vehicle of the cell's relation; it counts once, however many such attempts there were. It is a failure of
-the ego if one of these attempts reached the level ``valid``: a collision that a reference driver avoids.
+came from a vehicle of the cell's relation. It counts once, whatever the number of such attempts. It is a failure of the
+ego if one of these attempts reached the level ``valid``, which is a collision that a reference driver avoids.
 """
 
 from __future__ import annotations
@@ -32,14 +32,21 @@ SPEED_BANDS_M_S = ((0.0, 8.0), (8.0, 14.0), (14.0, 22.0), (22.0, math.inf))  # b
 COVERAGE_COLUMNS = (
     "ego", "intent", "relation", "road", "speed_from", "speed_to", "encounters", "failures", "rate", "low", "high",
 )  # fmt: skip
-ALL_EGOS = "all"  # egos together
+ALL_EGOS = "all"  # the key of all egos together
 IMPOSSIBLE = "oncoming", str(RoadClass.MOTORWAY)
 BANK_FILE, COVERAGE_FILE = "bank.sqlite", "coverage.csv"
 
 
 @dataclass(frozen=True, slots=True, order=True)
 class CoverageCell:
-    """One combination; ``band`` is an index into ``SPEED_BANDS_M_S``."""
+    """One combination of intent, relation, road class and speed.
+
+    Attributes:
+        intent: The label of the intent.
+        relation: The relation of the adversary to the ego.
+        road: The road class.
+        band: The speed band of the ego, an index into ``SPEED_BANDS_M_S``.
+    """
 
     intent: str
     relation: str
@@ -49,7 +56,13 @@ class CoverageCell:
 
 @dataclass(frozen=True, slots=True)
 class CoverageRow:
-    """A cell with its encounters and those of them in which the ego failed."""
+    """A cell with its counts.
+
+    Attributes:
+        cell: The cell.
+        encounters: Encounters that count in the cell.
+        failures: Those of these encounters in which the ego failed.
+    """
 
     cell: CoverageCell
     encounters: int
@@ -57,31 +70,50 @@ class CoverageRow:
 
     @property
     def rate(self) -> Estimate:
+        """The share of encounters in which the ego failed, with its Wilson interval [-]."""
         return wilson(self.failures, self.encounters)
 
 
 @dataclass(frozen=True, slots=True)
 class Coverage:
-    """All cells of a campaign by ego, ``ALL_EGOS`` first; cells without an encounter first, then those with the fewest.
+    """The cells of a campaign, by ego.
 
-    unplaced: episodes that are in no cell, because no attempt was made or the run does not tell its place.
+    Attributes:
+        rows: The rows of each ego; ``ALL_EGOS`` is the first key. Cells without an encounter come first, then the cells
+            with the fewest encounters.
+        unplaced: Episodes that count in no cell, because they made no attempt or because the run does not record the
+            road class and the ego's speed.
     """
 
     rows: Mapping[str, Sequence[CoverageRow]]
     unplaced: int
 
     def covered(self, ego: str = ALL_EGOS) -> tuple[int, int]:
-        """How many cells have an encounter, and how many cells there are."""
+        """Count the cells that have an encounter.
+
+        Args:
+            ego: The ego; all egos together by default.
+
+        Returns:
+            The number of cells with an encounter, and the number of all cells.
+        """
         return sum(row.encounters > 0 for row in self.rows[ego]), len(self.rows[ego])
 
 
 def band_of(speed: float) -> int:
-    """The index of the speed band [m/s]; a lower bound belongs to its band."""
+    """Return the index of the band that contains a speed [m/s]; a band contains its lower bound, not its upper one."""
     return next(k for k, (_, high) in enumerate(SPEED_BANDS_M_S) if speed < high)
 
 
 def cells_of(document: Mapping[str, Any]) -> dict[CoverageCell, bool]:
-    """The cells that an episode counts in, and whether the ego failed there; from its ``outcome.json``."""
+    """Find the cells in which an episode counts.
+
+    Args:
+        document: The content of the episode's ``outcome.json``.
+
+    Returns:
+        For each cell, whether the ego failed in it. Empty if the road class or the ego's speed is not recorded.
+    """
     encounter = document["encounter"] or {}
     road, speed = encounter.get("road"), encounter.get("ego_speed")
     if road is None or speed is None:
@@ -97,7 +129,7 @@ def cells_of(document: Mapping[str, Any]) -> dict[CoverageCell, bool]:
 
 
 def pairs_of(library: Iterable[IntentRecord]) -> set[tuple[str, str]]:
-    """The intents of a bank with the relations that they can be tried from."""
+    """Return the pairs of an intent's label and a relation that it applies to, for the active intents of a library."""
     active = [record for record in library if record.status == "active"]
     return {(record.label, relation.split("_")[0]) for record in active for relation in record.applies}
 
@@ -105,10 +137,19 @@ def pairs_of(library: Iterable[IntentRecord]) -> set[tuple[str, str]]:
 def make_coverage(
     documents: Iterable[Mapping[str, Any]], library: Iterable[IntentRecord], odds: Sequence[Odd] = ()
 ) -> Coverage:
-    """The coverage of episodes, given as their ``outcome.json``.
+    """Compute the coverage of episodes.
 
-    library: the bank's intents; what they apply to makes the cells. odds: the campaign's ODDs; a cell outside all of
-    them is left out unless it was met. Cells of an oncoming adversary on a motorway, which do not exist, are left out.
+    A cell that was met is always included. Cells with an oncoming adversary on a motorway do not exist, so they are
+    left out unless they were met.
+
+    Args:
+        documents: The episodes, each as the content of its ``outcome.json``.
+        library: The bank's intents. The cells are made of the relations that they apply to.
+        odds: The campaign's operational design domains (ODDs). Cells outside all of them are left out unless they were
+            met.
+
+    Returns:
+        The coverage of all egos together and of each ego.
     """
     counts: dict[str, dict[CoverageCell, list[int]]] = {ALL_EGOS: {}}
     unplaced = 0
@@ -130,6 +171,7 @@ def make_coverage(
 
 
 def _within(cell: CoverageCell, odd: Odd) -> bool:
+    """Return whether a cell lies in an ODD, at least with a part of its speed band."""
     low, high = SPEED_BANDS_M_S[cell.band]
     slowest, fastest = odd.speed or (0.0, math.inf)
     on_road = not odd.roads or cell.road in odd.roads
@@ -137,12 +179,16 @@ def _within(cell: CoverageCell, odd: Odd) -> bool:
 
 
 def _rows(cells: Iterable[CoverageCell], tally: Mapping[CoverageCell, Sequence[int]]) -> list[CoverageRow]:
+    """Make a row for each cell, in the order of ``Coverage.rows``."""
     rows = [CoverageRow(cell, *tally.get(cell, (0, 0))) for cell in cells]
     return sorted(rows, key=lambda row: (row.encounters, -row.failures, row.cell))
 
 
 def coverage_csv(coverage: Coverage) -> str:
-    """All rows as CSV: the ego, the cell, counts, the rate of failures with its interval. An open end is empty."""
+    """Format all rows as CSV: the ego, the cell, the counts, and the failure rate with its interval.
+
+    The upper speed of the last band is empty. The rate of a cell without an encounter is empty.
+    """
     lines: list[tuple[Any, ...]] = []
     for ego, rows in coverage.rows.items():
         for row in rows:
@@ -154,10 +200,20 @@ def coverage_csv(coverage: Coverage) -> str:
 
 
 def campaign_coverage(folder: Path, runs: Sequence[Path], packed: Mapping[str, str], bank: Path) -> Coverage:
-    """The coverage of the runs in a campaign's folder.
+    """Compute the coverage of the runs in a campaign's folder.
 
-    packed: the outcomes of packed runs as text, by id. bank: its intents make the cells if the folder has no bank.
-    Raises UsageError or BankError.
+    Args:
+        folder: The campaign's folder.
+        runs: The folders of the runs.
+        packed: The ``outcome.json`` texts of packed runs, by id.
+        bank: The bank whose intents make the cells if the campaign's folder has no bank.
+
+    Returns:
+        The coverage.
+
+    Raises:
+        UsageError: The campaign's plan is damaged.
+        BankError: The bank cannot be read.
     """
     own = folder / BANK_FILE
     with MemoryBank.open(own if own.is_file() else bank, read_only=True) as opened:
@@ -166,13 +222,24 @@ def campaign_coverage(folder: Path, runs: Sequence[Path], packed: Mapping[str, s
 
 
 def write_coverage(target: Path, coverage: Coverage) -> Path:
-    """Write ``coverage.csv`` into the folder of the pages. Raises UsageError: it cannot be written."""
+    """Write ``coverage.csv`` into the folder of the pages.
+
+    Args:
+        target: The folder.
+        coverage: What is written.
+
+    Returns:
+        The file.
+
+    Raises:
+        UsageError: The file cannot be written.
+    """
     write_document(target / COVERAGE_FILE, coverage_csv(coverage))
     return target / COVERAGE_FILE
 
 
 def _outcomes(runs: Sequence[Path], packed: Mapping[str, str]) -> Iterator[dict[str, Any]]:
-    """The outcomes that can be read. Damaged ones are told where their pages are made."""
+    """Yield the outcomes that can be read; a damaged one is skipped, because it is reported when its page is made."""
     for run in runs:
         try:
             file = run / OUTCOME_FILE
@@ -185,7 +252,8 @@ def _outcomes(runs: Sequence[Path], packed: Mapping[str, str]) -> Iterator[dict[
 
 
 def _odds(plan: Path) -> list[Odd]:
-    """The ODDs of a campaign's variants; none if a variant has none. Raises UsageError: the plan is damaged."""
+    """Return the ODDs of a campaign's variants; none if a variant lacks one. Raise UsageError if the plan is
+    damaged."""
     if not plan.is_file():
         return []
     try:

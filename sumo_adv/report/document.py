@@ -1,8 +1,9 @@
-"""An HTML document that is one file: style, script and data inside, and nothing may be loaded or sent.
+"""Make an HTML document that is one file: style, script and data are inside, and it can load and send nothing.
 
-What comes from files is data alone: JSON in which no ``<`` is left, read by the script and shown as text. Many numbers
-take few characters: rounded to whole units, differences, variable-length bytes, deflate, base64. The page's script
-reads them back (``assets/decode.js``); nothing is lost but the rounding.
+Text from other files enters the document only as data: JSON without any ``<``, which the script reads and shows as
+text. Long series of numbers are packed: they are rounded to whole units, replaced by differences, and encoded as
+variable-length bytes, deflate and base64. The page's script unpacks them (``assets/decode.js``). Only the rounding
+loses information.
 """
 
 from __future__ import annotations
@@ -45,16 +46,28 @@ style-src {style_hash}; img-src data:; base-uri 'none'; form-action 'none'">
 """
 WholeNumbers = NDArray[np.int64]
 ABSENT = -1_000_000
-"""In a series: not there, or never. No value is that far out: series are capped below it."""
+"""A series has this value where it has none or is infinite. Series are capped below it, so no real value equals it."""
 
 
 @cache
 def asset(name: str) -> str:
+    """Return the text of a file in ``report/assets``."""
     return (files("sumo_adv.report") / "assets" / name).read_text(encoding="utf-8")
 
 
 def document(title: str, body: str, styles: Sequence[str], scripts: Sequence[str], data: Any) -> str:
-    """The text of the file. ``title`` and ``body`` are ours; whatever a run wrote belongs into ``data``."""
+    """Assemble the text of an HTML document.
+
+    Args:
+        title: The title. It is not escaped, so it must not contain text from a run.
+        body: The HTML of the body. It is not escaped either.
+        styles: Names of style sheets in ``assets``, in order.
+        scripts: Names of scripts in ``assets``, in order.
+        data: The data that the scripts read. Everything that a run wrote belongs here.
+
+    Returns:
+        The HTML.
+    """
     style = "\n".join(asset(name) for name in styles)
     script = '(() => {\n"use strict";\n' + "\n".join(asset(name) for name in scripts) + "\n})();\n"
     script_hash, style_hash = (
@@ -67,13 +80,21 @@ def document(title: str, body: str, styles: Sequence[str], scripts: Sequence[str
 
 
 def embedded(data: Any) -> str:
-    """JSON that ends no script element and opens no comment, in ASCII."""
+    """Encode data as ASCII JSON that can neither end a script element nor open a comment."""
     text = json.dumps(data, separators=(",", ":"), default=str)
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
 def write_document(target: Path, html: str) -> None:
-    """Write a page, whole or not at all. Raises UsageError where it cannot be written."""
+    """Write a page, whole or not at all.
+
+    Args:
+        target: The file. Missing parent folders are created.
+        html: The text.
+
+    Raises:
+        UsageError: The file cannot be written.
+    """
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         write_text(target, html)
@@ -82,21 +103,32 @@ def write_document(target: Path, html: str) -> None:
 
 
 def packed(columns: Sequence[tuple[int, WholeNumbers]]) -> str:
-    """Columns of whole numbers as text. Each comes with its order: how often differences are taken (1 or 2)."""
+    """Pack columns of whole numbers as text.
+
+    Args:
+        columns: Each column with its order, which is how often differences are taken (1 or 2).
+
+    Returns:
+        The columns in base64.
+    """
     parts = [varints(differences(values, order)) for order, values in columns]
     data = np.concatenate(parts).tobytes() if parts else b""
     return base64.b64encode(zlib.compress(data, 9)).decode()
 
 
 def differences(values: WholeNumbers, order: int) -> WholeNumbers:
-    """The first value, then differences; of those again for order 2. Reading adds up as often."""
+    """Take differences ``order`` times; the first value stays. As many cumulative sums restore the values."""
     for _ in range(order):
         values = np.diff(values, prepend=0)
     return values
 
 
 def varints(values: WholeNumbers) -> NDArray[np.uint8]:
-    """Zigzag (0, -1, 1, -2 ..: 0, 1, 2, 3 ..), then seven bits a byte, low ones first, top bit = more follow."""
+    """Encode whole numbers as bytes.
+
+    Numbers are zigzag-encoded first (0, -1, 1, -2 become 0, 1, 2, 3). Each byte holds seven bits, the lowest bits
+    first; its top bit is set if more bytes follow.
+    """
     left = np.where(values < 0, -2 * values - 1, 2 * values).astype(np.uint64)
     lengths = np.ones(len(left), dtype=np.int64)
     for bits in range(7, 63, 7):
@@ -111,7 +143,7 @@ def varints(values: WholeNumbers) -> NDArray[np.uint8]:
 
 
 def whole(values: NDArray[np.float64], unit: float) -> WholeNumbers:
-    """Values in whole units, rounded; what is not finite becomes ``ABSENT``."""
+    """Round values to whole units; values that are not finite become ``ABSENT``."""
     there = np.isfinite(values)
     scaled = np.where(there, values, 0.0) / unit
     return np.where(there, np.rint(np.clip(scaled, -(2**52), 2**52)), ABSENT).astype(np.int64)

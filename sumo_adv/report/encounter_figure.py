@@ -22,25 +22,32 @@ from sumo_adv.simulation.layers import covers
 
 EGO_COLOUR, ADVERSARY_COLOUR, SUPPORT_COLOUR, OTHER_COLOUR = "#0072B2", "#D55E00", "#E69F00", "#8C8C8C"
 ASPHALT_COLOUR, JUNCTION_COLOUR, EDGE_COLOUR, GROUND_COLOUR = "#E3E3E3", "#D8D8D8", "#FFFFFF", "#F7F7F4"
-MIN_EXTENT_M = 40.0  # m of the shown area
+MIN_EXTENT_M = 40.0  # minimum width of the shown area
 SCALE_BARS_M = (500, 200, 100, 50, 20, 10, 5)
-
-"""Centreline ``(n, 2)``, or ``(n, 3)`` with heights [m], width [m], inside a junction or not; upper ones last."""
+"""The lengths that a scale bar may have [m]."""
 MapView = tuple[float, float, float, float]
-"""Left, bottom, width, height [m] of the shown area."""
+"""The shown area: left, bottom, width and height [m]."""
 ENCOUNTER_WIDTH_IN, MIN_ENCOUNTER_HEIGHT_IN, MAX_ENCOUNTER_HEIGHT_IN = 16.0, 6.0, 14.0  # inches; 100 dots an inch
 ENCOUNTER_HEAD_IN, MAP_WIDTH_SHARE = 1.5, 0.935  # inches above and below the map; its share of the width
-MAX_TITLE_CHARACTERS = 130  # characters of a title that fit
-ACTION_MARGIN_M = 12.0  # m around the action
-SHOWN_BEFORE_TRIGGER_S = 1.0  # shown before the trigger
+MAX_TITLE_CHARACTERS = 130  # more do not fit
+ACTION_MARGIN_M = 12.0  # margin around the paths
+SHOWN_BEFORE_TRIGGER_S = 1.0  # the shown paths begin this long before the trigger
 
 
 @dataclass(frozen=True, slots=True)
 class Style:
-    """Sizes in points: text of marks and of the scale bar, lines of lanes, boxes and marks, and the marks themselves.
+    """The sizes of a map's drawing.
 
-    ``away``: from a mark to its number. ``bar``: the scale bar's line. ``apart`` [m]: a mark is left out if it is
-    that near to the last one.
+    Attributes:
+        text: The text of time marks and of the scale bar [pt].
+        lane: The edge lines of lanes [pt].
+        box: The outlines of filled boxes [pt].
+        hollow: The outlines of boxes that are not filled [pt].
+        mark: The diameter of time marks [pt].
+        mark_line: The outlines of time marks [pt].
+        away: The distance from a mark to its number [pt].
+        bar: The line of the scale bar [pt].
+        apart: A mark is left out if it is nearer than this to the last one [m].
     """
 
     text: float = 11.0
@@ -58,13 +65,22 @@ LARGE = Style()
 
 
 def shortened(text: str, most: int) -> str:
-    """Text in one line of at most ``most`` characters, with nothing unprintable."""
+    """Return the text as one line of at most ``most`` characters; unprintable characters become spaces."""
     line = " ".join("".join(c if c.isprintable() else " " for c in text).split())
     return line if len(line) <= most else line[: most - 1] + "…"
 
 
 def closest_time(ego: Track, adversary: Track, start: float) -> float:
-    """When the centres are closest from ``start`` on [s]; ``start`` if the two are never there together."""
+    """Find the time at which the centres of two vehicles are closest.
+
+    Args:
+        ego: The one vehicle.
+        adversary: The other vehicle.
+        start: The time from which on they are compared [s].
+
+    Returns:
+        The time [s]; ``start`` if there is no common time from then on.
+    """
     common = np.intersect1d(np.round(ego.time, 3), np.round(adversary.time, 3))
     common = common[common >= start - 5e-4]
     if common.size == 0:
@@ -77,7 +93,7 @@ def closest_time(ego: Track, adversary: Track, start: float) -> float:
 
 
 def pose_at(track: Track, time: float) -> tuple[float, float, float] | None:
-    """x, y, heading at ``time``; None if the track is not there then."""
+    """Return x [m], y [m] and heading [rad] at ``time`` [s], or None if the track does not cover that time."""
     if track.time.size == 0 or not track.time[0] - 0.051 <= time <= track.time[-1] + 0.051:
         return None
     heading = np.interp(time, track.time, np.unwrap(track.heading))
@@ -85,6 +101,7 @@ def pose_at(track: Track, time: float) -> tuple[float, float, float] | None:
 
 
 def draw_lanes(axes: Any, lanes: Sequence[LaneStrip], style: Style = LARGE) -> None:
+    """Draw the surfaces of lanes; lanes inside junctions lie under the others."""
     from matplotlib.collections import PolyCollection
 
     for inside in (True, False):
@@ -99,7 +116,15 @@ def draw_lanes(axes: Any, lanes: Sequence[LaneStrip], style: Style = LARGE) -> N
 
 
 def lane_polygon(line: Floats, width: float) -> Floats:
-    """Outline (2 n, 2) [m] of a lane from its centreline [m]; corners are mitred, at most threefold."""
+    """Compute the outline of a lane. Its corners are mitred, to at most three times the half width.
+
+    Args:
+        line: The centreline ``(n, 2)``, or ``(n, 3)`` with heights [m].
+        width: The width of the lane [m].
+
+    Returns:
+        The outline ``(2 n, 2)`` [m].
+    """
     line = line[:, :2]
     steps = np.diff(line, axis=0)
     lengths = np.maximum(np.hypot(steps[:, 0], steps[:, 1]), 1e-9)
@@ -112,7 +137,7 @@ def lane_polygon(line: Floats, width: float) -> Floats:
 
 
 def seen_from_above(lanes: Sequence[LaneStrip], tracks: Sequence[Track], time: float) -> list[Track]:
-    """The tracks that no lane passes over at ``time`` [s]."""
+    """Return the tracks that no lane passes over at ``time`` [s]."""
     uncovered = []
     for track in tracks:
         pose = pose_at(track, time)
@@ -125,7 +150,17 @@ def seen_from_above(lanes: Sequence[LaneStrip], tracks: Sequence[Track], time: f
 def draw_box(
     axes: Any, track: Track, time: float, colour: str, zorder: int, filled: bool = True, style: Style = LARGE
 ) -> None:
-    """The vehicle as it stands at ``time`` [s], a circle for a pedestrian; nothing if it is not there."""
+    """Draw a vehicle as a box, or a pedestrian as a circle; draw nothing if the track does not cover the time.
+
+    Args:
+        axes: The axes of the map.
+        track: The vehicle.
+        time: When it is shown [s].
+        colour: The colour of the fill, or of the outline if it is not filled.
+        zorder: The drawing order; an arrow on a filled box is one higher.
+        filled: Whether the box is filled.
+        style: The line widths.
+    """
     from matplotlib.patches import Circle, Polygon
 
     pose = pose_at(track, time)
@@ -146,7 +181,16 @@ def draw_box(
 
 
 def draw_marks(axes: Any, parts: Sequence[Track], trigger_time: float, style: Style = LARGE) -> None:
-    """A dot each second since the trigger; the number on the side away from the other vehicle."""
+    """Draw a dot on each path for every second since the trigger.
+
+    The number of a dot stands on the side away from the other vehicle.
+
+    Args:
+        axes: The axes of the map.
+        parts: The tracks of ego and adversary.
+        trigger_time: When the attack begins [s].
+        style: The sizes.
+    """
     colours = (EGO_COLOUR, ADVERSARY_COLOUR)
     for track, counterpart, colour in zip(parts, reversed(parts), colours, strict=True):
         last = (math.inf, math.inf)
@@ -173,7 +217,14 @@ def draw_marks(axes: Any, parts: Sequence[Track], trigger_time: float, style: St
 
 
 def draw_scale_bar(axes: Any, view: MapView, height: float, style: Style = LARGE) -> None:
-    """A bar of round length in the lower left corner of a map that is ``height`` inches high."""
+    """Draw a bar of round length in the lower left corner.
+
+    Args:
+        axes: The axes of the map.
+        view: The shown area.
+        height: The height of the map [in].
+        style: The sizes.
+    """
     left, bottom, width, tall = view
     bar = next(b for b in SCALE_BARS_M if b <= width / 5 or b == SCALE_BARS_M[-1])
     x, y = left + 0.02 * width, bottom + 0.35 / height * tall
@@ -186,7 +237,7 @@ def draw_scale_bar(axes: Any, view: MapView, height: float, style: Style = LARGE
 
 
 def load_matplotlib() -> None:
-    """Load what pictures need, which takes 0.3 s: before it is needed, while there is nothing else to do."""
+    """Import what pictures need ahead of time, while the program waits anyway; importing takes 0.3 s."""
     import matplotlib.backends.backend_agg
     import matplotlib.collections
     import matplotlib.figure
@@ -207,11 +258,22 @@ def draw_encounter(
     verdict: Verdict,
     title: str,
 ) -> None:
-    """Write a PNG, 1600 px wide, to ``target``.
+    """Write a picture of an encounter as a PNG, 1600 px wide.
 
-    ``others``: those with an adversary's role are drawn as its supports. ``raw_*``: the same vehicles unattacked.
-    ``trigger_time`` [s] on the tracks' clock. ``title`` is shown as it is, cut to one line. Raises OSError if the file
-    cannot be written.
+    Args:
+        target: The file.
+        lanes: The lanes around the encounter.
+        ego: The ego's attacked motion.
+        adversary: The collider's attacked motion.
+        others: The other vehicles. Those with an adversary's role are drawn as supports.
+        raw_ego: The ego's unattacked motion; None if unknown.
+        raw_adversary: The collider's unattacked motion; None if unknown.
+        trigger_time: When the attack begins [s], on the tracks' clock.
+        verdict: The verdict on the attempt.
+        title: The title. It is not parsed as mathematics, and it is cut to one line.
+
+    Raises:
+        OSError: The file cannot be written.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -256,14 +318,14 @@ def draw_encounter(
 
 
 def decisive_time(ego: Track, adversary: Track, trigger_time: float, verdict: Verdict) -> float:
-    """When the boxes are drawn [s]: at contact, else where the centres are closest after the trigger."""
+    """Return the time at which filled boxes are drawn [s]: the contact or, without one, the closest approach."""
     if verdict.contact_time is not None:
         return verdict.contact_time
     return closest_time(ego, adversary, trigger_time)
 
 
 def _view(parts: Sequence[Track], tracks: Sequence[Track], shown: float) -> MapView:
-    """The shown area: the paths until 1.5 s after the decisive moment."""
+    """Compute the shown area from the paths until 1.5 s after the decisive moment."""
     paths = [(part.x[keep], part.y[keep]) for part in parts if (keep := part.time <= shown + 1.5).any()]
     boxes = [pose for track in tracks if (pose := pose_at(track, shown)) is not None]
     x, y = (np.concatenate([*(path[k] for path in paths), [box[k] for box in boxes]]) for k in (0, 1))
@@ -289,7 +351,7 @@ def _frame(axes: Any, view: MapView, height: float) -> None:
 
 
 def _legend(axes: Any, groups: tuple[bool, bool, bool], verdict: Verdict, after: float, corner: str) -> None:
-    """``groups``: whether there are unattacked motions, supports and other vehicles."""
+    """Draw the legend; ``groups`` says whether there are unattacked motions, supports and other vehicles."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -311,7 +373,7 @@ def _legend(axes: Any, groups: tuple[bool, bool, bool], verdict: Verdict, after:
 
 
 def _free_corner(parts: Sequence[Track], view: MapView) -> str:
-    """The upper corner of the map with less of the paths in it."""
+    """Choose the upper corner of the map that contains less of the paths."""
     left, bottom, width, tall = view
     x = (np.concatenate([part.x for part in parts]) - left) / width
     high = np.concatenate([part.y for part in parts]) > bottom + 0.55 * tall
@@ -320,6 +382,7 @@ def _free_corner(parts: Sequence[Track], view: MapView) -> str:
 
 
 def _draw_summary(figure: Any, verdict: Verdict, height: float) -> None:
+    """Write the figures of the verdict under the title."""
     def number(value: float, unit: str) -> str:
         return "never" if math.isinf(value) else f"{value:.2f} {unit}"
 

@@ -1,7 +1,7 @@
-"""Pictures of a run as papers have them, and films; a figure of a hunt.
+"""Draw pictures of a run for papers, films of a run, and the figure of a hunt.
 
-A picture shows the encounter without and with the attack, two maps of one scale with marks of time. A film is in real
-time: GIF by pillow, MP4 by ffmpeg.
+A picture shows the encounter without and with the attack, on two maps of one scale with time marks. A film plays in
+real time. It is written as GIF by pillow or as MP4 by ffmpeg.
 """
 
 from __future__ import annotations
@@ -49,28 +49,35 @@ from sumo_adv.report.encounter_figure import (
 from sumo_adv.report.read import read_run, reading
 from sumo_adv.simulation.network import read_network
 
-SHOWN_AFTER_MOMENT_S = 1.5  # shown after the decisive moment
+SHOWN_AFTER_MOMENT_S = 1.5  # the shown paths end this long after the decisive moment
 PAGE_WIDTH_IN = 7.16  # two columns of an IEEE page
-STACKED_ASPECT = 2.2  # width over height of a map from which on the two stand one over the other
+STACKED_ASPECT = 2.2  # above this ratio of width to height, the two maps are stacked
 TITLE_HEIGHT_IN, KEY_HEIGHT_IN, GAP_IN, SIDE_IN = 0.24, 0.30, 0.10, 0.02
 PRINT_DPI = 300
-TITLE_CHARACTERS_PER_INCH = 19  # of a title, an inch
+TITLE_CHARACTERS_PER_INCH = 19  # that fit into a title
 PAPER_STYLE = Style(text=6.5, lane=0.8, box=0.6, hollow=0.8, mark=3.4, mark_line=0.9, away=7.0, bar=2.0, apart=2.5)
-FILM_WIDTH_IN, FILM_DPI = 8.0, 100  # inches, dots an inch: 800 pixels
-FILM_HEAD_IN = 0.35  # inches above the map
-FILM_FRAMES_PER_S = 10  # frames a second, which is SUMO's step too
-MAX_FILM_TITLE_CHARACTERS = 70  # characters of the title
-FILM_END_FRAMES = 10  # frames for which the end stands
+FILM_WIDTH_IN, FILM_DPI = 8.0, 100  # 800 pixels wide
+FILM_HEAD_IN = 0.35  # above the map
+FILM_FRAMES_PER_S = 10  # one frame for each default step of 0.1 s
+MAX_FILM_TITLE_CHARACTERS = 70  # more do not fit
+FILM_END_FRAMES = 10  # the last moment is held for this many frames
 FILM_STYLE = Style(text=9, lane=1.2, box=0.8, hollow=0.9, bar=2.5)
-CURVE_SIZE_IN = (3.5, 2.4)  # a column of an IEEE page
+CURVE_SIZE_IN = (3.5, 2.4)  # one column of an IEEE page
 CURVE_TEXT_PT = 7.5
-MAX_ESTIMATE_TIMES = 4  # times the failures found: estimates are drawn up to there
+MAX_ESTIMATE_TIMES = 4  # estimates are cut at this multiple of the failures found
 LEVEL_COLOURS = {"valid": EGO_COLOUR, "strict": SUPPORT_COLOUR, "serious": ADVERSARY_COLOUR}
 
 
 @dataclass(frozen=True, slots=True)
 class FigureScene:
-    """Vehicles over the shown time. ``adversary``: the collider; it and the supports also where they do not attack."""
+    """The vehicles over the shown time, with or without the attack.
+
+    Attributes:
+        ego: The ego.
+        adversary: The collider, or the same vehicle in the unattacked run.
+        others: The background vehicles.
+        supports: The supports, or the same vehicles in the unattacked run.
+    """
 
     ego: Track
     adversary: Track
@@ -78,19 +85,28 @@ class FigureScene:
     supports: Sequence[Track] = ()
 
     def pair(self) -> tuple[Track, Track]:
+        """Return the ego and the collider."""
         return self.ego, self.adversary
 
     def coloured(self) -> tuple[tuple[Track, str], ...]:
-        """Ego, collider and supports, each with its colour."""
+        """Return ego, collider and supports, each with its colour."""
         return (self.ego, EGO_COLOUR), (self.adversary, ADVERSARY_COLOUR), *((t, SUPPORT_COLOUR) for t in self.supports)
 
 
 @dataclass(frozen=True, slots=True)
 class Story:
-    """A run's encounter. ``raw`` is None where there are no states of the unattacked run. ``intent``: the collider's,
-    or the label of the composition.
+    """A run's encounter, as it is drawn.
 
-    trigger: when the attack begins; decisive: contact, else closest approach; end: of what is shown [s].
+    Attributes:
+        name: The name of the run's input.
+        intent: The collider's intent, or the label of the composition if there are supports.
+        lanes: The lanes around the encounter.
+        attacked: The attempt that counts.
+        raw: The unattacked run; None if it has no states of the ego and the collider.
+        trigger: When the attack begins [s].
+        decisive: The contact or, without one, the closest approach [s].
+        end: The end of what is shown [s].
+        outcome: The verdict as ``outcome.json`` has it.
     """
 
     name: str
@@ -105,10 +121,20 @@ class Story:
 
     @property
     def collided(self) -> bool:
+        """Whether the attempt ended in a collision."""
         return bool(self.outcome["collided"])
 
     def view(self, widest: float) -> MapView:
-        """The area around the paths of ego and adversaries, at least as wide as high, at most ``widest`` times."""
+        """Compute the area around the paths of ego and adversaries.
+
+        The area is at least as wide as high.
+
+        Args:
+            widest: The maximum ratio of width to height [-].
+
+        Returns:
+            The area.
+        """
         scenes = [self.attacked] if self.raw is None else [self.attacked, self.raw]
         shown = [t.between(self.start, self.end) for scene in scenes for t, _ in scene.coloured()]
         tracks = [part for part in shown if part.time.size]
@@ -120,12 +146,22 @@ class Story:
 
     @property
     def start(self) -> float:
-        """When what is shown begins [s]."""
+        """The beginning of what is shown [s]."""
         return self.trigger - SHOWN_BEFORE_TRIGGER_S
 
 
 def read_story(folder: Path) -> Story:
-    """The story of the run in ``folder``. Raises UsageError: no run, no attempt in it, or a damaged file."""
+    """Read the encounter of a run.
+
+    Args:
+        folder: The run's folder.
+
+    Returns:
+        The story of the attempt that counts.
+
+    Raises:
+        UsageError: The folder holds no run, the run made no attempt, or a file is damaged.
+    """
     run = read_run(folder)
     if run.outcome.get("best") is None or not run.best:
         raise UsageError(f"The run in {folder} made no attempt, so there is nothing to draw.")
@@ -152,6 +188,7 @@ def read_story(folder: Path) -> Story:
 
 
 def _scene(tracks: Sequence[Track], ego: str, adversaries: Sequence[str]) -> FigureScene | None:
+    """Sort the tracks into a scene; return None if the ego or the collider is missing."""
     by_id = {t.id: t for t in tracks}
     collider, *supports = adversaries
     if ego not in by_id or collider not in by_id:
@@ -170,7 +207,14 @@ class Picture(Figure):
 
 
 def draw_paper(story: Story) -> Picture:
-    """The figure: (a) unattacked, (b) attacked; only (b) where the unattacked run is not known."""
+    """Draw the figure: (a) unattacked and (b) attacked, or only the attacked scene if the unattacked run is unknown.
+
+    Args:
+        story: The encounter.
+
+    Returns:
+        The figure, two columns of an IEEE page wide.
+    """
     scenes = [s for s in (story.raw, story.attacked) if s is not None]
     view = story.view(widest=4.0)
     stacked = view[2] / view[3] > STACKED_ASPECT
@@ -216,6 +260,7 @@ def _draw_map(axes: Any, story: Story, scene: FigureScene, view: MapView, height
 
 
 def _words(story: Story, scene: FigureScene) -> str:
+    """Return the title of a scene's map."""
     if scene is story.raw:
         return "Unattacked"
     least = story.outcome["min_ttc"]
@@ -246,7 +291,16 @@ def _draw_key(figure: Figure, story: Story, total: float) -> None:
 
 
 def save(figure: Figure, target: Path, kind: str) -> None:
-    """Write a figure as png, svg or pdf, whole, with the same bytes for the same figure. Raises OSError."""
+    """Write a figure, whole or not at all. The same figure gives the same bytes.
+
+    Args:
+        figure: The figure.
+        target: The file.
+        kind: ``png``, ``svg`` or ``pdf``.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
     metadata: dict[str, Any] = {
         "png": {"Software": None}, "svg": {"Date": None}, "pdf": {"CreationDate": None, "Producer": None},
     }[kind]  # fmt: skip
@@ -311,15 +365,19 @@ def _caption(story: Story, time: float) -> str:
 def draw_over_time(
     minutes: Sequence[float], found: Sequence[Mapping[str, int]], left: Sequence[Discovery | None]
 ) -> Picture:
-    """Draw the failures of a hunt, and below them the chance of a new kind.
+    """Draw the failures of a hunt over time and, below them, the chance of a new kind of failure.
 
-    Steps rise at the end of each round. Of hunts of an earlier version, which have no estimates, there are the failures
-    alone.
+    Steps rise at the end of each round. Hunts of earlier versions have no estimates, so only their failures are drawn.
 
     Args:
-        minutes: The time after each round, ``(n,)``.
-        found: The distinct failures then, by level: that or worse.
-        left: The estimates then: the least number of kinds with its interval, and the chance of a new one.
+        minutes: The time after each round ``(n,)`` [min].
+        found: The number of distinct failures after each round, by level; a failure counts at its level and all lower
+            ones.
+        left: The estimates after each round: the minimum number of kinds with its interval, and the chance of a new
+            kind; None if there is no estimate.
+
+    Returns:
+        The figure.
     """
     known = [(time, each) for time, each in zip(minutes, left, strict=True) if each is not None]
     width, height = CURVE_SIZE_IN

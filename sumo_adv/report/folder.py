@@ -1,4 +1,4 @@
-"""The files of a run's folder."""
+"""Write the files of a run's folder."""
 
 from __future__ import annotations
 
@@ -36,23 +36,31 @@ from sumo_adv.simulation.tracks import tracks_of
 from sumo_adv.simulation.warnings_log import WARNINGS_FILE
 
 RUN_FILES = ("outcome.json", "manifest.json", "states.csv.gz", "raw.csv.gz", "criticality.csv.gz", "encounter.png")
-FIRST = "first.csv.gz"  # written if another attempt than the first counts
-SIGNALS = "signals.csv.gz"  # there is one where traffic lights are near the ego
-INSIDE = "driver.jsonl.gz"  # there is one where the ego's driver showed its plan or its notes
-PLAN = "plan.csv.gz"  # there is one where the attempt that counts ends with a contact, and one for each support
+FIRST = "first.csv.gz"  # only written if the attempt that counts is not the first one
+SIGNALS = "signals.csv.gz"  # only written if traffic lights are near the ego
+INSIDE = "driver.jsonl.gz"  # only written if the ego's driver reported its plan or notes
+PLAN = "plan.csv.gz"  # only written if the attempt that counts ends with a contact; further files for supports
 
 
 def write_run(folder: RunFolder, run: Run, *, figure: bool = True) -> dict[str, Any]:
-    """Write all files of the contract for the best record of a run, the picture only with ``figure``.
+    """Write the files of a run's folder for its best record.
+
+    Args:
+        folder: The staged folder.
+        run: The run.
+        figure: Whether ``encounter.png`` is drawn.
 
     Returns:
         The content of ``outcome.json``.
+
+    Raises:
+        OSError: A file cannot be written.
     """
     return _write(folder, run, run.best, figure=figure)
 
 
 def _write(folder: RunFolder, run: Run, record: EncounterRecord | None, *, figure: bool) -> dict[str, Any]:
-    """The files for a record, and a folder inside for each further kind of attack in it."""
+    """Write the files of a record, and a subfolder for each further kind of attack in it."""
     stage = folder.stage
     inputs = _copy_inputs(run.task, stage / "inputs")
     began = perf_counter()
@@ -74,7 +82,7 @@ def _write(folder: RunFolder, run: Run, record: EncounterRecord | None, *, figur
                 _figure(picture, run, record, record.best, record.prefix)
             except OSError:
                 raise
-            except Exception as error:  # odd values that no plotting library takes: the run is kept without it
+            except Exception as error:  # odd values that no plotting library accepts: keep the run without its picture
                 why = f"{picture.name} could not be drawn ({type(error).__name__}: {error})."
                 result["notes"] = [*result["notes"], why]
     (stage / "outcome.json").write_text(json_text(result, 2), encoding="utf-8")
@@ -90,16 +98,23 @@ def _write(folder: RunFolder, run: Run, record: EncounterRecord | None, *, figur
 def full_outcome(
     run: Run, record: EncounterRecord | None, findings: Findings | None, seconds: Mapping[str, float] | None = None
 ) -> dict[str, Any]:
-    """Return the content of ``outcome.json`` for a record of a run and the findings on it. Nothing is written.
+    """Assemble the content of ``outcome.json`` without writing anything.
 
-    ``seconds``: times of parts beside those of the run [s].
+    Args:
+        run: The run.
+        record: The record that counts; None if no encounter does.
+        findings: The findings on the attempt that counts; None if there is none.
+        seconds: Times of parts that the run did not measure itself [s].
+
+    Returns:
+        The content of ``outcome.json``.
     """
     raw = None if record is None else raw_figures(record, run.settings)
     return outcome(run, record, raw, further_keys(findings), {} if findings is None else findings.realism, seconds)
 
 
 def _copy_inputs(task: Task, folder: Path) -> dict[Path, str]:
-    """Content-addressed copies of network, demand, additional files and what is played back."""
+    """Copy network, demand, additional and playback files; a copy's name begins with the hash of its content."""
     spec = task.spec
     folder.mkdir()
     names = {}
@@ -113,13 +128,14 @@ def _copy_inputs(task: Task, folder: Path) -> dict[Path, str]:
 
 
 def _snapshots(record: EncounterRecord, prefix: Prefix) -> list[Snapshot]:
-    """The states of the attempt that counts, from the start of the simulation on; without attempts unattacked ones."""
+    """Return the states of the attempt that counts (or of the unattacked run without one), since the simulation's
+    start."""
     result = record.best_result
     return [*prefix.snapshots, *(record.found.baseline if result is None else result.snapshots)]
 
 
 def _write_tables(stage: Path, run: Run, record: EncounterRecord, prefix: Prefix) -> None:
-    """States, lights, and what the adversaries were to do after the contact."""
+    """Write the tables of states and traffic lights, the driver's notes, and the plans after the contact."""
     ego, before, baseline, best = record.found.ego, prefix.snapshots, record.found.baseline, record.best
     sizes, step, roles = all_sizes(record), run.settings.step_length, run.task.roles
     if baseline:
@@ -131,7 +147,7 @@ def _write_tables(stage: Path, run: Run, record: EncounterRecord, prefix: Prefix
     if best is None:
         return
     first = record.results[0].snapshots
-    if best.index and first:  # from the step before the trigger on
+    if best.index and first:  # begins one step before the trigger
         names = (ego, *record.attempts[0].proposal.bvs)
         write_states(stage / FIRST, [*before[-2:], *first], sizes, roles(*names), step, names)
     if record.best_result is not None:
@@ -143,12 +159,12 @@ def _write_tables(stage: Path, run: Run, record: EncounterRecord, prefix: Prefix
 
 
 def plan_names() -> tuple[str, ...]:
-    """The files of the planned motions: the collider's, then the supports'."""
+    """Return the file names of the planned motions: the collider's first, then the supports'."""
     return (PLAN, *(PLAN.replace(".", f"_{number}.", 1) for number in range(2, MAX_ADVERSARIES + 1)))
 
 
 def all_sizes(record: EncounterRecord) -> dict[str, tuple[float, float]]:
-    """Return length and width of all vehicles of an encounter [m]."""
+    """Return length and width [m] of all vehicles of an encounter, by id."""
     sizes = {} if record.prefix is None else dict(record.prefix.sizes)
     for result in record.results:
         sizes.update(result.sizes)
@@ -157,12 +173,21 @@ def all_sizes(record: EncounterRecord) -> dict[str, tuple[float, float]]:
 
 
 def raw_figures(record: EncounterRecord, settings: Settings) -> dict[str, Any] | None:
-    """Return the unattacked run over the same pair and window as the attempt that counts; None if there was none."""
+    """Measure the unattacked run for the same two vehicles and the same window as the attempt that counts.
+
+    Args:
+        record: The record.
+        settings: The run's settings.
+
+    Returns:
+        ``min_ttc`` [s], null if it is infinite or the window is empty, and ``collided``. None if there is no attempt or
+            no unattacked run.
+    """
     best, result, encounter = record.best, record.best_result, record.found
     if best is None or result is None or record.prefix is None or not encounter.baseline:
         return None
     after = result.snapshots
-    if not after:  # its planner failed before the first step
+    if not after:  # the planner failed before the first step
         return {"min_ttc": None, "collided": False}
     names = (encounter.ego, best.proposal.bv)
     step, snapshots = settings.step_length, [*record.prefix.snapshots[-5:], *encounter.baseline]
@@ -180,6 +205,7 @@ def raw_figures(record: EncounterRecord, settings: Settings) -> dict[str, Any] |
 
 
 def _figure(target: Path, run: Run, record: EncounterRecord, best: Attempt, prefix: Prefix) -> None:
+    """Draw the picture of the attempt that counts."""
     from sumo_adv.report.encounter_figure import draw_encounter
 
     encounter = record.found
@@ -202,9 +228,10 @@ def _figure(target: Path, run: Run, record: EncounterRecord, best: Attempt, pref
 
 
 def _write_attempts(target: Path, run: Run) -> None:
-    """A row for each attempt, of encounters that gave nothing, too. Times s, distances m, speeds m/s; never = empty.
+    """Write a row for each attempt, also for those of encounters without a success. An infinite value is an empty cell.
 
-    encounter: its time; attempt: its number there, from 1; delay: from the encounter to the start.
+    Units are s, m and m/s. ``encounter`` is the encounter's time, ``attempt`` its number in the encounter from 1, and
+    ``delay`` the time from the encounter to the start of the attack.
     """
     rows = [_row(record.found.time, attempt) for record in run.records for attempt in record.attempts]
     if rows:

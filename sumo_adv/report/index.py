@@ -1,8 +1,8 @@
-"""The index of a batch: all episodes in one page that sorts, filters and leads to each one's replay.
+"""Make the index of a batch: one page that sorts and filters all episodes and links to their replays.
 
 OUT/index.html      all episodes
-OUT/pages/ID.html   the replay of one
-OUT/made.json       what each page was made of, so that the next time only new ones are made
+OUT/pages/ID.html   the replay of one episode
+OUT/made.json       what each page was made of, so that the next call makes only the missing pages
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ from sumo_adv.report.scenario_table import ScenarioRow, scenario_section
 from sumo_adv.scenario_names import COLUMNS as SCENARIO
 
 PLAIN_COLUMNS = ("id", "network", "ego", "seed", "intent", "level", "min_ttc", "delta_v", "ending", "failure")
-MAX_PLAIN_ROWS = 500  # in the table for browsers without JavaScript
-HUNT = "hunt.json"  # in the folder of a hunt
+MAX_PLAIN_ROWS = 500  # of the table for browsers without JavaScript
+HUNT = "hunt.json"  # a hunt's folder has this file
 TEXT_FIELDS = (
     "id", "network", "ego", "intent", "ending", "failure", "level", "severity", "relation", "road", "preventable_by",
 )  # fmt: skip
@@ -57,42 +57,57 @@ LATER_TEXT_FIELDS = (
     "red_light",
     "right_of_way",
     *SCENARIO,
-)  # words that earlier tables may lack
-LATER_NUMBER_FIELDS, LATER_FLAG_FIELDS = ("overlap", "warning"), ("humanlike", "robust")  # the same
+)  # text columns that earlier tables may lack
+LATER_NUMBER_FIELDS, LATER_FLAG_FIELDS = ("overlap", "warning"), ("humanlike", "robust")  # likewise
 NUMBER_FIELDS = ("seed", "raw_min_ttc", "min_ttc", "attempts", "seconds", "delta_v")
 FLAG_FIELDS = ("collided", "valid", "critical")
 VARIED = "set_"
-SCENARIOS_MARK = "<!-- named scenarios -->"  # where the page's body has the section of named scenarios
+SCENARIOS_MARK = "<!-- named scenarios -->"  # the section of named scenarios replaces this mark
 INDEX_LEVELS = (Level.CRITICAL, Level.COLLISION, Level.VALID, Level.STRICT, Level.SERIOUS)
 INDEX_SCHEMA = 1
 INDEX_SCRIPTS = ("common.js", "decode.js", "rows.js", "bars.js", "places.js", "egos.js", "cells.js", "index.js")
 INDEX_STYLES = ("common.css", "index.css")
-MAX_MAP_LANES = 4000  # on the map of a network
+MAX_MAP_LANES = 4000  # the longest lanes are kept
 DECIMETRE_M = 0.1
-MAP_TOLERANCE_M = 0.5  # m a line on such a map may be off
-CODED = {*TEXT_FIELDS, *LATER_TEXT_FIELDS} - {"id", "failure", "cause_sentence"}  # few values, many rows
+MAP_TOLERANCE_M = 0.5  # maximum error of a simplified line
+CODED = {*TEXT_FIELDS, *LATER_TEXT_FIELDS} - {"id", "failure", "cause_sentence"}  # columns with few distinct values
 INDEX_PAGE, PAGES_FOLDER, MADE = "index.html", "pages", "made.json"
 SAFE_NAME = re.compile(r"[0-9A-Za-z][0-9A-Za-z._-]{0,127}")
-MAX_MAPS = 40  # networks on the index's map
-MAX_PAGES_IN_PROCESS = 12  # pages that are made without starting processes
+MAX_MAPS = 40  # networks that the index can show
+MAX_PAGES_IN_PROCESS = 12  # up to this number, no processes are started
 RUNS_UNPACKED_AT_ONCE = 200  # runs unpacked at a time
 
 
 @dataclass(frozen=True, slots=True)
 class ResultsTable:
-    """The rows in the batch's order, and the names of the settings that vary (``set_NAME``)."""
+    """The results of a batch.
+
+    Attributes:
+        rows: One row for each episode, in the batch's order.
+        varied: The names of the settings that vary (``set_NAME``).
+    """
 
     rows: Sequence[Mapping[str, Any]]
     varied: Sequence[str] = ()
 
 
 def table_of(rows: Iterable[Mapping[str, Any]]) -> ResultsTable:
-    """The table of rows that were made here, not read from a file."""
+    """Make a table of rows that are in memory. Empty text fields become ''."""
     return ResultsTable([{**row, **{name: row[name] or "" for name in TEXT_FIELDS}} for row in rows])
 
 
 def read_rows(file: Path) -> ResultsTable:
-    """The table of a batch. Raises UsageError: it is no such table."""
+    """Read the table of a batch.
+
+    Args:
+        file: The batch's ``results.csv``.
+
+    Returns:
+        The table.
+
+    Raises:
+        UsageError: The file is not the table of a batch.
+    """
     if (file.parent / HUNT).is_file():
         runs = file.parent / "failures"
         raise UsageError(f"{file.parent} is the folder of a hunt: its pages are in report/; give {runs} for others.")
@@ -124,10 +139,19 @@ def _number(text: str | None) -> float | None:
 
 
 def summarise(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """Each ego's episodes, by name. All rates have all episodes below them, failed ones too: value, low and high.
+    """Summarise the episodes of each ego.
 
-    reached: the share of episodes that reached at least each of ``INDEX_LEVELS``. failed: the share of failed episodes.
-    severity: how many collisions that reached ``valid`` had each one. delta_v: their median [m/s], None without any.
+    All rates have all episodes of the ego in their denominator, failed ones too. A rate is a list of its value and the
+    bounds of its interval.
+
+    Args:
+        rows: The episodes.
+
+    Returns:
+        For each ego, sorted by name, a dict with these keys. ``reached``: the share of episodes that reached at least
+            each of ``INDEX_LEVELS``. ``failed``: the share of failed episodes. ``severity``: the number of collisions
+            of each severity among those that reached ``valid``. ``delta_v``: their median delta-v [m/s], None without
+            such a collision.
     """
     summaries = []
     for ego in sorted({str(row["ego"]) for row in rows}):
@@ -151,8 +175,13 @@ def summarise(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 @dataclass(frozen=True, slots=True)
 class MadePages:
-    """What is known of an episode beyond its row. ``stamp``: of its outcome; ``place``: where it came to its point [m];
-    ``network``: the name of the network's copy."""
+    """What is known of an episode's page beyond the episode's row.
+
+    Attributes:
+        stamp: The checksum of the episode's outcome.
+        place: The ego's centre at the decisive moment [m]; None if unknown.
+        network: The name of the network's copy.
+    """
 
     stamp: int
     place: tuple[float, float] | None
@@ -167,7 +196,19 @@ def make_index(
     coverage: Coverage | None = None,
     scenarios: Sequence[ScenarioRow] = (),
 ) -> str:
-    """The index as HTML. ``made``: the episodes that have a page, by id; ``roads``: see :func:`road_of`, by network."""
+    """Make the index page.
+
+    Args:
+        name: The name of the batch.
+        table: The episodes.
+        made: The pages that exist, by episode id.
+        roads: The maps of networks, by the network's name; see :func:`road_of`.
+        coverage: What the campaign has covered; None leaves this section out.
+        scenarios: The rows of named scenarios.
+
+    Returns:
+        The HTML.
+    """
     rows = table.rows
     pages = [made.get(str(row["id"])) for row in rows]
     maps = [n for n, _ in Counter(m.network for m in pages if m and m.place and m.network in roads).most_common()]
@@ -192,7 +233,7 @@ def make_index(
 
 
 def plain_table(name: str, rows: Sequence[Mapping[str, Any]], made: Mapping[str, MadePages]) -> str:
-    """What the index says where JavaScript is off: how many episodes came how far, and a table of the first ones."""
+    """Make the part for browsers without JavaScript: episodes by level, and a table of the first ``MAX_PLAIN_ROWS``."""
 
     def cell(row: Mapping[str, Any], column: str) -> str:
         value = row.get(column)
@@ -216,10 +257,10 @@ def plain_table(name: str, rows: Sequence[Mapping[str, Any]], made: Mapping[str,
 
 
 def _cells(coverage: Coverage) -> dict[str, Any]:
-    """The cells as columns, each once; by ego and cell the encounters, the failures and the interval of their rate."""
+    """Convert the coverage to columns: each cell once, and by ego its encounters, failures and the rate's interval."""
     cells = [row.cell for row in coverage.rows[ALL_EGOS]]
     by_ego = {ego: {row.cell: row for row in rows} for ego, rows in coverage.rows.items()}
-    shown = by_ego if len(by_ego) > 2 else {ALL_EGOS: by_ego[ALL_EGOS]}  # one ego alone is all of them
+    shown = by_ego if len(by_ego) > 2 else {ALL_EGOS: by_ego[ALL_EGOS]}  # a single ego equals all egos together
     return {
         "bands": [[low, None if math.isinf(high) else high] for low, high in SPEED_BANDS_M_S],
         "unplaced": coverage.unplaced,
@@ -236,16 +277,23 @@ def _cells(coverage: Coverage) -> dict[str, Any]:
 
 
 def _coded(values: Sequence[str]) -> dict[str, Any]:
-    """Different values once, and each row's place among them."""
+    """Return the distinct values, and the position of each row's value among them."""
     kinds = sorted(set(values))
     places = {v: k for k, v in enumerate(kinds)}
     return {"kinds": kinds, "of": [places[v] for v in values]}
 
 
 def road_of(file: Path) -> dict[str, Any]:
-    """A network for a small map: lines' lengths, the origin [m], and coordinates in decimetres, packed.
+    """Read a network as a small map.
 
-    Raises UsageError: the network cannot be read.
+    Args:
+        file: The network.
+
+    Returns:
+        The number of points of each line, the origin [m], and the packed coordinates [dm].
+
+    Raises:
+        UsageError: The network cannot be read.
     """
     from shapely import linestrings, simplify
 
@@ -261,7 +309,12 @@ def road_of(file: Path) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class Packs:
-    """Runs in zip files: their outcomes' texts by id, and a function that unpacks some below a folder."""
+    """Runs in zip files.
+
+    Attributes:
+        outcomes: The text of each run's ``outcome.json``, by id.
+        unpack: A function that unpacks the runs with the given ids below a folder; None if there are no packs.
+    """
 
     outcomes: Mapping[str, str] = field(default_factory=dict)
     unpack: Callable[[Sequence[str], Path], Any] | None = None
@@ -269,7 +322,15 @@ class Packs:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What was written. ``damaged``: a sentence for each run that could not be shown."""
+    """What was written.
+
+    Attributes:
+        index: The index page.
+        episodes: The number of episodes.
+        pages: The number of pages that exist now.
+        made: The number of pages that this call made.
+        damaged: A sentence for each run that could not be shown.
+    """
 
     index: Path
     episodes: int
@@ -292,10 +353,28 @@ def write_report(
     again: bool = False,
     tell: Callable[[int, int], None] = lambda done, of: None,
 ) -> Report:
-    """Make the pages that are missing, ``most`` of them (None: all), the most critical first, then the index.
+    """Make the missing pages, the most critical episodes first, and then the index.
 
-    ``runs``: the folder of the runs, by id; ``coverage``, ``scenarios``: shown in the index; ``again``: make all pages
-    anew. On Ctrl-C finished pages are kept. Raises UsageError where ``out`` cannot be written.
+    On Ctrl-C, the finished pages are kept and the index is still written.
+
+    Args:
+        runs: The folder of the runs, by id.
+        out: The folder of the pages.
+        name: The name of the batch.
+        table: The episodes.
+        packs: The runs in zip files.
+        coverage: The coverage that the index shows; None leaves it out.
+        scenarios: The named scenarios that the index shows.
+        most: The maximum number of pages to make; None makes all.
+        workers: The number of processes.
+        again: Whether existing pages are rebuilt, too.
+        tell: Called after each page with the number of pages done and the number to make.
+
+    Returns:
+        What was written.
+
+    Raises:
+        UsageError: ``out`` cannot be written.
     """
     made, roads = _read(out) if not again else ({}, {})
     stamps = _stamps(runs, table, packs)
@@ -320,7 +399,7 @@ def write_report(
 
 
 def _stamps(runs: Path, table: ResultsTable, packs: Packs) -> dict[str, int]:
-    """A checksum of each run's outcome, by id; names that are no plain file names are left out."""
+    """Compute a checksum of each run's outcome, by id; skip ids that are not safe file names."""
     stamps = {}
     for row in table.rows:
         name = str(row["id"])
@@ -337,7 +416,7 @@ def _stamps(runs: Path, table: ResultsTable, packs: Packs) -> dict[str, int]:
 def _all_pages(
     names: Sequence[str], runs: Path, packs: Packs, target: Path, workers: int, roads: dict[str, Any]
 ) -> Iterator[tuple[str, tuple[tuple[float, float] | None, str] | str]]:
-    """Each name with its place and network, or its fault; networks' maps are added to ``roads``."""
+    """Yield each name with its page's place and network, or with an error message; add networks' maps to ``roads``."""
     plain = [n for n in names if (runs / n / OUTCOME_FILE).is_file()]
     others = [n for n in names if n not in set(plain)]
     with _mapper(workers if len(names) > MAX_PAGES_IN_PROCESS else 1) as every:
@@ -362,7 +441,17 @@ def _some_pages(
 
 
 def write_page(runs: Path, target: Path, name: str) -> tuple[tuple[float, float] | None, str] | str:
-    """Write one run's page; where it happened and on which network, or what is wrong with the run."""
+    """Write the page of one run.
+
+    Args:
+        runs: The folder of the runs.
+        target: The folder of the pages.
+        name: The run's id.
+
+    Returns:
+        The ego's centre at the decisive moment [m] and the network's name, or a sentence about what is wrong with the
+            run.
+    """
     try:
         page = page_of(runs / name, back=f"../{INDEX_PAGE}")
         write_document(target / f"{name}.html", page.html)
@@ -373,7 +462,7 @@ def write_page(runs: Path, target: Path, name: str) -> tuple[tuple[float, float]
 
 @contextmanager
 def _mapper(workers: int) -> Iterator[Callable[..., Iterator[Any]]]:
-    """``map``, here or in processes of its own; after an error, also Ctrl-C, what has not begun is left out."""
+    """Yield ``map``, run by worker processes if there are any; after an error or Ctrl-C, skip what has not begun."""
     if workers == 1:
         yield map
         return
@@ -387,12 +476,12 @@ def _mapper(workers: int) -> Iterator[Callable[..., Iterator[Any]]]:
 
 
 def _ignore_interrupts() -> None:
-    """Ctrl-C is for the program that started them."""
+    """Leave Ctrl-C to the parent process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _read(out: Path) -> tuple[dict[str, MadePages], dict[str, Any]]:
-    """What the last time made; nothing where there was none, or another version made it."""
+    """Read ``made.json``; return nothing if it is missing, damaged or of another version."""
     try:
         kept = read_json(out / MADE)
         if kept["version"] != __version__:
