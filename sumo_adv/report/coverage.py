@@ -252,8 +252,7 @@ def _outcomes(runs: Sequence[Path], packed: Mapping[str, str]) -> Iterator[dict[
 
 
 def _odds(plan: Path) -> list[Odd]:
-    """Return the ODDs of a campaign's variants; none if a variant lacks one. Raise UsageError if the plan is
-    damaged."""
+    """Return the ODDs of a campaign's variants; none if a variant lacks one. Raise UsageError if the plan is bad."""
     if not plan.is_file():
         return []
     try:

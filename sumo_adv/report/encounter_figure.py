@@ -383,6 +383,7 @@ def _free_corner(parts: Sequence[Track], view: MapView) -> str:
 
 def _draw_summary(figure: Any, verdict: Verdict, height: float) -> None:
     """Write the figures of the verdict under the title."""
+
     def number(value: float, unit: str) -> str:
         return "never" if math.isinf(value) else f"{value:.2f} {unit}"
 

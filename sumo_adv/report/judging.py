@@ -1,7 +1,7 @@
-"""Stored runs judged again, from their files.
+"""Judge stored runs again, from their files.
 
-A run's files hold what the adversary planned after the contact, which is enough for the kinematic check of reference
-drivers.
+A run's files hold the adversary's planned motion after the contact. That is enough for the kinematic check against
+reference drivers.
 """
 
 from __future__ import annotations
@@ -34,7 +34,15 @@ SHOWN = (
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """One run judged again.  ``before``: what its files said, ``now``: what they come to now."""
+    """A run that was judged again.
+
+    Attributes:
+        folder: The run's folder.
+        ego: The name of the ego's driver.
+        before: The verdict in the run's files.
+        now: The new verdict.
+        how: ``files`` if the run was judged from its files, ``replay`` if it was simulated again.
+    """
 
     folder: Path
     ego: str
@@ -43,6 +51,7 @@ class Judgement:
     how: str  # files | replay
 
     def row(self) -> dict[str, Any]:
+        """Return the row of a table of judgements."""
         return {
             "run": str(self.folder), "ego": self.ego, "how": self.how, "collided": self.now.get("collided"),
             "level_before": self.before.get("level"),
@@ -51,7 +60,17 @@ class Judgement:
 
 
 def run_folders(given: Sequence[Path]) -> list[Path]:
-    """The folders of runs among and below the given ones, sorted. Raises UsageError: there are none."""
+    """Find the folders of runs.
+
+    Args:
+        given: Folders of runs, or folders that hold runs at any depth.
+
+    Returns:
+        The folders of the runs; those below one given folder are sorted.
+
+    Raises:
+        UsageError: A given path is no folder, or it holds no run.
+    """
     folders: list[Path] = []
     for folder in given:
         if not folder.is_dir():
@@ -66,7 +85,14 @@ def run_folders(given: Sequence[Path]) -> list[Path]:
 def judge_files(folder: Path) -> Judgement:
     """Judge a run from its files, kinematically.
 
-    The gates and the rear-end are those that the run recorded: files hold rounded states.
+    The gates and the rear-end flag are those that the run recorded, because files hold rounded states. A run without a
+    collision keeps its verdict.
+
+    Args:
+        folder: The run's folder.
+
+    Returns:
+        The judgement.
 
     Raises:
         UsageError: A file is damaged or missing.
@@ -86,6 +112,7 @@ def judge_files(folder: Path) -> Judgement:
 
 
 def _case(run: RunRead) -> Case | None:
+    """Rebuild the case that the run judged; return None if it has no attack or no states of it."""
     adversaries, start = run.outcome.get("adversaries") or [], run.outcome.get("trigger_time")
     ego = (run.outcome.get("ego") or {}).get("id")
     if not adversaries or start is None or ego is None or not run.best:
@@ -104,7 +131,7 @@ def _case(run: RunRead) -> Case | None:
 
 
 def _read_plan(file: Path, adversary: str, tracks: Sequence[Track]) -> Track | None:
-    """The adversary's planned motion after the contact; None where there is no such file. Raises UsageError."""
+    """Read the adversary's planned motion after the contact; None without a file. Raise UsageError if it is damaged."""
     if not file.is_file():
         return None
     try:
@@ -119,7 +146,7 @@ def _read_plan(file: Path, adversary: str, tracks: Sequence[Track]) -> Track | N
 
 
 def _road(run: RunRead, case: Case) -> tuple[float, Any]:
-    """Half the width of the ego's lane at the start [m], and the drivable area around its way."""
+    """Return half the width of the ego's lane at the start [m], and the drivable area around the ego's path."""
     file = run.folder / "inputs" / Path(str(run.manifest.get("network", ""))).name
     if not file.is_file():
         raise UsageError(f"{file} is missing, so the run in {run.folder} cannot be judged again.")
@@ -132,7 +159,15 @@ def _road(run: RunRead, case: Case) -> tuple[float, Any]:
 
 
 def counts(judgements: Sequence[Judgement]) -> dict[str, dict[str, int]]:
-    """By ego: how many runs reach each level or a higher one, collide, are inconclusive, or hit a standing ego."""
+    """Count judgements by ego.
+
+    Args:
+        judgements: The judgements.
+
+    Returns:
+        For each ego the number of runs, of those that were valid or strict before, of those that reach each level or a
+            higher one now, and of those that are inconclusive or hit a stationary ego.
+    """
     by_ego: dict[str, dict[str, int]] = {}
     for j in judgements:
         level = level_named(j.now.get("level"))

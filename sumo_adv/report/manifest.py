@@ -1,4 +1,4 @@
-"""Reading a manifest back: everything that ``run --replay`` needs, and nothing else."""
+"""Read a manifest: everything that ``run --replay`` needs, and nothing else."""
 
 from __future__ import annotations
 
@@ -30,7 +30,15 @@ USERS = ("llm_base_url", "bubblewrap")  # settings that no run folder brings: a 
 
 @dataclass(frozen=True, slots=True)
 class RecordedRun:
-    """A run as its manifest tells it."""
+    """A run as its manifest records it.
+
+    Attributes:
+        run_input: The input.
+        settings: The settings.
+        task: The task.
+        proposal: The candidate that was attempted.
+        skips: The number of encounters before the one that counts.
+    """
 
     run_input: RunInput
     settings: Settings
@@ -40,9 +48,17 @@ class RecordedRun:
 
 
 def read_manifest(folder: Path) -> RecordedRun:
-    """The manifest of a run's folder.
+    """Read the manifest of a run's folder.
 
-    Raises UsageError: no manifest, another schema, no attempt in it, or an input's copy that is missing or changed.
+    Args:
+        folder: The folder.
+
+    Returns:
+        The recorded run.
+
+    Raises:
+        UsageError: The folder has no manifest, the manifest has another schema or no attempt, or an input's copy is
+            missing or changed.
     """
     refuse_links(folder)
     file = folder / "manifest.json"
@@ -108,8 +124,7 @@ def _proposal(folder: Path, a: dict[str, Any], planners: dict[str, Any]) -> Prop
 
 
 def _settings(recorded: dict[str, Any]) -> dict[str, Any]:
-    """The settings of a manifest, without what is the user's alone, under the names of today: before 0.2 ``ttc`` was
-    what ``critical_ttc`` is now."""
+    """Return a manifest's settings without those of the user; before version 0.2 ``critical_ttc`` was named ``ttc``."""
     kept = {name: value for name, value in recorded.items() if name not in (*RETIRED, *USERS)}
     return {**kept, "ttc": None, "critical_ttc": kept["ttc"]} if isinstance(kept.get("ttc"), float) else kept
 
@@ -123,12 +138,14 @@ def _playback(folder: Path, p: dict[str, Any] | None, routes: Sequence[Path]) ->
 
 
 def waymo_source(m: Mapping[str, Any]) -> WaymoSource | None:
-    """The record that the input of a manifest was converted from; None where it was none, or an earlier version's."""
+    """Return the Waymo record that a manifest's input was converted from; None without one, or for an earlier
+    version."""
     made = m.get("waymo")
     return None if made is None else WaymoSource(Path(made["file"]), str(made["id"]), str(made["content"]))
 
 
 def _copy(folder: Path, name: str) -> Path:
+    """Find the copy of an input and check that it is unchanged."""
     file = folder / "inputs" / Path(name).name
     if not file.is_file():
         raise UsageError(f"{file} is missing, so the run in {folder} cannot be replayed.")

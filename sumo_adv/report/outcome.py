@@ -1,4 +1,4 @@
-"""``outcome.json`` and ``manifest.json``: the outcome of a run, and all it takes to run it again bit for bit."""
+"""Assemble ``outcome.json`` (the outcome of a run) and ``manifest.json`` (all that it takes to rerun it exactly)."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ from sumo_adv.simulation.warnings_log import kinds_of
 from sumo_adv.words.fit import compare
 
 MANIFEST_SCHEMA = 1
-ATTACKS = "attacks"  # in a run's folder: one folder for each further kind of attack, by the number of its attempt
-MODEL_FILE = "model.jsonl"  # in a run's folder: every exchange with a model
+ATTACKS = "attacks"  # a run's folder has one folder in it for each further kind of attack, by attempt number
+MODEL_FILE = "model.jsonl"  # a run's folder has every exchange with a model in it
 EXPERT_NOTE = "Built-in expert (kinematic prediction); no language model took part."
 
 
@@ -45,15 +45,18 @@ def outcome(
     run: Run, record: EncounterRecord | None, raw: Mapping[str, Any] | None, further: Mapping[str, Any],
     realism: Mapping[str, Any], seconds: Mapping[str, float] | None = None,
 ) -> dict[str, Any]:  # fmt: skip
-    """Return the contract's ``outcome.json``. Times s, distances m, never = null.
+    """Assemble the content of ``outcome.json``. Times are in s, distances in m; an infinite value is null.
 
     Args:
         run: The run.
-        record: Its record that counts; None if no encounter does.
-        raw: The unattacked run over the window of the attempt that counts.
-        further: What the full verdict adds to the attempt that counts.
-        realism: The block of that name.
-        seconds: Times of parts beside those of the run [s].
+        record: The record that counts; None if no encounter does.
+        raw: The figures of the unattacked run over the window of the attempt that counts; None if unknown.
+        further: Further keys of the verdict on the attempt that counts.
+        realism: The content of the key ``realism``.
+        seconds: Times of parts that the run did not measure itself [s].
+
+    Returns:
+        The content.
     """
     settings, task = run.settings, run.task
     chosen = task.ego if isinstance(task.ego, str) else None
@@ -100,12 +103,12 @@ def outcome(
 
 
 def _scenario(attempt: Attempt) -> dict[str, Any] | None:
-    """The names of what an attempt shows."""
+    """Return the names of the scenario that an attempt shows."""
     return None if attempt.scenario is None else columns_of(attempt.scenario)
 
 
 def _tally(made: Sequence[Attempt]) -> list[dict[str, Any]]:
-    """What the attempts of an encounter show, each once: how many attempts, and the highest level of them."""
+    """Return each named scenario of an encounter once, with its number of attempts and their highest level."""
     levels: dict[NamedScenario, list[Level]] = {}
     for attempt in made:
         if attempt.scenario is not None:
@@ -119,7 +122,7 @@ def attempts_of(record: EncounterRecord | None) -> Sequence[Attempt]:
 
 
 def _asked(request: Request, record: EncounterRecord | None, settings: Settings) -> dict[str, Any] | None:
-    """What was asked for, whether the attempt that counts fits, and its motion in words; None where nothing was."""
+    """Describe what was asked for, and whether the attempt that counts fits; return None if nothing was asked for."""
     if request.asked is None:
         return None
     best = motion = reading = None
@@ -159,15 +162,17 @@ def _goal(settings: Settings) -> str:
 
 
 def _ego_actions(record: EncounterRecord) -> dict[str, int] | None:
-    """How often the ego's driver gave each kind of answer in the attempt that counts, from its takeover on, and after
-    how many of them SUMO's safe speed was lower than the speed asked for. None: it gave none."""
+    """Count the driver's answers by kind in the attempt that counts, from its takeover on; None without answers.
+
+    ``limited`` counts the answers after which SUMO's safe speed was lower than the speed that the driver asked for.
+    """
     result = record.best_result
     actions = None if result is None else result.actions
     return {**actions.counts, "limited": actions.limited} if actions is not None and actions.counts else None
 
 
 def _agents(run: Run) -> dict[str, Any]:
-    """The players of the parts. The built-in expert is never presented as a language model."""
+    """Describe who played each agent's part; the built-in expert is never presented as a language model."""
     agents = run.agents
     players = dict(BUILT_IN_AGENTS) if agents is None else {role: agents.player(role) for role in AGENT_ROLES}
     models = sorted({m.name for m in agents.models.values()}) if agents is not None else []
@@ -183,14 +188,14 @@ def _agents(run: Run) -> dict[str, Any]:
 
 
 def _llm(agents: Agents | None, attempts: Sequence[Attempt]) -> dict[str, Any]:
-    """The ledger, with what each question bought; ``model`` names those that took part, null for none."""
+    """Return the ledger with the result of each question; ``model`` names the models that took part, or is null."""
     names = sorted({m.name for m in agents.models.values()}) if agents is not None else []
     ledger = (Ledger() if agents is None else agents.ledger).as_dict()
     return {"model": ", ".join(names) or None, **ledger, "bought": _bought(agents, attempts)}
 
 
 def _bought(agents: Agents | None, attempts: Sequence[Attempt]) -> list[dict[str, Any]]:
-    """The result of each question to a model; of a planner's text, also the attempts with it and their best level."""
+    """Return the result of each question to a model; for a planner's text, add its attempts and their best level."""
     rows = []
     for each in [] if agents is None else agents.bought:
         own = [a.verdict.level for a in attempts if a.proposal.planner.hash == each.planner]
@@ -200,11 +205,12 @@ def _bought(agents: Agents | None, attempts: Sequence[Attempt]) -> list[dict[str
 
 
 def number(value: float | None) -> float | None:
-    """A rounded number; infinite and missing are null."""
+    """Round a number to 4 decimals; None, infinite and undefined values become None."""
     return None if value is None or not math.isfinite(value) else round(float(value), 4)
 
 
 def verdict(v: Verdict) -> dict[str, Any]:
+    """Return the content of the key ``outcome`` that a verdict gives."""
     return {
         "min_ttc": number(v.min_ttc), "min_ttc_any": number(v.min_ttc_any), "min_pet": number(v.min_pet),
         "max_drac": number(v.max_drac), "min_distance": number(v.min_distance), "collided": v.collided,
@@ -216,7 +222,7 @@ def verdict(v: Verdict) -> dict[str, Any]:
 
 
 def level_figures(v: Verdict) -> dict[str, Any]:
-    """The level, and what it follows from."""
+    """Return the level of a verdict, and the figures that the level follows from."""
     p = v.preventability
     return {
         "level": str(v.level), "preventable_by": None if p is None else list(p.by),
@@ -263,7 +269,7 @@ def _attempt(a: Attempt) -> dict[str, Any]:
 
 
 def _composed(p: Proposal) -> dict[str, Any]:
-    """What an attempt with supports has besides: the label of the composition, and what each support did."""
+    """Return the additional keys of an attempt with supports: the composition's label, and each support."""
     if not p.supports:
         return {}
     supports: list[dict[str, Any]] = [
@@ -273,7 +279,7 @@ def _composed(p: Proposal) -> dict[str, Any]:
 
 
 def _successes(record: EncounterRecord) -> list[dict[str, Any]]:
-    """The attacks of different kinds that reached the level; ``folder``: where the run's folder holds another one."""
+    """List the attempts of different kinds that reached the level; ``folder`` is null for the one that counts."""
     best, rows = record.best, []
     for k in record.successes:
         counts = record.chosen is not None or (best is not None and k == best.index)
@@ -282,18 +288,21 @@ def _successes(record: EncounterRecord) -> list[dict[str, Any]]:
 
 
 def versions() -> dict[str, str]:
-    """What took part in the numbers."""
+    """Return the versions of this program, of Python and of the libraries that affect the numbers."""
     names = ("libsumo", "numpy", "scipy", "shapely", "pydantic-monty")
     return {"sumo_adv": __version__, "python": platform.python_version(), **{n: version(n) for n in names}}
 
 
 def manifest(run: Run, record: EncounterRecord | None, inputs: Mapping[Path, str]) -> dict[str, Any]:
-    """Return the contract's ``manifest.json``.
+    """Assemble the content of ``manifest.json``.
 
     Args:
         run: The run.
-        record: Its record that counts; None if no encounter does.
-        inputs: By original file, the name of its copy under ``inputs/``.
+        record: The record that counts; None if no encounter does.
+        inputs: The name of each input's copy under ``inputs/``, by original file.
+
+    Returns:
+        The content.
     """
     task, run_input, best = run.task, run.run_input, None if record is None else record.best
     model_agents = run.agents if run.agents is not None and run.agents.models else None

@@ -1,6 +1,7 @@
-"""The replay page of a run: one HTML file that needs nothing else.
+"""Make the replay page of a run: one HTML file that needs nothing else.
 
-It draws up to three attempts on one grid of frames, the series under them, and the road around them.
+The page draws all attempts on one grid of frames: the one that counts, the first one, further successful ones, and the
+unattacked run. It shows their time series and the road around them.
 """
 
 from __future__ import annotations
@@ -25,23 +26,30 @@ from sumo_adv.simulation.layers import covers
 from sumo_adv.simulation.network import RoadMap
 from sumo_adv.simulation.signals import SignalLog
 
-MAX_HISTORY_S = 60.0  # shown before the trigger at most
-AFTER_ATTEMPTS_S = 2.0  # s of the unattacked run after the attempts' end
-NEARBY_RADIUS_M = 200.0  # m around the ego: other vehicles are shown
+MAX_HISTORY_S = 60.0  # maximum time shown before the trigger
+AFTER_ATTEMPTS_S = 2.0  # the unattacked run is shown this long after the attempts' end
+NEARBY_RADIUS_M = 200.0  # other vehicles are shown within this distance of the ego
 CENTIMETRE_M, MILLIRADIAN_RAD, HUNDREDTH = 0.01, 0.001, 0.01
-SERIES_CAP = 9_000.0  # a series' cap, in its unit
+SERIES_CAP = 9_000.0  # in the unit of the series
 SCENE_NAMES = {"best": "attacked", "first": "first attempt", "raw": "unattacked"}
-MAX_COMPARED_LINES = 2000  # of a planner that is compared with another
-MAX_NOTES_SHOWN = 4  # series of the driver's notes
+MAX_COMPARED_LINES = 2000  # longer planner sources are not compared
+MAX_NOTES_SHOWN = 4  # number of series of the driver's notes
 PAGE_SCHEMA = 1
 PAGE_SCRIPTS = ("common.js", "decode.js", "model.js", "map.js", "charts.js", "words.js", "replay.js")
 PAGE_STYLES = ("common.css", "replay.css")
-REACTIONS = {"braked": "begins to brake", "steered": "begins to steer away"}  # actions of the cause, in words
+REACTIONS = {"braked": "begins to brake", "steered": "begins to steer away"}  # actions of a cause
 
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """A vehicle's frames without a gap. ``x``, ``y``: centimetres from the origin; ``heading``: milliradians."""
+    """The frames of a vehicle, without a gap.
+
+    Attributes:
+        first: The first frame.
+        x: x of the box's centre from the grid's origin [cm].
+        y: y of the box's centre from the grid's origin [cm].
+        heading: The heading, unwrapped [mrad].
+    """
 
     first: int
     x: WholeNumbers
@@ -51,10 +59,20 @@ class Segment:
 
 @dataclass(frozen=True, slots=True)
 class ShownAttempt:
-    """One attempt. ``frm``, ``to``: its frames; before them the attempt that counts is shown.
+    """One attempt on the page.
 
-    ``curves``: TTC, distance, then speed and acceleration of ego and adversary, from frame ``curves_from`` on, in
-    hundredths.
+    Attributes:
+        key: ``best``, ``first``, ``raw`` (the unattacked run), or the name of a further attack.
+        ego: The ego's id.
+        adversary: The collider's id; '' if there is none.
+        trigger: When the attack begins [s]; None if unknown.
+        frm: The attempt's first frame. Before this frame, the page shows the attempt that counts.
+        to: The attempt's last frame.
+        vehicles: The vehicles with their segments.
+        curves_from: The first frame of ``curves``.
+        curves: Six series in hundredths: TTC [s], distance [m], ego speed [m/s], ego acceleration [m/s2], adversary
+            speed [m/s] and adversary acceleration [m/s2].
+        closest: Time [s] and distance [m] of the closest approach after the trigger; None if unknown.
     """
 
     key: str
@@ -71,7 +89,14 @@ class ShownAttempt:
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """Frames: number ``k`` is at ``start + k * step`` seconds; ``origin`` [m] is what positions are counted from."""
+    """The frames of a page; frame ``k`` is at ``start + k * step``.
+
+    Attributes:
+        start: The time of frame 0 [s].
+        step: The time between frames [s].
+        frames: The number of frames.
+        origin: The point from which positions are counted [m].
+    """
 
     start: float
     step: float
@@ -79,6 +104,7 @@ class Grid:
     origin: tuple[float, float]
 
     def frame(self, time: float) -> int:
+        """Return the frame that is nearest to a time [s]."""
         return round((time - self.start) / self.step)
 
 
@@ -86,9 +112,17 @@ def make_scene(
     road: DrawnRoad, grid: Grid, attempts: Sequence[ShownAttempt], lights: SignalLog,
     inside: Sequence[DriverInside] = (),
 ) -> dict[str, Any]:  # fmt: skip
-    """The scene as JSON: figures as they are, positions, series, plans and the road packed in ``blob``.
+    """Assemble the scene as JSON. Positions, series, plans and the road are packed in ``blob``.
 
-    ``inside``: what the driver showed of its inside in the attempt that counts.
+    Args:
+        road: The road around the vehicles.
+        grid: The frames.
+        attempts: The attempts, the one that counts first.
+        lights: The recorded states of traffic lights.
+        inside: Plans and notes of the ego's driver in the attempt that counts.
+
+    Returns:
+        The scene.
     """
     end = grid.start + (grid.frames - 0.5) * grid.step
     inside = [each for each in inside if grid.start - grid.step / 2 <= each.time < end]
@@ -122,7 +156,7 @@ def _described(a: ShownAttempt) -> dict[str, Any]:
 def _columns(
     attempts: Sequence[ShownAttempt], road: DrawnRoad, grid: Grid, inside: Sequence[DriverInside]
 ) -> Iterator[tuple[int, WholeNumbers]]:
-    """In the order in which the script reads them; alike beside alike packs best."""
+    """Yield the columns in the order in which the script reads them; similar ones are adjacent, which packs best."""
     for name in ("x", "y", "heading"):
         for attempt in attempts:
             for _, segments in attempt.vehicles:
@@ -142,9 +176,15 @@ def _columns(
 
 
 def make_attempts(run: RunRead, road: RoadMap | None = None) -> tuple[Grid, list[ShownAttempt]] | None:
-    """The grid, and the attempts to show: first the attempt that counts. None where nothing was recorded.
+    """Select the attempts to show.
 
-    road: of the run; where a lane passes over another vehicle than ego and adversary, that is not shown.
+    Args:
+        run: The run.
+        road: The run's network. If it has heights, the states of vehicles under another lane are left out, except those
+            of ego and adversaries.
+
+    Returns:
+        The grid, and the attempts, the one that counts first. None if nothing was recorded.
     """
     ego = (run.outcome.get("ego") or {}).get("id")
     pivot = _pivot(run.outcome)
@@ -169,7 +209,7 @@ def make_attempts(run: RunRead, road: RoadMap | None = None) -> tuple[Grid, list
 
 
 def _uncovered(track: Track, road: RoadMap) -> Track:
-    """The states of a vehicle that no lane passes over; all of them of ego and adversaries."""
+    """Keep the states of a vehicle that no lane passes over; keep all states of ego and adversaries."""
     if track.role in (Role.EGO, Role.ADVERSARY):
         return track
     covered = np.zeros(len(track.time), bool)
@@ -179,13 +219,14 @@ def _uncovered(track: Track, road: RoadMap) -> Track:
 
 
 def _pivot(outcome: Mapping[str, Any]) -> float | None:
-    """When the encounter was found, up to which all attempts are the same [s]."""
+    """Return when the encounter was found, up to which all attempts are the same [s]."""
     encounter = (outcome.get("encounter") or {}).get("time")
     time = outcome.get("trigger_time") if encounter is None else encounter
     return None if time is None else float(time)
 
 
 def _step(run: RunRead, tracks: Sequence[Track]) -> float:
+    """Return the step length of a run [s]; older manifests lack it, so it may be taken from the tracks."""
     given = (run.manifest.get("settings") or {}).get("step_length")
     if isinstance(given, int | float) and given > 0:
         return float(given)
@@ -214,7 +255,7 @@ def _shown(
     key: str, tracks: Sequence[Track], grid: Grid, ego: str, adversary: str, trigger: float | None,
     common: float | None,
 ) -> ShownAttempt:  # fmt: skip
-    """An attempt from ``common`` [s] on (None: from the grid's start on)."""
+    """Make an attempt that begins after ``common`` [s], or at the grid's start if that is None."""
     start = grid.start if common is None else common + grid.step / 2
     end = grid.start + (grid.frames - 1) * grid.step
     cut = [t.between(start, end) for t in tracks]
@@ -240,7 +281,7 @@ def _shown(
 
 
 def _segments(track: Track, grid: Grid, lead: Track | None) -> list[Segment]:
-    """A track cut where it has gaps; only parts near ``lead`` at the time, if that is given."""
+    """Cut a track at its gaps; if ``lead`` is given, keep only the parts near it."""
     frames = np.rint((track.time - grid.start) / grid.step).astype(np.int64)
     keep = np.ones(len(frames), dtype=bool)
     if lead is not None:
@@ -259,7 +300,7 @@ def _segments(track: Track, grid: Grid, lead: Track | None) -> list[Segment]:
 
 
 def _curves(ego: Track, foe: Track | None, measures: Mapping[str, Floats], grid: Grid) -> list[WholeNumbers]:
-    """The six series on every frame from the ego's first to its last."""
+    """Sample the six series on every frame from the ego's first to its last."""
     frames = np.rint((ego.time - grid.start) / grid.step).astype(np.int64)
     empty = np.full(len(ego.time), np.nan)
     rows = [empty, empty, ego.speed, ego.acceleration, empty, empty]
@@ -277,7 +318,15 @@ def _curves(ego: Track, foe: Track | None, measures: Mapping[str, Floats], grid:
 
 
 def planner_versions(outcome: Mapping[str, Any], manifest: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """The planners that attempts used, in the order of first use, each with a unified diff from its parent if known."""
+    """Describe the planners that the attempts used.
+
+    Args:
+        outcome: The content of ``outcome.json``.
+        manifest: The content of ``manifest.json``.
+
+    Returns:
+        The planners in the order of first use, each with a unified diff from its parent if the parent is known.
+    """
     planners: Mapping[str, Any] = manifest.get("planners") or {}
     used: dict[str, list[int]] = {}
     for attempt in outcome.get("attempts") or []:
@@ -294,7 +343,7 @@ def planner_versions(outcome: Mapping[str, Any], manifest: Mapping[str, Any]) ->
 
 
 def _diff(planners: Mapping[str, Any], name: str) -> list[str] | None:
-    """Lines of a unified diff without its file names; None without a parent, or for what is too long."""
+    """Return the lines of a unified diff without file names; None without a parent or for long sources."""
     parent = planners[name]["parent"]
     if parent not in planners:
         return None
@@ -306,8 +355,13 @@ def _diff(planners: Mapping[str, Any], name: str) -> list[str] | None:
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """A run's page: its text, where the encounter came to its point (the ego's centre [m], None if nowhere), and the
-    name of the network's copy in ``inputs/`` ('' if there is none)."""
+    """A run's page.
+
+    Attributes:
+        html: The text.
+        place: The ego's centre at the contact or, without one, at the closest approach [m]; None if unknown.
+        network: The name of the network's copy in ``inputs/``; '' if there is none.
+    """
 
     html: str
     place: tuple[float, float] | None
@@ -315,12 +369,33 @@ class Page:
 
 
 def make_page(folder: Path) -> str:
-    """The page of a run as HTML, in one file. Raises UsageError: no run's folder, or a file in it is damaged."""
+    """Make the page of a run as HTML, in one file.
+
+    Args:
+        folder: The run's folder.
+
+    Returns:
+        The HTML.
+
+    Raises:
+        UsageError: The folder holds no run, or a file is damaged.
+    """
     return page_of(folder).html
 
 
 def page_of(folder: Path, back: str | None = None) -> Page:
-    """The page of a run. ``back``: where its index lies, as a link. Raises UsageError."""
+    """Make the page of a run.
+
+    Args:
+        folder: The run's folder.
+        back: A link to the index; None if there is no index.
+
+    Returns:
+        The page.
+
+    Raises:
+        UsageError: The folder holds no run, or a file is damaged.
+    """
     with reading(folder):
         run = read_run(folder)
         file = run.folder / "inputs" / network_name(run.manifest)
@@ -348,12 +423,12 @@ def _road(road: RoadMap | None, file: Path, attempts: Sequence[ShownAttempt]) ->
 
 
 def network_name(manifest: Mapping[str, Any]) -> str:
-    """The name of the network's copy, a plain file name; '' where none is told."""
+    """Return the name of the network's copy without its folder; '' if the manifest has none."""
     return Path(str(manifest.get("network") or "")).name
 
 
 def _moments(outcome: Mapping[str, Any], attempts: Sequence[ShownAttempt]) -> list[dict[str, Any]]:
-    """Links into the time line, by time: a key for the address, words, and the time [s]."""
+    """Return links into the time line, sorted by time: a key for the address, the words, and the time [s]."""
     verdict = outcome.get("outcome") or {}
     shown = {a.key: a for a in attempts}
     best, cause = shown.get("best"), verdict.get("cause") or {}
@@ -376,7 +451,7 @@ def _moments(outcome: Mapping[str, Any], attempts: Sequence[ShownAttempt]) -> li
 
 
 def _place(run: RunRead, attempts: Sequence[ShownAttempt]) -> tuple[float, float] | None:
-    """The ego's centre at contact, else at the closest approach, else at the end."""
+    """Return the ego's centre at the contact or, without one, at the closest approach, or at the end [m]."""
     verdict, shown = run.outcome.get("outcome") or {}, attempts[0]
     ego = next((t for t, _ in shown.vehicles if t.id == shown.ego), None)
     if ego is None:

@@ -27,20 +27,25 @@ from sumo_adv.simulation.scan import parse_xml
 
 SOLID, DASHED = 0, 1
 LINE_STOP, LINE_GIVE_WAY, LINE_LIGHT = 0, 1, 2
-LINE_INSET_M = 0.15  # m from the edge of a carriageway to the line beside it
-STOP_LINE_SETBACK_M = 0.4  # m from the end of a lane to the middle of its line
+LINE_INSET_M = 0.15  # distance from the edge of a carriageway to the line beside it
+STOP_LINE_SETBACK_M = 0.4  # distance from the end of a lane to the middle of its line
 MUST_STOP, MUST_YIELD = "sw", "m"  # SUMO's letters of right of way
 
 Changes = Mapping[str, tuple[bool, bool]]
-"""By lane, whether passenger cars may leave it to the left and to the right."""
-ROAD_RADIUS_M = 220.0  # around the vehicles' paths
-SHAPE_TOLERANCE_M = 0.02  # m a lane's line may be off when points are left out
+"""By lane, whether passenger cars may leave it to the left and to the right. Missing lanes have no restriction."""
+ROAD_RADIUS_M = 220.0  # the road is drawn this far around the vehicles' paths
+SHAPE_TOLERANCE_M = 0.02  # maximum error of a line when points are left out
 AREA_ROAD, AREA_JUNCTION, AREA_OTHER, AREA_GROUND = 0, 1, 2, 3
 
 
 @dataclass(frozen=True, slots=True)
 class DrawnMarking:
-    """A line along the road: ``(n, 2)`` [m], and whether it is ``SOLID`` or ``DASHED``."""
+    """A line along the road.
+
+    Attributes:
+        line: The line ``(n, 2)`` [m].
+        kind: ``SOLID`` or ``DASHED``.
+    """
 
     line: Floats
     kind: int
@@ -48,10 +53,13 @@ class DrawnMarking:
 
 @dataclass(frozen=True, slots=True)
 class DrawnStopLine:
-    """A line across a lane from its right to its left side, ``(2, 2)`` [m].
+    """A line across a lane.
 
-    kind: ``LINE_STOP``, ``LINE_GIVE_WAY`` or ``LINE_LIGHT``. light: the traffic light's id, '' without one; links: the
-    places of the lane's connections in the light's state, rightmost first.
+    Attributes:
+        line: The line ``(2, 2)`` from the lane's right to its left side [m].
+        kind: ``LINE_STOP``, ``LINE_GIVE_WAY`` or ``LINE_LIGHT``.
+        light: The traffic light's id; '' without one.
+        links: The positions of the lane's connections in the light's state, rightmost first.
     """
 
     line: Floats
@@ -62,7 +70,17 @@ class DrawnStopLine:
 
 @lru_cache(maxsize=4)
 def lane_changes(path: Path) -> Changes:
-    """Which lanes of a network restrict the change of lanes; the others do not. Raises UsageError."""
+    """Read which lanes of a network restrict lane changes.
+
+    Args:
+        path: The network.
+
+    Returns:
+        The restricted lanes. All other lanes have no restriction.
+
+    Raises:
+        UsageError: The network cannot be read.
+    """
     changes: dict[str, tuple[bool, bool]] = {}
 
     def start(tag: str, attributes: dict[str, str]) -> None:
@@ -74,12 +92,17 @@ def lane_changes(path: Path) -> Changes:
 
 
 def _allowed(classes: str | None) -> bool:
-    """Whether a list of vehicle classes, or a list that is not given, has passenger cars in it."""
+    """Return whether a list of vehicle classes includes passenger cars; a missing list includes all."""
     return classes is None or bool({"passenger", "all"} & set(classes.split()))
 
 
 def markings_of(road: RoadMap, changes: Changes) -> Iterator[DrawnMarking]:
-    """The lines along all edges outside junctions, where no road passes over them."""
+    """Yield the lines along all edges outside junctions, without the parts that another road covers.
+
+    Args:
+        road: The network.
+        changes: The restrictions of lane changes.
+    """
     for edge, marking in _markings(road, changes):
         if road.heights is None:
             yield marking
@@ -88,7 +111,7 @@ def markings_of(road: RoadMap, changes: Changes) -> Iterator[DrawnMarking]:
 
 
 def _uncovered(road: RoadMap, edge: str, line: Floats) -> Iterator[Floats]:
-    """The pieces of a line along an edge that no lane passes over."""
+    """Yield the pieces of a line along an edge that no lane passes over."""
     own = stations(*line.T)
     station = np.union1d(own, np.arange(0.0, float(own[-1]), 1.0))
     points = np.column_stack([np.interp(station, own, values) for values in line.T])
@@ -106,7 +129,7 @@ def _uncovered(road: RoadMap, edge: str, line: Floats) -> Iterator[Floats]:
 
 
 def _markings(road: RoadMap, changes: Changes) -> Iterator[tuple[str, DrawnMarking]]:
-    """The lines along all edges outside junctions, by edge."""
+    """Yield the lines along all edges outside junctions, with their edges."""
     for edge, names in road.edges.items():
         lanes = [road.lanes[name] for name in names if len(road.lanes[name].shape) > 1]
         driven = [lane for lane in lanes if lane.carriageway and not lane.internal]
@@ -120,16 +143,16 @@ def _markings(road: RoadMap, changes: Changes) -> Iterator[tuple[str, DrawnMarki
 
 
 def _beside(lane: NetworkLane, offset: float) -> Floats:
-    """A line beside the middle of a lane; ``offset`` [m] is positive to the left."""
+    """Return a line beside the middle of a lane; ``offset`` [m] is positive to the left."""
     from shapely import LineString
 
     moved = LineString(lane.shape).offset_curve(offset, join_style="mitre")
     points = np.asarray(moved.coords, float) if moved.geom_type == "LineString" else np.empty((0, 2))
-    return points if len(points) > 1 else lane.shape  # an offset that degenerates: a lane shorter than it is wide
+    return points if len(points) > 1 else lane.shape  # the offset degenerates if a lane is shorter than wide
 
 
 def stop_lines(road: RoadMap) -> Iterator[DrawnStopLine]:
-    """The lines across lanes at junctions."""
+    """Yield the lines across lanes at junctions."""
     for lane in road.lanes.values():
         onward = [c for c in lane.connections if c.movement != "u-turn"]
         if lane.internal or not lane.carriageway or not onward or len(lane.shape) < 2:
@@ -152,6 +175,7 @@ def _across(lane: NetworkLane) -> Floats:
 
 
 def lights_of(stops: Sequence[DrawnStopLine]) -> list[str]:
+    """Return the ids of the traffic lights, sorted."""
     return sorted({stop.light for stop in stops if stop.light})
 
 
@@ -161,9 +185,13 @@ Line = TypeVar("Line", "DrawnStrip", DrawnMarking, DrawnStopLine)
 
 @dataclass(frozen=True, slots=True)
 class DrawnStrip:
-    """A lane: centreline (n, 2) [m], width [m], kind: on a road, inside a junction, or not for cars.
+    """A lane, or the outline of a junction.
 
-    Or the outline of a junction, of kind ``AREA_GROUND``.
+    Attributes:
+        line: The lane's centreline, or the outline ``(n, 2)`` [m].
+        width: The lane's width [m]; 0 for an outline.
+        kind: ``AREA_ROAD``, ``AREA_JUNCTION`` (a lane inside a junction), ``AREA_OTHER`` (a lane that is not for cars)
+            or ``AREA_GROUND`` (the outline of a junction).
     """
 
     line: Floats
@@ -173,7 +201,13 @@ class DrawnStrip:
 
 @dataclass(frozen=True, slots=True)
 class DrawnRoad:
-    """The road that a page draws: its surface, the lines along it and the lines across it."""
+    """The road that a page draws.
+
+    Attributes:
+        strips: The surface.
+        markings: The lines along the road.
+        stops: The lines across lanes.
+    """
 
     strips: Sequence[DrawnStrip] = ()
     markings: Sequence[DrawnMarking] = ()
@@ -182,12 +216,31 @@ class DrawnRoad:
 
 @lru_cache(maxsize=4)
 def network(path: Path) -> RoadMap:
-    """A network, the last few kept: the runs of a batch and the formats of a run share theirs. Raises UsageError."""
+    """Read a network; the last four are cached, because the runs of a batch and the formats of a run share theirs.
+
+    Args:
+        path: The network.
+
+    Returns:
+        The network.
+
+    Raises:
+        UsageError: The network cannot be read.
+    """
     return read_network(path)
 
 
 def road_near(road: RoadMap, changes: Changes, tracks: Sequence[Track]) -> DrawnRoad:
-    """Lanes, junctions and lines within ``ROAD_RADIUS_M`` of the tracks' paths."""
+    """Select lanes, junctions and lines within ``ROAD_RADIUS_M`` of the tracks' paths.
+
+    Args:
+        road: The network.
+        changes: The restrictions of lane changes.
+        tracks: The vehicles.
+
+    Returns:
+        What is drawn, upper lanes last.
+    """
     from shapely import LineString, MultiPoint
 
     points = np.concatenate([np.column_stack([t.x, t.y])[:: max(1, len(t.x) // 100)] for t in tracks])
@@ -209,7 +262,7 @@ def road_near(road: RoadMap, changes: Changes, tracks: Sequence[Track]) -> Drawn
 
 
 def _near(lines: Iterable[Line], path: Any) -> list[Line]:
-    """Those within ``ROAD_RADIUS_M`` of a path (a shapely geometry)."""
+    """Select the lines within ``ROAD_RADIUS_M`` of a path (a shapely geometry)."""
     from shapely import dwithin, linestrings
 
     every = list(lines)
@@ -218,6 +271,7 @@ def _near(lines: Iterable[Line], path: Any) -> list[Line]:
 
 
 def _thinned(line: Along) -> Along:
+    """Leave out points that a line does not need."""
     from shapely import linestrings, simplify
 
     return replace(line, line=np.asarray(simplify(linestrings(line.line), SHAPE_TOLERANCE_M).coords, float))

@@ -1,4 +1,4 @@
-"""A run's folder, read back: what happened in words and numbers, and the tracks of up to three attempts."""
+"""Read a run's folder: its outcome, its manifest, and the tracks of its attempts."""
 
 from __future__ import annotations
 
@@ -26,19 +26,25 @@ from sumo_adv.report.tables import HEIGHT, STATES_HEADER
 from sumo_adv.simulation.signals import SignalLog, read_signals
 
 OUTCOME_FILE, MANIFEST_FILE = "outcome.json", "manifest.json"
-MAX_TABLE_ROWS = 4_000_000  # of a table: 1,000 vehicles over 400 s
+MAX_TABLE_ROWS = 4_000_000  # 1,000 vehicles over 400 s
 TRACK_COLUMNS = ("time", "x", "y", "heading", "speed", "acceleration", "length", "width")
 
 
 @dataclass(frozen=True, slots=True)
 class RunRead:
-    """A run as its files tell it. ``manifest`` is empty and tracks are missing where the run did not get that far.
+    """A run, as its files record it.
 
-    ``best``: the attempt that counts from the start of its simulation on, or the unattacked run where there was no
-    attempt; ``raw``: the unattacked run; ``first``: ego and adversary of the first attempt where that is another.
-    ``attacks``: the index of each attempt of another kind that succeeded too, and its tracks. ``lights``: what the
-    traffic lights near the ego showed in the attempt that counts. ``inside``: what the driver
-    showed of its inside then.
+    Attributes:
+        folder: The run's folder.
+        outcome: The content of ``outcome.json``.
+        manifest: The content of ``manifest.json``; empty if there is none.
+        best: The attempt that counts from the start of its simulation on, or the unattacked run if there was no
+            attempt.
+        raw: The unattacked run.
+        first: Ego and adversaries of the first attempt, if it is not the one that counts.
+        attacks: The index and the tracks of each further attempt that succeeded with an attack of another kind.
+        lights: The states of traffic lights near the ego in the attempt that counts.
+        inside: Plans and notes of the ego's driver in the attempt that counts.
     """
 
     folder: Path
@@ -53,7 +59,17 @@ class RunRead:
 
 
 def read_run(folder: Path) -> RunRead:
-    """All that a page shows. Raises UsageError: no run's folder, or a file in it is damaged."""
+    """Read all that a page shows of a run.
+
+    Args:
+        folder: The run's folder.
+
+    Returns:
+        The run. Tracks are empty if the run has no file for them.
+
+    Raises:
+        UsageError: The folder holds no run, or a file is damaged.
+    """
     outcome = read_outcome(folder)
     manifest = _json(folder / MANIFEST_FILE) if (folder / MANIFEST_FILE).is_file() else {}
     best, raw, first = (_tracks(folder / name) for name in ("states.csv.gz", "raw.csv.gz", FIRST))
@@ -63,7 +79,17 @@ def read_run(folder: Path) -> RunRead:
 
 
 def read_inside(file: Path) -> list[DriverInside]:
-    """What a driver showed of its inside, from the file that a run has. Raises UsageError: it is damaged."""
+    """Read the plans and notes of the ego's driver.
+
+    Args:
+        file: The run's ``driver.jsonl.gz``.
+
+    Returns:
+        The plans and notes, one entry for each recorded answer.
+
+    Raises:
+        UsageError: The file is damaged.
+    """
     try:
         lines = [json.loads(line) for line in read_text(file).splitlines()]
         return [
@@ -78,8 +104,17 @@ def read_inside(file: Path) -> list[DriverInside]:
 
 
 def read_outcome(folder: Path) -> dict[str, Any]:
-    """``outcome.json`` of a run. Raises UsageError: no run's folder, the file is damaged, or it has
-    schema 1."""
+    """Read the ``outcome.json`` of a run.
+
+    Args:
+        folder: The run's folder.
+
+    Returns:
+        The content.
+
+    Raises:
+        UsageError: The folder holds no run, the file is damaged, or it has schema 1.
+    """
     refuse_links(folder)
     if not (folder / OUTCOME_FILE).is_file():
         raise UsageError(f"{folder} holds no {OUTCOME_FILE}; give the folder of a run.")
@@ -90,6 +125,9 @@ def read_outcome(folder: Path) -> dict[str, Any]:
 
 def bring_up_to_date(folder: Path) -> None:
     """Rewrite a run's ``outcome.json`` of schema 1, and those of its further attacks, as schema 2.
+
+    Args:
+        folder: The run's folder.
 
     Raises:
         UsageError: The file is damaged, so old that it has no levels, or cannot be written.
@@ -103,6 +141,7 @@ def bring_up_to_date(folder: Path) -> None:
 
 
 def _attacks(folder: Path, outcome: Mapping[str, Any]) -> list[tuple[int, list[Track]]]:
+    """Read the tracks of the further attacks, with the index of each attempt."""
     try:
         others = [int(s["attempt"]) for s in outcome.get("successes") or () if s["folder"] is not None]
     except (KeyError, TypeError, ValueError) as error:
@@ -121,15 +160,21 @@ def _json(file: Path) -> dict[str, Any]:
 
 
 def damaged(file: Path, error: Exception | str) -> UsageError:
-    """The sentence about a file that cannot be used."""
+    """Return the error that says that a file cannot be used."""
     return UsageError(f"{file} is damaged ({error}); run it again, or restore the file from a copy.")
 
 
 @contextmanager
 def reading(folder: Path) -> Iterator[None]:
-    """Within it, what a run's files make of the program is raised as a sentence about ``folder``.
+    """Turn unexpected errors while a run's files are used into a UsageError that names the folder.
 
-    They hold hundreds of values that other programs and people may have changed. Raises UsageError.
+    The files hold hundreds of values that other programs and people may have changed.
+
+    Args:
+        folder: The run's folder.
+
+    Raises:
+        UsageError: The code inside raised an error other than ``SumoAdvError``, OSError or MemoryError.
     """
     try:
         yield
@@ -141,9 +186,17 @@ def reading(folder: Path) -> Iterator[None]:
 
 
 def columns_of(file: Path, expected: str = STATES_HEADER) -> dict[str, tuple[str, ...]]:
-    """The columns of a table as text (of states, unless another header is ``expected``), with heights if it has them.
+    """Read the columns of a table as text.
 
-    They are empty where there is no such file. Raises UsageError: the file is damaged.
+    Args:
+        file: The table.
+        expected: The header that the table must have. A last column with heights may follow.
+
+    Returns:
+        The columns by name; empty columns if there is no such file.
+
+    Raises:
+        UsageError: The file is damaged.
     """
     names = expected.strip().split(",")
     if not file.is_file():
@@ -161,7 +214,7 @@ def columns_of(file: Path, expected: str = STATES_HEADER) -> dict[str, tuple[str
 
 
 def _tracks(file: Path) -> list[Track]:
-    """Tracks in order of first appearance; none where there is no such file."""
+    """Read tracks in the order of first appearance; return none if there is no such file."""
     columns = columns_of(file)
     places: dict[str, list[int]] = {}
     for place, name in enumerate(columns["id"]):
@@ -184,10 +237,17 @@ def _tracks(file: Path) -> list[Track]:
 
 
 def write_states_parquet(target: Path, runs: Iterable[tuple[str, Path]]) -> None:
-    """Write the states of runs, given by id and folder, whole or not at all.
+    """Write the states of runs as one Parquet file, whole or not at all.
 
-    The columns are ``run``, those of ``states.csv.gz`` and ``z``, 0 where all is flat. Needs pyarrow.
-    Raises UsageError: a table is damaged; OSError.
+    The columns are ``run``, those of ``states.csv.gz``, and ``z``, which is 0 in a flat network. This needs pyarrow.
+
+    Args:
+        target: The file.
+        runs: The id and the folder of each run.
+
+    Raises:
+        UsageError: A table is damaged.
+        OSError: The file cannot be written.
     """
     import pyarrow as pa
     from pyarrow import parquet
