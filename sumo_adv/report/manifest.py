@@ -138,8 +138,7 @@ def _playback(folder: Path, p: dict[str, Any] | None, routes: Sequence[Path]) ->
 
 
 def waymo_source(m: Mapping[str, Any]) -> WaymoSource | None:
-    """Return the Waymo record that a manifest's input was converted from; None without one, or for an earlier
-    version."""
+    """Return the Waymo record that a manifest's input was converted from; None without one or in older manifests."""
     made = m.get("waymo")
     return None if made is None else WaymoSource(Path(made["file"]), str(made["id"]), str(made["content"]))
 

@@ -1,9 +1,9 @@
-"""The road near the action, from the network's copy in a run's folder, and what is painted on it.
+"""Derive the road near the action, and the paint on it, from the network's copy in a run's folder.
 
-A network says little about paint, so these rules stand for it:
+A network says little about paint, so these rules replace it:
 
 between lanes of one direction   dashed if cars may change lanes over it from both sides (SUMO's ``changeLeft`` and
-                                 ``changeRight``), else solid
+                                 ``changeRight``), otherwise solid
 edges of a carriageway           solid
 end of a lane                    a stop line at a traffic light or a stop sign; a dashed line if every way on gives way
 """

@@ -1,6 +1,6 @@
-"""A run's ``outcome.json`` as an object with attributes: what ``Result.outcome`` is.
+"""Represent a run's ``outcome.json`` as an object with attributes; ``Result.outcome`` is one.
 
-The verdict and the intents are the nouns of ``datatypes``. Times in s, distances in m, speeds in m/s; *never* is
+The verdict and the intents are the types of ``datatypes``. Times are in s, distances in m, speeds in m/s. *Never* is
 ``inf``, and None means that the question does not arise.
 """
 
@@ -22,7 +22,12 @@ LISTS = ("failed_gates", "log_gates", "beyond_human")
 
 @dataclass(frozen=True, slots=True)
 class Unattacked:
-    """The unattacked run over the time of the attempt that counts."""
+    """The unattacked run over the time of the attempt that counts.
+
+    Attributes:
+        min_ttc: The minimum TTC [s].
+        collided: Whether the two vehicles collided.
+    """
 
     min_ttc: float
     collided: bool
@@ -32,8 +37,13 @@ class Unattacked:
 class EncounterSummary:
     """Where and when the attack could begin.
 
-    ranking: id, relation and risk of the vehicles that could attack, highest risk first. road: motorway, rural, urban
-    or junction; ego_speed [m/s]; limit: the speed limit [m/s]; vehicles_near: within 70 m of the ego. None: not known.
+    Attributes:
+        time: When the encounter was found [s].
+        ranking: Id, relation and risk of the vehicles that could attack, highest risk first.
+        road: Motorway, rural, urban or junction; None if unknown.
+        ego_speed: The ego's speed [m/s]; None if unknown.
+        limit: The speed limit [m/s]; None if unknown.
+        vehicles_near: The number of vehicles within 70 m of the ego; None if unknown.
     """
 
     time: float
@@ -44,12 +54,21 @@ class EncounterSummary:
     vehicles_near: int | None = None
 
     def relation(self, vehicle: str) -> str | None:
+        """Return the relation of a vehicle to the ego; None if the vehicle is not in the ranking."""
         return next((relation for name, relation, _ in self.ranking if name == vehicle), None)
 
 
 @dataclass(frozen=True, slots=True)
 class SupportRecord:
-    """What another adversary did beside the collider. role: block_left, block_right, slow, open or hide."""
+    """What another adversary did beside the collider.
+
+    Attributes:
+        id: The adversary.
+        role: block_left, block_right, slow, open or hide.
+        intent: The label of its intent.
+        mode: The mode of its planner.
+        parameters: The planner's parameter values.
+    """
 
     id: str
     role: str
@@ -60,9 +79,30 @@ class SupportRecord:
 
 @dataclass(frozen=True, slots=True)
 class AttemptRecord:
-    """One attempt. mode: the planner's; kind: intent, relation and side of the ego that is hit.
+    """One attempt.
 
-    composition, supports: the label of an attack of several adversaries, and the others; empty with one adversary.
+    Attributes:
+        index: The number of the attempt, from 0.
+        intent: The label of the collider's intent.
+        adversary: The collider.
+        mode: The mode of the collider's planner.
+        trigger_time: When the attack begins [s].
+        level: The level that the attempt reached.
+        kind: Intent, relation and the side of the ego that is hit.
+        min_ttc: The minimum TTC [s].
+        min_distance: The minimum distance [m].
+        collided: Whether ego and collider collided.
+        critical: The verdict's flag of that name.
+        feasible: Whether the adversary's motion is feasible.
+        valid: Whether the collision is valid; None without a collision.
+        strict: Whether the collision is strict; None without a collision.
+        delta_v: The ego's delta-v [m/s]; None if unknown.
+        failed_gates: The gates that the attempt failed.
+        parameters: The parameter values of the collider's planner.
+        ending: How the attempt ended.
+        message: A sentence on the ending.
+        composition: The label of an attack of several adversaries; empty with one adversary.
+        supports: The other adversaries; empty with one adversary.
     """
 
     index: int
@@ -92,9 +132,26 @@ class AttemptRecord:
 class Outcome:
     """The outcome of a run.
 
-    best: the index of the attempt that counts. adversary, trigger_time [s], verdict: of this attempt, None without one.
-    ego_driver: the name of the driver under test. cause: why it came to a contact or near miss, None where it did not.
-    document: all of ``outcome.json``.
+    Attributes:
+        ending: How the run ended.
+        reason: The ending as a sentence.
+        network: The name of the run's input.
+        seed: The seed.
+        ego: The ego's id; None if there was no encounter and no ego was chosen.
+        ego_driver: The name of the driver under test.
+        adversary: The collider of the attempt that counts; None without an attempt.
+        trigger_time: When the attack of the attempt that counts begins [s]; None without an attempt.
+        encounter: The encounter that counts; None without one.
+        intent: The intent of the encounter; None without an encounter.
+        intents: The intents of the encounter, at most 10.
+        unattacked: The unattacked run over the time of the attempt that counts; None if unknown.
+        attempts: The attempts.
+        best: The index of the attempt that counts; None without an attempt.
+        verdict: The verdict on the attempt that counts; None without an attempt.
+        cause: Why a contact or a near miss happened; None if there was none.
+        timing: Times of parts of the run [s].
+        notes: Sentences on the run.
+        document: All of ``outcome.json``.
     """
 
     ending: Ending
@@ -119,17 +176,30 @@ class Outcome:
 
     @property
     def level(self) -> Level:
+        """The level of the attempt that counts; ``Level.NONE`` without an attempt."""
         return Level.NONE if self.verdict is None else self.verdict.level
 
     @property
     def relation(self) -> str | None:
+        """The relation of the collider to the ego; None without an encounter or an attempt."""
         if self.encounter is None or self.adversary is None:
             return None
         return self.encounter.relation(self.adversary)
 
 
 def outcome_of(document: Mapping[str, Any], file: Path) -> Outcome:
-    """The content of ``outcome.json``; ``file`` is named in errors. Raises UsageError: it is not as we write it."""
+    """Convert the content of ``outcome.json``.
+
+    Args:
+        document: The content.
+        file: The file that errors name.
+
+    Returns:
+        The outcome.
+
+    Raises:
+        UsageError: The content is not as this program writes it.
+    """
     try:
         ego, adversaries, verdict = document["ego"], document["adversaries"], document["outcome"]
         raw, encounter, intent = document["raw"], document["encounter"], document["intent"]
@@ -150,6 +220,7 @@ def outcome_of(document: Mapping[str, Any], file: Path) -> Outcome:
 
 
 def verdict_of(written: Mapping[str, Any]) -> Verdict:
+    """Convert the key ``outcome`` of ``outcome.json`` to a verdict."""
     names = {f.name for f in fields(Verdict)} & written.keys()
     values = {name: written[name] for name in names}
     values |= {name: _time(written[name]) for name in MAY_BE_NEVER}
@@ -172,7 +243,7 @@ def _cause(written: Mapping[str, Any] | None) -> Cause | None:
 
 
 def level_named(name: str | None) -> Level:
-    """The level of that name; ``Level.NONE`` without one, as a run without an attempt has none."""
+    """Return the level of that name; ``Level.NONE`` without a name, as a run without an attempt has none."""
     return Level[name.upper()] if name else Level.NONE
 
 

@@ -1,7 +1,8 @@
-"""The named scenarios that a campaign or a hunt has met: encounters, attempts and levels of each, and those never met.
+"""Count the named scenarios that a campaign or a hunt has met: encounters, attempts and levels of each.
 
-An encounter counts in a scenario if one of its attempts shows it, and once, however many such attempts there were. Its
-level there is the highest one that these attempts reached.
+Scenarios that were never met are listed, too. An encounter counts in a scenario if one of its attempts shows it. It
+counts once, whatever the number of such attempts. Its level in the scenario is the highest one that these attempts
+reached.
 """
 
 from __future__ import annotations
@@ -26,13 +27,13 @@ COLUMNS = ("list", "scenario", "encounters", "attempts", *map(str, LEVELS), "sho
 
 @dataclass(frozen=True, slots=True)
 class ScenarioRow:
-    """A named scenario with what was met of it.
+    """A named scenario with its counts.
 
     Attributes:
         name: The scenario.
-        encounters: Encounters with an attempt that shows it.
+        encounters: Encounters with an attempt that shows the scenario.
         attempts: These attempts.
-        reached: By level the encounters in which such an attempt reached it or a higher one.
+        reached: For each level, the encounters in which such an attempt reached it or a higher one.
     """
 
     name: ScenarioName
@@ -41,7 +42,7 @@ class ScenarioRow:
     reached: Mapping[Level, int] = field(default_factory=dict)
 
     def cells(self) -> dict[str, Any]:
-        """The row of ``scenarios.csv``. shown: whether an attack of this program can show the scenario."""
+        """Return the row of ``scenarios.csv``; ``shown`` says whether an attack of this program can show it."""
         counts = {str(level): self.reached.get(level, 0) for level in LEVELS}
         name = self.name
         return {
@@ -51,11 +52,18 @@ class ScenarioRow:
 
 
 Tally = Mapping[ScenarioName, tuple[int, Level]]
-"""Of one encounter: by scenario the attempts that show it, and the highest level of them."""
+"""One encounter: for each scenario, the number of attempts that show it and their highest level."""
 
 
 def tallies_of(document: Mapping[str, Any]) -> list[Tally]:
-    """The tallies of the encounters that an episode attacked, from its ``outcome.json``."""
+    """Return the tallies of the encounters that an episode attacked.
+
+    Args:
+        document: The content of the episode's ``outcome.json``.
+
+    Returns:
+        A tally for each encounter with a named scenario.
+    """
     listed = document["attempts"]
     here = (document.get("encounter") or {}).get("time")
     found = [_tally([(each.get("named_scenario") or {}, 1, level_named(each.get("level"))) for each in listed])]
@@ -76,7 +84,7 @@ def _tally(shown: Sequence[tuple[Mapping[str, Any], int, Level]]) -> Tally:
 
 
 def scenario_rows(tallies: Iterable[Tally]) -> list[ScenarioRow]:
-    """A row for each scenario of the three lists, in their order."""
+    """Return a row for each scenario of the three lists, in their order."""
     met: dict[ScenarioName, list[tuple[int, Level]]] = {}
     for tally in tallies:
         for name, seen in tally.items():
@@ -90,9 +98,14 @@ def scenario_rows(tallies: Iterable[Tally]) -> list[ScenarioRow]:
 
 
 def rows_of_runs(runs: Iterable[Path], packed: Mapping[str, str]) -> list[ScenarioRow]:
-    """The rows of runs in their folders; packed: the outcomes of packed runs as text, by id.
+    """Return the rows of runs. Damaged outcomes are skipped, because they are reported when their pages are made.
 
-    Damaged outcomes are left out; they are told where their pages are made.
+    Args:
+        runs: The folders of the runs.
+        packed: The ``outcome.json`` texts of packed runs, by id.
+
+    Returns:
+        A row for each scenario.
     """
     tallies = list[Tally]()
     for run in runs:
@@ -105,24 +118,42 @@ def rows_of_runs(runs: Iterable[Path], packed: Mapping[str, str]) -> list[Scenar
 
 
 def never_met(rows: Sequence[ScenarioRow], list_name: str) -> list[str]:
-    """The names of a list that an attack could show and none did; of NHTSA's the numbers."""
+    """Return the names of a list's scenarios that an attack could show but none did; only numbers for NHTSA's list."""
     names = [row.name.name for row in rows if row.name.list == list_name and row.name.shown and not row.encounters]
     return [name.partition(" ")[0] for name in names] if list_name == LISTS[0] else names
 
 
 def scenario_csv(rows: Sequence[ScenarioRow]) -> str:
-    """All rows as CSV."""
+    """Format all rows as CSV."""
     return csv_text(COLUMNS, [{**row.cells(), "shown": str(row.name.shown).lower()} for row in rows])
 
 
 def write_scenarios(target: Path, rows: Sequence[ScenarioRow]) -> Path:
-    """Write ``scenarios.csv`` into a folder. Raises UsageError: it cannot be written."""
+    """Write ``scenarios.csv`` into a folder.
+
+    Args:
+        target: The folder.
+        rows: The rows.
+
+    Returns:
+        The file.
+
+    Raises:
+        UsageError: The file cannot be written.
+    """
     write_document(target / TABLE, scenario_csv(rows))
     return target / TABLE
 
 
 def scenario_section(rows: Sequence[ScenarioRow]) -> str:
-    """The section of the index page: a table of what was met, and the names of what was not."""
+    """Make the section of the index page: a table of the scenarios that were met, and the names of the others.
+
+    Args:
+        rows: The rows.
+
+    Returns:
+        The HTML; empty if no scenario was met.
+    """
     if not any(row.encounters for row in rows):
         return ""
     heads = "".join(f'<th scope="col">{escape(head)}</th>' for head in COLUMNS[:-1])

@@ -1,4 +1,4 @@
-"""Folders that are there whole, or not at all: written beside their place and then moved there; and scratch folders."""
+"""Write folders whole or not at all, beside their place before they are moved there; make scratch folders."""
 
 from __future__ import annotations
 
@@ -15,21 +15,31 @@ from sumo_adv.parsing import read_json
 
 PROGRAM = "sumo_adv"
 RESULTS_FILE, PLAN_FILE = "results.csv", "plan.json"
-"""In the folder of a batch: the table of its episodes, and what it runs."""
+"""The files of a batch's folder: the table of its episodes, and the plan of what it runs."""
 LISTING = "files.json"
-"""In each folder that this program wrote: its name, and the entries that it wrote, all that --force may delete."""
-LATER_FILES = ("report.html", "figure.png", "report")  # what commands add to a folder that was written
+"""The file in each folder of this program that lists what the program wrote; --force may delete nothing else."""
+LATER_FILES = ("report.html", "figure.png", "report")  # commands add these to a folder that was written
 
 
 class RunFolder:
-    """Where a run's files go. Use :func:`staged`."""
+    """The folder that a run's files are written into. Use :func:`staged` to get one."""
 
     def __init__(self, target: Path, stage: Path, *, inside: bool = False) -> None:
-        """``inside``: it lies in a folder of ours, and so needs no list of its files."""
+        """Describe a folder that exists at ``stage``.
+
+        Args:
+            target: Where the folder is moved in the end.
+            stage: Where it is written.
+            inside: Whether it lies in a folder of this program, in which case it needs no list of its files.
+        """
         self.target, self.stage, self.inside = target, stage, inside
 
     def keep(self, *, force: bool) -> None:
-        """Put the staged folder in its place."""
+        """Move the staged folder to its place.
+
+        Args:
+            force: Whether an existing folder is replaced.
+        """
         if not self.inside:
             files = [path.relative_to(self.stage).as_posix() for path in sorted(self.stage.rglob("*"))]
             (self.stage / LISTING).write_text(json_text({"program": PROGRAM, "files": files}), encoding="utf-8")
@@ -39,8 +49,14 @@ class RunFolder:
 
 
 def check_replaceable(target: Path) -> None:
-    """Raises UsageError for a folder that --force does not replace: it is a link, this program did not write it, or it
-    holds something else."""
+    """Check that --force may replace a folder.
+
+    Args:
+        target: The folder.
+
+    Raises:
+        UsageError: The folder is a link, this program did not write it, or it holds something else.
+    """
     advice = "so --force does not replace it; give another --out"
     if target.is_symlink():
         raise UsageError(f"{target} is a link, {advice}.")
@@ -62,24 +78,30 @@ def check_replaceable(target: Path) -> None:
 
 @contextmanager
 def staged(target: Path, *, force: bool, inside: bool = False) -> Iterator[RunFolder]:
-    """A folder to write into; removed again unless it was kept. ``force`` replaces a folder that this program wrote.
+    """Yield a folder to write into. It is removed again unless ``keep`` was called.
 
-    inside: the target lies in a folder of ours (a campaign's, a server's), which is ours with all that is in it.
+    Args:
+        target: Where the folder is moved in the end.
+        force: Whether an existing folder that this program wrote may be replaced.
+        inside: Whether the target lies in a folder of this program (a campaign's or a server's), whose content all
+            belongs to the program.
 
-    Raises UsageError: the place is taken (without ``force``), or cannot be written.
+    Raises:
+        UsageError: The target exists and ``force`` is not set, --force may not replace it, or it cannot be written.
+        SumoAdvError: There is no space left.
     """
     if target.exists() and not force:
         raise UsageError(f"The output folder {target} is there already; give another --out, or --force to replace it.")
     if (target.exists() or target.is_symlink()) and not inside:
         check_replaceable(target)
     made = [p for p in (target.parent, *target.parent.parents) if not p.exists()]
-    stage = target.parent / f".{target.name}.{secrets.token_hex(4)}"  # known before it is there, in case of a Ctrl-C
+    stage = target.parent / f".{target.name}.{secrets.token_hex(4)}"  # fixed before mkdir, in case of Ctrl-C
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         stage.mkdir()
         stage.chmod(0o755)
         yield RunFolder(target, stage, inside=inside)
-    except BrokenPipeError:  # whoever read our output has gone: not the folder's fault
+    except BrokenPipeError:  # the reader of our output is gone; the folder is fine
         raise
     except OSError as error:
         raise _sentence(error, target) from error
@@ -94,7 +116,7 @@ def staged(target: Path, *, force: bool, inside: bool = False) -> Iterator[RunFo
 
 @contextmanager
 def scratch_folder() -> Iterator[Path]:
-    """A folder for files that are only needed meanwhile. Its name is known before it is there, in case of a Ctrl-C."""
+    """Yield a temporary folder; its name is fixed before it is created, so that Ctrl-C leaves nothing behind."""
     folder = Path(tempfile.gettempdir()) / f"{scratch_prefix()}{secrets.token_hex(4)}"
     try:
         folder.mkdir(mode=0o700)
@@ -104,6 +126,7 @@ def scratch_folder() -> Iterator[Path]:
 
 
 def _sentence(error: OSError, target: Path) -> SumoAdvError:
+    """Convert an OSError to an error of this program."""
     if error.errno in FULL:
         return SumoAdvError(f"There is no space left to write {target}; free some or give another --out.")
     return UsageError(f"The output folder {target} cannot be written ({error.strerror or error}); give another --out.")

@@ -1,4 +1,4 @@
-"""The picture of a sweep: where drivers pass and fail over one or two numbers of an attack."""
+"""Draw the picture of a sweep: where drivers pass and fail over one or two parameters of an attack."""
 
 from __future__ import annotations
 
@@ -14,19 +14,24 @@ from sumo_adv.datatypes import Floats
 from sumo_adv.report.figures import CURVE_SIZE_IN, CURVE_TEXT_PT, Picture
 
 PASSES, FAILS, UNKNOWN = 0.0, 1.0, 2.0
-"""Results of points: unknown is an adversary that could not drive so, or no encounter."""
+"""The results of a point. It is unknown if the adversary could not drive these values, or if there was no encounter."""
 PASS_COLOUR, FAIL_COLOUR, UNKNOWN_COLOUR = "#c9e3c4", "#eea58f", "#dddddd"
 LINES = (("black", "-"), ("#0072b2", "--"), ("#6a3d9a", ":"), ("#b15928", "-."))
 
 
 def draw_sweep(title: str, labels: Sequence[str], values: Sequence[Floats], drivers: Mapping[str, Floats]) -> Picture:
-    """Draw a sweep; the first driver as cells with its border, the others as borders.
+    """Draw a sweep: the first driver as coloured cells with its border, the other drivers as borders.
+
+    With one axis, each driver is a row of cells.
 
     Args:
-        title: Of the picture.
-        labels: Of the one or two axes.
-        values: The numbers along each axis, ``(n,)``.
-        drivers: By name of a driver the results at the points, ``(n,)`` or ``(n, n)`` with the first axis first.
+        title: The title of the picture.
+        labels: The labels of the one or two axes.
+        values: The values along each axis, ``(n,)``.
+        drivers: The results at the points by driver, ``(n,)``, or ``(n, n)`` with the first axis first.
+
+    Returns:
+        The picture.
     """
     width, height = CURVE_SIZE_IN
     figure = Picture(

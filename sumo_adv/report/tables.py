@@ -1,4 +1,4 @@
-"""CSV tables of states: fixed decimals, gzip without a time stamp, so that equal runs give equal bytes."""
+"""Write CSV tables with fixed decimals as gzip without a time stamp, so that equal runs give equal bytes."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from sumo_adv.times import seconds_text
 
 STATES_HEADER = "time,id,role,x,y,heading,speed,acceleration,length,width,lane\n"
 HEIGHT = "z"
-"""The last column of states where roads have heights: that of the road under the vehicle [m]."""
+"""The last column of states if roads have heights: the height of the road under the vehicle [m]."""
 SERIES = ("ttc", "gap", "drac", "btn", "headway", "required_lateral", "centre_distance")
 SERIES_HEADER = f"time,id,{','.join(SERIES)}\n"
 SERIES_CAPS = {
     "drac": LARGEST_DRAC_M_S2, "btn": LARGEST_DRAC_M_S2 / AVAILABLE_BRAKING_M_S2, "required_lateral": LARGEST_DRAC_M_S2,
-}  # at contact they have none  # fmt: skip
+}  # at contact they have no bound  # fmt: skip
 
 
 def write_states(
@@ -41,11 +41,18 @@ def write_states(
     step_length: float,
     only: Sequence[str] | None = None,
 ) -> None:
-    """``states.csv.gz``: a row a vehicle and step, by time, then by first appearance. Units s, m, rad, m/s, m/s2.
+    """Write ``states.csv.gz``: a row for each vehicle and step, by time and then by first appearance.
 
-    The column ``z`` is there only where roads have heights.
+    Units are s, m, rad, m/s and m/s2; x and y are box centres. The column ``z`` is only written if a vehicle's height
+    is not 0.
 
-    ``only``: the vehicles to write, all by default.
+    Args:
+        target: The file.
+        snapshots: The states.
+        sizes: Length and width of each vehicle [m].
+        roles: The role of each vehicle.
+        step_length: The time between snapshots [s].
+        only: The vehicles to write; None writes all.
     """
     rows: list[tuple[float, int, str]] = []
     tracks = tracks_of(snapshots, sizes, roles, step_length, only)
@@ -69,9 +76,14 @@ def write_states(
 
 
 def write_inside(target: Path, inside: Sequence[DriverInside]) -> None:
-    """``driver.jsonl.gz``: a JSON object for each answer with which the driver showed its inside.
+    """Write ``driver.jsonl.gz``: a JSON object for each answer with which the driver reported its plan or notes.
 
-    Its keys are ``time`` [s], ``plan`` (points (x, y) [m]) and ``notes``. Nothing is written if there is none.
+    Its keys are ``time`` [s], ``plan`` (points (x, y) [m]) and ``notes``. Nothing is written if there is no such
+    answer.
+
+    Args:
+        target: The file.
+        inside: The plans and notes.
     """
     lines = [
         {"time": round(each.time, 6), "plan": [[round(x, 3), round(y, 3)] for x, y in each.plan], "notes": each.notes}
@@ -82,9 +94,13 @@ def write_inside(target: Path, inside: Sequence[DriverInside]) -> None:
 
 
 def write_signals(target: Path, snapshots: Sequence[Snapshot]) -> None:
-    """``signals.csv.gz``: a row whenever a light near the ego changes, as ``simulation/signals.py`` reads it.
+    """Write ``signals.csv.gz``: a row whenever a traffic light near the ego changes.
 
-    Nothing is written where no light was near.
+    ``simulation/signals.py`` reads the file. Nothing is written if no light was near.
+
+    Args:
+        target: The file.
+        snapshots: The states.
     """
     shown: dict[str, str] = {}
     rows = []
@@ -101,17 +117,31 @@ PLAN_HEADER = "time,x,y,heading,speed,acceleration\n"
 
 
 def write_plan(target: Path, beyond: Track) -> None:
-    """``plan.csv.gz``: the adversary's planned motion after the contact, a row a step; box centres, s, m, rad, m/s."""
+    """Write ``plan.csv.gz``: the adversary's planned motion after the contact, a row for each step.
+
+    Args:
+        target: The file.
+        beyond: The motion of the box's centre [s, m, rad, m/s, m/s2].
+    """
     columns = (beyond.time, beyond.x, beyond.y, beyond.heading, beyond.speed, beyond.acceleration)
     rows = (",".join(f"{v:.6f}" for v in row) + "\n" for row in zip(*(c.tolist() for c in columns), strict=True))
     write_gzip(target, PLAN_HEADER + "".join(rows))
 
 
 def series_rows(ego: Track, tracks: Sequence[Track], adversary: str) -> list[str]:
-    """Rows of ``criticality.csv.gz``: the ego against others, by time, then by first appearance.
+    """Make the rows of ``criticality.csv.gz``: the ego against other vehicles, by time and then by first appearance.
 
-    The adversary at every step of the ego's track at which it is there, others at those at which their centre is within
-    60 m.  Never is empty; what has no bound at a contact is cut as in the outcome.
+    The adversary has a row at every step at which both it and the ego exist. Other vehicles have rows while their
+    centre is within 60 m of the ego's. An infinite value is an empty cell. Values without a bound at contact are
+    capped, as in the outcome.
+
+    Args:
+        ego: The ego.
+        tracks: All vehicles.
+        adversary: The id of the adversary.
+
+    Returns:
+        The lines.
     """
     others = [t for t in tracks if t.id != ego.id]
     if not others or not len(ego.time):
@@ -129,17 +159,28 @@ def series_rows(ego: Track, tracks: Sequence[Track], adversary: str) -> list[str
 
 
 def quoted(text: str) -> str:
-    """A CSV field (RFC 4180)."""
+    """Quote a CSV field if it needs quotes (RFC 4180)."""
     return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\n\r') else text
 
 
 def plain_row(row: Mapping[str, Any]) -> dict[str, Any]:
-    """A row of a table for people, without formulas."""
+    """Return the row with cells that no spreadsheet takes for formulas."""
     return {name: plain_cell(value) for name, value in row.items()}
 
 
 def csv_text(columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> str:
-    """A table with a head, as CSV. Raises ValueError: a row has another column."""
+    """Format rows as CSV with a header.
+
+    Args:
+        columns: The columns.
+        rows: The rows; a missing column gives an empty cell.
+
+    Returns:
+        The text.
+
+    Raises:
+        ValueError: A row has another column.
+    """
     text = io.StringIO(newline="")
     writer = csv.DictWriter(text, columns, lineterminator="\n")
     writer.writeheader()
@@ -148,7 +189,7 @@ def csv_text(columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> str:
 
 
 def write_gzip(target: Path, text: str) -> None:
-    """Text as gzip, the same bytes for the same text."""
+    """Write text as gzip; the same text gives the same bytes."""
     buffer = io.BytesIO()
     with gzip.GzipFile(filename="", mode="wb", fileobj=buffer, mtime=0, compresslevel=6) as file:
         file.write(text.encode())

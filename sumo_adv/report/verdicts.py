@@ -1,6 +1,6 @@
-"""What the files say of the attempt that counts beside its verdict: further figures, cause, realism and time series.
+"""Compute what the files say of the attempt that counts beyond its verdict: figures, cause, realism and time series.
 
-The front makes them from what was recorded.  Nothing is simulated again.
+All of it follows from what was recorded. Nothing is simulated again.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from sumo_adv.report.tables import series_rows
 from sumo_adv.simulation.network import Drivable
 from sumo_adv.simulation.tracks import tracks_of
 
-MIN_OWN_STEPS, MIN_REFERENCE_STEPS = 10, 100  # steps below which a distance of distributions says nothing
-MAX_MAPPED_VEHICLES = 40  # reference vehicles that are measured against the road's edge
+MIN_OWN_STEPS, MIN_REFERENCE_STEPS = 10, 100  # with fewer steps, a distance of distributions says nothing
+MAX_MAPPED_VEHICLES = 40  # maximum number of reference vehicles measured against the road's edge
 WOSAC_FEATURES = (
     "linear_speed", "linear_acceleration", "angular_speed", "angular_acceleration", "distance_to_road_edge",
 )  # fmt: skip
@@ -44,22 +44,23 @@ FURTHER_KEYS = (
     "collision_class", "impact", "rss", "tet", "tit", "min_headway", "max_btn", "max_required_lateral",
     "conflict_point", "paper_centre_distance", "cause", "warning", "red_light", "right_of_way",
 )  # fmt: skip
-DEFAULT_SIGMA = 0.5  # SUMO's, where a vehicle type does not say
+DEFAULT_SIGMA = 0.5  # SUMO's default if a vehicle type declares none
 TYPE, SIGMA = re.compile(rb"<vType\b[^>]*>"), re.compile(rb"\bsigma\s*=\s*[\"']([^\"']*)[\"']")
 
 
 @dataclass(frozen=True, slots=True)
 class Findings:
-    """What is found on the attempt that counts beside its verdict.
+    """What is found on the attempt that counts, beyond its verdict.
 
     Attributes:
-        figures: None if the ego or the adversary was gone at once, as are the cause and the rules broken then.
-        cause: Why it came to a contact or a near miss.
+        figures: Further figures; None if the ego or the adversary disappeared at once. The cause and the broken rules
+            are None then, too.
+        cause: Why a contact or a near miss happened.
         rules: Who broke a red light or the right of way.
-        warning: From the alarm of ``cc_human`` to the contact [s].
-        markings: Those that the adversary crossed.
-        realism: The block of that name.
-        rows: Of ``criticality.csv.gz``, without the header.
+        warning: The time from the alarm of ``cc_human`` to the contact [s].
+        markings: The lane markings that the adversary crossed.
+        realism: The content of the key ``realism``.
+        rows: The rows of ``criticality.csv.gz``, without the header.
     """
 
     figures: FurtherFigures | None = None
@@ -72,7 +73,15 @@ class Findings:
 
 
 def findings_on(run: Run, record: EncounterRecord) -> Findings | None:
-    """Return what is found on the attempt that counts in a record; None without an attempt."""
+    """Compute the findings on the attempt that counts.
+
+    Args:
+        run: The run.
+        record: The record.
+
+    Returns:
+        The findings; None without an attempt.
+    """
     best, result, encounter, prefix = record.best, record.best_result, record.found, record.prefix
     if best is None or result is None or prefix is None:
         return None
@@ -102,7 +111,7 @@ def findings_on(run: Run, record: EncounterRecord) -> Findings | None:
 
 
 def _foreseen(settings: Settings, best: Attempt, encounter: FoundEncounter) -> Track | None:
-    """The ego's motion without the attack, as it was foreseen."""
+    """Return the predicted motion of the ego without the attack; None if there is none."""
     situation = encounter.situations.get(best.proposal.delay)
     if situation is None or len(situation.baseline.s) < 2:
         return None
@@ -115,7 +124,7 @@ def _foreseen(settings: Settings, best: Attempt, encounter: FoundEncounter) -> T
 def _tracks(
     settings: Settings, task: Task, best: Attempt, encounter: FoundEncounter, prefix: Prefix, result: AttemptResult
 ) -> list[Track]:
-    """The recording that the engine judged: from a little before the attempt's start on."""
+    """Return the recording that the engine judged, which begins a little before the attempt's start."""
     first = first_judged(encounter, settings, len(prefix.snapshots), result.start)
     snapshots = [*prefix.snapshots, *result.snapshots][first:]
     roles = task.roles(encounter.ego, *best.proposal.bvs)
@@ -126,7 +135,14 @@ def _tracks(
 
 
 def further_keys(found: Findings | None) -> dict[str, Any]:
-    """What is found as keys of ``outcome``; null if the question does not arise."""
+    """Return the further keys of ``outcome``.
+
+    Args:
+        found: The findings; None without an attempt.
+
+    Returns:
+        The keys. A value is None if its question does not arise.
+    """
     markings = [] if found is None else _plain(list(found.markings))
     if found is None or found.figures is None:
         return {**dict.fromkeys(FURTHER_KEYS), "markings_crossed": markings}
@@ -146,7 +162,14 @@ def further_keys(found: Findings | None) -> dict[str, Any]:
 
 
 def warning_of(verdict: Verdict) -> float | None:
-    """Seconds from the alarm of ``cc_human`` to the contact, 0 if none came before; None without a contact."""
+    """Return the time from the alarm of ``cc_human`` to the contact.
+
+    Args:
+        verdict: The verdict.
+
+    Returns:
+        The time [s]: 0 if no alarm preceded the contact, None without a contact.
+    """
     p, contact = verdict.preventability, verdict.contact_time
     if p is None or contact is None:
         return None
@@ -154,7 +177,7 @@ def warning_of(verdict: Verdict) -> float | None:
 
 
 def _plain(value: Any) -> Any:
-    """Numbers rounded, enumerations as text, a dataclass as its fields by name."""
+    """Convert a value to plain data: numbers are rounded, enumerations become text, dataclasses become dicts."""
     if is_dataclass(value):
         return {f.name: _plain(getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, Mapping):
@@ -168,7 +191,7 @@ def _plain(value: Any) -> Any:
 
 
 def _realism(settings: Settings, task: Task, moved: Track, encounter: FoundEncounter, prefix: Prefix) -> dict[str, Any]:
-    """The adversary's motion up to the contact against the unattacked run's traffic in the same window."""
+    """Compare the adversary's motion up to the contact with the unattacked run's traffic in the same window."""
     step = settings.step_length
     start, end = (float(moved.time[0]), float(moved.time[-1])) if len(moved.time) else (encounter.time, encounter.time)
     sizes = {**prefix.sizes, **encounter.sizes}
@@ -190,9 +213,16 @@ def _realism(settings: Settings, task: Task, moved: Track, encounter: FoundEncou
 
 
 def realism_figures(moved: Track, traffic: Sequence[Track], drivable: Drivable) -> dict[str, Any]:
-    """Every figure of the block: the adversary's motion against that of ``traffic``.
+    """Compute the figures of realism: the adversary's motion against that of other traffic.
 
-    None where there is too little to say it: fewer than 10 steps of the adversary, or 100 of traffic.
+    Args:
+        moved: The adversary's motion.
+        traffic: The other vehicles.
+        drivable: The drivable area.
+
+    Returns:
+        Every figure. All are None if the adversary has fewer than 10 steps; those that compare with traffic are None if
+            the traffic has fewer than 100 steps.
     """
     block: dict[str, Any] = dict.fromkeys([*(f"{n}_{d}" for n in PAPER_BINS for d in DISTANCES), *SHARES])
     block["wosac_js"] = dict.fromkeys(WOSAC_FEATURES)
@@ -206,7 +236,7 @@ def realism_figures(moved: Track, traffic: Sequence[Track], drivable: Drivable) 
 
 
 def _wosac(moved: Track, traffic: Sequence[Track], drivable: Drivable) -> dict[str, float]:
-    """Jensen-Shannon divergences over WOSAC's bins; the map feature against traffic on the known part of the road."""
+    """Compute Jensen-Shannon divergences over WOSAC's bins; only traffic on the known road has the map feature."""
     distance = edge_distance(drivable)
     on_map = [t for t in traffic if bool(np.asarray(drivable(t.x, t.y)).all())][:MAX_MAPPED_VEHICLES]
     reference: dict[str, list[Floats]] = {}
@@ -220,7 +250,15 @@ def _wosac(moved: Track, traffic: Sequence[Track], drivable: Drivable) -> dict[s
 
 
 def edge_distance(drivable: Drivable) -> Callable[[Floats, Floats], Floats]:
-    """Signed distance [m] of points to the edge of the drivable area, positive on it."""
+    """Make a function that computes the signed distance of points to the edge of the drivable area.
+
+    Args:
+        drivable: The drivable area.
+
+    Returns:
+        A function of x and y [m], any shape, that returns distances [m] of the same shape; they are positive on the
+            area.
+    """
     from shapely import STRtree, get_coordinates, linestrings, points
 
     area = drivable.area.boundary
@@ -237,7 +275,15 @@ def edge_distance(drivable: Drivable) -> Callable[[Floats, Floats], Floats]:
 
 
 def demand_sigmas(files: Sequence[Path]) -> list[float]:
-    """The sigmas of the vehicle types that demand files declare, sorted; SUMO's 0.5 where none is declared or said."""
+    """Read the driver imperfections ``sigma`` of the vehicle types that demand files declare.
+
+    Args:
+        files: The demand files.
+
+    Returns:
+        The distinct values, sorted. A type without a readable ``sigma`` counts as SUMO's default of 0.5. If there are
+            no types, the only value is 0.5.
+    """
     sigmas: set[float] = set()
     for file in files:
         for kind in TYPE.findall(read_bytes(file, MAX_SUMO_FILE_BYTES)):

@@ -1,4 +1,4 @@
-"""A run in other tools' formats: what may be chosen. Light, because the command line imports it."""
+"""List the formats that a run can be exported to. The command line imports this module, so it imports little."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class Format(StrEnum):
-    """What may be written; ``all``: each format that has its packages installed."""
+    """The formats of an export; ``ALL`` means each format whose packages are installed."""
 
     OPENSCENARIO = "openscenario"
     SUMO = "sumo"
@@ -21,7 +21,7 @@ class Format(StrEnum):
 
 
 class Variant(StrEnum):
-    """The vehicles that an OpenSCENARIO file drives: all, or all but the ego."""
+    """The vehicles that an OpenSCENARIO file drives: all of them, or all but the ego."""
 
     REPLAY = "replay"
     FREE_EGO = "free-ego"

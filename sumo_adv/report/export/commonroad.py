@@ -1,12 +1,12 @@
-"""A run as a CommonRoad scenario with a solution, and as a ScenarioNet database, which MetaDrive replays.
+"""Export a run as a CommonRoad scenario with a solution, and as a ScenarioNet database, which MetaDrive replays.
 
-CommonRoad: XML of format 2020a, and the ego's recorded motion as a solution: two files. Time step 0 is the first
-exported step; a step is the run's. The ego is the planning problem, and no obstacle; its goal is where it was at the
-end. Obstacles are numbered in the order of the run after the lanelets; a comment in the file gives each number's id,
-and the ego's size. Speed limits are signs, the numbers behind the ego's.
+CommonRoad: There are two files, the XML scenario of format 2020a and the ego's recorded motion as a solution. Time step
+0 is the first exported step; the step length is the run's. The ego is the planning problem and no obstacle. Its goal is
+where it was at the end. Obstacles are numbered in the order of the run, after the lanelets. A comment in the file gives
+the id of each number, and the ego's size. Speed limits are signs, with the numbers after the ego's.
 
-ScenarioNet: one scenario, a folder of three pickled dictionaries, of plain values and numpy arrays. Time 0 is the first
-exported step; positions are box centres in the network's coordinates.
+ScenarioNet: There is one scenario, a folder of three pickled dictionaries of plain values and numpy arrays. Time 0 is
+the first exported step. Positions are box centres in the network's coordinates.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ from sumo_adv.report.export.piece import (
 )
 
 COMMONROAD_SCENARIO_FILE, COMMONROAD_SOLUTION_FILE = "scenario.xml", "solution.xml"
-GOAL_SIZE_M = 10.0, 4.0  # length and width of the goal around the ego's last place
+GOAL_SIZE_M = 10.0, 4.0  # length and width of the goal around the ego's last position
 VEHICLE_MODELS = {"KS1": (4.298, 1.674), "KS2": (4.508, 1.610), "KS3": (4.569, 1.844)}
-"""Kinematic single-track models of CommonRoad with length and width [m]: Ford Escort, BMW 320i, VW Vanagon."""
-MIN_STEERED_SPEED_M_S = 1.0  # below which no steering angle follows from the motion
+"""Length and width [m] of CommonRoad's kinematic single-track models: Ford Escort, BMW 320i and VW Vanagon."""
+MIN_STEERED_SPEED_M_S = 1.0  # below this, the motion gives no steering angle
 SPEED_LIMIT_SIGN = "274"  # the sign's number in Germany and in CommonRoad's Zamunda
 SUMMARY, MAPPING = "dataset_summary.pkl", "dataset_mapping.pkl"
 SCENARIONET_TYPES = {
@@ -50,11 +50,19 @@ SCENARIONET_TYPES = {
     "pedestrian": "PEDESTRIAN",
 }
 DATASET_NAME, DATASET_VERSION = "sumo_adv", "1"
-PICKLE_PROTOCOL = 4  # of pickle: Python 3.4 and later
+PICKLE_PROTOCOL = 4  # readable by Python 3.4 and later
 
 
 def write_commonroad(folder: Path, piece: ExportedRun) -> None:
-    """Write ``scenario.xml`` and ``solution.xml`` into ``folder``. Raises UsageError: the network is unreadable."""
+    """Write ``scenario.xml`` and ``solution.xml`` into a folder.
+
+    Args:
+        folder: The folder.
+        piece: What is exported.
+
+    Raises:
+        UsageError: The network cannot be read.
+    """
     lanes = map_lanes(piece)
     problem = len(lanes) + len(piece.tracks) + 1
     for name, root in (
@@ -67,7 +75,7 @@ def write_commonroad(folder: Path, piece: ExportedRun) -> None:
 
 
 def _benchmark_id(piece: ExportedRun) -> str:
-    """The scenario's name as CommonRoad spells names: ``ZAM_PriorityCrossing-1_1_T-1``."""
+    """Return the scenario's name as CommonRoad spells names: ``ZAM_PriorityCrossing-1_1_T-1``."""
     words = re.findall(r"[A-Za-z0-9]+", piece.name)
     return f"ZAM_{''.join(w[:1].upper() + w[1:] for w in words) or 'Run'}-1_1_T-1"
 
@@ -132,11 +140,12 @@ def _add_obstacle(root: Element, number: int, track: Track, piece: ExportedRun) 
 
 
 def _safe(track: Track) -> str:
-    """Its id as a comment can hold it."""
+    """Return the track's id in a form that an XML comment can hold."""
     return printable(track.id).replace("-", "_")
 
 
 def _steps(track: Track, piece: ExportedRun) -> list[int]:
+    """Return the time steps of a track's states."""
     return [round((time - piece.begin) / piece.step) for time in track.time.tolist()]
 
 
@@ -176,7 +185,7 @@ def _add_problem(root: Element, piece: ExportedRun, number: int) -> None:
 
 
 def _steering(track: Track) -> Floats:
-    """Steering angles [rad] of a single-track model from heading over distance, 0 where it hardly moves."""
+    """Compute steering angles [rad] of a single-track model from the motion; 0 at speeds that are too low."""
     if len(track.time) < 2:
         return np.zeros(len(track.time))
     turn = np.gradient(np.unwrap(track.heading), track.time)
@@ -200,7 +209,15 @@ def _solution(piece: ExportedRun, problem: int) -> Element:
 
 
 def write_scenarionet(folder: Path, piece: ExportedRun) -> None:
-    """Write the database into ``folder``. Raises UsageError: the network is unreadable."""
+    """Write the ScenarioNet database into a folder.
+
+    Args:
+        folder: The folder.
+        piece: What is exported.
+
+    Raises:
+        UsageError: The network cannot be read.
+    """
     scenario = _description(piece)
     file = f"sd_{DATASET_NAME}_{DATASET_VERSION}_{scenario['id']}.pkl"
     for name, value in ((file, scenario), (SUMMARY, {file: scenario["metadata"]}), (MAPPING, {file: ""})):
@@ -234,7 +251,7 @@ def _description(piece: ExportedRun) -> dict[str, Any]:
 
 
 def _track(track: Track, piece: ExportedRun, length: int) -> dict[str, Any]:
-    """States over all steps, zero where the vehicle is not there."""
+    """Describe a track by states over all steps; they are zero and not valid while the vehicle does not exist."""
     first, category = round((float(track.time[0]) - piece.begin) / piece.step), kind(track)
     at = slice(first, first + len(track.time))
 
@@ -261,7 +278,7 @@ def _track(track: Track, piece: ExportedRun, length: int) -> dict[str, Any]:
 
 
 def _features(each: MapLane) -> list[tuple[str, dict[str, Any]]]:
-    """A lane, and the lines at its sides outside junctions."""
+    """Describe a lane and, outside junctions, the lines at its sides."""
     lane = {
         "type": "LANE_SURFACE_STREET", "polyline": _flat(each.lane.shape),
         "polygon": np.concatenate([each.left, each.right[::-1]]),
@@ -279,4 +296,5 @@ def _features(each: MapLane) -> list[tuple[str, dict[str, Any]]]:
 
 
 def _flat(line: Any) -> Any:
+    """Add a height of 0 to the points of a line."""
     return np.column_stack([line, np.zeros(len(line))])

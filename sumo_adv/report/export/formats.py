@@ -1,4 +1,4 @@
-"""The formats: what each is called, what it needs, and writing a run in one of them."""
+"""Register the export formats with their names and needs, and write a run in one of them."""
 
 from __future__ import annotations
 
@@ -26,10 +26,15 @@ WriteFormat = Callable[[Path, ExportedRun, Variant], str | None]
 
 @dataclass(frozen=True, slots=True)
 class ExportFormat:
-    """A format. ``write`` fills a file, or a folder that is there and empty, and may give a sentence on what is lost.
+    """An export format.
 
-    ending: of the default name. extra, packages: what to install, and what must then import; both empty = nothing.
-    marker: the file by which ``--force`` knows a folder of this format; empty = the format is one file.
+    Attributes:
+        ending: The ending of the default name.
+        write: A function that writes a file or fills an existing empty folder. It may return a sentence about what is
+            lost.
+        extra: The extra of this program to install; empty if the format needs no packages.
+        packages: The packages that must import; empty if the format needs none.
+        marker: The file by which ``--force`` recognises a folder of this format; empty if the format is one file.
     """
 
     ending: str
@@ -50,7 +55,14 @@ class ExportFormat:
         return ", ".join(lacking)
 
     def need(self, format: Format) -> None:
-        """Raise UsageError, saying what to install, if a package is missing."""
+        """Check that all packages import.
+
+        Args:
+            format: The format's name.
+
+        Raises:
+            UsageError: A package is missing. The message says what to install.
+        """
         if missing := self.missing:
             raise UsageError(
                 f"The format {format} needs what is not installed ({missing}): pip install 'sumo-adv[{self.extra}]'."
@@ -58,7 +70,7 @@ class ExportFormat:
 
 
 def _text(of: Callable[[ExportedRun], str]) -> WriteFormat:
-    """A writer of text, packed where the name ends in ``.gz``."""
+    """Make a writer of text, which compresses the text if the name ends in ``.gz``."""
 
     def write(target: Path, piece: ExportedRun, variant: Variant) -> None:
         if target.suffix == ".gz":
@@ -70,7 +82,7 @@ def _text(of: Callable[[ExportedRun], str]) -> WriteFormat:
 
 
 def _replayed(of: Callable[[Path, ExportedRun], str | None]) -> WriteFormat:
-    """A writer that knows no variants."""
+    """Make a writer that ignores the variant."""
     return lambda target, piece, variant: of(target, piece)
 
 
@@ -88,11 +100,21 @@ FORMATS: dict[Format, ExportFormat] = {
     Format.OSI: ExportFormat("_gt.osi", _replayed(write_osi), "osi", ("osi3.osi_groundtruth_pb2",)),
     Format.SCENARIONET: ExportFormat("-scenarionet", _replayed(write_scenarionet), marker=SUMMARY),
 }  # fmt: skip
-HOLDERS = (".", "failures", "runs")  # where hunts, regression suites and campaigns keep their runs
+HOLDERS = (".", "failures", "runs")  # subfolders in which hunts, regression suites and campaigns keep their runs
 
 
 def chosen(format: Format) -> list[Format]:
-    """The formats that ``format`` stands for. Raises UsageError: a package of the one format is missing."""
+    """Return the formats that a choice means.
+
+    Args:
+        format: The choice.
+
+    Returns:
+        The format itself, or all formats without missing packages.
+
+    Raises:
+        UsageError: A package of the one format is missing.
+    """
     if format is Format.ALL:
         return [each for each, entry in FORMATS.items() if not entry.missing]
     FORMATS[format].need(format)
@@ -100,7 +122,7 @@ def chosen(format: Format) -> list[Format]:
 
 
 def left_out() -> Iterator[str]:
-    """A sentence for each format that lacks a package."""
+    """Yield a sentence for each format that lacks a package."""
     for format, entry in FORMATS.items():
         try:
             entry.need(format)
@@ -109,7 +131,14 @@ def left_out() -> Iterator[str]:
 
 
 def runs_in(folder: Path) -> list[Path]:
-    """``folder`` itself if it is a run's, or none at all; else the runs of a hunt, a regression suite or a campaign."""
+    """Find the runs to export.
+
+    Args:
+        folder: The folder of a run, a hunt, a regression suite or a campaign.
+
+    Returns:
+        The folders of the runs. ``folder`` itself if it is a run's folder or no folder at all.
+    """
     if (folder / OUTCOME_FILE).is_file() or not folder.is_dir():
         return [folder]
     places = [folder / holder for holder in HOLDERS if (folder / holder).is_dir()]
@@ -117,9 +146,20 @@ def runs_in(folder: Path) -> list[Path]:
 
 
 def write_export(target: Path, piece: ExportedRun, format: Format, variant: Variant, *, force: bool) -> str | None:
-    """Write a run in one format: the whole file or folder, or nothing. Gives a sentence if something is lost.
+    """Write a run in one format, whole or not at all.
 
-    Raises UsageError: ``target`` exists, a package of the format is missing, or an error of the format.
+    Args:
+        target: The file or folder.
+        piece: What is exported.
+        format: The format, not ``ALL``.
+        variant: The vehicles that an OpenSCENARIO file drives.
+        force: Whether an existing target is replaced.
+
+    Returns:
+        A sentence if something is lost, otherwise None.
+
+    Raises:
+        UsageError: ``target`` exists, a package is missing, or the format cannot hold the run.
     """
     entry = FORMATS[format]
     entry.need(format)

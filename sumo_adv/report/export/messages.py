@@ -1,10 +1,14 @@
-"""A run as MCAP with Foxglove's schemas (for Lichtblick and Foxglove), and as an ASAM OSI trace.
+"""Export a run as MCAP with Foxglove's schemas (for Lichtblick and Foxglove), and as an ASAM OSI trace.
 
-MCAP topics: ``/vehicles`` and ``/road`` (SceneUpdate), ``/ego`` (PoseInFrame), ``/adversaries`` (PosesInFrame),
-``/log`` (Log); if the ego's driver showed them, ``/plan`` (SceneUpdate) and ``/notes`` (JSON). The frame ``world`` is
-the network's. OSI: a GroundTruth a step, each after its length in 4 bytes (little-endian); the lanes are in the first
-message only, because they do not change. Objects are numbered in the order of the run from 1; their ids are in
-``source_reference``. Times are simulation times, positions are centres of boxes.
+MCAP topics: ``/vehicles`` and ``/road`` (SceneUpdate), ``/ego`` (PoseInFrame), ``/adversaries`` (PosesInFrame) and
+``/log`` (Log). If the ego's driver reported them, ``/plan`` (SceneUpdate) and ``/notes`` (JSON) exist, too. The frame
+``world`` is the network's.
+
+OSI: There is one GroundTruth for each step, preceded by its length in 4 bytes (little-endian). Only the first message
+has the lanes, because they do not change. Objects are numbered from 1 in the order of the run; their ids are in
+``source_reference``.
+
+In both formats, times are simulation times, and positions are centres of boxes.
 """
 
 from __future__ import annotations
@@ -25,14 +29,22 @@ ROLE_RGB = {
     Role.EGO: (0.1, 0.4, 0.9), Role.ADVERSARY: (0.95, 0.5, 0.1), Role.BACKGROUND: (0.6, 0.6, 0.6),
     Role.OBSTACLE: (0.4, 0.35, 0.3),
 }  # fmt: skip
-LINE_WIDTH_M = 0.15  # how thick lines of the road are drawn
+LINE_WIDTH_M = 0.15  # width at which lines of the road are drawn
 NANOSECONDS_PER_S = 1_000_000_000
-FIRST_LANE_ID = 100_000  # ids of OSI's lanes begin behind it
+FIRST_LANE_ID = 100_000  # the ids of OSI's lanes follow this number
 OSI_TYPES = {"car": "TYPE_CAR", "truck": "TYPE_HEAVY_TRUCK", "bicycle": "TYPE_BICYCLE"}
 
 
 def write_mcap(target: Path, piece: ExportedRun) -> None:
-    """Write one message a topic and step. Needs foxglove-sdk. Raises UsageError: the network is unreadable."""
+    """Write an MCAP file with one message for each topic and step. This needs foxglove-sdk.
+
+    Args:
+        target: The file.
+        piece: What is exported.
+
+    Raises:
+        UsageError: The network cannot be read.
+    """
     import foxglove
     from foxglove import channels
     from foxglove import messages as m
@@ -70,7 +82,7 @@ def write_mcap(target: Path, piece: ExportedRun) -> None:
 
 
 def nanoseconds(time: float) -> int:
-    """A time [s] as MCAP has it, whole microseconds."""
+    """Convert a time [s] to nanoseconds, rounded to whole microseconds."""
     return round(time * 1e6) * 1000
 
 
@@ -82,7 +94,7 @@ def _stamp(time: float) -> Any:
 
 
 def _index(track: Track, time: float, step: float) -> int | None:
-    """The place of a time among the track's states; None where it has none."""
+    """Return the index of the track's state at a time; None if there is no state."""
     k = round((time - float(track.time[0])) / step)
     return k if 0 <= k < len(track.time) else None
 
@@ -98,7 +110,7 @@ def _pose(track: Track, k: int, z: float = 0.0) -> Any:
 
 
 def _scene(there: list[tuple[Track, int]], time: float, step: float) -> Any:
-    """A box a vehicle, which lasts until the next step."""
+    """Make a box for each vehicle; it lasts until the next step."""
     from foxglove import messages as m
 
     entities = []
@@ -120,7 +132,7 @@ def _scene(there: list[tuple[Track, int]], time: float, step: float) -> Any:
 
 
 def _plan(inside: DriverInside, piece: ExportedRun) -> Any:
-    """The plan of the ego's driver as a line."""
+    """Draw the plan of the ego's driver as a line."""
     from foxglove import messages as m
 
     red, green, blue = ROLE_RGB[Role.EGO]
@@ -134,7 +146,7 @@ def _plan(inside: DriverInside, piece: ExportedRun) -> Any:
 
 
 def _road(piece: ExportedRun) -> Any:
-    """Both sides of each lane, once."""
+    """Draw both sides of each lane, once."""
     from foxglove import messages as m
 
     entities, strip, grey = [], m.LinePrimitiveLineType.LineStrip, m.Color(r=0.8, g=0.8, b=0.8, a=1.0)
@@ -149,7 +161,7 @@ def _road(piece: ExportedRun) -> Any:
 
 
 def _said(piece: ExportedRun) -> list[tuple[float, str, bool]]:
-    """Time [s], words, and whether it is bad news."""
+    """Return the log: the time [s], the words, and whether it is a warning."""
     said = [(piece.begin, f"{piece.name}: ego {piece.ego}", False)]
     if piece.adversary is not None and piece.takeover is not None:
         said.append((piece.takeover, f"takeover of {', '.join((piece.adversary, *piece.supports))}", False))
@@ -160,7 +172,15 @@ def _said(piece: ExportedRun) -> list[tuple[float, str, bool]]:
 
 
 def write_osi(target: Path, piece: ExportedRun) -> None:
-    """Write the trace. Needs osi-python. Raises UsageError: the network is unreadable."""
+    """Write an OSI trace of GroundTruth messages. This needs osi-python.
+
+    Args:
+        target: The file.
+        piece: What is exported.
+
+    Raises:
+        UsageError: The network cannot be read.
+    """
     with target.open("wb") as file:
         for step in range(round((piece.end - piece.begin) / piece.step) + 1):
             data = _ground_truth(piece, step).SerializeToString(deterministic=True)
@@ -168,7 +188,7 @@ def write_osi(target: Path, piece: ExportedRun) -> None:
 
 
 def _ground_truth(piece: ExportedRun, step: int) -> Any:
-    """The GroundTruth message of a step, counted from the first exported one."""
+    """Make the GroundTruth message of a step, counted from the first exported one; only step 0 has the lanes."""
     from osi3.osi_groundtruth_pb2 import GroundTruth
     from osi3.osi_version_pb2 import DESCRIPTOR, current_interface_version
 

@@ -1,10 +1,10 @@
-"""A run as ASAM OpenSCENARIO 1.2 with its road as OpenDRIVE: a folder of two files.
+"""Export a run as ASAM OpenSCENARIO 1.2 with its road as OpenDRIVE: a folder of two files.
 
-World x, y, h are SUMO's coordinates of the network; time 0 is the piece's begin. An OpenSCENARIO vehicle stands where
-the middle of its rear axle is, on the ground. SUMO's vehicle types have no axles, so a convention stands in, the same
-for every vehicle: wheelbase 0.6 of the length, equal overhangs, hence the box's centre 0.3 of the length ahead of the
-rear axle. The reference point of other objects is their box's centre. A vehicle that comes later is added by an action;
-it is deleted when it leaves.
+World x, y and h are the network's coordinates in SUMO. Time 0 is the beginning of the exported part. The reference
+point of an OpenSCENARIO vehicle is the middle of its rear axle, on the ground. SUMO's vehicle types have no axles, so
+all vehicles use one convention: the wheelbase is 0.6 of the length and both overhangs are equal, hence the box's centre
+is 0.3 of the length ahead of the rear axle. The reference point of other objects is their box's centre. A vehicle that
+appears later is added by an action. A vehicle that leaves is deleted.
 """
 
 from __future__ import annotations
@@ -44,27 +44,33 @@ from sumo_adv.report.page_road import network
 from sumo_adv.simulation.network import is_left_hand
 
 OPENSCENARIO_FILE, OPENDRIVE_FILE = "scenario.xosc", "road.xodr"
-OPENSCENARIO_VERSION = "1.2.0"  # of the schema
-CENTRE_SHARE = 0.3  # of the length, from the rear axle to the box's centre
-TRACK_WIDTH_SHARE = 0.85  # of the width
+OPENSCENARIO_VERSION = "1.2.0"  # version of the schema
+CENTRE_SHARE = 0.3  # share of the length from the rear axle to the box's centre
+TRACK_WIDTH_SHARE = 0.85  # share of the width
 WHEEL_DIAMETER_M = 0.65
 MASS_KG = {"car": 1500, "truck": 12000, "bicycle": 90, "pedestrian": 75, "obstacle": 500}
 PERFORMANCE_SPEED_M_S, PERFORMANCE_ACCELERATION_M_S2, PERFORMANCE_DECELERATION_M_S2 = (
     70.0,
     4.0,
     9.0,
-)  # m/s, m/s2: wide enough for every trajectory
-START_SLACK_S = 0.5  # how much before its time a free ego's nearness may start the attack
-OPENDRIVE_EXPORT_TIMEOUT_S = 600.0  # s for netconvert: a town takes seconds
+)  # wide enough for every trajectory
+START_SLACK_S = 0.5  # a free ego's nearness may start the attack this much earlier
+OPENDRIVE_EXPORT_TIMEOUT_S = 600.0  # for netconvert; a town takes seconds
 Names = Mapping[str, str]
 
 
 def write_openscenario(folder: Path, piece: ExportedRun, netconvert: Path, variant: Variant = Variant.REPLAY) -> None:
-    """Write ``scenario.xosc``, checked against ASAM's schema, and ``road.xodr`` into ``folder``.
+    """Write ``scenario.xosc``, checked against ASAM's schema, and ``road.xodr`` into a folder.
+
+    Args:
+        folder: The folder.
+        piece: What is exported.
+        netconvert: The program ``netconvert``.
+        variant: The vehicles that the file drives.
 
     Raises:
-        UsageError: there is no adversary for a free ego.
-        SumoAdvError: netconvert failed.
+        UsageError: A free ego is wanted and there is no adversary.
+        SumoAdvError: netconvert failed, or the document is not valid.
     """
     text = openscenario(piece, variant)
     check_openscenario(text)
@@ -73,18 +79,27 @@ def write_openscenario(folder: Path, piece: ExportedRun, netconvert: Path, varia
 
 
 def openscenario(piece: ExportedRun, variant: Variant = Variant.REPLAY) -> str:
-    """The document: all vehicles as recorded, or all but the ego, which then starts so and is the player's.
+    """Make the document.
 
-    Adversaries follow their recording to the takeover. From the takeover's time on they attack, or with a free ego up
-    to ``START_SLACK_S`` earlier if it is as near to the collider by then as at the recorded takeover: all begin
-    together.
+    With a free ego, the file drives all vehicles but the ego, which starts as recorded and is then the player's.
+    Adversaries follow their recording up to the takeover, and attack from then on. With a free ego, the attack begins
+    up to ``START_SLACK_S`` earlier if the ego is as near to the collider as at the recorded takeover. All adversaries
+    begin together.
 
-    Raises UsageError: a free ego needs an adversary.
+    Args:
+        piece: What is exported.
+        variant: The vehicles that the file drives.
+
+    Returns:
+        The XML.
+
+    Raises:
+        UsageError: A free ego is wanted and there is no adversary.
     """
     if variant is Variant.FREE_EGO and (piece.adversary is None or piece.takeover is None):
         raise UsageError("A free ego needs an adversary: export a run that was attacked, without --unattacked.")
     heights = network(piece.network).heights
-    if heights is not None and heights.inferred:  # netconvert's OpenDRIVE has no heights that we inferred
+    if heights is not None and heights.inferred:  # netconvert's OpenDRIVE lacks inferred heights
         piece = replace(piece, tracks=tuple(replace(track, z=0.0) for track in piece.tracks))
     names = entity_names(piece.tracks)
     root = Element("OpenSCENARIO")
@@ -98,7 +113,7 @@ def openscenario(piece: ExportedRun, variant: Variant = Variant.REPLAY) -> str:
         known |= {"adversary": names[piece.adversary], "takeover": f"{piece.takeover:.3f}"}
     known |= {f"support_{k}": names[support] for k, support in enumerate(piece.supports, 1)}
     properties = SubElement(header, "Properties")
-    for name, value in known.items():  # what a reader needs to find its way back to the run
+    for name, value in known.items():  # a reader needs these to find the run
         SubElement(properties, "Property", name=f"sumo_adv_{name}", value=value)
     SubElement(root, "CatalogLocations")
     SubElement(SubElement(root, "RoadNetwork"), "LogicFile", filepath=OPENDRIVE_FILE)
@@ -112,7 +127,7 @@ def openscenario(piece: ExportedRun, variant: Variant = Variant.REPLAY) -> str:
 
 
 def entity_names(tracks: Sequence[Track]) -> dict[str, str]:
-    """A name that OpenSCENARIO takes for each id: no control character, no ``$`` (a parameter), each its own."""
+    """Give each id a unique name that OpenSCENARIO accepts: no control characters, no ``$`` (a parameter), no ``:``."""
     names: dict[str, str] = {}
     for track in tracks:
         name = "".join(c if c.isprintable() and c not in "$:" else "_" for c in track.id).strip() or "_"
@@ -123,12 +138,12 @@ def entity_names(tracks: Sequence[Track]) -> dict[str, str]:
 
 
 def _centre_ahead(track: Track) -> float:
-    """How far the box's centre is ahead of the reference point [m]."""
+    """Return how far the box's centre is ahead of the reference point [m]."""
     return 0.0 if kind(track) in ("pedestrian", "obstacle") else CENTRE_SHARE * track.length
 
 
 def reference_points(track: Track) -> tuple[Floats, Floats, Floats]:
-    """x, y [m] of the reference point and heading [rad], unwrapped, at the track's times."""
+    """Return x [m], y [m] of the reference point and the unwrapped heading [rad], at the track's times."""
     ahead = _centre_ahead(track)
     x, y = track.x - ahead * np.cos(track.heading), track.y - ahead * np.sin(track.heading)
     return x, y, np.unwrap(track.heading)
@@ -182,7 +197,7 @@ def _add_vehicle_parts(thing: Element, track: Track) -> None:
 
 
 def _add_storyboard(parent: Element, piece: ExportedRun, variant: Variant, names: Names) -> None:
-    """The positions at the start, and the timed trajectories from then on."""
+    """Add the positions at the start, and the timed trajectories from then on."""
     storyboard = SubElement(parent, "Storyboard")
     actions = SubElement(SubElement(storyboard, "Init"), "Actions")
     for track in piece.tracks:
@@ -205,7 +220,7 @@ def _add_storyboard(parent: Element, piece: ExportedRun, variant: Variant, names
 
 
 def _add_recorded(act: Element, piece: ExportedRun, track: Track, name: str) -> None:
-    """Come, follow the recording, go."""
+    """Add a vehicle's recording: it appears, follows its trajectory and disappears."""
     begin, end = float(track.time[0]) - piece.begin, float(track.time[-1]) - piece.begin
     maneuver = _add_maneuver(act, name)
     if _is_late(track, piece):
@@ -225,7 +240,7 @@ def _add_recorded(act: Element, piece: ExportedRun, track: Track, name: str) -> 
 
 
 def _add_attacker(act: Element, piece: ExportedRun, track: Track, names: Names) -> None:
-    """The recording up to the takeover, then the attack on a clock of its own."""
+    """Add an adversary: the recording up to the takeover, then the attack with relative times."""
     assert piece.takeover is not None and piece.adversary is not None
     name, takeover = names[track.id], piece.takeover - piece.begin
     maneuver = _add_maneuver(act, name)
@@ -248,11 +263,12 @@ def _add_attacker(act: Element, piece: ExportedRun, track: Track, names: Names) 
 
 
 def _is_late(track: Track, piece: ExportedRun) -> bool:
+    """Return whether a vehicle appears after the beginning."""
     return bool(track.time[0] > piece.begin + piece.step / 2)
 
 
 def _nested(parent: Element, *tags: str) -> Element:
-    """The innermost of new elements, each in the one before."""
+    """Create nested elements and return the innermost one."""
     for tag in tags:
         parent = SubElement(parent, tag)
     return parent
@@ -274,7 +290,7 @@ def _add_action(event: Element, name: str, sort: str) -> Element:
 
 
 def _add_following(event: Element, name: str, track: Track, time: Floats, *, absolute: bool) -> None:
-    """FollowTrajectoryAction with a vertex a state; ``time`` [s] on the file's clock, or from the action's start on."""
+    """Add a FollowTrajectoryAction with a vertex for each state; ``time`` [s] is the file's or the action's own."""
     action = _nested(_add_action(event, name, "PrivateAction"), "RoutingAction", "FollowTrajectoryAction")
     reference = SubElement(action, "TimeReference")
     domain = "absolute" if absolute else "relative"
@@ -325,13 +341,20 @@ def _seconds(value: float) -> str:
 
 
 def write_opendrive(netconvert: Path, network: Path, target: Path, written: datetime) -> None:
-    """Write the network at ``network`` as OpenDRIVE. World x, y of the file are those of the net.xml.
+    """Write a network as OpenDRIVE. Its world x and y are those of the net.xml.
 
-    netconvert's comment (its command line, the time) is left out, and so is an ``offset`` in the header, which some
-    players would add to every position: the net's offset is kept as ``userData``. Left-hand roads say so (``rule``,
-    which OpenDRIVE has since 1.5), and their lanes, to the left, have positive numbers.
+    netconvert's comment (its command line and the time) is left out. An ``offset`` in the header is left out, too,
+    because some players would add it to every position; the network's offset is kept as ``userData``. Left-hand roads
+    have the attribute ``rule``, which OpenDRIVE has since 1.5, and their lanes, to the left, have positive numbers.
 
-    Raises SumoAdvError: it failed.
+    Args:
+        netconvert: The program ``netconvert``.
+        network: The network.
+        target: The file.
+        written: The date in the header.
+
+    Raises:
+        SumoAdvError: netconvert failed.
     """
     left_hand = is_left_hand(network)
     with tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch:
@@ -363,7 +386,7 @@ def write_opendrive(netconvert: Path, network: Path, target: Path, written: date
 
 
 def _net_offset(network: Path) -> str:
-    """``netOffset`` of a net.xml(.gz), "x,y" [m]."""
+    """Read ``netOffset`` of a net.xml(.gz) as "x,y" [m]."""
     opened = gzip.open if network.suffix == ".gz" else open
     with opened(network, "rt", encoding="utf-8") as file:
         for line in file:
@@ -376,7 +399,14 @@ def _net_offset(network: Path) -> str:
 
 
 def check_openscenario(text: str) -> None:
-    """Check the document against ASAM OpenSCENARIO 1.2. Raises SumoAdvError: it is not valid (a fault of ours)."""
+    """Check a document against ASAM OpenSCENARIO 1.2.
+
+    Args:
+        text: The document.
+
+    Raises:
+        SumoAdvError: The document is not valid, which is a fault of this program.
+    """
     from lxml import etree
 
     schema = _schema()
@@ -389,7 +419,7 @@ def check_openscenario(text: str) -> None:
 
 @cache
 def _schema() -> Any:
-    """ASAM's, as ``asam-qc-openscenarioxml`` carries it."""
+    """Load ASAM's schema, which the package ``asam-qc-openscenarioxml`` contains."""
     from importlib.resources import files
 
     from lxml import etree

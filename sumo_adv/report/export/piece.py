@@ -1,4 +1,4 @@
-"""What is exported of a run: a stretch of the attempt that counts or of the unattacked run, and the lanes around it."""
+"""Select what is exported of a run: a part of an attempt or of the unattacked run, and the lanes around it."""
 
 from __future__ import annotations
 
@@ -25,19 +25,31 @@ from sumo_adv.simulation.network import NetworkLane, RoadMap
 from sumo_adv.simulation.signals import SignalLog
 
 HEIGHT_M = {"car": 1.5, "truck": 3.2, "bicycle": 1.7, "pedestrian": 1.75, "obstacle": 1.5}  # SUMO has none
-WHEELBASE_SHARE, DEFAULT_STEERING_RAD = 0.6, 0.6  # of the length; rad
+WHEELBASE_SHARE, DEFAULT_STEERING_RAD = 0.6, 0.6  # share of the length; maximum steering angle
 MIN_TRUCK_LENGTH_M, MIN_CAR_WIDTH_M = 6.5, 1.0
-POINT_SPACING_M = 0.5  # m between points of a spaced line
+POINT_SPACING_M = 0.5  # distance between points of a spaced line
 
 
 @dataclass(frozen=True, slots=True)
 class ExportedRun:
-    """Tracks between ``begin`` and ``end`` [s, simulation time], in order of first appearance.
+    """The exported part of a run.
 
-    network: the net.xml they drive on. step [s]. adversary: the collider; supports: the other adversaries. takeover:
-    when they begin to be driven [s], None if unattacked. written: when the run was made. level: what the attempt came
-    to, empty if unattacked. lights: what the traffic lights near the ego showed, empty if unattacked. waymo: the record
-    that the run's input was converted from. inside: plans and notes of the ego's driver, empty if unattacked.
+    Attributes:
+        name: The name of the run's input.
+        network: The network, a net.xml.
+        tracks: The vehicles between ``begin`` and ``end``, in the order of first appearance.
+        begin: The beginning of the exported part, in simulation time [s].
+        end: The end of the exported part, in simulation time [s].
+        step: The step length [s].
+        ego: The ego's id.
+        adversary: The collider's id; None if unattacked.
+        takeover: When the attack begins to drive the adversaries [s]; None if unattacked.
+        written: When the run was made.
+        supports: The ids of the other adversaries.
+        level: The level that the attempt reached; empty if unattacked.
+        lights: The states of traffic lights near the ego; empty if unattacked.
+        waymo: The record that the run's input was converted from; None if there is none.
+        inside: Plans and notes of the ego's driver; empty if unattacked.
     """
 
     name: str
@@ -57,11 +69,11 @@ class ExportedRun:
     inside: tuple[DriverInside, ...] = ()
 
     def track(self, vehicle: str) -> Track:
-        """The track of that id, which is there."""
+        """Return the track of a vehicle, which must exist."""
         return next(t for t in self.tracks if t.id == vehicle)
 
     def contact(self) -> float | None:
-        """When the boxes of ego and collider first touch [s]; None if they do not."""
+        """Return when the boxes of ego and collider first touch [s]; None if they do not."""
         if self.adversary is None:
             return None
         ego, other = self.track(self.ego), self.track(self.adversary)
@@ -76,11 +88,20 @@ class ExportedRun:
 def read_piece(
     folder: Path, *, unattacked: bool = False, before: float | None = None, whole: bool = False
 ) -> ExportedRun:
-    """The stretch of a run to export, from ``before`` seconds before the takeover on (None = the run's own history).
+    """Read the part of a run to export.
 
-    ``unattacked``: of the run without an attack. ``whole``: from the start of the simulation on.
+    Args:
+        folder: The run's folder.
+        unattacked: Whether the unattacked run is exported instead of the attempt that counts.
+        before: How long before the takeover the part begins [s]; None takes the run's own history.
+        whole: Whether the part begins at the start of the simulation.
 
-    Raises UsageError: no run's folder, nothing in it to export, or a damaged file.
+    Returns:
+        The part.
+
+    Raises:
+        UsageError: The folder holds no run, there is nothing to export, the ego is not in the part, or a file is
+            damaged.
     """
     run = read_run(folder)
     tracks = run.raw if unattacked else run.best
@@ -120,7 +141,7 @@ def read_piece(
 
 
 def kind(track: Track) -> str:
-    """car, truck, bicycle, pedestrian or obstacle, by role and size."""
+    """Classify a vehicle by role and size as car, truck, bicycle, pedestrian or obstacle."""
     if road_user(track) is RoadUser.PEDESTRIAN:
         return "pedestrian"
     if track.role is Role.OBSTACLE:
@@ -131,17 +152,17 @@ def kind(track: Track) -> str:
 
 
 def height_of(track: Track, k: int) -> float:
-    """The height of the road under a vehicle at a state [m]."""
+    """Return the height of the road under a vehicle at state ``k`` [m]."""
     return float(np.broadcast_to(track.z, track.x.shape)[k])
 
 
 def printable(text: str) -> str:
-    """Text that XML 1.0 can hold and that OpenSCENARIO does not take for a parameter."""
+    """Replace characters that XML 1.0 cannot hold, and ``$``, which marks a parameter in OpenSCENARIO."""
     return "".join(c if c.isprintable() and c != "$" else "_" for c in text)
 
 
 def metres(value: float) -> str:
-    """0.1 mm."""
+    """Format a length to 0.1 mm."""
     return f"{value + 0.0:.4f}"
 
 
@@ -150,7 +171,19 @@ def metres(value: float) -> str:
 
 @dataclass(frozen=True, slots=True)
 class MapLane:
-    """A lane under a number. Lines are ``(n, 2)`` [m], in the direction of travel; links are numbers of lanes."""
+    """A lane under a number.
+
+    Attributes:
+        number: The number, from 1.
+        lane: The lane.
+        left: Its left side in the direction of travel, ``(n, 2)`` [m].
+        right: Its right side in the direction of travel, ``(n, 2)`` [m].
+        entries: The numbers of the lanes before it.
+        exits: The numbers of the lanes after it.
+        beside_left: The number of the lane to its left; None without one.
+        beside_right: The number of the lane to its right; None without one.
+        road: The network.
+    """
 
     number: int
     lane: NetworkLane
@@ -163,15 +196,21 @@ class MapLane:
     road: RoadMap
 
     def height(self, x: Any, y: Any) -> Any:
-        """The height [m] of the lane at points (any shape)."""
+        """Return the height [m] of the lane at points (any shape)."""
         return 0.0 * x if self.road.heights is None else self.road.heights.at(self.lane.id, x, y)
 
 
 def map_lanes(piece: ExportedRun) -> list[MapLane]:
-    """The lanes for motor vehicles within ``ROAD_RADIUS_M`` of the vehicles' paths, also those within junctions,
-    numbered from 1.
+    """Number the lanes for motor vehicles near the vehicles' paths, including the lanes within junctions.
 
-    Raises UsageError: the network is unreadable.
+    Args:
+        piece: What is exported.
+
+    Returns:
+        The lanes within ``ROAD_RADIUS_M`` of the paths, numbered from 1.
+
+    Raises:
+        UsageError: The network cannot be read.
     """
     from shapely import MultiPoint, dwithin, linestrings
 
@@ -186,7 +225,7 @@ def map_lanes(piece: ExportedRun) -> list[MapLane]:
 
 
 def _exits(road: RoadMap, numbers: Mapping[str, int]) -> dict[int, list[int]]:
-    """For each lane the lanes that follow, through junctions lane by lane."""
+    """Return for each lane the lanes that follow it, through junctions lane by lane."""
     exits: dict[int, list[int]] = {number: [] for number in numbers.values()}
     for lane in road.lanes.values():
         for connection in () if lane.internal else lane.connections:
@@ -214,7 +253,7 @@ def _map_lane(
 
 
 def _shifted(line: Floats, offset: float) -> Floats:
-    """A line ``(n, 2)`` moved to the left by ``offset`` [m], each vertex along the mean normal of its segments."""
+    """Move a line ``(n, 2)`` to the left by ``offset`` [m], each vertex along the mean normal of its segments."""
     along = np.diff(line, axis=0)
     along = along / np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)[:, None]
     mean = np.concatenate([along[:1], along[:-1] + along[1:], along[-1:]])
@@ -223,7 +262,7 @@ def _shifted(line: Floats, offset: float) -> Floats:
 
 
 def spaced(line: Floats) -> Floats:
-    """A line ``(n, 2)`` with a point every ``POINT_SPACING_M`` m and at its ends."""
+    """Resample a line ``(n, 2)`` with a point about every ``POINT_SPACING_M`` and at its ends."""
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
     stations = np.linspace(0.0, along[-1], max(2, round(along[-1] / POINT_SPACING_M) + 1))
     return np.column_stack([np.interp(stations, along, line[:, k]) for k in (0, 1)])

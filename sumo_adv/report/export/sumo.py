@@ -1,12 +1,15 @@
-"""A run as SUMO's floating car data (FCD), as a folder that SUMO plays, and as one tidy CSV.
+"""Export a run as SUMO's floating car data (FCD), as a folder that SUMO plays, and as one tidy CSV.
 
-FCD: where each vehicle's front bumper is, step by step, as ``sumo --fcd-output`` writes it.
+FCD: The position of each vehicle's front bumper, step by step, as ``sumo --fcd-output`` writes it.
 
-The folder (network, vehicle types, trajectories, configuration) is played by plain ``sumo`` or ``sumo-gui``. SUMO's own
-``fcd-replay`` device moves every vehicle along its trajectory. Two things about it (SUMO 1.28, measured): a vehicle
-comes in at a place on a lane, so a vehicle that is first seen beside a lane's middle is let in a step earlier; and the
-route is put together from the lanes in the file, which fails for a vehicle that drives against the traffic, so each is
-said to be on one lane throughout: where it is placed does not depend on it.
+The folder holds network, vehicle types, trajectories and configuration. Plain ``sumo`` or ``sumo-gui`` plays it. SUMO's
+``fcd-replay`` device moves each vehicle along its trajectory. Two properties of the device were measured with SUMO
+1.28:
+
+- A vehicle is inserted at a position on a lane. So a vehicle whose first position is beside the middle of a lane is
+  inserted one step earlier.
+- The device builds the route from the lanes in the file, which fails for a vehicle that drives against the traffic. So
+  each vehicle has the same lane throughout. Its position does not depend on this lane.
 """
 
 from __future__ import annotations
@@ -38,10 +41,10 @@ ROLE_GUI_COLOURS = {
     Role.BACKGROUND: "140,140,140",
     Role.OBSTACLE: "90,90,90",
 }
-OFF_CENTRE_M = 0.005  # m from the middle of a lane at which a vehicle is let in earlier
+OFF_CENTRE_M = 0.005  # farther from the lane's middle, a vehicle is inserted earlier
 SEARCH_RADII_M = (10.0, 100.0, 1000.0, 100_000.0)
-GUI_DELAY_MS = 100  # ms a step that sumo-gui waits
-GUI_WIDTH_M = 120.0  # m of road in sumo-gui's window
+GUI_DELAY_MS = 100  # sumo-gui waits this long at each step
+GUI_WIDTH_M = 120.0  # width of the road in sumo-gui's window
 TRAJECTORY_HEADER = (
     "time_s,vehicle,role,x_m,y_m,heading_rad,speed_m_s,acceleration_m_s2,length_m,width_m,lane,driven_by_attack,"
     "distance_to_ego_m\n"
@@ -50,7 +53,21 @@ TRAJECTORY_HEADER = (
 
 @dataclass(frozen=True, slots=True)
 class TrajectoryRow:
-    """A vehicle at a time [s]: front bumper x, y [m], SUMO's angle [deg], speed [m/s], lane and place on it [m]."""
+    """A vehicle at one time.
+
+    Attributes:
+        time: The time [s].
+        id: The vehicle's id.
+        kind: The id of its vehicle type.
+        x: x of the front bumper [m].
+        y: y of the front bumper [m].
+        angle: The heading as SUMO's angle [deg].
+        speed: The speed [m/s].
+        acceleration: The acceleration [m/s2].
+        lane: The lane; '' off the road.
+        position: The position on the lane [m].
+        z: The height [m]; None in a flat network.
+    """
 
     time: float
     id: str
@@ -65,6 +82,7 @@ class TrajectoryRow:
     z: float | None = None
 
     def text(self) -> str:
+        """Return the FCD element."""
         z = "" if self.z is None else f'z="{self.z:.4f}" '
         return (
             f'        <vehicle id={quoteattr(self.id)} x="{self.x:.4f}" y="{self.y:.4f}" {z}angle="{self.angle:.4f}" '
@@ -74,14 +92,24 @@ class TrajectoryRow:
 
 
 def fcd(piece: ExportedRun) -> str:
-    """The piece as FCD. ``lane`` is empty and ``pos`` 0 off the road. Raises UsageError: the network is unreadable."""
+    """Format the exported part as FCD. Off the road, ``lane`` is empty and ``pos`` is 0.
+
+    Args:
+        piece: What is exported.
+
+    Returns:
+        The XML.
+
+    Raises:
+        UsageError: The network cannot be read.
+    """
     road = read_network(piece.network)
     rows = (row for track in piece.tracks for row in _track_rows(track, [road.lanes.get(name) for name in track.lane]))
     return _fcd_text(rows, piece)
 
 
 def _track_rows(track: Track, lanes: Iterable[NetworkLane | None]) -> Iterator[TrajectoryRow]:
-    """A row a state; ``lanes``: those on which SUMO has it."""
+    """Yield a row for each state; ``lanes`` are the lanes on which SUMO has the vehicle."""
     kind = _type_name(track)
     for k, lane in zip(range(len(track.time)), lanes, strict=False):
         x, y = front(track, k)
@@ -94,7 +122,7 @@ def _track_rows(track: Track, lanes: Iterable[NetworkLane | None]) -> Iterator[T
 
 
 def _fcd_text(rows: Iterable[TrajectoryRow], piece: ExportedRun) -> str:
-    """Rows by time; a step without vehicles has none."""
+    """Format rows by time; a step without vehicles is left out."""
     steps: dict[int, list[TrajectoryRow]] = defaultdict(list)
     for row in rows:
         steps[round(row.time / piece.step)].append(row)
@@ -108,7 +136,7 @@ def _fcd_text(rows: Iterable[TrajectoryRow], piece: ExportedRun) -> str:
 
 
 def front(track: Track, k: int) -> tuple[float, float]:
-    """The middle of the front bumper [m]: SUMO's reference point."""
+    """Return the middle of the front bumper [m], which is SUMO's reference point."""
     return front_of(float(track.x[k]), float(track.y[k]), float(track.heading[k]), track.length)
 
 
@@ -117,7 +145,15 @@ def _type_name(track: Track) -> str:
 
 
 def write_replay(folder: Path, piece: ExportedRun) -> None:
-    """Write the folder. Raises UsageError: the network cannot be read."""
+    """Write a folder that SUMO plays.
+
+    Args:
+        folder: The folder.
+        piece: What is exported.
+
+    Raises:
+        UsageError: The network cannot be read.
+    """
     road = read_network(piece.network)
     network = "net.net.xml.gz" if piece.network.suffix == ".gz" else "net.net.xml"
     rows = [row for track in piece.tracks for row in _rows(track, road, piece)]
@@ -130,6 +166,7 @@ def write_replay(folder: Path, piece: ExportedRun) -> None:
 
 
 def _rows(track: Track, road: RoadMap, piece: ExportedRun) -> Iterator[TrajectoryRow]:
+    """Yield the rows of a vehicle, all on one lane, with an earlier first row if it begins beside the lane's middle."""
     home = _home(track, road)
     first, *others = _track_rows(track, repeat(home))
     heading = float(track.heading[0])
@@ -142,7 +179,7 @@ def _rows(track: Track, road: RoadMap, piece: ExportedRun) -> Iterator[Trajector
 
 
 def _home(track: Track, road: RoadMap) -> NetworkLane:
-    """The first lane outside junctions that it is on, else the nearest to where it begins."""
+    """Return the vehicle's first lane outside junctions or, without one, the lane nearest to where it begins."""
     for name in track.lane:
         lane = road.lanes.get(name)
         if lane is not None and not lane.internal:
@@ -153,7 +190,7 @@ def _home(track: Track, road: RoadMap) -> NetworkLane:
 
 
 def _types(piece: ExportedRun) -> str:
-    """A vType a role and size; its class may be anywhere, its size is the recorded one."""
+    """Declare a vehicle type for each role and size; it may drive anywhere, and its size is the recorded one."""
     by_name = {_type_name(track): track for track in piece.tracks}
     lines = [
         f'    <vType id={quoteattr(name)} vClass="ignoring" length="{track.length:.2f}" width="{track.width:.2f}" '
@@ -173,7 +210,7 @@ def _shape(track: Track) -> str:
 
 
 def _view(piece: ExportedRun, road: RoadMap) -> str:
-    """The view follows no vehicle: it stands over where ego and adversary come closest, or over the ego's middle."""
+    """Place the view over the closest approach or, without an adversary, the ego's middle; it follows no vehicle."""
     ego = piece.track(piece.ego)
     x, y = float(ego.x[len(ego.x) // 2]), float(ego.y[len(ego.y) // 2])
     if piece.adversary is not None:
@@ -185,7 +222,7 @@ def _view(piece: ExportedRun, road: RoadMap) -> str:
         k = int(np.argmin(gap))
         x, y = float(ego.x[k]), float(ego.y[k])
     extent = np.ptp(np.vstack([lane.shape for lane in road.lanes.values()]), axis=0)
-    zoom = 100.0 * max(1.0, float(max(extent) / GUI_WIDTH_M))  # sumo-gui's, in percent of the whole network's extent
+    zoom = 100.0 * max(1.0, float(max(extent) / GUI_WIDTH_M))  # sumo-gui's zoom, in percent of the network's extent
     return (
         '<viewsettings>\n    <scheme name="real world"/>\n'
         f'    <viewport x="{x:.2f}" y="{y:.2f}" zoom="{zoom:.0f}"/>\n'
@@ -226,9 +263,16 @@ def _configuration(piece: ExportedRun, network: str, begin: float) -> str:
 
 
 def table(piece: ExportedRun) -> str:
-    """x, y are box centres; the distance is between centres, empty while the ego is not there.
+    """Format the exported part as one CSV, by time and then by first appearance.
 
-    ``driven_by_attack``: 1 for an adversary after the takeover, else 0. Rows by time, then by first appearance.
+    x and y are box centres. The distance is between centres and is empty while the ego does not exist.
+    ``driven_by_attack`` is 1 for an adversary after the takeover, otherwise 0.
+
+    Args:
+        piece: What is exported.
+
+    Returns:
+        The CSV.
     """
     ego = piece.track(piece.ego)
     rows: list[tuple[float, int, str]] = []

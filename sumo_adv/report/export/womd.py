@@ -1,8 +1,8 @@
-"""A run as a record of the Waymo Open Motion Dataset: 91 steps of 0.1 s in a TFRecord file.
+"""Export a run as a record of the Waymo Open Motion Dataset: 91 steps of 0.1 s in a TFRecord file.
 
-The takeover is at the current step, 10; where the contact comes more than 8 s after it, the record begins later.
-The ego is ``sdc_track_index``; the adversaries are ``objects_of_interest`` and ``tracks_to_predict``. A run that was
-made of such a record keeps the record's map, signals, numbers and kinds of objects; else they are the network's.
+The takeover is at the current step, 10. If the contact comes more than 8 s after the takeover, the record begins later.
+The ego is ``sdc_track_index``. The adversaries are ``objects_of_interest`` and ``tracks_to_predict``. A run whose input
+is such a record keeps the record's map, signals, numbers and object types. Otherwise these come from the network.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from sumo_adv.report.page_road import network
 from sumo_adv.womd.lines import road_outline
 
 RECORD_STEPS, CURRENT_STEP, RECORD_STEP_S = 91, 10, 0.1
-EXPORTED_AFTER_CONTACT_S = 0.5  # s that a record goes on after the contact
+EXPORTED_AFTER_CONTACT_S = 0.5  # the record ends at least this long after the contact
 OBJECT_TYPES = {"car": 1, "truck": 1, "obstacle": 1, "pedestrian": 2, "bicycle": 3}  # Track.ObjectType
 FREEWAY, SURFACE = 1, 2  # LaneCenter.LaneType
-FREEWAY_SPEED_M_S = 22.5  # from which a lane is a freeway's
+FREEWAY_SPEED_M_S = 22.5  # a lane with at least this speed limit is a freeway's
 EDGE_BOUNDARY, BROKEN_WHITE = 1, 1  # RoadEdgeType, RoadLineType
 SIGNAL_STOP, SIGNAL_CAUTION, SIGNAL_GO = 4, 5, 6  # TrafficSignalLaneState.State
 SIGNAL_FLASHING_STOP, SIGNAL_FLASHING_CAUTION = 7, 8
@@ -33,13 +33,24 @@ SIGNAL_STATE_NUMBERS = {
     "r": SIGNAL_STOP, "u": SIGNAL_STOP, "y": SIGNAL_CAUTION, "Y": SIGNAL_CAUTION, "g": SIGNAL_GO, "G": SIGNAL_GO,
     "s": SIGNAL_FLASHING_STOP, "o": SIGNAL_FLASHING_CAUTION,
 }  # fmt: skip
-"""By SUMO's letter; a light that is off (O) is unknown."""
+"""The state for each of SUMO's letters. A light that is off (O) is unknown."""
 CLOCK_STEP_S = 1e-3
 Heights = Callable[[Floats, Floats], Floats]
 
 
 def write_womd(target: Path, piece: ExportedRun) -> str | None:
-    """Write one framed Scenario message; gives a sentence if the map of the run's record is lost. Needs protobuf."""
+    """Write one framed Scenario message. This needs protobuf.
+
+    Args:
+        target: The file.
+        piece: What is exported.
+
+    Returns:
+        A sentence if the map of the run's record is lost, otherwise None.
+
+    Raises:
+        UsageError: The network cannot be read.
+    """
     from sumo_adv.womd.framing import frame
 
     record, lost = record_of(piece)
@@ -48,7 +59,7 @@ def write_womd(target: Path, piece: ExportedRun) -> str | None:
 
 
 def _scenario(piece: ExportedRun, record: Any | None) -> Any:
-    """The Scenario message. Raises UsageError: the network is unreadable."""
+    """Assemble the Scenario message. Raise UsageError if the network cannot be read."""
     from sumo_adv.womd.scenario_pb2 import Scenario
 
     time: Floats = first_step(piece) + RECORD_STEP_S * np.arange(RECORD_STEPS, dtype=np.float64)
@@ -76,7 +87,16 @@ def _scenario(piece: ExportedRun, record: Any | None) -> Any:
 
 
 def first_step(piece: ExportedRun) -> float:
-    """When the record begins [s]: with the takeover at its current step, later if the contact needs it."""
+    """Return the time of the record's first step.
+
+    The takeover is at the current step. The record begins later if the contact needs it.
+
+    Args:
+        piece: What is exported.
+
+    Returns:
+        The time [s].
+    """
     if piece.takeover is None:
         return piece.begin
     start, contact = piece.takeover - CURRENT_STEP * RECORD_STEP_S, piece.contact()
@@ -90,7 +110,16 @@ def first_step(piece: ExportedRun) -> float:
 
 
 def track_numbers(piece: ExportedRun, taken: Collection[int]) -> dict[str, int]:
-    """A number for each vehicle: its id where that is one (a converted record), else the next that is not taken."""
+    """Number the vehicles.
+
+    Args:
+        piece: What is exported.
+        taken: Numbers that are already used.
+
+    Returns:
+        A number for each vehicle: its id if that is a number, as in a converted record, otherwise a number that is not
+            taken.
+    """
     ids = [t.id for t in piece.tracks]
     numbers = {i: int(i) for i in ids if i.isascii() and i.isdigit() and len(i) < 10 and str(int(i)) == i}
     others = [name for name in ids if name not in numbers]
@@ -98,13 +127,14 @@ def track_numbers(piece: ExportedRun, taken: Collection[int]) -> dict[str, int]:
 
 
 def _valid(track: Track, time: Floats) -> Any:
+    """Return at which times a track has states."""
     return (time > track.time[0] - 1e-3) & (time < track.time[-1] + 1e-3)
 
 
 def _add_track(
     message: Any, track: Track, number: int, object_type: int, time: Floats, heights: Heights | None
 ) -> None:
-    """Its states at the record's times, linear between those of the run; not valid before and after."""
+    """Add a track: its states at the record's times are interpolated, and not valid outside the run's states."""
     height = HEIGHT_M[kind(track)]
     made = message.tracks.add(id=number, object_type=object_type)
     x, y, speed = (np.interp(time, track.time, v) for v in (track.x, track.y, track.speed))
@@ -123,7 +153,14 @@ def _add_track(
 
 
 def record_of(piece: ExportedRun) -> tuple[Any | None, str | None]:
-    """The Scenario message that the run was made of; else None, and a sentence if that record is gone."""
+    """Read the Scenario message that the run's input was converted from.
+
+    Args:
+        piece: What is exported.
+
+    Returns:
+        The message, or None if there is none, and a sentence if the record is gone.
+    """
     if piece.waymo is None:
         return None, None
     from sumo_adv.womd.reader import record_message
@@ -137,7 +174,14 @@ def record_of(piece: ExportedRun) -> tuple[Any | None, str | None]:
 
 
 def add_record_map(message: Any, record: Any, time: Floats) -> None:
-    """The record's own features, and its signals at ``time`` [s from the record's first step]; none after its end."""
+    """Copy the map and the signals of a record.
+
+    Args:
+        message: The Scenario message to fill.
+        record: The record.
+        time: The times of the message's steps, from the record's first step [s]. There are no signals after the
+            record's end.
+    """
     message.map_features.extend(record.map_features)
     clock = np.array(record.timestamps_seconds) - record.timestamps_seconds[0]
     for t, k in zip(time.tolist(), np.searchsorted(clock, time + CLOCK_STEP_S, side="right") - 1, strict=True):
@@ -147,7 +191,7 @@ def add_record_map(message: Any, record: Any, time: Floats) -> None:
 
 
 def heights_of(record: Any) -> Heights:
-    """The height of the ground [m] at points x, y: that of the nearest point of a lane."""
+    """Make a function that returns the height of the ground [m] at points x, y: that of the nearest point of a lane."""
     from shapely import STRtree, points
 
     lanes = (feature.lane.polyline for feature in record.map_features if feature.HasField("lane"))
@@ -157,7 +201,13 @@ def heights_of(record: Any) -> Heights:
 
 
 def add_net_map(message: Any, piece: ExportedRun, time: Floats) -> None:
-    """Lanes, lines and edges of the network around the run, and the signals that it recorded at ``time`` [s]."""
+    """Add lanes, lines and edges of the network around the run, and the recorded signals.
+
+    Args:
+        message: The Scenario message to fill.
+        piece: What is exported.
+        time: The times of the message's steps [s].
+    """
     lanes = map_lanes(piece)
     lines = {each.number: spaced(each.lane.shape) for each in lanes}
     for each in lanes:
@@ -167,7 +217,7 @@ def add_net_map(message: Any, piece: ExportedRun, time: Floats) -> None:
 
 
 def _add_signals(message: Any, piece: ExportedRun, lanes: Sequence[MapLane], time: Floats) -> None:
-    """For each link with a light a state of the lane that it leads to, which begins at the stop line."""
+    """Add for each signalled link a state of the lane that it leads to, which begins at the stop line."""
     numbers = {each.lane.id: each.number for each in lanes}
     links = sorted(
         (connection.light, number, [*each.lane.shape[-1].tolist(), float(each.height(*each.lane.shape[-1]))])
@@ -186,7 +236,7 @@ def _add_signals(message: Any, piece: ExportedRun, lanes: Sequence[MapLane], tim
 
 
 def _add_lane(message: Any, each: MapLane, lines: Mapping[int, Floats]) -> None:
-    """The lane's centre line, and a line at each side that has a neighbour of the same direction."""
+    """Add a lane's centreline, and a line at each side that has a neighbour in the same direction."""
     lane = message.map_features.add(id=each.number).lane
     lane.speed_limit_mph = each.lane.speed / MPH_M_S
     lane.type = FREEWAY if each.lane.speed >= FREEWAY_SPEED_M_S else SURFACE
@@ -213,20 +263,20 @@ def _add_lane(message: Any, each: MapLane, lines: Mapping[int, Floats]) -> None:
 
 
 def _add_edges(message: Any, lanes: Sequence[MapLane], junctions: Sequence[Floats]) -> None:
-    """The outline of all lanes and junctions, with the road to the left of it."""
+    """Add the outline of all lanes and junctions, with the road to its left."""
     from shapely import Polygon, union_all
 
     strips = [Polygon(np.concatenate([each.left, each.right[::-1]])) for each in lanes]
     road = union_all(strips)
     near = [area for shape in junctions if (area := Polygon(shape)).intersects(road)]
-    for number, line in enumerate(road_outline([*strips, *near]), 3 * len(lanes) + 2):  # behind the lines' numbers
+    for number, line in enumerate(road_outline([*strips, *near]), 3 * len(lanes) + 2):  # after the lines' numbers
         edge = message.map_features.add(id=number).road_edge
         edge.type = EDGE_BOUNDARY
         _extend(edge.polyline, spaced(line), _nearest(lanes, line))
 
 
 def _nearest(lanes: Sequence[MapLane], line: Floats) -> MapLane | None:
-    """The lane that is nearest to a line, for its height; None without lanes."""
+    """Return the lane that is nearest to a line, for its height; None without lanes."""
     from shapely import LineString, distance, linestrings
 
     if not lanes:
