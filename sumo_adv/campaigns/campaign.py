@@ -1,4 +1,4 @@
-"""One batch from its plan to its table: missing episodes are run, finished ones are kept."""
+"""Run a batch from its plan to its table: missing episodes are run, finished ones are kept."""
 
 from __future__ import annotations
 
@@ -37,26 +37,49 @@ from sumo_adv.parsing import read_json
 
 
 class Workers(Protocol):
+    """Runs the jobs of a batch."""
+
     def run(self, jobs: Sequence[Any], told: Callable[[Any, Done], None]) -> None:
-        """Each job, ``told`` of each that is finished. Raises SumoAdvError."""
+        """Run all jobs.
+
+        Args:
+            jobs: The jobs.
+            told: Called with each job that is finished and its outcome.
+
+        Raises:
+            SumoAdvError: The jobs cannot be run.
+        """
         ...
 
     def close(self) -> None: ...
 
 
 class CampaignWatcher(Protocol):
+    """Follows the progress of a batch."""
+
     def begin(self, total: int, before: Sequence[Row]) -> None: ...
 
     def finished(self, job: EpisodeJob, row: Row) -> None: ...
 
     def stopping(self, now: bool) -> None:
-        """Ctrl-C was pressed, for the first time or again."""
+        """Take notice of Ctrl-C; ``now`` says whether it was pressed again."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class Orders:
-    """How a batch is run. ``bank``: the user's; ``open_bank`` makes it where it is not there."""
+    """How a batch is run.
+
+    Attributes:
+        out: The folder of the results.
+        bank: The user's memory bank.
+        versions: The versions of what affects the numbers.
+        pace: How the work is done.
+        force: Whether the results of another plan may be continued.
+        retry_failed: Whether failed episodes are run again.
+        parquet: Whether the table is also written as Parquet.
+        ray: The address of a Ray cluster; None for this machine.
+    """
 
     out: Path
     bank: Path
@@ -70,8 +93,21 @@ class Orders:
 
 @dataclass
 class Summary:
-    """What a batch came to. ``bytes``: of the ``measured`` episodes that were run now, inputs not counted. ``stopped``:
-    Ctrl-C left episodes out; ``interrupted``: it was pressed, whether it left any or not."""
+    """The result of a batch.
+
+    Attributes:
+        folder: The folder of the results.
+        total: The number of episodes in the plan.
+        rows: The rows of the finished episodes.
+        ran: The number of episodes that were run now.
+        stopped: Whether Ctrl-C left episodes out.
+        interrupted: Whether Ctrl-C was pressed, even if no episode was left out.
+        seconds: The time that it took [s].
+        bytes: The size of the episodes that were run now, without their inputs.
+        input_bytes: The size of all inputs.
+        learnt: The number of pieces written into the bank; None if the bank was not taught.
+        bank_hash: The hash of the bank's snapshot.
+    """
 
     folder: Path
     total: int
@@ -86,6 +122,7 @@ class Summary:
     bank_hash: str = ""
 
     def as_dict(self) -> dict[str, Any]:
+        """Return the summary as plain data."""
         counts = {"critical": sum(bool(r["critical"]) for r in self.rows), "failed": sum(map(is_failed, self.rows))}
         return {
             "folder": str(self.folder), "episodes": self.total, "finished": len(self.rows), "ran": self.ran, **counts,
@@ -103,9 +140,20 @@ class Summary:
 def run_batch(plan: CampaignPlan, orders: Orders, parts: CampaignParts, watcher: CampaignWatcher) -> Summary:
     """Run what is missing of a plan, and write the table.
 
+    Finished episodes are kept even if an error is raised.
+
+    Args:
+        plan: The plan.
+        orders: How it is run.
+        parts: The functions that load, run and write an episode.
+        watcher: Follows the progress.
+
+    Returns:
+        The summary.
+
     Raises:
-        UsageError: the folder holds another plan's results or cannot be written; SumoAdvError: no episode can be run,
-            or the disk is full. What finished is kept then, too.
+        UsageError: The folder holds another plan's results or cannot be written.
+        SumoAdvError: No episode can be run, or the disk is full.
     """
     began = time.perf_counter()
     with open_store(orders.out, parts.staged) as (store, scratch):
@@ -131,7 +179,7 @@ def run_batch(plan: CampaignPlan, orders: Orders, parts: CampaignParts, watcher:
             with stopping(watcher) as stop:
                 missing = [job for job in plan.jobs if job.id not in rows]
                 with sentences(orders.out):
-                    for job in missing:  # what is left of failed and damaged ones
+                    for job in missing:  # remove the remains of failed and damaged episodes
                         discard(store.runs / job.id)
                 for job in [job for job in missing if job.input.error]:
                     finish(job, store.fail(job, job.input.error, ""))
@@ -160,7 +208,7 @@ def _prepare(
     parts: CampaignParts,
     summary: Summary,
 ) -> WorkerSetup:
-    """Snapshot and plan into the folder; what the workers need to know. Raises OSError, BankError."""
+    """Write the bank's snapshot and the plan, and return the workers' setup. Raise OSError or BankError."""
     try:
         store.snapshot(orders.bank)
     except sqlite3.Error as error:
@@ -182,7 +230,7 @@ def _workers(setup: WorkerSetup, orders: Orders, scratch: Path, store: Store, st
 
 
 def _teach(store: Store, plan: CampaignPlan, orders: Orders, rows: Mapping[str, Row]) -> int:
-    """Write what was learnt into the bank, in the plan's order, once. Raises BankError, UsageError."""
+    """Write the lessons into the bank, once, in the plan's order. Raise BankError or UsageError."""
     marker = store.folder / TAUGHT_FILE
     if marker.exists():
         try:
@@ -207,7 +255,13 @@ def _teach(store: Store, plan: CampaignPlan, orders: Orders, rows: Mapping[str, 
 
 @contextmanager
 def stopping(watcher: CampaignWatcher) -> Iterator[Stop]:
-    """Within it the first Ctrl-C asks to drain, the second to end at once."""
+    """Yield the state of Ctrl-C: the first one asks to drain, the second one to end at once.
+
+    Outside the main thread, signals cannot be handled, so the state never changes.
+
+    Args:
+        watcher: Told of each Ctrl-C.
+    """
     stop = Stop()
 
     def press(number: int, frame: FrameType | None) -> None:
@@ -216,7 +270,7 @@ def stopping(watcher: CampaignWatcher) -> Iterator[Stop]:
 
     try:
         before = {s: signal.signal(s, press) for s in (signal.SIGINT, signal.SIGTERM)}
-    except ValueError:  # not the main thread: there is no keyboard
+    except ValueError:  # signals only reach the main thread
         yield stop
         return
     try:

@@ -1,8 +1,11 @@
-"""The same batch on a Ray cluster: a task an episode, whose worker runs it in a watched process of its own as on one
-machine, and sends the run's folder back. Results and bank are written here alone.
+"""Run a batch on a Ray cluster.
 
-Inputs are found on the nodes under the same paths (a shared file system) or are shipped ones. A node without one, with
-another content, without the ego's driver, or with other versions gets no episode (``unfit``).
+Each episode is a Ray task. The task's worker runs the episode in a watched process of its own, as on one machine, and
+sends the run's folder back. Only this side writes results and the bank.
+
+An input is found on a node under the same path (on a shared file system), or it is a shipped one. A node gets no
+episode if it lacks an input or the ego's driver, or if it has an input with other content or other versions
+(``unfit``).
 """
 
 from __future__ import annotations
@@ -33,7 +36,7 @@ from sumo_adv.files import scratch_prefix, sentences
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.simulation.inputs import is_commonroad, load_input
 
-DESK = "sumo_adv-ray-"  # folders of Ray workers, with their process ids
+DESK = "sumo_adv-ray-"  # prefix of Ray workers' folders; their process ids follow
 
 
 # -- what a node needs ------------------------------------------------------------------------------------------------
@@ -41,8 +44,13 @@ DESK = "sumo_adv-ray-"  # folders of Ray workers, with their process ids
 
 @dataclass(frozen=True, slots=True)
 class Needs:
-    """What a node must have. versions: of what takes part in the numbers; inputs: path, content and record of each;
-    egos: drivers by name."""
+    """What a node must have.
+
+    Attributes:
+        versions: The versions of what affects the numbers.
+        inputs: The path, content and record of each input.
+        egos: The names of drivers.
+    """
 
     versions: Mapping[str, str]
     inputs: tuple[tuple[Path, str, str | None], ...]
@@ -50,7 +58,18 @@ class Needs:
 
     @classmethod
     def of(cls, jobs: Iterable[EpisodeJob], versions: Mapping[str, str]) -> Needs:
-        """Those of jobs. Inputs that cannot be read here either are no node's fault: their episodes say so."""
+        """Collect what jobs need.
+
+        Inputs that cannot be read here either are left out. Their episodes fail with the reason, and no node is to
+        blame.
+
+        Args:
+            jobs: The jobs.
+            versions: The versions of what affects the numbers.
+
+        Returns:
+            The needs.
+        """
         jobs = list(jobs)
         inputs = dict.fromkeys((job.input.path, job.input.content, job.input.record) for job in jobs)
         egos = dict.fromkeys(job.ego for job in jobs if job.ego is not None)
@@ -58,7 +77,14 @@ class Needs:
 
 
 def unfit(needs: Needs) -> str:
-    """Why this node cannot run the episodes, '' if it can."""
+    """Check this node.
+
+    Args:
+        needs: What the node must have.
+
+    Returns:
+        Why the node cannot run the episodes; '' if it can.
+    """
     installed = node_versions(list(needs.versions))
     differing = [f"{k} {installed.get(k)} there, {v} here" for k, v in needs.versions.items() if installed.get(k) != v]
     if differing:
@@ -72,7 +98,7 @@ def unfit(needs: Needs) -> str:
 
 
 def node_versions(names: Iterable[str]) -> dict[str, str]:
-    """What this node has of what takes part in the numbers: ``sumo_adv``, ``python``, and packages."""
+    """Return the versions on this node that affect the numbers: ``sumo_adv``, ``python``, and the named packages."""
     import platform
     from importlib import metadata
 
@@ -99,8 +125,14 @@ _removers: list[subprocess.Popen[bytes]] = []
 
 
 def desk_folder() -> Path:
-    """A folder for this Ray worker process. It is removed when the process ends, however that is: Ray kills its workers
-    with their children, so a process that is no child of it waits for its end."""
+    """Create a folder for this Ray worker process.
+
+    The folder is removed when the process ends, however it ends. Ray kills its workers with their children, so the
+    process that waits for the end is not a child of the worker.
+
+    Returns:
+        The folder.
+    """
     folder = Path(tempfile.mkdtemp(prefix=f"{DESK}{os.getpid()}-"))
     command = [sys.executable, "-c", REMOVER, str(folder)]
     remover = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
@@ -113,7 +145,14 @@ def desk_folder() -> Path:
 
 @dataclass(frozen=True, slots=True)
 class NodeContent:
-    """What a node needs for all episodes; ``edition`` of the bank's snapshot."""
+    """What a node needs for all episodes.
+
+    Attributes:
+        setup: The workers' setup.
+        pace: How the work is done.
+        bank: The bank's snapshot.
+        edition: The number of the snapshot.
+    """
 
     setup: WorkerSetup
     pace: WorkerPace
@@ -122,11 +161,24 @@ class NodeContent:
 
 
 class ClusterWorkers:
-    """Runs jobs as Ray tasks. Raises UsageError as ``RayPool`` does."""
+    """Runs jobs as Ray tasks."""
 
     def __init__(
         self, setup: WorkerSetup, pace: WorkerPace, address: str, versions: Mapping[str, str], store: Store, stop: Stop
     ) -> None:
+        """Connect to the cluster and send the bank's snapshot.
+
+        Args:
+            setup: The workers' setup.
+            pace: How the work is done.
+            address: The cluster's address.
+            versions: The versions that nodes must have.
+            store: The folder of the results.
+            stop: The state of Ctrl-C.
+
+        Raises:
+            UsageError: Ray is not installed, or no cluster answers.
+        """
         self._setup, self._pace, self._store, self._versions = setup, pace, store, versions
         self._pool = RayPool(episode, unfit, pace.recycle, address, stop)
         self._edition = 0
@@ -137,14 +189,16 @@ class ClusterWorkers:
             raise
 
     def run(self, jobs: Sequence[EpisodeJob], told: Callable[[EpisodeJob, Done], None]) -> None:
+        """Run all jobs; see :class:`Workers`."""
         needs = self._pool.put(Needs.of(jobs, self._versions))
         self._pool.run(jobs, needs, lambda: self._sent, self._keep, self._store.fail, told)
 
     def close(self) -> None:
+        """Leave the cluster."""
         self._pool.close()
 
     def _keep(self, job: EpisodeJob, result: tuple[bytes, int]) -> Done:
-        """Put a run's folder in its place, and with ``Learn.DURING`` what was learnt into the bank."""
+        """Put a run's folder in its place; with ``Learn.DURING``, also write its lessons into the bank."""
         data, size = result
         with self._setup.parts.staged(self._setup.runs / job.id, force=True, inside=True) as folder:
             with zipfile.ZipFile(io.BytesIO(data)) as packed:
@@ -161,7 +215,7 @@ class ClusterWorkers:
         return Done(job.id, read_row(kept), size)
 
     def _send(self) -> int:
-        """A snapshot of the bank to the nodes; episodes that begin from now on read it."""
+        """Send a snapshot of the bank to the nodes; episodes that begin afterwards read it."""
         self._edition += 1
         with tempfile.TemporaryDirectory(prefix=scratch_prefix()) as folder, sentences(self._setup.bank):
             place = Store(Path(folder), self._setup.parts.staged)
@@ -187,7 +241,15 @@ _desks: list[_Desk] = []
 
 
 def episode(sent: NodeContent, job: EpisodeJob) -> tuple[bytes, int]:
-    """One episode on this node: its folder as a zip file, and its bytes without inputs."""
+    """Run one episode on this node.
+
+    Args:
+        sent: What the node needs for all episodes.
+        job: The episode.
+
+    Returns:
+        The run's folder as a zip file, and its size in bytes without inputs.
+    """
     desk = _desk(sent)
     results: list[Done] = []
     desk.workers.run([job], lambda _, done: results.append(done))
@@ -201,7 +263,7 @@ def episode(sent: NodeContent, job: EpisodeJob) -> tuple[bytes, int]:
 
 
 def _desk(sent: NodeContent) -> _Desk:
-    """The desk of this process, with the bank as it was sent."""
+    """Return the desk of this process, with the snapshot of the bank that was sent."""
     if not _desks:
         store = Store(desk_folder(), sent.setup.parts.staged)
         store.runs.mkdir()
@@ -220,7 +282,16 @@ def _desk(sent: NodeContent) -> _Desk:
 
 @lru_cache(maxsize=10_000)
 def wrong_content(path: Path, content: str, record: str | None) -> str:
-    """Why an input on this node is not the plan's, '' if it is. Records are compared by their ids alone."""
+    """Compare an input on this node with the plan's. A record's file only needs to exist, its content is not compared.
+
+    Args:
+        path: The input.
+        content: The hash that the plan has.
+        record: The id of a Waymo record; None for other inputs.
+
+    Returns:
+        Why the input differs; '' if it does not.
+    """
     if record is not None:
         return "" if path.is_file() else f"There is no file {path} on this node."
     try:

@@ -1,4 +1,4 @@
-"""The worker processes of one machine: spawned, watched, killed where they are stuck, replaced where they died."""
+"""Run jobs on worker processes of one machine. Workers that hang are killed, and workers that died are replaced."""
 
 from __future__ import annotations
 
@@ -19,16 +19,21 @@ from sumo_adv.campaigns.results import Done, EpisodeJob
 from sumo_adv.errors import SumoAdvError
 from sumo_adv.simulation.processes import SINGLE_THREAD_VARIABLES, deferred_interrupts, environment, exit_in_words
 
-MAX_EPISODE_TRIES = 2  # of an episode if its worker crashes or hangs, or its simulation fails
-MAX_FAILED_STARTS = 3  # workers in a row that may die before they are ready
+MAX_EPISODE_TRIES = 2  # for an episode whose worker crashes or hangs, or whose simulation fails
+MAX_FAILED_STARTS = 3  # consecutive workers that may die before they are ready
 WORKER_START_TIMEOUT_S = 120.0
-POLL_INTERVAL_S = 0.25  # between looks at deadlines, results, messages and at Ctrl-C
-MAX_KEPT_OUTPUT_CHARACTERS = 20_000  # of a dead worker's output that are kept
+POLL_INTERVAL_S = 0.25  # between checks of deadlines, results, messages and Ctrl-C
+MAX_KEPT_OUTPUT_CHARACTERS = 20_000  # kept of a dead worker's output
 
 
 @dataclass
 class Stop:
-    """What Ctrl-C asks for: ``drain`` = begin nothing more, ``now`` = end what runs."""
+    """The state of Ctrl-C.
+
+    Attributes:
+        drain: Begin no more jobs.
+        now: End the jobs that run.
+    """
 
     drain: bool = False
     now: bool = False
@@ -36,7 +41,13 @@ class Stop:
 
 @dataclass(frozen=True, slots=True)
 class WorkerPace:
-    """How work is done. ``deadline`` [s] of an episode; ``recycle``: episodes after which a worker is replaced."""
+    """How the work is done.
+
+    Attributes:
+        workers: The number of workers.
+        deadline: The maximum time of an episode [s].
+        recycle: The number of episodes after which a worker is replaced.
+    """
 
     workers: int
     deadline: float
@@ -45,7 +56,7 @@ class WorkerPace:
 
 @dataclass
 class _Slot:
-    """One worker process and the episode it has."""
+    """A worker process and its current episode."""
 
     process: Any
     connection: Connection
@@ -58,16 +69,17 @@ class _Slot:
 
     @property
     def words(self) -> str:
+        """The end of what the worker printed."""
         try:
             return (self.folder / "log").read_text(errors="replace")[-MAX_KEPT_OUTPUT_CHARACTERS:]
         except OSError:
             return ""
 
     def kill(self) -> None:
-        """End it with everything it started."""
+        """Kill the worker with everything that it started."""
         try:
             os.killpg(self.process.pid, signal.SIGKILL)
-        except (OSError, AttributeError):  # it has no group of its own yet, or this system knows none
+        except (OSError, AttributeError):  # it has no group of its own yet, or the system has no groups
             self.process.kill()
         self.process.join()
         self.connection.close()
@@ -76,12 +88,20 @@ class _Slot:
 
 @dataclass
 class LocalWorkers:
-    """Runs jobs on worker processes. ``fail`` writes down an episode that could not be run: (job, why, text).
+    """Runs jobs on worker processes.
 
-    setup: what ``make`` makes each worker's runner from; both go to the worker. make: None = episodes of a batch, with
-    jobs of the type ``EpisodeJob``. The jobs of another runner are anything with an ``id``. seen: how far a job is, and
-    the seconds [s] of it that do not count. The job's deadline begins anew when it gets further. hangs: tries of a job
-    that is not done in time."""
+    Attributes:
+        setup: What ``make`` makes each worker's runner from. It is sent to the worker.
+        pace: How the work is done.
+        scratch: The folder of the workers' folders.
+        fail: Records a job that could not be run, from the job, the reason and a text.
+        stop: The state of Ctrl-C.
+        make: Makes a worker's runner. It is sent to the worker. None runs episodes of a batch, whose jobs are of the
+            type ``EpisodeJob``. The jobs of another runner are anything with an ``id``.
+        seen: Returns how far a job is, and the time in it that does not count [s]. The job's deadline is extended when
+            it gets further.
+        hangs: The maximum number of tries of a job that is not done in time.
+    """
 
     setup: Any
     pace: WorkerPace
@@ -98,10 +118,14 @@ class LocalWorkers:
     _made: int = 0
 
     def run(self, jobs: Iterable[Any], told: Callable[[Any, Done], None]) -> None:
-        """Each job in turn, at most ``MAX_EPISODE_TRIES`` times; ``told`` of each that is finished. Raises
-        SumoAdvError.
+        """Run all jobs, each at most ``MAX_EPISODE_TRIES`` times.
 
-        A deque of jobs may grow meanwhile.
+        Args:
+            jobs: The jobs. If they are a deque, it may grow meanwhile.
+            told: Called with each job that is finished and its outcome.
+
+        Raises:
+            SumoAdvError: The workers do not start, or a worker says that no job can be run.
         """
         waiting = jobs if isinstance(jobs, deque) else deque(jobs)
         while not self.stop.now:
@@ -113,11 +137,13 @@ class LocalWorkers:
             self._watch(told)
 
     def close(self) -> None:
+        """Kill all workers."""
         for slot in self._slots:
             slot.kill()
         self._slots.clear()
 
     def _staff(self, waiting: int) -> None:
+        """Start missing workers, at most one for each job."""
         busy = sum(s.job is not None for s in self._slots)
         target = min(self.pace.workers, busy + (0 if self.stop.drain else waiting))
         while len(self._slots) < target:
@@ -137,16 +163,18 @@ class LocalWorkers:
         return _Slot(process, own_end, folder, time.monotonic() + WORKER_START_TIMEOUT_S)
 
     def _assign(self, waiting: deque[EpisodeJob]) -> None:
+        """Give jobs to free workers."""
         for slot in self._slots:
             if self.stop.drain or not (waiting or self._again):
                 return
             if slot.ready and slot.job is None:
                 slot.job = self._again.popleft() if self._again else waiting.popleft()
                 slot.seen, slot.until = None, time.monotonic() + self.pace.deadline
-                with suppress(OSError):  # it may have died: found by ``_listen``
+                with suppress(OSError):  # it may have died, which ``_listen`` finds
                     slot.connection.send((slot.job, self._tried.get(slot.job.id, 0) + 1 == MAX_EPISODE_TRIES))
 
     def _listen(self, told: Callable[[EpisodeJob, Done], None]) -> None:
+        """Receive the workers' messages."""
         by_handle = {s.connection: s for s in self._slots}
         for ready in wait(list(by_handle), timeout=POLL_INTERVAL_S):
             slot = by_handle[ready]  # type: ignore[index]
@@ -157,6 +185,7 @@ class LocalWorkers:
                 self._lose(slot, f"its worker process ended ({exit_in_words(slot.process.exitcode)})", told)
 
     def _hear(self, slot: _Slot, message: Any, told: Callable[[EpisodeJob, Done], None]) -> None:
+        """Handle one message of a worker."""
         if isinstance(message, SumoAdvError):
             raise message
         if message == "ready":
@@ -174,6 +203,7 @@ class LocalWorkers:
             self._dismiss(slot)
 
     def _watch(self, told: Callable[[EpisodeJob, Done], None]) -> None:
+        """Replace workers whose deadline has passed."""
         checked_at = time.monotonic()
         for slot in list(self._slots):
             seen, uncounted = (None, 0.0) if slot.job is None else self.seen(slot.job)
@@ -185,7 +215,7 @@ class LocalWorkers:
     def _lose(
         self, slot: _Slot, why: str, told: Callable[[EpisodeJob, Done], None], tries: int = MAX_EPISODE_TRIES
     ) -> None:
-        """A worker died, or has to."""
+        """Replace a worker that died or must be killed, and retry its job."""
         text, job = slot.words, slot.job
         self._dismiss(slot)
         if job is not None:
@@ -204,6 +234,7 @@ class LocalWorkers:
         told: Callable[[EpisodeJob, Done], None],
         tries: int = MAX_EPISODE_TRIES,
     ) -> None:
+        """Queue a failed job again, or give it up after ``tries`` tries."""
         self._tried[job.id] = self._tried.get(job.id, 0) + 1
         if self._tried[job.id] < tries:
             self._again.append(job)
@@ -218,13 +249,13 @@ class LocalWorkers:
 def _work(
     connection: Connection, setup: Any, log: Path, make: Callable[[Any], AbstractContextManager[Any]] | None = None
 ) -> None:
-    """A worker process: a group of its own, its words in a file, gone as soon as its parent is."""
+    """Run a worker process: it is its own process group, prints into a file, and ends when its parent does."""
     import faulthandler
 
     alone(log.parent.parent)
     try:
         words = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
-    except FileNotFoundError:  # the parent has died meanwhile, and another worker has removed the scratch folder
+    except FileNotFoundError:  # the parent died, and another worker removed the scratch folder
         return
     os.dup2(words, 1)
     os.dup2(words, 2)
@@ -244,7 +275,13 @@ def _work(
 
 
 def alone(scratch: Path) -> None:
-    """Ctrl-C is for the parent; and when that dies, however it does, nothing of this one lives on, nor its scratch."""
+    """Protect this process from Ctrl-C, which is for the parent, and let it end with the parent.
+
+    When the parent ends, however it ends, this process kills its process group and removes the scratch folder.
+
+    Args:
+        scratch: The scratch folder.
+    """
     import threading
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -1,19 +1,19 @@
-"""The plan of a batch: lists that are multiplied into episodes, each with an id made of its content.
+"""Read the plan of a batch: lists that are multiplied into episodes. The id of an episode is a hash of its content.
 
     schema = 1
     inputs = ["scenarios/*.toml", "motorway", "records.tfrecord"]   # files, patterns, folders, shipped names
     records = [0, "19a486cd29abd7a7"]     # only these of files of Waymo records
     seeds = 10                            # 0 to 9, or a list
-    egos = ["idm", "careful"]             # else as the scenario says
+    egos = ["idm", "careful"]             # default: as the scenario says
     learn = "off"                         # off | after | during
-    memory = "bank.sqlite"                # the bank, else the user's
+    memory = "bank.sqlite"                # the bank; default: the user's
     figures = false                       # draw encounter.png
     [settings]                            # of every episode, as in a file of settings
-    [vary]                                # settings with lists: one more dimension each
+    [vary]                                # settings with lists; each is one more dimension
 
-An input that is not there is refused. Whatever is wrong with the content of one is kept in it: that input's episodes
-fail by name, the others run. Relative paths count from the plan's folder. The order of the rows is: inputs, egos,
-variants, seeds, the last fastest.
+An input that does not exist is refused. If the content of an input is wrong, the episodes of this input fail by name
+and the others run. Relative paths are relative to the plan's folder. The rows are ordered by input, ego, variant and
+seed; the seed varies fastest.
 """
 
 from __future__ import annotations
@@ -45,13 +45,21 @@ SHIPPED_FOLDERS = ("scenarios", "networks")
 def find_inputs(
     named: Sequence[str], folder: Path, records: Sequence[str], parts: CampaignParts, density: float | None = None
 ) -> list[Input]:
-    """The inputs that ``named`` means, relative paths counted from ``folder``. The shipped folders ``scenarios`` and
-    ``networks`` are found from everywhere.
+    """Find the inputs of a plan. The shipped folders ``scenarios`` and ``networks`` are found from everywhere.
 
-    records: only these of files of Waymo records (ids, or places from 0), empty = all. density: of generated traffic.
+    Args:
+        named: Files, patterns, folders and shipped names.
+        folder: The folder that relative paths are relative to.
+        records: Only these records of files of Waymo records (ids, or positions from 0); empty takes all.
+        parts: The functions that load inputs.
+        density: The density of generated traffic; None if not given.
 
-    Raises UsageError for a file, a name or a record that is not there, a pattern that matches nothing, and a density
-    for an input that brings its own traffic.
+    Returns:
+        The inputs.
+
+    Raises:
+        UsageError: A file, a name or a record does not exist, a pattern matches nothing, or there is a density for an
+            input that has its own traffic.
     """
     inputs: list[Input] = []
     left = set(records)
@@ -67,7 +75,7 @@ def find_inputs(
 
 
 def _paths(name: str, folder: Path) -> list[Path]:
-    """The files of a pattern, those of a folder, or the one file or shipped name."""
+    """Return the files of a pattern or a folder, or the one file or shipped name."""
     given, shipped = folder / name, Path(name).parts[0]
     if shipped in SHIPPED_FOLDERS and not (folder / shipped).exists():
         root = data_folder(shipped)
@@ -87,12 +95,12 @@ def _paths(name: str, folder: Path) -> list[Path]:
         return matches
     if given.exists():
         return [given]
-    find_input(Path(name))  # raises UsageError for what is no shipped name either
+    find_input(Path(name))  # raises UsageError if it is no shipped name either
     return [Path(name)]
 
 
 def _file(path: Path, density: float | None, parts: CampaignParts) -> Input:
-    """A network, configuration or scenario, also one of CommonRoad, with all its files."""
+    """Make the input of a network, configuration or scenario (CommonRoad's, too) with all its files."""
     try:
         run_input = parts.load(path, None)
     except (SumoAdvError, OSError) as error:
@@ -100,14 +108,14 @@ def _file(path: Path, density: float | None, parts: CampaignParts) -> Input:
     refuse_density(run_input, density)
     try:
         content = files_hash(run_input.files)
-        place = path.absolute() if path.is_file() else path  # a shipped one is found by its name anywhere
+        place = path.absolute() if path.is_file() else path  # a shipped one is found by its name everywhere
         return Input(run_input.name, place, None, content, notes=run_input.notes)
     except (SumoAdvError, OSError) as error:
         return broken(path, None, str(error))
 
 
 def _records(path: Path, chosen: Sequence[str], left: set[str], parts: CampaignParts) -> Iterator[Input]:
-    """The records of a file; a broken one is an input that fails. Those that are there are removed from ``left``."""
+    """Yield the records of a file, a broken one as an input that fails; remove those that exist from ``left``."""
     try:
         for k, record in enumerate(parts.records(path)):
             if isinstance(record, str):
@@ -120,18 +128,28 @@ def _records(path: Path, chosen: Sequence[str], left: set[str], parts: CampaignP
                 left -= {name, str(k)}
                 yield Input(name, path.absolute(), name, content)
     except SumoAdvError as error:
-        left.clear()  # what cannot be read may hold them
+        left.clear()  # the unreadable part may hold them
         yield broken(path, None, str(error))
 
 
 def broken(path: Path, record: str | None, error: str) -> Input:
-    """An input that cannot be run; it is known by its name, for want of content."""
+    """Make an input that cannot be run. Its content is a hash of its name, because it has no content that can be read.
+
+    Args:
+        path: The file.
+        record: The id of a record; None for the whole file.
+        error: Why it cannot be run.
+
+    Returns:
+        The input.
+    """
     name = input_name(path) if record is None else f"{input_name(path)}[{record}]"
     content = hashlib.sha256(f"broken {path.name} {record}".encode()).hexdigest()
     return Input(name, path, record, content, error)
 
 
 def files_hash(files: Sequence[Path]) -> str:
+    """Return the SHA-256 of the contents of files, in order."""
     digest = hashlib.sha256()
     for file in files:
         digest.update(hashlib.sha256(file.read_bytes()).digest())
@@ -164,7 +182,18 @@ class PlanFile(BaseModel):
 
 @dataclass(frozen=True)
 class CampaignPlan:
-    """Lists that are multiplied into episodes. ``variants``: settings as data; ``varied``: what tells them apart."""
+    """Lists that are multiplied into episodes.
+
+    Attributes:
+        inputs: The inputs.
+        egos: The ego drivers; None means the input's own.
+        seeds: The seeds.
+        variants: The settings of each variant, as data.
+        varied: The settings that differ between variants, for each variant.
+        learn: When lessons are written into the bank.
+        memory: The bank; None for the user's.
+        figures: Whether ``encounter.png`` is drawn.
+    """
 
     inputs: Sequence[Input]
     egos: Sequence[str | None]
@@ -177,11 +206,12 @@ class CampaignPlan:
 
     @cached_property
     def jobs(self) -> list[EpisodeJob]:
-        """The episodes in order; of equal ones (the same content twice) only the first."""
+        """The episodes in order. Of equal ones (the same content twice), only one is kept."""
         return list({job.id: job for job in reversed(list(self._product()))}.values())[::-1]
 
     @property
     def size(self) -> int:
+        """The number of episodes, equal ones counted separately."""
         return len(self.inputs) * len(self.egos) * len(self.variants) * len(self.seeds)
 
     def _product(self) -> Iterator[EpisodeJob]:
@@ -191,7 +221,7 @@ class CampaignPlan:
             yield EpisodeJob(hashlib.sha256(content.encode()).hexdigest()[:ID_DIGITS], given, ego, seed, k)
 
     def as_dict(self) -> dict[str, Any]:
-        """What a folder of results remembers of its plan, and what two plans are compared by."""
+        """Return what a folder of results stores of its plan, by which two plans are compared."""
         return {
             "schema": PLAN_SCHEMA,
             "inputs": [{"name": i.name, "content": i.content, "broken": i.error} for i in self.inputs],
@@ -201,7 +231,17 @@ class CampaignPlan:
 
 
 def read_plan(path: Path) -> dict[str, Any]:
-    """The TOML table of a plan, with its paths counted from its folder. Raises UsageError."""
+    """Read the TOML table of a plan.
+
+    Args:
+        path: The plan.
+
+    Returns:
+        The table. Its ``memory`` is relative to the plan's folder.
+
+    Raises:
+        UsageError: The plan cannot be read, or it gives the address of a model's server.
+    """
     table = read_toml(path, "The plan")
     for part in (table.get("settings"), table.get("vary")):
         if isinstance(part, dict):
@@ -212,21 +252,35 @@ def read_plan(path: Path) -> dict[str, Any]:
 
 
 def is_plan(path: Path) -> bool:
-    """Whether a file is a plan and no scenario: TOML with the key ``inputs``."""
+    """Return whether a file is a plan and not a scenario: it ends in ``.toml`` and has no key ``network``.
+
+    A file that cannot be read counts as a plan, so that its error is reported as a plan's.
+    """
     if not path.name.lower().endswith(".toml") or not path.is_file():
         return False
     try:
         return "network" not in parse_toml(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
-        return True  # its error is told as a plan's
+        return True  # its error is reported as a plan's
 
 
 def make_plan(
     table: Mapping[str, Any], folder: Path, said: str, parts: CampaignParts, settings_file: Path | None = None
 ) -> CampaignPlan:
-    """A plan from its table; ``folder``: where relative inputs are looked for; ``said``: what to call it in errors.
+    """Make a plan from its table.
 
-    Raises UsageError: unknown keys, bad values, inputs, egos or settings that do not exist, nothing to run.
+    Args:
+        table: The table.
+        folder: The folder that relative inputs are relative to.
+        said: What errors call the plan.
+        parts: The functions that load inputs.
+        settings_file: A file of settings that the plan's settings override; None for no file.
+
+    Returns:
+        The plan.
+
+    Raises:
+        UsageError: There are unknown keys or bad values, inputs, egos or settings that do not exist, or nothing to run.
     """
     try:
         file = PlanFile.model_validate(table)
@@ -257,8 +311,11 @@ def make_plan(
 
 
 def _as_data(settings: Settings) -> dict[str, Any]:
-    """Everything that shapes an episode but input, seed and ego; horizon and step only if they were given, else
-    the input's count. The key of a model's server is not in it."""
+    """Return all settings that shape an episode, without input, seed and ego.
+
+    Horizon and step length are included only if they were given; otherwise the input's apply. The key of a model's
+    server is not included.
+    """
     data = settings.model_dump(mode="json", exclude={"memory", "learn", "seed", "ego"})
     for name in ("horizon", "step_length"):
         if name not in settings.model_fields_set:
@@ -267,7 +324,17 @@ def _as_data(settings: Settings) -> dict[str, Any]:
 
 
 def checked_plan(value: Any) -> dict[str, Any]:
-    """What a folder remembers of its plan, as ``Plan.as_dict`` gives it. Raises ValueError for anything else."""
+    """Check what a folder stores of its plan, as ``CampaignPlan.as_dict`` gives it.
+
+    Args:
+        value: The content of ``plan.json``.
+
+    Returns:
+        The value.
+
+    Raises:
+        ValueError: The value is no such plan.
+    """
     if not isinstance(value, dict) or value.get("schema") != PLAN_SCHEMA:
         raise ValueError(f"it is no table with schema {PLAN_SCHEMA}")
     for key in ("inputs", "egos", "seeds", "settings"):
@@ -282,8 +349,16 @@ def checked_plan(value: Any) -> dict[str, Any]:
 
 
 def plan_differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> tuple[list[str], list[str]]:
-    """What tells two plans apart, in words: which episodes there are, and what all depend on; empty for the same plan.
-    An input that was broken and is not any more makes no difference."""
+    """Compare two plans. An input that was broken and is not any more makes no difference.
+
+    Args:
+        before: The one plan, as ``CampaignPlan.as_dict`` gives it.
+        now: The other plan.
+
+    Returns:
+        Sentences on what differs in the list of episodes, and sentences on what differs in the things that all episodes
+            depend on (learning, bank and versions). Both are empty for the same plan.
+    """
     changes = _inputs_differ(before["inputs"], now["inputs"])
     for key in ("egos", "seeds"):
         if before[key] != now[key]:

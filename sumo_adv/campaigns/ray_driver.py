@@ -1,6 +1,6 @@
-"""The process that speaks to a Ray cluster. Ray may hang in it or end it: the program's own process goes on.
+"""Run the process that talks to a Ray cluster. Ray may hang or end this process without harm to the program's own.
 
-Ray is imported here alone. What it prints goes into a file. The messages on both ways are the classes below.
+Ray is imported only here. Ray's output goes into a file. The two processes exchange messages of the classes below.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from typing import Any
 from sumo_adv.campaigns.local import POLL_INTERVAL_S, alone
 from sumo_adv.errors import SumoAdvError
 
-CONNECTION_TIMEOUT_S = 5.0  # for a server to take a connection
-NODE_POLL_INTERVAL_S = 2.0  # between looks at the cluster's nodes
+CONNECTION_TIMEOUT_S = 5.0  # for a server to accept a connection
+NODE_POLL_INTERVAL_S = 2.0  # between reports of the cluster's nodes
 LOG = "log"
 
 
@@ -29,7 +29,12 @@ LOG = "log"
 
 @dataclass(frozen=True, slots=True)
 class Put:
-    """Keep a value in Ray's store, under a number."""
+    """Keep a value in Ray's store.
+
+    Attributes:
+        key: The number of the value.
+        value: The value.
+    """
 
     key: int
     value: Any
@@ -37,8 +42,16 @@ class Put:
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Run ``function`` of the values under ``keys`` and of ``arguments`` on one node. ``recycle``: tasks after which
-    its worker process is replaced."""
+    """Run a function on a node.
+
+    Attributes:
+        number: The number of the task.
+        node: The id of the node.
+        function: The function. Its arguments are the values under ``keys``, then ``arguments``.
+        keys: The keys of values in Ray's store.
+        arguments: Further arguments.
+        recycle: The number of tasks after which the node's worker process is replaced.
+    """
 
     number: int
     node: str
@@ -53,19 +66,29 @@ class Start:
 
 @dataclass(frozen=True, slots=True)
 class Loaded:
-    """Ray is imported; connecting begins."""
+    """Ray is imported, and connecting begins."""
 
 
 @dataclass(frozen=True, slots=True)
 class JobRefused:
-    """There is no connection, and why."""
+    """There is no connection.
+
+    Attributes:
+        why: The reason.
+    """
 
     why: str
 
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """A node of the cluster that is alive, with its processors."""
+    """A node of the cluster that is alive.
+
+    Attributes:
+        id: The node's id.
+        name: The node's host name.
+        processors: The number of processors.
+    """
 
     id: str
     name: str
@@ -81,7 +104,12 @@ class Nodes:
 
 @dataclass(frozen=True, slots=True)
 class JobResult:
-    """What a task returned."""
+    """What a task returned.
+
+    Attributes:
+        number: The number of the task.
+        value: The value.
+    """
 
     number: int
     value: Any
@@ -89,7 +117,12 @@ class JobResult:
 
 @dataclass(frozen=True, slots=True)
 class Raised:
-    """What a task raised; any other error than the program's own is a SumoAdvError in its words."""
+    """What a task raised.
+
+    Attributes:
+        number: The number of the task.
+        error: The error. An error of another type is described by a ``SumoAdvError``.
+    """
 
     number: int
     error: SumoAdvError
@@ -97,14 +130,25 @@ class Raised:
 
 @dataclass(frozen=True, slots=True)
 class Lost:
-    """The worker or node of a task was lost."""
+    """The worker or node of a task was lost.
+
+    Attributes:
+        number: The number of the task.
+        text: Ray's message.
+    """
 
     number: int
     text: str
 
 
 def serve_jobs(connection: Connection, address: str, folder: Path) -> None:
-    """Connect to the cluster and do what the program asks for, until it sends None."""
+    """Connect to the cluster and execute the program's commands until it sends None.
+
+    Args:
+        connection: The connection to the program.
+        address: The cluster's address.
+        folder: The folder of the log.
+    """
     alone(folder)
     words = os.open(folder / LOG, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
     os.dup2(words, 1)
@@ -128,14 +172,14 @@ def serve_jobs(connection: Connection, address: str, folder: Path) -> None:
 
 
 def _knock(address: str) -> None:
-    """Raises OSError if no server listens at HOST:PORT."""
+    """Check that a server listens if the address is HOST:PORT; raise OSError if none does."""
     host, _, port = address.removeprefix("ray://").rpartition(":")
     if host and port.isdigit():
         socket.create_connection((host, int(port)), CONNECTION_TIMEOUT_S).close()
 
 
 class _Driver:
-    """Ray's part of a pool: values in its store, and the tasks that run."""
+    """Ray's side of a pool: the values in its store, and the tasks that run."""
 
     def __init__(self, ray: Any, connection: Connection) -> None:
         self._ray, self._connection = ray, connection
@@ -143,6 +187,7 @@ class _Driver:
         self._running = dict[Any, int]()
 
     def run(self) -> None:
+        """Execute commands and report nodes and results until None is received."""
         look = 0.0
         while True:
             while self._connection.poll(0.0 if self._running else POLL_INTERVAL_S):
@@ -175,6 +220,7 @@ class _Driver:
         self._running[task.options(scheduling_strategy=there).remote(*values, *command.arguments)] = command.number
 
     def _end(self, number: int, ready: Any) -> JobResult | Raised | Lost:
+        """Make the message about the end of a task."""
         try:
             return JobResult(number, self._ray.get(ready))
         except self._ray.exceptions.RayTaskError as error:

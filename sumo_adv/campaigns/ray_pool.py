@@ -1,8 +1,9 @@
-"""Jobs on the nodes of a Ray cluster: each node is checked before its first job, and left out where it is unfit.
+"""Run jobs on the nodes of a Ray cluster. Each node is checked before its first job, and left out if it is unfit.
 
-A node takes as many jobs at a time as it has processors. A job whose worker or node was lost is tried again,
-``MAX_LOSSES_PER_JOB`` times; one on a node that turns out to be unfit is done elsewhere. Ray is spoken to by a process
-of its own (``ray_driver.py``): where that hangs or dies, this one says so and ends in order."""
+A node runs as many jobs at a time as it has processors. A job whose worker or node was lost is tried again,
+``MAX_LOSSES_PER_JOB`` times. A job on a node that turns out to be unfit is run elsewhere. A process of its own talks to
+Ray (``ray_driver.py``). If that process hangs or dies, this one reports it and ends in order.
+"""
 
 from __future__ import annotations
 
@@ -29,18 +30,18 @@ from sumo_adv.campaigns.results import Done
 from sumo_adv.errors import SumoAdvError, UsageError
 from sumo_adv.simulation.processes import SINGLE_THREAD_VARIABLES, deferred_interrupts, environment
 
-MAX_LOSSES_PER_JOB = 5  # times that a job is tried again after its worker or node was lost
+MAX_LOSSES_PER_JOB = 5  # retries of a job whose worker or node was lost
 RAY_START_TIMEOUT_S = 60.0  # for Python to start and to import Ray
 CLUSTER_TIMEOUT_S = 10.0  # for the cluster to answer
-CLUSTER_SILENCE_TIMEOUT_S = 90.0  # without a word of the cluster: Ray itself gives its head up after 60 s
+CLUSTER_SILENCE_TIMEOUT_S = 90.0  # without a message of the cluster; Ray itself gives up its head after 60 s
 RAY_CLOSE_TIMEOUT_S = 5.0  # for Ray to leave the cluster
 LOG_LINE_ORIGIN = re.compile(r"^\[[^\]]*\] *(\S+:\d+: )?")  # at the beginning of a line of Ray's log
-CHECK = "check"  # the job that a node's check is
+CHECK = "check"  # the job that marks a node's check
 
 
 @dataclass
 class _Place:
-    """A node: whether it was checked (``fit`` None: not yet), and how many jobs it has."""
+    """A node, whether it is fit (None: not checked yet), and the number of its jobs."""
 
     node: Node
     fit: bool | None = None
@@ -48,10 +49,7 @@ class _Place:
 
 
 class RayPool:
-    """Runs ``task(sent, job)`` on the cluster for each job; ``sent`` is put into Ray's store once (``put``).
-
-    Raises UsageError: Ray is not installed, or no cluster at ``address`` answers within ``CLUSTER_TIMEOUT_S``.
-    """
+    """Runs ``task(sent, job)`` on the cluster for each job; ``sent`` is put into Ray's store once (``put``)."""
 
     def __init__(
         self, task: Callable[..., Any], unfit: Callable[[Any], str], recycle: int, address: str, stop: Stop, *,
@@ -61,22 +59,25 @@ class RayPool:
         """Connect, which takes some seconds.
 
         Args:
-            task: runs one job on a node.
-            unfit: run on each node before its first job, of what ``run`` says that nodes need; why the node cannot be
-                used, '' if it can.
-            recycle: jobs after which a worker process of a node is replaced.
-            address: of the cluster.
-            stop: what Ctrl-C asks for. One that comes while the cluster is asked leaves the pool without nodes.
-            driver: what speaks to Ray, in a process of its own.
-            tell: called with a sentence for each node that is left out.
+            task: Runs one job on a node.
+            unfit: Runs on each node before its first job, with what ``run`` says that nodes need. Returns why the node
+                cannot be used, or '' if it can.
+            recycle: The number of jobs after which a worker process of a node is replaced.
+            address: The cluster's address.
+            stop: The state of Ctrl-C. If it is pressed before the cluster answers, the pool has no nodes.
+            driver: Talks to Ray, in a process of its own.
+            tell: Called with a sentence for each node that is left out.
+
+        Raises:
+            UsageError: Ray is not installed, or no cluster at ``address`` answers within ``CLUSTER_TIMEOUT_S``.
         """
         self._task, self._unfit, self._recycle = task, unfit, recycle
         self._address, self._stop, self._tell = address, stop, tell
         self._places = dict[str, _Place]()
-        self._left_out = dict[str, str]()  # name of a node -> why
+        self._left_out = dict[str, str]()  # name of a node -> reason
         self._numbers = 0
         self._running = dict[int, tuple[Any, str]]()  # job and node of a task
-        self._losses = Counter[str]()  # of jobs, by id
+        self._losses = Counter[str]()  # losses of jobs, by id
         self._heard = time.monotonic()
         self._folder = Path(tempfile.mkdtemp(prefix="sumo_adv-"))
         self._spawn(driver)
@@ -88,11 +89,18 @@ class RayPool:
 
     @property
     def processors(self) -> int:
-        """Of all nodes that are not left out."""
+        """The number of processors of all nodes that are not left out."""
         return sum(place.node.processors for place in self._places.values() if place.fit is not False)
 
     def put(self, sent: Any) -> int:
-        """The key of a value in Ray's store."""
+        """Put a value into Ray's store.
+
+        Args:
+            sent: The value.
+
+        Returns:
+            The key of the value.
+        """
         self._numbers += 1
         self._send(Put(self._numbers, sent))
         return self._numbers
@@ -106,11 +114,19 @@ class RayPool:
         lost: Callable[[Any, str, str], Done],
         told: Callable[[Any, Done], None],
     ) -> None:
-        """Each job; ``told`` of what ``keep`` makes of its task's result, or ``lost`` of its loss (job, why, text).
+        """Run all jobs.
 
-        needs: the key of what nodes are checked with. sent: that of what tasks get that begin from now on.
+        Args:
+            jobs: The jobs.
+            needs: The key of the value that nodes are checked with.
+            sent: Returns the key of the value that tasks get; called for each task when it begins.
+            keep: Makes the outcome of a job from the result of its task.
+            lost: Makes the outcome of a job that was lost too often, from the job, the reason and a text.
+            told: Called with each job that is finished and its outcome.
 
-        Raises SumoAdvError: the cluster is lost, or a job cannot be run anywhere. UsageError: no node is fit.
+        Raises:
+            SumoAdvError: The cluster is lost, or a job cannot be run anywhere.
+            UsageError: No node is fit.
         """
         waiting = deque(jobs)
         while not self._stop.now:
@@ -123,9 +139,9 @@ class RayPool:
             self._refuse_if_all_are_unfit(waiting)
 
     def close(self) -> None:
-        """Leave the cluster; what still runs there is ended by Ray."""
+        """Leave the cluster; Ray ends what still runs there."""
         self._send(None)
-        self._process.join(RAY_CLOSE_TIMEOUT_S if self._places else 0.0)  # where it has not connected it hears nothing
+        self._process.join(RAY_CLOSE_TIMEOUT_S if self._places else 0.0)  # before it has connected, it receives nothing
         with suppress(OSError, AttributeError):
             os.killpg(self._process.pid or 0, signal.SIGKILL)
         self._process.kill()
@@ -136,6 +152,7 @@ class RayPool:
     # -- the process that speaks to Ray -------------------------------------------------------------------------
 
     def _spawn(self, driver: Callable[[Connection, str, Path], None]) -> None:
+        """Start the process that talks to Ray."""
         context = multiprocessing.get_context("spawn")
         self._connection, other_end = context.Pipe()
         self._process = context.Process(target=driver, args=(other_end, self._address, self._folder))
@@ -145,11 +162,11 @@ class RayPool:
         other_end.close()
 
     def _send(self, command: Put | Start | None) -> None:
-        with suppress(OSError):  # it is gone: found by ``_messages``
+        with suppress(OSError):  # it is gone, which ``_messages`` finds
             self._connection.send(command)
 
     def _connected(self) -> None:
-        """Wait for the cluster's nodes, or for Ctrl-C. Raises UsageError."""
+        """Wait for the cluster's nodes or for Ctrl-C. Raise UsageError if no cluster answers."""
         until, limit = time.monotonic() + RAY_START_TIMEOUT_S, RAY_START_TIMEOUT_S
         while not self._stop.drain:
             if time.monotonic() > until:
@@ -173,7 +190,7 @@ class RayPool:
         return UsageError(f"No Ray cluster answers at {self._address} ({why}); see ray start.")
 
     def _messages(self) -> Iterator[Any]:
-        """What has come. Raises SumoAdvError where the process has died, or the cluster is silent."""
+        """Yield the messages that arrived. Raise SumoAdvError if the process has died or the cluster is silent."""
         if not self._connection.poll(POLL_INTERVAL_S):
             if time.monotonic() - self._heard > CLUSTER_SILENCE_TIMEOUT_S:
                 raise self._cluster_lost(f"silent for {CLUSTER_SILENCE_TIMEOUT_S:g} s")
@@ -192,7 +209,7 @@ class RayPool:
         )
 
     def _last_words(self) -> str:
-        """The first sentence of the last line that Ray has printed, without its place in Ray."""
+        """Return the first sentence of the last line that Ray printed, without its origin in Ray's code."""
         text = ""
         with suppress(OSError):
             text = (self._folder / LOG).read_text(errors="replace")
@@ -206,7 +223,7 @@ class RayPool:
     # -- jobs and nodes -----------------------------------------------------------------------------------------
 
     def _look(self, nodes: Nodes) -> None:
-        """Forget nodes that are gone. Tasks that they had come back as lost."""
+        """Update the nodes. Those that are gone are forgotten; their tasks are reported as lost."""
         self._heard = time.monotonic()
         alive = {node.id: node for node in nodes.alive}
         for gone in self._places.keys() - alive.keys():
@@ -232,6 +249,7 @@ class RayPool:
     def _start(
         self, place: _Place, job: Any, function: Callable[..., Any], keys: tuple[int, ...], *arguments: Any
     ) -> None:
+        """Send a task to a node."""
         self._numbers += 1
         place.busy += 1
         self._running[self._numbers] = job, place.node.id
@@ -241,6 +259,7 @@ class RayPool:
         self, message: Any, waiting: deque[Any], keep: Callable[[Any, Any], Done],
         lost: Callable[[Any, str, str], Done], told: Callable[[Any, Done], None],
     ) -> None:  # fmt: skip
+        """Handle a message about the nodes or about a task."""
         if isinstance(message, Nodes):
             self._look(message)
             return
@@ -265,7 +284,8 @@ class RayPool:
                 told(job, lost(job, f"Its worker or node was lost {MAX_LOSSES_PER_JOB + 1} times.", message.text))
 
     def _checked(self, place: _Place | None, message: JobResult | Raised | Lost) -> None:
-        if place is None or isinstance(message, Lost):  # looked at again, if it is still there
+        """Handle the result of a node's check; a lost check is repeated if the node still exists."""
+        if place is None or isinstance(message, Lost):  # checked again if it still exists
             return
         why = str(message.value if isinstance(message, JobResult) else message.error)
         place.fit = True
@@ -273,6 +293,7 @@ class RayPool:
             self._leave_out(place, why)
 
     def _leave_out(self, place: _Place | None, why: str) -> None:
+        """Leave out a node, and report it once for each reason."""
         if place is None or place.fit is False:
             return
         place.fit = False
@@ -288,7 +309,7 @@ class RayPool:
 
 
 def processors_of(address: str) -> int:
-    """The processors of a cluster. Raises UsageError."""
+    """Return the number of processors of a cluster, at least 1. Raise UsageError if no cluster answers."""
     pool = RayPool(_nothing, _fit, 1, address, Stop())
     try:
         return max(1, pool.processors)

@@ -1,5 +1,6 @@
-"""The nouns of a batch (an input, an episode to run, its outcome); and from the folders of runs to one table: a row an
-episode, failures included, in the plan's order.
+"""Define the types of a batch (an input, an episode to run, its outcome), and turn runs' folders into one table.
+
+The table has one row for each episode, including failed ones, in the plan's order.
 """
 
 from __future__ import annotations
@@ -28,18 +29,25 @@ Row = Mapping[str, Any]
 
 
 class Learn(StrEnum):
-    """When what episodes learn goes into the memory bank."""
+    """When lessons from episodes are written into the memory bank."""
 
     OFF = "off"
     AFTER = "after"  # at the end, in the plan's order
-    DURING = "during"  # at once: then the rows depend on the order
+    DURING = "during"  # at once, so the rows depend on the order
 
 
 @dataclass(frozen=True, slots=True)
 class Input:
-    """One input of a plan. ``name``: as people know it; ``path``: the path or the shipped name; ``record``: the id of
-    a Waymo record; ``content``: SHA-256 of all its files; ``error``: why it cannot be run, '' if it can; ``notes``:
-    sentences about what of it is not kept, or was converted."""
+    """One input of a plan.
+
+    Attributes:
+        name: The name for people.
+        path: The path or the shipped name.
+        record: The id of a Waymo record; None for other inputs.
+        content: The SHA-256 of all its files.
+        error: Why it cannot be run; '' if it can.
+        notes: Sentences on what of the input was dropped or converted.
+    """
 
     name: str
     path: Path
@@ -51,8 +59,15 @@ class Input:
 
 @dataclass(frozen=True, slots=True)
 class EpisodeJob:
-    """One episode to run. ``id``: 16 hexadecimal digits of its content; ``variant``: place of its settings in the plan;
-    ``ego`` None = as the input says."""
+    """One episode to run.
+
+    Attributes:
+        id: 16 hexadecimal digits of the hash of its content.
+        input: The input.
+        ego: The ego's driver; None for the input's own.
+        seed: The seed.
+        variant: The index of its settings in the plan.
+    """
 
     id: str
     input: Input
@@ -62,13 +77,21 @@ class EpisodeJob:
 
     @property
     def words(self) -> str:
+        """The episode in words."""
         return f"{self.input.name} {f'({self.ego}) ' if self.ego else ''}seed {self.seed}"
 
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """The outcome of one try. ``again``: it failed in a way that another try may not; then nothing was kept, and
-    ``text`` is a traceback or what its processes said."""
+    """The outcome of one try.
+
+    Attributes:
+        id: The id of the episode.
+        row: The row; None if nothing was kept.
+        bytes: The size of the run's folder, without its inputs.
+        again: Why the try failed, if another try may succeed; then nothing was kept.
+        text: A traceback, or what the try's processes printed.
+    """
 
     id: str
     row: Row | None
@@ -79,7 +102,18 @@ class Done:
 
 @dataclass(frozen=True, slots=True)
 class CampaignParts:
-    """What the command line composes, all importable by name, because they go to other processes."""
+    """The functions that load, run and write an episode.
+
+    All of them can be imported by name, because they are sent to other processes.
+
+    Attributes:
+        load: Loads an input from its path and the id of a record.
+        records: Yields the records of a file.
+        open_agents: Opens the agents of an episode.
+        staged: Opens a folder that is written whole or not at all.
+        write_run: Writes a run's folder.
+        model_file: The name of the file with the exchanges with models.
+    """
 
     load: Callable[[Path, str | None], RunInput]
     records: Callable[[Path], Iterator[tuple[str, str] | str]]  # of a file: id and content, or what is wrong with one
@@ -93,7 +127,13 @@ class CampaignParts:
 class WorkerSetup:
     """What every worker of a batch needs to know.
 
-    runs: the folder of runs; bank: the snapshot, or with ``Learn.DURING`` the bank itself; variants: settings as data.
+    Attributes:
+        runs: The folder of runs.
+        bank: The bank's snapshot, or the bank itself with ``Learn.DURING``.
+        learn: When lessons are written into the bank.
+        variants: The settings of each variant, as data.
+        figures: Whether ``encounter.png`` is drawn.
+        parts: The functions that load, run and write an episode.
     """
 
     runs: Path
@@ -113,17 +153,26 @@ RESULT_COLUMNS = (
     "robust", "overlap", "warning", "red_light", "right_of_way", *SCENARIO,
     "driver_calls", "driver_seconds", "driver_p99_ms",
 )  # fmt: skip
-"""Of the table; settings that vary come behind them, as ``set_NAME``. Times in s, speeds in m/s. An empty min_ttc is
-never; an empty valid, strict or serious is no collision. ``road`` and ``ego_speed`` are those of the encounter.
-``supports``: the other adversaries with their roles, as ``id:role``; ``composition``: what all of them do together.
-Both are empty for a single adversary. ``cause``: its kind (``metrics/cause.py``); empty for neither a contact nor a
-near miss. ``robust``: whether most of its neighbours succeed, too; empty where none was simulated. ``overlap``: share
-of the touching face; ``warning``: s from the alarm of ``cc_human`` to the contact; ``red_light``, ``right_of_way``:
-who broke it (``episode/rules_broken.py``). ``motion``, ``nhtsa``, ``iso_34502``, ``euro_ncap``: what the attempt that
-counts shows (``scenario_names.py``). ``driver_calls``, ``driver_seconds``, ``driver_p99_ms``: how many answers the
-ego's driver gave in all attempts, how long they took, and within what time 99 % of them came."""
+"""The columns of the table. Settings that vary follow them, as ``set_NAME``.
+
+Times are in s, speeds in m/s. An empty ``min_ttc`` means *never*. An empty ``valid``, ``strict`` or ``serious`` means
+that there was no collision.
+
+- ``road`` and ``ego_speed`` are those of the encounter.
+- ``supports`` lists the other adversaries with their roles, as ``id:role``, and ``composition`` names what all of them
+  do together. Both are empty for a single adversary.
+- ``cause`` is the kind of cause (``metrics/cause.py``). It is empty if there was neither a contact nor a near miss.
+- ``robust`` says whether most of the attempt's neighbours succeed, too. It is empty if none was simulated.
+- ``overlap`` is a share of the touching face.
+- ``warning`` is the time from the alarm of ``cc_human`` to the contact [s].
+- ``red_light`` and ``right_of_way`` say who broke them (``episode/rules_broken.py``).
+- ``motion``, ``nhtsa``, ``iso_34502`` and ``euro_ncap`` name what the attempt that counts shows
+  (``scenario_names.py``).
+- ``driver_calls``, ``driver_seconds`` and ``driver_p99_ms`` are the number of answers that the ego's driver gave in all
+  attempts, the time that they took, and the time within which 99 % of them came.
+"""
 CLOCK_COLUMNS = ("seconds", "driver_seconds", "driver_p99_ms")
-"""Columns with wall times, which differ from one run to the next."""
+"""The columns with wall times, which differ from run to run."""
 
 
 INTEGER_COLUMNS = ("seed", "attempts")
@@ -132,12 +181,23 @@ NUMERIC_COLUMNS = (
     "driver_calls", "driver_seconds", "driver_p99_ms",
 )  # fmt: skip
 BOOLEAN_COLUMNS = ("collided", "valid", "critical", "strict", "serious", "ego_stationary", "humanlike", "robust")
-"""Columns that hold whole numbers, numbers, yes or no; the others hold text. Those of numbers, of yes or no and of text
-may be empty."""
+"""Columns of whole numbers, of numbers, and of true or false. All other columns hold text.
+
+Only the columns of whole numbers cannot be empty.
+"""
 
 
 def result_row(name: str, outcome: Mapping[str, Any], traceback: bool) -> Row:
-    """The row of the episode in the folder ``name``, from its ``outcome.json``."""
+    """Make the row of an episode.
+
+    Args:
+        name: The name of the episode's folder.
+        outcome: The content of its ``outcome.json``.
+        traceback: Whether the folder has a traceback.
+
+    Returns:
+        The row.
+    """
     best, raw, intent = (outcome[key] or {} for key in ("outcome", "raw", "intent"))
     failure, preventable_by = outcome.get("failure") or "", best.get("preventable_by")
     if not failure and outcome["ending"] in FAILED_ENDINGS:
@@ -161,7 +221,7 @@ def result_row(name: str, outcome: Mapping[str, Any], traceback: bool) -> Row:
 
 
 def _attack(outcome: Mapping[str, Any]) -> dict[str, Any]:
-    """The adversaries, and the collider's place; None without an attempt or an encounter."""
+    """Return the columns about the adversaries and the encounter; they are None without an attempt or an encounter."""
     encounter, best = outcome["encounter"] or {}, outcome["best"]
     adversary = outcome["adversaries"][0]["id"] if outcome["adversaries"] else None
     attempt = None if best is None else outcome["attempts"][best]
@@ -179,8 +239,19 @@ def _attack(outcome: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def checked_row(row: Any) -> Row:
-    """A row that was read from a file; one of an earlier version lacks some columns. Raises ValueError, KeyError or
-    TypeError for what is none."""
+    """Check a row that was read from a file. A row of an earlier version may lack some columns.
+
+    Args:
+        row: The row.
+
+    Returns:
+        The row.
+
+    Raises:
+        ValueError: A value or the row has the wrong type, or the ending is unknown.
+        KeyError: The ending is missing.
+        TypeError: The row is no table.
+    """
     for name in RESULT_COLUMNS:
         value = dict(row).get(name)
         kind = (
@@ -201,12 +272,22 @@ def checked_row(row: Any) -> Row:
 
 
 def is_failed(row: Row) -> bool:
-    """Whether the episode failed: it stays in the table, and in every denominator."""
+    """Return whether the episode failed; a failed episode stays in the table and in every denominator."""
     return row["ending"] in FAILED_ENDINGS
 
 
 def read_row(folder: Path) -> Row | None:
-    """The row of a run's folder; None if there is none, or it is damaged. Raises UsageError: it has schema 1."""
+    """Read the row of a run's folder.
+
+    Args:
+        folder: The folder.
+
+    Returns:
+        The row; None if there is none, or it is damaged.
+
+    Raises:
+        UsageError: The ``outcome.json`` has schema 1.
+    """
     try:
         outcome = read_json(folder / OUTCOME_FILE)
         check_schema(outcome, folder / OUTCOME_FILE)
@@ -216,7 +297,17 @@ def read_row(folder: Path) -> Row | None:
 
 
 def write_failure(stage: Path, job: EpisodeJob, failure: str, text: str) -> Row:
-    """The files of an episode that could not be run, into ``stage``: an outcome with its reason, and a traceback."""
+    """Write the files of an episode that could not be run: an outcome with the reason, and a traceback.
+
+    Args:
+        stage: The folder to write into.
+        job: The episode.
+        failure: The reason.
+        text: The traceback; '' takes the reason.
+
+    Returns:
+        The row.
+    """
     outcome = {
         "schema": OUTCOME_SCHEMA, "ending": str(Ending.SIMULATION_FAILED),
         "reason": f"{ENDING_SENTENCES[Ending.SIMULATION_FAILED]} {failure}", "network": job.input.name,
@@ -232,7 +323,18 @@ def write_failure(stage: Path, job: EpisodeJob, failure: str, text: str) -> Row:
 def keep_failure(
     staged: Callable[..., AbstractContextManager[Any]], runs: Path, job: EpisodeJob, failure: str, text: str
 ) -> Done:
-    """Those files as the run's folder, in its place in ``runs``."""
+    """Write the files of an episode that could not be run as its folder.
+
+    Args:
+        staged: Opens a folder that is written whole or not at all.
+        runs: The folder of runs.
+        job: The episode.
+        failure: The reason.
+        text: The traceback.
+
+    Returns:
+        The outcome.
+    """
     with staged(runs / job.id, force=True, inside=True) as folder:
         row = write_failure(folder.stage, job, failure, text)
         folder.keep(force=True)
@@ -242,12 +344,31 @@ def keep_failure(
 def results_table(
     jobs: Sequence[EpisodeJob], rows: Mapping[str, Row], varied: Sequence[Mapping[str, Any]]
 ) -> list[dict[str, Any]]:
-    """The rows there are, in the plan's order, with the settings that vary."""
+    """Return the finished rows in the plan's order, with the settings that vary.
+
+    Args:
+        jobs: All episodes.
+        rows: The finished rows, by id.
+        varied: The settings that differ between variants, for each variant.
+
+    Returns:
+        The table.
+    """
     shown = [{f"set_{name}": value for name, value in each.items()} for each in varied]
     return [{**rows[job.id], **shown[job.variant]} for job in jobs if job.id in rows]
 
 
 def write_csv(target: Path, table: Iterable[Mapping[str, Any]], varied: Sequence[str]) -> None:
+    """Write the table as CSV, whole or not at all.
+
+    Args:
+        target: The file.
+        table: The rows.
+        varied: The names of the settings that vary.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
 
     def write(part: Path) -> None:
         with part.open("w", newline="", encoding="utf-8") as file:
@@ -265,7 +386,17 @@ def _cell(value: Any) -> Any:
 
 
 def read_csv(file: Path) -> dict[str, list[Any]]:
-    """The columns of a ``results.csv`` with their types; empty cells are None. Raises UsageError: it is damaged."""
+    """Read the columns of a ``results.csv`` with their types.
+
+    Args:
+        file: The file.
+
+    Returns:
+        The columns; empty cells are None.
+
+    Raises:
+        UsageError: The file is damaged.
+    """
     try:
         with file.open(newline="", encoding="utf-8") as text:
             reader = csv.DictReader(text)
@@ -287,7 +418,11 @@ def _value(name: str, text: str) -> Any:
 
 
 def check_parquet() -> None:
-    """Raises UsageError where Parquet cannot be written."""
+    """Check that Parquet can be written.
+
+    Raises:
+        UsageError: pyarrow is not installed.
+    """
     try:
         import pyarrow  # noqa: F401
     except ImportError as error:
@@ -295,7 +430,17 @@ def check_parquet() -> None:
 
 
 def write_parquet(target: Path, table: Sequence[Mapping[str, Any]], varied: Sequence[str]) -> None:
-    """The same table as Parquet, typed, whole or not at all. Raises OSError, UsageError without pyarrow."""
+    """Write the table as typed Parquet, whole or not at all.
+
+    Args:
+        target: The file.
+        table: The rows.
+        varied: The names of the settings that vary.
+
+    Raises:
+        UsageError: pyarrow is not installed.
+        OSError: The file cannot be written.
+    """
     check_parquet()
     import pyarrow as pa
     from pyarrow import parquet
@@ -304,7 +449,7 @@ def write_parquet(target: Path, table: Sequence[Mapping[str, Any]], varied: Sequ
         **dict.fromkeys(INTEGER_COLUMNS, pa.int64()), **dict.fromkeys(NUMERIC_COLUMNS, pa.float64()),
         **dict.fromkeys(BOOLEAN_COLUMNS, pa.bool_()),
     }  # fmt: skip
-    # packed rows of old versions lack some
+    # packed rows of old versions lack some columns
     columns = {name: [row.get(name) for row in table] for name in RESULT_COLUMNS}
     columns |= {f"set_{name}": [str(_cell(row[f"set_{name}"])) for row in table] for name in varied}
     arrays = {name: pa.array(values, kinds.get(name, pa.string())) for name, values in columns.items()}

@@ -1,13 +1,13 @@
-"""The folder of a batch: its plan, the snapshot of the bank, the folders of its runs, the table.
+"""Manage the folder of a batch: its plan, the snapshot of the bank, the folders of its runs, and the table.
 
-OUT/plan.json      the plan; a changed plan is told apart by it
+OUT/plan.json      the plan, by which a changed plan is recognised
 OUT/bank.sqlite    the memory bank as it was at the start, which every episode reads
-OUT/inputs/        networks, demand ..., each content once: those of the runs are links to them
-OUT/runs/ID/       a run as ``run`` writes it
-OUT/packs/         many runs in few files, for file systems that do not like many
+OUT/inputs/        networks, demand ..., each content once; the files of runs are hard links to them
+OUT/runs/ID/       a run, as ``run`` writes it
+OUT/packs/         many runs in few files, for file systems that do not like many files
     0000.zip       ID/outcome.json ...; inputs/NAME once each
-    0000.json      {"schema": 1, "runs": {ID: {"row": .., "inputs": [..]}}}, written last: a zip without it is none
-OUT/results.csv    a row an episode
+    0000.json      {"schema": 1, "runs": {ID: {"row": .., "inputs": [..]}}}, written last: a zip without it is ignored
+OUT/results.csv    a row for each episode
 """
 
 from __future__ import annotations
@@ -34,14 +34,20 @@ from sumo_adv.parsing import MAX_UNPACKED_BYTES, read_json
 
 PACK_SCHEMA = 1
 MAX_PACKED_RUNS = 1000
-STORED = (".gz", ".png", ".zip")  # compressed already
-ZIP_FAULTS = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError)  # of a zip file that is damaged or enciphered
+STORED = (".gz", ".png", ".zip")  # already compressed
+ZIP_FAULTS = (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError)  # of a damaged or encrypted zip file
 ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)
 
 
 @dataclass(frozen=True, slots=True)
 class Packed:
-    """What was packed: runs, files before and after, bytes before and after."""
+    """What was packed.
+
+    Attributes:
+        runs: The number of runs.
+        files: The number of files before and after.
+        bytes: The size before and after.
+    """
 
     runs: int
     files: tuple[int, int]
@@ -49,12 +55,23 @@ class Packed:
 
 
 def packed_rows(folder: Path) -> dict[str, Row]:
-    """The rows of all packed runs of a batch. Raises UsageError for a damaged index."""
+    """Return the rows of all packed runs of a batch. Raise UsageError if an index is damaged."""
     return {name: entry["row"] for index in _indices(folder) for name, entry in _read(index).items()}
 
 
 def packed_texts(folder: Path, name: str) -> dict[str, str]:
-    """The file called ``name`` of all packed runs that have one. Raises UsageError for a damaged pack."""
+    """Read one file of all packed runs.
+
+    Args:
+        folder: The batch's folder.
+        name: The name of the file.
+
+    Returns:
+        The texts, by the id of each run that has the file.
+
+    Raises:
+        UsageError: A pack is damaged.
+    """
     texts = {}
     for index in _indices(folder):
         try:
@@ -69,10 +86,22 @@ def packed_texts(folder: Path, name: str) -> dict[str, str]:
 
 
 def pack_runs(folder: Path, most: int = MAX_PACKED_RUNS) -> Packed:
-    """Move the finished runs of a batch into zip files of ``most`` runs. Raises UsageError, SumoAdvError."""
+    """Move the finished runs of a batch into zip files.
+
+    Args:
+        folder: The batch's folder.
+        most: The maximum number of runs in a zip file.
+
+    Returns:
+        What was packed.
+
+    Raises:
+        UsageError: An index is damaged, or a file cannot be written.
+        SumoAdvError: There is no space left.
+    """
     done = packed_rows(folder)
     runs = [r for r in sorted((folder / "runs").iterdir()) if not r.name.startswith(".")]
-    for run in [r for r in runs if r.name in done]:  # broken off between writing and removing
+    for run in [r for r in runs if r.name in done]:  # interrupted between writing and removing
         shutil.rmtree(run)
     rows = {run: row for run in runs if run.name not in done and (row := read_row(run)) is not None}
     files, size, after = 0, 0, [0, 0]
@@ -92,12 +121,13 @@ def pack_runs(folder: Path, most: int = MAX_PACKED_RUNS) -> Packed:
 
 
 def _measure(runs: Sequence[Path]) -> tuple[int, int]:
-    """Files and bytes of runs, those that are shared counted once."""
+    """Return the number and the bytes of the runs' files; shared files count once in the bytes."""
     stats = [p.stat() for run in runs for p in run.rglob("*") if p.is_file()]
     return len(stats), sum({(s.st_dev, s.st_ino): s.st_size for s in stats}.values())
 
 
 def _pack_one(folder: Path, runs: Sequence[Path], rows: dict[Path, Row]) -> tuple[Path, Path]:
+    """Pack some runs into a new zip file with its index, then remove their folders."""
     number = 1 + max((int(i.stem) for i in (folder / "packs").glob("*.zip") if i.stem.isdecimal()), default=-1)
     target = folder / "packs" / f"{number:04d}.zip"
     index = {run.name: {"row": rows[run], "inputs": sorted(p.name for p in (run / "inputs").glob("*"))} for run in runs}
@@ -109,6 +139,7 @@ def _pack_one(folder: Path, runs: Sequence[Path], rows: dict[Path, Row]) -> tupl
 
 
 def _zip(target: Path, runs: Sequence[Path]) -> None:
+    """Write runs into a zip file, each input once."""
     inputs: set[str] = set()
     with zipfile.ZipFile(target, "w") as out:
         for run in runs:
@@ -132,9 +163,20 @@ def _add(out: zipfile.ZipFile, name: str, file: Path) -> None:
 def unpack_runs(
     folder: Path, names: Sequence[str], into: Path, staged: Callable[..., AbstractContextManager[Any]]
 ) -> list[Path]:
-    """Put packed runs (all if none is named) into folders below ``into``, as they were; packs stay as they are.
+    """Restore packed runs as folders. The packs stay.
 
-    Raises UsageError for a run that is in no pack and for a link in the folder, SumoAdvError.
+    Args:
+        folder: The batch's folder.
+        names: The ids of the runs; empty means all.
+        into: The folder of the restored folders.
+        staged: Opens a folder that is written whole or not at all.
+
+    Returns:
+        The restored folders. Runs that exist already are left out.
+
+    Raises:
+        UsageError: A run is in no pack, there is a link in the folders, or a pack is damaged.
+        SumoAdvError: There is no space left.
     """
     refuse_links(folder / "packs")
     refuse_links(into)
@@ -177,21 +219,24 @@ def _unpack_one(
 
 
 def _unpacked(archive: zipfile.ZipFile, name: str) -> bytes:
-    """A member of a pack; ``zipfile`` reads no more than its head says. Raises ValueError: it is too large."""
+    """Read a member of a pack, at most as many bytes as its header says. Raise ValueError if that is too many."""
     if archive.getinfo(name).file_size > MAX_UNPACKED_BYTES:
         raise ValueError(f"{name} holds more than {MAX_UNPACKED_BYTES // 2**20} MiB")
     return archive.read(name)
 
 
 def _damaged(file: Path, error: Exception) -> UsageError:
+    """Return the error that says that a pack is damaged."""
     return UsageError(f"The pack {file} is missing or damaged ({error}); restore it from a copy.")
 
 
 def _indices(folder: Path) -> list[Path]:
+    """Return the indices of all packs, in order."""
     return sorted((folder / "packs").glob("*.json")) if (folder / "packs").is_dir() else []
 
 
 def _read(index: Path) -> dict[str, Any]:
+    """Read and check the index of a pack."""
     try:
         runs = dict(read_json(index)["runs"])
         names = [name for run, entry in runs.items() for name in (run, *entry["inputs"])]
@@ -209,14 +254,21 @@ PLAN_FILE, BANK_FILE, TAUGHT_FILE, LOCK_FILE = "plan.json", "bank.sqlite", "taug
 
 
 class Store:
-    """A batch's folder, held by one program at a time. Use :func:`open_store`."""
+    """A batch's folder, which one program holds at a time. Use :func:`open_store` to get one."""
 
     def __init__(self, folder: Path, staged: Callable[..., AbstractContextManager[Any]]) -> None:
         self.folder, self.runs, self.bank = folder, folder / "runs", folder / BANK_FILE
         self._staged = staged
 
     def known_plan(self) -> Mapping[str, Any] | None:
-        """The plan that this folder is about, or None for a new one. Raises UsageError for what is no batch."""
+        """Read the plan that this folder's results belong to.
+
+        Returns:
+            The plan; None for a new folder.
+
+        Raises:
+            UsageError: The file is not the plan of a batch.
+        """
         file = self.folder / PLAN_FILE
         if not file.is_file():
             return None
@@ -226,8 +278,16 @@ class Store:
             raise UsageError(f"{file} is not the plan of a batch ({error}); give another --out.") from error
 
     def check(self, plan: Mapping[str, Any], *, force: bool) -> None:
-        """Raises UsageError if the folder holds another plan's results, and says what differs. With ``force`` inputs,
-        egos, seeds and settings may; not what all rows depend on: the bank, learning, versions."""
+        """Check that a plan may continue the folder's results.
+
+        Args:
+            plan: The plan.
+            force: Whether inputs, egos, seeds and settings may differ. What all rows depend on may never differ: the
+                bank, learning and versions.
+
+        Raises:
+            UsageError: The folder holds another plan's results. The message says what differs.
+        """
         previous = self.known_plan()
         if previous is None:
             return
@@ -242,7 +302,15 @@ class Store:
             )
 
     def snapshot(self, bank: Path) -> None:
-        """Copy the bank, once; what is there already stays. Raises OSError, sqlite3.Error."""
+        """Copy the bank, unless the folder has a copy.
+
+        Args:
+            bank: The bank.
+
+        Raises:
+            OSError: A file cannot be written.
+            sqlite3.Error: The bank cannot be copied.
+        """
         if self.bank.exists():
             return
         part = self.bank.with_name(f".{BANK_FILE}.part")
@@ -254,7 +322,14 @@ class Store:
         part.replace(self.bank)
 
     def rows(self, jobs: Mapping[str, EpisodeJob]) -> dict[str, Row]:
-        """The rows of those jobs that are finished, packed ones too. Damaged rows count as missing."""
+        """Read the rows of finished episodes, packed ones included. Damaged rows count as missing.
+
+        Args:
+            jobs: The episodes, by id.
+
+        Returns:
+            The rows, by id.
+        """
         packed = packed_rows(self.folder)
         rows = {name: row for name, row in packed.items() if name in jobs}
         for entry in self.runs.iterdir():
@@ -263,17 +338,18 @@ class Store:
         return rows
 
     def fail(self, job: EpisodeJob, why: str, text: str) -> Done:
+        """Record an episode that could not be run; ``why`` is the reason and ``text`` the traceback."""
         self.sweep(job.id)
         return keep_failure(self._staged, self.runs, job, why, text)
 
     def sweep(self, name: str = "") -> None:
-        """Remove what broken-off runs left half-written."""
+        """Remove the half-written folders of interrupted runs; ``name`` limits this to one run."""
         for left in self.runs.glob(f".{name}*"):
             shutil.rmtree(left, ignore_errors=True)
 
 
 def discard(place: Path) -> None:
-    """Remove the folder, file or link at ``place``, if there is one. Raises OSError."""
+    """Remove the folder, file or link at ``place``, if there is one. Raise OSError if that fails."""
     if place.is_dir() and not place.is_symlink():
         shutil.rmtree(place, ignore_errors=True)
     else:
@@ -282,9 +358,17 @@ def discard(place: Path) -> None:
 
 @contextmanager
 def open_store(folder: Path, staged: Callable[..., AbstractContextManager[Any]]) -> Iterator[tuple[Store, Path]]:
-    """The batch's folder, made if it is not there, and a scratch folder that is gone at the end.
+    """Open the folder of a batch, which is created if it does not exist.
 
-    Raises UsageError: the folder cannot be written, is something else's, holds a link, or another program is at it.
+    Args:
+        folder: The folder.
+        staged: Opens a folder that is written whole or not at all.
+
+    Yields:
+        The store, and a scratch folder that is removed at the end.
+
+    Raises:
+        UsageError: The folder cannot be written, holds something else or a link, or another program uses it.
     """
     with sentences(folder):
         if folder.exists() and not folder.is_dir():
@@ -310,7 +394,7 @@ def open_store(folder: Path, staged: Callable[..., AbstractContextManager[Any]])
 
 
 def _locked(folder: Path) -> int:
-    """An open file that no other program has locked. Raises UsageError, OSError."""
+    """Open and lock the lock file. Raise UsageError if another program has locked it; raise OSError."""
     lock = os.open(folder / LOCK_FILE, os.O_RDWR | os.O_CREAT, 0o644)
     try:
         import fcntl
@@ -320,5 +404,5 @@ def _locked(folder: Path) -> int:
         os.close(lock)
         raise UsageError(f"Another batch is writing to {folder}; wait for it, or give another --out.") from error
     except (ImportError, OSError):
-        pass  # no such locks on this system or file system
+        pass  # this system or file system has no such locks
     return lock

@@ -1,5 +1,7 @@
-"""Runs episodes one after another in one process: sandbox, engine and imports stay warm, and nothing else of one
-episode is there for the next. Lessons are collected, and written into the bank at the end, in the plan's order.
+"""Run episodes one after another in one process.
+
+Sandbox, engine and imports stay warm. Nothing else of one episode is left for the next. Lessons are collected, and
+written into the bank at the end in the plan's order.
 """
 
 from __future__ import annotations
@@ -48,6 +50,8 @@ from sumo_adv.simulation.inputs import RunInput, own_simulation
 
 @dataclass(frozen=True, slots=True)
 class Lesson:
+    """Evidence of an episode, with the intent and the planner that it needs; they are None if the bank has them."""
+
     evidence: Evidence
     intent: IntentRecord | None
     planner: Planner | None
@@ -55,6 +59,13 @@ class Lesson:
 
 @dataclass(frozen=True, slots=True)
 class CompositionLesson:
+    """The results of attempts with a composition.
+
+    Attributes:
+        composition: The composition.
+        attempts: Whether each attempt succeeded.
+    """
+
     composition: Composition
     attempts: tuple[bool, ...]
 
@@ -63,20 +74,22 @@ Lessons = Lesson | CompositionLesson
 
 
 class Collector(MemoryBank):
-    """A bank that only reads; what would be recorded in it is kept in ``lessons``."""
+    """A bank that only reads. What would be recorded in it is appended to ``lessons``."""
 
     lessons: list[Lessons]
 
     def record(self, evidence: Evidence, *, intent: IntentRecord | None = None, planner: Planner | None = None) -> None:
+        """Collect evidence; see :class:`MemoryBank`."""
         self.lessons.append(Lesson(evidence, intent, planner))
 
     def record_composition(self, composition: Composition, attempts: Sequence[bool]) -> bool:
+        """Collect attempts with a composition; return whether the bank has it, or would have it now."""
         self.lessons.append(CompositionLesson(composition, tuple(attempts)))
         return any(attempts) or composition.key in self.settings(composition.key)
 
 
 def as_text(lessons: Iterable[Lessons]) -> str:
-    """Lessons as JSON (never = null)."""
+    """Format lessons as JSON; an infinite TTC is null."""
     return json.dumps([_plain(lesson) for lesson in lessons], indent=1, ensure_ascii=False, allow_nan=False)
 
 
@@ -90,7 +103,18 @@ def _plain(lesson: Lessons) -> dict[str, Any]:
 
 
 def lessons_of(text: str, what: str) -> list[Lessons]:
-    """What ``as_text`` wrote. Raises UsageError that names ``what`` for anything else."""
+    """Read lessons that ``as_text`` wrote.
+
+    Args:
+        text: The JSON.
+        what: What errors call the text.
+
+    Returns:
+        The lessons.
+
+    Raises:
+        UsageError: The text is damaged.
+    """
     try:
         return [_lesson(entry) for entry in parse_json(text)]
     except (ValueError, LookupError, TypeError, AttributeError, BankError) as error:
@@ -123,10 +147,19 @@ def _evidence(e: dict[str, Any]) -> Evidence:
 
 
 def teach(bank: MemoryBank, lessons: Iterable[Lessons]) -> int:
-    """Record lessons in their order, but evidence that the bank holds; the number of pieces written.
+    """Write lessons into a bank, in their order. Evidence that the bank has is skipped.
 
-    Evidence comes first, then compositions. So it may be broken off among the evidence and done again.
-    Raises BankError.
+    Evidence is written before compositions. So this function may be interrupted during the evidence and repeated.
+
+    Args:
+        bank: The bank.
+        lessons: The lessons.
+
+    Returns:
+        The number of pieces written.
+
+    Raises:
+        BankError: The bank cannot be written.
     """
     held = {_key(e) for e in bank.evidence()}
     written = 0
@@ -149,6 +182,7 @@ def teach(bank: MemoryBank, lessons: Iterable[Lessons]) -> int:
 
 
 def _key(evidence: Evidence) -> str:
+    """Return a text that identifies evidence, whenever it was created."""
     return json.dumps({**asdict(evidence), "created": ""}, sort_keys=True)
 
 
@@ -156,9 +190,10 @@ def _key(evidence: Evidence) -> str:
 
 
 class Runner(WarmProcesses):
-    """Holds what stays warm; a context manager. Raises BankError if the bank cannot be opened."""
+    """Runs episodes, and holds what stays warm between them; a context manager."""
 
     def __init__(self, setup: WorkerSetup) -> None:
+        """Start the warm processes; the bank is opened with the first episode."""
         self._setup, self._parts = setup, setup.parts
         super().__init__()
         self._opened: MemoryBank | None = None
@@ -166,6 +201,7 @@ class Runner(WarmProcesses):
         forget_environment()
 
     def close(self) -> None:
+        """End the warm processes and close the bank."""
         try:
             super().close()
         finally:
@@ -173,11 +209,19 @@ class Runner(WarmProcesses):
                 self._opened.close()
 
     def run(self, job: EpisodeJob, *, last: bool) -> Done:
-        """One episode, and its folder in its place. Unless this is the ``last`` try, a failed simulation is not
-        kept.
+        """Run one episode and put its folder in its place.
+
+        Args:
+            job: The episode.
+            last: Whether this is the last try. Before that, a failed simulation is not kept.
+
+        Returns:
+            The outcome.
 
         Raises:
-            StorageError, UsageError, BankError: no episode can be run or written.
+            StorageError: The disk is full, or the results may not be written.
+            UsageError: The results may not be written.
+            BankError: The bank cannot be opened or written.
         """
         try:
             return self._run(job, last=last)
@@ -215,7 +259,7 @@ class Runner(WarmProcesses):
         return Done(job.id, row, size)
 
     def settings(self, job: EpisodeJob, run_input: RunInput) -> Settings:
-        """The settings of an episode: the plan's, and where it says nothing the input's."""
+        """Combine the settings of an episode: the plan's and, if it does not set them, the input's."""
         ego = trusted_driver(job.ego, run_input.ego_controller, run_input.path)
         return load_settings(None, **{
             **own_simulation(run_input), "horizon": run_input.horizon, **self._setup.variants[job.variant],
@@ -224,10 +268,10 @@ class Runner(WarmProcesses):
         })  # fmt: skip
 
     def _bank(self) -> MemoryBank:
-        """The bank as this episode sees it."""
+        """Return the bank as this episode sees it."""
         learn = self._setup.learn
         if (stamp := self._setup.bank.stat().st_mtime_ns) != self._stamp and learn is not Learn.DURING:
-            if self._opened is not None:  # on a cluster a newer snapshot may have come
+            if self._opened is not None:  # on a cluster, a newer snapshot may have arrived
                 self._opened.close()
                 self._opened = None
             self._stamp = stamp
@@ -243,8 +287,7 @@ class Runner(WarmProcesses):
     def _finished(
         self, job: EpisodeJob, stage: Path, run: Run, result: Mapping[str, Any], bank: MemoryBank, log: str
     ) -> tuple[Row, int]:
-        """What a batch adds to a run's folder; the row and the bytes of the folder but for its inputs, which are
-        shared."""
+        """Add the batch's files to a run's folder; return the row, and the folder's bytes without the shared inputs."""
         if isinstance(bank, Collector) and bank.lessons:
             (stage / LEARNT_FILE).write_text(as_text(bank.lessons), encoding="utf-8")
         text = run.traceback or log
@@ -256,8 +299,17 @@ class Runner(WarmProcesses):
 
 
 def share(folder: Path, shared: Path) -> None:
-    """Make the files of ``folder`` (their names begin with a hash of their content) links to equal ones in ``shared``;
-    where a file system knows no links they stay as they are."""
+    """Replace files by hard links to equal files in a shared folder. New files are added to the shared folder.
+
+    If the file system has no links, the files stay as they are.
+
+    Args:
+        folder: The folder. The names of its files begin with a hash of their content.
+        shared: The shared folder.
+
+    Raises:
+        OSError: The disk is full.
+    """
     try:
         shared.mkdir(exist_ok=True)
         for file in folder.iterdir():

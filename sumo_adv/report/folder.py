@@ -228,7 +228,7 @@ def _figure(target: Path, run: Run, record: EncounterRecord, best: Attempt, pref
 
 
 def _write_attempts(target: Path, run: Run) -> None:
-    """Write a row for each attempt, also for those of encounters without a success. An infinite value is an empty cell.
+    """Write a row for each attempt of all encounters, with or without a success. An infinite value is an empty cell.
 
     Units are s, m and m/s. ``encounter`` is the encounter's time, ``attempt`` its number in the encounter from 1, and
     ``delay`` the time from the encounter to the start of the attack.
