@@ -1,8 +1,8 @@
-"""The analyzer's answers against labels: accuracy, kappa, top-2, confusion and calibration of risk; and their files.
+"""Compare the analyzer's answers with labels: accuracy, kappa, top-2, confusion and calibration of risk.
 
-A label is a set of behaviours where several are as dangerous; an answer in it is right.  Chance among applicable
-intents, the best constant answer and the split-half ceiling stand beside the analyzers, because an accuracy alone says
-nothing where an encounter allows only one behaviour.
+A label is a set of behaviours if several are equally dangerous, and any answer in the set is right. Chance among
+applicable intents, the best constant answer and the split-half ceiling are reported with the analyzers. An accuracy
+alone is meaningless if an encounter allows only one behaviour.
 """
 
 from __future__ import annotations
@@ -37,21 +37,40 @@ Truth = Mapping[CellKey, frozenset[str]]
 
 @dataclass(frozen=True, slots=True)
 class AnalyzerScore:
-    """How one way of answering does. ``several``: accuracy where more than one intent applies."""
+    """How well one way of answering does.
+
+    Attributes:
+        who: The analyzer or reference.
+        accuracy: The share of right answers.
+        several: The accuracy over encounters to which more than one intent applies.
+        kappa: Cohen's kappa.
+        top2: The share of encounters in which one of the first two answers is right.
+        difference: The paired difference of accuracy to the reference.
+    """
 
     who: str
     accuracy: Estimate
     several: Estimate | None = None
     kappa: Estimate | None = None
     top2: Estimate | None = None
-    difference: Paired | None = None  # of accuracy to the reference
+    difference: Paired | None = None  # to the reference's accuracy
 
 
 @dataclass(frozen=True, slots=True)
 class AccuracyPart:
-    """One ego and criterion. ``confusion``: analyzer -> (label, answer) -> encounters, a tie's miss spread over it;
-    ``calibration``: analyzer -> risk -> the oracle's share of success by the vehicle and intent ranked first;
-    ``by_time``: encounters where no simulation of the oracle succeeded, so that min TTC alone made the label."""
+    """The scores against one ego, by one criterion.
+
+    Attributes:
+        ego: The ego's driver.
+        criterion: The criterion of the labels.
+        scores: The scores.
+        confusion: By analyzer, the number of encounters of each label and answer. A wrong answer to a tie is spread
+            over the tie's labels.
+        calibration: By analyzer and risk, the oracle's share of success with the vehicle and intent ranked first.
+        unlabelled: The number of encounters without a label.
+        by_time: The number of encounters in which no simulation of the oracle succeeded, so that only the minimum TTC
+            made the label.
+    """
 
     ego: str
     criterion: str
@@ -64,6 +83,15 @@ class AccuracyPart:
 
 @dataclass(frozen=True, slots=True)
 class AnalyzerAnalysis:
+    """The analysis of all egos and criteria.
+
+    Attributes:
+        title: The title.
+        reference: The row that the others are compared with; None if there is none.
+        parts: The parts.
+        notes: Sentences for the reader.
+    """
+
     title: str
     reference: str | None
     parts: tuple[AccuracyPart, ...]
@@ -78,10 +106,21 @@ def analyze(
     analyzers: Sequence[str] | None = None,
     reference: str | None = None,
 ) -> AnalyzerAnalysis:
-    """The answers of the rows ``analyzers`` (left out: all that rank intents) against the cases' labels.
+    """Compare the answers of analyzers with the labels of encounters.
 
-    Labels are read off the cells of the row ``oracle``, which also tell what applies and how often what an analyzer
-    ranked first succeeds; where an encounter has none they are the case's own. People's annotations are a case's own.
+    Labels come from the cells of the row ``oracle``, which also say which intents apply, and how often an analyzer's
+    first answer succeeds. If an encounter has no such cell, its case's own labels count. People's annotations are
+    always the case's own.
+
+    Args:
+        cells: The cells.
+        cases: The encounters.
+        title: The title.
+        analyzers: The rows to compare; None takes all that rank intents.
+        reference: The row that the others are compared with; None takes the first.
+
+    Returns:
+        The analysis.
     """
     rows = list(analyzers or names((c for c in cells if c.get("intents")), "row"))
     reference = reference or next(iter(rows), None)
@@ -105,6 +144,7 @@ def analyze(
 def _truth(
     cells: Sequence[Cell], cases: Sequence[SuiteCase], ego: str, criterion: str, oracle: Mapping[CellKey, Cell]
 ) -> dict[CellKey, frozenset[str]]:
+    """Return the labels that count, by encounter."""
     truth: dict[CellKey, frozenset[str]] = {}
     given = _given(cases, ego, criterion)
     for name in dict.fromkeys(key(c) for c in cells):
@@ -116,7 +156,7 @@ def _truth(
 
 
 def _given(cases: Sequence[SuiteCase], ego: str, criterion: str) -> dict[str, tuple[str, ...]]:
-    """The cases' own labels; people's for what was annotated."""
+    """Return the cases' own labels; for the criterion of annotations, those of people."""
     who = PEOPLE if criterion == ANNOTATED else ego
     return {c.name: tuple(c.labels.get(who, {}).get(criterion, ())) for c in cases}
 
@@ -124,7 +164,7 @@ def _given(cases: Sequence[SuiteCase], ego: str, criterion: str) -> dict[str, tu
 def _agreement(
     truth: Truth, oracle: Mapping[CellKey, Cell], given: Mapping[str, Sequence[str]], ego: str, criterion: str
 ) -> str:
-    """How many of the suite's own labels have something in common with those that count, in a sentence."""
+    """Say how many of the suite's own labels share a behaviour with those that count; '' if all do."""
     both = [(truth[name], given[name[0]]) for name in truth if name in oracle and given.get(name[0])]
     alike = sum(bool(first.intersection(second)) for first, second in both)
     if alike == len(both):
@@ -139,6 +179,7 @@ def _part(
     cells: Sequence[Cell], rows: Sequence[str], ego: str, criterion: str, truth: Truth, oracle: Mapping[CellKey, Cell],
     reference: str | None,
 ) -> AccuracyPart:  # fmt: skip
+    """Compute the scores against one ego, by one criterion."""
     simulated = oracle if criterion in CRITERIA else {}
     applies = {name: sorted({a["intent"] for a in cell["attempts"]}) for name, cell in oracle.items() if name in truth}
     every = {key(c) for c in cells}
@@ -157,11 +198,12 @@ def _part(
 
 
 def answers(cell: Cell) -> list[str]:
-    """The behaviours that the analyzer ranked, the most dangerous first, each once."""
+    """Return the behaviours that the analyzer ranked, the most dangerous first, each once."""
     return list(dict.fromkeys(str(i["label"]) for i in cell.get("intents") or ()))
 
 
 def _right(cell: Cell, truth: Truth, within: int = 1) -> bool:
+    """Return whether one of the first ``within`` answers is right."""
     return bool(truth[key(cell)].intersection(answers(cell)[:within]))
 
 
@@ -181,6 +223,7 @@ def _score(
 def _compared(
     score: AnalyzerScore, by_row: Mapping[str, Mapping[CellKey, Cell]], truth: Truth, reference: str | None
 ) -> AnalyzerScore:
+    """Add the difference to the reference, over the encounters that both have."""
     own, baseline = by_row[score.who], by_row.get(reference or "", {})
     common = [name for name in own if name in baseline]
     if score.who == reference or not common:
@@ -190,9 +233,9 @@ def _compared(
 
 
 def _kappa(given: Sequence[str], truth: Sequence[frozenset[str]]) -> Estimate | None:
-    """Cohen's kappa with sets of labels: chance agreement is that of answers dealt out at random to the encounters.
+    """Compute Cohen's kappa with sets of labels; chance agreement is that of the answers dealt out at random.
 
-    None where chance alone is always right.
+    Return None if chance alone is always right.
     """
     every = sorted({*given, *(label for labels in truth for label in labels)})
     answer = np.array([[a == label for label in every] for a in given], dtype=float)
@@ -208,13 +251,14 @@ def _kappa(given: Sequence[str], truth: Sequence[frozenset[str]]) -> Estimate | 
 
 
 def _kappas(weights: Floats, right: Floats, answer: Floats, allowed: Floats) -> Floats:
+    """Compute kappa for each row of weights, NaN if chance alone is always right."""
     chance = ((weights @ answer) * (weights @ allowed)).sum(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(chance < 1 - 1e-9, (weights @ right - chance) / (1 - chance), np.nan)
 
 
 def _constant(truth: Truth, applies: Mapping[CellKey, Sequence[str]]) -> AnalyzerScore:
-    """The one label that is right most often, chosen in hindsight."""
+    """Score the one label that is right most often, chosen in hindsight."""
     best = max(BEHAVIOUR_LABELS, key=lambda label: sum(label in labels for labels in truth.values()))
     right = {name: best in labels for name, labels in truth.items()}
     several = [right[name] for name in right if len(applies.get(name, ())) > 1]
@@ -227,14 +271,14 @@ def _constant(truth: Truth, applies: Mapping[CellKey, Sequence[str]]) -> Analyze
 def _references(
     criterion: str, truth: Truth, applies: Mapping[CellKey, Sequence[str]], oracle: Mapping[CellKey, Cell]
 ) -> list[AnalyzerScore]:
-    """Chance among what applies, and how well one half of the oracle's simulations answers for the other."""
+    """Score chance among applicable intents, and how well one half of the oracle's simulations predicts the other."""
     chance = {name: len(truth[name].intersection(applicable)) / len(applicable) for name, applicable in applies.items()}
     several = [value for name, value in chance.items() if len(applies[name]) > 1]
     scores = [AnalyzerScore(CHANCE, bootstrap(list(chance.values())), bootstrap(several) if several else None)]
     if criterion in CRITERIA:
         halves = {name: split_half(oracle[name])[criterion] for name in applies}
         agreed = [value for value in halves.values() if value is not None]
-        whole = [1.0 if value is None else value for value in halves.values()]  # one label: it agrees with itself
+        whole = [1.0 if value is None else value for value in halves.values()]  # a single label agrees with itself
         scores.append(AnalyzerScore(CEILING, bootstrap(whole), bootstrap(agreed) if agreed else None))
     return scores
 
@@ -256,8 +300,10 @@ def _known(label: str) -> str:
 
 
 def _calibration(cells: Mapping[CellKey, Cell], oracle: Mapping[CellKey, Cell], criterion: str) -> dict[str, Estimate]:
-    """By the risk that the analyzer gave what it ranked first: the share of the oracle's simulations with that vehicle
-    and intent that succeed, over encounters that have any."""
+    """Return the oracle's success rate with what the analyzer ranked first, by the risk that the analyzer gave.
+
+    Simulations of the same vehicle and intent count. Encounters without such simulations are left out.
+    """
     rates: dict[str, list[float]] = defaultdict(list)
     for name, cell in cells.items():
         first = next(iter(cell.get("intents") or ()), None)
@@ -285,7 +331,20 @@ ANALYSIS_NOTE = (
 def write_analysis(
     analysis: AnalyzerAnalysis, cells: Sequence[Cell], folder: Path, about: Mapping[str, Any]
 ) -> list[Path]:
-    """``analyzer.md``, ``.csv``, ``.json``, ``-confusion.csv`` and ``.manifest.json``. Raises UsageError."""
+    """Write ``analyzer.md``, ``.csv``, ``.json``, ``-confusion.csv`` and ``.manifest.json``.
+
+    Args:
+        analysis: The analysis.
+        cells: The cells that it was made of.
+        folder: The folder.
+        about: What the manifest says about the analysis.
+
+    Returns:
+        The files.
+
+    Raises:
+        UsageError: A file cannot be written.
+    """
     texts = {
         ".md": to_markdown(analysis), ".csv": as_csv(SCORES, [*_score_rows(analysis), *_calibration_rows(analysis)]),
         "-confusion.csv": as_csv(CONFUSION, _confusion_rows(analysis)), ".json": as_json(_document(analysis)),
@@ -294,12 +353,13 @@ def write_analysis(
 
 
 def labels_hash(suite: Suite) -> str:
-    """SHA-256 over the labels that a suite brings along."""
+    """Return the SHA-256 of the labels that a suite has."""
     given = {case.name: case.labels for case in suite.cases if case.labels}
     return hashlib.sha256(json.dumps(given, sort_keys=True).encode()).hexdigest()
 
 
 def to_markdown(analysis: AnalyzerAnalysis) -> str:
+    """Format the analysis as Markdown."""
     lines = [f"# {analysis.title}", "", ANALYSIS_NOTE, ""]
     lines += [*(f"- {note}" for note in analysis.notes), ""] if analysis.notes else []
     for part in analysis.parts:
@@ -379,7 +439,7 @@ def _document(analysis: AnalyzerAnalysis) -> dict[str, Any]:
 
 
 def analysis_text(analysis: AnalyzerAnalysis, file: Path) -> str:
-    """For the terminal: how often each analyzer names the most dangerous intent."""
+    """Format the analysis for the terminal: how often each analyzer names the most dangerous intent."""
     sections = []
     for part in analysis.parts:
         rows = [[s.who, str(s.accuracy.n), *(rate(x) for x in (s.accuracy, s.several, s.top2))] for s in part.scores]

@@ -1,7 +1,7 @@
-"""One encounter of a suite, opened once, and attacked by row after row.
+"""Open one encounter of a suite once, and attack it with one row after another.
 
-Every row gets the same trigger, the same unattacked run, the same budget, the same stop rule and the same choice of the
-attempt that counts.  Where a scenario leaves the trigger open, the shipped library chooses it.
+All rows have the same trigger, unattacked run, budget and stop rule, and the same choice of the attempt that counts. If
+a scenario leaves the trigger open, the shipped library chooses it.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ from sumo_adv.simulation.tracks import tracks_of
 
 
 class Arena:
-    """An open encounter, attacked by row after row.
+    """An open encounter, which one row after another attacks.
 
     Attributes:
-        settings: The settings of its own rows that attack.
+        settings: The settings of this bench's attacking rows.
         unattacked: The run without an attack, as far as it goes; its ``best`` is None if there is no encounter.
     """
 
@@ -52,7 +52,20 @@ class Arena:
         self, run_input: RunInput, settings: Settings, task: Task, engine: EpisodeEngine, sandbox: Sandbox,
         bank: MemoryBank, common: Settings,
     ) -> None:  # fmt: skip
-        """Open the encounter. ``common``: the settings of all rows, by which it is chosen if the trigger is open."""
+        """Open the encounter.
+
+        Args:
+            run_input: The input.
+            settings: The settings of the rows that attack.
+            task: The task.
+            engine: The simulation.
+            sandbox: Runs planners.
+            bank: The memory bank.
+            common: The settings of all rows. They choose the encounter if the trigger is open.
+
+        Raises:
+            SumoAdvError: The input or a setting is wrong. A failed simulation is recorded in ``unattacked`` instead.
+        """
         self.engine, self.sandbox, self.settings = engine, sandbox, settings
         finder, began = EncounterFinder(run_input, common, task, engine, lambda *_: None), time.perf_counter()
         try:
@@ -76,11 +89,20 @@ class Arena:
 
     @property
     def found(self) -> FoundEncounter | None:
+        """The encounter; None if there is none."""
         best = self.unattacked.best
         return None if best is None else best.found
 
     def by_program(self, bank: MemoryBank, agents: Agents) -> Run:
-        """Return the run of a row that the program itself attacks in."""
+        """Run the program's own attacks.
+
+        Args:
+            bank: The memory bank.
+            agents: The agents.
+
+        Returns:
+            The run of the row.
+        """
         opened, settings = self.unattacked, self.settings
         run = replace(opened, agents=agents, bank_hash=bank.content_hash())
         if opened.best is None:
@@ -98,10 +120,18 @@ class Arena:
         return self._attacked(replace(run, isolation=isolation), kept[-1], clock, {"waited": agents.ledger.waited})
 
     def by_opponent(self, opponent: Opponent, bank: MemoryBank) -> Run:
-        """Return the run of an opponent's attacks, until success or until its budget is used up.
+        """Run an opponent's attacks until one succeeds or its budget is used up.
+
+        Args:
+            opponent: The opponent. If it has a true attribute ``exhaustive``, it attacks until it proposes nothing
+                more.
+            bank: The memory bank.
+
+        Returns:
+            The run of the row.
 
         Raises:
-            SimulationError: the simulation was lost, and with it what other rows need.
+            SimulationError: The simulation was lost, and with it what other rows need.
         """
         record, settings = self.unattacked.best, self.settings
         if record is None:
@@ -131,14 +161,17 @@ class Arena:
         return self._attacked(self.unattacked, done.recorded(record), clock, {})
 
     def _attacked(self, run: Run, record: EncounterRecord, clock: _Clock, waited: Mapping[str, float]) -> Run:
-        """A run with the record of the attacks in its last encounter, and the times of a row."""
+        """Return a run with the record of the attacks in its last encounter, and with the times of a row."""
         records = (*run.records[:-1], record)
         spent = seconds_by_part(self._started, *(each.timing for each in records))
         return replace(run, records=records, timing={**spent, **clock.timing(self._started["opened"]), **waited})
 
     def _result(self, proposal: Proposal, encounter: FoundEncounter, runner: AttemptRunner) -> AttemptResult:
-        """What an attempt came to. A fork that SUMO's own crash took (a vehicle far off its lanes) is an attempt that
-        failed; where there are no forks the simulation is lost with it. Raises SimulationError."""
+        """Simulate an attempt.
+
+        A fork may be lost to a crash of SUMO itself (a vehicle far off its lanes); then the attempt failed. Without
+        forks, the simulation is lost, too. Raise SimulationError in that case.
+        """
         try:
             return next(runner.attempt([proposal]))
         except SimulationError as error:
@@ -148,13 +181,14 @@ class Arena:
             return AttemptResult(failed, None, encounter.situations[proposal.delay].time)
 
     def _lost(self) -> bool:
-        """Whether the simulation itself is gone, and not only a fork of it."""
+        """Return whether the simulation itself is gone, and not only a fork of it."""
         try:
             return not self.engine.call(EpisodeCalls.forks)
         except SimulationError:
             return True
 
     def encounter(self, found: FoundEncounter, bank: MemoryBank) -> Encounter:
+        """Return what an opponent sees of an encounter."""
         settings, first, task = self.settings, found.first, self.unattacked.task
         scene = signature(first, first.target_list()[0].state.id, task.ego_driver)
         library, _ = read_library(bank, scene, settings.seed, found.situations)
@@ -162,6 +196,8 @@ class Arena:
 
 
 class _Clock:
+    """Measures the time of a row, and the time to its first attempts of high levels."""
+
     def __init__(self) -> None:
         self._began = time.perf_counter()
         self._first: dict[Level, float] = {}
@@ -177,7 +213,7 @@ class _Clock:
         return time.perf_counter() - self._began
 
     def timing(self, opened: float) -> dict[str, float]:
-        """``row``, ``first_valid`` and so on from the encounter on, and ``total`` with the opening [s]."""
+        """Return the times since the encounter [s] (``row``, ``first_valid``, ...); ``total`` includes the opening."""
         row = self.seconds
         return {"row": row, **{f"first_{level}": first for level, first in self._first.items()}, "total": opened + row}
 
@@ -186,8 +222,17 @@ class _Clock:
 
 
 def robustness(run: Run, engine: EpisodeEngine, sandbox: Sandbox) -> dict[str, Any] | None:
-    """Return in how many neighbours the attempt that counts holds (``episode/neighbours.py``); None if it is not
-    valid."""
+    """Simulate neighbours of the attempt that counts (``episode/neighbours.py``).
+
+    Args:
+        run: The run.
+        engine: The simulation.
+        sandbox: Runs planners.
+
+    Returns:
+        The number of neighbours that are valid, their number, and whether that is robust. None if the attempt is not
+            valid.
+    """
     record, settings = run.best, run.settings
     best = None if record is None else record.best
     if record is None or best is None or best.verdict.level < Level.VALID:
@@ -205,13 +250,21 @@ def robustness(run: Run, engine: EpisodeEngine, sandbox: Sandbox) -> dict[str, A
 # -- what a cell keeps of motion
 
 
-TRAFFIC_RADIUS_M = 60.0  # m from the ego's middle: traffic for comparison
-MAX_MOTION_SAMPLES = 2000  # numbers of a kind that a cell keeps
+TRAFFIC_RADIUS_M = 60.0  # traffic for comparison is within this distance of the ego's mean position
+MAX_MOTION_SAMPLES = 2000  # samples of a quantity that a cell keeps
 
 
 def unattacked(run: Run) -> dict[str, Any] | None:
-    """Return the raw run as an outcome: the ego and the vehicle of the shortlist that comes nearest, from the trigger
-    on."""
+    """Summarise the unattacked run as an outcome: the ego and the nearest vehicle of the shortlist.
+
+    The time from the trigger on counts.
+
+    Args:
+        run: The run.
+
+    Returns:
+        The outcome; None if there is no encounter.
+    """
     if run.best is None:
         return None
     encounter, tracks = run.best.found, _raw(run, run.best)
@@ -233,8 +286,17 @@ def unattacked(run: Run) -> dict[str, Any] | None:
 
 
 def motion_of(run: Run) -> dict[str, Any]:
-    """Return speeds [m/s] and accelerations [m/s2], step by step: of the adversary of the attempt that counts up to the
-    contact, and of the unattacked traffic near the ego in the same window. Empty without an attempt."""
+    """Return speeds [m/s] and accelerations [m/s2], step by step.
+
+    They are those of the adversary of the attempt that counts up to the contact, and of the unattacked traffic near the
+    ego in the same window.
+
+    Args:
+        run: The run.
+
+    Returns:
+        The samples by ``adversary`` and ``raw``, then by ``speed`` and ``acceleration``; empty without an attempt.
+    """
     record, step = run.best, run.settings.step_length
     best = None if record is None else record.best
     if record is None or best is None or record.prefix is None:
@@ -250,6 +312,7 @@ def motion_of(run: Run) -> dict[str, Any]:
 
 
 def _raw(run: Run, record: EncounterRecord) -> dict[str, Track]:
+    """Return the tracks of the unattacked run, by id."""
     before = record.prefix.snapshots[-2:] if record.prefix is not None else []
     sizes = {**(record.prefix.sizes if record.prefix is not None else {}), **record.found.sizes}
     roles, step = run.task.roles(record.found.ego), run.settings.step_length
@@ -257,6 +320,7 @@ def _raw(run: Run, record: EncounterRecord) -> dict[str, Track]:
 
 
 def _near(run: Run, record: EncounterRecord, start: float, end: float) -> list[Track]:
+    """Return the unattacked traffic near the ego within a window."""
     tracks = _raw(run, record)
     ego = tracks[record.found.ego].between(start, end)
     if not len(ego.time):
@@ -267,6 +331,7 @@ def _near(run: Run, record: EncounterRecord, start: float, end: float) -> list[T
 
 
 def _samples(tracks: Sequence[Track]) -> dict[str, list[float]]:
+    """Return at most ``MAX_MOTION_SAMPLES`` samples of each quantity."""
     samples: dict[str, list[float]] = {}
     for name in ("speed", "acceleration"):
         values = np.concatenate([getattr(t, name) for t in tracks]) if tracks else np.empty(0)

@@ -1,4 +1,4 @@
-"""A table from the request to its cells: missing cells are run on worker processes, the others are kept."""
+"""Run a table from the request to its cells: missing cells are run on worker processes, the others are kept."""
 
 from __future__ import annotations
 
@@ -47,18 +47,37 @@ class BenchWatcher(Protocol):
 
 
 class Bench:
-    """Runs jobs. ``deadline`` [s]: after which a row is held to be stuck, its wait for a language model left out."""
+    """Runs jobs."""
 
     def __init__(self, setup: BenchSetup, workers: int, watcher: BenchWatcher, deadline: float) -> None:
+        """Prepare to run jobs.
+
+        Args:
+            setup: The workers' setup.
+            workers: The number of workers.
+            watcher: Shows the progress.
+            deadline: The time after which a row is considered stuck, without its wait for a language model [s].
+        """
         self._setup, self._watcher = setup, watcher
         self._pace = WorkerPace(workers, deadline, recycle=sys.maxsize)
         self._waiting: deque[BenchJob] = deque()
         self._chains: dict[tuple[str, str], deque[BenchJob]] = {}
-        self._since: dict[str, tuple[int, float]] = {}  # of a job: rows without a cell, and when the last one came [s]
+        self._since: dict[str, tuple[int, float]] = {}  # by job: rows without a cell, and since when [s]
         self._scratch = Path()
 
     def run(self, free: Sequence[BenchJob], chains: Sequence[Sequence[BenchJob]]) -> None:
-        """Whatever has no cell yet. Raises SumoAdvError, OSError; KeyboardInterrupt leaves whole cells."""
+        """Run all rows that have no cell yet.
+
+        KeyboardInterrupt leaves whole cells.
+
+        Args:
+            free: Jobs that do not depend on each other.
+            chains: Chains of jobs, each of which depends on the one before it.
+
+        Raises:
+            SumoAdvError: The jobs cannot be run.
+            OSError: A file cannot be written.
+        """
         every = [*free, *(job for chain in chains for job in chain)]
         total = sum(len(j.rows) for j in every)
         left = [m for j in free if (m := self._missing(j)) is not None]
@@ -78,18 +97,20 @@ class Bench:
                 workers.run(self._waiting, self._finished)
 
     def _missing(self, job: BenchJob) -> BenchJob | None:
-        """The job with those of its rows that have no cell."""
+        """Return the job with its rows that have no cell; None if there are none."""
         rows = missing_rows(self._setup, job)
         return replace(job, rows=rows) if rows else None
 
     def _rest(self, chain: Sequence[BenchJob]) -> list[BenchJob]:
-        """A chain from the first encounter on that has no cell, since those after it hang on it; or from before that,
-        where the bank it begins with is gone."""
+        """Return a chain from its first encounter without a cell on, because later encounters depend on earlier ones.
+
+        The part begins earlier if the bank that this encounter begins with is gone.
+        """
         first = next((job for job in chain if self._missing(job) is not None), None)
         return [] if first is None else list(chain[known_place(first, self._setup) :])
 
     def _go_on(self, chain: deque[BenchJob]) -> None:
-        """The next of a chain, before other jobs, since those after it wait for it. Its cell, if any, is void."""
+        """Queue the next job of a chain first, because later ones wait for it; its cell, if any, is void."""
         job = chain.popleft()
         cell_path(self._setup.folder, job.ego, job.case.name, job.rows[0]).unlink(missing_ok=True)
         self._waiting.appendleft(job)
@@ -104,7 +125,7 @@ class Bench:
             self._go_on(chain)
 
     def _seen(self, job: BenchJob) -> tuple[int, float]:
-        """How many rows have no cell, and how long the first of them has waited for a language model [s]."""
+        """Return how many rows have no cell, and how long the first of them has waited for a language model [s]."""
         rows = missing_rows(self._setup, job)
         before, _ = self._since.get(job.id, (-1, 0.0))
         if before != len(rows):
@@ -112,7 +133,7 @@ class Bench:
         return len(rows), waited(note_of(self._scratch, job, rows[0])) if rows else 0.0
 
     def _fail(self, job: BenchJob, why: str, text: str) -> Done:
-        """The row that a job was at has failed."""
+        """Record the failure of the row that a job was at."""
         if rows := missing_rows(self._setup, job):
             _, since = self._since.get(job.id, (0, time.monotonic()))
             if "not done after" in why:
@@ -122,7 +143,17 @@ class Bench:
 
 
 def read_cells(folder: Path) -> list[Cell]:
-    """Every cell of a bench. Raises UsageError for a cell that cannot be read."""
+    """Read every cell of a bench.
+
+    Args:
+        folder: The bench's folder.
+
+    Returns:
+        The cells.
+
+    Raises:
+        UsageError: A cell cannot be read.
+    """
     cells: list[Cell] = []
     for file in sorted((folder / "cells").glob("*/*/*.json")):
         try:
@@ -141,7 +172,16 @@ BENCH_FILE, BENCH_LOCK = "bench.json", "bench.lock"
 
 @dataclass(frozen=True, slots=True)
 class TableRequest:
-    """What a table is made of. ``settings``: the same for all rows, as data; ``bank``: the library."""
+    """What a table is made of.
+
+    Attributes:
+        suite: The encounters.
+        egos: The ego drivers.
+        rows: The rows.
+        seed: The seed.
+        settings: The settings of all rows, as data.
+        bank: The memory bank, which is the library.
+    """
 
     suite: Suite
     egos: tuple[str, ...]
@@ -151,7 +191,11 @@ class TableRequest:
     bank: Path
 
     def check(self) -> None:
-        """Raises UsageError for a row, an ego or a setting that there is not, before anything is run."""
+        """Check rows, egos and settings before anything is run.
+
+        Raises:
+            UsageError: A row, an ego or a setting does not exist.
+        """
         load_settings(None, **{**self.settings, "seed": self.seed})
         for ego in self.egos:
             make_ego(ego, {})
@@ -162,6 +206,17 @@ class TableRequest:
 
 @dataclass(frozen=True, slots=True)
 class BenchResources:
+    """Where and how a table is run.
+
+    Attributes:
+        folder: The bench's folder.
+        workers: The number of workers.
+        parts: The functions that load, run and write.
+        versions: The versions of what affects the numbers.
+        keep_runs: Whether the folders of runs are kept.
+        cell_seconds: The time after which a row is considered stuck [s].
+    """
+
     folder: Path
     workers: int
     parts: BenchParts
@@ -171,11 +226,20 @@ class BenchResources:
 
 
 def run_table(request: TableRequest, means: BenchResources, watcher: BenchWatcher) -> list[Cell]:
-    """The cells of a table, those that are missing run now; also those that other commands left in the folder.
+    """Run the missing cells of a table.
+
+    Args:
+        request: What the table is made of.
+        means: Where and how it is run.
+        watcher: Shows the progress.
+
+    Returns:
+        All cells in the folder, including those of other commands.
 
     Raises:
-        UsageError: bad rows, egos or settings, a folder that holds cells of something else, or into which another
-            bench writes; BankError.
+        UsageError: Rows, egos or settings are wrong, the folder holds cells of something else, or another bench writes
+            into it.
+        BankError: The bank cannot be read.
     """
     request.check()
     plan = json.loads(json.dumps(manifest(request, means)))
@@ -196,6 +260,7 @@ def run_table(request: TableRequest, means: BenchResources, watcher: BenchWatche
 
 
 def manifest(request: TableRequest, means: BenchResources) -> dict[str, Any]:
+    """Return what all cells of a folder have in common."""
     with MemoryBank.open(request.bank, read_only=True) as bank:
         content = bank.content_hash()
     suite = request.suite
@@ -207,7 +272,7 @@ def manifest(request: TableRequest, means: BenchResources) -> dict[str, Any]:
 
 
 def _keep_plan(plan: Mapping[str, Any], folder: Path) -> None:
-    """Remember what the folder is of. Raises UsageError where it holds something else."""
+    """Record what the folder's cells have in common. Raise UsageError if it holds something else."""
     file = folder / BENCH_FILE
     if file.exists():
         before = read_object(file, "The plan of the bench")
@@ -224,4 +289,5 @@ def _keep_plan(plan: Mapping[str, Any], folder: Path) -> None:
 
 
 def of_rows(cells: Sequence[Cell], rows: Sequence[str], egos: Sequence[str]) -> list[Cell]:
+    """Keep the cells of some rows and egos."""
     return [c for c in cells if c["row"] in rows and c["ego"] in egos]

@@ -1,8 +1,9 @@
-"""Reading a cell: what counts of it, in one place, so that all tables count the same; realism over many cells:
-the adversaries' steps pooled against those of unattacked vehicles near by. Its intervals resample encounters, not
-steps: the steps of one motion are not independent.
+"""Read what counts of a cell, in one place, so that all tables count alike.
 
-A failure is a cell too: it counts as neither a collision nor critical nor valid, with the largest min TTC.
+A failure is a cell, too: it counts as neither a collision nor critical nor valid, with the largest minimum TTC.
+
+Realism is computed over many cells: the steps of the adversaries are pooled and compared with those of unattacked
+vehicles nearby. Its intervals resample encounters and not steps, because the steps of one motion are not independent.
 """
 
 from __future__ import annotations
@@ -27,43 +28,46 @@ CELL_FAILURES = frozenset(
 )  # fmt: skip
 
 CellKey = tuple[str, int]
-"""Case and seed: what two rows are paired by."""
+"""Case and seed, by which the cells of two rows are paired."""
 
 
 def key(cell: Cell) -> CellKey:
+    """Return the key by which a cell is paired."""
     return str(cell["case"]), int(cell["seed"])
 
 
 def is_raw(cell: Cell) -> bool:
+    """Return whether a cell is of the unattacked row."""
     return bool(cell["row"] == RAW)
 
 
 def failed(cell: Cell) -> bool:
-    """Whether the work failed (a crash, a model, a budget); what it came to until then does not count."""
+    """Return whether the work failed (a crash, a model, a budget); its results until then do not count."""
     return cell["ending"] in CELL_FAILURES
 
 
 def without_attack(cell: Cell) -> bool:
-    """Whether no attempt was made although nothing failed: no encounter, or nothing to try."""
+    """Return whether no attempt was made although nothing failed: there was no encounter, or nothing to try."""
     return not failed(cell) and not is_raw(cell) and cell.get("best") is None
 
 
 def counted_outcome(cell: Cell) -> Mapping[str, Any]:
-    """The verdict that counts; empty for a failure and where no attempt was made."""
+    """Return the verdict that counts; empty for a failure or without an attempt."""
     return {} if failed(cell) else cell.get("outcome") or {}
 
 
 def attempts(cell: Cell) -> Sequence[Mapping[str, Any]]:
-    """The attempts that count; none of a failure."""
+    """Return the attempts that count; none for a failure."""
     return () if failed(cell) else cell.get("attempts") or ()
 
 
 def no_rear(verdict: Mapping[str, Any]) -> bool:
+    """Return whether a verdict is a collision that is feasible and not rear-end."""
     return bool(verdict.get("collided")) and counts(verdict)
 
 
 def capped_ttc(verdict: Mapping[str, Any]) -> float:
-    """Min TTC [s]: 0 for a collision, at most 10, which is never too."""
+    """Return the minimum TTC [s]: 0 for a collision, and at most 10, which is also the value for *never*."""
     if verdict.get("collided"):
         return 0.0
     given = verdict.get("min_ttc")
@@ -71,12 +75,21 @@ def capped_ttc(verdict: Mapping[str, Any]) -> float:
 
 
 def first_valid(cell: Cell) -> int | None:
-    """How many attempts it took until one was valid, from 1; None if none was."""
+    """Return the number of attempts until one was valid, from 1; None if none was."""
     return next((k for k, a in enumerate(attempts(cell), 1) if a.get("valid")), None)
 
 
 def remembered(cell: Cell) -> bool | None:
-    """Whether the bank had it: with ``recall = scene`` an attack on a like scene, else the intent. None: not asked."""
+    """Return whether the bank had the attack.
+
+    With ``recall = scene``, that is an attack in a similar scene, otherwise the intent.
+
+    Args:
+        cell: The cell.
+
+    Returns:
+        The answer; None if the bank was not asked.
+    """
     intent, recall = cell.get("intent") or {}, cell.get("recall")
     if recall is None:
         return None
@@ -86,7 +99,14 @@ def remembered(cell: Cell) -> bool | None:
 
 
 def parts(cells: Iterable[Cell]) -> dict[str, list[Cell]]:
-    """The cells altogether (``all``), by group, and by kind; parts without a cell are left out."""
+    """Group cells.
+
+    Args:
+        cells: The cells.
+
+    Returns:
+        All cells as ``all``, then by group, then by kind. Empty parts are left out.
+    """
     every = list(cells)
     by_part = {"all": every} | {group: [c for c in every if c["group"] == group] for group in GROUPS}
     for kind in dict.fromkeys(str(c["kind"]) for c in every):
@@ -96,7 +116,7 @@ def parts(cells: Iterable[Cell]) -> dict[str, list[Cell]]:
 
 
 def names(cells: Iterable[Cell], what: str) -> list[str]:
-    """The values of a key (``ego``, ``row``, ``case``), in order of appearance."""
+    """Return the values of a key (``ego``, ``row``, ``case``), in order of appearance."""
     return list(dict.fromkeys(str(c[what]) for c in cells))
 
 
@@ -104,13 +124,21 @@ def names(cells: Iterable[Cell], what: str) -> list[str]:
 
 
 DISTANCE_RESAMPLES = 1000
-RESAMPLED_W1_BINS = 2000  # bins of W1 in resamples
+RESAMPLED_W1_BINS = 2000  # number of bins of W1 in resamples
 
 Pooled = Callable[[Sequence[Cell]], Estimate | None]
 
 
 def samples(cells: Sequence[Cell], feature: str) -> tuple[list[Floats], list[Floats]]:
-    """Values of ``speed`` [m/s] or ``acceleration`` [m/s2] of each encounter that has both: adversary, unattacked."""
+    """Return the values of a feature for each encounter that has them for both the adversary and unattacked traffic.
+
+    Args:
+        cells: The cells.
+        feature: ``speed`` [m/s] or ``acceleration`` [m/s2].
+
+    Returns:
+        The values of the adversary, and of unattacked traffic, each with one array for each encounter.
+    """
     attacked, raw = [], []
     for cell in cells:
         motion = cell.get("motion") or {}
@@ -122,7 +150,15 @@ def samples(cells: Sequence[Cell], feature: str) -> tuple[list[Floats], list[Flo
 
 
 def distance(feature: str, measure: str) -> Pooled:
-    """The distance ``kl``, ``js`` or ``wasserstein`` of a feature's distributions, over encounters."""
+    """Make a function that computes the distance between the adversary's and the traffic's distributions of a feature.
+
+    Args:
+        feature: ``speed`` or ``acceleration``.
+        measure: ``kl``, ``js`` or ``wasserstein``.
+
+    Returns:
+        A function of cells that returns the distance with its interval, or None without samples.
+    """
 
     def of(cells: Sequence[Cell]) -> Estimate | None:
         attacked, raw = samples(cells, feature)
@@ -141,13 +177,13 @@ def distance(feature: str, measure: str) -> Pooled:
 
 
 def _over(values: Floats) -> Bins:
-    """``RESAMPLED_W1_BINS`` bins over all values: W1 must not stop where a histogram of usual values ends."""
+    """Make ``RESAMPLED_W1_BINS`` bins over all values: W1 must not stop where a histogram of usual values ends."""
     finite = values[np.isfinite(values)]
     return Bins(float(finite.min()), float(finite.max()) + 1e-6, RESAMPLED_W1_BINS)
 
 
 def _of_counts(measure: str, p: Floats, q: Floats, bins: Bins) -> float:
-    """The distance of two distributions from their counts on the same bins."""
+    """Return the distance of two distributions from their counts in the same bins."""
     if measure == "wasserstein":
         width = (bins.high - bins.low) / bins.count
         return float(np.abs(np.cumsum(p) / p.sum() - np.cumsum(q) / q.sum()).sum() * width)
@@ -155,6 +191,14 @@ def _of_counts(measure: str, p: Floats, q: Floats, bins: Bins) -> float:
 
 
 def step_share(name: str) -> Pooled:
+    """Make a function that computes a share of the adversary's steps, weighted by the steps of each encounter.
+
+    Args:
+        name: A share in the cells' ``realism``.
+
+    Returns:
+        A function of cells that returns the share with its interval, or None without values.
+    """
 
     def of(cells: Sequence[Cell]) -> Estimate | None:
         blocks = [cell.get("realism") or {} for cell in cells if not failed(cell)]
@@ -169,11 +213,20 @@ def step_share(name: str) -> Pooled:
 
 
 def resamples(count: int, times: int) -> Floats:
-    """How often each of ``count`` encounters is in each resample ``(times, count)``."""
+    """Draw bootstrap samples of encounters.
+
+    Args:
+        count: The number of encounters.
+        times: The number of samples.
+
+    Returns:
+        How often each encounter is in each sample, ``(times, count)``.
+    """
     drawn = np.random.default_rng(0).integers(0, count, (times, count))
     return np.array([np.bincount(row, minlength=count) for row in drawn], dtype=float)
 
 
 def interval(value: float, resampled: Floats, n: int) -> Estimate:
+    """Return an estimate with the 95 % interval of its resamples."""
     low, high = np.quantile(resampled, [0.025, 0.975])
     return Estimate(value, float(low), float(high), n)

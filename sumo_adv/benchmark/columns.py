@@ -1,4 +1,4 @@
-"""The columns of the tables: what each is of a cell, how it is summed up, and what it means in words."""
+"""Define the columns of the tables: their value in a cell, their summary, and their meaning in words."""
 
 from __future__ import annotations
 
@@ -19,21 +19,31 @@ from sumo_adv.metrics.statistics import Estimate, bootstrap, wilson
 
 BUDGETS = (1, 5, 10, 25)
 SUCCESS_WITHIN_S = (10, 60)
-SUCCESS_DISTANCES_M = (2.5, 5.0)  # m between centres: the paper does not give its own
-UNSEEN_REFERENCE_DRIVERS = ("reg157", "rss", "fsm")  # reference drivers that the search never asks
+SUCCESS_DISTANCES_M = (2.5, 5.0)  # between centres; the paper does not give its own
+UNSEEN_REFERENCE_DRIVERS = ("reg157", "rss", "fsm")  # reference drivers that the search never uses
 RATE, MEAN, MEDIAN = "rate", "mean", "median"
 SECTIONS = ("Verdicts", "Why not", "Min TTC", "Attempts", "Modification", "Realism", "Cost", "Margin")
 
 Value = float | bool | None
-"""Of a cell; None where the question does not arise."""
+"""A value of a cell; None if the question does not arise."""
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """One figure of a row. ``summary``: rate (Wilson), mean or median (bootstrap), of the cells that have a value.
+    """One figure of a row.
 
-    ``pooled`` instead takes all cells at once. ``raw``: the unattacked row has it too. ``asked_of_all``: every
-    encounter has a value, so that rows can be compared pair by pair.
+    Attributes:
+        key: The name in CSV and JSON.
+        title: The name for people.
+        section: The section of the table.
+        meaning: The meaning in words.
+        summary: How the values of cells are summarised: rate (Wilson), mean or median (bootstrap). Cells without a
+            value are left out.
+        of: Returns the value of a cell.
+        pooled: Computes the figure from all cells at once, instead of ``of`` and ``summary``; None if it is not used.
+        raw: Whether the unattacked row has the figure, too.
+        asked_of_all: Whether every encounter has a value, so that rows can be compared pair by pair.
+        digits: The number of decimals.
     """
 
     key: str
@@ -49,14 +59,16 @@ class Column:
 
     @property
     def paired(self) -> bool:
+        """Whether rows can be compared pair by pair."""
         return self.asked_of_all and self.pooled is None and self.summary != MEDIAN
 
     def values(self, cells: Sequence[Cell]) -> dict[c.CellKey, float]:
+        """Return the values of cells that have one, by key."""
         by_key = {c.key(cell): self.of(cell) for cell in cells if self.raw or not c.is_raw(cell)}
         return {name: float(value) for name, value in by_key.items() if value is not None}
 
     def estimate(self, cells: Sequence[Cell]) -> Estimate | None:
-        """The figure with its interval; None where no cell has a value."""
+        """Compute the figure with its interval; return None if no cell has a value."""
         if self.pooled is not None:
             attacked = [cell for cell in cells if not c.is_raw(cell)]
             return self.pooled(attacked) if attacked else None
@@ -77,7 +89,7 @@ def _gate(name: str) -> Callable[[Cell], Value]:
 
 
 def _paper_collision(epsilon: float) -> Callable[[Cell], Value]:
-    """A touch, or centres within ``epsilon`` [m]."""
+    """Make the value that says whether the vehicles touched, or their centres came within ``epsilon`` [m]."""
 
     def of(cell: Cell) -> Value:
         verdict = c.counted_outcome(cell)
@@ -90,7 +102,7 @@ def _paper_collision(epsilon: float) -> Callable[[Cell], Value]:
 
 
 def _paper_ttc(cell: Cell) -> Value:
-    """Min TTC [s] with the paper's kind of collision, of the centres, as 0."""
+    """Return the minimum TTC [s], which is 0 if the centres came as near as in the paper's kind of collision."""
     near = _paper_collision(SUCCESS_DISTANCES_M[-1])(cell)
     return None if near is None else (0.0 if near else c.capped_ttc(c.counted_outcome(cell)))
 
@@ -105,13 +117,13 @@ def _valid_within(budget: int) -> Callable[[Cell], Value]:
 
 
 def _within(level: str, budget: int) -> Callable[[Cell], Value]:
-    """Whether one of the first ``budget`` attempts reached ``level`` or a higher one."""
+    """Make the value that says whether one of the first ``budget`` attempts reached ``level`` or a higher one."""
     least = Level[level.upper()]
     return lambda cell: any(Level[str(a.get("level") or "none").upper()] >= least for a in c.attempts(cell)[:budget])
 
 
 def _kinds(cells: Sequence[Cell]) -> Counter[str]:
-    """The kinds of the encounters' first attempts that reached the highest level, of valid ones."""
+    """Count the kinds of valid attempts that count, one for each encounter."""
     kinds = Counter[str]()
     for cell in cells:
         best = cell.get("best")
@@ -131,7 +143,7 @@ def _largest_kind(cells: Sequence[Cell]) -> Estimate | None:
 
 
 def _unseen(cell: Cell) -> Value:
-    """Of valid ones: whether a driver avoids it that the search does not know; None if none of them applies."""
+    """Return whether a driver that the search does not know avoids a valid collision; None if none of them applies."""
     verdict = c.counted_outcome(cell)
     answers = [
         a
@@ -169,7 +181,7 @@ def _tokens(cell: Cell) -> Value:
 
 
 def _to_first(level: str) -> Callable[[Cell], Value]:
-    """Seconds from the encounter to the first attempt of a level or a higher one."""
+    """Make the value of the time from the encounter to the first attempt of a level or a higher one [s]."""
 
     def seconds(cell: Cell) -> Value:
         took = (cell.get("timing") or {}).get(f"first_{level}")
@@ -183,7 +195,7 @@ def _within_seconds(level: str, most: float) -> Callable[[Cell], Value]:
 
 
 def _pace(cell: Cell) -> Value:
-    """Attempts a second, with all that the row did in between."""
+    """Return the attempts per second, with all that the row did in between."""
     seconds, count = (cell.get("timing") or {}).get("row"), len(c.attempts(cell))
     return count / seconds if seconds and count else None
 
@@ -290,10 +302,10 @@ BY_PART = (
     "collision", "no_rear", "valid", "strict", "serious", "critical", "mean_min_ttc", "paper_collision_2_5",
     "paper_collision", "speed_kl", "acceleration_kl",
 )  # fmt: skip
-"""What is shown of groups and kinds too."""
+"""The columns that are also shown by group and kind."""
 
 COMPARED_COLUMNS = (
     "collision", "no_rear", "valid", "strict", "serious", "critical", "mean_min_ttc", "valid_1",
     "valid_25", "seconds",
 )  # fmt: skip
-"""Differences that the Markdown shows; CSV and JSON have all."""
+"""The columns whose differences the Markdown shows. CSV and JSON have all differences."""

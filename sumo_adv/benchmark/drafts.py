@@ -1,6 +1,7 @@
-"""Draws encounters on the shipped networks, on straight roads and at junctions, and writes the two files of each.
+"""Draw encounters on the shipped networks, on straight roads and at junctions, and write the two files of each.
 
-Nothing in the files tells which vehicle was meant or as what: ids are numbers in the order of departure and place.
+The files do not reveal which vehicle is meant as the adversary, or for what: ids are numbers in the order of departure
+and position.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from sumo_adv.situation import PathConflict, relate
 
 EGO_ID = "ego"
 SCENARIO_HORIZON_S = 10.0
-ALLOWED_SIMULATION_S = 60.0  # s of simulation that a scenario allows
+ALLOWED_SIMULATION_S = 60.0  # simulation time that a scenario allows
 CAR_SIZE_M = (4.8, 1.8)  # length, width
 
 _TYPE = (
@@ -33,8 +34,16 @@ _VEHICLE = (
 
 @dataclass(frozen=True, slots=True)
 class Car:
-    """A vehicle at its departure: front bumper at ``place`` [m] of a lane of the first edge, ``speed`` [m/s] (also the
-    most it drives), ``depart`` in s after the scenario's begin; ``size``: length and width [m]."""
+    """A vehicle at its departure.
+
+    Attributes:
+        edges: The edges of its route.
+        lane: The index of the lane on the first edge.
+        place: The position of the front bumper on that lane [m].
+        speed: The speed at departure, which is also the maximum speed [m/s].
+        depart: The departure after the scenario's begin [s].
+        size: Length and width [m].
+    """
 
     edges: tuple[str, ...]
     lane: int
@@ -44,12 +53,24 @@ class Car:
     size: tuple[float, float] = CAR_SIZE_M
 
     def rounded(self) -> Car:
+        """Return the vehicle with position, speed and departure rounded to one decimal."""
         return replace(self, place=round(self.place, 1), speed=round(self.speed, 1), depart=round(self.depart, 1))
 
 
 @dataclass(frozen=True, slots=True)
 class EncounterDraft:
-    """An encounter as it was drawn. ``bv``: the vehicle meant to be the adversary; ``trigger`` in s after ``begin``."""
+    """An encounter that was drawn.
+
+    Attributes:
+        kind: The kind of encounter.
+        network: The name of the shipped network.
+        ego: The ego.
+        bv: The vehicle that is meant to be the adversary.
+        others: The other vehicles.
+        trigger: The trigger after ``begin`` [s].
+        words: The encounter in words.
+        begin: The begin of the simulation [s].
+    """
 
     kind: str
     network: str
@@ -61,16 +82,26 @@ class EncounterDraft:
     begin: float = 0.0
 
     def named(self) -> dict[str, Car]:
-        """All vehicles by id, in the order in which SUMO wants them; ``self.bv`` is among them."""
+        """Return all vehicles by id, in the order that SUMO needs; ``self.bv`` is among them."""
         cars = sorted((self.bv, *self.others), key=lambda c: (c.depart, c.edges, c.lane, c.place))
         return {EGO_ID: self.ego, **{f"v{k}": car for k, car in enumerate(cars, 1)}}
 
     def bv_id(self) -> str:
+        """Return the id of the vehicle that is meant to be the adversary."""
         return next(name for name, car in self.named().items() if car is self.bv)
 
 
 def write_draft(draft: EncounterDraft, name: str, folder: Path) -> Path:
-    """Writes ``<name>.toml`` and ``demand/<name>.rou.xml`` into ``folder``, which must hold ``networks``."""
+    """Write ``<name>.toml`` and ``demand/<name>.rou.xml``.
+
+    Args:
+        draft: The encounter.
+        name: The name.
+        folder: The folder, which must hold ``networks``.
+
+    Returns:
+        The scenario file.
+    """
     demand = folder / "demand" / f"{name}.rou.xml"
     _write(demand, _demand(draft))
     scenario = folder / f"{name}.toml"
@@ -123,7 +154,17 @@ def _type_id(car: Car) -> str:
 
 
 def keep_apart(car: Car, others: Sequence[Car]) -> bool:
-    """Whether a vehicle that departs at once has room in its lane: as much as SUMO wants to insert it, and a little."""
+    """Check whether a vehicle has room in its lane at its departure.
+
+    The room is what SUMO needs to insert the vehicle, and a little more.
+
+    Args:
+        car: The vehicle.
+        others: The vehicles that are there.
+
+    Returns:
+        Whether there is room.
+    """
     for neighbour in others:
         if neighbour.edges[0] != car.edges[0] or neighbour.lane != car.lane or neighbour.depart != car.depart:
             continue
@@ -138,16 +179,26 @@ def keep_apart(car: Car, others: Sequence[Car]) -> bool:
 
 STRAIGHT_KINDS = ("leader", "neighbour_ahead", "neighbour_behind", "oncoming", "follower")
 TRAFFIC_COUNTS = {"no": 0, "light": 3, "medium": 7, "dense": 12}
-"""How many other vehicles, by the word for it."""
+"""The number of other vehicles for each word."""
 
-TRAFFIC_SIZES_M = ((4.8, 1.8), (4.4, 1.8), (5.0, 1.9), (6.0, 2.1))  # the last one a van
-EGO_ROAD_AFTER_TRIGGER_S = 16.0  # s that the ego must have road for after the trigger
-CLEAR_RADIUS_M = 24.0  # m around the ego in which only the intended vehicle drives beside it
+TRAFFIC_SIZES_M = ((4.8, 1.8), (4.4, 1.8), (5.0, 1.9), (6.0, 2.1))  # the last one is a van
+EGO_ROAD_AFTER_TRIGGER_S = 16.0  # the ego must have road for this long after the trigger
+CLEAR_RADIUS_M = 24.0  # only the intended vehicle drives beside the ego within this distance
 
 
 @dataclass(frozen=True, slots=True)
 class DraftRoad:
-    """A road: name of the network, edge of the ego and the one towards it, lanes each way, length [m], speeds [m/s]."""
+    """A straight or curved road.
+
+    Attributes:
+        network: The name of the network.
+        edge: The edge of the ego.
+        back: The edge in the opposite direction; '' if there is none.
+        lanes: The number of lanes in each direction.
+        length: The length [m].
+        slowest: The minimum speed of the ego [m/s].
+        fastest: The maximum speed [m/s].
+    """
 
     network: str
     edge: str
@@ -183,7 +234,16 @@ TWO_WAY_NETWORKS = ("two_way", "curved_road", "two_way_4lane", "curved_4lane")
 
 
 def draw_straight(kind: str, number: int, draw: Random) -> EncounterDraft:
-    """One encounter of a kind; ``number`` (from 0) of that kind decides network, lane and traffic."""
+    """Draw one encounter on a straight or curved road.
+
+    Args:
+        kind: One of ``STRAIGHT_KINDS``.
+        number: The number of the encounter within its kind, from 0. It decides network, lane and traffic.
+        draw: The random generator.
+
+    Returns:
+        The encounter.
+    """
     networks = TWO_WAY_NETWORKS if kind == "oncoming" else MULTI_LANE_NETWORKS
     road = ROADS[networks[number % len(networks)]]
     lane = (number + number // len(networks)) % road.lanes
@@ -202,13 +262,13 @@ def draw_straight(kind: str, number: int, draw: Random) -> EncounterDraft:
 
 
 def _other(kind: str, road: DraftRoad, ego: Car, trigger: float, draw: Random) -> Car:
-    """The vehicle that is meant: where it is at the trigger, taken back to the departure."""
+    """Draw the vehicle that is meant: its position at the trigger, moved back to the departure."""
     size, v = draw.choice(TRAFFIC_SIZES_M), ego.speed
     if kind == "oncoming":
         own = min(max(v + draw.uniform(-3.0, 3.0), road.slowest), road.fastest)
         apart_then = (v + own) * draw.uniform(3.2, 6.5)
         place = ego.place + apart_then + (v + own) * trigger
-        lane = draw.randrange(road.lanes) if ego.lane else road.lanes - 1  # two lanes between are too many
+        lane = draw.randrange(road.lanes) if ego.lane else road.lanes - 1  # two lanes in between are too many
         return Car((road.back,), lane, road.length - place, own, 0.0, size)
     if kind in ("leader", "follower"):
         gap = v * draw.uniform(1.2, 2.0) + 9.0
@@ -224,7 +284,7 @@ def _other(kind: str, road: DraftRoad, ego: Car, trigger: float, draw: Random) -
 
 
 def _traffic(road: DraftRoad, ego: Car, bv: Car, count: int, draw: Random) -> tuple[Car, ...]:
-    """Others, with room around the ego; as many as find a place."""
+    """Draw other vehicles, with room around the ego; those that find no place are left out."""
     placed: list[Car] = []
     for _ in range(count * 12):
         if len(placed) == count:
@@ -258,23 +318,32 @@ GREEN_BEGINS_S = {
     "signalised_crossing": {"south": 36.0, "north": 36.0},
     "signalised_wide": {"south": 50.0, "north": 50.0},
 }
-"""Begin of the simulation [s] at which an approach has green, where that is not 0 (and lasts for 30 s)."""
+"""The begin of the simulation [s] at which an approach has green (for 30 s), if that is not 0."""
 
 JUNCTION_TRAFFIC = {"no": 0, "light": 2, "medium": 5, "dense": 9}
 MANOEUVRES = ("straight", "left", "straight", "right", "left", "straight", "straight")  # seven: networks take turns
 MIN_JUNCTION_SPEED_M_S, MAX_JUNCTION_SPEED_M_S = 8.0, 22.0
 MAX_ROUTE_EDGES = 6
-MAX_MEETING_DEPTH_M = 65.0  # m behind the stop line that ways may meet: a quarter of a roundabout
-MIN_APPROACH_M = 30.0  # m before the stop line that both start at least
+MAX_MEETING_DEPTH_M = 65.0  # from the stop line to where paths meet, at most: a quarter of a roundabout
+MIN_APPROACH_M = 30.0  # minimum distance before the stop line at which both start
 INSERTION_BRAKING_M_S2 = 3.0  # SUMO inserts no vehicle nearer to a junction than it could stop at
-MIN_DEPART_POSITION_M = 6.0  # m from a lane's begin to a front bumper at least
-LAST_TRAFFIC_DEPARTURE_S = 9.0  # s after the begin until which others depart
+MIN_DEPART_POSITION_M = 6.0  # minimum distance from a lane's begin to a front bumper
+LAST_TRAFFIC_DEPARTURE_S = 9.0  # others depart up to this time after the begin
 
 
 @dataclass(frozen=True, slots=True)
 class Approach:
-    """A route from the edge of the map to its edge, from one lane; ``line``: its path from the lane's begin on;
-    ``ends``: length of the first lane [m]; ``limit``: its speed [m/s]; ``yields``: whether it gives way there."""
+    """A route from one edge of the map to another, from one lane.
+
+    Attributes:
+        edges: The edges.
+        lane: The index of the lane on the first edge.
+        movement: The movement at the junction.
+        yields: Whether it gives way at the junction.
+        line: The path from the lane's begin on.
+        ends: The length of the first lane [m].
+        limit: The speed limit of the first lane [m/s].
+    """
 
     edges: tuple[str, ...]
     lane: int
@@ -287,7 +356,13 @@ class Approach:
 
 @dataclass(frozen=True, slots=True)
 class JunctionMeeting:
-    """Ways of the ego and of another that cross or merge."""
+    """The paths of the ego and another vehicle, which cross or merge.
+
+    Attributes:
+        ego: The ego's approach.
+        bv: The other vehicle's approach.
+        conflict: Where their paths meet.
+    """
 
     ego: Approach
     bv: Approach
@@ -296,7 +371,7 @@ class JunctionMeeting:
 
 @cache
 def approaches(network: str) -> tuple[Approach, ...]:
-    """All routes through a shipped network of a single junction, in the order of their names."""
+    """Return all routes through a shipped network with a single junction, in the order of their names."""
     road = read_network(data_folder("networks") / Path(f"{network}.net.xml"))
     routes = []
     for route in _routes(road):
@@ -312,7 +387,7 @@ def approaches(network: str) -> tuple[Approach, ...]:
 
 
 def _routes(road: RoadMap) -> list[tuple[str, ...]]:
-    """Routes of two edges or more from fringe to fringe, none of them twice through an edge."""
+    """Return the routes of two or more edges from fringe to fringe that use no edge twice."""
     onward = {
         edge: sorted({road.lanes[c.to].edge for name in lanes for c in road.lanes[name].connections})
         for edge, lanes in road.edges.items() if not edge.startswith(":")
@@ -331,6 +406,7 @@ def _routes(road: RoadMap) -> list[tuple[str, ...]]:
 
 @cache
 def meetings(network: str) -> tuple[JunctionMeeting, ...]:
+    """Return the pairs of approaches whose paths meet near the junction of a shipped network."""
     pairs = []
     for ego in approaches(network):
         for bv in approaches(network):
@@ -346,7 +422,17 @@ def meetings(network: str) -> tuple[JunctionMeeting, ...]:
 
 
 def draw_junction(kind: str, number: int, draw: Random) -> EncounterDraft:
-    """One encounter of a kind; ``number`` (from 0) decides network, manoeuvre, right of way and traffic."""
+    """Draw one encounter at a junction.
+
+    Args:
+        kind: One of ``JUNCTION_KINDS``.
+        number: The number of the encounter within its kind, from 0. It decides network, manoeuvre, right of way and
+            traffic.
+        draw: The random generator.
+
+    Returns:
+        The encounter.
+    """
     networks = JUNCTION_NETWORKS[kind]
     network = networks[number % len(networks)]
     word = tuple(JUNCTION_TRAFFIC)[(number + number // 4 + 1) % len(JUNCTION_TRAFFIC)]
@@ -364,14 +450,14 @@ def draw_junction(kind: str, number: int, draw: Random) -> EncounterDraft:
 
 
 def _wanted(meetings: Sequence[JunctionMeeting], number: int) -> Sequence[JunctionMeeting]:
-    """Those with the manoeuvre and (two of three) the right of way that is next, as far as there are any."""
+    """Keep the meetings with the next manoeuvre and right of way, if there are any; every third ego gives way."""
     manoeuvre, yields = MANOEUVRES[number % len(MANOEUVRES)], number % 3 == 2
     by_movement = [m for m in meetings if m.ego.movement == manoeuvre] or list(meetings)
     return [m for m in by_movement if m.ego.yields == yields] or by_movement
 
 
 def _timed(meeting: JunctionMeeting, trigger: float, draw: Random) -> tuple[Car, Car]:
-    """Both vehicles, so placed that they would be at the conflict at about the same time at constant speeds."""
+    """Place both vehicles so that, at constant speeds, they reach the conflict at about the same time."""
     ego_time = draw.uniform(3.8, 6.5)
     bv_time = ego_time + draw.uniform(-1.5, 0.8)
     cars = []
@@ -390,7 +476,7 @@ def _timed(meeting: JunctionMeeting, trigger: float, draw: Random) -> tuple[Car,
 def _junction_traffic(
     network: str, meeting: JunctionMeeting, ego: Car, bv: Car, count: int, draw: Random
 ) -> tuple[Car, ...]:
-    """Others on any route through the junction, half of them on the road from the first, half of them to come."""
+    """Draw other vehicles on routes through the junction; about half are there at once, the others come later."""
     placed: list[Car] = []
     ways = approaches(network)
     for _ in range(count * 12):

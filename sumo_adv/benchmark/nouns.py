@@ -1,4 +1,4 @@
-"""The nouns of the benchmark: an encounter of a suite, what an opponent sees of it and answers, the rows of a table."""
+"""Define the types of the benchmark: an encounter of a suite, what an opponent sees and answers, a cell of a table."""
 
 from __future__ import annotations
 
@@ -14,20 +14,29 @@ from sumo_adv.situation import Situation
 
 GROUPS = ("straight", "intersection")
 RAW = "raw"
-"""The row of unattacked runs."""
+"""The name of the row of unattacked runs."""
 CRITICAL_TTC_S = 1.0
-"""An unattacked run with a min TTC of at most this is critical by itself; the default of ``--critical-ttc``."""
+"""An unattacked run with at most this minimum TTC is critical by itself. It is the default of ``--critical-ttc``."""
 MIN_TTC_CAP_S = 10.0
-"""What a larger min TTC counts as, and that of a motion that does not count."""
+"""Larger minimum TTCs count as this value, and so does the minimum TTC of a motion that does not count."""
 
 Cell = Mapping[str, Any]
-"""The outcome of a case x ego x row x seed; ``docs/benchmark.md`` lists its keys."""
+"""The outcome of one case, ego, row and seed. ``docs/benchmark.md`` lists its keys."""
 
 
 @dataclass(frozen=True, slots=True)
 class SuiteCase:
-    """One encounter of a suite. ``record``: the id of a Waymo record in ``path``; ``labels``: what an oracle or people
-    hold to be the most dangerous intents, by ego and criterion: ``{"idm": {"collision": (..), "valid": (..)}}``."""
+    """One encounter of a suite.
+
+    Attributes:
+        name: The name.
+        path: The input.
+        record: The id of a Waymo record in ``path``; None for other inputs.
+        kind: The kind of encounter.
+        group: One of ``GROUPS``.
+        labels: The most dangerous intents according to an oracle or to people, by ego and criterion: ``{"idm":
+            {"collision": (..), "valid": (..)}}``.
+    """
 
     name: str
     path: Path
@@ -39,7 +48,14 @@ class SuiteCase:
 
 @dataclass(frozen=True, slots=True)
 class Suite:
-    """A frozen list of encounters. ``content``: SHA-256 over all its files."""
+    """A frozen list of encounters.
+
+    Attributes:
+        name: The name.
+        version: The version.
+        cases: The encounters.
+        content: The SHA-256 of all its files.
+    """
 
     name: str
     version: str
@@ -49,9 +65,15 @@ class Suite:
 
 @dataclass(frozen=True, slots=True)
 class Encounter:
-    """What an opponent sees: a situation for each delay [s] after the trigger at which an attack may begin.
+    """What an opponent sees of an encounter.
 
-    network: the net.xml, for more of the road than the situations hold.
+    Attributes:
+        situations: A situation for each delay [s] after the trigger at which an attack may begin.
+        library: The intents and planners.
+        drivable: The drivable area.
+        settings: The settings of the row.
+        seed: The seed.
+        network: The net.xml, for more of the road than the situations have.
     """
 
     situations: Mapping[float, Situation]
@@ -63,24 +85,47 @@ class Encounter:
 
 
 class Opponent(Protocol):
-    """Makes attacks. It is asked until one succeeds or the budget is used up."""
+    """Makes attacks. It is asked for attacks until one succeeds or the budget is used up."""
 
     name: str
 
     def begin(self, encounter: Encounter) -> None:
-        """A new encounter. Each has an opponent of its own, made anew: nothing is kept of others."""
+        """Begin an encounter.
+
+        Each encounter has a new opponent, so nothing is kept from other encounters.
+
+        Args:
+            encounter: The encounter.
+        """
         ...
 
     def propose(self, tried: Sequence[Attempt]) -> Proposal | None:
-        """The next attack, from the attempts so far with their gate verdicts; None if nothing is left to try."""
+        """Return the next attack.
+
+        Args:
+            tried: The attempts so far, with the verdicts of the gates.
+
+        Returns:
+            The attack, or None if nothing is left to try.
+        """
         ...
 
 
 def course_proposal(row: str, bv: str, delay: float, course: PrescribedMotion) -> Proposal:
-    """An attack that is a motion given in advance. ``delay`` [s]: of the encounter; ``bv``: one of its targets."""
+    """Make an attack from a motion that is given in advance.
+
+    Args:
+        row: The name of the row.
+        bv: The adversary, one of the encounter's targets.
+        delay: The start of the motion, a delay of the encounter [s].
+        course: The motion.
+
+    Returns:
+        The candidate.
+    """
     return Proposal(bv, row, Planner(row, "course", "", (), row), {}, 0.0, delay, by=row, course=course)
 
 
 def counts(verdict: Mapping[str, Any]) -> bool:
-    """``Verdict.counts`` of a stored verdict: feasible and not rear-end."""
+    """Return ``Verdict.counts`` of a stored verdict: whether it is feasible and not rear-end."""
     return bool(verdict.get("feasible")) and not verdict.get("rear_end")

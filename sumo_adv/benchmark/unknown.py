@@ -1,6 +1,7 @@
-"""A built-in driver that the search is told nothing about, as it knows nothing about a user's driver.
+"""Provide a built-in driver about which the search knows nothing, as it knows nothing about a user's driver.
 
-It shows what not knowing the driver costs: ``sumo_adv.benchmark.unknown:CarefulAsUnknown`` beside ``careful``.
+A comparison of ``sumo_adv.benchmark.unknown:CarefulAsUnknown`` with ``careful`` shows what not knowing the driver
+costs.
 """
 
 from __future__ import annotations
@@ -19,7 +20,11 @@ class CarefulAsUnknown:
     forkable = True
 
     def __init__(self, **parameters: Any) -> None:
-        """``parameters``: those of the ego ``careful``."""
+        """Create the driver.
+
+        Args:
+            parameters: The parameters of the ego ``careful``.
+        """
         self._driver = CarefulEgo(parameters)
         self.sumo_type: Mapping[str, str] = self._driver.sumo_type
         self.needs_observation = self._driver.needs_observation

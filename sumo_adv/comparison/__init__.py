@@ -1,1 +1,1 @@
-"""Two sides over the encounters that both have: runs, campaigns, benches or regressions (``sumo-adv compare``)."""
+"""Compare two runs, campaigns, benches or regressions over the encounters that both have (``sumo-adv compare``)."""

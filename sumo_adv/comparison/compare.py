@@ -1,4 +1,4 @@
-"""Two sides over the encounters that both have: rates, severity, attempts, and the cases that changed.
+"""Compare two sides over the encounters that both have: rates, severity, attempts, and the cases that changed.
 
 A side is the episodes of a run, a campaign, a bench or a regression, whichever a path holds.
 """
@@ -31,16 +31,25 @@ from sumo_adv.report.staging import PLAN_FILE, RESULTS_FILE
 
 DEFAULT_ATTEMPTS = int(Settings.model_fields["attempts"].default)
 COMPARISON_SCHEMA = 1
-MIN_PAIRS = 6  # pairs: with fewer no paired test can reach p 0.05 (2 / 2**5 = 0.06), and a bootstrap means nothing
+MIN_PAIRS = 6  # with fewer pairs, no paired test reaches p 0.05 (2 / 2**5 = 0.06), and a bootstrap is meaningless
 
 
 @dataclass(frozen=True, slots=True)
 class Compared:
-    """One episode. ``key``: pairs it with the other side's.
+    """One episode.
 
-    level: of the attempt that counts; min_ttc [s]: 10 if never, 0 with a collision; delta_v [m/s]: 0 without a
-    collision that counts; until_valid: attempts until the first valid one, None if none was; failed: the work failed;
-    attacked: an attempt was made; result: of a regression; run: its folder, None if it was not kept.
+    Attributes:
+        key: The key that pairs it with an episode of the other side.
+        ego: The ego's driver.
+        level: The level of the attempt that counts.
+        min_ttc: The minimum TTC [s]: at most 10, which is also the value for *never*, and 0 with a collision.
+        delta_v: The ego's delta-v [m/s]; 0 without a collision that counts.
+        severity: The severity of the collision; None without one.
+        until_valid: The number of attempts until the first valid one; None if none was valid.
+        failed: Whether the work failed.
+        attacked: Whether an attempt was made.
+        result: The result of a regression's case; None for other episodes.
+        run: The run's folder; None if it was not kept.
     """
 
     key: str
@@ -58,7 +67,13 @@ class Compared:
 
 @dataclass(frozen=True, slots=True)
 class ComparedSide:
-    """What a path holds. ``budget``: attempts that an episode may make."""
+    """What a path holds.
+
+    Attributes:
+        path: The path.
+        budget: The maximum number of attempts of an episode.
+        episodes: The episodes.
+    """
 
     path: Path
     budget: int
@@ -71,7 +86,17 @@ class ComparedSide:
 
 
 def read_side(path: Path) -> ComparedSide:
-    """The episodes at a path. Raises UsageError: it holds none, or a file is damaged."""
+    """Read the episodes at a path.
+
+    Args:
+        path: The folder of a run, a campaign, a bench or a regression, a folder of runs, or a regression's file.
+
+    Returns:
+        The side.
+
+    Raises:
+        UsageError: The path holds no episode, or a file is damaged.
+    """
     refuse_links(path)
     if path.name == REGRESSION_FILE or (path / REGRESSION_FILE).is_file():
         return _regression(path)
@@ -106,7 +131,7 @@ def _campaign(folder: Path) -> ComparedSide:
 
 
 def _packed(folder: Path, run: str, text: str) -> dict[str, Any]:
-    """The outcome of a run that is in a pack. Raises UsageError."""
+    """Parse the outcome of a packed run. Raise UsageError if it is damaged."""
     try:
         outcome = dict(parse_json(text))
     except (ValueError, TypeError) as error:
@@ -116,7 +141,7 @@ def _packed(folder: Path, run: str, text: str) -> dict[str, Any]:
 
 
 def _budget(plan: Path) -> int:
-    """The largest number of attempts among the settings of a run, a campaign or a bench."""
+    """Return the largest number of attempts among the settings of a run, a campaign or a bench."""
     try:
         settings = read_json(plan)["settings"]
         variants = settings if isinstance(settings, list) else [settings]
@@ -140,7 +165,7 @@ def _bench(folder: Path) -> ComparedSide:
 def _numbered(
     read: Iterable[tuple[str, Mapping[str, Any], Path | None]],
 ) -> list[tuple[str, Mapping[str, Any], Path | None]]:
-    """The same with a number behind keys that one driver has twice (inputs of one name)."""
+    """Number keys that one driver has several times (inputs with the same name)."""
     seen: dict[tuple[str, str], int] = {}
     keyed = []
     for key, outcome, run in read:
@@ -186,7 +211,15 @@ def _of_case(m: CaseMeasurements, result: str, folder: Path) -> Compared:
 
 @dataclass(frozen=True, slots=True)
 class ComparedFigure:
-    """One figure of both sides; ``difference``: second - first, paired, None with fewer than ``MIN_PAIRS`` pairs."""
+    """One figure of both sides.
+
+    Attributes:
+        name: The name.
+        unit: The unit; ``rate`` for a rate.
+        first: The first side.
+        second: The second side.
+        difference: The paired difference, second - first; None with fewer than ``MIN_PAIRS`` pairs.
+    """
 
     name: str
     unit: str
@@ -196,12 +229,19 @@ class ComparedFigure:
 
     @property
     def change(self) -> float:
+        """The second value minus the first."""
         return self.second.value - self.first.value
 
 
 @dataclass(frozen=True, slots=True)
 class ChangedCase:
-    """An encounter that came to another level or result."""
+    """An encounter whose level or result changed.
+
+    Attributes:
+        key: The key of the encounter.
+        first: The first side's episode.
+        second: The second side's episode.
+    """
 
     key: str
     first: Compared
@@ -209,12 +249,22 @@ class ChangedCase:
 
     @property
     def worse(self) -> bool:
+        """Whether the second side's episode is worse for the ego."""
         return _badness(self.second) > _badness(self.first)
 
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Both sides, paired. ``names``: what they are called; ``alone``: encounters that only one of them has."""
+    """Two sides, paired.
+
+    Attributes:
+        names: The names of the sides.
+        sides: The sides.
+        pairs: The episodes that both sides have.
+        figures: The figures.
+        changes: The cases that changed, those that got worse first.
+        alone: The number of encounters that only the first and only the second side has.
+    """
 
     names: tuple[str, str]
     sides: tuple[ComparedSide, ComparedSide]
@@ -224,9 +274,11 @@ class Comparison:
     alone: tuple[int, int]
 
     def counts(self, what: Callable[[Compared], bool]) -> tuple[int, int]:
+        """Count the paired episodes of each side that meet a condition."""
         return sum(what(a) for a, _ in self.pairs), sum(what(b) for _, b in self.pairs)
 
     def document(self) -> dict[str, Any]:
+        """Return the comparison as plain data."""
         sides = [
             {"name": name, "path": str(side.path), "egos": list(side.egos), "alone": alone}
             for name, side, alone in zip(self.names, self.sides, self.alone, strict=True)
@@ -242,9 +294,18 @@ class Comparison:
 
 
 def compare(first: ComparedSide, second: ComparedSide, egos: tuple[str, str] | None = None) -> Comparison:
-    """Pair two sides. ``egos``: the driver to take of each; by default all, paired by name if there are several.
+    """Pair two sides.
 
-    Raises UsageError: no such driver, drivers that cannot be paired, or no encounter in common.
+    Args:
+        first: The first side.
+        second: The second side.
+        egos: The driver to take of each side. None takes all, paired by name if there are several.
+
+    Returns:
+        The comparison.
+
+    Raises:
+        UsageError: There is no such driver, the drivers cannot be paired, or no encounter is on both sides.
     """
     if egos is not None:
         first, second = (_of_ego(side, ego) for side, ego in zip((first, second), egos, strict=True))
@@ -273,6 +334,7 @@ def compare(first: ComparedSide, second: ComparedSide, egos: tuple[str, str] | N
 
 
 def _of_ego(side: ComparedSide, ego: str) -> ComparedSide:
+    """Keep the episodes of one driver."""
     episodes = [e for e in side.episodes if e.ego == ego]
     if not episodes:
         raise UsageError(f"{side.path} has no ego '{ego}'; it has {', '.join(side.egos)}.")
@@ -280,20 +342,24 @@ def _of_ego(side: ComparedSide, ego: str) -> ComparedSide:
 
 
 def _names(first: ComparedSide, second: ComparedSide) -> tuple[str, str]:
-    """The drivers where they differ, else the folders, else A and B."""
+    """Name the sides by their drivers or, if these are equal, by their folders, or otherwise A and B."""
     egos = (*first.egos, "")[0], (*second.egos, "")[0]
     folders = first.path.resolve().name, second.path.resolve().name
     return next(((a, b) for a, b in (egos, folders) if a != b), ("A", "B"))
 
 
 def _badness(e: Compared) -> float:
-    """For the order of changes: by level, then by how hard the ego is hit, then whether a case fails."""
+    """Rate how bad an episode is: by level, then by the ego's delta-v; a failed case counts most."""
     return 100.0 * e.level + e.delta_v + (1000.0 if e.result == CaseResult.FAIL else 0.0)
 
 
 def _figures(pairs: Sequence[tuple[Compared, Compared]], budget: int) -> list[ComparedFigure]:
-    """Rates are of all pairs: an encounter without an attack counts as not hit. It has no min TTC and no delta-v of an
-    attack, so means are of the pairs in which both or neither were attacked."""
+    """Compute the figures.
+
+    Rates are over all pairs, and an encounter without an attack counts as not hit. Such an encounter has neither a
+    minimum TTC nor a delta-v of an attack. So means are over the pairs in which both or neither were attacked, and
+    neither failed.
+    """
     alike = [(a, b) for a, b in pairs if a.attacked == b.attacked and not (a.failed or b.failed)]
 
     def figure(name: str, unit: str, of: Callable[[Compared], float]) -> ComparedFigure:

@@ -1,9 +1,9 @@
-"""A comparison as Markdown, and as a folder: one page, and beside it the replays of each case that changed.
+"""Write a comparison as Markdown, and as a folder: one page, and the replays of each case that changed.
 
-OUT/compare.html    figures, and the cases that changed with links
+OUT/compare.html    the figures, and the cases that changed with links
 OUT/compare.md      the same as text
 OUT/compare.json    the same as data
-OUT/pages/          the replays; by the place of the case among those that changed, and by side
+OUT/pages/          the replays; a name has the number of the changed case, and the side
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ COMPARISON_NOTE = (
     "the sign-flip test of means (exact up to 13 encounters); "
     f"without an interval where there are fewer than {MIN_PAIRS} encounters."
 )
-MAX_CHANGES_SHOWN = 30  # changes shown
+MAX_CHANGES_SHOWN = 30  # in Markdown
 ReplayLink = Callable[[Compared], str | None]
-"""Where the replay of an episode is, None if there is none."""
+"""A function that returns where the replay of an episode is, or None if there is none."""
 COMPARISON_PAGE = "compare.html"
 PAGE_HEAD = """<!DOCTYPE html>
 <html lang="en">
@@ -52,7 +52,15 @@ h1 {{ overflow-wrap: anywhere }}
 
 
 def to_markdown(done: Comparison, link: ReplayLink) -> str:
-    """Figures of both sides, and the cases that changed with links to their runs."""
+    """Format the figures of both sides, and the cases that changed with links to their runs.
+
+    Args:
+        done: The comparison.
+        link: Returns the link to an episode's run.
+
+    Returns:
+        The Markdown.
+    """
     first, second = done.names
     lines = [f"# {first} and {second}", "", *notes(done), ""]
     head, *figures = rows(done)
@@ -72,11 +80,13 @@ def to_markdown(done: Comparison, link: ReplayLink) -> str:
 
 
 def rows(done: Comparison) -> list[list[str]]:
+    """Return the table of figures, with its header."""
     first, second = done.names
     return [["", first, second, f"{second} - {first}"], *(_row(figure) for figure in done.figures)]
 
 
 def notes(done: Comparison) -> list[str]:
+    """Return sentences on the encounters: how many are common, on one side only, failed, or without an attack."""
     failed, missed = done.counts(lambda e: e.failed), done.counts(lambda e: not e.attacked and not e.failed)
     sentences = [f"{len(done.pairs)} encounters in common."]
     for label, (a, b) in (("only on one side", done.alone), ("failed", failed), ("without an attack", missed)):
@@ -89,6 +99,7 @@ def notes(done: Comparison) -> list[str]:
 
 
 def words(e: Compared) -> str:
+    """Describe an episode in words."""
     if e.failed:
         return "failed"
     if not e.attacked:
@@ -104,12 +115,24 @@ def _row(figure: ComparedFigure) -> list[str]:
 
 
 def _value(estimate: Estimate, unit: str) -> str:
-    """With an interval if it rests on enough encounters. Wilson's interval of a rate holds for any number."""
+    """Format a value, with its interval if there are enough encounters; Wilson's interval holds for any number."""
     return number(estimate) if unit == "rate" or estimate.n >= MIN_PAIRS else f"{estimate.value:.2f}"
 
 
 def write_comparison(out: Path, done: Comparison, *, force: bool) -> Path:
-    """Write the folder; its page. Raises UsageError: it is taken or cannot be written."""
+    """Write the folder.
+
+    Args:
+        out: The folder.
+        done: The comparison.
+        force: Whether an existing folder may be replaced.
+
+    Returns:
+        The page.
+
+    Raises:
+        UsageError: The folder exists, or it cannot be written.
+    """
     with staged(out, force=force) as folder, sentences(out):
         links: dict[Path | None, str] = {}
         for k, change in enumerate(done.changes, 1):
@@ -129,7 +152,7 @@ def write_comparison(out: Path, done: Comparison, *, force: bool) -> Path:
 
 
 def _replay(run: Path, target: Path) -> bool:
-    """Write the replay of a run; False if the run cannot be shown."""
+    """Write the replay of a run; return False if the run cannot be shown."""
     try:
         write_document(target, page_of(run, back=f"../{COMPARISON_PAGE}").html)
     except UsageError:
@@ -138,7 +161,15 @@ def _replay(run: Path, target: Path) -> bool:
 
 
 def html(done: Comparison, link: ReplayLink) -> str:
-    """The page, with links to the replays."""
+    """Make the page.
+
+    Args:
+        done: The comparison.
+        link: Returns the link to an episode's replay.
+
+    Returns:
+        The HTML.
+    """
     first, second = done.names
     head, *figures = rows(done)
     worse = sum(change.worse for change in done.changes)
