@@ -1,4 +1,4 @@
-"""Make a table of cells, and format it as Markdown beside what the paper reports.
+"""Make a table of cells, and format it as Markdown beside the figures that the paper reports.
 
 Each ego has its own figures. Each column has an interval, and differences are paired. The notes say why the paper's
 figures are not the same quantities as ours.

@@ -52,14 +52,14 @@ def write_table(
 def write_files(
     folder: Path, name: str, texts: Mapping[str, str], cells: Sequence[Cell], about: Mapping[str, Any]
 ) -> list[Path]:
-    """Write texts and a manifest of what they are made of, each file whole or not at all.
+    """Write texts and a manifest of their ingredients, each file whole or not at all.
 
     The manifest contains ``about`` and a digest of the cells' verdicts.
 
     Args:
         folder: The folder.
         name: The name of the files.
-        texts: The texts, by what follows ``name`` in the file's name.
+        texts: The texts, by the ending that is added to ``name``.
         cells: The cells that the texts were made of.
         about: What the manifest says: suite, versions, settings ...
 

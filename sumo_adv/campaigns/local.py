@@ -69,7 +69,7 @@ class _Slot:
 
     @property
     def words(self) -> str:
-        """The end of what the worker printed."""
+        """The last part of the worker's output."""
         try:
             return (self.folder / "log").read_text(errors="replace")[-MAX_KEPT_OUTPUT_CHARACTERS:]
         except OSError:

@@ -105,7 +105,7 @@ class Story:
         raw: The unattacked run; None if it has no states of the ego and the collider.
         trigger: When the attack begins [s].
         decisive: The contact or, without one, the closest approach [s].
-        end: The end of what is shown [s].
+        end: The end of the shown time [s].
         outcome: The verdict as ``outcome.json`` has it.
     """
 
@@ -146,7 +146,7 @@ class Story:
 
     @property
     def start(self) -> float:
-        """The beginning of what is shown [s]."""
+        """The beginning of the shown time [s]."""
         return self.trigger - SHOWN_BEFORE_TRIGGER_S
 
 
