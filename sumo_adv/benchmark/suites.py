@@ -13,8 +13,8 @@
 
 A list may instead name cases of another list (``suite = "suite81"``, ``cases = ["straight-01", ..]``). The most
 dangerous intents according to an oracle are in ``labels.json`` beside the list: ``{case: {ego: {"collision": [labels],
-"valid": [labels]}}}``. The annotations of people are under the ego ``people`` as ``{"annotated": [labels]}``. This file
-is not part of what is frozen.
+"valid": [labels]}}}``. The annotations of people are under the ego ``people`` as ``{"annotated": [labels]}``. This file is not
+frozen.
 """
 
 from __future__ import annotations

@@ -309,9 +309,16 @@ def save(figure: Figure, target: Path, kind: str) -> None:
 
 
 def write_film(story: Story, target: Path, kind: str) -> None:
-    """Write the film; faint outlines show where ego and adversaries would be without the attack.
+    """Write a film. Faint outlines show where ego and adversaries would be without the attack.
 
-    Raises UsageError: an MP4 without ffmpeg; OSError: the file cannot be written.
+    Args:
+        story: The encounter.
+        target: The file.
+        kind: ``gif`` or ``mp4``.
+
+    Raises:
+        UsageError: An MP4 is wanted and there is no ffmpeg.
+        OSError: The file cannot be written.
     """
     if kind == "mp4" and shutil.which("ffmpeg") is None:
         raise UsageError("An MP4 needs ffmpeg: install it (Debian: apt-get install ffmpeg), or make a .gif.")
