@@ -11,10 +11,11 @@
     [files]                               # SHA-256 by path; without this table, nothing is checked
     "straight-01.toml" = "..."
 
-A list may instead name cases of another list (``suite = "suite81"``, ``cases = ["straight-01", ..]``). The most
-dangerous intents according to an oracle are in ``labels.json`` beside the list: ``{case: {ego: {"collision": [labels],
-"valid": [labels]}}}``. The annotations of people are under the ego ``people`` as ``{"annotated": [labels]}``. This file is not
-frozen.
+A list may instead name cases of another list (``suite = "suite81"``, ``cases = ["straight-01", ..]``).
+
+The file ``labels.json`` beside the list is not frozen. It has the most dangerous intents according to an oracle as
+``{case: {ego: {"collision": [labels], "valid": [labels]}}}``. The annotations of people are under the ego ``people``
+as ``{"annotated": [labels]}``.
 """
 
 from __future__ import annotations
