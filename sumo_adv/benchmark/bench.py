@@ -212,7 +212,7 @@ class BenchResources:
         folder: The bench's folder.
         workers: The number of workers.
         parts: The functions that load, run and write.
-        versions: The versions of what affects the numbers.
+        versions: The versions of the packages that affect the numbers.
         keep_runs: Whether the folders of runs are kept.
         cell_seconds: The time after which a row is considered stuck [s].
     """

@@ -37,7 +37,7 @@ def key(cell: Cell) -> CellKey:
 
 
 def is_raw(cell: Cell) -> bool:
-    """Return whether a cell is of the unattacked row."""
+    """Return whether a cell belongs to the unattacked row."""
     return bool(cell["row"] == RAW)
 
 

@@ -1,14 +1,16 @@
-"""What is run at once (rows of one encounter that share a simulation, or the next encounter of a row that learns), the
-program's own rows, and the memory bank that each has.
+"""Define the jobs of a bench, the program's own rows, and the memory bank that each row has.
+
+A job is rows of one encounter that share a simulation, or the next encounter of a row that learns. The program's own
+rows are:
 
     raw                        the unattacked run
-    expert                     the whole library, updated as the suite goes on; the expert plays all parts (LLM-A)
-    llm-f                      a bank of Close Car-following and Emergency Braking, nothing learnt (the paper's LLM-F)
+    expert                     the whole library, updated between encounters; the expert plays all parts (LLM-A)
+    llm-f                      a bank of Close Car-following and Emergency Braking, no learning (the paper's LLM-F)
     llm-a:MODEL, llm-f:MODEL   the same with a language model in all parts
     expert+tuner=off           any setting of ``run`` changed; several: ``expert+learn=off+replan=12``
-    expert+shift=-1.5          the trigger by these seconds later (negative: earlier)
+    expert+shift=-1.5          the trigger this many seconds later (negative: earlier)
 
-Whatever else is an opponent (``rows.py``).
+All other rows are opponents (``rows.py``).
 """
 
 from __future__ import annotations
@@ -40,7 +42,7 @@ GIVEN_ELSEWHERE = (
     "min_delta_v", "limits", "duration",
     "step_length", "density", "background", "begin", "end", "search", "history", "shortlist", "adversary",
 )  # fmt: skip
-"""Settings that no row changes: who is attacked, where, with what budget, and how it is judged."""
+"""The settings that no row changes: who is attacked, where, with what budget, and how it is judged."""
 
 ABLATIONS: Mapping[str, str] = {
     "expert": "everything",
@@ -51,24 +53,32 @@ ABLATIONS: Mapping[str, str] = {
     "expert+shift=-1.5+learn=off": "the trigger 1.5 s early",
     "expert+shift=1.5+learn=off": "the trigger 1.5 s late",
 }
-"""Row -> what is left out; each compared with ``REFERENCE``."""
+"""For each row, what is left out. Each row is compared with ``REFERENCE``."""
 REFERENCE = "expert+learn=off"
 ANALYZER_SAMPLES = (1, 3, 5)
-GROWING = ("", "+learn=off", "+recall=scene")  # learning, its reference, and recall by scene
+GROWING = ("", "+learn=off", "+recall=scene")  # a row that learns, its reference, and recall by scene
 
 
 def sampled(model: str) -> dict[str, str]:
-    """Row -> what: a model as it is and asked several times, which differ in that alone."""
+    """Return the rows that ask a model's analyzer a different number of times, with a description of each."""
     return {f"llm-a:{model}+samples={k}+learn=off": f"{model}, the analyzer asked {k} times" for k in ANALYZER_SAMPLES}
 
 
 @dataclass(frozen=True, slots=True)
 class Method:
-    """A row that is the program itself. ``settings``: what differs from the table's; ``shift`` [s]: of the trigger."""
+    """A row that is the program itself.
+
+    Attributes:
+        name: The name of the row.
+        settings: The settings that differ from the table's.
+        fixed: Whether the bank has only the two intents of ``FIXED_LIBRARY``.
+        learns: Whether the row learns from encounter to encounter.
+        shift: How much later the trigger is [s].
+    """
 
     name: str
     settings: Mapping[str, Any] = field(default_factory=dict)
-    fixed: bool = False  # a bank of two intents
+    fixed: bool = False  # the bank has two intents
     learns: bool = False
     shift: float = 0.0
 
@@ -79,10 +89,16 @@ class Method:
 
 
 def method_of(row: str) -> Method | None:
-    """The method of that name; None if it is not the program's own.
+    """Parse the name of a row.
+
+    Args:
+        row: The name.
+
+    Returns:
+        The method; None if the row is not the program's own.
 
     Raises:
-        UsageError: a setting that there is not, or that a table gives for all rows.
+        UsageError: A setting does not exist, or a table gives it for all rows.
     """
     base, *changes = row.split("+")
     kind, _, model = base.partition(":")
@@ -116,7 +132,7 @@ def method_of(row: str) -> Method | None:
 
 
 def growing_banks(rows: Sequence[str]) -> list[str]:
-    """A sentence for each row that changes its bank as a table goes on."""
+    """Return a sentence for each row that changes its bank from encounter to encounter."""
     return [
         f"The bank of the row {row} grows from encounter to encounter, so its figures depend on their order; with "
         "learn=off it stays as it is."
@@ -139,12 +155,22 @@ def _number(row: str, value: str) -> float:
 
 
 FILE_SIGNS = re.compile(r"[^A-Za-z0-9._=+-]+")
-KINDS_SHOWN = 2  # of each group, as examples
+KINDS_SHOWN = 2  # kinds of each group that are drawn as examples
 
 
 @dataclass(frozen=True, slots=True)
 class BenchParts:
-    """What the command line composes, all importable by name, because they go to other processes."""
+    """The functions that load, run and write.
+
+    All of them can be imported by name, because they are sent to other processes.
+
+    Attributes:
+        load: Loads an input from its path and the id of a record.
+        open_agents: Opens the agents of a row.
+        full_outcome: Returns the content of ``outcome.json``.
+        keep_run: Writes the folder of a run, with the exchanges with a model.
+        draw_example: Draws the encounter without and with the attack.
+    """
 
     load: Callable[[Path, str | None], RunInput]
     open_agents: Callable[..., AbstractContextManager[Any]]
@@ -155,8 +181,17 @@ class BenchParts:
 
 @dataclass(frozen=True, slots=True)
 class BenchSetup:
-    """What every process of a bench needs. ``bank``: the library, only read; ``settings``: of all rows, as data;
-    ``examples``: cases of which each row's attack is drawn."""
+    """What every process of a bench needs.
+
+    Attributes:
+        folder: The bench's folder.
+        suite: The name of the suite.
+        bank: The memory bank, which is only read.
+        settings: The settings of all rows, as data.
+        parts: The functions that load, run and write.
+        keep_runs: Whether the folders of runs are kept.
+        examples: The cases of which each row's attack is drawn.
+    """
 
     folder: Path
     suite: str
@@ -169,8 +204,18 @@ class BenchSetup:
 
 @dataclass(frozen=True, slots=True)
 class BenchJob:
-    """Rows of one encounter. ``place``: of the case in the suite, for a row that learns: its bank is what the
-    encounter before left."""
+    """Rows of one encounter.
+
+    Attributes:
+        case: The encounter.
+        ego: The ego's driver.
+        seed: The seed.
+        rows: The rows.
+        settings: The settings that differ from the table's.
+        shift: How much later the trigger is [s].
+        place: The position of the case in the suite if the row learns, because its bank is the one that the previous
+            encounter left; otherwise None.
+    """
 
     case: SuiteCase
     ego: str
@@ -182,20 +227,22 @@ class BenchJob:
 
     @property
     def id(self) -> str:
+        """The job in words."""
         return f"{self.ego} {self.case.name} {' '.join(self.rows)}"
 
 
 def cell_path(folder: Path, ego: str, case: str, row: str) -> Path:
+    """Return the file of a cell."""
     return folder / "cells" / slug(ego) / slug(case) / f"{slug(row)}.json"
 
 
 def example_path(folder: Path, ego: str, case: str, row: str) -> Path:
-    """Where the picture of an attack lies in the bench's folder."""
+    """Return the file of the picture of an attack in the bench's folder."""
     return folder / "figures" / f"example-{slug(ego)}-{slug(row)}-{slug(case)}.png"
 
 
 def examples_of(cases: Sequence[SuiteCase]) -> frozenset[str]:
-    """The cases that are drawn: of each group the first of each of its first ``KINDS_SHOWN`` kinds."""
+    """Select the cases that are drawn: for each group, the first case of each of its first ``KINDS_SHOWN`` kinds."""
     names: list[str] = []
     for group in GROUPS:
         first: dict[str, str] = {}
@@ -207,7 +254,7 @@ def examples_of(cases: Sequence[SuiteCase]) -> frozenset[str]:
 
 
 def slug(text: str) -> str:
-    """A name for a file; what had to be changed is told apart by a few digits of its hash."""
+    """Convert a text to a file name; if characters are replaced, digits of its hash keep the name distinct."""
     plain = FILE_SIGNS.sub("-", text).strip("-.")
     return plain if plain == text else f"{plain}-{hashlib.sha256(text.encode()).hexdigest()[:6]}"
 
@@ -215,7 +262,17 @@ def slug(text: str) -> str:
 def make_jobs(
     cases: Sequence[SuiteCase], egos: Sequence[str], rows: Sequence[str], seed: int
 ) -> tuple[list[BenchJob], list[list[BenchJob]]]:
-    """Jobs that depend on nothing, and chains of jobs to be done one after another."""
+    """Make the jobs of a table.
+
+    Args:
+        cases: The encounters.
+        egos: The ego drivers.
+        rows: The rows.
+        seed: The seed.
+
+    Returns:
+        Jobs that depend on nothing, and chains of jobs that are done one after another.
+    """
     free: list[BenchJob] = []
     chains: list[list[BenchJob]] = []
     methods = {row: method_of(row) or Method(row) for row in rows}
@@ -241,7 +298,22 @@ def make_jobs(
 def bank_of(
     method: Method, job: BenchJob, setup: BenchSetup, library: MemoryBank, scratch: Path
 ) -> AbstractContextManager[MemoryBank]:
-    """The bank for a row's attack on one encounter. Raises BankError, UsageError."""
+    """Open the bank for a row's attack on one encounter.
+
+    Args:
+        method: The row.
+        job: The job.
+        setup: The setup.
+        library: The bank of rows that do not learn.
+        scratch: A folder for temporary files.
+
+    Returns:
+        The bank, as a context manager.
+
+    Raises:
+        BankError: The bank cannot be read or copied.
+        UsageError: The bank lacks an intent of LLM-F.
+    """
     if method.learns:
         return _growing(job, setup)
     return _fixed(setup.bank, scratch) if method.fixed else nullcontext(library)
@@ -249,7 +321,7 @@ def bank_of(
 
 @contextmanager
 def _fixed(library: Path, scratch: Path) -> Iterator[MemoryBank]:
-    """A copy in which every intent but LLM-F's two is retired."""
+    """Yield a copy of the bank in which all intents but LLM-F's two are retired."""
     copy = scratch / "fixed.sqlite"
     if not copy.exists():
         shutil.copyfile(library, copy)
@@ -266,11 +338,11 @@ def _fixed(library: Path, scratch: Path) -> Iterator[MemoryBank]:
 
 @contextmanager
 def _growing(job: BenchJob, setup: BenchSetup) -> Iterator[MemoryBank]:
-    """The bank as the encounters before left it; what this one learns is kept for the next.
+    """Yield the bank as previous encounters left it; what this encounter teaches is kept for the next one.
 
-    ``K.sqlite`` is the bank before encounter K.  It stays until encounter K has its cell, so that an
-    interrupted encounter is done again from the same bank.  An encounter that broke, or that was none, leaves no bank:
-    the next one has the newest there is.
+    ``K.sqlite`` is the bank before encounter K. It stays until encounter K has its cell, so that an interrupted
+    encounter is repeated from the same bank. A case that broke, or that has no encounter, leaves no bank; the next one
+    uses the newest bank.
     """
     place = job.place or 0
     folder = _folder(job, setup)
@@ -278,7 +350,7 @@ def _growing(job: BenchJob, setup: BenchSetup) -> Iterator[MemoryBank]:
     before = folder / f"{known_place(job, setup)}.sqlite"
     if place == 0 or not before.exists():
         shutil.copyfile(setup.bank, before)
-    for leftover in folder.iterdir():  # of finished encounters, or of an interrupted one
+    for leftover in folder.iterdir():  # from finished encounters or an interrupted one
         if leftover != before:
             leftover.unlink()
     part, after = folder / f"{place + 1}.part", folder / f"{place + 1}.sqlite"
@@ -289,10 +361,11 @@ def _growing(job: BenchJob, setup: BenchSetup) -> Iterator[MemoryBank]:
 
 
 def known_place(job: BenchJob, setup: BenchSetup) -> int:
-    """The place, at most the job's, from which a row that learns can go on: the newest with a bank, else the first."""
+    """Return the position, at most the job's, from which a learning row can continue: the newest with a bank, or 0."""
     places = (int(file.stem) for file in _folder(job, setup).glob("*.sqlite"))
     return max((k for k in places if k <= (job.place or 0)), default=0)
 
 
 def _folder(job: BenchJob, setup: BenchSetup) -> Path:
+    """Return the folder of a learning row's banks."""
     return setup.folder / "banks" / slug(job.ego) / slug(job.rows[0])

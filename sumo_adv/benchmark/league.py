@@ -1,8 +1,10 @@
-"""Two tables of their own: which driver is harder to bring into a collision that counts, and how the bank grows.
+"""Make two further tables: which driver is harder to bring into a valid collision, and how the bank grows.
 
-League: one attacker meets every driver in the same encounters. The harder a driver is to hit, the more attempts it
-takes, and the fewer attacks are valid. The search has a model of known drivers and must find out about others, so the
-ranks of both stand apart. Growth: hits and seconds over a sequence of encounters as a row learns.
+League: One attacker meets every driver in the same encounters. The harder a driver is to hit, the more attempts are
+needed, and the fewer attacks are valid. The search has a model of known drivers but must learn how others drive, so
+known and unknown drivers are ranked separately.
+
+Growth: Memory hits and times over a sequence of encounters while a row learns.
 """
 
 from __future__ import annotations
@@ -34,8 +36,18 @@ WARNING = (
 
 @dataclass(frozen=True, slots=True)
 class LeaguePlace:
-    """One driver. attempts: mean until the first valid one, where an encounter without one counts as one more than its
-    budget. called: attempts that were predicted to be valid; right: the share of them that were."""
+    """One driver.
+
+    Attributes:
+        ego: The driver.
+        known: Whether the search has a model of the driver.
+        encounters: The number of encounters.
+        figures: The figures of ``LEAGUE_COLUMNS``.
+        attempts: The mean number of attempts until the first valid one. An encounter without a valid attempt counts as
+            one more than the budget.
+        called: The number of attempts that were predicted to be valid.
+        right: The share of these attempts that were valid; None if there were none.
+    """
 
     ego: str
     known: bool
@@ -48,7 +60,14 @@ class LeaguePlace:
 
 @dataclass(frozen=True, slots=True)
 class Duel:
-    """Two drivers in the same encounters: ``fewer`` and ``more`` attempts until the first valid one; the rates."""
+    """Two drivers in the same encounters.
+
+    Attributes:
+        fewer: The driver that needs fewer attempts until the first valid one.
+        more: The driver that needs more attempts.
+        attempts: The difference of attempts, ``more`` - ``fewer``.
+        valid: The difference of the rates of valid attacks.
+    """
 
     fewer: str
     more: str
@@ -57,7 +76,15 @@ class Duel:
 
 
 def league(cells: Sequence[Cell], budget: int) -> tuple[list[LeaguePlace], list[Duel]]:
-    """The drivers, hardest to hit first, the known ones before the others; and each pair of them."""
+    """Rank drivers.
+
+    Args:
+        cells: The cells of one row against several drivers.
+        budget: The maximum number of attempts in an encounter.
+
+    Returns:
+        The drivers, known ones first, the hardest to hit first; and the pairs of known and of unknown drivers.
+    """
     by_ego = {ego: [cell for cell in cells if cell["ego"] == ego] for ego in c.names(cells, "ego")}
     places = [_place(ego, group, budget) for ego, group in by_ego.items()]
     places.sort(key=lambda p: (not p.known, -p.attempts.value))
@@ -70,6 +97,7 @@ def league(cells: Sequence[Cell], budget: int) -> tuple[list[LeaguePlace], list[
 
 
 def to_markdown(places: Sequence[LeaguePlace], duels: Sequence[Duel], title: str) -> str:
+    """Format the league as Markdown."""
     titles = {column.key: column for column in TABLE_COLUMNS}
     head = [
         "driver",
@@ -98,7 +126,7 @@ def to_markdown(places: Sequence[LeaguePlace], duels: Sequence[Duel], title: str
 
 
 def league_text(places: Sequence[LeaguePlace], title: str, file: Path) -> str:
-    """For the terminal: the drivers, hardest to hit first."""
+    """Format the league for the terminal: the drivers, the hardest to hit first."""
     levels = MAIN[1:]
     rows = [
         [p.ego, "known" if p.known else "unknown", plain(p.attempts), *(rate(p.figures[k]) for k in levels)]
@@ -112,13 +140,29 @@ def write_league(
     places: Sequence[LeaguePlace], duels: Sequence[Duel], title: str, cells: Sequence[Cell], folder: Path,
     about: Mapping[str, Any],
 ) -> list[Path]:  # fmt: skip
-    """``league.md``, ``.json`` and ``league.manifest.json``. Raises UsageError."""
+    """Write ``league.md``, ``.json`` and ``league.manifest.json``.
+
+    Args:
+        places: The drivers.
+        duels: The pairs.
+        title: The title.
+        cells: The cells that it was made of.
+        folder: The folder.
+        about: What the manifest says about the table.
+
+    Returns:
+        The files.
+
+    Raises:
+        UsageError: A file cannot be written.
+    """
     document = {"schema": 1, "drivers": [asdict(p) for p in places], "pairs": [asdict(d) for d in duels]}
     texts = {".md": to_markdown(places, duels, title), ".json": as_json(document)}
     return write_files(folder, "league", texts, cells, about)
 
 
 def _place(ego: str, cells: Sequence[Cell], budget: int) -> LeaguePlace:
+    """Compute the figures of one driver."""
     called = [a for cell in cells for a in c.attempts(cell) if a["predicted_level"] in VALID_LEVELS]
     figures = {column.key: column.estimate(cells) for column in TABLE_COLUMNS if column.key in LEAGUE_COLUMNS}
     right = sum(bool(a.get("valid")) for a in called) / len(called) if called else None
@@ -129,7 +173,7 @@ def _place(ego: str, cells: Sequence[Cell], budget: int) -> LeaguePlace:
 
 
 def _duel(first_ego: str, second_ego: str, by_ego: dict[str, list[Cell]], budget: int) -> Duel | None:
-    """The pair with the driver that takes more attempts as ``more``; None if they met in no encounter."""
+    """Compare two drivers; the one that needs more attempts is ``more``. Return None if they met in no encounter."""
     first, second = ({c.key(cell): cell for cell in by_ego[ego]} for ego in (first_ego, second_ego))
     both = sorted(first.keys() & second.keys())
     if not both:
@@ -143,6 +187,7 @@ def _duel(first_ego: str, second_ego: str, by_ego: dict[str, list[Cell]], budget
 
 
 def _attempts(cell: Cell, budget: int) -> float:
+    """Return the number of attempts until the first valid one; budget + 1 if there is none."""
     first = c.first_valid(cell)
     return float(budget + 1 if first is None else first)
 
@@ -150,15 +195,27 @@ def _attempts(cell: Cell, budget: int) -> float:
 # -- growth of the bank
 
 
-MOVING_MEAN_ENCOUNTERS = 10  # encounters of a moving figure
+MOVING_MEAN_ENCOUNTERS = 10  # in the window of a moving mean
 THIRDS = ("first third", "second third", "last third")
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One encounter in its place (from 1). ``hit_rate``: so far; ``seconds_window``: mean of the last 10 encounters.
+    """One encounter in the sequence of a row.
 
-    ``seconds``: of the row, the model included; None where there was no encounter.
+    Attributes:
+        row: The row.
+        ego: The ego's driver.
+        seed: The seed.
+        place: The position in the suite, from 1.
+        case: The encounter.
+        hit: Whether the bank had the attack; None if it was not asked.
+        hit_rate: The share of hits so far; None if the bank was never asked.
+        seconds: The time of the row, including the model [s]; None if there was no encounter.
+        seconds_window: The mean time of the last 10 encounters [s]; None if there is none.
+        calls: The number of calls of a model.
+        attempts_to_valid: The number of attempts until the first valid one; None if there is none.
+        valid: Whether the attempt that counts is valid.
     """
 
     row: str
@@ -176,7 +233,15 @@ class Step:
 
 
 def growth(cells: Sequence[Cell], cases: Sequence[SuiteCase]) -> list[Step]:
-    """The steps of every row, ego and seed, each in the suite's order. Cells that are missing leave a gap in place."""
+    """Return the steps of every row, ego and seed.
+
+    Args:
+        cells: The cells.
+        cases: The encounters, in the suite's order.
+
+    Returns:
+        The steps, each sequence in the suite's order. Missing cells leave a gap in ``place``.
+    """
     place = {case.name: k for k, case in enumerate(cases, 1)}
     lines: dict[tuple[str, str, int], list[Cell]] = {}
     for cell in cells:
@@ -192,7 +257,7 @@ def growth(cells: Sequence[Cell], cases: Sequence[SuiteCase]) -> list[Step]:
 
 
 def _step(cell: Cell, place: int, hits: list[bool], seconds: list[float]) -> Step:
-    """The step of a cell; ``hits`` and ``seconds`` are those so far, and grow."""
+    """Make the step of a cell; append to ``hits`` and ``seconds``, which hold the values so far."""
     timing, hit = cell.get("timing") or {}, remembered(cell)
     took = timing.get("row")
     hits += [] if hit is None else [hit]
@@ -206,7 +271,20 @@ def _step(cell: Cell, place: int, hits: list[bool], seconds: list[float]) -> Ste
 
 
 def write_growth(steps: Sequence[Step], cells: Sequence[Cell], folder: Path, about: Mapping[str, Any]) -> list[Path]:
-    """``growth.md``, ``.csv``, ``.json`` and ``growth.manifest.json``. Raises UsageError."""
+    """Write ``growth.md``, ``.csv``, ``.json`` and ``growth.manifest.json``.
+
+    Args:
+        steps: The steps.
+        cells: The cells that they were made of.
+        folder: The folder.
+        about: What the manifest says about the table.
+
+    Returns:
+        The files.
+
+    Raises:
+        UsageError: A file cannot be written.
+    """
     rows = [asdict(step) for step in steps]
     texts = {
         ".md": _to_markdown(steps, about["suite"]), ".csv": as_csv(list(Step.__dataclass_fields__), rows),
@@ -220,8 +298,15 @@ def _plain(thirds: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
 
 
 def thirds(steps: Sequence[Step]) -> list[dict[str, Any]]:
-    """For each row, ego and seed each third of its sequence: ``n``, and ``hits``, ``seconds``, ``calls``, ``valid`` as
-    estimates, None where there is nothing to estimate."""
+    """Summarise each third of each sequence.
+
+    Args:
+        steps: The steps.
+
+    Returns:
+        A dict for each row, ego, seed and third: ``n``, and ``hits``, ``seconds``, ``calls`` and ``valid`` as
+            estimates, which are None if there is nothing to estimate.
+    """
     rows = []
     for row, ego, seed in dict.fromkeys((s.row, s.ego, s.seed) for s in steps):
         own_steps = [s for s in steps if (s.row, s.ego, s.seed) == (row, ego, seed)]

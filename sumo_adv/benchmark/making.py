@@ -1,8 +1,9 @@
-"""Makes a suite: a number of encounters of each kind, drawn with a seed until they are calm, and the list of them.
+"""Make a suite: draw encounters of each kind with a seed until enough of them are calm, and list them.
 
-The same seed gives the same files byte for byte (same SUMO); another seed gives as many of each kind, on the same
-networks, in the same lanes and as dense traffic, with other figures.  A trial drives as ``run`` does (``Worker.open``,
-``Worker.seek``), so ``run`` finds the same encounters; each is a fork of a process that has run nothing.
+The same seed gives the same files byte for byte, with the same SUMO. Another seed gives as many encounters of each
+kind, on the same networks, in the same lanes and with traffic of the same density, but with other values. A trial
+drives as ``run`` does (``EpisodeWorker.open``, ``EpisodeWorker.seek``), so ``run`` finds the same encounters. Each
+trial is a fork of a process that has run nothing.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from sumo_adv.simulation.programs import load_libsumo
 from sumo_adv.situation import Target
 
 EGOS = ("idm", "krauss", "eidm", "careful")
-"""The drivers that an encounter must be calm with; a replayed ego plays back what ``idm`` drives."""
+"""The drivers with which an encounter must be calm. A replayed ego repeats what ``idm`` drives."""
 
 EGO_STAYS_AFTER_TRIGGER_S = 15.0  # an attack begun 3 s late lasts 12 s
 BV_STAYS_AFTER_TRIGGER_S = 8.0
@@ -48,8 +49,14 @@ CONFLICT_RELATIONS = ("crossing", "merging", "oncoming")
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """An encounter with one driver. ``bv``: the intended adversary, ``kind``: as what; ``first``: whether it
-    must be the most dangerous one."""
+    """An encounter with one driver.
+
+    Attributes:
+        task: The task.
+        bv: The intended adversary.
+        kind: The kind of encounter, which says where the intended adversary is.
+        first: Whether the intended adversary must be the most dangerous vehicle.
+    """
 
     task: Task
     bv: str
@@ -58,7 +65,17 @@ class Trial:
 
 
 def scenario_trial(scenario: Path, ego: str, bv: str, kind: str) -> Trial:
-    """The trial of a scenario file with the driver ``ego`` and SUMO's seed 0."""
+    """Make the trial of a scenario.
+
+    Args:
+        scenario: The scenario file.
+        ego: The ego's driver.
+        bv: The intended adversary.
+        kind: The kind of encounter.
+
+    Returns:
+        The trial, with SUMO's seed 0.
+    """
     run_input = load_input(scenario)
     settings = load_settings(None, ego=ego, seed=0, critical_ttc=CRITICAL_TTC_S, horizon=run_input.horizon)
     task = make_task(run_input, settings, Path(tempfile.gettempdir()))
@@ -66,12 +83,19 @@ def scenario_trial(scenario: Path, ego: str, bv: str, kind: str) -> Trial:
 
 
 def tried(candidate: Trial) -> str:
-    """What is wrong with an encounter, in words without figures; empty if it is good."""
+    """Drive a trial.
+
+    Args:
+        candidate: The trial.
+
+    Returns:
+        What is wrong with the encounter, in words without values; '' if it is good.
+    """
     worker = EpisodeWorker([])
     worker.open(candidate.task)
     try:
         outcome = worker.seek()
-    except UsageError:  # SUMO found no room for the ego in all the time given
+    except UsageError:  # SUMO found no room for the ego in the given time
         return "the ego is not inserted"
     if isinstance(outcome, NoEncounter):
         words = re.sub(r"^At the trigger given, [\d.]+ s, ", "", outcome.reason)
@@ -80,6 +104,7 @@ def tried(candidate: Trial) -> str:
 
 
 def _fault(candidate: Trial, encounter: FoundEncounter) -> str:
+    """Return what is wrong with an encounter that was found; '' if it is good."""
     present = {
         name: sum(name in snapshot.raw for snapshot in encounter.baseline) for name in (encounter.ego, candidate.bv)
     }
@@ -104,7 +129,16 @@ def _fault(candidate: Trial, encounter: FoundEncounter) -> str:
 
 
 def in_time(target: Target, ego_speed: float) -> bool:
-    """Whether a vehicle that accelerates at once is at a conflict no later than 0.2 s after the ego."""
+    """Check whether a vehicle can reach a conflict in time.
+
+    Args:
+        target: The vehicle.
+        ego_speed: The ego's speed [m/s].
+
+    Returns:
+        Whether the vehicle, if it accelerates at once, reaches one of its conflicts at most ``MAX_LATER_ARRIVAL_S``
+            (0.2 s) after the ego.
+    """
     for way in target.ways:
         if way.conflict is None or way.conflict.bv_s < 1.0 or way.conflict.ego_s < 1.0:
             continue
@@ -118,7 +152,7 @@ def in_time(target: Target, ego_speed: float) -> bool:
 
 
 class TrialWorker:
-    """Forks the trials, in the engine process."""
+    """Forks the trials, in the engine's process."""
 
     def __init__(self, slots: Sequence[Connection]) -> None:
         import shapely.geometry  # noqa: F401 - what every trial needs is there before the first fork
@@ -126,7 +160,14 @@ class TrialWorker:
         load_libsumo()
 
     def trials(self, trials: Sequence[Trial]) -> list[str]:
-        """Return what is wrong with each encounter, as ``tried`` says it."""
+        """Drive trials, each in a fork.
+
+        Args:
+            trials: The trials.
+
+        Returns:
+            What is wrong with each encounter, as ``tried`` returns it.
+        """
         return in_forks([partial(tried, candidate) for candidate in trials])
 
 
@@ -140,15 +181,22 @@ ENCOUNTERS_PER_KIND: Mapping[str, int] = {
     "crossing_priority": 9, "crossing_allway": 5, "crossing_signals": 7, "crossing_t": 6, "crossing_roundabout": 2,
     "crossing_merge": 2,
 }  # fmt: skip
-"""How many encounters of each kind: 50 on straight roads, 31 at junctions."""
+"""The number of encounters of each kind: 50 on straight roads, 31 at junctions."""
 
-MAX_TRIES_PER_ENCOUNTER = 60  # candidates for one place in the list
-ReportCandidate = Callable[[str, str], None]  # name of the case, why a candidate is refused (empty: it is taken)
+MAX_TRIES_PER_ENCOUNTER = 60  # candidates for one place
+ReportCandidate = Callable[[str, str], None]  # the case, and why the candidate is rejected ('' if it is taken)
 
 
 @dataclass(frozen=True, slots=True)
 class MadeSuite:
-    """What a suite took to make: candidates drawn, why others than those taken were rejected, seconds."""
+    """The making of a suite.
+
+    Attributes:
+        file: The list.
+        drawn: The number of candidates that were drawn.
+        rejected: The number of rejected candidates by reason.
+        seconds: The time that it took [s].
+    """
 
     file: Path
     drawn: int
@@ -158,7 +206,14 @@ class MadeSuite:
 
 @dataclass(frozen=True, slots=True)
 class EncounterPlace:
-    """One place in the list: its case's name, kind, group and number among its kind."""
+    """One place in the list.
+
+    Attributes:
+        name: The name of the case.
+        kind: The kind of encounter.
+        group: The group.
+        number: The number within its kind, from 0.
+    """
 
     name: str
     kind: str
@@ -174,13 +229,21 @@ def make_suite(
     shares: Mapping[str, int] = ENCOUNTERS_PER_KIND,
     report: ReportCandidate | None = None,
 ) -> MadeSuite:
-    """Makes the suite of a seed in ``folder``, which must not exist or be empty; nothing is left if it fails.
+    """Make the suite of a seed. Nothing is left if it fails.
 
-    name: of the suite, else ``suite81`` and for other seeds than the shipped one's ``suite81-<seed>``.
+    Args:
+        seed: The seed.
+        folder: The folder, which must not exist or be empty.
+        name: The suite's name; '' means ``suite81`` for the shipped seed and ``suite81-<seed>`` for others.
+        shares: The number of encounters of each kind.
+        report: Called with each candidate's case, and why the candidate was rejected ('' if it was taken).
+
+    Returns:
+        How the suite was made.
 
     Raises:
-        UsageError: the folder is taken, the name is of no use, or this system cannot fork.
-        SumoAdvError: an encounter could not be found in ``MAX_TRIES_PER_ENCOUNTER`` candidates.
+        UsageError: The folder is not empty, the name is not allowed, or this system cannot fork.
+        SumoAdvError: ``MAX_TRIES_PER_ENCOUNTER`` candidates held no calm encounter for a place.
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise UsageError(f"{folder} is there already and not empty: give a new folder for the suite.")
@@ -191,7 +254,7 @@ def make_suite(
         raise UsageError(f"'{name}' is no name for a suite: use letters, digits, dots, dashes and underscores.")
     began = time.perf_counter()
     folder.parent.mkdir(parents=True, exist_ok=True)
-    faults = Counter[str]()  # of the candidates drawn; '' is a good one's
+    faults = Counter[str]()  # by fault; '' counts good candidates
     with (
         tempfile.TemporaryDirectory(prefix=".making-", dir=folder.parent) as scratch,
         Engine(TrialWorker, slots=1) as engine,
@@ -211,7 +274,7 @@ def make_suite(
 
 
 def places_of(shares: Mapping[str, int]) -> list[EncounterPlace]:
-    """The list's places, kind after kind, named by their group."""
+    """Return the places of the list, kind after kind, named by their group and numbered."""
     places: list[EncounterPlace] = []
     numbers = Counter[str]()
     for kind, many in shares.items():
@@ -223,6 +286,7 @@ def places_of(shares: Mapping[str, int]) -> list[EncounterPlace]:
 
 
 def candidate(place: EncounterPlace, seed: int, attempt: int) -> EncounterDraft:
+    """Draw a candidate for a place; the same arguments give the same candidate."""
     draw = Random(f"{seed}/{place.name}/{attempt}")
     return (draw_straight if place.kind in STRAIGHT_KINDS else draw_junction)(place.kind, place.number, draw)
 
@@ -235,7 +299,7 @@ def _fill(
     faults: Counter[str],
     report: ReportCandidate | None,
 ) -> None:
-    """Candidates for one place until one is good; their ``faults`` are counted."""
+    """Draw candidates for one place until one is good, and count their faults."""
     for attempt in range(MAX_TRIES_PER_ENCOUNTER):
         draft = candidate(place, seed, attempt)
         network = work / "networks" / f"{draft.network}.net.xml"
@@ -254,7 +318,7 @@ def _fill(
 
 
 def _refused(draft: EncounterDraft, scenario: Path, engine: Engine[TrialWorker]) -> str:
-    """Why a candidate is refused, and by which driver; the first driver alone, then all others."""
+    """Return why a candidate is rejected, '' if it is good; try the first driver alone, and then all others."""
     for egos in (EGOS[:1], EGOS[1:]):
         trials = [scenario_trial(scenario, ego, draft.bv_id(), draft.kind) for ego in egos]
         for fault in engine.call(TrialWorker.trials, trials):
@@ -266,7 +330,7 @@ def _refused(draft: EncounterDraft, scenario: Path, engine: Engine[TrialWorker])
 def _write_list(
     work: Path, name: str, seed: int, places: list[EncounterPlace], drawn: int, rejected: Mapping[str, int]
 ) -> None:
-    """The suite's own file: its cases, what was drawn for them, and the hash of every file."""
+    """Write the list of the suite: its cases, how many candidates were drawn, and the hash of every file."""
     lines = [
         f"# {len(places)} encounters, made by `sumo-adv bench make --seed {seed}`; frozen: the hashes are checked.",
         "schema = 1", f'name = "{name}"', f'version = "{SUITE_VERSION}"', f"seed = {seed}", "", "[making]",

@@ -1,7 +1,7 @@
-"""The benchmark's pictures: distributions, confusion, min TTC, seconds, growth of the bank.
+"""Draw the benchmark's pictures: distributions, confusion, minimum TTC, times, and growth of the bank.
 
-Colours are Okabe and Ito's; rows differ by line style too. A file's bytes depend on its cells and matplotlib's version
-alone.
+The colours are Okabe and Ito's. Rows also differ by line style. A file's bytes depend only on its cells and on
+matplotlib's version.
 """
 
 from __future__ import annotations
@@ -28,10 +28,20 @@ PLOT_DPI = 150
 
 
 def draw_all(cells: Sequence[Cell], folder: Path, rows: Sequence[str] | None = None) -> list[Path]:
-    """Every picture of a table's cells into ``folder``, for each ego; gives back the files.
+    """Draw every picture of a table's cells, for each ego.
 
-    ``ttc-EGO.png`` and ``seconds-EGO.png`` compare the rows, ``distributions-EGO-ROW.png`` is of one row with attacks.
-    Raises UsageError where the folder cannot be written.
+    ``ttc-EGO.png`` and ``seconds-EGO.png`` compare the rows. ``distributions-EGO-ROW.png`` shows one row with attacks.
+
+    Args:
+        cells: The cells.
+        folder: The folder.
+        rows: The rows, in order; None takes all.
+
+    Returns:
+        The files.
+
+    Raises:
+        UsageError: The folder cannot be written.
     """
     paths: list[Path] = []
     for ego in names(cells, "ego"):
@@ -50,12 +60,21 @@ def draw_all(cells: Sequence[Cell], folder: Path, rows: Sequence[str] | None = N
 
 
 def file_name(*words: str) -> str:
-    """A PNG's name of words that may hold any sign."""
+    """Return the name of a PNG, made of words that may contain any character."""
     return "".join(sign if sign.isalnum() or sign in "-_.=+" else "-" for sign in "-".join(words)) + ".png"
 
 
 def draw_distributions(target: Path, cells: Sequence[Cell], title: str) -> Path:
-    """Speed and acceleration of unattacked (blue) and attacking vehicles (orange), like the paper's Fig. 5."""
+    """Draw speeds and accelerations of unattacked (blue) and attacking vehicles (orange), like the paper's Fig. 5.
+
+    Args:
+        target: The file.
+        cells: The cells.
+        title: The title.
+
+    Returns:
+        The file.
+    """
     figure, axes = _figure(11.0, 4.2, 1, 2)
     for panel, feature in zip(axes[0], FEATURE_LABELS, strict=True):
         bins = PAPER_BINS[feature]
@@ -74,14 +93,23 @@ def draw_distributions(target: Path, cells: Sequence[Cell], title: str) -> Path:
 
 
 def _range(values: Floats, low: float, high: float) -> tuple[float, float]:
-    """The part of the bins in which there is something, with a margin."""
+    """Return the part of the bins that has values, with a margin."""
     least, most = np.clip([values.min(), values.max()], low, high)
     margin = 0.05 * (high - low)
     return max(float(least) - margin, low), min(float(most) + margin, high)
 
 
 def draw_ttc(target: Path, by_row: Mapping[str, Sequence[Cell]], title: str) -> Path:
-    """The share of encounters with a min TTC of at most x seconds, for each row."""
+    """Draw the share of encounters with a minimum TTC of at most x seconds, for each row.
+
+    Args:
+        target: The file.
+        by_row: The cells of each row.
+        title: The title.
+
+    Returns:
+        The file.
+    """
     figure, axes = _figure(9.0, 5.5, 1, 1)
     panel = axes[0][0]
     for k, (row, cells) in enumerate(by_row.items()):
@@ -89,7 +117,7 @@ def draw_ttc(target: Path, by_row: Mapping[str, Sequence[Cell]], title: str) -> 
         x, y = np.append(values, MIN_TTC_CAP_S), np.append(np.arange(1, len(values) + 1) / len(values), 1.0)
         x, y = np.concatenate([[0.0], x]), np.concatenate([[0.0], y])
         look = _look(k) | ({"color": UNATTACKED, "ls": "-"} if row == RAW else {})
-        look["lw"] = 5.0 - 3.5 * k / max(len(by_row) - 1, 1)  # lines that coincide all show
+        look["lw"] = 5.0 - 3.5 * k / max(len(by_row) - 1, 1)  # so that coinciding lines are all visible
         panel.step(x, y, where="post", label=f"{row} (n {len(cells)})", **look)
     panel.axvline(1.0, color="#8C8C8C", lw=1, ls=":", zorder=0)
     panel.annotate("1 s: critical", (1.0, 0.0), xytext=(4, 6), textcoords="offset points", fontsize=9, color="#555555")
@@ -102,7 +130,16 @@ def draw_ttc(target: Path, by_row: Mapping[str, Sequence[Cell]], title: str) -> 
 
 
 def draw_seconds(target: Path, by_row: Mapping[str, Sequence[Cell]], title: str) -> Path:
-    """Seconds of each encounter, a line of points for each row with its median and quartiles; logarithmic."""
+    """Draw the times of encounters on a logarithmic axis: for each row the points, the median and the quartiles.
+
+    Args:
+        target: The file.
+        by_row: The cells of each row; each row has at least one time.
+        title: The title.
+
+    Returns:
+        The file.
+    """
     figure, axes = _figure(9.0, 1.6 + 0.45 * len(by_row), 1, 1)
     panel = axes[0][0]
     for k, (_, cells) in enumerate(by_row.items()):
@@ -131,6 +168,15 @@ def _seconds(cell: Cell) -> float | None:
 
 
 def draw_confusions(analysis: AnalyzerAnalysis, folder: Path) -> list[Path]:
+    """Draw the confusion of every analyzer, ego and criterion.
+
+    Args:
+        analysis: The analysis.
+        folder: The folder.
+
+    Returns:
+        The files.
+    """
     paths = []
     for part in analysis.parts:
         accuracy = {s.who: s.accuracy for s in part.scores}
@@ -142,7 +188,18 @@ def draw_confusions(analysis: AnalyzerAnalysis, folder: Path) -> list[Path]:
 
 
 def draw_confusion(target: Path, matrix: Mapping[tuple[str, str], float], title: str) -> Path:
-    """Labels down, answers across; the colour is the share of a label's encounters, the figure their number."""
+    """Draw a confusion matrix, with labels down and answers across.
+
+    The colour is the share of a label's encounters, the number in a cell their count.
+
+    Args:
+        target: The file.
+        matrix: The number of encounters of each label and answer.
+        title: The title.
+
+    Returns:
+        The file.
+    """
     figure, axes = _figure(11.0, 8.6, 1, 1)
     panel = axes[0][0]
     columns = [a for a in ANALYZER_ANSWERS if a != NO_ANSWER or any(a in pair for pair in matrix)]
@@ -162,13 +219,23 @@ def draw_confusion(target: Path, matrix: Mapping[tuple[str, str], float], title:
 
 
 def _folded(label: str) -> str:
+    """Break a long label into two lines."""
     words = label.split(" ")
     middle = (len(words) + 1) // 2
     return label if len(label) < 18 else "\n".join((" ".join(words[:middle]), " ".join(words[middle:])))
 
 
 def draw_growth(target: Path, steps: Sequence[Step], title: str) -> Path:
-    """Memory hits so far and seconds of the last encounters, over the sequence, a line for each row."""
+    """Draw the memory hits so far and the times of the last encounters over the sequence, with a line for each row.
+
+    Args:
+        target: The file.
+        steps: The steps.
+        title: The title.
+
+    Returns:
+        The file.
+    """
     figure, axes = _figure(11.0, 6.8, 2, 1)
     lines = list(dict.fromkeys((s.row, s.ego, s.seed) for s in steps))
     for k, line in enumerate(lines):
@@ -192,6 +259,7 @@ def draw_growth(target: Path, steps: Sequence[Step], title: str) -> Path:
 
 
 def _look(k: int) -> dict[str, Any]:
+    """Return the colour and style of line ``k``."""
     return {
         "color": LINE_COLOURS[k % len(LINE_COLOURS)],
         "ls": LINE_STYLES[(k // len(LINE_COLOURS)) % len(LINE_STYLES)],
@@ -204,7 +272,7 @@ def _legend_beside(panel: Any) -> None:
 
 
 def _figure(width: float, height: float, rows: int, columns: int) -> tuple[Any, Any]:
-    """A figure (inches) with panels ``[row][column]``."""
+    """Create a figure (size in inches) with panels ``[row][column]``."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height), dpi=PLOT_DPI, facecolor="white", layout="constrained")
@@ -215,6 +283,7 @@ def _figure(width: float, height: float, rows: int, columns: int) -> tuple[Any, 
 
 
 def _save(figure: Any, target: Path, title: str) -> Path:
+    """Write a figure with its title. Raise UsageError if it cannot be written."""
     figure.suptitle(title, x=0.01, ha="left", fontsize=13, parse_math=False)
     with sentences(target.parent):
         target.parent.mkdir(parents=True, exist_ok=True)

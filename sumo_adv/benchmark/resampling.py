@@ -1,18 +1,21 @@
-"""Resampling: kinematic motions weighed by how likely they are and how likely they meet the ego's predicted rollouts.
+"""Resampling: kinematic motions, weighted by their likelihood and their chance to hit the ego's predicted rollouts.
 
-Idea: for every vehicle of the shortlist ``MOTIONS_PER_DELAY`` motions along its ways are drawn: two target speeds, one
-after the other, and two moves to another offset (its lane, a lane beside it, or a little off) that begin and last as
-drawn; all within the limits an adversary has. The ego has ``FUTURES`` predicted rollouts: its driver's model answering
-to that very motion, unattacked, at constant speed, braking gently and firmly. A motion's score is its prior (small
-accelerations and staying in lane are likelier; off the road or into others is not) times the chance that it collides,
-over the futures, discounted by ``CONFIDENCE_PER_SECOND`` a second. The best is tried, then the next best of what was
-not tried yet. After each attempt, futures that had foretold otherwise lose weight: the closed loop of CAT, where the
-ego's real rollouts replace its predictions.
-Limits: the proposals come from a kinematic family and a hand-made prior, where CAT has a learnt predictor (DenseTNT on
-Waymo data); the motion is fixed at the takeover and never answers to the ego; only collisions that are not rear-end
-weigh, which CAT does not ask, but not whether they are avoidable.
+Idea: For every vehicle of the shortlist, ``MOTIONS_PER_DELAY`` motions along its ways are drawn. A motion has two
+target speeds, one after the other, and two moves to another offset (the vehicle's lane, a lane beside it, or a little
+off), whose beginnings and durations are drawn, too. All motions keep the limits of an adversary. The ego has
+``FUTURES`` predicted rollouts: its driver's model answering to that very motion, unattacked, at constant speed, braking
+gently, and braking firmly. A motion's score is its prior times the chance that it collides over the futures, discounted
+by ``CONFIDENCE_PER_SECOND`` for each second. The prior prefers small accelerations and staying in lane, and punishes
+leaving the road or hitting others. The motion with the best score is tried, then the best of those not tried yet. After
+each attempt, futures that predicted another result lose weight. This is the closed loop of CAT, in which the ego's real
+rollouts replace its predictions.
+
+Limits: The proposals come from a kinematic family and a hand-made prior, while CAT has a learnt predictor (DenseTNT on
+Waymo data). The motion is fixed at the takeover and never reacts to the ego. Only collisions that are not rear-end
+count, which CAT does not require. Whether they are avoidable does not count.
+
 Citation: Zhang, Peng, Li and Zhou 2023, "CAT: Closed-loop Adversarial Training for Safe End-to-End Driving", CoRL, PMLR
-229:2357-2372: the probability factorised into prior, ego's rollout and collision.
+229:2357-2372. From it come the factors of the probability: prior, ego's rollout and collision.
 """
 
 from __future__ import annotations
@@ -36,18 +39,18 @@ from sumo_adv.situation import Situation, Target
 
 Places = NDArray[np.intp]
 
-MOTIONS_PER_DELAY = 256  # motions a vehicle and delay
+MOTIONS_PER_DELAY = 256  # motions of each vehicle and delay
 FUTURES = {"model": 0.4, "unattacked": 0.3, "constant": 0.1, "gentle": 0.1, "firm": 0.1}
 RESPONSE_BRAKING_M_S2 = {"gentle": 2.0, "firm": 5.0}
 RESPONSE_DELAY_S = 1.5
-CONFIDENCE_PER_SECOND = 0.96  # factor per second: later collisions come less often as predicted
+CONFIDENCE_PER_SECOND = 0.96  # factor per second, because later collisions are predicted less well
 FORETOLD_LIKELIHOOD, NOT_FORETOLD_LIKELIHOOD = (
     0.8,
     0.3,
-)  # likelihood of what an attempt came to under a future that foretold it, or did not
-ACCELERATION_STD_M_S2 = 1.5  # standard deviation of accelerations that drivers are used to
-MEAN_ACCELERATIONS_M_S2 = (-4.0, 2.0)  # mean ones are drawn from here
-MAX_STRAY_M = 1.3  # half the moves end so far off the middle of a lane at most
+)  # likelihood of a result under a future that predicted it, or another result
+ACCELERATION_STD_M_S2 = 1.5  # standard deviation of usual accelerations
+MEAN_ACCELERATIONS_M_S2 = (-4.0, 2.0)  # mean accelerations are drawn from this range
+MAX_STRAY_M = 1.3  # half the moves end off the lane's middle, by at most this
 LANE_MOVE_ODDS, STRAY_ODDS = 0.3, 0.5  # prior odds of a move to another lane, and of a move that ends off the middle
 ROAD_SLACK_M = 0.2
 UNLIKELY_FACTOR = 1e-3  # prior factor of a motion that leaves the road or hits a third vehicle
@@ -55,8 +58,15 @@ UNLIKELY_FACTOR = 1e-3  # prior factor of a motion that leaves the road or hits 
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """Motions of all vehicles at one delay. ``poses``: x, y, heading, speed ``(4, n, steps)`` from the takeover on;
-    ``prior`` ``(n,)``; ``hits`` ``(futures, n)``: chance of a collision that counts, 0 or discounted."""
+    """The motions of all vehicles at one delay.
+
+    Attributes:
+        delay: The delay after the trigger [s].
+        names: The vehicle of each motion.
+        poses: x [m], y [m], heading [rad] and speed [m/s] from the takeover on, ``(4, n, steps)``.
+        prior: The prior of each motion ``(n,)``.
+        hits: The chance of a collision that counts, 0 or discounted, ``(futures, n)``.
+    """
 
     delay: float
     names: Sequence[str]
@@ -66,11 +76,13 @@ class Drawn:
 
 
 class Resampling:
+    """The row ``resampling``; see the module."""
+
     name = "resampling"
 
     def __init__(self) -> None:
         self._drawn: list[Drawn] = []
-        self._places: list[tuple[int, int]] = []  # of the attempts, in order
+        self._places: list[tuple[int, int]] = []  # delay's index and motion of each attempt
 
     def begin(self, encounter: Encounter) -> None:
         rng = np.random.default_rng(encounter.seed)
@@ -94,7 +106,7 @@ class Resampling:
         return course_proposal(self.name, some.names[k], some.delay, PrescribedMotion(x, y, heading, speed))
 
     def _weights(self, tried: Sequence[Attempt]) -> Floats:
-        """Of the futures, by what the attempts came to."""
+        """Return the weights of the futures, from the results of the attempts."""
         weights = np.array(list(FUTURES.values()))
         for attempt, (i, k) in zip(tried, self._places, strict=False):
             predicted = self._drawn[i].hits[:, k] > 0.0
@@ -107,7 +119,16 @@ class Resampling:
 
 
 def draw(encounter: Encounter, delay: float, rng: np.random.Generator) -> Drawn:
-    """``MOTIONS_PER_DELAY`` motions of each target at a delay, with their priors and what they hit."""
+    """Draw ``MOTIONS_PER_DELAY`` motions of each target at a delay.
+
+    Args:
+        encounter: The encounter.
+        delay: The delay after the trigger [s].
+        rng: The random generator.
+
+    Returns:
+        The motions, with their priors and what they hit.
+    """
     situation, settings = encounter.situations[delay], encounter.settings
     targets = situation.target_list()
     names = [t.state.id for t in targets for _ in range(MOTIONS_PER_DELAY)]
@@ -132,8 +153,17 @@ def draw(encounter: Encounter, delay: float, rng: np.random.Generator) -> Drawn:
 
 @dataclass(frozen=True, slots=True)
 class _Plan:
-    """What was drawn for ``n`` motions. way ``(n,)``; of two moves the offsets [m] they go to, when they begin and how
-    long they last [s]; of two target speeds [m/s] how long each is approached [s]: ``(2, n)``; the prior ``(n,)``."""
+    """The random parameters of ``n`` motions.
+
+    Attributes:
+        way: The index of the way ``(n,)``.
+        offsets: The offsets to which the two moves go ``(2, n)`` [m].
+        begins: When the two moves begin ``(2, n)`` [s].
+        lasts: How long the two moves last ``(2, n)`` [s].
+        speeds: The two target speeds ``(2, n)`` [m/s].
+        spans: How long each target speed is approached ``(2, n)`` [s].
+        prior: The prior ``(n,)``.
+    """
 
     way: Places
     offsets: Floats
@@ -145,6 +175,7 @@ class _Plan:
 
 
 def _plans(targets: Sequence[Target], rng: np.random.Generator) -> _Plan:
+    """Draw the parameters of all targets' motions."""
     way = np.concatenate([rng.integers(len(t.ways), size=MOTIONS_PER_DELAY) for t in targets])
     v = np.repeat([t.state.speed for t in targets], MOTIONS_PER_DELAY)
     n = len(v)
@@ -164,7 +195,7 @@ def _plans(targets: Sequence[Target], rng: np.random.Generator) -> _Plan:
 
 
 def _forward(ground: AdversaryBatch, motion: Motion, plan: _Plan, elapsed: float, limits: Limits, dt: float) -> Motion:
-    """One step of all motions along what was drawn for them."""
+    """Advance all motions by one step according to their plans."""
     later, moved, again = elapsed >= plan.spans[0], elapsed >= plan.begins[0], elapsed >= plan.begins[1]
     v = np.where(later, plan.speeds[1], plan.speeds[0])
     time = np.maximum(np.where(later, plan.spans[0] + plan.spans[1], plan.spans[0]) - elapsed, 1.0)
@@ -172,14 +203,14 @@ def _forward(ground: AdversaryBatch, motion: Motion, plan: _Plan, elapsed: float
     goal = PathEndpoint(motion.s + (motion.v + v) / 2 * time, offset, v, time)
     sideways = goal._replace(time=np.where(again, plan.lasts[1], plan.lasts[0]))
     motion = steer(Batch, motion, sideways, ground.rows.at(motion.s)[3])
-    return advance(Batch, motion, goal, ground.rows, limits, ground.cap, dt, True)  # CAT knows no human bounds
+    return advance(Batch, motion, goal, ground.rows, limits, ground.cap, dt, True)  # CAT has no human bounds
 
 
 # -- weighing -----------------------------------------------------------------------------------------------------
 
 
 def _futures(situation: Situation, model: Floats) -> list[Floats]:
-    """x, y, heading, speed of the ego, by future, ``(4, n, steps)`` or, alike for all, ``(4, 1, steps)``."""
+    """Return the ego's x, y, heading and speed by future: ``(4, n, steps)``, or ``(4, 1, steps)`` if all share it."""
     time = np.arange(model.shape[2]) * situation.dt
     s0, v0 = float(situation.baseline.s[0]), float(situation.ego.speed)
     last = len(situation.baseline.s) - 1
@@ -194,8 +225,11 @@ def _futures(situation: Situation, model: Floats) -> list[Floats]:
 
 
 def _hits(situation: Situation, adversary: Boxes, futures: Sequence[Floats]) -> tuple[Places, Floats]:
-    """The step until which each motion matters (the first contact under any future, else the end), and its chance of
-    a collision that counts under each future."""
+    """Find the contacts of motions and futures.
+
+    Return the step until which each motion matters (the first contact under any future or, without one, the end), and
+    its chance of a collision that counts under each future.
+    """
     n, steps = adversary.x.shape
     last, chance = np.full(n, steps - 1), np.zeros((len(futures), n))
     for f, future in enumerate(futures):
@@ -209,12 +243,13 @@ def _hits(situation: Situation, adversary: Boxes, futures: Sequence[Floats]) -> 
 
 
 def _spread(columns: Sequence[Floats] | Floats, shape: tuple[int, int], length: float, width: float) -> Boxes:
+    """Broadcast the columns of a motion to boxes."""
     x, y, heading, speed = (np.broadcast_to(column, shape) for column in columns)
     return Boxes(x, y, heading, speed, length, width)
 
 
 def _from_behind(ego: Boxes, adversary: Boxes, at: Places) -> Bools:
-    """Whether a step before ``at`` the adversary went the ego's way and was a whole length behind it."""
+    """Return whether, one step before ``at``, the adversary was a whole length behind the ego in its direction."""
     k = (np.arange(len(at)), np.maximum(at - 1, 0))
     a, b = pick(ego, k), pick(adversary, k)
     ahead = np.cos(a.heading) * (b.x - a.x) + np.sin(a.heading) * (b.y - a.y)
@@ -223,14 +258,14 @@ def _from_behind(ego: Boxes, adversary: Boxes, at: Places) -> Bools:
 
 
 def _off_road(encounter: Encounter, adversary: Boxes, last: Places) -> Bools:
-    """Whether a corner leaves the road before ``last``, every fourth step."""
+    """Return whether a corner leaves the road up to step ``last``; every fourth step is checked."""
     k = np.arange(adversary.x.shape[1])
     judged = (k % 4 == 0) & (k <= last[:, None])
     return np.asarray(off_road(adversary, judged, encounter.drivable).any(axis=1))
 
 
 def _third_party(situation: Situation, names: Sequence[str], adversary: Boxes, last: Places) -> Bools:
-    """Whether the motion touches a vehicle in its unattacked motion before ``last``."""
+    """Return whether the motion touches another vehicle's unattacked motion up to step ``last``."""
     n, steps = adversary.x.shape
     touched, ids = np.zeros(n, bool), np.array(names)
     before = np.arange(steps)[None, :] <= last[:, None]

@@ -1,5 +1,6 @@
-"""Opponents by their names: draws of the behaviour library (``random``), all of it simulated (``oracle``), those with
-files of their own, and a generator of the user's, ``module:Class``.
+"""Provide opponents by name: ``random``, ``oracle``, those with files of their own, and a user's ``module:Class``.
+
+``random`` draws from the behaviour library. ``oracle`` simulates all of it.
 """
 
 from __future__ import annotations
@@ -25,14 +26,16 @@ from sumo_adv.situation import Situation
 
 
 class RandomIntent:
-    """Any vehicle, intent, mode and moment that apply, with numbers drawn within their bounds.
+    """Any vehicle, intent, mode and start that apply, with parameter values drawn within their bounds.
 
-    Idea: the library's planners without any choice. Each attempt draws one of all ways to attack uniformly, then every
-    number of its planner uniformly within the bounds its author gave. Nothing is predicted and nothing is learnt from
-    the attempts before. What a method gains over this row is what choosing is worth.
-    Limits: an intent with many modes, or that applies to many vehicles, is drawn more often.
-    Citation: the usual control of search-based testing (Arcuri and Briand 2011, "Adaptive random testing: an illusion
-    of effectiveness?", ISSTA); here over the paper's behaviour library.
+    Idea: This row uses the library's planners without any choice. Each attempt draws one of all ways to attack
+    uniformly, and then each parameter of its planner uniformly within its author's bounds. Nothing is predicted, and
+    nothing is learnt from earlier attempts. The gain of a method over this row is the value of choosing.
+
+    Limits: An intent with many modes, or one that applies to many vehicles, is drawn more often.
+
+    Citation: The usual control of search-based testing (Arcuri and Briand 2011, "Adaptive random testing: an illusion
+    of effectiveness?", ISSTA), here over the paper's behaviour library.
     """
 
     name = "random"
@@ -62,10 +65,10 @@ BEHAVIOUR_LABELS = (
 )
 """The paper's seven behaviours, as the shipped library labels them."""
 
-MAX_ORACLE_SIMULATIONS = 60  # simulations an encounter
+MAX_ORACLE_SIMULATIONS = 60  # simulations of each encounter
 ORACLE_BRAKING_M_S2 = (-8.0, -6.5, -5.0)
 CRITERIA = ("collision", "valid")
-TIE_SHARE, TIE_TTC_S = 0.05, 0.2  # shares and mean min TTC [s] that differ by no more are a tie
+TIE_SHARE, TIE_TTC_S = 0.05, 0.2  # differences of shares and mean min TTC up to these are a tie
 HALVINGS = 20
 
 Labels = Mapping[str, tuple[str, ...]]
@@ -73,16 +76,17 @@ Groups = Mapping[str, Sequence[Mapping[str, Any]]]
 
 
 class Oracle:
-    """All intents, modes and moments simulated, to know afterwards which was the most dangerous.
+    """All intents, modes and starts are simulated, which shows afterwards which was the most dangerous.
 
-    Idea: every family (vehicle, intent, mode, delay) is driven against the real ego with its author's numbers; what
-    is left of ``MAX_ORACLE_SIMULATIONS`` simulations goes, with drawn numbers, to the intents that had fewest, so that
-    shares are of like precision. Emergency braking is driven at -5, -6.5 and -8 m/s2 in turn. It does not stop at a
-    success.
-    ``oracle_labels`` reads from that the label an analyzer should have answered; ``split_half`` is how well one half of
-    the simulations answers for the other: how certain a label of half as many is.
-    Limits: it has more simulations than the other rows have attempts, so it is a bound, not a competitor; with tens of
-    simulations a share is known to about 0.1; it knows of nothing but the library's behaviours.
+    Idea: Every family (vehicle, intent, mode, delay) is driven against the real ego with its author's parameter values.
+    The rest of the ``MAX_ORACLE_SIMULATIONS`` simulations goes to the intents that had the fewest, with sampled values,
+    so that shares are similarly precise. Emergency braking is driven at -5, -6.5 and -8 m/s2 in turn. The oracle does
+    not stop at a success. ``oracle_labels`` derives the label that an analyzer should have answered. ``split_half`` is
+    how well one half of the simulations predicts the other half, which shows how certain a label from half as many
+    simulations is.
+
+    Limits: The oracle has more simulations than the other rows have attempts, so it is a bound and not a competitor.
+    With tens of simulations, a share is known to about 0.1. The oracle knows only the library's behaviours.
     """
 
     name = "oracle"
@@ -100,7 +104,7 @@ class Oracle:
 
 
 def _plans(ways: Sequence[AttackTemplate], draw: random.Random) -> list[Proposal]:
-    """``MAX_ORACLE_SIMULATIONS`` proposals: all templates once, in turn by label; then the label with the fewest."""
+    """Return ``MAX_ORACLE_SIMULATIONS`` proposals: all templates once, by alternating labels, then the rarest label."""
     by_label: dict[str, list[AttackTemplate]] = defaultdict(list)
     for way in ways:
         by_label[way.entry.label].append(way)
@@ -116,7 +120,7 @@ def _plans(ways: Sequence[AttackTemplate], draw: random.Random) -> list[Proposal
 
 
 def _endless(label: str, ways: Sequence[AttackTemplate], draw: random.Random) -> Iterator[Proposal]:
-    """A label's templates with their authors' numbers, then again and again with drawn ones."""
+    """Yield a label's templates with their authors' values, and then repeatedly with sampled values."""
     turn = 0
     while True:
         for k, way in enumerate(ways):
@@ -131,18 +135,32 @@ def _endless(label: str, ways: Sequence[AttackTemplate], draw: random.Random) ->
 
 
 def oracle_labels(cell: Cell) -> dict[str, tuple[str, ...]]:
-    """The most dangerous labels of an oracle's cell, by collisions and by valid collisions; more than one is a tie.
+    """Return the most dangerous labels of an oracle's cell, by criterion; more than one is a tie.
 
-    ``collision``: share of candidates with a feasible collision that is not rear-end; ``valid``: with a valid one. Then
-    the mean of min TTC, where an infeasible or rear-end motion counts as ``MIN_TTC_CAP_S``. Empty without simulations.
+    For ``collision``, the share of candidates with a feasible collision that is not rear-end counts first; for
+    ``valid``, the share with a valid collision. Among ties, the mean of the minimum TTC counts, where an infeasible or
+    rear-end motion has ``MIN_TTC_CAP_S``.
+
+    Args:
+        cell: The oracle's cell.
+
+    Returns:
+        The labels by criterion; empty without simulations.
     """
     return {criterion: _most_dangerous(_groups(cell), criterion) for criterion in CRITERIA}
 
 
 def split_half(cell: Cell) -> dict[str, float | None]:
-    """Agreement in [0, 1] of random halves of each label's candidates, by criterion; None without two labels.
+    """Measure the agreement of random halves of each label's candidates.
 
-    It is the chance that a label drawn from one half's tie set is in the other's, over ``HALVINGS`` splits both ways.
+    It is the chance that a label drawn from one half's tie is in the other half's tie, over ``HALVINGS`` splits in both
+    directions.
+
+    Args:
+        cell: The oracle's cell.
+
+    Returns:
+        The agreement in [0, 1] by criterion; None if there are fewer than two labels.
     """
     groups, draw = _groups(cell), random.Random(0)
     if len(groups) < 2:
@@ -152,7 +170,7 @@ def split_half(cell: Cell) -> dict[str, float | None]:
         halves: tuple[dict[str, Any], dict[str, Any]] = {}, {}
         for label, members in groups.items():
             mixed = draw.sample(members, len(members))
-            middle = (len(mixed) + draw.randrange(2)) // 2  # the odd one goes to either side
+            middle = (len(mixed) + draw.randrange(2)) // 2  # an odd member goes to either half
             halves[0][label], halves[1][label] = mixed[:middle], mixed[middle:]
         for criterion in CRITERIA:
             first, second = (set(_most_dangerous(half, criterion)) for half in halves)
@@ -162,6 +180,7 @@ def split_half(cell: Cell) -> dict[str, float | None]:
 
 
 def _groups(cell: Cell) -> dict[str, list[Mapping[str, Any]]]:
+    """Group the attempts of a cell by intent."""
     groups: dict[str, list[Mapping[str, Any]]] = defaultdict(list)
     for attempt in cell["attempts"]:
         groups[attempt["intent"]].append(attempt)
@@ -169,6 +188,7 @@ def _groups(cell: Cell) -> dict[str, list[Mapping[str, Any]]]:
 
 
 def _most_dangerous(groups: Groups, criterion: str) -> tuple[str, ...]:
+    """Return the labels with the highest share of success and, among these, the lowest mean of the minimum TTC."""
     attempted = {label: members for label, members in groups.items() if members}
     if not attempted:
         return ()
@@ -179,11 +199,12 @@ def _most_dangerous(groups: Groups, criterion: str) -> tuple[str, ...]:
 
 
 def succeeds(attempt: Mapping[str, Any], criterion: str) -> bool:
-    """Whether a simulation counts: a valid collision, or a feasible one, but no rear-end."""
+    """Return whether a simulation counts: a valid collision, or one that is feasible and not rear-end, by criterion."""
     return bool(attempt["valid"]) if criterion == "valid" else bool(attempt["collided"]) and counts(attempt)
 
 
 def _time(attempt: Mapping[str, Any]) -> float:
+    """Return the capped minimum TTC [s] of an attempt."""
     least = attempt["min_ttc"]
     return min(float(least), MIN_TTC_CAP_S) if least is not None and counts(attempt) else MIN_TTC_CAP_S
 
@@ -192,16 +213,30 @@ ARRAYS = ("x", "y", "heading", "speed")
 
 
 class UserRow:
-    """A user's generator; its errors become one sentence that names it."""
+    """A user's generator. Its errors become one sentence that names it."""
 
     def __init__(self, spec: str) -> None:
-        """``spec``: ``module:Class``, found on ``sys.path`` or in the current folder. Raises UsageError."""
+        """Create the generator.
+
+        Args:
+            spec: ``module:Class``, found on ``sys.path`` or in the current folder.
+
+        Raises:
+            UsageError: The generator cannot be created.
+        """
         self._generator = make_object("generator", spec, {}, {"begin": "begin(encounter)", "propose": "propose(tried)"})
         self.name = spec
         self._situations: Mapping[float, Situation] = {}
 
     def begin(self, encounter: Encounter) -> None:
-        """Of a copy: other rows see nothing of what is written there. Raises PlannerRuntimeError if its code fails."""
+        """Begin with a copy of the encounter, so that other rows do not see changes.
+
+        Args:
+            encounter: The encounter.
+
+        Raises:
+            PlannerRuntimeError: The user's code failed.
+        """
         self._situations = encounter.situations
         try:
             self._generator.begin(replace(encounter, situations=deepcopy(dict(encounter.situations))))
@@ -209,7 +244,18 @@ class UserRow:
             raise PlannerRuntimeError(f"The generator {self.name!r} failed in begin: {in_one_line(error)}.") from error
 
     def propose(self, tried: Sequence[Attempt]) -> Proposal | None:
-        """Raises PlannerRuntimeError if the user's code fails, PlannerResultError if its answer cannot be driven."""
+        """Return the generator's next attack.
+
+        Args:
+            tried: The attempts so far.
+
+        Returns:
+            The attack, or None if nothing is left to try.
+
+        Raises:
+            PlannerRuntimeError: The user's code failed.
+            PlannerResultError: The answer cannot be driven.
+        """
         try:
             answer = self._generator.propose(tried)
         except Exception as error:  # user code
@@ -227,7 +273,7 @@ class UserRow:
 
 
 def _checked(answer: object, situations: Mapping[float, Situation], name: str) -> Proposal:
-    """The proposal, marked as the generator's. Raises ValueError that names the answer and the need."""
+    """Return the proposal, marked as the generator's. Raise ValueError that says what is wrong with the answer."""
     if not isinstance(answer, Proposal):
         raise ValueError(f"{type(answer).__name__}; propose must return a Proposal or None")
     if answer.delay not in situations:
@@ -251,7 +297,7 @@ def _checked(answer: object, situations: Mapping[float, Situation], name: str) -
 
 
 def _course(course: object) -> PrescribedMotion:
-    """The course as arrays of floats. Raises ValueError."""
+    """Return the course as arrays of floats. Raise ValueError if it is none."""
     if not isinstance(course, PrescribedMotion):
         raise ValueError(f"a course that is {type(course).__name__}; it must be a PrescribedMotion")
     try:
@@ -276,7 +322,17 @@ WEIGHTS = "transformer:"
 
 
 def make_row(text: str) -> Opponent:
-    """The opponent named: one of ``ROWS``, ``transformer:FILE`` or ``module:Class``. Raises UsageError."""
+    """Create an opponent.
+
+    Args:
+        text: A name in ``ROWS``, ``transformer:FILE`` or ``module:Class``.
+
+    Returns:
+        The opponent.
+
+    Raises:
+        UsageError: There is no such opponent.
+    """
     if text in ROWS:
         return ROWS[text]()
     if text.startswith(WEIGHTS):

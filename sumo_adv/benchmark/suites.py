@@ -1,20 +1,21 @@
-"""Suites: frozen, versioned lists of encounters. Shipped ones, your own folders, scenario files, Waymo records.
+"""Load suites, which are frozen, versioned lists of encounters: shipped ones, folders, scenario files, Waymo records.
 
     schema = 1                            # suite.toml
     name = "mine"
     version = "1"
-    [[cases]]                             # one an encounter
+    [[cases]]                             # one for each encounter
     name = "straight-01"
     kind = "leader"                       # any word; tables have a row for each
     group = "straight"                    # straight | intersection
-    file = "straight-01.toml"             # a scenario, counted from the list's folder
-    [files]                               # SHA-256 by path; may be left out, but then nothing is checked
+    file = "straight-01.toml"             # a scenario, relative to the list's folder
+    [files]                               # SHA-256 by path; without this table, nothing is checked
     "straight-01.toml" = "..."
 
-A list may name cases of another one instead (``suite = "suite81"``, ``cases = ["straight-01", ..]``).  What an oracle
-holds to be the most dangerous intents stands beside the list in ``labels.json``:
-``{case: {ego: {"collision": [labels], "valid": [labels]}}}``, what people annotated under the ego ``people`` as
-``{"annotated": [labels]}``; it is not part of what is frozen.
+A list may instead name cases of another list (``suite = "suite81"``, ``cases = ["straight-01", ..]``).
+
+The file ``labels.json`` beside the list is not frozen. It has the most dangerous intents according to an oracle as
+``{case: {ego: {"collision": [labels], "valid": [labels]}}}``. The annotations of people are under the ego ``people``
+as ``{"annotated": [labels]}``.
 """
 
 from __future__ import annotations
@@ -76,9 +77,16 @@ class _Choice(_Table):
 
 
 def load_suite(*named: str) -> Suite:
-    """The suite that ``named`` means: a shipped name, a list or its folder, ``womd:FOLDER``, or scenario files.
+    """Load a suite.
 
-    Raises UsageError for a file that is missing, damaged, or changed since it was frozen.
+    Args:
+        named: The name of a shipped suite, a list or its folder, ``womd:FOLDER``, or scenario files.
+
+    Returns:
+        The suite.
+
+    Raises:
+        UsageError: A file is missing, damaged, or changed since it was frozen.
     """
     if not named:
         raise UsageError(
@@ -105,16 +113,18 @@ def _named(named: Sequence[str]) -> Suite:
 
 
 def shipped_suites() -> tuple[str, ...]:
+    """Return the names of the shipped suites, sorted."""
     folder = data_folder("suites")
     return tuple(sorted([p.stem for p in folder.glob("*.toml")] + [p.parent.name for p in folder.glob("*/suite.toml")]))
 
 
 def hash_of_file(path: Path) -> str:
+    """Return the SHA-256 of a file."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _list_file(name: str) -> Path | None:
-    """The list that a name means, None if it means none (a scenario, a folder of scenarios)."""
+    """Return the list that a name means; None if it means none, such as a scenario or a folder of scenarios."""
     given = Path(name)
     if given.is_dir():
         return given / SUITE_FILE if (given / SUITE_FILE).is_file() else None
@@ -129,7 +139,7 @@ def _list_file(name: str) -> Path | None:
 
 
 def _paths(name: str) -> list[Path]:
-    """The scenario files of a folder, or the one file or shipped scenario."""
+    """Return the scenario files of a folder, or the one file or shipped scenario."""
     given = Path(name)
     if given.is_dir():
         files = sorted(given.glob("*.toml"))
@@ -144,6 +154,7 @@ def _paths(name: str) -> list[Path]:
 
 
 def _listed(path: Path) -> Suite:
+    """Load the suite of a list file."""
     table = read_toml(path, "The file")
     try:
         if "suite" in table:
@@ -160,6 +171,7 @@ def _listed(path: Path) -> Suite:
 
 
 def _whole(path: Path, given: _List) -> Suite:
+    """Load a list with cases of its own, and check its files."""
     folder, names = path.parent, [entry.name for entry in given.cases]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
@@ -184,6 +196,7 @@ def _whole(path: Path, given: _List) -> Suite:
 
 
 def _chosen(path: Path, given: _Choice) -> Suite:
+    """Load a list that names cases of another list."""
     beside = path.parent / given.suite
     chosen_from = _list_file(str(beside) if beside.exists() else given.suite)
     if chosen_from is None or "suite" in read_toml(chosen_from, "The file"):
@@ -198,7 +211,7 @@ def _chosen(path: Path, given: _Choice) -> Suite:
 
 
 def _labels(path: Path, names: Collection[str], listed: Path) -> LabelsFile:
-    """The labels in a file, if it is there, of the cases ``names`` of the list ``listed``."""
+    """Read the labels of cases ``names``, if there is a file; ``listed`` is the list that errors name."""
     if not path.is_file():
         return {}
     try:
@@ -214,7 +227,7 @@ def _labels(path: Path, names: Collection[str], listed: Path) -> LabelsFile:
 
 
 def _scenarios(paths: Sequence[Path]) -> Suite:
-    """A suite of scenario files that no list speaks of: their group is read off their network."""
+    """Make a suite of scenario files without a list; the group of each is derived from its network."""
     cases: list[SuiteCase] = []
     hashes: dict[str, str] = {}
     for path in paths:
@@ -233,13 +246,13 @@ def _scenarios(paths: Sequence[Path]) -> Suite:
 
 
 def _group(network: Path) -> str:
-    """intersection where one vehicle must give way to another, else straight."""
+    """Return ``intersection`` if one vehicle must give way to another in the network, otherwise ``straight``."""
     states = {c.state for lane in read_network(network).lanes.values() for c in lane.connections}
     return GROUPS[1] if states - {"M"} else GROUPS[0]
 
 
 def _womd(folder: Path) -> Suite:
-    """The records that a folder's manifest holds to be straight or intersection; kind: the kind of recorded future."""
+    """Make a suite of the records that a folder's manifest calls straight or intersection, by kind of future."""
     manifest = folder / "manifest.csv"
     if not manifest.is_file():
         raise UsageError(f"{folder} has no manifest.csv: give a folder of Waymo records that lists them.")
@@ -270,5 +283,6 @@ def _womd(folder: Path) -> Suite:
 
 
 def _content(hashes: Mapping[str, str]) -> str:
+    """Return the SHA-256 of names and hashes, in any order."""
     text = "\n".join(f"{name} {value}" for name, value in sorted(hashes.items()))
     return hashlib.sha256(text.encode()).hexdigest()

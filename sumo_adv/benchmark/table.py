@@ -1,5 +1,7 @@
-"""From cells to a table (each ego for itself, each row, each column with its interval, differences paired), and the
-table as Markdown, beside what the paper reports and why its figures are not the same quantities as ours.
+"""Make a table of cells, and format it as Markdown beside the figures that the paper reports.
+
+Each ego has its own figures. Each column has an interval, and differences are paired. The notes say why the paper's
+figures are not the same quantities as ours.
 
 Mei, Nie, Sun and Tian, "Seeking to Collide: Online Safety-Critical Scenario Generation for Autonomous Driving with
 Retrieval Augmented Large Language Models". Its only table is Table I.
@@ -15,12 +17,21 @@ from sumo_adv.benchmark.columns import BY_PART, COMPARED_COLUMNS, MEAN, MEDIAN, 
 from sumo_adv.benchmark.nouns import RAW, Cell, SuiteCase
 from sumo_adv.metrics.statistics import Estimate, Paired, paired_means, paired_rates, wilson
 
-MAX_NAMES_SHOWN = 6  # names of missing encounters in a sentence
+MAX_NAMES_SHOWN = 6  # missing encounters that a sentence names
 
 
 @dataclass(frozen=True, slots=True)
 class TableEntry:
-    """One figure. ``part``: all, a group or a kind. ``difference``: to the reference row, over the same encounters."""
+    """One figure.
+
+    Attributes:
+        ego: The ego's driver.
+        part: ``all``, a group or a kind.
+        row: The row.
+        column: The key of the column.
+        estimate: The value with its interval.
+        difference: The difference to the reference row, over the same encounters; None if the figure is not compared.
+    """
 
     ego: str
     part: str
@@ -32,9 +43,17 @@ class TableEntry:
 
 @dataclass(frozen=True, slots=True)
 class BenchTable:
-    """A table of rows for every ego, never pooled.
+    """A table of rows for every ego; egos are never pooled.
 
-    ``entries``: by ego, part, row and column; ``sizes``: cells by ego, part and row; ``words``: what rows are.
+    Attributes:
+        title: The title.
+        egos: The ego drivers.
+        rows: The rows.
+        entries: The figures by ego, part, row and column.
+        sizes: The number of cells by ego, part and row.
+        reference: The row that the others are compared with; None if there is none.
+        notes: Sentences for the reader.
+        words: The descriptions of rows.
     """
 
     title: str
@@ -47,9 +66,11 @@ class BenchTable:
     words: Mapping[str, str] = field(default_factory=dict)
 
     def parts(self, ego: str) -> list[str]:
+        """Return the parts of an ego, ``all`` first."""
         return list(dict.fromkeys(part for e, part, _ in self.sizes if e == ego))
 
     def entry(self, ego: str, part: str, row: str, column: str) -> TableEntry | None:
+        """Return one figure; None if there is none."""
         return self.entries.get((ego, part, row, column))
 
 
@@ -64,11 +85,20 @@ def make_table(
     words: Mapping[str, str] | None = None,
     notes: Sequence[str] = (),
 ) -> BenchTable:
-    """The table of cells of any egos, rows and seeds.
+    """Make the table of cells of any egos, rows and seeds.
 
-    ``cases``: the suite's, so that missing cells are told; ``egos`` and ``rows``: those wanted, in order (left out:
-    those of the cells); ``reference``: the row others are compared with (left out: the first that attacks); ``notes``:
-    said before those on the cells.
+    Args:
+        cells: The cells.
+        title: The title.
+        cases: The suite's encounters, by which missing cells are reported; None takes those of the cells.
+        egos: The ego drivers, in order; None takes those of the cells.
+        rows: The rows, in order; None takes those of the cells.
+        reference: The row that the others are compared with; None takes the first row that attacks.
+        words: The descriptions of rows.
+        notes: Sentences that come before those on the cells.
+
+    Returns:
+        The table.
     """
     listed = tuple(rows or names(cells, "row"))
     cells = [cell for cell in cells if cell["row"] in listed]
@@ -88,7 +118,7 @@ def make_table(
 
 
 def _never_valid(cells: Sequence[Cell], egos: Sequence[str]) -> list[str]:
-    """A sentence for each ego about encounters that no row makes valid: they stay in every denominator."""
+    """Say for each ego how many encounters no row makes valid; these encounters stay in every denominator."""
     notes = []
     for ego in egos:
         attacked = [c for c in cells if c["ego"] == ego and not is_raw(c)]
@@ -104,6 +134,7 @@ def _entries(
     ego: str, part: str, row: str, by_row: Mapping[str, Sequence[Cell]], columns: Sequence[Column],
     reference: str | None,
 ) -> list[TableEntry]:  # fmt: skip
+    """Compute the figures of one row and part."""
     entries = []
     for column in columns:
         estimate = column.estimate(by_row[row])
@@ -116,9 +147,17 @@ def _entries(
 
 
 def compare(column: Column, first: Sequence[Cell], second: Sequence[Cell]) -> Paired | None:
-    """``first`` - ``second`` over the encounters that both have; None without any.
+    """Compare a column of two rows over the encounters that both have.
 
-    The interval resamples encounters; p is McNemar's for rates, the sign-flip test's for means.
+    The interval resamples encounters; p is McNemar's for rates, and the sign-flip test's for means.
+
+    Args:
+        column: The column.
+        first: The cells of the first row.
+        second: The cells of the second row.
+
+    Returns:
+        ``first`` - ``second``; None if they have no encounter in common.
     """
     left, right = column.values(first), column.values(second)
     common = [name for name in left if name in right]
@@ -128,7 +167,7 @@ def compare(column: Column, first: Sequence[Cell], second: Sequence[Cell]) -> Pa
 
 
 def paired(left: Sequence[float], right: Sequence[float], *, rate: bool) -> Paired:
-    """``left`` - ``right``, encounter by encounter."""
+    """Return ``left`` - ``right``, encounter by encounter, for rates or means."""
     if rate:
         return paired_rates([v > 0.5 for v in left], [v > 0.5 for v in right])
     return paired_means(left, right)
@@ -137,7 +176,7 @@ def paired(left: Sequence[float], right: Sequence[float], *, rate: bool) -> Pair
 def _missing(
     cells: Sequence[Cell], egos: Sequence[str], rows: Sequence[str], cases: Sequence[SuiteCase] | None
 ) -> list[str]:
-    """A sentence for each ego and row of which cells are not there."""
+    """Say for each ego and row which cells are missing."""
     notes = []
     expected = list(dict.fromkeys(names(cells, "case") if cases is None else [case.name for case in cases]))
     for ego in egos:
@@ -163,7 +202,13 @@ def _missing(
 
 @dataclass(frozen=True, slots=True)
 class Reported:
-    """A row of the paper's Table I: mean min TTC [s], collision rate, over its 81 scenarios."""
+    """A row of the paper's Table I, over its 81 scenarios.
+
+    Attributes:
+        row: The name of the row.
+        mean_min_ttc: The mean of the minimum TTC [s].
+        collision: The collision rate [-].
+    """
 
     row: str
     mean_min_ttc: float
@@ -204,9 +249,15 @@ ANALYZER_NOTE = (
 
 
 def counterpart(row: str) -> str | None:
-    """The paper's row that a row of ours stands for; None for opponents and changed rows, which the paper has not.
+    """Find the paper's row that corresponds to one of our rows.
 
-    LLM-A stands beside its better figure, R1's, but for DeepSeek-V3 itself.
+    LLM-A is compared with its better result, which is R1's, except for the model DeepSeek-V3 itself.
+
+    Args:
+        row: Our row.
+
+    Returns:
+        The paper's row; None for opponents and changed rows, which the paper does not have.
     """
     name = row.lower()
     if "+" in name:
@@ -233,6 +284,7 @@ STATISTICS_NOTES = {
 
 
 def to_markdown(table: BenchTable) -> str:
+    """Format the table as Markdown."""
     lines = [f"# {table.title}", ""]
     lines += [*(f"- {note}" for note in table.notes), ""] if table.notes else []
     lines += [" ".join(STATISTICS_NOTES.values()) + " Egos are never pooled.", ""]
@@ -247,13 +299,22 @@ def to_markdown(table: BenchTable) -> str:
 
 
 def grid(head: Sequence[str], rows: Iterable[Sequence[str]], *, words: bool = False) -> list[str]:
-    """A Markdown table, numbers to the right (unless it is of ``words``), and an empty line."""
+    """Format a Markdown table, followed by an empty line.
+
+    Args:
+        head: The header.
+        rows: The rows.
+        words: Whether the cells are words; otherwise all columns but the first are aligned to the right.
+
+    Returns:
+        The lines.
+    """
     rule = ["---", *["---" if words else "---:"] * (len(head) - 1)]
     return [*("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in (head, rule, *rows)), ""]
 
 
 def number(estimate: Estimate | None, digits: int = 2) -> str:
-    """``0.75 (0.70–0.80)``; a dash where there is none."""
+    """Format an estimate as ``0.75 (0.70–0.80)``; a dash if there is none."""
     if estimate is None:
         return NO_VALUE
     between = "–" if estimate.low >= 0 else " to "
@@ -261,7 +322,7 @@ def number(estimate: Estimate | None, digits: int = 2) -> str:
 
 
 def signed(difference: Paired | None, digits: int = 2) -> str:
-    """``+0.10 (+0.02 to +0.18), p 0.03``."""
+    """Format a difference as ``+0.10 (+0.02 to +0.18), p 0.03``; a dash if there is none."""
     if difference is None:
         return NO_VALUE
     p = "p < 0.001" if difference.p < 0.001 else f"p {difference.p:.3f}"
@@ -269,7 +330,7 @@ def signed(difference: Paired | None, digits: int = 2) -> str:
 
 
 def _figure(entry: TableEntry | None, column: Column, size: int) -> str:
-    """The figure; with how many encounters it rests on where that is not all of them."""
+    """Format a figure, with the number of encounters that it is based on if that is not all of them."""
     if entry is None:
         return NO_VALUE
     rests = f", n {entry.estimate.n}" if entry.estimate.n != size else ""
@@ -323,7 +384,7 @@ def _differences(table: BenchTable, ego: str) -> list[str]:
 
 
 def _beside_the_paper(table: BenchTable, ego: str) -> list[str]:
-    """The paper's Table I and, where a row of ours stands for one of its rows, ours beside it."""
+    """Return the paper's Table I and, beside each of its rows, the corresponding rows of ours."""
     keys = ("mean_min_ttc", "collision", "paper_collision")
     rows = []
     for reported in TABLE_I:

@@ -1,17 +1,19 @@
 """Transformer: the futures that a trained motion predictor gives the background vehicle, the most dangerous first.
 
-A network in the manner of HiVT (``sumo_adv/transformer``) predicts six futures (modes) of every vehicle of
-the shortlist at every delay. Each mode is a candidate, and so are ``DRAWS_PER_MODE`` draws of its Laplace
-distribution, which are off it by the same share of the scale at all steps. The project's f_traj makes each feasible:
+Idea: A network in the manner of HiVT (``sumo_adv/transformer``) predicts six futures (modes) of every vehicle of the
+shortlist at every delay. Each mode is a candidate, and so are ``DRAWS_PER_MODE`` samples of its Laplace distribution. A
+sample is off its mode by the same share of the scale at all steps. The project's f_traj makes each candidate feasible:
 the vehicle follows the prediction along its way, within the limits of any adversary. The ego is predicted by its
-driver's model, answering to that very motion. Candidates that collide and are not ruled out (rear-end, off the road,
-third parties) come first, the likelier the earlier; then those with the least TTC and distance. Of each mode the most
-dangerous candidate is tried before a second one.
-Limits: it predicts how vehicles do drive, and a likely future is seldom dangerous; the network has seen SUMO's drivers
-alone; the motion is fixed at the takeover and never answers to the ego.
+driver's model, which answers to that very motion. Candidates that collide and are not ruled out (rear-end, off the
+road, third parties) come first, with the likelier ones before the others. Then come those with the lowest minimum TTC
+and distance. The most dangerous candidate of each mode is tried before any second one.
+
+Limits: The network predicts how vehicles do drive, and a likely future is seldom dangerous. It has seen only SUMO's
+drivers. The motion is fixed at the takeover and never reacts to the ego.
+
 Citation: Zhou, Ye, Wang, Wu and Lu 2022, "HiVT: Hierarchical Vector Transformer for Multi-Agent Motion Prediction",
-CVPR, pp. 8823-8833: the predictor. Mei, Nie, Sun and Tian, "Seeking to Collide", section IV-C: the most dangerous of
-its candidates is taken.
+CVPR, pp. 8823-8833, for the predictor. Mei, Nie, Sun and Tian, "Seeking to Collide", section IV-C, for taking the most
+dangerous of its candidates.
 """
 
 from __future__ import annotations
@@ -34,14 +36,23 @@ from sumo_adv.situation import Situation
 from sumo_adv.transformer.model import SHIPPED_WEIGHTS, Predicted, TransformerPredictor
 from sumo_adv.transformer.scene import FUTURE_COUNT, POSITION_STEP_S, agents_of, segments_of
 
-DRAWS_PER_MODE = 3  # draws of each mode
-MAX_DRAW_SCALE = 2.0  # of the scale
-STANDING_STEP_M = 0.05  # m between two steps: a slower vehicle keeps its heading
+DRAWS_PER_MODE = 3  # samples of each mode
+MAX_DRAW_SCALE = 2.0  # samples are cut at this multiple of the scale
+STANDING_STEP_M = 0.05  # with less motion in a step, a vehicle keeps its heading
 
 
 class Transformer:
+    """The row ``transformer``; see the module."""
+
     def __init__(self, weights: Path = SHIPPED_WEIGHTS) -> None:
-        """Raises UsageError if the file holds no weights."""
+        """Load the predictor.
+
+        Args:
+            weights: The file of the network's weights.
+
+        Raises:
+            UsageError: The file holds no weights.
+        """
         self.name = "transformer" if weights == SHIPPED_WEIGHTS else f"transformer:{weights}"
         self._predictor = TransformerPredictor(weights)
         self._proposals: list[Proposal] = []
@@ -67,8 +78,15 @@ class Transformer:
 
 @dataclass(frozen=True, slots=True)
 class _Drawn:
-    """A future of one vehicle. states: x, y, heading, speed at each step after the takeover, ``(n, 4)``; likelihood: of
-    its mode, times the density of the draw against that of the mode itself."""
+    """A future of one vehicle.
+
+    Attributes:
+        delay: The delay after the trigger [s].
+        bv: The vehicle.
+        mode: The index of the mode.
+        likelihood: The probability of the mode, times the density of the sample relative to that of the mode itself.
+        states: x [m], y [m], heading [rad] and speed [m/s] at each step after the takeover, ``(n, 4)``.
+    """
 
     delay: float
     bv: str
@@ -80,7 +98,7 @@ class _Drawn:
 def _draws(
     delay: float, situation: Situation, bv: str, predicted: Predicted, k: int, rng: np.random.Generator
 ) -> Iterator[_Drawn]:
-    """The futures of vehicle ``k`` of a prediction: each mode, and draws of it."""
+    """Yield the futures of vehicle ``k`` of a prediction: each mode and its samples."""
     state = situation.targets[bv].state
     c, s = np.cos(state.heading), np.sin(state.heading)
     to_world = np.array([[c, s], [-s, c]])
@@ -92,7 +110,7 @@ def _draws(
 
 
 def _states(place: Floats, situation: Situation, bv: str) -> Floats:
-    """Positions ``POSITION_STEP_S`` apart as states in the situation's steps, which the follower takes."""
+    """Convert positions ``POSITION_STEP_S`` apart to states at the situation's steps, which the follower needs."""
     state = situation.targets[bv].state
     points = np.vstack([[state.x, state.y], place])
     time = situation.dt * np.arange(1, round(FUTURE_COUNT * POSITION_STEP_S / situation.dt) + 1)
@@ -106,7 +124,7 @@ def _states(place: Floats, situation: Situation, bv: str) -> Floats:
 
 
 def _ordered(encounter: Encounter, drawn: Sequence[_Drawn], name: str) -> list[Proposal]:
-    """What is tried, in order: each future driven by f_traj, and judged against the predicted ego."""
+    """Return what is tried, in order: each future is driven by f_traj and judged against the predicted ego."""
     if not drawn:
         return []
     settings, limits = encounter.settings, encounter.settings.limits.limits()
@@ -130,7 +148,7 @@ def _ordered(encounter: Encounter, drawn: Sequence[_Drawn], name: str) -> list[P
         draw = drawn[k]
         order.append((judged[k][1].level < Level.COLLISION, before[draw.delay, draw.bv, draw.mode], k))
         before[draw.delay, draw.bv, draw.mode] += 1
-    order.sort(key=lambda placed: placed[:2])  # stable: the most dangerous of each mode, then the second ones
+    order.sort(key=lambda placed: placed[:2])  # stable: the most dangerous of each mode comes before any second one
     return [
         course_proposal(
             name, drawn[k].bv, drawn[k].delay,
@@ -141,6 +159,6 @@ def _ordered(encounter: Encounter, drawn: Sequence[_Drawn], name: str) -> list[P
 
 
 def _danger(prediction: Prediction, draw: _Drawn) -> tuple[bool, bool, float, float, float]:
-    """Sorts the most dangerous first. The severity of a collision and the drivers that avoid it do not count."""
+    """Return the sort key: the most dangerous first. Severity and the drivers that avoid a collision do not count."""
     misses = prediction.level < Level.COLLISION
     return misses, prediction.hopeless, prediction.min_ttc, prediction.gap * misses, -draw.likelihood

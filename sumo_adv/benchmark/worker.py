@@ -1,4 +1,4 @@
-"""Does the jobs of a bench in one process: sandbox, engine and imports stay warm."""
+"""Run the jobs of a bench in one process, in which sandbox, engine and imports stay warm."""
 
 from __future__ import annotations
 
@@ -27,23 +27,28 @@ from sumo_adv.llm.chat import Ledger
 from sumo_adv.memory.bank import MemoryBank
 from sumo_adv.simulation.inputs import RunInput
 
-NOTE_PERIOD_S = 0.5  # s between two notes
+NOTE_PERIOD_S = 0.5  # time between two notes
 
 
 def note_of(folder: Path, job: BenchJob, row: str) -> Path:
-    """The file in which the process of a row notes its wait."""
+    """Return the file in which the process of a row notes its wait."""
     return folder / f"{slug(f'{job.ego} {job.case.name} {row}')}.waited"
 
 
 @contextmanager
 def noted(ledger: Ledger, note: Path) -> Iterator[None]:
-    """While it lasts, ``note`` says how long the ledger's questions have been open [s]."""
+    """Write to a file how long the ledger's questions have been open [s], as long as the context lasts.
+
+    Args:
+        ledger: The ledger.
+        note: The file.
+    """
     over = threading.Event()
 
     def write() -> None:
         while not over.wait(NOTE_PERIOD_S):
             if waited := ledger.waited_so_far():
-                with suppress(OSError):  # a full disk shows where results are written
+                with suppress(OSError):  # a full disk is reported when results are written
                     write_text(note, repr(waited))
 
     writer = threading.Thread(target=write, name="waits", daemon=True)
@@ -56,7 +61,7 @@ def noted(ledger: Ledger, note: Path) -> Iterator[None]:
 
 
 def waited(note: Path) -> float:
-    """What a row has waited so far [s]; 0 where nothing is noted."""
+    """Read how long a row has waited so far [s]; 0 if nothing is noted."""
     try:
         return float(note.read_text())
     except (OSError, ValueError):
@@ -67,23 +72,39 @@ CELL_SCHEMA = 1
 
 
 def missing_rows(setup: BenchSetup, job: BenchJob) -> tuple[str, ...]:
+    """Return the rows of a job that have no cell."""
     return tuple(r for r in job.rows if not cell_path(setup.folder, job.ego, job.case.name, r).exists())
 
 
 class Bencher(WarmProcesses):
-    """Holds what stays warm; a context manager. ``given``: the setup, and the folder for temporary files."""
+    """Runs jobs, and holds what stays warm between them; a context manager."""
 
     def __init__(self, given: tuple[BenchSetup, Path]) -> None:
+        """Start the warm processes.
+
+        Args:
+            given: The setup, and the folder for temporary files.
+        """
         self._setup, self.scratch = given
         super().__init__()
-        self._began = time.perf_counter()  # the row that is under way
+        self._began = time.perf_counter()  # when the current row began
         tempfile.tempdir = str(self.scratch)
         forget_environment()
 
     def run(self, job: BenchJob, *, last: bool) -> Done:
-        """The cells of a job. A row that breaks becomes a failed cell, and those after it begin afresh.
+        """Make the missing cells of a job.
 
-        Raises SumoAdvError: the library cannot be read, or the results cannot be written.
+        A row that breaks becomes a failed cell, and the rows after it begin with new processes.
+
+        Args:
+            job: The job.
+            last: Not used.
+
+        Returns:
+            The outcome, without a row.
+
+        Raises:
+            SumoAdvError: The library cannot be read, or the results cannot be written.
         """
         left = list(missing_rows(self._setup, job))
         while left:
@@ -105,7 +126,7 @@ class Bencher(WarmProcesses):
         return Done(job.id, None)
 
     def _run(self, job: BenchJob, left: list[str]) -> None:
-        """The cells of the job's rows that are ``left`` into their places; they leave the list one by one."""
+        """Write the cells of the rows in ``left``, and remove each row from the list when it is done."""
         run_input = self._setup.parts.load(job.case.path, job.case.record)
         settings, common = (self._settings(job, run_input.horizon, own) for own in (job.settings, {}))
         with (
@@ -126,7 +147,7 @@ class Bencher(WarmProcesses):
                 self._engine.close()
 
     def _settings(self, job: BenchJob, horizon: float | None, own: Mapping[str, Any]) -> Settings:
-        """The table's settings with a row's ``own``."""
+        """Return the table's settings, overridden by a row's ``own``."""
         table = {**({} if horizon is None else {"horizon": horizon}), **self._setup.settings, **own}
         learn = "off" if job.place is None else "on"
         given = {**table, "ego": job.ego, "seed": job.seed, "learn": learn}
@@ -136,8 +157,11 @@ class Bencher(WarmProcesses):
     def _shifted(
         self, shift: float, run_input: RunInput, common: Settings, bank: MemoryBank, scratch: Path
     ) -> float | None:
-        """The trigger [s], ``shift`` s after that of the other rows: the scenario's, or, where it leaves it open, the
-        found time, and then not before the beginning. None where they find none."""
+        """Return the trigger [s], ``shift`` after that of the other rows; None if these find no encounter.
+
+        If the scenario leaves the trigger open, it is the found time, and the result is not before the begin of the
+        simulation.
+        """
         if run_input.trigger != "auto":
             return float(run_input.trigger) + shift
         task = make_task(run_input, common, scratch)
@@ -163,7 +187,7 @@ class Bencher(WarmProcesses):
             return self._filled(job, row, arena.by_program(own, agents), arena, exchanges)
 
     def _filled(self, job: BenchJob, row: str, run: Run, arena: Arena, exchanges: Path | None = None) -> Cell:
-        """The cell of a row that attacked, or could not. ``exchanges``: with a model, as recorded until now."""
+        """Make the cell of a row that attacked, or could not; ``exchanges`` is the file of a model's exchanges."""
         outcome = self._setup.parts.full_outcome(run)
         kept = ("ending", "reason", "raw", "attempts", "best", "outcome", "realism", "intent", "intents", "timing")
         timing = {k: round(v, 4) for k, v in run.timing.items()}
@@ -175,7 +199,7 @@ class Bencher(WarmProcesses):
             folder = self._setup.folder / "runs" / slug(job.ego) / slug(job.case.name) / slug(row)
             self._setup.parts.keep_run(folder, run, exchanges)
         if job.case.name in self._setup.examples and run.best is not None and run.best.attempts:
-            with suppress(UsageError):  # what cannot be drawn is no failure of the row
+            with suppress(UsageError):  # a picture that cannot be drawn does not fail the row
                 self._setup.parts.draw_example(example_path(self._setup.folder, job.ego, job.case.name, row), run)
         return cell | {
             "timing": timing, "robust": robustness(run, arena.engine, arena.sandbox),
@@ -185,6 +209,7 @@ class Bencher(WarmProcesses):
         }  # fmt: skip
 
     def _unattacked(self, job: BenchJob, row: str, arena: Arena) -> Cell:
+        """Make the cell of the unattacked row."""
         run, raw = arena.unattacked, unattacked(arena.unattacked)
         cell = _empty(self._setup, job, row, str(run.ending), run.reason, run.timing)
         if raw is None:
@@ -193,6 +218,7 @@ class Bencher(WarmProcesses):
 
 
 def head(setup: BenchSetup, job: BenchJob, row: str) -> dict[str, Any]:
+    """Return the keys that identify a cell."""
     case = job.case
     return {
         "schema": CELL_SCHEMA, "suite": setup.suite, "case": case.name, "kind": case.kind, "group": case.group,
@@ -203,7 +229,7 @@ def head(setup: BenchSetup, job: BenchJob, row: str) -> dict[str, Any]:
 def _empty(
     setup: BenchSetup, job: BenchJob, row: str, ending: str, why: str, timing: Mapping[str, float]
 ) -> dict[str, Any]:
-    """The cell of a row that made no attempt."""
+    """Make the cell of a row that made no attempt."""
     return head(setup, job, row) | {
         "ending": ending, "reason": why, "raw": None, "attempts": [], "best": None, "outcome": None, "realism": {},
         "intent": None, "recall": None, "motion": {}, "timing": {k: round(v, 4) for k, v in timing.items()}, "llm": {},
@@ -211,12 +237,23 @@ def _empty(
 
 
 def failure(setup: BenchSetup, job: BenchJob, row: str, why: str, seconds: float) -> Cell:
-    """The cell of a row that broke ``seconds`` after the one before it was done."""
+    """Make the cell of a row that broke.
+
+    Args:
+        setup: The setup.
+        job: The job.
+        row: The row.
+        why: The reason.
+        seconds: The time since the previous row was done [s].
+
+    Returns:
+        The cell.
+    """
     return _empty(setup, job, row, str(Ending.SIMULATION_FAILED), why, {"total": seconds, "row": seconds})
 
 
 def keep_cell(folder: Path, cell: Cell) -> None:
-    """A cell into its place, whole or not at all. Raises OSError."""
+    """Write a cell, whole or not at all. Raise OSError if that fails."""
     target = cell_path(folder, cell["ego"], cell["case"], cell["row"])
     target.parent.mkdir(parents=True, exist_ok=True)
     write_text(target, json_text(cell))

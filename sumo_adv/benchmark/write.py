@@ -1,4 +1,4 @@
-"""Tables as files (Markdown, CSV, JSON, a manifest of their ingredients), and in short for the terminal."""
+"""Write tables as files (Markdown, CSV, JSON, and a manifest of their ingredients), and in short for the terminal."""
 
 from __future__ import annotations
 
@@ -30,7 +30,21 @@ CSV_FIELDS = (
 def write_table(
     table: BenchTable, cells: Sequence[Cell], folder: Path, about: Mapping[str, Any], name: str = "table"
 ) -> list[Path]:
-    """``NAME.md``, ``.csv``, ``.json`` and ``NAME.manifest.json``, as ``write_files`` does."""
+    """Write ``NAME.md``, ``.csv``, ``.json`` and ``NAME.manifest.json``.
+
+    Args:
+        table: The table.
+        cells: The cells that it was made of.
+        folder: The folder.
+        about: What the manifest says about the table.
+        name: The name of the files.
+
+    Returns:
+        The files.
+
+    Raises:
+        UsageError: The folder cannot be written.
+    """
     texts = {".md": to_markdown(table), ".csv": as_csv(CSV_FIELDS, _records(table)), ".json": as_json(_document(table))}
     return write_files(folder, name, texts, cells, about)
 
@@ -38,10 +52,22 @@ def write_table(
 def write_files(
     folder: Path, name: str, texts: Mapping[str, str], cells: Sequence[Cell], about: Mapping[str, Any]
 ) -> list[Path]:
-    """Texts by what follows ``name`` in the file's, and ``NAME.manifest.json``, each whole or not at all.
+    """Write texts and a manifest of their ingredients, each file whole or not at all.
 
-    The manifest says what the tables are made of: ``about`` (suite, versions, settings ..), and a digest of the cells'
-    verdicts. Raises UsageError where the folder cannot be written.
+    The manifest contains ``about`` and a digest of the cells' verdicts.
+
+    Args:
+        folder: The folder.
+        name: The name of the files.
+        texts: The texts, by the ending that is added to ``name``.
+        cells: The cells that the texts were made of.
+        about: What the manifest says: suite, versions, settings ...
+
+    Returns:
+        The files; ``NAME.manifest.json`` is the last one.
+
+    Raises:
+        UsageError: The folder cannot be written.
     """
     files = {f"{name}{ending}": text for ending, text in texts.items()}
     manifest = {
@@ -57,17 +83,19 @@ def write_files(
 
 
 def digest(cells: Iterable[Cell]) -> str:
-    """SHA-256 over the outcomes of the cells, in any order: equal where only seconds differ."""
+    """Return the SHA-256 of the outcomes of cells, in any order; it is equal if only times differ."""
     kept = [{k: cell.get(k) for k in DIGESTED} for cell in cells]
     lines = sorted(json.dumps(cell, sort_keys=True, ensure_ascii=False, default=str) for cell in kept)
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
 
 def as_json(value: Any) -> str:
+    """Format a value as JSON; numbers are rounded, and those that are not finite become null."""
     return json.dumps(_finite(value), indent=2, ensure_ascii=False, allow_nan=False, default=str) + "\n"
 
 
 def as_csv(head: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> str:
+    """Format rows as CSV; numbers are rounded, and those that are not finite become empty."""
     buffer = io.StringIO()
     writer = csv.DictWriter(buffer, head, lineterminator="\n")
     writer.writeheader()
@@ -76,7 +104,7 @@ def as_csv(head: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> str:
 
 
 def _finite(value: Any) -> Any:
-    """Rounded to 6 decimals; a number that is not finite becomes None."""
+    """Round numbers to 6 decimals; those that are not finite become None."""
     if isinstance(value, float):
         return round(value, 6) if math.isfinite(value) else None
     if isinstance(value, Mapping):
@@ -112,14 +140,14 @@ def _document(table: BenchTable) -> dict[str, Any]:
 
 
 SCREEN_CHARACTERS = 100
-NAME_CHARACTERS = 26  # characters of a name in front of its figures; a longer one has a line of its own
+NAME_CHARACTERS = 26  # a longer name has a line of its own above its figures
 NO_VALUE_ON_SCREEN = "-"
 MAIN = ("collision", "valid", "strict", "serious")
 INTERVALS_NOTE = "Rates with Wilson's 95 % intervals."
 
 
 def table_text(table: BenchTable, file: Path) -> str:
-    """The rates of the levels of each row, the median number of attempts until the first valid one, and the notes."""
+    """Format the table for the terminal: level rates, the median of attempts until the first valid one, and notes."""
     sections = []
     for ego in table.egos:
         rows = []
@@ -134,7 +162,17 @@ def table_text(table: BenchTable, file: Path) -> str:
 
 
 def on_screen(title: str, sections: Sequence[tuple[str, Sequence[str]]], notes: Sequence[str], file: Path) -> str:
-    """Sections of aligned rows, each below its heading, then the notes, and the file that holds the rest."""
+    """Format sections for the terminal.
+
+    Args:
+        title: The title.
+        sections: The heading and the aligned rows of each section.
+        notes: The notes; the first one follows the note on intervals.
+        file: The file with all figures.
+
+    Returns:
+        The text.
+    """
     lines = [title]
     for heading, rows in sections:
         lines += ["", *([heading] if heading else []), *rows]
@@ -145,7 +183,15 @@ def on_screen(title: str, sections: Sequence[tuple[str, Sequence[str]]], notes: 
 
 
 def aligned(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """Rows in columns, numbers to the right. A long name stands on a line of its own, above its figures."""
+    """Align rows in columns, numbers to the right. A long name has a line of its own, above its figures.
+
+    Args:
+        head: The header.
+        rows: The rows.
+
+    Returns:
+        The lines.
+    """
     widths = [max(len(line[k]) for line in (head, *rows)) for k in range(1, len(head))]
     first = min(max(len(line[0]) for line in (head, *rows)), NAME_CHARACTERS)
     lines = []
@@ -158,7 +204,7 @@ def aligned(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
 
 
 def rate(estimate: Estimate | None) -> str:
-    """``.75 [.70,.80]``; a dash where there is none."""
+    """Format a rate as ``.75 [.70,.80]``; a dash if there is none."""
     if estimate is None:
         return NO_VALUE_ON_SCREEN
     value, low, high = (_short(v) for v in (estimate.value, estimate.low, estimate.high))
@@ -170,5 +216,5 @@ def _short(value: float) -> str:
 
 
 def plain(estimate: Estimate | None) -> str:
-    """One decimal; a dash where there is none."""
+    """Format a value with one decimal; a dash if there is none."""
     return NO_VALUE_ON_SCREEN if estimate is None else f"{estimate.value:.1f}"

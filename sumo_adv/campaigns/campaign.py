@@ -73,7 +73,7 @@ class Orders:
     Attributes:
         out: The folder of the results.
         bank: The user's memory bank.
-        versions: The versions of what affects the numbers.
+        versions: The versions of the packages that affect the numbers.
         pace: How the work is done.
         force: Whether the results of another plan may be continued.
         retry_failed: Whether failed episodes are run again.

@@ -47,7 +47,7 @@ class Needs:
     """What a node must have.
 
     Attributes:
-        versions: The versions of what affects the numbers.
+        versions: The versions of the packages that affect the numbers.
         inputs: The path, content and record of each input.
         egos: The names of drivers.
     """
@@ -65,7 +65,7 @@ class Needs:
 
         Args:
             jobs: The jobs.
-            versions: The versions of what affects the numbers.
+            versions: The versions of the packages that affect the numbers.
 
         Returns:
             The needs.

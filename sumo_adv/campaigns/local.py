@@ -69,7 +69,7 @@ class _Slot:
 
     @property
     def words(self) -> str:
-        """The end of what the worker printed."""
+        """The last part of the worker's output."""
         try:
             return (self.folder / "log").read_text(errors="replace")[-MAX_KEPT_OUTPUT_CHARACTERS:]
         except OSError:
@@ -96,7 +96,7 @@ class LocalWorkers:
         scratch: The folder of the workers' folders.
         fail: Records a job that could not be run, from the job, the reason and a text.
         stop: The state of Ctrl-C.
-        make: Makes a worker's runner. It is sent to the worker. None runs episodes of a batch, whose jobs are of the
+        make: Makes a worker's runner. It is sent to the worker. None runs episodes of a batch, whose jobs have the
             type ``EpisodeJob``. The jobs of another runner are anything with an ``id``.
         seen: Returns how far a job is, and the time in it that does not count [s]. The job's deadline is extended when
             it gets further.

@@ -105,7 +105,7 @@ class Story:
         raw: The unattacked run; None if it has no states of the ego and the collider.
         trigger: When the attack begins [s].
         decisive: The contact or, without one, the closest approach [s].
-        end: The end of what is shown [s].
+        end: The end of the shown time [s].
         outcome: The verdict as ``outcome.json`` has it.
     """
 
@@ -146,7 +146,7 @@ class Story:
 
     @property
     def start(self) -> float:
-        """The beginning of what is shown [s]."""
+        """The beginning of the shown time [s]."""
         return self.trigger - SHOWN_BEFORE_TRIGGER_S
 
 
@@ -309,9 +309,16 @@ def save(figure: Figure, target: Path, kind: str) -> None:
 
 
 def write_film(story: Story, target: Path, kind: str) -> None:
-    """Write the film; faint outlines show where ego and adversaries would be without the attack.
+    """Write a film. Faint outlines show where ego and adversaries would be without the attack.
 
-    Raises UsageError: an MP4 without ffmpeg; OSError: the file cannot be written.
+    Args:
+        story: The encounter.
+        target: The file.
+        kind: ``gif`` or ``mp4``.
+
+    Raises:
+        UsageError: An MP4 is wanted and there is no ffmpeg.
+        OSError: The file cannot be written.
     """
     if kind == "mp4" and shutil.which("ffmpeg") is None:
         raise UsageError("An MP4 needs ffmpeg: install it (Debian: apt-get install ffmpeg), or make a .gif.")

@@ -1,6 +1,6 @@
 """Compute what the files say of the attempt that counts beyond its verdict: figures, cause, realism and time series.
 
-All of it follows from what was recorded. Nothing is simulated again.
+All of it follows from the recording. Nothing is simulated again.
 """
 
 from __future__ import annotations
