@@ -243,7 +243,7 @@ def touch_of(situations: Mapping[float, Situation], proposals: Sequence[Proposal
 
 
 def _score(danger: PredictedSeverity, weights: ScoreSettings) -> Floats:
-    """Score collisions by their level, and within a level by what is missing to the next one.
+    """Score collisions by their level, and within a level by their shortfall from the next one.
 
     Collisions at the edge of a level would not survive noise.
     """
