@@ -1,1 +1,1 @@
-"""The agents that choose intents and write planners: protocols, prompts, the built-in expert and language models."""
+"""Agents that choose intents and write planners: protocols, prompts, the built-in expert and language models."""

@@ -1,10 +1,10 @@
 """The three agents of a run: analyzer, generator and modifier, each played by a language model or the built-in expert.
 
-A run asks its models at most ``questions`` times, and ``questions_familiar`` times where no intent is new. ``bought``
-has the result of each question.
+A run asks its models at most ``questions`` times, or ``questions_familiar`` times if no intent is new. ``bought`` holds
+the result of each question.
 
-If a model fails, the run ends with its ModelError. With the setting ``fallback = builtin`` the expert takes over that
-role for the rest of the run instead, and ``failed`` has the reason.
+If a model fails, the run ends with its ModelError. With the setting ``fallback = builtin``, the expert takes over that
+role for the rest of the run instead, and ``failed`` holds the reason.
 """
 
 from __future__ import annotations
@@ -36,13 +36,19 @@ from sumo_adv.situation import Situation
 
 AGENT_ROLES = ("analyzer", "generator", "modifier")
 BUILT_IN_AGENTS = {"analyzer": EXPERT, "generator": EXPERT, "modifier": "none"}
-"""Role -> what plays it without a model: nothing built in modifies planners."""
+"""Maps each role to what plays it without a model. No built-in agent modifies planners."""
 T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
 class Bought:
-    """The result of a question to a model: the agent, the answer in a few words, and the planner that was written."""
+    """The result of a question to a model.
+
+    Attributes:
+        agent: The role that asked.
+        what: The answer in a few words.
+        planner: The hash of the planner that was written; None if there is none.
+    """
 
     agent: str
     what: str
@@ -50,31 +56,60 @@ class Bought:
 
 
 class Agents:
-    """Analyzer, generator and modifier of one run. models: by role, the models that play one; ``BUILT_IN_AGENTS`` says
-    what plays the other roles. ledger: counts what the models spend. prompts: required if there are models."""
+    """Analyzer, generator and modifier of one run.
+
+    Attributes:
+        settings: The settings of the run.
+        sandbox: Where planners are tried.
+        models: The models by role. ``BUILT_IN_AGENTS`` says what plays the other roles.
+        ledger: Counts what the models spend.
+        calls: The number of calls of each role.
+        failed: Why the expert took over a role, by role.
+        bought: The results of the questions so far.
+        casts: The compositions that the analysis proposes.
+        asked: What an attack must show if it was requested in words; None otherwise.
+        why_not: Why the request cannot be played in the encounter; empty if it can.
+    """
 
     def __init__(
         self, settings: Settings, sandbox: Sandbox, models: Mapping[str, ChatModel] | None = None,
         ledger: Ledger | None = None, prompts: Prompts | None = None,
     ) -> None:  # fmt: skip
+        """Assign the roles.
+
+        Args:
+            settings: The settings of the run.
+            sandbox: Where planners are tried.
+            models: The models by role; None lets the built-in agents play all roles.
+            ledger: Counts what the models spend; None starts a new one.
+            prompts: The prompts; required if there are models.
+        """
         self.settings, self.sandbox = settings, sandbox
         self.models, self.ledger = dict(models or {}), ledger or Ledger()
         self._prompts, self._limits = prompts, settings.limits.limits()
         self._distribution: Distribution | None = None
         self.calls = dict.fromkeys(AGENT_ROLES, 0)
-        self.failed: dict[str, str] = {}  # role -> why the expert took over
+        self.failed: dict[str, str] = {}  # by role
         self.bought: list[Bought] = []
-        self.casts: tuple[Cast, ...] = ()  # compositions that the analysis proposes
-        self.asked: Asked | None = None  # what must be true of an attack that was asked for in words
-        self.why_not = ""  # why that cannot be played in the encounter, empty if it can
-        self._novel = False  # whether the analysis has a new intent
+        self.casts: tuple[Cast, ...] = ()
+        self.asked: Asked | None = None
+        self.why_not = ""
+        self._novel = False  # whether the analysis contains a new intent
 
     def player(self, role: str) -> str:
-        """The name of the model that plays a role now, else that of ``BUILT_IN_AGENTS``."""
+        """Return the name of the model that plays a role now, otherwise that of ``BUILT_IN_AGENTS``.
+
+        Args:
+            role: The role.
+        """
         return self.models[role].name if self.by_model(role) else BUILT_IN_AGENTS[role]
 
     def by_model(self, role: str) -> bool:
-        """Whether a model plays a role now."""
+        """Return whether a model plays a role now.
+
+        Args:
+            role: The role.
+        """
         return role in self.models and role not in self.failed
 
     @property
@@ -86,6 +121,7 @@ class Agents:
 
     @property
     def prompts(self) -> Prompts:
+        """The prompts, which a run with models must have."""
         assert self._prompts is not None, "Agents with models need prompts"
         return self._prompts
 
@@ -103,12 +139,19 @@ class Agents:
         self, search: AttackSearch, situations: Mapping[float, Situation], library: Sequence[LibraryEntry], *,
         selection: Selection, remembered: Mapping[str, str], teamwork: Teamwork | None = None,
     ) -> list[Intent]:  # fmt: skip
-        """Intents, most dangerous first. Raises ModelError.
+        """Choose intents, most dangerous first.
 
-        search: has predicted its candidates; they are the model's evidence, and their ranking is the expert's answer.
-        selection: the intents that may be chosen; unless it is open, a model invents none.
-        remembered: label -> what the bank knows of that intent, in words.
-        teamwork: what a model may compose (``casts``), None if one adversary is all that is allowed.
+        Args:
+            search: The search, which has predicted its candidates. They are the model's evidence, and their ranking is
+                the expert's answer.
+            situations: The situations by delay after the trigger [s].
+            library: The known intents.
+            selection: The intents that may be chosen. Unless it is open, a model invents none.
+            remembered: What the bank knows of each intent, in words, by label.
+            teamwork: What a model may compose (``casts``); None if only one adversary is allowed.
+
+        Raises:
+            ModelError: The model failed, and the expert may not take over.
         """
 
         def by_model() -> list[Intent]:
@@ -134,8 +177,20 @@ class Agents:
     def confirm(
         self, intent: Intent, nearest: Sequence[LibraryEntry], situations: Mapping[float, Situation]
     ) -> Intent | None:
-        """A model's new intent by the label among ``nearest`` that means the same behaviour, None for a novel one.
-        Without questions left the intent is as novel as its analyzer said. Raises ModelError."""
+        """Check whether a model's new intent is a known one.
+
+        Args:
+            intent: The new intent.
+            nearest: The known intents that it may be.
+            situations: The situations by delay after the trigger [s].
+
+        Returns:
+            The intent by the label among ``nearest`` that means the same behaviour. It is None for a novel intent, and
+            if no questions are left.
+
+        Raises:
+            ModelError: The model failed, and the expert may not take over.
+        """
 
         def by_model() -> Intent | None:
             analyzer = ModelAnalyzer(self._metered("analyzer"), self.prompts, self._limits)
@@ -146,8 +201,21 @@ class Agents:
         return self._played("analyzer", by_model, lambda: None) if self.may_ask else None
 
     def generate(self, intent: Intent, situation: Situation, examples: Sequence[LibraryEntry]) -> tuple[Planner, ...]:
-        """Planners for an intent that the bank lacks, none without questions left. ``examples``: nearest first. Those
-        of an intent that the expert composed beside a model's are the expert's. Raises ModelError."""
+        """Get planners for an intent that the bank lacks.
+
+        If the expert composed the intent in addition to a model's intents, the expert writes the planners.
+
+        Args:
+            intent: The intent.
+            situation: The situation in which it is tried.
+            examples: Known intents with planners, nearest first.
+
+        Returns:
+            The planners; none if no questions are left.
+
+        Raises:
+            ModelError: The model failed, and the expert may not take over.
+        """
         if self.by_model("analyzer") and intent.label in COMPOSED:
             return expert_planners(intent, examples)
         if self.by_model("generator") and not self.may_ask:
@@ -166,8 +234,20 @@ class Agents:
         return self._played("generator", by_model, lambda: expert_planners(intent, examples))
 
     def modify(self, planner: Planner, reports: Sequence[AttemptReport], scene: RepairScene) -> Change | None:
-        """A model's change after the attempts with a planner, None if it changes nothing. Raises ModelError. None also
-        if the expert plays the modifier, since the search itself tries other parameters, and without questions left."""
+        """Ask a model for a change after attempts with a planner.
+
+        Args:
+            planner: The planner.
+            reports: The attempts with the planner.
+            scene: What the modifier is told in addition.
+
+        Returns:
+            The change. It is None if no questions are left, or if no model plays the modifier, since the search itself
+            tries other parameters.
+
+        Raises:
+            ModelError: The model failed, and ``fallback`` is not ``builtin``.
+        """
         if not self.by_model("modifier") or not self.may_ask:
             return None
 
@@ -182,13 +262,15 @@ class Agents:
         return self._played("modifier", by_model, lambda: None)
 
     def _trial(self, applies: Sequence[str]) -> Trial:
+        """Return a function that runs a planner in the sandbox."""
         return lambda planner: trial(self.sandbox, planner, applies, type_check=True)
 
     def _metered(self, role: str) -> MeteredModel:
+        """Return the model of a role with its ledger."""
         return MeteredModel(self.models[role], self.ledger)
 
     def _played(self, role: str, by_model: Callable[[], T], by_expert: Callable[[], T]) -> T:
-        """The result of the role's player. Counts the call; a failed model is replaced if the settings allow it."""
+        """Call the player of a role, and count the call; a failed model is replaced if the settings allow it."""
         self.calls[role] += 1
         if self.by_model(role):
             try:

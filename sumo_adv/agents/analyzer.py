@@ -1,9 +1,9 @@
 """The analyzer: the paper's g, played by a language model. The built-in expert's answer is ``AttackSearch.ranking``.
 
 A model sees the scene and the evidence of the predictions. It chooses intents, and for each one the modes, their
-numbers and the start. Its answers to ``samples`` equal questions give a distribution over intents, which are ordered by
-expected risk. If the entropy of the distribution is high, the first intents are tried side by side (the paper's first
-future direction).
+parameter values and the start. Its answers to ``samples`` equal questions give a distribution over intents, which are
+ordered by expected risk. If the entropy of the distribution is high, the first intents are tried side by side (the
+paper's first future direction).
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from sumo_adv.search.supports import Cast
 from sumo_adv.situation import Situation
 
 RISK_VALUES: Mapping[str, float] = {"low": 0.2, "medium": 0.5, "high": 1.0}
-UNDECIDED_ENTROPY_SHARE = 0.5  # share of the maximum entropy from which the first intents are tried side by side
-MAX_NOVEL_INTENTS = 2  # novel intents in one answer
+UNDECIDED_ENTROPY_SHARE = 0.5  # at this share of the maximum entropy or more, the first intents are tried side by side
+MAX_NOVEL_INTENTS = 2  # maximum number of novel intents in one answer
 Evidence = Callable[[Aliases], str]
 
 # The classes below are sent to the model as a JSON schema, with their names and docstrings.
@@ -79,11 +79,13 @@ class Same(BaseModel):
 
 @dataclass(frozen=True, slots=True)
 class Distribution:
-    """The distribution of ``samples`` answers over intents, which are (BV id, label).
+    """The distribution of answers over intents, each given as (BV id, label).
 
-    first: share of the answers that rank the intent first.
-    entropy: of ``first``, as a share of the maximum, in [0, 1].
-    expected_risk: the value by which the intents are ordered.
+    Attributes:
+        samples: The number of answers.
+        first: The share of the answers that rank the intent first.
+        entropy: The entropy of ``first``, as a share of the maximum, in [0, 1].
+        expected_risk: The value by which the intents are ordered.
     """
 
     samples: int
@@ -97,7 +99,7 @@ class Distribution:
         return self.entropy >= UNDECIDED_ENTROPY_SHARE and self.samples > 1
 
     def as_dict(self) -> dict[str, Any]:
-        """The ``analysis`` of ``outcome.json``."""
+        """Return the ``analysis`` of ``outcome.json``."""
         return {
             "samples": self.samples, "entropy": self.entropy, "side_by_side": self.undecided,
             "first": [{"bv": bv, "label": label, "share": round(s, 4)} for (bv, label), s in self.first.items()],
@@ -106,20 +108,32 @@ class Distribution:
 
 
 class ModelAnalyzer:
-    """Asks a model about a situation. ``distribution`` holds the answers of the last analysis, ``casts`` the
-    compositions that they propose.
+    """Asks a model about a situation.
 
-    allowed: labels that the model may choose, empty for all.
-    evidence: makes the table of ``agents.evidence`` from the vehicles' aliases, None to leave the table out.
-    teamwork: what the model may compose, None if one adversary is all that is allowed.
-    request: the attack that a person wants, in words; empty for the most dangerous ones. ``asked`` holds
-    what must be true of it, ``why_not`` why it cannot be played here, empty if it can.
+    Attributes:
+        asked: What an attack must show by the last analysis of a request; None without a request.
+        why_not: Why the request cannot be played here; empty if it can.
+        distribution: The answers of the last analysis; None before the first one.
+        casts: The compositions that these answers propose.
     """
 
     def __init__(
         self, metered: MeteredModel, prompts: Prompts, limits: Limits, *, samples: int = 1, allowed: Sequence[str] = (),
         evidence: Evidence | None = None, teamwork: Teamwork | None = None, request: str = "",
     ) -> None:  # fmt: skip
+        """Prepare to ask.
+
+        Args:
+            metered: The language model.
+            prompts: The prompts.
+            limits: The limits of the adversary.
+            samples: The number of answers to each analysis.
+            allowed: The labels that the model may choose; empty allows all.
+            evidence: Makes the table of ``agents.ways.evidence_words`` from the vehicles' aliases; None leaves the
+                table out.
+            teamwork: What the model may compose; None if only one adversary is allowed.
+            request: The attack that a user wants, in words; empty for the most dangerous ones.
+        """
         self._metered, self._prompts, self._limits = metered, prompts, limits
         self._samples, self._allowed, self._evidence = samples, tuple(allowed), evidence
         self._teamwork, self._request = teamwork, request
@@ -129,8 +143,19 @@ class ModelAnalyzer:
         self.casts: tuple[Cast, ...] = ()
 
     def analyze(self, situations: Mapping[float, Situation], library: Sequence[LibraryEntry]) -> list[Intent]:
-        """Intents for the earliest situation, most dangerous first; none if the model sees nothing dangerous. Raises
-        ModelError, BudgetError."""
+        """Choose intents for the earliest situation, most dangerous first.
+
+        Args:
+            situations: The situations by delay after the trigger [s].
+            library: The known intents.
+
+        Returns:
+            The intents; none if the model sees nothing dangerous.
+
+        Raises:
+            ModelError: The model failed.
+            BudgetError: The run may ask no more.
+        """
         situation = situations[min(situations)]
         entries = [e for e in library if not self._allowed or e.label in self._allowed]
         aliases = Aliases.of(situation)
@@ -153,7 +178,7 @@ class ModelAnalyzer:
         )  # fmt: skip
         if isinstance(answers[0], AskedAnalysis):
             self.asked, self.why_not = answers[0].asked, sanitize(answers[0].why_not)
-            answers = [answers[0]]  # what must be true is of one reading of the request
+            answers = [answers[0]]  # the conditions must come from a single reading of the request
         ranked, self.distribution = _ranking(answers, aliases)
         teams = (team for answer in answers if isinstance(answer, TeamAnalysis) for team in answer.compositions)
         self.casts = casts_of(teams, aliases, entries)
@@ -162,8 +187,20 @@ class ModelAnalyzer:
     def confirm(
         self, intent: Intent, nearest: Sequence[LibraryEntry], situations: Mapping[float, Situation]
     ) -> Intent | None:
-        """The intent by the label among ``nearest`` that means the same behaviour, with the ways to carry it out; None
-        for a novel one. Raises ModelError."""
+        """Check whether a new intent is a known one.
+
+        Args:
+            intent: The new intent.
+            nearest: The known intents that it may be.
+            situations: The situations by delay after the trigger [s].
+
+        Returns:
+            The intent by the label among ``nearest`` that means the same behaviour, with the ways to carry it out; None
+            for a novel one.
+
+        Raises:
+            ModelError: The model failed.
+        """
         situation = situations[min(situations)]
         aliases = Aliases.of(situation)
         listed = "\n".join(
@@ -194,7 +231,7 @@ class ModelAnalyzer:
     def _fault(
         self, answer: Analysis, situation: Situation, aliases: Aliases, library: Sequence[LibraryEntry]
     ) -> str | None:
-        """The first fault of an answer as a sentence for the model, None for a usable answer."""
+        """Return the first fault of an answer as a sentence for the model; None if the answer is usable."""
         labels = {sanitize(e.label).lower(): e for e in library}
         seen = set()
         for choice in answer.intents:
@@ -235,6 +272,7 @@ class ModelAnalyzer:
         return next((fault for fault in faults if fault is not None), None)
 
     def _novelty_fault(self, choice: Choice, entry: LibraryEntry | None) -> str | None:
+        """Return the fault of a novel intent; None if it is usable."""
         if self._allowed:
             return f"Only these behaviours are allowed here: {', '.join(self._allowed)}."
         if entry is not None:
@@ -245,6 +283,7 @@ class ModelAnalyzer:
 
 
 def _acceleration_fault(acceleration: float | list[list[float]], limits: Limits) -> str | None:
+    """Return the fault of an acceleration; None if it is usable."""
     try:
         acceleration_of(acceleration, limits)
     except ValueError as error:
@@ -256,9 +295,17 @@ def analyzer_prompt(
     prompts: Prompts, situations: Mapping[float, Situation], library: Sequence[LibraryEntry], limits: Limits,
     evidence: Evidence | None = None, teamwork: Teamwork | None = None, request: str = "",
 ) -> Prompt:  # fmt: skip
-    """The analyzer's prompt for the earliest situation. ``library``: the intents that the model may choose; with
-    ``teamwork`` it is asked for compositions too. ``request``: an attack in a person's words that it is to carry out,
-    empty for the most dangerous ones."""
+    """Return the analyzer's prompt for the earliest situation.
+
+    Args:
+        prompts: The prompts.
+        situations: The situations by delay after the trigger [s].
+        library: The intents that the model may choose.
+        limits: The limits of the adversary.
+        evidence: Makes the evidence of the predictions; None leaves it out.
+        teamwork: What the model may compose; None if it is not asked for compositions.
+        request: An attack in a user's words that is to be carried out; empty for the most dangerous ones.
+    """
     situation = situations[min(situations)]
     aliases = Aliases.of(situation)
     words = {word for target in situation.target_list() for word in target.applies()}
@@ -283,6 +330,7 @@ def analyzer_prompt(
 
 
 def _asked_fault(answer: AskedAnalysis) -> str | None:
+    """Return the fault of the answer to a request; None if the answer is usable."""
     if answer.can_be_played and not answer.intents:
         return "The request can be played, so give one intent or more, or set can_be_played to false."
     if not answer.can_be_played and answer.intents:
@@ -293,8 +341,10 @@ def _asked_fault(answer: AskedAnalysis) -> str | None:
 
 
 def _ranking(answers: Sequence[Analysis], aliases: Aliases) -> tuple[list[Choice], Distribution]:
-    """All intents of all answers by expected risk. The expected risk is the mean over the answers of risk / place. An
-    answer without the intent counts as 0."""
+    """Order all intents of all answers by expected risk: the mean over the answers of risk / place.
+
+    An answer without the intent counts as 0.
+    """
     risk: defaultdict[tuple[str, str], float] = defaultdict(float)
     first: Counter[tuple[str, str]] = Counter()
     chosen: dict[tuple[str, str], Choice] = {}
@@ -316,6 +366,7 @@ def _ranking(answers: Sequence[Analysis], aliases: Aliases) -> tuple[list[Choice
 def _intent(
     choice: Choice, aliases: Aliases, library: Sequence[LibraryEntry], situations: Mapping[float, Situation]
 ) -> Intent:
+    """Return a model's choice as an intent."""
     entry = next((e for e in library if sanitize(e.label).lower() == sanitize(choice.label).lower()), None)
     label = entry.label if entry is not None else sanitize(choice.label)
     description = entry.description if entry is not None else sanitize(choice.description)

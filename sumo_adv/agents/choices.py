@@ -1,6 +1,6 @@
-"""JSON schemas of the agents' answers for one scene: vehicles, behaviours and modes are enums of what can be chosen.
+"""JSON schemas of the agents' answers for one scene: vehicles, behaviours and modes are enums of the possible choices.
 
-A server that holds a model to a schema then cannot return a name that is not there. Answers are checked all the same.
+A server that enforces a schema cannot return a name that does not exist. Answers are checked all the same.
 """
 
 from __future__ import annotations
@@ -17,25 +17,25 @@ from sumo_adv.datatypes import Duty, LibraryEntry
 from sumo_adv.llm.prompts import sanitize
 from sumo_adv.search.support_intents import SUPPORT_INTENTS
 
-MAX_ENUM_VALUES = 250  # of one enum: servers limit long ones, and compile them into their grammars
+MAX_ENUM_VALUES = 250  # per enum; servers limit long ones, and compile them into their grammars
 Schema = dict[str, Any]
 Values = Mapping[str, Iterable[str]]
-"""By class and property, such as ``Choice.bv``, the values that it may have."""
+"""Maps class and property, such as ``Choice.bv``, to the values that it may have."""
 
 
 def analysis_schema(
     answer_type: type[BaseModel], vehicles: Sequence[str], library: Sequence[LibraryEntry],
     teamwork: Teamwork | None = None, colliders: Sequence[str] = (), *, novel: bool,
 ) -> Schema:  # fmt: skip
-    """The schema of an analysis.
+    """Return the schema of an analysis.
 
     Args:
         answer_type: ``Analysis`` or a class that is derived from it.
-        vehicles: aliases of all vehicles that may be chosen.
-        library: the intents that may be chosen.
-        teamwork: what may be composed; None for one adversary.
-        colliders: aliases of the vehicles that may be chosen without a composition.
-        novel: whether an intent may be new. A new one has any label, all others have one of the library's.
+        vehicles: The aliases of all vehicles that may be chosen.
+        library: The intents that may be chosen.
+        teamwork: What may be composed; None for one adversary.
+        colliders: The aliases of the vehicles that may be chosen without a composition.
+        novel: Whether an intent may be new. A new one has any label; all others have one of the library's.
     """
     labels = [sanitize(entry.label) for entry in library]
     values: dict[str, Iterable[str]] = {
@@ -61,13 +61,23 @@ def analysis_schema(
 
 
 def same_schema(answer_type: type[BaseModel], nearest: Sequence[LibraryEntry]) -> Schema:
-    """The schema of the answer whether a behaviour is one of the ``nearest``."""
+    """Return the schema of the answer whether a behaviour is one of the ``nearest``.
+
+    Args:
+        answer_type: The class of the answer.
+        nearest: The known intents that may be chosen.
+    """
     labels = [sanitize(entry.label) for entry in nearest]
     return _with_values(answer_type.model_json_schema(), {"Same.same_as": labels, "HowTo.mode": _modes(nearest)})
 
 
 def change_schema(answer_type: type[BaseModel], choices: Mapping[str, Sequence[LibraryEntry]]) -> Schema:
-    """The schema of a modifier's answer. ``choices``: by vehicle, the intents that it may be given instead."""
+    """Return the schema of a modifier's answer.
+
+    Args:
+        answer_type: The class of the answer.
+        choices: The intents that each vehicle may be given instead, by the vehicle's alias.
+    """
     library = [entry for entries in choices.values() for entry in entries]
     labels = [entry.label for entry in library]
     values = {"Instead.bv": choices, "Instead.label": labels, "Instead.mode": _modes(library)}
@@ -75,12 +85,16 @@ def change_schema(answer_type: type[BaseModel], choices: Mapping[str, Sequence[L
 
 
 def _modes(library: Iterable[LibraryEntry]) -> list[str]:
+    """Return the modes of all intents."""
     return [planner.mode for entry in library for planner in first_of_each_mode(entry)]
 
 
 def _with_values(schema: Mapping[str, Any], values: Values) -> Schema:
-    """A copy in which properties are enums. One that may be null stays so; one without values or with more than
-    ``MAX_ENUM_VALUES`` stays as it is."""
+    """Return a copy of a schema in which properties are enums.
+
+    A property that may be null stays so. A property without values, or with more than ``MAX_ENUM_VALUES``, is not
+    changed.
+    """
     made: Schema = copy.deepcopy(dict(schema))
     classes = {**made.get("$defs", {}), made["title"]: made}
     for name, allowed in values.items():

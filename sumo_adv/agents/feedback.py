@@ -1,4 +1,4 @@
-"""What attempts showed, in words for the modifier. The sentences are in ``prompts/feedback.md``."""
+"""Describe what attempts showed, for the modifier. The sentences are in ``prompts/feedback.md``."""
 
 from __future__ import annotations
 
@@ -13,18 +13,27 @@ from sumo_adv.metrics.reference.brakers import FULL_BRAKING_M_S2
 from sumo_adv.metrics.reference.cc_human import HUMAN_REACTION_S
 from sumo_adv.metrics.severity import SERIOUS_DELTA_V_M_S
 
-MAX_EARLIER_ATTEMPTS = 10  # attempts of a line each
-LONG_WARNING_S = 2.5  # with more, a collision that braking does not avoid is not a matter of time
-NO_COURSE_TTC_S = 100.0  # with more, there is no collision course
+MAX_EARLIER_ATTEMPTS = 10  # maximum number of attempts that get one line each
+LONG_WARNING_S = 2.5  # with more warning, time is not the reason why braking does not avoid the collision
+NO_COURSE_TTC_S = 100.0  # above this TTC there is no collision course
 
 Say = Callable[..., str]
-"""A sentence by its name, with its variables: ``Prompts.phrase`` of the feedback."""
+"""Returns a sentence by its name, with its variables: ``Prompts.phrase`` of the feedback."""
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """Both vehicles ``time`` s after the start: the bv's centre ahead and left of the ego [m] in the ego's frame, its
-    heading against the ego's [deg], both speeds [m/s], the bv's offset from the way that it took [m, left positive]."""
+    """Both vehicles at one time, in the ego's frame.
+
+    Attributes:
+        time: The time after the start [s].
+        ahead: How far the BV's centre is ahead of the ego's [m].
+        left: How far the BV's centre is to the left of the ego's [m].
+        heading: The BV's heading relative to the ego's [deg].
+        ego_speed: The ego's speed [m/s].
+        bv_speed: The BV's speed [m/s].
+        offset: The BV's offset from the way that it took, positive to the left [m].
+    """
 
     time: float
     ahead: float
@@ -37,8 +46,16 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class AttemptReport:
-    """An attempt with its motion every half second, its failed gates in words, when it began after the scene that the
-    modifier is shown, how long it lasted [s], and the movement of the way that the bv took."""
+    """An attempt, as reported to the modifier.
+
+    Attributes:
+        attempt: The attempt.
+        rows: Its motion every half second.
+        gates: Its failed gates, in words.
+        begun: How long after the scene that the modifier is shown the attempt began [s].
+        lasted: How long the attempt lasted [s].
+        movement: The movement of the way that the BV took.
+    """
 
     attempt: Attempt
     rows: tuple[Row, ...]
@@ -49,7 +66,12 @@ class AttemptReport:
 
 
 def report_words(prompts: Prompts, report: AttemptReport) -> str:
-    """One attempt for the modifier."""
+    """Describe one attempt for the modifier.
+
+    Args:
+        prompts: The prompts.
+        report: The attempt.
+    """
     say = partial(prompts.phrase, "feedback")
     attempt = report.attempt
     v, p = attempt.verdict, attempt.proposal
@@ -80,8 +102,16 @@ def report_words(prompts: Prompts, report: AttemptReport) -> str:
 
 
 def earlier_words(prompts: Prompts, attempts: Sequence[Attempt], by_id: Mapping[str, str]) -> str:
-    """The last ``MAX_EARLIER_ATTEMPTS`` of some attempts, a line each: vehicle (``by_id``: its alias), planner,
-    numbers, level, and what it lacked. The text of a planner has a short name of its own."""
+    """Describe the last ``MAX_EARLIER_ATTEMPTS`` of some attempts, one line each.
+
+    A line holds the vehicle, the planner, its parameter values, the level, and what the attempt lacked. The text of a
+    planner has a short name of its own.
+
+    Args:
+        prompts: The prompts.
+        attempts: The attempts.
+        by_id: The aliases of the vehicles, by id.
+    """
     say = partial(prompts.phrase, "feedback")
     lines = []
     for attempt in attempts[-MAX_EARLIER_ATTEMPTS:]:
@@ -99,7 +129,7 @@ def earlier_words(prompts: Prompts, attempts: Sequence[Attempt], by_id: Mapping[
 
 
 def _came_to(say: Say, v: Verdict) -> str:
-    """Say whether and how the two touched."""
+    """Say whether and how the two vehicles touched."""
     if v.collided:
         severity = "" if v.delta_v is None else say("delta_v", delta_v=f"{v.delta_v:.1f}")
         return say(
@@ -112,7 +142,7 @@ def _came_to(say: Say, v: Verdict) -> str:
 
 
 def _next_level(say: Say, v: Verdict, start: float) -> tuple[str, str]:
-    """Say what is missing to the next level, and the numbers behind that or nothing. ``start``: of the attempt [s]."""
+    """Say what is missing to the next level, and the numbers behind that, if any; ``start`` is the attempt's [s]."""
     p = v.preventability
     if gone := _before_a_judgement(v):
         return say(gone), ""
@@ -156,7 +186,7 @@ def _to_serious(say: Say, v: Verdict) -> list[str]:
 
 
 def _more_warning(say: Say, v: Verdict, warning: float | None, alarm: float | None, start: float) -> tuple[str, str]:
-    """Say when the danger showed, and how much earlier it should: for what a careful driver cannot avoid."""
+    """Say when the danger showed and how much earlier it should, for collisions that a careful driver cannot avoid."""
     by = v.preventability.by if v.preventability is not None else ()
     avoided = say("avoided", drivers=", ".join(by)) if by else say("unavoided")
     if warning is None or alarm is None:

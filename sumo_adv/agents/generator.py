@@ -18,8 +18,8 @@ from sumo_adv.planners.text import HELPERS_TEXT, make_planner
 from sumo_adv.search.intents import EXPERT, NEW_INTENTS
 from sumo_adv.situation import Situation
 
-MAX_EXAMPLE_PLANNERS = 2  # planners of similar intents in the prompt
-Trial = Callable[[Planner], str | None]  # runs a planner in the sandbox; returns its fault, None for a usable planner
+MAX_EXAMPLE_PLANNERS = 2  # maximum number of planners of similar intents in the prompt
+Trial = Callable[[Planner], str | None]  # runs a planner in the sandbox; returns its fault or None
 
 
 class Written(BaseModel):  # sent to the model as a JSON schema, with its name and docstring
@@ -31,8 +31,16 @@ class Written(BaseModel):  # sent to the model as a JSON schema, with its name a
 
 @dataclass(frozen=True, slots=True)
 class ModelGenerator:
-    """Asks a model for a planner. The sandbox's fault is sent back at most ``tries`` times. instruction: the user's
-    instruction for the trajectory (the paper's psi), or None."""
+    """Asks a model for a planner.
+
+    Attributes:
+        metered: The language model.
+        prompts: The prompts.
+        limits: The limits of the adversary.
+        trial: Runs a planner in the sandbox.
+        tries: How often the sandbox's fault is sent back to the model, at most.
+        instruction: The user's instruction for the trajectory (the paper's psi), or None.
+    """
 
     metered: MeteredModel
     prompts: Prompts
@@ -42,8 +50,17 @@ class ModelGenerator:
     instruction: str | None = None
 
     def generate(self, intent: Intent, situation: Situation | None, examples: Sequence[LibraryEntry]) -> tuple[Planner]:
-        """One planner that ran in the sandbox. Raises ModelError, BudgetError. situation: None for an intent that is
-        written from its description alone. examples: entries of similar intents, nearest first."""
+        """Write one planner that runs in the sandbox.
+
+        Args:
+            intent: The intent.
+            situation: The situation in which it is tried; None if it is written from its description alone.
+            examples: Similar intents with planners, nearest first.
+
+        Raises:
+            ModelError: The model gave no usable planner.
+            BudgetError: The run may ask no more.
+        """
         prompt = generator_prompt(self.prompts, intent, situation, examples, self.limits, self.instruction)
 
         def build(answer: Written) -> Planner:
@@ -61,8 +78,17 @@ class ModelGenerator:
 
 
 def expert_planners(intent: Intent, examples: Sequence[LibraryEntry]) -> tuple[Planner, ...]:
-    """The built-in expert's planners for one of ``NEW_INTENTS``: those of the nearest example that has a movement,
-    adapted to the new one. Empty for another intent, or if no example has a movement."""
+    """Return the built-in expert's planners for one of ``NEW_INTENTS``.
+
+    They are those of the nearest example that has a movement, adapted to the new intent.
+
+    Args:
+        intent: The intent.
+        examples: Known intents with planners, nearest first.
+
+    Returns:
+        The planners; none for another intent, or if no example has a movement.
+    """
     movement = next((m for _, (label, _, m) in NEW_INTENTS.items() if label == intent.label), None)
     for entry in examples if movement is not None else ():
         planners = [p for p in entry.planners if MOVEMENT.search(p.text) and 'MOVEMENT = "none"' not in p.text]
@@ -77,7 +103,16 @@ def generator_prompt(
     prompts: Prompts, intent: Intent, situation: Situation | None, examples: Sequence[LibraryEntry], limits: Limits,
     instruction: str | None,
 ) -> Prompt:  # fmt: skip
-    """The generator's prompt; the arguments are those of ``ModelGenerator``."""
+    """Return the generator's prompt.
+
+    Args:
+        prompts: The prompts.
+        intent: The intent.
+        situation: The situation in which it is tried; None if it is written from its description alone.
+        examples: Similar intents with planners, nearest first.
+        limits: The limits of the adversary.
+        instruction: The user's instruction for the trajectory (the paper's psi), or None.
+    """
     scene, relation = "None in particular: it is written for the library.", "as the description says"
     driver = "not known."
     if situation is not None:
@@ -100,13 +135,23 @@ def generator_prompt(
 
 
 def planner_rules(prompts: Prompts, limits: Limits) -> str:
-    """The rules for planners in a prompt: signature, units, limits and the sandbox's subset of Python."""
+    """Return the rules for planners in a prompt: signature, units, limits and the sandbox's subset of Python.
+
+    Args:
+        prompts: The prompts.
+        limits: The limits of the adversary.
+    """
     numbers = {k: f"{getattr(limits, k):g}" for k in ("braking", "acceleration", "lateral", "curvature", "jerk")}
     return prompts.piece("planner", helpers=HELPERS_TEXT, **numbers)
 
 
 def planner_fault(build: Callable[[], Planner], trial: Trial) -> str | None:
-    """The fault of a planner as a sentence for its author, None for a usable planner."""
+    """Return the fault of a planner as a sentence for its author; None if it is usable.
+
+    Args:
+        build: Makes the planner.
+        trial: Runs a planner in the sandbox.
+    """
     try:
         return trial(build())
     except SandboxError as error:
@@ -114,11 +159,19 @@ def planner_fault(build: Callable[[], Planner], trial: Trial) -> str | None:
 
 
 def without_fence(text: str) -> str:
-    """A planner's text without the fence that models tend to put around it."""
+    """Return a planner's text without the fence that models tend to put around it.
+
+    Args:
+        text: The text of an answer.
+    """
     fenced = re.search(r"```(?:python)?\s*\n(.*?)```", text, re.DOTALL)
     return (fenced.group(1) if fenced else text).strip() + "\n"
 
 
 def mode_name(mode: str) -> str:
-    """A mode's name as one word of lower-case letters, digits, _ and -."""
+    """Return a mode's name as one word of lower-case letters, digits, _ and -.
+
+    Args:
+        mode: The name in an answer.
+    """
     return re.sub(r"[^a-z0-9_-]+", "_", mode.strip().lower()).strip("_")[:40] or "direct"

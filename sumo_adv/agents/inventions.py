@@ -18,15 +18,16 @@ from sumo_adv.planners.trial import trial
 
 @dataclass
 class Inventions:
-    """The novel intents of one request. They are tried with a copy of the bank, and enter the bank only if they are
-    kept.
+    """The novel intents of one request.
+
+    They are tried with a copy of the bank, and enter the bank only if they are kept.
 
     Attributes:
         metered: The model that writes planners.
         prompts: The prompts.
-        settings: Of the run: the limits of vehicles, how often a planner is repaired.
+        settings: The settings of the run, such as the limits of vehicles and how often a planner is repaired.
         sandbox: Where planners are tried.
-        bank: The bank; it has the examples for the model.
+        bank: The bank, which has the examples for the model.
         copy: The file of the bank's copy. It is made with the first invention.
         written: The intents so far, with their planners, by label.
     """
@@ -40,8 +41,12 @@ class Inventions:
     written: dict[str, tuple[IntentRecord, Planner]] = field(default_factory=dict, init=False)
 
     def add(self, record: IntentRecord) -> None:
-        """Have a planner written for a behaviour, and add both to the bank's copy. A fault of the planner goes back to
-        the model, ``generations`` times at most.
+        """Have a planner written for a behaviour, and add both to the bank's copy.
+
+        A fault of the planner goes back to the model, at most ``generations`` times.
+
+        Args:
+            record: The behaviour.
 
         Raises:
             ModelError: No planner passed the sandbox.
@@ -62,10 +67,21 @@ class Inventions:
         self.written[record.label] = record, planner
 
     def used_by(self, settings: Settings) -> Settings:
-        """The settings of a run that knows the inventions."""
+        """Return the settings of a run that knows the inventions.
+
+        Args:
+            settings: The settings of the run.
+        """
         return settings.model_copy(update={"memory": self.copy}) if self.written else settings
 
     def keep(self, label: str) -> None:
-        """Add an invention to the bank. Raises BankError."""
+        """Add an invention to the bank.
+
+        Args:
+            label: The label of the intent.
+
+        Raises:
+            BankError: The bank cannot be written.
+        """
         record, planner = self.written[label]
         self.bank.add(record, [planner])

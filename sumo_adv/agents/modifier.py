@@ -1,7 +1,7 @@
 """The modifier: a language model changes how an intent is carried out, after attempts that did not reach the level.
 
-It may give a planner other numbers, rewrite its text, name another intent that is better here, or stop. The built-in
-expert has no modifier: the search itself tries other parameters, modes, vehicles and start times.
+It may give a planner other parameter values, rewrite its text, name another intent that is better here, or stop. The
+built-in expert has no modifier: the search itself tries other parameters, modes, vehicles and start times.
 """
 
 from __future__ import annotations
@@ -25,11 +25,15 @@ from sumo_adv.planners.text import make_planner
 
 @dataclass(frozen=True, slots=True)
 class RepairScene:
-    """What the modifier is told besides the attempts with a planner.
+    """What the modifier is told in addition to the attempts with a planner.
 
-    entry: the planner's intent. scene: the adversary, the road, the states and the driver in words. earlier: all
-    attempts of the encounter. by_id: the vehicles' aliases. choices: the intents of the library that each BV could try
-    instead, by its alias. starts: in words, when attacks may begin.
+    Attributes:
+        entry: The planner's intent.
+        scene: The adversary, the road, the states and the driver, in words.
+        earlier: All attempts of the encounter.
+        by_id: The aliases of the vehicles, by id.
+        choices: The intents of the library that each BV could try instead, by its alias.
+        starts: When attacks may begin, in words.
     """
 
     entry: LibraryEntry
@@ -42,8 +46,8 @@ class RepairScene:
 
 # -- the modifier ---------------------------------------------------------------------------------------------------
 
-MAX_SHOWN_ATTEMPTS = 3  # attempts of a planner in the prompt, the best ones
-MAX_RE_ASKS = 2  # times that a fault is sent back
+MAX_SHOWN_ATTEMPTS = 3  # maximum number of a planner's attempts in the prompt, best first
+MAX_RE_ASKS = 2  # how often a fault is sent back, at most
 
 
 # The two classes below are sent to the model as a JSON schema, with their names and docstrings.
@@ -69,9 +73,17 @@ class Changed(BaseModel):
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """What the modifier wants tried next: a planner with the numbers that differ from its defaults, or another intent.
-    With neither it says that nothing can work here. ``begin``: the start [s] after the scene, None = as before.
-    ``words``: what was decided, for reports."""
+    """What the modifier wants tried next: a planner with new parameter values, or another intent.
+
+    With neither, the modifier says that nothing can work here.
+
+    Attributes:
+        words: What was decided, for reports.
+        planner: The planner; None if it is not to be tried.
+        parameters: The parameter values that differ from the planner's defaults.
+        begin: The start after the scene [s]; None keeps the start.
+        instead: The other intent; None if there is none.
+    """
 
     words: str
     planner: Planner | None = None
@@ -82,7 +94,17 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class ModelModifier:
-    """Asks a model for a change. The fault of an answer is sent back at most ``MAX_RE_ASKS`` times."""
+    """Asks a model for a change.
+
+    The fault of an answer is sent back at most ``MAX_RE_ASKS`` times.
+
+    Attributes:
+        metered: The language model.
+        prompts: The prompts.
+        limits: The limits of the adversary.
+        trial: Runs a planner in the sandbox.
+        settings: The settings of the run.
+    """
 
     metered: MeteredModel
     prompts: Prompts
@@ -91,8 +113,20 @@ class ModelModifier:
     settings: Settings
 
     def modify(self, planner: Planner, reports: Sequence[AttemptReport], scene: RepairScene) -> Change:
-        """The change after the attempts in ``reports``, which are the planner's own. A new text has the old planner's
-        hash as ``parent``. Raises ModelError, BudgetError."""
+        """Ask for a change after attempts with a planner.
+
+        Args:
+            planner: The planner.
+            reports: Its attempts, best first.
+            scene: What the modifier is told in addition.
+
+        Returns:
+            The change. A new text has the old planner's hash as ``parent``.
+
+        Raises:
+            ModelError: The model gave no usable answer.
+            BudgetError: The run may ask no more.
+        """
         prompt = modifier_prompt(self.prompts, planner, reports, scene, self.limits, self.settings)
 
         def build(answer: Changed) -> Planner:
@@ -130,6 +164,7 @@ class ModelModifier:
 
 
 def _numbers_fault(answer: Changed, planner: Planner, reports: Sequence[AttemptReport]) -> str | None:
+    """Return the fault of new parameter values; None if they are usable."""
     parameters = {p.name: p for p in planner.parameters}
     for name, value in answer.parameters.items():
         if name not in parameters:
@@ -143,6 +178,7 @@ def _numbers_fault(answer: Changed, planner: Planner, reports: Sequence[AttemptR
 
 
 def _instead_fault(instead: Instead | None, scene: RepairScene) -> str | None:
+    """Return the fault of another intent; None if it is usable."""
     if instead is None:
         return "The action 'another' needs 'instead'."
     if instead.bv not in scene.choices:
@@ -157,7 +193,16 @@ def modifier_prompt(
     prompts: Prompts, planner: Planner, reports: Sequence[AttemptReport], scene: RepairScene, limits: Limits,
     settings: Settings,
 ) -> Prompt:  # fmt: skip
-    """The modifier's prompt. ``reports``: of the attempts with this planner, the best ones first."""
+    """Return the modifier's prompt.
+
+    Args:
+        prompts: The prompts.
+        planner: The planner.
+        reports: Its attempts, best first.
+        scene: What the modifier is told in addition.
+        limits: The limits of the adversary.
+        settings: The settings of the run.
+    """
     others = [f"- {alias}: {', '.join(sanitize(e.label) for e in es) or 'none'}" for alias, es in scene.choices.items()]
     entries = {e.label: e for es in scene.choices.values() for e in es}
     others.append(library_words(list(entries.values()), set(entries)))
@@ -172,7 +217,7 @@ def modifier_prompt(
 
 
 def _others_tried(prompts: Prompts, shown: Sequence[AttemptReport], scene: RepairScene) -> str:
-    """The attempts that are not told of in full, with their heading; empty without any."""
+    """Describe the attempts that are not described in full, with a heading; empty without any."""
     shown_indices = {r.attempt.index for r in shown}
     others = [a for a in scene.earlier if a.index not in shown_indices]
     words = earlier_words(prompts, others, scene.by_id)

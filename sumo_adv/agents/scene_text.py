@@ -1,6 +1,6 @@
 """A situation in words and rounded numbers for prompts, in the ego's frame, with units and road topology.
 
-Vehicles have aliases (EGO, BV1.., V1..), so a prompt never holds a vehicle's name from a file.
+Vehicles have aliases (EGO, BV1.., V1..), so that a prompt never holds a vehicle's name from a file.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from sumo_adv.road_users import UNPROTECTED_LIMITS, RoadUser, is_unprotected, ro
 from sumo_adv.simulation.sumo_rules import MINOR_TIME_GAP_S, VISIBILITY_DISTANCE_M
 from sumo_adv.situation import ReferencePath, Signal, Situation, Target
 
-MAX_OTHER_VEHICLES = 8  # vehicles besides the ego and the possible adversaries, the nearest ones
-HISTORY_TIMES_S = (-1.1, -0.7, -0.3, 0.0)  # history of the ego and the possible adversaries
-OTHERS_HISTORY_TIMES_S = (-1.1, 0.0)  # history of the others
+MAX_OTHER_VEHICLES = 8  # maximum number of vehicles other than the ego and the possible adversaries, nearest first
+HISTORY_TIMES_S = (-1.1, -0.7, -0.3, 0.0)  # for the ego and the possible adversaries
+OTHERS_HISTORY_TIMES_S = (-1.1, 0.0)  # for the other vehicles
 EARLIEST_ARRIVAL_ACCELERATION_M_S2 = 4.0  # for "at the earliest"
 SIGNAL_COLOURS = {"g": "green", "G": "green", "y": "yellow", "Y": "yellow", "r": "red", "R": "red", "u": "red-yellow"}
 SIGNAL_COLOURS |= {"o": "blinking", "O": "off", "s": "stop sign"}
@@ -33,20 +33,28 @@ DRIVER_DESCRIPTIONS = {
     "blind": "a driver that keeps its speed and never reacts",
     "lattice": "a planner that looks around, brakes and steers",
 }
-SUMO_DRIVERS = ("krauss", "idm", "eidm", "careful")  # SUMO's rules decide their lane keeping and right of way
+SUMO_DRIVERS = ("krauss", "idm", "eidm", "careful")  # lane keeping and right of way follow SUMO's rules
 
 
 @dataclass(frozen=True, slots=True)
 class Aliases:
-    """Aliases of the vehicles of a situation. bvs: alias -> id of the possible adversaries, most dangerous first.
-    by_id: id -> alias of all vehicles in the prompt."""
+    """Aliases of the vehicles of a situation.
+
+    Attributes:
+        bvs: Maps alias to id of the possible adversaries, most dangerous first.
+        by_id: Maps id to alias of all vehicles in the prompt.
+    """
 
     bvs: Mapping[str, str]
     by_id: Mapping[str, str]
 
     @staticmethod
     def of(situation: Situation) -> Aliases:
-        """BV1.. for the possible adversaries, V1.. for the nearest others."""
+        """Give aliases: BV1.. for the possible adversaries, V1.. for the nearest other vehicles.
+
+        Args:
+            situation: The situation.
+        """
         bvs = {f"BV{k + 1}": t.state.id for k, t in enumerate(situation.target_list())}
         by_id = {situation.ego.id: "EGO"} | {i: a for a, i in bvs.items()}
         rest = [t for t in situation.traffic.history if t.id not in by_id]
@@ -56,7 +64,12 @@ class Aliases:
 
 
 def road_words(situation: Situation, aliases: Aliases) -> str:
-    """Lanes beside the ego, the ego's path, and the paths and conflict points of each BV."""
+    """Describe the lanes beside the ego, the ego's path, and the paths and conflict points of each BV.
+
+    Args:
+        situation: The situation.
+        aliases: The aliases of its vehicles.
+    """
     lines = [f"EGO's lane is {situation.road.lane_width:.1f} m wide; its centre is at about y = 0 where EGO is."]
     for offset, kind in sorted(situation.road.sides, key=lambda side: abs(side[0])):
         side = "left" if offset > 0 else "right"
@@ -73,7 +86,12 @@ def road_words(situation: Situation, aliases: Aliases) -> str:
 
 
 def state_words(situation: Situation, aliases: Aliases) -> str:
-    """Rounded history of every vehicle that has an alias."""
+    """Describe the rounded history of every vehicle that has an alias.
+
+    Args:
+        situation: The situation.
+        aliases: The aliases of its vehicles.
+    """
     tracks = {t.id: t for t in situation.traffic.history}
     lines = []
     for name, alias in aliases.by_id.items():
@@ -85,7 +103,13 @@ def state_words(situation: Situation, aliases: Aliases) -> str:
 
 
 def relative_words(situation: Situation, aliases: Aliases, library: Mapping[str, Sequence[str]]) -> str:
-    """The position of each BV relative to the ego, and the behaviours that apply. ``library``: label -> relations."""
+    """Describe the position of each BV relative to the ego, and the behaviours that apply.
+
+    Args:
+        situation: The situation.
+        aliases: The aliases of its vehicles.
+        library: The relations that each intent applies to, by label; empty leaves the behaviours out.
+    """
     lines = []
     for alias, name in aliases.bvs.items():
         target = situation.targets[name]
@@ -97,7 +121,13 @@ def relative_words(situation: Situation, aliases: Aliases, library: Mapping[str,
 
 
 def scene_words(situation: Situation, aliases: Aliases, alias: str) -> str:
-    """The whole scene for whoever writes or repairs a planner of the BV ``alias``."""
+    """Describe the whole scene for an author of a planner.
+
+    Args:
+        situation: The situation.
+        aliases: The aliases of its vehicles.
+        alias: The alias of the BV that the planner is for.
+    """
     return "\n".join(
         (
             f"The bv is {alias}. t in s, x forward and y left of EGO now, hdg in deg, a: acceleration.",
@@ -111,7 +141,11 @@ OUTLOOK_TIMES_S = (2.0, 4.0, 6.0, 8.0)  # from now
 
 
 def outlook_words(situation: Situation) -> str:
-    """Where the ego is predicted to be without an attack; where the prediction ends."""
+    """Describe where the ego is predicted to be without an attack, and where a recording ends.
+
+    Args:
+        situation: The situation.
+    """
     path, b = situation.baseline.path, situation.baseline
     parts = []
     for t in OUTLOOK_TIMES_S:
@@ -128,7 +162,11 @@ def outlook_words(situation: Situation) -> str:
 
 
 def driver_words(situation: Situation) -> str:
-    """The driver model of the ego."""
+    """Describe the driver model of the ego.
+
+    Args:
+        situation: The situation.
+    """
     model, ego = situation.baseline.model, situation.ego
     kind = DRIVER_DESCRIPTIONS.get(model.kind, "an unknown driver")
     if not model.known:
@@ -145,7 +183,7 @@ def driver_words(situation: Situation) -> str:
 
 
 def _perception(kind: str) -> str:
-    """What SUMO's drivers react to, which planners have to know."""
+    """Describe what SUMO's drivers react to, which planners have to know."""
     if kind not in SUMO_DRIVERS:
         return ""
     return (
@@ -156,7 +194,7 @@ def _perception(kind: str) -> str:
 
 
 def _at_junctions(situation: Situation) -> str:
-    """What SUMO's drivers react to at junctions, if there is one ahead of the ego or of where paths meet."""
+    """Describe what SUMO's drivers react to at junctions, if there is one ahead of the ego or paths meet."""
     meets = any(way.conflict is not None for target in situation.target_list() for way in target.ways)
     if situation.baseline.model.kind not in SUMO_DRIVERS or not (meets or math.isfinite(situation.road.junction)):
         return ""
@@ -169,6 +207,7 @@ def _at_junctions(situation: Situation) -> str:
 
 
 def _signal_lines(alias: str, signals: Sequence[Signal]) -> list[str]:
+    """Describe the next traffic light of a vehicle."""
     if not signals:
         return []
     _, distance, state = signals[0]
@@ -176,6 +215,7 @@ def _signal_lines(alias: str, signals: Sequence[Signal]) -> list[str]:
 
 
 def _bends(situation: Situation) -> str:
+    """Describe how the ego's path bends."""
     path, ahead = situation.baseline.path, (30, 60, 100)
     start = path.project(situation.ego.x, situation.ego.y, near=0.0, reach=25.0)[0]
     first, *later = path.at(start + np.array([0, *ahead]))[2].tolist()
@@ -189,6 +229,7 @@ MOVEMENT_WORDS = {"left": "turning left", "right": "turning right", "across": "g
 
 
 def _paths(alias: str, target: Target, situation: Situation) -> list[str]:
+    """Describe the paths of a BV that meet the ego's path."""
     lines = []
     for path in target.ways:
         if path.conflict is not None:
@@ -200,6 +241,7 @@ def _paths(alias: str, target: Target, situation: Situation) -> list[str]:
 
 
 def _conflict(path: ReferencePath, target: Target, situation: Situation) -> str:
+    """Describe where and when a BV's path meets the ego's path, and who has priority."""
     c = path.conflict
     assert c is not None
     x, y, _ = situation.frame.to_local(c.x, c.y, c.heading)
@@ -224,6 +266,7 @@ def _conflict(path: ReferencePath, target: Target, situation: Situation) -> str:
 
 
 def _history(track: Track, situation: Situation, times: Sequence[float]) -> str:
+    """Describe a track at these times."""
     parts = []
     for t in times:
         i = int(np.argmin(np.abs(track.time - (situation.time + t))))
@@ -235,7 +278,7 @@ def _history(track: Track, situation: Situation, times: Sequence[float]) -> str:
 
 
 def _kind_words(target: Target) -> str:
-    """What a pedestrian or cyclist can do, and when a collision with it counts as serious."""
+    """Describe what a pedestrian or cyclist can do, and when a collision with it counts as serious."""
     user = road_user(target.state)
     limits, serious = UNPROTECTED_LIMITS[user], TENTH_RISK_SPEED_KMH[user] / 3.6
     turns = "on the spot" if user is RoadUser.PEDESTRIAN else f"with a radius of {1 / limits.curvature:.0f} m"
@@ -249,6 +292,7 @@ def _kind_words(target: Target) -> str:
 
 
 def _relation(target: Target, situation: Situation) -> str:
+    """Describe the position of a BV relative to the ego."""
     ego, bv = situation.ego, target.state
     x, y, h = situation.frame.to_local(bv.x, bv.y, bv.heading)
     gap = abs(x) - (ego.length + bv.length) / 2

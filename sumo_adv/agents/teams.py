@@ -1,7 +1,7 @@
-"""Compositions that a language model may propose: attacks of several adversaries from parts that it is told of.
+"""Compositions that a language model may propose: attacks by several adversaries, made of parts that it is told about.
 
-The analyzer is asked for them only where more than one adversary is allowed. A part is a vehicle, its role, and an
-intent: one of the library for the collider, one of ``SUPPORT_INTENTS`` for a support.
+The analyzer is asked for them only if more than one adversary is allowed. A part is a vehicle, its role, and an intent:
+one of the library for the collider, one of ``SUPPORT_INTENTS`` for a support.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from sumo_adv.search.support_intents import SUPPORT_INTENTS, can_do_duty
 from sumo_adv.search.supports import ANY_FITTING, EXPERT_COMPOSITIONS, Cast
 from sumo_adv.situation import Situation, Target
 
-MAX_PROPOSED_COMPOSITIONS = 3  # compositions in one answer
+MAX_PROPOSED_COMPOSITIONS = 3  # maximum number of compositions in one answer
 DUTY_DESCRIPTIONS = {
     Duty.BLOCK_LEFT: "takes the room into which EGO would swerve to the left",
     Duty.BLOCK_RIGHT: "takes the room into which EGO would swerve to the right",
@@ -51,8 +51,13 @@ class Team(BaseModel):
 
 @dataclass(frozen=True, slots=True)
 class Teamwork:
-    """What an analyzer may compose: ``most`` adversaries at most; ``colliders``: ids of the vehicles that may be the
-    collider, empty for all; ``known``: the compositions of the bank."""
+    """What an analyzer may compose.
+
+    Attributes:
+        most: The maximum number of adversaries.
+        colliders: The ids of the vehicles that may be the collider; empty allows all.
+        known: The compositions of the bank.
+    """
 
     most: int
     colliders: tuple[str, ...] = ()
@@ -60,19 +65,32 @@ class Teamwork:
 
     @property
     def named(self) -> list[Composition]:
-        """The compositions that a model is told of: the bank's, and the expert's that the bank does not have."""
+        """The compositions that a model is told about: the bank's, and those of the expert that the bank lacks."""
         labels = {canonical(c.label) for c in self.known}
         new = [c for c in EXPERT_COMPOSITIONS if canonical(c.label) not in labels]
         return [c for c in (*self.known, *new) if len(c.parts) <= self.most]
 
     def may_collide(self, name: str) -> bool:
+        """Return whether a vehicle may be the collider.
+
+        Args:
+            name: The id of the vehicle.
+        """
         return not self.colliders or name in self.colliders
 
 
 def teams_words(
     prompts: Prompts, teamwork: Teamwork, situation: Situation, aliases: Aliases, library: Sequence[LibraryEntry]
 ) -> str:
-    """The part of the analyzer's prompt on compositions."""
+    """Return the section of the analyzer's prompt on compositions.
+
+    Args:
+        prompts: The prompts.
+        teamwork: What may be composed.
+        situation: The situation.
+        aliases: The aliases of its vehicles.
+        library: The known intents.
+    """
     roles = [
         f"- {duty}: {DUTY_DESCRIPTIONS[duty]}. Behaviours: "
         + "; ".join(f"{entry.label} ({entry.description})" for entry in SUPPORT_INTENTS[duty])
@@ -103,7 +121,18 @@ def teams_words(
 def team_fault(
     team: Team, teamwork: Teamwork, situation: Situation, aliases: Aliases, library: Sequence[LibraryEntry]
 ) -> str | None:
-    """What is wrong with a composition as a sentence for the model, None for a usable one."""
+    """Return the fault of a composition as a sentence for the model.
+
+    Args:
+        team: The composition.
+        teamwork: What may be composed.
+        situation: The situation.
+        aliases: The aliases of its vehicles.
+        library: The known intents.
+
+    Returns:
+        The fault; None for a usable composition.
+    """
     label = sanitize(team.label)
     labels = {canonical(c.label) for c in teamwork.named}
     if canonical(label) not in labels and len(team.description.split()) < 5:
@@ -118,7 +147,16 @@ def team_fault(
 
 
 def casts_of(teams: Iterable[Team], aliases: Aliases, library: Sequence[LibraryEntry]) -> tuple[Cast, ...]:
-    """Usable compositions of a model's answers with their vehicles; of those with one label the first."""
+    """Return the compositions of a model's answers, with their vehicles.
+
+    Args:
+        teams: The usable compositions.
+        aliases: The aliases of the vehicles.
+        library: The known intents.
+
+    Returns:
+        The compositions; only the first one of each label.
+    """
     casts: dict[str, Cast] = {}
     for team in teams:
         parts = tuple(Part(Duty(m.role), _entry(m, library).label, ANY_FITTING) for m in team.parts)
@@ -132,6 +170,7 @@ def casts_of(teams: Iterable[Team], aliases: Aliases, library: Sequence[LibraryE
 def _member_fault(
     member: Member, teamwork: Teamwork, situation: Situation, aliases: Aliases, library: Sequence[LibraryEntry]
 ) -> str | None:
+    """Return the fault of a part; None if it is usable."""
     bv, role = sanitize(member.bv), sanitize(member.role)
     if member.bv not in aliases.bvs:
         return f"There is no vehicle '{bv}' that may take part; there are {', '.join(aliases.bvs)}."
@@ -153,9 +192,11 @@ def _member_fault(
 
 
 def _entry(member: Member, library: Sequence[LibraryEntry]) -> LibraryEntry:
+    """Return the intent of a part."""
     entries = library if member.role == Duty.COLLIDER else SUPPORT_INTENTS[Duty(member.role)]
     return next(e for e in entries if e.label.lower() == member.label.lower())
 
 
 def _applies(target: Target, entry: LibraryEntry) -> bool:
+    """Return whether an intent applies to a vehicle."""
     return bool(set(target.applies()) & set(entry.applies))

@@ -17,7 +17,7 @@ from sumo_adv.planners.text import uses_acceleration
 from sumo_adv.search.settings import SearchSettings
 from sumo_adv.situation import Situation
 
-MAX_WAYS_PER_INTENT = 3  # of one intent
+MAX_WAYS_PER_INTENT = 3
 NAME_LINE = re.compile(r'.*, mode "[^"]+"')  # the first line of shipped planners: # Aggressive Cut-in, mode "side"
 
 # The two classes below are sent to the model as a JSON schema, with their names and docstrings.
@@ -39,7 +39,11 @@ class HowTo(BaseModel):
 
 
 def modes_words(entry: LibraryEntry) -> list[str]:
-    """The modes of an intent with their tables of parameters, a line each; of versions of a mode the first one."""
+    """List the modes of an intent with their parameters, one line each; only the first version of a mode.
+
+    Args:
+        entry: The intent.
+    """
     lines = []
     for planner in first_of_each_mode(entry):
         mark = " (uses acceleration)" if uses_acceleration(planner.text) else ""
@@ -53,7 +57,11 @@ def modes_words(entry: LibraryEntry) -> list[str]:
 
 
 def first_of_each_mode(entry: LibraryEntry) -> list[Planner]:
-    """The planners that a mode's name stands for."""
+    """Return the planners that the names of the modes refer to: the first one of each mode.
+
+    Args:
+        entry: The intent.
+    """
     first: dict[str, Planner] = {}
     for planner in entry.planners:
         first.setdefault(planner.mode, planner)
@@ -61,7 +69,11 @@ def first_of_each_mode(entry: LibraryEntry) -> list[Planner]:
 
 
 def opening_comment(text: str) -> str:
-    """The comment that opens a planner's text, without a first line that only names the planner."""
+    """Return the comment that opens a planner's text, without a first line that only names the planner.
+
+    Args:
+        text: The text of the planner.
+    """
     lines = [line.lstrip("# ") for line in takewhile(lambda line: line.startswith("#"), text.splitlines())]
     if lines and NAME_LINE.fullmatch(lines[0]):
         del lines[0]
@@ -69,7 +81,15 @@ def opening_comment(text: str) -> str:
 
 
 def way_fault(how: HowTo, entry: LibraryEntry) -> str | None:
-    """What is wrong with a chosen way as a sentence for the model, None for a usable one."""
+    """Return the fault of a chosen way as a sentence for the model.
+
+    Args:
+        how: The way.
+        entry: Its intent.
+
+    Returns:
+        The fault; None for a usable way.
+    """
     planners = {p.mode: p for p in first_of_each_mode(entry)}
     if how.mode not in planners:
         return f"'{entry.label}' has no mode '{sanitize(how.mode)}'; it has {', '.join(planners)}."
@@ -84,13 +104,28 @@ def way_fault(how: HowTo, entry: LibraryEntry) -> str | None:
 
 
 def way_of(how: HowTo, situations: Mapping[float, Situation], bv: str) -> ModeChoice:
-    """A chosen way with its start as one of the delays for which there is a situation."""
+    """Return a chosen way, with its start as one of the delays that have a situation.
+
+    Args:
+        how: The way.
+        situations: The situations by delay after the trigger [s].
+        bv: The id of the vehicle.
+    """
     return ModeChoice(how.mode, dict(how.parameters), begin_of(how.begin, situations, bv))
 
 
 def begin_of(begin: float | Moment, situations: Mapping[float, Situation], bv: str) -> float:
-    """The delay [s] nearest to ``begin``; of a condition, the first delay at which it holds without an attack, else
-    the last one."""
+    """Return the delay for a start.
+
+    Args:
+        begin: The start after the earliest situation [s], or a condition.
+        situations: The situations by delay after the trigger [s].
+        bv: The id of the vehicle.
+
+    Returns:
+        The nearest delay [s]. For a condition, the first delay at which it holds without an attack, or the last delay
+        if it never holds.
+    """
     delays = sorted(d for d, s in situations.items() if bv in s.targets) or sorted(situations)
     if not isinstance(begin, Moment):
         earliest = min(situations)
@@ -103,7 +138,9 @@ def begin_of(begin: float | Moment, situations: Mapping[float, Situation], bv: s
 
 
 def _quantity(name: str, situation: Situation, bv: str) -> float | None:
-    """The distance of the centres [m], or the time until the ego reaches the BV's conflict [s]; None if it has none."""
+    """Return the distance of the centres [m], or the time until the ego reaches the BV's conflict [s]; None if it has
+    none.
+    """
     if bv not in situation.targets:
         return None
     target, ego = situation.targets[bv], situation.ego
@@ -115,13 +152,22 @@ def _quantity(name: str, situation: Situation, bv: str) -> float | None:
 
 
 def starts_words(situations: Mapping[float, Situation]) -> str:
-    """The moments at which an attack may begin."""
+    """List the moments at which an attack may begin.
+
+    Args:
+        situations: The situations by delay after the trigger [s].
+    """
     earliest = min(situations)
     return ", ".join(f"{d - earliest:g}" for d in sorted(situations))
 
 
 def library_words(library: Sequence[LibraryEntry], shown: frozenset[str] | set[str]) -> str:
-    """The modes of the intents with these labels."""
+    """List the modes of the intents with these labels.
+
+    Args:
+        library: The known intents.
+        shown: The labels of the intents to list.
+    """
     lines = []
     for entry in library:
         if entry.label in shown and entry.planners:
@@ -140,8 +186,17 @@ EVIDENCE_HEADING = (
 def evidence_words(
     pool: Sequence[Proposal], aliases: Aliases, library: Sequence[LibraryEntry], remembered: Mapping[str, str]
 ) -> str:
-    """A line for each BV and behaviour in the ``pool`` of predicted proposals, and one for each of its modes; then the
-    bank's evidence. Empty without such a proposal. remembered: label -> the bank's evidence in words."""
+    """Describe the predictions for each BV and behaviour, and for each mode; then the bank's evidence.
+
+    Args:
+        pool: The predicted candidates.
+        aliases: The aliases of the vehicles.
+        library: The known intents.
+        remembered: What the bank knows of each intent, in words, by label.
+
+    Returns:
+        The evidence; empty if no candidate's vehicle has an alias.
+    """
     names = {vehicle: alias for alias, vehicle in aliases.bvs.items()}
     groups: dict[tuple[str, str], list[Proposal]] = {}
     for p in pool:
@@ -162,6 +217,7 @@ def evidence_words(
 
 
 def _counts(members: Sequence[Proposal]) -> str:
+    """Say how many candidates collide, and how many of these collisions are avoidable."""
     made = [p.prediction for p in members if p.prediction is not None and not p.prediction.failure]
     if not made:
         return "its planners failed."
@@ -180,7 +236,7 @@ def _counts(members: Sequence[Proposal]) -> str:
 
 
 def _mode(members: Sequence[Proposal], now: float) -> str:
-    """How often a mode's candidates collide, and the best of them with its numbers."""
+    """Say how often a mode's candidates collide, and describe the best of them."""
     best = min(members, key=lambda p: p.score)
     seen = best.prediction
     if seen is None or seen.failure:
@@ -197,7 +253,7 @@ def _mode(members: Sequence[Proposal], now: float) -> str:
 
 
 def _hits(members: Sequence[Proposal]) -> list[Prediction]:
-    """The predictions of those that collide in a way that counts."""
+    """Return the predictions of the candidates that collide in a way that counts."""
     return [
         p.prediction for p in members
         if p.prediction is not None and p.prediction.hit and not p.prediction.failure and p.score < REACHES
@@ -205,7 +261,7 @@ def _hits(members: Sequence[Proposal]) -> list[Prediction]:
 
 
 def _spoilt(made: Sequence[Prediction]) -> str:
-    """How many candidates fail by themselves, by cause."""
+    """Say how many candidates fail by themselves, by cause."""
     causes = {
         "leave the road": sum(r.off_road for r in made), "touch a third vehicle": sum(r.third_party for r in made),
         "move as no car can": sum(r.beyond_limits for r in made),

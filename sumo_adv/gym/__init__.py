@@ -1,7 +1,7 @@
-"""Environments of gymnasium and PettingZoo: an agent drives the ego, the adversary, or both are driven by agents.
+"""Environments for gymnasium and PettingZoo: agents drive the ego, the adversary, or both.
 
-Importing this package registers ``sumo_adv/Ego-v0`` and ``sumo_adv/Adversary-v0``; ``parallel_env`` makes the
-environment with both agents. ``docs/gym.md`` describes them. Needs the extra ``gym``.
+Importing this package registers ``sumo_adv/Ego-v0`` and ``sumo_adv/Adversary-v0``. ``parallel_env`` makes the
+environment with both agents. ``docs/gym.md`` describes them. The package needs the extra ``gym``.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ register("sumo_adv/Adversary-v0", f"{_ENVIRONMENTS}:AdversaryEnv", vector_entry_
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name when it is first used: registering loads nothing else."""
+    """Import a public name when it is first used, so that registering loads nothing else."""
     if name not in _HOMES:
         raise AttributeError(f"module 'sumo_adv.gym' has no attribute '{name}'")
     return getattr(import_module(_HOMES[name]), name)

@@ -1,4 +1,4 @@
-"""What all environments share: which encounter and attack come next, the steps, the rewinding, the picture."""
+"""The common core of all environments: choosing encounter and attack, stepping, rewinding, and the picture."""
 
 from __future__ import annotations
 
@@ -24,16 +24,29 @@ Scenarios = str | Path | Sequence[str | Path]
 
 
 class Core:
-    """The episodes of one environment. Every scenario is opened once; each episode begins at its trigger again."""
+    """The episodes of one environment. Each scenario is opened once, and each episode restarts at its trigger."""
 
     def __init__(
         self, scenarios: Scenarios, viewing: Viewing, interval: float, settings: Mapping[str, Any] | None, *,
         ego: Any = None, attacker: Attacker = None, adapts: bool = False, unattacked: float = 0.0,
         ego_actions: str | None = None, adversary_actions: str | None = None,
     ) -> None:  # fmt: skip
-        """``ego``: the driver, None = an agent. unattacked: the share of episodes without an attack.
+        """Check the arguments; scenarios are opened later.
 
-        Raises UsageError.
+        Args:
+            scenarios: The scenarios; each episode draws one.
+            viewing: What observations hold.
+            interval: The duration of a step of the environment [s].
+            settings: Settings of a run; None for the defaults.
+            ego: The driver of the ego; None if an agent drives.
+            attacker: What attacks the ego.
+            adapts: Whether attacks keep up with the ego.
+            unattacked: The share of episodes without an attack.
+            ego_actions: The kind of the ego's actions; None if no agent drives it.
+            adversary_actions: The kind of the adversary's actions; None if no agent drives it.
+
+        Raises:
+            UsageError: An argument is wrong.
         """
         self._scenarios = [scenarios] if isinstance(scenarios, str | Path) else list(scenarios)
         if not self._scenarios:
@@ -59,14 +72,22 @@ class Core:
         self._played: PlayedAttack | None = None
         self._last: AgentStep | None = None
         self._at = 0
-        # at the end of a process, multiprocessing waits for the engines' processes, which wait for this
+        # at its end, a process waits for the engines' processes, which wait for this
         Finalize(self, _close, args=(self._opened,), exitpriority=1)
 
     def begin(self, draws: np.random.Generator, *, anew: bool) -> tuple[AgentStep, dict[str, Any]]:
-        """The first moment of the next episode; ``anew``: what attackers have learnt of the agent is forgotten.
+        """Begin the next episode.
+
+        Args:
+            draws: The random generator.
+            anew: If true, attackers forget what they have learnt about the agent.
+
+        Returns:
+            The first moment of the episode, and the info.
 
         Raises:
-            UsageError: a scenario that cannot be used. SimulationError: SUMO does not start.
+            UsageError: A scenario cannot be used.
+            SimulationError: SUMO does not start.
         """
         self._end()
         if anew and self._adapts:
@@ -78,6 +99,7 @@ class Core:
         return self._last, self._told(self._last)
 
     def _encounter(self, at: int) -> TrainingEncounter:
+        """Return the encounter of a scenario; open it first if it is not open or its engine has died."""
         if at in self._opened and not self._opened[at].alive:
             self._opened.pop(at).close()
             self._plans.pop(at, None)
@@ -86,6 +108,7 @@ class Core:
         return self._opened[at]
 
     def _play(self, encounter: TrainingEncounter, draws: np.random.Generator) -> Play:
+        """Choose the attack of the next episode."""
         ego, adversary = self._kinds
         every = max(1, encounter.settings.steps(self._interval))
         situations = encounter.found.situations
@@ -103,11 +126,18 @@ class Core:
         return Play(self._viewing, every, ego, None, attack, attack.bv, attack.delay)
 
     def step(self, actions: Mapping[str, NDArray[Any]]) -> tuple[AgentStep, bool, bool, dict[str, Any]]:
-        """A moment, whether the episode is terminated, whether it is truncated, and what is told of it.
+        """Make a step of the environment.
 
         An episode in which SUMO dies is truncated; the next one begins in a new simulation.
 
-        Raises UsageError: an agent's action is missing, has another shape or is not finite. Nothing has moved then.
+        Args:
+            actions: The action of each agent.
+
+        Returns:
+            The moment, whether the episode is terminated, whether it is truncated, and the info.
+
+        Raises:
+            UsageError: An agent's action is missing, has another shape or is not finite. Nothing has moved then.
         """
         assert self._played is not None and self._last is not None, "reset comes before step"
         if missing := self._counts.keys() - actions.keys():
@@ -127,6 +157,7 @@ class Core:
         return moment, ending in TERMINATED, bool(ending) and ending not in TERMINATED, self._told(moment)
 
     def _told(self, moment: AgentStep) -> dict[str, Any]:
+        """Return the info of a moment."""
         assert self._played is not None
         t, play = moment.transition, self._played.play
         info: dict[str, Any] = {
@@ -141,7 +172,11 @@ class Core:
         return info
 
     def picture(self) -> NDArray[np.uint8]:
-        """The scene now; empty where the simulation has crashed."""
+        """Return a picture of the scene; an empty one if the simulation has crashed.
+
+        Raises:
+            UsageError: No episode has begun.
+        """
         if self._played is None or self._last is None:
             raise UsageError("There is nothing to show before the first reset.")
         if self._last.transition.ending == CRASHED:
@@ -150,17 +185,19 @@ class Core:
         return image
 
     def _end(self) -> None:
+        """End the episode."""
         if self._played is not None:
             played, self._played = self._played, None
-            with suppress(SimulationError):  # it has been told where it happened
+            with suppress(SimulationError):  # reported where it happened
                 played.end()
 
     def close(self) -> None:
-        """End all processes. May be called twice."""
+        """End all processes. A second call does nothing."""
         self._end()
         _close(self._opened)
 
 
 def _close(opened: dict[int, TrainingEncounter]) -> None:
+    """Close all opened encounters."""
     while opened:
         opened.popitem()[1].close()

@@ -1,11 +1,10 @@
 """Attacks that keep up with an ego that learns: each episode is an attempt of the search, or repeats an earlier one.
 
-The search begins with attacks that were predicted to collide. From then on it asks the ego as it drives now: what an
-episode came to is what it learns from.
-Attacks that came near are kept by the level that they last came to. As the ego learns to avoid some, they fall to a
-lower level, and the search, which begins anew with the best ones every ``ATTEMPTS_PER_ROUND`` attempts, looks for
-others. Repeating and varying what is hard for the learner follows ACCEL (Parker-Holder et al. 2022, "Evolving curricula
-with regret-based environment design").
+The search begins with attacks that were predicted to collide. From then on it tests the ego as it drives now, and
+learns from the verdicts on the episodes. Attacks that came near are kept by the level of their last verdict. As the ego
+learns to avoid some of them, they fall to a lower level. Every ``ATTEMPTS_PER_ROUND`` attempts, the search restarts
+with the best ones and looks for others. Repeating and varying what is hard for the learner follows ACCEL (Parker-Holder
+et al. 2022, "Evolving curricula with regret-based environment design").
 """
 
 from __future__ import annotations
@@ -19,25 +18,37 @@ from sumo_adv.goal import Goal
 from sumo_adv.search.evolution import badness
 from sumo_adv.search.search import AttackSearch
 
-KNOWN_ATTACK_SHARE = 0.5  # share of episodes with an attack that is known
-MAX_ATTACKS_PER_LEVEL = 16  # attacks of each level, the newest
-ATTEMPTS_PER_ROUND = 60  # attempts of the search on one state of the ego: it has learnt since
-KNOWN_ATTACKS_PER_ROUND = 6  # known attacks with which a round begins
-KEPT_DISTANCE_M = 3.0  # what comes no nearer, and is not critical, is not kept
+KNOWN_ATTACK_SHARE = 0.5  # share of episodes that repeat a known attack
+MAX_ATTACKS_PER_LEVEL = 16  # the newest attacks of each level are kept
+ATTEMPTS_PER_ROUND = 60  # attempts of the search before it restarts, because the ego has learnt
+KNOWN_ATTACKS_PER_ROUND = 6  # number of known attacks that a round begins with
+KEPT_DISTANCE_M = 3.0  # attacks that are not critical are kept only if they come nearer
 
 
 class Curriculum:
     """The attacks of one encounter, by difficulty."""
 
     def __init__(self, search: AttackSearch, goal: Goal, first: Sequence[Proposal] = ()) -> None:
-        """``search``: one that predicts nothing; first: what it tries first."""
+        """Start with a search.
+
+        Args:
+            search: A search that predicts nothing.
+            goal: What an attack is meant to achieve.
+            first: The attacks that the search tries first.
+        """
         self._search, self._goal = search, goal
         search.begin_anew(first)
-        self._known: dict[Level, list[tuple[Proposal, float]]] = {}  # with their badness, the newest last
+        self._known: dict[Level, list[tuple[Proposal, float]]] = {}  # with their badness, newest last
         self._tried = 0
 
     def next(self, draws: np.random.Generator) -> Proposal | None:
-        """A known attack, whose level is drawn first, each as often; or an attempt of the search."""
+        """Return a known attack, or an attempt of the search.
+
+        For a known attack, the level is drawn first; all levels are equally likely.
+
+        Args:
+            draws: The random generator.
+        """
         levels = [level for level, known in self._known.items() if known]
         if levels and draws.random() < KNOWN_ATTACK_SHARE:
             known = self._known[levels[int(draws.integers(len(levels)))]]
@@ -50,7 +61,12 @@ class Curriculum:
         return proposed[0] if proposed else None
 
     def observe(self, attack: Proposal, verdict: Verdict) -> None:
-        """Keep an attack by the level that it came to, and tell the search of it."""
+        """Keep an attack by the level that it reached, and let the search learn from it.
+
+        Args:
+            attack: The attack.
+            verdict: The verdict on the episode.
+        """
         for known in self._known.values():
             known[:] = [(p, worth) for p, worth in known if p is not attack]
         self._search.observe(attack, None, verdict)

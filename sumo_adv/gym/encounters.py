@@ -1,4 +1,4 @@
-"""The front's side of an environment: scenarios open in engines, what attacks in them, and their episodes."""
+"""The front's side of an environment: scenarios that are open in engines, their attackers, and their episodes."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ class Attacks(Protocol):
     """Chooses the attacks of one encounter, one for each episode."""
 
     def next(self, draws: np.random.Generator) -> Proposal | None:
-        """The next attack; None if there is none at all."""
+        """Return the next attack; None if there is none at all."""
         ...
 
     def observe(self, attack: Proposal, verdict: Verdict) -> None:
-        """Take note of what an attack came to."""
+        """Learn from the verdict on an attack."""
         ...
 
 
@@ -52,11 +52,13 @@ Attacker = Literal["expert"] | str | None
 """What attacks the ego: the built-in expert, a language model by its name, or nothing."""
 
 EXPERT_ATTACKER = "expert"
-PLANNED_ATTACKS = 25  # attacks in an encounter, unless they keep up with the ego
+PLANNED_ATTACKS = 25  # maximum number of attacks in an encounter, unless they keep up with the ego
 
 
 class AgentEgo:
-    """The ego that an agent drives: SUMO's IDM drives it until the encounter, and how the agent drives is unknown."""
+    """The ego that an agent drives. SUMO's IDM drives it until the encounter. Predictions treat the agent as an unknown
+    driver.
+    """
 
     name = "agent"
     forkable = True
@@ -64,10 +66,10 @@ class AgentEgo:
     sumo_type: Mapping[str, str] = sumo_type("idm", {})
 
     def reset(self, seed: int) -> None:
-        """Nothing to forget."""
+        """Do nothing."""
 
     def act(self, observation: Observation) -> Action:
-        """Never called."""
+        """Return None; this is never called."""
         return None
 
 
@@ -75,13 +77,20 @@ AGENT = OBJECT_PREFIX + AgentEgo.__name__
 
 
 def _silent(*_: object) -> None:
-    """An environment shows no progress."""
+    """Ignore progress; an environment shows none."""
 
 
 def settings_of(given: Mapping[str, Any], ego: str | None, attacker: Attacker, horizon: float | None) -> Settings:
-    """The settings of an environment. Nothing is learnt from its episodes. ``ego``: None, where an agent drives it.
+    """Return the settings of an environment. Nothing is learnt from its episodes.
 
-    Raises UsageError.
+    Args:
+        given: The user's settings.
+        ego: The driver of the ego; None if an agent drives.
+        attacker: What attacks the ego.
+        horizon: The horizon of the scenario [s]; None takes the default.
+
+    Raises:
+        UsageError: A setting is wrong, or follows from other arguments.
     """
     for name in ("ego", "llm", "learn"):
         if name in given:
@@ -91,18 +100,33 @@ def settings_of(given: Mapping[str, Any], ego: str | None, attacker: Attacker, h
     if ego is None:
         defaults |= {"until": "serious", "attempts": PLANNED_ATTACKS}  # what attacks on an agent are planned for
     if model is not None:
-        defaults["tuner"] = "off"  # its attacks, and none of the search
+        defaults["tuner"] = "off"  # only the model's attacks, none of the search
     return load_settings(None, **{**defaults, **given, "ego": ego or AGENT, "llm": model, "learn": "off"})
 
 
 class TrainingEncounter:
-    """The encounter of one scenario, in an engine of its own, and the attacks that were planned in it."""
+    """The encounter of one scenario, in its own engine, and the attacks that were planned in it.
+
+    Attributes:
+        name: The name of the scenario.
+        settings: The settings of its episodes.
+        engine: Simulates the episodes.
+        found: The encounter.
+        roads: The roads, for planners.
+    """
 
     def __init__(self, scenario: str | Path, given: Mapping[str, Any], ego: Any, attacker: Attacker) -> None:
-        """``ego``: a driver by name, class or object; None: an agent drives. given: settings.
+        """Open the scenario and drive to its encounter.
+
+        Args:
+            scenario: The path or name of the scenario.
+            given: The user's settings.
+            ego: A driver by name, class or object; None if an agent drives.
+            attacker: What attacks the ego.
 
         Raises:
-            UsageError: wrong use, or the scenario has no encounter. SimulationError: SUMO failed.
+            UsageError: An argument is wrong, or the scenario has no encounter.
+            SimulationError: SUMO failed.
         """
         self.name, self._attacker = Path(scenario).stem, attacker
         run_input = load(Path(scenario), None)
@@ -114,6 +138,7 @@ class TrainingEncounter:
             self._stack = opening.pop_all()
 
     def _open(self, run_input: RunInput, packed: GivenEgo | None, stack: ExitStack) -> None:
+        """Start the engine, the sandbox and the agents, and find the encounter."""
         scratch = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix=scratch_prefix())))
         task = replace(make_task(run_input, self.settings, scratch), ego_given=packed)
         self._sandbox = stack.enter_context(new_sandbox(self.settings))
@@ -132,13 +157,14 @@ class TrainingEncounter:
         self.roads = Roads(self.found.situations)
 
     def plan(self, *, adapts: bool) -> Attacks:
-        """What the attacker does in this encounter, episode after episode. Planning takes a second or two.
+        """Plan the attacks in this encounter, for episode after episode. Planning takes a second or two.
 
-        adapts: the attacks that are predicted to collide are the first ones of a ``Curriculum``, which keeps up with
-        the ego; else there are no others. Attacks that a language model chose never change.
+        Args:
+            adapts: Whether a ``Curriculum`` keeps up with the ego, starting with the attacks that are predicted to
+                collide. If not, only these attacks are used. Attacks that a language model chose never change.
 
         Raises:
-            ModelError: a language model plans and failed.
+            ModelError: A language model plans and failed.
         """
         search = self._search(forecast=True)
         if isinstance(search, FixedOrder):
@@ -149,7 +175,7 @@ class TrainingEncounter:
         return Curriculum(asked, self.settings.goal, best) if isinstance(asked, AttackSearch) else AttackPlan(best)
 
     def _search(self, *, forecast: bool) -> AttackSearch | FixedOrder:
-        """The search for attacks; ``forecast``: one that predicts, though how the agent drives is unknown."""
+        """Return the search for attacks; ``forecast`` makes one that predicts although the driver is unknown."""
         settings = self.settings
         with open_for_run(settings) as bank:
             prepared = prepare(
@@ -164,38 +190,62 @@ class TrainingEncounter:
         return refiner.optimizer(decision.record.intents)
 
     def play(self, play: Play) -> PlayedAttack:
-        """Begin an episode; the one before must have ended."""
+        """Begin an episode; the previous one must have ended.
+
+        Args:
+            play: The episode.
+        """
         return PlayedAttack(self, play, self._sandbox)
 
     @property
     def alive(self) -> bool:
-        """Whether its engine runs."""
+        """Whether the engine runs."""
         return not self.engine.lost
 
     def close(self) -> None:
-        """End its processes. May be called twice."""
+        """End the encounter's processes. A second call does nothing."""
         self._stack.close()
 
 
 class AttackPlan:
-    """Attacks in one encounter that were planned before: the best that are predicted to collide, or those that the
-    analyzer chose. Each episode draws one."""
+    """Attacks in one encounter that were planned beforehand; each episode draws one.
+
+    They are the best ones that are predicted to collide, or those that the analyzer chose.
+    """
 
     def __init__(self, attacks: Sequence[Proposal]) -> None:
+        """Keep the attacks.
+
+        Args:
+            attacks: The planned attacks.
+        """
         self._attacks = attacks
 
     def next(self, draws: np.random.Generator) -> Proposal | None:
-        """The next attack; None if there is none at all."""
+        """Draw an attack; None if there is none at all."""
         return self._attacks[int(draws.integers(len(self._attacks)))] if self._attacks else None
 
     def observe(self, attack: Proposal, verdict: Verdict) -> None:
-        """Nothing."""
+        """Do nothing."""
 
 
 class PlayedAttack:
-    """An episode that goes on in an encounter's engine."""
+    """An episode in progress in an encounter's engine.
+
+    Attributes:
+        encounter: The encounter.
+        play: The episode.
+        first: The first moment.
+    """
 
     def __init__(self, encounter: TrainingEncounter, play: Play, sandbox: Any) -> None:
+        """Begin the episode.
+
+        Args:
+            encounter: The encounter.
+            play: The episode.
+            sandbox: Runs planners.
+        """
         self.encounter, self.play, self._sandbox = encounter, play, sandbox
         self._stack = ExitStack()
         self._sessions: Sessions | None = None
@@ -203,11 +253,15 @@ class PlayedAttack:
         self.first = self._talk.said
 
     def ask(self, message: Any) -> Any:
-        """What the episode says to the agents' actions, or its picture."""
+        """Return the moment after the agents' actions, or the picture.
+
+        Args:
+            message: The actions, or ``DRAW_REQUEST``.
+        """
         return self._talk.ask(message)
 
     def _answer(self, observation: PlannerObservation) -> Answer | str:
-        """The answer of a planner that we do not ship."""
+        """Return the answer of a planner that is not shipped."""
         proposal, encounter = self.play.proposal, self.encounter
         assert proposal is not None
         if self._sessions is None:
@@ -217,6 +271,6 @@ class PlayedAttack:
         return self._sessions.answer(proposal, observation)
 
     def end(self) -> None:
-        """Go back to the trigger. May be called twice."""
+        """Return to the trigger. A second call does nothing."""
         self._stack.close()
         self._talk.end()

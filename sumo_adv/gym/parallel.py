@@ -1,4 +1,4 @@
-"""The PettingZoo environment in which one agent drives the ego and another the adversary."""
+"""The PettingZoo environment in which one agent drives the ego and another one the adversary."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Box = NDArray[np.float32]
 
 
 class BothEnv(Viewer, ParallelEnv[str, Any, Box]):
-    """Two agents, ``ego`` and ``adversary``. Both are there from the first step to the end of an episode."""
+    """Two agents, ``ego`` and ``adversary``. Both are present from the first step to the end of an episode."""
 
     metadata: dict[str, Any] = PARALLEL_METADATA
 
@@ -42,7 +42,11 @@ class BothEnv(Viewer, ParallelEnv[str, Any, Box]):
         settings: Mapping[str, Any] | None = None,
         render_mode: str | None = None,
     ) -> None:
-        """``docs/gym.md`` describes the arguments. Raises UsageError."""
+        """Prepare the environment. ``docs/gym.md`` describes the arguments.
+
+        Raises:
+            UsageError: An argument is wrong.
+        """
         self._viewing = viewing_of(observations, vehicles, danger)
         self._rewards: dict[str, Reward] = {EGO_AGENT: ego_reward, ADVERSARY_AGENT: adversary_reward, **(rewards or {})}
         self.possible_agents = [EGO_AGENT, ADVERSARY_AGENT]
@@ -61,15 +65,25 @@ class BothEnv(Viewer, ParallelEnv[str, Any, Box]):
         self._draws: np.random.Generator | None = None
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
+        """Return the observation space of an agent."""
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Space[Any]:
+        """Return the action space of an agent."""
         return self.action_spaces[agent]
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-        """Begin an episode at the trigger of a scenario's encounter. ``options`` are not used."""
+        """Begin an episode at the trigger of a scenario's encounter.
+
+        Args:
+            seed: The seed. With a seed, attackers forget what they have learnt.
+            options: Ignored.
+
+        Returns:
+            The observations and the infos of the agents.
+        """
         if seed is not None or self._draws is None:
             self._draws, _ = seeding.np_random(seed)
         moment, info = self._core.begin(self._draws, anew=seed is not None)
@@ -80,7 +94,15 @@ class BothEnv(Viewer, ParallelEnv[str, Any, Box]):
     def step(
         self, actions: dict[str, Box]
     ) -> tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
-        """One step of ``interval`` seconds."""
+        """Make one step of ``interval`` seconds.
+
+        Args:
+            actions: The action of each agent.
+
+        Returns:
+            The observations, the rewards, whether the episode is terminated, whether it is truncated, and the infos,
+            each by agent.
+        """
         moment, terminated, truncated, info = self._core.step(actions)
         agents = list(self.agents)
         rewards = {name: float(self._rewards[name](moment.transition)) for name in agents}
@@ -93,9 +115,15 @@ class BothEnv(Viewer, ParallelEnv[str, Any, Box]):
         )  # fmt: skip
 
     def _observations(self, moment: AgentStep) -> dict[str, Any]:
+        """Return the observations of the agents at a moment."""
         return {name: self._viewing.given(moment.views[name]) for name in self.possible_agents}
 
 
 def parallel_env(*args: Any, **options: Any) -> BothEnv:
-    """The environment, under the name that PettingZoo's modules give it; the arguments are those of ``BothEnv``."""
+    """Make the environment, under the name that PettingZoo's modules give it.
+
+    Args:
+        args: The positional arguments of ``BothEnv``.
+        options: The keyword arguments of ``BothEnv``.
+    """
     return BothEnv(*args, **options)

@@ -13,7 +13,7 @@ from sumo_adv.simulation.layers import covers
 from sumo_adv.simulation.network import RoadMap
 
 PICTURE_SIZE_PX = 480
-PICTURE_RADIUS_M = 60.0  # m from the middle to each side
+PICTURE_RADIUS_M = 60.0  # from the centre to each side
 GROUND_RGB, ASPHALT_RGB, PAINT_RGB = (236, 238, 232), (150, 152, 156), (214, 216, 218)
 EMPTY_PICTURE: NDArray[np.uint8] = np.full((PICTURE_SIZE_PX, PICTURE_SIZE_PX, 3), GROUND_RGB, np.uint8)
 VEHICLE_RGB = {"ego": (31, 102, 184), "adversary": (200, 48, 40), "other": (245, 245, 245)}
@@ -22,7 +22,18 @@ VEHICLE_RGB = {"ego": (31, 102, 184), "adversary": (200, 48, 40), "other": (245,
 def draw_picture(
     road: RoadMap, drive: Drive, ego: str, adversary: str | None, middle: VehicleState
 ) -> NDArray[np.uint8]:
-    """An image ``(PICTURE_SIZE_PX, PICTURE_SIZE_PX, 3)`` around the pose ``middle``."""
+    """Draw the scene.
+
+    Args:
+        road: The road network.
+        drive: The simulation.
+        ego: The id of the ego.
+        adversary: The id of the adversary; None without one.
+        middle: The state at the centre of the picture.
+
+    Returns:
+        The image, ``(PICTURE_SIZE_PX, PICTURE_SIZE_PX, 3)``.
+    """
     from PIL import Image, ImageDraw
 
     image = Image.new("RGB", (PICTURE_SIZE_PX, PICTURE_SIZE_PX), GROUND_RGB)
@@ -53,7 +64,12 @@ def draw_picture(
 
 
 def beside(line: Floats, offset: float) -> list[list[float]]:
-    """The points of a line ``(n, 2)``, each moved ``offset`` [m] to the left of its direction."""
+    """Move the points of a line to the left of its direction.
+
+    Args:
+        line: The points, ``(n, 2)`` [m].
+        offset: The distance [m].
+    """
     along = np.gradient(line, axis=0)
     length = np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)
     left = np.column_stack([-along[:, 1], along[:, 0]]) / length[:, None]

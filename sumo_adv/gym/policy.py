@@ -1,4 +1,4 @@
-"""A policy as an ego driver: what was trained in ``sumo_adv/Ego-v0`` drives in runs, benches and campaigns."""
+"""A policy as an ego driver: a policy trained in ``sumo_adv/Ego-v0`` drives in runs, benches and campaigns."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from sumo_adv.gym.environments import Observations, viewing_of
 from sumo_adv.gym.views import MAX_VIEWED_SPEED_M_S, AgentWatch, view_of_ego
 
 Policy = Callable[[Any], NDArray[Any]]
-"""From an observation of ``sumo_adv/Ego-v0`` to an action."""
+"""Maps an observation of ``sumo_adv/Ego-v0`` to an action."""
 
 
 class PolicyDriver:
-    """Drives the ego by a policy. The other arguments are those of the environment in which it was trained."""
+    """Drives the ego by a policy."""
 
     name = "policy"
     forkable = False
@@ -32,7 +32,19 @@ class PolicyDriver:
         danger: bool = False,
         interval: float = 0.1,
     ) -> None:
-        """Raises UsageError."""
+        """Wrap a policy. The other arguments are those of the environment in which it was trained.
+
+        Args:
+            policy: Maps an observation to an action.
+            actions: The kind of its actions.
+            observations: ``vector`` or ``dict``.
+            vehicles: The number of other vehicles in an observation.
+            danger: Whether an observation has the numbers of ``DANGER_MAXIMA``.
+            interval: The time between two decisions [s].
+
+        Raises:
+            UsageError: An argument is wrong.
+        """
         action_space(EGO_ACTIONS, actions)
         self._policy, self._actions, self._interval = policy, actions, interval
         self._viewing = viewing_of(observations, vehicles, danger)
@@ -41,12 +53,12 @@ class PolicyDriver:
         PolicyDriver.reset(self, 0)
 
     def reset(self, seed: int) -> None:
-        """Forget the last action, and what was seen."""
+        """Forget the last action and what was seen."""
         self._numbers = None
         self._watch = AgentWatch() if self._viewing.danger else None
 
     def act(self, observation: Observation) -> Action:
-        """What the policy does; it decides every ``interval`` seconds."""
+        """Return the action of the policy, which decides every ``interval`` seconds."""
         if self._watch is not None:
             self._watch.step(observation)
         if self._numbers is None or observation.time > self._due - observation.dt / 2:

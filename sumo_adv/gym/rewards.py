@@ -1,4 +1,4 @@
-"""What a step is worth. A reward is a function of a ``Transition``; give your own as ``reward=``."""
+"""Rewards of a step. A reward is a function of a ``Transition``; pass your own as ``reward=``."""
 
 from __future__ import annotations
 
@@ -12,16 +12,26 @@ from sumo_adv.datatypes import Level, VehicleState, Verdict
 class Transition:
     """One step of an environment, as a reward function gets it.
 
-    seconds: that it lasted. ego, adversary: their states after it, None where it is gone or there is none. before: the
-    ego's state before it. limit: the speed limit at the ego [m/s]. apart: from the ego's centre to the adversary's [m],
-    0 only if their boxes overlap, inf without an adversary; apart_before: before the step. touched: the vehicle that
-    the ego touches. off_road: an agent's vehicle, if its centre is off the road. ending: how the episode ended,
-    empty while it goes on; see ``docs/gym.md``. verdict: on the attack, at the end of an episode with one.
-
-    behind: how much less the ego has driven than in the same encounter unattacked, driven by SUMO's IDM [m], 0 if it
-    has driven more; behind_before: before the step. unattacked: its speed there, now [m/s]. attacked: whether this
-    episode has an adversary. followed: whether a vehicle in the ego's lane is at most 30 m behind it. delta_v: of the
-    ego by the contact [m/s], 0 without one.
+    Attributes:
+        seconds: The duration of the step [s].
+        ego: The ego's state after the step; None if it is gone.
+        before: The ego's state before the step.
+        adversary: The adversary's state after the step; None if it is gone or there is none.
+        limit: The speed limit at the ego [m/s].
+        apart: The distance from the ego's centre to the adversary's after the step [m]; 0 only if their boxes overlap,
+            inf without an adversary.
+        apart_before: The same before the step [m].
+        touched: The vehicle that the ego touches; None if there is none.
+        off_road: The agent's vehicle whose centre is off the road; None if there is none.
+        ending: How the episode ended (``docs/gym.md``); empty while it continues.
+        verdict: The verdict on the attack, at the end of an episode with one.
+        behind: How much less the ego has driven than in the same encounter without an attack, driven by SUMO's IDM [m];
+            0 if it has driven more.
+        behind_before: The same before the step [m].
+        unattacked: The ego's current speed without an attack [m/s].
+        attacked: Whether the episode has an adversary.
+        followed: Whether a vehicle in the ego's lane is at most 30 m behind it.
+        delta_v: The ego's delta-v by the contact [m/s]; 0 without one.
     """
 
     seconds: float
@@ -45,24 +55,30 @@ class Transition:
 
 Reward = Callable[[Transition], float]
 
-# of the ego, in seconds of driving at the speed limit
-CONTACT_LOSS_S = 2.0  # loss by any contact,
+# the ego's rewards, in seconds of driving at the speed limit
+CONTACT_LOSS_S = 2.0  # loss for any contact
 LOSS_S_PER_DELTA_V = 4.0
-"""And for each m/s of its delta-v: a serious one (2.24 m/s) costs 11, as much as standing for an episode."""
-OFF_ROAD_LOSS_S = 20.0
-BLOCKING_LOSS = 0.5  # a second, at less than half of the speed that it has unattacked, with a vehicle close behind
-UNPENALISED_BRAKING_M_S2 = 2.0  # softer braking costs nothing,
-NEEDLESS_BRAKING_LOSS = 0.1  # a second, for each m/s2 of harder braking where nothing attacks
-MIN_SPEED_LIMIT_M_S = 10.0  # a lower speed limit counts as this
+"""The additional loss for each m/s of the contact's delta-v.
 
-SERIOUS_COLLISION_GAIN = 10.0  # the adversary's gain by a serious collision
-APPROACH_GAIN_PER_M = 0.02  # its gain for each metre nearer, at most: far below that of a collision
+A serious contact (2.24 m/s) costs 11, as much as standing for an episode.
+"""
+OFF_ROAD_LOSS_S = 20.0
+BLOCKING_LOSS = 0.5  # per second at less than half of its unattacked speed, with a vehicle close behind
+UNPENALISED_BRAKING_M_S2 = 2.0  # softer braking costs nothing
+NEEDLESS_BRAKING_LOSS = 0.1  # per second and m/s2 of harder braking, if nothing attacks
+MIN_SPEED_LIMIT_M_S = 10.0  # lower speed limits are raised to this
+
+SERIOUS_COLLISION_GAIN = 10.0  # the adversary's gain for a serious collision
+APPROACH_GAIN_PER_M = 0.02  # its gain for each metre of approach; far below that for a collision
 
 
 def ego_reward(t: Transition) -> float:
-    """0 for driving as in the same encounter unattacked; what is lost against that, and the price of harm.
+    """Return the ego's reward: 0 for driving as in the same encounter without an attack, minus losses and harm.
 
-    A metre behind costs the time to drive it at the speed limit. Catching up wins it back.
+    Falling a metre behind costs the time to drive it at the speed limit. Catching up wins it back.
+
+    Args:
+        t: The step.
     """
     if t.ego is None:
         return 0.0
@@ -78,7 +94,12 @@ def ego_reward(t: Transition) -> float:
 
 
 def adversary_reward(t: Transition) -> float:
-    """Two for each level that the attack reaches (ten: serious), and a little for coming nearer before."""
+    """Return the adversary's reward: two for each level that the attack reaches (ten: serious), and a little for
+    approaching.
+
+    Args:
+        t: The step.
+    """
     if t.ending:
         level = Level.NONE if t.verdict is None else t.verdict.level
         return SERIOUS_COLLISION_GAIN * level / Level.SERIOUS

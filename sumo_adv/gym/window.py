@@ -1,4 +1,4 @@
-"""A window that shows pictures one after the other, by matplotlib."""
+"""A window that shows one picture after the other, by matplotlib."""
 
 from __future__ import annotations
 
@@ -11,18 +11,23 @@ from sumo_adv.errors import UsageError
 from sumo_adv.gym.core import Core
 
 RENDER_MODES = ("rgb_array", "human")
-DRAW_PAUSE_S = 0.001  # for the window to draw itself
+DRAW_PAUSE_S = 0.001  # lets the window draw itself
 
 
 class PictureWindow:
-    """Opens with the first picture. Without a display matplotlib draws into nothing."""
+    """A window that opens with the first picture. Without a display, matplotlib draws into nothing."""
 
     def __init__(self) -> None:
+        """Start without a window."""
         self._figure: Any = None
         self._image: Any = None
 
     def show(self, picture: NDArray[np.uint8]) -> None:
-        """Show a picture ``(height, width, 3)``."""
+        """Show a picture.
+
+        Args:
+            picture: The picture, ``(height, width, 3)``.
+        """
         import matplotlib.pyplot as plt
 
         if self._figure is None:
@@ -35,6 +40,7 @@ class PictureWindow:
         self._figure.canvas.start_event_loop(DRAW_PAUSE_S)
 
     def close(self) -> None:
+        """Close the window, if it is open."""
         if self._figure is not None:
             import matplotlib.pyplot as plt
 
@@ -43,23 +49,32 @@ class PictureWindow:
 
 
 class Viewer:
-    """What all environments do with pictures, and at their end."""
+    """Pictures and closing, for all environments."""
 
     def __init__(self, core: Core, render_mode: str | None) -> None:
-        """Raises UsageError."""
+        """Check the render mode.
+
+        Args:
+            core: The episodes.
+            render_mode: One of ``RENDER_MODES``, or None.
+
+        Raises:
+            UsageError: There is no such mode.
+        """
         if render_mode is not None and render_mode not in RENDER_MODES:
             raise UsageError(f"There is no render_mode {render_mode!r}; choose {' or '.join(RENDER_MODES)}.")
         self._core, self.render_mode, self._window = core, render_mode, PictureWindow()
 
     def render(self) -> Any:
-        """The scene from above as an array; with ``human`` it is in the window already."""
+        """Return the scene from above as an array; None unless the mode is ``rgb_array``."""
         return self._core.picture() if self.render_mode == "rgb_array" else None
 
     def _show(self) -> None:
+        """Show the scene in the window, in the mode ``human``."""
         if self.render_mode == "human":
             self._window.show(self._core.picture())
 
     def close(self) -> None:
-        """End the simulation's processes."""
+        """Close the window, and end the simulation's processes."""
         self._window.close()
         self._core.close()

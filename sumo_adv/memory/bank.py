@@ -1,7 +1,8 @@
 """The memory bank: M = {(phi_j, f_j)} of the paper (Online Scenario Generation by Dynamic Memorization and Retrieval).
 
-A bank is one SQLite file. ``open`` reads the whole file into memory, and all lookups use that copy. So a run sees one
-fixed content, and its manifest holds the hash of it. ``refresh`` reads what other processes have written since.
+A bank is one SQLite file. ``open`` reads the whole file into memory, and all lookups use that copy. Thus a run sees one
+fixed content, and its manifest holds the hash of that content. ``refresh`` reads what other processes have written
+since.
 """
 
 from __future__ import annotations
@@ -37,16 +38,30 @@ from sumo_adv.memory.records import (
 from sumo_adv.memory.similarity import TextAndSlots
 from sumo_adv.memory.store import as_bank_errors, open_file
 
-MAX_RETRIEVED_LABELS = 5  # labels in a retrieval
-EPSILON_KEY = f"{rows.EPSILON_KEY_PREFIX}{TextAndSlots.name}"  # of the bank's setting
-UNCERTAIN_EPSILON_SHARE = 0.1  # share of epsilon; nearer to epsilon than this a retrieval is uncertain
+MAX_RETRIEVED_LABELS = 5  # maximum number of labels in a retrieval
+EPSILON_KEY = f"{rows.EPSILON_KEY_PREFIX}{TextAndSlots.name}"  # key of the bank's setting
+UNCERTAIN_EPSILON_SHARE = 0.1  # share of epsilon; a retrieval whose distance is nearer to epsilon is uncertain
 
 
 class MemoryBank:
-    """An open bank. Use it in a ``with`` statement. All methods that touch the file raise BankError."""
+    """An open bank.
+
+    Use it in a ``with`` statement. All methods that touch the file raise BankError.
+
+    Attributes:
+        path: The path of the file.
+        writable: Whether the bank can be written.
+    """
 
     def __init__(self, connection: sqlite3.Connection, path: Path, writable: bool, clock: Clock) -> None:
-        """Use ``MemoryBank.open``."""
+        """Use ``MemoryBank.open`` instead.
+
+        Args:
+            connection: The connection to the file.
+            path: The path of the file.
+            writable: Whether the bank can be written.
+            clock: Returns the time stamp of new rows.
+        """
         self.path = path
         self.writable = writable
         self._connection = connection
@@ -60,11 +75,23 @@ class MemoryBank:
     def open(
         cls, path: Path, *, seed_from: Path | None = None, read_only: bool = False, clock: Clock = utc_now
     ) -> MemoryBank:
-        """The bank at ``path``. A missing file is created as a copy of ``seed_from``, or blank. read_only: creates and
-        changes no file.
+        """Open the bank at ``path``.
 
-        A file without write permission opens for reading, and ``record`` raises. Raises BankError for a file that is
-        not SQLite, of another program, of a newer version or damaged, for a read-only folder and for a full disk.
+        A missing file is created as a copy of ``seed_from``, or blank. A file without write permission opens for
+        reading, and ``record`` raises.
+
+        Args:
+            path: The path of the file.
+            seed_from: The bank that a missing file is copied from; None creates a blank one.
+            read_only: Whether to create and change no file.
+            clock: Returns the time stamp of new rows.
+
+        Returns:
+            The open bank.
+
+        Raises:
+            BankError: The file is not SQLite, belongs to another program, has a newer version or is damaged; the folder
+                is read-only; or the disk is full.
         """
         path = Path(path)
         connection, writable = open_file(path, seed_from=seed_from, read_only=read_only, clock=clock)
@@ -94,28 +121,49 @@ class MemoryBank:
         self._fitted = self._scenes = None
 
     def intents(self) -> list[IntentRecord]:
-        """All intents, retired ones included, oldest first."""
+        """Return all intents, including retired ones, oldest first."""
         return list(self._content.intents.values())
 
     def intent(self, label: str) -> IntentRecord | None:
-        """The intent with that label, in any case and spacing, or None."""
+        """Return an intent.
+
+        Args:
+            label: Its label, in any case and spacing.
+
+        Returns:
+            The intent, or None if the bank lacks it.
+        """
         return self._content.intents.get(canonical(label))
 
     def planners(self, label: str) -> list[Planner]:
-        """The active planners of an intent, by mode, then age; empty for an unknown label."""
+        """Return the active planners of an intent, by mode, then by age.
+
+        Args:
+            label: The label of the intent.
+
+        Returns:
+            The planners; none for an unknown label.
+        """
         key = canonical(label)
         active = [p for p in self._content.planners.get(key, ()) if (key, p.hash) not in self._content.retired]
         return sorted(active, key=lambda planner: planner.mode)
 
     def evidence(self, label: str | None = None) -> list[Evidence]:
-        """All evidence, or the evidence of one intent, oldest first."""
+        """Return evidence, oldest first.
+
+        Args:
+            label: The label of an intent; None returns all evidence.
+        """
         if label is None:
             return list(self._content.evidence)
         key = canonical(label)
         return [e for e in self._content.evidence if canonical(e.label) == key]
 
     def stored_intents(self) -> list[StoredIntent]:
-        """The whole content by intent. Retired planners are included. Planners are sorted by mode, then text."""
+        """Return the whole content by intent.
+
+        Retired planners are included. Planners are sorted by mode, then by text.
+        """
         by_intent: dict[str, list[Evidence]] = {}
         for evidence in self._content.evidence:
             by_intent.setdefault(canonical(evidence.label), []).append(evidence)
@@ -132,10 +180,17 @@ class MemoryBank:
         ]
 
     def recall_scene(self, signature: SceneSignature, limit: float = MAX_SIMILAR_DISTANCE) -> Evidence | None:
-        """The evidence of a success in a similar scene, at most ``limit`` away by ``recall.signature_distance``.
+        """Return the evidence of a success in a similar scene.
 
-        Valid collisions have precedence over other successes, then the nearest scene. Retired intents and planners are
-        left out, and so is evidence with parameters that the planner does not have or does not allow.
+        Valid collisions take precedence over other successes; then the nearest scene wins. Retired intents and planners
+        are left out. So is evidence with parameters that the planner does not have or does not allow.
+
+        Args:
+            signature: The scene to compare with.
+            limit: The maximum distance by ``recall.signature_distance`` [-].
+
+        Returns:
+            The evidence, or None if no scene is near enough.
         """
         if self._scenes is None:
             active = {
@@ -148,21 +203,32 @@ class MemoryBank:
         return self._scenes.nearest(signature, limit)
 
     def settings(self, prefix: str) -> dict[str, object]:
-        """The settings with keys that begin with ``prefix``."""
+        """Return the settings whose keys begin with ``prefix``.
+
+        Args:
+            prefix: The beginning of the keys.
+        """
         return {key: value for key, value in self._content.settings.items() if key.startswith(prefix)}
 
     def epsilon(self) -> tuple[float, str]:
-        """The distance up to which an intent counts as known, and its calibration data."""
+        """Return the distance up to which an intent counts as known, and its calibration data."""
         value = self._content.settings.get(EPSILON_KEY)
         if isinstance(value, dict):
             return float(value["epsilon"]), str(value["calibrated_on"])
         return TextAndSlots.epsilon, TextAndSlots.calibrated_on
 
     def retrieve(self, label: str, description: str = "") -> Retrieval:
-        """The paper's j* = argmin d(phi', phi_j) among active intents; a hit if d <= epsilon.
+        """Find the nearest active intent: the paper's j* = argmin d(phi', phi_j), a hit if d <= epsilon.
 
-        The distance is 0 for the same label in any case, spacing or hyphenation. The label of a merged intent stands
-        for the intent that took it over. Otherwise the metric compares label and description.
+        The distance is 0 for the same label in any case, spacing or hyphenation. The label of a merged intent means the
+        intent that took it over. Otherwise the metric compares label and description.
+
+        Args:
+            label: The label to look up.
+            description: Its description.
+
+        Returns:
+            The hit and the nearest intents.
         """
         epsilon = self.epsilon()[0]
         if self._fitted is None:
@@ -182,10 +248,11 @@ class MemoryBank:
         return Retrieval(first if distance <= epsilon else None, distance, epsilon, nearest, band)
 
     def _active(self) -> list[IntentRecord]:
+        """Return the active intents."""
         return [record for record in self._content.intents.values() if record.status == "active"]
 
     def content_hash(self) -> str:
-        """SHA-256 over intents, planners, evidence and settings. Row order and time stamps do not count."""
+        """Return the SHA-256 of intents, planners, evidence and settings, regardless of row order and time stamps."""
         digest = hashlib.sha256()
         for line in sorted(json.dumps(item, sort_keys=True) for item in rows.canonical_items(self._content)):
             digest.update(line.encode() + b"\n")
@@ -200,8 +267,13 @@ class MemoryBank:
         - Evidence of success makes a retired intent or planner active. A new one with evidence of failure is retired.
         - Evidence of a merged intent is stored under the intent that took it over.
 
-        Raises BankError and writes nothing if intent or planner is neither given nor known, or does not match the
-        evidence.
+        Args:
+            evidence: The evidence to add.
+            intent: Its intent; None if the bank has it.
+            planner: Its planner; None if the bank has it.
+
+        Raises:
+            BankError: Intent or planner is neither given nor known, or does not match the evidence. Nothing is written.
         """
         if intent is not None and canonical(intent.label) != canonical(evidence.label):
             raise BankError(f"The evidence is about {evidence.label!r} but the intent given is {intent.label!r}.")
@@ -227,8 +299,17 @@ class MemoryBank:
         self._remember(rows.stored(evidence, known_intent.label, stamp), known_intent, *known_planner)
 
     def record_composition(self, composition: Composition, attempts: Sequence[bool]) -> bool:
-        """Count attempts with a composition, True for each success, in one transaction. An unknown composition is added
-        by a success only, as an intent is; the result tells whether the bank knows it now."""
+        """Count attempts with a composition, in one transaction.
+
+        Only a success adds an unknown composition.
+
+        Args:
+            composition: The composition.
+            attempts: True for each success, False for each failure, in order.
+
+        Returns:
+            Whether the bank knows the composition now.
+        """
         with self._writing():
             before = rows.read_settings(self._connection).get(composition.key)
             after = counted(None if before is None else composition_of(before), composition, attempts)
@@ -237,45 +318,79 @@ class MemoryBank:
         return after is not None
 
     def add(self, intent: IntentRecord, planners: Iterable[Planner] = ()) -> None:
-        """Add an intent and planners without evidence, in one transaction. Existing ones are not changed."""
+        """Add an intent and planners without evidence, in one transaction. Existing ones are not changed.
+
+        Args:
+            intent: The intent.
+            planners: Its planners.
+        """
         self.absorb([StoredIntent(intent, tuple(planners))], unique_modes=False)
 
     def absorb(
         self, intents: Iterable[StoredIntent], *, unique_modes: bool = True, compositions: Iterable[Composition] = ()
     ) -> edits.Absorbed:
-        """Import ``intents`` and ``compositions`` in one transaction; returns the additions. Nothing that is there is
-        changed. unique_modes: number the mode of a new planner if another planner of its intent has that mode."""
+        """Import intents and compositions in one transaction. Nothing in the bank is changed.
+
+        Args:
+            intents: The intents with their planners and evidence.
+            unique_modes: Whether to number the mode of a new planner if another planner of its intent has that mode.
+            compositions: The compositions.
+
+        Returns:
+            The numbers of additions.
+        """
         with self._writing() as stamp:
             return edits.absorb(self._connection, intents, stamp, unique_modes=unique_modes, compositions=compositions)
 
     def merge(self, label: str, into: str) -> None:
-        """Move planners and evidence of intent ``label`` to the active intent ``into``, in one transaction.
+        """Move planners and evidence of one intent to another, in one transaction.
 
-        The first intent is retired, and its label then stands for ``into``. Raises BankError, also if either intent is
-        unknown or both are the same.
+        The first intent is retired. From then on its label means the second intent.
+
+        Args:
+            label: The label of the intent to merge.
+            into: The label of the active intent that takes it over.
+
+        Raises:
+            BankError: Either intent is unknown, both are the same, or ``into`` is retired.
         """
         with self._writing() as stamp:
             edits.merge(self._connection, label, into, stamp)
 
     def retire(self, label: str, mode: str | None = None, *, back: bool = False) -> None:
-        """Retire an intent, or its planners of one ``mode``. An intent without active planners is retired too.
+        """Retire an intent, or its planners of one mode.
 
-        Nothing is deleted: ``back`` makes retired ones active again. Raises BankError, also for an unknown intent or
-        mode.
+        An intent without active planners is retired too. Nothing is deleted.
+
+        Args:
+            label: The label of the intent.
+            mode: The mode of the planners; None means the intent itself.
+            back: Whether to make retired ones active again instead.
+
+        Raises:
+            BankError: The intent or the mode is unknown.
         """
         with self._writing():
             edits.retire(self._connection, label, mode, back=back)
 
     def set_epsilon(self, epsilon: float, calibrated_on: str) -> None:
-        """Store the epsilon and its calibration data."""
+        """Store the epsilon and its calibration data.
+
+        Args:
+            epsilon: The distance up to which an intent counts as known [-].
+            calibrated_on: What it was calibrated on.
+        """
         with self._writing():
             setting = {"epsilon": epsilon, "calibrated_on": calibrated_on}
             rows.write_setting(self._connection, EPSILON_KEY, setting)
 
     @contextlib.contextmanager
     def _writing(self, *, refresh: bool = True) -> Iterator[str]:
-        """One IMMEDIATE transaction, rolled back on any error. Yields the time stamp of its rows. refresh: read the
-        file again afterwards."""
+        """Run one IMMEDIATE transaction, rolled back on any error, and yield the time stamp of its rows.
+
+        Args:
+            refresh: Whether to read the file again afterwards.
+        """
         if not self.writable:
             raise BankError(f"The memory bank {self.path} is read-only; give another path, or make it writable.")
         with as_bank_errors(self.path), self._connection:
@@ -301,23 +416,40 @@ class MemoryBank:
         self._scenes = None
 
 
-# Composed intents: a composition is kept under the settings of the bank (``COMPOSITION_KEY_PREFIX``), is found by its
-# own label or description, and is forgotten once ``MAX_FAILURES_IN_A_ROW`` attempts in a row have failed. Planners stay
+# Composed intents. A composition is stored in the settings of the bank (``COMPOSITION_KEY_PREFIX``). It is found by its
+# own label or description, and ignored once ``MAX_FAILURES_IN_A_ROW`` attempts in a row have failed. Its planners stay
 # with their intents.
 
 
 def compositions(bank: MemoryBank) -> list[Composition]:
-    """The compositions of a bank by label; those that are forgotten are left out."""
+    """Return the compositions of a bank by label, without those that ``MAX_FAILURES_IN_A_ROW`` failures rule out.
+
+    Args:
+        bank: The bank to read.
+    """
     return [composition for composition in all_compositions(bank) if not composition.hopeless]
 
 
 def all_compositions(bank: MemoryBank) -> list[Composition]:
-    """The compositions of a bank by label, also those that are forgotten."""
+    """Return all compositions of a bank by label.
+
+    Args:
+        bank: The bank to read.
+    """
     return [composition_of(value) for _, value in sorted(bank.settings(COMPOSITION_KEY_PREFIX).items())]
 
 
 def retrieve_composition(bank: MemoryBank, label: str, description: str) -> Composition | None:
-    """The composition of a bank that means the same by its own label or description; None if none is near enough."""
+    """Find the composition with the same meaning, by its own label or description.
+
+    Args:
+        bank: The bank to search.
+        label: The label to look up.
+        description: Its description.
+
+    Returns:
+        The composition, or None if none is near enough.
+    """
     candidates = compositions(bank)
     same = next((c for c in candidates if canonical(c.label) == canonical(label)), None)
     if same is not None or not candidates:

@@ -4,7 +4,7 @@
 share: ``weave = { movement = "left" }`` takes ``planners/weave.template`` and writes ``left`` for ``$movement`` and the
 intent's label for ``$label``. An export has no shared texts. It may add ``status``, ``merged_into`` and a table
 ``[planners.<file>]`` with mode (if it is not the file's name), origin, parent and status. ``compositions.toml`` beside
-the folders may hold tables ``[[compositions]]``. Nothing here runs a planner.
+the folders may hold tables ``[[compositions]]``. No function here runs a planner.
 """
 
 from __future__ import annotations
@@ -43,16 +43,16 @@ from sumo_adv.parsing import parse_json, parse_toml
 
 Parse = Callable[[str], tuple[Parameter, ...]]
 Refuse = Callable[[str, str, BankError], None]
-"""Takes the label (or the folder's name), the planner's file (or ``EVERYTHING``) and what is wrong with it."""
+"""Takes the label (or the folder's name), the planner's file (or ``EVERYTHING``) and the error."""
 
 EVERYTHING = "everything"
 
-SEED_TIME = "1970-01-01T00:00:00+00:00"  # of all rows of a built bank, so that building twice gives the same bytes
+SEED_TIME = "1970-01-01T00:00:00+00:00"  # time stamp of all rows of a built bank; building twice gives the same bytes
 EVIDENCE_FILE = "evidence.csv"
 COMPOSITIONS_FILE = "compositions.toml"
-MAX_LABEL_CHARACTERS = 400  # of a composition's label, which may be put together from those of three intents
-SHARED_FOLDER = "planners"  # of the texts that several intents share
-MAX_TEXT_FILE_BYTES = 256 * 1024  # of an intent.toml or a planner
+MAX_LABEL_CHARACTERS = 400  # in a composition's label, which may combine those of three intents
+SHARED_FOLDER = "planners"  # folder of the texts that several intents share
+MAX_TEXT_FILE_BYTES = 256 * 1024  # size limit of an intent.toml or a planner
 MAX_EVIDENCE_BYTES = 64 * 1024 * 1024
 _KEYS = {"label": str, "description": str, "applies": list}
 _MORE_KEYS = {"shared": dict, "status": str, "merged_into": str, "planners": dict}
@@ -61,15 +61,24 @@ EVIDENCE_FILE_COLUMNS = (
     "planner", "geometry", "relation", "controller", "relative", "parameters", "acceleration", "delay", "attempts",
     "min_ttc", *EVIDENCE_FLAGS, "version", "network", "seed",
 )  # fmt: skip
-MAX_EVIDENCE_ROWS = 200_000  # of a file: about 150 MB in memory
+MAX_EVIDENCE_ROWS = 200_000  # in a file; this many take about 150 MB in memory
 
 
 def read_folder(folder: Path, parse: Parse, refuse: Refuse | None = None) -> list[StoredIntent]:
-    """The intents of ``folder`` by slug. ``parse`` reads a planner's PARAMETERS table without running it.
+    """Read the intents of a folder.
 
-    Raises BankError for a missing or wrong file, a link, an unknown key, an intent without planners, a label used
-    twice. With ``refuse``, planners that cannot be read (and their evidence) and intents that cannot are told to it
-    and left out.
+    Args:
+        folder: The folder of a bank in text.
+        parse: Reads a planner's PARAMETERS table without running the planner.
+        refuse: Called for each planner and intent that cannot be read. They are left out, and so is their evidence. If
+            None, an error is raised instead.
+
+    Returns:
+        The intents by slug.
+
+    Raises:
+        BankError: A file is missing or wrong, is a link or has an unknown key; an intent has no planners; or a label is
+            used twice.
     """
     files = sorted(folder.glob("*/intent.toml"))
     if not files:
@@ -87,7 +96,17 @@ def read_folder(folder: Path, parse: Parse, refuse: Refuse | None = None) -> lis
 
 
 def read_compositions(folder: Path) -> list[Composition]:
-    """The composed intents of ``folder``; empty without their file. Raises BankError for a wrong one."""
+    """Read the composed intents of a folder.
+
+    Args:
+        folder: The folder of a bank in text.
+
+    Returns:
+        The compositions; none without their file.
+
+    Raises:
+        BankError: The file is wrong.
+    """
     file = folder / COMPOSITIONS_FILE
     if not (file.exists() or file.is_symlink()):
         return []
@@ -109,11 +128,19 @@ def read_compositions(folder: Path) -> list[Composition]:
 
 
 def read_intent_file(file: Path) -> IntentRecord:
-    """The intent of one ``intent.toml``. Raises BankError."""
+    """Read the intent of one ``intent.toml``.
+
+    Args:
+        file: The path of the file.
+
+    Raises:
+        BankError: The file is wrong.
+    """
     return _intent(_read_toml(file))
 
 
 def _read_toml(file: Path) -> dict[str, Any]:
+    """Read an ``intent.toml`` and check its keys, types and label."""
     try:
         table = parse_toml(_read_text(file, MAX_TEXT_FILE_BYTES))
     except ValueError as error:
@@ -130,7 +157,7 @@ def _read_toml(file: Path) -> dict[str, Any]:
 
 
 def _read_text(file: Path, limit: int) -> str:
-    """The text of a regular file; anything else, such as a link out of the folder, is refused."""
+    """Return the text of a regular file; refuse anything else, such as a link out of the folder."""
     try:
         if file.parent.is_symlink():
             raise BankError(f"{file.parent} is a link; a bank in text holds plain folders and files only.")
@@ -146,11 +173,13 @@ def _read_text(file: Path, limit: int) -> str:
 
 
 def _intent(table: Mapping[str, Any]) -> IntentRecord:
+    """Return the intent that a table describes."""
     description = "".join(c for c in " ".join(table["description"].split()) if c.isprintable())
     return IntentRecord(table["label"], description, tuple(map(str, table["applies"])), table.get("status", "active"))
 
 
 def _taken(file: Path, parse: Parse, refuse: Refuse | None) -> StoredIntent | None:
+    """Read an intent; if it cannot be read, call ``refuse`` and return None."""
     try:
         return _read_stored(file, parse, refuse)
     except BankError as error:
@@ -161,6 +190,7 @@ def _taken(file: Path, parse: Parse, refuse: Refuse | None) -> StoredIntent | No
 
 
 def _read_stored(file: Path, parse: Parse, refuse: Refuse | None) -> StoredIntent:
+    """Read an intent with its planners and evidence."""
     folder, table = file.parent, _read_toml(file)
     intent, merged_into = _intent(table), table.get("merged_into")
     details: dict[str, dict[str, str]] = table.get("planners", {})
@@ -205,7 +235,7 @@ def _read_stored(file: Path, parse: Parse, refuse: Refuse | None) -> StoredInten
 
 
 def _shared(file: Path, table: Mapping[str, Any]) -> Mapping[str, Mapping[str, str]]:
-    """The words of each shared mode, from the table ``[shared]`` of ``file``."""
+    """Return the words of each shared mode, from the table ``[shared]`` of ``file``."""
     for mode, words in table.items():
         if not mode.isidentifier() or not isinstance(words, dict):
             raise BankError(f"{file} must give each mode of [shared] as a name and a table of words, not {mode!r}.")
@@ -215,7 +245,7 @@ def _shared(file: Path, table: Mapping[str, Any]) -> Mapping[str, Mapping[str, s
 
 
 def _filled(path: Path, text: str, label: str, words: Mapping[str, str]) -> str:
-    """The shared text with ``$label`` and its other ``$`` words replaced; ``words`` must give exactly those others."""
+    """Replace ``$label`` and the other ``$`` words of a shared text; ``words`` must give exactly those others."""
     template = Template(text)
     needed = set(template.get_identifiers()) - {"label"}
     if not template.is_valid() or needed != words.keys():
@@ -224,6 +254,7 @@ def _filled(path: Path, text: str, label: str, words: Mapping[str, str]) -> str:
 
 
 def _planner(path: Path, text: str, label: str, details: Mapping[str, str], parse: Parse) -> Planner:
+    """Return the planner in a file."""
     try:
         parameters = parse(text)
     except SumoAdvError as error:
@@ -233,9 +264,17 @@ def _planner(path: Path, text: str, label: str, details: Mapping[str, str], pars
 
 
 def build(folder: Path, target: Path, parse: Parse) -> None:
-    """Write the bank of the intents in ``folder`` to ``target``, replacing what is there, whole or not at all.
+    """Write the bank of the intents in a folder, whole or not at all.
 
-    The file is in rollback-journal mode, so that reading it makes no files beside it. Raises BankError.
+    The file is in rollback-journal mode, so that reading it makes no files beside it.
+
+    Args:
+        folder: The folder of a bank in text.
+        target: The path of the bank; an existing file is replaced.
+        parse: Reads a planner's PARAMETERS table without running the planner.
+
+    Raises:
+        BankError: The folder cannot be read, or the file cannot be written.
     """
     settings: dict[str, object] = {
         EPSILON_KEY: {"epsilon": TextAndSlots.epsilon, "calibrated_on": TextAndSlots.calibrated_on},
@@ -245,10 +284,21 @@ def build(folder: Path, target: Path, parse: Parse) -> None:
 
 
 def write_part(bank: MemoryBank, target: Path, labels: Iterable[str], clock: Clock) -> list[str]:
-    """A new bank at ``target`` with only these intents of ``bank``: with their planners and evidence, the epsilon, and
-    the compositions that have no other intent of the bank. Returns their labels.
+    """Write a new bank with some intents of another one.
 
-    Raises BankError, also for a label that the bank lacks or a target that exists.
+    The new bank has their planners and evidence, the epsilon, and the compositions whose intents are all among them.
+
+    Args:
+        bank: The bank to copy from.
+        target: The path of the new bank.
+        labels: The labels of the intents.
+        clock: Returns the time stamp of the rows.
+
+    Returns:
+        The labels of the intents, as the bank spells them.
+
+    Raises:
+        BankError: The bank lacks a label, or the target exists.
     """
     chosen = {canonical(label): label for label in labels}
     intents = [stored for stored in bank.stored_intents() if canonical(stored.intent.label) in chosen]
@@ -272,7 +322,7 @@ def write_part(bank: MemoryBank, target: Path, labels: Iterable[str], clock: Clo
 def _write(
     target: Path, intents: list[StoredIntent], settings: Mapping[str, object], clock: Clock, *, replace: bool
 ) -> None:
-    """A bank at ``target``, whole or not at all; one that exists is kept unless ``replace``."""
+    """Write a bank, whole or not at all; an existing file is kept unless ``replace``."""
 
     def fill(connection: sqlite3.Connection) -> None:
         connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
@@ -288,13 +338,18 @@ def _write(
 
 
 # Evidence as a CSV file, one row a piece, sorted. Columns: ``planner`` (the name of its file without ``.py``), then
-# those of Evidence; ``relative`` and ``parameters`` are JSON objects of numbers, ``acceleration`` is a number or a JSON
-# list of [time, m/s2], yes or no is 1 or 0, and what does not arise (or a TTC that is never) is empty. Time stamps are
-# left out: they are no part of a bank's content.
+# the fields of Evidence. ``relative`` and ``parameters`` are JSON objects of numbers. ``acceleration`` is a number or a
+# JSON list of [time, m/s2]. Flags are 1 or 0. What does not apply is empty, as is an infinite TTC. Time stamps are
+# left out, because they are no part of a bank's content.
 
 
 def write_evidence(evidence: Sequence[Evidence], names: Mapping[str, str]) -> str:
-    """The text of the file; ``names``: planner hash -> name of its file."""
+    """Return the text of an evidence file.
+
+    Args:
+        evidence: The evidence of one intent.
+        names: The name of each planner's file, by the planner's hash.
+    """
     lines = io.StringIO()
     writer = csv.writer(lines, lineterminator="\n")
     writer.writerow(EVIDENCE_FILE_COLUMNS)
@@ -303,6 +358,7 @@ def write_evidence(evidence: Sequence[Evidence], names: Mapping[str, str]) -> st
 
 
 def _row(e: Evidence, name: str) -> list[str]:
+    """Return the row of a piece of evidence; ``name`` is the planner's file."""
     return [
         name, e.scene.geometry, e.scene.relation, e.scene.controller,
         json.dumps(dict(e.scene.relative), sort_keys=True), json.dumps(dict(e.parameters), sort_keys=True),
@@ -316,10 +372,17 @@ def _row(e: Evidence, name: str) -> list[str]:
 def read_evidence(
     text: str, label: str, hashes: Mapping[str, str], where: str, left_out: Collection[str] = ()
 ) -> tuple[Evidence, ...]:
-    """Evidence about ``label`` from the text of a file; ``hashes``: name of a planner's file -> its hash; rows about
-    the planners in ``left_out`` are passed over.
+    """Read evidence about an intent from the text of a file.
 
-    Raises BankError with the line, ``where`` being the file's name for the sentence.
+    Args:
+        text: The text of the file.
+        label: The label of the intent.
+        hashes: The hash of each planner, by the name of its file.
+        where: The file's name, for error messages.
+        left_out: Names of planners whose rows are skipped.
+
+    Raises:
+        BankError: A row is wrong. The message names the line.
     """
     try:
         lines = csv.reader(io.StringIO(text), strict=True)
@@ -343,6 +406,7 @@ def read_evidence(
 
 
 def _evidence(row: Mapping[str, str], label: str, hashes: Mapping[str, str]) -> Evidence:
+    """Return the evidence of a row; raise ValueError or another error if a value is wrong."""
     if row["planner"] not in hashes:
         raise ValueError(f"there is no planner {row['planner'][:80]!r}")
     for name in ("geometry", "relation", "controller", "version", "network"):
@@ -370,12 +434,14 @@ def _evidence(row: Mapping[str, str], label: str, hashes: Mapping[str, str]) -> 
 
 
 def _flag(text: str) -> bool:
+    """Parse a flag: 1 or 0."""
     if text not in ("0", "1"):
         raise ValueError(f"yes or no is 1 or 0, not {text[:20]!r}")
     return text == "1"
 
 
 def _number(text: str) -> float:
+    """Parse a finite number."""
     value = float(text)
     if not math.isfinite(value):
         raise ValueError(f"{text[:20]!r} is not a finite number")

@@ -1,6 +1,6 @@
-"""What a bank's evidence adds up to, and what a person may want to do about it: merge intents, retire planners.
+"""Summarise a bank's evidence, and propose what a person may want to do: merge intents, retire planners.
 
-Proposals only, nothing is changed.
+The functions only propose; they change nothing.
 """
 
 from __future__ import annotations
@@ -11,13 +11,20 @@ from typing import Any
 
 from sumo_adv.memory.bank import MemoryBank
 
-DUPLICATE_EPSILON_SHARE = 0.5  # of epsilon: two intents this near are proposed for merging
-MIN_RETIRING_EVIDENCE_COUNT = 20  # pieces of evidence without one success: a planner is proposed for retiring
+DUPLICATE_EPSILON_SHARE = 0.5  # of epsilon; two intents at most this far apart are proposed for merging
+MIN_RETIRING_EVIDENCE_COUNT = 20  # a planner with this many failures and no success is proposed for retiring
 
 
 @dataclass(frozen=True, slots=True)
 class MergeProposal:
-    """``label`` could be merged into ``into`` (the older one): why, and how far apart they are."""
+    """A proposal to merge an intent into an older one.
+
+    Attributes:
+        label: The label of the intent to merge.
+        into: The label of the older intent.
+        distance: The distance between the two [-].
+        reason: Why they may be one intent.
+    """
 
     label: str
     into: str
@@ -27,7 +34,17 @@ class MergeProposal:
 
 @dataclass(frozen=True, slots=True)
 class PlannerCounts:
-    """The evidence about one planner."""
+    """The evidence about one planner.
+
+    Attributes:
+        label: The label of its intent.
+        mode: Its mode.
+        hash: The hash of its text.
+        origin: Where it came from.
+        retired: Whether the planner or its intent is retired.
+        successes: The number of pieces of evidence with a success.
+        failures: The number of the other pieces.
+    """
 
     label: str
     mode: str
@@ -39,8 +56,14 @@ class PlannerCounts:
 
 
 def near_duplicates(bank: MemoryBank) -> list[MergeProposal]:
-    """Active intents that may be one: a planner with the same text, or that can be tried from a common relation and lie
-    within half of epsilon; nearest first."""
+    """Find active intents that may be one, nearest first.
+
+    Two intents may be one if they have a planner with the same text, or if they have a relation in common and lie
+    within half of epsilon.
+
+    Args:
+        bank: The bank to examine.
+    """
     places = {record.label: i for i, record in enumerate(bank.intents())}
     active = {stored.intent.label: stored for stored in bank.stored_intents() if stored.intent.status == "active"}
     texts: dict[str, list[str]] = {}
@@ -60,7 +83,14 @@ def near_duplicates(bank: MemoryBank) -> list[MergeProposal]:
 
 
 def statistics(bank: MemoryBank) -> dict[str, Any]:
-    """Counts over the bank, and under ``by_label`` for each intent; ``attempts``: the sum over its evidence."""
+    """Count the content of a bank, in total and, under ``by_label``, for each intent.
+
+    Args:
+        bank: The bank to examine.
+
+    Returns:
+        The counts. ``attempts`` is the sum over an intent's evidence.
+    """
     held = bank.stored_intents()
     by_label = {}
     for stored in held:
@@ -79,7 +109,11 @@ def statistics(bank: MemoryBank) -> dict[str, Any]:
 
 
 def planner_counts(bank: MemoryBank) -> list[PlannerCounts]:
-    """Successes and failures of every planner, retired ones too, in the order of ``MemoryBank.stored_intents``."""
+    """Count successes and failures of every planner, including retired ones, in the order of ``stored_intents``.
+
+    Args:
+        bank: The bank to examine.
+    """
     counts = []
     for stored in bank.stored_intents():
         results: Mapping[str, list[int]] = {planner.hash: [0, 0] for planner in stored.planners}
@@ -95,7 +129,12 @@ def planner_counts(bank: MemoryBank) -> list[PlannerCounts]:
 
 
 def hopeless(bank: MemoryBank, at_least: int = MIN_RETIRING_EVIDENCE_COUNT) -> list[PlannerCounts]:
-    """Active planners that failed ``at_least`` times and never succeeded."""
+    """Return active planners that failed often and never succeeded.
+
+    Args:
+        bank: The bank to examine.
+        at_least: The minimum number of failures.
+    """
     return [
         each for each in planner_counts(bank)
         if not each.retired and each.successes == 0 and each.failures >= at_least

@@ -1,6 +1,6 @@
-"""Changes to what a bank holds, beside new evidence: taking in another's content, merging, retiring.
+"""Changes to a bank's content other than new evidence: importing another bank's content, merging, retiring.
 
-Call every function within a transaction; it raises BankError before it changes anything it cannot finish.
+Call every function within a transaction. A BankError is raised before a change that cannot be finished.
 """
 
 from __future__ import annotations
@@ -28,7 +28,14 @@ from sumo_adv.memory.records import (
 
 @dataclass(slots=True)
 class Absorbed:
-    """How much of an offer was new."""
+    """How much of an import was new.
+
+    Attributes:
+        intents: The number of intents added.
+        planners: The number of planners added.
+        evidence: The number of pieces of evidence added.
+        compositions: The number of compositions added.
+    """
 
     intents: int = 0
     planners: int = 0
@@ -40,7 +47,23 @@ def absorb(
     connection: sqlite3.Connection, intents: Iterable[StoredIntent], now: str, *, unique_modes: bool,
     compositions: Iterable[Composition] = (),
 ) -> Absorbed:  # fmt: skip
-    """Add what the bank lacks; a piece of evidence that it holds as often as ``intents`` do is not added again."""
+    """Add what the bank lacks.
+
+    A piece of evidence that the bank holds as often as ``intents`` do is not added again.
+
+    Args:
+        connection: The connection to the bank.
+        intents: The intents with their planners and evidence.
+        now: The time stamp of the new rows.
+        unique_modes: Whether to number the mode of a new planner if another planner of its intent has that mode.
+        compositions: The compositions.
+
+    Returns:
+        The numbers of additions.
+
+    Raises:
+        BankError: An intent is merged into one that the bank lacks.
+    """
     intents = list(intents)
     added = Absorbed()
     content = rows.read(connection)
@@ -66,6 +89,7 @@ def _absorb_one(
     connection: sqlite3.Connection, stored: StoredIntent, content: rows.Content, held: Counter[str], now: str,
     added: Absorbed, unique_modes: bool,
 ) -> None:  # fmt: skip
+    """Add an intent, its planners and its evidence, and count them in ``added``."""
     label = rows.resolve(content.settings, stored.intent.label)
     key = canonical(label)
     if key not in content.intents:
@@ -93,7 +117,15 @@ def _absorb_one(
 
 
 def free_mode(mode: str, taken: Collection[str]) -> str:
-    """``mode``, or with the first number from 2 on that makes it none of ``taken``."""
+    """Return a mode that is not taken.
+
+    Args:
+        mode: The wanted mode.
+        taken: The modes in use.
+
+    Returns:
+        The mode, with the first free number from 2 on appended if it is taken.
+    """
     number, name = 1, mode
     while name in taken:
         number += 1
@@ -102,7 +134,7 @@ def free_mode(mode: str, taken: Collection[str]) -> str:
 
 
 def _evidence_key(evidence: Evidence) -> str:
-    """The content of a piece of evidence as text, without its time stamp; equal for equal pieces."""
+    """Return the content of a piece of evidence as text, without its time stamp; equal for equal pieces."""
     plain = asdict(evidence)
     del plain["created"]
     plain["label"] = canonical(evidence.label)
@@ -110,7 +142,14 @@ def _evidence_key(evidence: Evidence) -> str:
 
 
 def merge(connection: sqlite3.Connection, label: str, into: str, now: str) -> None:
-    """See ``MemoryBank.merge``."""
+    """Merge intents; see ``MemoryBank.merge``.
+
+    Args:
+        connection: The connection to the bank.
+        label: The label of the intent to merge.
+        into: The label of the active intent that takes it over.
+        now: The time stamp of the new rows.
+    """
     content = rows.read(connection)
     merged, kept = _known(content, label), _known(content, into)
     old, target = canonical(merged.label), canonical(kept.label)
@@ -120,7 +159,7 @@ def merge(connection: sqlite3.Connection, label: str, into: str, now: str) -> No
         raise BankError(f"The intent {kept.label!r} is retired; merge into an active one.")
     modes = {planner.mode for planner in content.planners[target]}
     hashes = {planner.hash: planner.mode for planner in content.planners[target]}
-    became = dict[str, str]()  # mode -> mode of the same planner afterwards
+    became = dict[str, str]()  # mode -> mode of the same planner after the merge
     for planner in content.planners[old]:
         retired = (old, planner.hash) in content.retired
         if planner.hash not in hashes:
@@ -146,7 +185,14 @@ def merge(connection: sqlite3.Connection, label: str, into: str, now: str) -> No
 
 
 def retire(connection: sqlite3.Connection, label: str, mode: str | None, *, back: bool) -> None:
-    """See ``MemoryBank.retire``."""
+    """Retire an intent or planners; see ``MemoryBank.retire``.
+
+    Args:
+        connection: The connection to the bank.
+        label: The label of the intent.
+        mode: The mode of the planners; None means the intent itself.
+        back: Whether to make retired ones active again instead.
+    """
     content = rows.read(connection)
     record = _known(content, label)
     key = canonical(record.label)
@@ -171,6 +217,7 @@ def retire(connection: sqlite3.Connection, label: str, mode: str | None, *, back
 
 
 def _known(content: rows.Content, label: str) -> IntentRecord:
+    """Return the intent; raise BankError with the known labels if there is none."""
     record = content.intents.get(canonical(label))
     if record is None:
         there = ", ".join(each.label for each in content.intents.values()) or "none"

@@ -1,7 +1,8 @@
-"""A bank as a folder of text, and back: what ``memory export`` writes, and ``memory import`` and ``memory build`` read.
+"""Export a bank to a folder of text and import it: ``memory export`` writes it, ``memory import`` and ``memory build``
+read it.
 
-The text depends on the bank's content alone (no time stamps, everything sorted), so it can be compared and reviewed
-like code.  Settings are left out: epsilon is calibrated where a bank is used.
+The text depends only on the bank's content (no time stamps, everything sorted), so that it can be compared and reviewed
+like code. Settings are left out, because epsilon is calibrated where a bank is used.
 """
 
 from __future__ import annotations
@@ -33,12 +34,18 @@ from sumo_adv.memory.records import Composition, IntentRecord, StoredIntent, can
 from sumo_adv.memory.store import as_bank_errors
 
 Verify = Callable[[IntentRecord, Planner], str | None]
-"""Tries a planner where it can do no harm: None, or what is wrong with it."""
+"""Tries a planner in a place where it can do no harm; returns None, or what is wrong with it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """A planner that an import would not take, and why."""
+    """A planner that an import refused.
+
+    Attributes:
+        label: The label of its intent, or the name of a folder or file that cannot be read.
+        mode: Its mode, or ``EVERYTHING``.
+        reason: Why it was refused.
+    """
 
     label: str
     mode: str
@@ -46,9 +53,18 @@ class Refused:
 
 
 def export_bank(bank: MemoryBank, folder: Path, *, force: bool = False) -> int:
-    """Write the bank to ``folder``, whole or not at all; the number of intents.
+    """Write the bank to a folder, whole or not at all.
 
-    With ``force`` an earlier export there is replaced. Raises BankError, also where anything else is in the folder.
+    Args:
+        bank: The bank to export.
+        folder: The path of the folder.
+        force: Whether to replace an earlier export.
+
+    Returns:
+        The number of intents.
+
+    Raises:
+        BankError: The folder exists without ``force``, or holds anything but an export.
     """
     if folder.exists() and not (force and _is_export(folder)):
         sentence = "is no export and stays as it is" if force else "exists; say --force to replace an earlier export"
@@ -80,11 +96,21 @@ def export_bank(bank: MemoryBank, folder: Path, *, force: bool = False) -> int:
 def import_bank(
     bank: MemoryBank, folder: Path, parse: Parse, verify: Verify, *, skip_refused: bool = False
 ) -> tuple[Absorbed, list[Refused]]:
-    """Add what the bank lacks of an export, in one transaction, after ``verify`` had a look at each of its planners.
+    """Add what the bank lacks of an export, in one transaction, after ``verify`` has examined each planner.
 
-    With ``skip_refused`` the rest is taken where planners are refused or files cannot be read. Returns the additions
-    and the refusals; after a refusal without ``skip_refused`` nothing is added. Raises BankError for a
-    folder that cannot be read.
+    Args:
+        bank: The bank to add to.
+        folder: The folder of the export.
+        parse: Reads a planner's PARAMETERS table without running the planner.
+        verify: Tries a planner; returns None, or what is wrong with it.
+        skip_refused: Whether to import the rest if planners are refused or files cannot be read. Without it, nothing is
+            added after a refusal.
+
+    Returns:
+        The additions and the refusals.
+
+    Raises:
+        BankError: The folder cannot be read.
     """
     refused: list[Refused] = []
     taken = []
@@ -115,7 +141,7 @@ def import_bank(
 
 
 def _is_export(folder: Path) -> bool:
-    """Whether nothing but what an export writes is there."""
+    """Return whether the folder holds only what an export writes."""
     if folder.is_symlink() or not folder.is_dir():
         return False
     for entry in folder.iterdir():
@@ -130,6 +156,7 @@ def _is_export(folder: Path) -> bool:
 
 
 def _write_intent(folder: Path, stored: StoredIntent) -> None:
+    """Write the folder of an intent."""
     folder.mkdir()
     names: dict[str, str] = {}
     for planner in stored.planners:
@@ -141,6 +168,7 @@ def _write_intent(folder: Path, stored: StoredIntent) -> None:
 
 
 def _composition(c: Composition) -> str:
+    """Return the TOML text of a composition."""
     plain = plain_composition(c)
     parts = plain.pop("parts")
     lines = ["[[compositions]]", *toml_lines(plain)]
@@ -150,16 +178,18 @@ def _composition(c: Composition) -> str:
 
 
 def _write(file: Path, text: str) -> None:
+    """Write a text file without changing line ends."""
     file.write_text(text, encoding="utf-8", newline="")
 
 
 def _slug(name: str) -> str:
-    """A file name of lower-case letters and digits; with part of a hash where nothing else is left of the name."""
+    """Return a file name of lower-case letters and digits, or with part of a hash if the name has neither."""
     plain = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
     return plain[:80] or f"intent_{hashlib.sha256(name.encode()).hexdigest()[:8]}"
 
 
 def _toml(stored: StoredIntent, names: dict[str, str]) -> str:
+    """Return the text of an ``intent.toml``."""
     intent = stored.intent
     words = toml_text(" ".join(intent.description.split()))[1:-1]
     wrapped = "\n".join(textwrap.wrap(words, 118, break_long_words=False, break_on_hyphens=False))

@@ -1,11 +1,11 @@
 """The schema of the memory bank, as an append-only list of named migrations.
 
-A migration that was ever released is never edited: add a new one at the end.  Each runs in one transaction together
-with its row in ``migrations`` and the new ``user_version`` (the number of migrations applied), so a file is always at
-exactly one version.  Pattern: llm's ``migrations.py`` and sqlite-utils.
+A released migration is never edited: add a new one at the end. Each runs in one transaction together with its row in
+``migrations`` and the new ``user_version`` (the number of migrations applied), so that a file is always at exactly one
+version. The pattern is that of llm's ``migrations.py`` and sqlite-utils.
 
-A file with the bank's application id and version may hold anything else: a view in place of a table (which may never
-end), a trigger, a table without its checks. So its schema is compared with that of the migrations.
+A file with the bank's application id and version may still hold anything: a view in place of a table (which may never
+end), a trigger, or a table without its checks. Therefore its schema is compared with that of the migrations.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from functools import lru_cache
 
 from sumo_adv.errors import BankError
 
-APPLICATION_ID = 0x53414442  # "SADB", in bytes 68-71 of the file: this is one of ours
+APPLICATION_ID = 0x53414442  # "SADB", in bytes 68-71 of the file: marks a bank of this program
 
 Clock = Callable[[], str]
 REPAIR_ADVICE = "restore a copy, or move it away to start from the shipped one"
@@ -27,12 +27,17 @@ _SCHEMA_OBJECTS_QUERY = (
     "SELECT type, name, tbl_name, sql FROM sqlite_master WHERE name NOT LIKE 'sqlite\\_%' ESCAPE '\\'"
 )
 Schema = frozenset[tuple[str, str, str, str]]
-"""Type, name, table and statement of each object."""
+"""The type, name, table and statement of each object."""
 
 
 @dataclass(frozen=True, slots=True)
 class Migration:
-    """A name that never changes and the SQL statements, run in order."""
+    """A step of the schema.
+
+    Attributes:
+        name: The name, which never changes.
+        statements: The SQL statements, run in order.
+    """
 
     name: str
     statements: tuple[str, ...]
@@ -107,26 +112,32 @@ MIGRATIONS: tuple[Migration, ...] = (
     Migration(
         "0002_acceleration_knots",
         (
-            # list of [time, m/s2], NULL where evidence.acceleration is all there is to it; else that is the first one's
+            # list of [time, m/s2]; NULL if evidence.acceleration holds throughout, otherwise that is the first entry's
             "ALTER TABLE evidence ADD COLUMN knots TEXT CHECK (knots IS NULL OR json_valid(knots))",
         ),
     ),
     Migration(
-        "0003_no_driver_weights",  # unknown drivers are asked by attempts, so nothing is kept of how they drive
+        "0003_no_driver_weights",  # unknown drivers are explored by attempts, so no driver weights are kept
         ("DELETE FROM settings WHERE key LIKE 'driver.%'",),
     ),
 )
 
 
 def utc_now() -> str:
-    """The time of now as ISO 8601 in UTC, to the second."""
+    """Return the current time as ISO 8601 in UTC, to the second."""
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
 def check_identity(connection: sqlite3.Connection, name: str, known: int = len(MIGRATIONS)) -> int:
-    """The version of the file (0 = blank, ours by the application id).
+    """Return the version of the file; 0 is a blank bank.
 
-    Raises BankError if the file is another program's, or newer than ``known`` migrations. ``name`` is for the sentence.
+    Args:
+        connection: The connection to the file.
+        name: The file's name, for error messages.
+        known: The number of migrations that are known.
+
+    Raises:
+        BankError: The file belongs to another program, or is newer than ``known`` migrations.
     """
     if connection.execute("PRAGMA application_id").fetchone()[0] != APPLICATION_ID:
         raise BankError(
@@ -144,9 +155,19 @@ def check_identity(connection: sqlite3.Connection, name: str, known: int = len(M
 def migrate(
     connection: sqlite3.Connection, name: str, clock: Clock = utc_now, migrations: Sequence[Migration] = MIGRATIONS
 ) -> list[str]:
-    """Bring a file of ours to the newest version; the names applied. ``connection`` is in autocommit mode.
+    """Bring a bank to the newest version.
 
-    Raises BankError as ``check_identity`` does, or where the file's migrations are not the first of ``migrations``.
+    Args:
+        connection: The connection to the file, in autocommit mode.
+        name: The file's name, for error messages.
+        clock: Returns the time stamp of the migrations.
+        migrations: All migrations, oldest first.
+
+    Returns:
+        The names of the migrations that were applied.
+
+    Raises:
+        BankError: The file is refused by ``check_identity``, or its migrations are not the first of ``migrations``.
     """
     applied: list[str] = []
     while (version := check_identity(connection, name, len(migrations))) < len(migrations):
@@ -154,7 +175,7 @@ def migrate(
         with connection:  # commits, or rolls back on any error
             connection.execute("BEGIN IMMEDIATE")
             if connection.execute("PRAGMA user_version").fetchone()[0] != version:
-                continue  # another process did it first
+                continue  # another process was faster
             connection.execute(
                 "CREATE TABLE IF NOT EXISTS migrations (name TEXT PRIMARY KEY, applied TEXT NOT NULL) STRICT"
             )
@@ -172,7 +193,17 @@ def migrate(
 
 
 def check_bank_schema(connection: sqlite3.Connection, name: str, version: int) -> None:
-    """Refuse a file with another schema than that of ``version``. No table is read. Raises BankError, sqlite3.Error."""
+    """Refuse a file whose schema is not that of its version. No table is read.
+
+    Args:
+        connection: The connection to the file.
+        name: The file's name, for error messages.
+        version: The version of the file.
+
+    Raises:
+        BankError: The schema differs.
+        sqlite3.Error: The file cannot be read.
+    """
     present, expected = _schema(connection), _schema_of(version)
     if present != expected:
         difference = sorted(f"{kind} {each}" for kind, each, *_ in present ^ expected)[0]
@@ -182,7 +213,16 @@ def check_bank_schema(connection: sqlite3.Connection, name: str, version: int) -
 
 
 def check_references(connection: sqlite3.Connection, name: str) -> None:
-    """Refuse planners without their intent and evidence without its planner. Raises BankError, sqlite3.Error."""
+    """Refuse planners without their intent and evidence without its planner.
+
+    Args:
+        connection: The connection to the file.
+        name: The file's name, for error messages.
+
+    Raises:
+        BankError: A row refers to a missing one.
+        sqlite3.Error: The file cannot be read.
+    """
     orphan = connection.execute("PRAGMA foreign_key_check").fetchone()
     if orphan is not None:
         table, row, parent, _ = orphan
@@ -193,13 +233,14 @@ def check_references(connection: sqlite3.Connection, name: str) -> None:
 
 
 def _schema(connection: sqlite3.Connection) -> Schema:
+    """Return the schema of a file."""
     rows = connection.execute(_SCHEMA_OBJECTS_QUERY)
     return frozenset((kind, name, table, " ".join(str(sql).split())) for kind, name, table, sql in rows)
 
 
 @lru_cache
 def _schema_of(version: int) -> Schema:
-    """What the first ``version`` migrations make of a blank file."""
+    """Return the schema that the first ``version`` migrations give a blank file."""
     if version == 0:
         return frozenset()
     with closing(sqlite3.connect(":memory:", isolation_level=None)) as blank:

@@ -1,14 +1,14 @@
-"""What evidence says of the next attack: the most similar scene with a success (``--recall scene``), and which planner
-of an intent to try first.
+"""Find the most similar scene with a success (``--recall scene``), and the planner of an intent to try first.
 
-Scenes are comparable only with the same geometry class, the same relation of the BV to the ego and the same ego
-controller. The distance is then Euclidean over five numbers, each divided by its scale. A scale is a clear change of
-that number, about one step of the search, so distance 1 is one clear change of one number.
+Scenes are comparable only if they have the same geometry class, the same relation of the BV to the ego and the same ego
+controller. Their distance is then Euclidean over five numbers, each divided by its scale. A scale is a clear change of
+that number, about one step of the search, so that distance 1 is one clear change of one number.
 
 Planners are ordered by Thompson sampling (Thompson, 1933; Chapelle and Li, "An empirical evaluation of Thompson
-sampling", 2011). Each planner's chance of success gets a Beta(1 + successes, 1 + failures) belief, one value is drawn
-from each, and they are tried from the largest draw down, so planners without evidence get tried. Evidence of other
-scenes counts for less: its weight is the product of ``OTHER_*`` for all that differs.
+sampling", 2011). Each planner's chance of success gets a Beta(1 + successes, 1 + failures) belief. One value is drawn
+from each belief, and the planners are tried from the largest value down, so that planners without evidence are tried
+too. Evidence from other scenes counts less: its weight is the product of the ``OTHER_*`` constants for everything that
+differs.
 """
 
 from __future__ import annotations
@@ -26,11 +26,13 @@ from sumo_adv.datatypes import Bools, Floats, Planner, acceleration_at
 from sumo_adv.memory.records import Evidence, SceneSignature
 
 SCENE_SCALES: Mapping[str, float] = {"ahead": 5.0, "left": 1.0, "heading": 0.2, "speed": 2.0, "ego_speed": 2.0}
-"""[m, m, rad, m/s, m/s]: position of the BV in the ego's frame, its heading there, and both speeds. Chosen by hand."""
+"""The scales of a scene [m, m, rad, m/s, m/s]: position and heading of the BV in the ego's frame, and both speeds. They
+were chosen by hand.
+"""
 
-MAX_SIMILAR_DISTANCE = 1.0  # the distance up to which two scenes count as similar
+MAX_SIMILAR_DISTANCE = 1.0  # two scenes at most this far apart are similar
 
-ROUNDING_SHARE = 1e-4  # candidates are rounded to four digits, and may lie that far outside of their planner's bounds
+ROUNDING_SHARE = 1e-4  # candidates are rounded to four digits, and may lie this far outside of their planner's bounds
 
 _SIGNATURE_FIELDS = tuple(SCENE_SCALES)
 _HEADING = _SIGNATURE_FIELDS.index("heading")
@@ -41,10 +43,15 @@ OTHER_CONTROLLER_DISTANCE = 0.5
 
 
 def signature_distance(a: SceneSignature, b: SceneSignature) -> float:
-    """The distance between two scenes: symmetric, 0 for equal scenes.
+    """Return the distance between two scenes. It is symmetric, and 0 for equal scenes.
 
-    It is ``inf`` if geometry class, relation or ego controller differ, or if a number of ``SCENE_SCALES`` is absent or
-    not finite.
+    Args:
+        a: One scene.
+        b: The other scene.
+
+    Returns:
+        The distance [-]. It is ``inf`` if geometry class, relation or ego controller differ, or if a number of
+        ``SCENE_SCALES`` is absent or not finite.
     """
     if _kind(a) != _kind(b):
         return math.inf
@@ -55,7 +62,12 @@ def signature_distance(a: SceneSignature, b: SceneSignature) -> float:
 
 
 def allows(planner: Planner, evidence: Evidence) -> bool:
-    """Whether evidence gives each parameter of its planner, no other one, and each within its bounds."""
+    """Return whether evidence has exactly the parameters of a planner, each within its bounds.
+
+    Args:
+        planner: The planner.
+        evidence: The evidence about it.
+    """
     given = evidence.parameters
     return given.keys() == planner.defaults().keys() and all(
         p.low - ROUNDING_SHARE <= given[p.name] <= p.high + ROUNDING_SHARE for p in planner.parameters
@@ -66,6 +78,11 @@ class SceneIndex:
     """Evidence in arrays, grouped by geometry class, relation and controller."""
 
     def __init__(self, evidence: Sequence[Evidence]) -> None:
+        """Index evidence; leave out evidence whose scene lacks a number.
+
+        Args:
+            evidence: The evidence, in any order.
+        """
         groups: dict[tuple[str, str, str], list[tuple[Floats, Evidence]]] = {}
         for each in evidence:
             if (numbers := _numbers(each.scene)) is not None:
@@ -77,9 +94,16 @@ class SceneIndex:
             self._kinds[kind] = table, np.asarray([each.valid is True for each in pieces]), pieces
 
     def nearest(self, signature: SceneSignature, limit: float = MAX_SIMILAR_DISTANCE) -> Evidence | None:
-        """The evidence of the nearest scene at most ``limit`` away; valid collisions have precedence over others.
+        """Return the evidence of the nearest scene; valid collisions take precedence over others.
 
         Ties are resolved by the content of the evidence, not by its order.
+
+        Args:
+            signature: The scene to compare with.
+            limit: The maximum distance [-].
+
+        Returns:
+            The evidence, or None if no scene is near enough.
         """
         numbers, kind = _numbers(signature), self._kinds.get(_kind(signature))
         if numbers is None or kind is None:
@@ -95,6 +119,7 @@ class SceneIndex:
 
 
 def _order(evidence: Evidence) -> tuple[Any, ...]:
+    """Return the key by which evidence is sorted."""
     return (
         evidence.min_ttc, evidence.label, evidence.planner_hash, evidence.network, evidence.seed, evidence.delay,
         acceleration_at(evidence.acceleration, 0.0), json.dumps(dict(evidence.parameters), sort_keys=True),
@@ -103,16 +128,18 @@ def _order(evidence: Evidence) -> tuple[Any, ...]:
 
 
 def _kind(scene: SceneSignature) -> tuple[str, str, str]:
+    """Return what two comparable scenes have in common."""
     return scene.geometry, scene.relation, scene.controller
 
 
 def _numbers(scene: SceneSignature) -> Floats | None:
+    """Return the numbers of a scene ``(5,)``, or None if one is absent or not finite."""
     values = [scene.relative.get(name, math.nan) for name in _SIGNATURE_FIELDS]
     return np.asarray(values, dtype=np.float64) if all(map(math.isfinite, values)) else None
 
 
 def _distances(table: Floats, numbers: Floats) -> Floats:
-    """Scaled distances (n,) of ``table`` (n, 5) to ``numbers`` (5,). Headings differ by the smaller angle."""
+    """Return the scaled distances (n,) of ``table`` (n, 5) to ``numbers`` (5,). Heading differences are wrapped."""
     apart = np.abs(table - numbers)
     turned = apart[:, _HEADING] % (2.0 * math.pi)
     apart[:, _HEADING] = np.minimum(turned, 2.0 * math.pi - turned)
@@ -122,7 +149,15 @@ def _distances(table: Floats, numbers: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class Arm:
-    """One planner's weighted record and the value that was drawn for it."""
+    """One planner's weighted record and the value drawn for it.
+
+    Attributes:
+        planner: The planner.
+        successes: The weighted number of successes.
+        failures: The weighted number of failures.
+        rows: The number of pieces of evidence.
+        draw: The value drawn from its belief.
+    """
 
     planner: Planner
     successes: float
@@ -132,12 +167,17 @@ class Arm:
 
     @property
     def mean(self) -> float:
-        """The mean of its belief."""
+        """The mean of the planner's belief."""
         return (1.0 + self.successes) / (2.0 + self.successes + self.failures)
 
 
 def likeness(scene: SceneSignature, now: SceneSignature) -> float:
-    """How much evidence from ``scene`` counts in ``now``: 1 for the same kind of scene and ego, never 0."""
+    """Return how much evidence from another scene counts: 1 for the same kind of scene and ego controller, never 0.
+
+    Args:
+        scene: The scene of the evidence.
+        now: The present scene.
+    """
     weight = 1.0 if scene.geometry == now.geometry else OTHER_GEOMETRY_DISTANCE
     weight *= 1.0 if scene.relation == now.relation else OTHER_RELATION_DISTANCE
     return weight * (1.0 if scene.controller == now.controller else OTHER_CONTROLLER_DISTANCE)
@@ -146,8 +186,16 @@ def likeness(scene: SceneSignature, now: SceneSignature) -> float:
 def drawn_order(
     planners: Sequence[Planner], evidence: Sequence[Evidence], signature: SceneSignature, rng: random.Random
 ) -> list[Arm]:
-    """The planners of one intent with its ``evidence``, the one to try first at the front. The same planners, evidence
-    and state of ``rng`` give the same, in any order."""
+    """Order the planners of an intent, the one to try first at the front.
+
+    The same planners and evidence, in any order, and the same state of ``rng`` give the same result.
+
+    Args:
+        planners: The planners of the intent.
+        evidence: The evidence about the intent.
+        signature: The present scene.
+        rng: The random generator.
+    """
     weights = {planner.hash: [0.0, 0.0] for planner in planners}
     rows = dict.fromkeys(weights, 0)
     for each in sorted(evidence, key=lambda e: likeness(e.scene, signature)):
@@ -162,8 +210,14 @@ def drawn_order(
 
 
 def explain(arms: Sequence[Arm]) -> list[Mapping[str, Any]]:
-    """What ``drawn_order`` found, for the manifest: mode, hash, evidence rows, weighted successes and failures, mean,
-    draw."""
+    """Describe the result of ``drawn_order`` for the manifest.
+
+    Args:
+        arms: The planners, in their order.
+
+    Returns:
+        For each planner the mode, hash, number of evidence rows, weighted successes and failures, mean, and draw.
+    """
     return [
         {
             "mode": arm.planner.mode, "planner": arm.planner.hash, "rows": arm.rows,

@@ -1,5 +1,7 @@
-"""The nouns of the memory bank: an intent as stored, a piece of evidence, a composed intent (an attack of several
-adversaries by reference to the intents and modes of its parts), the answer of a retrieval."""
+"""The nouns of the memory bank: a stored intent, a piece of evidence, a composed intent, and the answer of a retrieval.
+
+A composed intent is an attack by several adversaries. It refers to the intents and modes of its parts.
+"""
 
 from __future__ import annotations
 
@@ -15,23 +17,29 @@ RELATIONS = (
     "leader", "follower", "neighbour", "oncoming", "crossing_left", "crossing_straight", "crossing_right", "merging",
     "cyclist", "cyclist_hidden", "pedestrian", "pedestrian_hidden",
 )  # fmt: skip
-"""Where a BV can stand to the ego, or what it is; what ``applies`` of an intent is made of."""
+"""The possible relations of a BV to the ego, and kinds of BV. The field ``applies`` of an intent lists some of them."""
 
 STATUSES = ("active", "retired")
-EVIDENCE_FLAGS = ("collided", "critical", "feasible", "rear_end", "valid", "strict")  # of evidence, as of a verdict
+EVIDENCE_FLAGS = ("collided", "critical", "feasible", "rear_end", "valid", "strict")  # of evidence and of a verdict
 
-MAX_EVIDENCE_VALUE = 1e9  # in SI units: beyond any number of an encounter, and squares stay finite
-MAX_EVIDENCE_NUMBERS = 100  # in a relative state or among parameters
-COMPOSITION_KEY_PREFIX = "composition."  # keys of the bank's settings begin with it
+MAX_EVIDENCE_VALUE = 1e9  # in SI units; larger than any number of an encounter, but its square stays finite
+MAX_EVIDENCE_NUMBERS = 100  # maximum count in a relative state or among parameters
+COMPOSITION_KEY_PREFIX = "composition."  # beginning of the keys of compositions in the bank's settings
 MAX_FAILURES_IN_A_ROW = 20
-MAX_COUNTED_ATTEMPTS = 2**53  # bound of the counts: JSON and TOML keep whole numbers up to it
+MAX_COUNTED_ATTEMPTS = 2**53  # bound of the counts; JSON and TOML keep whole numbers up to it
 
 
 def named_numbers(value: Any) -> dict[str, float]:
-    """``value`` as a dictionary, if it is a table of at most ``MAX_EVIDENCE_NUMBERS`` numbers within
-    ``MAX_EVIDENCE_VALUE``.
+    """Check that a value is a table of numbers.
 
-    Raises ValueError with a sentence for anything else.
+    Args:
+        value: The value to check.
+
+    Returns:
+        The table as a dictionary.
+
+    Raises:
+        ValueError: The value is no table of at most ``MAX_EVIDENCE_NUMBERS`` numbers within ``MAX_EVIDENCE_VALUE``.
     """
     if not isinstance(value, Mapping) or len(value) > MAX_EVIDENCE_NUMBERS:
         raise ValueError(f"relative and parameters must be tables of at most {MAX_EVIDENCE_NUMBERS} numbers")
@@ -43,21 +51,36 @@ def named_numbers(value: Any) -> dict[str, float]:
 
 
 def is_number(value: Any) -> bool:
-    """Whether it is a number within ``MAX_EVIDENCE_VALUE``; whole numbers compare exactly, and nan never does."""
+    """Return whether a value is a number within ``MAX_EVIDENCE_VALUE``. Whole numbers compare exactly; nan is none.
+
+    Args:
+        value: The value to check.
+    """
     bound = MAX_EVIDENCE_VALUE
     return isinstance(value, int | float) and not isinstance(value, bool) and -bound <= value <= bound
 
 
 def canonical(label: str) -> str:
-    """A label without case, spaces, hyphens or other signs: ``"Cut-in "`` and ``"cut in"`` are one."""
+    """Return a label without case, spaces, hyphens or other signs, so that ``"Cut-in "`` and ``"cut in"`` are equal.
+
+    Args:
+        label: The label.
+    """
     return "".join(c for c in label.casefold() if c.isalnum())
 
 
 @dataclass(frozen=True, slots=True)
 class IntentRecord:
-    """One intent of the bank: the paper's phi_j. ``applies`` lists the relations it can be tried from, each once.
+    """One intent of the bank: the paper's phi_j.
 
-    Raises BankError for an empty label or description, or a relation or status that does not exist.
+    Attributes:
+        label: Its name.
+        description: What the vehicle does, in one to three sentences.
+        applies: The relations that it can be tried from, each once.
+        status: ``active`` or ``retired``.
+
+    Raises:
+        BankError: The label or the description is empty, or a relation or status does not exist.
     """
 
     label: str
@@ -76,7 +99,7 @@ class IntentRecord:
             raise BankError(
                 f"The intent {self.label!r} says it applies to {given}; use some of: {', '.join(RELATIONS)}."
             )
-        if len(set(self.applies)) < len(self.applies):  # each costs a trial of every planner
+        if len(set(self.applies)) < len(self.applies):  # each relation costs a trial of every planner
             raise BankError(f"The intent {self.label!r} names a relation twice in what it applies to; name each once.")
         if self.status not in STATUSES:
             raise BankError(f"The intent {self.label!r} has the status {self.status!r}; it is active or retired.")
@@ -84,8 +107,14 @@ class IntentRecord:
 
 @dataclass(frozen=True, slots=True)
 class SceneSignature:
-    """What made two scenes alike: geometry class (e.g. ``"crossing"``), relation of the BV to the ego, relative state
-    (named numbers, SI), and the ego's controller."""
+    """What makes two scenes similar.
+
+    Attributes:
+        geometry: The geometry class, such as ``"crossing"``.
+        relation: The relation of the BV to the ego.
+        relative: The relative state, as named numbers in SI units.
+        controller: The ego's controller.
+    """
 
     geometry: str
     relation: str
@@ -95,11 +124,30 @@ class SceneSignature:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evidence:
-    """What one planner once achieved in one scene. ``min_ttc`` [s], ``inf`` = never; ``valid`` and ``strict`` are None
-    where there was no collision; ``acceleration`` [m/s2] and ``delay`` [s] are those of the attempt, ``parameters``
-    the planner's tuned values. ``created`` (ISO 8601, UTC) is set by the bank and no part of the content.
+    """What one planner achieved once in one scene.
 
-    Raises BankError for a number that is not finite or beyond ``MAX_EVIDENCE_VALUE``, and for a value of another kind.
+    Attributes:
+        label: The label of the intent.
+        planner_hash: The hash of the planner's text.
+        scene: The scene.
+        attempts: The number of attempts, 1 or more.
+        min_ttc: The minimum TTC [s]; ``inf`` means never.
+        collided: Whether ego and adversary collided.
+        critical: Whether the attempt was critical.
+        feasible: Whether the attempt was feasible.
+        rear_end: Whether the adversary ran into the ego's rear.
+        valid: Whether the collision is valid; None without a collision.
+        strict: Whether the collision is strict; None without a collision.
+        version: The version of the program.
+        network: The road network.
+        seed: The seed of the run.
+        parameters: The planner's parameter values.
+        acceleration: The acceleration of the attempt [m/s2].
+        delay: The start of the attempt, as time after the trigger [s].
+        created: The time stamp (ISO 8601, UTC), set by the bank and no part of the content.
+
+    Raises:
+        BankError: A number is not finite or beyond ``MAX_EVIDENCE_VALUE``, or a value has the wrong type.
     """
 
     label: str
@@ -130,6 +178,7 @@ class Evidence:
             ) from error
 
     def _check(self) -> None:
+        """Raise ValueError if a value cannot be used."""
         scene = self.scene
         texts = (self.label, self.planner_hash, scene.geometry, scene.relation, scene.controller, self.version,
                  self.network, self.created)  # fmt: skip
@@ -152,21 +201,33 @@ class Evidence:
 
     @property
     def success(self) -> bool:
-        """What the bank counts as success: critical, feasible and not rear-end."""
+        """Whether the bank counts this as a success: critical, feasible and not rear-end."""
         return self.critical and self.feasible and not self.rear_end
 
 
 def evidence_of(verdict: Verdict, **fields: Any) -> Evidence:
-    """Evidence from the verdict of the attempt that counts; ``fields``: the other fields of Evidence."""
+    """Make evidence from a verdict.
+
+    Args:
+        verdict: The verdict on the attempt that counts.
+        fields: The other fields of Evidence.
+    """
     return Evidence(**{name: getattr(verdict, name) for name in ("min_ttc", *EVIDENCE_FLAGS)}, **fields)
 
 
 @dataclass(frozen=True, slots=True)
 class Retrieval:
-    """The answer to "is this intent known?". ``hit`` is the label within ``epsilon``, or None; ``distance`` that of
-    the nearest (0 for the same label, 1 = nothing in common, also for an empty bank); ``nearest`` is sorted, at most
-    five (label, distance). ``band``: the distance is so near to epsilon, within a tenth of it, that the caller may
-    have the first three of ``nearest`` confirmed."""
+    """The answer to the question whether an intent is known.
+
+    Attributes:
+        hit: The label of the nearest intent if it lies within ``epsilon``, otherwise None.
+        distance: The distance of the nearest intent: 0 for the same label, 1 if nothing is in common or the bank is
+            empty.
+        epsilon: The distance up to which an intent counts as known.
+        nearest: At most five labels with their distances, nearest first.
+        band: Whether the distance lies within a tenth of epsilon from epsilon. The caller may then have the first three
+            of ``nearest`` confirmed.
+    """
 
     hit: str | None
     distance: float
@@ -179,8 +240,12 @@ class Retrieval:
 class StoredIntent:
     """All that a bank holds about one intent, as it is exported, imported and built.
 
-    ``planners``: retired ones too, by mode; ``retired``: hashes of those; ``merged_into``: the label of the intent that
-    took over this one's planners and evidence.
+    Attributes:
+        intent: The intent.
+        planners: Its planners by mode, including retired ones.
+        retired: The hashes of the retired planners.
+        evidence: The evidence about it.
+        merged_into: The label of the intent that took over its planners and evidence; None if it was not merged.
     """
 
     intent: IntentRecord
@@ -192,7 +257,13 @@ class StoredIntent:
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """What one adversary does: its duty, and the intent and the planner's mode by which it does it."""
+    """What one adversary of a composition does.
+
+    Attributes:
+        duty: Its duty.
+        intent: The label of its intent.
+        mode: The mode of its planner.
+    """
 
     duty: Duty
     intent: str
@@ -201,10 +272,17 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Composition:
-    """A composed intent. ``parts``: the collider's first. ``succeeded``: attempts so far; ``failed``: since the last
-    success.
+    """A composed intent.
 
-    Raises BankError for an empty label or description, and for parts that are no collider with supports.
+    Attributes:
+        label: Its name.
+        description: What the vehicles do.
+        parts: The parts, the collider's first.
+        succeeded: The number of successful attempts so far.
+        failed: The number of failures since the last success.
+
+    Raises:
+        BankError: The label or the description is empty, or the parts are no collider with supports.
     """
 
     label: str
@@ -224,17 +302,21 @@ class Composition:
 
     @property
     def key(self) -> str:
-        """The key under which the bank's settings have it."""
+        """Its key in the bank's settings."""
         return f"{COMPOSITION_KEY_PREFIX}{canonical(self.label)}"
 
     @property
     def hopeless(self) -> bool:
-        """Whether many attempts in a row have failed."""
+        """Whether ``MAX_FAILURES_IN_A_ROW`` attempts in a row have failed."""
         return self.failed >= MAX_FAILURES_IN_A_ROW
 
 
 def plain_composition(composition: Composition) -> dict[str, Any]:
-    """A composition as the bank's settings and files have it."""
+    """Return a composition in the form of the bank's settings and files.
+
+    Args:
+        composition: The composition.
+    """
     parts = [{"role": str(p.duty), "intent": p.intent, "mode": p.mode} for p in composition.parts]
     return {
         "label": composition.label, "description": composition.description, "parts": parts,
@@ -243,7 +325,15 @@ def plain_composition(composition: Composition) -> dict[str, Any]:
 
 
 def composition_of(value: Any) -> Composition:
-    """What ``plain_composition`` made. Raises ValueError or BankError, with what is wrong, for anything else."""
+    """Return the composition that ``plain_composition`` turned into a table.
+
+    Args:
+        value: The table.
+
+    Raises:
+        ValueError: The table has wrong keys or values.
+        BankError: The composition is not a possible one.
+    """
     table = _table(value, {"label": str, "description": str, "parts": list, "succeeded": int, "failed": int})
     rows = [_table(each, {"role": str, "intent": str, "mode": str}) for each in table["parts"]]
     if any(each["role"] not in list(Duty) for each in rows):
@@ -255,7 +345,7 @@ def composition_of(value: Any) -> Composition:
 
 
 def _table(value: Any, kinds: Mapping[str, type]) -> Mapping[str, Any]:
-    """The value, if it is a table with exactly these keys and kinds of values."""
+    """Return the value if it is a table with exactly these keys and types; otherwise raise ValueError."""
     if not isinstance(value, Mapping) or value.keys() != kinds.keys():
         raise ValueError(f"a table of a composition must hold {', '.join(kinds)} and nothing else")
     wrong = [key for key, kind in kinds.items() if not isinstance(value[key], kind) or isinstance(value[key], bool)]
@@ -265,8 +355,17 @@ def _table(value: Any, kinds: Mapping[str, type]) -> Mapping[str, Any]:
 
 
 def counted(known: Composition | None, composition: Composition, attempts: Sequence[bool]) -> Composition | None:
-    """The composition after attempts, True for each success; ``known``: as it was before. None if it is unknown and
-    none succeeded, since only a success adds one."""
+    """Count attempts with a composition.
+
+    Args:
+        known: The composition so far; None if it is unknown.
+        composition: The composition that was attempted.
+        attempts: True for each success, False for each failure, in order.
+
+    Returns:
+        The composition with its new counts. It is None if the composition is unknown and no attempt succeeded, because
+        only a success adds one.
+    """
     if known is None and not any(attempts):
         return None
     after = known or replace(composition, succeeded=0, failed=0)
@@ -276,7 +375,14 @@ def counted(known: Composition | None, composition: Composition, attempts: Seque
 
 
 def renamed(composition: Composition, label: str, into: str, modes: Mapping[str, str]) -> Composition:
-    """The composition after the intent ``label`` was merged into another one; ``modes``: its modes' new names."""
+    """Return the composition after an intent was merged into another one.
+
+    Args:
+        composition: The composition.
+        label: The label of the merged intent.
+        into: The label of the intent that took it over.
+        modes: The new names of its modes.
+    """
     parts = tuple(
         replace(p, intent=into, mode=modes.get(p.mode, p.mode)) if canonical(p.intent) == canonical(label) else p
         for p in composition.parts

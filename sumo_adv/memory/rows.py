@@ -1,4 +1,4 @@
-"""Rows of the bank to nouns and back: every SELECT and INSERT of the four tables, and the checks of what they hold."""
+"""Convert rows of the bank to nouns and back: all SELECTs and INSERTs of the four tables, and checks of the content."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from sumo_adv.memory.records import (
 )
 from sumo_adv.parsing import parse_json
 
-MAX_SETTING_BRACKETS = 100  # a few are in use, and about 1,000 nested ones exceed Python's recursion limit
-MERGED_KEY_PREFIX = "merged."  # settings ``merged.<key>``: the label of the intent into which this one was merged
+MAX_SETTING_BRACKETS = 100  # settings use a few; about 1,000 nested ones exceed Python's recursion limit
+MERGED_KEY_PREFIX = "merged."  # ``merged.<key>`` holds the label of the intent that this one was merged into
 EPSILON_KEY_PREFIX = "epsilon."
 _EVIDENCE_COLUMNS = (
     "geometry", "relation", "relative", "controller", "parameters", "acceleration", "knots", "delay", "attempts",
@@ -35,12 +35,12 @@ _EVIDENCE_COLUMNS = (
 _PLANNER_COLUMNS = "mode, source, parameters, parent, origin"
 
 
-# From columns to nouns, as if the program had written the file. Each raises ValueError, TypeError, RecursionError or
-# BankError with a text that names the fault.
+# From columns to nouns, as if the program had written the file. Each function raises ValueError, TypeError,
+# RecursionError or BankError with a text that names the fault.
 
 
 def _intent(key: str, label: str, description: str, applies: str, status: str) -> IntentRecord:
-    """An intent; ``key``: its label in canonical form."""
+    """Return the intent of a row; ``key`` is its label in canonical form."""
     if key != canonical(label):
         raise ValueError(f"the key of the intent {label[:80]!r} is not that of its label")
     relations = parse_json(applies)
@@ -52,7 +52,7 @@ def _intent(key: str, label: str, description: str, applies: str, status: str) -
 def _planner(
     label: str, planner_hash: str, mode: str, text: str, parameters: str, parent: str | None, origin: str
 ) -> Planner:
-    """A planner of the intent ``label``."""
+    """Return the planner of a row, for the intent ``label``."""
     table = parse_json(parameters)
     if not isinstance(table, list) or not all(isinstance(each, list) and 5 <= len(each) <= 6 for each in table):
         raise ValueError("the parameters of a planner must be lists of name, default, low, high, unit and meaning")
@@ -64,7 +64,7 @@ def _planner(
 
 
 def _check_parameters(made: Planner) -> None:
-    """Texts, finite numbers in order, each name once."""
+    """Check that parameters have texts, finite numbers in order, and different names."""
     names = [p.name for p in made.parameters]
     texts = [text for p in made.parameters for text in (p.name, p.unit, p.meaning)]
     if not all(isinstance(text, str) for text in texts) or len(set(names)) < len(names):
@@ -75,7 +75,7 @@ def _check_parameters(made: Planner) -> None:
 
 
 def _evidence(label: str, planner_hash: str, values: Sequence[Any]) -> Evidence:
-    """Evidence about the intent ``label``, from ``_EVIDENCE_COLUMNS``."""
+    """Return the evidence of a row of ``_EVIDENCE_COLUMNS``, about the intent ``label``."""
     row = dict(zip(_EVIDENCE_COLUMNS, values, strict=True))
     relative = parse_json(row.pop("relative"))
     scene = SceneSignature(row.pop("geometry"), row.pop("relation"), relative, row.pop("controller"))
@@ -89,6 +89,7 @@ def _evidence(label: str, planner_hash: str, values: Sequence[Any]) -> Evidence:
 
 
 def _setting(key: str, text: str) -> Any:
+    """Return the value of a setting."""
     if text.count("[") + text.count("{") > MAX_SETTING_BRACKETS:
         raise ValueError("it nests deeper than a setting does")
     value = parse_json(text)
@@ -105,24 +106,46 @@ def _setting(key: str, text: str) -> Any:
 
 @dataclass(slots=True)
 class Content:
-    """What a bank holds, in RAM. Keys are canonical labels; lists and dicts are in order of age."""
+    """The content of a bank in memory. Keys are canonical labels; lists and dicts are in order of age.
+
+    Attributes:
+        intents: The intents by key.
+        planners: The planners of each intent, including retired ones, by key.
+        retired: The (key, hash) of each retired planner.
+        evidence: All evidence.
+        settings: The settings, by their own keys.
+    """
 
     intents: dict[str, IntentRecord] = field(default_factory=dict)
     planners: dict[str, list[Planner]] = field(default_factory=dict)
-    retired: set[tuple[str, str]] = field(default_factory=set)  # (key, hash) of retired planners
+    retired: set[tuple[str, str]] = field(default_factory=set)
     evidence: list[Evidence] = field(default_factory=list)
     settings: dict[str, Any] = field(default_factory=dict)
 
 
 def read_snapshot(connection: sqlite3.Connection) -> Content:
-    """Everything, from one consistent view of the file. Raises BankError for content that no bank can have."""
+    """Read everything, from one consistent view of the file.
+
+    Args:
+        connection: The connection to the bank.
+
+    Raises:
+        BankError: The content is not that of a bank.
+    """
     with connection:
         connection.execute("BEGIN")
         return read(connection)
 
 
 def read(connection: sqlite3.Connection) -> Content:
-    """Everything; to be called within a transaction. Raises BankError for content that no bank can have."""
+    """Read everything, within a transaction of the caller.
+
+    Args:
+        connection: The connection to the bank.
+
+    Raises:
+        BankError: The content is not that of a bank.
+    """
     content = Content()
     keys: dict[int, str] = {}
     for id_, key, *rest in connection.execute(
@@ -153,7 +176,7 @@ def read(connection: sqlite3.Connection) -> Content:
 
 @contextmanager
 def _named(connection: sqlite3.Connection, row: str) -> Iterator[None]:
-    """Within it, a faulty row raises a BankError that names the file and the row."""
+    """Raise errors about a faulty row as a BankError that names the file and the row."""
     try:
         yield
     except (ValueError, TypeError, RecursionError, BankError) as error:
@@ -163,7 +186,14 @@ def _named(connection: sqlite3.Connection, row: str) -> Iterator[None]:
 
 
 def read_settings(connection: sqlite3.Connection) -> dict[str, Any]:
-    """All settings, by key. Raises BankError for a value that cannot be one."""
+    """Read all settings by key.
+
+    Args:
+        connection: The connection to the bank.
+
+    Raises:
+        BankError: A setting has a wrong value.
+    """
     settings = {}
     for key, value in connection.execute("SELECT key, value FROM settings ORDER BY key"):
         with _named(connection, f"its setting {str(key)[:80]!r}"):
@@ -172,7 +202,13 @@ def read_settings(connection: sqlite3.Connection) -> dict[str, Any]:
 
 
 def insert_intent(connection: sqlite3.Connection, record: IntentRecord, now: str) -> None:
-    """Add an intent unless one of that label, in any spelling, is there."""
+    """Add an intent unless the bank has one with that label in any spelling.
+
+    Args:
+        connection: The connection to the bank.
+        record: The intent.
+        now: The time stamp of the row.
+    """
     connection.execute(
         "INSERT INTO intents (key, label, description, applies, status, created) VALUES (?, ?, ?, ?, ?, ?)"
         " ON CONFLICT (key) DO NOTHING",
@@ -181,14 +217,33 @@ def insert_intent(connection: sqlite3.Connection, record: IntentRecord, now: str
 
 
 def read_intent(connection: sqlite3.Connection, label: str) -> IntentRecord | None:
-    """The intent of that label in any spelling, as stored."""
+    """Read an intent as stored.
+
+    Args:
+        connection: The connection to the bank.
+        label: Its label, in any spelling.
+
+    Returns:
+        The intent, or None if the bank lacks it.
+    """
     key = canonical(label)
     row = connection.execute("SELECT label, description, applies, status FROM intents WHERE key = ?", (key,)).fetchone()
     return None if row is None else _intent(key, *row)
 
 
 def insert_planner(connection: sqlite3.Connection, label: str, planner: Planner, now: str, status: str) -> None:
-    """Add a planner to an intent that exists, unless it has that text already. Raises BankError."""
+    """Add a planner to an existing intent, unless the intent has a planner with that text.
+
+    Args:
+        connection: The connection to the bank.
+        label: The label of the intent.
+        planner: The planner.
+        now: The time stamp of the row.
+        status: ``active`` or ``retired``.
+
+    Raises:
+        BankError: The planner's parameters are wrong.
+    """
     try:
         _check_parameters(planner)
     except ValueError as error:
@@ -206,7 +261,16 @@ def insert_planner(connection: sqlite3.Connection, label: str, planner: Planner,
 
 
 def read_planner(connection: sqlite3.Connection, label: str, planner_hash: str) -> tuple[Planner, str] | None:
-    """One planner of an intent, as stored, and its status."""
+    """Read a planner of an intent as stored.
+
+    Args:
+        connection: The connection to the bank.
+        label: The label of the intent.
+        planner_hash: The hash of the planner's text.
+
+    Returns:
+        The planner and its status, or None if the bank lacks it.
+    """
     row = connection.execute(
         f"SELECT planners.status, intents.label, hash, {_PLANNER_COLUMNS} FROM planners"
         " JOIN intents ON intents.id = planners.intent WHERE key = ? AND hash = ?",
@@ -216,7 +280,14 @@ def read_planner(connection: sqlite3.Connection, label: str, planner_hash: str) 
 
 
 def insert_evidence(connection: sqlite3.Connection, evidence: Evidence, now: str, *, wake: bool = True) -> None:
-    """Add evidence about an intent and a planner that exist; with ``wake`` a success makes both active again."""
+    """Add evidence about an existing intent and planner.
+
+    Args:
+        connection: The connection to the bank.
+        evidence: The evidence.
+        now: The time stamp of the row.
+        wake: Whether a success makes the intent and the planner active again.
+    """
     scene = evidence.scene
     values = (
         scene.geometry, scene.relation, _json(scene.relative), scene.controller, _json(evidence.parameters),
@@ -238,12 +309,25 @@ def insert_evidence(connection: sqlite3.Connection, evidence: Evidence, now: str
 
 
 def set_intent_status(connection: sqlite3.Connection, key: str, status: str) -> None:
-    """Make an intent active or retired."""
+    """Make an intent active or retired.
+
+    Args:
+        connection: The connection to the bank.
+        key: The canonical label of the intent.
+        status: ``active`` or ``retired``.
+    """
     connection.execute("UPDATE intents SET status = ? WHERE key = ? AND status != ?", (status, key, status))
 
 
 def set_planner_status(connection: sqlite3.Connection, key: str, planner_hash: str, status: str) -> None:
-    """Make a planner active or retired; ``key``: of its intent."""
+    """Make a planner active or retired.
+
+    Args:
+        connection: The connection to the bank.
+        key: The canonical label of its intent.
+        planner_hash: The hash of the planner's text.
+        status: ``active`` or ``retired``.
+    """
     connection.execute(
         "UPDATE planners SET status = ? WHERE hash = ? AND status != ?"
         " AND intent = (SELECT id FROM intents WHERE key = ?)",
@@ -252,7 +336,15 @@ def set_planner_status(connection: sqlite3.Connection, key: str, planner_hash: s
 
 
 def resolve(settings: Mapping[str, Any], label: str) -> str:
-    """The label of the intent that took this one over, of that one if it was merged too, and so on; else ``label``."""
+    """Follow merges to the intent that took over a label.
+
+    Args:
+        settings: The settings of the bank.
+        label: The label to look up.
+
+    Returns:
+        The label at the end of the merges, or ``label`` if the intent was not merged.
+    """
     seen: set[str] = set()
     while (key := canonical(label)) not in seen and isinstance(into := settings.get(f"{MERGED_KEY_PREFIX}{key}"), str):
         seen.add(key)
@@ -261,14 +353,24 @@ def resolve(settings: Mapping[str, Any], label: str) -> str:
 
 
 def write_setting(connection: sqlite3.Connection, key: str, value: object) -> None:
-    """Set one setting, a JSON value."""
+    """Set one setting.
+
+    Args:
+        connection: The connection to the bank.
+        key: The key of the setting.
+        value: A JSON value.
+    """
     connection.execute(
         "INSERT INTO settings VALUES (?, ?) ON CONFLICT (key) DO UPDATE SET value = excluded.value", (key, _json(value))
     )
 
 
 def canonical_items(content: Content) -> Iterator[list[Any]]:
-    """The content as JSON-able lists, without row numbers and time stamps."""
+    """Yield the content as lists that JSON can hold, without row numbers and time stamps.
+
+    Args:
+        content: The content of a bank.
+    """
     for record in content.intents.values():
         yield ["intent", asdict(record)]
     for key, planners in content.planners.items():
@@ -283,12 +385,19 @@ def canonical_items(content: Content) -> Iterator[list[Any]]:
 
 
 def stored(evidence: Evidence, label: str, now: str) -> Evidence:
-    """Evidence as it reads back: under the intent's own label, with its time stamp and plain dicts."""
+    """Return evidence as it reads back: under the intent's own label, with its time stamp and plain dicts.
+
+    Args:
+        evidence: The evidence.
+        label: The label of the intent as the bank spells it.
+        now: The time stamp of the row.
+    """
     scene = replace(evidence.scene, relative=dict(evidence.scene.relative))
     return replace(evidence, label=label, scene=scene, parameters=dict(evidence.parameters), created=now)
 
 
 def _json(value: object) -> str:
+    """Return a value as JSON text; raise BankError for a number that is not finite."""
     plain = dict(value) if isinstance(value, Mapping) else value
     try:
         return json.dumps(plain, sort_keys=True, allow_nan=False)

@@ -1,16 +1,22 @@
-"""d(phi, phi_j): how far apart two intents are, from the words of their labels and descriptions.
+"""The distance d(phi, phi_j) of two intents, from the words of their labels and descriptions.
 
-The metric ``TextAndSlots`` is d = 1 - f^c cos(u, v).  u and v are unit vectors of TF-IDF over stems and
-concepts (``words.features``): term frequency 1 + ln(count), smoothed inverse document frequency
-ln((1 + n) / (1 + df)) + 1 over the bank (Salton and Buckley, 1988).  c is the number of slots (``slots.py``) in which
-the intents contradict each other, and f is ``TextAndSlots.FACTOR``.
+The metric ``TextAndSlots`` is d = 1 - f^c cos(u, v). u and v are unit vectors of TF-IDF over stems and concepts
+(``words.text_features``): term frequency 1 + ln(count), smoothed inverse document frequency ln((1 + n) / (1 + df)) + 1
+over the bank (Salton and Buckley, 1988). c is the number of slots (``slots.py``) in which the intents contradict each
+other, and f is ``TextAndSlots.FACTOR``.
 
-Below: epsilon, up to which an intent counts as known, and how well the bank tells known intents from novel ones.
-From sets of paraphrases of known intents and of novel behaviours: top-1 (the nearest label is the right one), the area
-under the ROC curve of known against novel by the distance to the nearest (Mann-Whitney, ties half), and for "known if
-distance <= epsilon" the shares of known ones recognised and of novel ones refused, and their mean, the balanced
-accuracy; with 95 % bootstrap intervals.  Epsilon is chosen on the tuning halves of all sets (even places of each list);
-figures are of the other half of each set, which nothing was chosen on.
+The second half of this module chooses epsilon, the distance up to which an intent counts as known, and measures how
+well the bank tells known intents from novel ones. The data are sets of paraphrases of known intents and of novel
+behaviours. The figures, each with a 95 % bootstrap interval, are:
+
+- top-1: the share of known ones whose nearest label is the right one
+- the area under the ROC curve of known against novel by the distance to the nearest intent (Mann-Whitney, ties count
+  half)
+- for "known if distance <= epsilon", the shares of known ones recognised and of novel ones refused, and their mean, the
+  balanced accuracy
+
+Epsilon is chosen on the tuning halves of all sets (even places of each list). The figures come from the other half of
+each set, which did not influence any choice.
 """
 
 from __future__ import annotations
@@ -37,11 +43,16 @@ CALIBRATION_CONFIDENCE = 0.95
 
 
 class TextAndSlots:
-    """The metric of the module's docstring. ``name``: it and its version, the key of its epsilon in the bank;
-    ``epsilon`` and ``calibrated_on`` hold where the bank has no setting of its own.
+    """The metric of the module's docstring.
 
-    Two intents contradict each other in a slot if they have no value of it in common and at least one has a value.  A
+    Two intents contradict each other in a slot if they have no value of it in common and at least one has a value. A
     place that only the fitted entry has is no contradiction, since descriptions often leave the place out.
+
+    Attributes:
+        name: The metric and its version, which is the key of its epsilon in the bank.
+        epsilon: The distance up to which an intent counts as known, if the bank has no setting of its own.
+        calibrated_on: The calibration data of ``epsilon``.
+        FACTOR: The factor of the cosine for each contradiction.
     """
 
     name = "slots-1"
@@ -51,16 +62,20 @@ class TextAndSlots:
         "seven, 70 novel behaviours"
     )
 
-    FACTOR = 0.4  # of the cosine, for each contradiction; 0.3 to 0.5 are equally good on the tuning halves
+    FACTOR = 0.4  # 0.3 to 0.5 are equally good on the tuning halves
 
     def __init__(self) -> None:
         self._text = TfIdf()
         self._slots: dict[tuple[str, str], Slots] = {}
         self._size = 0
-        self._holders: dict[str, dict[str, Bools]] = {}  # by slot and value: which entries have it, (n,)
+        self._holders: dict[str, dict[str, Bools]] = {}  # slot -> value -> which entries have it, (n,)
 
     def fit(self, entries: Sequence[tuple[str, str]]) -> None:
-        """Take (label, description) pairs; slots of entries seen before are reused."""
+        """Fit the metric to entries; slots of entries seen before are reused.
+
+        Args:
+            entries: Pairs of label and description.
+        """
         self._text.fit(entries)
         self._slots = {entry: self._slots.get(entry) or slots_of(*entry) for entry in entries}
         self._size = len(entries)
@@ -72,14 +87,22 @@ class TextAndSlots:
                     self._holders[slot].setdefault(value, none)[row] = True
 
     def distances(self, label: str, description: str) -> Floats:
-        """Distances in [0, 1] to the fitted entries, shape (n,)."""
+        """Return the distances to the fitted entries.
+
+        Args:
+            label: The label to compare.
+            description: Its description.
+
+        Returns:
+            Distances in [0, 1], shape (n,).
+        """
         contradictions = np.zeros(self._size)
         for slot, values in slots_of(label, description).items():
             contradictions += self._contradict(slot, values)
         return 1.0 - self.FACTOR**contradictions * (1.0 - self._text.distances(label, description))
 
     def _contradict(self, slot: str, values: frozenset[str]) -> Bools:
-        """Which entries contradict ``values``, shape (n,)."""
+        """Return which entries contradict ``values``, shape (n,)."""
         holders = self._holders[slot]
         none = np.zeros(self._size, dtype=np.bool_)
         if values:
@@ -88,9 +111,10 @@ class TextAndSlots:
 
 
 class TfIdf:
-    """1 - cosine between texts, as in the module's docstring. An inverted index keeps it fast for thousands of entries.
+    """The distance 1 - cosine between texts, as in the module's docstring.
 
-    Heavier label words, lighter bare stems and lighter unknown words were tried on a tuning half and did not help.
+    An inverted index keeps it fast for thousands of entries. Heavier label words, lighter bare stems and lighter
+    unknown words were tried on a tuning half and did not help.
     """
 
     def __init__(self) -> None:
@@ -101,7 +125,11 @@ class TfIdf:
         self._unseen_idf = 1.0
 
     def fit(self, entries: Sequence[tuple[str, str]]) -> None:
-        """Build the index over (label, description) pairs; counts of entries seen before are reused."""
+        """Build the index over entries; counts of entries seen before are reused.
+
+        Args:
+            entries: Pairs of label and description.
+        """
         self._counts = {entry: self._counts.get(entry) or term_counts(*entry) for entry in entries}
         self._size = len(entries)
         self._unseen_idf = float(np.log(1.0 + self._size)) + 1.0
@@ -122,7 +150,7 @@ class TfIdf:
     def _index(
         self, terms: Mapping[str, int], rows: NDArray[np.intp], columns: NDArray[np.intp], counts: Floats
     ) -> None:
-        """Unit weights per entry, grouped by term."""
+        """Compute the unit weights of each entry, grouped by term."""
         frequency = np.bincount(columns, minlength=len(terms))
         idf = np.log((1.0 + self._size) / (1.0 + frequency)) + 1.0
         weights = counts * idf[columns]
@@ -137,7 +165,15 @@ class TfIdf:
             self._idf[term] = float(idf[column])
 
     def distances(self, label: str, description: str) -> Floats:
-        """1 - cosine to each fitted entry, shape (n,); 1 where no word is shared."""
+        """Return 1 - cosine to each fitted entry.
+
+        Args:
+            label: The label to compare.
+            description: Its description.
+
+        Returns:
+            Distances in [0, 1], shape (n,); 1 if no word is shared.
+        """
         scores = np.zeros(self._size)
         square = 0.0
         for term, count in term_counts(label, description).items():
@@ -154,7 +190,12 @@ class TfIdf:
 
 
 def term_counts(label: str, description: str) -> dict[str, float]:
-    """Damped counts, 1 + ln(count), of the features of an intent."""
+    """Return the damped counts, 1 + ln(count), of the features of an intent.
+
+    Args:
+        label: The label of the intent.
+        description: Its description.
+    """
     raw = Counter(text_features(label))
     raw.update(text_features(description))
     return {term: 1.0 + math.log(count) for term, count in raw.items()}
@@ -162,7 +203,13 @@ def term_counts(label: str, description: str) -> dict[str, float]:
 
 @dataclass(frozen=True, slots=True)
 class Paraphrase:
-    """A behaviour as a model might name it. ``intent`` is the label it should find, None for a novel one."""
+    """A behaviour as a language model might name it.
+
+    Attributes:
+        intent: The label of the intent that it should match; None for a novel behaviour.
+        label: The name.
+        description: The description.
+    """
 
     intent: str | None
     label: str
@@ -171,7 +218,13 @@ class Paraphrase:
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A value with its bootstrap interval (percentiles 2.5 and 97.5)."""
+    """A value with its bootstrap interval.
+
+    Attributes:
+        value: The value.
+        low: The 2.5th percentile.
+        high: The 97.5th percentile.
+    """
 
     value: float
     low: float
@@ -180,7 +233,17 @@ class Figure:
 
 @dataclass(frozen=True, slots=True)
 class SetFigures:
-    """What the metric can do on the reporting half of a set. ``known`` and ``novel`` are counts."""
+    """The performance of the metric on the reporting half of a set.
+
+    Attributes:
+        known: The number of known behaviours.
+        novel: The number of novel behaviours.
+        top1: The share of known ones whose nearest intent is the right one.
+        auc: The area under the ROC curve.
+        recognised: The share of known ones within epsilon.
+        refused: The share of novel ones beyond epsilon.
+        balanced_accuracy: The mean of ``recognised`` and ``refused``.
+    """
 
     known: int
     novel: int
@@ -193,7 +256,13 @@ class SetFigures:
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """``epsilon`` from the tuning halves of all sets, and the figures of each set, in the order given."""
+    """The result of a calibration.
+
+    Attributes:
+        metric: The name of the metric.
+        epsilon: The epsilon from the tuning halves of all sets.
+        sets: The figures of each set, in the order given.
+    """
 
     metric: str
     epsilon: float
@@ -202,7 +271,13 @@ class Calibration:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """Per paraphrase, (n,): distance to the nearest intent, whether that is the right one, whether it is known."""
+    """Distances of paraphrases, one row for each, (n,).
+
+    Attributes:
+        distance: The distance to the nearest intent.
+        right: Whether the nearest intent is the right one.
+        known: Whether the paraphrase is one of a known intent.
+    """
 
     distance: Floats
     right: Bools
@@ -210,8 +285,19 @@ class Measured:
 
 
 def read_paraphrases(file: Path) -> tuple[list[Paraphrase], list[Paraphrase]]:
-    """The (tuning, reporting) halves of a TOML file with ``[known]`` LABEL = [[name, description], ..] and ``[novel]``
-    behaviours = [..]: even and odd places of each list. Raises BankError."""
+    """Read paraphrases from a TOML file.
+
+    The file has ``[known]`` LABEL = [[name, description], ..] and ``[novel]`` behaviours = [..].
+
+    Args:
+        file: The path of the file.
+
+    Returns:
+        The tuning and the reporting half: the even and the odd places of each list.
+
+    Raises:
+        BankError: The file cannot be read.
+    """
     try:
         table = parse_toml(file.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
@@ -228,7 +314,12 @@ def read_paraphrases(file: Path) -> tuple[list[Paraphrase], list[Paraphrase]]:
 
 
 def measure_distances(intents: Sequence[IntentRecord], paraphrases: Sequence[Paraphrase]) -> Measured:
-    """Distances of the paraphrases to the nearest of ``intents``; an exact label gets no privilege here."""
+    """Measure the distances of paraphrases to the nearest intent. An exact label gets no privilege here.
+
+    Args:
+        intents: The intents of a bank.
+        paraphrases: The paraphrases.
+    """
     similarity = TextAndSlots()
     similarity.fit([(record.label, record.description) for record in intents])
     keys = [canonical(record.label) for record in intents]
@@ -242,7 +333,11 @@ def measure_distances(intents: Sequence[IntentRecord], paraphrases: Sequence[Par
 
 
 def best_epsilon(measured: Measured) -> float:
-    """The epsilon of the best balanced accuracy; of equally good ones the middle of the widest range."""
+    """Return the epsilon with the best balanced accuracy; of equally good ones, the middle of the widest range.
+
+    Args:
+        measured: The distances of paraphrases.
+    """
     values = np.unique(measured.distance)
     edges = np.concatenate((values[:1] - 1e-6, (values[:-1] + values[1:]) / 2.0, values[-1:] + 1e-6))
     scores = np.asarray([balanced_accuracy(measured, float(edge)) for edge in edges])
@@ -253,37 +348,65 @@ def best_epsilon(measured: Measured) -> float:
 
 
 def top1(measured: Measured) -> float:
-    """Share of the known ones with the right nearest intent."""
+    """Return the share of the known behaviours whose nearest intent is the right one.
+
+    Args:
+        measured: The distances of paraphrases.
+    """
     return float(np.mean(measured.right[measured.known]))
 
 
 def auc(measured: Measured) -> float:
-    """Chance that a known one is nearer to the bank than a novel one, ties counting half."""
+    """Return the chance that a known behaviour is nearer to the bank than a novel one; ties count half.
+
+    Args:
+        measured: The distances of paraphrases.
+    """
     of_known, of_novel = measured.distance[measured.known][:, None], measured.distance[~measured.known]
     return float(np.mean((of_known < of_novel) + 0.5 * (of_known == of_novel)))
 
 
 def recognised(measured: Measured, epsilon: float) -> float:
-    """Share of the known ones within epsilon."""
+    """Return the share of the known behaviours within epsilon.
+
+    Args:
+        measured: The distances of paraphrases.
+        epsilon: The distance up to which an intent counts as known.
+    """
     return float(np.mean(measured.distance[measured.known] <= epsilon))
 
 
 def refused(measured: Measured, epsilon: float) -> float:
-    """Share of the novel ones beyond epsilon."""
+    """Return the share of the novel behaviours beyond epsilon.
+
+    Args:
+        measured: The distances of paraphrases.
+        epsilon: The distance up to which an intent counts as known.
+    """
     return float(np.mean(measured.distance[~measured.known] > epsilon))
 
 
 def balanced_accuracy(measured: Measured, epsilon: float) -> float:
-    """Mean of ``recognised`` and ``refused``."""
+    """Return the mean of ``recognised`` and ``refused``.
+
+    Args:
+        measured: The distances of paraphrases.
+        epsilon: The distance up to which an intent counts as known.
+    """
     return (recognised(measured, epsilon) + refused(measured, epsilon)) / 2.0
 
 
 def calibrate(
     intents: Sequence[IntentRecord], sets: Sequence[tuple[Sequence[Paraphrase], Sequence[Paraphrase]]]
 ) -> Calibration:
-    """Choose epsilon on the tuning halves of (tuning, reporting) ``sets``, measure on each reporting half.
+    """Choose epsilon on the tuning halves of all sets, and measure on each reporting half.
 
-    Raises BankError without intents or sets, and if a half lacks known or novel ones.
+    Args:
+        intents: The intents of a bank.
+        sets: Sets of paraphrases, each as a tuning and a reporting half.
+
+    Raises:
+        BankError: There are no intents or sets, or a half lacks known or novel behaviours.
     """
     if not intents or not sets or any({p.intent is None for p in half} != {True, False} for s in sets for half in s):
         raise BankError("Calibration needs intents, and known and novel behaviours in both halves of its sets.")
@@ -293,7 +416,7 @@ def calibrate(
 
 
 def _figures(measured: Measured, epsilon: float) -> SetFigures:
-    """The figures of a set, each with its percentile bootstrap."""
+    """Compute the figures of a set, each with its percentile bootstrap."""
 
     def figure(statistic: Callable[[Measured], float]) -> Figure:
         rng = np.random.default_rng(0)
@@ -307,7 +430,7 @@ def _figures(measured: Measured, epsilon: float) -> SetFigures:
 
 
 def _resampled(measured: Measured, rng: np.random.Generator) -> Measured:
-    """Known and novel ones drawn each among themselves."""
+    """Resample known and novel behaviours, each among themselves."""
     known, novel = np.flatnonzero(measured.known), np.flatnonzero(~measured.known)
     places = np.concatenate((rng.choice(known, known.size), rng.choice(novel, novel.size)))
     return Measured(measured.distance[places], measured.right[places], measured.known[places])

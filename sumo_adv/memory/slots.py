@@ -1,13 +1,13 @@
-"""Slots of an intent: what its text says that makes it a behaviour of its own, read off by a table of words.
+"""Slots of an intent: the values in its text that set it apart as a behaviour, found with a table of words.
 
-A slot is a question about a behaviour: which unusual manoeuvre, in which place, what the ego does meanwhile.  Its
-values are the answers in the label and the description, none or several.  Braking, changing lanes and the like are no
-values, nor is the relation to the ego: many descriptions mention them in passing, and contradictions in them did not
-tell known from novel intents on the tuning sets.  They are compared as words of the text (``similarity.py``).
+A slot is a question about a behaviour: which unusual manoeuvre, in which place, what the ego does meanwhile. Its values
+are the answers in the label and the description, none or several. Braking, changing lanes and the like are no values,
+nor is the relation to the ego. Many descriptions mention them in passing, and contradictions in them did not tell known
+from novel intents on the tuning sets. They are compared as words of the text (``similarity.py``).
 
-``SLOTS`` has the phrases of each value and ``VALUE_NAMES`` the words that are read as one.  In both, stems are
-compared, so one form of a word is enough; the words in ``LEFT_OUT_TEXT`` are passed over; commas separate entries.  The
-table was written from the vocabulary of traffic rules and crash typologies, and completed on the tuning sets alone.
+``SLOTS`` has the phrases of each value, and ``VALUE_NAMES`` the words that are read as one. In both, stems are
+compared, so that one form of a word is enough. The words in ``LEFT_OUT_TEXT`` are skipped, and commas separate entries.
+The table was written from the vocabulary of traffic rules and crash typologies, and completed on the tuning sets alone.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from sumo_adv.memory.words import phrases, stem
 
 Slots = Mapping[str, frozenset[str]]
-"""Values by slot; the empty set where the text gives no answer."""
+"""Values by slot. The set is empty if the text gives no answer."""
 
 OPTIONAL = frozenset({"place"})
 """Slots that a text may leave unanswered although the behaviour has a value."""
@@ -59,7 +59,10 @@ VALUE_NAMES: Mapping[str, str] = {
     "not hesitating": "without hesitation, not hesitate",
     "a hindrance": "as obstacle, becomes obstacle",
 }
-"""Words that are read as one: the name, and what is read as it. So a phrase can be kept from meaning its parts."""
+"""The words that are read as one: a name, and the words that are replaced by it.
+
+Thus a phrase can be kept from being read as its parts.
+"""
 
 LEFT_OUT_TEXT = "a an the its his her their very already just still own"
 
@@ -182,7 +185,7 @@ SLOTS: Mapping[str, Mapping[str, str]] = {
         ),
     },
 }
-"""By slot and value, the phrases that give the value. ``~`` stands for up to three words between."""
+"""The phrases that give a value, by slot and value. ``~`` stands for up to three words in between."""
 
 _GAP = "~"
 _MAX_GAP_WORDS = 3
@@ -191,7 +194,12 @@ _END = re.compile(r"[.,;:!?]")  # a phrase ends here at the latest
 
 
 def slots_of(label: str, description: str) -> Slots:
-    """The values that an intent's texts give for each slot."""
+    """Return the values that an intent's texts give for each slot.
+
+    Args:
+        label: The label of the intent.
+        description: Its description.
+    """
     values: dict[str, set[str]] = {slot: set() for slot in SLOTS}
     for part in _END.split(f"{label}. {description}"):
         words = _read(part)
@@ -203,18 +211,19 @@ def slots_of(label: str, description: str) -> Slots:
 
 
 def _stems(text: str) -> list[str]:
+    """Return the stems of a text, without the words that are skipped."""
     words = _WORD_OR_GAP.findall(text.casefold().replace("'s", "").replace("'", ""))
     return [stem(word) for word in words if word not in _LEFT_OUT]
 
 
 def _read(text: str) -> list[str]:
-    """The stems of a text; a name where the text has one of its entries, the longest first."""
+    """Return the stems of a text, with entries of ``VALUE_NAMES`` replaced by their names, the longest first."""
     stems = _stems(text)
     return [name or stems[at] for at, name in phrases(stems, _STEMMED_NAMES, _MAX_NAME_WORDS)]
 
 
 def _begins(phrase: Sequence[str], words: Sequence[str], at: int) -> bool:
-    """Whether a phrase begins at this place of ``words``."""
+    """Return whether a phrase begins at this place of ``words``."""
     for i, word in enumerate(phrase):
         if word == _GAP:
             return any(_begins(phrase[i + 1 :], words, at + i + skipped) for skipped in range(_MAX_GAP_WORDS + 1))
@@ -224,6 +233,7 @@ def _begins(phrase: Sequence[str], words: Sequence[str], at: int) -> bool:
 
 
 def _phrases() -> Iterator[tuple[tuple[str, ...], str, str]]:
+    """Yield each phrase with its slot and value."""
     for slot, values in SLOTS.items():
         for value, entries in values.items():
             for entry in entries.split(","):

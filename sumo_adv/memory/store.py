@@ -1,4 +1,4 @@
-"""The file under the bank: make it, open it, refuse what is not ours, and turn SQLite's errors into sentences."""
+"""The bank's file: create it, open it, refuse files of other programs, and turn SQLite's errors into sentences."""
 
 from __future__ import annotations
 
@@ -30,7 +30,12 @@ BANK_FILE_NAME = "memory_bank.sqlite"
 
 
 def bank_error(error: sqlite3.Error, path: Path) -> BankError:
-    """SQLite's error about the bank at ``path`` as one sentence that says what to do."""
+    """Turn an error of SQLite into a BankError that says what to do.
+
+    Args:
+        error: SQLite's error.
+        path: The path of the bank.
+    """
     code = getattr(error, "sqlite_errorcode", None)
     sentences = {
         sqlite3.SQLITE_FULL: "has no room to grow: the disk is full; free some space and run again, nothing was lost",
@@ -42,14 +47,18 @@ def bank_error(error: sqlite3.Error, path: Path) -> BankError:
         sqlite3.SQLITE_NOTADB: "is not a SQLite file; give the path of a memory bank",
     }
     if code is None and isinstance(error, sqlite3.OperationalError):
-        code = sqlite3.SQLITE_CORRUPT  # Python's own error: text that is no UTF-8
+        code = sqlite3.SQLITE_CORRUPT  # Python's own error: text that is not UTF-8
     sentence = sentences.get(code & 0xFF) if isinstance(code, int) else None
     return BankError(f"The memory bank {path} {sentence or f'failed: {error}'}.")
 
 
 @contextlib.contextmanager
 def as_bank_errors(path: Path) -> Iterator[None]:
-    """Within it, errors of SQLite and of the file system about ``path`` are raised as BankError."""
+    """Raise errors of SQLite and of the file system about ``path`` as BankError.
+
+    Args:
+        path: The path of the bank.
+    """
     try:
         yield
     except sqlite3.Error as error:
@@ -64,9 +73,16 @@ def as_bank_errors(path: Path) -> Iterator[None]:
 
 
 def open_database(path: Path, mode: str) -> sqlite3.Connection:
-    """A connection in autocommit mode with foreign keys on; ``mode`` is the query part of SQLite's file URI.
+    """Connect in autocommit mode with foreign keys on.
 
-    Raises UsageError: a journal beside the file is not of this program; OSError, sqlite3.Error.
+    Args:
+        path: The path of the file.
+        mode: The query part of SQLite's file URI.
+
+    Raises:
+        UsageError: A journal beside the file does not belong to this program.
+        OSError: The file cannot be opened.
+        sqlite3.Error: SQLite refuses the file.
     """
     refuse_super_journal(path)
     connection = sqlite3.connect(
@@ -78,10 +94,21 @@ def open_database(path: Path, mode: str) -> sqlite3.Connection:
 
 
 def open_file(path: Path, *, seed_from: Path | None, read_only: bool, clock: Clock) -> tuple[sqlite3.Connection, bool]:
-    """The bank at ``path``, migrated, and whether it can be written.
+    """Open a bank and bring it to the newest version.
 
-    A path that does not exist is made first (not with ``read_only``). The shipped bank itself is opened read-only.
-    Raises BankError.
+    A missing file is created first, except with ``read_only``. The shipped bank itself is opened read-only.
+
+    Args:
+        path: The path of the file.
+        seed_from: The bank that a missing file is copied from; None creates a blank one.
+        read_only: Whether to create and change no file.
+        clock: Returns the time stamp of new rows.
+
+    Returns:
+        The connection, and whether the bank can be written.
+
+    Raises:
+        BankError: The file is no bank, is damaged, or cannot be opened.
     """
     with as_bank_errors(path):
         if seed_from is not None and path.exists() and seed_from.exists() and path.samefile(seed_from):
@@ -96,7 +123,7 @@ def open_file(path: Path, *, seed_from: Path | None, read_only: bool, clock: Clo
 
 
 def _check_header(path: Path) -> None:
-    """Refuse folders, empty files and what is not SQLite, before SQLite touches it. Raises BankError, OSError."""
+    """Refuse folders, empty files and non-SQLite files before SQLite touches them; raise BankError or OSError."""
     if path.is_dir():
         raise BankError(f"The memory bank {path} is a folder; give the path of a file.")
     with path.open("rb") as file:
@@ -108,7 +135,7 @@ def _check_header(path: Path) -> None:
 
 
 def _open_writable(path: Path, clock: Clock) -> sqlite3.Connection | None:
-    """A connection in WAL mode to a bank of the newest version, or None if the file or its folder is read-only."""
+    """Connect in WAL mode and migrate to the newest version; return None if the file or its folder is read-only."""
     connection = open_database(path, "mode=rw")
     try:
         _check(connection, path)
@@ -131,14 +158,14 @@ def _open_writable(path: Path, clock: Clock) -> sqlite3.Connection | None:
 
 
 def _connect_readable(path: Path) -> sqlite3.Connection:
-    """A read-only connection that makes no file beside the bank unless another process has a log there."""
+    """Connect read-only, without making a file beside the bank unless another process has a log there."""
     log = path.with_name(path.name + "-wal")
     pending = log.exists() and log.stat().st_size > 0
     return open_database(path, "mode=ro" if pending else "mode=ro&immutable=1")
 
 
 def _open_readable(path: Path) -> sqlite3.Connection:
-    """A read-only connection to a bank of the newest version."""
+    """Connect read-only to a bank of the newest version; raise BankError for an older one."""
     connection = _connect_readable(path)
     try:
         if _check(connection, path) < len(MIGRATIONS):
@@ -152,8 +179,11 @@ def _open_readable(path: Path) -> sqlite3.Connection:
 
 
 def _check(connection: sqlite3.Connection, path: Path) -> int:
-    """The version of the file; BankError if it is another program's, newer, laid out otherwise or damaged. Changes
-    nothing."""
+    """Return the version of the file, which is not changed.
+
+    Raises:
+        BankError: The file belongs to another program, is newer, has another schema or is damaged.
+    """
     version = check_identity(connection, str(path))
     check_bank_schema(connection, str(path), version)
     if connection.execute("PRAGMA quick_check(1)").fetchall() != [("ok",)]:
@@ -163,10 +193,19 @@ def _check(connection: sqlite3.Connection, path: Path) -> int:
 
 
 def make_file(path: Path, fill: Callable[[sqlite3.Connection], None], *, replace: bool = False) -> None:
-    """A new file at ``path`` that ``fill`` makes a bank; it appears whole or not at all.
+    """Make a new file that ``fill`` turns into a bank; it appears whole or not at all.
 
-    A file that exists, or that another process makes meanwhile, is kept unless ``replace``. Raises BankError, OSError,
-    sqlite3.Error.
+    A file that exists, or that another process makes meanwhile, is kept unless ``replace``.
+
+    Args:
+        path: The path of the file.
+        fill: Writes the content through a connection.
+        replace: Whether to replace an existing file.
+
+    Raises:
+        BankError: ``fill`` refuses the content.
+        OSError: The file cannot be written.
+        sqlite3.Error: SQLite cannot write the file.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(prefix=f".{path.name}-", suffix=".new", dir=path.parent)
@@ -186,7 +225,7 @@ def make_file(path: Path, fill: Callable[[sqlite3.Connection], None], *, replace
 
 
 def _create(path: Path, seed_from: Path | None, clock: Clock) -> None:
-    """A new bank in WAL mode at ``path``, blank or a copy of ``seed_from``, which is only read."""
+    """Create a bank in WAL mode, blank or as a copy of ``seed_from``, which is only read."""
 
     def fill(connection: sqlite3.Connection) -> None:
         if seed_from is None:
@@ -206,7 +245,12 @@ def _create(path: Path, seed_from: Path | None, clock: Clock) -> None:
 
 
 def publish(fresh: Path, path: Path) -> None:
-    """Give ``fresh`` the name ``path`` unless that exists; where there are no hard links, by a move."""
+    """Give a file its final name unless that exists; without hard links, move it.
+
+    Args:
+        fresh: The file.
+        path: Its final name.
+    """
     try:
         os.link(fresh, path)
     except FileExistsError:
@@ -219,5 +263,11 @@ def publish(fresh: Path, path: Path) -> None:
 def default_bank_path(
     environ: Mapping[str, str] = os.environ, platform: str = sys.platform, home: Path | None = None
 ) -> Path:
-    """The bank in the user's data folder (:func:`~sumo_adv.files.user_folder`); nothing is created."""
+    """Return the path of the bank in the user's data folder (:func:`~sumo_adv.files.user_folder`). Nothing is created.
+
+    Args:
+        environ: The environment variables.
+        platform: The platform, as in ``sys.platform``.
+        home: The home folder; None looks it up.
+    """
     return user_folder("data", environ, platform, home) / BANK_FILE_NAME

@@ -1,8 +1,8 @@
 """From text to features: words, stop words, a small stemmer, and a thesaurus of driving.
 
 The stemmer follows the shape of Porter's (M. F. Porter, "An algorithm for suffix stripping", 1980): plural, -ed/-ing,
--y, then one derivational ending, each only where enough of the word is left.  It is meant for behaviours in traffic,
-a few sentences of plain English; it need not agree with Porter's on anything else.
+-y, then one derivational ending, each only if enough of the word is left. It is meant for behaviours in traffic,
+described in a few sentences of plain English. For other texts it need not agree with Porter's.
 """
 
 from __future__ import annotations
@@ -127,7 +127,11 @@ _WORD_SUFFIXES = (
 
 @lru_cache(maxsize=65536)
 def stem(word: str) -> str:
-    """The stem of a lower-case word: ``braking``, ``brakes`` and ``braked`` are all ``brak``."""
+    """Return the stem of a word: ``braking``, ``brakes`` and ``braked`` all give ``brak``.
+
+    Args:
+        word: The word, in lower case.
+    """
     if len(word) <= 3:
         return word
     word = _past_or_progressive(_singular(word))
@@ -144,6 +148,7 @@ def stem(word: str) -> str:
 
 
 def _singular(word: str) -> str:
+    """Strip a plural ending."""
     if word.endswith("sses"):
         return word[:-2]
     if word.endswith("ies"):
@@ -154,6 +159,7 @@ def _singular(word: str) -> str:
 
 
 def _past_or_progressive(word: str) -> str:
+    """Strip -ed or -ing."""
     for suffix in ("ing", "ed"):
         root = word[: -len(suffix)]
         if word.endswith(suffix) and _VOWEL.search(root) and len(root) >= 3:
@@ -165,7 +171,7 @@ _STOP_STEMS = frozenset(STOP_WORDS) | frozenset(stem(word) for word in STOP_WORD
 
 
 def _phrases() -> dict[tuple[str, ...], tuple[str, ...]]:
-    """Stemmed words of each entry of the thesaurus -> its concepts."""
+    """Map the stemmed words of each thesaurus entry to its concepts."""
     table: dict[tuple[str, ...], list[str]] = {}
     for concept, entries in CONCEPTS.items():
         for entry in entries.split(","):
@@ -181,8 +187,14 @@ _MAX_CONCEPT_WORDS = max(len(key) for key in _CONCEPT_PHRASES)
 
 
 def text_features(text: str) -> Iterator[str]:
-    """Features in order of the text: ``@concept`` for each word or phrase that the thesaurus knows (longest phrase
-    first), the bare stem for each other word that is no stop word."""
+    """Yield the features of a text, in order.
+
+    A word or phrase that the thesaurus knows (longest phrase first) gives ``@concept``. Any other word gives its stem,
+    unless it is a stop word.
+
+    Args:
+        text: The text.
+    """
     raw = _WORD.findall(text.casefold().replace("'", ""))
     stems = [stem(word) for word in raw]
     for at, names in phrases(stems, _CONCEPT_PHRASES, _MAX_CONCEPT_WORDS):
@@ -193,8 +205,16 @@ def text_features(text: str) -> Iterator[str]:
 
 
 def phrases(stems: Sequence[str], table: Mapping[tuple[str, ...], T], longest: int) -> Iterator[tuple[int, T | None]]:
-    """Places in order of the text: where a phrase of the table begins (the longest one) with what the table has for it,
-    and every other word with None."""
+    """Find the phrases of a table in a text, the longest first.
+
+    Args:
+        stems: The stems of the text.
+        table: Maps phrases to values.
+        longest: The number of words of the longest phrase.
+
+    Yields:
+        The place of each phrase with its value, and the place of every other word with None, in order of the text.
+    """
     at = 0
     while at < len(stems):
         sizes = range(min(longest, len(stems) - at), 0, -1)

@@ -1,1 +1,1 @@
-"""How often the ego crashes in normal traffic: a model of human errors, a proposal, runs with weights, an estimator."""
+"""Estimate how often the ego crashes in normal traffic: human errors, a proposal, weighted runs, an estimator."""

@@ -1,8 +1,8 @@
-"""What an estimate is of, all of it in ``plan.json``; and its blocks of runs, here or on a Ray cluster.
+"""The plan of an estimate, which ``plan.json`` records; and its blocks of runs, on this machine or on a Ray cluster.
 
-The runs of a block follow each other in one process: SUMO is loaded once and loaded again for each run. On a cluster
-each block is a task. Its worker runs the block in a watched process of its own, as on one machine, and sends the
-records back. Inputs are found on the nodes under the same paths (a shared file system) or are shipped ones; their
+The runs of a block follow each other in one process, in which SUMO is loaded once and reloaded for each run. On a
+cluster, each block is a task. Its worker runs the block in a watched process of its own, as on one machine, and sends
+the records back. Inputs are found on the nodes under the same paths (a shared file system), or are shipped ones. Their
 content is compared with the plan's.
 """
 
@@ -39,16 +39,28 @@ from sumo_adv.simulation.network import read_network
 from sumo_adv.simulation.scan import scan_demand
 
 RATE_SCHEMA = 1
-MAX_EGO_WAIT_S = 60.0  # after the warm-up within which the ego must come
+MAX_EGO_WAIT_S = 60.0  # the ego must appear within this time after the warm-up
 RUNS_PER_BLOCK = 20
 PHASES = ("pilot", "runs", "plain")
-_workers: list[LocalWorkers] = []  # of this Ray worker process: one, from its first block on
+_workers: list[LocalWorkers] = []  # those of this Ray worker process: one, from its first block on
 
 
 @dataclass(frozen=True, slots=True)
 class RatePlan:
-    """An estimate. source: as the command line names it; ego None = as the input says, else idm; density: departures a
-    minute of generated traffic; warm_up, duration [s]: of a run; factor: of all error rates; pilot: number of runs."""
+    """The plan of an estimate.
+
+    Attributes:
+        source: The input, as given on the command line.
+        ego: The driver of the ego. None takes that of the input, or idm if it names none.
+        parameters: The parameters of the driver.
+        density: The departures per minute of generated traffic; None takes that of the input.
+        warm_up: The warm-up of a run [s].
+        duration: The duration of a run [s].
+        factor: The factor of all error rates.
+        pilot: The number of pilot runs.
+        plain: Whether all runs are drawn from the model, without pilot runs.
+        seed: The seed of the estimate.
+    """
 
     source: Path
     ego: str | None = None
@@ -62,9 +74,13 @@ class RatePlan:
     seed: int = 0
 
     def task(self, folder: Path) -> Task:
-        """What SUMO is started with; traffic is generated into ``folder`` if the input has none.
+        """Return the task that SUMO is started with.
 
-        Raises UsageError: the input cannot be read, or is a recording; there is no such ego.
+        Args:
+            folder: The folder for generated traffic, which an input without traffic needs.
+
+        Raises:
+            UsageError: The input cannot be read or is a recording, or there is no such driver.
         """
         run_input = load_input(self.source)
         if run_input.playback is not None:
@@ -84,12 +100,17 @@ class RatePlan:
         return task
 
     def content(self) -> str:
-        """The SHA-256 of all files of the input. Raises UsageError or OSError."""
+        """Return the SHA-256 of all files of the input.
+
+        Raises:
+            UsageError: The input cannot be read.
+            OSError: A file cannot be read.
+        """
         files = load_input(self.source).files
         return sha256(b"".join(sha256(file.read_bytes()).digest() for file in files)).hexdigest()
 
     def document(self) -> dict[str, Any]:
-        """The plan as JSON, with the content of the input and the rates of the model."""
+        """Return the plan as JSON, with the content of the input and the rates of the model."""
         return {
             "schema": RATE_SCHEMA, **asdict(self), "source": str(self.source), "parameters": dict(self.parameters),
             "content": self.content(), "errors_per_hour": {str(kind): value for kind, value in ERRORS_PER_HOUR.items()},
@@ -98,7 +119,13 @@ class RatePlan:
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Runs ``first`` to ``first + BLOCK - 1`` of a phase. starts: the proposal's table; None = from the model."""
+    """A block of ``RUNS_PER_BLOCK`` consecutive runs of a phase.
+
+    Attributes:
+        phase: The phase, one of ``PHASES``.
+        first: The number of the first run.
+        starts: The table of the proposal; None draws from the model.
+    """
 
     phase: str
     first: int
@@ -111,24 +138,48 @@ class Block:
 
     @property
     def words(self) -> str:
-        """The block for people."""
+        """The block in words, for messages."""
         return f"{self.phase} {self.first} to {self.first + RUNS_PER_BLOCK - 1}"
 
 
 def refuse_block(job: Block, why: str, text: str) -> Done:
-    """What becomes of a block that cannot be run. Raises SimulationError."""
+    """Report a block that cannot be run.
+
+    Args:
+        job: The block.
+        why: The reason, in a sentence.
+        text: Ignored.
+
+    Raises:
+        SimulationError: Always.
+    """
     raise SimulationError(f"The block of runs '{job.words}' cannot be run. {why}")
 
 
 def seed_of(seed: int, phase: str, number: int) -> int:
-    """The seed of a run, for SUMO and for its errors."""
+    """Return the seed of a run, for SUMO and for its errors.
+
+    Args:
+        seed: The seed of the estimate.
+        phase: The phase of the run.
+        number: The number of the run.
+    """
     return int(np.random.SeedSequence([seed, PHASES.index(phase), number]).generate_state(1)[0] >> 1)
 
 
 class BlockRunner:
-    """Holds the simulation; a context manager. Raises UsageError or SimulationError."""
+    """Runs blocks in one simulation. Use it in a ``with`` statement."""
 
     def __init__(self, plan: RatePlan) -> None:
+        """Prepare the simulation.
+
+        Args:
+            plan: The plan of the estimate.
+
+        Raises:
+            UsageError: The input or the driver is wrong.
+            SimulationError: SUMO fails.
+        """
         forget_environment()
         self._plan = plan
         self._scratch = tempfile.TemporaryDirectory(prefix=scratch_prefix())
@@ -139,7 +190,7 @@ class BlockRunner:
         types = ego_type_file(controller, folder, (*spec.routes, *spec.additional))
         spec = replace(spec, additional=(*spec.additional, types), seed=0)
         self._drive = Drive(spec, controller, 0, deadline=task.settings.ego_deadline)
-        EncounterSearch(self._drive, read_network(spec.network), task)  # what the driver sees; an ego with a route
+        EncounterSearch(self._drive, read_network(spec.network), task)  # sets what the driver sees and an ego's route
 
     def __enter__(self) -> Self:
         return self
@@ -149,14 +200,27 @@ class BlockRunner:
         self._scratch.cleanup()
 
     def run(self, job: Block, *, last: bool) -> Done:
-        """The records of a block, and of a pilot what it counted."""
+        """Return the records of a block and, in a pilot, its counts.
+
+        Args:
+            job: The block.
+            last: Ignored.
+        """
         runs = [self.one(job, number) for number in range(job.first, job.first + RUNS_PER_BLOCK)]
         counts = [run.counts for run, _ in runs if job.phase == "pilot"]
         counted = [[array.tolist() for array in (c.chances, c.starts, c.crashes)] for c in counts]
         return Done(job.id, {"records": [asdict(record) for _, record in runs], "counts": counted})
 
     def one(self, job: Block, number: int) -> tuple[RateRun, RateRecord]:
-        """One run of a block."""
+        """Make one run of a block.
+
+        Args:
+            job: The block.
+            number: The number of the run.
+
+        Returns:
+            The run and its record.
+        """
         plan, task = self._plan, self._task
         seed = seed_of(plan.seed, job.phase, number)
         self._drive.restart(seed)
@@ -169,7 +233,13 @@ class BlockRunner:
 
 @dataclass(frozen=True, slots=True)
 class RateNodeContent:
-    """What a node needs for all blocks."""
+    """What a node needs for all blocks.
+
+    Attributes:
+        plan: The plan of the estimate.
+        pace: The pace of the node's worker.
+        content: The SHA-256 of the input's files.
+    """
 
     plan: RatePlan
     pace: WorkerPace
@@ -177,10 +247,22 @@ class RateNodeContent:
 
 
 class ClusterBlocks:
-    """Runs blocks as Ray tasks. Raises UsageError as ``RayPool`` does."""
+    """Runs blocks as Ray tasks."""
 
     def __init__(self, plan: RatePlan, pace: WorkerPace, address: str, versions: Mapping[str, str], stop: Stop) -> None:
-        source = plan.source.absolute() if plan.source.is_file() else plan.source  # nodes work in other folders
+        """Connect to a cluster.
+
+        Args:
+            plan: The plan of the estimate.
+            pace: The pace of each worker.
+            address: The address of the cluster.
+            versions: The versions that the nodes must have.
+            stop: Tells that the user stops the estimate.
+
+        Raises:
+            UsageError: As ``RayPool``.
+        """
+        source = plan.source.absolute() if plan.source.is_file() else plan.source  # nodes run in other folders
         inputs = ((source, files_hash(load_input(plan.source).files), None),)
         needs = Needs(versions, inputs, () if plan.ego is None else (plan.ego,))
         self._pool = RayPool(block, unfit, pace.recycle, address, stop)
@@ -190,11 +272,19 @@ class ClusterBlocks:
         )
 
     def run(self, jobs: Iterable[Any], told: Callable[[Any, Done], None]) -> None:
-        """Each block, ``told`` of each that is finished. Raises SumoAdvError."""
+        """Run blocks.
+
+        Args:
+            jobs: The blocks.
+            told: Called with each finished block and its result.
+
+        Raises:
+            SumoAdvError: A block cannot be run.
+        """
         self._pool.run(jobs, self._needs, lambda: self._sent, lambda _, done: done, refuse_block, told)
 
     def close(self) -> None:
-        """Leave the cluster; what still runs there is ended by Ray."""
+        """Leave the cluster. Ray ends the tasks that are still running."""
         self._pool.close()
 
 
@@ -202,7 +292,16 @@ class ClusterBlocks:
 
 
 def block(sent: RateNodeContent, job: Block) -> Done:
-    """One block on this node. Raises UsageError: the input is another one here; SimulationError: it failed twice."""
+    """Run one block on this node.
+
+    Args:
+        sent: What the node needs.
+        job: The block.
+
+    Raises:
+        UsageError: The input has another content on this node.
+        SimulationError: The block failed twice.
+    """
     if not _workers:
         try:
             same = sent.plan.content() == sent.content

@@ -1,14 +1,15 @@
-"""An estimate from its plan to its rates: pilot runs, what they teach, runs, the sums.
+"""An estimate from its plan to its rates: pilot runs, the proposal learnt from them, runs, and the sums.
 
-OUT/plan.json      what the estimate is of
+OUT/plan.json      the plan of the estimate
 OUT/blocks/ID.json the records of 20 runs each; a finished block is not run again
 OUT/rate.json      the result
 
-A rate is a ratio of sums over runs, weighted crashes by weighted exposure. Its interval is that of Fay and Feuer (1997)
-for a weighted sum of rare events: gamma quantiles with the mean and the variance of the sum, the upper one with one
-more event of the largest weight. The variance is the sum of the squared weights, and what uneven exposures of the runs
-add. With equal weights and exposures it is the exact interval of a Poisson count (Garwood 1936). It is never negative,
-and unlike the normal interval it covers where few crashes with uneven weights were seen.
+A rate is a ratio of sums over runs: weighted crashes by weighted exposure. Its interval is that of Fay and Feuer (1997)
+for a weighted sum of rare events: gamma quantiles with the mean and the variance of the sum. The upper quantile counts
+one more event of the largest weight. The variance is the sum of the squared weights, plus a term for uneven exposures
+of the runs. With equal weights and exposures, the interval is the exact one of a Poisson count (Garwood 1936). It is
+never negative and, unlike the normal interval, it has the nominal coverage when there are few crashes with uneven
+weights.
 """
 
 from __future__ import annotations
@@ -46,10 +47,10 @@ from sumo_adv.rate.proposal import ERROR_KINDS, MAX_WEIGHT, Counts, ErrorProposa
 from sumo_adv.rate.run import RateRecord
 from sumo_adv.report.outcome import versions
 
-ENOUGH_CRASHES = 10  # crashes: the weights of fewer do not tell how large those are that were not seen
+ENOUGH_CRASHES = 10  # the weights of fewer crashes do not tell how large unseen ones are
 RATE_PLAN_FILE, RATE_FILE, RATE_LOCK_FILE = "plan.json", "rate.json", "rate.lock"
 BLOCK_DEADLINE_S = 600.0
-MAX_BLOCKS_PER_WORKER = 200  # after which it is replaced
+MAX_BLOCKS_PER_WORKER = 200  # a worker process is replaced after this many blocks
 CONTACT_EVENT = "contact"
 RATED_LEVELS = (CONTACT_EVENT, *(str(level) for level in Level if level >= Level.COLLISION))
 
@@ -58,9 +59,15 @@ RATED_LEVELS = (CONTACT_EVENT, *(str(level) for level in Level if level >= Level
 class Rate:
     """A rate with its interval, per unit of exposure.
 
-    crashes: how many were seen. effective: how many of equal weight tell as much (Kish 1965). largest_share: of the
-    estimate, that the crash with the largest weight has. plain_runs: how many runs of the model itself give the same
-    variance. These are None without a crash.
+    Attributes:
+        value: The estimate.
+        low: The lower limit of the interval.
+        high: The upper limit of the interval.
+        crashes: The number of crashes in the runs.
+        effective: The number of crashes of equal weight with the same information (Kish 1965).
+        largest_share: The share of the estimate that comes from the crash with the largest weight; None without a
+            crash.
+        plain_runs: The number of runs of the model itself that give the same variance; None without a crash.
     """
 
     value: float
@@ -73,16 +80,19 @@ class Rate:
 
     @property
     def half_width(self) -> float | None:
-        """Half the interval over the estimate; None without a crash."""
+        """Half the interval divided by the estimate; None without a crash."""
         return (self.high - self.low) / (2 * self.value) if self.value > 0 else None
 
 
 def measure_rate(weights: Floats, exposure: Floats, most_weight: float = 1.0) -> Rate:
-    """The rate of crashes.
+    """Estimate the rate of crashes.
 
-    weights ``(runs,)``: the weight of each run that crashed, at the crash; 0 for others. exposure ``(runs,)``:
-    weighted, in any unit. most_weight: that a crash can have; the upper limit rests on it unless ``ENOUGH_CRASHES``
-    were seen."""
+    Args:
+        weights: The weight of each run at its crash, ``(runs,)``; 0 without a crash.
+        exposure: The weighted exposure of each run in any unit, ``(runs,)``.
+        most_weight: The largest possible weight of a crash. The upper limit uses it unless there are
+            ``ENOUGH_CRASHES``.
+    """
     total, over = float(weights.sum()), float(exposure.sum())
     seen = int((weights > 0).sum())
     if over <= 0.0:
@@ -101,12 +111,16 @@ def measure_rate(weights: Floats, exposure: Floats, most_weight: float = 1.0) ->
 
 
 def _quantile(mean: float, variance: float, share: float) -> float:
-    """That of the gamma distribution with this mean and variance."""
+    """Return a quantile of the gamma distribution with this mean and variance."""
     return float(gammaincinv(mean**2 / variance, share)) * variance / mean
 
 
 def effective_runs(weights: Floats) -> float:
-    """How many runs of equal weight the weighted runs are worth (Kish 1965)."""
+    """Return the number of runs of equal weight with the same information as the weighted runs (Kish 1965).
+
+    Args:
+        weights: The weight of each run, ``(runs,)``.
+    """
     return float(weights.sum() ** 2 / (weights**2).sum())
 
 
@@ -114,9 +128,17 @@ def effective_runs(weights: Floats) -> float:
 class RateEstimate:
     """The rates of an estimate.
 
-    per_hour, per_km: by level. by_error: by the error of the other driver, its share of the estimate of collisions.
-    effective_runs: how many runs of equal weight the runs are worth. hours, km: that the ego drove, in pilot runs too.
-    plain_km: how far it would drive in runs of the model that tell as much of collisions.
+    Attributes:
+        plan: The plan of the estimate.
+        runs: The number of runs, without pilot runs.
+        per_hour: The rate per hour, by level.
+        per_km: The rate per km, by level.
+        by_error: The share of each error of the other driver in the estimate of collisions.
+        effective_runs: The number of runs of equal weight with the same information.
+        hours: The time that the ego drove, including pilot runs [h].
+        km: The distance that the ego drove, including pilot runs [km].
+        plain_km: The distance that the ego would drive in runs of the model with the same information on collisions
+            [km]; None without a collision.
     """
 
     plan: RatePlan
@@ -130,6 +152,8 @@ class RateEstimate:
     plain_km: float | None
 
     def document(self) -> dict[str, Any]:
+        """Return the content of ``rate.json``."""
+
         def plain(found: Rate) -> dict[str, Any]:
             return {
                 "rate": found.value, "low": found.low, "high": found.high, "half_width": found.half_width,
@@ -150,7 +174,13 @@ class RateEstimate:
 
 
 def estimated(plan: RatePlan, records: Sequence[RateRecord], pilot: Sequence[RateRecord] = ()) -> RateEstimate:
-    """The rates from the records of all runs."""
+    """Compute the rates from the records of all runs.
+
+    Args:
+        plan: The plan of the estimate.
+        records: The records of the runs.
+        pilot: The records of the pilot runs, which count only for time and distance.
+    """
     weight, hours, km = (_column(records, name) for name in ("weight", "weighted_hours", "weighted_km"))
     most = 1.0 if plan.plain else MAX_WEIGHT
     reached = {CONTACT_EVENT: [r.contact for r in records]}
@@ -172,12 +202,21 @@ def estimated(plan: RatePlan, records: Sequence[RateRecord], pilot: Sequence[Rat
 
 
 def _column(records: Sequence[RateRecord], name: str) -> Floats:
+    """Return a field of all records, ``(runs,)``."""
     return np.array([getattr(r, name) for r in records], float)
 
 
 @dataclass
 class Estimation:
-    """Runs what is missing of an estimate in its folder. ray: address of a Ray cluster, None = on this machine."""
+    """Runs the missing blocks of an estimate in its folder.
+
+    Attributes:
+        plan: The plan of the estimate.
+        out: The folder of the estimate.
+        workers: The number of processes.
+        watcher: Shows the progress, and stops the estimate.
+        ray: The address of a Ray cluster; None runs on this machine.
+    """
 
     plan: RatePlan
     out: Path
@@ -186,12 +225,18 @@ class Estimation:
     ray: str | None = None
 
     def run(self, runs: int) -> RateEstimate | None:
-        """The estimate from at least ``runs`` runs, in whole blocks; None if it was stopped before.
+        """Compute the estimate from at least ``runs`` runs, in whole blocks.
+
+        Args:
+            runs: The minimum number of runs.
+
+        Returns:
+            The estimate; None if the user stopped it.
 
         Raises:
-            UsageError: the input or the ego is wrong, no run has an ego, the folder is of another estimate or cannot be
-                written, or there is no such cluster;
-            SimulationError: a block of runs failed twice.
+            UsageError: The input or the driver is wrong, no run has an ego, the folder belongs to another estimate or
+                cannot be written, or there is no such cluster.
+            SimulationError: A block of runs failed twice.
         """
         with sentences(self.out), TemporaryDirectory(prefix=scratch_prefix()) as scratch:
             self.plan.task(Path(scratch))
@@ -204,6 +249,7 @@ class Estimation:
                 return self._run(runs, Path(scratch))
 
     def _keep_plan(self) -> None:
+        """Write the plan; raise UsageError if the folder has another one."""
         file, document = self.out / RATE_PLAN_FILE, json.loads(json_text(self.plan.document()))
         if file.exists():
             before = read_object(file, "The plan of the estimate")
@@ -216,6 +262,7 @@ class Estimation:
         write_text(file, json_text(document, 1))
 
     def _run(self, runs: int, scratch: Path) -> RateEstimate | None:
+        """Run the phases, and write the result."""
         plan = self.plan
         with stopping(self.watcher) as stop, closing(self._pool(scratch, stop)) as pool:
             starts, pilot = None, list[dict[str, Any]]()
@@ -233,6 +280,7 @@ class Estimation:
         return result
 
     def _pool(self, scratch: Path, stop: Stop) -> Workers:
+        """Return the workers, on this machine or on a cluster."""
         pace = WorkerPace(self.workers, BLOCK_DEADLINE_S, MAX_BLOCKS_PER_WORKER)
         if self.ray is None:
             return LocalWorkers(self.plan, pace, scratch, refuse_block, stop, BlockRunner)
@@ -241,7 +289,7 @@ class Estimation:
     def _blocks(
         self, phase: str, runs: int, proposal: ErrorProposal | None, pool: Workers
     ) -> list[dict[str, Any]] | None:
-        """The blocks of a phase, those that are missing run now; None if the user stopped it."""
+        """Return the blocks of a phase, after running those that are missing; None if the user stopped it."""
         starts = None if proposal is None else proposal.starts.tolist()
         jobs = [Block(phase, first, starts) for first in range(0, runs, RUNS_PER_BLOCK)]
         files = {job.id: self.out / "blocks" / f"{job.id}.json" for job in jobs}
@@ -267,7 +315,14 @@ class Estimation:
 
 
 def read_block(file: Path) -> dict[str, Any] | None:
-    """A block that is finished; None if there is none, or it is damaged."""
+    """Read a finished block.
+
+    Args:
+        file: The path of the file.
+
+    Returns:
+        The block; None if the file is missing or damaged.
+    """
     try:
         block = read_json(file)
         records_of([block])
@@ -278,10 +333,18 @@ def read_block(file: Path) -> dict[str, Any] | None:
 
 
 def records_of(blocks: Sequence[Mapping[str, Any]]) -> list[RateRecord]:
-    """The runs of blocks."""
+    """Return the records of the runs of blocks.
+
+    Args:
+        blocks: The finished blocks.
+    """
     return [RateRecord(**row) for block in blocks for row in block["records"]]
 
 
 def counts_of(blocks: Sequence[Mapping[str, Any]]) -> list[Counts]:
-    """What the pilot runs of blocks counted."""
+    """Return the counts of the pilot runs of blocks.
+
+    Args:
+        blocks: The finished blocks.
+    """
     return [Counts(*(np.array(table, float) for table in run)) for block in blocks for run in block["counts"]]

@@ -1,21 +1,22 @@
-"""How often drivers err, how dangerous an error would be, and where errors are drawn; each run keeps its likelihood.
+"""How often drivers err, how dangerous an error would be, and with which probability errors begin in the runs.
 
-The rates are those that ``docs/rate.md`` derives, each with its source. The danger of an error is extrapolated from the
-present states alone: the other vehicle drives straight on as the error has it; the ego goes straight on, once at its
-speed, once braking. That only has to sort errors: whether one ends in a collision is learnt from pilot runs for each
-level of danger.
+Each run keeps its likelihood. The rates are those that ``docs/rate.md`` derives, each with its source. The danger of an
+error is extrapolated from the present states alone. The other vehicle drives straight on, modified by the error. The
+ego goes straight on, once at its speed and once braking. This only needs to sort errors: whether an error ends in a
+collision is learnt from pilot runs, for each level of danger.
 
-The model P starts an error of kind k with its probability p. The raised proposal R starts it with r >= p, which depends
-on how dangerous the error would be, so on the past alone. It goes back to p for the rest of a run as soon as an error
+The model P starts an error of kind k with its probability p. The raised proposal R starts it with r >= p. r depends on
+how dangerous the error would be, and thus only on the past. R returns to p for the rest of a run as soon as an error
 has begun, or when it has spent ``ERROR_BUDGET``.
 
-Before a run, a coin is tossed: with probability ``MODEL_SHARE`` the whole run is drawn from P, else from R. Its weight
-is that of the mixture, whichever side the coin fell (the balance heuristic, Veach and Guibas 1995; Hesterberg 1995):
+Before a run, a coin is tossed: with probability ``MODEL_SHARE`` the whole run is drawn from P, otherwise from R. Its
+weight is that of the mixture, whichever side the coin fell on (the balance heuristic, Veach and Guibas 1995; Hesterberg
+1995):
 
     w = P / (a P + (1 - a) R) = 1 / (a + (1 - a) R/P)  <=  1/a = 10
 
-A mixture in each decision would only bound the weight of each decision by 10, and that of a run by 10 to the power of
-their number.
+A mixture in each decision would only bound the weight of each decision by 10, and the weight of a run by 10 to the
+power of the number of decisions.
 """
 
 from __future__ import annotations
@@ -37,8 +38,8 @@ from sumo_adv.simulation.human_errors import (
 )
 
 ERROR_KINDS = tuple(ErrorKind)
-DECISION_INTERVAL_S = 1.0  # of a driver
-ERRING_DISTANCE_M = 100.0  # around the ego in which drivers err
+DECISION_INTERVAL_S = 1.0  # between two decisions of a driver
+ERRING_DISTANCE_M = 100.0  # drivers err only within this distance of the ego
 ERRORS_PER_HOUR = {
     ErrorKind.INATTENTION: 0.14,
     ErrorKind.LATE_BRAKING: 0.07,
@@ -49,34 +50,42 @@ ERRORS_PER_HOUR = {
     ErrorKind.PRIORITY: 0.1,
     ErrorKind.RED_LIGHT: 0.1,
 }
-"""Errors that a driver begins in an hour in which the error is possible (``HumanErrors.possible``)."""
+"""The errors that a driver begins per hour in which the error is possible (``HumanErrors.possible``)."""
 LOOK_AHEAD_TIMES_S = np.arange(0.25, 6.01, 0.25)
-DANGER_GAP_M = 1.5  # between the boxes
+DANGER_GAP_M = 1.5  # between the boxes; smaller gaps are dangerous
 ASSUMED_EGO_REACTION_S, ASSUMED_EGO_BRAKING_M_S2 = 1.0, 4.5
 SUMO_LANE_CHANGE_SPEED_M_S, LANE_CHANGE_DISTANCE_M = 1.0, 3.2  # SUMO's
-GO_SPEED_M_S, GO_ACCELERATION_M_S2 = 8.0, 2.0  # of a driver that enters a junction from a low speed
-MODEL_SHARE = 0.1  # of the runs that are drawn from the model
+GO_SPEED_M_S, GO_ACCELERATION_M_S2 = 8.0, 2.0  # for a driver that enters a junction at low speed
+MODEL_SHARE = 0.1  # of the runs; these are drawn from the model
 MAX_WEIGHT = 1.0 / MODEL_SHARE
-ERROR_BUDGET = 3.0  # the sum of -log(1 - r) that is spent in a run: without an error it leaves 5 % (exp -3) of runs
-EXPECTED_ERRORS_PER_RUN = 1.5  # that the proposal would begin in a run if it did not stop after the first
-MAX_ERROR_PROBABILITY = 0.5  # in one decision
+ERROR_BUDGET = 3.0  # sum of -log(1 - r) that a run may spend; 5 % (exp -3) of the runs spend it without an error
+EXPECTED_ERRORS_PER_RUN = 1.5  # that the proposal would begin if it did not stop after the first
+MAX_ERROR_PROBABILITY = 0.5  # of one decision
 DANGER_LEVEL_COUNT = 4
-# guess of the share of errors that end in a collision, by level of danger
+# guessed share of errors that end in a collision, by level of danger
 PRIOR_COLLISION_SHARES = np.array([0.002, 0.02, 0.1, 0.3])
 PRIOR_ERROR_COUNT = 1.0  # the guess weighs as much as this number of errors
-PILOT_PROBABILITIES = np.array([0.01, 0.05, 0.05, 0.1])  # of an error in the pilot runs, by level of danger
+PILOT_PROBABILITIES = np.array([0.01, 0.05, 0.05, 0.1])  # of an error in pilot runs, by level of danger
 
 
 def chances(factor: float) -> Floats:
-    """The probability ``(kinds,)`` that a driver begins each error in a slot, with all rates times ``factor``."""
+    """Return the probability that a driver begins each error in one decision, ``(kinds,)``.
+
+    Args:
+        factor: The factor of all rates.
+    """
     return np.array([ERRORS_PER_HOUR[kind] for kind in ERROR_KINDS]) * factor * DECISION_INTERVAL_S / 3600.0
 
 
 def danger_levels(ego: Boxes, others: Boxes) -> Ints:
-    """The level of danger of each kind of error ``(vehicles, kinds)``, from 0 to 3.
+    """Return the level of danger of each kind of error, ``(vehicles, kinds)``.
 
-    0: nothing comes near; 1: less than 1.5 m apart; 2: contact if the ego does not brake; 3: also if it brakes.
-    ego: 0-d arrays; others: ``(vehicles,)``.
+    Level 0: nothing comes near. Level 1: less than 1.5 m apart. Level 2: contact if the ego does not brake. Level 3:
+    contact even if the ego brakes.
+
+    Args:
+        ego: The ego, as 0-d arrays.
+        others: The other vehicles, ``(vehicles,)``.
     """
     speed = np.asarray(others.speed, float)[:, None, None]
     along, left = _motions(speed)
@@ -94,18 +103,19 @@ def danger_levels(ego: Boxes, others: Boxes) -> Ints:
 
 
 def _braked(speed: Floats, reaction: float, hardest: float) -> Floats:
-    """How far a vehicle goes that brakes after its reaction time, by ``LOOK_AHEAD_TIMES_S`` [m]."""
+    """Return how far a vehicle goes that brakes after its reaction time [m], at ``LOOK_AHEAD_TIMES_S``."""
     braking = np.clip(LOOK_AHEAD_TIMES_S - reaction, 0.0, speed / hardest)
     return np.asarray(speed * (np.minimum(LOOK_AHEAD_TIMES_S, reaction) + braking) - hardest * braking**2 / 2)
 
 
 def _straight(ego: Boxes, distance: Floats) -> Boxes:
+    """Move the ego straight ahead by these distances [m]."""
     x, y = ego.x + distance * np.cos(ego.heading), ego.y + distance * np.sin(ego.heading)
     return Boxes(x, y, np.asarray(ego.heading), ego.speed, ego.length, ego.width, ego.z)
 
 
 def _motions(speed: Floats) -> tuple[Floats, Floats]:
-    """How far a vehicle goes along its heading and to the left of it [m], ``(vehicles, kinds, times)``."""
+    """Return how far vehicles go along their heading and to the left of it [m], each ``(vehicles, kinds, times)``."""
     along = np.repeat(speed * LOOK_AHEAD_TIMES_S, len(ERROR_KINDS), axis=1)
     left = np.zeros_like(along)
     begun = np.minimum(speed[:, 0], GO_SPEED_M_S)
@@ -128,14 +138,22 @@ def _motions(speed: Floats) -> tuple[Floats, Floats]:
 
 @dataclass(frozen=True)
 class ErrorProposal:
-    """``starts`` ``(kinds, levels)``: the probability with which an error of a level of danger is begun."""
+    """The probabilities with which errors are begun.
+
+    Attributes:
+        starts: The probability of each kind of error at each level of danger, ``(kinds, levels)``.
+    """
 
     starts: Floats
 
     def raised(self, model: Floats, danger: Ints) -> Floats:
-        """The probabilities of errors ``(vehicles, kinds)``, from those of the model and the levels of danger.
+        """Return the raised probabilities of errors, ``(vehicles, kinds)``.
 
-        Where the model has 0, it stays 0; elsewhere it is never less than the model's.
+        A probability of 0 in the model stays 0. Others are never lower than the model's.
+
+        Args:
+            model: The model's probabilities, ``(vehicles, kinds)``.
+            danger: The levels of danger, ``(vehicles, kinds)``.
         """
         proposed = self.starts[np.arange(model.shape[1]), danger]
         raised = np.where(model > 0.0, np.maximum(proposed, model), 0.0)
@@ -148,16 +166,22 @@ class ErrorProposal:
 
 
 def pilot_proposal(kinds: int) -> ErrorProposal:
-    """The proposal of the pilot runs: by the level of danger alone."""
+    """Return the proposal of the pilot runs, which depends on the level of danger only.
+
+    Args:
+        kinds: The number of kinds of errors.
+    """
     return ErrorProposal(np.tile(PILOT_PROBABILITIES, (kinds, 1)))
 
 
 @dataclass(frozen=True)
 class Counts:
-    """What pilot runs saw, by kind of error and level of danger ``(kinds, levels)``.
+    """The counts of pilot runs, by kind of error and level of danger, ``(kinds, levels)``.
 
-    chances: decisions in which the error was possible; starts: those in which the proposal began it; crashes: how many
-    of these ended in a collision.
+    Attributes:
+        chances: The number of decisions in which the error was possible.
+        starts: The number of those in which the proposal began it.
+        crashes: The number of those that ended in a collision.
     """
 
     chances: Floats
@@ -166,11 +190,16 @@ class Counts:
 
 
 def learnt(counts: Sequence[Counts], model: Floats) -> ErrorProposal:
-    """The proposal from pilot runs, for the model's probabilities ``(kinds,)``.
+    """Learn the proposal from pilot runs.
 
-    A sum of rare events with probabilities p c (p: of the error, c: that it ends in a collision) is estimated with the
-    least variance, at a given number of errors, if errors are drawn in proportion to p sqrt(c). c is estimated for each
-    kind and level, the guess ``PRIOR_COLLISION_SHARES`` weighing as much as ``PRIOR_ERROR_COUNT`` errors.
+    Consider a sum of rare events with probabilities p c, where p is that of the error and c the chance that it ends in
+    a collision. For a given number of errors, its estimate has the least variance if errors are drawn in proportion to
+    p sqrt(c). c is estimated for each kind and level. The guess ``PRIOR_COLLISION_SHARES`` weighs as much as
+    ``PRIOR_ERROR_COUNT`` errors.
+
+    Args:
+        counts: The counts of each pilot run.
+        model: The model's probabilities, ``(kinds,)``.
     """
     tried, begun, ended = (
         np.sum([getattr(c, name) for c in counts], axis=0) for name in ("chances", "starts", "crashes")
@@ -184,28 +213,43 @@ def learnt(counts: Sequence[Counts], model: Floats) -> ErrorProposal:
 
 
 class Decisions:
-    """Draws the errors of one run, and keeps its likelihood ratio."""
+    """Draws the errors of one run, and keeps its likelihood ratio.
+
+    Attributes:
+        raising: Whether probabilities are still raised, so that ``next`` needs the levels of danger.
+    """
 
     def __init__(self, draw: np.random.Generator, proposal: ErrorProposal | None, *, pilot: bool = False) -> None:
-        """``proposal`` None: all is drawn from the model, with weight 1. pilot: the run only has to try many errors: it
-        is never drawn from the model, and raises them to its end."""
+        """Toss the coin between model and proposal.
+
+        Args:
+            draw: The random generator.
+            proposal: The raised proposal; None draws everything from the model, with weight 1.
+            pilot: Whether the run only has to try many errors. Such a run is never drawn from the model, and raises
+                probabilities to its end.
+        """
         self._draw, self._proposal, self._pilot = draw, proposal, pilot
         self._from_model = proposal is None or (draw.random() < MODEL_SHARE and not pilot)
         self._spent = 0.0
-        self._log_ratio = 0.0  # log R/P of what was drawn
+        self._log_ratio = 0.0  # log R/P of the draws so far
         self.raising = proposal is not None
 
     @property
     def weight(self) -> float:
-        """The likelihood ratio of the model to the mixture, for what was drawn so far."""
+        """The likelihood ratio of the model to the mixture, for the draws so far."""
         if self._proposal is None:
             return 1.0
         return 1.0 / (MODEL_SHARE + (1.0 - MODEL_SHARE) * math.exp(min(self._log_ratio, 700.0)))
 
     def next(self, model: Floats, danger: Ints | None = None) -> Ints:
-        """For each vehicle the kind of error that it begins, or -1 ``(vehicles,)``.
+        """Draw the error that each vehicle begins.
 
-        model: the model's probabilities ``(vehicles, kinds)``; danger: the levels of danger, needed while ``raising``.
+        Args:
+            model: The model's probabilities, ``(vehicles, kinds)``.
+            danger: The levels of danger, ``(vehicles, kinds)``; needed while ``raising``.
+
+        Returns:
+            The index of the kind of error, or -1, ``(vehicles,)``.
         """
         used = model
         if self.raising:
@@ -225,7 +269,7 @@ class Decisions:
         return begun
 
     def _drawn(self, chances: Floats) -> Ints:
-        """One draw from each row's probabilities: a kind, or -1 with the rest of the probability."""
+        """Draw from each row's probabilities: a kind, or -1 with the remaining probability."""
         up_to = np.cumsum(chances, axis=1)
         thrown = self._draw.random(len(chances))
         kind = (thrown[:, None] >= up_to).sum(axis=1)

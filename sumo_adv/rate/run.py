@@ -1,4 +1,4 @@
-"""One run: traffic, the ego for some time, errors of the drivers near it, and what became of that."""
+"""One run: traffic, the ego for some time, errors of the drivers near it, and the verdict on a contact."""
 
 from __future__ import annotations
 
@@ -27,20 +27,30 @@ from sumo_adv.simulation.human_errors import HumanErrors
 from sumo_adv.simulation.sumo_states import RawState, heading_of
 
 SECONDS_PER_HOUR = 3600.0
-DRIVEN_AFTER_CONTACT_S = 4.0  # after a contact, which show what the other vehicle would have done
-JUDGED_BEFORE_CONTACT_S = 4.0  # before a contact from which it is judged, if the other vehicle made no error
-MAX_ERROR_AGE_S = 10.0  # before a contact: an earlier error has nothing to do with it
-JUDGED_HISTORY_S = 2.0  # before that, which the judge may look at
-UNLIMITED = Limits(*[1e9] * 5)  # the traffic is the model's own: the limits of an adversary do not apply to it
+DRIVEN_AFTER_CONTACT_S = 4.0  # after a contact, to show what the other vehicle would have done
+JUDGED_BEFORE_CONTACT_S = 4.0  # the judged time before a contact if the other vehicle made no error
+MAX_ERROR_AGE_S = 10.0  # before a contact; earlier errors have nothing to do with it
+JUDGED_HISTORY_S = 2.0  # before the judged time, as history
+UNLIMITED = Limits(*[1e9] * 5)  # the limits of an adversary do not apply to normal traffic
 BOX_FIELDS = ("x", "y", "heading", "speed", "length", "width")
-CLEAR_DISTANCE_M = 0.2  # that two boxes are apart for certain, beside what they move in a step
+CLEAR_DISTANCE_M = 0.2  # margin between two boxes, in addition to their motion in a step
 
 
 @dataclass(frozen=True, slots=True)
 class RateRecord:
-    """One run. hours, km: how long and how far the ego drove; weighted_hours, weighted_km: each step by the run's
-    weight at that time; weight: at the contact or the end; contact: whether the ego touched a vehicle; level: of the
-    contact, as ``metrics/levels.py`` names it; error: what the other vehicle's driver did wrong before."""
+    """The record of one run.
+
+    Attributes:
+        seed: The seed of the run.
+        hours: How long the ego drove [h].
+        km: How far the ego drove [km].
+        weighted_hours: The time of each step times the run's weight at that step, summed [h].
+        weighted_km: The distance of each step times the run's weight at that step, summed [km].
+        weight: The run's weight at the contact or the end.
+        contact: Whether the ego touched a vehicle.
+        level: The level of the contact, as ``metrics/levels.py`` names it.
+        error: The recent error of the other vehicle's driver; None if there is none.
+    """
 
     seed: int
     hours: float
@@ -55,10 +65,21 @@ class RateRecord:
 
 @dataclass
 class RateRun:
-    """One run on a drive that was just loaded. ``pilot``: it counts what errors come to."""
+    """One run on a drive that was just loaded.
+
+    Attributes:
+        drive: The drive.
+        chances: The model's probability of each error in one decision, ``(kinds,)``.
+        proposal: The raised proposal; None draws from the model.
+        seed: The seed of the errors.
+        pilot: Whether the run counts the results of errors.
+        errors: Makes drivers err.
+        decisions: Draws the errors.
+        counts: The counts of a pilot run.
+    """
 
     drive: Drive
-    chances: Floats  # (kinds,): of the model, in a slot
+    chances: Floats
     proposal: ErrorProposal | None
     seed: int
     pilot: bool = False
@@ -71,10 +92,16 @@ class RateRun:
         self._hours = self._km = self._weighted_hours = self._weighted_km = 0.0
 
     def until(self, ego: str | None, start: float, end: float, duration: float) -> RateRecord:
-        """Drive until the ego has driven for ``duration`` s, has left or touches a vehicle.
+        """Drive until the ego has driven for a time, has left, or touches a vehicle.
 
-        end [s]: at the latest. ego: None = the first vehicle that is inserted after ``start`` [s].
-        Raises SimulationError.
+        Args:
+            ego: The id of the ego; None takes the first vehicle that is inserted after ``start``.
+            start: The time after which an ego is chosen [s].
+            end: The latest end of the run [s].
+            duration: The time that the ego drives [s].
+
+        Raises:
+            SimulationError: SUMO fails.
         """
         drive, dt = self.drive, self.drive.recording.step_length
         every, left = round(DECISION_INTERVAL_S / dt), round(duration / dt)
@@ -105,12 +132,14 @@ class RateRun:
         return self._record()
 
     def _record(self) -> RateRecord:
+        """Return the record so far."""
         weighted = self._weighted_hours, self._weighted_km
         return RateRecord(self.seed, self._hours, self._km, *weighted, self.decisions.weight)
 
     # -- errors -------------------------------------------------------------------------------------------------
 
     def _decide(self) -> None:
+        """Draw and begin the errors of the drivers near the ego."""
         drive = self.drive
         assert drive.ego is not None
         ego = drive.state(drive.ego)
@@ -143,7 +172,7 @@ class RateRun:
     # -- contacts -----------------------------------------------------------------------------------------------
 
     def _touched(self) -> tuple[str, float] | None:
-        """The first vehicle that the ego touched in the last step, and when [s]."""
+        """Return the first vehicle that the ego touched in the last step, and when [s]."""
         drive, dt = self.drive, self.drive.recording.step_length
         ego = drive.ego
         assert ego is not None
@@ -162,6 +191,7 @@ class RateRun:
         return (min(contacts)[1], min(contacts)[0]) if contacts else None
 
     def _judged(self, foe: str, when: float) -> RateRecord:
+        """Drive on for a while, judge the contact, and return the record."""
         record, drive = self._record(), self.drive
         error = self.errors.last.get(foe)
         recent = error is not None and when - error.since < MAX_ERROR_AGE_S
@@ -185,20 +215,25 @@ class RateRun:
 
 
 def boxes_of(states: Sequence[VehicleState]) -> Boxes:
+    """Return the boxes of vehicles, ``(vehicles,)``.
+
+    Args:
+        states: The states of the vehicles.
+    """
     z = np.array([s.z for s in states])
     boxes = Boxes(*(np.array([getattr(s, name) for s in states]) for name in BOX_FIELDS))
     return replace(boxes, z=z) if z.any() else boxes
 
 
 def _rows(drive: Drive, vehicle: str) -> Boxes:
-    """A vehicle's last two states ``(2,)``."""
+    """Return a vehicle's last two states, ``(2,)``."""
     return boxes_of([drive.simulation.state(snapshot, vehicle) for snapshot in drive.recording.snapshots[-2:]])
 
 
 def _clear(a: RawState, b: RawState, size_a: tuple[float, float], size_b: tuple[float, float], dt: float) -> bool:
-    """Whether an axis of ``a`` separates the boxes by more than they can have come nearer in a step.
+    """Return whether an axis of ``a`` separates the boxes by more than they can have approached in a step.
 
-    SUMO's states: positions are those of the front bumpers, angles are in degrees clockwise from north.
+    SUMO's states are used: positions are those of the front bumpers, angles are in degrees clockwise from north.
     """
     heading, turn = heading_of(a[2]), math.radians(a[2] - b[2])
     c, s, ct, st = math.cos(heading), math.sin(heading), math.cos(turn), math.sin(turn)

@@ -1,1 +1,1 @@
-"""Found attacks kept as cases, and run again reactively against any driver: ``sumo-adv keep`` and ``regress``."""
+"""Keep found attacks as cases, and rerun them reactively against any driver: ``sumo-adv keep`` and ``regress``."""

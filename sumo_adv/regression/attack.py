@@ -1,8 +1,8 @@
-"""The attack of a case on another driver: as it was kept, then near its numbers.
+"""The attack of a case on another driver: first as it was kept, then with nearby parameters.
 
-Without a search a case is one attempt. It is more where the ego arrives otherwise than the one that the case was found
-with, and where more attempts are asked for: then the numbers are moved to the new situation and varied around what came
-nearest, as the search does (``search/evolution.py``).
+Normally a case is one attempt. More attempts are made if the ego arrives differently from the one that the case was
+found with, or if the user asks for more. Then the parameters are adapted to the new situation and varied around the
+best attempts, as in the search (``search/evolution.py``).
 """
 
 from __future__ import annotations
@@ -23,19 +23,29 @@ from sumo_adv.search.evolution import Evolution
 from sumo_adv.search.sampling import Sampler
 from sumo_adv.search.settings import SearchSettings
 
-NEARBY_ATTEMPTS = 8  # attempts against an ego that arrives otherwise
+NEARBY_ATTEMPTS = 8  # attempts against an ego that arrives differently
 
 
 @dataclass(frozen=True, slots=True)
 class Arrived:
-    """How the ego came to the trigger; ``otherwise``: than in the kept case, in words, empty if it did not."""
+    """How the ego arrived at the start of the attack.
+
+    Attributes:
+        situation: The situation of the ego and the adversary.
+        otherwise: How it differs from the kept case, in words; empty if it does not.
+    """
 
     situation: AtTrigger
     otherwise: str
 
 
 def arrived(case: KeptCase, encounter: FoundEncounter) -> Arrived:
-    """How the ego came to the start of the case's attack."""
+    """Compare the situation at the start of the attack with that of the kept case.
+
+    Args:
+        case: The kept case.
+        encounter: The encounter with the ego under test.
+    """
     p = case.proposal
     here = encounter.situations[p.delay]
     situation = AtTrigger.of(here.ego, here.targets[p.bv].state)
@@ -50,11 +60,19 @@ def attack(
     encounter: FoundEncounter,
     attempts: int,
 ) -> tuple[Refinement, Arrived]:
-    """Attack the ego until an attempt breaks what the case expects, ``attempts`` times at most, and ``NEARBY_ATTEMPTS``
-    times at least if the ego arrives otherwise.
+    """Attack the ego until an attempt breaks what the case expects.
+
+    Args:
+        case: The kept case.
+        settings: The settings of the run.
+        engine: Simulates attempts.
+        sandbox: Runs planners.
+        encounter: The encounter with the ego under test.
+        attempts: The maximum number of attempts. If the ego arrives differently, the maximum is at least
+            ``NEARBY_ATTEMPTS``.
 
     Returns:
-        The attempts, of which the one that came nearest to that is the best, and how the ego arrived.
+        The attempts, whose best one is confirmed, and how the ego arrived.
     """
     came, runner = arrived(case, encounter), runner_of(engine, sandbox, encounter, settings)
     done = attack_once(encounter, runner, settings, case.proposal, case.run_input.asked)
@@ -83,7 +101,12 @@ def attack(
 
 
 def breaks(expect: Expectation, verdict: Verdict) -> bool:
-    """Whether an attempt shows that the ego does not do what is expected of it."""
+    """Return whether an attempt shows that the ego does not do what is expected of it.
+
+    Args:
+        expect: What is expected of the ego.
+        verdict: The verdict on the attempt.
+    """
     if not verdict.counts:
         return False
     near = expect.min_ttc is not None and verdict.min_ttc <= expect.min_ttc

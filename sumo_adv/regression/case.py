@@ -1,8 +1,8 @@
-"""One kept attack: the folder of a case, read and checked. ``docs/regression.md`` says what case.toml holds.
+"""One kept attack: the folder of a case, read and checked. ``docs/regression.md`` describes case.toml.
 
 SUITE/networks/NAME.net.xml    networks that do not come with the program, once each
 SUITE/CASE/scenario.toml       road, traffic, ego and trigger: an input of ``sumo-adv run`` like any other
-SUITE/CASE/planner.py          the adversary's planner; it only ever runs in the sandbox, unless it is a shipped one
+SUITE/CASE/planner.py          the adversary's planner; it runs only in the sandbox, unless it is a shipped one
 SUITE/CASE/planner_2.py, _3    those of supports, in the order of case.toml
 SUITE/CASE/case.toml           the attack and what is expected of the ego
 """
@@ -34,7 +34,10 @@ HASH_DIGITS = 12
 SHAPING = (
     "seed", "step_length", "history", "duration", "replan", "delays", "forecast", "ttc", "limits", "sumo_options",
 )  # fmt: skip
-"""The settings that shape the run of one given attack, all that a case may set; the horizon stands in its scenario."""
+"""The settings that shape the run of one given attack.
+
+A case may set only these; the horizon is part of its scenario.
+"""
 Avoided = Literal["critical", "collision", "valid", "strict", "serious"]
 
 
@@ -119,12 +122,23 @@ class _File(_Table):
 
 @dataclass(frozen=True, slots=True)
 class KeptCase:
-    """A kept attack. ``settings``: those that shape the run, as data; ``level``: that it reached when it was kept.
+    """A kept attack.
 
-    relations: of the adversaries to the ego at the trigger, by id. ego_driven_from: the earliest time at which the
-    ego's driver takes over [s], None = as soon as the ego is there. ego_before: the vehicles that it drives before, and
-    when it takes over and releases each [s]. situation: how both stood to each other when the attack began, None in
-    cases of earlier versions. notes: what has changed since the case was kept.
+    Attributes:
+        name: The name of the case.
+        folder: Its folder.
+        run_input: Its scenario.
+        proposal: The attack.
+        relations: The relation of each adversary to the ego at the trigger, by id.
+        expect: What is expected of the ego.
+        ego_driven_from: The earliest time at which the ego's driver takes over [s]; None means as soon as the ego
+            exists.
+        ego_before: The vehicles that the driver drives before the ego, each with the times at which it takes over and
+            releases the vehicle [s].
+        settings: The settings that shape the run, as data.
+        level: The level that the attack reached when it was kept.
+        situation: The ego and the adversary when the attack began; None in cases of earlier versions.
+        notes: What has changed since the case was kept.
     """
 
     name: str
@@ -142,12 +156,18 @@ class KeptCase:
 
 
 def read_suite(folder: Path) -> list[KeptCase]:
-    """The cases of a suite, by name. Raises UsageError: there are none, one of them is damaged, or one lies in
-    another."""
+    """Read the cases of a suite, by name.
+
+    Args:
+        folder: The folder of a suite, or of a single case.
+
+    Raises:
+        UsageError: There are no cases, one of them is damaged, or one lies in another.
+    """
     refuse_links(folder)
     files = sorted(folder.glob(f"*/{CASE_FILE}")) if folder.is_dir() else []
     if (folder / CASE_FILE).is_file():
-        if files:  # which would not be run, and nobody would hear of it
+        if files:  # otherwise they would be skipped silently
             raise UsageError(f"{folder} is a case and holds the case {files[0].parent.name}: move one of them.")
         return [read_case(folder)]
     if not files:
@@ -156,7 +176,14 @@ def read_suite(folder: Path) -> list[KeptCase]:
 
 
 def read_case(folder: Path) -> KeptCase:
-    """The case in a folder, checked. Raises UsageError: a file is missing, damaged, or does not fit the others."""
+    """Read and check the case in a folder.
+
+    Args:
+        folder: The folder of the case.
+
+    Raises:
+        UsageError: A file is missing, is damaged, or does not fit the others.
+    """
     file = folder / CASE_FILE
     name = folder.name if folder.name not in ("", "..") else folder.resolve().name  # its place in the suite
     given = _parsed(file)
@@ -189,12 +216,16 @@ def read_case(folder: Path) -> KeptCase:
 
 
 def planner_file(member: int) -> str:
-    """The file of an adversary's planner, by its place in the attack: 0 is the collider."""
+    """Return the file of an adversary's planner.
+
+    Args:
+        member: The place of the adversary in the attack; 0 is the collider.
+    """
     return PLANNER_FILE if member == 0 else f"planner_{member + 1}.py"
 
 
 def _proposal(file: Path, planner: str, member: _Member, delay: float) -> Proposal:
-    """What one adversary of the case in ``file`` does. Raises UsageError."""
+    """Return what one adversary of a case does; raise UsageError if its planner or parameters cannot be used."""
     try:
         acceleration, text = acceleration_of(member.acceleration), (file.parent / planner).read_text(encoding="utf-8")
         made = make_planner(member.intent, member.mode, text, member.origin)
@@ -211,11 +242,16 @@ def _proposal(file: Path, planner: str, member: _Member, delay: float) -> Propos
 
 
 def hash_of(file: Path) -> str:
-    """The first digits of the SHA-256 of a file."""
+    """Return the first ``HASH_DIGITS`` digits of the SHA-256 of a file.
+
+    Args:
+        file: The path of the file.
+    """
     return hashlib.sha256(file.read_bytes()).hexdigest()[:HASH_DIGITS]
 
 
 def _parsed(file: Path) -> _File:
+    """Parse a case.toml; raise UsageError if it is wrong."""
     try:
         return _File.model_validate(read_toml(file, "The case"))
     except ValidationError as error:

@@ -1,4 +1,4 @@
-"""From the folder of a run to the folder of a case: what ``sumo-adv keep`` writes."""
+"""Turn the folder of a run into the folder of a case: what ``sumo-adv keep`` writes."""
 
 from __future__ import annotations
 
@@ -34,20 +34,29 @@ from sumo_adv.simulation.scenario import SCENARIO_FILE
 from sumo_adv.simulation.sumo_options import differing
 
 FOUND = ("level", "contact_time", "min_ttc", "delta_v", "severity", "preventable_by")
-HASH_AND_DASH_CHARACTERS = 13  # characters in front of an input's own name in a run's folder
+HASH_AND_DASH_CHARACTERS = 13  # characters before an input's original name in a run's folder
 PROPS = {"parked": "parked", "pedestrian": "pedestrians", "cyclist": "cyclists"}
 
 
 def keep_run(
     run: Path, suite: Path, expect: Expectation, name: str | None = None, passed_by: Sequence[str] | None = None
 ) -> tuple[Path, bool]:
-    """Write the attack of a run as a case into a suite; its folder, and whether it is new.
+    """Write the attack of a run as a case into a suite.
 
-    name: of the case; by default that of the input with the seed, and a number where that is taken by another attack.
-    passed_by: reference drivers that pass the case (``reference.py``), None where none was asked.
+    Args:
+        run: The folder of the run.
+        suite: The folder of the suite.
+        expect: What is expected of the ego.
+        name: The name of the case. By default it is that of the input with the seed, and a number if another attack has
+            that name.
+        passed_by: The reference drivers that pass the case (``reference.py``); None if none was tried.
 
-    Raises UsageError: no run's folder, a run without a collision or a low TTC, a name that is taken, or a suite that
-    cannot be written.
+    Returns:
+        The folder of the case, and whether it is new.
+
+    Raises:
+        UsageError: The folder is not that of a run, its attack reached no level, the name is taken, or the suite cannot
+            be written.
     """
     refuse_links(suite)
     recorded, texts = _texts(run, suite, expect, passed_by)
@@ -67,8 +76,19 @@ def keep_run(
 
 
 def held_in(run: Path, suite: Path, name: str | None = None) -> Path | None:
-    """The case in a suite that has the attack of a run already; None if there is none. Raises UsageError as
-    ``keep_run`` does."""
+    """Find the case in a suite that already has the attack of a run.
+
+    Args:
+        run: The folder of the run.
+        suite: The folder of the suite.
+        name: The name of the case; None takes that of the input with the seed.
+
+    Returns:
+        The folder of the case; None if there is none.
+
+    Raises:
+        UsageError: As ``keep_run``.
+    """
     recorded, texts = _texts(run, suite, Expectation(avoid="collision"), None)
     with sentences(suite):
         folder = _place(suite, name or _named(recorded), texts, fixed=name)
@@ -78,7 +98,7 @@ def held_in(run: Path, suite: Path, name: str | None = None) -> Path | None:
 def _texts(
     run: Path, suite: Path, expect: Expectation, passed_by: Sequence[str] | None
 ) -> tuple[RecordedRun, dict[str, str]]:
-    """What the manifest of a run records, and the texts of its case by file."""
+    """Return what the manifest of a run records, and the texts of its case by file."""
     recorded, outcome = read_manifest(run), read_outcome(run)
     if level_named((outcome.get("outcome") or {}).get("level")) is Level.NONE:
         raise UsageError(f"The attack of {run} reached no level, so there is nothing to keep.")
@@ -95,7 +115,7 @@ def _texts(
 
 
 def _situation(run: Path, recorded: RecordedRun, outcome: Mapping[str, Any]) -> AtTrigger | None:
-    """How the ego and the adversary stood to each other when the attack began; None where the states do not say."""
+    """Return the ego and the adversary when the attack began; None if the recorded states lack one of them."""
     when, tracks = float(outcome["trigger_time"]), {t.id: t for t in read_run(run).best}
     ego, adversary = (tracks.get(name) for name in (str(outcome["ego"]["id"]), recorded.proposal.bv))
     if ego is None or adversary is None:
@@ -105,11 +125,12 @@ def _situation(run: Path, recorded: RecordedRun, outcome: Mapping[str, Any]) -> 
 
 
 def _named(recorded: RecordedRun) -> str:
+    """Return the default name of a case."""
     return _slug(f"{recorded.run_input.name}-{recorded.settings.seed}")
 
 
 def _place(suite: Path, name: str, texts: Mapping[str, str], *, fixed: str | None) -> Path:
-    """A folder that is free, or holds the same case. Raises UsageError: the fixed name is taken."""
+    """Return a folder that is free, or holds the same case; raise UsageError if the fixed name is taken."""
     for k in range(1, 10_000):
         folder = suite / (name if k == 1 else f"{name}-{k}")
         if not folder.exists() or _same(folder, texts):
@@ -120,7 +141,7 @@ def _place(suite: Path, name: str, texts: Mapping[str, str], *, fixed: str | Non
 
 
 def _same(folder: Path, texts: Mapping[str, str]) -> bool:
-    """Whether a folder holds the same attack; its expectation and what is told of its finding may differ."""
+    """Return whether a folder holds the same attack; expectation and notes on the finding may differ."""
     held = {name: (folder / name).read_text(encoding="utf-8") for name in texts if (folder / name).is_file()}
     attack = [_attack_in(text[CASE_FILE]) for text in (held, texts) if CASE_FILE in text]
     same = all(held.get(name) == text for name, text in texts.items() if name != CASE_FILE)
@@ -128,16 +149,17 @@ def _same(folder: Path, texts: Mapping[str, str]) -> bool:
 
 
 def _attack_in(case: str) -> str:
-    """The tables ``[attack]`` and ``[settings]`` of the text of a case."""
+    """Return the tables ``[attack]`` and ``[settings]`` of the text of a case."""
     return case.partition("[attack]")[2].partition("[found]")[0]
 
 
 def _slug(name: str) -> str:
+    """Return a name that can be a folder's."""
     return "".join(c if c.isascii() and (c.isalnum() or c in "._-") else "-" for c in name).strip(".-") or "case"
 
 
 def _traffic(recorded: RecordedRun) -> dict[Path, str]:
-    """The run's copies of demand, additional files and recordings, and their names in the case."""
+    """Return the run's copies of demand, additional files and recordings, with their names in the case."""
     spec, played = recorded.task.spec, recorded.task.playback
     files = (*spec.routes, *spec.additional, *(played.files if played is not None else ()))
     names: dict[Path, str] = {}
@@ -152,7 +174,7 @@ def _traffic(recorded: RecordedRun) -> dict[Path, str]:
 
 
 def _network(network: Path, suite: Path) -> str:
-    """What the scenario calls a network: the name of a shipped one, or the path of its copy in the suite."""
+    """Return the scenario's name of a network: that of a shipped one, or the path of its copy in the suite."""
     own = network.name[HASH_AND_DASH_CHARACTERS:]
     shipped = data_folder("networks") / own
     if shipped.is_file() and hash_of(shipped) == hash_of(network):
@@ -161,6 +183,7 @@ def _network(network: Path, suite: Path) -> str:
 
 
 def _copy_network(network: Path, suite: Path) -> None:
+    """Copy a network into the suite, unless it is a shipped one or is there."""
     target = _copy_of(network, suite)
     if _network(network, suite).startswith("..") and not target.exists():
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -168,7 +191,7 @@ def _copy_network(network: Path, suite: Path) -> None:
 
 
 def _copy_of(network: Path, suite: Path) -> Path:
-    """Where the suite has its copy of a network; with its hash in the name if another network has that name."""
+    """Return the path of a network's copy in the suite; its hash is in the name if another network has that name."""
     copy = suite / NETWORKS_FOLDER / network.name[HASH_AND_DASH_CHARACTERS:]
     return copy.with_name(network.name) if copy.exists() and hash_of(copy) != hash_of(network) else copy
 
@@ -177,6 +200,7 @@ def _copy_of(network: Path, suite: Path) -> Path:
 
 
 def _scenario(recorded: RecordedRun, outcome: Mapping[str, Any], suite: Path) -> str:
+    """Return the text of the scenario."""
     task, settings = recorded.task, recorded.settings
     spec, played, files = task.spec, task.playback, _traffic(recorded)
     encounter, helpers = outcome["encounter"], list(recorded.proposal.bvs[1:])
@@ -203,6 +227,7 @@ def _scenario(recorded: RecordedRun, outcome: Mapping[str, Any], suite: Path) ->
 
 
 def _ego(ego: str | EgoRoute | None, name: str) -> dict[str, Any]:
+    """Return the table of the ego."""
     if not isinstance(ego, EgoRoute):
         return {"id": name}
     return {
@@ -211,6 +236,7 @@ def _ego(ego: str | EgoRoute | None, name: str) -> dict[str, Any]:
 
 
 def _box(prop: Prop) -> dict[str, Any]:
+    """Return the table of an object beside the road."""
     keys = ("x", "y", "heading", "length", "width", "speed")
     always = prop.start == 0.0 and math.isinf(prop.end)
     return {k: getattr(prop, k) for k in keys} | {"times": None if always else [prop.start, prop.end]}
@@ -220,6 +246,7 @@ def _case(
     recorded: RecordedRun, outcome: Mapping[str, Any], relations: Mapping[str, str], expect: Expectation,
     passed_by: Sequence[str] | None, situation: AtTrigger | None,
 ) -> str:  # fmt: skip
+    """Return the text of case.toml."""
     p, task = recorded.proposal, recorded.task
     encounter, verdict = outcome["encounter"], outcome["outcome"]
     before = encounter.get("driven_before", ()) if task.ego is None else task.driven_before
@@ -244,6 +271,7 @@ def _case(
 
 
 def _supports(p: Proposal, relations: Mapping[str, str]) -> Sequence[str]:
+    """Return the lines of the supports."""
     lines = list[str]()
     for q in p.supports:
         written = {
@@ -256,6 +284,7 @@ def _supports(p: Proposal, relations: Mapping[str, str]) -> Sequence[str]:
 
 
 def _settings(recorded: RecordedRun) -> Sequence[str]:
+    """Return the lines of the settings."""
     shaping = recorded.settings.model_dump(mode="json", include=set(SHAPING))
     del shaping["sumo_options"]
     lines = toml_lines({k: shaping[k] for k in SHAPING if k in shaping})

@@ -1,7 +1,7 @@
-"""Which reference driver passes a case before it is kept: a case that no one can pass says nothing about a driver.
+"""Find the reference driver that passes a case before it is kept: a case that no driver can pass is no test.
 
-``careful`` drives each case as ``regress --ego careful`` does. If it does not pass, those of ``manoeuvre`` and
-``reg157`` count that avoid the collision by the verdict, in its kinematic check and in the loop.
+``careful`` drives each case as ``regress --ego careful`` does. If it does not pass, the case counts as passed by those
+of ``manoeuvre`` and ``reg157`` that avoid the collision by the verdict, in its kinematic check and in the loop.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ DRIVER, ITS_CHECK = "careful", "cc_human"
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """What reference drivers make of an attack.
+    """The result of reference drivers on an attack.
 
     Attributes:
         passed_by: The drivers that pass it.
-        expect: What is to be expected of an ego.
+        expect: What should be expected of an ego.
         why: Why ``careful`` does not pass, in a sentence; empty if it does.
     """
 
@@ -42,13 +42,16 @@ class Reference:
 def references(
     runs: Sequence[Path], expect: Expectation | None, workers: int, tell: Callable[[], None]
 ) -> list[Reference]:
-    """What reference drivers make of the attacks of runs, in order.
+    """Test the attacks of runs with reference drivers.
 
     Args:
         runs: The folders of the runs.
-        expect: What is expected of an ego; None: what the reference driver does.
-        workers: Processes.
+        expect: What is expected of an ego; None expects what the reference driver does.
+        workers: The number of processes.
         tell: Called when a run is done.
+
+    Returns:
+        The results, in order.
 
     Raises:
         UsageError: The attack of a run cannot be kept.
@@ -73,7 +76,7 @@ def references(
             measured = by_case[case.name]
             result = judged(case, measured, None)
             passes = result.result is CaseResult.PASS
-            of_contacts = case.expect.min_ttc is None  # of what the verdict says something
+            of_contacts = case.expect.min_ttc is None  # the verdict judges only contacts
             passed_by = (DRIVER,) if passes else _by_the_verdict(run) if of_contacts else ()
             chosen = expect or _below(_expected(case.level, measured, bool(passed_by)))
             answers.append(Reference(passed_by, chosen, "" if passes else result.sentence))
@@ -81,17 +84,20 @@ def references(
 
 
 def _below(level: Level) -> Expectation:
+    """Return the expectation that an ego avoids a level."""
     return Expectation.model_validate({"avoid": str(level)})
 
 
 def _least(run: Path) -> Level:
-    """The level that a reference driver must stay below: a collision, or the near miss that was found."""
+    """Return the level that a reference driver must stay below: a collision, or the near miss that was found."""
     return min(level_named((read_outcome(run).get("outcome") or {}).get("level")), Level.COLLISION)
 
 
 def _expected(found: Level, measured: CaseMeasurements, passed: bool) -> Level:
-    """The level that an ego must stay below: the lowest one that a reference driver stays below, at most that which was
-    found."""
+    """Return the level that an ego must stay below.
+
+    It is the lowest one that a reference driver stays below, and at most the level that was found.
+    """
     least = min(found, Level.COLLISION)
     if passed or measured.broken:
         return least
@@ -99,6 +105,6 @@ def _expected(found: Level, measured: CaseMeasurements, passed: bool) -> Level:
 
 
 def _by_the_verdict(run: Path) -> tuple[str, ...]:
-    """Drivers other than the careful one that avoid the collision of a run by its verdict."""
+    """Return the drivers other than the careful one that avoid the collision of a run by its verdict."""
     avoiding = (read_outcome(run).get("outcome") or {}).get("preventable_by") or ()
     return tuple(name for name in avoiding if name in COMPETENT and name != ITS_CHECK)

@@ -1,6 +1,6 @@
-"""Runs cases one after another in one process, where sandbox, engine and imports stay warm.
+"""Run cases one after another in one process, in which sandbox, engine and imports stay warm.
 
-A case is measured, and judged by what is expected of the ego.
+Each case is measured, and judged against the expectation of the ego.
 """
 
 from __future__ import annotations
@@ -38,25 +38,25 @@ from sumo_adv.report.folder import all_sizes, write_run
 from sumo_adv.report.staging import staged
 from sumo_adv.simulation.tracks import tracks_of
 
-NO_CONCERN_TTC_S = 4.0  # a larger TTC is no danger to a driver (Minderhoud and Bovy 2001), so it is not compared
-TTC_TOLERANCE_S = 0.1  # a step of the simulation: a smaller loss of TTC is not worse
-DELTA_V_TOLERANCE_M_S = 0.447  # m/s (1 mph, the bound of negligible severity): a smaller gain of delta-v is not worse
+NO_CONCERN_TTC_S = 4.0  # larger TTCs are no danger to a driver (Minderhoud and Bovy 2001), so they are not compared
+TTC_TOLERANCE_S = 0.1  # a step of the simulation; a smaller loss of TTC is not worse
+DELTA_V_TOLERANCE_M_S = 0.447  # 1 mph, the bound of negligible severity; a smaller increase of delta-v is not worse
 CONCERN_DISTANCE_M, CONCERN_TTC_S = (
     5.0,
     3.0,
-)  # an attack that came to neither was no danger, so it says nothing of the driver
-INPUTS = "inputs"  # beside the runs: networks and demand, each content once
+)  # an attack that stays above both was no danger, so it says nothing about the driver
+INPUTS = "inputs"  # folder beside the runs with networks and demand, each content once
 
 
 class CaseResult(StrEnum):
-    """How a case ended. Only ``PASS`` passes; those of ``UNTESTED`` say nothing about the ego."""
+    """How a case ended. Only ``PASS`` passes; those in ``UNTESTED`` say nothing about the ego."""
 
     PASS = "pass"
     FAIL = "fail"
-    NO_ENCOUNTER = "no encounter"  # the ego never came into the trigger's situation
-    NOT_REACHED = "not reached"  # the attack, which was a collision, no longer comes near the ego
-    INVALID = "invalid"  # the adversary could not drive the attack as a car can
-    ERROR = "error"  # the ego's driver or the simulation broke
+    NO_ENCOUNTER = "no encounter"  # the ego never reached the trigger's situation
+    NOT_REACHED = "not reached"  # the attack, once a collision, no longer comes near the ego
+    INVALID = "invalid"  # the adversary would have to move as no car can, or its planner failed
+    ERROR = "error"  # the ego's driver or the simulation failed
 
 
 LevelName = Literal["none", "critical", "collision", "valid", "strict", "serious"]
@@ -65,17 +65,37 @@ UNTESTED = (CaseResult.NO_ENCOUNTER, CaseResult.NOT_REACHED, CaseResult.INVALID)
 
 @dataclass(frozen=True, slots=True)
 class CaseMeasurements:
-    """The outcome of a case. Times in s, speeds in m/s, never = None.
+    """The measurements of a case.
 
-    broken: why nothing was measured, with ``missed``: because there was no encounter. level, collided, rear_end,
-    failed_gates, min_ttc, delta_v, severity, contact_time, preventable_by: of the attempt's verdict. touched: another
-    vehicle or object that the ego ran into. planner: why the adversary's planner failed. seconds: that it took. cause,
-    cause_sentence: the kind of cause of a contact or near miss, and the cause in words.
+    The verdict is that of the attempt that counts. A value that never occurs is None.
 
-    arrived: how the ego stood to the adversary when the attack began; otherwise: how that differs from the kept case,
-    in words, empty if it does not. attempts: that were made; near: whether one of them came near the ego; min_distance
-    [m]: in the one that counts. progress: how far the ego drove in it [m]; jerk: its largest one [m/s3];
-    time_to_end: that it drove [s]; all from the start of the attack to the contact or the end.
+    Attributes:
+        case: The name of the case.
+        ego: The driver under test.
+        broken: Why nothing was measured; empty if something was.
+        missed: Whether nothing was measured because there was no encounter.
+        level: The level by the verdict.
+        collided: Whether ego and adversary collided.
+        rear_end: Whether the adversary ran into the ego's rear.
+        failed_gates: The gates that failed.
+        min_ttc: The minimum TTC [s].
+        delta_v: The ego's delta-v [m/s].
+        severity: The severity by the verdict.
+        contact_time: The time of the contact [s].
+        preventable_by: The reference drivers that avoid the collision.
+        touched: Another vehicle or object that the ego ran into.
+        planner: Why the adversary's planner failed; empty if it did not.
+        seconds: The time that the case took [s].
+        cause: The kind of cause of a contact or near miss.
+        cause_sentence: The cause in words.
+        arrived: The ego and the adversary when the attack began.
+        otherwise: How that differs from the kept case, in words; empty if it does not.
+        attempts: The number of attempts.
+        near: Whether an attempt came near the ego.
+        min_distance: The minimum distance [m].
+        progress: How far the ego drove from the start of the attack to the contact or the end [m].
+        jerk: The ego's largest jerk in that time [m/s3].
+        time_to_end: The duration of that time [s].
     """
 
     case: str
@@ -107,13 +127,20 @@ class CaseMeasurements:
 
     @property
     def compared_ttc(self) -> float:
-        """The least TTC as far as it matters [s]."""
+        """The minimum TTC, capped at ``NO_CONCERN_TTC_S`` [s]."""
         return NO_CONCERN_TTC_S if self.min_ttc is None else min(self.min_ttc, NO_CONCERN_TTC_S)
 
 
 @dataclass(frozen=True, slots=True)
 class JudgedCase:
-    """A case with its result and the reason, in a sentence. ``before``: the same case in the baseline."""
+    """A case with its result.
+
+    Attributes:
+        measured: The measurements.
+        result: The result.
+        why: The reason, in a sentence.
+        before: The same case in the baseline; None without one.
+    """
 
     measured: CaseMeasurements
     result: CaseResult
@@ -122,15 +149,23 @@ class JudgedCase:
 
     @property
     def sentence(self) -> str:
+        """The reason and, if the case fails, the cause."""
         cause = self.measured.cause_sentence if self.result is CaseResult.FAIL and self.measured.touched is None else ""
         return " ".join(filter(None, (self.why, cause)))
 
     def row(self) -> dict[str, Any]:
+        """Return the row of the JSON file."""
         return {"result": str(self.result), "why": self.why, **asdict(self.measured)}
 
 
 def judged(case: KeptCase, measured: CaseMeasurements, before: CaseMeasurements | None) -> JudgedCase:
-    """Whether a case came to what is expected of the ego. ``before``: what the baseline measured, None without one."""
+    """Judge whether a case meets what is expected of the ego.
+
+    Args:
+        case: The kept case.
+        measured: The measurements.
+        before: The measurements in the baseline; None without one.
+    """
     m = measured
     if m.missed:
         return JudgedCase(m, CaseResult.NO_ENCOUNTER, m.broken, before)
@@ -151,7 +186,7 @@ def judged(case: KeptCase, measured: CaseMeasurements, before: CaseMeasurements 
 
 
 def _far(m: CaseMeasurements) -> str:
-    """Why nothing can be said of an ego that the attack does not come near."""
+    """Say that an attack did not come near the ego, so that the case tests nothing."""
     arrives = f"The ego arrives {m.otherwise}" if m.otherwise else "The ego arrives as in the kept case"
     tries = f"{m.attempts} attempts" if m.attempts > 1 else "the attack"
     stays = "" if m.min_distance is None else f": it stays {m.min_distance:.0f} m away"
@@ -159,7 +194,7 @@ def _far(m: CaseMeasurements) -> str:
 
 
 def _broken_expectation(expect: Expectation, m: CaseMeasurements, before: CaseMeasurements | None) -> str:
-    """What does not hold, or empty."""
+    """Say which expectation does not hold; empty if all hold."""
     if expect.level is not None and Level[m.level.upper()] >= expect.level:
         return f"The attack reaches {m.level}; it must stay below {expect.avoid}."
     counts = not m.rear_end and not m.failed_gates
@@ -169,7 +204,10 @@ def _broken_expectation(expect: Expectation, m: CaseMeasurements, before: CaseMe
 
 
 def _worse(measured: CaseMeasurements, before: CaseMeasurements | None) -> str:
-    """Why a case is worse than in the baseline, or empty. A baseline that broke or missed the encounter had no hit."""
+    """Say why a case is worse than in the baseline; empty if it is not.
+
+    A baseline that failed or missed the encounter counts as not hit.
+    """
     before = before or CaseMeasurements(measured.case, "")
     hit, hit_before = (m.collided and not m.rear_end for m in (measured, before))
     if hit and not hit_before:
@@ -187,13 +225,25 @@ MEASURED = TypeAdapter(CaseMeasurements)
 
 
 def measured_of(row: Mapping[str, Any]) -> CaseMeasurements:
-    """A measurement from a row of the JSON file, without what else stands there. Raises ValidationError."""
+    """Return a measurement from a row of the JSON file; other keys are ignored.
+
+    Args:
+        row: The row.
+
+    Raises:
+        ValidationError: The row has a wrong value.
+    """
     return MEASURED.validate_python(row)
 
 
 @dataclass(frozen=True, slots=True)
 class CaseJob:
-    """A case to run. ``id``: its name."""
+    """A case to run.
+
+    Attributes:
+        id: The name of the case.
+        folder: Its folder.
+    """
 
     id: str
     folder: Path
@@ -201,8 +251,13 @@ class CaseJob:
 
 @dataclass(frozen=True, slots=True)
 class SuiteSetup:
-    """What each worker needs. runs: where the folders of the runs go; ego: the driver under test; attempts: that a case
-    may take."""
+    """What each worker needs.
+
+    Attributes:
+        runs: The folder for the folders of the runs.
+        ego: The driver under test.
+        attempts: The maximum number of attempts of a case.
+    """
 
     runs: Path
     ego: str
@@ -210,17 +265,27 @@ class SuiteSetup:
 
 
 class CaseRunner(WarmProcesses):
-    """Holds what stays warm; a context manager."""
+    """Runs cases with warm processes. Use it in a ``with`` statement."""
 
     def __init__(self, setup: SuiteSetup) -> None:
+        """Start without processes.
+
+        Args:
+            setup: What each worker needs.
+        """
         self._setup = setup
         super().__init__()
         forget_environment()
 
     def run(self, job: CaseJob, *, last: bool) -> Done:
-        """One case, and the folder of its run in its place. A driver that breaks is what the case came to.
+        """Run one case, and write the folder of its run. A driver that fails is a result of the case.
 
-        Raises OSError: nothing can be written.
+        Args:
+            job: The case.
+            last: Ignored.
+
+        Raises:
+            OSError: The folder cannot be written.
         """
         began = time.perf_counter()
         text = ""
@@ -235,6 +300,7 @@ class CaseRunner(WarmProcesses):
         return Done(job.id, asdict(replace(measured, seconds=time.perf_counter() - began)), text=text)
 
     def _run(self, case: KeptCase) -> CaseMeasurements:
+        """Run a case, write its folder and measure it."""
         settings = settings_for(case, self._setup.ego)
         with tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch:
             task = task_for(case, settings, Path(scratch))
@@ -252,8 +318,17 @@ class CaseRunner(WarmProcesses):
 
 
 def settings_for(case: KeptCase, ego: str) -> Settings:
-    """The settings of a case with another driver. The case's parameters of the ego are those of the driver it was kept
-    with. Raises UsageError."""
+    """Return the settings of a case with another driver.
+
+    The case's parameters of the ego apply only to the driver that it was kept with.
+
+    Args:
+        case: The kept case.
+        ego: The driver under test.
+
+    Raises:
+        UsageError: A setting is wrong.
+    """
     run_input = case.run_input
     parameters = dict(run_input.ego_parameters) if ego == run_input.ego_controller else {}
     options = {
@@ -268,7 +343,16 @@ def settings_for(case: KeptCase, ego: str) -> Settings:
 
 
 def task_for(case: KeptCase, settings: Settings, scratch: Path) -> Task:
-    """What the engine is opened with. Raises UsageError."""
+    """Return the task that the engine is opened with.
+
+    Args:
+        case: The kept case.
+        settings: The settings of the run.
+        scratch: A folder for temporary files.
+
+    Raises:
+        UsageError: The input is wrong.
+    """
     run_input = replace(case.run_input, ego_parameters={})
     task = make_task(run_input, settings, scratch)
     return replace(task, driven_from=case.ego_driven_from, driven_before=case.ego_before, delay=case.proposal.delay)
@@ -277,9 +361,21 @@ def task_for(case: KeptCase, settings: Settings, scratch: Path) -> Task:
 def run_case(
     case: KeptCase, settings: Settings, task: Task, engine: EpisodeEngine, sandbox: Sandbox, attempts: int
 ) -> tuple[Run, Arrived] | str:
-    """Drive to the trigger and attack as the case says; or why there was no encounter.
+    """Drive to the trigger, and attack as the case says.
 
-    Raises SumoAdvError: the driver or the simulation broke.
+    Args:
+        case: The kept case.
+        settings: The settings of the run.
+        task: The task of the engine.
+        engine: Simulates the encounter and the attempts.
+        sandbox: Runs planners.
+        attempts: The maximum number of attempts.
+
+    Returns:
+        The run and how the ego arrived, or a sentence that says why there was no encounter.
+
+    Raises:
+        SumoAdvError: The driver or the simulation failed.
     """
     run_input = replace(case.run_input, name=case.name)
     finder = EncounterFinder(run_input, settings, task, engine, lambda *_: None)
@@ -294,7 +390,15 @@ def run_case(
 
 
 def elsewhere(case: KeptCase, encounter: FoundEncounter) -> str:
-    """Why the encounter is another than the case's, or empty."""
+    """Say why an encounter is not the one of the case.
+
+    Args:
+        case: The kept case.
+        encounter: The encounter.
+
+    Returns:
+        The reason; empty if it is the same encounter.
+    """
     p, when = case.proposal, f"At the trigger, {encounter.time:g} s,"
     relations = {name: relation for name, relation, _ in encounter.ranking}
     for bv, relation in case.relations.items():
@@ -308,7 +412,14 @@ def elsewhere(case: KeptCase, encounter: FoundEncounter) -> str:
 
 
 def measure(case: KeptCase, run: Run, arrived: Arrived, outcome: Mapping[str, Any]) -> CaseMeasurements:
-    """Return the result of a case, by the attempt that counts."""
+    """Return the measurements of a case, from the attempt that counts.
+
+    Args:
+        case: The kept case.
+        run: The run.
+        arrived: How the ego arrived.
+        outcome: The content of ``outcome.json``.
+    """
     verdict, record = outcome["outcome"], run.best
     best = None if record is None else record.best
     assert record is not None and best is not None
@@ -331,13 +442,13 @@ def measure(case: KeptCase, run: Run, arrived: Arrived, outcome: Mapping[str, An
 
 
 def _near(attempt: Attempt) -> bool:
-    """Whether an attempt was a danger to the ego."""
+    """Return whether an attempt was a danger to the ego."""
     v = attempt.verdict
     return v.collided or v.min_distance <= CONCERN_DISTANCE_M or v.min_ttc <= CONCERN_TTC_S
 
 
 def _tracks(record: EncounterRecord, best: Attempt, step: float) -> dict[str, Track]:
-    """The motions in the attempt that counts, by id, from the trigger to its end."""
+    """Return the motions in the attempt that counts, by id, from the trigger to the contact or the end."""
     assert record.prefix is not None
     snapshots = [*record.prefix.snapshots[-1:], *record.results[best.index].snapshots]
     end = np.inf if best.verdict.contact_time is None else best.verdict.contact_time
@@ -346,7 +457,7 @@ def _tracks(record: EncounterRecord, best: Attempt, step: float) -> dict[str, Tr
 
 
 class _Drive(NamedTuple):
-    """How the ego drove from the start of the attack on [m, m/s3, s]; None where it was gone at once."""
+    """How the ego drove from the start of the attack on [m, m/s3, s]; None if it was gone at once."""
 
     progress: float | None = None
     jerk: float | None = None
@@ -354,7 +465,7 @@ class _Drive(NamedTuple):
 
 
 def _drive(ego: Track, best: Attempt) -> _Drive:
-    """How the ego drove in the attempt that counts: so a driver that creeps or jerks shows."""
+    """Measure how the ego drove in the attempt that counts, so that a driver that creeps or jerks shows."""
     t = ego.between(best.trigger_time, np.inf)
     if len(t.time) < 2:
         return _Drive()
@@ -364,7 +475,7 @@ def _drive(ego: Track, best: Attempt) -> _Drive:
 
 
 def _touched(ego: Track, tracks: Mapping[str, Track], best: Attempt, start: float) -> str | None:
-    """Another vehicle or object that the ego ran into before the end of the attempt."""
+    """Return another vehicle or object that the ego ran into before the end of the attempt."""
     others = [t for name, t in tracks.items() if name not in (ego.id, best.proposal.bv)]
     touched = first_other_contact(ego, others, start)
     return None if touched is None else touched[0]

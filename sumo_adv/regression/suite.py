@@ -1,8 +1,8 @@
-"""All cases of a suite against one driver: run on worker processes, judged, kept in a folder, and told.
+"""Run all cases of a suite against one driver on worker processes, judge them, write a folder, and report.
 
 OUT/regress.json    results and measurements; the file that --baseline takes
-OUT/results.csv     a row a case, as a batch has it: sumo-adv report OUT makes an index with the replays
-OUT/runs/CASE/      the run of each case that came to its encounter
+OUT/results.csv     one row per case, as in a batch: sumo-adv report OUT makes an index with the replays
+OUT/runs/CASE/      the run of each case that reached its encounter
 """
 
 from __future__ import annotations
@@ -43,20 +43,27 @@ from sumo_adv.report.staging import staged
 
 REGRESSION_SCHEMA = 1
 REGRESSION_FILE = "regress.json"
-CASE_DEADLINE_S = 300.0  # s after which a case is held to be stuck; one takes a few seconds
-CASES_PER_WORKER = 200  # cases after which a worker process is replaced
+CASE_DEADLINE_S = 300.0  # a case that takes longer is stuck; a case takes a few seconds
+CASES_PER_WORKER = 200  # a worker process is replaced after this many cases
 FORBIDDEN_IN_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")  # XML 1.0, section 2.2
 LINE_COLUMNS = ("case", "result", "level", "min TTC", "delta-v", "progress", "jerk", "time", "baseline", "")
 BASELINE = LINE_COLUMNS.index("baseline")
 PROPERTIES = (
     "level", "min_ttc", "min_distance", "delta_v", "progress", "jerk", "time_to_end", "attempts", "otherwise",
 )  # fmt: skip
-"""Measurements that JUnit has as properties of a test case."""
+"""The measurements that JUnit gets as properties of a test case."""
 
 
 @dataclass(frozen=True, slots=True)
 class SuiteRun:
-    """What a suite came to: its cases in order. ``waived``: cases that need not pass, by name."""
+    """The result of a suite.
+
+    Attributes:
+        suite: The name of the suite.
+        ego: The driver under test.
+        cases: The cases, in order.
+        waived: The cases that need not pass, by name.
+    """
 
     suite: str
     ego: str
@@ -65,16 +72,21 @@ class SuiteRun:
 
     @property
     def counts(self) -> Mapping[CaseResult, int]:
+        """The number of cases with each result."""
         counts = Counter(case.result for case in self.cases)
         return {result: counts[result] for result in CaseResult}
 
     def passed(self, *, allow_untested: bool) -> bool:
-        """Whether all cases pass but those that are waived, leaving out those that say nothing about the ego if they
-        are allowed."""
+        """Return whether all cases pass, except those that are waived.
+
+        Args:
+            allow_untested: Whether cases that say nothing about the ego are allowed.
+        """
         fine = {CaseResult.PASS, *(UNTESTED if allow_untested else ())}
         return all(case.result in fine or case.measured.case in self.waived for case in self.cases)
 
     def document(self) -> dict[str, Any]:
+        """Return the content of ``regress.json``."""
         return {
             "schema": REGRESSION_SCHEMA, "suite": self.suite, "ego": self.ego, "versions": versions(),
             "counts": {str(result): many for result, many in self.counts.items()},
@@ -82,6 +94,7 @@ class SuiteRun:
         }  # fmt: skip
 
     def _waived(self, case: JudgedCase) -> str | None:
+        """Return the words of a case's waiver; None without one."""
         waiver = self.waived.get(case.measured.case)
         return None if waiver is None else waiver.words
 
@@ -91,14 +104,25 @@ def run_suite(
     baseline: Mapping[str, CaseMeasurements] | None = None, waived: Mapping[str, Waiver] | None = None,
     tell: Callable[[JudgedCase], None] = lambda case: None,
 ) -> SuiteRun:  # fmt: skip
-    """Run each case against ``ego``, and write ``out``.
+    """Run each case against a driver, and write the results.
 
-    attempts: that a case may take; with more than one, numbers near those of the case are tried. waived: cases that
-    need not pass. tell: called with each case when it is done.
+    Args:
+        cases: The cases.
+        suite: The name of the suite.
+        ego: The driver under test.
+        out: The folder to write.
+        workers: The number of processes.
+        force: Whether to replace an earlier folder.
+        attempts: The maximum number of attempts of a case. With more than one, parameters near those of the case are
+            tried.
+        baseline: The measurements of an earlier run, by case; None without one.
+        waived: The cases that need not pass, by name.
+        tell: Called with each case when it is done.
 
     Raises:
-        UsageError: no such ego, a case without its baseline, or ``out`` is taken or cannot be written.
-        SumoAdvError: no worker process starts.
+        UsageError: The driver does not exist, a case lacks its baseline, two cases have the same name, or ``out`` is
+            taken or cannot be written.
+        SumoAdvError: No worker process starts.
     """
     make_ego(ego, {})
     known = baseline or {}
@@ -136,8 +160,19 @@ def measure_cases(
     attempts: int,
     tell: Callable[[CaseMeasurements], None],
 ) -> None:
-    """Run each case on worker processes. runs: a folder that is made for the folders of the runs; tell: called with
-    what each case came to. Raises SumoAdvError: no worker process starts."""
+    """Run each case on worker processes.
+
+    Args:
+        cases: The cases.
+        ego: The driver under test.
+        runs: The folder for the folders of the runs; it is created.
+        workers: The number of processes.
+        attempts: The maximum number of attempts of a case.
+        tell: Called with the measurements of each case.
+
+    Raises:
+        SumoAdvError: No worker process starts.
+    """
 
     def finished(job: Any, done: Done) -> None:
         tell(measured_of(done.row or {}))
@@ -159,7 +194,14 @@ def measure_cases(
 
 
 def read_results(path: Path) -> dict[str, Any]:
-    """The JSON file of a suite's run, or that in its folder. Raises UsageError."""
+    """Read the JSON file of a suite's run.
+
+    Args:
+        path: The file, or its folder.
+
+    Raises:
+        UsageError: The file cannot be read.
+    """
     file = path / REGRESSION_FILE if path.is_dir() else path
     try:
         document = read_json(file)
@@ -179,20 +221,44 @@ def read_results(path: Path) -> dict[str, Any]:
 
 
 def read_baseline(path: Path) -> dict[str, CaseMeasurements]:
-    """The measurements of another run of the suite, by case. Raises UsageError."""
+    """Read the measurements of another run of the suite, by case.
+
+    Args:
+        path: The JSON file, or its folder.
+
+    Raises:
+        UsageError: The file cannot be read.
+    """
     return {measured.case: measured for measured in map(measured_of, read_results(path)["cases"])}
 
 
 def write_junit(file: Path, run: SuiteRun, *, allow_untested: bool) -> None:
-    """Write the file, whole or not at all. Raises UsageError, SumoAdvError."""
+    """Write the JUnit file, whole or not at all.
+
+    Args:
+        file: The path of the file.
+        run: The result of the suite.
+        allow_untested: Whether cases that say nothing about the ego are allowed.
+
+    Raises:
+        UsageError: The file cannot be written.
+        SumoAdvError: The disk fails.
+    """
     with sentences(file):
         file.parent.mkdir(parents=True, exist_ok=True)
         write_text(file, junit(run, allow_untested=allow_untested))
 
 
 def junit(run: SuiteRun, *, allow_untested: bool) -> str:
-    """The text. A case that says nothing about the ego is a failure, or skipped if such cases are allowed. One that is
-    waived and does not pass is skipped."""
+    """Return the text of the JUnit file.
+
+    A case that says nothing about the ego is a failure, or skipped if such cases are allowed. A case that is waived and
+    does not pass is skipped.
+
+    Args:
+        run: The result of the suite.
+        allow_untested: Whether cases that say nothing about the ego are allowed.
+    """
     kinds = [_kind(case, allow_untested, case.measured.case in run.waived) for case in run.cases]
     suite = ElementTree.Element("testsuite", {
         "name": _clean(run.suite), "tests": str(len(run.cases)), "failures": str(kinds.count("failure")),
@@ -222,7 +288,7 @@ def junit(run: SuiteRun, *, allow_untested: bool) -> str:
 
 
 def _kind(case: JudgedCase, allow_untested: bool, waived: bool) -> str:
-    """The element inside the test case; empty if it passes."""
+    """Return the element inside the test case; empty if the case passes."""
     if case.result is CaseResult.PASS:
         return ""
     if waived:
@@ -233,11 +299,16 @@ def _kind(case: JudgedCase, allow_untested: bool, waived: bool) -> str:
 
 
 def _clean(text: str) -> str:
+    """Replace characters that XML forbids."""
     return FORBIDDEN_IN_XML.sub("\ufffd", text)
 
 
 def lines(run: SuiteRun) -> list[str]:
-    """A line a case, and a sum; the baseline's column only if there is a baseline."""
+    """Return one line for each case, and a summary. The baseline's column is shown only if there is a baseline.
+
+    Args:
+        run: The result of the suite.
+    """
     rows = [_row(case, run.waived.get(case.measured.case)) for case in run.cases]
     shown = [k for k in range(len(LINE_COLUMNS)) if k != BASELINE or any(case.before for case in run.cases)]
     widths = [max(len(row[k]) for row in (LINE_COLUMNS, *rows)) for k in range(len(LINE_COLUMNS))]
@@ -250,6 +321,7 @@ def lines(run: SuiteRun) -> list[str]:
 
 
 def _row(case: JudgedCase, waiver: Waiver | None) -> Sequence[str]:
+    """Return the columns of a case."""
     m = case.measured
     figures: Sequence[str] = ("-",) * 6
     if case.result not in (CaseResult.NO_ENCOUNTER, CaseResult.ERROR):
@@ -263,10 +335,12 @@ def _row(case: JudgedCase, waiver: Waiver | None) -> Sequence[str]:
 
 
 def _number(value: float | None, unit: str, digits: int = 2) -> str:
+    """Format a value with its unit; - if it is None."""
     return "-" if value is None else f"{value:.{digits}f} {unit}"
 
 
 def _before(m: CaseMeasurements | None) -> str:
+    """Format the result in the baseline."""
     if m is None or m.broken:
         return "-"
     return f"{m.level}, {_number(m.min_ttc, 's')}" if not m.collided else f"{m.level}, {_number(m.delta_v, 'm/s')}"

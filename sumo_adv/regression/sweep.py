@@ -1,9 +1,9 @@
 """An attack over ranges of its numbers: where a driver passes and where it fails.
 
 The numbers are those of the attack (parameters of the adversary's planner, ``delay``, ``acceleration``) and those of
-the scenario (``ego.speed``, ``ego.depart``, ``ego.position``). At each point of a grid the attack is made once, as a
-kept case is (``runner.py``). Without ``whole`` a coarse grid comes first, and then only points between neighbours that
-came to different results: a region that lies between points of the coarse grid is not seen.
+the scenario (``ego.speed``, ``ego.depart``, ``ego.position``). At each point of a grid, the attack is made once, as a
+kept case is (``runner.py``). Without ``whole``, a coarse grid comes first, and then only points between neighbours with
+different results. A region that lies between points of the coarse grid is missed.
 """
 
 from __future__ import annotations
@@ -30,21 +30,21 @@ from sumo_adv.regression.case import Expectation, KeptCase
 from sumo_adv.regression.runner import elsewhere, settings_for, task_for
 from sumo_adv.simulation.inputs import EgoRoute
 
-REFERENCE = "careful"  # the driver that is the reference driver cc_human
-MIN_COARSE_INTERVALS = 4  # of the first grid along an axis
+REFERENCE = "careful"  # the driver that corresponds to the reference driver cc_human
+MIN_COARSE_INTERVALS = 4  # minimum number of intervals of the first grid along an axis
 OF_THE_SCENARIO: Mapping[str, tuple[str, float]] = {
     "ego.speed": ("m/s", 70.0), "ego.depart": ("s", 86_400.0), "ego.position": ("m", 1e6),
 }  # fmt: skip
-"""Numbers of the scenario: unit, and the highest value."""
+"""The numbers of the scenario, each with its unit and highest value."""
 
 
 class PointResult(StrEnum):
-    """What came of a point."""
+    """The result at a point."""
 
     PASS = "pass"
     FAIL = "fail"
-    INVALID = "invalid"  # the adversary could not drive so, or its planner failed
-    NO_ENCOUNTER = "no encounter"  # the ego never came into the trigger's situation
+    INVALID = "invalid"  # the adversary could not move like that, or its planner failed
+    NO_ENCOUNTER = "no encounter"  # the ego never reached the trigger's situation
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ class Axis:
     """A number and the range that is swept.
 
     Attributes:
-        name: The number.
+        name: The name of the number.
         low: The lowest value.
         high: The highest value.
         unit: Its unit; empty without one.
@@ -64,14 +64,25 @@ class Axis:
     unit: str = ""
 
     def values(self, points: int) -> Floats:
-        """Evenly spaced values, ``(points,)``."""
+        """Return evenly spaced values, ``(points,)``.
+
+        Args:
+            points: The number of values.
+        """
         return np.linspace(self.low, self.high, points)
 
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """One attempt, or a point that lies between equal neighbours. min_ttc [s], inf = never; delta_v [m/s].
-    measured: False if it has the result of its neighbours."""
+    """The result of one attempt, or of a point between neighbours with equal results.
+
+    Attributes:
+        result: The result.
+        level: The level of the attempt.
+        min_ttc: The minimum TTC [s]; inf means never.
+        delta_v: The ego's delta-v [m/s]; None without a collision.
+        measured: False if the point has the result of its neighbours.
+    """
 
     result: PointResult
     level: Level = Level.NONE
@@ -85,7 +96,15 @@ Points = Mapping[Index, Point]
 
 
 def axis_of(case: KeptCase, given: str) -> Axis:
-    """The axis that ``NAME=LOW:HIGH`` means for a case. Raises UsageError: it means none."""
+    """Parse ``NAME=LOW:HIGH`` as an axis of a case.
+
+    Args:
+        case: The kept case.
+        given: The text.
+
+    Raises:
+        UsageError: The text is no axis, or the case has no such number or range.
+    """
     name, equals, values = (part.strip() for part in given.partition("="))
     try:
         low, high = (float(value) for value in values.split(":"))
@@ -104,7 +123,7 @@ def axis_of(case: KeptCase, given: str) -> Axis:
 
 
 def _bounds(case: KeptCase) -> dict[str, tuple[str, float, float]]:
-    """By name of a number its unit and its bounds."""
+    """Return the unit and the bounds of each number, by name."""
     p = case.proposal
     bounds = {q.name: (q.unit, q.low, q.high) for q in p.planner.parameters}
     bounds["delay"] = ("s", 0.0, MAX_ATTACK_DELAY_S)
@@ -116,7 +135,12 @@ def _bounds(case: KeptCase) -> dict[str, tuple[str, float, float]]:
 
 
 def at_numbers(case: KeptCase, numbers: Mapping[str, float]) -> KeptCase:
-    """The case with other numbers. It is attacked with exactly these, however the ego arrives."""
+    """Return a case with other numbers. It is attacked with exactly these, however the ego arrives.
+
+    Args:
+        case: The kept case.
+        numbers: The numbers by name; others are kept.
+    """
     run_input, p = case.run_input, case.proposal
     ego = run_input.ego
     if isinstance(ego, EgoRoute):
@@ -134,21 +158,28 @@ def at_numbers(case: KeptCase, numbers: Mapping[str, float]) -> KeptCase:
 
 
 class SweepRunner(WarmProcesses):
-    """Attacks a driver with the numbers of points; a context manager."""
+    """Attacks a driver with the numbers of points. Use it in a ``with`` statement."""
 
     def __init__(self) -> None:
+        """Start without processes."""
         super().__init__()
         forget_environment()
 
     def measure(
         self, case: KeptCase, ego: str, expect: Expectation, numbers: Sequence[Mapping[str, float]]
     ) -> list[Point]:
-        """What comes of each point, in order.
+        """Return the result at each point, in order.
 
         Points with the same scenario and start are attempts of one encounter.
 
+        Args:
+            case: The kept case.
+            ego: The driver under test.
+            expect: What is expected of the ego.
+            numbers: The numbers of each point.
+
         Raises:
-            SumoAdvError: The driver or the simulation broke.
+            SumoAdvError: The driver or the simulation failed.
         """
         points: dict[int, Point] = {}
 
@@ -164,6 +195,7 @@ class SweepRunner(WarmProcesses):
     def _encounter(
         self, case: KeptCase, ego: str, expect: Expectation, numbers: Sequence[Mapping[str, float]]
     ) -> list[Point]:
+        """Return the results at points with the same scenario and start."""
         cases = [at_numbers(case, each) for each in numbers]
         settings = settings_for(cases[0], ego)
         with tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch, self._engine.episode() as engine:
@@ -176,7 +208,7 @@ class SweepRunner(WarmProcesses):
             proposals = [each.proposal for each in cases]
             for p, result in zip(proposals, runner.attempt(proposals), strict=True):
                 attempt = attempt_of(0, "sweep", p, result, record.found, settings)
-                if (expect.level or Level.NONE) > Level.COLLISION:  # only then reference drivers decide
+                if (expect.level or Level.NONE) > Level.COLLISION:  # only these levels need the reference drivers
                     attempt = checked(attempt, result, runner, settings.goal, Level.COLLISION)
                 verdict = attempt.verdict
                 lost = attempt.ending in ("planner_failed", "crashed") or not verdict.feasible
@@ -193,13 +225,13 @@ class SweepRunner(WarmProcesses):
 def swept(
     measure: Callable[[Sequence[Index]], Sequence[Point]], axes: int, points: int, *, whole: bool = False
 ) -> dict[Index, Point]:
-    """The results at all points of a grid.
+    """Return the results at all points of a grid.
 
     Args:
-        measure: Returns what comes of some points.
+        measure: Returns the results at some points.
         axes: The number of axes.
-        points: The points along each axis.
-        whole: Measure each point. Otherwise a coarse grid is refined along the border of different results.
+        points: The number of points along each axis.
+        whole: Whether to measure each point. Otherwise a coarse grid is refined along the border of different results.
     """
     step = 1
     while not whole and (points - 1) % (2 * step) == 0 and (points - 1) // (2 * step) >= MIN_COARSE_INTERVALS:
@@ -217,13 +249,19 @@ def swept(
 
 
 def _around(index: Index, step: int) -> Iterator[Index]:
-    """The points of the coarser grid that are the corners of the cell in which a point lies."""
+    """Yield the points of the coarser grid that are the corners of the cell around a point."""
     return product(*({k // step * step, -(-k // step) * step} for k in index))
 
 
 def border(points: Points) -> list[tuple[float, ...]]:
-    """The places, in steps of the grid, half-way between neighbours along the last axis of which one passes and the
-    other fails; with two axes also along the first one."""
+    """Return the places half-way between neighbours of which one passes and the other fails, along each axis.
+
+    Args:
+        points: The results by index.
+
+    Returns:
+        The places, in steps of the grid.
+    """
     places = []
     for index, point in points.items():
         for axis in range(len(index)):
@@ -238,10 +276,10 @@ class Sweep:
     """A sweep of some drivers over the same numbers.
 
     Attributes:
-        name: The attack's name.
+        name: The name of the attack.
         axes: One or two axes.
-        count: Points along each axis.
-        drivers: By name of a driver the points; the driver under test first.
+        count: The number of points along each axis.
+        drivers: The points of each driver, by name; the driver under test comes first.
     """
 
     name: str
@@ -250,14 +288,18 @@ class Sweep:
     drivers: Mapping[str, Points]
 
     def numbers(self, index: Sequence[float]) -> dict[str, float]:
-        """The numbers at a place of the grid."""
+        """Return the numbers at a place of the grid.
+
+        Args:
+            index: The place, in steps along each axis.
+        """
         return {
             axis.name: round(axis.low + k * (axis.high - axis.low) / (self.count - 1), 6)
             for axis, k in zip(self.axes, index, strict=True)
         }
 
     def rows(self) -> list[dict[str, Any]]:
-        """A row for each driver and point; never is None."""
+        """Return a row for each driver and point; an infinite TTC is None."""
         return [
             {
                 "driver": driver, **self.numbers(index), "result": str(point.result), "level": str(point.level),
@@ -269,7 +311,7 @@ class Sweep:
         ]  # fmt: skip
 
     def document(self) -> dict[str, Any]:
-        """What ``sweep.json`` holds."""
+        """Return the content of ``sweep.json``."""
         return {
             "schema": 1, "name": self.name, "points": self.count,
             "over": [{"name": a.name, "low": a.low, "high": a.high, "unit": a.unit} for a in self.axes],

@@ -51,20 +51,25 @@ class _File(BaseModel):
 
 @dataclass(frozen=True, slots=True)
 class Waivers:
-    """The waivers in force, by case; ``notes``: a sentence for each that is not."""
+    """The waivers in force.
+
+    Attributes:
+        by_case: The waivers by case.
+        notes: A sentence for each waiver that is not in force.
+    """
 
     by_case: dict[str, Waiver] = field(default_factory=dict)
     notes: Sequence[str] = ()
 
 
 def read_waivers(file: Path, cases: Collection[str], every: Collection[str], today: date | None = None) -> Waivers:
-    """The waivers of a file.
+    """Read the waivers of a file.
 
     Args:
-        file: The file.
-        cases: Names of the cases that run.
-        every: Names of all cases of the suite; a waiver of another one is unknown.
-        today: The day; by default that of the clock.
+        file: The path of the file.
+        cases: The names of the cases that run.
+        every: The names of all cases of the suite; a waiver of another one is unknown.
+        today: The current day; None takes that of the clock.
 
     Raises:
         UsageError: The file cannot be read, or a case is waived twice.
@@ -84,6 +89,7 @@ def read_waivers(file: Path, cases: Collection[str], every: Collection[str], tod
 
 
 def _parsed(file: Path) -> _File:
+    """Parse the file; raise UsageError if it is wrong."""
     try:
         return _File.model_validate(tomllib.loads(file.read_text(encoding="utf-8")))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:

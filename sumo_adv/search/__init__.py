@@ -1,1 +1,1 @@
-"""The search for an attack: candidates, predictions, scores, and which candidate is tried next."""
+"""Search for an attack: draw candidates, predict and score them, and choose the next one to try."""

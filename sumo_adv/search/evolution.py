@@ -1,12 +1,13 @@
-"""A search that predicts nothing: candidates are drawn, tried against the real driver, and the best ones are varied.
+"""Evolutionary search without predictions: candidates are tried against the real driver, and the best ones are varied.
 
-Generation 0 has the candidates that were handed in (memory, analyzer, forecast), the planners' own numbers and
-uniform draws. Later candidates vary an elite: the best attempt of its cell, which is a vehicle, intent, mode and side
-of the ego (MAP-Elites; Mouret and Clune 2015, "Illuminating search spaces by mapping elites"). What an elite is worth
-is the mean over the attempts near it, so that a needle is worth less than a plateau (implicit averaging; Branke 1998,
-"Creating robust solutions by means of evolutionary algorithms"). The step of a cell grows where a variation improves
-it and shrinks where none does (the one-fifth rule; Rechenberg 1973). Some are drawn anew. Where several adversaries are
-allowed, a part of the candidates gets or loses a support (``supports``).
+Generation 0 consists of the candidates that were handed in (from memory, analyzer or forecast), the default parameters
+of the planners, and uniform samples. Later candidates are variations of an elite, the best attempt of its cell. A cell
+is a vehicle, intent, mode and side of the ego (MAP-Elites; Mouret and Clune 2015, "Illuminating search spaces by
+mapping elites"). An elite is rated by the weighted mean badness of the attempts near it, so that an isolated good
+attempt ranks below a plateau of good ones (implicit averaging; Branke 1998, "Creating robust solutions by means of
+evolutionary algorithms"). The step size of a cell grows when a variation improves on its parent and shrinks when it
+does not (one-fifth success rule; Rechenberg 1973). Some later candidates are sampled from scratch. If several
+adversaries are allowed, some candidates gain or lose a support (``supports``).
 """
 
 from __future__ import annotations
@@ -30,12 +31,23 @@ from sumo_adv.search.sampling import (
 from sumo_adv.search.settings import FULL_WARNING_S, MAX_COUNTED_DISTANCE_M, MAX_COUNTED_TTC_S, EvolutionSettings
 from sumo_adv.search.supports import Supports
 
-MAX_COUNTED_DELTA_V_M_S = 10.0  # more counts as this
-START_SCALE_S, BRAKING_SCALE_M_S2 = 3.0, 8.0  # differences that count as the whole range of a number
+MAX_COUNTED_DELTA_V_M_S = 10.0  # larger values are capped to this
+START_SCALE_S, BRAKING_SCALE_M_S2 = 3.0, 8.0  # differences that count like the whole range of a parameter
 
 
 def badness(verdict: Verdict, goal: Goal) -> float:
-    """How far an attempt is from the goal, lower is better: the level it reached, then the margin to the next one."""
+    """Rate how far an attempt is from the goal; lower is better.
+
+    The level that the attempt reached counts first, then its margin to the next level. If the goal is a near miss, the
+    distance of the minimum TTC from the middle of the wanted band counts instead.
+
+    Args:
+        verdict: The verdict on the attempt.
+        goal: What the attempt was meant to achieve.
+
+    Returns:
+        The badness [-].
+    """
     if goal.ttc is not None:
         return _off_band(verdict, goal.ttc)
     distance, ttc = min(verdict.min_distance, MAX_COUNTED_DISTANCE_M), min(verdict.min_ttc, MAX_COUNTED_TTC_S)
@@ -47,7 +59,7 @@ def badness(verdict: Verdict, goal: Goal) -> float:
     delta_v, level = verdict.delta_v or 0.0, goal.reached(verdict)
     if verdict.misfits:
         return 4.0 + gap
-    if level < verdict.level:  # too mild a collision
+    if level < verdict.level:  # the collision is milder than wanted
         return 4.0 - min(delta_v / goal.min_delta_v, 1.0) / 2
     hard, human = min(delta_v / MAX_COUNTED_DELTA_V_M_S, 1.0), float(bool(verdict.humanlike))
     overlap, warning = verdict.overlap or 0.0, min(_warning(verdict) / FULL_WARNING_S, 1.0)
@@ -57,14 +69,14 @@ def badness(verdict: Verdict, goal: Goal) -> float:
 
 
 def _off_band(verdict: Verdict, band: tuple[float, float]) -> float:
-    """Distance of the least TTC from the middle of a band [s]; a contact and what does not count are worse."""
+    """Measure the distance of the minimum TTC from the band's middle [s]; penalise contacts and what does not count."""
     distance, ttc = min(verdict.min_distance, MAX_COUNTED_DISTANCE_M), min(verdict.min_ttc, MAX_COUNTED_TTC_S)
     off = abs(ttc - sum(band) / 2) + distance / MAX_COUNTED_DISTANCE_M
     return off + (2.0 * MAX_COUNTED_TTC_S if not verdict.counts else MAX_COUNTED_TTC_S if verdict.collided else 0.0)
 
 
 def _warning(verdict: Verdict) -> float:
-    """Seconds from the alarm of ``cc_human`` to the contact; 0 if a reference driver could not have known."""
+    """Return the time from the alarm of ``cc_human`` to the contact [s]; 0 if it could not have known the danger."""
     p = verdict.preventability
     if p is None or verdict.contact_time is None or "cc_human" not in p.alarms:
         return 0.0
@@ -72,20 +84,32 @@ def _warning(verdict: Verdict) -> float:
 
 
 class _Tries:
-    """The attempts of one family: where they stand among its numbers, and how far they were from the goal."""
+    """The attempts of one family: their positions in parameter space, and their badness."""
 
     def __init__(self) -> None:
         self._places: list[tuple[float, ...]] = []
         self._badness: list[float] = []
 
     def note(self, tried: Proposal, worth: float) -> None:
-        """Take note of an attempt; ``worth``: its badness."""
+        """Record an attempt and its badness.
+
+        Args:
+            tried: The candidate that was attempted.
+            worth: Its badness [-].
+        """
         self._places.append(_place(tried))
         self._badness.append(worth)
 
     def near(self, tried: Proposal, reach: float) -> float:
-        """The mean badness of the attempts near one; the weight of each falls with its distance (Gaussian, standard
-        deviation ``reach``)."""
+        """Average the badness of the attempts near a candidate.
+
+        Args:
+            tried: The candidate, which must have been recorded.
+            reach: The standard deviation of the Gaussian weights, as a share of the parameters' ranges.
+
+        Returns:
+            The weighted mean badness of the attempts with as many parameters [-].
+        """
         place = _place(tried)
         same = [k for k, other in enumerate(self._places) if len(other) == len(place)]
         apart = np.array([self._places[k] for k in same]) - np.array(place)
@@ -94,7 +118,9 @@ class _Tries:
 
 
 def _place(p: Proposal) -> tuple[float, ...]:
-    """The numbers of a candidate as shares of their ranges; its start and its braking as shares of ``WHOLE_*``."""
+    """Return the parameters as shares of their ranges; start and braking as shares of ``START_SCALE_S`` and
+    ``BRAKING_SCALE_M_S2``.
+    """
     numbers = [
         (p.parameters.get(q.name, q.default) - q.low) / (q.high - q.low)
         for each in p.members
@@ -107,8 +133,15 @@ def _place(p: Proposal) -> tuple[float, ...]:
 
 @dataclass(slots=True)
 class _Elite:
-    """The best attempt of a cell. own: its badness; worth: the mean over the attempts near it. step: standard deviation
-    of its variations, as a share of a parameter's range. escape: what a support had to do in it."""
+    """The best attempt of a cell.
+
+    Attributes:
+        proposal: The candidate that was attempted.
+        own: Its own badness [-].
+        worth: The weighted mean badness of the attempts near it [-].
+        step: The standard deviation of its variations, as a share of a parameter's range.
+        escape: Duties of a support that would have countered the ego's escape; empty if unknown.
+    """
 
     proposal: Proposal
     own: float
@@ -118,53 +151,85 @@ class _Elite:
 
 
 class Evolution:
-    """Proposes candidates and learns from what they came to. The same seed and verdicts give the same candidates."""
+    """Proposes candidates and learns from the verdicts on their attempts.
+
+    The same seed and verdicts give the same candidates.
+    """
 
     def __init__(
         self, sampler: Sampler, goal: Goal, settings: EvolutionSettings, supports: Supports | None = None
     ) -> None:
-        """``supports``: gives variations supports; None where one adversary is all that is allowed."""
+        """Start without templates and elites.
+
+        Args:
+            sampler: Draws candidates. Its random generator also makes all other choices.
+            goal: What an attempt is meant to achieve.
+            settings: How candidates are drawn and varied.
+            supports: Adds supports to variations and removes them; None if only one adversary is allowed.
+        """
         self._supports = supports
         self._sampler, self._random = sampler, sampler.random
         self._goal, self._settings = goal, settings
         self._templates: list[AttackTemplate] = []
-        self._waiting: list[Proposal] = []  # of generation 0
-        self._elites: dict[tuple[str, ...], _Elite] = {}
-        self._families: dict[tuple[str, str, str], float] = {}  # least badness of an attempt
+        self._waiting: list[Proposal] = []  # candidates of generation 0 that are still to be proposed
+        self._elites: dict[tuple[str, ...], _Elite] = {}  # by cell
+        self._families: dict[tuple[str, str, str], float] = {}  # lowest badness of a family's attempts
         self._tries: dict[tuple[str, str, str], _Tries] = {}
         self._parents: dict[int, tuple[str, ...]] = {}  # id of a proposed variation -> its parent's cell
-        self._closed: set[str] = set()  # kinds of attacks that are no longer looked for
+        self._closed: set[str] = set()  # kinds of attack that are no longer searched for
 
     def __bool__(self) -> bool:
-        """Whether anything can be proposed."""
+        """Return whether anything can be proposed."""
         return bool(self._templates or self._waiting or self._elites)
 
     @property
     def templates(self) -> Sequence[AttackTemplate]:
+        """The templates that candidates are drawn from."""
         return self._templates
 
     def draw_from(self, templates: Sequence[AttackTemplate]) -> None:
-        """From now on draw from these templates. Planners' own numbers of new ones are tried first, most dangerous
-        vehicle first, then uniform draws."""
+        """Draw from these templates from now on.
+
+        New templates are tried with the default parameters of their planners first, starting with the most dangerous
+        vehicle, and then with uniform samples.
+
+        Args:
+            templates: All templates to draw from; they replace the previous ones.
+        """
         known = {t.key for t in self._templates}
         fresh = [t for t in templates if t.key not in known]
         self._templates = list(templates)
-        first = self._sampler.first(fresh, 0)  # no uniform ones
+        first = self._sampler.first(fresh, 0)  # default parameters only, no uniform samples
         drawn = self._sampler.uniform(originals(fresh), max(self._settings.first - len(first), 0))
         self._random.shuffle(drawn)
         drawn = [self._accompanied(p) for p in drawn]
         self._waiting += _by_turns(first, [t.target.state.id for t in fresh]) + drawn
 
     def add(self, proposals: Sequence[Proposal]) -> None:
+        """Try these candidates next, before all others.
+
+        Args:
+            proposals: The candidates, in the order in which they are tried.
+        """
         self._waiting[:0] = proposals
 
     def close(self, kind: Collection[str]) -> None:
-        """No longer vary elites of these cells' kinds: see ``observe``."""
+        """Stop varying elites of these kinds of attack.
+
+        Args:
+            kind: The kinds, as given to ``observe``.
+        """
         self._closed.update(kind)
 
     def propose(self, allowed: Collection[str] | None = None) -> Proposal | None:
-        """The next candidate, None if there is nothing to draw from. ``allowed``: labels and modes (``label/mode``)
-        with attempts left, None for all."""
+        """Return the next candidate.
+
+        Args:
+            allowed: Labels and modes with attempts left, each as ``label/mode``; None allows all.
+
+        Returns:
+            The candidate, or None if there is nothing to draw from.
+        """
         while self._waiting:
             p = self._waiting.pop(0)
             if allowed is None or f"{p.label}/{p.planner.mode}" in allowed:
@@ -176,8 +241,17 @@ class Evolution:
         return self._variation(elites) if elites else None
 
     def observe(self, tried: Proposal, verdict: Verdict, kind: str, escape: Sequence[Duty] = ()) -> None:
-        """Take note of an attempt; ``kind``: of attack, by the side of the ego that was hit; ``escape``: what a support
-        had to do in it."""
+        """Learn from an attempt.
+
+        An attempt in which the ego arrived otherwise than in the encounter only counts in the average of the attempts
+        near it. It becomes no elite and does not change a step size.
+
+        Args:
+            tried: The candidate that was attempted.
+            verdict: The verdict on the attempt.
+            kind: The kind of attack, which includes the side of the ego that was hit (``sampling.kind_of``).
+            escape: Duties of a support that would have countered the ego's escape; empty if unknown.
+        """
         settings = self._settings
         own = badness(verdict, self._goal) + settings.support * len(tried.supports)
         family = tried.family
@@ -185,7 +259,7 @@ class Evolution:
         for each in self._elites.values():
             if each.proposal.family == family:
                 each.worth = self._worth(each.proposal, each.own)
-        if tried.arrival != AS_FOUND:  # what it came to is not what the candidate comes to here
+        if tried.arrival != AS_FOUND:  # its verdict is not the one the candidate gets as the ego arrives here
             return
         worth = self._worth(tried, own)
         self._families[family] = min(worth, self._families.get(family, math.inf))
@@ -201,25 +275,24 @@ class Evolution:
             self._elites[cell] = _Elite(tried, own, worth, step, escape)
 
     def _worth(self, tried: Proposal, own: float) -> float:
-        """What an attempt is worth, lower is better: the mean over the attempts near it; ``own``: its own badness."""
+        """Return the mean badness of the attempts near one, or its own badness if averaging is off."""
         reach, tries = self._settings.near, self._tries.get(tried.family)
         return own if not reach or tries is None else tries.near(tried, reach)
 
     def _drawn(self, templates: Sequence[AttackTemplate]) -> Proposal:
-        """Uniform numbers for the better of two templates, by the best attempt of their families; an untried one is
-        good."""
+        """Sample the better of two random templates, by the best attempts of their families (untried: 0)."""
         pair = [self._random.choice(templates) for _ in range(2)]
         best = min(pair, key=lambda t: self._families.get((t.target.state.id, t.entry.label, t.planner.mode), 0.0))
         return self._accompanied(best.proposal(self._random))
 
     def _accompanied(self, p: Proposal, escape: Sequence[Duty] = ()) -> Proposal:
-        """Now and then, the candidate with a support more or fewer."""
+        """Add or remove a support with probability ``settings.accompany``; otherwise return the candidate unchanged."""
         if self._supports is None or self._random.random() >= self._settings.accompany:
             return p
         return self._supports.changed(p, escape)
 
     def _variation(self, elites: Sequence[_Elite]) -> Proposal:
-        """Near one of the best elites: the better its rank, the likelier."""
+        """Vary one of the best elites; the better its rank, the more likely it is chosen."""
         settings = self._settings
         ordered = sorted(elites, key=lambda e: e.worth)[: settings.parents]
         weights = [settings.pressure**k for k in range(len(ordered))]
@@ -236,7 +309,7 @@ class Evolution:
         return child
 
     def _begun_elsewhen(self, p: Proposal) -> Proposal:
-        """The candidate with another start at which all its vehicles can begin."""
+        """Replace the start with a random one of the candidate's vehicle; leave a candidate with supports as it is."""
         delays = sorted({t.delay for t in self._templates if t.target.state.id == p.bv})
         if p.supports or not delays:
             return p
@@ -244,7 +317,7 @@ class Evolution:
 
 
 def _by_turns(proposals: Sequence[Proposal], vehicles: Sequence[str]) -> list[Proposal]:
-    """One candidate of each vehicle in turn, in the order of the vehicles."""
+    """Interleave the candidates: one of each vehicle in turn, in the order of ``vehicles``."""
     of = {name: [p for p in proposals if p.bv == name] for name in dict.fromkeys(vehicles)}
     longest = max((len(own) for own in of.values()), default=0)
     return [own[k] for k in range(longest) for own in of.values() if k < len(own)]

@@ -1,9 +1,10 @@
-"""Intents that the program adds to the library of a bank, and which intents a search may try.
+"""Intents that the program adds to the library of a bank, and the intents that a search may try.
 
 The built-in expert composes intents for relations that the library does not cover. Free motions are offered in
-recordings, where vehicles stand as no intent of the library expects: to a place near where the ego will be, at a time
-and a speed of the vehicle's own, whatever its lane. An attempt of one is named afterwards by what it came to
-(``labelled_by_motion``). It is no part of the memory bank until a success adds it to an intent.
+recordings, where the vehicles' positions often match no intent of the library. A free motion leads to a place near the
+ego's future position, at a time and a speed of the vehicle's own, whatever its lane. An attempt of a free motion is
+named afterwards by the collision that it caused (``labelled_by_motion``). It becomes part of the memory bank only if a
+success adds it to an intent.
 """
 
 from __future__ import annotations
@@ -41,13 +42,25 @@ COMPOSED = frozenset(label for label, _, _ in NEW_INTENTS.values())
 
 
 def composed(entry: LibraryEntry) -> bool:
-    """Whether all planners of the intent are the expert's own."""
+    """Return whether all planners of the intent are the expert's own.
+
+    Args:
+        entry: The intent of a library.
+    """
     return entry.label in COMPOSED and all(p.origin == EXPERT for p in entry.planners)
 
 
 def compose(situations: Mapping[float, Situation], library: Sequence[LibraryEntry]) -> list[Intent]:
-    """Intents of ``NEW_INTENTS`` for relations that nothing else of the library covers; those that the bank has learnt
-    by now have the source ``memory``."""
+    """Compose intents of ``NEW_INTENTS`` for relations that no other intent of the library covers.
+
+    Args:
+        situations: The situations by delay after the trigger [s]; the earliest one counts.
+        library: The intents that may be tried.
+
+    Returns:
+        The intents, one for each vehicle and relation. Their source is ``memory`` if the bank has learnt them by now,
+        otherwise ``generated``.
+    """
     labels = {entry.label for entry in library}
     covered = {word for entry in library if not composed(entry) for word in entry.applies}
     intents = []
@@ -61,7 +74,11 @@ def compose(situations: Mapping[float, Situation], library: Sequence[LibraryEntr
 
 
 def applies_of(label: str) -> tuple[str, ...]:
-    """The relations a composed intent applies to."""
+    """Return the relations that a composed intent applies to.
+
+    Args:
+        label: The label of the intent.
+    """
     return tuple(word for word, (name, _, _) in NEW_INTENTS.items() if name == label)
 
 
@@ -114,7 +131,7 @@ _LABEL_BY_CONTACT = {
     ("neighbour", "right"): "Straight Lane Shift",
     ("neighbour", "rear"): "Close Car-following",
     ("follower", "rear"): "Close Car-following",
-}  # by relation and the side of the ego that is hit
+}  # by relation and by the side of the ego that is hit
 _WORDS = {
     "oncoming": "Opposite Direction Intrusion",
     "crossing_straight": "Intersection Rush-through Go-straight",
@@ -124,8 +141,20 @@ _WORDS = {
 
 
 def labelled_by_motion(p: Proposal, target: Target, verdict: Verdict) -> Proposal:
-    """A free motion that collided, with the label of the intent that it carried out; it keeps its own where none fits.
-    Of a vehicle that crosses or merges it is the intent of its way that meets the ego's path soonest."""
+    """Label a free motion that collided with the intent that it carried out.
+
+    The relation and the side of the ego that was hit decide. For other relations the label is that of the way of the
+    vehicle that meets the ego's path soonest.
+
+    Args:
+        p: The candidate that was attempted.
+        target: Its vehicle.
+        verdict: The verdict on the attempt.
+
+    Returns:
+        The candidate with the new label. It is unchanged if it is no free motion, did not collide, or if no intent
+        fits.
+    """
     if p.label != FREE_MOTION or not verdict.collided:
         return p
     label = _LABEL_BY_CONTACT.get((target.relation, verdict.contact_side or ""))
@@ -135,15 +164,27 @@ def labelled_by_motion(p: Proposal, target: Target, verdict: Verdict) -> Proposa
 
 
 def entry_of(p: Proposal, library: Sequence[LibraryEntry]) -> LibraryEntry:
-    """The intent of the library that a candidate was drawn from. A free motion that collided has another intent's
-    label, which the library may lack."""
+    """Return the intent of the library that a candidate was drawn from.
+
+    A free motion that collided has the label of another intent, which the library may lack.
+
+    Args:
+        p: The candidate.
+        library: The intents that candidates are drawn from.
+
+    Returns:
+        The intent that has the planner; otherwise the intent with the candidate's label, and finally the free motion.
+
+    Raises:
+        StopIteration: The library has none of these.
+    """
     drawn_from = (e for e in library if p.planner.hash in {planner.hash for planner in e.planners})
-    changed = (e for e in library if e.label == p.label)  # its planner is a version that the library lacks
+    changed = (e for e in library if e.label == p.label)  # the candidate's planner is a version that the library lacks
     return next(chain(drawn_from, changed, (e for e in library if e.label == FREE_MOTION)))
 
 
 def _by_conflict(target: Target) -> list[str]:
-    """What ``applies`` says, of the way that meets the ego's path soonest alone where the vehicle's ways do."""
+    """Return the vehicle's relations; if some ways meet the ego's path, only those of the way that does so soonest."""
     meeting = [w for w in target.ways if w.conflict is not None]
     if target.relation == "oncoming" or not meeting:
         return list(target.applies())
@@ -156,16 +197,30 @@ def _by_conflict(target: Target) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """Labels of intents. only: no others may be tried, None: all may; exclude: these may not."""
+    """The labels of intents that may be tried.
+
+    Attributes:
+        only: No other labels may be tried; None allows all.
+        exclude: These labels may not be tried.
+    """
 
     only: frozenset[str] | None = None
     exclude: frozenset[str] = frozenset()
 
     def allows(self, label: str) -> bool:
+        """Return whether an intent may be tried.
+
+        Args:
+            label: The label of the intent.
+        """
         return label not in self.exclude and (self.only is None or label in self.only)
 
     def names(self, label: str) -> bool:
-        """Whether an intent is asked for by its label."""
+        """Return whether ``only`` names an intent that may be tried.
+
+        Args:
+            label: The label of the intent.
+        """
         return self.only is not None and label in self.only and label not in self.exclude
 
     @property
@@ -174,21 +229,33 @@ class Selection:
         return self.only is None and not self.exclude
 
     def of(self, library: Sequence[LibraryEntry]) -> tuple[LibraryEntry, ...]:
-        """The entries of a library that may be tried."""
+        """Return the entries of a library that may be tried.
+
+        Args:
+            library: The entries to choose from.
+        """
         return tuple(e for e in library if self.allows(e.label))
 
 
 def select(
     known: Iterable[str], intents: Sequence[str] = (), exclude: Sequence[str] = (), scenario: Sequence[str] = ()
 ) -> Selection:
-    """What the settings ``intents`` and ``exclude`` and the intents of a scenario come to; each is empty for none. The
-    setting ``intents`` goes before the scenario's.
+    """Combine the settings ``intents`` and ``exclude`` with the intents of a scenario.
 
-    known: labels of the memory bank; those that the expert composes, and free motions, are known as well. Case and
-    signs do not count.
-    An intent of the scenario that is not known is no error: a bank with fewer intents may run any scenario.
+    The setting ``intents`` takes precedence over the scenario's list. Case and punctuation are ignored. An unknown
+    intent of the scenario is no error, so that a bank with fewer intents can run any scenario.
 
-    Raises UsageError: a setting names an intent that is not known, or no intent is left.
+    Args:
+        known: Labels of the memory bank. Composed intents and free motions are always known.
+        intents: The setting ``intents``; empty allows all.
+        exclude: The setting ``exclude``.
+        scenario: The intents of the scenario; empty allows all.
+
+    Returns:
+        The labels that may be tried.
+
+    Raises:
+        UsageError: A setting names an unknown intent, or no intent is left.
     """
     labels = {canonical(label): label for label in (FREE_MOTION, *COMPOSED, *known)}
     chosen, without = (frozenset(_label(name, labels) for name in names) for names in (intents, exclude))
@@ -200,7 +267,7 @@ def select(
 
 
 def _label(name: str, labels: Mapping[str, str]) -> str:
-    """The label that a name means. Raises UsageError with the known ones."""
+    """Return the label that a name means; raise UsageError with the known labels if there is none."""
     label = labels.get(canonical(name))
     if label is None:
         names = ", ".join(sorted(labels.values()))

@@ -1,7 +1,7 @@
-"""The level that predicted collisions reach: the judge's own rules on rollouts, in batches.
+"""The level that predicted collisions reach, by the judge's own rules, in batches.
 
-The reference drivers are ``cc_human`` and ``manoeuvre``. The others (``reg157``, ``rss``, ``fsm``) are judges that the
-search must not know, so that their answers say something about it.
+The reference drivers are ``cc_human`` and ``manoeuvre``. The others (``reg157``, ``rss``, ``fsm``) judge independently:
+the search must not know them, so that their answers say something about it.
 """
 
 from __future__ import annotations
@@ -24,19 +24,26 @@ from sumo_adv.road_users import is_unprotected, road_user
 from sumo_adv.simulation.network import Drivable
 from sumo_adv.situation import Situation
 
-MIN_MANOEUVRE_WARNING_S = 0.5  # from the alarm to the contact; with less no manoeuvre avoids anything
-BYSTANDER_DISTANCE_M = 60.0  # from the ego at the contact: other vehicles that may be in a reference driver's way
-PATH_AFTER_CONTACT_M = 60.0  # of the ego's path past the contact, at points that are this far apart:
-PATH_POINT_SPACING_M = 2.0
+MIN_MANOEUVRE_WARNING_S = 0.5  # from the alarm to the contact; no manoeuvre avoids a collision with less
+BYSTANDER_DISTANCE_M = 60.0  # of the ego at the contact; nearer vehicles may be in a reference driver's way
+PATH_AFTER_CONTACT_M = 60.0  # how far the ego's path is continued past the contact
+PATH_POINT_SPACING_M = 2.0  # between two points of that continuation
 
 
 @dataclass(frozen=True, slots=True)
 class PredictedSeverity:
-    """What predicted collisions come to, row by row, arrays ``(n,)``.
+    """The severity of predicted collisions. Row k is collision k, and all arrays have the shape ``(n,)``.
 
-    level: ``COLLISION`` or higher. warning: from the alarm of ``cc_human`` to the contact [s], 0 without an alarm.
-    delta_v: of the ego [m/s]. hardness: 1 or more is hard enough for ``serious``. human: the adversary stays within the
-    human envelope. careful, manoeuvre: whether this reference driver avoids it. sides: the side of the ego that is hit.
+    Attributes:
+        level: The level, ``COLLISION`` or higher.
+        warning: The time from the alarm of ``cc_human`` to the contact [s]; 0 without an alarm.
+        delta_v: The ego's delta-v [m/s].
+        hardness: 1 or more is hard enough for ``serious`` [-].
+        human: Whether the adversary stays within the human envelope.
+        careful: Whether ``cc_human`` avoids the collision.
+        manoeuvre: Whether ``manoeuvre`` avoids the collision.
+        sides: The side of the ego that is hit.
+        acceleration: The adversary's largest acceleration up to the contact [m/s2].
     """
 
     level: Ints
@@ -47,16 +54,21 @@ class PredictedSeverity:
     careful: Bools
     manoeuvre: Bools
     sides: list[str]
-    acceleration: Floats  # the largest of the adversary up to the contact [m/s2]
+    acceleration: Floats
 
 
 @dataclass(frozen=True, slots=True)
 class Collisions:
-    """Predicted collisions, row by row.
+    """Predicted collisions. Row k is collision k.
 
-    situations: those at the start of the attacks; bvs: the adversaries, the colliders first. ego, adversary (the
-    collider) and each of ``supports``: ``(n, steps)`` from the start on. last: the step of the contact ``(n,)``;
-    at_contact: both boxes then, ``(n,)``.
+    Attributes:
+        situations: The situations at the start of the attacks.
+        bvs: The ids of the adversaries of each row, the collider's first.
+        ego: The ego from the start of the attack on, ``(n, steps)``.
+        adversary: The collider from the start of the attack on, ``(n, steps)``.
+        last: The step of the contact, ``(n,)``.
+        at_contact: The boxes of the ego and the collider at the contact, each ``(n,)``.
+        supports: The first supports of all rows, then the second ones, each ``(n, steps)``.
     """
 
     situations: Sequence[Situation]
@@ -69,13 +81,23 @@ class Collisions:
 
 
 def danger_of(collisions: Collisions, drivable: Drivable) -> PredictedSeverity:
-    """The level of each predicted collision. All are judged together, which takes less time than one by one."""
+    """Judge the level of each predicted collision.
+
+    All collisions are judged together, which takes less time than one by one.
+
+    Args:
+        collisions: The predicted collisions.
+        drivable: Where vehicles can drive, for the evasive manoeuvres.
+
+    Returns:
+        The severity of each collision, row by row.
+    """
     situations, ego, adversary, last = collisions.situations, collisions.ego, collisions.adversary, collisions.last
     n, dt = len(last), situations[0].dt
     onward = _onward(situations, ego, last)
     colliders = [situation.targets[bvs[0]].state for situation, bvs in zip(situations, collisions.bvs, strict=True)]
     small = np.array([is_unprotected(collider) for collider in colliders])
-    check = _check(  # others may hide a pedestrian; drivers see supports
+    check = _check(  # other vehicles may hide a pedestrian; reference drivers see supports
         collisions, onward, np.arange(n), with_others=bool(small.any()) or len(collisions.supports) > 0
     )
     normal = check.braking(CcHuman)
@@ -112,7 +134,7 @@ def danger_of(collisions: Collisions, drivable: Drivable) -> PredictedSeverity:
 
 
 def _strongest(adversary: Boxes, last: Ints, dt: float) -> Floats:
-    """The largest acceleration of each adversary up to the contact [m/s2], ``(n,)``; afterwards it stands still."""
+    """Return each adversary's largest acceleration up to the contact [m/s2], ``(n,)``; ignore its later motion."""
     steps = np.minimum(np.arange(adversary.x.shape[1])[None, :], last[:, None])
     x, y, heading, speed = (
         np.take_along_axis(v, steps, axis=1) for v in (adversary.x, adversary.y, adversary.heading, adversary.speed)
@@ -123,8 +145,16 @@ def _strongest(adversary: Boxes, last: Ints, dt: float) -> Floats:
 
 
 def _check(collisions: Collisions, onward: Floats, rows: Ints, *, with_others: bool = False) -> Counterfactual:
-    """The counterfactual of some rows: the ego as predicted until the contact, the adversary as planned after it too.
-    with_others: with the other vehicles near, which may leave a reference driver no room."""
+    """Set up the counterfactual of some rows.
+
+    The ego moves as predicted until the contact. The adversary also follows its plan after the contact.
+
+    Args:
+        collisions: The predicted collisions.
+        onward: Points of the ego's way past the contact, ``(n, P, 2)`` [m].
+        rows: The rows to judge.
+        with_others: Whether the vehicles nearby take part, which may leave a reference driver no room.
+    """
     last, situation = collisions.last[rows], collisions.situations[0]
     until, more = int(last.max()) + 1, round(MIN_AFTER_CONTACT_S / situation.dt)
     ego, adversary = (some_rows(b, rows) for b in (collisions.ego, collisions.adversary))
@@ -137,7 +167,9 @@ def _check(collisions: Collisions, onward: Floats, rows: Ints, *, with_others: b
 
 
 def _onward(situations: Sequence[Situation], ego: Boxes, last: Ints) -> Floats:
-    """Points ``(n, P, 2)`` of the ego's way past the contact: its unattacked path, beside it by the ego's offset."""
+    """Continue the ego's way past the contact: its unattacked path, displaced by the ego's offset, as points ``(n, P,
+    2)``.
+    """
     ahead = np.arange(PATH_POINT_SPACING_M, PATH_AFTER_CONTACT_M, PATH_POINT_SPACING_M)
     points = np.full((len(last), len(ahead), 2), np.nan)
     for row, k in enumerate(last.tolist()):
@@ -149,8 +181,10 @@ def _onward(situations: Sequence[Situation], ego: Boxes, last: Ints) -> Floats:
 
 
 def _others(collisions: Collisions, rows: Ints) -> Boxes | None:
-    """The supports, and the other vehicles near each row's contact, ``(n, K, steps)``; absent ones are NaN. None if
-    there are none."""
+    """Return the supports and the vehicles near each row's contact, ``(n, K, steps)``.
+
+    Absent vehicles are NaN. The result is None if there are no such vehicles.
+    """
     steps = collisions.ego.x.shape[1]
     boxes_of: dict[tuple[int, tuple[str, ...]], Boxes] = {}
     names = [(id(collisions.situations[k]), collisions.bvs[k]) for k in rows.tolist()]
@@ -183,7 +217,7 @@ def _others(collisions: Collisions, rows: Ints) -> Boxes | None:
 
 
 def _human(check: Counterfactual, adversary: Boxes, last: Ints, dt: float) -> Bools:
-    """Which adversaries stay within the human envelope until the contact."""
+    """Return which adversaries stay within the human envelope until the contact."""
     excused = check.views.in_lane_ahead(check.paths.station)[:, 0]
     steps = min(adversary.x.shape[1], excused.shape[1])
     judged = np.arange(steps) <= last[:, None]
@@ -194,19 +228,27 @@ def _human(check: Counterfactual, adversary: Boxes, last: Ints, dt: float) -> Bo
 
 
 def _yaw_rates(ego: Boxes, adversary: Boxes, row: int, step: int, dt: float) -> tuple[float, float]:
-    """The yaw rates [rad/s] of both over the step to the contact."""
+    """Return the yaw rates [rad/s] of both vehicles over the step to the contact."""
     before = max(step - 1, 0)
     first, second = (wrap_below_pi(float(b.heading[row, step] - b.heading[row, before])) for b in (ego, adversary))
     return first / dt, second / dt
 
 
 def _single(boxes: tuple[Boxes, Boxes], row: int) -> tuple[Boxes, Boxes]:
-    """Row ``row`` of both as 0-d arrays with plain sizes."""
+    """Return a row of both boxes as 0-d arrays with plain sizes."""
     a, b = (pick(box, np.array(row)) for box in boxes)
     return tuple(replace(v, length=float(v.length), width=float(v.width)) for v in (a, b))  # type: ignore[return-value]
 
 
 def some_rows(b: Boxes, rows: Ints) -> Boxes:
-    """Some of the rows of boxes ``(n, steps)`` with sizes ``(n, 1)`` or plain ones."""
+    """Select rows of boxes.
+
+    Args:
+        b: Boxes of shape ``(n, steps)``, with sizes of shape ``(n, 1)`` or plain numbers.
+        rows: The indices of the rows.
+
+    Returns:
+        The selected rows.
+    """
     length, width = (v if np.ndim(v) == 0 else np.asarray(v)[rows] for v in (b.length, b.width))
     return Boxes(b.x[rows], b.y[rows], b.heading[rows], b.speed[rows], length, width, height_as(b, lambda z: z[rows]))

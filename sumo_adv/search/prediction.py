@@ -1,4 +1,4 @@
-"""Candidates scored by prediction: numpy rollouts of the planners' own answers."""
+"""Scores of candidates by prediction: numpy rollouts of the planners' own answers."""
 
 from __future__ import annotations
 
@@ -19,26 +19,49 @@ from sumo_adv.search.settings import ScoreSettings
 from sumo_adv.simulation.network import Drivable
 from sumo_adv.situation import Situation
 
-MAX_OPEN_SESSIONS = 12  # planners with a sandbox session open at the same time
+MAX_OPEN_SESSIONS = 12  # planners that have a sandbox session open at the same time, at most
 
 
 class Predictor:
-    """Predicts and scores candidates; ``seconds`` and ``count`` say what that has cost so far."""
+    """Predicts and scores candidates.
+
+    Attributes:
+        seconds: The time that predictions have taken so far [s].
+        count: The number of candidates predicted so far.
+        failures: Why a planner failed, by its hash.
+        stopped: How many calls of each planner ran into a limit, by its hash.
+    """
 
     def __init__(
         self, sandbox: Sandbox, settings: Settings, drivable: Drivable, situations: Mapping[float, Situation],
         weights: ScoreSettings | None = None, stopped: Mapping[str, int] | None = None,
     ) -> None:  # fmt: skip
-        """``stopped``: how many calls of each planner ran into a limit in earlier encounters, by hash."""
+        """Prepare predictions for one encounter.
+
+        Args:
+            sandbox: Runs planners that are not trusted.
+            settings: The settings of the run.
+            drivable: Where vehicles can drive.
+            situations: The situations by delay after the trigger [s].
+            weights: How a prediction becomes a score; the defaults if None.
+            stopped: How many calls of each planner ran into a limit in earlier encounters, by hash.
+        """
         self._sandbox, self._settings, self._weights = sandbox, settings, weights or ScoreSettings()
         self._drivable = drivable
         self._situations, self._roads = situations, Roads(situations)
         self.seconds, self.count = 0.0, 0
-        self.failures: dict[str, str] = {}  # planner hash -> sentence
+        self.failures: dict[str, str] = {}  # planner hash -> reason, in a sentence
         self.stopped: Mapping[str, int] = dict(stopped or {})
 
     def score(self, proposals: Sequence[Proposal]) -> list[Proposal]:
-        """The same candidates with ``score`` and ``prediction``."""
+        """Predict and score candidates.
+
+        Args:
+            proposals: The candidates.
+
+        Returns:
+            The same candidates, in the same order, with ``score`` and ``prediction``.
+        """
         began = time.perf_counter()
         scored: dict[int, Proposal] = {}
         limits = [self._limits([p]) for p in proposals]
@@ -52,10 +75,11 @@ class Predictor:
         return [scored[k] for k in range(len(proposals))]
 
     def _limits(self, proposals: Sequence[Proposal]) -> Limits:
-        """The limits of candidates that all have the same ones."""
+        """Return the limits of candidates that all have the same ones."""
         return self._settings.limits.of(self._situations[proposals[0].delay].targets[proposals[0].bv].state)
 
     def _together(self, proposals: list[Proposal]) -> list[Proposal]:
+        """Score candidates with the same limits and number of supports in one batch."""
         with _no_garbage_collection():
             rollouts, failures = self._rolled(proposals)
             limits = self._limits(proposals)
@@ -67,11 +91,18 @@ class Predictor:
         return [replace(p, score=score, prediction=made) for p, (score, made) in zip(proposals, judged, strict=True)]
 
     def rolled(self, proposals: Sequence[Proposal]) -> Rollouts:
-        """The predicted motions, row by row, also after a contact."""
+        """Predict the motions of candidates to the end, also after a contact.
+
+        Args:
+            proposals: The candidates, which all have the same number of supports.
+
+        Returns:
+            The motions; row k is candidate k.
+        """
         return self._rolled(proposals, to_the_end=True)[0]
 
     def _rolled(self, proposals: Sequence[Proposal], to_the_end: bool = False) -> tuple[Rollouts, dict[int, str]]:
-        """As ``rolled``; and by row why a planner failed."""
+        """Predict motions, and say by row why a planner failed."""
         settings, failures, road = self._settings, self.failures, self._drivable
         members, n = lined_up(proposals), len(proposals)
         with Sessions(
@@ -91,8 +122,10 @@ class Predictor:
 
 @contextmanager
 def _no_garbage_collection() -> Iterator[None]:
-    """Without Python's search for reference cycles: a prediction makes many small objects and no cycles, and the search
-    would take 5 to 9 % of its time."""
+    """Suspend Python's search for reference cycles.
+
+    A prediction makes many small objects and no cycles, and the search for cycles would take 5 to 9 % of its time.
+    """
     enabled = gc.isenabled()
     gc.disable()
     try:
@@ -103,7 +136,15 @@ def _no_garbage_collection() -> Iterator[None]:
 
 
 def batches_of(proposals: Sequence[Proposal]) -> list[set[str]]:
-    """Hashes of planners that are predicted together: at most ``MAX_OPEN_SESSIONS`` that need the sandbox."""
+    """Group planners that are predicted together.
+
+    Args:
+        proposals: The candidates.
+
+    Returns:
+        Sets of planner hashes, each with at most ``MAX_OPEN_SESSIONS`` planners that need the sandbox. Trusted planners
+        are in the first set.
+    """
     planners = {p.planner.hash: p.planner for p in proposals}
     ours = [name for name, planner in planners.items() if is_trusted(planner)]
     others = [name for name in planners if name not in ours]

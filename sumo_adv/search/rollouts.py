@@ -1,6 +1,7 @@
 """Rollouts of many candidates at once: predicted adversaries and egos on the planners' own answers, in numpy.
 
-A rollout is not an attempt: it never counts, and only decides what is tried. The egos are those of ``drivers``.
+A rollout is not an attempt: it never counts, and only decides which candidates are tried. The egos are those of
+``drivers``.
 """
 
 from __future__ import annotations
@@ -22,15 +23,24 @@ from sumo_adv.situation import Situation
 
 Ask = Callable[[Sequence[int], Sequence[PlannerObservation]], Sequence[Answer | None]]
 Touch = Callable[[Floats, Floats, Bools], Bools]
-"""Whether egos and colliders (x, y, heading, speed: ``(4, n)``) touch, of the rows given, ``(n,)``."""
+"""Takes egos and colliders (x, y, heading, speed: each ``(4, n)``) and the rows to check ``(n,)``; returns which rows
+touch, ``(n,)``.
+"""
 Motions = tuple[Floats, Floats, Floats, Floats]
-"""x, y, heading, speed, each ``(n, steps)``."""
+"""The x [m], y [m], heading [rad] and speed [m/s] of several vehicles, each ``(n, steps)``."""
 
 
 @dataclass(frozen=True, slots=True)
 class Rollouts:
-    """Predicted motions; row k is candidate k. ``adversary``: the colliders; ``supports``: the first supports of all
-    candidates, then their second ones."""
+    """Predicted motions. Row k is candidate k.
+
+    Attributes:
+        time: The time since the start of the attack [s], ``(steps,)``.
+        ego: The egos.
+        adversary: The colliders.
+        disturbed: Whether the attack disturbed the ego.
+        supports: The first supports of all candidates, then their second ones.
+    """
 
     time: Floats
     ego: Motions
@@ -43,16 +53,27 @@ def predict(
     situations: Mapping[float, Situation], proposals: Sequence[Proposal], ask: Ask, *, limits: Limits, steps: int,
     replan: int, touch: Touch | None = None, to_the_end: bool = False,
 ) -> Rollouts:  # fmt: skip
-    """Roll all candidates out for ``steps`` steps; their planners are asked every ``replan`` steps.
+    """Roll out candidates.
 
     All candidates have the same number of supports. The rows are those of :func:`lined_up`, so that the cost grows with
     the number of adversaries.
 
-    situations: by delay [s], the moment at which a candidate's attack begins. ask(rows, observations): the answers of
-    the planners of ``rows``, None where a planner fails, and for all other rows.
-    A candidate is asked no more once ego and collider have touched: the adversaries then follow
-    their last plans, as in an attempt. Once that holds for all, the egos go on at constant speed; ``to_the_end``: by
-    their drivers.
+    The planners of a candidate are not called again once the ego and the collider have touched. The adversaries then
+    follow their last plans, as in an attempt. Once all candidates have touched, the egos continue at constant speed.
+
+    Args:
+        situations: By delay [s], the situation at which a candidate's attack begins.
+        proposals: The candidates.
+        ask: Takes rows and observations, and returns the answers of the planners of these rows. The answer is None if a
+            planner fails, and for all other rows.
+        limits: The limits of all adversaries.
+        steps: The number of steps.
+        replan: The number of steps between two calls of the planners.
+        touch: Tells which egos and colliders touch; None if contacts do not matter.
+        to_the_end: Whether the egos' drivers keep driving after a contact instead of continuing at constant speed.
+
+    Returns:
+        The predicted motions.
     """
     members, n = lined_up(proposals), len(proposals)
     ground, each = AdversaryBatch([situations[p.delay] for p in members], [p.bv for p in members]), len(members) // n
@@ -94,7 +115,11 @@ def predict(
 
 
 def lined_up(proposals: Sequence[Proposal]) -> list[Proposal]:
-    """The adversaries of candidates that have the same number each: all colliders, all first supports, and so on."""
+    """List the adversaries of candidates: all colliders, then all first supports, and so on.
+
+    Args:
+        proposals: The candidates, which all have the same number of supports.
+    """
     return [p for rank in zip(*(p.members for p in proposals), strict=True) for p in rank]
 
 
@@ -102,6 +127,7 @@ def _replan(
     ground: AdversaryBatch, motion: Motion, ego: tuple[Floats, Floats, Floats, Floats], goal: PathEndpoint,
     last: list[Mapping[str, float] | None], followers: dict[int, Follower], now: float, rows: Sequence[int], ask: Ask,
 ) -> tuple[PathEndpoint, Motion]:  # fmt: skip
+    """Call the planners of the given rows, and aim their adversaries at the answers."""
     observations = ground.observe(motion, now, ego, last, rows)
     answers = ask(rows, observations)
     for k in rows:
@@ -116,14 +142,14 @@ def _replan(
         if answer is not None and answer.trajectory is not None:
             try:
                 followers[k] = ground.follower(k, before, answer.trajectory)
-            except PlannerResultError:  # said in the attempt; here as there the built-in f_traj leads it
+            except PlannerResultError:  # reported by the attempt; the built-in f_traj leads, here and there
                 continue
             motion = put_back(motion, [k], [followers[k].begin(one_of(motion, k))])
     return goal, motion
 
 
 def _steer(ground: AdversaryBatch, motion: Motion, goal: PathEndpoint, released: Sequence[int]) -> Motion:
-    """Aim all at their goals; those of ``released`` were led by a trajectory until now."""
+    """Aim all adversaries at their goals; those of ``released`` were led by a trajectory until now."""
     if released:
         motion = put_back(motion, released, [release(one_of(motion, k)) for k in released])
     return steer(Batch, motion, goal, ground.rows.at(motion.s)[3])
@@ -137,7 +163,7 @@ def _advance(
     limits: Limits,
     hard: Bools,
 ) -> Motion:
-    """One step on, by the built-in f_traj or after the planner's own trajectory."""
+    """Advance one step, by the built-in f_traj or along the planner's own trajectory."""
     over = [k for k, f in followers.items() if f.over]
     if over:
         motion = _steer(ground, motion, goal, over)

@@ -1,7 +1,7 @@
 """Attack templates, and candidates drawn from them.
 
-A template says which vehicle, which intent, which planner, and when. A candidate has numbers too: those that the
-planner's author gave, uniform ones within their bounds, or numbers near those of another candidate.
+A template specifies the vehicle, the intent, the planner and the start. A candidate also has parameter values: the
+planner's defaults, uniform samples within the bounds, or values near those of another candidate.
 """
 
 from __future__ import annotations
@@ -16,14 +16,22 @@ from sumo_adv.datatypes import LibraryEntry, Planner, Proposal
 from sumo_adv.search.settings import SamplingSettings
 from sumo_adv.situation import Situation, Target
 
-MAX_VERSIONS_PER_MODE = 2  # that are drawn from; as many learnt ones are tried with their own parameters
+MAX_VERSIONS_PER_MODE = 2  # that are drawn from; as many learnt ones are tried with their defaults
 EMERGENCY_BRAKING_LABEL = "Emergency Braking"
-DEFAULT_EMERGENCY_BRAKING_M_S2, EMERGENCY_BRAKING_RANGE_M_S2 = 7.5, (5.0, 8.0)  # of an intent with that label
+DEFAULT_EMERGENCY_BRAKING_M_S2, EMERGENCY_BRAKING_RANGE_M_S2 = 7.5, (5.0, 8.0)  # for an intent with that label
 
 
 @dataclass(frozen=True, slots=True)
 class AttackTemplate:
-    """One way to attack with open parameters. ``learnt``: its planner is a changed version of another one."""
+    """One way to attack, with open parameters.
+
+    Attributes:
+        delay: The start, as time after the trigger [s].
+        target: The vehicle.
+        entry: The intent.
+        planner: The planner.
+        learnt: Whether the planner is a changed version of another one.
+    """
 
     delay: float
     target: Target
@@ -33,11 +41,18 @@ class AttackTemplate:
 
     @property
     def key(self) -> tuple[float, str, str, str]:
-        """What identifies it: the start [s], the vehicle, the intent, and the planner's hash."""
+        """What identifies the template: the start [s], the vehicle, the intent, and the planner's hash."""
         return self.delay, self.target.state.id, self.entry.label, self.planner.hash
 
     def proposal(self, draw: Random | None) -> Proposal:
-        """A candidate with the author's parameters (``draw`` None), or with uniform ones within their bounds."""
+        """Make a candidate.
+
+        Args:
+            draw: Draws the parameters uniformly within their bounds; None takes the planner's defaults.
+
+        Returns:
+            The candidate. Emergency braking also gets an acceleration [m/s2].
+        """
         if draw is None:
             numbers, braking = self.planner.defaults(), DEFAULT_EMERGENCY_BRAKING_M_S2
         else:
@@ -50,8 +65,15 @@ class AttackTemplate:
 def templates_of(
     situations: Mapping[float, Situation], library: Sequence[LibraryEntry], allowed: Collection[str] | None = None
 ) -> list[AttackTemplate]:
-    """All templates that apply: by delay, most dangerous vehicle first, in the library's order. Of each mode, the first
-    ``MAX_VERSIONS_PER_MODE`` versions and as many first learnt ones. ``allowed``: labels of intents, None for all."""
+    """List all templates that apply: by delay, most dangerous vehicle first, in the library's order.
+
+    Each mode gets its first ``MAX_VERSIONS_PER_MODE`` versions and as many learnt ones.
+
+    Args:
+        situations: The situations by delay after the trigger [s].
+        library: The intents to draw from.
+        allowed: Labels of intents; None allows all.
+    """
     entries = library if allowed is None else [entry for entry in library if entry.label in allowed]
     versions = [(entry, _first_versions(entry, library)) for entry in entries]
     selected = []
@@ -65,8 +87,10 @@ def templates_of(
 
 
 def _first_versions(entry: LibraryEntry, library: Sequence[LibraryEntry]) -> list[tuple[Planner, bool]]:
-    """The first versions of each mode, and whether each was learnt: it has a parent in the same intent. A learnt
-    version stands for its mode where the mode has no other."""
+    """Return the first versions of each mode, and whether each was learnt.
+
+    A learnt version has a parent in the same intent. It counts as the original of its mode if the mode has no other.
+    """
     elsewhere = {p.hash for intent in library if intent.label != entry.label for p in intent.planners}
     first = {p.mode for p in entry.planners if p.parent is None or p.parent in elsewhere}
     count: Counter[tuple[str, bool]] = Counter()
@@ -80,29 +104,46 @@ def _first_versions(entry: LibraryEntry, library: Sequence[LibraryEntry]) -> lis
 
 
 def kind_of(label: str, relation: str, side: str | None) -> str:
-    """The kind of an attack: its intent, the adversary's relation to the ego, and the side of the ego that is hit."""
+    """Name the kind of an attack.
+
+    Args:
+        label: The label of its intent.
+        relation: The adversary's relation to the ego.
+        side: The side of the ego that is hit; None without a contact.
+    """
     return f"{label} / {relation} / {side or 'no contact'}"
 
 
 class Scorer(Protocol):
-    """Predicts candidates; lower scores are better."""
+    """Predicts candidates. Lower scores are better."""
 
     def score(self, proposals: Sequence[Proposal]) -> list[Proposal]:
-        """The same candidates with ``score`` and ``prediction``."""
+        """Return the same candidates with ``score`` and ``prediction``."""
         ...
 
 
 class Sampler:
-    """Draws candidates without scores; one seed gives one sequence."""
+    """Draws candidates without scores. The same seed gives the same sequence."""
 
     def __init__(self, settings: SamplingSettings, seed: int) -> None:
+        """Start the random generator.
+
+        Args:
+            settings: How many candidates are drawn, and where.
+            seed: The seed of the random generator.
+        """
         self.settings, self.random = settings, Random(seed)
 
     def first(self, templates: Sequence[AttackTemplate], count: int) -> list[Proposal]:
-        """At least ``count`` candidates: of each vehicle's planners one with the author's parameters, as early as
-        possible; the rest uniform, of each template in turn.
+        """Draw the first candidates.
 
-        Learnt versions come on top, with their own parameters, so that they do not change what else is drawn.
+        Each planner is tried once for each vehicle, with its default parameters and as early as possible. The rest are
+        uniform samples of each template in turn. Learnt versions are added with their defaults, so that they do not
+        change the other draws.
+
+        Args:
+            templates: The templates to draw from.
+            count: The minimum number of candidates.
         """
         drawn_from = originals(templates)
         candidates = [t.proposal(None) for t in _earliest(drawn_from)]
@@ -110,33 +151,62 @@ class Sampler:
         return candidates + _learnt(templates)
 
     def each(self, templates: Sequence[AttackTemplate], count: int) -> list[Proposal]:
-        """At least ``count`` candidates: one of each template with its author's parameters, the rest uniform."""
+        """Draw one candidate of each template with default parameters; the rest are uniform samples.
+
+        Learnt versions are added with their defaults.
+
+        Args:
+            templates: The templates to draw from.
+            count: The minimum number of candidates.
+        """
         own = originals(templates)
         candidates = [t.proposal(None) for t in own] + self.uniform(own, count - len(own))
         return candidates + _learnt(templates)
 
     def more(self, templates: Sequence[AttackTemplate], best: Sequence[Proposal]) -> list[Proposal]:
-        """``redraw`` candidates: half uniform, half near the first ``nearest`` of ``best``."""
+        """Draw ``redraw`` candidates: half uniform samples, half variations of the first ``nearest`` of ``best``.
+
+        Args:
+            templates: The templates to draw from.
+            best: The best candidates so far, best first.
+        """
         count = self.settings.redraw
         candidates = self.uniform(originals(templates), count // 2)
         return candidates + self.variations(best[: self.settings.nearest], count - len(candidates))
 
     def uniform(self, templates: Sequence[AttackTemplate], count: int) -> list[Proposal]:
-        """``count`` candidates of the templates in turn, uniform within the bounds; where there are more templates, of
-        some that are evenly spread."""
+        """Draw uniform samples of the templates in turn.
+
+        If there are more templates than samples, evenly spread templates are drawn from.
+
+        Args:
+            templates: The templates to draw from.
+            count: The number of candidates.
+        """
         every = max(len(templates) / count, 1.0) if count > 0 else 1.0
         rows = (int(k * every) % len(templates) for k in range(count if templates else 0))
         return [templates[k].proposal(self.random) for k in rows]
 
     def variations(self, proposals: Sequence[Proposal], count: int) -> list[Proposal]:
-        """``count`` candidates with parameters near those of the given ones, in turn."""
+        """Draw variations of the given candidates in turn.
+
+        Args:
+            proposals: The candidates to vary.
+            count: The number of variations.
+        """
         spread = self.settings.spread
         return [varied(proposals[k % len(proposals)], self.random, spread) for k in range(count if proposals else 0)]
 
 
 def elites(ordered: Sequence[Proposal]) -> list[Proposal]:
-    """The first candidate of each cell, in order: a cell is a vehicle, intent and mode, and the side of the ego that is
-    hit or why it is not (MAP-Elites; Mouret and Clune 2015, "Illuminating search spaces by mapping elites")."""
+    """Return the first candidate of each cell, in order.
+
+    A cell is a vehicle, intent and mode, and the side of the ego that is hit or why it is not (MAP-Elites; Mouret and
+    Clune 2015, "Illuminating search spaces by mapping elites").
+
+    Args:
+        ordered: The candidates, best first. Those whose planner failed are left out.
+    """
     cells: dict[tuple[str, ...], Proposal] = {}
     for p in ordered:
         seen = p.prediction
@@ -147,14 +217,26 @@ def elites(ordered: Sequence[Proposal]) -> list[Proposal]:
 
 
 def varied(p: Proposal, random: Random, spread: float) -> Proposal:
-    """A candidate with other parameters: normal around its own with a standard deviation of ``spread`` times the
-    range, within the bounds; so have its supports."""
+    """Vary the parameters of a candidate and its supports with normally distributed steps, within the bounds.
+
+    Args:
+        p: The candidate.
+        random: The random generator.
+        spread: The standard deviation, as a share of a parameter's range.
+    """
     return moved(p, lambda: random.gauss(0.0, spread))
 
 
 def moved(p: Proposal, step: Callable[[], float]) -> Proposal:
-    """A candidate with each parameter moved by a ``step``, a share of its range, and kept within its bounds; so are
-    those of its supports. It counts as proposed by the search."""
+    """Move each parameter of a candidate and its supports, and keep it within its bounds.
+
+    Args:
+        p: The candidate.
+        step: Returns a step, as a share of a parameter's range.
+
+    Returns:
+        The candidate, which counts as proposed by the search.
+    """
     numbers = {}
     for q in p.planner.parameters:
         value = p.parameters.get(q.name, q.default) + step() * (q.high - q.low)
@@ -164,17 +246,22 @@ def moved(p: Proposal, step: Callable[[], float]) -> Proposal:
 
 
 def originals(templates: Sequence[AttackTemplate]) -> list[AttackTemplate]:
-    """Templates of planners that were not learnt, in the order in which they are drawn."""
+    """Return templates of planners that were not learnt, ordered by label, mode and hash.
+
+    Args:
+        templates: The templates to choose from.
+    """
     originals = (t for t in templates if not t.learnt)
     return sorted(originals, key=lambda t: (t.entry.label, t.planner.mode, t.planner.hash))
 
 
 def _learnt(templates: Sequence[AttackTemplate]) -> list[Proposal]:
+    """Return candidates of the learnt templates, with default parameters."""
     return [t.proposal(None) for t in templates if t.learnt]
 
 
 def _earliest(templates: Sequence[AttackTemplate]) -> list[AttackTemplate]:
-    """For each vehicle and planner, the template with the earliest start."""
+    """Return the template with the earliest start for each vehicle and planner."""
     candidates: dict[tuple[str, str], AttackTemplate] = {}
     for template in sorted(templates, key=lambda t: t.delay):
         candidates.setdefault((template.target.state.id, template.planner.hash), template)

@@ -1,8 +1,8 @@
-"""Predicted rollouts judged by the verdict's own functions, and their scores.
+"""Scores of predicted rollouts, which are judged by the verdict's own functions.
 
-The lower the score, the better. A predicted collision scores by the level that it reaches (``predicted_level.py``) and
-by how much there is to spare. Collisions that prove nothing, misses, infeasible motions, contacts with a third party
-and rear-ends follow in this order.
+The lower the score, the better. A predicted collision is scored by the level that it reaches (``predicted_level.py``)
+and by its margin to the next level. Collisions that prove nothing, misses, infeasible motions, contacts with a third
+party and rear-ends follow in this order.
 """
 
 from __future__ import annotations
@@ -39,17 +39,29 @@ from sumo_adv.simulation.network import Drivable
 from sumo_adv.situation import Situation, heights_along
 
 UNCOUNTED_BRAKING_M_S2 = 1.0  # gentler braking does not count
-ROAD_INSET_M = 0.05  # m; the judge's 0.15 would leave no room for the error of a prediction
-ROAD_CHECK_STRIDE = 4  # steps between two tests of the corners, which are slow; off the road a vehicle stays for longer
-NO_TOUCH_DISTANCE_M = 5.0  # between boxes: with more at every step two vehicles do not touch in between, up to 50 m/s
-MIN_HAZARD_STEPS = 3  # before a contact, for a hazard to show
+ROAD_INSET_M = 0.05  # the judge's 0.15 m would leave no room for prediction errors
+ROAD_CHECK_STRIDE = 4  # steps between two tests of the corners, which are slow; a vehicle stays off the road for longer
+NO_TOUCH_DISTANCE_M = 5.0  # between boxes; up to 50 m/s, vehicles farther apart at every step do not touch in between
+MIN_HAZARD_STEPS = 3  # minimum number of steps before a contact, so that a hazard can show
 
 
 def judge_all(
     situations: Mapping[float, Situation], proposals: Sequence[Proposal], rollouts: Rollouts, drivable: Drivable,
     limits: Limits, weights: ScoreSettings,
 ) -> list[tuple[float, Prediction]]:  # fmt: skip
-    """The score and the prediction of each rollout, row by row; ``situations``: by delay [s]."""
+    """Score rollouts.
+
+    Args:
+        situations: The situations by delay after the trigger [s].
+        proposals: The candidates.
+        rollouts: Their predicted motions, row by row.
+        drivable: Where vehicles can drive.
+        limits: The limits of all adversaries.
+        weights: How a prediction becomes a score.
+
+    Returns:
+        The score and the prediction of each candidate, in order.
+    """
     seen = _look_at(situations, proposals, rollouts, drivable, limits)
     ttc_left, gap_left = np.minimum(seen.least, MAX_COUNTED_TTC_S), np.minimum(seen.nearest, MAX_COUNTED_DISTANCE_M)
     missed = weights.miss_by_ttc * ttc_left + weights.miss_by_gap * gap_left
@@ -74,10 +86,23 @@ def judge_all(
 
 @dataclass(frozen=True, slots=True)
 class _Seen:
-    """What rollouts come to, row by row.
+    """What rollouts show. Row k is candidate k.
 
-    contact: the step of the first contact with the collider; last: that step, or the last judged step. least: TTC [s];
-    nearest: distance [m]. third, leaves, beyond, rear: what rules a row out; the first three also by a support.
+    Attributes:
+        ego: The egos, ``(n, steps)``.
+        adversary: The colliders, ``(n, steps)``.
+        dt: The step length [s].
+        contact: The step of the first contact with the collider.
+        hit: Whether there is a contact.
+        last: The step of the contact, or the last judged step.
+        at_contact: The boxes of the ego and the collider at that time, each ``(n,)``.
+        third: Whether an adversary touches a third party, or a support touches the ego or another adversary.
+        leaves: Whether an adversary leaves the road.
+        beyond: Whether an adversary moves beyond the limits.
+        rear: Whether the collider runs into the ego's rear.
+        least: The minimum TTC [s].
+        nearest: The distance when the centres are nearest [m].
+        supports: The first supports of all candidates, then the second ones, each ``(n, steps)``.
     """
 
     ego: Boxes
@@ -97,7 +122,7 @@ class _Seen:
 
     @property
     def counts(self) -> Bools:
-        """Which are collisions that nothing rules out."""
+        """Which rows are collisions that nothing rules out."""
         return self.hit & ~(self.third | self.leaves | self.beyond | self.rear)
 
 
@@ -105,6 +130,7 @@ def _look_at(
     situations: Mapping[float, Situation], proposals: Sequence[Proposal], rollouts: Rollouts, drivable: Drivable,
     limits: Limits,
 ) -> _Seen:  # fmt: skip
+    """Judge rollouts, without the level of their collisions."""
     steps, begun = rollouts.ego[0].shape[1], [situations[p.delay] for p in proposals]
     ego_state, dt, time = begun[0].ego, begun[0].dt, rollouts.time
     own = Boxes(*rollouts.ego, ego_state.length, ego_state.width)
@@ -125,7 +151,7 @@ def _look_at(
     bvs = [p.bvs for p in proposals]
     for boxes, before in driven:
         third |= _third_party(begun, bvs, boxes, time, end_time)
-        bound = judged & ~unprotected(boxes.length, boxes.width)  # to the carriageway
+        bound = judged & ~unprotected(boxes.length, boxes.width)  # vehicles that must stay on the carriageway
         looked_at = bound & (np.arange(steps) % ROAD_CHECK_STRIDE == 1)
         leaves |= off_road(boxes, looked_at, drivable, ROAD_INSET_M).any(axis=1)
         beyond |= _beyond_limits(boxes, before, time, judged, limits)
@@ -140,7 +166,7 @@ def _look_at(
 
 
 def _driven(begun: Sequence[Situation], members: Sequence[Proposal], motions: Motions) -> tuple[Boxes, Floats]:
-    """One adversary of each candidate, row by row: its motion, and its acceleration at the trigger [m/s2]."""
+    """Return one adversary of each candidate: its motion, and its acceleration at the trigger [m/s2]."""
     states = [situation.targets[p.bv].state for situation, p in zip(begun, members, strict=True)]
     lengths, widths = np.array([[s.length] for s in states]), np.array([[s.width] for s in states])
     ways = [
@@ -151,7 +177,7 @@ def _driven(begun: Sequence[Situation], members: Sequence[Proposal], motions: Mo
 
 
 def _raised(boxes: Boxes, paths: Sequence[tuple[Path, ...]]) -> Boxes:
-    """The boxes ``(n, steps)`` at the heights of the paths of their rows."""
+    """Put boxes ``(n, steps)`` at the heights of the paths of their rows."""
     if not any(np.ndim(path.z) for row in paths for path in row):
         return boxes
     z = np.empty(boxes.x.shape)
@@ -161,7 +187,7 @@ def _raised(boxes: Boxes, paths: Sequence[tuple[Path, ...]]) -> Boxes:
 
 
 def _touch(one: Boxes, other: Boxes, time: Floats, end: Floats) -> Bools:
-    """Whether the two of a row touch before ``end`` ``(n,)`` [s], ``(n,)``."""
+    """Return whether the two vehicles of a row touch before ``end`` ``(n,)`` [s], ``(n,)``."""
     reach = half_diagonal(one) + half_diagonal(other) + NO_TOUCH_DISTANCE_M
     rows = np.flatnonzero((np.hypot(one.x - other.x, one.y - other.y) < reach).any(axis=1))
     touched = np.zeros(len(end), bool)
@@ -171,7 +197,7 @@ def _touch(one: Boxes, other: Boxes, time: Floats, end: Floats) -> Bools:
 
 
 def _prediction(seen: _Seen, k: int) -> Prediction:
-    """The prediction of row ``k``, without what ``danger_of`` adds."""
+    """Return the prediction of row ``k``, without what ``danger_of`` adds."""
     hit, last, dt = bool(seen.hit[k]), int(seen.last[k]), seen.dt
     braking_share = (np.diff(seen.adversary.speed[k, : max(last, 1) + 1]) / dt < -UNCOUNTED_BRAKING_M_S2).mean()
     return Prediction(
@@ -183,6 +209,7 @@ def _prediction(seen: _Seen, k: int) -> Prediction:
 
 
 def _with_danger(made: Prediction, danger: PredictedSeverity, row: int) -> Prediction:
+    """Add the severity of a row to its prediction."""
     return replace(
         made, level=Level(int(danger.level[row])), warning=float(danger.warning[row]),
         delta_v=float(danger.delta_v[row]), human=bool(danger.human[row]), careful=bool(danger.careful[row]),
@@ -192,7 +219,12 @@ def _with_danger(made: Prediction, danger: PredictedSeverity, row: int) -> Predi
 
 
 def touch_of(situations: Mapping[float, Situation], proposals: Sequence[Proposal]) -> Touch:
-    """A function that tells whether the ego and the BVs of these candidates touch."""
+    """Return a function that tells whether the ego and the colliders of these candidates touch.
+
+    Args:
+        situations: The situations by delay after the trigger [s].
+        proposals: The candidates.
+    """
     states = [situations[p.delay].targets[p.bv].state for p in proposals]
     length, width = np.array([s.length for s in states]), np.array([s.width for s in states])
     ego_state = next(iter(situations.values())).ego
@@ -211,7 +243,10 @@ def touch_of(situations: Mapping[float, Situation], proposals: Sequence[Proposal
 
 
 def _score(danger: PredictedSeverity, weights: ScoreSettings) -> Floats:
-    """By the level, and within a level by what is missing to the next: winners at the edge do not survive noise."""
+    """Score collisions by their level, and within a level by their shortfall from the next one.
+
+    Collisions at the edge of a level would not survive noise.
+    """
     warned = np.clip(danger.warning / weights.warned_enough, 0.0, 1.0)
     hard = np.clip(danger.hardness, 0.0, 1.0)
     to_serious = weights.to_delta_v * (1.0 - hard) + weights.not_human * ~danger.human
@@ -223,8 +258,11 @@ def _score(danger: PredictedSeverity, weights: ScoreSettings) -> Floats:
 
 
 def _ends(ego: Boxes, adversary: Boxes, last: Any, hit: Bools, time: Floats) -> tuple[Floats, tuple[Boxes, Boxes]]:
-    """When each rollout ends ``(n,)`` [s], and both boxes ``(n,)`` then. That is the exact first contact, which lies in
-    the step to ``last`` ``(n,)``, or ``last`` without a hit."""
+    """Return when each rollout ends ``(n,)`` [s], and both boxes ``(n,)`` then.
+
+    A rollout ends at the exact first contact, which lies in the step to ``last`` ``(n,)``. Without a contact, it ends
+    at ``last``.
+    """
     before = np.maximum(last - 1, 0)
     steps = (np.arange(len(last))[:, None], np.stack([before, last], axis=1))
     share = np.where(hit, np.minimum(sweep(pick(ego, steps), pick(adversary, steps))[:, 0], 1.0), 1.0)
@@ -233,7 +271,9 @@ def _ends(ego: Boxes, adversary: Boxes, last: Any, hit: Bools, time: Floats) -> 
 
 
 def _least(ego: Boxes, adversary: Boxes, last: Any) -> tuple[Floats, Floats]:
-    """Least TTC [s] and least box distance [m] up to the contact, at every third step."""
+    """Return the minimum TTC [s], and the box distance [m] when the centres are nearest, at every third step up to the
+    contact.
+    """
     steps = np.arange(0, ego.x.shape[1], 3)
     shown = (np.arange(len(last))[:, None], steps[None, :])
     a, b = pick(ego, shown), pick(adversary, shown)
@@ -247,10 +287,16 @@ def _least(ego: Boxes, adversary: Boxes, last: Any) -> tuple[Floats, Floats]:
 def _third_party(
     begun: Sequence[Situation], bvs: Sequence[tuple[str, ...]], adversary: Boxes, time: Floats, end: Floats
 ) -> Bools:
-    """Whether the adversary touches another vehicle before ``end`` ``(n,)`` [s]. A vehicle that reacts
-    and is behind it at first is taken to brake in time.
+    """Return whether the adversary touches another vehicle before ``end`` ``(n,)`` [s].
 
-    begun: the situation of each row; bvs: all adversaries of a row, which are no third parties.
+    A reacting vehicle that is behind the adversary at first is assumed to brake in time.
+
+    Args:
+        begun: The situation of each row.
+        bvs: The ids of all adversaries of each row, which are no third parties.
+        adversary: One adversary of each row, ``(n, steps)``.
+        time: The time since the start of the attack [s], ``(steps,)``.
+        end: When each rollout ends [s], ``(n,)``.
     """
     touched, driven, when = np.zeros(len(bvs), bool), slice(1, None), time[1:]
     pairs = [
@@ -266,7 +312,7 @@ def _third_party(
 
 
 def _joined(parts: Sequence[Boxes]) -> Boxes:
-    """Boxes ``(n, steps)``, one after the other."""
+    """Concatenate boxes ``(n, steps)`` along the rows."""
     x, y, heading, speed, length, width = (
         np.concatenate([getattr(b, f.name) for b in parts]) for f in fields(Boxes) if f.name != "z"
     )
@@ -278,8 +324,13 @@ def _near_others(
     situation: Situation, begun: Sequence[Situation], bvs: Sequence[tuple[str, ...]], adversary: Boxes, time: Floats,
     end: Floats,
 ) -> tuple[Ints, Boxes]:  # fmt: skip
-    """Pairs of an adversary and another vehicle that may touch, of the rows that begin in a situation, without vehicles
-    that will brake: the adversary's row, and the other vehicle's motion ``(pairs, steps)``."""
+    """Find pairs of an adversary and another vehicle that may touch, among the rows that begin in a situation.
+
+    Vehicles that will brake are left out.
+
+    Returns:
+        The adversary's row and the other vehicle's motion ``(pairs, steps)``.
+    """
     own = np.flatnonzero([s is situation for s in begun])
     tracks, driven = situation.traffic.others, slice(1, None)
     around = on_grid(tracks, np.asarray(situation.time + time))
@@ -297,12 +348,12 @@ def _near_others(
 
 
 def _brakes(track: Track) -> bool:
-    """Whether it brakes for what is ahead: not an obstacle, and not a pedestrian."""
+    """Return whether the track brakes for what is ahead; obstacles and pedestrians do not."""
     return track.role is not Role.OBSTACLE and road_user(track) is not RoadUser.PEDESTRIAN
 
 
 def _beyond_limits(adversary: Boxes, before: Floats, time: Floats, judged: Bools, limits: Limits) -> Bools:
-    """Whether a kinematic gate fails ``(n,)``; ``before``: the acceleration at the trigger ``(n,)`` [m/s2]."""
+    """Return whether a kinematic gate fails ``(n,)``; ``before`` is the acceleration at the trigger ``(n,)`` [m/s2]."""
     change = np.diff(adversary.speed, axis=1) / np.diff(time)
     acceleration = np.concatenate([before[:, None], change], axis=1)
     broken = kinematic_gates(adversary, acceleration, time, limits)
@@ -313,8 +364,17 @@ def _beyond_limits(adversary: Boxes, before: Floats, time: Floats, judged: Bools
 
 
 def goal_score(goal: Goal, score: float, made: Prediction, weights: ScoreSettings) -> float:
-    """The score of a prediction for the goal; ``score``: by its level alone. What fails whatever the ego does keeps its
-    score, and so does a run into the ego's back."""
+    """Score a prediction for the goal.
+
+    A motion that fails whatever the ego does keeps its score. If a near miss is wanted, so does a contact that does not
+    count, such as a run into the ego's rear.
+
+    Args:
+        goal: What an attack is meant to achieve.
+        score: The score by the level alone.
+        made: The prediction.
+        weights: How a prediction becomes a score.
+    """
     if goal.ttc is not None:
         spoilt = made.hopeless or (made.hit and made.level < Level.COLLISION)
         return score if spoilt else _near_miss(goal.ttc, made, weights)
@@ -324,7 +384,11 @@ def goal_score(goal: Goal, score: float, made: Prediction, weights: ScoreSetting
 
 
 def _near_miss(band: tuple[float, float], made: Prediction, weights: ScoreSettings) -> float:
-    """In the band the better the nearer to its middle; else the better the nearer to the band, a contact last."""
+    """Score a near miss.
+
+    Within the band, the score improves towards the middle. Outside of it, the score improves towards the band. A
+    contact is worst.
+    """
     low, high = band
     if made.hit:
         return weights.miss + weights.miss_by_ttc * low + weights.contact

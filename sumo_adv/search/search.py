@@ -1,9 +1,10 @@
 """The search for an attack: a pool of predicted candidates, from which the next ones to try are proposed.
 
 ``AttackSearch`` draws candidates (``sampling``), has them predicted and scored (``prediction``), and draws more while
-none is good. ``propose`` takes the candidate with the least price: its score, and what else counts
-(``settings.PriceSettings``), as long as one promises a higher level than the attempts so far reached. After a few of
-them it varies what attempts came to (``evolution``). It plays the analyzer where no language model does (``ranking``).
+none is good. ``propose`` takes the candidate with the lowest price, as long as one promises a higher level than the
+attempts so far have reached. The price is the score plus what ``settings.PriceSettings`` adds. After a few such
+candidates, the search varies the best attempts (``evolution``). Without a language model, the search also takes the
+analyzer's role (``ranking``).
 """
 
 from __future__ import annotations
@@ -26,7 +27,11 @@ from sumo_adv.situation import Situation
 
 
 class AttackSearch:
-    """The candidates of one encounter. ``pool``: all that were predicted and not tried yet."""
+    """The candidates of one encounter.
+
+    Attributes:
+        pool: All candidates that were predicted and not tried yet.
+    """
 
     def __init__(
         self, scorer: Scorer, situations: Mapping[float, Situation], library: Sequence[LibraryEntry],
@@ -36,11 +41,20 @@ class AttackSearch:
     ) -> None:  # fmt: skip
         """Predict the first candidates.
 
-        situations: by delay after the trigger [s]. goal: what is wanted, a serious collision by default. selection: the
-        intents that may be tried, all by default. recalled: a candidate that succeeded in a similar scene; it is tried
-        first, and nothing is predicted until it has failed. adversaries: the most of a candidate; colliders: the
-        vehicles that may be the collider, empty for all; compositions: composed intents that the bank knows. predicts:
-        whether candidates are predicted at all; else only attempts tell what they come to.
+        Args:
+            scorer: Predicts and scores candidates.
+            situations: The situations by delay after the trigger [s].
+            library: The intents to draw from.
+            settings: All weights of the search.
+            seed: The seed of the random generators.
+            goal: What an attack is meant to achieve; a serious collision by default.
+            selection: The intents that may be tried; all by default.
+            recalled: A candidate that succeeded in a similar scene. It is tried first, and nothing is predicted until
+                it has failed.
+            adversaries: The maximum number of adversaries of a candidate.
+            colliders: The vehicles that may be the collider; empty allows all.
+            compositions: Composed intents that the bank knows.
+            predicts: Whether candidates are predicted. If not, the search learns from attempts only.
         """
         self._scorer, self._situations, self._settings = scorer, dict(situations), settings
         self._goal, self._best = goal or Goal(), Level.NONE
@@ -51,17 +65,17 @@ class AttackSearch:
         self._tried: list[Proposal] = []
         self._by_family: Counter[tuple[str, str, str]] = Counter()
         self._by_planner: Counter[Planner] = Counter()
-        self._kinds: set[str] = set()  # of successes, if more than one kind is wanted
+        self._kinds: set[str] = set()  # kinds of the successes so far, if more than one kind is wanted
         self._added: set[str] = set()  # hashes of planners with a share of attempts of their own
         self._templates: list[AttackTemplate] = []
         supports = Supports(self._situations, Random(seed), adversaries, compositions, library)
         self._support = supports if adversaries > 1 else None
         self._supports_predicted = False
         self._colliders = frozenset(colliders)
-        self._redrawn = 0  # candidates drawn, with those of the first analysis
+        self._redrawn = 0  # number of candidates drawn, including those of the first analysis
         self._predicts, self._seed = predicts, seed
         self._evolution = self._new_evolution()
-        self._pairs: frozenset[tuple[str, str]] = frozenset()  # vehicles with intents that alone may be tried
+        self._pairs: frozenset[tuple[str, str]] = frozenset()  # may be tried; empty allows all
         self.pool: list[Proposal] = []
         if recalled is not None:
             self.pool = [recalled]
@@ -70,17 +84,25 @@ class AttackSearch:
             self.extend([e for e in library if not composed(e) or self._selection.names(e.label)])
 
     def __bool__(self) -> bool:
+        """Return whether any candidate is left."""
         return bool(self.pool or self._evolution)
 
     # -- the pool -----------------------------------------------------------------------------------------------
 
     @property
     def reaches(self) -> bool:
-        """Whether some candidate is predicted to collide, or succeeded in a similar scene, or nothing is predicted."""
+        """Whether a candidate is predicted to reach the ego in a way that counts.
+
+        Also true if candidates are left and nothing is predicted.
+        """
         return (bool(self) and not self._predicts) or any(p.score < self._settings.reaches for p in self.pool)
 
     def extend(self, library: Sequence[LibraryEntry]) -> None:
-        """Predict candidates of whatever the library has and the pool has not; more while none is good."""
+        """Predict candidates for library entries that are not in the pool yet; draw more while none is good.
+
+        Args:
+            library: The intents to draw from.
+        """
         count = self._settings.proposals
         templates = self._templates_of(library, [e.label for e in self._selection.of(library)])
         self._evolution.draw_from(templates)
@@ -93,10 +115,13 @@ class AttackSearch:
             self.pool += self._scorer.score(self._sampler.more(templates, elites(sorted(self.pool, key=self.price))))
 
     def ranking(self, library: Sequence[LibraryEntry]) -> list[Intent]:
-        """The intents of the pool, most dangerous first.
+        """Rank the intents of the pool, most dangerous first.
 
-        Where few candidates are avoidable, intents that the library lacks are composed. They come behind the intents
-        that reach the ego and before those that do not; nothing is predicted of them yet.
+        If few candidates are avoidable, intents that the library lacks are composed. They come after the intents that
+        reach the ego and before those that do not. They have no predictions yet.
+
+        Args:
+            library: The intents of the bank, for their descriptions.
         """
         descriptions = {e.label: e.description for e in library}
         if not self._predicts:
@@ -107,11 +132,15 @@ class AttackSearch:
         return reaching + new + rest
 
     def _composed(self, library: Sequence[LibraryEntry]) -> list[Intent]:
-        """Intents that the library lacks and that may be tried."""
+        """Compose intents that the library lacks and that may be tried."""
         return [i for i in compose(self._situations, library) if self._selection.allows(i.label)]
 
     def price(self, p: Proposal) -> float:
-        """A candidate's score with what else counts: a late contact, and much braking."""
+        """Return the price of a candidate: its score plus penalties for a late contact, much braking and supports.
+
+        Args:
+            p: The candidate.
+        """
         weights, seen = self._settings.price, p.prediction
         if seen is None:
             return p.score
@@ -123,8 +152,17 @@ class AttackSearch:
     def follow(
         self, intents: Sequence[Intent], library: Sequence[LibraryEntry], *, in_their_order: bool = False
     ) -> list[AttackTemplate]:
-        """From now on draw from these intents; ``in_their_order``: draw from all, but a place in the ranking has its
-        price, and what is not in it comes last. Returns the templates."""
+        """Draw from these intents from now on.
+
+        Args:
+            intents: The intents that the analyzer chose, best first.
+            library: The intents to draw from.
+            in_their_order: Whether to draw from the whole library, at a price that grows with the place in ``intents``.
+                Intents that are not in ``intents`` come last.
+
+        Returns:
+            The templates that are drawn from.
+        """
         open_ = [e.label for e in self._selection.of(library)]
         drawn_from = open_ if in_their_order else [i.label for i in intents]
         self._templates = self._templates_of(library, drawn_from)
@@ -138,14 +176,22 @@ class AttackSearch:
         return list(self._templates)
 
     def confine(self, pairs: Collection[tuple[str, str]]) -> None:
-        """From now on try these vehicles with these intents (id, label) and no others."""
+        """Try only these vehicles with these intents from now on.
+
+        Args:
+            pairs: The ids of vehicles and the labels of intents.
+        """
         self._pairs = frozenset(pairs)
         self.pool = [p for p in self.pool if (p.bv, p.label) in self._pairs]
         self._evolution = self._new_evolution()
         self._evolution.draw_from(self._templates)
 
     def add_chosen(self, chosen: Sequence[Proposal]) -> None:
-        """Predict candidates that a model chose, with variations of their numbers; they join the pool as any other."""
+        """Add candidates that a language model chose, and predict them with variations of their parameters.
+
+        Args:
+            chosen: The candidates.
+        """
         if not self._predicts:
             self._evolution.add(chosen)
             return
@@ -153,7 +199,12 @@ class AttackSearch:
         self.pool += self._scorer.score([*chosen, *variations])
 
     def add_casts(self, casts: Sequence[Cast], by: str) -> None:
-        """Candidates of compositions that an analyzer (``by``: its name) proposes join those of the search."""
+        """Add candidates of compositions that an analyzer proposes; do nothing if only one adversary is allowed.
+
+        Args:
+            casts: The compositions, with their vehicles.
+            by: The name of the analyzer.
+        """
         if self._support is None:
             return
         made = self._support.proposed(casts, by, self._evolution.templates)
@@ -163,7 +214,11 @@ class AttackSearch:
             self._evolution.add(made)
 
     def begin_anew(self, chosen: Sequence[Proposal]) -> None:
-        """Forget what attempts came to, because the driver has changed, and try these candidates first."""
+        """Forget the attempts so far, because the driver has changed, and try these candidates first.
+
+        Args:
+            chosen: The candidates.
+        """
         self._tried, self._best = [], Level.NONE
         self._by_family.clear()
         self._by_planner.clear()
@@ -172,15 +227,21 @@ class AttackSearch:
         self._evolution.add(chosen)
 
     def propose(self, budget: int) -> list[Proposal]:
-        """The next candidates to try, at most ``budget``; none when nothing is left. They leave the pool."""
+        """Return the next candidates to try, and remove them from the pool.
+
+        Args:
+            budget: The maximum number of candidates.
+
+        Returns:
+            The candidates, fewer than ``budget`` if nothing is left.
+        """
         selected = list[Proposal]()
         while len(selected) < budget and (proposal := self._predicted_or_drawn()) is not None:
             selected.append(proposal)
         return selected
 
     def _predicted_or_drawn(self) -> Proposal | None:
-        """A candidate that promises something by its prediction, as long as there is one; then one from what attempts
-        came to."""
+        """Return a candidate with a promising prediction if there is one, otherwise one from the evolution."""
         if self._predicts and len(self._tried) < self._settings.predicted and (best := self._next()) is not None:
             return best
         over = self._used_up()
@@ -189,7 +250,15 @@ class AttackSearch:
         return None if drawn_now is None else self._count(drawn_now)
 
     def take_best(self, bv: str, label: str) -> Proposal | None:
-        """The best candidate of an intent, or None; it leaves the pool."""
+        """Return the best candidate of an intent, and remove it from the pool.
+
+        Args:
+            bv: The id of the vehicle.
+            label: The label of the intent.
+
+        Returns:
+            The candidate, or None if there is none.
+        """
         if not self._predicts:
             own = [t for t in self._evolution.templates if (t.target.state.id, t.entry.label) == (bv, label)]
             return self._count(own[0].proposal(None)) if own else None
@@ -197,12 +266,18 @@ class AttackSearch:
         return self._take(min(pool, key=lambda p: p.score)) if pool else None
 
     def observe(self, tried: Proposal, motion: ObservedMotion | None, verdict: Verdict) -> None:
-        """Take note of an attempt: its level, the gates it failed, and how the ego moved in it (None: not at all)."""
+        """Learn from an attempt.
+
+        Args:
+            tried: The candidate that was attempted.
+            motion: How the ego moved in the attempt; None if it did not move.
+            verdict: The verdict on the attempt.
+        """
         if tried.arrival != AS_FOUND:
             self._evolution.observe(tried, verdict, "")
             return
         reached = self._goal.reached(verdict)
-        if not self._kinds or reached < self._level:  # a success is of a kind that is no longer looked for
+        if not self._kinds or reached < self._level:  # the kind of a success is no longer searched for
             self._best = max(self._best, reached)
         escape: tuple[Duty, ...] = ()
         if "third_party" in verdict.failed_gates:
@@ -212,14 +287,18 @@ class AttackSearch:
         self._evolution.observe(tried, verdict, self._kind_of(tried, verdict.contact_side), escape)
 
     def succeeded(self, kind: str) -> None:
-        """From now on look for an attack of another kind; see ``sampling.kind_of``."""
+        """Search for an attack of another kind from now on.
+
+        Args:
+            kind: The kind that succeeded (``sampling.kind_of``).
+        """
         self._kinds.add(kind)
         self._evolution.close({kind})
         self._best = Level.NONE
 
     @property
     def result(self) -> str:
-        """What the search came to, in a sentence."""
+        """What the search has achieved, in a sentence."""
         count, wish = len(self.pool) + len(self._tried), self._goal.attack(self._level)
         if self._kinds:
             kinds = "one kind" if len(self._kinds) == 1 else f"{len(self._kinds)} kinds"
@@ -228,7 +307,11 @@ class AttackSearch:
         return f"No {wish} found in {count} candidates{best}."
 
     def exhausted(self) -> list[str]:
-        """Hashes of planners without attempts left; of versions with one share, the most tried one."""
+        """Return the planners without attempts left.
+
+        Returns:
+            Their hashes. Of versions with a common share of attempts, only the most tried one.
+        """
         over, most = self._used_up(), dict[str, str]()
         for planner, _ in self._by_planner.most_common():
             if self._share_of(planner) in over:
@@ -236,7 +319,11 @@ class AttackSearch:
         return list(most.values())
 
     def add_version(self, planner: Planner) -> None:
-        """A changed planner, for every vehicle and start that its mode has; it gets a share of attempts of its own."""
+        """Add a changed planner for every vehicle and start of its mode; it gets its own share of attempts.
+
+        Args:
+            planner: The changed planner.
+        """
         same = {
             (t.delay, t.target.state.id): t for t in self._templates
             if (t.planner.label, t.planner.mode) == (planner.label, planner.mode)
@@ -252,6 +339,7 @@ class AttackSearch:
     # -- choosing -----------------------------------------------------------------------------------------------
 
     def _next(self) -> Proposal | None:
+        """Take the best open candidate; first draw more candidates, and then supports, if none is good enough."""
         open_, avoidable = self._open(), self._settings.avoidable
         while self._redrawn < self._wanted(open_):
             over = self._used_up()
@@ -272,62 +360,67 @@ class AttackSearch:
         return self._take(min(open_, key=lambda p: self._price_now(p) + weight * self._by_family[p.family]))
 
     def _with_supports(self, support: Supports) -> list[Proposal]:
-        """Known compositions, and the best candidates with a support each."""
+        """Return known compositions, and the best candidates with one support each."""
         settings = self._settings.sampling
         best = elites(sorted(self.pool, key=self.price))[: settings.nearest]
         alone = [p for p in best for _ in range(settings.supported)]
         return support.known(self._templates) + [q for p in alone if (q := support.changed(p, ())) is not p]
 
     def _open(self) -> list[Proposal]:
-        """The candidates that may be tried: they promise more than was reached. Before the first attempt all may be."""
-        if not self._tried:  # the first attempt shows something in any case
+        """Return the candidates that promise more than attempts have reached, or all before the first attempt."""
+        if not self._tried:  # the first attempt is informative in any case
             return list(self.pool)
         over, bound = self._used_up(), self._settings.bound(self._best)
         promising = [p for p in self.pool if p.score < bound and self._is_worth(p)]
         return [p for p in promising if self._share_of(p.planner) not in over]
 
     def _is_worth(self, p: Proposal) -> bool:
-        """Whether nothing rules a candidate out: its prediction, or its kind."""
+        """Return whether neither its prediction nor its kind rules a candidate out."""
         seen = p.prediction
         if p.by == "memory" or seen is None:
             return True
         return not seen.hopeless and self._kind_of(p, seen.side) not in self._kinds
 
     def _kind_of(self, p: Proposal, side: str | None) -> str:
+        """Return the kind of attack of a candidate that hits this side of the ego."""
         return kind_of(p.label, self._situations[p.delay].targets[p.bv].relation, side)
 
     def _price_now(self, p: Proposal) -> float:
-        """The price, with what the analyzer's order adds."""
+        """Return the price plus the penalty for the place in the analyzer's order."""
         ranks = self._ranks.get((p.bv, p.label), len(self._ranks))
         return self.price(p) + self._settings.price.rank * ranks
 
     def _take(self, chosen: Proposal) -> Proposal:
+        """Remove a candidate from the pool and count it."""
         self.pool.remove(chosen)
         return self._count(chosen)
 
     def _count(self, chosen: Proposal) -> Proposal:
+        """Count a candidate as tried."""
         self._tried.append(chosen)
         self._by_family[chosen.family] += 1
         self._by_planner[chosen.planner] += 1
         return chosen
 
     def _used_up(self) -> set[str]:
+        """Return the shares of attempts that are used up."""
         tries = Counter[str]()
         for planner, count in self._by_planner.items():
             tries[self._share_of(planner)] += count
         return {share for share, count in tries.items() if count >= self._settings.share}
 
     def _share_of(self, planner: Planner) -> str:
-        """The name of the share of attempts that a planner counts towards."""
+        """Return the name of the share of attempts that a planner counts towards."""
         return planner.hash if planner.hash in self._added else f"{planner.label}/{planner.mode}"
 
     def _new_evolution(self, sampler: Sampler | None = None) -> Evolution:
+        """Start an evolution without attempts."""
         settings = self._settings
         sampler = sampler or Sampler(settings.sampling, self._seed)
         return Evolution(sampler, self._goal, settings.evolution, self._support)
 
     def _templates_of(self, library: Sequence[LibraryEntry], allowed: Collection[str]) -> list[AttackTemplate]:
-        """The templates of vehicles that may be the collider."""
+        """Return the templates of vehicles that may be the collider."""
         templates = templates_of(self._situations, library, allowed)
         if self._pairs:
             templates = [t for t in templates if (t.target.state.id, t.entry.label) in self._pairs]
@@ -336,7 +429,7 @@ class AttackSearch:
     # -- predicting ---------------------------------------------------------------------------------------------
 
     def _wanted(self, pool: Sequence[Proposal]) -> int:
-        """The number of candidates to draw at most: more where none reaches the goal with something to spare."""
+        """Return the maximum number of candidates to draw: 0 if one reaches the goal with a margin."""
         settings = self._settings
         best, bound = min((p.score for p in pool), default=math.inf), settings.bound(Level(self._level - 1))
         return 0 if best < bound - settings.spare else settings.proposals + settings.sampling.more

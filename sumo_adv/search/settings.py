@@ -1,6 +1,7 @@
-"""Every weight of the search, with its unit and its reason. Scores are without unit: the lower, the better.
+"""All weights of the search, with their units and reasons. Scores have no unit; lower is better.
 
-The values were found on suites that no table reports. ``SearchSettings`` is passed to whatever needs a part of it.
+The values were tuned on suites that no table reports. ``SearchSettings`` is passed to every part that needs some of
+them.
 """
 
 from __future__ import annotations
@@ -9,43 +10,43 @@ from dataclasses import dataclass, field
 
 from sumo_adv.datatypes import Level
 
-FULL_WARNING_S = 2.0  # from the alarm of ``cc_human`` to the contact: more makes a collision no more avoidable
-MAX_COUNTED_TTC_S, MAX_COUNTED_DISTANCE_M = 10.0, 30.0  # what is farther from a contact counts as this
+FULL_WARNING_S = 2.0  # from the alarm of ``cc_human`` to the contact; longer makes a collision no more avoidable
+MAX_COUNTED_TTC_S, MAX_COUNTED_DISTANCE_M = 10.0, 30.0  # larger values are capped to these
 
 
 @dataclass(frozen=True, slots=True)
 class ScoreSettings:
-    """From a predicted motion to a score (``scoring.py``)."""
+    """How a predicted motion becomes a score (``scoring.py``)."""
 
-    serious: float = 0.0  # where each level begins
+    serious: float = 0.0  # the best score of each level
     strict: float = 0.3
     valid: float = 0.6
     collision: float = 0.9  # a contact that no reference driver avoids
     no_warning: float = 1.3  # a contact before which no danger shows
-    miss: float = 1.5  # no contact; more for each second of TTC and each metre of distance
+    miss: float = 1.5  # no contact; each second of TTC and each metre of distance adds to this
     miss_by_ttc: float = 0.3  # 1/s, up to ``MAX_COUNTED_TTC_S``
     miss_by_gap: float = 0.1  # 1/m, up to ``MAX_COUNTED_DISTANCE_M``
-    near_miss: float = 1.0  # a miss that costs no more is tried, as long as no attempt has been critical
-    too_mild: float = 0.3  # added to a miss: the share of the delta-v that is wanted and missing
-    contact: float = 0.3  # added to a miss where a near miss is wanted
+    near_miss: float = 1.0  # misses up to this much above ``miss`` are tried until an attempt is critical
+    too_mild: float = 0.3  # added to a miss, times the missing share of the wanted delta-v
+    contact: float = 0.3  # added to a miss for a contact, if a near miss is wanted
     off_road: float = 3.0  # leaves the road before the contact
     beyond_limits: float = 3.0  # moves as no vehicle can
     third_party: float = 4.0  # touches another vehicle first
     rear_end: float = 5.0  # runs into the back of the ego
     failed: float = 9.0  # the planner failed
-    to_delta_v: float = 0.2  # added to a strict one: the share of a serious delta-v that is missing
-    not_human: float = 0.06  # added to a strict collision if no person would drive so
-    to_warning: float = 0.2  # added to lower ones: the share of ``warned_enough`` that is missing
-    to_delta_v_early: float = 0.05  # added to a valid one: the share of a serious delta-v that is missing
-    warned_enough: float = FULL_WARNING_S
+    to_delta_v: float = 0.2  # added to a strict collision, times the missing share of a serious delta-v
+    not_human: float = 0.06  # added to a strict collision if no human would drive like that
+    to_warning: float = 0.2  # added to lower levels, times the missing share of ``warned_enough``
+    to_delta_v_early: float = 0.05  # added to a valid collision, times the missing share of a serious delta-v
+    warned_enough: float = FULL_WARNING_S  # s
 
 
 @dataclass(frozen=True, slots=True)
 class PriceSettings:
-    """What else counts when the search chooses (``search.py``): added to a candidate's score."""
+    """What is added to a candidate's score when the search chooses (``search.py``)."""
 
-    harsh: float = 0.1  # times the share of steps in which the adversary brakes: traffic hardly brakes
-    late: float = 0.02  # 1/s until the predicted contact: the later, the less sure
+    harsh: float = 0.1  # times the share of steps in which the adversary brakes; traffic rarely brakes
+    late: float = 0.02  # 1/s until the predicted contact; later contacts are less certain
     tried: float = 0.12  # for each attempt with the same vehicle, intent and mode
     rank: float = 0.03  # for each place in a model's ranking
 
@@ -56,41 +57,50 @@ class SamplingSettings:
 
     redraw: int = 150  # candidates drawn at once after the first ones
     nearest: int = 10  # number of best candidates that are varied
-    spread: float = 0.12  # of a parameter's range: standard deviation of a variation
-    more: int = 450  # drawn at most beside the first ones, where none reaches the goal with something to spare
-    around_chosen: int = 5  # variations of each candidate that a model chose
-    supported: int = 24  # candidates with a support that are drawn from each of the ``nearest``
+    spread: float = 0.12  # standard deviation of a variation, as a share of a parameter's range
+    more: int = 450  # maximum number drawn after the first ones, if none reaches the goal with a margin
+    around_chosen: int = 5  # variations of each candidate that a language model chose
+    supported: int = 24  # candidates with a support drawn for each of the ``nearest``
 
 
 @dataclass(frozen=True, slots=True)
 class EvolutionSettings:
-    """How candidates are drawn and varied by what attempts came to (``evolution.py``). Steps are shares of a
-    parameter's range."""
+    """How candidates are drawn, and varied by the verdicts on attempts (``evolution.py``).
 
-    first: int = 48  # candidates of generation 0 at least
-    anew: float = 0.25  # share of later candidates that are drawn anew
-    parents: int = 10  # best elites that are varied,
-    pressure: float = 0.75  # each this much less often than the one before it
+    Steps are shares of a parameter's range.
+    """
+
+    first: int = 48  # minimum number of candidates of generation 0
+    anew: float = 0.25  # share of later candidates that are sampled from scratch
+    parents: int = 10  # number of best elites that are varied
+    pressure: float = 0.75  # weight of each of them, relative to the one before it
     step: float = 0.12  # standard deviation of a cell's first variations
     least_step: float = 0.02
     most_step: float = 0.3
-    grow: float = 1.5  # after a variation that is better than its parent,
-    shrink: float = 0.9  # and after one that is not: steady at one better one in five
-    near: float = 0.08  # attempts within about this share of the ranges count for an elite's worth; 0: its own alone
+    grow: float = 1.5  # step factor after a variation that is better than its parent
+    shrink: float = 0.9  # step factor after one that is not; the step is steady if one in five is better
+    near: float = 0.08  # standard deviation of the weights of nearby attempts in an elite's rating; 0: no averaging
     other_start: float = 0.2  # share of variations with another start
-    accompany: float = 0.5  # where several adversaries are allowed: share of candidates with a support more or fewer
-    support: float = 0.03  # the price of each support: fewer adversaries are more likely in traffic
+    accompany: float = 0.5  # share of candidates that gain or lose a support, if several adversaries are allowed
+    support: float = 0.03  # price of each support; fewer adversaries are more likely in traffic
 
 
 @dataclass(frozen=True, slots=True)
 class SearchSettings:
     """All weights of the search.
 
-    proposals: candidates drawn before the first ranking. share: attempts for the versions of a mode together, where a
-    modifier may write new ones. reaches, avoidable: lower scores mean a contact that counts, and an avoidable one.
-    spare: what a candidate's score must be below that of its level, so that no better one is looked for. few: with
-    fewer avoidable candidates, intents that the library lacks are composed. predicted: attempts at most
-    that are chosen by prediction; later ones vary attempts.
+    Attributes:
+        proposals: The number of candidates drawn before the first ranking.
+        share: The maximum number of attempts for all versions of a mode together.
+        reaches: Scores below this mean a contact that counts.
+        avoidable: Scores below this mean an avoidable contact.
+        spare: No better candidate is searched for once a score is this far below the one the goal's level needs.
+        few: With fewer avoidable candidates, intents that the library lacks are composed.
+        predicted: The maximum number of attempts that are chosen by prediction. Later ones vary attempts.
+        score: How a prediction becomes a score.
+        price: What is added to a score when the search chooses.
+        sampling: How many candidates are drawn, and where.
+        evolution: How candidates are varied by the verdicts on attempts.
     """
 
     proposals: int = 80
@@ -106,7 +116,11 @@ class SearchSettings:
     evolution: EvolutionSettings = field(default_factory=EvolutionSettings)
 
     def bound(self, reached: Level) -> float:
-        """The score below which a candidate promises more than the level ``reached``."""
+        """Return the score below which a candidate promises more than a level.
+
+        Args:
+            reached: The level that attempts have reached.
+        """
         weights = self.score
         near = weights.miss + weights.near_miss
         return {

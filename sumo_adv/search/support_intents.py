@@ -1,7 +1,7 @@
 """The intents of supports: what another vehicle can do so that a collider succeeds, each with its planner.
 
-They are no part of the memory bank: a support alone is no attack. A composition of the bank names them by label and
-mode, as it names intents of the bank.
+They are not part of the memory bank, because a support alone is no attack. A composition of the bank refers to them by
+label and mode, as it refers to intents of the bank.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from sumo_adv.road_users import is_unprotected
 from sumo_adv.search.intents import EXPERT
 from sumo_adv.situation import Target
 
-ALONG_RELATIONS = ("neighbour", "leader", "follower")  # relations of vehicles that go along the ego's path
-MIN_LANE_OFFSET_M = 1.6  # m from the ego's path, from which on a vehicle is on a lane beside it
+ALONG_RELATIONS = ("neighbour", "leader", "follower")  # relations of vehicles that drive along the ego's path
+MIN_LANE_OFFSET_M = 1.6  # from the ego's path; vehicles at least this far away are in a lane beside it
 
 _PLACE = '''
 
@@ -126,6 +126,7 @@ def endpoint(bv, ego, road, parameters, acc, horizon):
 def _entry(
     label: str, description: str, applies: tuple[str, ...], mode: str, template: Template, **numbers: str
 ) -> LibraryEntry:
+    """Return an intent of a support with the planner that the template gives."""
     text = template.substitute(label=label, **numbers)
     return LibraryEntry(label, description, applies, (make_planner(label, mode, text, EXPERT),))
 
@@ -166,11 +167,19 @@ SUPPORT_INTENTS: Mapping[Duty, tuple[LibraryEntry, ...]] = {
         ),
     ),
 }  # fmt: skip
-"""By duty, the intents of supports."""
+"""The intents of supports, by duty."""
 
 
 def can_do_duty(duty: Duty, entry: LibraryEntry, target: Target) -> bool:
-    """Whether a vehicle can do its duty from where it is. Pedestrians and cyclists have none."""
+    """Return whether a vehicle can do a duty from its current position.
+
+    Pedestrians and cyclists have no duties.
+
+    Args:
+        duty: The duty.
+        entry: The intent by which the vehicle would do it.
+        target: The vehicle.
+    """
     if target.relation not in entry.applies or not target.ways or is_unprotected(target.state):
         return False
     left = float(target.ways[0].ego_d[0] + target.offset)

@@ -1,8 +1,8 @@
 """Supports: what other vehicles do so that a collider succeeds.
 
-In an attempt the ego may escape: it brakes, swerves left or right, or a third party is in the collider's way. A
-variation of that attempt may get a support against this escape, or lose one again (``evolution``). Compositions that
-the bank, the expert or an analyzer knows are tried as they are.
+In an attempt, the ego may escape: it brakes or swerves to the left or right. A third party may also be in the
+collider's way. A variation of that attempt may gain a support against this escape, or lose one (``evolution``).
+Compositions that the bank, the expert or an analyzer knows are tried as they are.
 """
 
 from __future__ import annotations
@@ -22,13 +22,18 @@ from sumo_adv.situation import MEET_AHEAD, Situation
 
 # -- how an ego escapes ---------------------------------------------------------------------------------------------
 
-MIN_SWERVE_M = 0.4  # m from its path, from which on the ego has swerved
-MIN_SPEED_LOSS_M_S = 0.5  # m/s below its unattacked speed, from which on it has braked
+MIN_SWERVE_M = 0.4  # from its path; an ego farther away has swerved
+MIN_SPEED_LOSS_M_S = 0.5  # below its unattacked speed; a slower ego has braked
 
 
 def duties_against(offset: float, speed: float, unattacked: float) -> tuple[Duty, ...]:
-    """What a support has to do against an escape: an offset from the ego's path [m, left positive], and a speed
-    compared with the unattacked one [m/s]."""
+    """Return the duties of a support that counter an escape.
+
+    Args:
+        offset: The ego's offset from its path, positive to the left [m].
+        speed: The ego's speed [m/s].
+        unattacked: Its speed without the attack [m/s].
+    """
     if offset > MIN_SWERVE_M:
         return (Duty.BLOCK_LEFT,)
     if offset < -MIN_SWERVE_M:
@@ -37,7 +42,14 @@ def duties_against(offset: float, speed: float, unattacked: float) -> tuple[Duty
 
 
 def observed_escape(situation: Situation, motion: ObservedMotion) -> tuple[Duty, ...]:
-    """The same for an attempt, by the ego's motion in it: its widest swerve, else its hardest braking."""
+    """Return the duties of a support that counter the ego's escape in an attempt.
+
+    The escape is the ego's widest swerve or, if it did not swerve, its hardest braking.
+
+    Args:
+        situation: The situation at the start of the attempt.
+        motion: The ego's motion in the attempt.
+    """
     seen = slice(0, max(motion.seen, 1))
     offset = motion.d[seen]
     widest = float(offset[np.abs(offset).argmax()])
@@ -49,23 +61,32 @@ def observed_escape(situation: Situation, motion: ObservedMotion) -> tuple[Duty,
 
 # -- compositions ---------------------------------------------------------------------------------------------------
 
-ANY_FITTING = ""  # of a part: any mode of the intent; of a cast: any vehicle that fits
+ANY_FITTING = ""  # as the mode of a part: any mode of the intent; as a vehicle of a cast: any vehicle that fits
 
 
 @dataclass(frozen=True, slots=True)
 class Cast:
-    """A composition with its vehicles. ``vehicles``: by part the id of the vehicle that carries it out, or
-    ``ANY_FITTING``; empty if any may."""
+    """A composition with its vehicles.
+
+    Attributes:
+        composition: The composition.
+        vehicles: The id of the vehicle that carries out each part, or ``ANY_FITTING``; empty allows any vehicles.
+    """
 
     composition: Composition
     vehicles: tuple[str, ...] = ()
 
     def vehicle(self, part: int) -> str:
-        """The vehicle of a part, the collider's being 0."""
+        """Return the vehicle of a part.
+
+        Args:
+            part: The index of the part; 0 is the collider.
+        """
         return self.vehicles[part] if self.vehicles else ANY_FITTING
 
 
 def _of(label: str, description: str, collider: str, *supports: tuple[Duty, str]) -> Composition:
+    """Return a composition whose parts take any mode."""
     parts = (
         Part(Duty.COLLIDER, collider, ANY_FITTING),
         *(Part(duty, intent, ANY_FITTING) for duty, intent in supports),
@@ -107,8 +128,16 @@ EXPERT_COMPOSITIONS: tuple[Composition, ...] = (
 
 
 def composition_label(collider: Proposal, supports: Sequence[Proposal], known: Iterable[Composition]) -> str:
-    """The label of the composition that has these parts, in any order of the supports; without one the labels of the
-    parts, the collider's first."""
+    """Return the label of the composition that has these parts.
+
+    Args:
+        collider: The candidate of the collider.
+        supports: Those of the supports, in any order.
+        known: The compositions to look in.
+
+    Returns:
+        The label; without a matching composition the labels of the parts, the collider's first.
+    """
     parts = sorted((p.duty, p.label) for p in (collider, *supports))
     same = (c for c in known if sorted((part.duty, part.intent) for part in c.parts) == parts)
     composition = next(same, None)
@@ -116,8 +145,16 @@ def composition_label(collider: Proposal, supports: Sequence[Proposal], known: I
 
 
 def description_of(p: Proposal, library: Sequence[LibraryEntry], proposed: Iterable[Cast] = ()) -> str:
-    """The description of a candidate's composition: that of the expert or of a proposed one, or made of those of its
-    parts."""
+    """Describe a candidate's composition.
+
+    Args:
+        p: The candidate.
+        library: The intents of the bank.
+        proposed: Compositions that an analyzer proposed.
+
+    Returns:
+        The description of the expert's or a proposed composition; otherwise the descriptions of the parts.
+    """
     compositions = (*EXPERT_COMPOSITIONS, *(cast.composition for cast in proposed))
     own = next((c.description for c in compositions if c.label == p.composition), None)
     entries = (*library, *(entry for those in SUPPORT_INTENTS.values() for entry in those))
@@ -127,41 +164,67 @@ def description_of(p: Proposal, library: Sequence[LibraryEntry], proposed: Itera
 
 # -- giving and taking supports --------------------------------------------------------------------------------------
 
-MAX_COLLIDERS = 2  # of a composition, at most: each costs an attempt
+MAX_COLLIDERS = 2  # maximum number for a composition; each costs an attempt
 
 
 class Supports:
-    """Gives candidates supports in one encounter, and takes them away; ``most``: adversaries of a candidate."""
+    """Adds supports to the candidates of one encounter, and removes them."""
 
     def __init__(
         self, situations: Mapping[float, Situation], random: Random, most: int, known: Sequence[Composition] = (),
         library: Sequence[LibraryEntry] = (),
     ) -> None:  # fmt: skip
-        """known: compositions that are tried beside the expert's; library: intents that their parts may name."""
+        """Know the expert's compositions and the given ones.
+
+        Args:
+            situations: The situations by delay after the trigger [s].
+            random: The random generator.
+            most: The maximum number of adversaries of a candidate.
+            known: Compositions that are tried in addition to the expert's.
+            library: The intents that their parts may name.
+        """
         self._compositions, self._library = (*known, *EXPERT_COMPOSITIONS), library
         self._situations, self._random, self._most = situations, random, most
         self._proposed: tuple[Composition, ...] = ()  # by the analyzer
 
     def known(self, templates: Sequence[AttackTemplate]) -> list[Proposal]:
-        """Candidates of the known compositions, with the authors' numbers; ``templates``: of the colliders."""
+        """Return candidates of the known compositions, with default parameters.
+
+        Args:
+            templates: The templates of the colliders.
+        """
         return self._carried_out([Cast(c) for c in self._compositions], templates)
 
     def proposed(self, casts: Sequence[Cast], by: str, templates: Sequence[AttackTemplate]) -> list[Proposal]:
-        """Candidates of compositions that an analyzer (``by``: its name) proposes; from now on supports that make one
-        of them up have its label."""
+        """Return candidates of compositions that an analyzer proposes.
+
+        From now on, candidates with the parts of one of these compositions have its label.
+
+        Args:
+            casts: The compositions, with their vehicles.
+            by: The name of the analyzer.
+            templates: The templates of the colliders.
+        """
         self._proposed = tuple(cast.composition for cast in casts)
         return [replace(p, by=by) for p in self._carried_out(casts, templates)]
 
     def changed(self, p: Proposal, escape: Sequence[Duty]) -> Proposal:
-        """The candidate with one support more or fewer; ``escape``: what a support had to do in an attempt of it, empty
-        if that is not known. The same candidate where nothing fits."""
+        """Add a support to a candidate, or remove one.
+
+        Args:
+            p: The candidate.
+            escape: Duties of a support that would have countered the ego's escape; empty if unknown.
+
+        Returns:
+            The changed candidate, or the same one if nothing fits.
+        """
         if p.supports and (len(p.supports) == self._most - 1 or self._random.random() < 0.5):
             gone = self._random.randrange(len(p.supports))
             return self._together(p, (*p.supports[:gone], *p.supports[gone + 1 :]))
         collider = self._situations[p.delay].targets[p.bv]
-        if is_unprotected(collider.state):  # all of a candidate's adversaries have the same limits
+        if is_unprotected(collider.state):  # all adversaries of a candidate have the same limits
             return p
-        meets = collider.relation in MEET_AHEAD  # only such a one can be hidden by a vehicle beside the ego
+        meets = collider.relation in MEET_AHEAD  # a vehicle beside the ego can hide only these
         duties = [duty for duty in escape or SUPPORT_INTENTS if meets or duty is not Duty.HIDE]
         fitting = [each for duty in duties for each in self._fitting(p, duty, SUPPORT_INTENTS[duty])]
         if not fitting:
@@ -178,7 +241,7 @@ class Supports:
         mode: str = ANY_FITTING,
         vehicle: str = ANY_FITTING,
     ) -> list[tuple[Duty, AttackTemplate]]:
-        """The vehicles that can do a duty for a candidate, each with an intent and a planner."""
+        """Return the vehicles that can do a duty for a candidate, each with an intent and a planner."""
         return [
             (duty, AttackTemplate(p.delay, target, entry, planner))
             for target in self._situations[p.delay].target_list()
@@ -188,7 +251,7 @@ class Supports:
         ]  # fmt: skip
 
     def _carried_out(self, casts: Sequence[Cast], templates: Sequence[AttackTemplate]) -> list[Proposal]:
-        """Candidates of compositions, each with the most dangerous colliders that fit, as early as possible."""
+        """Return candidates of compositions, each with the most dangerous colliders that fit, as early as possible."""
         made = list[Proposal]()
         for cast in (c for c in casts if len(c.composition.parts) <= self._most):
             first, colliders = cast.composition.parts[0], dict[str, AttackTemplate]()
@@ -201,8 +264,7 @@ class Supports:
         return made
 
     def _cast(self, cast: Cast, p: Proposal) -> Proposal | None:
-        """The collider with supports as a composition says; None where a part fits no vehicle, or not the vehicle of
-        the cast."""
+        """Add a composition's supports to its collider; return None if no vehicle fits a part."""
         for k, part in enumerate(cast.composition.parts[1:], start=1):
             entries = [e for e in (*SUPPORT_INTENTS[part.duty], *self._library) if e.label == part.intent]
             fitting = self._fitting(p, part.duty, entries, part.mode, cast.vehicle(k))
@@ -213,5 +275,6 @@ class Supports:
         return p
 
     def _together(self, collider: Proposal, supports: tuple[Proposal, ...]) -> Proposal:
+        """Return the collider's candidate with these supports and the label of their composition."""
         label = composition_label(collider, supports, (*self._compositions, *self._proposed)) if supports else ""
         return replace(collider.unscored(), supports=supports, composition=label, by="tuner")

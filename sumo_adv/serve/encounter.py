@@ -1,7 +1,7 @@
-"""One encounter of a server: waited for, described from the states up to now alone, decided, and attacked.
+"""One encounter of a server: detected, described from the states up to now alone, decided, and attacked.
 
-What ``run`` learns from an unattacked fork is foreseen here (``episode.traffic_forecast``), and again when the attack
-begins; each adversary then replans every half second against what the ego really does.
+``run`` takes the unattacked motion from a fork. Here it is forecast (``episode.traffic_forecast``), and forecast again
+when the attack begins. Each adversary then replans every half second against what the ego really does.
 """
 
 from __future__ import annotations
@@ -30,26 +30,42 @@ from sumo_adv.simulation.stage import Stage
 from sumo_adv.simulation.sumo_states import Snapshot
 from sumo_adv.situation import Situation
 
-STRAYED = 4.0, 2.5  # m, m/s from where ego or BV was foreseen to be: the scene is another one
-EGO_PAUSE_S = 2.0  # s the ego is on the road before anything may happen to it
-CALM_TIME_S = 2.0  # s within which an encounter must not be dangerous by itself
+STRAYED = 4.0, 2.5  # m, m/s; the scene has changed if ego or BV is farther from its forecast
+EGO_PAUSE_S = 2.0  # how long the ego must be on the road before an encounter
+CALM_TIME_S = 2.0  # an encounter must not be dangerous by itself within this time
 LOST = "The ego's client was lost or late."
 
 
 class EncounterMonitor:
-    """Looks at one session every half second."""
+    """Looks for encounters in one session every half second."""
 
     def __init__(self, session: Session, road: RoadMap, settings: Settings, only: tuple[str, ...], warm_up: float):
+        """Start to look.
+
+        Args:
+            session: The session.
+            road: The road network.
+            settings: The settings of the run.
+            only: The ids of the vehicles that may be adversaries; empty allows all.
+            warm_up: How long the ego must at least be on the road [s].
+        """
         self._session, self._road, self._settings, self._only = session, road, settings, only
         self._since, session.heights = max(settings.history, EGO_PAUSE_S, warm_up), road.heights
         self._encounter = self._fresh()
 
     def until_encounter(self, end: float, *, trigger: float | None = None, quiet: float = 0.0) -> list[RankedVehicle]:
-        """Step until one begins: possible adversaries, most dangerous first; empty at ``end`` [s] or without traffic.
+        """Step until an encounter begins.
 
-        ``trigger``: attack from this time on whatever the risk; ``quiet``: s from now on in which none may begin.
+        Args:
+            end: The time to stop at [s].
+            trigger: The time from which on the encounter begins, whatever the risk [s]; None detects it.
+            quiet: How long from now on no encounter may begin [s].
 
-        Raises ClientGone: the client did not come back in time.
+        Returns:
+            The possible adversaries, most dangerous first; empty at ``end`` or without traffic.
+
+        Raises:
+            ClientGone: The client did not come back in time.
         """
         session, every = self._session, self._settings.steps(LOOK_INTERVAL_S)
         from_here = session.now + quiet
@@ -70,9 +86,16 @@ class EncounterMonitor:
         return []
 
     def until(self, time: float) -> bool:
-        """Step until ``time`` [s]; True if the ego is there then and its client drives it.
+        """Step until a time.
 
-        Raises ClientGone: the client did not come (back) in time.
+        Args:
+            time: The time [s].
+
+        Returns:
+            Whether the ego is on the road then and its client drives it.
+
+        Raises:
+            ClientGone: The client did not come (back) in time.
         """
         session = self._session
         while session.now < time - 1e-6:
@@ -84,7 +107,16 @@ class EncounterMonitor:
         return session.ready(0.0)
 
     def changed(self, tracks: Mapping[str, Track], bv: str, relation: str) -> str:
-        """Why the scene differs from the predicted one; empty if it does not."""
+        """Say why the scene differs from the predicted one.
+
+        Args:
+            tracks: The forecast.
+            bv: The id of the adversary.
+            relation: Its relation to the ego at the trigger.
+
+        Returns:
+            The reason; empty if the scene is as predicted.
+        """
         session = self._session
         raw = session.snapshot.raw
         assert session.ego is not None
@@ -99,28 +131,49 @@ class EncounterMonitor:
         return "" if now == relation else f"{bv} is no longer {relation} but {now}"
 
     def _fresh(self) -> EncounterDetector:
+        """Return a detector that has seen nothing."""
         settings = self._settings
         return EncounterDetector(self._road, settings.shortlist, self._only, settings.kind, odd=settings.odd)
 
 
 @dataclass(frozen=True, slots=True)
 class AttackScene:
-    """An encounter as it was foreseen at its trigger. ``tracks``: of the vehicles near, over the last second
-    and as predicted."""
+    """An encounter as it was forecast at its trigger.
+
+    Attributes:
+        found: The encounter.
+        ranking: The possible adversaries, most dangerous first.
+        tracks: The vehicles near, over the last second and as forecast.
+    """
 
     found: FoundEncounter
     ranking: Sequence[RankedVehicle]
     tracks: Mapping[str, Track]
 
     def relation(self, vehicle: str) -> str:
-        """How a vehicle stood to the ego."""
+        """Return a vehicle's relation to the ego; empty if it is not in the ranking.
+
+        Args:
+            vehicle: The id of the vehicle.
+        """
         return next((c.relation for c in self.ranking if c.id == vehicle), "")
 
 
 def describe(
     session: Session, road: RoadMap, settings: Settings, ranking: Sequence[RankedVehicle], passed: Sequence[str]
 ) -> AttackScene | str:
-    """The encounter that begins now, or why it is passed over."""
+    """Describe the encounter that begins now.
+
+    Args:
+        session: The session.
+        road: The road network.
+        settings: The settings of the run.
+        ranking: The possible adversaries, most dangerous first.
+        passed: The earlier encounters that were passed over, in words.
+
+    Returns:
+        The encounter, or a sentence that says why it is passed over.
+    """
 
     def foresee(seconds: float) -> UnattackedMotion:
         return UnattackedMotion(traffic_forecast(road, session, seconds), (), dict(session.simulation.fleet.sizes))
@@ -130,7 +183,13 @@ def describe(
 
 
 class LiveAttempts:
-    """Runs attempts in the session at hand, each after the first in what ``again`` gives: the same encounter anew."""
+    """Runs attempts against a client.
+
+    Attributes:
+        session: The current session; None if the encounter did not come back.
+        lost: Whether the client was lost in an attempt.
+        prefixes: For each attempt, the seconds before the trigger.
+    """
 
     displaces, repeats = False, False  # each attempt is driven by the client
 
@@ -138,15 +197,31 @@ class LiveAttempts:
         self, session: Session, scene: AttackScene, road: RoadMap, settings: Settings, sandbox: Sandbox, events: Events,
         again: Callable[[], Session | None] | None = None,
     ) -> None:  # fmt: skip
+        """Prepare attempts.
+
+        Args:
+            session: The session of the first attempt.
+            scene: The encounter.
+            road: The road network.
+            settings: The settings of the run.
+            sandbox: Runs planners.
+            events: Receives what happens.
+            again: Brings the same encounter back in a new session, for each attempt after the first; None keeps the
+                session.
+        """
         self.session: Session | None = session
-        self.lost = False  # the client went away in an attempt
-        self.prefixes: list[Sequence[Snapshot]] = []  # for each attempt the seconds before the trigger
+        self.lost = False
+        self.prefixes: list[Sequence[Snapshot]] = []
         self._scene, self._road, self._settings, self._sandbox = scene, road, settings, sandbox
         self._events, self._again = events, again
         self._count = 0
 
     def attempt(self, proposals: Sequence[Proposal]) -> Iterator[AttemptResult]:
-        """The results, in order. A proposal is driven when its result is asked for."""
+        """Yield the results of attempts, in order. A candidate is driven when its result is requested.
+
+        Args:
+            proposals: The candidates.
+        """
         for proposal in proposals:
             if self._count and self._again is not None:
                 self.session = self._again()
@@ -159,10 +234,11 @@ class LiveAttempts:
                 yield self._one(self.session, proposal)
 
     def references(self, proposal: Proposal, result: AttemptResult, all_drivers: bool) -> Preventability | None:
-        """None: what a live client has driven cannot be driven again by others."""
+        """Return None: other drivers cannot repeat what a live client has driven."""
         return None
 
     def _one(self, session: Session, proposal: Proposal) -> AttemptResult:
+        """Drive one attempt, judge it, and release the adversaries."""
         encounter, settings, bvs = self._scene.found, self._settings, proposal.bvs
         trigger = len(session.recording.snapshots) - settings.steps(session.now - encounter.time)
         self.prefixes.append(session.recording.snapshots[:trigger])
@@ -188,6 +264,7 @@ class LiveAttempts:
         return result
 
     def _drive(self, session: Session, proposal: Proposal) -> Driven:
+        """Wait for the start of the attack, and attack."""
         situation = self._situation(session, proposal.bvs)
         if situation is None or not situation.targets.keys() >= set(proposal.bvs):
             names = " or ".join([*proposal.bvs, "the ego"])
@@ -210,7 +287,7 @@ class LiveAttempts:
             )
 
     def _situation(self, session: Session, bvs: Collection[str]) -> Situation | None:
-        """The situation of these adversaries as it is now; None if the ego or one of them is gone."""
+        """Return the current situation of these adversaries; None if the ego or one of them is gone."""
         raw = session.snapshot.raw
         if session.ego is None or session.ego not in raw or not raw.keys() >= set(bvs):
             return None
@@ -221,7 +298,13 @@ class LiveAttempts:
 
 
 def collided(session: Session, bvs: Sequence[str], *, with_ego: bool) -> dict[str, str]:
-    """By adversary what it has hit, where its box now overlaps another adversary's or the ego's."""
+    """Return what each adversary has hit: another adversary or the ego, if their boxes overlap now.
+
+    Args:
+        session: The session.
+        bvs: The ids of the adversaries.
+        with_ego: Whether to check the ego.
+    """
     pairs = [(a, b) for a, b in combinations(bvs, 2) if apart_of(session, a, b) == 0.0]
     hits = {name: "another adversary" for pair in pairs for name in pair}
     if with_ego and session.ego is not None:
@@ -230,10 +313,16 @@ def collided(session: Session, bvs: Sequence[str], *, with_ego: bool) -> dict[st
 
 
 def release_adversary(session: Session, vehicle: str, edges: Sequence[str], events: Events, *, hit: str = "") -> None:
-    """Give an adversary back to SUMO on its old way; take it away where it has hit something or is off the road.
+    """Give an adversary back to SUMO on its old route; remove it if it has hit something or is off the road.
 
-    hit: what it has hit, empty for nothing. A vehicle that is released where no lane is leaves the simulation anyway,
-    without an arrival (measured).
+    A vehicle that is released where no lane is leaves the simulation anyway, without an arrival (measured).
+
+    Args:
+        session: The session.
+        vehicle: The id of the adversary.
+        edges: Its old route.
+        events: Receives what happens.
+        hit: What it has hit; empty for nothing.
     """
     raw = session.snapshot.raw.get(vehicle)
     if raw is None:

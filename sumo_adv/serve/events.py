@@ -1,7 +1,7 @@
-"""What happens while a server runs, for those that listen: the terminal, a file of JSON lines, the status page.
+"""Events of a running server, for its listeners: the terminal, a file of JSON lines, and the status page.
 
 The status page is a small HTTP server on the loopback interface: ``/health`` and ``/status``, as JSON. The folders of
-encounters are written in a thread of their own, so that no simulation waits for a picture.
+encounters are written in a separate thread, so that no simulation waits for a picture.
 """
 
 from __future__ import annotations
@@ -23,29 +23,44 @@ from sumo_adv.files import json_text
 
 Event = Mapping[str, Any]
 Listener = Callable[[Event], None]
-MAX_LISTED_OUTCOMES = 200  # outcomes that the status page lists
+MAX_LISTED_OUTCOMES = 200  # maximum number of outcomes on the status page
 LOOPBACK = "127.0.0.1"
 HOSTS = (LOOPBACK, "localhost")
-MAX_WAITING_ENCOUNTERS = 2  # encounters that may wait to be written; then the simulation waits
+MAX_WAITING_ENCOUNTERS = 2  # more encounters that are not written yet make the simulation wait
 WriteEncounter = Callable[[Run, int], Mapping[str, Any]]
 
 
 def helpers(p: Proposal) -> dict[str, Any]:
-    """What the event of an attack with supports has besides."""
+    """Return the additional facts of the event of an attack with supports; none without supports.
+
+    Args:
+        p: The candidate.
+    """
     return {"composition": p.composition, "supports": [q.as_adversary() for q in p.supports]} if p.supports else {}
 
 
 class Events:
-    """Gives each event to every listener in turn; may be told from any thread.
+    """Passes each event to every listener in turn. It may be used from any thread.
 
-    An event has ``event`` (its kind), ``clock`` [s since 1970] and what its kind says; ``time`` is simulated [s].
+    An event has ``event`` (its kind), ``clock`` [s since 1970] and the facts of its kind. ``time`` is simulated [s].
     """
 
     def __init__(self, *listeners: Listener) -> None:
+        """Start with these listeners.
+
+        Args:
+            listeners: Called with each event.
+        """
         self._listeners = listeners
         self._lock = threading.RLock()
 
     def tell(self, kind: str, **facts: Any) -> None:
+        """Pass an event on.
+
+        Args:
+            kind: The kind of the event.
+            facts: Its facts.
+        """
         event = {"event": kind, "clock": round(time.time(), 3), **facts}
         with self._lock:
             for listener in self._listeners:
@@ -53,17 +68,24 @@ class Events:
 
 
 class EventFile:
-    """A JSON object a line, each written at once."""
+    """A file with one JSON object per line; each is written at once."""
 
     def __init__(self, path: Path) -> None:
-        """Begin the file. Raises UsageError if it cannot be written."""
+        """Begin the file.
+
+        Args:
+            path: The path of the file.
+
+        Raises:
+            UsageError: The file cannot be written.
+        """
         try:
             self._file = path.open("w", encoding="utf-8")
         except OSError as error:
             raise UsageError(f"The events file {path} cannot be written ({error.strerror}); give another.") from error
 
     def __call__(self, event: Event) -> None:
-        """Write one event; after a failure (a full disk) nothing more is written."""
+        """Write one event; after a failure (a full disk), write nothing more."""
         try:
             if not self._file.closed:
                 self._file.write(json_text(event))
@@ -72,14 +94,16 @@ class EventFile:
             self.close()
 
     def close(self) -> None:
-        with suppress(OSError):  # its last line could not be written
+        """Close the file."""
+        with suppress(OSError):  # the last line could not be written
             self._file.close()
 
 
 class Status:
-    """The state of a server as its events tell it, for the status page."""
+    """The state of a server by its events, for the status page."""
 
     def __init__(self) -> None:
+        """Start without events."""
         self._lock = threading.Lock()
         self._began = time.time()
         self._now: dict[str, Any] = {
@@ -90,12 +114,14 @@ class Status:
         self._outcomes: deque[Event] = deque(maxlen=MAX_LISTED_OUTCOMES)
 
     def __call__(self, event: Event) -> None:
+        """Update the state by an event."""
         with self._lock:
             handler = getattr(self, f"_on_{event['event']}", None)
             if handler is not None:
                 handler(event)
 
     def report(self) -> dict[str, Any]:
+        """Return the state."""
         with self._lock:
             return {**self._now, "uptime": round(time.time() - self._began, 1), "outcomes": list(self._outcomes)}
 
@@ -135,10 +161,18 @@ class Status:
 
 
 class StatusPage:
-    """Answers in threads of its own until it is closed; a context manager."""
+    """Answers in its own threads until it is closed. Use it in a ``with`` statement."""
 
     def __init__(self, port: int, report: Callable[[], dict[str, Any]]) -> None:
-        """Listen on ``port`` (0 = any free one). Raises UsageError if it is taken."""
+        """Listen at a port.
+
+        Args:
+            port: The port; 0 takes any free one.
+            report: Returns the state of the server.
+
+        Raises:
+            UsageError: The port is taken.
+        """
         try:
             self._server = ThreadingHTTPServer((LOOPBACK, port), _handler(report))
         except (OSError, OverflowError) as error:
@@ -149,6 +183,7 @@ class StatusPage:
         self._thread.start()
 
     def close(self) -> None:
+        """Stop listening."""
         self._server.shutdown()
         self._server.server_close()
         self._thread.join()
@@ -161,13 +196,15 @@ class StatusPage:
 
 
 def _handler(report: Callable[[], dict[str, Any]]) -> type[BaseHTTPRequestHandler]:
+    """Return the handler of requests."""
+
     class Handler(BaseHTTPRequestHandler):
         timeout = 5.0  # s for a whole request
 
         def do_GET(self) -> None:
             """``/health`` and ``/status``."""
             host = self.headers.get("Host", LOOPBACK).rpartition(":")
-            if (host[0] or host[2]).lower() not in HOSTS:  # of another site, whose name was made to mean this machine
+            if (host[0] or host[2]).lower() not in HOSTS:  # another site whose name was made to resolve to this machine
                 self._answer(403, {"error": f"Ask for {LOOPBACK}: this page is for this machine alone."})
                 return
             state = report()
@@ -193,10 +230,23 @@ def _handler(report: Callable[[], dict[str, Any]]) -> type[BaseHTTPRequestHandle
 
 
 class ResultWriter:
-    """``write`` gets the run of one encounter and its number; it returns what ``outcome.json`` holds, with its
-    ``folder``."""
+    """Writes the folders of encounters in a separate thread.
+
+    Attributes:
+        critical: The number of critical encounters so far.
+        collided: The number of encounters with a collision so far.
+        written: The number of encounters written so far.
+        failure: Why an encounter could not be written; None if all could.
+    """
 
     def __init__(self, write: WriteEncounter, events: Events) -> None:
+        """Start the thread.
+
+        Args:
+            write: Takes the run of an encounter and its number, and returns the content of ``outcome.json`` and its
+                ``folder``.
+            events: Receives the outcomes.
+        """
         self._write, self._events = write, events
         self.critical = self.collided = self.written = 0
         self.failure: SumoAdvError | None = None
@@ -205,17 +255,27 @@ class ResultWriter:
         self._thread.start()
 
     def keep(self, run: Run, number: int) -> None:
-        """Have an encounter written. Raises SumoAdvError if an earlier one could not be."""
+        """Have an encounter written.
+
+        Args:
+            run: The run of the encounter.
+            number: The number of the encounter.
+
+        Raises:
+            SumoAdvError: An earlier encounter could not be written.
+        """
         if self.failure is not None:
             raise self.failure
         self._tray.put((run, number))
 
     def close(self) -> None:
+        """Write what is left, and end the thread."""
         if self._thread.is_alive():
             self._tray.put(None)
             self._thread.join()
 
     def _work(self) -> None:
+        """Write encounters until the end."""
         while (item := self._tray.get()) is not None:
             run, number = item
             if self.failure is None:
@@ -223,11 +283,12 @@ class ResultWriter:
                     self._report(self._write(run, number), number)
                 except SumoAdvError as error:
                     self.failure = error
-                except Exception as error:  # a fault of ours: the run ends with a sentence
+                except Exception as error:  # a bug: the run ends with a sentence
                     self.failure = SumoAdvError(f"Encounter {number} could not be written. {fault_sentence(error)}")
-            del item, run  # nothing of it is kept while the next one is waited for
+            del item, run  # free the memory before waiting for the next one
 
     def _report(self, result: Mapping[str, Any], number: int) -> None:
+        """Count an outcome, and pass it on as an event."""
         best, supports = result["outcome"] or {}, result["adversaries"][1:]
         critical = result["ending"] == "critical"
         self.written += 1

@@ -1,7 +1,7 @@
 """The framing of TraCI: messages of commands, status answers, step answers, and a socket that carries whole messages.
 
-A message is its length (4 bytes, signed, itself included) and commands; a command is its length (1 byte, or 0 and
-4 bytes; itself included), its number (1 byte) and a payload.  Source: sumo.dlr.de/docs/TraCI/Protocol.html.
+A message is its length (4 bytes, signed, itself included) and commands. A command is its length (1 byte, or 0 and 4
+bytes; itself included), its number (1 byte) and a payload. Source: sumo.dlr.de/docs/TraCI/Protocol.html.
 """
 
 from __future__ import annotations
@@ -22,26 +22,32 @@ from sumo_adv.errors import SumoAdvError
 
 GETVERSION, LOAD, SIMSTEP, SETORDER, EXECUTEMOVE, FILTER, CLOSE = 0x00, 0x01, 0x02, 0x03, 0x7D, 0x7E, 0x7F
 STATUS_OK, STATUS_ERROR = 0x00, 0xFF
-MAX_MESSAGE_BYTES = 16 * 2**20  # bytes of a client's message
-MAX_COMMANDS = 50_000  # of a message: ten getters of each of 5,000 vehicles; 16 MB could hold 2.8 million
-POLL_PERIOD_S = 0.05  # s between two looks at the clock while nothing comes
-MAX_STATUS_TEXT_BYTES = 247  # bytes of a status answer's text: its length is one byte
+MAX_MESSAGE_BYTES = 16 * 2**20  # maximum size of a client's message
+MAX_COMMANDS = 50_000  # per message: ten getters for each of 5,000 vehicles; 16 MB could hold 2.8 million
+POLL_PERIOD_S = 0.05  # time between two looks at the clock while nothing arrives
+MAX_STATUS_TEXT_BYTES = 247  # maximum size of a status answer's text; its length is one byte
 SPIN_TIME_S = 1e-4
-"""S for which a line looks again and again before it sleeps: to wake up takes longer than most answers do."""
+"""How long a line polls before it sleeps. Waking up takes longer than most answers do."""
 _CHUNK_BYTES = 65536
 _INT = struct.Struct("!i")
 
 
 class FramingError(SumoAdvError):
-    """What came is no TraCI message."""
+    """The received bytes are no TraCI message."""
 
 
 class Gone(SumoAdvError):
-    """The other end closed the connection, or it broke."""
+    """The other end closed the connection, or the connection broke."""
 
 
 class TraciCommand(NamedTuple):
-    """One command: its number, its payload, and all its bytes."""
+    """One command.
+
+    Attributes:
+        number: Its number.
+        payload: Its payload.
+        raw: All its bytes.
+    """
 
     number: int
     payload: bytes
@@ -49,6 +55,12 @@ class TraciCommand(NamedTuple):
 
 
 def make_command(number: int, payload: bytes = b"") -> bytes:
+    """Return the bytes of a command.
+
+    Args:
+        number: Its number.
+        payload: Its payload.
+    """
     length = 2 + len(payload)
     if length < 256:
         return bytes((length, number)) + payload
@@ -56,24 +68,43 @@ def make_command(number: int, payload: bytes = b"") -> bytes:
 
 
 def make_message(*commands: bytes) -> bytes:
+    """Return the bytes of a message.
+
+    Args:
+        commands: The bytes of its commands.
+    """
     body = b"".join(commands)
     return _INT.pack(4 + len(body)) + body
 
 
 def make_status(number: int, result: int = STATUS_OK, text: str = "") -> bytes:
-    """SUMO's answer to a command: whether it worked, and why not (cut to what the format holds)."""
+    """Return SUMO's answer to a command.
+
+    Args:
+        number: The number of the command.
+        result: Whether the command succeeded.
+        text: Why not; it is cut to what the format holds.
+    """
     words = text.encode()[:MAX_STATUS_TEXT_BYTES].decode(errors="ignore").encode()
     return make_command(number, bytes((result,)) + _INT.pack(len(words)) + words)
 
 
 def accepted(answer: bytes) -> bool:
-    """Whether the first command of an answering message went well."""
+    """Return whether the first command of an answer succeeded.
+
+    Args:
+        answer: The message.
+    """
     start = 5 if answer[4] else 9
     return len(answer) > start + 1 and answer[start + 1] == STATUS_OK
 
 
 def complaint(answer: bytes) -> str:
-    """What the first command of an answering message complains of; nothing if it went well."""
+    """Return the error of the first command of an answer; empty if it succeeded.
+
+    Args:
+        answer: The message.
+    """
     start = 5 if answer[4] else 9
     if accepted(answer) or len(answer) < start + 6:
         return ""
@@ -82,9 +113,13 @@ def complaint(answer: bytes) -> str:
 
 
 def split(message: bytes) -> list[TraciCommand]:
-    """The commands of a message.
+    """Split a message into commands.
 
-    Raises FramingError: the lengths do not add up, or there are more than ``MAX_COMMANDS``.
+    Args:
+        message: The message.
+
+    Raises:
+        FramingError: The lengths do not add up, or there are more than ``MAX_COMMANDS``.
     """
     at, end = 4, len(message)
     commands: list[TraciCommand] = []
@@ -105,7 +140,9 @@ def split(message: bytes) -> list[TraciCommand]:
 
 
 def _wait_at_most(connection: socket.socket, seconds: float) -> None:
-    """Let no call wait longer. By the kernel's own timeout where there is one: Python's costs a system call each."""
+    """Limit the time that any call waits; use the kernel's timeout if it has one, as Python's costs a system call each
+    time.
+    """
     if sys.platform == "win32":
         connection.settimeout(seconds)
         return
@@ -116,9 +153,15 @@ def _wait_at_most(connection: socket.socket, seconds: float) -> None:
 
 
 class MessageLine:
-    """A socket that carries whole messages. ``longest``: bytes of a message that comes."""
+    """A socket that carries whole messages."""
 
     def __init__(self, connection: socket.socket, longest: int) -> None:
+        """Use a socket.
+
+        Args:
+            connection: The socket.
+            longest: The maximum size of a received message [bytes].
+        """
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         _wait_at_most(connection, POLL_PERIOD_S)
         self._connection = connection
@@ -126,10 +169,14 @@ class MessageLine:
         self._rest = b""
 
     def send(self, message: bytes, idle: Callable[[], None]) -> None:
-        """Send a whole message, calling ``idle`` (which may raise) every ``POLL_PERIOD_S`` seconds until it is taken,
-        also while the other end takes it in drops.
+        """Send a whole message, even if the other end takes it in small pieces.
 
-        Raises Gone: the connection is closed or broken.
+        Args:
+            message: The message.
+            idle: Called every ``POLL_PERIOD_S`` until the message is sent; it may raise.
+
+        Raises:
+            Gone: The connection is closed or broken.
         """
         looked = time.monotonic()
         while message:
@@ -144,12 +191,14 @@ class MessageLine:
                 looked = time.monotonic()
 
     def receive(self, idle: Callable[[], None]) -> bytes:
-        """The next whole message, calling ``idle`` (which may raise, or receive itself) every ``POLL_PERIOD_S`` seconds
-        until it is there, also while it comes in drops.
+        """Receive the next whole message, even if it arrives in small pieces.
+
+        Args:
+            idle: Called every ``POLL_PERIOD_S`` until the message is complete; it may raise, or receive itself.
 
         Raises:
-            FramingError: a length that no message has; nothing of it is read further.
-            Gone: the connection is closed or broken.
+            FramingError: The length is that of no message. The rest of the message is not read.
+            Gone: The connection is closed or broken.
         """
         data, self._rest = bytearray(self._rest), b""
         looked = time.monotonic()
@@ -182,7 +231,7 @@ class MessageLine:
             data += chunk
 
     def _received(self) -> bytes:
-        """What has come, after a wait of ``POLL_PERIOD_S`` at most. Raises OSError, also where nothing has come."""
+        """Return what arrives within ``POLL_PERIOD_S``; raise OSError, also if nothing arrives."""
         if hasattr(os, "sched_yield"):
             until = time.perf_counter() + SPIN_TIME_S
             while time.perf_counter() < until:
@@ -192,7 +241,15 @@ class MessageLine:
         return self._connection.recv(_CHUNK_BYTES)
 
     def ready(self, other: MessageLine | None, seconds: float) -> tuple[bool, bool]:
-        """Wait until something can be received here or from ``other``; which of them."""
+        """Wait until a message can be received here or from another line.
+
+        Args:
+            other: The other line; None watches only this one.
+            seconds: The maximum time [s].
+
+        Returns:
+            Whether something can be received here, and from the other line.
+        """
         held = other is not None and bool(other._rest)
         watched = [line._connection for line in (self, other) if line is not None]
         with contextlib.suppress(OSError, ValueError), selectors.DefaultSelector() as selector:
@@ -203,21 +260,25 @@ class MessageLine:
         return True, other is not None
 
     def unread(self, message: bytes) -> None:
-        """Give a message back: it is the next that is received."""
+        """Put a message back, so that it is received next.
+
+        Args:
+            message: The message.
+        """
         self._rest = message + self._rest
 
     @property
     def cut(self) -> bool:
-        """Whether the other end is gone, also while there is still to be read what it sent before.
+        """Whether the other end is gone, even if there is still something to read that it sent before.
 
-        Systems without POLLRDHUP (all but Linux) see that only once all is read.
+        Systems without POLLRDHUP (all but Linux) notice only once everything is read.
         """
         if hasattr(select, "POLLRDHUP"):
             poll = select.poll()
             try:
                 poll.register(self._connection, select.POLLRDHUP)
                 return bool(poll.poll(0))
-            except (OSError, ValueError):  # it is closed here
+            except (OSError, ValueError):  # closed on this side
                 return True
         try:
             return not self._connection.recv(1, socket.MSG_PEEK | getattr(socket, "MSG_DONTWAIT", 0))

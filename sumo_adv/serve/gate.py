@@ -1,8 +1,8 @@
-"""The gate: the port an ego's TraCI client connects to, in front of a real ``sumo`` that never sees that client.
+"""The gate: the port that an ego's TraCI client connects to, in front of a real ``sumo`` that never sees that client.
 
-SUMO has two clients: the server's own connection (order 1) and the gate (order 2), which passes on what the ego's
-client asks and steps in its stead whenever it is not there, is late, or is lost.  Native SUMO would end, or wait for
-ever.  One thread pumps with blocking sockets: a request through asyncio took twice as long.
+SUMO has two clients. The server's own connection has order 1, and the gate has order 2. The gate passes on what the
+ego's client requests, and makes the steps instead of the client whenever the client is absent, late or lost. Native
+SUMO would end, or wait for ever. One thread pumps with blocking sockets: a request through asyncio took twice as long.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from sumo_adv.serve.seat import Client, ClientSlot, EventKind, GateEvent, Interr
 from sumo_adv.serve.sumo_process import SumoProcess
 from sumo_adv.serve.turns import Turns
 
-TURN_DEADLINE_S = 10.0  # s of a turn, from when SUMO comes to the client; what the server took before is not counted
-SHARED_SUMO_TIMEOUT_S = 30.0  # s for SUMO to listen, and for the last simulation to end
-MAX_STRANGERS = 16  # connections at once that have not said anything yet
-STOP_POLL_PERIOD_S = 0.2  # between two looks whether the server is to stop
+TURN_DEADLINE_S = 10.0  # for a turn, from when SUMO waits for the client; the server's time before does not count
+SHARED_SUMO_TIMEOUT_S = 30.0  # for SUMO to listen, and for the last simulation to end
+MAX_STRANGERS = 16  # maximum number of connections that have not sent anything yet
+STOP_POLL_PERIOD_S = 0.2  # between two checks whether the server stops
 _TAKEN = "Another client drives the ego: one at a time."
 _NO_RULES = Rules()
 
@@ -45,11 +45,20 @@ class Gate:
         older: bool = False,
         on_event: Callable[[GateEvent], None] | None = None,
     ) -> None:
-        """Nothing is opened yet. ``allow``: addresses or networks that may connect, needed unless host is loopback;
-        on Linux a client of this machine must be this user's (or root's) unless its address is among them.
-        ``older``: clients know TraCI only up to version 21.
+        """Check the addresses; nothing is opened yet.
 
-        Raises UsageError: an address is invalid, or the host is not loopback and no address is allowed.
+        Args:
+            host: The address to listen at.
+            port: The port to listen at; 0 takes any free one.
+            allow: Addresses or networks that may connect; needed unless the host is loopback. On Linux, a client on
+                this machine must belong to the same user (or root), unless its address is among them.
+            deadline: The time of the client for one turn [s].
+            rules: What the client may set.
+            older: Whether clients know TraCI only up to version 21.
+            on_event: Called with each event at the gate.
+
+        Raises:
+            UsageError: An address is invalid, or the host is not loopback and no address is allowed.
         """
         self._host, self._wanted_port, self._deadline, self._rules = host, port, deadline, rules
         self._older = older
@@ -60,13 +69,17 @@ class Gate:
         self._changed = threading.Condition()
         self._stopping = self._running = False
         self._turns: Turns | None = None
-        self._strangers = list[socket.socket]()  # the oldest first
+        self._strangers = list[socket.socket]()  # oldest first
         self._strangers_lock = threading.Lock()
         self._listener: socket.socket | None = None
         self._threads: list[threading.Thread] = []
 
     def start(self) -> None:
-        """Listen. Raises UsageError: the address or port cannot be used."""
+        """Listen.
+
+        Raises:
+            UsageError: The address or port cannot be used.
+        """
         family = socket.AF_INET6 if ":" in self._host else socket.AF_INET
         try:
             self._listener = socket.create_server((self._host, self._wanted_port), family=family)
@@ -78,7 +91,7 @@ class Gate:
             self._threads[-1].start()
 
     def stop(self) -> None:
-        """Close everything; a simulation that is still attached loses its second client."""
+        """Close everything. A simulation that is still attached loses its second client."""
         self.detach()
         self.wait_detached(STOP_POLL_PERIOD_S)
         with self._changed:
@@ -100,13 +113,14 @@ class Gate:
 
     @property
     def port(self) -> int:
+        """The port that the gate listens at."""
         assert self._listener is not None, "the gate was not started"
         port: int = self._listener.getsockname()[1]
         return port
 
     @property
     def opens(self) -> str | None:
-        """What the port opens beyond this machine, in a sentence."""
+        """What the port opens beyond this machine, in a sentence; None if nothing."""
         if _is_loopback(self._host):
             return None
         allowed = ", ".join(map(str, self._allow))
@@ -117,32 +131,45 @@ class Gate:
 
     @property
     def connected(self) -> bool:
+        """Whether a client is connected."""
         return self._seat.client is not None
 
     def wait_connected(self, timeout: float) -> bool:
-        """Wait up to ``timeout`` seconds for a client."""
+        """Wait for a client.
+
+        Args:
+            timeout: The maximum time [s].
+
+        Returns:
+            Whether a client is connected.
+        """
         return self._seat.wait(timeout)
 
     @property
     def stepped_by(self) -> Stepper:
+        """What made the last step on the ego's side."""
         return self._turns.stepped_by if self._turns else Stepper.GATE
 
     @property
     def client_steps(self) -> int:
+        """The number of steps that the client made."""
         return self._turns.client_steps if self._turns else 0
 
     @property
     def own(self) -> frozenset[str]:
-        """The vehicles the client may set: those given to it, and those it added."""
+        """The vehicles that the client may set: those given to it, and those that it added."""
         return self._turns.policy.own if self._turns else frozenset()
 
     def attach(self, sumo: SumoProcess, own: Iterable[str] = (), kept: Iterable[str] = ()) -> None:
-        """Become SUMO's second client. Do it before your own connection asks for its order.
+        """Become SUMO's second client. Call this before your own connection requests its order.
 
-        ``own``: vehicles the client may set; ``kept``: those of them that it neither adds nor removes.
+        Args:
+            sumo: The running SUMO.
+            own: The vehicles that the client may set.
+            kept: Those of them that it neither adds nor removes.
 
         Raises:
-            StrangerError: another program connected to SUMO first.
+            StrangerError: Another program connected to SUMO first.
             SimulationError: SUMO does not listen, or another simulation is still attached.
         """
         if not self.wait_detached(SHARED_SUMO_TIMEOUT_S):
@@ -158,19 +185,29 @@ class Gate:
             self._changed.notify_all()
 
     def detach(self, keep: bool = False) -> None:
-        """Let SUMO end in good order: say this, then close your own connection. Returns at once.
+        """Let SUMO end in good order: call this, then close your own connection. Returns at once.
 
-        ``keep``: the client stays and meets the next simulation; else its connection is closed after its last answer.
+        Args:
+            keep: Whether the client stays for the next simulation. If not, its connection is closed after its last
+                answer.
         """
         if self._running and self._turns is not None:
             self._turns.part(keep)
 
     def wait_detached(self, timeout: float) -> bool:
-        """Wait up to ``timeout`` seconds until no simulation is attached."""
+        """Wait until no simulation is attached.
+
+        Args:
+            timeout: The maximum time [s].
+
+        Returns:
+            Whether no simulation is attached.
+        """
         with self._changed:
             return self._changed.wait_for(lambda: not self._running, timeout)
 
     def _pump(self) -> None:
+        """Serve the turns of each attached simulation."""
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._running or self._stopping)
@@ -178,7 +215,7 @@ class Gate:
                     return
             try:
                 self._turns.run()
-            except Exception as error:  # a gate that stops pumping would hold the next simulation for ever
+            except Exception as error:  # a gate that stops pumping would block the next simulation for ever
                 self._seat.tell(GateEvent(EventKind.ENDED, f"The gate failed ({type(error).__name__}: {error})."))
             finally:
                 with self._changed:
@@ -186,6 +223,7 @@ class Gate:
                     self._changed.notify_all()
 
     def _door(self) -> None:
+        """Accept connections, and refuse unwelcome ones."""
         assert self._listener is not None
         while not self._stopping:
             try:
@@ -204,7 +242,7 @@ class Gate:
                 threading.Thread(target=self._greet, args=(connection, peer), name="gate-greet", daemon=True).start()
 
     def _unwelcome(self, connection: socket.socket, text: str) -> str:
-        """Why a connection is refused, or empty."""
+        """Return why a connection is refused; empty if it is not."""
         address = ipaddress.ip_address(text.partition("%")[0])
         address = getattr(address, "ipv4_mapped", None) or address
         if any(address in network for network in self._allow):
@@ -213,13 +251,15 @@ class Gate:
             return "the address is not among those allowed"
         try:
             ours = peers.is_ours(connection)
-        except OSError:  # it has gone already
+        except OSError:  # it is gone already
             ours = False
         return "" if ours else f"it is another user's; --allow {address} lets all users of this machine in"
 
     def _let_wait(self, connection: socket.socket) -> None:
-        """Add one that has not said anything yet. Where too many are there, the oldest is cut: a client speaks at once,
-        so connections that say nothing shut nobody out."""
+        """Add a connection that has not sent anything yet; cut the oldest one if there are too many.
+
+        A client sends at once, so silent connections cannot lock out a client.
+        """
         with self._strangers_lock:
             self._strangers.append(connection)
             if len(self._strangers) > MAX_STRANGERS:
@@ -227,10 +267,11 @@ class Gate:
                     self._strangers.pop(0).shutdown(socket.SHUT_RDWR)
 
     def _refused(self, sentence: str) -> None:
+        """Report a refused connection."""
         self._seat.tell(GateEvent(EventKind.REFUSED, sentence))
 
     def _greet(self, connection: socket.socket, peer: str) -> None:
-        """Give the seat to the first that sends a whole message."""
+        """Give the seat to the first connection that sends a whole message."""
         try:
             client = Client(MessageLine(connection, MAX_MESSAGE_BYTES), peer)
             message = client.receive(self._deadline, lambda: self._stopping)
@@ -252,6 +293,7 @@ class Gate:
 
 
 def _is_loopback(host: str) -> bool:
+    """Return whether a host is loopback; raise UsageError if it is no address."""
     try:
         return host == "localhost" or ipaddress.ip_address(host).is_loopback
     except ValueError as error:
@@ -259,6 +301,7 @@ def _is_loopback(host: str) -> bool:
 
 
 def _network(text: str) -> ipaddress.IPv4Network | ipaddress.IPv6Network:
+    """Parse an address or network; raise UsageError if it is neither."""
     try:
         return ipaddress.ip_network(text, strict=False)
     except ValueError as error:

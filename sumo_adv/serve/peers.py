@@ -1,9 +1,9 @@
-"""Whose program is at the other end of a connection from this machine (Linux).
+"""Find out who owns the other end of a connection within this machine (Linux).
 
-TraCI has no log-in. A client of this machine is let in if the user who runs ``serve``, or root, has opened its socket.
+TraCI has no log-in. A client on this machine is admitted if its socket belongs to the user who runs ``serve``, or to
+root.
 
-Source: proc(5), ``/proc/net/tcp`` and ``tcp6``: local and remote address, state and user stand in
-columns 2, 3, 4 and 8.
+Source: proc(5), ``/proc/net/tcp`` and ``tcp6``: local and remote address, state and user are in columns 2, 3, 4 and 8.
 """
 
 from __future__ import annotations
@@ -15,21 +15,27 @@ import sys
 from pathlib import Path
 
 TABLES = (Path("/proc/net/tcp"), Path("/proc/net/tcp6"))
-ROOT = 0  # the user who may do anything in any case
-ESTABLISHED = "01"  # others belong to nobody: the system writes user 0 for them
-_ADDRESS_WORD_BYTES = 4  # bytes that the table writes as one number of the machine's own byte order
+ROOT = 0  # may do anything in any case
+ESTABLISHED = "01"  # sockets in other states have no owner: the system writes user 0 for them
+_ADDRESS_WORD_BYTES = 4  # the table writes this many bytes as one number, in the machine's byte order
 
 
 def is_ours(connection: socket.socket) -> bool:
-    """Whether this user, or root, opened the other end of a connection within this machine; True where the system does
-    not say (macOS, Windows)."""
+    """Return whether this user, or root, owns the other end of a connection within this machine.
+
+    Args:
+        connection: The connection.
+
+    Returns:
+        The answer; True if the system does not say (macOS, Windows).
+    """
     if not any(table.is_file() for table in TABLES):
         return True
     return _user(connection.getpeername(), connection.getsockname()) in (os.getuid(), ROOT)
 
 
 def _user(local: tuple[str, int], remote: tuple[str, int]) -> int | None:
-    """The user of the open socket with these addresses; None if there is none."""
+    """Return the user of the open socket with these addresses; None if there is none."""
     wanted = {(a, b) for a in _written(*local[:2]) for b in _written(*remote[:2])}
     for table in TABLES:
         rows = table.read_text().splitlines()[1:] if table.is_file() else []
@@ -40,7 +46,7 @@ def _user(local: tuple[str, int], remote: tuple[str, int]) -> int | None:
 
 
 def _written(host: str, port: int) -> tuple[str, ...]:
-    """An address as the tables write it; one of IPv4 may stand in either."""
+    """Return an address as the tables write it; an IPv4 address may appear in either table."""
     address = ipaddress.ip_address(host.partition("%")[0])
     short = address if isinstance(address, ipaddress.IPv4Address) else address.ipv4_mapped
     long = address if short is None else ipaddress.IPv6Address(f"::ffff:{short}")
@@ -48,5 +54,6 @@ def _written(host: str, port: int) -> tuple[str, ...]:
 
 
 def _hexadecimal(packed: bytes) -> str:
+    """Return an address in the table's hexadecimal form."""
     words = [packed[k : k + _ADDRESS_WORD_BYTES] for k in range(0, len(packed), _ADDRESS_WORD_BYTES)]
     return "".join(f"{int.from_bytes(word, sys.byteorder):08X}" for word in words)

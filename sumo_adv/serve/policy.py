@@ -1,6 +1,6 @@
-"""What an ego's client may ask: read anything, set its own vehicle and what it added, nothing that SUMO dies of.
+"""What an ego's client may do: read anything, set its own vehicle and what it added, and nothing that ends SUMO.
 
-A refusal is a sentence; the gate answers it as a TraCI error and SUMO never sees the call.
+A refusal is a sentence. The gate answers it as a TraCI error, and SUMO never sees the call.
 """
 
 from __future__ import annotations
@@ -17,24 +17,24 @@ from sumo_adv.serve.framing import TraciCommand
 from sumo_adv.serve.shapes import Misfit
 from sumo_adv.simulation.scan import WRITTEN_PARAMETER
 
-MAX_STEP_S = 3600.0  # s that one simulationStep may cover
+MAX_STEP_S = 3600.0  # longest time that one simulationStep may cover
 _DOMAINS = (
     (0xA0, "inductionloop multientryexit trafficlight lane vehicle vehicletype route poi polygon junction edge "
            "simulation gui lanearea person busstop"),
     (0x24, "parkingarea chargingstation routeprobe calibrator rerouter variablespeedsign meandata overheadwire"),
 )  # fmt: skip
 GETTERS = {first + k: name for first, names in _DOMAINS for k, name in enumerate(names.split())}
-"""Number of a getter -> domain, as in ``traci``; other commands of a domain stand at fixed distances."""
+"""Maps the number of a getter to its domain, as in ``traci``. Other commands of a domain have fixed distances to it."""
 SETTERS = {number + 0x20: name for number, name in GETTERS.items()}
 GETTER_TO_SUBSCRIPTION = 0x30
 SUBSCRIPTIONS = {number + GETTER_TO_SUBSCRIPTION: name for number, name in GETTERS.items()}
 CONTEXTS = {number - 0x20: name for number, name in GETTERS.items()}
 ADDED = frozenset({"vehicle", "vehicletype", "route", "person", "poi", "polygon"})
-"""Domains in which a client may add objects, and set those it added."""
+"""Domains in which a client may add objects, and set those that it added."""
 NEVER_SET = frozenset({"simulation", "gui"})
 _ADD, _REMOVE, _ADD_FULL, _COPY = 0x80, 0x81, 0x85, 0x88
 _GUI = 0xAC
-_CALIBRATOR = 0x07  # SUMO dies of a context around one
+_CALIBRATOR = 0x07  # a context around one ends SUMO
 _ACTING = {(0xA2, 0x32): "trafficlight", (0xAE, 0xC7): "person"}  # getters that change something
 _TOO_LONG = "A name as long as this is not passed on: SUMO could end on it."
 _NOT_A_CLIENTS = "This object is sumo_adv's own."
@@ -48,30 +48,46 @@ SET_PARAMETERS = re.compile(
     rf"|(person-)?device\.({'|'.join(_DEVICES.split())})\..*",
     re.DOTALL,
 )
-"""Keys that ``setParameter`` may set, where they name no file: an object's own, and those of models and of devices
-that write none."""
+"""Keys that ``setParameter`` may set if they name no file.
+
+They are the object's own, and those of models and devices that write no files.
+"""
 OUR_PREFIX = "sumo_adv."
-"""What the names of objects begin with that the server adds; a client can set none of them."""
+"""The prefix of the names of objects that the server adds. A client can set none of them."""
 
 
 @dataclass(frozen=True, slots=True)
 class Rules:
-    """``also``: domains, named as in ``traci``, of which the client may set every object."""
+    """What the client may set.
+
+    Attributes:
+        also: Domains, named as in ``traci``, in which the client may set every object.
+    """
 
     also: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
-        """Refuse what is no domain, or never allowed. Raises UsageError: with what may be given."""
+        """Refuse names that are no domains, and domains that are never allowed.
+
+        Raises:
+            UsageError: A domain cannot be allowed. The message names those that can.
+        """
         if wrong := sorted(self.also - (frozenset(GETTERS.values()) - NEVER_SET)):
             allowed = ", ".join(sorted(frozenset(GETTERS.values()) - NEVER_SET))
             raise UsageError(f"The ego's client cannot be allowed to set {wrong[0]}; what can be allowed: {allowed}.")
 
 
 class Policy:
-    """The rules in one simulation: it remembers what the client added."""
+    """The rules in one simulation. It records the objects that the client added."""
 
     def __init__(self, rules: Rules, own: Iterable[str], kept: Collection[str] = ()) -> None:
-        """``own``, ``kept``: vehicles that the client may set, and those of them that it neither adds nor removes."""
+        """Start with the client's vehicles.
+
+        Args:
+            rules: What the client may set.
+            own: The vehicles that the client may set.
+            kept: Those of them that it neither adds nor removes.
+        """
         self._rules = rules
         self._own: dict[str, set[bytes]] = {domain: set() for domain in ADDED}
         self._own["vehicle"] |= {name.encode() for name in own}
@@ -79,10 +95,18 @@ class Policy:
 
     @property
     def own(self) -> frozenset[str]:
+        """The vehicles that the client may set."""
         return frozenset(name.decode(errors="replace") for name in list(self._own["vehicle"]))
 
     def refusal(self, command: TraciCommand) -> str | None:
-        """Why SUMO must not see a command, or None. Step, order, version and close are not asked about here."""
+        """Say why SUMO must not see a command. Step, order, version and close are not checked here.
+
+        Args:
+            command: The command.
+
+        Returns:
+            The reason; None if SUMO may see the command.
+        """
         number, payload = command.number, command.payload
         try:
             if number in GETTERS:
@@ -102,6 +126,7 @@ class Policy:
         return None
 
     def _getter(self, number: int, payload: bytes) -> str | None:
+        """Say why a getter is refused."""
         if number == _GUI:
             return None
         end = shapes.name_end(payload, 1)
@@ -115,6 +140,7 @@ class Policy:
         return None
 
     def _setter(self, number: int, payload: bytes) -> str | None:
+        """Say why a setter is refused."""
         domain = SETTERS[number]
         end = shapes.name_end(payload, 1)
         variable, name = payload[0], payload[5:end]
@@ -144,6 +170,7 @@ class Policy:
         return None
 
     def _may(self, domain: str, variable: int, name: bytes) -> bool:
+        """Return whether the client added the object, or adds it now."""
         if domain not in ADDED:
             return False
         if domain == "vehicletype":
@@ -152,6 +179,7 @@ class Policy:
         return adding or name in self._own[domain]
 
     def _subscription(self, number: int, payload: bytes) -> str | None:
+        """Say why a subscription is refused."""
         end = shapes.name_end(payload, 16)
         name = payload[20:end]
         if len(name) > shapes.MAX_OBJECT_NAME_BYTES:
@@ -168,7 +196,11 @@ class Policy:
         return None
 
     def took(self, command: TraciCommand) -> None:
-        """SUMO accepted a setter: remember what it added or removed."""
+        """Record what a setter that SUMO accepted added or removed.
+
+        Args:
+            command: The setter.
+        """
         domain = SETTERS[command.number]
         if domain not in ADDED:
             return
@@ -183,7 +215,14 @@ class Policy:
 
 
 def removed(command: TraciCommand) -> tuple[str, bytes] | None:
-    """Domain and name of the object that a command removes, or None."""
+    """Return domain and name of the object that a command removes.
+
+    Args:
+        command: The command.
+
+    Returns:
+        Domain and name; None if the command removes nothing.
+    """
     domain = SETTERS.get(command.number)
     if domain is None or not command.payload or command.payload[0] != _REMOVE:
         return None
@@ -191,7 +230,14 @@ def removed(command: TraciCommand) -> tuple[str, bytes] | None:
 
 
 def step_until(payload: bytes) -> float:
-    """The time [s] to which a SIMSTEP asks to go, 0 for one step. Raises Misfit: it is no time."""
+    """Return the time that a SIMSTEP asks for [s]; 0 means one step.
+
+    Args:
+        payload: The payload of the command.
+
+    Raises:
+        Misfit: The payload is no time.
+    """
     if len(payload) != 8:
         raise Misfit
     until: float = struct.unpack("!d", payload)[0]
@@ -201,25 +247,29 @@ def step_until(payload: bytes) -> float:
 
 
 def _filter_fits(payload: bytes) -> bool:
+    """Return whether the payload is that of a context filter."""
     if not payload:
         return False
     kind = payload[0]
-    if kind == 0x01:  # lanes: a count and as many bytes
+    if kind == 0x01:  # lanes: a count and that many bytes
         return len(payload) >= 2 and payload[1] < 128 and len(payload) == 2 + payload[1]
     shape = {0x03: "d", 0x04: "d", 0x07: "d", 0x08: "v", 0x09: "l", 0x0A: "d", 0x0B: "d"}.get(kind, "")
     return shapes.fits(payload, 1, (shape,))
 
 
 def _may_be_set(key: bytes) -> bool:
+    """Return whether a client may set this parameter."""
     text = key.decode(errors="replace")
     return SET_PARAMETERS.fullmatch(text) is not None and not WRITTEN_PARAMETER.fullmatch(text)
 
 
 def _misfit(number: int) -> str:
+    """Return the refusal of a payload that does not fit."""
     return f"What came with command 0x{number:02x} is not what SUMO 1.28 reads; it was not passed on."
 
 
 def _is_printable(name: bytes) -> bool:
+    """Return whether a name is printable UTF-8."""
     try:
         return name.decode().isprintable()
     except UnicodeDecodeError:

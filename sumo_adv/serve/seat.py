@@ -1,4 +1,4 @@
-"""The one seat at the gate: the client that drives the ego, other visitors, and what happens there."""
+"""The one seat at the gate: the client that drives the ego, other visitors, and the events there."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from sumo_adv.serve.framing import FramingError, Gone, MessageLine
 
 
 class EventKind(StrEnum):
-    """What happened."""
+    """The kinds of events at the gate."""
 
-    CONNECTED = "connected"  # a client took its seat
-    CLOSED = "closed"  # it said close
-    LOST = "lost"  # its connection broke, or it sent what is no message
+    CONNECTED = "connected"  # a client took the seat
+    CLOSED = "closed"  # the client closed the connection in good order
+    LOST = "lost"  # its connection broke, or it sent no valid message
     LATE = "late"  # it used up its time for a turn
-    REFUSED = "refused"  # a call, or a connection
+    REFUSED = "refused"  # a call or a connection was refused
     RESTARTED = "restarted"  # the simulation ended in good order
-    ENDED = "ended"  # SUMO went away by itself
+    ENDED = "ended"  # SUMO ended by itself
 
 
 class Stepper(StrEnum):
-    """The maker of a step on the ego's side."""
+    """What makes a step on the ego's side."""
 
     CLIENT = "client"
     GATE = "gate"
@@ -36,13 +36,18 @@ class Stepper(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class GateEvent:
-    """Something that happened at the gate, in a sentence."""
+    """An event at the gate.
+
+    Attributes:
+        kind: Its kind.
+        sentence: A description, in a sentence.
+    """
 
     kind: EventKind
     sentence: str
 
 
-FAREWELL_S = 60.0  # s in which a client that was sent away may still hear why
+FAREWELL_S = 60.0  # how long a client that was sent away may still receive the reason
 
 
 class Late(SumoAdvError):
@@ -54,7 +59,7 @@ class Interrupted(SumoAdvError):
 
 
 def _patience(deadline: float, interrupted: Callable[[], bool]) -> Callable[[], None]:
-    """What a line calls while it waits: it raises Interrupted, and Late once ``deadline`` seconds are over."""
+    """Return the idle function of a waiting line; it raises Interrupted, or Late after ``deadline`` seconds."""
     until = time.monotonic() + deadline
 
     def idle() -> None:
@@ -67,38 +72,74 @@ def _patience(deadline: float, interrupted: Callable[[], bool]) -> Callable[[], 
 
 
 class Client:
-    """A connected program: its line, its address, and which of its calls were refused already."""
+    """A connected program.
+
+    Attributes:
+        line: The connection.
+        peer: The address.
+        refused: The calls that were refused and reported.
+    """
 
     def __init__(self, line: MessageLine, peer: str) -> None:
+        """Wrap a connection.
+
+        Args:
+            line: The connection.
+            peer: The address.
+        """
         self.line = line
         self.peer = peer
         self.refused: set[tuple[int, bytes]] = set()
 
     def receive(self, deadline: float, interrupted: Callable[[], bool] = lambda: False) -> bytes:
-        """Its next message.
+        """Receive the client's next message.
+
+        Args:
+            deadline: The maximum time [s].
+            interrupted: Tells that the gate has something else to do.
 
         Raises:
-            Late: it did not come within ``deadline`` seconds.
+            Late: The message did not arrive in time.
             Interrupted: ``interrupted()`` became true.
-            Gone, FramingError: see Line.
+            Gone: As ``MessageLine.receive``.
+            FramingError: As ``MessageLine.receive``.
         """
         return self.line.receive(_patience(deadline, interrupted))
 
     def send(self, message: bytes, deadline: float) -> None:
-        """Send it an answer. Raises Late: it did not take it within ``deadline`` seconds; Gone: see Line."""
+        """Send the client an answer.
+
+        Args:
+            message: The answer.
+            deadline: The maximum time [s].
+
+        Raises:
+            Late: The client did not take it in time.
+            Gone: As ``MessageLine.send``.
+        """
         self.line.send(message, _patience(deadline, lambda: False))
 
     def send_away(self, reason: str, patience: float = FAREWELL_S) -> None:
-        """Answer its next message with an error and end the connection, within ``patience`` [s]."""
+        """Answer the client's next message with an error, and end the connection.
+
+        Args:
+            reason: The error.
+            patience: The maximum time [s].
+        """
         with suppress(Late, Gone, FramingError):
             self.send(errors(self.receive(patience), reason), patience)
         self.line.close()
 
 
 def errors(message: bytes, reason: str) -> bytes:
-    """The answer that refuses every command of a message, but for saying close. The first says why.
+    """Return the answer that refuses every command of a message, except close. The first refusal has the reason.
 
-    Raises FramingError: it is no message.
+    Args:
+        message: The message.
+        reason: The reason.
+
+    Raises:
+        FramingError: The message is none.
     """
     answers: list[bytes] = []
     for number, _, _ in framing.split(message):
@@ -109,22 +150,42 @@ def errors(message: bytes, reason: str) -> bytes:
 
 
 class ClientSlot:
-    """Holds at most one client. Thread-safe."""
+    """Holds at most one client. It is thread-safe.
+
+    Attributes:
+        client: The client; None if the seat is free.
+    """
 
     def __init__(self, tell: Callable[[GateEvent], None]) -> None:
+        """Start with a free seat.
+
+        Args:
+            tell: Called with each event.
+        """
         self._listener = tell
         self._changed = threading.Condition()
         self.client: Client | None = None
 
     def tell(self, event: GateEvent) -> None:
-        """Tell what happened; a listener cannot stop the gate by failing."""
+        """Report an event; a listener that fails does not stop the gate.
+
+        Args:
+            event: The event.
+        """
         try:
             self._listener(event)
         except Exception:
             logging.getLogger(__name__).exception("The listener of the gate's events failed.")
 
     def take(self, client: Client) -> bool:
-        """Whether the client got the seat; a client with a dead connection loses it."""
+        """Give the seat to a client. A client whose connection is dead loses it.
+
+        Args:
+            client: The client.
+
+        Returns:
+            Whether the client got the seat.
+        """
         sitting = self.client
         if sitting is not None and sitting.line.cut:
             self.leave(sitting, EventKind.LOST, f"The client at {sitting.peer} was lost: its connection broke.")
@@ -137,7 +198,13 @@ class ClientSlot:
         return True
 
     def leave(self, client: Client, kind: EventKind, sentence: str) -> None:
-        """Free the seat, unless it was already, and end the client's connection; a late client hears why."""
+        """Free the seat if the client has it, and end the client's connection; a late client is told why.
+
+        Args:
+            client: The client.
+            kind: The kind of the event.
+            sentence: The event in a sentence.
+        """
         with self._changed:
             if self.client is not client:
                 return
@@ -150,5 +217,13 @@ class ClientSlot:
         self.tell(GateEvent(kind, sentence))
 
     def wait(self, timeout: float) -> bool:
+        """Wait for a client.
+
+        Args:
+            timeout: The maximum time [s].
+
+        Returns:
+            Whether there is a client.
+        """
         with self._changed:
             return self._changed.wait_for(lambda: self.client is not None, timeout)

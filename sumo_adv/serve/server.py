@@ -35,16 +35,29 @@ from sumo_adv.simulation.network import RoadMap
 from sumo_adv.simulation.scan import scan_demand
 
 DEFAULT_TYPE = "DEFAULT_VEHTYPE"
-ROUTE_WARM_UP_S = 20.0  # s of traffic before an ego on drawn routes departs
-AFTER_ATTACK_S = 5.0  # s without an encounter after an attack
-MAX_DECISION_AGE_S = 4.0  # s a decision may be old, where the world does not wait for it
-MAX_FRUITLESS_SIMULATIONS = 3  # simulations in a row without an encounter, after which it is of no use to go on
-"""Where the simulation ends (its demand, or ``--end``) the next one begins with the next seed."""
+ROUTE_WARM_UP_S = 20.0  # duration of traffic before an ego on random routes departs
+AFTER_ATTACK_S = 5.0  # no encounter begins within this time after an attack
+MAX_DECISION_AGE_S = 4.0  # maximum age of a decision if the simulation does not wait for it
+MAX_FRUITLESS_SIMULATIONS = 3  # give up after this many simulations in a row without an encounter
+"""When a simulation ends (its demand, or ``--end``), the next one begins with the next seed."""
 
 
 @dataclass(frozen=True, slots=True)
 class ServerDependencies:
-    """Everything that a server needs and does not make itself. ``task_for``: the task with another seed."""
+    """Everything that a server needs and does not make itself.
+
+    Attributes:
+        run_input: The input.
+        options: The options of the server.
+        task_for: Returns the task of a simulation, by the number of the simulation; each has another seed.
+        road: The road network.
+        agents: The agents.
+        bank: The memory bank.
+        gate: The gate.
+        events: Receives what happens.
+        writer: Writes the folders of encounters.
+        check: Called every step; raises KeyboardInterrupt to stop.
+    """
 
     run_input: RunInput
     options: Options
@@ -55,34 +68,54 @@ class ServerDependencies:
     gate: Gate
     events: Events
     writer: ResultWriter
-    check: Callable[[], None]  # called every step; raises KeyboardInterrupt
+    check: Callable[[], None]
 
 
 class EgoServer:
-    """Runs until ``encounters`` are done, the input has no more, the client is gone for good, or Ctrl-C."""
+    """Serves encounters until one of these ends it.
+
+    It ends when ``encounters`` are done, the input has no more, the client is gone for good, or the user presses
+    Ctrl-C.
+
+    Attributes:
+        reason: Why the server ended, in a sentence.
+    """
 
     def __init__(self, parts: ServerDependencies) -> None:
+        """Prepare to serve.
+
+        Args:
+            parts: What the server needs.
+        """
         self._parts = parts
         self._task = parts.task_for(0)
         self._settings = self._task.settings
         self._session: Session | None = None
-        self._ended_at: float | None = None  # s; of the last simulation
-        self._number = 0  # of the encounter at hand, from 1
+        self._ended_at: float | None = None  # the end of the last simulation [s]
+        self._number = 0  # number of the current encounter, from 1
         self._fruitless = 0
         self.reason = ""
 
     @property
     def ego(self) -> str:
+        """The id of the ego."""
         return self._task.ego if isinstance(self._task.ego, str) else INSERTED_EGO
 
     @property
     def time(self) -> float | None:
-        """Simulated time [s], between two simulations the last one's; None before the first. Any thread may ask."""
+        """The simulated time [s].
+
+        Between two simulations it is the end of the last one; before the first one it is None. Any thread may read it.
+        """
         session = self._session
         return self._ended_at if session is None else session.now
 
     def run(self) -> Ending | None:
-        """Serve. An Ending where something failed (``reason`` says what), else None."""
+        """Serve.
+
+        Returns:
+            How the server ended if something failed (``reason`` says what), otherwise None.
+        """
         parts = self._parts
         try:
             round_ = 0
@@ -106,7 +139,7 @@ class EgoServer:
                 raise
             self.reason = str(error)
             return Ending.SIMULATION_FAILED
-        except Exception as error:  # a fault of ours: earlier results are kept, and the sentence names the fault
+        except Exception as error:  # a bug: earlier results are kept, and the sentence names it
             self.reason = fault_sentence(error)
             return Ending.SIMULATION_FAILED
         finally:
@@ -114,6 +147,7 @@ class EgoServer:
         return None
 
     def _wanted(self) -> bool:
+        """Return whether another encounter is wanted."""
         most = self._parts.options.encounters
         if self._fruitless >= MAX_FRUITLESS_SIMULATIONS and not self.reason:
             self.reason = f"The last {MAX_FRUITLESS_SIMULATIONS} simulations had no encounter."
@@ -122,7 +156,7 @@ class EgoServer:
     # -- a simulation -------------------------------------------------------------------------------------------
 
     def _simulate(self, round_: int) -> None:
-        """One simulation from its begin: all its encounters in continuous mode, one of them else."""
+        """Run one simulation from its begin, with all its encounters in continuous mode, otherwise with one."""
         self._task = self._parts.task_for(round_)
         self._settings = self._task.settings
         session, watch = self._start()
@@ -148,6 +182,7 @@ class EgoServer:
         self._end_session(clean=True)
 
     def _start(self) -> tuple[Session, EncounterMonitor]:
+        """Start a session, and look for encounters in it."""
         parts, task = self._parts, self._task
         self._session = session = Session(
             task.spec, parts.gate, parts.options, self._ego(task), parts.events, parts.check
@@ -156,7 +191,7 @@ class EgoServer:
         return session, EncounterMonitor(session, parts.road, self._settings, tuple(task.only), warm_up)
 
     def _ego(self, task: Task) -> EgoPlan:
-        """The vehicle under test: the demand's, a scenario's own, or one on routes that are drawn."""
+        """Return the vehicle under test: the demand's, a scenario's own, or one on random routes."""
         kind = self._parts.options.ego_type or task.ego_base_type or DEFAULT_TYPE
         if isinstance(task.ego, str):
             return EgoPlan(task.ego, kind, added=not self._in_demand(task, task.ego))
@@ -176,27 +211,30 @@ class EgoServer:
         )
 
     def _in_demand(self, task: Task, vehicle: str) -> bool:
+        """Return whether the demand has a vehicle."""
         return any(scan_demand(file).has(vehicle) for file in (*task.spec.routes, *task.spec.additional))
 
     @property
     def ego_is_added(self) -> bool:
-        """Whether the client itself is to add the ego."""
+        """Whether the client itself must add the ego."""
         return isinstance(self._task.ego, str) and not self._in_demand(self._task, self._task.ego)
 
     def _end_session(self, *, clean: bool) -> None:
+        """End the session, if there is one."""
         if self._session is not None:
             self._ended_at = self._session.now
             session, self._session = self._session, None
             session.close(clean=clean)
 
     def _pass_over(self, session: Session, why: str, passed: list[str]) -> None:
+        """Report an encounter that is passed over."""
         passed.append(f"{session.now:.1f} s ({why})")
         self._parts.events.tell("passed_over", time=session.now, reason=why)
 
     # -- an encounter -------------------------------------------------------------------------------------------
 
     def _encounter(self, session: Session, watch: EncounterMonitor, scene: AttackScene, passed: list[str]) -> bool:
-        """Decide and attack; False if it was passed over or dropped."""
+        """Decide and attack; return False if the encounter was passed over or dropped."""
         parts, encounter = self._parts, scene.found
         parts.events.tell(
             "encounter", time=encounter.time, number=self._number + 1, ego=encounter.ego,
@@ -227,7 +265,7 @@ class EgoServer:
         return True
 
     def _run(self, record: EncounterRecord, settings: Settings, bank_hash: str) -> Run:
-        """The run of one encounter, as it is written."""
+        """Return the run of one encounter, as it is written."""
         parts = self._parts
         isolation = parts.agents.sandbox.isolation if record.attacked else ""
         return Run(
@@ -236,6 +274,7 @@ class EgoServer:
         )  # fmt: skip
 
     def _pursue(self, session: Session, scene: AttackScene, decision: Decision, bank_hash: str) -> None:
+        """Attack as decided, and have the encounter written."""
         parts, settings = self._parts, self._settings
         episodes = parts.options.mode is Mode.EPISODES
         settings = settings if episodes else settings.model_copy(update={"attempts": 1})
@@ -269,13 +308,14 @@ class EgoServer:
             raise EgoLost
 
     def _again(self, time: float) -> Session | None:
-        """The same simulation anew, up to ``time`` [s]; None if the ego or its client is not there then."""
+        """Rerun the same simulation up to ``time`` [s]; return None if the ego or its client is not there then."""
         self._end_session(clean=True)
         self._parts.events.tell("again", number=self._number, time=time)
         session, watch = self._start()
         return session if watch.until(time) else None
 
     def _tell_attempt(self, what: str, value: Any) -> None:
+        """Report an attempt."""
         if what != "attempt":
             return
         a: Attempt = value
@@ -290,10 +330,12 @@ class EgoServer:
     # -- the decision -------------------------------------------------------------------------------------------
 
     def _decided(self, session: Session, kept: list[EncounterRecord], scene: AttackScene) -> Decision:
-        """The predictions and the library for an encounter. The world waits for it; with ``real_time`` it goes on
-        meanwhile. ``kept``: the record at hand; later ones are appended.
+        """Predict and decide for an encounter; append later records to ``kept``.
 
-        Raises ModelError: a model plays a part and failed.
+        The simulation waits for the decision or, with ``real_time``, continues meanwhile.
+
+        Raises:
+            ModelError: A language model plays a role and failed.
         """
         began, parts, settings = time.perf_counter(), self._parts, self._settings
 
@@ -302,7 +344,7 @@ class EgoServer:
                 scene.found, parts.run_input, settings, self._task, parts.agents.sandbox, parts.bank, parts.agents,
                 forecast=True,
             )  # fmt: skip
-            helped = settings.adversaries > 1 and self._task.trigger is not None  # supports may make it succeed
+            helped = settings.adversaries > 1 and self._task.trigger is not None  # supports may make the attack succeed
             if not prepared.reaches and not helped:
                 return Decision(kept[-1], prepared, None)
             return decide(kept[-1], prepared, settings, parts.agents, parts.bank, kept.append)
@@ -322,7 +364,7 @@ class EgoServer:
         return decision
 
     def _stale(self, session: Session, watch: EncounterMonitor, scene: AttackScene, wanted: Collection[str]) -> str:
-        """Why a decision for ``wanted`` vehicles no longer fits the world; empty if it does."""
+        """Say why a decision for the ``wanted`` vehicles no longer fits the simulation; empty if it does."""
         age = session.now - scene.found.time
         if age == 0.0:
             return ""

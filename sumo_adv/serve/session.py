@@ -1,8 +1,8 @@
-"""One simulation that a client shares with us: it is stepped, paced and recorded, and always has an ego.
+"""One simulation that a client shares with the server: it is stepped, paced and recorded, and always has an ego.
 
-We are SUMO's first client, the gate is the second, and there is no third. A step is our turn, then the ego's client's,
-then SUMO moves. While one of the two waits (we for the client, the client for a decision of ours), simulated time
-stands, unless ``real_time`` is set.
+The server is SUMO's first client, the gate is the second, and there is no third. In a step, the server has its turn,
+then the ego's client, and then SUMO moves. While one of the two waits (the server for the client, or the client for a
+decision of the server), simulated time stands, unless ``real_time`` is set.
 """
 
 from __future__ import annotations
@@ -35,23 +35,36 @@ if TYPE_CHECKING:
 
 
 OUR_ORDER = 1
-MAX_SUMO_STARTS = 5  # starts of SUMO, where another program connects to its port before we do
-KEPT_STATES_S = 15.0  # s of states that are kept while nothing happens
+MAX_SUMO_STARTS = 5  # maximum number of starts of SUMO if other programs connect to its port first
+KEPT_STATES_S = 15.0  # how long states are kept while nothing happens
 STAND_IN_BRAKING_M_S2 = 4.5
-CLIENT_GRACE_S = 10.0  # s the simulation goes on without its client before it waits (never with ``real_time``)
+CLIENT_GRACE_S = 10.0  # how long the simulation continues without its client; with ``real_time`` it never waits
 MIN_SPEED_CORRECTION_M_S, MAX_CREDIBLE_SPEED_M_S = (
     1.0,
     80.0,
-)  # m/s: another speed than SUMO says is believed from, and up to (else it was a jump)
+)  # SUMO's speed is corrected if it differs by the first or more; a speed above the second is a jump
 
 
 def shared_sumo(
     arguments: Sequence[str], gate: Gate, *, own: Collection[str], kept: Collection[str], events: Events,
     private: bool = True,
 ) -> tuple[SumoProcess, Connection]:  # fmt: skip
-    """SUMO and our connection to it. ``own``, ``kept``: see ``Gate.attach``; ``private``: see ``SumoProcess``.
+    """Start SUMO, and connect the gate and the server to it.
 
-    Raises SimulationError, UsageError: SUMO does not start, or is not installed, or others are always faster.
+    Args:
+        arguments: The arguments of SUMO.
+        gate: The gate.
+        own: The vehicles that the client may set.
+        kept: Those of them that it neither adds nor removes.
+        events: Receives what happens.
+        private: Whether only this program connects to SUMO (``SumoProcess``).
+
+    Returns:
+        SUMO, and the server's connection to it.
+
+    Raises:
+        SimulationError: SUMO does not start, or other programs always connect first.
+        UsageError: SUMO is not installed.
     """
     for tries in range(1, MAX_SUMO_STARTS + 1):
         sumo = SumoProcess(arguments, private=private)
@@ -73,11 +86,19 @@ def shared_sumo(
 
 
 def connect(sumo: SumoProcess) -> Connection:
-    """Our own connection, the first in order. Raises StrangerError, SimulationError."""
+    """Make the server's own connection, the first in order.
+
+    Args:
+        sumo: The running SUMO.
+
+    Raises:
+        StrangerError: Another program connected to SUMO first.
+        SimulationError: SUMO does not accept the connection.
+    """
     import traci
 
     try:
-        with socket.create_server(("127.0.0.1", 0)) as nobody:  # traci connects by itself and takes no socket
+        with socket.create_server(("127.0.0.1", 0)) as nobody:  # traci connects by itself and accepts no socket
             connection = traci.connect(nobody.getsockname()[1], numRetries=0, host="127.0.0.1")
         connection._socket.close()
         connection._socket = sumo.dial(SHARED_SUMO_TIMEOUT_S)
@@ -89,7 +110,7 @@ def connect(sumo: SumoProcess) -> Connection:
 
 
 class EgoLost(Exception):
-    """The client is gone or late, and it mattered."""
+    """The client is gone or late, and it was needed."""
 
 
 class ClientGone(Exception):
@@ -100,8 +121,13 @@ class ClientGone(Exception):
 class EgoPlan:
     """The vehicle under test.
 
-    next_route: where it departs next, None = the demand holds it, or its client adds it (``added``) and moves it as it
-    likes; warm_up [s]: of the traffic before it departs.
+    Attributes:
+        id: Its id.
+        type: Its vehicle type.
+        next_route: Returns the route of the next departure. None if the demand has the vehicle, or if the client adds
+            it.
+        warm_up: How long the traffic runs before it departs [s].
+        added: Whether the client adds the vehicle and moves it as it likes.
     """
 
     id: str
@@ -113,13 +139,19 @@ class EgoPlan:
 
 @dataclass(slots=True)
 class SessionPace:
-    """Holds simulated time to the clock's; ``slips``: how often it was more than a second late."""
+    """Keeps simulated time in step with the clock.
+
+    Attributes:
+        step: The step length [s].
+        slips: How often simulated time was more than a second late.
+    """
 
     step: float
     slips: int = 0
     _next: float | None = None
 
     def wait(self) -> None:
+        """Wait until the next step is due."""
         now = time.monotonic()
         due = now if self._next is None else self._next
         if due > now:
@@ -131,15 +163,35 @@ class SessionPace:
 
 
 class Session(Drive):
-    """A drive in which a client drives the ego. ``attended``: the ego's client is needed, its loss raises EgoLost."""
+    """A drive in which a client drives the ego.
+
+    Attributes:
+        attended: Whether the client is needed, so that its loss raises EgoLost.
+        adversaries: The ids of the vehicles that an attempt moves.
+        away: Whether the client is absent or late.
+        away_since: Since when the client has been away [s].
+        steps: The number of steps so far.
+        present_since: Since when the ego has been on the road [s]; None if it is not.
+        pace: Keeps simulated time in step with the clock; None without ``real_time``.
+    """
 
     def __init__(
         self, spec: SimulationSpec, gate: Gate, options: Options, ego: EgoPlan, events: Events,
         check: Callable[[], None],
     ) -> None:  # fmt: skip
-        """Start SUMO behind the gate. ``check`` is called every step and may raise.
+        """Start SUMO behind the gate.
 
-        Raises SimulationError, UsageError: SUMO does not start, or is not installed.
+        Args:
+            spec: The simulation.
+            gate: The gate.
+            options: The options of the server.
+            ego: The vehicle under test.
+            events: Receives what happens.
+            check: Called every step; it may raise.
+
+        Raises:
+            SimulationError: SUMO does not start.
+            UsageError: SUMO is not installed.
         """
         self._gate, self._options, self._plan, self._events, self._check = gate, options, ego, events, check
         kept = () if ego.added else (ego.id,)
@@ -153,13 +205,13 @@ class Session(Drive):
         if ego.added:
             self.simulation.unrouted = frozenset({ego.id})
         self.attended = False
-        self.adversaries: Sequence[str] = ()  # those that an attempt moves
-        self.away = True  # the client is not there, or late
+        self.adversaries: Sequence[str] = ()
+        self.away = True
         self.away_since = spec.begin
         self.steps = 0
-        self.present_since: float | None = None  # s; None while the ego is not on the road
+        self.present_since: float | None = None
         self.pace = SessionPace(spec.step_length) if options.real_time else None
-        self._again: tuple[EgoRoute, str] | None = None  # how an ego of the demand departed
+        self._again: tuple[EgoRoute, str] | None = None  # route and type of an ego of the demand
         self._departures, self._pending = 0, ego.next_route is None
         self._first = spec.begin + ego.warm_up
         self._owners: tuple[object, ...] = ()
@@ -168,10 +220,14 @@ class Session(Drive):
     # -- stepping -----------------------------------------------------------------------------------------------
 
     def tick(self, poses: Mapping[str, Pose] | None = None, ego: Action = None) -> Snapshot:
-        """One step of all vehicles.
+        """Make one step of all vehicles.
+
+        Args:
+            poses: The poses of vehicles that are moved.
+            ego: The ego's action.
 
         Raises:
-            EgoLost: the client did not make this step, and ``attended``.
+            EgoLost: The client did not make this step, and ``attended`` is set.
             SimulationError: SUMO ended.
         """
         self._check()
@@ -189,9 +245,10 @@ class Session(Drive):
         return snapshot
 
     def hold(self) -> None:
-        """Between encounters: wait for a client that has been away for a while.
+        """Wait between encounters for a client that has been away for a while.
 
-        Raises ClientGone: it does not come within ``patience``.
+        Raises:
+            ClientGone: The client does not come within ``patience``.
         """
         if self._gate.connected or (
             self.steps and (self.pace is not None or self.now - self.away_since < CLIENT_GRACE_S)
@@ -207,11 +264,20 @@ class Session(Drive):
             self.pace = SessionPace(self.spec.step_length)
 
     def ready(self, since: float) -> bool:
-        """Whether an encounter may begin: the ego has been on the road for ``since`` s, and its client drives it."""
+        """Return whether an encounter may begin: the ego has been on the road long enough, and its client drives it.
+
+        Args:
+            since: How long the ego must have been on the road [s].
+        """
         return self.present_since is not None and not self.away and self.now - self.present_since >= since
 
     def close(self, *, clean: bool = True) -> None:
-        """End SUMO. The client's call is answered, then its connection is closed; ``clean=False``: at once."""
+        """End SUMO.
+
+        Args:
+            clean: Whether the client's call is answered before its connection is closed. If not, SUMO is killed at
+                once.
+        """
         self._gate.detach()
         assert self.simulation.remote is not None
         self.simulation.remote.close() if clean else self.simulation.remote.drop()
@@ -222,23 +288,28 @@ class Session(Drive):
         )  # fmt: skip
 
     def deserted(self) -> bool:
-        """Whether no vehicle but the ego is on the road or still to come."""
+        """Return whether no vehicle except the ego is on the road or still expected."""
         return self.simulation.expected() <= (self.present_since is not None or self._pending)
 
     def remove(self, vehicle: str) -> None:
-        """Take a vehicle out; the client's subscription of it ends, or every later step of SUMO would fail."""
+        """Remove a vehicle, and end the client's subscription to it; otherwise every later step of SUMO would fail.
+
+        Args:
+            vehicle: The id of the vehicle.
+        """
         for end in (self.simulation.api.vehicle.unsubscribe, self.simulation.api.vehicle.remove):
             with suppress(*self.simulation.errors):
                 end(vehicle)
 
     @property
     def spec(self) -> SimulationSpec:
+        """The simulation."""
         return self.simulation.spec
 
     # -- the ego ------------------------------------------------------------------------------------------------
 
     def _depart(self) -> None:
-        """Insert the ego where it is neither on the road nor about to be."""
+        """Insert the ego if it is neither on the road nor about to be."""
         if self.present_since is not None or self._pending or self.now < self._first:
             return
         route, kind = (self._plan.next_route(), self._plan.type) if self._plan.next_route else self._again or (None, "")
@@ -253,8 +324,10 @@ class Session(Drive):
         self._departures, self._pending = self._departures + 1, True
 
     def _with_true_speed(self, snapshot: Snapshot) -> Snapshot:
-        """SUMO's speed of a vehicle that its client moves by ``moveToXY`` alone is wrong (measured): the way it went in
-        the step says more."""
+        """Correct the ego's speed by the distance that it moved in the step.
+
+        SUMO's speed of a vehicle that its client moves by ``moveToXY`` alone is wrong (measured).
+        """
         snapshots, name = self.recording.snapshots, self._plan.id
         if len(snapshots) < 2 or name not in snapshot.raw or name not in snapshots[-2].raw:
             return snapshot
@@ -267,6 +340,7 @@ class Session(Drive):
         return snapshots[-1]
 
     def _look_for_ego(self, snapshot: Snapshot) -> None:
+        """Notice that the ego has departed or left."""
         name = self._plan.id
         if name in snapshot.raw and self.present_since is None:
             self.present_since, self._pending = self.now, False
@@ -281,6 +355,7 @@ class Session(Drive):
         self._tell_owners(snapshot)
 
     def _tell_owners(self, snapshot: Snapshot) -> None:
+        """Report who drives which vehicles, if that has changed."""
         here = self.present_since is not None
         client = (self._plan.id,) if here and not self.away else ()
         ours = tuple(name for name in self.adversaries if name in snapshot.raw)
@@ -292,6 +367,7 @@ class Session(Drive):
     # -- the client ---------------------------------------------------------------------------------------------
 
     def _look_for_client(self) -> None:
+        """Notice that the client has come or gone."""
         away = self._gate.stepped_by is not Stepper.CLIENT
         if away == self.away:
             return
@@ -306,6 +382,7 @@ class Session(Drive):
             self.simulation.set_speed(self._plan.id, None)
 
     def _stand_in(self) -> None:
+        """Brake the ego of an absent client, if ``on_loss`` is brake."""
         if self.steps and self._options.on_loss is OnLoss.BRAKE and self.present_since is not None:
             speed = self.snapshot.raw[self._plan.id][3] - STAND_IN_BRAKING_M_S2 * self.spec.step_length
             self.simulation.set_speed(self._plan.id, speed)

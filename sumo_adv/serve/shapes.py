@@ -1,14 +1,14 @@
-"""What a command's payload must look like: SUMO ends on one byte too few or too many, so it gets neither.
+"""The shapes of command payloads: SUMO ends on one byte too few or too many, so it must receive neither.
 
-Facts of SUMO 1.28, from its ``traci`` wheel and from asking the program with payloads that do not fit. It also ends on
-an error of more than 255 bytes, on huge numbers, on a vehicle class or icon it does not know, and on a
+The facts are those of SUMO 1.28, from its ``traci`` wheel and from calls of the program with payloads that do not fit.
+SUMO also ends on an error of more than 255 bytes, on huge numbers, on an unknown vehicle class or icon, and on a
 context of variables that its objects do not have.
 
-A shape is a string, one letter a value, as in ``traci``: ``i`` integer, ``d`` double, ``b`` byte, ``B`` unsigned byte,
-``s`` string, ``l`` list of strings, ``v`` list of vehicle classes, ``n`` an icon's name, ``f`` list of doubles, ``c``
-colour, ``p`` polygon, ``o``/``O``/``g``/``G`` positions, ``r`` a place on a road, each after the byte of its type;
-``u`` an unsigned byte without one; ``(...)`` a compound of these values, those in ``[...]`` may be missing;
-``{...}`` a compound of any number of such values.
+A shape is a string with one letter per value, as in ``traci``. Each of these values comes after the byte of its type:
+``i`` integer, ``d`` double, ``b`` byte, ``B`` unsigned byte, ``s`` string, ``l`` list of strings, ``v`` list of vehicle
+classes, ``n`` name of an icon, ``f`` list of doubles, ``c`` colour, ``p`` polygon, ``o``/``O``/``g``/``G`` positions,
+``r`` a place on a road. ``u`` is an unsigned byte without a type. ``(...)`` is a compound of these values, of which
+those in ``[...]`` may be missing. ``{...}`` is a compound of any number of such values.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from dataclasses import dataclass
 from functools import cache
 
 _INT = struct.Struct("!i")
-_FIXED = {  # letter -> type, bytes after it
+_FIXED = {  # letter -> type, number of bytes after it
     "i": (0x09, 4), "d": (0x0B, 8), "b": (0x08, 1), "B": (0x07, 1), "c": (0x11, 4),
     "o": (0x01, 16), "O": (0x03, 24), "g": (0x00, 16), "G": (0x02, 24),
 }  # fmt: skip
 _SIZED = {"s": 0x0C, "n": 0x0C, "l": 0x0E, "v": 0x0E, "f": 0x10, "p": 0x06, "r": 0x04}
 _COMPOUND = 0x0F
 _PARAMETER, _PROGRAM = 0x7E, 0x2C
-_PAIR = bytes((_SIZED["l"],)) + _INT.pack(2)  # what a list of two strings begins with
-MAX_OBJECT_NAME_BYTES = 170  # bytes of a name that comes alone: SUMO puts it into an error, which has at most 255
-MAX_NUMBER = 1e10  # of a number; SUMO dies of a position of 1e308
-MAX_NAME_BYTES = 80  # bytes of a name where an error may hold two
+_PAIR = bytes((_SIZED["l"],)) + _INT.pack(2)  # beginning of a list of two strings
+MAX_OBJECT_NAME_BYTES = 170  # for a single name: SUMO puts it into an error, which has at most 255
+MAX_NUMBER = 1e10  # a position of 1e308 ends SUMO
+MAX_NAME_BYTES = 80  # for a name if an error may hold two
 _CLASSES = frozenset(
     b"private emergency authority army vip pedestrian passenger hov taxi bus coach delivery truck trailer motorcycle "
     b"moped bicycle evehicle tram rail_urban rail rail_electric rail_fast ship container cable_car subway aircraft "
@@ -41,7 +41,7 @@ Shapes = tuple[str, ...]
 NO_ARGUMENTS: Shapes = ("",)
 
 ANY_GET: Mapping[int, Shapes] = {0x7E: ("s",), 0x3E: ("s",)}
-"""Variable -> shapes, the same for all getters."""
+"""Maps a variable to its shapes, the same for all getters."""
 GET: Mapping[int, Mapping[int, Shapes]] = {
     0x2A: {0x16: ("(ss)",), 0x17: ("s",)},
     0xA2: {0x25: ("i",), 0x30: ("i",), 0x31: ("i",), 0x67: ("i",), 0x2F: ("s",), 0x34: ("s",), 0x32: ("(sss)",)},
@@ -59,10 +59,10 @@ GET: Mapping[int, Mapping[int, Shapes]] = {
     },
     0xAE: {0x54: ("i",), 0x83: ("(ru)", "(ou)", "(Ou)"), 0xC0: ("i",), 0xC6: ("i",), 0xC7: ("l",)},
 }  # fmt: skip
-"""Number of a getter -> variable -> shapes of its parameters; a variable that is not here has none."""
+"""Maps the number of a getter and a variable to the shapes of its parameters. A variable that is missing has none."""
 
 NOT_SUBSCRIBED = frozenset({(0xA2, 0x32), (0xAB, 0x82), (0xAB, 0x83), (0xAB, 0x86), (0xAB, 0x87)})
-"""Getter and variable that SUMO cannot keep up as a subscription."""
+"""Getters and variables that SUMO cannot maintain as a subscription."""
 
 CONTEXTUAL: Mapping[int, frozenset[int]] = {
     number: frozenset(bytes.fromhex(variables))
@@ -82,7 +82,7 @@ CONTEXTUAL: Mapping[int, frozenset[int]] = {
         0xAF: "00011b425156676869ef",
     }.items()
 }  # fmt: skip
-"""Getter -> variables that every object within a context has."""
+"""Maps a getter to the variables that every object within a context has."""
 
 _STAGE = "(isssldddsddds)"
 _SHAPES_OF_TYPE: Mapping[int, Shapes] = {
@@ -94,7 +94,7 @@ _SHAPES_OF_TYPE: Mapping[int, Shapes] = {
 _EFFORT = ("(s)", "(sd)", "(ddsd)")
 _SPAN = ("(d)", "(ddd)")
 ANY_SET: Mapping[int, Shapes] = {0x7E: ("(ss)",)}
-"""Variable -> shapes, the same for all setters."""
+"""Maps a variable to its shapes, the same for all setters."""
 SET: Mapping[int, Mapping[int, Shapes]] = {
     0x44: {0x9B: ("l",)},
     0x45: {0x97: ("d",), 0x98: ("d",), 0x99: ("i",), 0x9A: ("d",), 0x9C: ("d",)},
@@ -133,20 +133,37 @@ SET: Mapping[int, Mapping[int, Shapes]] = {
         0xCD: (f"(i{_STAGE})",),
     },
 }  # fmt: skip
-"""Number of a setter -> variable -> shapes of its value; a variable that is not here is not for a client."""
+"""Maps the number of a setter and a variable to the shapes of its value.
+
+A client may not set a variable that is missing.
+"""
 
 
 class Misfit(Exception):
-    """A payload that ends too early, too late, or has another type where one is expected."""
+    """A payload ends too early or too late, or has another type than expected."""
 
 
 def fits(payload: bytes, at: int, shapes: Shapes) -> bool:
-    """Whether what begins at byte ``at`` has one of the shapes, to the last byte."""
+    """Return whether the payload from a byte on has one of the shapes, to the last byte.
+
+    Args:
+        payload: The payload.
+        at: The index of the byte.
+        shapes: The shapes.
+    """
     return any(_ends(payload, at, shape) == len(payload) for shape in shapes)
 
 
 def name_end(payload: bytes, at: int) -> int:
-    """Where the string that begins at ``at`` with its length ends. Raises Misfit: the payload ends before."""
+    """Return the end of the string that begins with its length.
+
+    Args:
+        payload: The payload.
+        at: The index of its first byte.
+
+    Raises:
+        Misfit: The payload ends before the string.
+    """
     if at + 4 > len(payload):
         raise Misfit
     size = _INT.unpack_from(payload, at)[0]
@@ -156,27 +173,54 @@ def name_end(payload: bytes, at: int) -> int:
 
 
 def context_fits(payload: bytes, at: int, domain: int) -> bool:
-    """Whether the variables from their count at ``at`` on are ones that the objects of a getter's domain have."""
+    """Return whether the objects of a domain have all variables of a context.
+
+    Args:
+        payload: The payload.
+        at: The index of the variables' count, which the variables follow.
+        domain: The number of the domain's getter.
+    """
     allowed = CONTEXTUAL.get(domain)
     variables = payload[at + 1 :]
     return allowed is not None and at < len(payload) == at + 1 + payload[at] and allowed.issuperset(variables)
 
 
 def get_shapes(number: int, variable: int) -> Shapes:
-    """What must follow the object's name in a getter."""
+    """Return the shapes of a getter's parameters, which follow the object's name.
+
+    Args:
+        number: The number of the getter.
+        variable: The variable.
+    """
     return GET.get(number, {}).get(variable) or ANY_GET.get(variable, NO_ARGUMENTS)
 
 
 def set_shapes(number: int, variable: int) -> Shapes | None:
-    """What must follow the object's name in a setter; None: there is no such setter."""
+    """Return the shapes of a setter's value, which follows the object's name.
+
+    Args:
+        number: The number of the setter.
+        variable: The variable.
+
+    Returns:
+        The shapes; None if there is no such setter.
+    """
     return SET.get(number, {}).get(variable) or ANY_SET.get(variable)
 
 
 def keys_set(payload: bytes, at: int, variable: int) -> list[bytes]:
-    """The names of parameters in a setter's value that begins at ``at`` and fits: of ``setParameter``, and those of a
-    program of a traffic light, which are lists of key and value."""
+    """Return the names of the parameters that a setter sets.
+
+    They are the key of ``setParameter``, and the keys in a program of a traffic light, which holds lists of key and
+    value.
+
+    Args:
+        payload: The payload, which fits.
+        at: The index at which the value begins.
+        variable: The variable.
+    """
     if variable == _PARAMETER:
-        begin = at + 1 + 4 + 1  # the compound, its count, the type of the key
+        begin = at + 1 + 4 + 1  # the compound, its count, and the type of the key
         return [payload[begin + 4 : name_end(payload, begin)]]
     if variable != _PROGRAM:
         return []
@@ -185,9 +229,15 @@ def keys_set(payload: bytes, at: int, variable: int) -> list[bytes]:
 
 
 def subscribed(payload: bytes, at: int, domain: int) -> list[bytes]:
-    """The variables of a subscription, each with its parameters. ``at``: their count; ``domain``: its getter.
+    """Return the variables of a subscription, each with its parameters.
 
-    Raises Misfit: SUMO could not read it.
+    Args:
+        payload: The payload.
+        at: The index of the variables' count.
+        domain: The number of the domain's getter.
+
+    Raises:
+        Misfit: SUMO could not read the payload.
     """
     if at >= len(payload):
         raise Misfit
@@ -208,7 +258,13 @@ def subscribed(payload: bytes, at: int, domain: int) -> list[bytes]:
 
 @dataclass(frozen=True, slots=True)
 class _Compound:
-    """``least`` of its items must be there; ``many``: any number of each."""
+    """A compound value.
+
+    Attributes:
+        items: Its items.
+        least: The minimum number of items.
+        many: Whether its first item may come any number of times.
+    """
 
     items: tuple[str | _Compound, ...]
     least: int
@@ -217,6 +273,7 @@ class _Compound:
 
 @cache
 def _items(shape: str) -> tuple[str | _Compound, ...]:
+    """Parse a shape."""
     stack: list[list[str | _Compound]] = [[]]
     least: list[int | None] = [None]
     for letter in shape:
@@ -234,7 +291,7 @@ def _items(shape: str) -> tuple[str | _Compound, ...]:
 
 
 def _ends(payload: bytes, at: int, shape: str) -> int:
-    """Where a value of this shape ends, -1 if there is none."""
+    """Return the end of a value of this shape; -1 if there is none."""
     try:
         for item in _items(shape):
             at = _value(payload, at, item)
@@ -244,6 +301,7 @@ def _ends(payload: bytes, at: int, shape: str) -> int:
 
 
 def _value(payload: bytes, at: int, item: str | _Compound) -> int:
+    """Return the end of a value; raise Misfit if it does not fit."""
     if item == "u":
         return at + 1
     if at >= len(payload):
@@ -261,6 +319,7 @@ def _value(payload: bytes, at: int, item: str | _Compound) -> int:
 
 
 def _compound(payload: bytes, at: int, item: _Compound) -> int:
+    """Return the end of a compound; raise Misfit if it does not fit."""
     if payload[at] != _COMPOUND or at + 5 > len(payload):
         raise Misfit
     count = _INT.unpack_from(payload, at + 1)[0]
@@ -273,6 +332,7 @@ def _compound(payload: bytes, at: int, item: _Compound) -> int:
 
 
 def _doubles(payload: bytes, at: int, count: int) -> int:
+    """Return the end of some doubles; raise Misfit if one is too large or missing."""
     if at + 8 * count > len(payload):
         raise Misfit
     if not all(-MAX_NUMBER <= number <= MAX_NUMBER for number in struct.unpack_from(f"!{count}d", payload, at)):
@@ -281,6 +341,7 @@ def _doubles(payload: bytes, at: int, count: int) -> int:
 
 
 def _sized(payload: bytes, at: int, letter: str) -> int:
+    """Return the end of a value with its own size; raise Misfit if it does not fit."""
     if letter in "snr":
         end = _short_name(payload, at)
         if letter == "n" and payload[at + 4 : end] not in _ICONS:
@@ -309,6 +370,7 @@ def _sized(payload: bytes, at: int, letter: str) -> int:
 
 
 def _short_name(payload: bytes, at: int) -> int:
+    """Return the end of a name; raise Misfit if it is longer than ``MAX_NAME_BYTES``."""
     end = name_end(payload, at)
     if end - at - 4 > MAX_NAME_BYTES:
         raise Misfit

@@ -1,4 +1,4 @@
-"""The real ``sumo`` program as a child that cannot outlive us, with room for two TraCI clients."""
+"""The real ``sumo`` program as a child that cannot outlive its starter, with room for two TraCI clients."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from sumo_adv.serve import leash
 from sumo_adv.serve.leash import TRACI_CLIENTS
 from sumo_adv.simulation.programs import find_sumo
 
-MAX_KEPT_LINES = 50  # of what SUMO said last
+MAX_KEPT_LINES = 50  # maximum number of SUMO's last lines that are kept
 PORT_RETRY_PERIOD_S = 0.01
 _REFUSALS = ("Answered with error to command", "Requested command not implemented")
 _ESTABLISHED = "01"  # in /proc/net/tcp
 
 
 class StrangerError(SimulationError):
-    """A program that is none of ours connected to SUMO's port before we did."""
+    """Another program connected to SUMO's port before this one did."""
 
 
 def free_port() -> int:
-    """A port of the loopback interface on which no program listens now."""
+    """Return a port of the loopback interface on which no program listens now."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]
@@ -38,22 +38,27 @@ def free_port() -> int:
 class SumoProcess:
     """A running ``sumo`` that waits for its clients.
 
-    On Linux it is killed when the thread that made it ends, so make it in a thread that lasts; elsewhere it ends once
-    its clients' connections break.
+    On Linux, it is killed when the thread that made it ends, so make it in a thread that lasts. On other systems, it
+    ends once its clients' connections break.
+
+    Attributes:
+        port: The port that it listens at.
     """
 
     def __init__(self, arguments: Sequence[str], *, private: bool = False) -> None:
-        """Start it. ``arguments``: SUMO's own, without port and number of clients.
+        """Start SUMO.
 
-        ``private``: only ``dial`` connects to it. On Linux it then has a network of its own, if the system allows that;
-        else it listens at ``port`` on all interfaces, as SUMO does, until it has its clients.
+        Args:
+            arguments: SUMO's arguments, without port and number of clients.
+            private: Whether only ``dial`` connects to it. On Linux, it then has its own network, if the system allows
+                that. Otherwise it listens at ``port`` on all interfaces, as SUMO does, until it has its clients.
 
         Raises:
-            UsageError: the program is not installed.
-            SimulationError: it cannot be started.
+            UsageError: The program is not installed.
+            SimulationError: The program cannot be started.
         """
         self.port = free_port()
-        self._dialled: list[int] = []  # ports that we connected from
+        self._dialled: list[int] = []  # the ports that this program connected from
         self._made: list[socket.socket] = []
         self._talk: socket.socket | None = None
         program = str(find_sumo())
@@ -79,17 +84,21 @@ class SumoProcess:
         self._ear.start()
 
     def _listen(self) -> None:
+        """Keep the last lines that SUMO writes."""
         assert self._process.stderr is not None
         with self._process.stderr as words:
             for line in words:
                 self._said.append(line.decode(errors="replace").strip())
 
     def dial(self, timeout: float) -> socket.socket:
-        """One of its ``TRACI_CLIENTS`` connections, as soon as it listens.
+        """Return one of the ``TRACI_CLIENTS`` connections, as soon as SUMO listens.
+
+        Args:
+            timeout: The maximum time [s].
 
         Raises:
-            StrangerError: a stranger took one (noticed on Linux).
-            SimulationError: it ended, or does not listen within ``timeout`` seconds.
+            StrangerError: Another program took a connection (noticed on Linux).
+            SimulationError: SUMO ended, or does not listen in time.
         """
         until = time.monotonic() + timeout
         while True:
@@ -104,11 +113,11 @@ class SumoProcess:
 
     @property
     def is_private(self) -> bool:
-        """Whether it turned out, after a ``dial``, that no stranger can connect."""
+        """Whether no other program can connect. This is known after a ``dial``."""
         return self._talk is not None
 
     def _handed_over(self) -> socket.socket | None:
-        """A connection that was made in SUMO's own network; None if there is none yet, or no such network."""
+        """Return a connection made in SUMO's own network; None if there is none yet, or no such network."""
         assert self._talk is not None
         if not self._made:
             self._talk.settimeout(PORT_RETRY_PERIOD_S)
@@ -123,8 +132,9 @@ class SumoProcess:
         return self._made.pop(0) if self._made else None
 
     def _connected(self, timeout: float) -> socket.socket | None:
-        """A connection to our port; None if no program listens there yet: the kernel could connect such a one to
-        itself.
+        """Return a connection to the port; None if no program listens there yet.
+
+        The kernel could connect a socket that is bound to that port to itself.
         """
         dialling = socket.socket()
         try:
@@ -146,25 +156,34 @@ class SumoProcess:
 
     @property
     def pid(self) -> int:
+        """The process id."""
         return self._process.pid
 
     @property
     def alive(self) -> bool:
+        """Whether SUMO runs."""
         return self._process.poll() is None
 
     @property
     def last_error(self) -> str:
-        """What SUMO complained of last, but for calls it refused; or nothing."""
+        """SUMO's last errors, except those about refused calls; empty if there are none."""
         errors = [line.removeprefix("Error: ") for line in list(self._said) if line.startswith("Error:")]
         return " ".join(line for line in errors if not line.startswith(_REFUSALS))[-300:]
 
     def why_ended(self) -> str:
-        """``last_error`` of a SUMO that is about to end."""
+        """Return ``last_error`` of a SUMO that is about to end."""
         self.wait(1.0)
         return self.last_error
 
     def wait(self, timeout: float) -> bool:
-        """Whether it ended by itself within ``timeout`` seconds."""
+        """Wait for SUMO to end by itself.
+
+        Args:
+            timeout: The maximum time [s].
+
+        Returns:
+            Whether it ended.
+        """
         try:
             self._process.wait(timeout)
         except subprocess.TimeoutExpired:
@@ -173,7 +192,11 @@ class SumoProcess:
         return True
 
     def close(self, timeout: float = 0.0) -> None:
-        """Give it ``timeout`` seconds to end by itself, then kill it."""
+        """Give SUMO time to end by itself, then kill it.
+
+        Args:
+            timeout: The time [s].
+        """
         for ours in (self._talk, *self._made):
             if ours is not None:
                 ours.close()
@@ -190,10 +213,16 @@ class SumoProcess:
 
 
 def strangers(port: int, ours: Sequence[int]) -> bool:
-    """Whether a stranger has a connection to a local port from another one than ``ours``; False where it cannot be
-    seen.
+    """Return whether another program has a connection to a local port.
 
-    Source: proc(5), ``/proc/net/tcp``: local and remote address and state stand in columns 2 to 4.
+    Source: proc(5), ``/proc/net/tcp``: local and remote address and state are in columns 2 to 4.
+
+    Args:
+        port: The port.
+        ours: The ports that this program connected from.
+
+    Returns:
+        The answer; False if the system does not say.
     """
     for table in ("tcp", "tcp6"):
         try:

@@ -1,4 +1,4 @@
-"""The ego's turns in one simulation: what its client asks is checked and passed on, and a step always comes."""
+"""The ego's turns in one simulation: the client's requests are checked and passed on, and there is always a step."""
 
 from __future__ import annotations
 
@@ -22,20 +22,36 @@ from sumo_adv.serve.policy import CONTEXTS, GETTERS, MAX_STEP_S, SETTERS, SUBSCR
 from sumo_adv.serve.seat import Client, ClientSlot, EventKind, GateEvent, Interrupted, Late, Stepper, errors
 from sumo_adv.serve.shapes import Misfit
 
-MAX_UNHEARD_ANSWERS = 1000  # answers without SUMO outside a client's turn, before it waits for its turn
+MAX_UNHEARD_ANSWERS = 1000  # maximum number of answers without SUMO outside a client's turn; then it waits for its turn
 _EMPTY_STEP = make_message(make_status(framing.SIMSTEP), bytes(4))
 _WITHOUT_SUMO = {framing.GETVERSION, framing.SETORDER, framing.CLOSE}
 _RESTARTED = "The simulation was restarted: ask again."
 
 
 class Turns:
-    """One simulation, from attach to its end. ``run`` in one thread; everything else from any."""
+    """One simulation, from attach to its end. Call ``run`` in one thread; everything else may be used from any thread.
+
+    Attributes:
+        policy: What the client may do.
+        stepped_by: What made the last step on the ego's side.
+        client_steps: The number of steps that the client made.
+    """
 
     def __init__(
         self, connect: Callable[[Callable[[], None]], SumoLink], policy: Policy, seat: ClientSlot, deadline: float,
         stopping: Callable[[], bool], why_ended: Callable[[], str], older: bool = False,
     ) -> None:  # fmt: skip
-        """``connect`` makes the link to SUMO, given what to call while waiting for it; ``older``: see OlderClients."""
+        """Connect to SUMO.
+
+        Args:
+            connect: Makes the link to SUMO; takes a function to call while waiting for SUMO.
+            policy: What the client may do.
+            seat: The seat of the client.
+            deadline: The time of the client for one turn [s].
+            stopping: Tells that the server stops.
+            why_ended: Returns SUMO's last error once it has ended.
+            older: Whether clients know TraCI only up to version 21 (``OlderClients``).
+        """
         self.policy = policy
         self.stepped_by = Stepper.GATE
         self.client_steps = 0
@@ -44,18 +60,22 @@ class Turns:
         self._served: Client | None = None
         self._translates = OlderClients() if older else None
         self._our_turn = False
-        self._unheard = 0  # answers in a row that did not need SUMO
-        self._turn_began = 0.0  # s, monotonic
+        self._unheard = 0  # number of answers in a row that did not need SUMO
+        self._turn_began = 0.0  # by the monotonic clock [s]
         self._link = connect(self._while_sumo_works)
         self._subscriptions = Subscriptions(self._link)
 
     def part(self, keep: bool) -> None:
-        """Say close to SUMO at the end of what is being asked; ``keep``: the client stays for the next simulation."""
+        """Close the connection to SUMO after the current request.
+
+        Args:
+            keep: Whether the client stays for the next simulation.
+        """
         self._keep = keep
         self._parting = True
 
     def run(self) -> None:
-        """Serve turns until told to part, or SUMO goes."""
+        """Serve turns until ``part`` is called or SUMO ends."""
         try:
             self._link.greet()
             while not self._interrupted():
@@ -70,9 +90,11 @@ class Turns:
             self._link.close()
 
     def _interrupted(self) -> bool:
+        """Return whether the turns end."""
         return self._parting or self._stopping()
 
     def _next(self) -> None:
+        """Serve the client's next message, or stand in for an absent client."""
         client = self._seat.client
         if client is not self._served:
             self._subscriptions.end()
@@ -83,6 +105,7 @@ class Turns:
             self._guarded(client, self._converse)
 
     def _converse(self, client: Client) -> None:
+        """Receive a message, and answer it."""
         message = self._listen(client)
         commands = framing.split(message)
         try:
@@ -95,7 +118,7 @@ class Turns:
             self._seat.leave(client, EventKind.CLOSED, f"The client at {client.peer} said close.")
 
     def _guarded(self, client: Client, talk: Callable[[Client], None]) -> None:
-        """Talk with a client; if it fails it loses its seat."""
+        """Talk with a client; if that fails, the client loses its seat."""
         try:
             talk(client)
         except Interrupted:
@@ -110,7 +133,7 @@ class Turns:
             self._seat.leave(client, EventKind.LOST, f"The client at {client.peer} was lost: {reason}.")
 
     def _stand_in(self) -> None:
-        """Wait for our turn, and step unless a client has come meanwhile."""
+        """Wait for the gate's turn, and step unless a client has come meanwhile."""
         self._await_turn()
         if self._seat.client is None and not self._interrupted():
             self.stepped_by = Stepper.GATE
@@ -118,10 +141,10 @@ class Turns:
             self._our_turn = False
 
     def _await_turn(self) -> None:
-        """Wait until it is our turn; a client hears meanwhile what needs no SUMO."""
+        """Wait for the gate's turn; meanwhile answer what needs no SUMO."""
         if self._our_turn:
             return
-        waiting: Client | None = None  # has asked what must wait for SUMO
+        waiting: Client | None = None  # a client whose request must wait for SUMO
 
         def listen() -> MessageLine | None:
             client = self._seat.client
@@ -137,12 +160,12 @@ class Turns:
         self._begin_turn()
 
     def _begin_turn(self) -> None:
-        """SUMO has come to us: from now on it waits, and the client's clock runs."""
+        """Begin the gate's turn: from now on SUMO waits, and the client's clock runs."""
         if not self._our_turn:
             self._our_turn, self._turn_began = True, time.monotonic()
 
     def _small_talk(self, client: Client) -> bool:
-        """Answer a message of commands that need no SUMO; False: its message needs it, and is still to be received."""
+        """Answer a message whose commands need no SUMO; return False, and leave the message unread, if one does."""
         done = False
 
         def talk(client: Client) -> None:
@@ -150,7 +173,7 @@ class Turns:
             try:
                 message = client.receive(framing.POLL_PERIOD_S, self._interrupted)
             except Late:
-                return  # half a message: the clock of its turn will tell
+                return  # half a message; the clock of its turn decides
             done = all(command.number in _WITHOUT_SUMO for command in framing.split(message))
             client.line.unread(message)
             if done:
@@ -160,7 +183,7 @@ class Turns:
         return done
 
     def _listen(self, client: Client) -> bytes:
-        """The client's next message, unless its time is up."""
+        """Return the client's next message, unless its time is up."""
         message = client.line.receive(self._while_client_thinks)
         if self._is_late():
             client.line.unread(message)
@@ -168,6 +191,7 @@ class Turns:
         return message
 
     def _while_client_thinks(self) -> None:
+        """Watch the clock, and for the end of the turns, while the client sends nothing."""
         if self._interrupted():
             raise Interrupted
         self._await_turn()
@@ -175,13 +199,15 @@ class Turns:
             raise Late
 
     def _is_late(self) -> bool:
+        """Return whether the client's time is up."""
         return self._our_turn and self._time_left() <= 0.0
 
     def _time_left(self) -> float:
-        """What is left of the client's turn [s]; all of it before the turn begins."""
+        """Return the client's remaining time in this turn [s]; all of it before the turn begins."""
         return self._deadline - (time.monotonic() - self._turn_began if self._our_turn else 0.0)
 
     def _answer_all(self, client: Client, commands: list[TraciCommand]) -> bytes:
+        """Return the answers to the commands of a message."""
         answers: list[bytes] = []
         try:
             for command in commands:
@@ -199,7 +225,7 @@ class Turns:
         return answers[0] if len(answers) == 1 else _joined(answers)
 
     def _translated(self, client: Client, command: TraciCommand) -> bytes:
-        """The answer to a command in the version of TraCI that clients are told."""
+        """Return the answer to a command in the version of TraCI that clients are told."""
         if self._translates is None:
             return self._answer(client, command)
         answer = self._answer(client, self._translates.asked(command))
@@ -208,6 +234,7 @@ class Turns:
         return self._translates.answered(command.number, answer)
 
     def _answer(self, client: Client, command: TraciCommand) -> bytes:
+        """Return the answer to a command."""
         number = command.number
         self._count()
         if number == framing.SIMSTEP:
@@ -234,20 +261,23 @@ class Turns:
         return answer
 
     def _asked(self, command: TraciCommand) -> bytes:
-        """SUMO's answer to a command; from then on it is the client's turn."""
+        """Return SUMO's answer to a command; after that it is the client's turn."""
         answer = self._link.ask(make_message(command.raw))
         self._begin_turn()
         return answer
 
     def _count(self) -> None:
-        """A client that only asks what needs no SUMO, or is refused, would never use up its time: after some questions
-        it waits for its turn, and its clock runs."""
+        """Count answers without SUMO, and wait for the turn after too many.
+
+        Otherwise a client whose requests need no SUMO, or are all refused, would never use up its time.
+        """
         self._unheard = 0 if self._our_turn else self._unheard + 1
         if self._unheard > MAX_UNHEARD_ANSWERS:
             self._link.now()
             self._begin_turn()
 
     def _refuse(self, client: Client, command: TraciCommand, reason: str) -> bytes:
+        """Return the refusal of a command; report it the first time."""
         key = (command.number, command.payload[:64])
         if key not in client.refused and len(client.refused) < 1000:
             client.refused.add(key)
@@ -256,7 +286,7 @@ class Turns:
         return make_message(make_status(command.number, framing.STATUS_ERROR, reason))
 
     def _step(self, client: Client, command: TraciCommand) -> bytes:
-        """Pass a step on; a time that is past becomes the present, or SUMO would want every step since then again."""
+        """Pass a step on; replace a past time by the present, as otherwise SUMO would repeat every step since then."""
         try:
             until = step_until(command.payload)
         except Misfit:
@@ -273,10 +303,12 @@ class Turns:
         return self._steps(client, count)
 
     def _steps(self, client: Client, count: int) -> bytes:
-        """Step one at a time, and only while the client is there: a client that asked for an hour and went drives no
-        longer.
+        """Step one at a time, and only while the client is connected.
 
-        Raises Gone: it is not there any longer.
+        Otherwise a client that requested an hour and left would still drive.
+
+        Raises:
+            Gone: The client is no longer connected.
         """
         answer = _EMPTY_STEP
         for k in range(count):
@@ -291,7 +323,7 @@ class Turns:
         return answer
 
     def _while_sumo_works(self) -> None:
-        """Look after the client while SUMO takes its time."""
+        """Notice a lost client while SUMO works."""
         if self._stopping():
             raise Interrupted
         client = self._seat.client
@@ -299,6 +331,7 @@ class Turns:
             self._seat.leave(client, EventKind.LOST, f"The client at {client.peer} was lost: it closed the connection.")
 
     def _send_client_away(self) -> None:
+        """Report the end of the simulation, and end the client's connection unless it stays."""
         client, parting = self._seat.client, self._parting
         kind = EventKind.RESTARTED if parting else EventKind.ENDED
         reason = "The simulation ended"
@@ -311,11 +344,12 @@ class Turns:
 
 
 def _joined(answers: list[bytes]) -> bytes:
+    """Join answers into one message."""
     return make_message(*(answer[4:] for answer in answers))
 
 
 def _stand_in_answer(command: TraciCommand) -> bytes:
-    """What a client hears that stays while SUMO goes in the middle of its question."""
+    """Return the answer to a client that stays while SUMO ends in the middle of its request."""
     if command.number == framing.SIMSTEP:
         return _EMPTY_STEP
     return errors(make_message(command.raw), _RESTARTED)

@@ -1,1 +1,1 @@
-"""From words to a judged attack: what a request means, scenarios from words, and whether an attack fits its request."""
+"""From words to a judged attack: read a request, write a scenario for it, and check whether an attack fits it."""

@@ -1,8 +1,9 @@
-"""``write``: a language model makes a scenario of words, sees what is wrong with it or what happened, and corrects it.
+"""``write``: a language model turns words into a scenario, is told what is wrong with it, and corrects it.
 
 Each answer is built, loaded and run. The exact error, or what happened, goes back to the model as the fault of its
-answer, at most ``MAX_CORRECTIONS`` times. The first scenario that reaches its level and fits is kept, else the best
-one."""
+answer, at most ``MAX_CORRECTIONS`` times. The first scenario that reaches its level and fits the request is kept. If
+there is none, the best one is kept.
+"""
 
 from __future__ import annotations
 
@@ -24,26 +25,35 @@ from sumo_adv.words.fit import held
 from sumo_adv.words.request import Reading, read_motion
 from sumo_adv.words.roads import Net
 
-MAX_CORRECTIONS = 5  # of the first answer
-MAX_REQUEST_QUESTIONS = 8  # for one request: drafts and readings
-QUESTIONS_PER_DRAFT = 2  # questions that one more draft may take
-DEFAULT_LEVEL = "valid"  # that is wanted where a draft names none
+MAX_CORRECTIONS = 5  # maximum number of corrections after the first answer
+MAX_REQUEST_QUESTIONS = 8  # for one request: drafts, readings and planners of novel behaviours
+QUESTIONS_PER_DRAFT = 2  # maximum number of questions that one more draft takes
+DEFAULT_LEVEL = "valid"  # the wanted level if a draft names none
 Run = Callable[[Path, Path, Mapping[str, Any]], dict[str, Any]]
-"""Runs a scenario: its file, the folder to write, settings of its goal. Returns what ``outcome.json`` holds. Raises
-SumoAdvError."""
+"""Runs a scenario.
+
+It takes the scenario's file, the folder to write, and the settings of the goal. It returns the content of
+``outcome.json`` and raises SumoAdvError.
+"""
 Invent = Callable[[IntentRecord], None]
-"""Has a planner written for a behaviour, and gives it to the runs from then on. Raises ModelError."""
+"""Has a planner written for a behaviour, and gives it to the runs from then on. It raises ModelError."""
 
 
 class NoScenario(SumoAdvError):
-    """The words are no request that a road can hold."""
+    """No scenario can be made of the words."""
 
 
 @dataclass(frozen=True, slots=True)
 class Played:
-    """A scenario that ran: its file, the run's folder, what ``outcome.json`` holds, a reader's answer.
+    """A scenario that ran.
 
-    given_up: why the model gave up after it, empty if it did not.
+    Attributes:
+        draft: The model's answer.
+        scenario: The file of the scenario.
+        folder: The folder of the run.
+        outcome: The content of ``outcome.json``.
+        reading: The reader's answer; None if there was no reader.
+        given_up: Why the model gave up after this scenario; empty if it did not.
     """
 
     draft: Draft
@@ -55,32 +65,32 @@ class Played:
 
     @property
     def scene(self) -> SceneDraft:
-        """What was built."""
+        """The scene of the draft."""
         assert self.draft.scene is not None
         return self.draft.scene
 
     @property
     def level(self) -> Level:
-        """Of the attempt that counts."""
+        """The level of the attempt that counts."""
         result = self.outcome["outcome"]
         return Level.NONE if result is None else Level[str(result["level"]).upper()]
 
     @property
     def reached(self) -> bool:
-        """Whether some attempt met the goal, or would have if it fitted."""
+        """Whether an attempt met the goal, or reached the goal's level without fitting the request."""
         level = goal_of(self.scene)["until"]
         near_miss = self.scene.attack.asked.level == "near_miss"
         return self.outcome["ending"] == "critical" or (not near_miss and self.level >= Level[level.upper()])
 
     @property
     def result(self) -> str:
-        """What the attempt that counts came to, in a word or two."""
+        """The result of the attempt that counts, in a word or two."""
         near_miss = self.scene.attack.asked.level == "near_miss" and self.outcome["ending"] == "critical"
         return "near miss" if near_miss else f"level {self.level}"
 
     @property
     def misfits(self) -> list[str]:
-        """What it lacks of the request: by the rules, then by the reader."""
+        """What the scenario lacks of the request: by the rules, then by the reader, then by the model that gave up."""
         asked = self.outcome["asked"]
         by_rules = list(asked["misfits"]) if asked and asked["motion"] else ["No attempt was made."]
         read = self.reading
@@ -89,38 +99,65 @@ class Played:
 
     @property
     def worth(self) -> tuple[bool, bool, bool, int, int]:
-        """A key that sorts: the better the higher."""
+        """A sort key; higher is better."""
         fits = not self.misfits
         return self.reached and fits, fits, self.reached, -len(self.misfits), int(self.level)
 
 
 def goal_of(scene: SceneDraft) -> dict[str, Any]:
-    """The settings of the goal of a scene's attack."""
+    """Return the settings of the goal of a scene's attack.
+
+    Args:
+        scene: The scene of a draft.
+    """
     return scene.attack.asked.settings or {"until": DEFAULT_LEVEL}
 
 
 class Author:
-    """Makes one scenario. ``folder``: for the files of all tries; ``name``: of the scenario."""
+    """Writes one scenario.
+
+    Attributes:
+        best: The best scenario so far; None if none ran.
+    """
 
     def __init__(
         self, metered: MeteredModel, prompts: Prompts, library: Sequence[LibraryEntry], run: Run, invent: Invent,
         folder: Path, name: str, date: str, network: Path | None = None, tell: Callable[[str], None] = lambda _: None,
     ) -> None:  # fmt: skip
-        """``invent``: for behaviours that no intent of the library has. ``network``: the user's. ``tell``: called with
-        what becomes of each answer."""
+        """Prepare to write a scenario.
+
+        Args:
+            metered: The language model.
+            prompts: The prompts.
+            library: The known intents.
+            run: Runs a scenario.
+            invent: Has a planner written for a behaviour that is not in the library.
+            folder: The folder for the files of all tries.
+            name: The name of the scenario.
+            date: The date to write into the scenario.
+            network: The user's network; None if there is none.
+            tell: Called with a sentence about each answer.
+        """
         self._metered, self._prompts, self._library = metered, prompts, library
         self._run, self._invent = run, invent
         self._folder, self._name, self._date, self._network, self._tell = folder, name, date, network, tell
         self._tries = self._readings = 0
-        self._invented: dict[str, NovelDraft | None] = {}  # by canonical label; None: no planner could be written
+        self._invented: dict[str, NovelDraft | None] = {}  # by canonical label; None if no planner could be written
         self._words = ""
         self.best: Played | None = None
 
     def write(self, words: str) -> Played:
-        """The scenario of a request.
+        """Write the scenario of a request.
 
-        Raises NoScenario where the model says that there is none, and ModelError if no answer gave a scenario that
-        runs.
+        Args:
+            words: The request.
+
+        Returns:
+            The best scenario that ran.
+
+        Raises:
+            NoScenario: The model says that no scenario can be made of the words.
+            ModelError: No answer gave a scenario that runs.
         """
         self._words = words
         prompt = self._prompts.render(
@@ -143,13 +180,13 @@ class Author:
         return replace(self.best, given_up=sanitize(draft.cannot))
 
     def _fault(self, draft: Draft) -> str | None:
-        """Build and run a draft. Returns the fault of the draft or of its run, None for a good one."""
+        """Build and run a draft; return the fault of the draft or of its run, or None if there is none."""
         if draft.cannot:
             return "Give either cannot or a scene, not both." if draft.scene is not None else None
         if draft.scene is None:
             return "Give a scene, or in cannot the reason why there is none."
         self._tries += 1
-        if draft.left_out:  # said before the run, so that a person who needs it can end the command
+        if draft.left_out:  # told before the run, so that users who need that part can stop the command
             self._tell(f"Answer {self._tries} leaves out: {sanitize(draft.left_out)}")
         folder = self._folder / str(self._tries)
         folder.mkdir()
@@ -167,10 +204,11 @@ class Author:
 
     @property
     def _questions(self) -> int:
-        """How many were asked, without answers that were not of the schema's shape."""
+        """The number of questions so far, without answers that did not match the schema."""
         return self._tries + self._readings + len(self._invented)
 
     def _play(self, draft: Draft, scene: SceneDraft, folder: Path) -> Played:
+        """Build and run a scene; have its motion read if it reached its level and fits."""
         known = {canonical(e.label) for e in self._library}
         unknown = next((label for label in scene.attack.intents if canonical(label) not in known), None)
         if unknown is not None:
@@ -192,7 +230,7 @@ class Author:
         return played
 
     def _write_planner(self, novel: NovelDraft, known: Collection[str]) -> None:
-        """Have the planner of a novel behaviour written, unless an earlier draft had the same."""
+        """Have the planner of a novel behaviour written, unless an earlier draft had the same behaviour."""
         key = canonical(novel.label)
         if key in known:
             raise UsageError(
@@ -222,7 +260,7 @@ class Author:
 
 
 def _what_happened(played: Played) -> str:
-    """What a run showed, for the model that drafted the scenario."""
+    """Describe a run for the model that drafted the scenario."""
     outcome, asked = played.outcome, played.outcome["asked"]
     lines = ["The scenario is built and ran, but what happened is not yet what was asked for."]
     if outcome["best"] is None:
@@ -239,13 +277,13 @@ def _what_happened(played: Played) -> str:
 
 
 def _intent(entry: LibraryEntry) -> str:
-    """A line of the list: the label, the relations that it begins from, and the description."""
+    """Return a line of the list of intents: the label, the relations that it begins from, and the description."""
     relations = " or ".join(entry.applies).replace("_", " ")
     return f"  - {sanitize(entry.label)} ({relations}): {sanitize(entry.description)}"
 
 
 def _networks() -> str:
-    """The shipped networks: their edges, with lanes, limit and length."""
+    """Describe the shipped networks: their edges, with lanes, limit and length."""
     folder = data_folder("networks")
     return "\n".join(
         f"  - {name}: {Net(folder / f'{name}.net.xml').words()}" for name in shipped_files("networks", ".net.xml")
@@ -253,6 +291,7 @@ def _networks() -> str:
 
 
 def _given(network: Path | None) -> str:
+    """Describe the user's network; empty without one."""
     if network is None:
         return ""
     return f"- given: the user's own network, which is to be used. Its edges: {Net(network).words()}\n"

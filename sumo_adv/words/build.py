@@ -1,8 +1,8 @@
-"""From a draft to files: the scenario (TOML) and, beside it, demand, network and signals under the same name.
+"""Turn a draft into files: the scenario (TOML) and, under the same name, its demand, network and signals.
 
-Vehicles that are to meet the ego start where, at constant speed, they arrive when the draft says. Pedestrians, cyclists
-and parked vehicles are placed along the ego's way. Where there are traffic lights the ego has green, or they go
-through the phases of the draft.
+Vehicles that are to meet the ego start at a place from which, at constant speed, they arrive when the draft says.
+Pedestrians, cyclists and parked vehicles are placed along the ego's way. At traffic lights, the ego has green, or the
+lights follow the phases of the draft.
 """
 
 from __future__ import annotations
@@ -20,30 +20,36 @@ from sumo_adv.files import toml_lines, toml_text, toml_value
 from sumo_adv.words.draft import EgoDraft, LightsPhase, SceneDraft, VehicleDraft
 from sumo_adv.words.roads import Net, VehicleRoute, make_network, meeting
 
-MEETING_TIME_S = 9.0  # after the start at which the ego is where it meets others
-MIN_TIME_TO_MEETING_S = 5.5  # that is left at the trigger
-TRIGGER_BEFORE_MEETING_S = 5.0  # at the earliest
-MIN_TRIGGER_TIME_S = 2.0  # after the start at which it may begin
-FREE_TRIGGER_TIME_S = 3.0  # after the start at which an attack without a meeting may begin
-ROAD_BEHIND_EGO_M = 60.0  # of road behind the ego where nothing else says where it starts
-MIN_FRONT_DISTANCE_M = 4.0  # at least between the fronts of vehicles in one lane, beside their length
-PLACED_HEADWAY_RANGE_S = (0.2, 1.0)  # to the vehicle ahead: as placed, within these
+MEETING_TIME_S = 9.0  # after the start; the ego then reaches the place where it meets others
+MIN_TIME_TO_MEETING_S = 5.5  # minimum time from the ego's start to the meeting
+TRIGGER_BEFORE_MEETING_S = 5.0  # how long before the meeting an attack begins, at most
+MIN_TRIGGER_TIME_S = 2.0  # after the start; no attack on a meeting begins earlier
+FREE_TRIGGER_TIME_S = 3.0  # after the start; when an attack without a meeting begins
+ROAD_BEHIND_EGO_M = 60.0  # length of road behind the ego if nothing else determines its start
+MIN_FRONT_DISTANCE_M = 4.0  # minimum distance of the fronts of vehicles in one lane, in addition to their length
+PLACED_HEADWAY_RANGE_S = (0.2, 1.0)  # bounds of the headway to the vehicle ahead, which is as placed
 MIN_GAP_M = 2.5  # SUMO's minGap
 DRAFT_HORIZON_S = 10.0
 DEMAND_DURATION_S = 40.0
-ALWAYS_S = 3600.0  # of the one phase of lights that do not change
+ALWAYS_S = 3600.0  # duration of the only phase of lights that do not change
 ACTOR_SIZES_M = {
     "car": (4.8, 1.8), "van": (5.5, 2.0), "truck": (12.0, 2.5), "bus": (12.0, 2.55), "motorcycle": (2.2, 0.8),
     "bicycle": (1.8, 0.6),
 }  # fmt: skip
-"""Length and width [m]."""
+"""The length and width of each type [m]."""
 PEDESTRIAN_SIZE_M = (0.5, 0.5)
 
 
 @dataclass(frozen=True, slots=True)
 class Placed:
-    """A vehicle with its way and the place of its front on the first edge [m]. meets: when it is where it meets the
-    ego [s], None without such a place."""
+    """A vehicle at its start.
+
+    Attributes:
+        draft: The vehicle as drafted.
+        drive: Its way.
+        position: The place of its front on the first edge [m].
+        meets: The time at which the ego is where the two meet [s]; None without such a place.
+    """
 
     draft: VehicleDraft
     drive: VehicleRoute
@@ -52,9 +58,19 @@ class Placed:
 
 
 def build_scenario(scene: SceneDraft, target: Path, written: RequestOrigin, given: Path | None = None) -> Path:
-    """Write the scenario ``target`` (.toml) and the files beside it. given: the user's network.
+    """Write a scenario and the files beside it.
 
-    Raises UsageError: one sentence with what is wrong with the draft, for people and for the model.
+    Args:
+        scene: The scene of a draft.
+        target: The path of the scenario (.toml).
+        written: The words, the model and the date, which the scenario records.
+        given: The user's network; None if there is none.
+
+    Returns:
+        The path of the scenario.
+
+    Raises:
+        UsageError: The draft has a fault. The message is one sentence, for people and for the model.
     """
     _check_names(scene)
     stem = target.with_suffix("")
@@ -80,10 +96,12 @@ def build_scenario(scene: SceneDraft, target: Path, written: RequestOrigin, give
 
 
 def _vclass(kind: str) -> str:
+    """Return SUMO's vehicle class of a type."""
     return "bicycle" if kind == "bicycle" else "passenger"
 
 
 def _check_names(scene: SceneDraft) -> None:
+    """Check that ids are used once, and that the attack names vehicles or walkers that exist."""
     names = [v.id for v in scene.vehicles] + [w.id for w in scene.walkers]
     twice = next((name for name in names if names.count(name) > 1 or name == "ego"), None)
     if twice is not None:
@@ -94,6 +112,7 @@ def _check_names(scene: SceneDraft) -> None:
 
 
 def _check_speed(kmh: float, drive: VehicleRoute, who: str) -> None:
+    """Check that a speed is within the limit of the first edge."""
     if kmh / 3.6 > drive.limit + 0.05:
         raise UsageError(
             f"{who} drives {kmh:g} km/h on edge '{drive.edges[0]}', where the limit is {drive.limit * 3.6:.0f} km/h."
@@ -101,7 +120,7 @@ def _check_speed(kmh: float, drive: VehicleRoute, who: str) -> None:
 
 
 def _ego_start(scene: SceneDraft, ego: VehicleRoute, drives: dict[str, VehicleRoute]) -> float:
-    """Where the ego's front starts on its first edge [m]."""
+    """Return where the ego's front starts on its first edge [m]."""
     length = ACTOR_SIZES_M[scene.ego.type][0]
     if scene.ego.position is not None:
         if scene.ego.position > ego.first:
@@ -124,13 +143,14 @@ def _ego_start(scene: SceneDraft, ego: VehicleRoute, drives: dict[str, VehicleRo
 
 
 def _seconds(v: VehicleDraft, drive: VehicleRoute, station: float) -> float:
-    """The time to the meeting that lets the vehicle start on its first edge [s]."""
+    """Return the time to the meeting at which the vehicle can start on its first edge [s]."""
     if v.stands or v.speed == 0:
         return MEETING_TIME_S
     return max(MEETING_TIME_S, (station - drive.first + MIN_FRONT_DISTANCE_M) / (v.speed / 3.6) - (v.arrives or 0.0))
 
 
 def _place(v: VehicleDraft, drive: VehicleRoute, ego: EgoDraft, ego_drive: VehicleRoute, start: float) -> Placed:
+    """Place a vehicle by its gap, by its arrival, or at the end of its first edge if it stands."""
     speed = ego.speed / 3.6
     _check_speed(v.speed, drive, f"'{v.id}'")
     met = meeting(ego_drive, drive)
@@ -158,7 +178,7 @@ def _place(v: VehicleDraft, drive: VehicleRoute, ego: EgoDraft, ego_drive: Vehic
 
 
 def _within(v: VehicleDraft, drive: VehicleRoute, position: float) -> float:
-    """The position, if it is on the first edge. Raises UsageError."""
+    """Return the position if it is on the first edge; otherwise raise UsageError."""
     if not ACTOR_SIZES_M[v.type][0] <= position <= drive.first:
         way = "Its speed, arrives or gap must be less, or the road longer" if position < 0 else "Choose other numbers"
         raise UsageError(
@@ -169,7 +189,7 @@ def _within(v: VehicleDraft, drive: VehicleRoute, position: float) -> float:
 
 
 def _check_room(placed: list[Placed], ego: EgoDraft, ego_drive: VehicleRoute, start: float) -> None:
-    """No two may start on top of one another."""
+    """Check that no two vehicles start on top of one another."""
     fronts = [("the ego", ego_drive.edges[0], ego_drive.lane, start, ACTOR_SIZES_M[ego.type][0])]
     fronts += [
         (f"'{p.draft.id}'", p.drive.edges[0], p.drive.lane, p.position, ACTOR_SIZES_M[p.draft.type][0]) for p in placed
@@ -184,6 +204,7 @@ def _check_room(placed: list[Placed], ego: EgoDraft, ego_drive: VehicleRoute, st
 
 
 def _demand(ego: EgoDraft, ego_drive: VehicleRoute, start: float, placed: list[Placed]) -> str:
+    """Return SUMO's demand: types, vehicles and routes."""
     rows: list[tuple[str, str, float, VehicleRoute, float, bool]]
     rows = [("ego", ego.type, ego.speed, ego_drive, start, False)]
     rows += [(p.draft.id, p.draft.type, p.draft.speed, p.drive, p.position, p.draft.stands) for p in placed]
@@ -191,8 +212,8 @@ def _demand(ego: EgoDraft, ego_drive: VehicleRoute, start: float, placed: list[P
     backs = [(drive.edges[0], drive.lane, position - ACTOR_SIZES_M[kind][0]) for _, kind, _, drive, position, _ in rows]
     for name, kind, kmh, drive, position, stands in sorted(rows, key=lambda row: -row[4]):
         length, width = ACTOR_SIZES_M[kind]
-        speed = min(kmh / 3.6, drive.limit)  # 70 km/h are a little more than the 19.4 m/s of a network
-        lanes = "" if len(drive.edges) > 1 else ' lcStrategic="-1" lcCooperative="0"'  # it keeps its lane by itself
+        speed = min(kmh / 3.6, drive.limit)  # 70 km/h is slightly more than the 19.4 m/s of a network
+        lanes = "" if len(drive.edges) > 1 else ' lcStrategic="-1" lcCooperative="0"'  # keeps its lane
         types.append(
             f'    <vType id="type_{name}" vClass="{_vclass(kind)}" carFollowModel="Krauss" sigma="0" '
             f'tau="{_headway(backs, drive, position, speed):.2g}" speedDev="0" maxSpeed="{max(speed, 3.0):.2f}" '
@@ -211,14 +232,14 @@ def _demand(ego: EgoDraft, ego_drive: VehicleRoute, start: float, placed: list[P
 
 
 def _headway(backs: list[tuple[str, int, float]], drive: VehicleRoute, position: float, speed: float) -> float:
-    """The time [s] to the back of the next vehicle in its lane: a vehicle placed close behind another stays there."""
+    """Return the headway [s] at which a vehicle placed behind another one in its lane keeps that gap, within bounds."""
     ahead = [b - position for edge, lane, b in backs if (edge, lane) == (drive.edges[0], drive.lane) and b > position]
     least, most = PLACED_HEADWAY_RANGE_S
     return min(max((min(ahead, default=math.inf) - MIN_GAP_M) / max(speed, 1.0), least), most)
 
 
 def _signals(phases: Sequence[LightsPhase], states: Sequence[Mapping[str, str]], offset: float) -> str:
-    """SUMO's programs of the traffic lights. states: of all lights, by phase."""
+    """Return SUMO's programs of the traffic lights; ``states`` has the states of all lights, by phase."""
     rows = []
     for name in sorted(states[0]):
         rows.append(f'    <tlLogic id={quoteattr(name)} type="static" programID="asked" offset="{offset:g}">\n')
@@ -234,6 +255,7 @@ def _scenario(
     scene: SceneDraft, stem: str, network: Path, written: RequestOrigin, ego: VehicleRoute, start: float,
     placed: list[Placed], *, lights: bool,
 ) -> str:  # fmt: skip
+    """Return the text of the scenario."""
     attack, speed = scene.attack, scene.ego.speed / 3.6
     walkers, tables = _boxes(scene, ego, start)
     adversary = walkers.get(attack.adversary, attack.adversary)
@@ -260,7 +282,7 @@ def _scenario(
 
 
 def _boxes(scene: SceneDraft, ego: VehicleRoute, start: float) -> tuple[dict[str, str], list[str]]:
-    """The ids that a run gives to the walkers, and the tables of walkers and parked vehicles."""
+    """Return the ids that a run gives to the walkers, and the tables of walkers and parked vehicles."""
     ids: dict[str, str] = {}
     tables = []
     counts = {"pedestrian": 0, "cyclist": 0}
@@ -278,14 +300,17 @@ def _boxes(scene: SceneDraft, ego: VehicleRoute, start: float) -> tuple[dict[str
 
 
 def _beside(ego: VehicleRoute, station: float, offset: float) -> tuple[float, float, float]:
+    """Return x, y [m] and heading [rad] at an offset [m] to the left of the ego's way."""
     x, y, heading = ego.at(station)
     return x - offset * math.sin(heading), y + offset * math.cos(heading), heading
 
 
 def _table(name: str, table: Mapping[str, Any]) -> str:
+    """Return a TOML table."""
     return "\n".join(["", f"[{name}]", *toml_lines(table), ""])
 
 
 def _box(table: str, x: float, y: float, heading: float, length: float, width: float) -> str:
+    """Return a TOML table of a box that stands beside the road."""
     turned = math.remainder(heading, math.tau)
     return f"\n[[{table}]]\nx = {x:.2f}\ny = {y:.2f}\nheading = {turned:.4f}\nlength = {length}\nwidth = {width}\n"

@@ -1,7 +1,7 @@
-"""What a language model answers when it makes a scenario of words. The schema is sent to it, with names and docstrings.
+"""The answer of a language model that writes a scenario. The schema is sent to the model, with names and docstrings.
 
-Lengths m, times s, speeds km/h. Nothing here is a path, a command or a program: an answer can only choose among kinds
-of roads, names of edges and numbers within bounds.
+Lengths are in m, times in s, speeds in km/h. No field is a path, a command or a program: an answer can only choose
+among kinds of roads, names of edges and numbers within bounds.
 """
 
 from __future__ import annotations

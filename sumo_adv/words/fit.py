@@ -1,4 +1,4 @@
-"""Whether a motion fits a request: each part of the request, and whether the motion has it."""
+"""Check whether a motion fits a request: compare it with each part of the request."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 from sumo_adv.asked import Asked, Event
 from sumo_adv.words.motion import DescribedMotion, change_after
 
-BRAKING_WINDOW_S = 0.5  # over which braking is averaged
-EVENT_ORDER_SLACK_S = 0.4  # by which an event may be earlier than its predecessor
+BRAKING_WINDOW_S = 0.5  # duration over which braking is averaged
+EVENT_ORDER_SLACK_S = 0.4  # an event may be this much earlier than its predecessor
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,9 +20,9 @@ class Part:
     """One part of a request, compared with a motion.
 
     Attributes:
-        name: The key of ``Asked`` that asks for it; for an event ``events: `` and the event.
-        holds: Whether the motion has it.
-        says: What the motion shows of it, one sentence.
+        name: The key of ``Asked`` that requests the part; for an event, ``events: `` and the event.
+        holds: Whether the motion has the part.
+        says: What the motion shows of the part, in one sentence.
     """
 
     name: str
@@ -33,7 +33,7 @@ class Part:
 def compare(asked: Asked, motion: DescribedMotion) -> tuple[Part, ...]:
     """Compare a motion with each part of a request.
 
-    Events are looked for in their order. An event that does not happen is left out of the order of those behind it.
+    Events are looked for in their order. An event that does not happen does not constrain the events after it.
 
     Args:
         asked: The request.
@@ -82,19 +82,27 @@ def compare(asked: Asked, motion: DescribedMotion) -> tuple[Part, ...]:
 
 
 def misfits(asked: Asked, motion: DescribedMotion) -> tuple[str, ...]:
-    """What an attempt lacks of the request, a sentence each; empty if it fits."""
+    """Return what an attempt lacks of the request, one sentence each; empty if it fits.
+
+    Args:
+        asked: The request.
+        motion: What happened.
+    """
     return tuple(part.says for part in compare(asked, motion) if not part.holds)
 
 
 def held(parts: Sequence[Mapping[str, Any]]) -> str:
-    """The names of the parts that hold, in one sentence; empty if none does. ``parts``: as ``outcome.json`` has
-    them."""
+    """Name the parts that hold, in one sentence; empty if none does.
+
+    Args:
+        parts: The parts, as in ``outcome.json``.
+    """
     names = [str(part["name"]) for part in parts if part["holds"]]
     return f"What holds: {', '.join(names)}." if names else ""
 
 
 def _events(wanted: Sequence[Event], motion: DescribedMotion) -> Iterator[Part]:
-    """The wanted events in their order."""
+    """Yield the wanted events in their order, each compared with the motion."""
     happened = ", ".join(f"{event} at {time:.1f} s" for time, event in motion.events) or "nothing of note"
     after, last = 0.0, ""
     for event in wanted:
@@ -107,14 +115,14 @@ def _events(wanted: Sequence[Event], motion: DescribedMotion) -> Iterator[Part]:
 
 
 def _time_of(event: Event, earliest: float, motion: DescribedMotion) -> float | None:
-    """When an event first happens at ``earliest`` or later [s]; None if it does not."""
+    """Return when an event first happens at ``earliest`` or later [s]; None if it does not."""
     if event in (Event.BRAKES, Event.SPEEDS_UP):
         return change_after(motion.time, motion.speed, earliest, event)
     return min((time for time, happened in motion.events if happened is event and time >= earliest), default=None)
 
 
 def _hardest(motion: DescribedMotion) -> float:
-    """The hardest braking of the adversary, averaged over ``BRAKING_WINDOW_S`` s [m/s2]."""
+    """Return the hardest braking of the adversary, averaged over ``BRAKING_WINDOW_S`` [m/s2]."""
     late = np.searchsorted(motion.time, motion.time + BRAKING_WINDOW_S - 1e-6)
     k = np.flatnonzero(late < len(motion.time))
     lost = motion.speed[k] - motion.speed[late[k]]

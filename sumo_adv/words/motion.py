@@ -1,6 +1,6 @@
-"""What happened in an attempt, read from its tracks: the events of the adversary, and all of it in words.
+"""What happened in an attempt, read from its tracks: the events of the adversary, and a description in words.
 
-Positions count along the ego's path (station forward, offset to the left), from when the adversary was taken over until
+Positions are along the ego's path (station forward, offset to the left), from when the adversary was taken over until
 the contact or the end. The adversary is *in the ego's way* while its box overlaps the strip that the ego's box covers
 on its path.
 """
@@ -20,18 +20,18 @@ from sumo_adv.metrics.boxes import height_as, on_grid, row_of
 from sumo_adv.metrics.reference.view import hidden
 from sumo_adv.road_users import RoadUser, road_user
 
-NEXT_PLACE_REACH_M = 30.0  # along the path within which a vehicle's next place is looked for
-PASSED_MARGIN_M = 1.0  # behind the ego's front or back from which a vehicle counts as behind or ahead
-CROSSING_ANGLE_RAD = math.radians(35)  # heading against the ego's path from which a vehicle crosses it
-TURN_ANGLE_RAD = math.radians(45)  # change of its own heading that is a turn
-EGO_TURN_ANGLE_RAD = math.radians(30)  # of the ego's heading: it turns
-ONCOMING_ANGLE_RAD = math.radians(120)  # heading against the ego's path from which a vehicle comes towards it
-MIN_SPEED_CHANGE_M_S = 2.0  # lost or gained
+NEXT_PLACE_REACH_M = 30.0  # a vehicle's next place is searched within this distance along the path
+PASSED_MARGIN_M = 1.0  # from centre to centre; farther away, a vehicle counts as behind or ahead
+CROSSING_ANGLE_RAD = math.radians(35)  # minimum heading relative to the ego's path of a vehicle that crosses it
+TURN_ANGLE_RAD = math.radians(45)  # minimum change of the adversary's heading in a turn
+EGO_TURN_ANGLE_RAD = math.radians(30)  # minimum change of the ego's heading in a turn
+ONCOMING_ANGLE_RAD = math.radians(120)  # minimum heading relative to the ego's path of an oncoming vehicle
+MIN_SPEED_CHANGE_M_S = 2.0  # minimum change that counts as braking or speeding up
 DESCRIBED_AS_STANDING_SPEED_M_S = 0.5
-MIN_HIDDEN_S = 0.5  # for which an adversary is out of sight at least
-MAX_BESIDE_OFFSET_M = 4.5  # offset of a vehicle beside the ego at most
-AFTER_APPROACH_S = 3.0  # after the nearest approach: what still counts if nothing is hit
-MAX_DESCRIBED_OTHERS = 4  # other vehicles in the description, the nearest ones
+MIN_HIDDEN_S = 0.5  # minimum time that an adversary is out of sight
+MAX_BESIDE_OFFSET_M = 4.5  # maximum offset of a vehicle beside the ego
+AFTER_APPROACH_S = 3.0  # how long after the nearest approach events count if nothing is hit
+MAX_DESCRIBED_OTHERS = 4  # maximum number of other vehicles in the description, nearest first
 DESCRIPTION_STEP_S = 1.0  # between the lines of the description
 
 
@@ -39,9 +39,16 @@ DESCRIPTION_STEP_S = 1.0  # between the lines of the description
 class Scene:
     """The tracks of an attempt from the take-over on.
 
-    path: of the ego without an attack. hidden: the adversary is hidden when the encounter begins. side: of the ego that
-    is hit, None without a contact; the tracks end there. start: of the attack [s]. light: when the adversary passes its
-    stop line on red or yellow [s], and that event; None if it does not.
+    Attributes:
+        ego: The ego's track.
+        adversary: The adversary's track.
+        others: The tracks of other vehicles.
+        path: The ego's path without an attack.
+        relation: The adversary's relation to the ego at the start of the encounter.
+        hidden: Whether the adversary is hidden when the encounter begins.
+        side: The side of the ego that is hit, where the tracks end; None without a contact.
+        start: The start of the attack [s].
+        light: When the adversary passes its stop line on red or yellow [s], and that event; None if it does not.
     """
 
     ego: Track
@@ -57,10 +64,21 @@ class Scene:
 
 @dataclass(frozen=True, slots=True)
 class DescribedMotion:
-    """What happened. events: (seconds after the take-over, event), in order. hidden: other boxes hide the adversary
-    from the ego at first, or for ``MIN_HIDDEN_S`` s or more before it comes into the ego's way. beside: sides of the
-    ego on which another vehicle was. time [s after the take-over], speed [m/s], ``(n,)``, and length [m]: of the
-    adversary. words: all of it, for a reader."""
+    """What happened in an attempt.
+
+    Attributes:
+        relation: The adversary's relation to the ego at the start of the encounter.
+        user: The adversary's kind of road user.
+        events: The events with their times after the take-over [s], in order.
+        side: The side of the ego that is hit; None without a contact.
+        hidden: Whether other boxes hide the adversary from the ego at first, or for ``MIN_HIDDEN_S`` or more before it
+            comes into the ego's way.
+        beside: The sides of the ego on which another moving vehicle was.
+        time: The time after the take-over [s], ``(n,)``.
+        speed: The adversary's speed [m/s], ``(n,)``.
+        length: The adversary's length [m].
+        words: A description of everything, for a reader.
+    """
 
     relation: str
     user: RoadUser
@@ -76,8 +94,15 @@ class DescribedMotion:
 
 @dataclass(frozen=True, slots=True)
 class PathTrack:
-    """A track along a path: station and offset of the centre [m], heading against the path [rad], half of its extents
-    across and along the path [m]; each ``(n,)``."""
+    """A track along a path. All arrays have the shape ``(n,)``.
+
+    Attributes:
+        s: The station of the centre [m].
+        d: The offset of the centre, positive to the left [m].
+        turn: The heading relative to the path [rad].
+        half: Half of the extent across the path [m].
+        reach: Half of the extent along the path [m].
+    """
 
     s: Floats
     d: Floats
@@ -91,12 +116,12 @@ class Course:
     """The common states of the ego and the adversary, from the take-over on.
 
     Attributes:
-        time: Seconds after the take-over, ``(n,)``.
+        time: The time after the take-over [s], ``(n,)``.
         ego: The ego's track.
         adversary: The adversary's track.
         ego_along: The ego along its path.
         along: The adversary along the ego's path.
-        events: What the adversary does: (seconds after the take-over, event), in order.
+        events: What the adversary does, with the times after the take-over [s], in order.
     """
 
     time: Floats
@@ -108,7 +133,14 @@ class Course:
 
 
 def follow(scene: Scene) -> Course | None:
-    """Follow the ego and the adversary of a scene; None if one of the two was gone at once."""
+    """Follow the ego and the adversary of a scene.
+
+    Args:
+        scene: The tracks of an attempt.
+
+    Returns:
+        Their common states; None if there are fewer than three.
+    """
     time = np.intersect1d(np.round(scene.ego.time, 3), np.round(scene.adversary.time, 3))
     time = time[time >= scene.start - 1e-6]
     if len(time) < 3:
@@ -121,7 +153,14 @@ def follow(scene: Scene) -> Course | None:
 
 
 def observe(scene: Scene) -> DescribedMotion | None:
-    """What happened in a scene; None if one of the two was gone at once."""
+    """Describe what happened in a scene.
+
+    Args:
+        scene: The tracks of an attempt.
+
+    Returns:
+        What happened; None if the ego and the adversary have fewer than three common states.
+    """
     course = follow(scene)
     if course is None:
         return None
@@ -131,7 +170,7 @@ def observe(scene: Scene) -> DescribedMotion | None:
     along = [(t, _along(t, scene.path)) for t in others]
     sides = (
         _beside(a, o) for t, o in along if t.speed.max() > DESCRIBED_AS_STANDING_SPEED_M_S
-    )  # not those that are parked
+    )  # without parked vehicles
     beside = frozenset(side for side in sides if side is not None)
     user = road_user(scene.adversary)
     unseen = _hidden(scene, course)
@@ -142,7 +181,7 @@ def observe(scene: Scene) -> DescribedMotion | None:
 
 
 def _end(scene: Scene, ego: Track, bv: Track) -> int:
-    """How many states count: all to a contact, else those until ``AFTER_APPROACH_S`` s after the two were nearest."""
+    """Count the states to use: all up to a contact; otherwise until ``AFTER_APPROACH_S`` after the nearest approach."""
     if scene.side is not None:
         return len(ego.time)
     nearest = int(np.argmin(np.hypot(ego.x - bv.x, ego.y - bv.y)))
@@ -150,8 +189,11 @@ def _end(scene: Scene, ego: Track, bv: Track) -> int:
 
 
 def _hidden(scene: Scene, course: Course) -> tuple[float, float] | None:
-    """From when until when other boxes, standing or moving, hide the adversary from the ego's centre [s after the
-    take-over]: at first, or for ``MIN_HIDDEN_S`` s or more before it comes into the ego's way; None if it is in sight.
+    """Return when other boxes, standing or moving, hide the adversary from the ego's centre.
+
+    Returns:
+        Beginning and end [s after the take-over], at first or for ``MIN_HIDDEN_S`` or more before the adversary comes
+        into the ego's way; None if it is in sight.
     """
     t = course.time
     away = np.zeros(len(t), bool)
@@ -172,10 +214,12 @@ def _hidden(scene: Scene, course: Course) -> tuple[float, float] | None:
 
 
 def _at(track: Track, time: Floats) -> Track:
+    """Return the states of a track at these times."""
     return track.picked(np.flatnonzero(np.isin(np.round(track.time, 3), time)))
 
 
 def _along(track: Track, path: Path) -> PathTrack:
+    """Project a track onto a path."""
     places, near = [], None
     for x, y in zip(track.x.tolist(), track.y.tolist(), strict=True):
         station, offset = path.project(x, y, near=near, reach=NEXT_PLACE_REACH_M)
@@ -189,6 +233,7 @@ def _along(track: Track, path: Path) -> PathTrack:
 
 
 def _events(scene: Scene, t: Floats, ego: Track, bv: Track, a: PathTrack, b: PathTrack) -> list[tuple[float, Event]]:
+    """Return what the adversary does, with times after the take-over [s]."""
     inside = np.abs(b.d) < b.half + ego.width / 2
     inside[-1] |= scene.side is not None  # the tracks end just before the boxes touch
     found = [*_way_events(t, b, inside), *_pass_events(t, a, b), *_speed_events(t, bv)]
@@ -202,10 +247,13 @@ def _events(scene: Scene, t: Floats, ego: Track, bv: Track, a: PathTrack, b: Pat
 
 
 def _way_events(t: Floats, b: PathTrack, inside: Bools) -> list[tuple[float, Event]]:
-    """Into the ego's way and out of it. A vehicle that is in the way at first enters nothing. A vehicle that comes
-    across and then, still in the way, turns the ego's way also enters."""
+    """Return when the adversary comes into the ego's way and leaves it.
+
+    A vehicle that is in the way at first does not enter it. A vehicle that crosses and then, still in the way, turns
+    into the ego's direction does enter it.
+    """
     found = []
-    left = across = False  # where it came from; whether it has come across and not yet turned
+    left = across = False  # whether it came from the left; whether it is in the way and has not yet turned into it
     for k in range(1, len(t)):
         angle = abs(float(b.turn[k]))
         if inside[k] and not inside[k - 1]:
@@ -226,7 +274,7 @@ def _way_events(t: Floats, b: PathTrack, inside: Bools) -> list[tuple[float, Eve
 
 
 def _pass_events(t: Floats, a: PathTrack, b: PathTrack) -> list[tuple[float, Event]]:
-    """The first time that it gets from behind the ego's centre to ahead of it, going the ego's way."""
+    """Return when the adversary first gets from behind the ego's centre to ahead of it in the ego's direction."""
     ahead = b.s - a.s
     behind = _first((ahead <= -PASSED_MARGIN_M) & (np.abs(b.turn) < CROSSING_ANGLE_RAD))
     k = None if behind is None else _first((np.arange(len(t)) > behind) & (ahead >= PASSED_MARGIN_M))
@@ -236,7 +284,7 @@ def _pass_events(t: Floats, a: PathTrack, b: PathTrack) -> list[tuple[float, Eve
 
 
 def _speed_events(t: Floats, bv: Track) -> list[tuple[float, Event]]:
-    """Each run of braking or speeding up that changes the speed enough; standstill and moving off."""
+    """Return each phase of braking or speeding up that changes the speed enough, and each standstill and start."""
     found: list[tuple[float, Event]] = []
     low = high = float(bv.speed[0])
     since_low = since_high = float(t[0])
@@ -264,8 +312,19 @@ def _speed_events(t: Floats, bv: Track) -> list[tuple[float, Event]]:
 
 
 def change_after(time: Floats, speed: Floats, after: float, event: Event) -> float | None:
-    """When a vehicle begins to brake or to speed up, by ``MIN_SPEED_CHANGE_M_S`` or more, at ``after`` or later [s];
-    None if it does not. What began before and goes on counts from ``after`` on."""
+    """Return when a vehicle begins to brake or to speed up by ``MIN_SPEED_CHANGE_M_S`` or more.
+
+    A change that began before ``after`` and continues counts from ``after`` on.
+
+    Args:
+        time: The times [s], ``(n,)``.
+        speed: The speeds [m/s], ``(n,)``.
+        after: The earliest time [s].
+        event: ``Event.BRAKES`` or ``Event.SPEEDS_UP``.
+
+    Returns:
+        The time [s]; None if the vehicle does not.
+    """
     sign = -1.0 if event is Event.BRAKES else 1.0
     keep = time >= after
     if not keep.any():
@@ -277,12 +336,14 @@ def change_after(time: Floats, speed: Floats, after: float, event: Event) -> flo
 
 
 def _beside(a: PathTrack, o: PathTrack) -> str | None:
+    """Return the side of the ego on which a vehicle first was beside it; None if it never was."""
     near = (np.abs(o.s - a.s) < o.reach + a.reach) & (np.abs(o.d) > 1.5) & (np.abs(o.d) < MAX_BESIDE_OFFSET_M)
     k = _first(near & (np.abs(o.turn) < CROSSING_ANGLE_RAD))
     return None if k is None else ("left" if o.d[k] > 0 else "right")
 
 
 def _first(where: Bools) -> int | None:
+    """Return the first index that is true; None if there is none."""
     return int(np.argmax(where)) if where.any() else None
 
 
@@ -292,7 +353,7 @@ INTO_THE_WAY = frozenset(
         Event.COMES_OVER,
     }
 )  # fmt: skip
-"""Events with which an adversary comes into the ego's way."""
+"""The events with which an adversary comes into the ego's way."""
 EVENT_PHRASES = {
     Event.PASSES_LEFT: "A has come from behind and is now ahead of EGO, on its left",
     Event.PASSES_RIGHT: "A has come from behind and is now ahead of EGO, on its right",
@@ -317,7 +378,7 @@ def _words(
     scene: Scene, t: Floats, ego: Track, bv: Track, a: PathTrack, b: PathTrack, events: Sequence[tuple[float, Event]],
     user: RoadUser, others: Sequence[tuple[Track, PathTrack]], unseen: tuple[float, float] | None,
 ) -> str:  # fmt: skip
-    """The motion in numbers and plain facts, without names from files. A reader sees nothing else."""
+    """Describe the motion in numbers and plain facts, without names from files; a reader sees nothing else."""
     lines = [
         f"EGO is {ego.length:.1f} m long and {_route(scene, ego, a)}. A is a {user}, {bv.length:.1f} m long and "
         f"{bv.width:.1f} m wide; at first it is {_where(scene, a, b)}.",
@@ -341,6 +402,7 @@ def _words(
 
 
 def _unseen(between: tuple[float, float]) -> str:
+    """Say when the adversary is hidden."""
     begin, end = between
     if begin == 0.0:
         return "A is hidden from EGO at first by something between them."
@@ -348,7 +410,7 @@ def _unseen(between: tuple[float, float]) -> str:
 
 
 def _route(scene: Scene, ego: Track, a: PathTrack) -> str:
-    """What the ego did, and what it would have done next if nothing had happened."""
+    """Say what the ego did, and what it would have done next if nothing had happened."""
     turned = float(wrap(ego.heading[-1] - ego.heading[0]))
     if abs(turned) >= EGO_TURN_ANGLE_RAD:
         return "turns left" if turned > 0 else "turns right"
@@ -361,7 +423,7 @@ def _route(scene: Scene, ego: Track, a: PathTrack) -> str:
 
 
 def _others(a: PathTrack, others: Sequence[tuple[Track, PathTrack]]) -> list[str]:
-    """Where the nearest other vehicles are, at first and in the end."""
+    """Say where the nearest other vehicles are at first and in the end."""
     near = sorted(others, key=lambda each: float(np.hypot(each[1].s - a.s, each[1].d).min()))[:MAX_DESCRIBED_OTHERS]
     return [
         f"Another {road_user(track)}, {track.length:.1f} m long: at first {_placed(a, o, track, 0)}; "
@@ -371,6 +433,7 @@ def _others(a: PathTrack, others: Sequence[tuple[Track, PathTrack]]) -> list[str
 
 
 def _placed(a: PathTrack, o: PathTrack, track: Track, k: int) -> str:
+    """Say where another vehicle is in one state."""
     ahead, left = float(o.s[k] - a.s[k]), float(o.d[k])
     side = "in EGO's lane" if abs(left) < 1.0 else f"{abs(left):.1f} m to the {'left' if left > 0 else 'right'}"
     place = f"{abs(ahead):.0f} m {'ahead of' if ahead >= 0 else 'behind'} EGO, {side}"
@@ -380,6 +443,7 @@ def _placed(a: PathTrack, o: PathTrack, track: Track, k: int) -> str:
 
 
 def _where(scene: Scene, a: PathTrack, b: PathTrack) -> str:
+    """Say where the adversary is at first."""
     words = {
         "leader": "ahead of EGO in its lane", "follower": "behind EGO in its lane",
         "neighbour": "in a lane beside EGO, going the same way", "oncoming": "coming towards EGO",

@@ -1,4 +1,4 @@
-"""Which named scenario an attempt shows, read from its tracks and the road (``scenario_names.py`` has the lists).
+"""Name the scenario that an attempt shows, from its tracks and the road (``scenario_names.py`` has the lists).
 
 The conflict is named by where the adversary comes from, in the frame of the ego's path:
 
@@ -12,10 +12,10 @@ crossing         at first it heads across the ego's path, by 35 to 120 degrees
 the same way     all others: it enters the ego's way, is ahead in it (leader), or behind in it (follower)
 ================ ====================================================================================================
 
-The decisive moment is the contact or, without one, that of the nearest approach. A leader *stands* if it stood for the
-last second; it *brakes* or *speeds up* if it lost or gained 2 m/s after the take-over. A vehicle that enters the ego's
-way with less than 0.5 m/s to the side *drifts*; a faster one changes lanes. NHTSA gives no numbers for these words.
-A road user is *hidden* if other boxes hid it from the ego at first. The boxes do not tell an adult from a child.
+The decisive moment is the contact or, without one, the nearest approach. A leader *stands* if it stood for the last
+second. It *brakes* or *speeds up* if it lost or gained 2 m/s after the take-over. A vehicle that enters the ego's way
+with less than 0.5 m/s to the side *drifts*; a faster one changes lanes. NHTSA gives no numbers for these words. A road
+user is *hidden* if other boxes hid it from the ego at first. The boxes do not tell an adult from a child.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ from sumo_adv.words.motion import (
     Course,
 )
 
-ALONG_RAD = math.radians(45)  # heading against the ego's path up to which a pedestrian or cyclist goes along it
+ALONG_RAD = math.radians(45)  # maximum heading relative to the ego's path of walkers that go along it
 TURNED_RAD = math.radians(
     12
-)  # change of the heading against the ego's path from which a vehicle turns at a junction: most are hit early in it
-DRIFT_M_S = 0.5  # speed to the side below which a vehicle drifts; a lane change of 3.5 m in 5 s has 0.7 m/s
-DRIFT_OVER_S = 1.0  # s before it enters the ego's way over which this speed is averaged
-STOOD_S = 1.0  # s before the decisive moment
-BEYOND_M = 15.0  # m past the ego's place at the decisive moment: the end of a turn that it has begun
+)  # minimum change of the heading relative to the ego's path in a turn at a junction; most are hit early in the turn
+DRIFT_M_S = 0.5  # a vehicle that moves to the side more slowly drifts; a lane change of 3.5 m in 5 s has 0.7 m/s
+DRIFT_OVER_S = 1.0  # this speed is averaged over the last second before the vehicle enters the ego's way
+STOOD_S = 1.0  # how long before the decisive moment a vehicle must have stood
+BEYOND_M = 15.0  # past the ego's place at the decisive moment; a turn that it has begun ends within this distance
 ENTRY_SIDES = {
     Event.ENTERS_FROM_LEFT: "left", Event.ENTERS_FROM_RIGHT: "right",
     Event.CROSSES_FROM_LEFT: "left", Event.CROSSES_FROM_RIGHT: "right",
@@ -56,20 +56,20 @@ TURNS = {Event.TURNS_LEFT: "left", Event.TURNS_RIGHT: "right"}
 
 @dataclass(frozen=True, slots=True)
 class NamingContext:
-    """What the names need to know beside the tracks.
+    """What naming needs in addition to the tracks.
 
     Attributes:
-        relation: Of the adversary to the ego at the start of the encounter.
+        relation: The adversary's relation to the ego at the start of the encounter.
         hidden: Whether other boxes hide the adversary from the ego at first.
         junction: Whether a junction at which ways meet is near.
         signalised: Whether a traffic light is ahead of the ego or the adversary.
         red: Whether one of them passes its stop line on red.
-        geometry: Of the road, None before a junction at which ways cross.
+        geometry: The geometry of the road; None before a junction at which ways cross.
         changes_lane: Whether the ego changes lanes without an attack.
-        ego_turn: By how much the ego's path turns from its place at the take-over to ``BEYOND_M`` past its place at the
+        ego_turn: How much the ego's path turns from its place at the take-over to ``BEYOND_M`` past its place at the
             decisive moment [rad].
         movements: What the adversary may do at its next junction: ``straight``, ``left``, ``right``.
-        hand: -1 in left-hand traffic.
+        hand: 1 in right-hand traffic, -1 in left-hand traffic.
     """
 
     relation: str
@@ -97,7 +97,12 @@ class NamingContext:
 
 
 def decisive(course: Course, contact: bool) -> int:
-    """The index of the decisive moment: the last state before a contact, otherwise the nearest approach."""
+    """Return the index of the decisive moment: the last state before a contact, otherwise the nearest approach.
+
+    Args:
+        course: The states of the ego and the adversary.
+        contact: Whether the two collide.
+    """
     if contact:
         return len(course.time) - 1
     return int(np.argmin(np.hypot(course.ego.x - course.adversary.x, course.ego.y - course.adversary.y)))
@@ -107,7 +112,7 @@ def named(course: Course, around: NamingContext, *, contact: bool) -> NamedScena
     """Name what an attempt shows.
 
     Args:
-        course: The states of both.
+        course: The states of the ego and the adversary.
         around: The road and the traffic lights.
         contact: Whether the two collide.
     """
@@ -124,6 +129,7 @@ def named(course: Course, around: NamingContext, *, contact: bool) -> NamedScena
 
 
 def _unprotected(course: Course, around: NamingContext, user: RoadUser, k: int) -> NamedScenario:
+    """Name the conflict with a pedestrian or cyclist."""
     letters = "CP" if user is RoadUser.PEDESTRIAN else "CB"
     manoeuvre = bool(around.ego_turns) or around.changes_lane
     nhtsa = (11 if user is RoadUser.PEDESTRIAN else 13) + (not manoeuvre)
@@ -142,11 +148,12 @@ def _unprotected(course: Course, around: NamingContext, user: RoadUser, k: int) 
 
 
 def _oncoming(course: Course, around: NamingContext, k: int) -> NamedScenario:
+    """Name the conflict with an oncoming vehicle."""
     motorcycle = is_motorcycle(course.adversary)
     turned = _turned(course, around, k)
     entered = _when(course, Event.COMES_OVER)
     if around.junction and entered is not None and around.far_side in around.movements:
-        turned = turned or around.far_side  # most are hit before the turn shows
+        turned = turned or around.far_side  # most are hit before their turn shows
     if around.ego_turns == around.far_side and not turned:
         tap = "CMFtap" if motorcycle else "CCFtap"
         return NamedScenario(
@@ -167,6 +174,7 @@ def _oncoming(course: Course, around: NamingContext, k: int) -> NamedScenario:
 
 
 def _crossing(course: Course, around: NamingContext, k: int) -> NamedScenario:
+    """Name the conflict with a crossing vehicle."""
     side = "left" if float(course.along.turn[0]) < 0 else "right"  # a vehicle from the left heads to the right
     turned = _turned(course, around, k)
     entered = any(event in (Event.ENTERS_FROM_LEFT, Event.ENTERS_FROM_RIGHT) for _, event in course.events)
@@ -182,13 +190,14 @@ def _crossing(course: Course, around: NamingContext, k: int) -> NamedScenario:
 
 
 def _same_way(course: Course, around: NamingContext, k: int, *, contact: bool) -> NamedScenario:
+    """Name the conflict with a vehicle that goes the same way."""
     motorcycle, turned = is_motorcycle(course.adversary), _turned(course, around, k)
     entered = next(((t, ENTRY_SIDES[e]) for t, e in course.events if e in ENTRY_SIDES), None)
     leaves = _when(course, Event.LEAVES)
     in_way = abs(float(course.along.d[0])) < _touching(course, 0)
     behind = bool(course.along.s[0] < course.ego_along.s[0])
     if in_way and entered is not None and leaves is not None and entered[0] > leaves:
-        in_way = False  # it goes out of the ego's way and comes back
+        in_way = False  # it leaves the ego's way and comes back
     if (turned or around.ego_turns) and not in_way and not (entered and around.relation == "merging"):
         who = f"turns {turned} across the ego's way" if turned else f"is beside an ego that turns {around.ego_turns}"
         return NamedScenario(who, 16)
@@ -209,7 +218,7 @@ def _same_way(course: Course, around: NamingContext, k: int, *, contact: bool) -
 
 
 def _leader(course: Course, around: NamingContext, k: int, motorcycle: bool) -> NamedScenario:
-    """A vehicle ahead of the ego in its lane."""
+    """Name the conflict with a vehicle ahead of the ego in its lane."""
     iso = _iso(around, Disturbance.DECELERATION)
     stands, braked, gained = _speeds(course.adversary.speed[: k + 1], course.time[: k + 1])
     number = 22 if around.changes_lane else 26 if stands else 25 if braked else 23 if gained else 24
@@ -225,35 +234,35 @@ def _leader(course: Course, around: NamingContext, k: int, motorcycle: bool) -> 
 
 
 def _rear(course: Course, around: NamingContext, k: int) -> NamedScenario:
-    """A vehicle behind the ego in its lane: the ego is the lead vehicle."""
+    """Name the conflict with a vehicle behind the ego in its lane; the ego is the lead vehicle."""
     stands, braked, gained = _speeds(course.ego.speed[: k + 1], course.time[: k + 1])
     number = 26 if stands else 25 if braked else 23 if gained else 24
     return NamedScenario("follower closes up", number, _iso(around, Disturbance.ACCELERATION))
 
 
 def _speeds(speed: np.ndarray, time: np.ndarray) -> tuple[bool, bool, bool]:
-    """Whether a vehicle stands at the end, and has lost or gained ``MIN_SPEED_CHANGE_M_S`` since the start."""
+    """Return whether a vehicle stands at the end, and whether it has lost or gained ``MIN_SPEED_CHANGE_M_S``."""
     stands = bool((speed[time >= time[-1] - STOOD_S] < DESCRIBED_AS_STANDING_SPEED_M_S).all())
     gained = float(speed[-1] - speed[0])
     return stands, gained <= -MIN_SPEED_CHANGE_M_S, gained >= MIN_SPEED_CHANGE_M_S
 
 
 def _iso(around: NamingContext, motion: Disturbance) -> str:
-    """The disturbance of ISO 34502; empty before a junction at which ways cross."""
+    """Return the disturbance of ISO 34502; empty before a junction at which ways cross."""
     if around.geometry is None:
         return ""
     return disturbance(around.geometry, EgoBehaviour.CHANGE if around.changes_lane else EgoBehaviour.KEEP, motion)
 
 
 def _turning(around: NamingContext, side: str) -> int:
-    """NHTSA's number for a turn at a junction."""
+    """Return NHTSA's number for a turn at a junction."""
     if not around.signalised:
         return 31
     return 37 if side == around.far_side else 28
 
 
 def _turned(course: Course, around: NamingContext, k: int) -> str:
-    """The side to which the adversary turns at a junction, against the ego's path; empty if it does not."""
+    """Return the side to which the adversary turns at a junction, relative to the ego's path; empty if it does not."""
     if not around.junction:
         return ""
     change = float(wrap(np.asarray(course.along.turn[k] - course.along.turn[0])))
@@ -266,17 +275,17 @@ def _turned(course: Course, around: NamingContext, k: int) -> str:
 
 
 def _touching(course: Course, k: int) -> float:
-    """The offset from the ego's path below which the adversary is in the ego's way [m]."""
+    """Return the offset from the ego's path below which the adversary is in the ego's way [m]."""
     return float(course.along.half[k]) + course.ego.width / 2
 
 
 def _when(course: Course, wanted: Event) -> float | None:
-    """When an event happens first [s after the take-over]."""
+    """Return when an event first happens [s after the take-over]."""
     return next((time for time, event in course.events if event is wanted), None)
 
 
 def _sideways(course: Course, until: float) -> float:
-    """The mean speed towards the ego's path in the second before a time [m/s]."""
+    """Return the mean speed towards the ego's path in the second before a time [m/s]."""
     end = min(int(np.searchsorted(course.time, until - 1e-6)), len(course.time) - 1)
     start = int(np.searchsorted(course.time, until - DRIFT_OVER_S - 1e-6))
     if end <= start:

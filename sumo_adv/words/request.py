@@ -1,4 +1,4 @@
-"""The words of a person: checked, compared with the shipped scenarios, and with what happened."""
+"""A user's words: check them, and compare them with the shipped scenarios and with what happened."""
 
 from __future__ import annotations
 
@@ -14,11 +14,18 @@ from sumo_adv.memory.similarity import TfIdf
 from sumo_adv.simulation.shipped import shipped_scenarios
 
 MAX_NAMED_SCENARIOS = 3
-UNRELATED_DISTANCE = 0.95  # from which a scenario has nothing to do with the words
+UNRELATED_DISTANCE = 0.95  # a scenario at least this far from the words has nothing to do with them
 
 
 def checked_words(text: str) -> str:
-    """The words without control characters, as one paragraph. Raises UsageError for none, and for too many."""
+    """Return the words without control characters, as one paragraph.
+
+    Args:
+        text: The words.
+
+    Raises:
+        UsageError: The text holds no words, or too many characters.
+    """
     plain = one_line(text)
     if not any(c.isalpha() for c in plain):
         raise UsageError("The request holds no words: say in a sentence or two what is to happen on the road.")
@@ -31,8 +38,14 @@ def checked_words(text: str) -> str:
 
 
 def nearest_scenarios(words: str) -> list[str]:
-    """The names of the shipped scenarios with the descriptions most like the words, nearest first; empty if no
-    description is like them."""
+    """Find the shipped scenarios whose descriptions are most similar to the words.
+
+    Args:
+        words: The words.
+
+    Returns:
+        Their names, nearest first; empty if no description is similar.
+    """
     shipped = shipped_scenarios()
     entries = [(s.name.replace("_", " "), f"{s.description} {' '.join(s.intents)}") for s in shipped]
     text = TfIdf()
@@ -43,7 +56,12 @@ def nearest_scenarios(words: str) -> list[str]:
 
 
 def needs_model(what: str, words: str) -> UsageError:
-    """The error of a request without a model, with the shipped scenarios that are nearest to it."""
+    """Return the error of a request without a model, with the shipped scenarios nearest to it.
+
+    Args:
+        what: What needs a model.
+        words: The words of the request.
+    """
     names = nearest_scenarios(words)
     near = "no shipped scenario is like it"
     if names:
@@ -60,6 +78,19 @@ class Reading(BaseModel):
 
 
 def read_motion(metered: MeteredModel, prompts: Prompts, motion: str, request: str) -> Reading:
-    """A model's reading of a motion in words. It sees neither the plan nor the verdict. Raises ModelError."""
+    """Have a model read a motion in words. It sees neither the plan nor the verdict.
+
+    Args:
+        metered: The language model.
+        prompts: The prompts.
+        motion: The motion in words.
+        request: The words of the request.
+
+    Returns:
+        The model's answer.
+
+    Raises:
+        ModelError: The model gave no usable answer.
+    """
     prompt = prompts.render("reading", motion=motion, request=fenced(request))
     return ask(metered, "reader", prompt.system, prompt.user, Reading)

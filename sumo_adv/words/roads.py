@@ -41,8 +41,8 @@ NETCONVERT_OPTIONS = (
 )  # fmt: skip
 NETCONVERT_TIMEOUT_S = 60.0
 STREET_LANE_WIDTH_M = 3.2
-WIDE_LANE_WIDTH_M = 3.5  # of motorways and ramps
-WIDE_LANE_SPEED_KM_H = 80.0  # from which lanes are wide
+WIDE_LANE_WIDTH_M = 3.5  # on motorways and ramps
+WIDE_LANE_SPEED_KM_H = 80.0  # lanes are wide at this speed limit or a higher one
 ACCELERATION_LANE_M = 200.0
 ROUNDABOUT_RADIUS_M = 18.0
 ROUNDABOUT_SPEED_KM_H = 30.0
@@ -56,14 +56,20 @@ CONTROLS = {
     "priority": "priority", "signals": "traffic_light", "all_stop": "allway_stop",
     "right_before_left": "right_before_left",
 }  # fmt: skip
-MEETING_DISTANCE_M = 2.0  # ways that come as near as this meet
-DRIVE_POINT_SPACING_M = 1.0  # between the points of a way
+MEETING_DISTANCE_M = 2.0  # ways that come nearer than this meet
+DRIVE_POINT_SPACING_M = 1.0  # between two points of a way
 
 
 def make_network(road: RoadDraft, target: Path, given: Path | None) -> Path:
-    """The network of a draft. A generated one is written to ``target``.
+    """Return the network of a draft; write it first if it is generated.
 
-    Raises UsageError for a name that is not shipped, for ``given`` where there is none, and where netconvert refuses.
+    Args:
+        road: The road of the draft.
+        target: The path for a generated network.
+        given: The user's network; None if there is none.
+
+    Raises:
+        UsageError: The name is not that of a shipped network, the user gave no network, or netconvert fails.
     """
     if road.kind == "given":
         if given is None:
@@ -79,6 +85,7 @@ def make_network(road: RoadDraft, target: Path, given: Path | None) -> Path:
 
 
 def _edge(name: str, start: str, end: str, lanes: int, kmh: float, **more: object) -> Attributes:
+    """Return an edge in netconvert's attributes."""
     width = WIDE_LANE_WIDTH_M if kmh >= WIDE_LANE_SPEED_KM_H else STREET_LANE_WIDTH_M
     return {
         "id": name, "from": start, "to": end, "priority": 10, "numLanes": lanes, "speed": round(kmh / 3.6, 2),
@@ -87,17 +94,19 @@ def _edge(name: str, start: str, end: str, lanes: int, kmh: float, **more: objec
 
 
 def _node(name: str, x: float, y: float, **more: object) -> Attributes:
+    """Return a node in netconvert's attributes."""
     return {"id": name, "x": round(x, 2), "y": round(y, 2), **more}
 
 
 def _beside(road: RoadDraft) -> Attributes:
-    """Sidewalk and bicycle lane of a street."""
+    """Return the attributes of the sidewalk and bicycle lane of a street."""
     extra: Attributes = {"disallow": "pedestrian"} if road.sidewalk or road.bike_lane else {}
     extra |= {"sidewalkWidth": SIDEWALK_WIDTH_M} if road.sidewalk else {}
     return extra | ({"bikeLaneWidth": BIKE_LANE_WIDTH_M} if road.bike_lane else {})
 
 
 def _straight(road: RoadDraft) -> Plain:
+    """Return a straight road."""
     nodes = [_node("west", 0, 0), _node("east", road.length, 0)]
     edges = [_edge("forward", "west", "east", road.lanes, road.speed_limit, **_beside(road))]
     if road.lanes_back:
@@ -106,6 +115,7 @@ def _straight(road: RoadDraft) -> Plain:
 
 
 def _ramp(road: RoadDraft) -> Plain:
+    """Return a road with an on-ramp."""
     nodes = [
         _node("west", -road.length, 0), _node("start", -min(road.length, 300.0), -75.0),
         _node("nose", 0, 0, type="priority"), _node("taper", ACCELERATION_LANE_M, 0, type="priority"),
@@ -127,6 +137,7 @@ def _ramp(road: RoadDraft) -> Plain:
 
 
 def _lane_drop(road: RoadDraft) -> Plain:
+    """Return a road on which a lane ends."""
     if road.lanes < 2:
         raise UsageError("A lane_drop needs lanes = 2 or more, of which one ends.")
     nodes = [_node("west", 0, 0), _node("drop", road.length, 0, type="priority"), _node("east", 2 * road.length, 0)]
@@ -139,10 +150,12 @@ def _lane_drop(road: RoadDraft) -> Plain:
 
 
 def _link(start: str, end: str, from_lane: int, to_lane: int) -> Attributes:
+    """Return a connection in netconvert's attributes."""
     return {"from": start, "to": end, "fromLane": from_lane, "toLane": to_lane}
 
 
 def _junction(road: RoadDraft) -> Plain:
+    """Return a T-junction or a crossing."""
     arms = ("west", "east", "south") if road.kind == "t" else tuple(ARMS)
     equal = road.control in ("right_before_left", "all_stop")
     nodes = [_node("centre", 0, 0, type=CONTROLS[road.control])]
@@ -160,6 +173,7 @@ def _junction(road: RoadDraft) -> Plain:
 
 
 def _roundabout(road: RoadDraft) -> Plain:
+    """Return a roundabout with four arms."""
     order = ("east", "north", "west", "south")
     nodes, edges = [], []
     for place, arm in enumerate(order):
@@ -182,6 +196,7 @@ def _roundabout(road: RoadDraft) -> Plain:
 
 
 def _build(nodes: Sequence[Attributes], edges: Sequence[Attributes], links: Sequence[Attributes], target: Path) -> Path:
+    """Build the network with netconvert."""
     program = find_netconvert()
     with tempfile.TemporaryDirectory(prefix=scratch_prefix()) as scratch:
         folder = Path(scratch)
@@ -201,16 +216,23 @@ def _build(nodes: Sequence[Attributes], edges: Sequence[Attributes], links: Sequ
             last = (done.stderr.strip().splitlines() or [f"exit status {done.returncode}"])[-1]
             raise UsageError(f"netconvert could not build the network: {last.rstrip('.')}.")
         text = (folder / "made.net.xml").read_text(encoding="utf-8")
-    opening = text.index("<net ")  # without netconvert's comment, which holds times and paths
+    opening = text.index("<net ")  # leave out netconvert's comment, which holds times and paths
     target.write_text(f"<!-- made by sumo-adv write -->\n{text[opening:]}", encoding="utf-8")
     return target
 
 
 @dataclass(frozen=True, slots=True)
 class VehicleRoute:
-    """A vehicle's way: its edges, SUMO's index of the lane on the first one, its points (n, 2) every
-    ``DRIVE_POINT_SPACING_M`` m from the beginning of the first edge, that lane's middle line, its limit [m/s], and the
-    station [m] at which each edge begins."""
+    """A vehicle's way.
+
+    Attributes:
+        edges: The ids of its edges.
+        lane: SUMO's index of the lane on the first edge.
+        points: Its points ``(n, 2)``, ``DRIVE_POINT_SPACING_M`` apart, from the beginning of the first edge on [m].
+        line: The centre line of that lane.
+        limit: The speed limit of that lane [m/s].
+        begins: The station at which each edge begins [m].
+    """
 
     edges: tuple[str, ...]
     lane: int
@@ -221,11 +243,15 @@ class VehicleRoute:
 
     @property
     def first(self) -> float:
-        """Length of the lane on the first edge [m]."""
+        """The length of the lane on the first edge [m]."""
         return self.line.length
 
     def at(self, station: float) -> tuple[float, float, float]:
-        """x, y [m] and heading [rad] at a station [m]; straight on beyond the ends."""
+        """Return x, y [m] and heading [rad] at a station. The way is straight beyond its ends.
+
+        Args:
+            station: The distance along the way [m].
+        """
         k = int(np.clip(station / DRIVE_POINT_SPACING_M, 0, len(self.points) - 2))
         a, b = self.points[k], self.points[k + 1]
         along = (b - a) / max(float(np.hypot(*(b - a))), 1e-6)
@@ -233,26 +259,45 @@ class VehicleRoute:
         return float(x), float(y), float(np.arctan2(along[1], along[0]))
 
     def nearest(self, x: float, y: float) -> float:
-        """The station [m] of the point nearest to (x, y)."""
+        """Return the station of the point nearest to (x, y) [m].
+
+        Args:
+            x: The x coordinate [m].
+            y: The y coordinate [m].
+        """
         return float(np.argmin(np.hypot(*(self.points - (x, y)).T))) * DRIVE_POINT_SPACING_M
 
 
 class Net:
-    """A network that drafts are drawn on."""
+    """The network that a draft uses."""
 
     def __init__(self, path: Path) -> None:
-        """Read it. Raises UsageError."""
+        """Read a network.
+
+        Args:
+            path: The path of the file.
+
+        Raises:
+            UsageError: The file cannot be read.
+        """
         import sumolib
 
         try:
             self._net = sumolib.net.readNet(str(path))
-        except Exception as error:  # sumolib raises whatever its parser does
+        except Exception as error:  # sumolib raises whatever its parser raises
             raise UsageError(f"The network {path} cannot be read ({error}).") from error
 
     def drive(self, route: Sequence[str], lane: int, vclass: str, who: str) -> VehicleRoute:
-        """The quickest way from the first to the last edge. lane: counted from the right among those for ``vclass``.
+        """Find the shortest way from the first to the last edge.
 
-        Raises UsageError with the edges that there are.
+        Args:
+            route: The first and the last edge.
+            lane: The lane on the first edge, counted from the right among the lanes for ``vclass``.
+            vclass: SUMO's vehicle class.
+            who: The name of the vehicle, for error messages.
+
+        Raises:
+            UsageError: An edge or lane does not exist, or no way leads there.
         """
         start, end = (self._edge(name, who) for name in (route[0], route[-1]))
         edges, _ = self._net.getShortestPath(start, end, vClass=vclass)
@@ -273,8 +318,15 @@ class Net:
         )  # fmt: skip
 
     def light_states(self, edges: Sequence[str], shows: str) -> dict[str, str]:
-        """The state of each traffic light in a phase of a draft. edges: the ego's way. Left turns wait for traffic from
-        ahead."""
+        """Return the state of each traffic light in a phase of a draft. Left turns wait for oncoming traffic.
+
+        Args:
+            edges: The ids of the edges of the ego's way.
+            shows: What the phase shows, as in the draft.
+
+        Returns:
+            SUMO's state string of each light.
+        """
         states = {}
         side, _, colour = shows.partition("_")
         for light in self._net.getTrafficLights():
@@ -291,7 +343,7 @@ class Net:
         return states
 
     def _facing(self, edge: str) -> set[str]:
-        """The edge, and the edge from the opposite side to the same junction."""
+        """Return the edge, and the edge from the opposite side to the same junction."""
         own = self._net.getEdge(edge)
         turn = _direction(own)
         return {edge} | {
@@ -299,7 +351,7 @@ class Net:
         }
 
     def words(self) -> str:
-        """The edges, a few words each."""
+        """Describe the edges, in a few words each."""
         parts = []
         for edge in sorted(self._net.getEdges(), key=lambda e: str(e.getID())):
             limits = [lane.getSpeed() for lane in edge.getLanes() if lane.allows("passenger")]
@@ -309,6 +361,7 @@ class Net:
         return ", ".join(parts)
 
     def _edge(self, name: str, who: str) -> Any:
+        """Return an edge by its name; raise UsageError with the known edges if there is none."""
         if not self._net.hasEdge(name):
             names = sorted(str(e.getID()) for e in self._net.getEdges())
             listed = ", ".join(names[:30])
@@ -317,8 +370,18 @@ class Net:
 
 
 def meeting(one: VehicleRoute, other: VehicleRoute) -> tuple[float, float] | None:
-    """Stations [m] on both ways where they first come together, or get onto the same edge in lanes side by side (a ramp
-    with a lane to merge from); None if they do not, or if they begin together."""
+    """Find where two ways first meet.
+
+    They meet where they come together, or where they reach the same edge in neighbouring lanes (a ramp with a lane to
+    merge from).
+
+    Args:
+        one: One way.
+        other: The other way.
+
+    Returns:
+        The stations on both ways [m]; None if they do not meet or begin on the same edge.
+    """
     if one.edges[0] == other.edges[0]:
         return None
     apart = np.hypot(*(one.points[:, None, :] - other.points[None, :, :]).transpose(2, 0, 1))
@@ -332,8 +395,7 @@ def meeting(one: VehicleRoute, other: VehicleRoute) -> tuple[float, float] | Non
 
 
 def _driven(edges: Sequence[Any], lane: Any, vclass: str) -> list[Floats]:
-    """The centre lines of the lanes along a route, an edge each; a lane from which the next edge is not reached is
-    changed."""
+    """Return the centre lines of the lanes along a route, one for each edge, with lane changes where needed."""
     shapes = [np.array(lane.getShape())[:, :2]]
     for edge, after in pairwise(edges):
         links = [c for c in edge.getConnections(after) if c.getToLane().allows(vclass)]
@@ -344,12 +406,13 @@ def _driven(edges: Sequence[Any], lane: Any, vclass: str) -> list[Floats]:
 
 
 def _direction(edge: Any) -> Floats:
-    """The direction of an edge at its end."""
+    """Return the direction of an edge at its end."""
     a, b = np.array(edge.getShape())[[-2, -1], :2]
     return np.asarray((b - a) / max(float(np.hypot(*(b - a))), 1e-6))
 
 
 def _even(points: Floats) -> Floats:
+    """Resample points every ``DRIVE_POINT_SPACING_M``."""
     x, y = points[np.concatenate([[True], np.hypot(*np.diff(points, axis=0).T) > 1e-3])].T
     station = stations(x, y)
     s = np.arange(0.0, station[-1], DRIVE_POINT_SPACING_M)
