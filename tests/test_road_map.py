@@ -24,6 +24,7 @@ from sumo_adv.errors import SimulationError, UsageError
 from sumo_adv.geometry import along
 from sumo_adv.simulation.centreline import centreline
 from sumo_adv.simulation.inputs import data_folder
+from sumo_adv.simulation.lane_links import LaneGraph
 from sumo_adv.simulation.network import read_network
 
 METRES = st.floats(-200.0, 200.0)
@@ -57,6 +58,37 @@ def test_each_lane_says_how_it_relates_to_the_path(before_crossing: Mapping[str,
     assert (lanes["south_in_1"].limit, lanes["south_in_1"].width) == (13.9, 3.2)
     assert lanes[":centre_9_1"].junction and not lanes["south_in_1"].junction
     assert lanes["south_in_0"].centre.tolist() == [[4.8, -220.0], [4.8, -12.4]]
+
+
+def test_lanes_name_those_after_before_and_beside_them(before_crossing: Mapping[str, Any]) -> None:
+    """Two lanes on each side of the road: from the inner one (x = 1.6) a driver goes straight on or turns left, and the
+    oncoming inner lane (x = -1.6) shares its left boundary (x = 0)."""
+    lanes = {lane.id: lane for lane in before_crossing["lanes"]}
+    inner, outer, way = lanes["south_in_1"], lanes["south_in_0"], lanes[":centre_9_1"]
+    assert inner.successors == (":centre_9_1", ":centre_11_0") and inner.predecessors == ()
+    assert (way.predecessors, way.successors) == (("south_in_1",), ("north_out_1",))
+    assert lanes[":centre_15_0"].successors == (":centre_17_0",)  # a left turn from the west waits between them
+    assert (inner.opposite_left, inner.opposite_right) == ("south_out_1", None)
+    assert (outer.left, outer.opposite_left) == ("south_in_1", None) and way.opposite_left is None
+    assert lanes["south_out_1"].opposite_left == "south_in_1"
+
+
+@pytest.mark.parametrize(
+    ("network", "lane", "left", "right", "opposite_left", "opposite_right"),
+    [
+        ("left_hand_crossing", "south_in_1", "south_in_0", None, None, "south_out_1"),
+        ("left_hand_crossing", "south_in_0", None, "south_in_1", None, None),
+        ("curved_4lane", "eastbound_1", None, "eastbound_0", "westbound_1", None),
+        ("motorway", "eastbound_2", None, "eastbound_1", None, None),  # nothing comes the other way
+    ],
+)
+def test_neighbours_by_side_and_direction(
+    network: str, lane: str, left: str | None, right: str | None, opposite_left: str | None, opposite_right: str | None
+) -> None:
+    road = read_network(NETWORKS / f"{network}.net.xml")
+    links = LaneGraph(road).links(road.lanes[lane])
+    assert (links.left, links.right) == (left, right)
+    assert (links.opposite_left, links.opposite_right) == (opposite_left, opposite_right)
 
 
 def test_distances_ahead_count_from_the_centre_of_the_box(before_crossing: Mapping[str, Any]) -> None:

@@ -32,7 +32,7 @@ LEVELS = (
     ),
     ("config", "config_odd", "metrics", "simulation", "memory"),
     ("planners", "drivers", "llm", "transformer"),
-    ("search",),
+    ("search", "commonroad"),
     ("agents", "words"),
     ("episode",),
     ("serve", "campaigns", "benchmark", "womd", "report", "driver_check", "input_check"),

@@ -80,6 +80,9 @@ class Lane:
     45 degrees of the opposite) or ``crossing``.
     left, right: ids of the next lanes of the same edge, None if there is none. junction: it lies within a junction.
     allowed: a vehicle of the ego's class may use it now; a bus lane is told to a car, and is not for it.
+    successors, predecessors: ids of the lanes after and before it, through junctions lane by lane; also those too far
+    away to be told. opposite_left, opposite_right: id of the lane of the opposite direction that shares its left or
+    right boundary, None if there is none.
     """
 
     id: str
@@ -91,6 +94,10 @@ class Lane:
     right: str | None = None
     junction: bool = False
     allowed: bool = True
+    successors: tuple[str, ...] = ()
+    predecessors: tuple[str, ...] = ()
+    opposite_left: str | None = None
+    opposite_right: str | None = None
 
     @property
     def on_route(self) -> bool:

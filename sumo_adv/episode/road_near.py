@@ -11,6 +11,7 @@ import numpy as np
 from sumo_adv.datatypes import Floats
 from sumo_adv.drivers.protocol import Lane
 from sumo_adv.geometry import read_only, wrap
+from sumo_adv.simulation.lane_links import LaneGraph
 from sumo_adv.simulation.network import NetworkLane as NetLane
 from sumo_adv.simulation.network import RoadMap
 
@@ -24,7 +25,7 @@ class RoadNear:
     """Makes ``Road.lanes`` and ``Road.edges``. Holds the last of them."""
 
     def __init__(self, road: RoadMap) -> None:
-        self._road = road
+        self._road, self._graph = road, LaneGraph(road)
         self._around: tuple[object, tuple[float, float], tuple[NetLane, ...]] = (None, (0.0, 0.0), ())
         self._lanes: tuple[object, tuple[Lane, ...]] = (None, ())
         self._edges: tuple[object, tuple[float, float], tuple[Floats, ...]] = (None, (0.0, 0.0), ())
@@ -57,11 +58,13 @@ class RoadNear:
         lanes = []
         for lane in around:
             relation = "route" if lane.id in on else "crossing" if lane.id in met else path.relation(lane.shape)
-            row = self._road.edges[lane.edge]
-            right = row[lane.index - 1] if lane.index > 0 else None
-            left = row[lane.index + 1] if lane.index + 1 < len(row) else None
-            limit, allowed = live[lane.id]
-            lanes.append(Lane(lane.id, lane.shape, lane.width, limit, relation, left, right, lane.internal, allowed))
+            (limit, allowed), links = live[lane.id], self._graph.links(lane)
+            lanes.append(
+                Lane(
+                    lane.id, lane.shape, lane.width, limit, relation, links.left, links.right, lane.internal, allowed,
+                    links.successors, links.predecessors, links.opposite_left, links.opposite_right,
+                )
+            )  # fmt: skip
         self._lanes = ((self._around, live), tuple(lanes))
         return self._lanes[1]
 

@@ -110,9 +110,14 @@ def _add_lanelet(root: Element, lane: MapLane, limit: int) -> None:
     for name, numbers in (("predecessor", lane.entries), ("successor", lane.exits)):
         for number in numbers:
             SubElement(lanelet, name, ref=str(number))
-    for name, beside in (("adjacentLeft", lane.beside_left), ("adjacentRight", lane.beside_right)):
+    for name, beside, opposite in (
+        ("adjacentLeft", lane.beside_left, lane.opposite_left),
+        ("adjacentRight", lane.beside_right, lane.opposite_right),
+    ):
         if beside is not None:
             SubElement(lanelet, name, ref=str(beside), drivingDir="same")
+        elif opposite is not None:
+            SubElement(lanelet, name, ref=str(opposite), drivingDir="opposite")
     _add_texts(lanelet, laneletType="intersection" if lane.lane.internal else "unknown", userOneWay="vehicle")
     SubElement(lanelet, "trafficSignRef", ref=str(limit))
 

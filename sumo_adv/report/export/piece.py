@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from datetime import UTC, datetime
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from sumo_adv.report.page_road import ROAD_RADIUS_M, network
 from sumo_adv.report.read import MANIFEST_FILE, read_run, reading
 from sumo_adv.road_users import RoadUser, road_user
 from sumo_adv.simulation.inputs import WaymoSource
+from sumo_adv.simulation.lane_links import LaneGraph, NumberedLane, numbered_lane
 from sumo_adv.simulation.network import NetworkLane, RoadMap
 from sumo_adv.simulation.signals import SignalLog
 
@@ -170,29 +170,10 @@ def metres(value: float) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class MapLane:
-    """A lane under a number.
+class MapLane(NumberedLane):
+    """A lane under a number, with its network."""
 
-    Attributes:
-        number: The number, from 1.
-        lane: The lane.
-        left: Its left side in the direction of travel, ``(n, 2)`` [m].
-        right: Its right side in the direction of travel, ``(n, 2)`` [m].
-        entries: The numbers of the lanes before it.
-        exits: The numbers of the lanes after it.
-        beside_left: The number of the lane to its left; None without one.
-        beside_right: The number of the lane to its right; None without one.
-        road: The network.
-    """
-
-    number: int
     lane: NetworkLane
-    left: Floats
-    right: Floats
-    entries: tuple[int, ...]
-    exits: tuple[int, ...]
-    beside_left: int | None
-    beside_right: int | None
     road: RoadMap
 
     def height(self, x: Any, y: Any) -> Any:
@@ -220,45 +201,15 @@ def map_lanes(piece: ExportedRun) -> list[MapLane]:
     near = dwithin([linestrings(lane.shape) for lane in lanes], MultiPoint(points), ROAD_RADIUS_M)
     kept = [lane for lane, is_near in zip(lanes, near, strict=True) if is_near]
     numbers = {lane.id: k for k, lane in enumerate(kept, 1)}
-    exits = _exits(road, numbers)
-    return [_map_lane(lane, road, numbers, exits) for lane in kept]
+    graph = LaneGraph(road)
+    return [_map_lane(lane, road, graph, numbers) for lane in kept]
 
 
-def _exits(road: RoadMap, numbers: Mapping[str, int]) -> dict[int, list[int]]:
-    """Return for each lane the lanes that follow it, through junctions lane by lane."""
-    exits: dict[int, list[int]] = {number: [] for number in numbers.values()}
-    for lane in road.lanes.values():
-        for connection in () if lane.internal else lane.connections:
-            for a, b in pairwise((lane.id, *connection.via, connection.to)):
-                if a in numbers and b in numbers and numbers[b] not in exits[numbers[a]]:
-                    exits[numbers[a]].append(numbers[b])
-    return exits
-
-
-def _map_lane(
-    lane: NetworkLane, road: RoadMap, numbers: Mapping[str, int], exits: Mapping[int, Sequence[int]]
-) -> MapLane:
-    number, row = numbers[lane.id], road.edges[lane.edge]
-    at = row.index(lane.id)
-    beside: dict[bool, int | None] = {True: None, False: None}  # by whether it is on the left
-    for k in (at - 1, at + 1):  # SUMO counts from the kerb: in left-hand traffic the left
-        if not lane.internal and 0 <= k < len(row) and row[k] in numbers:
-            (ax, ay), (dx, dy) = lane.shape[1] - lane.shape[0], road.lanes[row[k]].shape[0] - lane.shape[0]
-            beside[bool(ax * dy - ay * dx > 0.0)] = numbers[row[k]]
-    return MapLane(
-        number, lane, _shifted(lane.shape, lane.width / 2), _shifted(lane.shape, -lane.width / 2),
-        tuple(a for a, following in exits.items() if number in following), tuple(exits[number]), beside[True],
-        beside[False], road,
-    )  # fmt: skip
-
-
-def _shifted(line: Floats, offset: float) -> Floats:
-    """Move a line ``(n, 2)`` to the left by ``offset`` [m], each vertex along the mean normal of its segments."""
-    along = np.diff(line, axis=0)
-    along = along / np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)[:, None]
-    mean = np.concatenate([along[:1], along[:-1] + along[1:], along[-1:]])
-    mean = mean / np.maximum(np.hypot(mean[:, 0], mean[:, 1]), 1e-9)[:, None]
-    return line + offset * np.column_stack([-mean[:, 1], mean[:, 0]])
+def _map_lane(lane: NetworkLane, road: RoadMap, graph: LaneGraph, numbers: Mapping[str, int]) -> MapLane:
+    made = numbered_lane(
+        numbers[lane.id], lane.shape, lane.width, junction=lane.internal, links=graph.links(lane), numbers=numbers
+    )
+    return MapLane(**{each.name: getattr(made, each.name) for each in fields(made)}, lane=lane, road=road)
 
 
 def spaced(line: Floats) -> Floats:

@@ -1,0 +1,151 @@
+"""An ego for CommonRoad planners: it asks for a plan every few steps, and drives along the last one in between."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sumo_adv.commonroad.scene import HORIZON_S, STEP_S, Scene, Scenes, constant_velocity
+from sumo_adv.datatypes import Floats, VehicleState
+from sumo_adv.drivers import Action, Observation, PlannedPose, Steer
+from sumo_adv.drivers.protocol import MAX_BRAKING_M_S2, Points
+from sumo_adv.errors import UsageError
+from sumo_adv.geometry import wrap
+
+MAX_AWAY_M = 0.5  # between the ego and its place in the plan; beyond it a new plan is made at once
+TIME_TOLERANCE_S = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Followed:
+    """A plan that the ego follows.
+
+    Attributes:
+        times: Of its states, in simulation time [s], ``(n,)``.
+        states: x, y [m], heading [rad, unwrapped] and speed [m/s] of the box centre, ``(n, 4)``.
+    """
+
+    times: Floats
+    states: Floats
+
+    def at(self, time: float) -> Floats | None:
+        """x, y, heading and speed at a time [s]; None after the end."""
+        if time > self.times[-1] + TIME_TOLERANCE_S:
+            return None
+        return np.array([np.interp(time, self.times, column) for column in self.states.T])
+
+    def rest(self, time: float) -> Points:
+        """The places from a time [s] on, for pages and exports."""
+        left = self.states[self.times > time - TIME_TOLERANCE_S, :2].tolist()
+        return [(x, y) for x, y in left]
+
+
+class PlannerEgo(ABC):
+    """The ego that a CommonRoad planner drives. Subclass it, write ``plan``, and name it with ``--ego module:Class``.
+
+    It needs nothing of the planner but ``plan``. Where the observation has no path, and where the route leaves the
+    network, SUMO drives. If there is no plan, the rest of the last one holds, and then full braking straight on.
+
+    Attributes:
+        replan_every: Steps of the simulation from one plan to the next.
+        horizon: For how long the other road users are predicted [s].
+        time_step: CommonRoad's time step [s]. The run's may be another: the ego is set between two states of the plan.
+        shut_lines: Whether a static obstacle stands behind the next line while the ego must wait there.
+        notes: Numbers by name that ``plan`` may set, shown with the answers.
+    """
+
+    replan_every = 5
+    horizon = HORIZON_S
+    time_step = STEP_S
+    shut_lines = True
+    notes: Mapping[str, float] = {}
+
+    @abstractmethod
+    def plan(self, scene: Scene) -> Sequence[Any] | None:
+        """Plan from now on.
+
+        Args:
+            scene: Scenario, planning problem with the initial state, and reference path.
+
+        Returns:
+            States with ``time_step`` (0 is now), ``position`` (the centre of the box), ``orientation`` and
+            ``velocity``; None or nothing if there is no plan.
+        """
+
+    def predict(self, vehicle: VehicleState, times: Floats) -> Floats:
+        """Where another road user will be, straight on at its speed; override it to predict otherwise.
+
+        Args:
+            vehicle: As the observation has it.
+            times: From now on ``(n,)`` [s].
+
+        Returns:
+            x, y [m] and heading [rad], ``(n, 3)``.
+        """
+        return constant_velocity(vehicle, times)
+
+    def reset(self, seed: int) -> None:
+        """Forget everything: a run begins. A subclass with a ``reset`` of its own calls this one, too."""
+        self._scenes = Scenes(self.predict, horizon=self.horizon, step=self.time_step, shut_lines=self.shut_lines)
+        self._followed: Followed | None = None
+        self._steps = 0  # since the last plan
+        self._before: tuple[float, float] | None = None  # time [s] and heading [rad] of the last step
+        self.notes = {}
+
+    def act(self, seen: Observation) -> Action:
+        """The place in the plan after this step. None (SUMO drives) without a path, and where the route ends."""
+        yaw_rate = self._yaw_rate(seen)
+        if seen.path is None or seen.road is None or seen.road.leaves:
+            self._followed = None
+            return None
+        if self._is_due(seen):
+            states = self.plan(self._scenes(seen, yaw_rate))
+            if states is not None and len(states):
+                self._followed, self._steps = self._read(states, seen), 0
+        self._steps += 1
+        after = None if self._followed is None else self._followed.at(seen.time + seen.dt)
+        if self._followed is None or after is None:
+            return Steer(-MAX_BRAKING_M_S2, 0.0, notes=self.notes)
+        x, y, heading, speed = after.tolist()
+        return PlannedPose(x, y, wrap(heading), max(speed, 0.0), self._followed.rest(seen.time), self.notes)
+
+    def _is_due(self, seen: Observation) -> bool:
+        """Whether to plan now: ``replan_every`` steps after the last plan, at its end, and where the ego is not on it.
+        Where no plan was found, it is due in each step."""
+        if self._followed is None or self._steps >= self.replan_every:
+            return True
+        now, after = self._followed.at(seen.time), self._followed.at(seen.time + seen.dt)
+        return now is None or after is None or math.dist(now[:2], (seen.ego.x, seen.ego.y)) > MAX_AWAY_M
+
+    def _yaw_rate(self, seen: Observation) -> float:
+        """Change of the ego's heading over the last step [rad/s]."""
+        before, self._before = self._before, (seen.time, seen.ego.heading)
+        if before is None or before[0] >= seen.time:
+            return 0.0
+        return wrap(seen.ego.heading - before[1]) / (seen.time - before[0])
+
+    def _read(self, states: Sequence[Any], seen: Observation) -> Followed:
+        """States of CommonRoad as a plan; it begins where the ego is.
+
+        Raises:
+            UsageError: A state lacks something, or time does not go on.
+        """
+        try:
+            rows = [(s.time_step, *s.position, s.orientation, s.velocity) for s in states if s.time_step > 0]
+            table = np.array(rows, float).reshape(len(rows), 5)
+        except (AttributeError, TypeError, ValueError) as error:
+            raise UsageError(
+                f"plan returned states that cannot be driven ({error}): each needs time_step, position (x, y), "
+                "orientation and velocity, as numbers."
+            ) from error
+        if not len(table) or not np.isfinite(table).all() or (np.diff(table[:, 0]) <= 0).any():
+            raise UsageError("plan returned states whose time_step does not grow from 1 on, or that are not finite.")
+        ego = seen.ego
+        table = np.vstack([(0.0, ego.x, ego.y, ego.heading, ego.speed), table])
+        table[:, 3] = np.unwrap(table[:, 3])
+        return Followed(seen.time + self.time_step * table[:, 0], table[:, 1:])
