@@ -73,17 +73,16 @@ def test_an_ego_that_is_not_where_it_planned_to_be_plans_anew() -> None:
     assert [scene.observation.time for scene in ego.given] == pytest.approx([0.0, 0.2])
 
 
-def test_without_a_plan_the_rest_of_the_last_one_holds_and_then_it_brakes() -> None:
-    """The plan lasts 0.5 s. At 0.5 s there is no new one."""
+def test_without_a_plan_it_brakes_along_its_path_and_asks_in_each_step() -> None:
+    """From 0.5 s on there is no plan. The path goes straight on, so the wheel is straight."""
     ego = Steady()
     ego.reset(0)
-    answers = [ego.act(seen(k, 20.0 + k)) for k in range(3)]
+    answers = [ego.act(seen(k, 20.0 + k)) for k in range(5)]
     ego.found = False
-    ego.replan_every = 3
-    answers += [ego.act(seen(k, 20.0 + k)) for k in range(3, 6)]
-    assert [type(answer) for answer in answers] == [PlannedPose] * 5 + [Steer]
-    assert answers[-1].acceleration == -9.0 and answers[-1].steering == 0.0
-    assert len(ego.given) == 4  # at 0 s, and in each step from 0.3 s on
+    answers += [ego.act(seen(k, 20.0 + k)) for k in (5, 6)]
+    assert [type(answer) for answer in answers] == [PlannedPose] * 5 + [Steer] * 2
+    assert (answers[-1].acceleration, answers[-1].steering) == pytest.approx((-9.0, 0.0))
+    assert [scene.observation.time for scene in ego.given] == pytest.approx([0.0, 0.5, 0.6])
 
 
 def test_sumo_drives_where_there_is_no_path_and_where_the_route_ends() -> None:

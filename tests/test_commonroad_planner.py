@@ -11,11 +11,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cli_samples import ROOT
+from road_samples import drive, steps
 from run_samples import run_folder
 from shapely import LineString, Point
+from sumo_samples import vehicle
 
 import sumo_adv
 from sumo_adv.datatypes import Level, Track, Verdict
+from sumo_adv.drivers import Observation
 from sumo_adv.report.export.commonroad import COMMONROAD_SCENARIO_FILE, COMMONROAD_SOLUTION_FILE, write_commonroad
 from sumo_adv.report.export.piece import ExportedRun, read_piece
 
@@ -88,39 +92,53 @@ def test_an_ego_that_brakes_is_not_hit(piece: ExportedRun, tmp_path: Path) -> No
     assert not verdict.collided and verdict.level < Level.COLLISION
 
 
-def test_commonroads_reactive_planner_drives_the_ego(piece: ExportedRun, tmp_path: Path) -> None:
+@pytest.fixture
+def reactive(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """The module of the example, which drives with ``commonroad-reactive-planner``."""
+    pytest.importorskip("commonroad_rp", reason="needs commonroad-reactive-planner, in an environment of its own")
+    monkeypatch.syspath_prepend(str(ROOT / "examples" / "commonroad_planner"))
+    return import_module("reactive")
+
+
+def test_commonroads_reactive_planner_drives_the_ego(piece: ExportedRun, tmp_path: Path, reactive: Any) -> None:
     """It knows the obstacles' trajectories, as CommonRoad gives them, and is not hit."""
-    pytest.importorskip("commonroad_rp", reason="needs commonroad-reactive-planner")
     scenario, problem = opened(piece, tmp_path)
-    driven = reactive(scenario, problem, piece.track(piece.ego))
+    driven = planned(reactive, scenario, problem, piece.track(piece.ego))
     verdict = judged(piece, driven)
     assert len(driven) == len(piece.track(piece.ego).time)
     assert math.dist(driven[0].position, problem.initial_state.position) < 0.001
     assert not verdict.collided and verdict.level < Level.COLLISION
 
 
-def reactive(scenario: Any, problem: Any, ego: Track) -> list[Any]:
+def planned(reactive: Any, scenario: Any, problem: Any, ego: Track) -> list[Any]:
     """The states that the reactive planner drives at its first speed, planned anew every 0.5 s."""
-    config = import_module("commonroad_rp.utility.config").ReactivePlannerConfiguration()
-    config.vehicle.length, config.vehicle.width = ego.length, ego.width
-    config.debug.multiproc, config.debug.logging_level = False, "ERROR"
-    config.planning.time_steps_computation = 20
-    config.update(scenario=scenario, planning_problem=problem)
     routes = import_module("commonroad_route_planner.fast_api.fast_api")
     path = routes.generate_reference_path_from_scenario_and_planning_problem(scenario, problem).reference_path
-    along_path = import_module("commonroad_rp.utility.utils_coordinate_system").CoordinateSystem(
-        path, clcs_params=import_module("commonroad_clcs.config").CLCSParams()
-    )
-    planner = import_module("commonroad_rp.reactive_planner").ReactivePlanner(config)
-    planner.set_reference_path(coordinate_system=along_path)
+    planner = reactive.planner_for(scenario, problem, path, ego.length, ego.width)
     states = [planner.x_0]
     while len(states) < len(ego.time):
         planner.set_desired_velocity(problem.initial_state.velocity, planner.x_0.velocity)
-        planned, along, aside = planner.plan()[:3]
-        states += planned.state_list[1:6]
+        plan, along, aside = planner.plan()[:3]
+        states += plan.state_list[1:6]
         planner.reset(
-            initial_state_cart=planned.state_list[5], initial_state_curv=(along[5], aside[5]),
-            collision_checker=planner.collision_checker, coordinate_system=along_path,
+            initial_state_cart=plan.state_list[5], initial_state_curv=(along[5], aside[5]),
+            collision_checker=planner.collision_checker, coordinate_system=planner.coordinate_system,
         )  # fmt: skip
-    centre = import_module("commonroad_rp.state").ReactivePlannerState.shift_state_to_center
-    return [centre(state, config.vehicle.wb_rear_axle) for state in states[: len(ego.time)]]
+    return reactive.centred(states[: len(ego.time)], planner.vehicle_params.wb_rear_axle)
+
+
+def test_the_reactive_planner_follows_a_road_in_sumo(tmp_path: Path, reactive: Any) -> None:
+    """For 8 s on a motorway with no other vehicle: it plans every 0.5 s, keeps its lane and the limit."""
+    ego = reactive.Reactive()
+    ego.reset(0)
+    alone, ahead = vehicle("ego", "eastbound", 1, 110.0, 25.0), ego.path_ahead
+    with drive(tmp_path, "motorway", [alone], of_ego, ego.act, path_ahead=ahead) as (moving, watcher):
+        steps(moving, 80)
+    speeds, offsets = np.array(watcher.kept).T
+    assert np.abs(offsets).max() < 0.2 and speeds.min() > 24.0
+
+
+def of_ego(seen: Observation) -> tuple[float, float]:
+    """Speed [m/s] and offset [m]."""
+    assert seen.lane_offset is not None
+    return seen.ego.speed, seen.lane_offset

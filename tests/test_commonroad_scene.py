@@ -26,7 +26,7 @@ from sumolib.net import readNet
 
 from sumo_adv.commonroad import Scene, Scenes
 from sumo_adv.datatypes import Floats, VehicleState
-from sumo_adv.drivers import Observation, Road
+from sumo_adv.drivers import Observation, Road, SpeedLimit
 from sumo_adv.errors import UsageError
 from sumo_adv.simulation.inputs import data_folder
 
@@ -155,6 +155,15 @@ def test_the_reference_path_begins_behind_the_ego_and_ends_in_the_goal(scene: Sc
     (goal,) = scene.problem.goal.state_list
     assert goal.position.center.tolist() == path[-1].tolist()
     assert not scene.problem.goal.is_reached(scene.initial_state)
+
+
+def test_the_ego_slows_down_before_a_lower_limit() -> None:
+    """20 m before a limit of 8 m/s, braking with 2 m/s2: 12 m/s, as 8 * 8 + 2 * 2 * 20 = 12 * 12."""
+    ego = VehicleState("ego", 0.0, 0.0, 0.0, 14.0, 0.0, 5.0, 2.0, "road_0")
+    road = Road(15.0, limits=(SpeedLimit(-5.0, 13.9), SpeedLimit(20.0, 8.0)))
+    seen = Observation(0.0, 0.1, ego, (), path=((0.0, 0.0), (50.0, 0.0)), road=road)
+    assert Scenes()(seen).speed_limit == pytest.approx(12.0)
+    assert Scenes()(replace(seen, road=Road(15.0))).speed_limit == 15.0
 
 
 def test_a_line_where_the_ego_must_wait_is_shut(tmp_path: Path) -> None:

@@ -30,7 +30,8 @@ EXTRAS = (
     ("sumo", "sumo", "serve, Waymo records, OpenSCENARIO"), ("google.protobuf", "womd", "Waymo records"),
     ("qc_openscenario", "export", "OpenSCENARIO"), ("pyarrow", "batch", "results.parquet"),
     ("ray", "ray", "batches and crash rates on several machines"),
-    ("fiss_planner", "planners", "the ego fiss_plus"), ("gymnasium", "gym", "the environments"),
+    ("fiss_planner", "planners", "the ego fiss_plus"),
+    ("commonroad", "commonroad", "CommonRoad planners"), ("gymnasium", "gym", "the environments"),
     ("optax", "train", "training the row transformer"),
 )  # fmt: skip
 PROGRAM_TIMEOUT_S = 30.0  # s for a program to answer

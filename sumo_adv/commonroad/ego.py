@@ -13,11 +13,14 @@ import numpy as np
 from sumo_adv.commonroad.scene import HORIZON_S, STEP_S, Scene, Scenes, constant_velocity
 from sumo_adv.datatypes import Floats, VehicleState
 from sumo_adv.drivers import Action, Observation, PlannedPose, Steer
+from sumo_adv.drivers.lattice_frame import RoadFrame
 from sumo_adv.drivers.protocol import MAX_BRAKING_M_S2, Points
 from sumo_adv.errors import UsageError
 from sumo_adv.geometry import wrap
 
 MAX_AWAY_M = 0.5  # between the ego and its place in the plan; beyond it a new plan is made at once
+PATH_AHEAD_M = 250.0  # of the reference path: 5 s at 50 m/s
+MAX_LATERAL_M_S2 = 4.0  # of an ego that brakes without a plan
 TIME_TOLERANCE_S = 1e-6
 
 
@@ -49,12 +52,13 @@ class PlannerEgo(ABC):
     """The ego that a CommonRoad planner drives. Subclass it, write ``plan``, and name it with ``--ego module:Class``.
 
     It needs nothing of the planner but ``plan``. Where the observation has no path, and where the route leaves the
-    network, SUMO drives. If there is no plan, the rest of the last one holds, and then full braking straight on.
+    network, SUMO drives. If there is no plan, the ego brakes fully along its path, and asks again in the next step.
 
     Attributes:
         replan_every: Steps of the simulation from one plan to the next.
         horizon: For how long the other road users are predicted [s].
         time_step: CommonRoad's time step [s]. The run's may be another: the ego is set between two states of the plan.
+        path_ahead: How far ahead of the ego the reference path reaches at least [m], as far as the route goes.
         shut_lines: Whether a static obstacle stands behind the next line while the ego must wait there.
         notes: Numbers by name that ``plan`` may set, shown with the answers.
     """
@@ -62,6 +66,7 @@ class PlannerEgo(ABC):
     replan_every = 5
     horizon = HORIZON_S
     time_step = STEP_S
+    path_ahead = PATH_AHEAD_M
     shut_lines = True
     notes: Mapping[str, float] = {}
 
@@ -105,18 +110,19 @@ class PlannerEgo(ABC):
             return None
         if self._is_due(seen):
             states = self.plan(self._scenes(seen, yaw_rate))
-            if states is not None and len(states):
-                self._followed, self._steps = self._read(states, seen), 0
+            self._followed = self._read(states, seen) if states is not None and len(states) else None
+            self._steps = 0
         self._steps += 1
         after = None if self._followed is None else self._followed.at(seen.time + seen.dt)
         if self._followed is None or after is None:
-            return Steer(-MAX_BRAKING_M_S2, 0.0, notes=self.notes)
+            wheel = RoadFrame(seen.path).wheel(seen.ego, MAX_LATERAL_M_S2)
+            return Steer(-MAX_BRAKING_M_S2, wheel, notes=self.notes)
         x, y, heading, speed = after.tolist()
         return PlannedPose(x, y, wrap(heading), max(speed, 0.0), self._followed.rest(seen.time), self.notes)
 
     def _is_due(self, seen: Observation) -> bool:
-        """Whether to plan now: ``replan_every`` steps after the last plan, at its end, and where the ego is not on it.
-        Where no plan was found, it is due in each step."""
+        """Whether to plan now: without a plan, ``replan_every`` steps after the last one, at its end, and where the ego
+        is not on it."""
         if self._followed is None or self._steps >= self.replan_every:
             return True
         now, after = self._followed.at(seen.time), self._followed.at(seen.time + seen.dt)

@@ -24,7 +24,7 @@ from commonroad.scenario.traffic_sign import TrafficSign, TrafficSignElement, Tr
 from commonroad.scenario.trajectory import Trajectory
 
 from sumo_adv.datatypes import Floats, VehicleState
-from sumo_adv.drivers import Lane, Observation, Vehicle
+from sumo_adv.drivers import Lane, Observation, Road, Vehicle
 from sumo_adv.errors import UsageError
 from sumo_adv.geometry import along, stations, wrap
 from sumo_adv.simulation.lane_links import numbered_lane
@@ -40,6 +40,7 @@ STEP_S = 0.1  # CommonRoad's time step
 BEHIND_M = 15.0  # of the reference path behind the first point that the observation has
 GOAL_LENGTH_M, GOAL_WIDTH_M = 10.0, 4.0  # of the goal, at the end of the reference path
 LATEST_GOAL_STEP = 100_000  # by which the goal may be reached: a run ends before
+LIMIT_BRAKING_M_S2 = 2.0  # before a lower limit
 SHUT_LINE_LENGTH_M = 0.5  # of the obstacle behind a line at which the ego must wait
 OBSTACLE_TYPES = {
     "passenger": ObstacleType.CAR, "private": ObstacleType.CAR, "taxi": ObstacleType.TAXI,
@@ -70,6 +71,8 @@ class Scene:
         problem: The ego's initial state, and a goal at the end of the reference path.
         reference_path: Points ``(n, 2)`` [m], a metre apart, along the ego's lane and route: from 15 m before the first
             point of ``observation.path`` on.
+        speed_limit: The fastest that the ego should go now [m/s]: ``observation.road.limit``, and less before a lower
+            posted limit, which braking with 2 m/s2 must reach. Turns on a junction have such limits.
         observation: What all this was made of.
         lanelets: Numbers of the lanelets by SUMO's ids of their lanes.
         obstacles: Numbers of the obstacles by SUMO's ids of the vehicles.
@@ -78,6 +81,7 @@ class Scene:
     scenario: Scenario
     problem: PlanningProblem
     reference_path: Floats
+    speed_limit: float
     observation: Observation = field(repr=False)  # printed it would be read, perhaps too late
     lanelets: Mapping[str, int]
     obstacles: Mapping[str, int]
@@ -132,7 +136,7 @@ class Scenes:
         problem = PlanningProblem(self._number("problem", ""), _initial_state(seen.ego, yaw_rate), _goal(path))
         lanelets = {lane.id: self._number("lane", lane.id) for lane in seen.road.lanes}
         obstacles = {vehicle.id: self._number("vehicle", vehicle.id) for vehicle in seen.others}
-        return Scene(scenario, problem, path, seen, lanelets, obstacles)
+        return Scene(scenario, problem, path, _speed_limit(seen.road), seen, lanelets, obstacles)
 
     def lanelet_network(self, lanes: Sequence[Lane]) -> LaneletNetwork:
         """Lanes of ``observation.road`` as lanelets, with their speed limits as signs."""
@@ -205,9 +209,11 @@ def _limit_sign(number: int, limit: float, lanelets: set[int]) -> TrafficSign:
 
 
 def _initial_state(vehicle: VehicleState, yaw_rate: float) -> Any:
+    """A vehicle now. Where it stands, the braking of its last step is over."""
+    acceleration = vehicle.acceleration if vehicle.speed > 0.0 else 0.0
     return InitialState(
         time_step=0, position=np.array([vehicle.x, vehicle.y]), orientation=vehicle.heading, velocity=vehicle.speed,
-        acceleration=vehicle.acceleration, yaw_rate=yaw_rate, slip_angle=0.0,
+        acceleration=acceleration, yaw_rate=yaw_rate, slip_angle=0.0,
     )  # fmt: skip
 
 
@@ -215,6 +221,11 @@ def _goal(path: Floats) -> GoalRegion:
     heading = math.atan2(*(path[-1] - path[-2])[::-1].tolist())
     place = Rectangle(GOAL_LENGTH_M, GOAL_WIDTH_M, center=path[-1], orientation=heading)
     return GoalRegion([CustomState(time_step=Interval(1, LATEST_GOAL_STEP), position=place)])
+
+
+def _speed_limit(road: Road) -> float:
+    ahead = (math.sqrt(limit.speed**2 + 2 * LIMIT_BRAKING_M_S2 * max(limit.ahead, 0.0)) for limit in road.limits)
+    return min((road.limit, *ahead))
 
 
 def _reference_path(path: Floats) -> Floats:

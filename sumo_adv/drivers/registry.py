@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import importlib
 import math
+import os
 import sys
 from collections.abc import Callable, Mapping
 from contextlib import redirect_stderr, redirect_stdout
@@ -164,8 +165,10 @@ def _plain(value: Any) -> Any:
 
 
 def _place(error: BaseException) -> str:
-    """The file and line of an error in a user's code: the deepest call in the file that was called first."""
-    frames = [f for f in extract_tb(error.__traceback__) if f.filename != __file__]
+    """The file and line of an error in a user's code: the deepest call in the file that was called first. A base class
+    of ours, such as ``PlannerEgo``, is no code of the user."""
+    ours = f"{Path(__file__).parents[1]}{os.sep}"
+    frames = [f for f in extract_tb(error.__traceback__) if not f.filename.startswith(ours)]
     if not frames:
         return ""
     deepest = [f for f in frames if f.filename == frames[0].filename][-1]
