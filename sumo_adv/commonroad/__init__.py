@@ -4,14 +4,16 @@
 makes the scenes alone, for a driver of your own that only wants CommonRoad's map or obstacles.
 """
 
-from importlib.util import find_spec
+from importlib import import_module
 
 from sumo_adv.errors import UsageError
 
-if find_spec("commonroad") is None:
+try:
+    import_module("commonroad.geometry.shape")  # which 2026.1 no longer has
+except ImportError as error:
     raise UsageError(
-        "sumo_adv.commonroad needs commonroad-io, which is not installed: pip install 'sumo-adv[commonroad]'."
-    )
+        f"sumo_adv.commonroad needs commonroad-io, 2022.1 to 2024.3 ({error}): pip install 'sumo-adv[commonroad]'."
+    ) from error
 
 from sumo_adv.commonroad.ego import PlannerEgo
 from sumo_adv.commonroad.scene import Predict, Scene, Scenes, constant_velocity
